@@ -11,7 +11,7 @@ from torch.nn.attention import SDPBackend, sdpa_kernel
 from torch.utils.flop_counter import FlopCounterMode
 
 from scenegen.clouds import read_points
-from scenegen.dataset.foreign import read_guarded
+from scenegen.dataset.hdf5 import read_guarded
 from scenegen.errors import DatasetError, printable
 from scenegen.model.completion.protocol import PARTS, SURE
 from scenegen.model.config import VARIANTS, NetworkConfig

@@ -41,10 +41,8 @@ MOST_SAMPLES_IN_SHARD = 10**5
 gigabytes."""
 MOST_OBJECTS = 64
 """The most HDF5 objects in a shard, and the most attributes of each."""
-MOST_BLOCKS, MOST_BLOCK_BYTES = 64, 1 << 16
-"""The most blocks in an HDF5 object's header, and the most bytes of a block."""
-MOST_HEAP_BYTES = 1 << 20
-"""The most bytes of the heaps that hold names and texts in HDF5."""
+MOST_TEXT_BYTES = 1 << 20
+"""The most characters of a text in an HDF5 attribute."""
 MOST_SHARDS = 99_999
 """The most shards of a split: five digits number them."""
 MOST_MANIFEST_BYTES = 64 << 20

@@ -60,8 +60,10 @@ def _meshes() -> None:
     from scenegen.truth.occupancy import _fill_surface
     from scenegen.truth.triangles import inside_columns
 
-    for kernel in (_fill_surface, inside_columns):
-        kernel(np.zeros((1, 3, 3)), np.zeros(3), 0.2, np.zeros((4, 4, 4), np.bool_))
+    triangles, corner = np.zeros((1, 3, 3)), np.zeros((1, 3))
+    into = (np.zeros(3), 0.2, np.zeros((4, 4, 4), np.bool_))
+    _fill_surface(triangles, corner, corner, *into)
+    inside_columns(triangles, *into)
 
 
 def _clearance() -> None:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from lidarsim import GridSpec
 from lidarsim.parameters import MOST_LENGTH_M
 from scenegen.clouds import read_points
-from scenegen.dataset.foreign import read_guarded
+from scenegen.dataset.hdf5 import read_guarded
 from scenegen.dataset.read import Dataset, Rows, Split
 from scenegen.dataset.shard import compress
 from scenegen.display.look import Look

@@ -12,7 +12,7 @@ import h5py
 import isal.isal_zlib
 import numpy as np
 
-from scenegen.dataset.foreign import read_guarded
+from scenegen.dataset.hdf5 import read_guarded
 from scenegen.dataset.layout import FILTERS, Column, unpack
 from scenegen.dataset.read import Dataset, Split
 from scenegen.errors import DatasetError, printable, short

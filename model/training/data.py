@@ -17,12 +17,13 @@ from torch.utils.data import DataLoader, Dataset
 
 from lidarsim import GridSpec, Sensor
 from scenegen.dataset.gather import check_disjoint
+from scenegen.dataset.generation import fraction
 from scenegen.dataset.read import Dataset as SampleDataset
 from scenegen.errors import DatasetError, ScenegenError, short
 from scenegen.model.inputs import SYMMETRIES, channels, points_of, turned
 from scenegen.sample import Sample
 from scenegen.streams.batches import Batches
-from scenegen.streams.mixture import fraction, parts_of
+from scenegen.streams.mixture import parts_of
 from scenegen.streams.stream import Stream
 from scenegen.truth import distance_field
 from scenegen.worlds.mapping import Mapper

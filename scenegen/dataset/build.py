@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from lidarsim.engines import DEFAULT
 from scenegen import SPLITS
 from scenegen.dataset import manifest
+from scenegen.dataset.layout import layout_of
+from scenegen.dataset.parts import schema_of
 from scenegen.dataset.placed import write_placed
 from scenegen.dataset.shard import ShardReport, ShardSpec, ShardTask, find_engine, write_shard
 from scenegen.dataset.state import Plan, State
@@ -109,6 +111,8 @@ def divide(
     fingerprint = manifest.fingerprint(given)
     each = recipe.flight.viewpoints
     step = max(shard_samples // each, 1)
+    schema = schema_of(recipe)
+    layout = layout_of(schema.stored(compact=compact), schema)
     shards = []
     if sum(counts.values()) > MOST_SHARDS * step * each:
         raise DatasetError(
@@ -118,17 +122,19 @@ def divide(
     for split in SPLITS:
         units = math.ceil(counts[split] / each)
         for index, first in enumerate(range(0, units, step)):
-            here = min(step, units - first)
+            here = range(first, min(first + step, units))
+            # each flight in a world of its own, or none of them in one that comes again
+            whole = source.number(split, here[-1])[0] == here[-1]
             shards.append(
                 kind(
                     folder=folder,
                     split=split,
                     index=index,
                     first_unit=first,
-                    units=here,
-                    samples=min(here * each, counts[split] - first * each),
+                    numbers=here if whole else [source.number(split, unit)[0] for unit in here],
+                    samples=min(len(here) * each, counts[split] - first * each),
                     seed=given["seed"],
-                    compact=compact,
+                    layout=layout,
                     parameters=fingerprint,
                     recipe=recipe,
                     source=source,
@@ -180,7 +186,7 @@ def build(
     # kernels compile here, once, before workers start, and hopeless parameters end here, before
     # anything is written
     if missing and (not begun or (len(missing) > 1 and workers > 1)):
-        _first_unit(missing[0])
+        missing[0].prepare()
     state.open()
     for report in state.reports.values():
         on_shard(report, False)
@@ -205,10 +211,6 @@ def build(
     return _summarise(state, state.sign(workers=workers), written)
 
 
-def _first_unit(shard: ShardTask) -> None:
-    shard.prepare()
-
-
 def check_folder(plan: Plan, *, force: bool = False) -> None:
     """Raise DatasetError unless `build` would take the plan's folder; see `State`."""
     State(plan, force=force)
@@ -228,9 +230,8 @@ def _check_space(plan: Plan, missing: list[ShardTask]) -> None:
         needed / 2 > disk.free and disk.total
     ):  # the system's own folders have no size; they refuse by themselves
         raise DatasetError(
-            f"{plan.folder}: needs about {needed / 1e6:.0f} MB, {disk.free / 1e6:.0f} MB are "
-            f"free; free some space, or "
-            "choose another disk with --out"
+            f"{plan.folder}: needs about {needed / 1e6:.0f} MB, {disk.free / 1e6:.0f} MB are free; "
+            "free some space, or choose another disk with --out"
         )
     if plan.folder.exists() and not os.access(plan.folder, os.W_OK):
         raise DatasetError(

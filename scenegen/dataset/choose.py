@@ -90,8 +90,7 @@ class Condition:
             pass
         raise ValueError(
             f"{short(text)}: expected a name, a sign and a number, such as occupied>=0.05; names "
-            f"are "
-            f"{', '.join(known)}, signs {' '.join(SIGNS)}"
+            f"are {', '.join(known)}, signs {' '.join(SIGNS)}"
         )
 
     def __str__(self) -> str:

@@ -33,16 +33,6 @@ KEPT = 8
 that differ are taken for one with a probability of 3e-6."""
 
 
-@dataclass(frozen=True)
-class _Task:
-    """One shard, to be looked at."""
-
-    number: int
-    folder: Path
-    entry: Entry
-    layout: Layout
-
-
 def check_disjoint(datasets: Sequence[Dataset], *, workers: int = 1) -> None:
     """Raise DatasetError where `datasets` have a sample in common, or a world in different splits.
 
@@ -50,15 +40,15 @@ def check_disjoint(datasets: Sequence[Dataset], *, workers: int = 1) -> None:
     that it refers to.
     """
     tasks = [
-        _Task(n, dataset.folder, entry, dataset.manifest.layout)
+        (n, dataset.folder, entry, dataset.manifest.layout)
         for n, (dataset, entry) in enumerate(
             (one, entry) for one in datasets for entry in one.manifest.shards
         )
     ]
     with closing(run(_look, tasks, workers)) as results:
         found = sorted(results, key=lambda one: one[0])
-    names = [f"{task.folder}/{task.entry.file}" for task in tasks]
-    splits = np.array([SPLITS.index(task.entry.split) for task in tasks])
+    names = [f"{there}/{entry.file}" for _, there, entry, _ in tasks]
+    splits = np.array([SPLITS.index(entry.split) for _, _, entry, _ in tasks])
     for one, other in _twice([samples for _, samples, _ in found]):
         raise DatasetError(
             f"{names[one]} and {names[other]}: hold the same sample; leave one of the two "
@@ -68,18 +58,20 @@ def check_disjoint(datasets: Sequence[Dataset], *, workers: int = 1) -> None:
         if splits[one] != splits[other]:
             raise DatasetError(
                 f"{names[one]} and {names[other]}: samples of one world would be in two splits; "
-                f"take one split of "
-                "either, with `scenegen take --split`"
+                "take one split of either, with `scenegen take --split`"
             )
 
 
-def _look(task: _Task) -> tuple[int, NDArray[np.uint64], NDArray[np.uint64]]:
+def _look(
+    task: tuple[int, Path, Entry, Layout],
+) -> tuple[int, NDArray[np.uint64], NDArray[np.uint64]]:
     """A shard's number, and the first bytes of the digests of its samples and of its worlds."""
-    path, archive, worlds = task.folder / task.entry.file, task.entry.worlds, b""
+    number, there, entry, layout = task
+    path, archive, worlds = there / entry.file, entry.worlds, b""
     try:
         with open_file(path) as file:
-            own = open_shard(file, path, task.entry.samples, task.layout).column(DIGEST)
-        with open_file(task.folder / archive) as file, open_archive(file, archive) as members:
+            own = open_shard(file, path, entry.samples, layout).column(DIGEST)
+        with open_file(there / archive) as file, open_archive(file, archive) as members:
             for name in sorted(name for name in members if name.endswith(".xml")):
                 document, others = members.world(name)
                 digest = hashlib.sha256(document)
@@ -87,9 +79,9 @@ def _look(task: _Task) -> tuple[int, NDArray[np.uint64], NDArray[np.uint64]]:
                     digest.update(other.encode() + hashlib.sha256(content).digest())
                 worlds += digest.digest()[:KEPT]
     except BrokenError as error:
-        raise DatasetError(f"{task.folder}/{error}; verify the dataset, or copy it again") from None
+        raise DatasetError(f"{there}/{error}; verify the dataset, or copy it again") from None
     return (
-        task.number,
+        number,
         np.ascontiguousarray(own[:, :KEPT]).view(np.uint64)[:, 0],
         np.frombuffer(worlds, np.uint64),
     )
@@ -112,33 +104,8 @@ class Part(ShardTask):
     """The folder of the dataset that it is of."""
     entry: Entry
     """The shard, as that dataset's manifest lists it."""
-    format: Layout
-    """What it holds."""
     rows: tuple[int, ...] | None = None
     """The samples that are taken, in order; None for all."""
-    source: int
-    """The place, among the new manifest's `sources`, of the dataset that the samples were made
-    for."""
-    start: int
-    stop: int
-    """The places there of the first and of one beyond the last sample."""
-    of_worlds: Sequence[int]
-    """Numbers there of the worlds of which the samples are, rising."""
-
-    @property
-    def layout(self) -> Layout:
-        """See `ShardTask`."""
-        return self.format
-
-    @property
-    def numbers(self) -> Sequence[int]:
-        """See `ShardTask`."""
-        return self.of_worlds
-
-    @property
-    def more(self) -> Mapping[str, int]:
-        """See `ShardTask`."""
-        return {"source": self.source, "start": self.start, "stop": self.stop}
 
     def write(self) -> ShardReport:
         """See `ShardTask`. Raises DatasetError where the shard there is no longer what its manifest
@@ -151,7 +118,7 @@ class Part(ShardTask):
             ):
                 check_sum(worlds, self.entry.worlds, self.entry.worlds_sha256)
                 check_sum(file, self.entry.file, self.entry.sha256)
-                shard = open_shard(file, path, self.entry.samples, self.format)
+                shard = open_shard(file, path, self.entry.samples, self.layout)
                 shard.check_origin(
                     split=self.split,
                     worlds_sha256=self.entry.worlds_sha256,
@@ -186,7 +153,7 @@ class Part(ShardTask):
         """The `rows` packed anew, and the worlds that they are of."""
         documents = dict[str, bytes]()
         with open_archive(worlds, self.entry.worlds) as members:
-            for member in (f"{number:06d}.xml" for number in self.of_worlds):
+            for member in (f"{number:06d}.xml" for number in self.numbers):
                 if member not in members:
                     raise BrokenError(f"{self.entry.worlds}: has no member {member}")
                 document, others = members.world(member)
@@ -271,7 +238,7 @@ def _plan(
 ) -> Plan:
     """The plan of `pieces`, which stand in the order train, val, test; `taken` says how they were
     chosen, and `nothing` what is wrong where there is none."""
-    sources = _Sources()
+    sources: dict[tuple[str, str], tuple[Manifest, list[str]]] = {}
     counts = dict.fromkeys(SPLITS, 0)
     parts: list[Part] = []
     index = dict.fromkeys(SPLITS, 0)
@@ -282,7 +249,8 @@ def _plan(
             raise DatasetError(
                 f"{folder}: is {dataset.folder} itself, or in it; choose another folder with --out"
             )
-        source, home, split = *sources.add(dataset, chosen, taken), chosen.entry.split
+        source, home = _source(sources, dataset, chosen, taken)
+        split = chosen.entry.split
         start, stop = int(chosen.places[0]), int(chosen.places[-1]) + 1
         numbering = home.numbering(split)
         cut = stop - start > len(chosen.places)
@@ -299,12 +267,10 @@ def _plan(
                 parameters=home.fingerprint,
                 there=dataset.folder,
                 entry=chosen.entry,
-                format=dataset.manifest.layout,
+                layout=dataset.manifest.layout,
                 rows=rows,
-                source=source,
-                start=start,
-                stop=stop,
-                of_worlds=worlds,
+                more={"source": source, "start": start, "stop": stop},
+                numbers=worlds,
             )
         )
         counts[split] += len(chosen.rows)
@@ -315,40 +281,33 @@ def _plan(
         raise DatasetError(
             f"{folder}: {max(index.values())} shards of a split, expected {MOST_SHARDS} at most"
         )
-    given = sources.parameters(counts, max(part.samples for part in parts))
+    each = [(home.parameters, home.digest, ways) for home, ways in sources.values()]
+    given = gathered(each, counts, max(part.samples for part in parts))
     return Plan(folder=folder, parameters=given, shards=tuple(parts), lidar=dataset.lidar)
 
 
-class _Sources:
-    """The datasets that samples were made for, each once, in the order in which they are met."""
-
-    def __init__(self) -> None:
-        self._found: dict[tuple[str, str], tuple[Manifest, list[str]]] = {}
-
-    def add(self, dataset: Dataset, chosen: Chosen, taken: str) -> tuple[int, Manifest]:
-        """The number of the dataset for which what is `chosen` was made, and its manifest. Raises
-        DatasetError."""
-        it = dataset.manifest
-        home, before = it.home(chosen.entry), [""]
-        if isinstance(chosen.entry, GatheredEntry):
-            before = it.parameters["sources"][chosen.entry.source]["taken"] or before
-        key = home.fingerprint, str(home.digest)
-        ways = self._found.setdefault(key, (home, []))[1]
-        ways += [
-            way
-            for old in before
-            if (way := ", then ".join(filter(None, (old, taken)))) and way not in ways
-        ]
-        if len(self._found) > MOST_SOURCES:
-            raise DatasetError(
-                f"{dataset.folder}: more than {MOST_SOURCES} datasets in one; merge fewer"
-            )
-        return list(self._found).index(key), home
-
-    def parameters(self, counts: Mapping[str, int], shard_samples: int) -> dict[str, Any]:
-        """Those of the new dataset's manifest."""
-        each = [(home.parameters, home.digest, ways) for home, ways in self._found.values()]
-        return gathered(each, counts, shard_samples)
+def _source(
+    found: dict[tuple[str, str], tuple[Manifest, list[str]]],
+    dataset: Dataset,
+    chosen: Chosen,
+    taken: str,
+) -> tuple[int, Manifest]:
+    """The number, among those `found`, of the dataset for which what is `chosen` was made, and its
+    manifest; noted there with the ways in which samples were taken. Raises DatasetError."""
+    it = dataset.manifest
+    home, before = it.home(chosen.entry), [""]
+    if isinstance(chosen.entry, GatheredEntry):
+        before = it.parameters["sources"][chosen.entry.source]["taken"] or before
+    key = home.fingerprint, str(home.digest)
+    ways = found.setdefault(key, (home, []))[1]
+    for old in before:
+        if (way := ", then ".join(filter(None, (old, taken)))) and way not in ways:
+            ways.append(way)
+    if len(found) > MOST_SOURCES:
+        raise DatasetError(
+            f"{dataset.folder}: more than {MOST_SOURCES} datasets in one; merge fewer"
+        )
+    return list(found).index(key), home
 
 
 def gathered(

@@ -1,24 +1,37 @@
-"""Datasets from what a user asks for: a kind of worlds, a recipe or MJCF files, and how many
-samples."""
+"""Datasets from what a user asks for: a kind of worlds, several by weight, a recipe or MJCF files,
+and how many samples."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
+import itertools
+import math
+import numbers
+from collections.abc import Callable, Mapping, Sequence
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 from lidarsim import Sensor
 from lidarsim.engines import DEFAULT
+from scenegen import SPLITS
 from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.gather import gathered, unlike
 from scenegen.dataset.locate import locate
-from scenegen.dataset.mixed import MIXED, is_mixed, plan_mixed, read_components
 from scenegen.dataset.read import Dataset
+from scenegen.dataset.shard import ShardTask
 from scenegen.dataset.state import Plan
-from scenegen.errors import RecipeError, SceneError
-from scenegen.recipe import preset, read_recipe
+from scenegen.errors import RecipeError, SceneError, printable, short
+from scenegen.limits import MOST_SOURCES, MOST_WEIGHT
+from scenegen.recipe import Recipe, beside_file, make_recipe, preset, read_recipe
+from scenegen.recipes import kind_names
 from scenegen.source import DrawnWorlds, SceneWorlds, read_scenes
 from scenegen.stores import folder_of, is_remote
-from scenegen.tables import named_lidar
+from scenegen.tables import named_lidar, read_toml
 from scenegen.worlds.labels import By, Labels, labels_by
+
+MIXED = "mixed"
+"""The kind that stands for several."""
+Component = tuple[Recipe, Fraction]
+"""A recipe, and its weight: samples come in proportion to it."""
 
 
 def generate(
@@ -172,3 +185,166 @@ def _folder(out: str | Path | None, name: str) -> Path:
     if out is None:
         return Path("data", name)
     return folder_of(str(out)) if is_remote(out) else Path(out)
+
+
+def is_mixed(path: Path) -> bool:
+    """Whether a recipe file is one of several kinds. Raises RecipeError."""
+    tables = read_toml(path)
+    return tables.get("kind") == MIXED or bool({"component", "domain"} & set(tables))
+
+
+def read_components(
+    path: Path | None = None,
+    *,
+    lidar: Sensor | None = None,
+    noise: str | None = None,
+    mapping: Mapping[str, Any] | None = None,
+    difficulty: str | None = None,
+) -> list[Component]:
+    """The components of a mixture.
+
+    Args:
+        path: A recipe file with ``kind = "mixed"`` and tables ``[[component]]`` of a `kind`, a
+            `weight`, and tables of their own, such as ``[component.world]``. Tables of the file
+            itself are common to all. Without a file, or without components, every kind that comes
+            with scenegen has the same weight. A table ``[domain.TABLE]`` beside them gives
+            parameters of that table lists of values: a component is then as many, one for every
+            combination, which share its weight.
+        lidar: The sensor of all.
+        noise: The stages of noise of all.
+        mapping: Parameters of how all maps are made.
+        difficulty: That of all.
+
+    Raises:
+        RecipeError: A component is none, or only some have weights.
+    """
+    common, where = ({}, "") if path is None else (read_toml(path), printable(path))
+    kind = common.pop("kind", MIXED)
+    every = [{"kind": name} for name in (kind_names() if kind == MIXED else [kind])]
+    listed = common.pop("component", every)
+    if not isinstance(listed, list) or not 0 < len(listed) <= MOST_SOURCES:
+        raise RecipeError(
+            f"{where}: component: expected up to {MOST_SOURCES} tables [[component]], each with a "
+            f"kind"
+        )
+    weighed = [isinstance(one, dict) and "weight" in one for one in listed]
+    given = beside_file(where, common, lidar, noise, mapping, difficulty)
+    found = []
+    for n, one in enumerate(listed, start=1):
+        at = f"{where}: component {n}" if where else f"component {n}"
+        if not isinstance(one, dict) or not isinstance(one.get("kind"), str):
+            raise RecipeError(f'{at}: names no kind; add a line such as kind = "rooms"')
+        own = dict(one)
+        kind, weight = own.pop("kind"), own.pop("weight", 1)
+        if any(weighed) and not weighed[n - 1]:
+            raise RecipeError(f"{at} ({short(kind)}): has no weight, and others have; give it one")
+        share = fraction(weight, short(kind), at)
+        tables = {
+            name: common.get(name, {}) | own[name]
+            if isinstance(own.get(name), dict) and isinstance(common.get(name, {}), dict)
+            else own.get(name, common.get(name))
+            for name in dict.fromkeys((*common, *own))
+        }
+        folder = Path() if path is None else path.parent
+        each = _combinations(tables.pop("domain", {}), at)
+        for values in each:
+            chosen = {name: {**(tables.get(name) or {}), **one} for name, one in values.items()}
+            every_table = tables | chosen | given
+            made = make_recipe(kind, every_table, where=at, folder=folder, sensor=lidar)
+            found.append((made, share / len(each)))
+    return found
+
+
+def _combinations(domain: Any, at: str) -> list[dict[str, dict[str, Any]]]:
+    """Every combination of the values that a domain lists, as tables. Raises RecipeError."""
+    if not (isinstance(domain, dict) and all(isinstance(one, dict) for one in domain.values())):
+        raise RecipeError(
+            f"{at}: domain: expected tables of lists, such as [domain.lidar] with a line "
+            'sensor = ["raster", "ouster-os1-64"]'
+        )
+    named = [
+        (table, name, values) for table, rows in domain.items() for name, values in rows.items()
+    ]
+    for table, name, values in named:
+        if not isinstance(values, list) or not values:
+            raise RecipeError(
+                f"{at}: domain.{table}.{name} = {short(values)}: expected a list of values"
+            )
+    count = math.prod(len(values) for _, _, values in named)
+    if count > MOST_SOURCES:
+        raise RecipeError(
+            f"{at}: domain: {count} combinations, expected {MOST_SOURCES} at most; list fewer"
+        )
+    found = []
+    for chosen in itertools.product(*(values for _, _, values in named)):
+        tables: dict[str, dict[str, Any]] = {}
+        for (table, name, _), value in zip(named, chosen, strict=True):
+            tables.setdefault(table, {})[name] = value
+        found.append(tables)
+    return found
+
+
+def fraction(weight: Any, label: str, what: str = "stream") -> Fraction:
+    """A weight, exactly as it is written. Raises RecipeError, which says of `what` it is."""
+    number = isinstance(weight, numbers.Real) and not isinstance(weight, bool)
+    if not number or not 0 < weight <= MOST_WEIGHT:  # which NaN is not
+        raise RecipeError(
+            f"{what}: weight of {label} = {short(weight)}: expected a number above 0, up to "
+            f"{MOST_WEIGHT}"
+        )
+    if isinstance(weight, int | Fraction):
+        return Fraction(weight)
+    return Fraction(str(float(weight)))
+
+
+def plan_mixed(
+    folder: Path, components: Sequence[Component], *, counts: Mapping[str, int], **options: Any
+) -> Plan:
+    """Divide `counts` (samples a split) among the components, and into shards of each.
+
+    The component's samples are those of the dataset that it would be by itself, with as many
+    samples. `options` are those of `plan_dataset`. Raises DatasetError, and RecipeError where the
+    components differ in more than their worlds and flights.
+    """
+    shares = {
+        split: _shares(counts[split], [weight for _, weight in components]) for split in SPLITS
+    }
+    plans = [
+        plan_dataset(
+            folder,
+            recipe,
+            DrawnWorlds(recipe),
+            counts={split: shares[split][n] for split in SPLITS},
+            **options,
+        )
+        for n, (recipe, _) in enumerate(components)
+    ]
+    for plan, (recipe, _) in zip(plans, components, strict=True):
+        if said := unlike(plans[0].parameters, plan.parameters):
+            raise RecipeError(
+                f"mixed: {said[0]} of {recipe.kind} is {said[2]}, and of {components[0][0].kind} "
+                f"{said[1]}; give all components the same"
+            )
+    shards: list[ShardTask] = []
+    for split in SPLITS:
+        index = 0
+        for n, plan in enumerate(plans):
+            stop = 0
+            for shard in (one for one in plan.shards if one.split == split):
+                start, stop = stop, stop + shard.samples
+                more = {"source": n, "start": start, "stop": stop}
+                shards.append(dataclasses.replace(shard, index=index, more=more))
+                index += 1
+    each = [(plan.parameters, None, [""]) for plan in plans]
+    given = gathered(each, counts, plans[0].parameters["shard_samples"])
+    return Plan(folder=folder, parameters=given, shards=tuple(shards), lidar=plans[0].lidar)
+
+
+def _shares(count: int, weights: Sequence[Fraction]) -> list[int]:
+    """`count` in parts by weight: whole numbers, the largest remainders rounded up."""
+    exact = [count * weight / sum(weights) for weight in weights]
+    found = [int(part) for part in exact]
+    order = sorted(range(len(exact)), key=lambda n: found[n] - exact[n])
+    for n in order[: count - sum(found)]:
+        found[n] += 1
+    return found

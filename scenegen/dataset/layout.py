@@ -19,8 +19,7 @@ import isal.isal_zlib
 import numpy as np
 from numpy.typing import NDArray
 
-from scenegen.dataset.foreign import read_index
-from scenegen.dataset.hdf5 import Hdf5Error, Stored
+from scenegen.dataset.hdf5 import Hdf5Error, Stored, read_index
 from scenegen.errors import BrokenError, DatasetError, printable, short
 from scenegen.files import open_bounded
 from scenegen.sample import DERIVED, FIELDS, Sample, Schema
@@ -251,7 +250,7 @@ def _checked(
     if size > most:
         raise BrokenError(f"{path.name}: {size} bytes, {samples} samples take {most} at most")
     try:
-        index = read_index(file.fileno(), path, samples)
+        index = read_index(file.fileno(), samples)
     except Hdf5Error as error:
         raise BrokenError(f"{path.name}: is damaged: {printable(error)}") from None
     for name, stored in index.objects.items():
@@ -282,11 +281,11 @@ def _column(
     size: int,
 ) -> Column:
     """The dataset `name`, checked. Raises BrokenError."""
-    if stored.dtype is None or stored.dtype != dtype or stored.shape != (samples, *shape):
+    if stored.dtype != dtype.str or stored.shape != (samples, *shape):
         raise BrokenError(
-            f"{where} is {stored.dtype or 'another type'} {stored.shape[:4]}, expected {dtype} "
-            f"{(samples, *shape)}: "
-            "as many samples as the manifest lists, of the grid's or the sensor's shape"
+            f"{where} is {np.dtype(stored.dtype)} {stored.shape[:4]}, expected {dtype} "
+            f"{(samples, *shape)}: as many samples as the manifest lists, of the grid's or the "
+            "sensor's shape"
         )
     if stored.chunk != (1, *shape):
         raise BrokenError(f"{where} has other chunks than one a sample, {(1, *shape)}")

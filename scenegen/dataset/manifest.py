@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from lidarsim.engines import DEFAULT, MUJOCO
 from scenegen import GENERATOR, SPLITS, __version__
-from scenegen.dataset.parts import PARTS, entries, schema_of
+from scenegen.dataset.parts import PARTS, entries, plain, schema_of
 from scenegen.errors import MOST_TOLD, DatasetError, StoreError, printable, short
 from scenegen.files import read_bounded, write_whole
 from scenegen.limits import MOST_DEPTH, MOST_MANIFEST_BYTES
@@ -62,7 +62,7 @@ def parameters(
         "kind": recipe.kind,
         "seed": seed,
         "counts": {split: counts[split] for split in SPLITS},
-        "recipe": _plain(
+        "recipe": plain(
             recipe.resolved() | ({"scenes": source.describe()} if source.describe() else {})
         ),
         "fields": list(schema_of(recipe).stored(compact=compact)),
@@ -210,8 +210,7 @@ def read(folder: Path) -> dict[str, Any]:
     except (OSError, ValueError, RecursionError) as error:
         raise DatasetError(
             f"{path}: cannot be read ({printable(error)[:200]}); copy the dataset again, or "
-            f"generate it in another "
-            "folder"
+            "generate it in another folder"
         ) from None
     if (
         not isinstance(manifest, dict)
@@ -246,8 +245,3 @@ def _check_depth(found: Any) -> None:
         if not level:
             return
     raise ValueError(f"it nests deeper than {MOST_DEPTH} levels, which no manifest does")
-
-
-def _plain(value: Any) -> Any:
-    """`value` as JSON would give it back."""
-    return json.loads(json.dumps(value))

@@ -34,9 +34,6 @@ RAYS = "rays.npy"
 """The file of a table of rays, in a dataset's folder."""
 MOST_STAGES_TEXT = 4000
 """Characters of the text of a dataset's stages."""
-_GIVEN = Rule(lambda value: True, "a value")
-_MAPPING = {item.name: item.name for item in dataclasses.fields(Mapper)}
-_KNOWN = {item.name: item.name for item in dataclasses.fields(Known)}
 _NOISE = {
     "stages": text(
         rf"[ -~]{{1,{MOST_STAGES_TEXT}}}", "stages of noise, as lidarsim.noise writes them"
@@ -93,8 +90,7 @@ def grid_entry(grid: GridSpec) -> dict[str, Any]:
 
 
 def _read_grid(entry: Any, before: Mapping[str, Any]) -> GridSpec:
-    check(entry, dict.fromkeys(NEEDED, _GIVEN), "grid")
-    grid = made(GridSpec, entry, GRID, "grid")
+    grid: GridSpec = made(GridSpec, entry, "grid", GRID, needed=NEEDED)
     if math.prod(grid.shape) > MOST_VOXELS:
         raise BrokenError(
             f"grid.shape = {short(list(grid.shape))}: expected {MOST_VOXELS} voxels at most"
@@ -105,7 +101,7 @@ def _read_grid(entry: Any, before: Mapping[str, Any]) -> GridSpec:
 def sensor_entry(sensor: Sensor) -> dict[str, Any]:
     """What the manifest says of a sensor, as plain JSON values."""
     if isinstance(sensor, Lidar):
-        return _plain(dataclasses.asdict(sensor))
+        return plain(dataclasses.asdict(sensor))
     table = BeamTable.of(sensor)
     return {
         "sensor": "table",
@@ -122,12 +118,8 @@ def read_sensor(entry: Any, before: Mapping[str, Any]) -> Mapping[str, Any]:
     if isinstance(entry, Mapping) and "sensor" in entry:
         check(entry, _TABLE_OF_RAYS, "lidar", _TABLE_OF_RAYS)
     else:
-        _raster(entry)
+        made(Lidar, entry, "lidar", needed=())
     return entry
-
-
-def _raster(entry: Any) -> Lidar:
-    return made(Lidar, entry, {item.name: item.name for item in dataclasses.fields(Lidar)}, "lidar")
 
 
 def sensor_files(entry: Mapping[str, Any]) -> dict[str, str]:
@@ -139,7 +131,7 @@ def sensor_files(entry: Mapping[str, Any]) -> dict[str, str]:
 def sensor_of(entry: Mapping[str, Any], folder: Path) -> Sensor:
     """The sensor of a checked entry. Raises BrokenError where the table in `folder` is damaged."""
     if "sensor" not in entry:
-        return _raster(entry)
+        return Lidar(**entry)
     expected = (*entry["shape"], 4)
     try:
         content = read_bounded(folder / RAYS, most_bytes(math.prod(entry["shape"])))
@@ -177,10 +169,15 @@ def noise_entry(noise: "Noise", max_range_m: float) -> dict[str, Any] | None:
     return entry
 
 
-def _read_noise_entry(entry: Any, before: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    if entry is not None:
-        check(entry, _NOISE, "noise", _NOISE)
-    return entry
+def _read_plain(name: str, rules: Mapping[str, Rule]) -> Callable[[Any, Mapping[str, Any]], Any]:
+    """What reads an entry that stays a table, where it is there."""
+
+    def read(entry: Any, before: Mapping[str, Any]) -> Any:
+        if entry is not None:
+            check(entry, rules, name, rules)
+        return entry
+
+    return read
 
 
 def is_ours(entry: Mapping[str, Any] | None) -> bool:
@@ -210,12 +207,6 @@ def noise_of(entry: Mapping[str, Any] | None, max_range_m: float) -> "Noise":
     return found
 
 
-def _read_labels_entry(entry: Any, before: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    if entry is not None:
-        check(entry, _LABELS, "labels", _LABELS)
-    return entry
-
-
 def mapping_entry(mapping: Mapper) -> dict[str, Any] | None:
     """What the manifest says of how maps are made; None where each is one scan around a level
     sensor."""
@@ -225,17 +216,17 @@ def mapping_entry(mapping: Mapper) -> dict[str, Any] | None:
 def described(mapping: Mapper) -> dict[str, Any]:
     """Every parameter of how maps are made, as plain JSON values; those of the default for what is
     the same."""
-    return _plain(dataclasses.asdict(Mapper() if mapping.plain else mapping))
+    return plain(dataclasses.asdict(Mapper() if mapping.plain else mapping))
 
 
 def _read_mapping(entry: Any, before: Mapping[str, Any]) -> Mapper:
     if entry is None:
         return Mapper()
-    check(entry, dict.fromkeys(_MAPPING, _GIVEN), "mapping", _MAPPING)
-    mapping, sensor = made(Mapper, entry, _MAPPING, "mapping"), before["lidar"]
+    mapping: Mapper = made(Mapper, entry, "mapping")
+    sensor = before["lidar"]
     shape, reach = sensor.get("shape"), sensor.get("max_range_m")
     if "sensor" not in sensor:
-        shape, reach = (raster := _raster(sensor)).shape, raster.max_range_m
+        shape, reach = (raster := Lidar(**sensor)).shape, raster.max_range_m
     try:
         mapping.check_reach(before["grid"], reach, math.prod(shape), MOST_RAYS_IN_SAMPLE)
     except ValueError as error:
@@ -243,14 +234,7 @@ def _read_mapping(entry: Any, before: Mapping[str, Any]) -> Mapper:
     return mapping
 
 
-def _read_known(entry: Any, before: Mapping[str, Any]) -> Known | None:
-    if entry is None:
-        return None
-    check(entry, dict.fromkeys(_KNOWN, _GIVEN), "known", _KNOWN)
-    return made(Known, entry, _KNOWN, "known")
-
-
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """`value` as JSON would give it back."""
     return json.loads(json.dumps(value))
 
@@ -278,7 +262,7 @@ PARTS = (
     Part(
         name="grid",
         since="1",
-        entry=lambda recipe: _plain(grid_entry(recipe.grid)),
+        entry=lambda recipe: plain(grid_entry(recipe.grid)),
         read=_read_grid,
     ),
     Part(
@@ -291,13 +275,13 @@ PARTS = (
         name="noise",
         since="1.2",
         entry=lambda recipe: noise_entry(recipe.noise, recipe.lidar.max_range_m),
-        read=_read_noise_entry,
+        read=_read_plain("noise", _NOISE),
     ),
     Part(
         name="labels",
         since="1.2",
-        entry=lambda recipe: recipe.labels and _plain(dataclasses.asdict(recipe.labels)),
-        read=_read_labels_entry,
+        entry=lambda recipe: recipe.labels and plain(dataclasses.asdict(recipe.labels)),
+        read=_read_plain("labels", _LABELS),
         group="labels",
         brings=lambda labels: labels is not None,
     ),
@@ -312,8 +296,8 @@ PARTS = (
     Part(
         name="known",
         since="1.5",
-        entry=lambda recipe: recipe.known and _plain(dataclasses.asdict(recipe.known)),
-        read=_read_known,
+        entry=lambda recipe: recipe.known and plain(dataclasses.asdict(recipe.known)),
+        read=lambda entry, before: None if entry is None else made(Known, entry, "known"),
         group="known",
         brings=lambda known: known is not None,
     ),

@@ -6,7 +6,6 @@ import json
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -29,9 +28,7 @@ def write_note(
     """Write down the `reports` of a job that sees to the shards `part`, of the dataset whose
     parameters have the digest `parameters`."""
     name = hashlib.sha256("\n".join(path.name for path in part).encode()).hexdigest()[:12]
-    shards = [
-        {item.name: getattr(report, item.name) for item in fields(Entry)} for report in reports
-    ]
+    shards = [report.entry() for report in reports]
     content = json.dumps({"parameters": parameters, "shards": shards}, indent=1) + "\n"
     write_whole(folder / f"dataset.part-{name}.json", content.encode())
 
@@ -113,17 +110,13 @@ def _note(spec: ShardTask, report: ShardReport, versions: Iterable[str | None]) 
     said = {
         "parameters": spec.parameters,
         "versions": list(versions),
-        **{item.name: getattr(report, item.name) for item in fields(Entry)},
+        **report.entry(),
         "size": report.size,
         "rejected": vars(report.rejected),
         "digests": report.digests.hex(),
     }
     assert isinstance(spec.folder, StorePath)
     spec.folder.store.put(spec.file.with_suffix(SUFFIX).name, json.dumps(said).encode())
-
-
-def _rejections(said: dict[str, dict[str, int]]) -> Rejections:
-    return Rejections(**{what: Counter(counts) for what, counts in said.items()})
 
 
 def _noted(
@@ -135,11 +128,10 @@ def _noted(
         return None
     try:
         said = json.loads(read_bounded(path, MOST_BYTES))
-        known = {item.name: said[item.name] for item in fields(Entry)}
         report = ShardReport(
-            **known,
+            **checked(Entry, said, ""),
             size=said["size"],
-            rejected=_rejections(said["rejected"]),
+            rejected=Rejections(*map(Counter, map(said["rejected"].get, ("worlds", "viewpoints")))),
             digests=bytes.fromhex(said["digests"]),
             more=spec.more,
         )

@@ -178,7 +178,7 @@ class RescanSpec(ShardSpec):
             split=self.split,
             unit=unit,
             names=(number, turn * each),
-            derived=not self.compact,
+            derived=self.derived,
             engine=find_engine(self.engine),
         )
 
@@ -208,8 +208,7 @@ def plan_rescan(
     if engine is None and found.engine not in ENGINES.known:
         raise DatasetError(
             f"{dataset.folder}: made with the engine {short(found.engine)}, which is not imported "
-            f"because a "
-            "manifest names it; give --engine with its name, or one of ours"
+            "because a manifest names it; give --engine with its name, or one of ours"
         )
     engine = engine or found.engine
     find_engine(engine)

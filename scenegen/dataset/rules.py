@@ -5,7 +5,7 @@ import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cache
-from typing import Any, TypeVar
+from typing import Any
 
 from scenegen import SPLITS
 from scenegen.errors import BrokenError, NewerError, short
@@ -44,9 +44,6 @@ class Numbering:
             if self.scenes is None
             else sorted({unit % self.scenes for unit in units[: self.scenes]})
         )
-
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -130,10 +127,16 @@ def _rules_of(kind: type) -> Mapping[str, Rule]:
     return {item.name: item.metadata["rule"] for item in fields(kind) if "rule" in item.metadata}
 
 
-def made(part: type[T], table: Any, names: Mapping[str, str], at: str) -> T:
-    """The dataclass `part` of a table whose keys `names` are called otherwise there. Raises
-    BrokenError."""
-    check(table, {}, at, names)
+_GIVEN = Rule(lambda value: True, "a value")
+
+
+def made(
+    part: Any, table: Any, at: str, names: Mapping[str, str] | None = None, *, needed: Any = None
+) -> Any:
+    """The dataclass `part` of a table that has the keys `needed`, or all, and whose keys may be
+    `names` there. Raises BrokenError."""
+    names = names or {item.name: item.name for item in fields(part)}
+    check(table, dict.fromkeys(names if needed is None else needed, _GIVEN), at, names)
     try:
         return part(**{names[name]: value for name, value in table.items()})
     except ValueError as error:

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.engines import DEFAULT, ENGINES, EngineFactory
-from scenegen.dataset.layout import DIGEST, Layout, layout_of, open_file, open_shard
-from scenegen.dataset.parts import schema_of
+from scenegen.dataset.hdf5 import with_index
+from scenegen.dataset.layout import DIGEST, Layout, open_file, open_shard
 from scenegen.dataset.trust import Entry
 from scenegen.draw import Rejections, Unit, draw_unit
 from scenegen.errors import BrokenError, DatasetError, printable
@@ -47,7 +47,7 @@ def find_engine(name: str) -> EngineFactory:
     return found
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ShardTask:
     """A shard that is to be in a folder, whatever its samples come from; small, and can be pickled,
     so that any process anywhere can write it."""
@@ -60,6 +60,12 @@ class ShardTask:
     parameters: str
     """Digest of the parameters of the dataset that it is made for; written into the shard, so that
     it is never taken for another dataset's."""
+    layout: Layout
+    """What the shard is to hold."""
+    numbers: Sequence[int]
+    """Numbers of the worlds that its samples are of; a world may stand there several times."""
+    more: Mapping[str, int] = field(default_factory=dict)
+    """What its entry in the manifest says besides."""
 
     @property
     def file(self) -> Path:
@@ -70,21 +76,6 @@ class ShardTask:
     def worlds_file(self) -> Path:
         """Where the worlds go."""
         return self.folder / f"{self.split}-{self.index:05d}.worlds.zip"
-
-    @property
-    def layout(self) -> Layout:
-        """What the shard is to hold."""
-        raise NotImplementedError
-
-    @property
-    def numbers(self) -> Sequence[int]:
-        """Numbers of the worlds that its samples are of; a world may stand there several times."""
-        raise NotImplementedError
-
-    @property
-    def more(self) -> Mapping[str, int]:
-        """What its entry in the manifest says besides."""
-        return {}
 
     def prepare(self) -> None:
         """Have done in this process what every writing process would else do by itself."""
@@ -99,11 +90,8 @@ class ShardSpec(ShardTask):
     """A shard whose units are drawn: all that its samples depend on."""
 
     first_unit: int
-    units: int
-    """How many; their samples, in order, are cut to `samples`."""
+    """The first of as many as `numbers`; their samples, in order, are cut to `samples`."""
     seed: int
-    compact: bool
-    """Leave out what can be derived."""
     recipe: Recipe
     source: Source
     engine: str = DEFAULT
@@ -119,20 +107,14 @@ class ShardSpec(ShardTask):
             seed=self.seed,
             split=self.split,
             unit=unit,
-            derived=not self.compact,
+            derived=self.derived,
             engine=engine,
         )
 
     @property
-    def layout(self) -> Layout:
-        """See `ShardTask`."""
-        schema = schema_of(self.recipe)
-        return layout_of(schema.stored(compact=self.compact), schema)
-
-    @property
-    def numbers(self) -> Sequence[int]:
-        """See `ShardTask`."""
-        return [self.source.number(self.split, self.first_unit + n)[0] for n in range(self.units)]
+    def derived(self) -> bool:
+        """Whether samples hold what could be derived."""
+        return "tudf" in self.layout
 
     def prepare(self) -> None:
         """See `ShardTask`: kernels are compiled, and hopeless parameters end here."""
@@ -145,7 +127,8 @@ class ShardSpec(ShardTask):
 
         def drawn() -> Iterator[tuple[Callable[[str], Any], bytes]]:
             left = self.samples
-            for unit in map(self.draw, range(self.first_unit, self.first_unit + self.units)):
+            for n in range(len(self.numbers)):
+                unit = self.draw(self.first_unit + n)
                 rejected.worlds.update(unit.rejected.worlds)
                 rejected.viewpoints.update(unit.rejected.viewpoints)
                 documents.update({f"{unit.number:06d}.xml": unit.world.mjcf, **unit.world.assets})
@@ -219,7 +202,7 @@ def put(
         file.attrs["parameters"] = spec.parameters
         file.attrs["rejected"] = json.dumps(counted, sort_keys=True)
         file.flush()
-        content = file.id.get_file_image()
+        content = with_index(file.id.get_file_image(), file, spec.samples)
     write_whole(spec.worlds_file, worlds)
     write_whole(spec.file, content)
     sums = file_digest(content), file_digest(worlds)
@@ -323,7 +306,7 @@ def relabel(spec: ShardTask, old: str, listed: Entry) -> None:
             content = file.read()
     except (BrokenError, OSError):
         return
-    if file_digest(content) == listed.sha256 and content.count(old.encode()) == 1:
+    if file_digest(content) == listed.sha256 and content.count(old.encode()) == 2:
         write_whole(spec.file, content.replace(old.encode(), spec.parameters.encode()))
 
 

@@ -122,8 +122,7 @@ class State:
             more = f" (and {len(differing) - 3} more)" if len(differing) > 3 else ""
             raise DatasetError(
                 f"{folder}: holds another dataset: {'; '.join(differing[:3])}{more}; choose "
-                f"another folder with --out, "
-                "or replace it with --force"
+                "another folder with --out, or replace it with --force"
             )
         return None
 
@@ -168,11 +167,8 @@ class State:
                 for report in placed.look(self.plan.folder, tasks)
             }
             return
-        if any(shard.file.name not in listed for shard in unknown):
-            listed = {
-                **read_notes(self.plan.folder, manifest.fingerprint(self.plan.parameters)),
-                **listed,
-            }
+        noted = read_notes(self.plan.folder, manifest.fingerprint(self.plan.parameters))
+        listed = {**noted, **listed}
         tasks = [(shard, listed.get(shard.file.name)) for shard in unknown]
         with closing(run(_report, tasks, workers if len(tasks) >= MANY else 1)) as reports:
             self.reports |= {

@@ -325,7 +325,7 @@ def _ready(busy: list[Worker]) -> list[Worker]:
     return [worker for worker in busy if worker.pipe in pipes or worker.seconds_left == 0.0]
 
 
-def _limit_memory(more_bytes: int) -> None:
+def limit_memory(more_bytes: int) -> None:
     """Let this process grow by so much and no further, where the system can see to that."""
     with contextlib.suppress(ImportError, OSError, ValueError):
         import resource
@@ -340,7 +340,7 @@ def _serve(
 ) -> None:
     """Work off the tasks that come through the pipe `parent` until that process ends."""
     if memory_bytes is not None:
-        _limit_memory(memory_bytes)
+        limit_memory(memory_bytes)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)

@@ -1,6 +1,7 @@
 """Units of a stream made before they are asked for: by worker processes, packed small, and kept in
 a folder."""
 
+import contextlib
 import functools
 import hashlib
 import multiprocessing.connection
@@ -101,14 +102,9 @@ class Cache:
         Raises DatasetError where the disk refuses, and what `make` raises.
         """
         path = self.path(number)
-        try:
+        # of what is too large, or no file at all, writing says what to do
+        with contextlib.suppress(FileNotFoundError, ValueError, DatasetError):
             return self._parse(read_bounded(path, self.most_bytes), number)
-        except (FileNotFoundError, ValueError):
-            pass
-        except (
-            DatasetError
-        ):  # too large, or no file at all: what writing says of it tells what to do
-            pass
         records = make()
         make_parent(path)
         _tidy(path.parent)
@@ -210,8 +206,7 @@ class Ahead(Generic[Task, Result]):
         if self._died > MOST_REPLACED:
             raise GenerationError(
                 f"stream: worker processes were killed {self._died} times (out of memory?); give "
-                f"fewer than "
-                f"{self._count}"
+                f"fewer than {self._count}"
             )
         self._workers[number].end()
         self._workers[number] = Worker(self._function, self._start)

@@ -10,19 +10,33 @@ from scenegen.errors import DatasetError, short
 from scenegen.limits import MOST_BATCH, MOST_WORKERS
 
 
+def whole(name: str, value: Any, least: int, most: int) -> int:
+    """`value` as a number of Python's. Raises DatasetError."""
+    number = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not number or not least <= value <= most:
+        raise DatasetError(
+            f"stream: {name} = {short(value)}: expected a whole number from {least} to {most}"
+        )
+    return int(value)
+
+
 class Place:
     """A count of what was read, of what `of` says, in `unit`, up to `most`."""
 
     def __init__(self, of: Mapping[str, Any], unit: str, most: int):
         self._of, self._unit, self._most = dict(of), unit, most
-        self.done = 0
+        self._done = 0
 
-    def state(self) -> dict[str, Any]:
-        """What JSON takes."""
-        return {**self._of, self._unit: self.done}
+    def state_dict(self) -> dict[str, Any]:
+        """How much came, in a few bytes that JSON takes; of batches, the same for all ranks.
 
-    def load(self, state: Any) -> None:
-        """Go on from a `state`. Raises DatasetError for one of anything else."""
+        Torch's loader asks for batches ahead of what it hands out: count those yourself where you
+        use one.
+        """
+        return {**self._of, self._unit: self._done}
+
+    def load_state_dict(self, state: Any) -> None:
+        """Go on from there. Raises DatasetError for the state of anything else."""
         if not isinstance(state, Mapping):
             raise DatasetError(
                 f"state of a stream: {short(state)}: expected what state_dict() gave"
@@ -31,8 +45,7 @@ class Place:
             if state.get(name) != ours:
                 raise DatasetError(
                     f"state of a stream: its {name} is {short(state.get(name))}, expected "
-                    f"{short(ours)}: it is of "
-                    "another one"
+                    f"{short(ours)}: it is of another one"
                 )
         done = state.get(self._unit)
         if type(done) is not int or not 0 <= done <= self._most:
@@ -40,14 +53,14 @@ class Place:
                 f"state of a stream: its {self._unit} = {short(done)}: expected a whole number "
                 f"from 0 to {self._most}"
             )
-        self.done = done
+        self._done = done
 
 
 if TYPE_CHECKING:
     from scenegen.streams.stream import Stream
 
 
-class Batches(Iterator[list[int]]):
+class Batches(Place, Iterator[list[int]]):
     """Numbers of the samples in every batch of `size`; a torch batch sampler. `batches[n]` depends
     on the stream's seed, `size`, `loaders` and n alone.
 
@@ -66,39 +79,27 @@ class Batches(Iterator[list[int]]):
     def __init__(
         self, stream: "Stream", size: int, *, rank: int = 0, ranks: int = 1, loaders: int = 1
     ):
-        for name, value, least, most in (
-            ("size", size, 1, MOST_BATCH),
-            ("ranks", ranks, 1, MOST_WORKERS),
-            ("rank", rank, 0, ranks - 1 if isinstance(ranks, int) else 0),
-            ("loaders", loaders, 1, MOST_WORKERS),
-        ):
-            if type(value) is not int or not least <= value <= most:
-                raise DatasetError(
-                    f"batches of a stream: {name} = {short(value)}: expected a whole number from "
-                    f"{least} to {most}"
-                )
+        size, ranks = whole("size", size, 1, MOST_BATCH), whole("ranks", ranks, 1, MOST_WORKERS)
+        rank, loaders = (
+            whole("rank", rank, 0, ranks - 1),
+            whole("loaders", loaders, 1, MOST_WORKERS),
+        )
         if size % ranks:
             raise DatasetError(
                 f"batches of a stream: size = {size} does not divide among {ranks} ranks; use a "
                 f"multiple"
             )
-        self._stream, self._size, self._rank, self._ranks, self._loaders = (
-            stream,
-            size,
-            rank,
-            ranks,
-            loaders,
-        )
+        self._stream, self._size, self._loaders = stream, size, loaders
+        self._mine = slice(rank, None, ranks)
         self._row = stream.mixture.row
         self._count = len(stream) // (self._row * size * loaders) * self._row * loaders
         if not self._count:
             raise DatasetError(
                 f"batches of a stream: {len(stream)} samples are fewer than one round of "
-                f"{self._row * size * loaders}; "
-                "give the stream more samples, or a smaller size"
+                f"{self._row * size * loaders}; give the stream more samples, or a smaller size"
             )
         place = {"stream": stream.digest[:16], "size": size, "loaders": loaders}
-        self._place = Place(place, "batches", self._count)
+        super().__init__(place, "batches", self._count)
 
     def __len__(self) -> int:
         """Batches of whole rounds of `loaders` blocks; samples beyond them come in none."""
@@ -112,34 +113,17 @@ class Batches(Iterator[list[int]]):
         view, within = divmod(rest, self._loaders)
         block = turn * self._loaders + within
         rng = np.random.default_rng(np.random.SeedSequence(self._stream.seed, spawn_key=(block,)))
-        rows = block * self._size + rng.permutation(self._size)[self._rank :: self._ranks]
+        rows = block * self._size + rng.permutation(self._size)[self._mine]
         return (rows * self._row + view).tolist()
 
     def __iter__(self) -> "Batches":
-        if self._place.done == self._count:  # a pass that ended: the next begins anew
-            self._place.done = 0
-        self._stream.expect(self._from(self._place.done))
+        if self._done == self._count:  # a pass that ended: the next begins anew
+            self._done = 0
+        self._stream.expect(index for n in range(self._done, self._count) for index in self[n])
         return self
 
     def __next__(self) -> list[int]:
-        if self._place.done >= self._count:
+        if self._done >= self._count:
             raise StopIteration
-        batch = self[self._place.done]
-        self._place.done += 1
-        return batch
-
-    def state_dict(self) -> dict[str, Any]:
-        """How many batches came, in a few bytes that JSON takes; the same for all ranks.
-
-        Torch's loader asks for batches ahead of what it hands out: count those yourself where you
-        use one.
-        """
-        return self._place.state()
-
-    def load_state_dict(self, state: Any) -> None:
-        """Go on from there. Raises DatasetError for the state of another order."""
-        self._place.load(state)
-
-    def _from(self, number: int) -> Iterator[int]:
-        """The samples of batch `number` and all that follow."""
-        return (index for n in range(number, self._count) for index in self[n])
+        self._done += 1
+        return self[self._done - 1]

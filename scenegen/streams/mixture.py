@@ -2,7 +2,6 @@
 them takes an index."""
 
 import math
-import numbers
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -14,10 +13,11 @@ import numpy as np
 from lidarsim.engines import MUJOCO
 from scenegen import SPLITS
 from scenegen.dataset import manifest
+from scenegen.dataset.generation import fraction
 from scenegen.dataset.shard import find_engine
 from scenegen.draw import Unit, draw_unit
 from scenegen.errors import DatasetError, RecipeError, SceneError, short
-from scenegen.limits import MOST_UNITS_IN_ROUND, MOST_WEIGHT
+from scenegen.limits import MOST_UNITS_IN_ROUND
 from scenegen.recipe import Recipe, preset, read_recipe
 from scenegen.recipes import KINDS
 from scenegen.source import DrawnWorlds, SceneWorlds, Source, read_scenes, world_files
@@ -53,8 +53,7 @@ class Component:
         if isinstance(self.source, SceneWorlds) and not self.source.scenes[self.split]:
             raise SceneError(
                 f"{self.label}: no world of it is in the {self.split} split; give a folder of "
-                f"{LEAST_SCENES} worlds or "
-                "more"
+                f"{LEAST_SCENES} worlds or more"
             )
 
     @property
@@ -109,6 +108,7 @@ def component_of(what: Any, *, seed: int, split: str, engine: str) -> Component:
     """
     if isinstance(what, Component):
         return what
+    source: SceneWorlds | None = None
     if isinstance(what, Recipe):
         label, recipe = what.kind, what
     elif not isinstance(what, str | Path):
@@ -125,17 +125,10 @@ def component_of(what: Any, *, seed: int, split: str, engine: str) -> Component:
             recipe = read_recipe(path)
         elif not named and (isinstance(what, Path) or path.is_dir() or path.suffix in WORLD_FILES):
             source = _scenes(path, seed)
-            return Component(
-                label=label,
-                recipe=source.suited(preset("scene")),
-                source=source,
-                seed=seed,
-                split=split,
-                engine=engine,
-            )
+            recipe = source.suited(preset("scene"))
         else:
             recipe = preset(label)
-    if recipe.world is None:
+    if source is None and recipe.world is None:
         raise RecipeError(
             f'stream of {label}: kind "scene" draws no worlds; give the MJCF file or folder, or a '
             "scenegen.streams.mixture.Component of the recipe and its worlds"
@@ -143,7 +136,7 @@ def component_of(what: Any, *, seed: int, split: str, engine: str) -> Component:
     return Component(
         label=label,
         recipe=recipe,
-        source=DrawnWorlds(recipe),
+        source=source or DrawnWorlds(recipe),
         seed=seed,
         split=split,
         engine=engine,
@@ -156,9 +149,8 @@ def _scenes(path: Path, seed: int) -> SceneWorlds:
     if path.is_dir():
         if len(world_files(path)) < LEAST_SCENES:
             raise SceneError(
-                f"{path}: fewer than {LEAST_SCENES} worlds, and a stream deals some to each "
-                f"split; add worlds, or "
-                "give one file, which is all for train"
+                f"{path}: fewer than {LEAST_SCENES} worlds, and a stream deals some to each split; "
+                "add worlds, or give one file, which is all for train"
             )
     else:
         counts |= {"val": 0, "test": 0}
@@ -200,8 +192,7 @@ class Mixture:
             )
             raise RecipeError(
                 f"stream: weights {said} come round after {short(sum(self.units))} flights, "
-                f"expected "
-                f"{MOST_UNITS_IN_ROUND} at most; give proportions such as 2 and 1"
+                f"expected {MOST_UNITS_IN_ROUND} at most; give proportions such as 2 and 1"
             )
         places = [
             (Fraction(2 * j + 1, 2 * count), k, j)
@@ -242,19 +233,6 @@ def parts_of(worlds: Any) -> list[tuple[Any, Any]]:
     return [(worlds, 1)]
 
 
-def fraction(weight: Any, label: str, what: str = "stream") -> Fraction:
-    """A weight, exactly as it is written. Raises RecipeError, which says of `what` it is."""
-    number = isinstance(weight, numbers.Real) and not isinstance(weight, bool)
-    if not number or not 0 < weight <= MOST_WEIGHT:  # which NaN is not
-        raise RecipeError(
-            f"{what}: weight of {label} = {short(weight)}: expected a number above 0, up to "
-            f"{MOST_WEIGHT}"
-        )
-    if isinstance(weight, int | Fraction):
-        return Fraction(weight)
-    return Fraction(str(float(weight)))
-
-
 def _check_alike(components: Sequence[Component]) -> None:
     first, seen = components[0], dict[str, str]()
     for component in components:
@@ -263,8 +241,7 @@ def _check_alike(components: Sequence[Component]) -> None:
             if theirs != ours:
                 raise RecipeError(
                     f"stream: the {what} of {component.label} is {theirs}, that of {first.label} "
-                    f"is {ours}; a stream "
-                    f"has one {what}: mix recipes that share it"
+                    f"is {ours}; a stream has one {what}: mix recipes that share it"
                 )
         digest = component.fingerprint(software=False)
         if digest in seen:

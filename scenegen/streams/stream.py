@@ -13,14 +13,14 @@ from typing import Any, overload
 
 import numpy as np
 
-from scenegen.dataset.mixed import MIXED, is_mixed, read_components
+from scenegen.dataset.generation import MIXED, fraction, is_mixed, read_components
 from scenegen.dataset.parts import schema_of
 from scenegen.errors import DatasetError, short
 from scenegen.limits import MOST_SAMPLES, MOST_SEED, MOST_WORKERS
 from scenegen.sample import Sample
 from scenegen.streams.ahead import Ahead, Cache, pack, record_type, unpack
-from scenegen.streams.batches import Batches, Place
-from scenegen.streams.mixture import Component, Mixture, component_of, fraction, parts_of
+from scenegen.streams.batches import Batches, Place, whole
+from scenegen.streams.mixture import Component, Mixture, component_of, parts_of
 
 KEPT_BYTES = 256 << 20
 """Packed units that a process keeps in memory, those asked for last; with default maps, these are
@@ -54,10 +54,10 @@ class Stream(Sequence[Sample]):
         workers: int,
         cache: Path | str | None,
     ):
-        self.seed, self.split = _whole("seed", seed, 0, MOST_SEED), split
-        self.workers = _whole("workers", workers, 0, MOST_WORKERS)
+        self.seed, self.split = whole("seed", seed, 0, MOST_SEED), split
+        self.workers = whole("workers", workers, 0, MOST_WORKERS)
         self.mixture = mixture
-        self._samples = _whole("samples", samples, 1, MOST_SAMPLES)
+        self._samples = whole("samples", samples, 1, MOST_SAMPLES)
         parts = [
             {"drawn": part.described(software=False), "units": units}
             for part, units in zip(mixture.components, mixture.units, strict=True)
@@ -247,27 +247,19 @@ class Maker:
         return self.caches[part].unit(unit, drawn) if self.caches else drawn()
 
 
-class Reader(Iterator[Sample]):
+class Reader(Place, Iterator[Sample]):
     """A stream's samples in order, from 0 or from where a state says."""
 
     def __init__(self, stream: Stream):
+        super().__init__({"stream": stream.digest[:16]}, "samples", len(stream))
         self._stream = stream
-        self._place = Place({"stream": stream.digest[:16]}, "samples", len(stream))
 
     def __next__(self) -> Sample:
-        if self._place.done >= len(self._stream):
+        if self._done >= self._most:
             raise StopIteration
-        sample = self._stream[self._place.done]
-        self._place.done += 1
+        sample = self._stream[self._done]
+        self._done += 1
         return sample
-
-    def state_dict(self) -> dict[str, Any]:
-        """Where it is, in a few bytes that JSON takes."""
-        return self._place.state()
-
-    def load_state_dict(self, state: Any) -> None:
-        """Go on from there. Raises DatasetError for the state of another stream."""
-        self._place.load(state)
 
 
 def stream(
@@ -299,7 +291,7 @@ def stream(
         RecipeError, SceneError, DatasetError: What is asked for cannot be. Asking for a sample
             raises GenerationError, IndexError and TypeError, too.
     """
-    seed = _whole("seed", seed, 0, MOST_SEED)
+    seed = whole("seed", seed, 0, MOST_SEED)
     parts = [part for what, weight in parts_of(worlds) for part in _unmixed(what, weight)]
     components = [component_of(what, seed=seed, split=split, engine=engine) for what, _ in parts]
     mixture = Mixture(components, [weight for _, weight in parts])
@@ -311,18 +303,5 @@ def _unmixed(what: Any, weight: Any) -> list[tuple[Any, Any]]:
     file = Path(what) if isinstance(what, str | Path) and str(what).endswith(".toml") else None
     if what != MIXED and (file is None or not is_mixed(file)):
         return [(what, weight)]
-    whole = fraction(weight, str(what))
-    return [(recipe, whole * share) for recipe, share in read_components(file)]
-
-
-def _whole(name: str, value: Any, least: int, most: int) -> int:
-    """`value` as a number of Python's. Raises DatasetError."""
-    if (
-        not isinstance(value, int | np.integer)
-        or isinstance(value, bool)
-        or not least <= value <= most
-    ):
-        raise DatasetError(
-            f"stream: {name} = {short(value)}: expected a whole number from {least} to {most}"
-        )
-    return int(value)
+    whole_weight = fraction(weight, str(what))
+    return [(recipe, whole_weight * share) for recipe, share in read_components(file)]

@@ -8,8 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 from lidarsim.grid import GridSpec
 from lidarsim.jit import kernel
 from lidarsim.solids.shapes import Solids
-from scenegen.truth.occupancy import SLACK_M
-from scenegen.truth.shapes import distance
+from scenegen.truth.occupancy import SLACK_M, spans
+from scenegen.truth.shapes import distance, local
 from scenegen.truth.triangles import inside_columns, triangle_distance
 
 NONE = -1
@@ -32,7 +32,7 @@ def owners(
     nearest, owner = np.full(grid.shape, np.inf), np.full(grid.shape, NONE, np.int32)
     primitives = len(solids.shape)
     for n in range(primitives):
-        cells = _cells(solids.lower[n], solids.upper[n], reach, origin, grid)
+        cells = _cells(solids.lower[n] - reach, solids.upper[n] + reach, origin, grid)
         if cells is not None:
             here = np.where(occupancy[cells], 0.0, np.inf)
             first = np.array([part.start for part in cells])
@@ -48,11 +48,11 @@ def owners(
             _claim(here, int(solids.geom[n]), nearest[cells], owner[cells])
     for mesh, filled in enumerate(solids.mesh_filled):
         triangles = solids.triangles[solids.mesh_start[mesh] : solids.mesh_start[mesh + 1]]
-        corners = triangles.reshape(-1, 3)
-        cells = _cells(corners.min(axis=0), corners.max(axis=0), reach, origin, grid)
+        low, high = triangles.min(axis=1) - reach, triangles.max(axis=1) + reach
+        cells = _cells(low.min(axis=0), high.max(axis=0), origin, grid)
         if cells is not None:
             here = np.full(grid.shape, np.inf)
-            _to_triangles(triangles, reach, origin, voxel_m, occupancy, here)
+            _to_triangles(triangles, low, high, origin, voxel_m, occupancy, here)
             if filled:
                 held = np.zeros(grid.shape, np.bool_)
                 inside_columns(triangles, origin, voxel_m, held)
@@ -64,17 +64,12 @@ def owners(
 def _cells(
     lower: NDArray[np.float64],
     upper: NDArray[np.float64],
-    reach: float,
     origin: NDArray[np.float64],
     grid: GridSpec,
 ) -> tuple[slice, ...] | None:
-    """The voxels whose centres lie within `reach` of a box, and one more on each side; None where
-    there are none."""
-    low = np.clip((lower - reach - origin) / grid.voxel_m - 1.5, 0, grid.shape)
-    high = np.clip((upper + reach - origin) / grid.voxel_m + 1.5, 0, grid.shape)
-    found = tuple(
-        slice(int(a), math.ceil(b)) for a, b in zip(low.tolist(), high.tolist(), strict=True)
-    )
+    """The voxels that touch a box; None where there are none."""
+    ends = spans(lower, upper, origin, grid.voxel_m, grid.shape)
+    found = tuple(map(slice, ends[::2], ends[1::2]))
     return found if all(part.start < part.stop for part in found) else None
 
 
@@ -98,34 +93,17 @@ def _to_primitive(shape, size, position, axes, first, voxel_m, here):
             for k in range(nz):
                 if here[i, j, k] == 0.0:
                     dz = first[2] + k * voxel_m - position[2]
-                    here[i, j, k] = distance(
-                        shape,
-                        size,
-                        axes[0, 0] * dx + axes[1, 0] * dy + axes[2, 0] * dz,
-                        axes[0, 1] * dx + axes[1, 1] * dy + axes[2, 1] * dz,
-                        axes[0, 2] * dx + axes[1, 2] * dy + axes[2, 2] * dz,
-                    )
+                    x, y, z = local(axes, dx, dy, dz)
+                    here[i, j, k] = distance(shape, size, x, y, z)
 
 
 @kernel
-def _to_triangles(triangles, reach, origin, voxel_m, occupancy, here):
-    """Least distances of occupied voxels' centres to triangles (T, 3, 3), where they are within
-    `reach` or so."""
-    nx, ny, nz = occupancy.shape
+def _to_triangles(triangles, low, high, origin, voxel_m, occupancy, here):
+    """Least distances of occupied voxels' centres to triangles (T, 3, 3), in boxes from `low` to
+    `high` (T, 3)."""
     for n in range(len(triangles)):
         a, b, c = triangles[n, 0], triangles[n, 1], triangles[n, 2]
-        i0 = int(min(max((min(a[0], b[0], c[0]) - reach - origin[0]) / voxel_m - 1.5, 0.0), nx))
-        j0 = int(min(max((min(a[1], b[1], c[1]) - reach - origin[1]) / voxel_m - 1.5, 0.0), ny))
-        k0 = int(min(max((min(a[2], b[2], c[2]) - reach - origin[2]) / voxel_m - 1.5, 0.0), nz))
-        i1 = math.ceil(
-            min(max((max(a[0], b[0], c[0]) + reach - origin[0]) / voxel_m + 1.5, 0.0), nx)
-        )
-        j1 = math.ceil(
-            min(max((max(a[1], b[1], c[1]) + reach - origin[1]) / voxel_m + 1.5, 0.0), ny)
-        )
-        k1 = math.ceil(
-            min(max((max(a[2], b[2], c[2]) + reach - origin[2]) / voxel_m + 1.5, 0.0), nz)
-        )
+        i0, i1, j0, j1, k0, k1 = spans(low[n], high[n], origin, voxel_m, occupancy.shape)
         for i in range(i0, i1):
             x = origin[0] + (i + 0.5) * voxel_m
             for j in range(j0, j1):

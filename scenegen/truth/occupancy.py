@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from lidarsim.grid import GridSpec
 from lidarsim.jit import kernel
 from lidarsim.solids.shapes import BOX, CYLINDER, Solids
-from scenegen.truth.shapes import distance, touches, within
+from scenegen.truth.shapes import distance, local, touches, within
 from scenegen.truth.triangles import (
     inside_columns,
     meets_square,
@@ -44,7 +44,8 @@ def rasterize(solids: Solids, grid: GridSpec, origin: ArrayLike) -> NDArray[np.b
     )
     for mesh, filled in enumerate(solids.mesh_filled):
         triangles = solids.triangles[solids.mesh_start[mesh] : solids.mesh_start[mesh + 1]]
-        _fill_surface(triangles, origin, grid.voxel_m, occupancy)
+        low, high = triangles.min(axis=1), triangles.max(axis=1)
+        _fill_surface(triangles, low, high, origin, grid.voxel_m, occupancy)
         if filled and not grid.hollow:
             inside_columns(triangles, origin, grid.voxel_m, occupancy)
     return occupancy
@@ -60,14 +61,20 @@ def span(low, high, origin, voxel_m, count):
 
 
 @kernel
+def spans(low, high, origin, voxel_m, shape):
+    """`span` along the three axes: first and one past the last of each."""
+    i0, i1 = span(low[0], high[0], origin[0], voxel_m, shape[0])
+    j0, j1 = span(low[1], high[1], origin[1], voxel_m, shape[1])
+    k0, k1 = span(low[2], high[2], origin[2], voxel_m, shape[2])
+    return i0, i1, j0, j1, k0, k1
+
+
+@kernel
 def _fill_primitives(shape, size, position, rotation, lower, upper, origin, voxel_m, occupancy):
     """Mark every primitive's voxels, the upright ones column by column."""
     half = 0.5 * voxel_m
-    nx, ny, nz = occupancy.shape
     for n in range(len(shape)):
-        i0, i1 = span(lower[n, 0], upper[n, 0], origin[0], voxel_m, nx)
-        j0, j1 = span(lower[n, 1], upper[n, 1], origin[1], voxel_m, ny)
-        k0, k1 = span(lower[n, 2], upper[n, 2], origin[2], voxel_m, nz)
+        i0, i1, j0, j1, k0, k1 = spans(lower[n], upper[n], origin, voxel_m, occupancy.shape)
         if i0 >= i1 or j0 >= j1 or k0 >= k1:
             continue
         axes = rotation[n]
@@ -101,7 +108,6 @@ def _fill_shells(shape, size, position, rotation, lower, upper, origin, voxel_m,
     """Mark the voxels at every primitive's surface: those of the whole primitive, less those deep
     inside it."""
     whole = np.zeros_like(occupancy)
-    nx, ny, nz = occupancy.shape
     for n in range(len(shape)):
         m = n + 1
         _fill_primitives(
@@ -116,9 +122,7 @@ def _fill_shells(shape, size, position, rotation, lower, upper, origin, voxel_m,
             whole,
         )
         axes = rotation[n]
-        i0, i1 = span(lower[n, 0], upper[n, 0], origin[0], voxel_m, nx)
-        j0, j1 = span(lower[n, 1], upper[n, 1], origin[1], voxel_m, ny)
-        k0, k1 = span(lower[n, 2], upper[n, 2], origin[2], voxel_m, nz)
+        i0, i1, j0, j1, k0, k1 = spans(lower[n], upper[n], origin, voxel_m, occupancy.shape)
         for i in range(i0, i1):
             dx = origin[0] + (i + 0.5) * voxel_m - position[n, 0]
             for j in range(j0, j1):
@@ -127,9 +131,7 @@ def _fill_shells(shape, size, position, rotation, lower, upper, origin, voxel_m,
                     if whole[i, j, k]:
                         whole[i, j, k] = False
                         dz = origin[2] + (k + 0.5) * voxel_m - position[n, 2]
-                        x = axes[0, 0] * dx + axes[1, 0] * dy + axes[2, 0] * dz
-                        y = axes[0, 1] * dx + axes[1, 1] * dy + axes[2, 1] * dz
-                        z = axes[0, 2] * dx + axes[1, 2] * dy + axes[2, 2] * dz
+                        x, y, z = local(axes, dx, dy, dz)
                         if not (
                             occupancy[i, j, k]
                             or within(shape[n], size[n], axes, x, y, z, 0.5 * voxel_m, SLACK_M)
@@ -185,19 +187,16 @@ def fill_column(shape, size, axes, dx, dy, dz, voxel_m, column, first, end):
 
 
 @kernel
-def _fill_surface(triangles, origin, voxel_m, occupancy):
-    """Mark the voxels that triangles (T, 3, 3) pass through.
+def _fill_surface(triangles, low, high, origin, voxel_m, occupancy):
+    """Mark the voxels that triangles (T, 3, 3), in boxes from `low` to `high` (T, 3), pass through.
 
     Columns whose square the triangle misses are left out, and of the others all voxels that its
     plane misses by more than one.
     """
     half = 0.5 * voxel_m
-    nx, ny, nz = occupancy.shape
     for n in range(len(triangles)):
         a, b, c = triangles[n, 0], triangles[n, 1], triangles[n, 2]
-        i0, i1 = span(min(a[0], b[0], c[0]), max(a[0], b[0], c[0]), origin[0], voxel_m, nx)
-        j0, j1 = span(min(a[1], b[1], c[1]), max(a[1], b[1], c[1]), origin[1], voxel_m, ny)
-        k0, k1 = span(min(a[2], b[2], c[2]), max(a[2], b[2], c[2]), origin[2], voxel_m, nz)
+        i0, i1, j0, j1, k0, k1 = spans(low[n], high[n], origin, voxel_m, occupancy.shape)
         if k0 >= k1:
             continue
         slope_x, slope_y, upright = plane_slopes(a, b, c)
@@ -212,8 +211,9 @@ def _fill_surface(triangles, origin, voxel_m, occupancy):
                 first, end = k0, k1
                 if not upright:
                     height = a[2] + slope_x * (x - a[0]) + slope_y * (y - a[1])
-                    low, high = span(height - reach, height + reach, origin[2], voxel_m, nz)
-                    first, end = max(first, low - 1), min(end, high + 1)
+                    lowest, highest = height - reach, height + reach
+                    under, above = span(lowest, highest, origin[2], voxel_m, occupancy.shape[2])
+                    first, end = max(first, under - 1), min(end, above + 1)
                 for k in range(first, end):
                     if not occupancy[i, j, k]:
                         z = origin[2] + (k + 0.5) * voxel_m

@@ -21,6 +21,22 @@ from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 
 
 @kernel
+def local(axes, x, y, z):
+    """A vector of the world's in the frame of a shape whose rotation is `axes` (3, 3)."""
+    return (
+        axes[0, 0] * x + axes[1, 0] * y + axes[2, 0] * z,
+        axes[0, 1] * x + axes[1, 1] * y + axes[2, 1] * z,
+        axes[0, 2] * x + axes[1, 2] * y + axes[2, 2] * z,
+    )
+
+
+@kernel
+def _along(rows, n, x, y, z):
+    """The product of row n with a vector."""
+    return rows[n, 0] * x + rows[n, 1] * y + rows[n, 2] * z
+
+
+@kernel
 def distance(shape, size, x, y, z):
     """Distance in metres from the point (x, y, z) to the filled shape; 0 inside. A plane fills z <=
     0."""
@@ -117,7 +133,7 @@ def _point_to_cube2(axes, x, y, z, half):
     """Squared distance from the frame's origin to the cube."""
     total = 0.0
     for a in range(3):
-        gap = max(abs(axes[a, 0] * x + axes[a, 1] * y + axes[a, 2] * z) - half, 0.0)
+        gap = max(abs(_along(axes, a, x, y, z)) - half, 0.0)
         total += gap * gap
     return total
 
@@ -139,7 +155,7 @@ def _segment_to_cube2(axes, x, y, z, reach, half):
         return _at_segment(axes, x, y, z, high, half)
     for a in range(3):
         if axes[a, 2] != 0.0:
-            centre = axes[a, 0] * x + axes[a, 1] * y + axes[a, 2] * z
+            centre = _along(axes, a, x, y, z)
             for side in (-half, half):
                 t = (centre + side) / axes[a, 2]
                 if low < t < high:
@@ -158,7 +174,7 @@ def _segment_slope(axes, x, y, z, t, half):
     """Half the derivative of `_at_segment` by t."""
     total = 0.0
     for a in range(3):
-        offset = axes[a, 2] * t - (axes[a, 0] * x + axes[a, 1] * y + axes[a, 2] * z)
+        offset = axes[a, 2] * t - _along(axes, a, x, y, z)
         if offset > half:
             total += (offset - half) * axes[a, 2]
         elif offset < -half:
@@ -184,7 +200,7 @@ def _box_touches(size, axes, x, y, z, half, slack):
         ):
             return False
     for a in range(3):
-        gap = abs(axes[a, 0] * x + axes[a, 1] * y + axes[a, 2] * z)
+        gap = abs(_along(axes, a, x, y, z))
         if (
             gap
             > half
@@ -232,14 +248,13 @@ def _ellipsoid_touches(size, axes, x, y, z, half, slack):
     nx, ny, nz = 0.0, 0.0, 0.0
     for i in range(3):  # every edge along half edge i, and the faces that the other two span
         j, k = (i + 1) % 3, (i + 2) % 3
-        ii = m[i, 0] * m[i, 0] + m[i, 1] * m[i, 1] + m[i, 2] * m[i, 2]
-        jj = m[j, 0] * m[j, 0] + m[j, 1] * m[j, 1] + m[j, 2] * m[j, 2]
-        kk = m[k, 0] * m[k, 0] + m[k, 1] * m[k, 1] + m[k, 2] * m[k, 2]
-        jk = m[j, 0] * m[k, 0] + m[j, 1] * m[k, 1] + m[j, 2] * m[k, 2]
+        ii = _along(m, i, m[i, 0], m[i, 1], m[i, 2])
+        jj = _along(m, j, m[j, 0], m[j, 1], m[j, 2])
+        kk = _along(m, k, m[k, 0], m[k, 1], m[k, 2])
+        jk = _along(m, j, m[k, 0], m[k, 1], m[k, 2])
         for s in (-1.0, 1.0):
             u, v, w = m[3, 0] + s * m[i, 0], m[3, 1] + s * m[i, 1], m[3, 2] + s * m[i, 2]
-            ju = m[j, 0] * u + m[j, 1] * v + m[j, 2] * w
-            ku = m[k, 0] * u + m[k, 1] * v + m[k, 2] * w
+            ju, ku = _along(m, j, u, v, w), _along(m, k, u, v, w)
             det = jj * kk - jk * jk
             p, q = (jk * ku - kk * ju) / det, (jk * ju - jj * ku) / det
             if abs(p) <= 1.0 and abs(q) <= 1.0:
@@ -257,7 +272,7 @@ def _ellipsoid_touches(size, axes, x, y, z, half, slack):
                     m[3, 1] + s * m[j, 1] + r * m[k, 1],
                     m[3, 2] + s * m[j, 2] + r * m[k, 2],
                 )
-                p = min(max(-(m[i, 0] * u + m[i, 1] * v + m[i, 2] * w) / ii, -1.0), 1.0)
+                p = min(max(-_along(m, i, u, v, w) / ii, -1.0), 1.0)
                 fx, fy, fz = u + p * m[i, 0], v + p * m[i, 1], w + p * m[i, 2]
                 length2 = fx * fx + fy * fy + fz * fz
                 if length2 < least:
@@ -276,7 +291,7 @@ def _cylinder_touches(radius, reach, axes, x, y, z, half):
     at the planes, and the cuts themselves) passes the axis within the radius."""
     enter, leave = -reach, reach
     for a in range(3):  # the axis, as a segment, against the cube's slabs
-        offset = -(axes[a, 0] * x + axes[a, 1] * y + axes[a, 2] * z)
+        offset = -_along(axes, a, x, y, z)
         if abs(axes[a, 2]) > 1e-15:
             s, t = (-half - offset) / axes[a, 2], (half - offset) / axes[a, 2]
             enter, leave = max(enter, min(s, t)), min(leave, max(s, t))

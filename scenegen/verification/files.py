@@ -16,8 +16,7 @@ def _written_for_these_parameters(shard: Shard, page: Page) -> None:
     page.expect(
         shard.file.attributes["parameters"] == shard.task.contract.fingerprint,
         f"{shard.task.entry.file}: was written for other parameters than the manifest's: one of "
-        f"the two was edited, or "
-        "the shard is another dataset's",
+        "the two was edited, or the shard is another dataset's",
     )
 
 
@@ -38,10 +37,8 @@ def _rejections_add_up(contract: Contract, page: Page) -> None:
 MANIFEST = Check(
     name="manifest",
     proves="Every value in `dataset.json` has the type and bounds of the format; its shards have "
-    "plain names, follow "
-    "in order, hold what `counts` asks for, were written for its parameters and reject what it "
-    "says; no other `.h5` "
-    "or `.zip` file lies in the folder.",
+    "plain names, follow in order, hold what `counts` asks for, were written for its parameters "
+    "and reject what it says; no other `.h5` or `.zip` file lies in the folder.",
     quick=True,
     shard=_written_for_these_parameters,
     folder=_rejections_add_up,
@@ -78,10 +75,9 @@ CHECKSUMS = Check(
 LAYOUT = Check(
     name="layout",
     proves="A shard holds the fields of the format and nothing else, in their types and shapes: "
-    "hard links alone, no "
-    "data in other files, no filter but gzip, shuffle and fletcher32, one chunk a sample, no byte "
-    "between; every "
-    "chunk unpacks to just its size (with `--quick`, every chunk but those of `tudf` and `free`).",
+    "hard links alone, no data in other files, no filter but gzip, shuffle and fletcher32, one "
+    "chunk a sample, no byte between; every chunk unpacks to just its size (with `--quick`, every "
+    "chunk but those of `tudf` and `free`).",
     quick=True,
 )
 """The walk over a shard writes the faults: opening the file and unpacking its samples is the

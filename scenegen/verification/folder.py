@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from lidarsim import AnalyticEngine, GridSpec, Lidar
-from lidarsim.engines.voxels import VoxelMap
+from scenegen.dataset.hdf5 import library_index, read_index
 from scenegen.dataset.layout import DIGEST, most_bytes, open_file, open_shard
 from scenegen.dataset.locate import locate
 from scenegen.dataset.parts import sensor_files
@@ -41,10 +41,9 @@ from scenegen.verification.stages import (
     SignedFile,
     Task,
     Worlds,
-    compile_solids,
 )
 from scenegen.verification.stored import CHECKS as STORED
-from scenegen.worlds.world import quiet_mujoco
+from scenegen.worlds.world import compile_world, quiet_mujoco
 
 CHECKS: tuple[Check, ...] = tuple(
     sorted(
@@ -69,11 +68,8 @@ def warm_up() -> None:
     are compiled."""
     field = '<hfield name="h" nrow="2" ncol="2" size="1 1 1 1"/>'
     geoms = '<geom type="box" size="1 1 1"/><geom type="hfield" hfield="h"/>'
-    solids = compile_solids(
-        f"<mujoco><asset>{field}</asset><worldbody>{geoms}</worldbody></mujoco>".encode(),
-        {},
-        "warm-up",
-    )
+    both = f"<mujoco><asset>{field}</asset><worldbody>{geoms}</worldbody></mujoco>"
+    solids = compile_world(both.encode()).solids
     grid, lidar = GridSpec(shape=(24, 24, 16)), Lidar(rows=4, columns=8)
     tables = {
         "flight": {"viewpoints": 1, "margin_m": 2.0, "min_distance_m": 4.0},
@@ -84,7 +80,6 @@ def warm_up() -> None:
     }
     recipe = make_recipe("pillar", tables, where="warm-up")
     sample = draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="train", unit=0).samples[0]
-    assert not isinstance(solids, VoxelMap)
     AnalyticEngine(solids).cast([[0.0, 0.0, 5.0]], lidar.directions_body[None], 10.0)
     blocks = signature(sample.occupancy)
     folds = np.stack([fold(sample.observed)] * 2)
@@ -131,6 +126,9 @@ def examine(task: Task) -> Findings:
         if os.fstat(file.fileno()).st_size <= most_bytes(contract.layout, entry.samples):
             look("file", SignedFile(file, path.name, entry.sha256))
         opened = open_shard(file, path, entry.samples, contract.layout)
+        # what it says of itself, other readers must find by the HDF5 library, too
+        if read_index(file.fileno(), entry.samples) != library_index(file.fileno(), entry.samples):
+            raise BrokenError(f"{opened.name}: its index is not what the HDF5 library finds in it")
         if opened.stray_bytes:
             raise BrokenError(
                 f"{opened.name}: {opened.stray_bytes} of its bytes belong to no sample"

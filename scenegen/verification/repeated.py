@@ -147,10 +147,9 @@ def _cast_again(sample: Sample, page: Page) -> None:
             ray = tuple(int(at) for at in np.unravel_index(rays[n], lidar.shape))
             which = f", earlier scan {number}" if number else ""
             page.fault(
-                f"{sample.where}{which}: {np.count_nonzero(wrong)} of {len(rays)} rays differ; "
-                f"ray {ray} has "
-                f"{scan.ranges[ray]} m, the solids of world {sample.world} are {found[n]:.7g} m "
-                f"away"
+                f"{sample.where}{which}: {np.count_nonzero(wrong)} of {len(rays)} rays differ; ray "
+                f"{ray} has {scan.ranges[ray]} m, the solids of world {sample.world} are "
+                f"{found[n]:.7g} m away"
             )
 
 
@@ -276,14 +275,11 @@ CHECKS = (
     Check(
         name="rays",
         proves="The ranges of 5 % of the samples (of 8 a shard at least), of all their scans, are "
-        "those that another "
-        "engine finds: for MuJoCo's the analytic one, with closed forms for primitives and the "
-        "triangles of meshes and "
-        "height fields, for all others MuJoCo's, and for maps one that sorts the planes that a ray "
-        "crosses; with noise, those of the clean scan are, of "
-        "which the same noise "
-        "makes the stored ones; the directions of a raster are computed anew from "
-        "[sensor.md](sensor.md).",
+        "those that another engine finds: for MuJoCo's the analytic one, with closed forms for "
+        "primitives and the triangles of meshes and height fields, for all others MuJoCo's, and "
+        "for maps one that sorts the planes that a ray crosses; with noise, those of the clean "
+        "scan are, of which the same noise makes the stored ones; the directions of a raster are "
+        "computed anew from [sensor.md](sensor.md).",
         sample=_cast_again,
     ),
     Check(

@@ -54,18 +54,8 @@ class Report:
 
     def to_json(self) -> dict[str, Any]:
         """The report as plain values."""
-        whole = {
-            "folder": self.folder,
-            "quick": self.quick,
-            "seed": self.seed,
-            "samples": self.samples,
-        }
-        return {
-            **whole,
-            "ok": self.ok,
-            "failed": list(self.failed),
-            "checks": [vars(check) for check in self.checks],
-        }
+        found = {"ok": self.ok, "failed": list(self.failed)}
+        return {**vars(self), **found, "checks": [vars(check) for check in self.checks]}
 
 
 @dataclass

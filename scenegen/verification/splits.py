@@ -265,8 +265,7 @@ def _compare(contract: Contract, page: Page) -> None:
             page.fault(
                 f"{contract.shards[one[0]].file}: sample {one[1]} shows the map of "
                 f"{contract.shards[other[0]].file}: sample {other[1]} (occupied IoU "
-                f"{occupied:.3f}, observed "
-                f"{seen:.3f}), expected another world"
+                f"{occupied:.3f}, observed {seen:.3f}), expected another world"
             )
     if not complete and not found:
         page.skipped = f"too many maps are alike: {len(pairs)} pairs were compared, not all"
@@ -285,12 +284,9 @@ CHECKS = (
     Check(
         name="near-twins",
         proves="No two samples of different splits show nearly the same map, seen nearly the same "
-        "way: their occupied "
-        "voxels agree to less than 90 % (intersection over union), or their observed voxels to "
-        "less than 50 %, or "
-        "what stands on the floor to less than 50 %; of more than 200,000 samples, so many, "
-        "evenly spread, are "
-        "compared.",
+        "way: their occupied voxels agree to less than 90 % (intersection over union), or their "
+        "observed voxels to less than 50 %, or what stands on the floor to less than 50 %; of more "
+        "than 200,000 samples, so many, evenly spread, are compared.",
         sample=_keep_signature,
         folder=_compare,
     ),

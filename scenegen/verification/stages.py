@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from io import BufferedReader
 from typing import Any
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,18 +15,17 @@ from lidarsim import AnalyticEngine, MujocoEngine, ObservedGrid, Pose, Scan, fus
 from lidarsim.engines import ENGINES, MUJOCO, Caster
 from lidarsim.engines.voxels import VoxelMap
 from lidarsim.registry import Registry
-from lidarsim.solids.model import solids_of
 from lidarsim.solids.shapes import Solids
 from scenegen.dataset.archive import open_archive, referred
 from scenegen.dataset.layout import ShardFile
 from scenegen.dataset.trust import Entry, GatheredEntry
-from scenegen.errors import SceneError, printable
+from scenegen.errors import SceneError
 from scenegen.verification.contract import Contract
 from scenegen.verification.rays import MapAuditor, as_rounded
 from scenegen.verification.report import BrokenError, Page
-from scenegen.worlds.place import Place, archived_place, named_map
+from scenegen.worlds.place import Place
 from scenegen.worlds.screen import screen
-from scenegen.worlds.world import World, archived_world, quiet_mujoco
+from scenegen.worlds.world import World, archived_world
 
 AUDITED_SHARE, LEAST_AUDITED = 0.05, 8
 """Expensive checks look at this share of a shard's samples, and at this many at least."""
@@ -115,31 +113,14 @@ class SignedFile:
     sha256: str
 
 
-def compile_solids(document: bytes, assets: dict[str, bytes], name: str) -> Solids | VoxelMap:
-    """Compile an archived world that has been screened to its solids, or read its map. Raises
-    BrokenError, which names `name`."""
-    try:
-        if named_map(document):
-            return archived_place(document, assets, name).voxels
-        with quiet_mujoco():
-            return solids_of(mujoco.MjModel.from_xml_string(document.decode(), assets))
-    except SceneError as error:
-        raise BrokenError(str(error)) from None
-    except (ValueError, MemoryError, mujoco.FatalError) as error:
-        raise BrokenError(f"{name}: MuJoCo cannot compile it: {printable(error)[:200]}") from None
-
-
 def auditor(
-    document: bytes, assets: dict[str, bytes], solids: Solids | VoxelMap, *, made_with: str
+    solids: Solids | VoxelMap, *, made_with: str, compiled: Callable[[], World | Place]
 ) -> Caster:
-    """The engine that casts rays anew in a world whose `solids` have been compiled: never the one
-    that the dataset was `made_with`, and always one of ours."""
+    """The engine that casts rays anew in a world of these `solids`, which `compiled` gives whole:
+    never the one that the dataset was `made_with`, and always one of ours."""
     if isinstance(solids, VoxelMap):
         return MapAuditor(solids)
-    if made_with == MUJOCO:
-        return AnalyticEngine(solids)
-    with quiet_mujoco():
-        return MujocoEngine.of(mujoco.MjModel.from_xml_string(document.decode(), assets))
+    return AnalyticEngine(solids) if made_with == MUJOCO else compiled().caster(MujocoEngine)
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,42 +164,31 @@ class Worlds:
     def compile(self, number: int) -> Solids | VoxelMap:
         """Compile a world to its solids, or read its map, which checks of samples are handed later.
         Raises BrokenError."""
-        name = f"{self.task.entry.worlds}: {number:06d}.xml"
-        self.solids[number] = compile_solids(*self.source(number), name)
+        world = self.world(number)
+        self.solids[number] = world.voxels if isinstance(world, Place) else world.solids
         return self.solids[number]
 
     # Samples come world by world, so each of these keeps the last world alone.
 
+    @functools.lru_cache(maxsize=1)  # noqa: B019
     def world(self, number: int) -> World | Place:
         """A world, compiled. Raises BrokenError."""
-        return _world(self, number)
+        name = f"{self.task.entry.worlds}: {number:06d}.xml"
+        try:
+            return archived_world(*self.source(number), name=name)
+        except SceneError as error:
+            raise BrokenError(str(error)) from None
 
+    @functools.lru_cache(maxsize=1)  # noqa: B019
     def engine(self, number: int) -> Caster:
         """The dataset's own engine of a world, which is one of ours. Raises BrokenError."""
-        return _engine(self, number)
+        return self.world(number).caster(ENGINES.find(self.task.contract.engine).of)
 
+    @functools.lru_cache(maxsize=1)  # noqa: B019
     def auditor(self, number: int) -> Caster:
         """What casts rays anew in a world that was compiled."""
-        return _auditor(self, number)
-
-
-@functools.lru_cache(maxsize=1)
-def _world(worlds: Worlds, number: int) -> World | Place:
-    try:
-        return archived_world(*worlds.source(number))
-    except SceneError as error:
-        raise BrokenError(str(error)) from None
-
-
-@functools.lru_cache(maxsize=1)
-def _engine(worlds: Worlds, number: int) -> Caster:
-    return worlds.world(number).caster(ENGINES.find(worlds.task.contract.engine).of)
-
-
-@functools.lru_cache(maxsize=1)
-def _auditor(worlds: Worlds, number: int) -> Caster:
-    made_with = worlds.task.contract.engine
-    return auditor(*worlds.source(number), worlds.solids[number], made_with=made_with)
+        made_with, compiled = self.task.contract.engine, functools.partial(self.world, number)
+        return auditor(self.solids[number], made_with=made_with, compiled=compiled)
 
 
 @dataclass(frozen=True, eq=False)

@@ -312,19 +312,17 @@ CHECKS = (
     Check(
         name="laws",
         proves="Ranges lie from 0 to the sensor's range or are `inf`, every observed voxel is "
-        "occupied (with "
-        "noise: every return lies within the noise's bound of an occupied voxel, if it has a "
-        "bound), and no voxel is "
-        "both free and observed (this last without `--quick`, where `free` is stored).",
+        "occupied (with noise: every return lies within the noise's bound of an occupied voxel, if "
+        "it has a bound), and no voxel is both free and observed (this last without `--quick`, "
+        "where `free` is stored).",
         quick=True,
         sample=_lawful,
     ),
     Check(
         name="labels",
-        proves="In a dataset with labels, the voxels that have a geom are those that are "
-        "occupied, and the rays that "
-        "have one those that returned (with noise: no other ray has one); a class is there where "
-        "a geom is.",
+        proves="In a dataset with labels, the voxels that have a geom are those that are occupied, "
+        "and the rays that have one those that returned (with noise: no other ray has one); a "
+        "class is there where a geom is.",
         quick=True,
         field="voxel_geom",
         sample=_labelled,
@@ -349,9 +347,8 @@ CHECKS = (
     ),
     Check(
         name="owners",
-        proves="Geoms and classes of 5 % of the samples with labels (of 8 a shard at least) "
-        "follow from the "
-        "archived world.",
+        proves="Geoms and classes of 5 % of the samples with labels (of 8 a shard at least) follow "
+        "from the archived world.",
         field="voxel_geom",
         sample=_owners,
     ),

@@ -83,9 +83,3 @@ def test_what_stands_beside_the_output_is_left_alone(
     (tmp_path / "other.files").write_text("mine")
     with pytest.raises(DatasetError, match="choose another place"):
         write_extracted(files, tmp_path / "other.xml")
-
-
-def test_a_world_of_geoms_alone_is_written_as_it_is_archived(tmp_path: Path) -> None:
-    write_extracted({DOCUMENT: b"<mujoco/>"}, tmp_path / "a.xml")
-    assert (tmp_path / "a.xml").read_bytes() == b"<mujoco/>"
-    assert [path.name for path in tmp_path.iterdir()] == ["a.xml"]

@@ -1,9 +1,9 @@
-"""The walker finds what the HDF5 library finds, and on bytes that no library should see it ends in
-one line."""
+"""An index is what the HDF5 library finds, and bytes that no library should see end in one line."""
 
 import functools
 import multiprocessing
 import os
+import shutil
 import struct
 import time
 import tracemalloc
@@ -14,11 +14,11 @@ import h5py
 import numpy as np
 import pytest
 
-from scenegen.dataset.foreign import read_index
-from scenegen.dataset.hdf5 import ForeignError, Hdf5Error, Stored, walk
+from scenegen.dataset import hdf5
 from scenegen.dataset.layout import Layout, layout_of, open_shard
 from scenegen.errors import BrokenError
 from scenegen.sample import GROUPS, Schema
+from scenegen.verification import verify
 from tests.conftest import small_recipe
 
 
@@ -38,54 +38,83 @@ def by_library(path: Path) -> dict[str, Any]:
         return {"": dict(file.attrs), **found}
 
 
-def by_walk(path: Path, most: int = 10**6, *, foreign: bool = False) -> dict[str, Any]:
+def by_index(path: Path, most: int = 10**6, read: Any = hdf5.read_index) -> dict[str, Any]:
     with open(path, "rb") as file:
-        index = read_index(file.fileno(), path, most) if foreign else walk(file.fileno(), most)
+        index = read(file.fileno(), most)
     found: dict[str, Any] = {"": dict(index.attributes)}
     for name, it in index.objects.items():
-        assert isinstance(it, Stored)
-        found[name] = (
-            it.dtype,
-            it.shape,
-            it.chunk,
-            it.filters,
-            sorted(map(tuple, it.places.tolist())),
-        )
+        assert isinstance(it, hdf5.Stored)
+        dtype, places = np.dtype(it.dtype), sorted(map(tuple, it.places.tolist()))
+        found[name] = (dtype, it.shape, it.chunk, it.filters, places)
     return found
 
 
-@pytest.mark.parametrize("count", [1, 63, 64, 65, 700, 4200])
-def test_indexes_of_any_depth_are_those_of_the_library(tmp_path: Path, count: int) -> None:
-    """64 chunks fill a node: 4200 take three levels of them."""
-    path, rng = tmp_path / "x.h5", np.random.default_rng(count)
-    with h5py.File(path, "w") as file:
+@pytest.mark.parametrize("libver", ["earliest", "latest"])
+def test_indexes_are_those_of_the_library(tmp_path: Path, libver: str) -> None:
+    path, rng = tmp_path / "x.h5", np.random.default_rng(0)
+    with h5py.File(path, "w", libver=libver) as file:
         for n, dtype in enumerate(("bool", "<f4", "<f8", "<i8", "u1")):
             shape = [(), (3,), (2, 3), (2, 1, 3)][n % 4]
             packed = (
                 {"compression": "gzip", "shuffle": n % 2 == 0, "fletcher32": n == 3} if n else {}
             )
-            values = rng.integers(0, 2, (count, *shape)).astype(dtype)
+            values = rng.integers(0, 2, (700, *shape)).astype(dtype)
             file.create_dataset(f"column {n}", data=values, chunks=(1, *shape), **packed)
-        file.attrs.update(
-            {"text": "ä" * count, "number": -count, "bytes": np.bytes_(b"plain"), "empty": ""}
-        )
+        file.attrs.update({"text": "ä" * 700, "number": -7, "bytes": np.bytes_(b"plain")})
+        file.attrs.update({"empty": "", "several": [1, 2], "real": 0.5})
     expected = by_library(path)
-    expected[""]["bytes"] = "plain"
-    assert by_walk(path) == expected
-    with h5py.File(tmp_path / "y.h5", "w", libver="latest") as other, h5py.File(path) as file:
-        for name in file:
-            file.copy(name, other)
-        other.attrs.update(file.attrs)
-    with pytest.raises(ForeignError):
-        by_walk(tmp_path / "y.h5")
-    again = by_library(tmp_path / "y.h5")
-    again[""]["bytes"] = "plain"
-    assert by_walk(tmp_path / "y.h5", foreign=True) == again
+    expected[""] |= {"bytes": "plain", "several": None, "real": None}
+    assert by_index(path) == expected
+    with pytest.raises(hdf5.Hdf5Error, match="more than 699 chunks"):
+        by_index(path, 699)
 
 
-def test_shards_are_what_the_library_says(made: Path) -> None:
-    for path in made.glob("*.h5"):
-        assert by_walk(path) == by_library(path)
+def test_a_shard_tells_its_own_index_and_no_library_is_asked(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = next(made.glob("train-*.h5"))
+    with open(path, "rb") as file:
+        expected = hdf5.library_index(file.fileno(), 10**6)
+    monkeypatch.setattr(hdf5, "library_index", None)
+    with open(path, "rb") as file:
+        assert hdf5.read_index(file.fileno(), 10**6) == expected
+    content, end = path.read_bytes(), len(hdf5.MARK) + 8
+    length = int.from_bytes(content[-end:-16], "little")
+    text = content[-end - length : -end]
+    for wrong in (
+        text[:-9],
+        text.replace(b"[", b"{"),
+        b"[]",
+        b"[" * 100_000,
+        text.replace(b'"objects"', b'"object"'),
+        text.replace(b'"78', b'"79'),
+        text.replace(b'"<', b'"?'),
+        text.replace(b'"split": "train"', b'"split": 0.5'),
+    ):
+        assert wrong != text
+        bad = tmp_path / "bad.h5"
+        bad.write_bytes(content[:-end] + wrong + len(wrong).to_bytes(8, "little") + hdf5.MARK)
+        with open(bad, "rb") as file, pytest.raises(hdf5.Hdf5Error, match="its index"):
+            hdf5.read_index(file.fileno(), 10**6)
+    bad.write_bytes(content[:-end] + (2**60).to_bytes(8, "little") + hdf5.MARK)
+    with open(bad, "rb") as file, pytest.raises(hdf5.Hdf5Error, match="its index has"):
+        hdf5.read_index(file.fileno(), 10**6)
+
+
+def test_an_index_that_is_not_the_librarys_is_found(made: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    shutil.copytree(made, folder)
+    path = next(folder.glob("train-*.h5"))
+    with h5py.File(path, "r+") as file:  # as a file of others: the library drops what is behind it
+        file.attrs["first_world"] = 7
+        file.flush()
+        edited = bytes(file.id.get_file_image())
+    assert not path.read_bytes().endswith(hdf5.MARK)
+    own = next(made.glob(path.name)).read_bytes()
+    length = int.from_bytes(own[-24:-16], "little")
+    path.write_bytes(edited + own[-24 - length :])
+    report = verify(folder)
+    assert any("is not what the HDF5 library finds" in check.detail for check in report.checks)
 
 
 def shard_arrays(path: Path) -> dict[str, np.ndarray]:
@@ -163,6 +192,7 @@ def test_bytes_changed_anywhere_end_in_the_same_values_or_one_line(
     form."""
     path, target = made / "train-00000.h5", tmp_path / "train-00000.h5"
     whole, expected, rng = path.read_bytes(), shard_arrays(path), np.random.default_rng(7)
+    whole = whole[: -24 - int.from_bytes(whole[-24:-16], "little")]  # the library's part of it
     structure = places_of_structure(whole, path)
     refusals = []
     begin = time.monotonic()
@@ -195,70 +225,40 @@ def test_bytes_changed_anywhere_end_in_the_same_values_or_one_line(
     assert time.monotonic() - begin < 120
 
 
-def test_no_pointer_is_followed_in_a_circle(made: Path, tmp_path: Path) -> None:
-    """A node of the index that names itself, a header that goes on in itself, an index of more than
-    there can be."""
+def end_it() -> None:
+    """The library's process, which this one has begun."""
+    with open(__file__, "rb") as file, pytest.raises(hdf5.Hdf5Error, match="signature not found"):
+        hdf5.read_index(file.fileno(), 1)
+    process = hdf5._LIBRARIES[os.getpid()]._process
+    process.kill()
+    process.wait()
+    hdf5._KNOWN.clear()
+
+
+def test_a_process_that_somebody_ended_is_no_fault_of_the_file(made: Path) -> None:
+    end_it()
     path = made / "train-00000.h5"
-    whole = path.read_bytes()
-    node = whole.index(b"TREE\1")
-    rank = 4
-    itself = bytearray(whole)
-    itself[node + 5] = 1  # a level up
-    struct.pack_into("<Q", itself, node + 24 + 8 + 8 * (rank + 1), node)
-    going_on = bytearray(whole)
-    struct.pack_into(
-        "<QQ", going_on, 96 + 16 + 8, 96 + 16, 200
-    )  # the root's header begins with a continuation
-    for content in (itself, going_on):
-        (tmp_path / "x.h5").write_bytes(content)
-        with (
-            open(tmp_path / "x.h5", "rb") as file,
-            pytest.raises(Hdf5Error, match="two pointers lead to byte"),
-        ):
-            walk(file.fileno(), 10)
-    with open(path, "rb") as file, pytest.raises(Hdf5Error, match="more than 2"):
-        walk(file.fileno(), 2)
-    os.truncate(tmp_path / "x.h5", 50)
-    with open(tmp_path / "x.h5", "rb") as file, pytest.raises(Hdf5Error):
-        walk(file.fileno(), 10)
+    assert by_index(path) == by_library(path)
 
 
-def hang(task: object) -> None:
-    time.sleep(600)
-
-
-def swell(task: object) -> None:
-    bytearray(2 << 30)
-
-
-def test_structures_that_overlap_are_not_read_over_and_over(made: Path, tmp_path: Path) -> None:
-    """Sixty blocks of a header, each beginning 32 bytes after the other and 64 KB long."""
-    path = tmp_path / "x.h5"
-    content = bytearray((made / "test-00000.h5").read_bytes()[:96])
-    root, first, blocks, length = 96, 136, 60, 1 << 16
-    content += struct.pack("<BxHIIIHHBxxxQQ", 1, 1, 1, 24, 0, 0x10, 16, 0, first, length)
-    for n in reversed(range(blocks)):  # to the next block, and past the others' beginnings
-        content += struct.pack(
-            "<HHBxxxQQHHBxxx", 0x10, 16, 0, first + 32 * (blocks - n), length, 0, 32 * n, 0
-        )
-    content += bytes(length)
-    struct.pack_into("<Q", content, 40, len(content))
-    struct.pack_into("<Q", content, 64, root)
-    path.write_bytes(content)
-    with pytest.raises(Hdf5Error, match="overlap"):
-        by_walk(path)
-
-
-@pytest.mark.parametrize(("does", "said"), [(hang, "took too long"), (swell, "MemoryError")])
-def test_a_library_that_hangs_or_swells_does_so_elsewhere(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, does: object, said: str
+@pytest.mark.parametrize(
+    ("does", "said"),
+    [
+        ("time.sleep(600)", "took too long"),
+        ("bytearray(2 << 30)", "does not read it: MemoryError"),
+        ("os.abort()", "crashed"),
+    ],
+)
+def test_a_library_that_hangs_swells_or_crashes_does_so_elsewhere(
+    made: Path, monkeypatch: pytest.MonkeyPatch, does: str, said: str
 ) -> None:
-    path = tmp_path / "x.h5"
-    with h5py.File(path, "w", libver="latest") as file:
-        file["x"] = 1
-    monkeypatch.setattr("scenegen.dataset.foreign._index", does)
-    monkeypatch.setattr("scenegen.dataset.foreign.SECONDS", 5.0 if does is swell else 0.5)
-    with pytest.raises(
-        Hdf5Error, match=rf"its superblock has version \d, and the HDF5 library .*{said}"
-    ):
-        by_walk(path, foreign=True)
+    patched = f"import os, time; from {hdf5.__name__} import serve; g = serve.__globals__; "
+    patched += f"g.update(SECONDS=1, _index=lambda *_: {does}); serve()"
+    path = made / "train-00000.h5"
+    with monkeypatch.context() as patch:
+        patch.setattr(hdf5, "SERVE", patched)
+        end_it()
+        with pytest.raises(hdf5.Hdf5Error, match=f"the HDF5 library {said}"):
+            by_index(path, read=hdf5.library_index)
+        hdf5._LIBRARIES.clear()
+    assert by_index(path) == by_library(path)

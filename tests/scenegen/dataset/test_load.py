@@ -102,18 +102,6 @@ def test_a_copy_of_a_sample_is_plain_and_whole(folder: Path) -> None:
     assert copy.copy(sample).sha256() == sample.sha256()
 
 
-def test_any_number_of_samples_keeps_few_files_open(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("scenegen.dataset.read.MOST_OPEN", 2)
-    split = scenegen.load(folder)
-    samples = split[:]
-    assert [sample.viewpoint for sample in samples] == [
-        viewpoint for _, _, viewpoint in split.names
-    ]
-    assert len(split._open) == 2
-
-
 @pytest.mark.parametrize("method", ["fork", "spawn"])
 def test_many_processes_read_what_one_reads(folder: Path, method: str) -> None:
     split = scenegen.load(folder)

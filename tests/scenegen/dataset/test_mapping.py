@@ -283,19 +283,16 @@ def test_what_was_changed_in_earlier_scans_is_found(several: Path, tmp_path: Pat
     ("entries", "told"),
     [
         ({"version": 1}, "version = 1: expected 1.3 with mapping"),
-        ({"version": 1.2}, "version = 1.2: expected 1.3 with mapping"),
         ({"mapping": None}, "version = 1.3: expected 1 with nothing of a minor version"),
         ({"mapping": {"scans": 4}}, "mapping.fusion is missing"),
         (
             {"mapping": {"scans": 1}},
             "mapping: expected exactly where `fields` names those of earlier",
         ),
-        ({"mapping": {"scans": 10**9}}, "mapping.scans = 1000000000: expected"),
         ({"mapping": {"scans": 5}}, "earlier_ranges is float32"),
         ({"mapping": {"hit": 0.1}}, "mapping.hit = 0.1: expected"),
         ({"mapping": {"odd": 1}}, "mapping: unknown parameter 'odd'"),
         ({"mapping": {"map_ahead_m": [99.0, 0.0, 0.0]}}, "lies beyond the sensor's range"),
-        ({"mapping": {"map_ahead_m": "x"}}, "mapping.map_ahead_m = 'x': expected"),
     ],
 )
 def test_a_strangers_word_is_not_trusted(
@@ -316,12 +313,6 @@ def test_a_strangers_word_is_not_trusted(
     ("table", "told"),
     [
         ({"scans": 0}, f"[mapping] scans = 0: expected a whole number from 1 to {MOST_SCANS}"),
-        ({"scans": 2.5}, "[mapping] scans = 2.5: expected"),
-        ({"scan_spacing_m": 0.0}, "[mapping] scan_spacing_m = 0.0: expected"),
-        ({"tilt_mps": -1.0}, "[mapping] tilt_mps = -1.0: expected"),
-        ({"most_tilt_deg": 90.0}, "[mapping] most_tilt_deg = 90.0: expected"),
-        ({"fusion": "mean"}, "[mapping] fusion = 'mean': expected"),
-        ({"map_ahead_m": [1.0]}, "[mapping] map_ahead_m = [1.0]: expected three finite numbers"),
         (
             {"map_ahead_m": [60.0, 0.0, 0.0]},
             "[mapping] map_ahead_m = [60.0, 0.0, 0.0]: lies beyond the sensor's range",

@@ -9,8 +9,7 @@ import pytest
 import scenegen
 from scenegen.dataset import manifest
 from scenegen.dataset.build import build, plan_dataset
-from scenegen.dataset.generation import plan_generation
-from scenegen.dataset.mixed import read_components
+from scenegen.dataset.generation import plan_generation, read_components
 from scenegen.dataset.read import Dataset
 from scenegen.errors import RecipeError
 from scenegen.recipes import kind_names
@@ -134,8 +133,8 @@ def test_without_components_every_kind_has_the_same_weight() -> None:
     ("old", "new", "told"),
     [
         ("weight = 3\n", "", "component 1 ('pillar'): has no weight, and others have"),
-        ("weight = 3", "weight = -1", "weight = -1: expected a number above 0"),
-        ("weight = 3", 'weight = "x"', "weight = 'x': expected a number above 0"),
+        ("weight = 3", "weight = -1", "weight of 'pillar' = -1: expected a number above 0"),
+        ("weight = 3", 'weight = "x"', "weight of 'pillar' = 'x': expected a number above 0"),
         ('kind = "clutter"\n', "", "component 2: names no kind"),
         ('"clutter"', '"cluter"', "clutter"),
         ("density = [0.06, 0.06]", "density = [2, 1]", "[world] density = [2, 1]"),

@@ -79,24 +79,6 @@ def test_truncations_of_every_reach_are_exact(voxel: float) -> None:
             np.testing.assert_array_equal(answer, expected_field(k, voxel, float(truncation)))
 
 
-def test_the_map_at_the_size_of_use_is_exact() -> None:
-    """80 x 80 x 40: scattered voxels, and walls with a floor."""
-    rng = np.random.default_rng(32)
-    walls = np.zeros((80, 80, 40), bool)
-    walls[:, :, :3] = walls[0] = walls[:, 70:73, :20] = True
-    for occupancy in (rng.random((80, 80, 40)) < 2e-4, walls):
-        answer = field(occupancy, 0.2, 2.0)
-        np.testing.assert_array_equal(answer, expected_field(squares(occupancy), 0.2, 2.0))
-        assert (answer == np.float32(2.0)).any()
-
-
-@pytest.mark.parametrize("truncation", TRUNCATIONS)
-def test_an_empty_map_is_truncated_everywhere_and_a_full_one_zero(truncation: float) -> None:
-    empty = np.zeros((6, 11, 4), bool)
-    assert (field(empty, 0.2, truncation) == np.float32(truncation)).all()
-    assert (field(~empty, 0.2, truncation) == 0).all()
-
-
 def test_the_field_ignores_how_the_map_lies_in_memory() -> None:
     """Fortran order and reversed views of one map give one answer."""
     rng = np.random.default_rng(35)

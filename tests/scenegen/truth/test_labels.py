@@ -21,7 +21,7 @@ from scenegen.source import DrawnWorlds, read_scenes
 from scenegen.truth import rasterize
 from scenegen.truth.labels import NONE, owners
 from scenegen.verification import verify
-from scenegen.worlds.labels import SHAPES, Labels, class_names, labels_by
+from scenegen.worlds.labels import SHAPES, class_names, labels_by
 from scenegen.worlds.world import compile_world
 from tests.conftest import small_recipe
 from tests.scenegen.conftest import COUNTS
@@ -143,13 +143,6 @@ def test_a_dataset_with_labels_is_kept_verified_and_scanned_again(
     sample = Dataset(folder).split("train")[0]
     assert sample.voxel_class.max() == 1  # type: ignore[attr-defined]
     assert Dataset(folder).split("train").describe()["voxel_geom"]["dtype"] == "int32"
-
-
-def test_scenes_know_their_classes(tmp_path: Path) -> None:
-    (tmp_path / "one.xml").write_text(WORLD)
-    source = read_scenes(tmp_path / "one.xml", {"train": 1, "val": 0, "test": 0}, seed=0)
-    labels = Labels(by="name", classes=labels_by("name", source.class_names("name")).classes)
-    assert {"wall", "ball", "crate", "wall_top"} <= set(labels.classes)
 
 
 DRESSED = """<mujoco><asset>

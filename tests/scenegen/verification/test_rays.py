@@ -9,7 +9,8 @@ from lidarsim import Lidar, MujocoEngine, Pose, cast
 from lidarsim.engines import ENGINES
 from lidarsim.pose import rotate
 from scenegen.verification.rays import audit, disagrees, ray_directions
-from scenegen.verification.stages import auditor, compile_solids
+from scenegen.verification.stages import auditor
+from scenegen.worlds.world import compile_world
 
 WORLD = b"""<mujoco><worldbody><geom type="box" size="1 2 3" pos="4 0 0"/>
 <geom type="sphere" size="1" pos="-3 1 0"/>
@@ -22,7 +23,8 @@ WORLD = b"""<mujoco><worldbody><geom type="box" size="1 2 3" pos="4 0 0"/>
 def test_the_engine_that_audits_is_never_the_one_that_made_the_ranges(
     made_with: str, audits: str
 ) -> None:
-    engine = auditor(WORLD, {}, compile_solids(WORLD, {}, "w"), made_with=made_with)
+    world = compile_world(WORLD)
+    engine = auditor(world.solids, made_with=made_with, compiled=lambda: world)
     assert type(engine).__name__ == audits
     model = mujoco.MjModel.from_xml_string(WORLD.decode())
     lidar, pose = Lidar(rows=8, columns=30, max_range_m=6.0), Pose.level((0.0, 0.0, 0.0), 0.4)
@@ -42,9 +44,8 @@ def test_the_engine_that_audits_is_never_the_one_that_made_the_ranges(
 
 
 def test_an_engine_of_a_users_own_is_audited_by_mujoco_and_not_imported() -> None:
-    engine = auditor(
-        WORLD, {}, compile_solids(WORLD, {}, "w"), made_with="nowhere_to_be_found:Engine"
-    )
+    world = compile_world(WORLD)
+    engine = auditor(world.solids, made_with="my_engines:Fast", compiled=lambda: world)
     assert isinstance(engine, MujocoEngine)
 
 

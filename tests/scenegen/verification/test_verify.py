@@ -67,16 +67,6 @@ def test_nothing_in_the_folder_changes_and_nothing_appears_elsewhere(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_compact_datasets_pass(tmp_path: Path) -> None:
-    report = verify(
-        forge.make(tmp_path / "d", compact=True, counts={"train": 3, "val": 0, "test": 0}),
-        workers=2,
-    )
-    assert report.failed == ()
-    assert {"tudf", "free"} & {check.name for check in report.checks} == set()
-    assert "regenerated" in {check.name for check in report.checks}
-
-
 @pytest.mark.parametrize("scene", ["forest.xml", "room_with_gap.xml"])
 def test_worlds_drawn_by_hand_pass(tmp_path: Path, scene: str) -> None:
     counts = {"train": 5, "val": 0, "test": 0}
@@ -349,20 +339,11 @@ def test_a_missing_file_and_an_unlisted_one_are_named(folder: Path) -> None:
             "counts.train = 7, but its shards hold 6 samples",
         ),
         ({"complete": False}, "manifest", "complete is false"),
-        ({"seed": "0"}, "manifest", "seed = '0'"),
-        ({"fields": ["tudf"]}, "manifest", "fields = ['tudf']"),
-        ({"shards": [{"file": "../x"}]}, "manifest", "shards.0.file"),
-        (
-            {"grid": {"shape": [24, 24, 16], "voxel": float("nan"), "truncation": 2.0}},
-            "manifest",
-            "grid.voxel = nan",
-        ),
         (
             {"grid": {"shape": [24, 24, 15], "voxel": 0.2, "truncation": 2.0}},
             "layout",
             f"{SHARD}: observed is bool",
         ),
-        ({"lidar": {"rows": 10**9}}, "manifest", "rows = 1000000000"),
         ({"recipe": {"flight": {"speed": 1}}}, "manifest", "unknown parameter 'speed'"),
         ({"kind": "scene"}, "manifest", "recipe.scenes = None"),
     ],
@@ -411,17 +392,6 @@ def test_only_a_folder_without_a_dataset_raises(tmp_path: Path) -> None:
         verify(tmp_path)
     with pytest.raises(DatasetError, match="not a dataset"):
         verify(tmp_path / "nowhere")
-    for content in (
-        "{",
-        "[" * 100_000,
-        "[1]",
-        '{"format": "other"}',
-        '{"format": "scenegen-dataset", "shards": 1}',
-    ):
-        (tmp_path / NAME).write_text(content)
-        with pytest.raises(DatasetError, match=NAME) as caught:
-            verify(tmp_path)
-        assert "\n" not in str(caught.value)
     with open(tmp_path / NAME, "wb") as file:
         os.truncate(file.fileno(), 3 << 30)
     with pytest.raises(DatasetError, match="expected 67108864 at most"):

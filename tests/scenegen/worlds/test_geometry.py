@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from scenegen.verification.stages import compile_solids
-from scenegen.worlds.world import geometry_digest
+from scenegen.worlds.world import compile_world, geometry_digest
 
 FIELD = '<hfield name="h" nrow="2" ncol="2" size="1 1 1 1" elevation="0 {} 0 1"/>'
 ASSETS = '<asset><mesh name="m" vertex="{}"/>' + FIELD + "</asset>"
@@ -12,9 +11,8 @@ ASSETS = '<asset><mesh name="m" vertex="{}"/>' + FIELD + "</asset>"
 
 def digest(body: str, *, vertices: str = "0 0 0 1 0 0 0 1 0 0 0 1", height: float = 0.5) -> bytes:
     assets = ASSETS.format(vertices, height)
-    return geometry_digest(
-        compile_solids(f"<mujoco>{assets}<worldbody>{body}</worldbody></mujoco>".encode(), {}, "w")
-    )
+    world = f"<mujoco>{assets}<worldbody>{body}</worldbody></mujoco>"
+    return geometry_digest(compile_world(world.encode()).solids)
 
 
 PLACE = ' pos="1 2 3"'
