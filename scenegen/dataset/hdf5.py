@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import threading
+import weakref
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -67,6 +68,7 @@ class _Library:
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
             )
+        weakref.finalize(self, _end, self._process, os.getpid())
 
     def ask(self, handle: int, most_chunks: int) -> bytes:
         """What `serve` answers of a file. Raises BrokenPipeError where the process is gone, and
@@ -78,6 +80,12 @@ class _Library:
             return answer
         late = self._process.wait() == -signal.SIGALRM
         raise Hdf5Error("took too long" if late else "crashed, or took too much memory")
+
+
+def _end(process: "subprocess.Popen[bytes]", owner: int) -> None:
+    if owner == os.getpid():  # not in a fork, whose parent's it is
+        process.kill()
+        process.wait()
 
 
 _LIBRARIES: dict[int, _Library] = {}
@@ -150,6 +158,7 @@ def serve() -> None:
             signal.alarm(0)
             os.close(handles[0])
             pipe.sendall(json.dumps(answer).encode() + b"\n")
+    os._exit(0)  # at once: nobody waits for it
 
 
 def _index(h5py: Any, file: Any, most_chunks: int) -> Any:

@@ -114,6 +114,7 @@ def _run(attempt: Attempt, folder: Path) -> None:
     finally:
         with contextlib.suppress(BaseException):
             sys.stderr.flush()
+            hdf5._LIBRARIES.clear()  # the library's process ends, as where a command exits
         os._exit(code)
 
 
@@ -122,7 +123,8 @@ def _command(words: tuple[str, ...]) -> int:
         from tests.mutations.datasets import print_load
 
         return print_load(words[1])
-    from scenegen import __main__ as cli
+    from scenegen.dataset import hdf5
+from scenegen import __main__ as cli
 
     sys.argv = ["scenegen", *words]
     try:
