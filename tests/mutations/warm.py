@@ -114,6 +114,8 @@ def _run(attempt: Attempt, folder: Path) -> None:
     finally:
         with contextlib.suppress(BaseException):
             sys.stderr.flush()
+            from scenegen.dataset import hdf5
+
             hdf5._LIBRARIES.clear()  # the library's process ends, as where a command exits
         os._exit(code)
 
@@ -123,8 +125,7 @@ def _command(words: tuple[str, ...]) -> int:
         from tests.mutations.datasets import print_load
 
         return print_load(words[1])
-    from scenegen.dataset import hdf5
-from scenegen import __main__ as cli
+    from scenegen import __main__ as cli
 
     sys.argv = ["scenegen", *words]
     try:
