@@ -67,6 +67,7 @@ class _Library:
                 stdin=theirs.fileno(),
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
+                process_group=0,  # Ctrl-C is for this process to answer
             )
         weakref.finalize(self, _end, self._process, os.getpid())
 
@@ -143,7 +144,6 @@ def serve() -> None:
     from scenegen.run.workers import limit_memory
 
     limit_memory(MEMORY_BYTES)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer
     signal.signal(signal.SIGALRM, signal.SIG_DFL)  # HDF5 lets no handler of Python's run
     with socket.socket(fileno=0) as pipe:
         while handles := (asked := socket.recv_fds(pipe, 20, 1))[1]:

@@ -114,9 +114,6 @@ def _run(attempt: Attempt, folder: Path) -> None:
     finally:
         with contextlib.suppress(BaseException):
             sys.stderr.flush()
-            from scenegen.dataset import hdf5
-
-            hdf5._LIBRARIES.clear()  # the library's process ends, as where a command exits
         os._exit(code)
 
 
