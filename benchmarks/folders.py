@@ -68,7 +68,10 @@ def main() -> None:
 
 FORGET = """
 import sys
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from scenegen.dataset import manifest
 from scenegen.dataset.placed import write_note
 from scenegen.dataset.trust import load
@@ -77,7 +80,8 @@ there = load(folder)
 manifest.write(folder, manifest.assemble(there.parameters, [], complete=False))
 if sys.argv[2] == "noted":
     files = [folder / entry.file for entry in there.shards]
-    write_note(folder, there.fingerprint, files, there.shards)
+    reports = [SimpleNamespace(entry=partial(asdict, entry)) for entry in there.shards]
+    write_note(folder, there.fingerprint, files, reports)
 """
 """Takes the list of shards out of a manifest, and writes it down as one job's of many, if asked
 to."""

@@ -65,12 +65,12 @@ def main() -> None:
             f"{row['rejected']:.0%} · {row['samples a second'] / base:.2f} |"
         )
     print(
-        "\n| kind | clearance · visibility, m | dispersion · passage, m | tortuosity · "
-        "traversability · gap | obstruction · occlusion · turning |\n|---|---|---|---|---|"
+        "\n| kind | clearance · visibility · passage, m | dispersion · tortuosity · traversability "
+        "· gap | obstruction · occlusion · turning |\n|---|---|---|---|"
     )
     for kind, row in found.items():
         cells = (
-            "{clearance_m:.2f} · {visibility_m:.2f} | {dispersion:.2f} · {passage_m:.2f} | "
+            "{clearance_m:.2f} · {visibility_m:.2f} · {passage_m:.2f} | {dispersion:.2f} · "
             "{tortuosity:.3f} · {traversability:.2f} · {gap:.2f} | "
             "{obstruction:.2f} · {occlusion:.2f} · {turning:.3f}"
         )

@@ -8,12 +8,12 @@ from typing import Any
 from scenegen.dataset.locate import locate
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
-from scenegen.model.commands.bench import choose_methods
 from scenegen.model.completion.completer import Completer
 from scenegen.model.config import LossConfig, NetworkConfig, TrainConfig
 from scenegen.model.evaluation.config import BenchConfig
 from scenegen.model.evaluation.methods import Completed, Method
 from scenegen.model.evaluation.report import build_report
+from scenegen.model.evaluation.rows import choose_methods
 from scenegen.model.evaluation.run import bench as measure
 from scenegen.model.training.data import Samples, opened
 from scenegen.model.training.loop import Watcher

@@ -106,12 +106,12 @@ LACKING = {
     "method without name": (
         "bench DATASET --quiet --method wrong:Nameless",
         1,
-        "lacks `name`, a string",
+        "lacks a `name`, a string",
     ),
     "method with another signature": (
         "bench DATASET --quiet --method wrong:Short",
         1,
-        "does not take (observed, free, *, grid)",
+        "lacks a method `complete` that takes (observed, free, *, grid)",
     ),
     "method that needs arguments": (
         "bench DATASET --quiet --method wrong:Needy",

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
-from lidarsim.registry import Registry
 from scenegen.cli.options import (
     datasets_argument,
     examples,
@@ -25,29 +24,15 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import Progress, announce_compilation, note, say, show_figures
 from scenegen.cli.types import Named
-from scenegen.errors import DatasetError, ScenegenError, needs
+from scenegen.errors import DatasetError
 from scenegen.model.commands.weights import Weights
 from scenegen.model.evaluation.config import BenchConfig, PlanConfig
+from scenegen.model.evaluation.rows import METHODS, USUAL, check_rows, rows_of
 from scenegen.run import Executor, executor
 
 if TYPE_CHECKING:
-    from scenegen.dataset.read import Dataset
     from scenegen.model.evaluation.methods import Method
 
-METHODS = Registry(
-    "method",
-    {
-        "returns": "scenegen.model.completion.unlearned:Returns",
-        "conservative": "scenegen.model.completion.unlearned:Conservative",
-        "extrude": "scenegen.model.completion.unlearned:Extrude",
-        "truth": "scenegen.model.evaluation.methods:Truth",
-        "seen": "scenegen.model.evaluation.visibility:Seen",
-    },
-)
-"""Classes of completers and of rows, made without arguments; a user's own completer as
-``module:Class``."""
-USUAL = tuple(name for name in METHODS.known if name != "seen")
-"""The rows without any named: `seen` compiles every world, and is measured when it is asked for."""
 REPORTS = ("report.json", "report.md", "report.html")
 QUICK_SAMPLES, QUICK_TRIALS = 50, 200
 """What `--quick` measures of every dataset."""
@@ -217,67 +202,6 @@ def _failures(result: Any, dataset: Any, methods: "Sequence[Method]") -> list[tu
         return draw_failures(result, dataset, methods)
     except ImportError:
         return []
-
-
-def choose_methods(names: Sequence[str]) -> "list[Method]":
-    """Rows by name: a known one, or ``module:Class`` of a completer; the usual ones for none.
-
-    Raises ScenegenError for a name that leads to none, and for a completer that does not keep the
-    protocol.
-    """
-    return [_method(name) for name in names or USUAL]
-
-
-def _method(name: str) -> "Method":
-    from scenegen.model.evaluation.methods import Completed
-
-    try:
-        found = METHODS.find(name)
-    except ValueError as error:
-        raise ScenegenError(f"--method: {error}") from None
-    try:
-        made = found()
-    except TypeError as error:
-        raise ScenegenError(
-            f"--method {name}: cannot be made by calling it without arguments: {error}"
-        ) from None
-    if name in METHODS.known and hasattr(made, "completion"):  # a row itself, not a completer
-        return made
-    return Completed(made)
-
-
-def rows_of(
-    names: Sequence[str], weights: Sequence[str], predictions: Path | None
-) -> "list[Method]":
-    """Rows by their names, those of networks, and that of a file of predictions. Raises
-    ScenegenError where two have one name, and where a row cannot be."""
-    from scenegen.model.evaluation.methods import Predicted
-
-    rows: list[Method] = [*map(_method, names), *map(network_row, weights)]
-    if predictions is not None:
-        rows.append(Predicted(predictions))
-    named = [row.name for row in rows]
-    if twice := [name for name in named if named.count(name) > 1]:
-        raise ScenegenError(
-            f"two rows are called {twice[0]!r}; give one of them, or rename its file or folder"
-        )
-    return rows
-
-
-def check_rows(rows: "Sequence[Method]", datasets: "Sequence[Dataset]", split: str) -> None:
-    """Raise DatasetError where a file of predictions is not of `split` of all `datasets`."""
-    for row, dataset in product(rows, datasets):
-        if (check := getattr(row, "check", None)) is not None:
-            check(dataset, split)
-
-
-def network_row(weights: str) -> "Method":
-    """A network's row; what it needs is imported here, so that the other rows need no torch."""
-    try:
-        from scenegen.model.completion.completer import Completer
-    except ImportError:
-        raise ScenegenError(f"--weights {weights}: {needs('torch', 'train')}") from None
-    return Completer.from_pretrained(weights, threads=1)
 
 
 def show_tables(report: dict[str, Any]) -> None:

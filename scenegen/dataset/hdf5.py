@@ -11,6 +11,7 @@ import socket
 import subprocess
 import sys
 import threading
+import weakref
 import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -81,7 +82,9 @@ class _Library:
                 stdin=theirs.fileno(),
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
+                process_group=0,  # Ctrl-C is for this process to answer
             )
+        weakref.finalize(self, _end, self._process, os.getpid())
 
     def ask(self, handle: int, most_chunks: int) -> bytes:
         """What `serve` answers of a file. Raises BrokenPipeError where the process is gone, and
@@ -93,6 +96,12 @@ class _Library:
             return answer
         late = self._process.wait() == -signal.SIGALRM
         raise Hdf5Error("took too long" if late else "crashed, or took too much memory")
+
+
+def _end(process: "subprocess.Popen[bytes]", owner: int) -> None:
+    if owner == os.getpid():  # not in a fork, whose parent's it is
+        process.kill()
+        process.wait()
 
 
 _LIBRARIES: dict[int, _Library] = {}
@@ -125,12 +134,17 @@ def read_index(handle: int, most_chunks: int) -> Index:
     return found
 
 
+def tells(handle: int) -> bool:
+    """Whether an open file ends as those do that tell their own index."""
+    return os.pread(handle, len(MARK), max(os.fstat(handle).st_size - len(MARK), 0)) == MARK
+
+
 def _own(handle: int, most_chunks: int) -> Index | None:
     """What a file says of itself; None where it says nothing."""
     size, ending = os.fstat(handle).st_size, len(MARK) + 8
-    tail = os.pread(handle, ending, max(size - ending, 0))
-    if not tail.endswith(MARK):
+    if not tells(handle):
         return None
+    tail = os.pread(handle, ending, max(size - ending, 0))
     length = int.from_bytes(tail[:8], "little")
     if length > min(MOST_INDEX_BYTES, size - ending):
         raise Hdf5Error(f"its index has {length} bytes")
@@ -190,7 +204,6 @@ def serve() -> None:
     from scenegen.run.workers import limit_memory
 
     limit_memory(MEMORY_BYTES)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer
     signal.signal(signal.SIGALRM, signal.SIG_DFL)  # HDF5 lets no handler of Python's run
     with socket.socket(fileno=0) as pipe:
         while handles := (asked := socket.recv_fds(pipe, 20, 1))[1]:
@@ -205,6 +218,7 @@ def serve() -> None:
             signal.alarm(0)
             os.close(handles[0])
             pipe.sendall(json.dumps(answer).encode() + b"\n")
+    os._exit(0)  # at once: nobody waits for it
 
 
 def _index(h5py: Any, file: Any, most_chunks: int) -> Any:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.engines import DEFAULT, ENGINES, EngineFactory
-from scenegen.dataset.hdf5 import with_index
+from scenegen.dataset.hdf5 import tells, with_index
 from scenegen.dataset.layout import DIGEST, Layout, open_file, open_shard
 from scenegen.dataset.trust import Entry
 from scenegen.draw import Rejections, Unit, draw_unit
@@ -273,6 +273,8 @@ def read_report(
     try:
         with open_file(spec.file) as file, open_file(spec.worlds_file) as worlds:
             shard = open_shard(file, spec.file, spec.samples, spec.layout)
+            if not tells(file.fileno()):  # nothing is lost, but it is not the file that was written
+                return None
             size = sum(os.fstat(each.fileno()).st_size for each in (file, worlds))
             sums = (
                 hashlib.file_digest(file, "sha256").hexdigest(),

@@ -16,7 +16,7 @@ import pytest
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, ScenegenError
-from scenegen.model.commands.bench import METHODS, choose_methods, run_bench, show_tables
+from scenegen.model.commands.bench import run_bench, show_tables
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.completion.unlearned import Returns
 from scenegen.model.config import Thresholds
@@ -25,6 +25,7 @@ from scenegen.model.evaluation.methods import Completed, Predicted, Truth
 from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.evaluation.page import to_html
 from scenegen.model.evaluation.report import build_report, to_markdown
+from scenegen.model.evaluation.rows import METHODS, choose_methods
 from scenegen.model.evaluation.run import bench
 from scenegen.run.workers import Local
 from scenegen.source import DrawnWorlds

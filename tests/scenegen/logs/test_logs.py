@@ -9,10 +9,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scenegen.display.points import write_points
 
 from lidarsim import GridSpec, Lidar, Pose
 from lidarsim.pose import rotate
+from scenegen.display.exchange.files import write_points
 from scenegen.errors import DatasetError
 from scenegen.logs import Cruise, Fusing, LogScan
 from scenegen.logs.cruise import cruise_poses
