@@ -14,8 +14,8 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 287_000, "benchmarks": 25_000, "tests": 290_000}
-FILES = 240
+TOKENS = {"product": 276_500, "benchmarks": 25_000, "tests": 283_000}
+FILES = 229
 LINES = 400
 """The longest file of product code."""
 WIDTH = 100

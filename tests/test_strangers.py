@@ -58,6 +58,7 @@ FOLDERS: tuple[tuple[tuple[object, ...], tuple[str, ...]], ...] = (
     (("merge", "d", "e", "-o", "out"), ("train-00000.h5",)),
     (("take", "d", "--n", 1, "-o", "out"), ("train-00000.h5",)),
     (("convert", "d", "--to", "npz", "-o", "out"), ("convert.json", "train/000000.npz")),
+    (("ingest", "log", "-o", "out"), ("map.npz",)),
     (("publish", "d", "--repo", "ada/d", "--dry-run", "-o", "out"), ("README.md", "SHA256SUMS")),
 )
 """Commands and names that each uses in the folder `out`."""
