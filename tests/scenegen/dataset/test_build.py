@@ -21,6 +21,7 @@ from scenegen.dataset import build as module
 from scenegen.dataset import manifest
 from scenegen.dataset import shard as shards
 from scenegen.dataset.build import Plan, Summary, build, check_folder, plan_dataset
+from scenegen.dataset.hdf5 import with_index
 from scenegen.dataset.layout import ShardFile
 from scenegen.dataset.placed import NOTES, read_notes
 from scenegen.dataset.read import Dataset
@@ -608,6 +609,9 @@ def test_a_shard_of_strange_content_counts_as_absent(folder: Path) -> None:
         shard.file.write_bytes(whole)
         with h5py.File(shard.file, "r+") as file:
             damage(file)
+            file.flush()
+            content = with_index(file.id.get_file_image(), file, shard.samples)
+        shard.file.write_bytes(content)
         return read_report(shard, verify=True) is None
 
     assert not damaged(lambda file: file.attrs.update({"note": "which nobody reads"}))
