@@ -32,7 +32,7 @@ from scenegen.recipe import preset
 from scenegen.source import DrawnWorlds, Source, read_scenes
 
 PAGE = Path(__file__).parents[1] / "docs" / "results" / "real.md"
-NETWORKS = ("columns", "proposed", "occ")
+NETWORKS = ("columns", "proposed", "occ", "anywhere")
 KINDS = ("pillar", "geometric")
 THRESHOLDS = np.arange(1, 20) / 20
 

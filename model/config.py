@@ -27,9 +27,8 @@ BUNDLED = Path(__file__).parent / "weights"
 """Where the networks lie that come with scenegen."""
 DEFAULT_NETWORK = "columns"
 """The one of them that completes where none is named."""
-POINTS_NETWORK = "proposed"
-"""The one that completes scans of points then: it takes observed voxels alone, and misses nothing
-of them."""
+POINTS_NETWORK = "anywhere"
+"""The one that completes scans of points then: a quarter of its maps were points alone."""
 LEVELS = 3
 STRIDE = 2**LEVELS
 """Every edge of a map is a multiple of so many voxels."""
