@@ -28,8 +28,9 @@ SECONDS, MEMORY_BYTES = 20, 1 << 30
 """What the HDF5 library may take to index a file."""
 MARK = b"scenegen index 1"
 """What a file of ours ends with, after its index and how long that is."""
-MOST_INDEX_BYTES = 64 << 20
-"""An index that is longer is not read."""
+MOST_INDEX_BYTES, INDEX_BYTES_A_CHUNK = 1 << 20, 2000
+"""An index is no longer than this, and as much for every sample: parsing it takes many times that
+memory."""
 SERVE = f"from {__name__} import serve; serve()"
 """What the library's process runs."""
 
@@ -146,7 +147,8 @@ def _own(handle: int, most_chunks: int) -> Index | None:
         return None
     tail = os.pread(handle, ending, max(size - ending, 0))
     length = int.from_bytes(tail[:8], "little")
-    if length > min(MOST_INDEX_BYTES, size - ending):
+    most = MOST_INDEX_BYTES + INDEX_BYTES_A_CHUNK * most_chunks
+    if length > min(most, size - ending):
         raise Hdf5Error(f"its index has {length} bytes")
     try:
         return _parsed(os.pread(handle, length, size - ending - length), most_chunks)
