@@ -62,8 +62,10 @@ def test_the_objective_is_the_weighted_sum(
     if output.tudf is not None:
         near = (config.near_m, config.near_weight, config.beta_m)
         wanted["regression"] = weighted_smooth_l1(predicted, tudf, *near)
-        wanted["eikonal"] = eikonal(predicted, tudf, voxel_m, truncation_m)
-        loss += config.tudf * (wanted["regression"] + config.eikonal * wanted["eikonal"])
+        if config.eikonal:
+            wanted["eikonal"] = eikonal(predicted, tudf, voxel_m, truncation_m)
+        slope = config.eikonal * wanted.get("eikonal", 0)
+        loss += config.tudf * (wanted["regression"] + slope)
     batch = {"occupancy": torch.from_numpy(occupancy), "tudf": torch.from_numpy(tudf)}
     found = Coupled(config, GridSpec(voxel_m=voxel_m, truncation_m=truncation_m))(output, batch)
     assert {name: value(part) for name, part in found.items()} == pytest.approx(
