@@ -13,7 +13,7 @@ made in `--data` is used again. Exported networks (`scenegen export columns -o c
 import json
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -43,7 +43,8 @@ from scenegen.tables import named_noise
 
 ROOT = Path(__file__).parents[1]
 SCAFFOLD = "elsewhere:Scaffold"
-WORLDS = ("pillar", "geometric", SCAFFOLD, "scenes")
+HOME = ("pillar", "geometric")
+WORLDS = (*HOME, SCAFFOLD, "scenes")
 """Two kinds of training, drawn anew; a kind of no training; worlds drawn by hand."""
 SENSORS_SEEN = (
     (RASTER, None),
@@ -147,6 +148,7 @@ def main() -> None:
         *(Completer.from_pretrained(one, threads=1) for one in given.weights or bundled()),
     ]
     found: dict[str, Any] = {}
+    ahead: dict[str, Ahead] = {}
     with tempfile.TemporaryDirectory() as spare:
         folder = given.data or Path(spare)
         for worlds in given.worlds:
@@ -160,15 +162,48 @@ def main() -> None:
                 config = BenchConfig(trials=given.trials)
                 result = bench(seen, methods, config, workers=given.workers)
                 found[title][name] = figures(seen, result, usual or result)
+                for place in places(worlds, usual is None):
+                    ahead.setdefault(place, Ahead()).add(title, result)
                 usual = usual or result
                 print(f"{title}, {name}", flush=True)
     report = {"commit": commit(), "maps": given.maps, "trials": given.trials, "worlds": found}
+    report["ahead of extrude"] = {place: one.figures() for place, one in ahead.items()}
     given.out.mkdir(parents=True, exist_ok=True)
     rounded = json.loads(json.dumps(report), parse_float=lambda digits: round(float(digits), 4))
     (given.out / "elsewhere.json").write_text(json.dumps(rounded, separators=(",", ":")) + "\n")
     page = given.out / "elsewhere.md"
     said = page.read_text().partition("<!-- tables -->")[0] if page.exists() else "# Elsewhere\n\n"
     page.write_text(f"{said}<!-- tables -->\n" + "\n".join(tables(report)) + "\n")
+
+
+def places(worlds: str, usual: bool) -> list[str]:
+    """The rows of the table of differences that a kind of worlds, seen by a sensor, belongs to."""
+    if worlds in HOME:
+        sensors = "as in training" if usual else "other sensors and noise"
+        return [f"`pillar` and `geometric`, {sensors}"]
+    return [f"{worlds.rpartition(':')[2].lower()}, all sensors", "both, all sensors"]
+
+
+@dataclass
+class Ahead:
+    """By how much planning succeeds oftener than where the returns are extruded, trial by trial."""
+
+    worlds: list[str] = field(default_factory=list)
+    differences: dict[str, list[float]] = field(default_factory=dict)
+
+    def add(self, title: str, result: DatasetResult) -> None:
+        """Add the trials of a dataset."""
+        self.worlds += [f"{title} {world}" for world in result.trial_worlds]
+        base = [float(trial.success) for trial in result.methods[Extrude().name].trials]
+        for name, method in result.methods.items():
+            pairs = zip(method.trials, base, strict=True)
+            self.differences.setdefault(name, []).extend(
+                one.success - other for one, other in pairs
+            )
+
+    def figures(self) -> dict[str, Any]:
+        """The mean difference of every method; intervals are over worlds."""
+        return {name: figure(one, self.worlds) for name, one in self.differences.items()}
 
 
 def drawn(worlds: str, folder: Path, maps: int) -> Dataset:
@@ -244,7 +279,10 @@ def what_is_seen(sample: Sample) -> tuple[float, ...]:
 
 def tables(report: dict[str, Any]) -> list[str]:
     """The page's tables: for every kind of world, what was seen, then what was made of it."""
-    lines: list[str] = []
+    ahead = report["ahead of extrude"]
+    lines = ["", "## Success of planning, less that of `extrude`", ""]
+    lines += head(next(iter(ahead.values())))
+    lines += [line(place, map(signed, one.values())) for place, one in ahead.items()]
     for worlds, sensors in report["worlds"].items():
         methods = [name for name in next(iter(sensors.values())) if name != "seen"]
         lines += ["", f"## {worlds}", "", "What the sensors see, means over maps:", "", *head(SEEN)]
@@ -258,6 +296,11 @@ def tables(report: dict[str, Any]) -> list[str]:
                 for sensor, found in sensors.items()
             ]
     return lines
+
+
+def signed(value: dict[str, Any]) -> str:
+    """A mean difference with its interval."""
+    return f"{value['mean']:+.3f} {interval(value, '+.3f')}"
 
 
 def shown(value: dict[str, Any]) -> str:
