@@ -78,6 +78,7 @@ QUICK_SAMPLES, QUICK_TRIALS = 50, 200
 )
 @options_of(
     PlanConfig,
+    planner="The paper's, or one that weighs ways by their risk. See docs/bench.md.",
     edge_check="Let A* ask that the way between two nodes be free, too.",
     field="What paths are refined on: predicted distances, or the transform of the occupancy.",
     clearance_weight="λ_c, of clearance against smoothness.",

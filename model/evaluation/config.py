@@ -19,6 +19,10 @@ class PlanConfig:
     it leaves open.
     """
 
+    planner: Literal["paper", "careful"] = "paper"
+    """`paper`: the shortest path through free nodes, refined. `careful`: edges must be free, too;
+    ways are weighed by their risk; where the refined path is riskier than that of A*, A*'s stands
+    (ours)."""
     step_voxels: int = number(3, least=1)
     """Lattice step of A*, voxels: 0.6 m at 0.2 m a voxel (paper)."""
     edge_check: bool = False
@@ -26,6 +30,14 @@ class PlanConfig:
     (ours)."""
     free_start: bool = False
     """Whether the start's own voxel is free whatever the map says, since a hovering robot is there
+    (ours)."""
+    careful_probability: float = number(0.95, above=0, below=1)
+    """The careful planner holds a voxel occupied whose probability is greater than this (ours)."""
+    unseen_risk: float = number(0.2, least=0, below=1)
+    """The least risk of a voxel that no ray has crossed, to the careful planner, whatever its
+    probability (ours)."""
+    risk_weight: float = number(10.0, least=0)
+    """How many metres of detour the careful planner prefers to one metre through a probability of 1
     (ours)."""
     safety_m: float = number(1.0, least=0)
     """d_s, the clearance below which waypoints are pushed away, metres (the paper names it without

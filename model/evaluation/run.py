@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from lidarsim import GridSpec
 from scenegen.dataset.read import Dataset, Rows, Split
 from scenegen.errors import DatasetError, empty_split
+from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.config import BenchConfig
 from scenegen.model.evaluation.methods import Method
@@ -257,11 +258,10 @@ def _work(
             }
             one.reconstruction.append(figures[usual])
             one.tuned.append(figures[best][0])
-            occupied, distance = maps[usual]
-            if config.plan.field == "transform":
-                distance = distance_field(occupied, grid)
-            planned = walled(occupied, distance, sample.known, grid)
-            one.trials.append([trial(*planned, goal=goal) for goal in drawn.goals])
+            occupied, distance, risk = planner_maps(said, sample, grid, config)
+            one.trials.append(
+                [trial(occupied, distance, goal=goal, risk=risk) for goal in drawn.goals]
+            )
             if seen is not None:
                 studied = study_map(
                     said,
@@ -276,6 +276,24 @@ def _work(
                 one.studies.append(studied)
         found.append(one)
     return found
+
+
+def planner_maps(
+    said: Prediction, sample: Sample, grid: GridSpec, config: BenchConfig
+) -> tuple[NDArray[np.bool_], NDArray[np.float32], NDArray[np.float32]]:
+    """What the planner of `config` is given of a prediction: a collision map, distances, metres,
+    and for the careful planner the risk of every voxel, (*grid.shape) each."""
+    at, plan = config.thresholds, config.plan
+    if plan.planner == "careful":
+        at = dataclasses.replace(at, probability=plan.careful_probability)
+    occupied, distance = said.occupied(at), said.distance(at, grid)
+    if plan.field == "transform":
+        distance = distance_field(occupied, grid)
+    occupied, distance = walled(occupied, distance, sample.known, grid)
+    chance = said.occupancy_probability
+    risk = np.maximum(occupied, 0 if chance is None else chance, dtype=np.float32)
+    unseen = ~(sample.observed | sample.free)
+    return occupied, distance, np.where(unseen, np.maximum(risk, plan.unseen_risk), risk)
 
 
 def trials_of(sample: Sample, index: int, split: Split, config: BenchConfig, count: int) -> Trials:

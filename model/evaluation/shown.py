@@ -16,9 +16,10 @@ from scenegen.errors import DatasetError
 from scenegen.model.evaluation.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Method
 from scenegen.model.evaluation.planning.astar import Lattice
-from scenegen.model.evaluation.planning.measure import judge, plan_refined
+from scenegen.model.evaluation.planning.measure import judge, plan_trial
 from scenegen.model.evaluation.report import CAUSES
-from scenegen.model.evaluation.run import DatasetResult, trials_of
+from scenegen.model.evaluation.run import DatasetResult, planner_maps, trials_of
+from scenegen.model.evaluation.visibility import walled
 from scenegen.sample import Sample
 
 
@@ -41,7 +42,8 @@ def _guesses(
             raise DatasetError(f"{method.name} does not predict it") from None
         grid = split.dataset.grid
         occupied, tudf = said.occupied(config.thresholds), said.distance(config.thresholds, grid)
-        route = None if goal is None else route_to(goal, occupied, tudf, sample, grid, config.plan)
+        maps = planner_maps(said, sample, grid, config)
+        route = None if goal is None else route_to(goal, *maps, sample, grid, config.plan)
         found.append(Guess(name=method.name, occupied=occupied, tudf=tudf, route=route))
     return found
 
@@ -60,14 +62,16 @@ def route_to(
     goal: NDArray[np.float64],
     occupied: NDArray[np.bool_],
     tudf: NDArray[np.float32],
+    risk: NDArray[np.float32],
     sample: Sample,
     grid: GridSpec,
     config: PlanConfig,
 ) -> Route:
     """The bench's path on predicted maps to `goal` (3,), map frame, metres, and how it fares in the
     truth; see `scenegen.model.evaluation.planning.measure.run_trial`."""
-    plan, refined = plan_refined(occupied, tudf, goal, grid, config)
-    measured = judge(plan, refined, sample.occupancy, sample.tudf, grid, config)
+    plan, refined = plan_trial(occupied, tudf, risk, goal, grid, config)
+    truth = walled(sample.occupancy, sample.tudf, sample.known, grid)
+    measured = judge(plan, refined, *truth, grid, config)
     lattice = Lattice(grid, config.step_voxels)
     told = f"{measured.length_m:.1f} m, clearance {measured.min_clearance_m:.2f} m"
     if measured.cause is not None:

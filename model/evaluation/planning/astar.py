@@ -84,7 +84,11 @@ class Lattice:
 
 
 def plan_path(
-    occupied: NDArray[np.bool_], goal: ArrayLike, grid: GridSpec, config: PlanConfig
+    occupied: NDArray[np.bool_],
+    goal: ArrayLike,
+    grid: GridSpec,
+    config: PlanConfig,
+    risk: NDArray[np.floating] | None = None,
 ) -> Plan:
     """The shortest path through free nodes from the map's middle to `goal` (3,), a node's point,
     map frame, metres.
@@ -97,6 +101,9 @@ def plan_path(
     node the first found stands, and of two nodes equally far by length and estimate the farther
     from the start, then the lower number, comes first.
 
+    With `risk` (*grid.shape), probabilities, an edge is longer by `config.risk_weight` times its
+    length times the mean risk of the voxels stepped on from node to node, the first left out.
+
     Raises ValueError where `goal` is no node or the map's shape is not the grid's.
     """
     occupied = checked(occupied, "occupied", grid, np.bool_)
@@ -108,6 +115,10 @@ def plan_path(
         return Plan(None, "goal_blocked")
     nodes = _search(
         occupied,
+        np.empty((0, 0, 0), np.float32)
+        if risk is None
+        else checked(risk, "risk", grid, np.float32),
+        config.risk_weight,
         lattice.first,
         np.array(lattice.shape),
         lattice.step,
@@ -128,9 +139,9 @@ def checked(values: NDArray, name: str, grid: GridSpec, dtype: type) -> NDArray:
 
 
 @kernel
-def _search(occupied, first, shape, step, start, goal, edge_check):
+def _search(occupied, risk, weight, first, shape, step, start, goal, edge_check):
     """Nodes (n, 3) from `start` to `goal`, both free; (0, 3) where no path is. Lengths are in
-    lattice steps.
+    lattice steps, and longer by `weight` times the `risk` on the way, unless that is empty.
 
     The straight line to the goal never exceeds what is left of a path, nor falls by more than an
     edge is long, so the first arrival is the shortest.
@@ -154,10 +165,14 @@ def _search(occupied, first, shape, step, start, goal, edge_check):
             for j in range(max(b - 1, 0), min(b + 2, nb)):
                 for k in range(max(c - 1, 0), min(c + 2, nc)):
                     there = (i * nb + j) * nc + k
-                    reached = walked + math.sqrt(abs(i - a) + abs(j - b) + abs(k - c))
+                    x, y, z = first[0] + step * i, first[1] + step * j, first[2] + step * k
+                    reach = math.sqrt(abs(i - a) + abs(j - b) + abs(k - c))
+                    if len(risk) > 0:
+                        met = _sum_along(risk, x, y, z, a - i, b - j, c - k, step)
+                        reach += weight * reach * met / step
+                    reached = walked + reach
                     if reached > length[there] - TIE:
                         continue
-                    x, y, z = first[0] + step * i, first[1] + step * j, first[2] + step * k
                     if occupied[x, y, z]:
                         continue
                     if edge_check and not _edge_is_free(
@@ -196,3 +211,12 @@ def _edge_is_free(occupied, x, y, z, dx, dy, dz, step):
         if occupied[x + n * dx, y + n * dy, z + n * dz]:
             return False
     return True
+
+
+@kernel
+def _sum_along(values, x, y, z, dx, dy, dz, step):
+    """The sum of `values` in the `step` voxels from (x, y, z) on along (dx, dy, dz)."""
+    total = 0.0
+    for n in range(step):
+        total += values[x + n * dx, y + n * dy, z + n * dz]
+    return total

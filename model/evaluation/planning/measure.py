@@ -45,6 +45,7 @@ def draw_trials(
     feasible solution is found using the ground-truth map are excluded" (the paper's section
     "Planning with Predicted Distance Fields"), and counted here.
     """
+    config = careful(config) if config.planner == "careful" else config
     truth = checked(occupancy_truth, "occupancy_truth", grid, np.bool_)
     lattice = Lattice(grid, config.step_voxels)
     if truth[tuple(lattice.voxels(lattice.start))]:
@@ -74,6 +75,9 @@ def boundary_nodes(lattice: Lattice, faces: str) -> NDArray[np.int64]:
     outer = (nodes == 0) | (nodes == np.array(lattice.shape) - 1)
     return nodes[outer[:, :axes].any(axis=1) & (nodes != lattice.start).any(axis=1)]
 
+
+RATHER = 0.5
+"""A voxel of a greater probability is rather occupied than not."""
 
 Cause = Blocked | Literal["initial_collides", "refined_into_obstacle"]
 
@@ -110,23 +114,29 @@ def run_trial(
     goal: ArrayLike,
     grid: GridSpec,
     config: PlanConfig,
+    risk: NDArray[np.floating] | None = None,
 ) -> Measurement:
     """Plan to `goal` (3,), a lattice node's point, map frame, metres, on the predicted maps
     (*grid.shape); judge in the truth (*grid.shape). Distances are metres. The paper's section
-    "Planning with Predicted Distance Fields"."""
-    planned = plan_refined(occupied_pred, tudf_pred, goal, grid, config)
+    "Planning with Predicted Distance Fields"; `plan_trial` says what `risk` is."""
+    planned = plan_trial(occupied_pred, tudf_pred, risk, goal, grid, config)
     return judge(*planned, occupancy_truth, tudf_truth, grid, config)
 
 
-def plan_refined(
+def plan_trial(
     occupied: NDArray[np.bool_],
     tudf: NDArray[np.floating],
+    risk: NDArray[np.floating] | None,
     goal: ArrayLike,
     grid: GridSpec,
     config: PlanConfig,
 ) -> tuple[Plan, NDArray[np.float64] | None]:
-    """What `plan_path` finds on a collision map, and its path (n, 3) refined on the distances
-    `tudf`, metres."""
+    """What A* finds and the path (n, 3) that is made of it, by `config.planner`, on a collision
+    map, distances `tudf`, metres, and, for the careful planner, the `risk` (*grid.shape) of
+    meeting something."""
+    if config.planner == "careful":
+        done = plan_carefully(occupied, tudf, goal, grid, config, risk)
+        return done.plan, done.path
     plan = plan_path(occupied, goal, grid, config)
     return plan, None if plan.waypoints is None else refine(plan.waypoints, tudf, grid, config)
 
@@ -233,6 +243,7 @@ def plan_carefully(
     goal: ArrayLike,
     grid: GridSpec,
     config: PlanConfig,
+    risk: NDArray[np.floating] | None = None,
 ) -> Careful:
     """Plan to `goal` (3,), a node's point, through voxels that are not `blocked` (*grid.shape), and
     refine on `field` (*grid.shape), metres.
@@ -241,12 +252,22 @@ def plan_carefully(
     for a robot is there; and where the refined path meets a blocked voxel that A*'s does not, A*'s
     stands. With bounds of a risk (`Prediction.low`), a voxel is blocked where its bound is 0, and
     the bounds are the field.
+
+    With the `risk` (*grid.shape) of meeting something, a probability, A* weighs ways by it, and its
+    path stands, too, where the refined one meets another voxel that is rather occupied than not.
     """
-    known = dataclasses.replace(config, edge_check=True, free_start=True)
-    plan, path = plan_refined(blocked, field, goal, grid, known)
-    if plan.waypoints is None or path is None:
+    config = careful(config)
+    plan = plan_path(blocked, goal, grid, config, risk)
+    if plan.waypoints is None:
         return Careful(plan, None, np.empty(0, np.int64))
+    path = refine(plan.waypoints, field, grid, config)
     voxels, allowed = met(path, grid, config), met(plan.waypoints, grid, config)
-    if blocked.reshape(-1)[np.setdiff1d(voxels, allowed, assume_unique=True)].any():
+    avoided = blocked if risk is None else blocked | (risk > RATHER)
+    if avoided.reshape(-1)[np.setdiff1d(voxels, allowed, assume_unique=True)].any():
         return Careful(plan, plan.waypoints, allowed)
     return Careful(plan, path, voxels)
+
+
+def careful(config: PlanConfig) -> PlanConfig:
+    """`config` as the careful planner takes it: edges must be free, and the start is."""
+    return dataclasses.replace(config, edge_check=True, free_start=True)

@@ -222,6 +222,16 @@ def test_paths_can_be_refined_on_the_transform_of_what_is_predicted(dataset: Dat
     assert own.trials != found["truth"].trials
 
 
+def test_the_careful_planner_succeeds_on_the_truth_always(dataset: Dataset) -> None:
+    """And it tells apart what the paper's planner holds equal: unlike probabilities of one map."""
+    plan = dataclasses.replace(CONFIG.plan, planner="careful")
+    config = dataclasses.replace(CONFIG, plan=plan, thresholds=Thresholds(probability=0.999))
+    found = bench(dataset, [Completed(Copied(dataset, 0.5)), Completed(Nothing()), Truth()], config)
+    success = {name: [one.success for one in rows.trials] for name, rows in found.methods.items()}
+    assert all(success["truth"])
+    assert sum(success["copied"]) > sum(success["nothing"])
+
+
 def test_a_study_without_a_trial_says_so(dataset: Dataset) -> None:
     lonely = PlanConfig(step_voxels=100)  # a lattice of one node, so no goal
     config = BenchConfig(samples=2, study=True, plan=lonely)

@@ -17,9 +17,15 @@ GRID = GridSpec(shape=(24, 21, 14))
 
 
 def reference_lengths(
-    occupied: NDArray[np.bool_], grid: GridSpec, step: int, *, edge_check: bool
+    occupied: NDArray[np.bool_],
+    grid: GridSpec,
+    step: int,
+    *,
+    edge_check: bool,
+    cost: NDArray[np.floating] | None = None,
 ) -> dict:
-    """Shortest lengths in metres from the middle to every node that can be reached, by voxel.
+    """Shortest lengths in metres from the middle to every node that can be reached, by voxel; a
+    metre is longer by the mean `cost` of the voxels on the way.
 
     Nodes are found by walking outwards from the middle; with the edge check, 40 points of every
     edge are looked up.
@@ -42,12 +48,22 @@ def reference_lengths(
         if not (edge_check and occupied[tuple(crossed.T)].any()):
             rows.append(number[voxel])
             columns.append(number[there])
-            weights.append(step * grid.voxel_m * float(np.linalg.norm(direction)))
+            length = step * grid.voxel_m * float(np.linalg.norm(direction))
+            weights.append(length * (1 + weighed(cost, voxel, there)))
     count = max(number.values()) + 1
     lengths = dijkstra(
         csr_array((weights, (rows, columns)), shape=(count, count)), indices=number[middle]
     )
     return {voxel: lengths[n] for voxel, n in number.items() if np.isfinite(lengths[n])}
+
+
+def weighed(cost: NDArray[np.floating] | None, voxel: tuple, there: tuple) -> float:
+    """The mean cost of the voxels stepped on from one node to the next, the first left out."""
+    if cost is None:
+        return 0.0
+    steps = max(abs(b - a) for a, b in zip(voxel, there, strict=True))
+    line = np.linspace(voxel, there, steps + 1)[1:]
+    return float(cost[tuple(np.rint(line).astype(int).T)].mean())
 
 
 def length_of(path: NDArray[np.float64]) -> float:
@@ -87,6 +103,33 @@ def test_paths_are_as_short_as_dijkstras(step: int, density: float, edge_check: 
         assert not occupied[tuple(np.floor(path / 0.2).astype(int).T)].any()
     if not edge_check:
         assert reached > 3
+
+
+@pytest.mark.parametrize(("step", "weight"), [(1, 4.0), (3, 10.0), (3, 0.0)])
+def test_ways_are_weighed_by_their_risk(step: int, weight: float) -> None:
+    """The path found is the cheapest of all, and no dearer than any other."""
+    rng = np.random.default_rng(step)
+    risk = rng.random(GRID.shape).astype(np.float32) ** 2
+    occupied = risk > 0.8
+    lattice = Lattice(GRID, step)
+    occupied[tuple(lattice.voxels(lattice.start))] = False
+    config = PlanConfig(step_voxels=step, edge_check=True, risk_weight=weight)
+    cost = weight * risk
+    expected = reference_lengths(occupied, GRID, step, edge_check=True, cost=cost)
+    reached = 0
+    for node in rng.permutation(np.indices(lattice.shape).reshape(3, -1).T)[:200]:
+        path, _ = plan_path(occupied, lattice.centres(node), GRID, config, risk)
+        voxel = tuple(lattice.voxels(node).tolist())
+        assert (path is not None) == (voxel in expected)
+        if path is None:
+            continue
+        reached += 1
+        voxels = np.floor(path / 0.2).astype(int)
+        legs = np.linalg.norm(np.diff(path, axis=0), axis=1)
+        pairs = itertools.pairwise(map(tuple, voxels))
+        means = np.array([weighed(cost, *pair) for pair in pairs])
+        assert legs @ (1 + means) == pytest.approx(expected[voxel], rel=1e-6)
+    assert reached > 20
 
 
 def test_the_default_lattice_is_the_papers() -> None:

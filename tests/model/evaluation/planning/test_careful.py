@@ -62,6 +62,19 @@ def test_a_robot_may_start_where_its_map_holds_occupied() -> None:
     assert plan_path(around, EAST, GRID, PLAN).reason == "start_blocked"
 
 
+def test_it_goes_round_what_is_likely_occupied() -> None:
+    """A slab of a probability below the threshold, with a gap two metres off the straight line: the
+    shortest path goes through the slab, the careful one through the gap."""
+    risk = np.zeros(GRID.shape, np.float32)
+    risk[28:32] = 0.7
+    risk[:, 30:] = 0.0
+    shortest, _ = plan_path(FREE, EAST, GRID, PLAN)
+    done = plan_carefully(FREE, FAR, EAST, GRID, PLAN, risk)
+    assert shortest is not None
+    assert risk.reshape(-1)[met(shortest, GRID, PLAN)].max() > 0.5
+    assert risk.reshape(-1)[done.voxels].max() <= 0.5
+
+
 def test_the_risk_asked_is_the_risk_had() -> None:
     """A method that sees all obstacles of a world shrunk alike, in some worlds to nothing:
     calibrated on some worlds, and given other ones."""
