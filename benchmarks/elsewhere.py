@@ -13,7 +13,7 @@ made in `--data` is used again. Exported networks (`scenegen export columns -o c
 import json
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -28,7 +28,7 @@ from scenegen.dataset.rescan import plan_rescan
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.unlearned import Extrude, Returns
 from scenegen.model.config import bundled
-from scenegen.model.evaluation.config import BenchConfig
+from scenegen.model.evaluation.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Completed, Method
 from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.evaluation.report import REGIONS
@@ -70,6 +70,7 @@ TABLES: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
     "Near-RMSE over unknown voxels, m": lambda found: found["unobserved"]["near_rmse"],
     "IoU over the whole map": lambda found: found["map"]["iou"],
     "Success of planning": lambda found: found["success"],
+    "Success of the careful planner": lambda found: found["careful"],
 }
 
 
@@ -161,9 +162,16 @@ def main() -> None:
                 seen = again(original, folder / f"{title} {name.replace(':', '')}", sensor, noise)
                 config = BenchConfig(trials=given.trials)
                 result = bench(seen, methods, config, workers=given.workers)
-                found[title][name] = figures(seen, result, usual or result)
+                careful = bench(
+                    seen,
+                    methods,
+                    replace(config, plan=PlanConfig(planner="careful")),
+                    workers=given.workers,
+                )
+                found[title][name] = figures(seen, result, usual or result, careful)
                 for place in places(worlds, usual is None):
-                    ahead.setdefault(place, Ahead()).add(title, result)
+                    for planner, one in {"the paper's": result, "careful": careful}.items():
+                        ahead.setdefault(f"{place}; {planner}", Ahead()).add(title, one)
                 usual = usual or result
                 print(f"{title}, {name}", flush=True)
     report = {"commit": commit(), "maps": given.maps, "trials": given.trials, "worlds": found}
@@ -242,9 +250,12 @@ def flights(dataset: Dataset) -> np.ndarray:
     )[1]
 
 
-def figures(dataset: Dataset, result: DatasetResult, usual: DatasetResult) -> dict[str, Any]:
-    """What the sensor sees and what every method makes of it, with intervals; and how much IoU over
-    the whole map it loses against the `usual` sensor, map by map."""
+def figures(
+    dataset: Dataset, result: DatasetResult, usual: DatasetResult, careful: DatasetResult
+) -> dict[str, Any]:
+    """What the sensor sees and what every method makes of it, with intervals, and how it fares with
+    the `careful` planner; and how much IoU over the whole map it loses against the `usual` sensor,
+    map by map."""
     flight = flights(dataset)
     seen = np.array([what_is_seen(sample) for sample in dataset.split("test")])
     said: dict[str, Any] = {
@@ -258,9 +269,9 @@ def figures(dataset: Dataset, result: DatasetResult, usual: DatasetResult) -> di
             for region, found in rows.items()
         }
         said[name]["iou_lost"] = figure(before - rows["map"][:, IOU], flight)
-        said[name]["success"] = figure(
-            [trial.success for trial in method.trials], result.trial_worlds, "outcome"
-        )
+        for key, planned in {"success": result, "careful": careful}.items():
+            success = [trial.success for trial in planned.methods[name].trials]
+            said[name][key] = figure(success, planned.trial_worlds, "outcome")
     return said
 
 
@@ -282,7 +293,7 @@ def tables(report: dict[str, Any]) -> list[str]:
     ahead = report["ahead of extrude"]
     lines = ["", "## Success of planning, less that of `extrude`", ""]
     lines += head(next(iter(ahead.values())))
-    lines += [line(place, map(signed, one.values())) for place, one in ahead.items()]
+    lines += [line(place, map(signed, one.values())) for place, one in sorted(ahead.items())]
     for worlds, sensors in report["worlds"].items():
         methods = [name for name in next(iter(sensors.values())) if name != "seen"]
         lines += ["", f"## {worlds}", "", "What the sensors see, means over maps:", "", *head(SEEN)]
