@@ -24,6 +24,7 @@ RAY = r"ray +N +N +N +N +N\n" if find_spec("ray") else "ray: not measured"
 ODOMETRY = r"pillar +N m  N scans  N %" if find_spec("kiss_icp") else "not measured: kiss-icp"
 SCRIPTS: dict[str, tuple[tuple[object, ...], tuple[str, ...]]] = {
     "against": ((BENCHMARKS.parent,), ("N ms a sample there, N here", "samples (equal)")),
+    "anywhere": ((), (r"`geometric`, the default sensor \| N .* \| N", r"points alone \| – \| N")),
     "calibrate": (("pillar",), ("truth +N±", "returns +N±")),
     "elsewhere": (("--out", "out"), (r"scaffold, default ra(n)ge:0\.05",)),
     "ensemble": (
@@ -54,7 +55,6 @@ SCRIPTS: dict[str, tuple[tuple[object, ...], tuple[str, ...]]] = {
     "kinds": ((), (r"`geometric` \| N \| N% · N% \| N% · N \|", r"`maze`")),
     "mutants": ((), (r"N of 1 killed",)),
     "odometry": ((), (ODOMETRY,)),
-    "points": ((DATA,), (r"sample +iou N recall N", r"voxels alone +iou N recall N near_rmse N")),
     "rays": ((), (r"analytic +N ms a scan", r"kernels cached: N s")),
     "real": ((), (r"`pillar` \| N \| N .* \| N", r"mean of the places")),
     "sensors": ((), (r"livox-avia +N ms a sample", r"map ahead +N ms a sample")),
@@ -70,7 +70,7 @@ SCRIPTS: dict[str, tuple[tuple[object, ...], tuple[str, ...]]] = {
     ),
 }
 """Of every benchmark: what it is given, and figures that it prints; N stands for one."""
-LEARNED = {"elsewhere", "generalisation", "ensemble", "inference", "points", "real", "training"}
+LEARNED = {"elsewhere", "generalisation", "ensemble", "inference", "anywhere", "real", "training"}
 """These import torch, which takes seconds: they run in this process, which has done so for other
 tests."""
 
