@@ -57,7 +57,7 @@ def ingest(
     """Make maps of a log of LiDAR scans with poses, and keep some of its scans beside them.
 
     A log is a sequence in KITTI's odometry layout (SemanticKITTI's, too), an .mcap file of ROS 2
-    with PointCloud2 and /tf or odometry, or a folder of clouds with --poses.
+    with PointCloud2 or Livox's CustomMsg and /tf or odometry, or a folder of clouds with --poses.
     """
     from scenegen.files import whole_folder
     from scenegen.logs.fuse import ingest as write

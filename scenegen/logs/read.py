@@ -25,6 +25,8 @@ from scenegen.logs.poses import Track, chained, inverse, pose_of_matrix, read_nu
 USUAL_S = 0.1
 """From scan to scan, where no times are known."""
 ODOMETRY = "nav_msgs/msg/Odometry"
+LIVOX = ("livox_ros_driver2/msg/CustomMsg", "livox_interfaces/msg/CustomMsg")
+"""Livox's own message, as its two drivers for ROS 2 call it."""
 TIMES = ("t", "time", "timestamp", "time_stamp", "offset_time")
 """What drivers call the time of a point: seconds, or nanoseconds where they are whole numbers."""
 
@@ -47,9 +49,9 @@ def read_log(path: Path, *, poses: Path | None = None, topic: str | None = None)
     """The log at `path`.
 
     Args:
-        path: An .mcap file with PointCloud2 and /tf, or odometry; or a folder of clouds: one of
-            KITTI's odometry or SemanticKITTI (``velodyne``, ``poses.txt``, ``calib.txt``), or any
-            with `poses`.
+        path: An .mcap file with PointCloud2 or Livox's CustomMsg, and /tf or odometry; or a folder
+            of clouds: one of KITTI's odometry or SemanticKITTI (``velodyne``, ``poses.txt``,
+            ``calib.txt``), or any with `poses`.
         poses: A file of poses, see `read_poses`: one a cloud, in the order of the clouds' names,
             or any number with times, where the clouds' names are their times in seconds.
         topic: The topic of the clouds, where a file has several.
@@ -164,8 +166,8 @@ def _read_mcap(path: Path, topic: str | None) -> Log:
 
     links, heads = _Links(), defaultdict[str, list[tuple[float, str]]](list)
     with _readable(path):
-        for kind, on, data, decode in messages(CLOUD, TRANSFORMS, ODOMETRY):
-            if kind == CLOUD:  # its header alone, which stands first
+        for kind, on, data, decode in messages(CLOUD, *LIVOX, TRANSFORMS, ODOMETRY):
+            if kind in (CLOUD, *LIVOX):  # its header alone, which stands first
                 heads[on].append(_head(data))
             else:
                 links.add(kind, decode(data), always=on.endswith("tf_static"))
@@ -175,7 +177,9 @@ def _read_mcap(path: Path, topic: str | None) -> Log:
         )
     topic = topic or next(iter(heads), "")
     if topic not in heads:
-        raise DatasetError(f"{path}: has no PointCloud2{f' on {topic}' if topic else ''}")
+        raise DatasetError(
+            f"{path}: has no PointCloud2 or CustomMsg{f' on {topic}' if topic else ''}"
+        )
     found = [links.pose(frame, time) for time, frame in heads[topic]]
     if not links.known(heads[topic][0][1]):
         raise DatasetError(
@@ -185,10 +189,12 @@ def _read_mcap(path: Path, topic: str | None) -> Log:
 
     def scans() -> Iterator[LogScan]:
         with _readable(path):
-            clouds = (row for row in messages(CLOUD) if row[1] == topic)
-            for pose, head, (_, _, data, decode) in zip(found, heads[topic], clouds, strict=True):
+            clouds = (row for row in messages(CLOUD, *LIVOX) if row[1] == topic)
+            for pose, head, (kind, _, data, decode) in zip(
+                found, heads[topic], clouds, strict=True
+            ):
                 if pose is not None:
-                    columns = _columns(decode(data))
+                    columns = (_livox if kind in LIVOX else _columns)(decode(data))
                     points = np.stack([columns.pop(axis) for axis in "xyz"], axis=1)
                     yield LogScan(head[0], pose, points, columns)
 
@@ -267,6 +273,14 @@ class _Links:
 
 def _seconds(stamp: Any) -> float:
     return float(stamp.sec + 1e-9 * stamp.nanosec)
+
+
+def _livox(cloud: Any) -> dict[str, NDArray[np.float64]]:
+    """`x`, `y`, `z` and `t` of the points of a CustomMsg, (n,) each."""
+    if cloud.point_num != len(cloud.points):
+        raise ValueError(f"promises {cloud.point_num} points and holds {len(cloud.points)}")
+    rows = [(one.x, one.y, one.z, 1e-9 * one.offset_time) for one in cloud.points]
+    return dict(zip("xyzt", np.array(rows).reshape(-1, 4).T, strict=True))
 
 
 def _columns(cloud: Any) -> dict[str, NDArray[np.float64]]:

@@ -1,5 +1,6 @@
 """Logs: flights that are recorded, files that are read back, and maps that agree with the world."""
 
+import dataclasses
 import json
 import math
 import shutil
@@ -13,12 +14,13 @@ import pytest
 from lidarsim import GridSpec, Lidar, Pose
 from lidarsim.pose import rotate
 from scenegen.display.exchange.files import write_points
+from scenegen.display.exchange.recordings import _HEADER, _RULE, DEFINITIONS, TRANSFORMS
 from scenegen.errors import DatasetError
 from scenegen.logs import Cruise, Fusing, LogScan
 from scenegen.logs.cruise import cruise_poses
 from scenegen.logs.fuse import ingest
 from scenegen.logs.poses import chained, read_poses
-from scenegen.logs.read import ODOMETRY, Log, _Links, read_log
+from scenegen.logs.read import LIVOX, ODOMETRY, Log, _Links, read_log
 from scenegen.logs.write import matrix_of, write_log
 from scenegen.source import read_world
 from scenegen.worlds.place import read_place
@@ -295,6 +297,64 @@ def test_damaged_logs_end_in_one_line_and_leave_nothing(
     assert (code, err.count("\n")) == (1, 1), err
     assert expected in err
     assert [path.name for path in tmp_path.iterdir() if path.name != "log"] == []
+
+
+CUSTOM = f"""std_msgs/Header header
+uint64 timebase\nuint32 point_num\nuint8 lidar_id\nuint8[3] rsvd\nCustomPoint[] points
+{_RULE}livox_ros_driver2/CustomPoint
+uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line
+{_HEADER}"""
+"""The definition of Livox's CustomMsg (github.com/Livox-SDK/livox_ros_driver2, msg)."""
+
+
+def write_livox(path: Path, scans: list[LogScan], missing: int = 0) -> None:
+    """Puts scans into CustomMsg, and their poses into odometry; `missing` more points are
+    promised."""
+    from mcap_ros2.writer import Writer
+
+    with path.open("wb") as file:
+        writer = Writer(file)
+        custom = writer.register_msgdef(LIVOX[0], CUSTOM)
+        transforms = writer.register_msgdef(TRANSFORMS, DEFINITIONS[TRANSFORMS])
+        for scan in scans:
+            stamp = {"sec": int(scan.time_s), "nanosec": round(scan.time_s % 1 * 1e9)}
+            rows = zip(scan.points.tolist(), scan.more["t"].tolist(), strict=True)
+            points = [
+                {"offset_time": round(1e9 * t), **dict(zip("xyz", p, strict=True)), "line": 3}
+                for p, t in rows
+            ]
+            message = {
+                "header": {"stamp": stamp, "frame_id": "livox_frame"},
+                "timebase": round(scan.time_s * 1e9),
+                "point_num": len(points) + missing,
+                "rsvd": [0, 0, 0],
+                "points": points,
+            }
+            link = {
+                "header": {"stamp": stamp, "frame_id": "map"},
+                "child_frame_id": "livox_frame",
+                "transform": {
+                    "translation": dict(zip("xyz", scan.pose.position, strict=True)),
+                    "rotation": dict(zip("wxyz", scan.pose.quaternion, strict=True)),
+                },
+            }
+            when = round(scan.time_s * 1e9)
+            writer.write_message("/tf", transforms, {"transforms": [link]}, log_time=when)
+            writer.write_message("/livox/lidar", custom, message, log_time=when)
+        writer.finish()
+
+
+def test_livox_s_own_messages_are_read(tmp_path: Path) -> None:
+    pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed")
+    times = np.linspace(0, 0.1, 40)
+    scans = [dataclasses.replace(scan, more={"t": times}) for scan in written(tmp_path / "log")]
+    write_livox(tmp_path / "livox.mcap", scans)
+    log = read_log(tmp_path / "livox.mcap")
+    assert close(log, scans)
+    assert [scan.more["t"] == pytest.approx(times, abs=1e-9) for scan in log.scans()] == [True] * 5
+    write_livox(tmp_path / "short.mcap", scans, missing=1)
+    with pytest.raises(DatasetError, match="promises 41 points and holds 40"):
+        list(read_log(tmp_path / "short.mcap").scans())
 
 
 @pytest.mark.parametrize("cut", [0, 20, 1000, 2500, -1])
