@@ -1,6 +1,7 @@
 """Logs of real sensors: KITTI's odometry layout, clouds beside a file of poses, and ROS 2 in
 MCAP."""
 
+import itertools
 import struct
 from collections import defaultdict
 from collections.abc import Callable, Iterator
@@ -41,8 +42,8 @@ class Log:
     """The sensor's at each, as many."""
     without_pose: int
     """Scans that are left out: none of the poses is of their time."""
-    scans: Callable[[], Iterator[LogScan]]
-    """Reads the n scans."""
+    scans: Callable[..., Iterator[LogScan]]
+    """Reads the n scans, or those from a number on."""
 
 
 def read_log(path: Path, *, poses: Path | None = None, topic: str | None = None) -> Log:
@@ -90,10 +91,11 @@ def read_log(path: Path, *, poses: Path | None = None, topic: str | None = None)
         )
     times = np.where(np.isfinite(times), times, USUAL_S * np.arange(len(files)))
 
-    def scans() -> Iterator[LogScan]:
-        for file, time, pose in zip(files, times, found, strict=True):
-            if pose is not None:
-                yield LogScan(float(time), pose, read_points(file))
+    def scans(first: int = 0) -> Iterator[LogScan]:
+        rows = zip(files, times, found, strict=True)
+        placed = ((file, time, pose) for file, time, pose in rows if pose is not None)
+        for file, time, pose in itertools.islice(placed, first, None):
+            yield LogScan(float(time), pose, read_points(file))
 
     return _log(path, times, found, scans)
 
@@ -102,7 +104,7 @@ def _log(
     path: Path,
     times: NDArray[np.float64],
     found: list[Pose | None],
-    scans: Callable[[], Iterator[LogScan]],
+    scans: Callable[..., Iterator[LogScan]],
 ) -> Log:
     placed = [n for n, pose in enumerate(found) if pose is not None]
     if not placed:
@@ -187,16 +189,15 @@ def _read_mcap(path: Path, topic: str | None) -> Log:
             f"frame of the clouds on {topic}"
         )
 
-    def scans() -> Iterator[LogScan]:
+    def scans(first: int = 0) -> Iterator[LogScan]:
         with _readable(path):
             clouds = (row for row in messages(CLOUD, *LIVOX) if row[1] == topic)
-            for pose, head, (kind, _, data, decode) in zip(
-                found, heads[topic], clouds, strict=True
-            ):
-                if pose is not None:
-                    columns = (_livox if kind in LIVOX else _columns)(decode(data))
-                    points = np.stack([columns.pop(axis) for axis in "xyz"], axis=1)
-                    yield LogScan(head[0], pose, points, columns)
+            rows = zip(found, heads[topic], clouds, strict=True)
+            placed = ((pose, head, one) for pose, head, one in rows if pose is not None)
+            for pose, head, (kind, _, data, decode) in itertools.islice(placed, first, None):
+                columns = (_livox if kind in LIVOX else _columns)(decode(data))
+                points = np.stack([columns.pop(axis) for axis in "xyz"], axis=1)
+                yield LogScan(head[0], pose, points, columns)
 
     return _log(path, np.array([time for time, _ in heads[topic]]), found, scans)
 
