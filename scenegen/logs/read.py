@@ -1,11 +1,12 @@
 """Logs of real sensors: KITTI's odometry layout, clouds beside a file of poses, and ROS 2 in
 MCAP."""
 
+import io
 import itertools
 import struct
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -163,7 +164,8 @@ def _read_mcap(path: Path, topic: str | None) -> Log:
             topics = [one.topic for one in channels if summary.schemas[one.schema_id].name in kinds]
             for schema, channel, message in reader.iter_messages(topics) if topics else ():
                 if schema is not None and schema.name in kinds:
-                    decoder = factory.decoder_for(channel.message_encoding, schema)
+                    with redirect_stderr(io.StringIO()):  # it prints what it makes of a bad schema
+                        decoder = factory.decoder_for(channel.message_encoding, schema)
                     yield schema.name, channel.topic, message.data, decoder
 
     links, heads = _Links(), defaultdict[str, list[tuple[float, str]]](list)

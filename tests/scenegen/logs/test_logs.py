@@ -312,6 +312,10 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
     "nothing": (lambda log: (log / "poses.txt").write_text(""), "no numbers"),
     "a time too few": (lambda log: (log / "times.txt").write_text("1\n2\n"), "2 times"),
     "a calibration": (lambda log: (log / "calib.txt").write_text("Tr: 1 2\n"), "12 numbers"),
+    "a calibration to nowhere": (
+        lambda log: (log / "calib.txt").write_text("Tr: 1 0 0 inf 0 1 0 0 0 0 1 0\n"),
+        "expected a rotation and a position",
+    ),
     "no clouds": (lambda log: shutil.rmtree(log / "velodyne"), "no clouds"),
     "a cut cloud": (
         lambda log: (log / "velodyne" / "000003.bin").write_bytes(b"1234567"),
