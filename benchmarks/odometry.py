@@ -1,12 +1,14 @@
 """Whether a stranger's odometry finds its way in our logs: KISS-ICP (Vizzo et al. 2023), which
 knows nothing of scenegen, on a log of each kind of worlds. Needs `pip install kiss-icp`.
 
-    python benchmarks/odometry.py pillar forest --moving
+    python benchmarks/odometry.py pillar forest --seeds 3
+    python benchmarks/odometry.py pillar --moving
 
-Per kind: metres flown, scans, and the mean error of relative translation, %, and rotation, degrees
-a metre, as KITTI's odometry counts them: over all ways of 100, 200 … 800 m.
+Per kind and seed: metres flown, scans, and the mean error of relative translation, %, and
+rotation, degrees a metre, as KITTI's odometry counts them: over all ways of 100, 200 … 800 m.
 """
 
+import itertools
 import tempfile
 from importlib.util import find_spec
 from pathlib import Path
@@ -19,33 +21,24 @@ from scenegen.logs.write import matrix_of
 
 
 def main() -> None:
-    """Print a line for each kind."""
+    """Print a line for each kind and seed."""
     parser = measuring.options(__doc__)
     parser.add_argument("kinds", nargs="*", default=["pillar", "forest", "street", "warehouse"])
     parser.add_argument("--length", default="210")
     parser.add_argument("--lidar", default="ouster-os1-64")
+    parser.add_argument("--seeds", type=int, default=1, help="worlds of each kind")
     parser.add_argument("--moving", action="store_true")
     options = measuring.parse(parser, kinds=["pillar"], length="110", lidar="velodyne-vlp-16")
     if not find_spec("kiss_icp"):
         print("not measured: kiss-icp is not installed")
         return
-    for kind in options.kinds:
+    for kind, seed in itertools.product(options.kinds, range(options.seeds)):
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder, "log.mcap")
-            words = ["scan", kind, "--flight", "--sequence", "--length", options.length]
-            words += [
-                "--speed",
-                "5",
-                "--noise",
-                "datasheet",
-                "--lidar",
-                options.lidar,
-                "-o",
-                path,
-                "--quiet",
-            ]
-            measuring.run("-m", "scenegen", *words, *["--moving"] * options.moving)
-            print(f"{kind:10}", _measured(path, options.moving))
+            words = f"scan {kind} --seed {seed} --flight --sequence --length {options.length}"
+            words += f" --speed 5 --noise datasheet --lidar {options.lidar} --quiet -o"
+            measuring.run("-m", "scenegen", *words.split(), path, *["--moving"] * options.moving)
+            print(f"{kind:10} {seed}  {_measured(path, options.moving)}", flush=True)
 
 
 def _measured(path: Path, moving: bool) -> str:

@@ -6,10 +6,12 @@
 MAPS is a folder with the maps of `PLACES`, which says where each comes from; one that is missing is
 left out, one with other bytes is refused. The paper's sensor looks from free space along flights of
 its own, one viewpoint each, and scores are over known voxels alone. Drawn kinds stand beside them.
+What IoU is lost by is told apart by `GROUPS`, and a map of each place is drawn.
 """
 
 import dataclasses
 import hashlib
+import io
 import sys
 import tempfile
 from pathlib import Path
@@ -18,23 +20,48 @@ from typing import Any, NamedTuple
 import measuring
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
+from scipy import ndimage
 
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
+from scenegen.display.figures import draw_completions
+from scenegen.display.look import Guess, look_into
+from scenegen.display.panels import to_bytes
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.unlearned import Extrude
 from scenegen.model.evaluation.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Completed, Method, Truth
 from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.statistics import figure, head, interval, line
-from scenegen.model.evaluation.visibility import scored_voxels
+from scenegen.model.evaluation.visibility import CLASSES, classify, scored_voxels
 from scenegen.recipe import preset
+from scenegen.sample import Sample
 from scenegen.source import DrawnWorlds, Source, read_scenes
 
 PAGE = Path(__file__).parents[1] / "docs" / "results" / "real.md"
 NETWORKS = ("columns", "proposed", "occ", "anywhere")
 KINDS = ("pillar", "geometric")
 THRESHOLDS = np.arange(1, 20) / 20
+GROUPS = (
+    "missed: holds a return",
+    "missed: crossed by a ray",
+    "missed: hidden, its column holds a return",
+    "missed: hidden, its column holds none",
+    "missed: inside",
+    "missed: out of view, above the sensor",
+    "missed: out of view, below it",
+    "invented: touches what is there",
+    "invented: crossed by a ray",
+    "invented: elsewhere",
+)
+"""What a voxel that is wrong may be: occupied ones by how the scan saw them, see `CLASSES`, and
+free ones."""
+MISSED = 7
+"""How many of them are occupied."""
+PICTURES = PAGE.parents[1] / "pictures" / "real"
+COLOURS = 96
+"""Of a picture: it is half as large as with all."""
 
 
 class Place(NamedTuple):
@@ -57,6 +84,9 @@ PLACES = {
     "forest_big.bt": Place(
         "ea7fdbcfe807f24c64b282b3e2b53b01fb4055c72083865ef255d75899d3d3e2", FOREST
     ),
+    "forest0.bt": Place("2c7a4fc959754ec9a5f4ce210a52d888eb735f97cec67083fbbcdb3715711a9f", FOREST),
+    "forest1.bt": Place("c7ab7c8fc835e5a4bb3efda3afc09ba464b1b219cb31ecad65523d40068a8ad0", FOREST),
+    "forest2.bt": Place("5b1bbeb594fff90b32206c341227f6c527c7c6c00856632774539982ba39de6f", FOREST),
 }
 
 
@@ -82,7 +112,9 @@ def main() -> None:
             else:
                 places[file.stem] = real(file, folder / file.stem, given.poses)
         networks = [Completer.from_pretrained(one, threads=1) for one in given.network or NETWORKS]
-        tables = scored(places, [Completed(Extrude()), *networks], given.trials)
+        pictures = folder if given.smoke else PICTURES
+        pictures.mkdir(exist_ok=True)
+        tables = scored(places, [Completed(Extrude()), *networks], given.trials, pictures)
     print("\n".join(tables))
     if not given.smoke:
         said = given.page.read_text().partition("<!-- tables -->")[0]
@@ -109,31 +141,48 @@ def made(folder: Path, recipe: Any, source: Source, split: str, poses: int) -> D
     return Dataset(folder)
 
 
-def scored(places: dict[str, Dataset], methods: list[Method], trials: int) -> list[str]:
-    """The lines of the tables."""
+def scored(
+    places: dict[str, Dataset], methods: list[Method], trials: int, pictures: Path
+) -> list[str]:
+    """The lines of the tables; pictures of the last method are written."""
     splits = {name: "test" if len(one.split("test")) else "train" for name, one in places.items()}
-    curves = {
-        name: {one.name: curve(one, dataset, splits[name]) for one in methods}
+    counts = {
+        name: {one.name: Counts.of(one, dataset, splits[name]) for one in methods}
         for name, dataset in places.items()
     }
     away = [name for name in places if not name.startswith("`")] or list(places)
     best = {
-        one.name: int(np.mean([curves[name][one.name].mean(axis=0) for name in away], 0).argmax())
+        one.name: int(
+            np.mean([counts[name][one.name].iou.mean(axis=0) for name in away], 0).argmax()
+        )
         for one in methods
     }
     titles = [f"{one.name} at {THRESHOLDS[best[one.name]]:g}" for one in methods]
     lines = ["", "## IoU", "", *head(("maps", *titles))]
-    for name, found in curves.items():
-        cells = [str(len(next(iter(found.values()))))]
+    for name, found in counts.items():
+        cells = [str(len(next(iter(found.values())).iou))]
         for method, values in found.items():
-            own = figure(values[:, best[method]], range(len(values)))
+            own = figure(values.iou[:, best[method]], range(len(values.iou)))
             cells.append(f"{own['mean']:.2f} {interval(own, '.2f')}")
         lines.append(line(name, cells))
     means = [
-        np.mean([curves[name][one.name][:, best[one.name]].mean() for name in away])
+        np.mean([counts[name][one.name].iou[:, best[one.name]].mean() for name in away])
         for one in methods
     ]
     lines.append(line("mean of the places", ["", *(f"{mean:.3f}" for mean in means)]))
+    lines += ["", "## What costs IoU", "", *head(("of what is occupied", *titles))]
+    for n, group in enumerate(GROUPS):
+        cells = [f"{100 * np.mean([counts[name][methods[0].name].size(n) for name in away]):.0f} %"]
+        for one in methods:
+            shares = [counts[name][one.name].share(n, best[one.name]) for name in away]
+            lost, recall = np.mean(np.array(shares), axis=0)
+            cells.append(f"{lost:.1f}" + (f" · {100 * recall:.0f} %" if n < MISSED else ""))
+        lines.append(line(group, cells if n < MISSED else ["", *cells[1:]]))
+    last = methods[-1].name
+    lines += ["", f"By place, `{last}`:", "", *head(away)]
+    for n, group in enumerate(GROUPS):
+        lost = [counts[name][last].share(n, best[last])[0] for name in away]
+        lines.append(line(group, [f"{one:.1f}" for one in lost]))
     lines += ["", "## Success of planning, edges checked", "", *head(("trials", *titles, "truth"))]
     for name, dataset in places.items():
         split: Any = splits[name]
@@ -146,23 +195,96 @@ def scored(places: dict[str, Dataset], methods: list[Method], trials: int) -> li
             own = figure(success, [map_ for map_, _ in result.trial_places], "outcome")
             cells.append(f"{own['mean']:.2f} {interval(own, '.2f')}")
         lines.append(line(name, cells))
+    lines += ["", "## Pictures", "", f"The map of each place in which `{last}` has the median IoU."]
+    for name in away:
+        order = np.argsort(counts[name][last].iou[:, best[last]])
+        median = int(order[len(order) // 2])
+        path = pictures / f"{name.strip('`')}.png"
+        path.write_bytes(drawn_map(places[name], splits[name], median, methods[-1], best[last]))
+        lines += ["", f"![{name}](../pictures/real/{path.name})"]
     return lines
 
 
-def curve(method: Method, dataset: Dataset, split: str) -> NDArray[np.float64]:
-    """IoU over the voxels that are scored, (maps, thresholds)."""
-    found, samples = [], dataset.split(split)
-    for n, sample in enumerate(samples):
-        scored_here = scored_voxels(sample, dataset.grid, samples.home(n).tables)
-        truth = sample.occupancy[scored_here]
-        said = method.completion(sample, samples).occupancy_probability
-        if said is None:  # distances alone
-            found.append(np.full(len(THRESHOLDS), np.nan))
-            continue
-        occupied = said[scored_here] >= THRESHOLDS[:, None]
-        both, either = (occupied & truth).sum(axis=1), (occupied | truth).sum(axis=1)
-        found.append(both / np.maximum(either, 1))
-    return np.array(found)
+def groups_of(
+    sample: Sample, dataset: Dataset, scored_here: NDArray[np.bool_]
+) -> NDArray[np.int64]:
+    """What each scored voxel (n,) would be if it were wrong, an index into `GROUPS`."""
+    seen = classify(sample, lidar=dataset.lidar, grid=dataset.grid)
+    is_of = {name: seen == number for number, name in enumerate(CLASSES)}
+    told = np.broadcast_to(sample.observed.any(axis=2, keepdims=True), seen.shape)
+    above = dataset.grid.centres(sample.origin)[..., 2] > sample.position[2]
+    hidden, out = is_of["occluded"], is_of["out_of_view"]
+    missed = [is_of["observed"], is_of["crossed"], hidden & told, hidden, is_of["interior"]]
+    truth = sample.occupancy
+    beside = ndimage.binary_dilation(truth, np.ones((3, 3, 3)))
+    wrong = np.where(
+        truth,
+        np.select([*missed, out & above], range(MISSED - 1), MISSED - 1),
+        np.select([beside, is_of["crossed"]], (MISSED, MISSED + 1), MISSED + 2),
+    )
+    return wrong[scored_here]
+
+
+class Counts(NamedTuple):
+    """Voxels of some maps by group."""
+
+    there: NDArray[np.int64]
+    """(maps, groups)."""
+    said: NDArray[np.int64]
+    """(maps, thresholds, groups): those that are said to be occupied."""
+
+    @classmethod
+    def of(cls, method: Method, dataset: Dataset, split: str) -> "Counts":
+        """Those of a split, as a method completes it."""
+        there, told, samples = [], [], dataset.split(split)
+        for n, sample in enumerate(samples):
+            here = scored_voxels(sample, dataset.grid, samples.home(n).tables)
+            groups = groups_of(sample, dataset, here)
+            said = method.completion(sample, samples).occupancy_probability
+            if said is None:
+                sys.exit(f"{method.name}: predicts distances alone, expected occupancy")
+            occupied = [groups[said[here] >= threshold] for threshold in THRESHOLDS]
+            there.append(np.bincount(groups, minlength=len(GROUPS)))
+            told.append([np.bincount(one, minlength=len(GROUPS)) for one in occupied])
+        return cls(np.array(there), np.array(told))
+
+    @property
+    def either(self) -> NDArray[np.int64]:
+        """(maps, thresholds): voxels that are occupied, or said to be."""
+        return self.there[:, None, :MISSED].sum(axis=2) + self.said[..., MISSED:].sum(axis=2)
+
+    @property
+    def iou(self) -> NDArray[np.float64]:
+        """(maps, thresholds)."""
+        return self.said[..., :MISSED].sum(axis=2) / np.maximum(self.either, 1)
+
+    def size(self, group: int) -> float:
+        """The share of a group in what is occupied."""
+        return float(self.there[:, group].sum() / self.there[:, :MISSED].sum())
+
+    def share(self, group: int, threshold: int) -> tuple[float, float]:
+        """The points of IoU that a group costs, a mean over maps, and its recall."""
+        said = self.said[:, threshold, group]
+        wrong = self.there[:, group] - said if group < MISSED else said
+        lost = 100 * (wrong / np.maximum(self.either[:, threshold], 1)).mean()
+        return float(lost), float(said.sum() / max(self.there[:, group].sum(), 1))
+
+
+def drawn_map(dataset: Dataset, split: Any, index: int, method: Method, threshold: int) -> bytes:
+    """A picture of a scan, the truth, and what a method says of known voxels."""
+
+    def guess(sample: Sample, samples: Any) -> list[Guess]:
+        said = method.completion(sample, samples)
+        probability: Any = said.occupancy_probability
+        here = scored_voxels(sample, dataset.grid, samples.home(index).tables)
+        occupied, tudf = probability >= THRESHOLDS[threshold], said.distance(None, dataset.grid)
+        return [Guess(name=method.name, occupied=occupied & here, tudf=tudf)]
+
+    shown = look_into(dataset.split(split), index, guess)
+    file = io.BytesIO(to_bytes(draw_completions([shown], title=""), ".png"))
+    picture, small = Image.open(file).convert("RGB"), io.BytesIO()
+    picture.quantize(COLOURS).save(small, "PNG", optimize=True)
+    return small.getvalue()
 
 
 if __name__ == "__main__":

@@ -24,6 +24,7 @@ EXTRAS = {
     "matplotlib": "view",
     "mcap_ros2": "mcap",
     "rerun": "rerun",
+    "PIL": "view",
 }
 """Packages that commands need beyond the core, and the extra that brings each."""
 MOST_REPEATED = 1000

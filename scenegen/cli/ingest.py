@@ -57,9 +57,9 @@ def ingest(
     """Make maps of a log of LiDAR scans with poses, and keep some of its scans beside them.
 
     A log is a sequence in KITTI's odometry layout (SemanticKITTI's, too), an .mcap file of ROS 2
-    with PointCloud2 and /tf or odometry, or a folder of clouds with --poses.
+    with PointCloud2 or Livox's CustomMsg and /tf or odometry, or a folder of clouds with --poses.
+    Stopped or killed, the same command goes on.
     """
-    from scenegen.files import whole_folder
     from scenegen.logs.fuse import ingest as write
     from scenegen.logs.read import read_log
 
@@ -68,11 +68,10 @@ def ingest(
         how = Fusing(**options)
     except ValueError as error:
         raise click.UsageError(str(error)) from None
-    with whole_folder(target) as folder:
-        found = read_log(log, poses=poses, topic=topic)
-        with Progress("ingest", shown=not quiet) as progress:
-            progress.start(len(found.poses))
-            counts = write(found, folder, how, on_scan=progress.count)
+    found = read_log(log, poses=poses, topic=topic)
+    with Progress("ingest", shown=not quiet) as progress:
+        progress.start(len(found.poses))
+        counts = write(found, target, how, on_scan=progress.count)
     if as_json:
         print(json.dumps({"folder": str(target), **counts}))
     elif not quiet:

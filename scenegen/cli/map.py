@@ -12,7 +12,7 @@ from scenegen.cli.options import (
     options_of,
     out_option,
     quiet_option,
-    taken,
+    was_given,
 )
 from scenegen.cli.show import show_table
 from scenegen.cli.types import Number
@@ -24,6 +24,7 @@ from scenegen.worlds.cloud import Survey
         "map hall.pcd -o hall.npz",
         "map drive/*.ply --poses poses.txt --voxel 0.1 -o drive.npz",
         "map tile.laz --assume-free --voxel 0.5 -o tile.npz",
+        "map lab.yaml --height 2.5 -o lab.npz",
     )
 )
 @click.argument("clouds", nargs=-1, required=True, type=click.Path(path_type=Path))
@@ -44,6 +45,7 @@ from scenegen.worlds.cloud import Survey
     voxel_m="Edge of the map's voxels, metres.",
     unit_m="The clouds' unit, metres: 0.001 for millimetres.",
     up="The clouds' axis that points up.",
+    height_m="How high the walls of a plan are, metres.",
     assume_free="Call free what is above the lowest point of a column and holds none, unless a ray "
     "says so already: for clouds of which nobody knows where they were seen from.",
 )
@@ -60,23 +62,36 @@ def map(
     quiet: bool,
     **options: Any,
 ) -> None:
-    """Make a map of a real place from clouds of points: .ply, .pcd, .las, .laz, .xyz, .npz, .npy.
+    """Make a map of a real place from clouds of points: .ply, .pcd, .las, .laz, .xyz, .npz, .npy;
+    or from one of ROS's plans of a floor, .yaml.
 
     Voxels with points are occupied, those that rays from the sensor crossed are free, and all
     others unknown. `scenegen generate --scene` takes the map.
     """
     if sensor is not None and poses is not None:
         raise click.UsageError("--sensor and --poses both say where sensors were; give one")
+    plan = clouds[0].suffix == ".yaml"
+    given = set(filter(was_given, ("sensor", "poses", "box", *options)))
+    misplaced = given - {"height_m"} if plan else given & {"height_m"}
+    if misplaced or (plan and len(clouds) > 1):
+        raise click.UsageError(
+            "a plan, .yaml, is given alone, with --height and no other of these options, which are "
+            "for clouds"
+        )
     if out.suffix != ".npz":
         raise click.UsageError(f"{out}: expected a name that ends in .npz")
     from scenegen.display.inspect import map_facts
     from scenegen.files import check_ours, write_result
     from scenegen.worlds.cloud import map_clouds
     from scenegen.worlds.place import encode_npz
+    from scenegen.worlds.plan import read_plan
 
     check_ours(out)
-    survey = Survey(**taken(Survey, options))
-    made = map_clouds(clouds, survey, sensor=sensor, poses=poses, box=box)
+    survey = Survey(**options)
+    if plan:
+        made = read_plan(clouds[0], survey.height_m)
+    else:
+        made = map_clouds(clouds, survey, sensor=sensor, poses=poses, box=box)
     write_result(out, encode_npz(made.voxels, str(clouds[0]), offset=made.offset))
     about = {"file": str(out), "points": made.points, "taken_off_m": made.offset.tolist()}
     row = about | map_facts(made.voxels)

@@ -1,7 +1,11 @@
 """Maps of a log, made by following every ray of every scan; and some of its scans beside the truth
 that all of them tell."""
 
+import hashlib
+import json
 import math
+import shutil
+import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -19,6 +23,7 @@ from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.pose import rotate
 from lidarsim.voxelize import sort_points, unknown_grid
 from scenegen.errors import DatasetError
+from scenegen.files import check_free, disk_error, make_parent
 from scenegen.limits import MOST_ASSET_BYTES, MOST_PLACE_VOXELS
 from scenegen.logs import Fusing, LogScan
 from scenegen.logs.poses import between
@@ -29,6 +34,10 @@ THREADS = 2
 """Threads that follow rays, each in a window of the map; a third adds the windows up."""
 SLICES = 100
 """Parts of the way from scan to scan: where points are deskewed, those of a part move as one."""
+PROGRESS, SAVE_EVERY_S = "progress.npz", 60.0
+"""The file that says how far a log is fused, and how often it is written, seconds."""
+NOTHING = np.empty((2, 0, 0, 0), np.uint8)
+"""The counts of no voxel."""
 LEAST_SHARED = 0.1
 """A scan of whose observed voxels a smaller share was met before does not overlap with those before
 it."""
@@ -53,8 +62,9 @@ class _Window:
 def ingest(
     log: Log, out: Path, how: Fusing, *, on_scan: Callable[[int], None] = lambda count: None
 ) -> Counter[str]:
-    """Write the maps of a log, ``place-000.npz`` and on, and its observations into the folder
-    `out`, which is there.
+    """Write the maps of a log, ``place-000.npz`` and on, and its observations into a new folder
+    `out`. Until all is there, it is called as `out` with ``.part`` behind: where a run was stopped
+    or killed, the same call goes on from what it saved last, to the same bits.
 
     A new map begins where one would have more than `MOST_PLACE_VOXELS`. A voxel is occupied where
     it holds returns, but for what moved on (see `Fusing`), and free where it holds none and a ray
@@ -67,17 +77,101 @@ def ingest(
         What was found, counted.
 
     Raises:
-        DatasetError: A cloud cannot be read, the log says nothing, or a map's file is too large.
+        DatasetError: A cloud cannot be read, the log says nothing, a map's file is too large, the
+            disk refuses, there is something at `out`, or another log's work goes on there.
     """
-    counts: Counter[str] = Counter(scans_without_pose=log.without_pose)
-    (out / "observations").mkdir()
-    scans = log.scans()
+    check_free(out)
+    make_parent(out)
+    unfinished = out.with_name(f"{out.name}.part")
+    state = _State.begun(unfinished, log, how)
+    try:
+        on_scan(state.scan)
+        counts = _write(log, unfinished, how, state, on_scan)
+        for path in unfinished.glob(f"{PROGRESS}*"):
+            path.unlink()
+        check_free(out)
+        unfinished.rename(out)
+    except DatasetError:
+        shutil.rmtree(unfinished)
+        raise
+    except OSError as error:
+        raise disk_error(out, error) from None
+    return counts
+
+
+@dataclass(eq=False)
+class _State:
+    """How far a log is fused: what a run that goes on needs."""
+
+    file: Path
+    """Where it is kept."""
+    key: str
+    """What tells the log and how it is fused from others."""
+    scan: int
+    """The next one."""
+    counts: Counter[str]
+    """What was found so far."""
+    told: NDArray[np.uint8]
+    """(2, *shape): how many scans observed each voxel of the current map, and found it free; empty
+    where no scan of it was counted."""
+    saved_s: float
+    """When it was kept last, by the process's clock, seconds."""
+
+    @classmethod
+    def begun(cls, folder: Path, log: Log, how: Fusing) -> "_State":
+        """What was saved in `folder`, or a beginning, for which it is made. Raises DatasetError
+        where it is not of this log."""
+        poses = [[*pose.position, *pose.quaternion] for pose in log.poses]
+        key = hashlib.sha256(f"{how} {log.times_s.tolist()} {poses}".encode()).hexdigest()
+        file, counts = folder / PROGRESS, Counter(scans_without_pose=log.without_pose)
+        state = cls(file, key, 0, counts, NOTHING, time.monotonic())
+        if not file.exists():
+            check_free(folder)
+            (folder / "observations").mkdir(parents=True)
+            state.save()
+            return state
+        with np.load(file) as saved:
+            if str(saved["key"]) != key:
+                raise DatasetError(
+                    f"{folder}: holds another log's unfinished maps, or with other options; remove "
+                    "it, or give another name"
+                )
+            state.scan, state.told = int(saved["scan"]), saved["told"]
+            state.counts = Counter(json.loads(str(saved["counts"])))
+        return state
+
+    def save(self) -> None:
+        """Write it where a run that goes on finds it."""
+        said = json.dumps(self.counts)
+        _put(self.file, np.savez, key=self.key, scan=self.scan, told=self.told, counts=said)
+        self.saved_s = time.monotonic()
+
+
+def _put(path: Path, write: Callable[..., None], **arrays: Any) -> None:
+    """Put arrays at `path`, complete or not at all, whenever the process is killed."""
+    draft = path.with_name(f"{path.name}.tmp")
+    with draft.open("wb") as file:
+        write(file, **arrays)
+    draft.replace(path)
+
+
+def _write(
+    log: Log, out: Path, how: Fusing, state: _State, on_scan: Callable[[int], None]
+) -> Counter[str]:
+    """See `ingest`: into the folder `out`, from `state` on."""
+    counts, scans = state.counts, log.scans(state.scan)
     for number, part in enumerate(_parts(log, how)):
+        if state.scan >= part.stop:
+            continue
         kept = {n: out / "observations" / f"{n:06d}.npz" for n in part[:: how.every]}
-        place = _fused(log, scans, part, how, counts, kept, on_scan)
+        place = _fused(log, scans, part, how, state, kept, on_scan)
         path = out / f"place-{number:03d}.npz"
-        np.savez_compressed(
-            path, states=place.states, voxel_m=np.float64(place.voxel_m), origin=place.origin
+        _put(
+            path,
+            np.savez_compressed,
+            states=place.states,
+            voxel_m=np.float64(place.voxel_m),
+            origin=place.origin,
         )
         if path.stat().st_size > MOST_ASSET_BYTES:
             raise DatasetError(f"{path.name}: a map of too many bytes for a file; raise --voxel")
@@ -87,6 +181,7 @@ def ingest(
         counts["observations"] += len(kept)
         counts["occupied_voxels"] += int(np.count_nonzero(place.states == OCCUPIED))
         counts["free_voxels"] += int(np.count_nonzero(place.states == FREE))
+        state.save()
     return counts
 
 
@@ -119,7 +214,7 @@ def _fused(
     scans: Iterator[LogScan],
     part: range,
     how: Fusing,
-    counts: Counter[str],
+    state: _State,
     kept: Mapping[int, Path],
     on_scan: Callable[[int], None],
 ) -> VoxelMap:
@@ -127,22 +222,29 @@ def _fused(
     there."""
     positions = np.array([log.poses[n].position for n in part])
     first, shape = _box(positions.min(axis=0), positions.max(axis=0), how)
-    hits, misses = np.zeros((2, *shape), np.uint8)
-    for n, (scan, window) in zip(part, _windows(log, scans, part, how), strict=True):
+    if not state.told.size:
+        state.told = np.zeros((2, *shape), np.uint8)
+    (hits, misses), counts, rest = state.told, state.counts, range(state.scan, part.stop)
+    for n, (scan, window) in zip(rest, _windows(log, scans, rest, how), strict=True):
         met, observed = _count(hits, misses, window.least - first, window.observed, window.free)
         counts["scans"] += 1
         counts["returns"] += len(window.points)
         counts["returns_left_out"] += window.dropped
         counts["scans_without_overlap"] += int(n > part[0] and met < LEAST_SHARED * observed)
         if n in kept:
-            np.savez(
+            _put(
                 kept[n],
+                np.savez,
                 points=window.points.astype(np.float32),
                 position=scan.pose.position,
                 quaternion=scan.pose.quaternion,
                 time_s=np.float64(scan.time_s),
             )
+        state.scan = n + 1
         on_scan(1)
+        if time.monotonic() - state.saved_s > SAVE_EVERY_S and n + 1 < part.stop:
+            state.save()
+    state.told = NOTHING
     moved, box = _settle(hits, misses, how.moved_share)
     counts["moved_voxels"] += int(moved)
     if not box[1].all():
@@ -267,4 +369,4 @@ def _observe(path: Path, place: VoxelMap) -> None:
     occupancy, known = resample(place, grid, origin)
     found |= {"origin": origin, "voxel_m": np.float64(grid.voxel_m)}
     found |= {"observed": seen.observed, "free": seen.free}
-    np.savez_compressed(path, **found, occupancy=occupancy, known=known)
+    _put(path, np.savez_compressed, **found, occupancy=occupancy, known=known)

@@ -133,7 +133,8 @@ def pose_of_matrix(row: NDArray[np.float64], where: str) -> Pose:
     that is no rotation."""
     matrix, turned = row.reshape(3, 4), np.empty(4)
     turn = matrix[:, :3]
-    if not abs(turn @ turn.T - np.eye(3)).max() <= SKEW or np.linalg.det(turn) < 0:
+    skew = abs(turn @ turn.T - np.eye(3)).max()
+    if not skew <= SKEW or np.linalg.det(turn) < 0 or not np.isfinite(row).all():
         raise DatasetError(f"{where}: expected a rotation and a position, 3 × 4 row by row")
     mujoco.mju_mat2Quat(turned, np.ascontiguousarray(turn).reshape(-1))
     return Pose(matrix[:, 3], turned / np.sqrt((turned**2).sum()))

@@ -1,10 +1,12 @@
 """Logs of real sensors: KITTI's odometry layout, clouds beside a file of poses, and ROS 2 in
 MCAP."""
 
+import io
+import itertools
 import struct
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,6 +27,8 @@ from scenegen.logs.poses import Track, chained, inverse, pose_of_matrix, read_nu
 USUAL_S = 0.1
 """From scan to scan, where no times are known."""
 ODOMETRY = "nav_msgs/msg/Odometry"
+LIVOX = ("livox_ros_driver2/msg/CustomMsg", "livox_interfaces/msg/CustomMsg")
+"""Livox's own message, as its two drivers for ROS 2 call it."""
 TIMES = ("t", "time", "timestamp", "time_stamp", "offset_time")
 """What drivers call the time of a point: seconds, or nanoseconds where they are whole numbers."""
 
@@ -39,17 +43,17 @@ class Log:
     """The sensor's at each, as many."""
     without_pose: int
     """Scans that are left out: none of the poses is of their time."""
-    scans: Callable[[], Iterator[LogScan]]
-    """Reads the n scans."""
+    scans: Callable[..., Iterator[LogScan]]
+    """Reads the n scans, or those from a number on."""
 
 
 def read_log(path: Path, *, poses: Path | None = None, topic: str | None = None) -> Log:
     """The log at `path`.
 
     Args:
-        path: An .mcap file with PointCloud2 and /tf, or odometry; or a folder of clouds: one of
-            KITTI's odometry or SemanticKITTI (``velodyne``, ``poses.txt``, ``calib.txt``), or any
-            with `poses`.
+        path: An .mcap file with PointCloud2 or Livox's CustomMsg, and /tf or odometry; or a folder
+            of clouds: one of KITTI's odometry or SemanticKITTI (``velodyne``, ``poses.txt``,
+            ``calib.txt``), or any with `poses`.
         poses: A file of poses, see `read_poses`: one a cloud, in the order of the clouds' names,
             or any number with times, where the clouds' names are their times in seconds.
         topic: The topic of the clouds, where a file has several.
@@ -88,10 +92,11 @@ def read_log(path: Path, *, poses: Path | None = None, topic: str | None = None)
         )
     times = np.where(np.isfinite(times), times, USUAL_S * np.arange(len(files)))
 
-    def scans() -> Iterator[LogScan]:
-        for file, time, pose in zip(files, times, found, strict=True):
-            if pose is not None:
-                yield LogScan(float(time), pose, read_points(file))
+    def scans(first: int = 0) -> Iterator[LogScan]:
+        rows = zip(files, times, found, strict=True)
+        placed = ((file, time, pose) for file, time, pose in rows if pose is not None)
+        for file, time, pose in itertools.islice(placed, first, None):
+            yield LogScan(float(time), pose, read_points(file))
 
     return _log(path, times, found, scans)
 
@@ -100,7 +105,7 @@ def _log(
     path: Path,
     times: NDArray[np.float64],
     found: list[Pose | None],
-    scans: Callable[[], Iterator[LogScan]],
+    scans: Callable[..., Iterator[LogScan]],
 ) -> Log:
     placed = [n for n, pose in enumerate(found) if pose is not None]
     if not placed:
@@ -159,13 +164,14 @@ def _read_mcap(path: Path, topic: str | None) -> Log:
             topics = [one.topic for one in channels if summary.schemas[one.schema_id].name in kinds]
             for schema, channel, message in reader.iter_messages(topics) if topics else ():
                 if schema is not None and schema.name in kinds:
-                    decoder = factory.decoder_for(channel.message_encoding, schema)
+                    with redirect_stderr(io.StringIO()):  # it prints what it makes of a bad schema
+                        decoder = factory.decoder_for(channel.message_encoding, schema)
                     yield schema.name, channel.topic, message.data, decoder
 
     links, heads = _Links(), defaultdict[str, list[tuple[float, str]]](list)
     with _readable(path):
-        for kind, on, data, decode in messages(CLOUD, TRANSFORMS, ODOMETRY):
-            if kind == CLOUD:  # its header alone, which stands first
+        for kind, on, data, decode in messages(CLOUD, *LIVOX, TRANSFORMS, ODOMETRY):
+            if kind in (CLOUD, *LIVOX):  # its header alone, which stands first
                 heads[on].append(_head(data))
             else:
                 links.add(kind, decode(data), always=on.endswith("tf_static"))
@@ -175,7 +181,9 @@ def _read_mcap(path: Path, topic: str | None) -> Log:
         )
     topic = topic or next(iter(heads), "")
     if topic not in heads:
-        raise DatasetError(f"{path}: has no PointCloud2{f' on {topic}' if topic else ''}")
+        raise DatasetError(
+            f"{path}: has no PointCloud2 or CustomMsg{f' on {topic}' if topic else ''}"
+        )
     found = [links.pose(frame, time) for time, frame in heads[topic]]
     if not links.known(heads[topic][0][1]):
         raise DatasetError(
@@ -183,14 +191,15 @@ def _read_mcap(path: Path, topic: str | None) -> Log:
             f"frame of the clouds on {topic}"
         )
 
-    def scans() -> Iterator[LogScan]:
+    def scans(first: int = 0) -> Iterator[LogScan]:
         with _readable(path):
-            clouds = (row for row in messages(CLOUD) if row[1] == topic)
-            for pose, head, (_, _, data, decode) in zip(found, heads[topic], clouds, strict=True):
-                if pose is not None:
-                    columns = _columns(decode(data))
-                    points = np.stack([columns.pop(axis) for axis in "xyz"], axis=1)
-                    yield LogScan(head[0], pose, points, columns)
+            clouds = (row for row in messages(CLOUD, *LIVOX) if row[1] == topic)
+            rows = zip(found, heads[topic], clouds, strict=True)
+            placed = ((pose, head, one) for pose, head, one in rows if pose is not None)
+            for pose, head, (kind, _, data, decode) in itertools.islice(placed, first, None):
+                columns = (_livox if kind in LIVOX else _columns)(decode(data))
+                points = np.stack([columns.pop(axis) for axis in "xyz"], axis=1)
+                yield LogScan(head[0], pose, points, columns)
 
     return _log(path, np.array([time for time, _ in heads[topic]]), found, scans)
 
@@ -267,6 +276,14 @@ class _Links:
 
 def _seconds(stamp: Any) -> float:
     return float(stamp.sec + 1e-9 * stamp.nanosec)
+
+
+def _livox(cloud: Any) -> dict[str, NDArray[np.float64]]:
+    """`x`, `y`, `z` and `t` of the points of a CustomMsg, (n,) each."""
+    if cloud.point_num != len(cloud.points):
+        raise ValueError(f"promises {cloud.point_num} points and holds {len(cloud.points)}")
+    rows = [(one.x, one.y, one.z, 1e-9 * one.offset_time) for one in cloud.points]
+    return dict(zip("xyzt", np.array(rows).reshape(-1, 4).T, strict=True))
 
 
 def _columns(cloud: Any) -> dict[str, NDArray[np.float64]]:

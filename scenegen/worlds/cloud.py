@@ -42,6 +42,8 @@ class Survey:
     """The unit of the file's lengths, metres."""
     up: Literal["z", "y"] = "z"
     """The file's axis that points up. Where that is y, its z becomes the map's -y."""
+    height_m: float = number(3.0, above=0, most=1e3)
+    """How high the walls of a plan are, metres: see `scenegen.worlds.plan`."""
     assume_free: bool = False
     """Whether a voxel without a point is free that lies above the lowest one with a point in its
     column and was not seen otherwise."""
@@ -59,7 +61,7 @@ class Surveyed:
     offset: NDArray[np.float64]
     """(3,): what was taken off the file's coordinates, metres."""
     points: int
-    """How many points there are in the map."""
+    """How many points there are in the map, or cells in the plan that it is made of."""
 
 
 def map_clouds(

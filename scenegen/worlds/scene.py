@@ -15,10 +15,11 @@ from scenegen.errors import BrokenError, DatasetError, SceneError, printable
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_ASSET_BYTES, MOST_DOCUMENT_BYTES, MOST_GEOMS
 from scenegen.worlds import CLOUDS, MAPS, MESHES
-from scenegen.worlds.cloud import map_clouds
+from scenegen.worlds.cloud import Survey, map_clouds
 from scenegen.worlds.drawing import flatten, least_memory
 from scenegen.worlds.mesh import mesh_spec
 from scenegen.worlds.place import encode_npz, map_digest, named_map, place_of, read_place
+from scenegen.worlds.plan import read_plan
 from scenegen.worlds.screen import screen
 from scenegen.worlds.world import compile_world, geometry_digest, quiet_mujoco
 
@@ -84,9 +85,12 @@ def load_map(path: Path) -> Scene:
     notes: tuple[str, ...] = ()
     try:
         if path.suffix in CLOUDS:
-            made = map_clouds([path])
+            plan = path.suffix == ".yaml"
+            made = read_plan(path) if plan else map_clouds([path])
             place = place_of(encode_npz(made.voxels, str(path)), ".npz", str(path))
-            told = f"{made.points} points become voxels of {made.voxels.voxel_m:g} m"
+            told = f"walls are taken for {Survey.height_m:g} m high (map --height changes that)"
+            if not plan:
+                told = f"{made.points} points become voxels of {made.voxels.voxel_m:g} m"
             moved = f"; {made.offset.tolist()} m are taken off their coordinates"
             notes = (f"{path.name}: {told}{moved if made.offset.any() else ''}",)
         else:

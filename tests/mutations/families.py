@@ -4,6 +4,7 @@ from tests.mutations import (
     damage_archives,
     damage_bytes,
     damage_hdf5,
+    damage_logs,
     damage_manifest,
     damage_maps,
     damage_options,
@@ -20,6 +21,6 @@ FAMILIES: dict[str, Family] = {
     for module in (
         *(damage_bytes, damage_hdf5, damage_manifest, damage_archives, damage_recipes),
         *(damage_scenes, damage_weights, damage_predictions, damage_points, damage_maps),
-        damage_options,
+        *(damage_options, damage_logs),
     )
 }

@@ -2,6 +2,7 @@
 warm from then on."""
 
 import contextlib
+import dataclasses
 import io
 import json
 import shutil
@@ -59,6 +60,8 @@ GENERATE = (
     *words("generate --recipe recipe.toml --n 4 --val 2 --test 2 --shard-samples 2"),
     *("--workers", "1", "--quiet", "--out"),
 )
+INGEST = "-o out --every 2 --rise 2 --reach 4 --quiet"
+"""How logs are ingested."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +70,7 @@ class Valid:
 
     folder: Path
     """Holds d (a dataset), c (a compact one), n.safetensors, n.onnx, predictions.h5, scan.npy, .ply
-    and .xyz."""
+    and .xyz, and logs: log, and log.mcap and livox.mcap where ROS's messages can be written."""
     loaded: dict[str, str]
     """What `load` prints of d and of c."""
     inspected: dict[str, Any]
@@ -108,6 +111,7 @@ def make_valid(folder: Path) -> Valid:
     (folder / "scan.ply").write_text(
         head + "end_header\n" + "\n".join(" ".join(f"{x:.4f}" for x in p) for p in points)
     )
+    _write_logs(folder)
     run(*words("verify d --workers 1 --quiet"))
     run(*words("complete d --weights n.safetensors --quiet --device cpu"))
     for scan in ("scan.npy", "scan.ply", "scan.xyz"):
@@ -129,6 +133,23 @@ def make_valid(folder: Path) -> Valid:
         completed=datasets.finite_prediction(folder / "predictions.h5"),
         scored=scores(folder / "bench"),
     )
+
+
+def _write_logs(folder: Path) -> None:
+    from importlib.util import find_spec
+
+    from tests.scenegen.logs.test_logs import write_livox, written
+
+    times = {"t": np.linspace(0, 0.1, 40)}
+    scans = [dataclasses.replace(scan, more=times) for scan in written(folder / "log", 3)]
+    names = ["log"]
+    if find_spec("mcap_ros2"):
+        written(folder / "log.mcap", 3)
+        write_livox(folder / "livox.mcap", scans)
+        names += ["log.mcap", "livox.mcap"]
+    for name in names:
+        run("ingest", name, *words(INGEST))
+        shutil.rmtree("out")
 
 
 def run(*words: str) -> str:

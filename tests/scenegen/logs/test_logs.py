@@ -1,8 +1,12 @@
 """Logs: flights that are recorded, files that are read back, and maps that agree with the world."""
 
+import dataclasses
+import itertools
 import json
 import math
+import os
 import shutil
+import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,15 +14,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import scenegen.logs.fuse
 from lidarsim import GridSpec, Lidar, Pose
 from lidarsim.pose import rotate
 from scenegen.display.exchange.files import write_points
+from scenegen.display.exchange.recordings import _HEADER, _RULE, DEFINITIONS, TRANSFORMS
 from scenegen.errors import DatasetError
+from scenegen.limits import MOST_PLACE_VOXELS
 from scenegen.logs import Cruise, Fusing, LogScan
 from scenegen.logs.cruise import cruise_poses
 from scenegen.logs.fuse import ingest
 from scenegen.logs.poses import chained, read_poses
-from scenegen.logs.read import ODOMETRY, Log, _Links, read_log
+from scenegen.logs.read import LIVOX, ODOMETRY, Log, _Links, read_log
 from scenegen.logs.write import matrix_of, write_log
 from scenegen.source import read_world
 from scenegen.worlds.place import read_place
@@ -125,7 +132,6 @@ def test_what_a_moving_sensor_tells_is_put_right_by_its_times(
             assert run(capsys, f"{RECORD} --length 3 --moving -o {name} --quiet")[0] == 0
         log = read_log(here / name)
         out = here / f"{name}{more}-maps"
-        out.mkdir()
         ingest(log, out, Fusing(every=7, deskew=bool(more)))
         found[name + more] = [
             np.load(path)["points"] for path in sorted((out / "observations").glob("*"))
@@ -229,21 +235,59 @@ def test_what_moves_on_is_free_and_jumps_are_counted(tmp_path: Path) -> None:
     here, far = Pose.level((0.0, 0.0, 0.0)), Pose.level((40.0, 0.0, 0.0))
     clouds = [(here, near if n in (5, 390) else wall) for n in range(400)] + [(far, wall)]
 
-    def scans() -> Iterator[LogScan]:
+    def scans(first: int) -> Iterator[LogScan]:
         for n, (pose, points) in enumerate(clouds):
             yield LogScan(n / 10, pose, np.concatenate([points, [[np.nan] * 3, [0, 0, 0.01]]]))
 
     log = Log(np.arange(401) / 10, tuple(pose for pose, _ in clouds), 0, scans)
-    counts = ingest(log, tmp_path, Fusing(every=400))
+    counts = ingest(log, tmp_path / "maps", Fusing(every=400))
     assert counts["scans_without_overlap"] == 1
     assert counts["returns_left_out"] == 2 * 401
     assert counts["moved_voxels"] > 100
-    voxels = read_place(tmp_path / "place-000.npz").voxels
+    voxels = read_place(tmp_path / "maps" / "place-000.npz").voxels
     occupied = np.argwhere(voxels.states == 2) * 0.2 + voxels.origin + 0.1
     ranges = np.minimum(
         np.linalg.norm(occupied, axis=1), np.linalg.norm(occupied - (40, 0, 0), axis=1)
     )
     assert (abs(ranges - 6.03) < 0.2).mean() > 0.999  # but for a ray along the voxels' faces
+
+
+def ingest_and_be_killed(log: Path, out: Path, at: int) -> None:
+    """SIGKILL at a scan, with every scan saved."""
+    scenegen.logs.fuse.SAVE_EVERY_S = -1.0
+    seen = itertools.count(-1)  # the first call says how many are done already
+
+    def count(_: int) -> None:
+        if next(seen) == at:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    ingest(read_log(log), out, Fusing(every=2), on_scan=count)
+
+
+@pytest.mark.parametrize("most_voxels", [MOST_PLACE_VOXELS, 12_000_000], ids=["one map", "several"])
+def test_a_killed_ingest_goes_on_to_the_same_bits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, most_voxels: int
+) -> None:
+    monkeypatch.setattr(scenegen.logs.fuse, "MOST_PLACE_VOXELS", most_voxels)
+    log, out, how = tmp_path / "log", tmp_path / "out", Fusing(every=2)
+    written(log, 12)
+    counts = ingest(read_log(log), tmp_path / "whole", how)
+    assert (counts["maps"] > 1) == (most_voxels < MOST_PLACE_VOXELS)
+    for at in (7, 2):  # killed, and killed again
+        child = os.fork()
+        if not child:
+            ingest_and_be_killed(log, out, at)
+        assert os.WTERMSIG(os.waitpid(child, 0)[1]) == signal.SIGKILL
+    assert not out.exists()
+    with pytest.raises(DatasetError, match="other options"):
+        ingest(read_log(log), out, Fusing(every=3))
+    done = list[int]()
+    assert ingest(read_log(log), out, how, on_scan=done.append) == counts
+    assert done[0] == 9
+    assert not (tmp_path / "out.part").exists()
+    for path in (tmp_path / "whole").rglob("*.npz"):
+        assert path.read_bytes() == (out / path.relative_to(tmp_path / "whole")).read_bytes()
+    assert len(list(out.rglob("*"))) == len(list((tmp_path / "whole").rglob("*")))
 
 
 def line(number: int, text: str) -> Callable[[Path], None]:
@@ -268,6 +312,10 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
     "nothing": (lambda log: (log / "poses.txt").write_text(""), "no numbers"),
     "a time too few": (lambda log: (log / "times.txt").write_text("1\n2\n"), "2 times"),
     "a calibration": (lambda log: (log / "calib.txt").write_text("Tr: 1 2\n"), "12 numbers"),
+    "a calibration to nowhere": (
+        lambda log: (log / "calib.txt").write_text("Tr: 1 0 0 inf 0 1 0 0 0 0 1 0\n"),
+        "expected a rotation and a position",
+    ),
     "no clouds": (lambda log: shutil.rmtree(log / "velodyne"), "no clouds"),
     "a cut cloud": (
         lambda log: (log / "velodyne" / "000003.bin").write_bytes(b"1234567"),
@@ -295,6 +343,64 @@ def test_damaged_logs_end_in_one_line_and_leave_nothing(
     assert (code, err.count("\n")) == (1, 1), err
     assert expected in err
     assert [path.name for path in tmp_path.iterdir() if path.name != "log"] == []
+
+
+CUSTOM = f"""std_msgs/Header header
+uint64 timebase\nuint32 point_num\nuint8 lidar_id\nuint8[3] rsvd\nCustomPoint[] points
+{_RULE}livox_ros_driver2/CustomPoint
+uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line
+{_HEADER}"""
+"""The definition of Livox's CustomMsg (github.com/Livox-SDK/livox_ros_driver2, msg)."""
+
+
+def write_livox(path: Path, scans: list[LogScan], missing: int = 0) -> None:
+    """Puts scans into CustomMsg, and their poses into odometry; `missing` more points are
+    promised."""
+    from mcap_ros2.writer import Writer
+
+    with path.open("wb") as file:
+        writer = Writer(file)
+        custom = writer.register_msgdef(LIVOX[0], CUSTOM)
+        transforms = writer.register_msgdef(TRANSFORMS, DEFINITIONS[TRANSFORMS])
+        for scan in scans:
+            stamp = {"sec": int(scan.time_s), "nanosec": round(scan.time_s % 1 * 1e9)}
+            rows = zip(scan.points.tolist(), scan.more["t"].tolist(), strict=True)
+            points = [
+                {"offset_time": round(1e9 * t), **dict(zip("xyz", p, strict=True)), "line": 3}
+                for p, t in rows
+            ]
+            message = {
+                "header": {"stamp": stamp, "frame_id": "livox_frame"},
+                "timebase": round(scan.time_s * 1e9),
+                "point_num": len(points) + missing,
+                "rsvd": [0, 0, 0],
+                "points": points,
+            }
+            link = {
+                "header": {"stamp": stamp, "frame_id": "map"},
+                "child_frame_id": "livox_frame",
+                "transform": {
+                    "translation": dict(zip("xyz", scan.pose.position, strict=True)),
+                    "rotation": dict(zip("wxyz", scan.pose.quaternion, strict=True)),
+                },
+            }
+            when = round(scan.time_s * 1e9)
+            writer.write_message("/tf", transforms, {"transforms": [link]}, log_time=when)
+            writer.write_message("/livox/lidar", custom, message, log_time=when)
+        writer.finish()
+
+
+def test_livox_s_own_messages_are_read(tmp_path: Path) -> None:
+    pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed")
+    times = np.linspace(0, 0.1, 40)
+    scans = [dataclasses.replace(scan, more={"t": times}) for scan in written(tmp_path / "log")]
+    write_livox(tmp_path / "livox.mcap", scans)
+    log = read_log(tmp_path / "livox.mcap")
+    assert close(log, scans)
+    assert [scan.more["t"] == pytest.approx(times, abs=1e-9) for scan in log.scans()] == [True] * 5
+    write_livox(tmp_path / "short.mcap", scans, missing=1)
+    with pytest.raises(DatasetError, match="promises 41 points and holds 40"):
+        list(read_log(tmp_path / "short.mcap").scans())
 
 
 @pytest.mark.parametrize("cut", [0, 20, 1000, 2500, -1])

@@ -1,0 +1,99 @@
+"""ROS's occupancy grids, as map_server and Nav2 write them: a picture of a floor's plan, whose
+cells become columns of voxels."""
+
+import io
+import math
+import re
+import warnings
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelMap
+from scenegen.errors import SceneError, printable, short
+from scenegen.files import read_bounded
+from scenegen.limits import MOST_ASSET_BYTES, MOST_CELLS, MOST_PLACE_VOXELS, MOST_RECIPE_BYTES
+from scenegen.worlds.cloud import Survey, Surveyed
+from scenegen.worlds.octomap import check_voxel
+
+ENTRY = re.compile(r"^(\w+):(.*(?:\n\s*-\s.*)*)", re.MULTILINE)
+"""A key of the YAML file, and its value: a word, or a list in either style."""
+PUNCTUATION = re.compile(r"\n\s*-\s|[\[\],\"']|(?:^|\s)#.*")
+"""What stands between and behind values."""
+FLAGS = {"0": False, "1": True, "false": False, "true": True}
+"""What `negate` may be."""
+
+
+def read_plan(path: Path, height_m: float = Survey.height_m) -> Surveyed:
+    """The map of a .yaml file and its picture, `.pgm` or `.png`, as large as what is known in it.
+
+    A cell is occupied, free or unknown by the file's thresholds, as map_server's mode `trinary` has
+    it. Each becomes a column of cubes from the floor, z = 0, to `height_m`, metres. Below those
+    that are known lies a layer of occupied ones, the floor.
+
+    Raises:
+        SceneError: The file is no such map, it is turned, or too large at that height.
+        DatasetError: A file cannot be read.
+    """
+    text = read_bounded(path, MOST_RECIPE_BYTES).decode("latin-1")
+    said = {key: PUNCTUATION.sub(" ", value).strip() for key, value in ENTRY.findall(text)}
+    try:
+        negate = FLAGS[said["negate"].lower()]
+        voxel_m, free, occupied = (
+            float(said[name]) for name in ("resolution", "free_thresh", "occupied_thresh")
+        )
+        x, y, yaw = map(float, said["origin"].split())
+        image = path.parent / said["image"]
+    except (KeyError, ValueError) as error:
+        raise SceneError(
+            f"{path}: {printable(error)[:100]}: expected a map of ROS, with image, resolution, "
+            "origin [x, y, yaw], negate, occupied_thresh and free_thresh"
+        ) from None
+    check_voxel(voxel_m, str(path))
+    if yaw or not math.isfinite(x + y) or not 0 <= free <= occupied <= 1:
+        raise SceneError(
+            f"{path}: origin {x:g} {y:g} {yaw:g}, thresholds {free:g} and {occupied:g}; expected "
+            "finite metres, a yaw of 0 (turn the picture), and free_thresh below occupied_thresh"
+        )
+    if said.get("mode", "trinary") != "trinary":
+        raise SceneError(f"{path}: mode {short(said['mode'])}, expected trinary; save it as such")
+    shares = np.arange(256) / 255 if negate else 1 - np.arange(256) / 255
+    states = np.where(shares > occupied, OCCUPIED, np.where(shares < free, FREE, UNKNOWN))
+    plan = states.astype(np.uint8)[_shades(image)][::-1].T  # the topmost row has the largest y
+    rows, columns = (np.flatnonzero(plan.any(axis=axis)) for axis in (1, 0))
+    if not len(rows):
+        raise SceneError(f"{path}: an empty map; nothing in it is known")
+    plan = plan[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    layers = math.ceil(height_m / voxel_m) + 1
+    if plan.size * layers > MOST_PLACE_VOXELS:
+        raise SceneError(
+            f"{path}: {' × '.join(map(str, plan.shape))} cells in {layers} layers, expected "
+            f"{MOST_PLACE_VOXELS} voxels at most; cut the picture, or give map a lower --height"
+        )
+    columns_up = np.repeat(plan[:, :, None], layers, axis=2)
+    columns_up[plan != UNKNOWN, 0] = OCCUPIED
+    corner = [x + rows[0] * voxel_m, y + columns[0] * voxel_m, -voxel_m]
+    return Surveyed(
+        VoxelMap(columns_up, voxel_m, np.array(corner)), np.zeros(3), int(np.count_nonzero(plan))
+    )
+
+
+def _shades(path: Path) -> NDArray[np.uint8]:
+    """A picture's pixels (rows, columns), 0 black to 255 white. Raises SceneError."""
+    from PIL import Image
+
+    try:
+        content = io.BytesIO(read_bounded(path, MOST_ASSET_BYTES))
+        with (
+            warnings.catch_warnings(action="error", category=Image.DecompressionBombWarning),
+            Image.open(content, formats=("PNG", "PPM")) as picture,
+        ):
+            if picture.mode not in ("1", "L", "RGB") or math.prod(picture.size) > MOST_CELLS:
+                raise ValueError(f"{picture.mode}, {picture.size}")
+            return np.asarray(picture.convert("L"))
+    except Exception as error:  # Pillow's, and what else a crafted file brings
+        raise SceneError(
+            f"{path}: {printable(error)[:100]}: expected a grey picture of 8 bits, .pgm or .png, "
+            f"without alpha, of {MOST_CELLS} cells at most"
+        ) from None

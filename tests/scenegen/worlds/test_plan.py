@@ -1,0 +1,117 @@
+"""ROS's plans become columns of voxels, cell by cell, and damaged ones end in a line."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from scenegen.errors import SceneError
+from scenegen.source import read_world
+from scenegen.worlds.place import Place, read_place
+from scenegen.worlds.plan import read_plan
+from tests.command_line import run
+
+Image = pytest.importorskip("PIL.Image", reason="Pillow is not installed")
+
+SHADES = np.random.default_rng(0).choice([0, 88, 90, 205, 206, 254], (7, 11)).astype(np.uint8)
+SHADES[0] = SHADES[:, 10] = 205  # nothing known: cut off
+YAML = """image: plan.pgm
+mode: trinary  # as Nav2 writes it
+resolution: 0.25
+origin: [-1.5, 2.0, 0.0]
+negate: 0
+occupied_thresh: 0.65
+free_thresh: 0.196
+"""
+
+
+def write(folder: Path, text: str = YAML, shades: object = SHADES) -> Path:
+    Image.fromarray(shades).save(folder / "plan.pgm")
+    (folder / "plan.yaml").write_text(text)
+    return folder / "plan.yaml"
+
+
+def test_every_cell_is_what_its_shade_says(tmp_path: Path) -> None:
+    voxels = read_plan(write(tmp_path), 1.1).voxels
+    assert voxels.voxel_m == 0.25
+    assert voxels.bounds[:, 2] == pytest.approx([-0.25, 1.25])
+    known = np.argwhere(SHADES != 205)
+    for row, column in np.ndindex(*SHADES.shape):
+        # map_server: (255 - shade) / 255 above 0.65 is occupied, below 0.196 free
+        state = 2 if SHADES[row, column] <= 89 else 1 if SHADES[row, column] >= 206 else 0
+        centre = np.array([-1.5 + 0.25 * (column + 0.5), 2.0 + 0.25 * (7 - row - 0.5)])
+        i, j = np.floor((centre - voxels.origin[:2]) / 0.25).astype(int)
+        if state == 0 and not (0 <= i < voxels.states.shape[0] and 0 <= j < len(voxels.states[0])):
+            continue
+        assert (voxels.states[i, j, 1:] == state).all()
+        assert voxels.states[i, j, 0] == (2 if state else 0)
+    assert voxels.states.shape[:2] == tuple((np.ptp(known, axis=0) + 1)[::-1])
+
+
+@pytest.mark.parametrize("form", ["block list", "negated", "png", "quoted"])
+def test_other_spellings_are_the_same_map(form: str, tmp_path: Path) -> None:
+    expected = read_plan(write(tmp_path)).voxels
+    if form == "block list":
+        text = YAML.replace("[-1.5, 2.0, 0.0]", "\n  - -1.5\n  - 2.0\n  - 0.0")
+        found = read_plan(write(tmp_path, text))
+    elif form == "negated":
+        found = read_plan(write(tmp_path, YAML.replace("negate: 0", "negate: true"), 255 - SHADES))
+    elif form == "png":
+        Image.fromarray(SHADES).save(tmp_path / "plan.png")
+        found = read_plan(write(tmp_path, YAML.replace(".pgm", ".png")))
+    else:
+        found = read_plan(write(tmp_path, YAML.replace("plan.pgm", '"plan.pgm"')))
+    assert (found.voxels.states == expected.states).all()
+    assert (found.voxels.origin == expected.origin).all()
+
+
+def test_a_plan_is_a_world_as_high_as_it_is_said_to_be(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path)
+    world = read_world("plan.yaml")
+    assert isinstance(world, Place)
+    assert world.voxels.bounds[1, 2] == pytest.approx(3)
+    code, _, err = run(capsys, "map plan.yaml --height 2 -o plan.npz --quiet")
+    assert (code, err) == (0, "")
+    assert read_place("plan.npz").voxels.bounds[1, 2] == pytest.approx(2)
+    for words in ("plan.yaml --voxel 0.3", "plan.yaml plan.yaml", "a.ply --height 2"):
+        code, _, err = run(capsys, f"map {words} -o other.npz")
+        assert code == 2
+        assert "is given alone, with --height" in " ".join(err.split())
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("resolution: 0.25\n", "", "'resolution'"),
+        ("0.25", "0", "a voxel of 0 m"),
+        ("0.25", "nan", "a voxel of nan m"),
+        ("0.0]", "0.1]", "a yaw of 0"),
+        ("2.0,", "inf,", "finite metres"),
+        ("2.0, ", "", "expected 3, got 2"),
+        ("negate: 0", "negate: 7", "'7'"),
+        ("0.196", "0.7", "free_thresh below"),
+        ("trinary", "scale", "mode 'scale'"),
+        ("plan.pgm", "other.pgm", "other.pgm"),
+        ("plan.pgm", "plan.yaml", "expected a grey picture"),
+        ("plan.pgm", "alpha.png", "expected a grey picture"),
+        ("plan.pgm", "huge.pgm", "expected a grey picture"),
+        ("plan.pgm", "cut.pgm", "expected a grey picture"),
+        ("plan.pgm", "grey.pgm", "nothing in it is known"),
+        ("plan.pgm", "full.pgm", "nothing in it is free"),
+        (YAML[: YAML.index("0.25") + 4], "image: wide.pgm\nresolution: 1e-3", "a lower --height"),
+    ],
+)
+def test_a_damaged_plan_ends_in_a_line(tmp_path: Path, old: str, new: str, said: str) -> None:
+    path = write(tmp_path, YAML.replace(old, new))
+    Image.fromarray(np.zeros((4, 4, 4), np.uint8)).save(tmp_path / "alpha.png")
+    (tmp_path / "huge.pgm").write_bytes(b"P5\n9999 9999\n255\n")
+    (tmp_path / "cut.pgm").write_bytes((tmp_path / "plan.pgm").read_bytes()[:40])
+    Image.fromarray(np.full((4, 4), 205, np.uint8)).save(tmp_path / "grey.pgm")
+    Image.fromarray(np.zeros((4, 4), np.uint8)).save(tmp_path / "full.pgm")
+    Image.fromarray(np.full((300, 300), 254, np.uint8)).save(tmp_path / "wide.pgm")
+    with pytest.raises(SceneError, match=said) as raised:
+        read_world(path)
+    assert "\n" not in str(raised.value)
