@@ -26,8 +26,10 @@ PICTURES = Path("pictures", "tutorial")
 BLOCK = re.compile(r"^```(sh|python|text)\n(.*?)^```\n", re.M | re.S)
 PICTURE = re.compile(rf"!\[[^\]]*\]\({PICTURES.as_posix()}/([\w.-]+)\)")
 SET_UP = """# the commands of this notebook's own Python, whatever else is on the path
-import os, sys
+import os
+import sys
 from pathlib import Path
+
 from IPython.display import Image
 
 os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
