@@ -1,6 +1,6 @@
 """Draw the README's pictures: a world of each kind with its flight, and one sample.
 
-python docs/pictures.py          needs the extra `view`; writes docs/pictures/*.png
+python docs/pictures.py          needs `pip install pyvista`; writes docs/pictures/*.png
 """
 
 from itertools import pairwise

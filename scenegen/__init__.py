@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from scenegen.dataset.generation import generate
     from scenegen.dataset.locate import load
     from scenegen.dataset.read import Dataset
-    from scenegen.display.page import show
+    from scenegen.display.notebook import show
     from scenegen.draw import scan_world
     from scenegen.model.api import bench, train
     from scenegen.model.completion.completer import Completer
@@ -70,7 +70,7 @@ _MODULES = {
     "scenegen.dataset.generation": ("generate",),
     "scenegen.dataset.locate": ("load",),
     "scenegen.dataset.read": ("Dataset",),
-    "scenegen.display.page": ("show",),
+    "scenegen.display.notebook": ("show",),
     "scenegen.model.api": ("bench", "train"),
     "scenegen.model.completion.completer": ("Completer",),
     "scenegen.model.completion.protocol": ("Prediction",),

@@ -2,6 +2,7 @@
 rest."""
 
 import hashlib
+import html
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal
@@ -206,11 +207,8 @@ class Sample:
                 said = f"{100 * value.mean():.2f} %"
             elif value.size <= 4:
                 said = str(value)
-            rows.append(
-                f"<tr><td>{name}</td><td>{value.shape}</td><td>{said}</td>"
-                f"<td>{FIELDS[name]['meaning']}</td></tr>"
-            )
-        return f"<table>{''.join(rows)}</table>"
+            rows.append((name, value.shape, said, FIELDS[name]["meaning"]))
+        return html_table(rows, self)
 
     def sha256(self) -> bytes:
         """The sample's own digest (32 bytes) over what does not follow from the rest, as
@@ -227,6 +225,13 @@ class Sample:
                     values = np.asarray(getattr(self, name), dtype=FIELDS[name]["dtype"])
                     digest.update(values.tobytes())
         return digest.digest()
+
+
+def html_table(rows: Iterable[Sequence[object]], title: object) -> str:
+    """A table for notebooks under `title`; nothing in it is taken for HTML."""
+    lines = ("".join(f"<td>{html.escape(str(cell))}</td>" for cell in row) for row in rows)
+    body = "".join(f"<tr>{line}</tr>" for line in lines)
+    return f"<p>{html.escape(str(title))}</p><table>{body}</table>"
 
 
 FIELDS = {item.name: item.metadata for item in fields(Sample) if "dtype" in item.metadata}

@@ -32,11 +32,18 @@ def test_a_dataset_is_made_loaded_and_checked(dataset: scenegen.Dataset) -> None
 def test_samples_are_shown(dataset: scenegen.Dataset, tmp_path: Path) -> None:
     sample = dataset.split("train")[0]
     guess = scenegen.Prediction(occupancy_probability=sample.observed.astype(np.float32))
-    page = scenegen.show(sample, {"<mine>": guess}, out=tmp_path / "page.html")
-    assert "\\u003cmine>" in page.read_text(encoding="utf-8")
+    path = np.linspace(sample.origin, sample.position, 5)
+    shown = scenegen.show(sample, {"<mine>": guess}, path, out=tmp_path / "page.html")
+    assert "\\u003cmine>" in (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert f"{np.linalg.norm(sample.position - sample.origin):.2f} m" in shown.html
+    framed = shown._repr_html_()
+    assert framed.startswith("<div")
+    assert "<script" not in framed
+    assert "<mine>" not in framed
+    assert "data:image/webp" in framed
     drawn = scenegen.stream("pillar", seed=3)[0]
     assert drawn.sha256() == sample.sha256()
-    assert scenegen.show([drawn], out=tmp_path / "drawn.html").stat().st_size > 10_000
+    assert len(scenegen.show([drawn], out=tmp_path / "drawn.html").html) > 10_000
     with pytest.raises(DatasetError, match="grid"):
         scenegen.show(scenegen.Sample(**{name: getattr(sample, name) for name in sample.names}))
 

@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
+import scenegen
+
 ROOT = Path(__file__).parents[1]
 USERS = {
     "model.py": "mine = 'model'",
@@ -121,6 +123,11 @@ def test_what_figures_were_measured_with_is_allowed() -> None:
     ]:
         needed = Requirement(line)
         assert needed.specifier.contains(measured[needed.name]), line
+
+
+def test_who_cites_it_names_this_version() -> None:
+    cited = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"\nversion: {scenegen.__version__}\n" in cited
 
 
 def test_an_editable_install_shows_our_two_packages_alone() -> None:

@@ -15,10 +15,11 @@ from lidarsim import GridSpec
 from scenegen.errors import ScenegenError
 from scenegen.model.calibration import CLOSE, RISK, Given, Uncertainty, UncertaintyError
 from scenegen.model.config import Thresholds
+from scenegen.sample import html_table
 from scenegen.truth import distance_field
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Prediction:
     """What a method says about a map, or a batch of them; at least one of the two is given. Raises
     ValueError where neither is."""
@@ -36,6 +37,19 @@ class Prediction:
     def __post_init__(self) -> None:
         if self.occupancy_probability is None and self.tudf is None:
             raise ValueError("a completion needs a probability of occupancy, a distance, or both")
+
+    def __repr__(self) -> str:
+        given = [name for name in PARTS if getattr(self, name) is not None]
+        return f"<Prediction: {', '.join(given)} {tuple(getattr(self, given[0]).shape)}>"
+
+    def _repr_html_(self) -> str:
+        """For notebooks: what each part is, its least, mean and greatest number."""
+        rows: list[tuple[str, ...]] = [("", "", "least", "mean", "greatest")]
+        for name, (what, _) in PARTS.items():
+            if (values := _plain(getattr(self, name))) is not None:
+                figures = (values.min(), values.mean(), values.max())
+                rows.append((name, what, *(f"{figure:.3g}" for figure in figures)))
+        return html_table(rows, self)
 
     def occupied(self, thresholds: Thresholds | None = None) -> NDArray[np.bool_]:
         """The binary map, (*shape), at `thresholds`, by default the paper's: where the probability

@@ -145,7 +145,8 @@ class Progress:
             progress.MofNCompleteColumn(),
             progress.TextColumn("{task.fields[rate]}"),
             progress.TimeRemainingColumn(),
-            console=Console(stderr=True),
+            # notebooks ask for colours, which rich takes for a terminal
+            console=Console(stderr=True, force_terminal=sys.stderr.isatty()),
         )
         self._begin, self._at_begin = time.perf_counter(), self._done
         label = escaped(self._label)

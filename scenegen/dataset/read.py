@@ -1,7 +1,6 @@
 """Read a dataset: samples by split and number, with what was left out derived, and the worlds they
 come from."""
 
-import html
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -18,7 +17,7 @@ from scenegen.dataset import trust
 from scenegen.dataset.archive import DOCUMENT, open_archive
 from scenegen.dataset.layout import ShardFile, check_sum, open_file, open_shard
 from scenegen.errors import BrokenError, DatasetError, SceneError, short
-from scenegen.sample import Sample, derive_free, derive_tudf
+from scenegen.sample import Sample, derive_free, derive_tudf, html_table
 
 if TYPE_CHECKING:  # which imports MuJoCo
     from scenegen.worlds.place import Place
@@ -68,6 +67,18 @@ class Dataset:
                 f"{self.folder}: has no split {short(name)}; expected one of {', '.join(SPLITS)}"
             )
         return Split(self, name)
+
+    def __repr__(self) -> str:
+        return f"<Dataset: {self.manifest.kind}, seed {self.manifest.seed}, in {self.folder}>"
+
+    def _repr_html_(self) -> str:
+        """For notebooks: what the dataset is, and the samples of its splits."""
+        it = self.manifest
+        rows: list[tuple[str, object]] = [
+            (name, f"{len(self.split(name))} samples") for name in SPLITS
+        ]
+        rows += [("grid", self.grid), ("sensor", self.lidar), ("digest", it.digest)]
+        return html_table(rows, self)
 
     def world(self, split: str, number: int) -> dict[str, bytes]:
         """World `number` of `split`: its MJCF under ``world.xml``, and the files that it refers to
@@ -218,12 +229,8 @@ class Split(Sequence[Sample]):
 
     def _repr_html_(self) -> str:
         """For notebooks: what the split is, and what its samples hold."""
-        rows = "".join(
-            f"<tr><td>{name}</td><td>{about['dtype']} "
-            f"{about['shape']}</td><td>{about['meaning']}</td></tr>"
-            for name, about in self.describe().items()
-        )
-        return f"<p>{html.escape(repr(self))}</p><table>{rows}</table>"
+        rows = ((name, *about.values()) for name, about in self.describe().items())
+        return html_table(rows, self)
 
     def describe(self) -> dict[str, dict[str, Any]]:
         """What a sample holds: name of each field to its `dtype`, `shape`, `unit` and `meaning`."""

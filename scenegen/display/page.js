@@ -14,18 +14,21 @@
     return new Uint8Array(await new Response(stream).arrayBuffer());
   }
 
-  // The renderer's files are modules that import each other by name.
-  const urls = {};
+  // The renderer's files are modules, one of which imports the other. They become scripts of this
+  // page itself: a notebook's frame may load no others.
+  const renames = (names, between) => names.split(",").filter((one) => one.trim()).map((one) => {
+    const [from, to] = one.trim().split(/\s+as\s+/);
+    return between(from, to ?? from);
+  }).join(", ");
   for (const name of ["three", "orbit"]) {
-    const code = await unpack(find(name).textContent);
-    urls[name] = URL.createObjectURL(new Blob([code], { type: "text/javascript" }));
+    const code = new TextDecoder().decode(await unpack(find(name).textContent))
+      .replace(/\bimport\s*\{([^}]*)\}\s*from\s*["']three["']/, (_, names) => `const { ${renames(names, (from, to) => `${from}: ${to}`)} } = window.three`)
+      .replace(/\bexport\s*\{([^}]*)\}/, (_, names) => `window.${name} = { ${renames(names, (from, to) => `${to}: ${from}`)} }`);
+    const script = make("script", `(() => { "use strict"; ${code}\n})()`);
+    script.nonce = find("main").nonce;
+    document.head.append(script);
   }
-  const map = make("script", JSON.stringify({ imports: urls }));
-  map.type = "importmap";
-  map.nonce = find("main").nonce;
-  document.head.append(map);
-  const THREE = await import("three");
-  const { OrbitControls } = await import("orbit");
+  const THREE = window.three, { OrbitControls } = window.orbit;
 
   const canvas = find("scene");
   let renderer;
@@ -439,4 +442,7 @@
   new ResizeObserver(resize).observe(canvas);
   resize();
   await show(live ? live.index : 0);
-})();
+})().catch((error) => {
+  if (parent === window) throw error;
+  document.body.hidden = true; // a notebook has a picture behind this frame
+});

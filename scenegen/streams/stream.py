@@ -17,7 +17,7 @@ from scenegen.dataset.generation import MIXED, fraction, is_mixed, read_componen
 from scenegen.dataset.parts import schema_of
 from scenegen.errors import DatasetError, short
 from scenegen.limits import MOST_SAMPLES, MOST_SEED, MOST_WORKERS
-from scenegen.sample import Sample
+from scenegen.sample import Sample, html_table
 from scenegen.streams.ahead import Ahead, Cache, pack, record_type, unpack
 from scenegen.streams.batches import Batches, Place, whole
 from scenegen.streams.mixture import Component, Mixture, component_of, parts_of
@@ -114,6 +114,15 @@ class Stream(Sequence[Sample]):
             packed = self._unit(slot)[view]
             found.append(unpack(packed, self._records[part], self._schemas[part]))
         return found
+
+    def __repr__(self) -> str:
+        return f"<Stream: {len(self)} samples, {self.name}, {self.split}>"
+
+    def _repr_html_(self) -> str:
+        """For notebooks: what the stream is, and what its samples hold."""
+        return html_table(
+            ((name, *about.values()) for name, about in self.describe().items()), self
+        )
 
     def __iter__(self) -> "Reader":
         return Reader(self)

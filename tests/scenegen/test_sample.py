@@ -1,10 +1,12 @@
 """Samples and splits say what they are, and give their points."""
 
+import html
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import scenegen
 from scenegen.dataset.read import Dataset
 from scenegen.sample import GROUPS, Sample
 from tests.command_line import run
@@ -39,7 +41,11 @@ def test_samples_and_splits_say_what_they_are(dataset: Path) -> None:
     folder = dataset.rename(dataset.with_name("<b>x"))
     split = Dataset(folder).split("train")
     assert repr(split) == f"<Split: 11 samples of {folder}, train>"
-    assert "<b>x" not in split._repr_html_()
+    guess = scenegen.Prediction(tudf=split[0].tudf)
+    for value in (split, split.dataset, guess, scenegen.stream("pillar")):
+        said = value._repr_html_()
+        assert "<b>x" not in said
+        assert html.escape(repr(value)) in said
     assert all(
         f"<td>{name}</td>" in text
         for text in (split._repr_html_(), split[0]._repr_html_())

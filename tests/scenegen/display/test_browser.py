@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import scenegen
 from scenegen.dataset.read import Dataset
 from scenegen.display.look import Guess, Route, looks
 from scenegen.display.page import page
@@ -73,6 +74,37 @@ def test_a_hostile_dataset_runs_no_script_in_a_browser(
     assert tab.locator("#title").inner_text().startswith("</script>")
     tab.wait_for_timeout(300)
     assert told == []
+    tab.close()
+
+
+STRICT = """<meta http-equiv="Content-Security-Policy" content="default-src 'none'; script-src
+'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; img-src https: http: data:; font-src
+https:; connect-src https:; child-src https: data:">"""
+"""What the notebooks of VS Code allow: no script from a blob."""
+
+
+def test_a_notebook_shows_the_page_and_a_picture_where_there_are_no_scripts(
+    browser: Any, made: Path, tmp_path: Path
+) -> None:
+    sample = Dataset(made).split("train")[0]
+    path = np.linspace(sample.origin, sample.position, 3)
+    shown = scenegen.show(sample, sample.observed, path, out=tmp_path / "page.html")
+    (tmp_path / "cell.html").write_text(STRICT + shown._repr_html_(), encoding="utf-8")
+    tab = browser.new_page(viewport={"width": 900, "height": 700})
+    told: list[str] = []
+    tab.on("console", lambda line: told.append(line.text) if line.type == "error" else None)
+    tab.goto((tmp_path / "cell.html").as_uri())
+    frame = tab.frame_locator("iframe")
+    frame.locator("body[data-sample='0']").wait_for(state="attached", timeout=60_000)
+    assert "paths" in frame.locator("body").get_attribute("data-layers").split()
+    assert told == []
+    tab.close()
+    tab = browser.new_page(java_script_enabled=False)
+    tab.goto((tmp_path / "cell.html").as_uri())
+    assert "needs JavaScript" in tab.frame_locator("iframe").locator("body").inner_text()
+    assert not tab.frame_locator("iframe").locator("#panel").is_visible()
+    width = tab.locator("img").bounding_box()["width"]
+    assert width > 300
     tab.close()
 
 

@@ -1,0 +1,140 @@
+"""Samples, what is predicted of them, and paths: a page in a notebook, a file, or a browser."""
+
+import base64
+import html
+import importlib.util
+import sys
+import tempfile
+import webbrowser
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lidarsim import GridSpec, Sensor
+from scenegen.display.look import Guess, Look, Route, look_at
+from scenegen.display.page import page
+from scenegen.errors import DatasetError
+from scenegen.files import write_result
+from scenegen.sample import Sample
+
+TALL = 620
+"""Height of a page in a notebook, pixels."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Shown:
+    """What `show` shows; a notebook shows it as the last value of a cell."""
+
+    html: str
+    """The page."""
+    looks: Sequence[Look]
+    """What is on it."""
+
+    def __repr__(self) -> str:
+        return f"<Shown: {', '.join(look.name for look in self.looks)}>"
+
+    def _repr_html_(self) -> str:
+        """The page in a frame; below it a picture of the first sample, which is what one sees where
+        frames or scripts are not to be had, as on GitHub."""
+        if importlib.util.find_spec("matplotlib") is None:
+            below = "<p>A picture where no scripts run needs matplotlib: the extra view.</p>"
+        else:
+            below = f'<img src="{self._picture()}" style="max-width: 100%; max-height: 100%">'
+        frame = "position: absolute; inset: 0; width: 100%; height: 100%; border: 0"
+        return (
+            f'<div style="position: relative; height: {TALL}px">{below}'
+            f'<iframe srcdoc="{html.escape(self.html)}" style="{frame}"></iframe></div>'
+        )
+
+    def _picture(self) -> str:
+        from scenegen.display.figures import draw_completions
+        from scenegen.display.panels import plain, to_bytes
+        from scenegen.display.pictures import draw_sample
+
+        look = self.looks[0]
+        title = plain(look.name)
+        figure = (
+            draw_completions([look], title=title)
+            if look.guesses
+            else draw_sample(look, title=title)
+        )
+        drawn = to_bytes(figure, ".webp")
+        return f"data:image/webp;base64,{base64.b64encode(drawn).decode()}"
+
+
+def show(
+    samples: Sample | Sequence[Sample],
+    prediction: Any = None,
+    path: Any = None,
+    *,
+    out: str | Path | None = None,
+    grid: GridSpec | None = None,
+    lidar: Sensor | None = None,
+) -> Shown:
+    """Show samples in three dimensions, and what was predicted of the first of them.
+
+    In a notebook the page shows as the value of its cell; elsewhere it is opened in a browser, or
+    written to the file `out`.
+
+    Args:
+        samples: One sample, or several.
+        prediction: What is predicted of the first sample: a `scenegen.Prediction`, or a bool array
+            of occupied voxels; or several of them by the name of who predicts.
+        path: Points (n, 3) of a path planned on the first of the predictions, or on the truth,
+            metres in the world.
+        out: The page's file.
+        grid: The map's grid. A dataset's sample knows its own; others need it.
+        lidar: The sensor. A dataset's or a stream's sample knows its own.
+
+    Raises:
+        DatasetError: The grid is not known, or too large for a page; or `out` is not ours to
+            replace.
+        TypeError: The sensor is not known.
+    """
+    looks = []
+    for sample in [samples] if isinstance(samples, Sample) else samples:
+        its_grid = grid or sample.grid
+        if its_grid is None:
+            raise DatasetError("this sample does not know its grid; give grid, such as recipe.grid")
+        its_lidar = lidar or sample.scans()[0].lidar
+        name = f"world {sample.world}, viewpoint {sample.viewpoint}"
+        looks.append(look_at(sample, its_grid, its_lidar, name))
+    first = looks[0]
+    named: Mapping[str, Any]
+    if prediction is None:
+        named = {} if path is None else {"truth": first.masks["occupancy"]}
+    else:
+        named = prediction if isinstance(prediction, Mapping) else {"prediction": prediction}
+    guesses = [_guess(name, found, first.grid) for name, found in named.items()]
+    if path is not None:
+        guesses[0] = replace(guesses[0], route=_route(path))
+    looks[0] = replace(first, guesses=tuple(guesses))
+    notes = [line for look in looks for line in look.missing]
+    made = Shown(html=page(looks, title="scenegen", notes=notes), looks=looks)
+    if out is not None:
+        write_result(Path(out), made.html.encode())
+    elif "ipykernel" not in sys.modules:
+        with tempfile.NamedTemporaryFile(prefix="scenegen-", suffix=".html", delete=False) as file:
+            file.write(made.html.encode())
+        webbrowser.open(Path(file.name).as_uri())
+    return made
+
+
+def _guess(name: str, found: Any, grid: GridSpec) -> Guess:
+    """A prediction, or occupied voxels, to be shown. The thresholds of a prediction are the
+    paper's."""
+    if isinstance(found, np.ndarray):
+        from scenegen.truth import distance_field  # which compiles
+
+        return Guess(name=name, occupied=found, tudf=distance_field(found, grid))
+    return Guess(name=name, occupied=found.occupied(), tudf=found.distance(None, grid))
+
+
+def _route(path: Any) -> Route:
+    points = np.asarray(path, dtype=np.float64)
+    length = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
+    told = f"{length:.2f} m"
+    return Route(start=points[0], goal=points[-1], points=points, told=told, fails=False)
