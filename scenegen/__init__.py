@@ -12,6 +12,7 @@ All that `__all__` lists is imported when it is first asked for.
 from __future__ import annotations
 
 import os
+import sys
 
 TYPE_CHECKING = False  # as typing has it, which takes time to import: commands answer stops first
 if TYPE_CHECKING:
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from scenegen.dataset.read import Dataset
     from scenegen.display.notebook import show
     from scenegen.draw import scan_world
+    from scenegen.fly.environment import Flight
     from scenegen.model.api import bench, train
     from scenegen.model.completion.completer import Completer
     from scenegen.model.completion.protocol import Prediction
@@ -47,6 +49,7 @@ SPLITS = ("train", "val", "test")
 __all__ = [
     "Completer",
     "Dataset",
+    "Flight",
     "Output",
     "Prediction",
     "Recipe",
@@ -71,6 +74,7 @@ _MODULES = {
     "scenegen.dataset.locate": ("load",),
     "scenegen.dataset.read": ("Dataset",),
     "scenegen.display.notebook": ("show",),
+    "scenegen.fly.environment": ("Flight",),
     "scenegen.model.api": ("bench", "train"),
     "scenegen.model.completion.completer": ("Completer",),
     "scenegen.model.completion.protocol": ("Prediction",),
@@ -104,6 +108,37 @@ def __getattr__(name: str) -> Any:
 def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
+
+class _OnceImported:
+    """Tells Gymnasium of our environment when it is imported: here, that would take too long."""
+
+    def find_spec(self, name: str, path: Any = None, target: Any = None) -> Any:
+        """Gymnasium's own, whose module is told of the environment as soon as it has run."""
+        if name != "gymnasium":
+            return None
+        from importlib.util import find_spec
+
+        sys.meta_path.remove(self)  # type: ignore[arg-type]
+        spec = find_spec(name)
+        if spec is not None and spec.loader is not None:
+            run = spec.loader.exec_module
+
+            def exec_module(module: Any) -> None:
+                run(module)
+                _register(module)
+
+            spec.loader.exec_module = exec_module  # type: ignore[method-assign]
+        return spec
+
+
+def _register(gymnasium: Any) -> None:
+    gymnasium.register("scenegen/Fly-v0", entry_point="scenegen.fly.environment:Flight")
+
+
+if "gymnasium" in sys.modules:
+    _register(sys.modules["gymnasium"])
+else:
+    sys.meta_path.insert(0, _OnceImported())
 
 # Where a checkout has lost its link scenegen/model, as in a zip or on Windows, the package is found
 # beside this one.

@@ -155,3 +155,9 @@ GUARD_S = 60.0
 adds to it."""
 GUARD_BYTES = 4 << 30
 """How much address space the library may take meanwhile; the file's size adds to it."""
+
+ROBOT_START_SECONDS, ROBOT_SECONDS, ROBOT_BYTES = 60.0, 1.0, 8 << 30
+"""The time that a stranger's robot may take to begin, and for a decision, seconds; and its address
+space."""
+MOST_ANSWER_BYTES = 4096
+"""The most bytes of a robot's decision."""

@@ -19,7 +19,8 @@ from scenegen import SPLITS
 from scenegen.errors import BrokenError, RecipeError, SceneError, printable
 from scenegen.files import real_path
 from scenegen.limits import MOST_ARCHIVE_BYTES, MOST_GEOMS, MOST_MEMBERS, SCENE_BYTES, SCENE_SECONDS
-from scenegen.recipe import Recipe
+from scenegen.recipe import Recipe, preset
+from scenegen.recipes import KINDS
 from scenegen.run.workers import Limited, run
 from scenegen.worlds import CLOUDS, MAPS, MESHES
 from scenegen.worlds.labels import By, class_names
@@ -140,6 +141,15 @@ def read_world(path: str | Path) -> World | Place:
         raise SceneError(f"{path}: is a folder; expected one MJCF file, or a map")
     source = read_scenes(Path(path), {"train": 1, "val": 0, "test": 0}, seed=0, allow_unseen=True)
     return source.world("train", 0, rng=np.random.default_rng(0))
+
+
+def named_world(name: str, seed: int, difficulty: str | None = None) -> World | Place:
+    """The world of a file, see `read_world`, or one of the kind called `name`, as its preset of
+    that difficulty draws it by `seed`."""
+    if Path(name).exists() or (name not in KINDS.known and ":" not in name):
+        return read_world(name)
+    drawn = DrawnWorlds(preset(name, difficulty=difficulty))
+    return drawn.world("train", 0, rng=np.random.default_rng(seed))
 
 
 @functools.lru_cache(maxsize=8)

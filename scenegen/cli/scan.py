@@ -31,7 +31,6 @@ from scenegen.cli.types import Named, Number, Numbers
 from scenegen.display.exchange import Choices
 from scenegen.limits import LEAST_DRAWN_M
 from scenegen.logs import Cruise
-from scenegen.recipes import KINDS
 from scenegen.worlds import CLOUDS, MAPS
 
 if TYPE_CHECKING:
@@ -198,6 +197,7 @@ def scan(
         raise click.UsageError(f"{world}: a map takes no --engine: it has its own")
     from scenegen.display.exchange.files import SUFFIXES
     from scenegen.files import check_ours
+    from scenegen.source import named_world
     from scenegen.tables import named_lidar, named_noise
 
     if not sequence and out.suffix not in SUFFIXES:
@@ -213,7 +213,7 @@ def scan(
         elif talk:
             show_table(row)
         return
-    found = _world(world, seed)
+    found = named_world(str(world), seed)
     poses = _poses(found, pose, every, seed)
     files = [out] if every is None else [_numbered(out, number) for number in range(len(poses))]
     for file in files:
@@ -229,18 +229,6 @@ def scan(
         if len(rows) > 1:
             told |= {"file": f"{files[0]} … {files[-1]}", "scans": len(rows)}
         show_table(told)
-
-
-def _world(world: Path, seed: int) -> "World | Place":
-    """The world of a file, or one of a kind, drawn by `seed`."""
-    import numpy as np
-
-    from scenegen.recipe import preset
-    from scenegen.source import DrawnWorlds, read_world
-
-    if str(world) not in KINDS.known or world.exists():
-        return read_world(world)
-    return DrawnWorlds(preset(str(world))).world("train", 0, rng=np.random.default_rng(seed))
 
 
 def _write_sequence(
@@ -260,11 +248,12 @@ def _write_sequence(
     from scenegen.logs.cruise import cruise_poses
     from scenegen.logs.record import period_s, record
     from scenegen.logs.write import write_log
+    from scenegen.source import named_world
 
     check_free(out)
     if out.suffix == ".mcap":
         import mcap_ros2  # noqa: F401 (what is missing is said before a minute of scans)
-    found, period = _world(world, seed), period_s(sensor)
+    found, period = named_world(str(world), seed), period_s(sensor)
     poses = cruise_poses(found, cruise, period, seed=seed)
     caster = engine_of(ENGINES.find(engine).of, found)
     corrected = out.suffix != ".mcap"

@@ -344,7 +344,7 @@ def _serve(
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
-    _die_with_parent()
+    die_with_parent()
     threading.Thread(target=_watch, args=(parent_id,), daemon=True).start()
     while True:
         try:
@@ -356,7 +356,7 @@ def _serve(
         parent.send(answer)
 
 
-def _die_with_parent() -> None:
+def die_with_parent() -> None:
     """Have the kernel end this process when the thread that began it ends, even if it hangs in a
     library then."""
     import ctypes

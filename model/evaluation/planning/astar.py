@@ -1,7 +1,5 @@
 """A* on a lattice of voxel centres: the shortest path on a collision map."""
 
-import heapq
-import math
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -9,12 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lidarsim.grid import GridSpec
-from lidarsim.jit import kernel
 from scenegen.model.evaluation.config import PlanConfig
-
-TIE = 1e-9
-"""Paths whose lengths differ by less, in lattice steps, are equally long: what differs is
-rounding."""
+from scenegen.worlds.search import NO_RISK, search
 
 Blocked = Literal["start_blocked", "goal_blocked", "no_path"]
 
@@ -113,18 +107,16 @@ def plan_path(
         return Plan(None, "start_blocked")
     if occupied[tuple(lattice.voxels(end))]:
         return Plan(None, "goal_blocked")
-    nodes = _search(
+    nodes = search(
         occupied,
-        np.empty((0, 0, 0), np.float32)
-        if risk is None
-        else checked(risk, "risk", grid, np.float32),
-        config.risk_weight,
         lattice.first,
         np.array(lattice.shape),
         lattice.step,
         start,
         end,
         config.edge_check,
+        NO_RISK if risk is None else checked(risk, "risk", grid, np.float32),
+        config.risk_weight,
     )
     return Plan(lattice.centres(nodes), None) if len(nodes) else Plan(None, "no_path")
 
@@ -136,87 +128,3 @@ def checked(values: NDArray, name: str, grid: GridSpec, dtype: type) -> NDArray:
     if values.shape != grid.shape:
         raise ValueError(f"{name}: shape {values.shape} must be the grid's, {grid.shape}")
     return values
-
-
-@kernel
-def _search(occupied, risk, weight, first, shape, step, start, goal, edge_check):
-    """Nodes (n, 3) from `start` to `goal`, both free; (0, 3) where no path is. Lengths are in
-    lattice steps, and longer by `weight` times the `risk` on the way, unless that is empty.
-
-    The straight line to the goal never exceeds what is left of a path, nor falls by more than an
-    edge is long, so the first arrival is the shortest.
-    """
-    nb, nc = shape[1], shape[2]
-    length = np.full(shape[0] * nb * nc, np.inf)
-    parent = np.full(len(length), -1, np.int32)
-    origin = (start[0] * nb + start[1]) * nc + start[2]
-    target = (goal[0] * nb + goal[1]) * nc + goal[2]
-    length[origin] = 0.0
-    heap = [(0.0, 0.0, origin)]
-    while len(heap) > 0:
-        _, walked, node = heapq.heappop(heap)
-        walked = -walked
-        if node == target:
-            break
-        if walked > length[node]:
-            continue
-        a, b, c = node // (nb * nc), node // nc % nb, node % nc
-        for i in range(max(a - 1, 0), min(a + 2, shape[0])):
-            for j in range(max(b - 1, 0), min(b + 2, nb)):
-                for k in range(max(c - 1, 0), min(c + 2, nc)):
-                    there = (i * nb + j) * nc + k
-                    x, y, z = first[0] + step * i, first[1] + step * j, first[2] + step * k
-                    reach = math.sqrt(abs(i - a) + abs(j - b) + abs(k - c))
-                    if len(risk) > 0:
-                        met = _sum_along(risk, x, y, z, a - i, b - j, c - k, step)
-                        reach += weight * reach * met / step
-                    reached = walked + reach
-                    if reached > length[there] - TIE:
-                        continue
-                    if occupied[x, y, z]:
-                        continue
-                    if edge_check and not _edge_is_free(
-                        occupied, x, y, z, a - i, b - j, c - k, step
-                    ):
-                        continue
-                    left = math.sqrt((goal[0] - i) ** 2 + (goal[1] - j) ** 2 + (goal[2] - k) ** 2)
-                    length[there] = reached
-                    parent[there] = node
-                    heapq.heappush(heap, (reached + left, -reached, there))
-    if not math.isfinite(length[target]):
-        return np.empty((0, 3), np.int64)
-    count = 1
-    node = target
-    while node != origin:
-        node = parent[node]
-        count += 1
-    path = np.empty((count, 3), np.int64)
-    node = target
-    for n in range(count - 1, -1, -1):
-        path[n, 0], path[n, 1], path[n, 2] = node // (nb * nc), node // nc % nb, node % nc
-        node = parent[node]
-    return path
-
-
-@kernel
-def _edge_is_free(occupied, x, y, z, dx, dy, dz, step):
-    """Whether the voxels between two nodes are free: from (x, y, z) `step` voxels along (dx, dy,
-    dz), each -1, 0 or 1.
-
-    From centre to centre along such a direction a segment runs through the voxels stepped on here
-    and, at corners and edges, past the others without entering them, so no other meets it with
-    positive length.
-    """
-    for n in range(1, step):  # noqa: SIM110 (numba knows no all() of a generator)
-        if occupied[x + n * dx, y + n * dy, z + n * dz]:
-            return False
-    return True
-
-
-@kernel
-def _sum_along(values, x, y, z, dx, dy, dz, step):
-    """The sum of `values` in the `step` voxels from (x, y, z) on along (dx, dy, dz)."""
-    total = 0.0
-    for n in range(step):
-        total += values[x + n * dx, y + n * dy, z + n * dz]
-    return total

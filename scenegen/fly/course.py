@@ -1,0 +1,159 @@
+"""A course: all that flights depend on, but for who decides. It is small, and travels to other
+processes; and a recording of flights through one, which are flown again from it."""
+
+import dataclasses
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lidarsim import AnalyticEngine, Sensor
+from lidarsim.noise.chain import Noise
+from lidarsim.sensors import RASTER
+from scenegen import __version__
+from scenegen.errors import DatasetError, printable
+from scenegen.files import read_bounded
+from scenegen.fly import Rules, Vehicle
+from scenegen.fly.loop import Flown, scored
+from scenegen.fly.missions import Mission, draw_missions
+from scenegen.fly.simulation import Simulation, bounded
+from scenegen.limits import MOST_MANIFEST_BYTES
+from scenegen.source import named_world
+from scenegen.tables import named_lidar, named_noise
+from scenegen.worlds.place import Place
+from scenegen.worlds.world import World
+
+FORMAT = 1
+"""Of recordings."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Course:
+    """Missions through one world. Raises ScenegenError, where it is first used, for a world, a
+    sensor or noise that cannot be."""
+
+    world: str
+    """A kind of worlds, or a file: MJCF, or a map of a real place."""
+    seed: int = 0
+    """What the world of a kind is drawn by, and the missions, and the noise."""
+    difficulty: str | None = None
+    """Of the kind's preset; None for its usual one."""
+    lidar: str = RASTER
+    """The sensor's name, or its file."""
+    noise: str = ""
+    """Stages of noise, as `--noise` has them."""
+    moving: bool = False
+    """Whether each ray is cast from where the sensor is when its turn comes."""
+    vehicle: Vehicle = field(default_factory=Vehicle)
+    rules: Rules = field(default_factory=Rules)
+    flights: int = 10
+    """Missions."""
+
+    @cached_property
+    def sensor(self) -> Sensor:
+        """The sensor itself."""
+        return named_lidar(self.lidar)
+
+    @cached_property
+    def chain(self) -> Noise:
+        """The noise itself."""
+        return named_noise(self.noise or None, self.sensor)
+
+    @cached_property
+    def drawn(self) -> World | Place:
+        """The world itself."""
+        return named_world(self.world, self.seed, self.difficulty)
+
+    @cached_property
+    def missions(self) -> Sequence[Mission]:
+        """See `draw_missions`."""
+        return draw_missions(self.drawn, self.vehicle, self.rules, self.flights, seed=self.seed)
+
+    @property
+    def sha256(self) -> str:
+        """Of the world's document."""
+        return hashlib.sha256(self.drawn.mjcf).hexdigest()
+
+    def simulation(self, number: int) -> Simulation:
+        """Mission `number`, about to begin."""
+        return Simulation(
+            self.drawn,
+            self.drawn.caster(AnalyticEngine.of),
+            self.missions[number],
+            sensor=self.sensor,
+            vehicle=self.vehicle,
+            rules=self.rules,
+            noise=self.chain,
+            moving=self.moving,
+            seed=self.seed,
+        )
+
+
+def encode_recording(robot: str, courses: Sequence[tuple[Course, Sequence[Flown]]]) -> bytes:
+    """Flights as JSON: what `read_recording` reads. Commands are float32 in as many digits as tell
+    them from all others."""
+    found = []
+    for course, flights in courses:
+        rows = [
+            one.row() | {"commands": [[float(str(x)) for x in row] for row in one.commands]}
+            for one in flights
+        ]
+        about = dataclasses.asdict(course)
+        found.append({"course": about, "sha256": course.sha256, "flights": rows})
+    text = {"format": FORMAT, "scenegen": __version__, "robot": robot, "courses": found}
+    return (json.dumps(text) + "\n").encode()
+
+
+def read_recording(path: Path) -> tuple[str, list[tuple[Course, str, list[dict[str, Any]]]]]:
+    """The robot's name, and each course with its world's SHA-256 and its flights' rows, each with
+    `commands`. Raises DatasetError for a file that is no recording."""
+    try:
+        text = json.loads(read_bounded(path, MOST_MANIFEST_BYTES))
+        if text["format"] != FORMAT:
+            raise DatasetError(f"{path}: has format {text['format']!a}, expected {FORMAT}")
+        courses = []
+        for one in text["courses"]:
+            about = dict(one["course"])
+            parts = {"vehicle": Vehicle(**about["vehicle"]), "rules": Rules(**about["rules"])}
+            course = Course(**about | parts)
+            for row in one["flights"]:
+                row["commands"] = np.array(row["commands"], np.float32).reshape(-1, 4)
+                row["digest"], row["outcome"]
+            courses.append((course, str(one["sha256"]), list(one["flights"])))
+        return printable(text["robot"]), courses
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        said = f"{type(error).__name__}: {printable(error)}"[:200]
+        raise DatasetError(f"{path}: no recording of flights ({said}); fly again") from None
+
+
+def replay(path: Path) -> Iterator[tuple[Course, Flown, bool]]:
+    """Fly the recorded commands again: each flight, and whether it is the same to the bit.
+
+    Raises:
+        DatasetError: The file is no recording, or a world is another one than then.
+    """
+    for course, sha256, rows in read_recording(path)[1]:
+        if course.sha256 != sha256 or len(rows) > len(course.missions):
+            raise DatasetError(
+                f"{path}: {course.world} is another world than when it was recorded; give the "
+                "file, and the version of scenegen, of then"
+            )
+        for number, row in enumerate(rows):
+            simulation, commands = course.simulation(number), []
+            for command in row["commands"]:
+                given, _ = bounded(command, course.vehicle)
+                if simulation.outcome is not None or given is None:
+                    break
+                simulation.observe()
+                simulation.step(command)
+                commands.append(command)
+            simulation.outcome = simulation.outcome or row["outcome"]
+            again = scored(simulation, commands, [], Counter(), "")
+            same = (again.digest, again.outcome) == (row["digest"], row["outcome"])
+            yield course, again, same

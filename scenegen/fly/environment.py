@@ -1,0 +1,79 @@
+"""Flights as a Gymnasium environment."""
+
+import dataclasses
+import math
+from typing import Any, Literal
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from scenegen.fly.course import Course
+from scenegen.fly.simulation import Observation, Simulation, bounded
+
+PRIZE = 10.0
+"""What reaching the goal is worth, and what any other end costs."""
+
+
+class Flight(gymnasium.Env[Observation, NDArray[np.float32]]):
+    """A quadrotor with a LiDAR flies to a goal: `gymnasium.make("scenegen/Fly-v0")`.
+
+    An observation is that of `Simulation.observe`; an action is a velocity in the world, m/s, and
+    a rate of yaw, rad/s, (4,), flown for a tenth of a second. The reward is how many metres nearer
+    the goal is, and 10 at the goal, -10 at a collision or beyond the bounds. Each episode has a
+    world of its own, drawn by the environment's generator, or, of a file, a mission of its own.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (as Gymnasium has it)
+
+    def __init__(self, world: str = "pillar", *, render_mode: Literal[None] = None, **options: Any):
+        """`world`, and further `options`, are those of `scenegen.fly.course.Course`."""
+        self._course = Course(world=world, flights=1, **options)
+        self.render_mode = render_mode
+        shape, vehicle = self._course.sensor.shape, self._course.vehicle
+        turn = math.radians(vehicle.yaw_rate_deg_s)
+        high = np.array([*[vehicle.speed_mps] * 3, turn], np.float32)
+        self.action_space = spaces.Box(-high, high, dtype=np.float32)
+        # (shape, kind of number) by name
+        parts = {
+            "ranges": (shape, np.float32),
+            "points": ((*shape, 3), np.float32),
+            **dict.fromkeys(("position", "velocity", "goal"), ((3,), np.float64)),
+            "quaternion": ((4,), np.float64),
+            "time_s": ((1,), np.float64),
+        }
+        self.observation_space = spaces.Dict(
+            {name: spaces.Box(-np.inf, np.inf, size, kind) for name, (size, kind) in parts.items()}
+        )
+        self._flying: Simulation | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """A new mission; `options` may have the `seed` of a course, which else is drawn."""
+        super().reset(seed=seed)
+        drawn = (options or {}).get("seed", int(self.np_random.integers(2**31)))
+        course = dataclasses.replace(self._course, seed=drawn)
+        self._flying = course.simulation(0)
+        return self._flying.observe(), {"seed": drawn, "about": self._flying.about()}
+
+    def step(
+        self, action: NDArray[np.float32]
+    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Fly a period. `info` has the `outcome` once there is one."""
+        flying = self._flying
+        assert flying is not None, "reset comes first"
+        before = self._left_m(flying)
+        command, _ = bounded(action, flying.vehicle)
+        if command is None:
+            raise ValueError(f"action = {action!r}: expected four finite numbers")
+        flying.step(command[0])
+        ended = flying.outcome not in (None, "timeout")
+        prize = (PRIZE if flying.outcome == "success" else -PRIZE) * ended
+        reward = before - self._left_m(flying) + prize
+        info = {"outcome": flying.outcome} if flying.outcome else {}
+        return flying.observe(), reward, ended, flying.outcome == "timeout", info
+
+    def _left_m(self, flying: Simulation) -> float:
+        return math.dist(flying.state[:3], flying.mission.goal)

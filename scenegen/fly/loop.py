@@ -1,0 +1,161 @@
+"""A robot flies a mission: it sees, decides, and moves, ten times a second; and how well it did."""
+
+import time
+from collections import Counter
+from dataclasses import asdict, dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from scenegen.errors import ScenegenError
+from scenegen.fly import PERIOD_S
+from scenegen.fly.simulation import Observation, Outcome, Simulation, bounded
+
+
+class Robot(Protocol):
+    """What decides where to fly. One of your own is a class with these two, made without
+    arguments."""
+
+    def reset(self, about: Observation) -> None:
+        """A flight begins; see `Simulation.about`."""
+        ...
+
+    def act(self, observation: Observation) -> Any:
+        """Velocity in the world, m/s, and rate of yaw, rad/s, (4,); or those of up to ten periods
+        to come, (n, 4), of which the later ones are flown where the next answers are none.
+
+        `observation` is that of `Simulation.observe`.
+        """
+        ...
+
+
+class RobotError(ScenegenError):
+    """A robot ended, or had to be ended; `outcome` says why."""
+
+    def __init__(self, outcome: Outcome, text: str):
+        super().__init__(text)
+        self.outcome = outcome
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flown:
+    """One flight of a robot. Lengths and times are those until it ended."""
+
+    outcome: Outcome
+    score: float
+    """BARN's (Xiao et al. 2022): 0, or T* / clip(T, 2 T*, 8 T*) for a success, where T* is the
+    shortest way at full speed."""
+    spl: float
+    """Success weighted by path length (Anderson et al. 2018)."""
+    time_s: float
+    """Time flown, seconds."""
+    ratio: float
+    """Length flown over that of the shortest way."""
+    shortest_m: float
+    """Length of the shortest way, metres."""
+    flown_m: float
+    """Length flown, metres."""
+    speed_mps: float
+    """Mean speed, metres a second."""
+    min_clearance_m: float
+    """Least distance of the vehicle's centre from a solid, at most 1 m, metres."""
+    mean_clearance_m: float
+    """Its mean over time, metres."""
+    jerk_mps3: float
+    """Root mean square of the jerk, metres a second cubed."""
+    step_s: float
+    """Mean time for a decision by the clock, seconds."""
+    most_step_s: float
+    """The longest, seconds."""
+    late: int
+    """Decisions that took longer than a period."""
+    invalid: int
+    """Answers that were no action: NaN, or of another shape."""
+    speeding: int
+    """Answers beyond the vehicle's bounds, which were cut."""
+    digest: str
+    """SHA-256 of all that was seen and flown."""
+    trouble: str = ""
+    """What the robot died of."""
+    commands: NDArray[np.float32] = field(repr=False)
+    """(periods, 4): what was flown, m/s and rad/s."""
+    path: NDArray[np.float64] = field(repr=False)
+    """(n, 3): the way, world metres, a point a period."""
+
+    def row(self) -> dict[str, Any]:
+        """All but the last two, by name."""
+        return {name: value for name, value in asdict(self).items() if name not in UNSAID}
+
+
+UNSAID = ("commands", "path")
+HOVER = np.zeros((1, 4), np.float32)
+
+
+def fly(simulation: Simulation, robot: Robot) -> Flown:
+    """Let `robot` fly the mission. Whatever it does is counted, and raises nothing: without an
+    action of its own, the vehicle flies the rest of the plan that it gave last, and then hovers."""
+    plan, commands, times, counts = (
+        HOVER,
+        list[NDArray[np.float32]](),
+        list[float](),
+        Counter[str](),
+    )
+    trouble = ""
+    try:
+        _asked(robot.reset, simulation.about())
+        while simulation.outcome is None:
+            seen, begin = simulation.observe(), time.perf_counter()
+            action = _asked(robot.act, seen)
+            times.append(time.perf_counter() - begin)
+            given, exceeds = bounded(action, simulation.vehicle)
+            counts["speeding"] += exceeds
+            counts["invalid"] += given is None
+            plan = (plan[1:] if len(plan) > 1 else HOVER) if given is None else given
+            commands.append(plan[0])
+            simulation.step(plan[0])
+    except RobotError as error:
+        simulation.outcome, trouble = error.outcome, str(error)
+    return scored(simulation, commands, times, counts, trouble)
+
+
+def _asked(method: Any, observation: Observation) -> Any:
+    """What a robot says; whatever it raises is a RobotError."""
+    try:
+        return method(observation)
+    except RobotError:
+        raise
+    except Exception as error:
+        raise RobotError("crashed", f"{type(error).__name__}: {error}"[:200]) from error
+
+
+def scored(
+    simulation: Simulation,
+    commands: list[NDArray[np.float32]],
+    times: list[float],
+    counts: Counter[str],
+    trouble: str,
+) -> Flown:
+    """What came of a flight; for the arguments see `Flown`."""
+    assert simulation.outcome is not None
+    measured, shortest = simulation.measured(), simulation.mission.shortest_m
+    best = shortest / simulation.vehicle.speed_mps
+    success = simulation.outcome == "success"
+    return Flown(
+        outcome=simulation.outcome,
+        score=success * best / min(max(simulation.time_s, 2 * best), 8 * best),
+        spl=success * shortest / max(shortest, measured["flown_m"]),
+        time_s=simulation.time_s,
+        ratio=measured["flown_m"] / shortest,
+        shortest_m=shortest,
+        step_s=float(np.mean(times)) if times else 0.0,
+        most_step_s=max(times, default=0.0),
+        late=sum(seconds > PERIOD_S for seconds in times),
+        invalid=counts["invalid"],
+        speeding=counts["speeding"],
+        digest=simulation.digest,
+        trouble=trouble,
+        commands=np.array(commands, np.float32).reshape(-1, 4),
+        path=np.array([states[-1, :3] for states in simulation.states]),
+        **measured,
+    )

@@ -1,0 +1,218 @@
+"""One mission under way: what the vehicle sees, where it moves, and what it meets."""
+
+import hashlib
+import math
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim import Sensor, cast
+from lidarsim.engines import Caster
+from lidarsim.noise.chain import Noise
+from lidarsim.noise.losses import Motion
+from lidarsim.pose import rotate
+from scenegen.draw import observed
+from scenegen.fly import PERIOD_S, Rules, Vehicle
+from scenegen.fly.missions import Mission
+from scenegen.fly.motion import (
+    ACCELERATION,
+    HEADING,
+    POSITION,
+    STEP_S,
+    VELOCITY,
+    advance,
+    most_pull,
+    pose_of,
+)
+from scenegen.worlds.place import Place
+from scenegen.worlds.world import World
+
+Outcome = Literal["success", "collision", "left", "timeout", "crashed", "hung", "flooded"]
+"""How a flight ended: at its goal; at a solid; beyond the flight bounds; out of time; or because
+its robot raised or died, did not answer, or said too much."""
+Observation = dict[str, NDArray[Any]]
+
+
+class Simulation:
+    """A vehicle on its mission. It does not depend on who decides, and for the same commands
+    every bit of it is the same on every machine.
+
+    Attributes:
+        state: Now, (11,), see `scenegen.fly.motion`.
+        time_s: Seconds flown.
+        outcome: How the flight ended; None while it goes on.
+        states: All states so far, (STEPS, 11) for each period, cut where the flight ended.
+        clearances_m: The centre's distance from the nearest solid at each of them, at most
+            `scenegen.worlds.clearance.CAP_M`.
+    """
+
+    def __init__(
+        self,
+        world: World | Place,
+        caster: Caster,
+        mission: Mission,
+        *,
+        sensor: Sensor,
+        vehicle: Vehicle,
+        rules: Rules,
+        noise: Noise | None = None,
+        moving: bool = False,
+        seed: int = 0,
+    ):
+        """See `record` for `caster`, `moving` and `noise`; `seed` is what the noise is drawn by."""
+        self.world, self.mission, self.sensor = world, mission, sensor
+        self.vehicle, self.rules = vehicle, rules
+        self.noise, self._moving, self._seed = noise or Noise(), moving, seed
+        self._caster, self._clearance = caster, world.clearance
+        east, north = (mission.goal[axis] - mission.start[axis] for axis in range(2))
+        length = math.sqrt(east * east + north * north) or math.inf
+        facing = (east / length, north / length) if length < math.inf else (1.0, 0.0)
+        self.state = np.array([*mission.start, *([0.0] * 6), *facing])
+        self.time_s, self.periods = 0.0, 0
+        self.most_s = rules.patience * mission.shortest_m / vehicle.speed_mps
+        self.outcome: Outcome | None = None
+        self.states: list[NDArray[np.float64]] = [self.state[None]]
+        self.clearances_m = [self._clearance.at(*mission.start)]
+        self._digest = hashlib.sha256()
+        self._turning = 0.0
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all that was seen and flown."""
+        return self._digest.hexdigest()
+
+    def about(self) -> Observation:
+        """What a robot is told before it flies: the mission, the vehicle and the sensor."""
+        told = {name: getattr(self.vehicle, name) for name in vars(self.vehicle)}
+        told |= {
+            "goal": self.mission.goal,
+            "bounds": self.mission.bounds,
+            "reach_m": self.rules.reach_m,
+            "most_s": self.most_s,
+            "period_s": PERIOD_S,
+            "max_range_m": self.sensor.max_range_m,
+            "directions_body": self.sensor.directions_body,
+            "times_s": self.sensor.times_s,
+            "lever_arm_m": getattr(self.sensor, "lever_arm_m", ()) or (0.0, 0.0, 0.0),
+        }
+        return {name: np.asarray(value, dtype=np.float64) for name, value in told.items()}
+
+    def observe(self) -> Observation:
+        """What the robot sees now.
+
+        Returns:
+            `ranges` (*sensor.shape), metres, inf where nothing returned; `points`
+            (*sensor.shape, 3), metres from the body along its axes, 0 where nothing returned;
+            `position` (3,), `quaternion` (4,), w x y z, and `velocity` (3,) of the body in the
+            world, metres and m/s; `goal` (3,), world metres; `time_s` (1,).
+
+        Raises:
+            GenerationError: The noise does not suit the world.
+        """
+        pose, chain = pose_of(self.state, self.vehicle), self.noise
+        back = pose.quaternion * (1.0, -1.0, -1.0, -1.0)
+        if self._moving:
+            forward, left, up = rotate(back, self.state[None, VELOCITY])[0].tolist()
+            turning = math.degrees(self._turning)
+            pace = Motion(forward_mps=forward, left_mps=left, up_mps=up, yaw_rate_deg_s=turning)
+            chain = Noise((pace, *chain.stages))
+        scan = cast(self._caster, self.sensor, pose)
+        rng = np.random.default_rng([self._seed, self.periods])
+        seen = observed(scan, chain, self.world.albedo, self._caster, rng)
+        ranges = seen.ranges[0].astype(np.float32)
+        self._digest.update(ranges.tobytes())
+        hit = np.isfinite(ranges)
+        points = np.zeros((*ranges.shape, 3))
+        points[hit] = rotate(back, seen.points() - pose.position)
+        return {
+            "ranges": ranges,
+            "points": points.astype(np.float32),
+            "position": pose.position.copy(),
+            "quaternion": pose.quaternion.copy(),
+            "velocity": self.state[VELOCITY].copy(),
+            "goal": np.array(self.mission.goal),
+            "time_s": np.array([self.time_s]),
+        }
+
+    def step(self, command: NDArray[np.float32]) -> None:
+        """Fly one period by a `command` (4,) of `bounded`, or until the flight ends.
+
+        The vehicle touches nothing, to a millimetre, between any two steps: where the way that it
+        flew is longer than what was free before, the whole motion is checked. A step's way strays
+        from its chord by its acceleration times the square of its time over eight at most.
+        """
+        vehicle, low_high = self.vehicle, np.array(self.mission.bounds)
+        states = advance(self.state, command, vehicle)
+        stray = most_pull(vehicle) * STEP_S * STEP_S / 8
+        radius, self._turning = vehicle.radius_m + stray, float(command[3])
+        before, free, flown = self.state, self.clearances_m[-1], len(states)
+        for number, state in enumerate(states):
+            here, there = tuple(before[POSITION].tolist()), tuple(state[POSITION].tolist())
+            if math.dist(here, there) >= free - radius and not self._clearance.motion_is_free(
+                here, there, radius
+            ):
+                self.outcome = "collision"
+            elif ((state[POSITION] < low_high[0]) | (state[POSITION] > low_high[1])).any():
+                self.outcome = "left"
+            elif math.dist(there, self.mission.goal) <= self.rules.reach_m:
+                self.outcome = "success"
+            free, before = self._clearance.at(*there), state
+            self.clearances_m.append(free)
+            if self.outcome is not None:
+                flown = number + 1
+                break
+        self.states.append(states[:flown])
+        self._digest.update(states[:flown].tobytes())
+        self.state = states[flown - 1]
+        self.periods += 1
+        self.time_s = (self.periods - 1) * PERIOD_S + flown * STEP_S
+        if self.outcome is None and self.time_s >= self.most_s:
+            self.outcome = "timeout"
+
+    def measured(self) -> dict[str, float]:
+        """What was flown: `flown_m`, `speed_mps` on average, `min_clearance_m`,
+        `mean_clearance_m` by time, and `jerk_mps3`, the root of its mean square."""
+        states = np.concatenate(self.states)
+        steps = np.diff(states[:, POSITION], axis=0)
+        flown = float(np.sqrt((steps * steps).sum(axis=1)).sum())
+        jerk = np.diff(states[:, ACCELERATION], axis=0) / STEP_S
+        return {
+            "flown_m": flown,
+            "speed_mps": flown / max(self.time_s, STEP_S),
+            "min_clearance_m": min(self.clearances_m),
+            "mean_clearance_m": float(np.mean(self.clearances_m)),
+            "jerk_mps3": math.sqrt(float((jerk * jerk).sum() / max(len(jerk), 1))),
+        }
+
+
+def bounded(action: Any, vehicle: Vehicle) -> tuple[NDArray[np.float32] | None, bool]:
+    """What a robot said, as commands.
+
+    Args:
+        action: Velocity in the world, m/s, and rate of yaw, rad/s, (4,); or of up to ten periods
+            to come, (n, 4).
+        vehicle: What bounds them.
+
+    Returns:
+        Commands (n, 4) within the bounds, None for what is no action; and whether a bound was
+        exceeded, by more than rounding.
+    """
+    try:
+        rows = np.atleast_2d(np.asarray(action, dtype=np.float64))
+    except (TypeError, ValueError):
+        return None, False
+    if rows.ndim != 2 or rows.shape[1] != 4 or not 1 <= len(rows) <= 10:
+        return None, False
+    if not (np.abs(rows) < 1e6).all():  # NaN is not
+        return None, False
+    # rounding to float32 must not lead out of the bounds again
+    most, turn = vehicle.speed_mps * (1 - 1e-6), math.radians(vehicle.yaw_rate_deg_s) * (1 - 1e-6)
+    speed = np.sqrt((rows[:, :3] ** 2).sum(axis=1))
+    exceeds = bool(
+        (speed > vehicle.speed_mps + 1e-3).any() or (abs(rows[:, 3]) > turn + 1e-3).any()
+    )
+    rows = rows.copy()
+    rows[:, :3] *= np.minimum(1.0, most / np.maximum(speed, 1e-9))[:, None]
+    rows[:, 3] = np.clip(rows[:, 3], -turn, turn)
+    return rows.astype(np.float32), exceeds
