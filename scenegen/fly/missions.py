@@ -102,9 +102,8 @@ def _draw(
             or min(clearance.at(*start), clearance.at(*goal)) < spare
         ):
             continue
-        nodes = search(
-            blocked, np.zeros(3, int), np.array(grid.shape), 1, *voxels, False, NO_RISK, 0.0
-        )
+        first, shape = np.zeros(3, int), np.array(grid.shape)
+        nodes = search(blocked, first, shape, 1, voxels[0], voxels[1], False, NO_RISK, 0.0)
         if not len(nodes):
             continue
         path = origin + (nodes + 0.5) * VOXEL_M
