@@ -17,7 +17,6 @@ from scenegen.fly import PERIOD_S, Rules, Vehicle
 from scenegen.fly.missions import Mission
 from scenegen.fly.motion import (
     ACCELERATION,
-    HEADING,
     POSITION,
     STEP_S,
     VELOCITY,
