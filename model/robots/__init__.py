@@ -30,9 +30,9 @@ def robot_maker(name: str, weights: str | None) -> "Callable[[Course], Any]":
     from scenegen.model.robots.reactive import ReactiveRobot
 
     if weights is not None:
-        from scenegen.model.completion.completer import Completer
+        from scenegen.model.completion.completer import opened_once
 
-        network = Completer.from_pretrained(weights, threads=1)
+        network = opened_once(weights, "cpu", 1)
         if set(network.inputs) - {"observed", "free"}:
             raise ScenegenError(
                 f"{weights}: takes {', '.join(network.inputs)}; robots give "
