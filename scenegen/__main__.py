@@ -14,7 +14,7 @@ from scenegen import __version__
 from scenegen.cli.command import Commands, run_command
 
 LOOKING = ("inspect", "view", "render")
-NETWORKS = ("train", "complete", "bench", "reproduce")
+NETWORKS = ("train", "complete", "bench", "fly", "reproduce")
 COMMANDS = (
     ("Datasets", "scenegen.cli.generate", ("generate", "recipe")),
     ("Datasets", "scenegen.cli.derive", ("rescan", "take", "merge")),

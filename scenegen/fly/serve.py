@@ -20,7 +20,10 @@ def main() -> None:
     """Serve until there are no more messages. What the robot prints goes to standard error."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
-    robot = ROBOTS.find(sys.argv[1])()
+    try:
+        robot = ROBOTS.find(sys.argv[1])()
+    except ValueError as error:
+        sys.exit(str(error))
     while (message := decoded(sys.stdin.buffer)) is not None:
         what, arrays = message
         answer = ""

@@ -74,6 +74,7 @@ class Simulation:
         self.states: list[NDArray[np.float64]] = [self.state[None]]
         self.clearances_m = [self._clearance.at(*mission.start)]
         self._digest = hashlib.sha256()
+        self._seen = b""
         self._turning = 0.0
 
     @property
@@ -120,7 +121,7 @@ class Simulation:
         rng = np.random.default_rng([self._seed, self.periods])
         seen = observed(scan, chain, self.world.albedo, self._caster, rng)
         ranges = seen.ranges[0].astype(np.float32)
-        self._digest.update(ranges.tobytes())
+        self._seen = ranges.tobytes()
         hit = np.isfinite(ranges)
         points = np.zeros((*ranges.shape, 3))
         points[hit] = rotate(back, seen.points() - pose.position)
@@ -162,7 +163,7 @@ class Simulation:
                 flown = number + 1
                 break
         self.states.append(states[:flown])
-        self._digest.update(states[:flown].tobytes())
+        self._digest.update(self._seen + states[:flown].tobytes())
         self.state = states[flown - 1]
         self.periods += 1
         self.time_s = (self.periods - 1) * PERIOD_S + flown * STEP_S

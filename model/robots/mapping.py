@@ -1,0 +1,166 @@
+"""A robot that maps: scans are fused in a grid that moves along, completed, and planned through,
+ten times a second."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lidarsim import GridSpec, Pose, Scan, voxelize
+from lidarsim.pose import rotate
+from scenegen.fly.simulation import Observation
+from scenegen.model.completion.protocol import MapCompleter
+from scenegen.model.evaluation.config import PlanConfig
+from scenegen.model.evaluation.planning.astar import Lattice
+from scenegen.model.evaluation.planning.refine import field_at, refine
+from scenegen.model.robots.steering import follow, no_way
+from scenegen.truth import distance_field
+from scenegen.worlds.place import Place
+from scenegen.worlds.search import search
+from scenegen.worlds.world import World
+
+SPARES_M = (0.3, 0.15, 0.0)
+"""How much farther than its radius the vehicle's path keeps from occupied voxels' centres, metres:
+the first with which there is a path."""
+LOOK_M = 1.5
+"""How far ahead the vehicle heeds how narrow the way is, metres."""
+PLAN = PlanConfig(step_voxels=2, iterations=20)
+
+
+@dataclass(frozen=True, eq=False)
+class _Rays:
+    """What of a sensor its robot is told."""
+
+    shape: tuple[int, ...]
+    directions_body: NDArray[np.float64]
+    times_s: NDArray[np.float64]
+    max_range_m: float
+
+
+class MappingRobot:
+    """Fuses scans by visibility in the completer's grid around it, and takes for occupied what
+    returned, and what the `completer` says of voxels that no ray crossed.
+
+    A* leads to the goal, or to the map's edge on the way to it; its path is refined as the bench
+    does, and followed. Without `memory`, a map is of one scan.
+    """
+
+    def __init__(self, completer: MapCompleter, *, memory: bool = True):
+        self._completer, self._memory = completer, memory
+        self.grid: GridSpec = getattr(completer, "grid", GridSpec())
+        self._lattice = Lattice(self.grid, PLAN.step_voxels)
+
+    def reset(self, about: Observation) -> None:
+        """See `Robot.reset`."""
+        self._about = about
+        shape = about["times_s"].shape
+        self._rays = _Rays(
+            shape, about["directions_body"], about["times_s"], float(about["max_range_m"])
+        )
+        self._corner: NDArray[np.int64] | None = None
+        self.observed, self.free = np.zeros((2, *self.grid.shape), np.bool_)
+
+    def act(self, observation: Observation) -> NDArray[np.float64]:
+        """See `Robot.act`."""
+        self._move(observation["position"])
+        self._see(observation)
+        path, distance = self._plan(observation)
+        if path is None:
+            return no_way(self._about)
+        near = path[(np.abs(path - path[0]) <= LOOK_M).all(axis=1)]
+        least = min(float(field_at(distance, *point, self.grid.voxel_m)[0]) for point in near)
+        free_m = least - float(self._about["radius_m"])
+        return follow(path + self.origin, observation, self._about, free_m)
+
+    @property
+    def origin(self) -> NDArray[np.float64]:
+        """The map's least corner (3,), world metres."""
+        assert self._corner is not None
+        return self._corner * np.float64(self.grid.voxel_m)
+
+    def occupied(self) -> NDArray[np.bool_]:
+        """What the robot takes for occupied, (*grid.shape)."""
+        found = self._completer.complete(self.observed, self.free, grid=self.grid)
+        return self.observed | (found.occupied() & ~self.free)
+
+    def _move(self, position: NDArray[np.float64]) -> None:
+        """Have the middle voxel hold the vehicle; what leaves the map is forgotten."""
+        shape = np.array(self.grid.shape)
+        corner = np.floor(position / self.grid.voxel_m).astype(np.int64) - shape // 2
+        before, self._corner = self._corner, corner
+        if before is None:
+            return
+        moved = corner - before
+        kept = tuple(slice(max(m, 0), n + min(m, 0)) for m, n in zip(moved, shape, strict=True))
+        put = tuple(slice(max(-m, 0), n + min(-m, 0)) for m, n in zip(moved, shape, strict=True))
+        for name in ("observed", "free"):
+            there = np.zeros(self.grid.shape, np.bool_)
+            if self._memory and (abs(moved) < shape).all():
+                there[put] = getattr(self, name)[kept]
+            setattr(self, name, there)
+
+    def _see(self, observation: Observation) -> None:
+        quaternion = observation["quaternion"]
+        arm = rotate(quaternion, self._about["lever_arm_m"][None])[0]
+        pose = Pose(observation["position"] + arm, quaternion)
+        seen = voxelize(Scan(observation["ranges"], pose, self._rays), self.grid, self.origin)
+        if self._memory:
+            self.observed |= seen.observed
+            self.free = (self.free | seen.free) & ~self.observed
+        else:
+            self.observed, self.free = seen.observed, seen.free
+
+    def _plan(self, observation: Observation) -> tuple[NDArray[np.float64] | None, Any]:
+        """A path (n, 3) from the vehicle on, metres in the map, and the distances from what is
+        taken for occupied, (*grid.shape)."""
+        grid, lattice, about = self.grid, self._lattice, self._about
+        distance = distance_field(self.occupied(), grid)
+        goal = observation["goal"] - self.origin
+        node = np.rint((goal / grid.voxel_m - 0.5 - lattice.first) / lattice.step).astype(np.int64)
+        inside = bool(((node >= 0) & (node < lattice.shape)).all())
+        fence = (about["bounds"] - self.origin) / grid.voxel_m
+        low, high = (np.clip(edge, 0, grid.shape).astype(int) for edge in (fence[0] + 1, fence[1]))
+        beyond = np.ones(grid.shape, np.bool_)
+        beyond[tuple(map(slice, low, high))] = False
+        for spare in SPARES_M:
+            blocked = beyond | (distance < float(about["radius_m"]) + spare)
+            if inside:
+                blocked[tuple(lattice.voxels(node))] = False
+            nodes = search(
+                blocked,
+                lattice.first,
+                np.array(lattice.shape),
+                lattice.step,
+                lattice.start,
+                node,
+                True,
+            )
+            if len(nodes):
+                break
+        else:
+            return None, distance
+        rough = lattice.centres(nodes)
+        path = refine(rough, distance, grid, PLAN) if len(rough) > 2 else rough
+        voxels = tuple(np.floor(path[1:] / grid.voxel_m).astype(int).T)
+        path = rough if blocked[voxels].any() else path
+        path[0] = observation["position"] - self.origin
+        return (np.concatenate([path, goal[None]]) if inside else path), distance
+
+
+class TruthRobot(MappingRobot):
+    """What a robot would do that knew the world: the ceiling of every completion."""
+
+    def __init__(self, world: World | Place):
+        self._world = world
+        self.grid = GridSpec()
+        self._memory = False
+        self._lattice = Lattice(self.grid, PLAN.step_voxels)
+
+    def occupied(self) -> NDArray[np.bool_]:
+        """See `MappingRobot.occupied`."""
+        truth = self._world.truth(self.grid, self.origin)
+        return truth["occupancy"] | ~truth.get("known", np.bool_(True))
+
+    def _see(self, observation: Observation) -> None:
+        """Nothing."""

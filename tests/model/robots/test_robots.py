@@ -1,0 +1,101 @@
+"""Robots reach their goals, and the command flies, records, draws and flies again."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lidarsim import GridSpec
+from scenegen.fly.course import Course
+from scenegen.fly.loop import fly
+from scenegen.model.completion.unlearned import Returns
+from scenegen.model.robots import NAMES, robot_maker
+from scenegen.model.robots.mapping import MappingRobot
+from tests.command_line import run
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "pessimistic"])
+def test_a_robot_reaches_its_goal(name: str) -> None:
+    course = Course(world="pillar", difficulty="easy", flights=1, seed=1)
+    flown = fly(course.simulation(0), robot_maker(name, None)(course))
+    assert flown.outcome == "success", flown.trouble
+    assert 0.9 < flown.ratio < 1.5
+    assert flown.invalid == flown.speeding == 0
+
+
+def test_a_map_that_moves_along_is_that_of_one_grid() -> None:
+    """What was seen from several places is what lies there, wherever the map is by now."""
+    course = Course(world="pillar", flights=1)
+    flying, robot = course.simulation(0), MappingRobot(Returns())
+    robot.reset(flying.about())
+    for _ in range(25):
+        flying.step(np.float32([1.5, 1.0, 0.2, 0.0]))
+        robot.act(flying.observe())
+    truth = flying.world.truth(GridSpec(), robot.origin)["occupancy"]
+    assert robot.observed.sum() > 100
+    assert (truth | ~robot.observed).all()
+    assert not (robot.observed & robot.free).any()
+    middle = np.floor((flying.state[:3] - robot.origin) / 0.2)
+    assert middle.tolist() == [40, 40, 20]
+
+
+def test_the_command_flies_records_and_flies_again(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    file, picture = tmp_path / "flights.json", tmp_path / "flights.png"
+    words = ("fly", "pillar", "--robot", "reactive", "--flights", 2, "--worlds", 2, "--workers", 1)
+    code, out, _ = run(capsys, *words, "-o", file, "--picture", picture, "--json")
+    told = json.loads(out)
+    assert code == 0
+    assert [one["seed"] for one in told["flights"]] == [0, 1]
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+    code, out, _ = run(capsys, "fly", "--replay", file, "--json")
+    assert code == 0
+    again = json.loads(out)
+    assert [one["digest"] for one in again["flights"]] == [one["digest"] for one in told["flights"]]
+
+
+OWN = """
+class Robot:
+    def reset(self, about):
+        print("ready", about["goal"])
+        self.goal = about["goal"]
+
+    def act(self, observation):
+        away = self.goal - observation["position"]
+        return [*(1.5 * away / (away @ away) ** 0.5), 0.0]
+"""
+
+
+def test_ones_own_robot_flies_in_a_process_of_its_own(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "my_robot.py").write_text(OWN)
+    monkeypatch.chdir(tmp_path)
+    code, out, _ = run(
+        capsys, "fly", "pillar", "--robot", "my_robot:Robot", "--flights", 1, "--json"
+    )
+    (flown,) = json.loads(out)["flights"]
+    assert code == 0
+    assert flown["outcome"] in ("success", "collision")
+    assert flown["time_s"] > 1
+    assert flown["trouble"] == ""
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        ("fly", 2, "give a WORLD"),
+        ("fly pillar --robot optimist", 2, "did you mean 'optimistic'"),
+        ("fly pillar --robot reactive --weights columns", 2, "leave out --robot"),
+        ("fly pilar --robot reactive", 1, "pilar"),
+        ("fly pillar --robot no_such:Robot --flights 1", 1, "never begins"),
+    ],
+)
+def test_bad_use_ends_in_a_line(
+    words: str, code: int, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ended, _, error = run(capsys, words)
+    assert ended == code
+    assert said in error

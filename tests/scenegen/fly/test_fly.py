@@ -1,0 +1,311 @@
+"""The loop: motion within its bounds, exact collisions, bits, and robots that behave badly."""
+
+import math
+import sys
+import textwrap
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lidarsim import AnalyticEngine, Lidar
+from scenegen.errors import DatasetError, GenerationError
+from scenegen.fly import Rules, Vehicle
+from scenegen.fly.course import Course, encode_recording, read_recording, replay
+from scenegen.fly.loop import fly
+from scenegen.fly.missions import VOXEL_M, Mission, draw_missions
+from scenegen.fly.motion import STEP_S, advance, most_pull, pose_of
+from scenegen.fly.pipe import PipeRobot
+from scenegen.fly.simulation import Simulation, bounded
+from scenegen.worlds.world import World, compile_world
+
+VEHICLE = Vehicle()
+DIGEST = "?"
+BALLS = [(3.0, 0.4, 2.0, 0.5), (5.0, -0.9, 2.3, 0.7), (1.5, 2.0, 1.5, 0.6), (6.0, 1.0, 1.2, 0.4)]
+"""x, y, z and radius of spheres, metres."""
+BOUNDS = ((-1.0, -3.0, 0.5), (9.0, 3.0, 4.0))
+
+
+def world_of(*geoms: str) -> World:
+    bounds = " ".join(str(x) for corner in BOUNDS for x in corner)
+    numeric = f'<custom><numeric name="flight_bounds" data="{bounds}"/></custom>'
+    bodies = f"<worldbody>{''.join(geoms)}</worldbody>"
+    return compile_world(f"<mujoco>{numeric}{bodies}</mujoco>".encode())
+
+
+def balls() -> World:
+    return world_of(
+        *(f'<geom type="sphere" pos="{x} {y} {z}" size="{r}"/>' for x, y, z, r in BALLS)
+    )
+
+
+def simulation(world: World, **options: Any) -> Simulation:
+    mission = Mission(start=(0.0, 0.0, 2.0), goal=(8.0, 0.0, 2.0), shortest_m=8.2, bounds=BOUNDS)
+    given = {"sensor": Lidar(rows=4, columns=16), "vehicle": VEHICLE, "rules": Rules(), **options}
+    return Simulation(world, world.caster(AnalyticEngine.of), mission, **given)
+
+
+class Scripted:
+    """Flies what it was given, and tells nothing."""
+
+    def __init__(self, commands: Any):
+        self.commands = iter(commands)
+        self.seen: list[Any] = []
+
+    def reset(self, about: Any) -> None:
+        self.seen.append(about)
+
+    def act(self, observation: Any) -> Any:
+        self.seen.append(observation)
+        return next(self.commands)
+
+
+def straight(y: float = 0.0) -> Any:
+    return iter(lambda: [1.8, y, 0.0, 0.3], None)
+
+
+def wild(seed: int) -> Any:
+    rng = np.random.default_rng(seed)
+    while True:
+        yield rng.normal((1.0, 0.0, 0.0, 0.0), 1.5)
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 10**6), st.floats(0.2, 8.0), st.floats(1.0, 15.0), st.floats(5.0, 200.0))
+def test_no_bound_of_the_vehicle_is_exceeded(
+    seed: int, speed: float, pull: float, jerk: float
+) -> None:
+    vehicle = Vehicle(speed_mps=speed, acceleration_mps2=pull, jerk_mps3=jerk)
+    rng, state = np.random.default_rng(seed), np.array([0.0] * 9 + [1.0, 0.0])
+    for _ in range(60):
+        command, _ = bounded(rng.normal(0.0, 3 * speed, 4), vehicle)
+        assert command is not None
+        states = np.vstack([state, advance(state, command[0], vehicle)])
+        v, a = states[:, 3:6], states[:, 6:9]
+        assert np.linalg.norm(v, axis=1).max() <= speed + jerk * STEP_S**2
+        assert np.linalg.norm(a, axis=1).max() <= most_pull(vehicle) + 1e-9
+        jerks = np.diff(a, axis=0) / STEP_S
+        assert np.linalg.norm(jerks, axis=1).max() <= jerk * (1 + 1e-9)
+        # the integral is exact for a constant jerk
+        exact = v[:-1] + STEP_S * a[:-1] + 0.5 * STEP_S**2 * jerks
+        assert np.allclose(exact, v[1:], atol=1e-12)
+        state = states[-1]
+        _, x, y, _ = pose_of(state, vehicle).quaternion
+        assert 2 * math.asin(math.hypot(x, y)) <= math.radians(vehicle.tilt_deg) + 1e-9
+
+
+def test_what_is_asked_for_is_reached_and_kept() -> None:
+    state, command = np.array([0.0] * 9 + [1.0, 0.0]), np.float32([1.2, -0.5, 0.3, 0.5])
+    for _ in range(40):
+        state = advance(state, command, VEHICLE)[-1]
+    assert np.allclose(state[3:6], command[:3], atol=1e-3)
+    assert np.allclose(state[6:9], 0.0, atol=1e-2)
+    assert math.isclose(math.atan2(state[10], state[9]), 2.0, abs_tol=1e-6)
+
+
+def test_a_collision_is_what_dense_samples_say() -> None:
+    """At fifty points of every step, by the distances of spheres alone."""
+    world, hits = balls(), 0
+    for seed in range(12):
+        flying = simulation(world)
+        flown = fly(flying, Scripted(straight(0.05 * (seed - 6)) if seed < 8 else wild(seed)))
+        states = np.concatenate(flying.states)
+        before, after = states[:-1, None], states[1:, None]
+        t = np.linspace(0.0, STEP_S, 50)[None, :, None]
+        jerk = (after[..., 6:9] - before[..., 6:9]) / STEP_S
+        p = before[..., :3] + t * (before[..., 3:6] + t * (before[..., 6:9] / 2 + t * jerk / 6))
+        gaps = [np.linalg.norm(p - ball[:3], axis=-1) - ball[3] for ball in BALLS]
+        least = np.min(gaps, axis=0).min(axis=1)
+        touched = flown.outcome == "collision"
+        hits += touched
+        assert (least[: len(least) - touched] >= VEHICLE.radius_m - 1e-3).all()
+        assert not touched or least[-1] <= VEHICLE.radius_m + 1e-4
+    assert 2 <= hits <= 10
+
+
+def test_a_flight_has_the_same_bits_everywhere() -> None:
+    course = Course(world="pillar", flights=1, noise="range:0.02", moving=True)
+    flying = course.simulation(0)
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        flying.observe()
+        flying.step(bounded(rng.normal(0.0, 1.0, 4), VEHICLE)[0][0])  # type: ignore[index]
+    assert flying.digest == DIGEST
+
+
+def test_a_robot_sees_nothing_that_its_sensor_does_not() -> None:
+    wall = '<geom type="box" pos="4 0 2.25" size=".1 2.999 1.749"/>'
+    hidden = '<geom type="sphere" pos="6 0 2" size=".4"/>'
+    flights = []
+    for geoms in ([wall], [wall, hidden]):
+        robot = Scripted([[0.5, 0.2, 0.1, 0.4]] * 30)
+        flown = fly(simulation(world_of(*geoms)), robot)
+        assert flown.outcome == "crashed"  # nothing was left to say
+        flights.append(robot.seen)
+    names = {"ranges", "points", "position", "quaternion", "velocity", "goal", "time_s"}
+    assert set(flights[0][1]) == names
+    for one, other in zip(*flights, strict=True):
+        assert one.keys() == other.keys()
+        assert all(np.array_equal(one[name], other[name]) for name in one)
+
+
+def test_points_are_where_the_rays_end() -> None:
+    flying = simulation(balls())
+    seen = flying.observe()
+    hit = np.isfinite(seen["ranges"])
+    assert hit.any()
+    ends = seen["ranges"][hit, None] * flying.sensor.directions_body[hit]
+    assert np.allclose(seen["points"][hit], ends, atol=1e-5)
+
+
+def test_outcomes_and_scores() -> None:
+    done = fly(
+        simulation(world_of('<geom type="sphere" pos="4 5 2" size=".1"/>')), Scripted(straight())
+    )
+    assert done.outcome == "success"
+    assert done.score == pytest.approx(0.5)
+    assert done.spl == 1.0
+    assert 4.0 < done.time_s < 5.0
+    left = fly(simulation(balls()), Scripted(iter(lambda: [0, -2, 0, 0], None)))
+    assert (left.outcome, left.score, left.spl) == ("left", 0.0, 0.0)
+    late = fly(simulation(balls()), Scripted(iter(lambda: None, 0)))
+    assert (late.outcome, late.invalid) == ("timeout", len(late.commands))
+    assert late.flown_m == 0.0
+
+
+@pytest.mark.parametrize(
+    ("said", "invalid", "speeding"),
+    [
+        ([math.nan, 0, 0, 0], 1, 0),
+        ([math.inf, 0, 0, 0], 1, 0),
+        ([1, 0, 0], 1, 0),
+        ([[0, 0, 0, 0]] * 11, 1, 0),
+        ("fast", 1, 0),
+        (None, 1, 0),
+        ([3, 4, 0, 0], 0, 1),
+        ([0, 0, 0, 9], 0, 1),
+        ([[2, 0, 0, 0]] * 3, 0, 0),
+    ],
+)
+def test_what_a_robot_says_is_counted_and_bounded(said: Any, invalid: int, speeding: int) -> None:
+    flown = fly(simulation(balls()), Scripted([said, None]))
+    assert (flown.invalid - 1, flown.speeding) == (invalid, speeding)
+    assert np.linalg.norm(flown.commands[:, :3], axis=1).max() <= VEHICLE.speed_mps
+    assert flown.outcome == "crashed"
+    if isinstance(said, list) and len(said) == 3 and isinstance(said[0], list):
+        assert (flown.commands[:, 0] > 1.9).all()  # the rest of the plan
+
+
+ROBOT = """
+import json, sys, time
+raw, out = sys.stdin.buffer, sys.stdout
+what, steps = sys.argv[1], 0
+while line := raw.readline():
+    told = json.loads(line)
+    for name, kind, shape in told["arrays"]:
+        size = int(kind[2:])
+        for n in shape:
+            size *= n
+        raw.read(size)
+    if told["is"] == "reset":
+        print(flush=True)
+        continue
+    steps += 1
+    bad = steps == 3
+    if bad and what == "hangs": time.sleep(60)
+    if bad and what == "dies": sys.exit(3)
+    if bad and what == "eats": bytearray(8 << 30)
+    if bad and what == "floods":
+        while True: print("x" * 10000, flush=True)
+    if bad and what == "says twice": print("[0,0,0,0]")
+    print("[NaN,0,0,0]" if bad and what == "says NaN" else "no" if bad and what == "babbles"
+          else "[1.5, 0.3, 0, 0]", flush=True)
+"""
+
+
+@pytest.mark.parametrize(
+    ("what", "outcome"),
+    [
+        ("flies", ("success", "collision")),
+        ("hangs", "hung"),
+        ("dies", "crashed"),
+        ("eats", "crashed"),
+        ("floods", "flooded"),
+        ("says twice", "flooded"),
+        ("says NaN", ("success", "collision")),
+        ("babbles", ("success", "collision")),
+    ],
+)
+def test_a_robot_of_its_own_is_cut_off_and_counted(
+    what: str, outcome: str | tuple[str, ...], tmp_path: Path
+) -> None:
+    file = tmp_path / "robot.py"
+    file.write_text(textwrap.dedent(ROBOT))
+    robot = PipeRobot([sys.executable, str(file), what], seconds=0.5, memory_bytes=1 << 30)
+    world = balls()
+    try:
+        flown = [fly(simulation(world), robot) for _ in range(2)]
+    finally:
+        robot.close()
+    assert {one.outcome for one in flown} <= ({outcome} if isinstance(outcome, str) else {*outcome})
+    assert flown[0].invalid == (what in ("says NaN", "babbles"))
+    assert len(flown[1].commands) >= 2  # the next flight began anew
+
+
+def test_missions_follow_the_rule() -> None:
+    world, rules = balls(), Rules(apart_m=5.0)
+    missions = draw_missions(world, VEHICLE, rules, 4, seed=1)
+    assert missions[:2] == draw_missions(world, VEHICLE, rules, 2, seed=1)
+    for one in missions:
+        assert 5.0 <= math.dist(one.start, one.goal) <= one.shortest_m + 1e-9
+        for end in (one.start, one.goal):
+            assert world.clearance.at(*end) >= VEHICLE.radius_m + rules.spare_m
+    wall = world_of('<geom type="box" pos="4 0 2" size=".2 9 9"/>')
+    sides = [
+        {one.start[0] < 4, one.goal[0] < 4}
+        for one in draw_missions(wall, VEHICLE, Rules(apart_m=2.0), 4, seed=1)
+    ]
+    assert all(len(side) == 1 for side in sides)  # none leads through the wall
+    with pytest.raises(GenerationError, match="--apart"):
+        draw_missions(wall, Vehicle(radius_m=0.99), rules, 1, seed=1)
+    assert VOXEL_M > 0
+
+
+def test_a_recording_flies_again(tmp_path: Path) -> None:
+    course = Course(world="pillar", flights=2, seed=4)
+    flown = [fly(course.simulation(n), Scripted(straight(0.1 * n))) for n in range(2)]
+    file = tmp_path / "flights.json"
+    file.write_bytes(encode_recording("scripted", [(course, flown)]))
+    assert read_recording(file)[0] == "scripted"
+    again = list(replay(file))
+    assert [same for _, _, same in again] == [True, True]
+    assert [one.digest for _, one, _ in again] == [one.digest for one in flown]
+    damaged = file.read_text().replace("1.8, 0.0", "1.7, 0.0", 1)
+    file.write_text(damaged)
+    assert not all(same for _, _, same in replay(file))
+    for wrong in ("{}", "[1]", "x", damaged.replace('"radius_m": 0.3', '"radius_m": -1')):
+        file.write_text(wrong)
+        with pytest.raises(DatasetError, match=r"fly again|format"):
+            read_recording(file)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_gymnasium_takes_it() -> None:
+    gymnasium = pytest.importorskip("gymnasium")
+    from gymnasium.utils.env_checker import check_env
+
+    import scenegen
+
+    made = gymnasium.make("scenegen/Fly-v0", world="pillar", lidar="velodyne-vlp-16")
+    assert isinstance(made.unwrapped, scenegen.Flight)
+    check_env(made.unwrapped, skip_render_check=True)
+    first, about = made.reset(seed=3)
+    towards = (first["goal"] - first["position"]) / 10
+    _, reward, ended, over, _ = made.step(np.float32([*towards, 0.0]))
+    assert not ended
+    assert not over
+    assert 0.0 < reward < 0.2
+    assert set(about["about"]) >= {"goal", "bounds", "radius_m"}
