@@ -77,9 +77,6 @@ def convert(
     ]
     tasks = execute.mine(whole)
     total = sum(len(rows.numbers) for rows in tasks)
-    folders = {out} | {
-        (out / name).parent for rows in tasks for name in form.names(rows.split, rows.numbers[0])
-    }
     parts: dict[Rows, Converted] = {}
     work = partial(_write, dataset, out, form)
     try:
@@ -88,7 +85,7 @@ def convert(
                 parts[rows] = done
                 on_sample(len(rows.numbers))
     finally:
-        for folder in folders:  # what killed runs have left
+        for folder in out.glob("**/"):  # what killed runs have left
             remove_drafts(folder)
     found = [parts[rows] for rows in tasks]
     return Converted(

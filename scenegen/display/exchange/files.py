@@ -181,31 +181,38 @@ class WebDataset(Together):
         return memory.getvalue()
 
 
-SEQUENCES = {"train": "00", "val": "08", "test": "11"}
+SEQUENCES = {"train": (*range(8), 9, 10), "val": (8,), "test": range(11, 22)}
 """Sequences that SemanticKITTI's own lists put in these splits."""
 
 
 class SemanticKitti(OneEach):
     """SemanticKITTI's voxel grids, for programs that read its scene-completion task.
 
-    ``sequences/00/voxels/000007.bin`` holds the observed voxels, ``.label`` the ground truth, and
-    ``.invalid`` zeros, unless unseen voxels are to be left out. The development kit
-    (semantic-kitti.org, "voxels") defines the layout: a grid in C order of x, y, z; `.bin` and
-    `.invalid` are bits, the first voxel highest; `.label` is uint16. Our grids have the sensor in
-    the middle and the world's axes, where SemanticKITTI's begin at the car.
+    ``sequences/07/voxels/000007.bin`` holds the observed voxels, ``.label`` the ground truth,
+    ``.occluded`` what no ray met or crossed, and ``.invalid`` what is not known of a real place
+    and, where they are to be left out, unseen voxels. The development kit (semantic-kitti.org,
+    "voxels") defines the layout: a grid in C order of x, y, z; `.label` is uint16, the others are
+    bits, the first voxel highest. Its loader wants each sequence of a split to be there, so samples
+    are dealt to all in turn. Our grids have the sensor in the middle and the world's axes, where
+    SemanticKITTI's begin at the car.
     """
 
     def names(self, split: str, number: int) -> tuple[str, ...]:
-        """The three files of a sample."""
-        stem = f"sequences/{SEQUENCES[split]}/voxels/{number:06d}"
-        return f"{stem}.bin", f"{stem}.label", f"{stem}.invalid"
+        """The four files of a sample."""
+        sequences = SEQUENCES[split]
+        stem = f"sequences/{sequences[number % len(sequences)]:02d}/voxels/{number:06d}"
+        return tuple(f"{stem}.{kind}" for kind in ("bin", "label", "invalid", "occluded"))
 
     def encode(self, sample: Sample, grid: GridSpec, lidar: Sensor) -> tuple[bytes, ...]:
         """Their contents."""
         observed = sample.observed
         labels = np.multiply(sample.occupancy, self.choices.label, dtype="<u2")
-        unseen = ~(observed | sample.free) & self.choices.unseen_invalid
-        return np.packbits(observed).tobytes(), labels.tobytes(), np.packbits(unseen).tobytes()
+        unseen = ~(observed | sample.free)
+        invalid = unseen & self.choices.unseen_invalid
+        if sample.known is not None:
+            invalid |= ~sample.known
+        bits, *more = (np.packbits(mask).tobytes() for mask in (observed, invalid, unseen))
+        return bits, labels.tobytes(), *more
 
 
 DEPTH = 16

@@ -1,6 +1,10 @@
 """What is written in another format, an independent reader finds again."""
 
+import dataclasses
+import hashlib
 import json
+import os
+import runpy
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -15,13 +19,16 @@ import trimesh
 from lidarsim import GridSpec
 from lidarsim.engines.voxels import FREE, OCCUPIED
 from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
+from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.display.exchange import Choices
 from scenegen.display.exchange.convert import STATE, Converted, convert
+from scenegen.display.exchange.files import SemanticKitti
 from scenegen.display.exchange.recordings import rerun as import_rerun
 from scenegen.errors import DatasetError
+from scenegen.recipe import preset
 from scenegen.sample import Sample
-from scenegen.source import read_world
+from scenegen.source import DrawnWorlds, read_world
 from scenegen.worlds.octomap import read_octomap
 from tests.command_line import run
 from tests.test_silence import environment, noted, shim  # noqa: F401 (shim is a fixture)
@@ -46,15 +53,69 @@ def test_semantickitti(made: Path, tmp_path: Path, unseen: bool) -> None:
     out = converted(made, tmp_path / "out", "semantickitti", unseen_invalid=unseen)
     for number, sample in samples_of(made):
         stem, shape = out / "sequences" / "08" / "voxels" / number, sample.observed.shape
-        observed, invalid = (
+        observed, invalid, occluded = (
             np.unpackbits(np.fromfile(stem.with_suffix(suffix), np.uint8))[: np.prod(shape)]
-            for suffix in (".bin", ".invalid")
+            for suffix in (".bin", ".invalid", ".occluded")
         )
         labels = np.fromfile(stem.with_suffix(".label"), np.uint16)
         np.testing.assert_array_equal(observed.reshape(shape), sample.observed)
         np.testing.assert_array_equal(labels.reshape(shape), 50 * sample.occupancy)
-        expected = ~(sample.observed | sample.free) & unseen
-        np.testing.assert_array_equal(invalid.reshape(shape), expected)
+        unknown = ~(sample.observed | sample.free)
+        np.testing.assert_array_equal(invalid.reshape(shape), unknown & unseen)
+        np.testing.assert_array_equal(occluded.reshape(shape), unknown)
+
+
+def test_semantickitti_s_splits_are_dealt_to_all_of_their_sequences() -> None:
+    """In its own lists, 08 is for validation, those before and up to 10 for training."""
+    form = SemanticKitti(Choices())
+    for split, expected in (
+        ("train", {*range(11)} - {8}),
+        ("val", {8}),
+        ("test", {*range(11, 22)}),
+    ):
+        stems = [form.names(split, number)[0].split("/") for number in range(22)]
+        assert {int(stem[1]) for stem in stems} == expected
+        assert len({stem[3] for stem in stems}) == 22
+
+
+def test_what_is_not_known_of_a_place_is_invalid(made: Path) -> None:
+    dataset = Dataset(made)
+    sample = dataset.split("val")[0]
+    known = np.arange(sample.occupancy.size).reshape(sample.occupancy.shape) % 3 > 0
+    place = dataclasses.replace(sample, known=known)
+    invalid = SemanticKitti(Choices()).encode(place, dataset.grid, dataset.lidar)[2]
+    bits = np.unpackbits(np.frombuffer(invalid, np.uint8))[: known.size]
+    np.testing.assert_array_equal(bits.reshape(known.shape), ~known)
+
+
+KIT = Path(os.environ.get("SCENEGEN_SEMANTIC_KITTI_API", "nowhere"), "auxiliary/SSCDataset.py")
+KIT_SHA256 = "c4862db715878773ccfb53af74b0edac3891386aa5d4b79d2a35e795a0d99e13"
+
+
+@pytest.mark.skipif(
+    not KIT.exists(),
+    reason="SCENEGEN_SEMANTIC_KITTI_API names no clone of github.com/PRBonn/semantic-kitti-api, "
+    "checked out at a9c749e8",
+)
+def test_semantickitti_s_own_loader_reads_it(tmp_path: Path) -> None:
+    assert hashlib.sha256(KIT.read_bytes()).hexdigest() == KIT_SHA256, "expected commit a9c749e8"
+    grid, counts = GridSpec(shape=(256, 256, 32)), {"train": 12, "val": 1, "test": 11}
+    recipe = dataclasses.replace(preset("pillar"), grid=grid)
+    build(plan_dataset(tmp_path / "d", recipe, DrawnWorlds(recipe), seed=0, counts=counts))
+    out, splits = tmp_path / "kitti", ("train", "val", "test")
+    convert(Dataset(tmp_path / "d"), out, to="semantickitti", choices=Choices(), splits=splits)
+    loader = runpy.run_path(str(KIT))["SSCDataset"]
+    for split, theirs in (("train", "train"), ("val", "valid"), ("test", "test")):
+        found = loader(str(out), theirs)
+        assert len(found) == counts[split]
+        for n in range(len(found)):
+            (_, stem), read = found[n]
+            sample = Dataset(tmp_path / "d").split(split)[int(stem)]
+            np.testing.assert_array_equal(read["input"], sample.observed)
+            if split != "test":
+                np.testing.assert_array_equal(read["label"], 50 * sample.occupancy)
+                np.testing.assert_array_equal(read["occluded"], ~(sample.observed | sample.free))
+                assert not read["invalid"].any()
 
 
 @pytest.mark.parametrize("frame", ["body", "world"])
