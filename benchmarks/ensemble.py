@@ -59,7 +59,7 @@ def _measured(members: list[Completer], split: Any, number: int) -> list[list[fl
         np.mean([getattr(one, name) for one in said], axis=0)
         for name in ("occupancy_probability", "tudf")
     ]
-    classes = classify(sample, lidar=split.dataset.lidar, grid=grid)
+    classes = classify(sample, grid=grid)
     unknown, truth = np.isin(classes, UNOBSERVED), distance_field(sample.occupancy, grid)
     weight = LossConfig().occupied_weight
     rows = []

@@ -179,8 +179,9 @@ class Sample:
 
     def scans(self, lidar: Sensor | None = None) -> list[Scan]:
         """The scans that its map is made of: its own, and then those before it, the last made
-        first. Raises TypeError where the sensor is not known."""
-        lidar = lidar if lidar is not None else self.lidar
+        first; `lidar` is the sensor of a sample that does not know its own. Raises TypeError where
+        neither is known."""
+        lidar = self.lidar if self.lidar is not None else lidar
         if lidar is None:
             raise TypeError(
                 "points() and scans() need the sensor that made this sample, such as recipe.lidar"

@@ -164,9 +164,8 @@ def run_bench(
             f"of each"
         )
     for dataset, method in product(datasets if talk else (), methods):
-        about = dataset.manifest
         unlike = getattr(method, "unlike", lambda *met: "")
-        if warning := unlike(dataset.lidar, about.mapping, about.noise_stages):
+        for warning in sorted(filter(None, {unlike(*one) for one in dataset.settings})):
             note(f"note: {dataset.folder}: {warning}")
     results = []
     for dataset, kind in tables:

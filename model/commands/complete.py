@@ -126,10 +126,8 @@ def complete(
                 on_start=progress.start,
                 on_done=progress.count,
             )
-        about = Dataset(found).manifest
-        if not quiet and (
-            warning := completer.unlike(about.lidar, about.mapping, about.noise_stages)
-        ):
+        met = {completer.unlike(*one) for one in Dataset(found).settings}
+        for warning in () if quiet else sorted(filter(None, met)):
             note(f"note: {warning}")
     else:
         used = predict_scan(completer, found, out, sensor=sensor, thresholds=Thresholds())

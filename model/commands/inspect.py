@@ -76,7 +76,8 @@ def _inspect_dataset(dataset: Path | str, every: bool, workers: int, as_json: bo
             on_start=progress.start,
             on_done=progress.count,
         )
-    warnings = misfits(opened.grid, opened.lidar)
+    sensors = dict.fromkeys(lidar for lidar, _, _ in opened.settings)
+    warnings = [line for lidar in sensors for line in misfits(opened.grid, lidar)]
     try:
         NetworkConfig(height=opened.grid.shape[2]).check_map(opened.grid.shape)
     except ValueError as error:
@@ -151,5 +152,6 @@ def _source(source: dict[str, Any]) -> str:
     """A dataset that samples were taken from, in words."""
     how = f", {' or '.join(ways)}" if (ways := [way for way in source["taken"] if way]) else ""
     digest = f", digest {source['digest'][:8]}" if source["digest"] else ""
-    counted = per_split(source["samples"])
-    return f"{source['kind']}, seed {source['seed']}{digest}, {counted}{how}"
+    said = [source[name] for name in ("lidar", "mapping", "noise") if source.get(name)]
+    said = [*said, per_split(source["samples"])]
+    return f"{source['kind']}, seed {source['seed']}{digest}, {', '.join(said)}{how}"

@@ -174,7 +174,7 @@ class Completer:
         grid = split.dataset.grid
         try:
             self.check_grid(grid)
-            return self(channels(self.inputs, sample, grid, split.dataset.lidar))
+            return self(channels(self.inputs, sample, grid, sample.lidar))
         except ValueError as error:
             raise DatasetError(str(error)) from None
 

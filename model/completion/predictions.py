@@ -86,11 +86,11 @@ def predict_split(
 def _completed(completer: Completer, samples: Split, batch: int, rows: Rows) -> tuple[Rows, Chunks]:
     """The maps of `rows`, completed `batch` at once."""
     found: Chunks = {}
-    dataset = samples.dataset
+    grid = samples.dataset.grid
     for first in range(0, len(rows.numbers), batch):
         read = [
-            channels(completer.inputs, samples[number], dataset.grid, dataset.lidar)
-            for number in rows.numbers[first : first + batch]
+            channels(completer.inputs, sample, grid, sample.lidar)
+            for sample in map(samples.__getitem__, rows.numbers[first : first + batch])
         ]
         said = completer({name: np.stack([one[name] for one in read]) for name in completer.inputs})
         for name in PARTS | SURE:

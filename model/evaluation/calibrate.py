@@ -283,7 +283,7 @@ def _count(
 ) -> tuple[NDArray[np.int64], Any]:
     """Scores of a map's unknown voxels, and their logits where there are some."""
     scored = scored_voxels(sample, grid, split.home(index).tables)
-    classes = classify(sample, lidar=split.dataset.lidar, grid=grid, scored=scored)
+    classes = classify(sample, grid=grid, scored=scored)
     unknown, probability = np.isin(classes, UNOBSERVED), said.occupancy_probability
     distance = said.distance(Thresholds(), grid)
     chance = None if probability is None else corrected(probability, weight)

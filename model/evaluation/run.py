@@ -104,13 +104,12 @@ def check_middle(
 ) -> None:
     """Raise DatasetError, with what to do `instead`, where plans, which begin in a map's middle,
     would not begin at the sensor."""
-    mapping = dataset.manifest.mapping
-    if not mapping.centred:
-        raise DatasetError(
-            f"{dataset.folder}: its maps lie {list(mapping.map_ahead_m)} m ahead of the sensor, "
-            f"and plans begin in a "
-            f"map's middle; {instead}"
-        )
+    for _, mapping, _ in dataset.settings:
+        if not mapping.centred:
+            raise DatasetError(
+                f"{dataset.folder}: its maps lie {list(mapping.map_ahead_m)} m ahead of the "
+                f"sensor, and plans begin in a map's middle; {instead}"
+            )
 
 
 def check_whole(dataset: Dataset, instead: str) -> None:
@@ -224,7 +223,7 @@ def _work(
         sample = split[index]
         truth = sample.occupancy, sample.tudf
         scored = scored_voxels(sample, grid, split.home(index).tables)
-        classes = classify(sample, lidar=dataset.lidar, grid=grid, scored=scored)
+        classes = classify(sample, grid=grid, scored=scored)
         certain = certain_distances(sample, grid)
         solid, gap = walled(*truth, sample.known, grid)
         drawn = trials_of(sample, index, split, config, trials_each)

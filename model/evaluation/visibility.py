@@ -74,10 +74,15 @@ def walled(
 
 
 def classify(
-    sample: Sample, *, lidar: Sensor, grid: GridSpec, scored: NDArray[np.bool_] | None = None
+    sample: Sample,
+    *,
+    grid: GridSpec,
+    scored: NDArray[np.bool_] | None = None,
+    lidar: Sensor | None = None,
 ) -> NDArray[np.uint8]:
     """The class of every voxel of a sample, (*grid.shape), as an index into `CLASSES`; `UNSCORED`
-    in those that are not `scored`, where these are given."""
+    in those that are not `scored`, where these are given. `lidar` is the sensor of a sample that
+    does not know its own."""
     in_view = within_view(sample, grid, lidar)
     classes = np.where(
         in_view, np.uint8(CLASSES.index("occluded")), np.uint8(CLASSES.index("out_of_view"))
@@ -122,7 +127,7 @@ def seen_occupancy(sample: Sample, split: Split) -> NDArray[np.bool_]:
         np.array([scan.pose.position for scan in scans]),
         np.array([scan.directions for scan in scans]),
     )
-    hits = engine.hits(origins, directions, dataset.lidar.max_range_m)
+    hits = engine.hits(origins, directions, scans[0].lidar.max_range_m)
     geoms = hits.geoms[np.isfinite([scan.ranges for scan in scans])]
     return rasterize(some_of(solids, np.unique(geoms)), dataset.grid, sample.origin)
 

@@ -74,8 +74,7 @@ class SplitSamples:
         self.weight = weight
         self.grid, self.lidar, self.name = dataset.grid, dataset.lidar, str(dataset.folder)
         self.kind, self.digest = dataset.manifest.kind, str(dataset.manifest.digest)
-        self.mapping = dataset.manifest.mapping
-        self.settings = ((self.lidar, self.mapping, dataset.manifest.noise_stages),)
+        self.settings = dataset.settings
         self.known = dataset.manifest.known
         self._split = dataset.split(split)
         self._count = len(self._split)

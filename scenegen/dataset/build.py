@@ -141,7 +141,7 @@ def divide(
                     engine=engine,
                 )
             )
-    return Plan(folder=folder, parameters=dict(given), shards=tuple(shards), lidar=recipe.lidar)
+    return Plan(folder=folder, parameters=dict(given), shards=tuple(shards), lidars=(recipe.lidar,))
 
 
 def _check_asked(option: str, value: int, least: int, most: int) -> None:

@@ -21,7 +21,7 @@ from scenegen.dataset.layout import DIGEST, Layout, ShardFile, check_sum, open_f
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.shard import ShardReport, ShardTask, put, read_report
 from scenegen.dataset.state import Plan
-from scenegen.dataset.trust import ALIKE, Entry, GatheredEntry, Manifest
+from scenegen.dataset.trust import ALIKE, MAY_DIFFER, Entry, GatheredEntry, Manifest, differing
 from scenegen.draw import Rejections
 from scenegen.errors import BrokenError, DatasetError, short
 from scenegen.files import real_path, write_whole
@@ -40,7 +40,7 @@ def check_disjoint(datasets: Sequence[Dataset], *, workers: int = 1) -> None:
     that it refers to.
     """
     tasks = [
-        (n, dataset.folder, entry, dataset.manifest.layout)
+        (n, dataset.folder, entry, dataset.manifest.home(entry).layout)
         for n, (dataset, entry) in enumerate(
             (one, entry) for one in datasets for entry in one.manifest.shards
         )
@@ -194,9 +194,8 @@ def plan_merge(datasets: Sequence[Dataset], folder: Path, *, workers: int = 1) -
     """Plan in `folder` all samples of `datasets`, split by split in the order in which these are
     named.
 
-    Raises DatasetError for datasets that do not go together: of other grids, sensors or fields;
-    ones that have a sample in common; ones that share a world, unless both have it in the same
-    split.
+    Raises DatasetError for datasets that do not go together: of other grids or labels; ones that
+    have a sample in common; ones that share a world, unless both have it in the same split.
     """
     for other in datasets[1:]:
         _check_alike(datasets[0], other)
@@ -222,7 +221,7 @@ def unlike(first: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[str, str
     """The first parameter in which two datasets differ that cannot be in one: its name, and its
     values, for people; None where there is none."""
     ours, theirs = manifest.completed(first), manifest.completed(other)
-    for name in ALIKE:
+    for name in (name for name in ALIKE if name not in MAY_DIFFER):
         one, two = ours.get(name), theirs.get(name)
         if one == two:
             continue
@@ -267,7 +266,7 @@ def _plan(
                 parameters=home.fingerprint,
                 there=dataset.folder,
                 entry=chosen.entry,
-                layout=dataset.manifest.layout,
+                layout=home.layout,
                 rows=rows,
                 more={"source": source, "start": start, "stop": stop},
                 numbers=worlds,
@@ -283,7 +282,8 @@ def _plan(
         )
     each = [(home.parameters, home.digest, ways) for home, ways in sources.values()]
     given = gathered(each, counts, max(part.samples for part in parts))
-    return Plan(folder=folder, parameters=given, shards=tuple(parts), lidar=dataset.lidar)
+    lidars = tuple(home.lidar for home, _ in sources.values())
+    return Plan(folder=folder, parameters=given, shards=tuple(parts), lidars=lidars)
 
 
 def _source(
@@ -325,6 +325,8 @@ def gathered(
         given[name] = first[name] if all(one[name] == first[name] for one in each) else instead
     if all(one.get("rescan") == first.get("rescan") is not None for one in each):
         given["rescan"] = first["rescan"]
+    if differ := differing(first, each):
+        given["differ"] = differ
     given |= {"counts": dict(counts), "shard_samples": shard_samples}
     given["sources"] = [
         {"digest": digest, "taken": list(taken), "parameters": dict(parameters)}

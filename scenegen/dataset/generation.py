@@ -337,7 +337,8 @@ def plan_mixed(
                 index += 1
     each = [(plan.parameters, None, [""]) for plan in plans]
     given = gathered(each, counts, plans[0].parameters["shard_samples"])
-    return Plan(folder=folder, parameters=given, shards=tuple(shards), lidar=plans[0].lidar)
+    lidars = tuple(recipe.lidar for recipe, _ in components)
+    return Plan(folder=folder, parameters=given, shards=tuple(shards), lidars=lidars)
 
 
 def _shares(count: int, weights: Sequence[Fraction]) -> list[int]:

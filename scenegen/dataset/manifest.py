@@ -29,7 +29,7 @@ VERSION = 1
 """The major version of the format."""
 SINCE: Mapping[str, str] = {
     **{part.name: part.since for part in PARTS},
-    **{"rescan": "1.2", "sources": "1.4"},
+    **{"rescan": "1.2", "sources": "1.4", "differ": "1.6"},
 }
 """Entries, and the first version of the format that has them: a manifest is of the latest one that
 any of its entries asks for, and readers of earlier versions refuse it. Whatever they would refuse

@@ -5,7 +5,7 @@ import dataclasses
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -122,19 +122,27 @@ def read_sensor(entry: Any, before: Mapping[str, Any]) -> Mapping[str, Any]:
     return entry
 
 
-def sensor_files(entry: Mapping[str, Any]) -> dict[str, str]:
-    """Files that the sensor of a checked entry takes in the dataset's folder, with their
-    SHA-256."""
-    return {RAYS: entry["sha256"]} if "sensor" in entry else {}
+def rays_files(sums: Iterable[str]) -> dict[str, str]:
+    """The files of the tables of rays with these SHA-256 `sums` in the folder of a dataset, by
+    sum."""
+    different = dict.fromkeys(sums)
+    return {one: RAYS if len(different) == 1 else f"rays-{one[:16]}.npy" for one in different}
 
 
-def sensor_of(entry: Mapping[str, Any], folder: Path) -> Sensor:
-    """The sensor of a checked entry. Raises BrokenError where the table in `folder` is damaged."""
+def rays_named(parameters: Mapping[str, Any]) -> dict[str, str]:
+    """`rays_files` of a manifest's checked `parameters`, and of its sources'."""
+    every = parameters, *(one["parameters"] for one in parameters.get("sources") or ())
+    return rays_files(one["lidar"]["sha256"] for one in every if "sensor" in one["lidar"])
+
+
+def sensor_of(entry: Mapping[str, Any], folder: Path, name: str = RAYS) -> Sensor:
+    """The sensor of a checked entry, its table of rays, if it is one, in the file `name` of
+    `folder`. Raises BrokenError where that is damaged."""
     if "sensor" not in entry:
         return Lidar(**entry)
     expected = (*entry["shape"], 4)
     try:
-        content = read_bounded(folder / RAYS, most_bytes(math.prod(entry["shape"])))
+        content = read_bounded(folder / name, most_bytes(math.prod(entry["shape"])))
         if hashlib.sha256(content).hexdigest() != entry["sha256"]:
             raise ValueError("is not the file whose sha256 the manifest's lidar names")
         rays = read_npy(content)
@@ -143,19 +151,25 @@ def sensor_of(entry: Mapping[str, Any], folder: Path) -> Sensor:
         return BeamTable(rays=rays, max_range_m=entry["max_range_m"], made_by=entry["made_by"])
     except FileNotFoundError:
         raise BrokenError(
-            f"{RAYS}: is missing, though the manifest's lidar is a table of rays"
+            f"{name}: is missing, though the manifest's lidar is a table of rays"
         ) from None
     except (ValueError, OSError, DatasetError) as error:
-        raise BrokenError(f"{RAYS}: {printable(error)[:200]}") from None
+        raise BrokenError(f"{name}: {printable(error)[:200]}") from None
 
 
-def write_rays(sensor: Sensor, folder: Path) -> None:
-    """Put the sensor's table into the dataset's folder, unless it is there."""
-    if isinstance(sensor, Lidar):
-        return
-    path, table = folder / RAYS, BeamTable.of(sensor)
-    if not path.is_file() or path.read_bytes() != table.npy:
-        write_whole(path, table.npy)
+def tables_of(sensors: Iterable[Sensor]) -> dict[str, BeamTable]:
+    """The tables of rays that `sensors` take in the dataset's folder, by their files."""
+    tables = [BeamTable.of(one) for one in sensors if not isinstance(one, Lidar)]
+    names = rays_files(table.sha256 for table in tables)
+    return {names[table.sha256]: table for table in tables}
+
+
+def write_rays(sensors: Iterable[Sensor], folder: Path) -> None:
+    """Put the tables of `sensors` into the dataset's folder, unless they are there."""
+    for name, table in tables_of(sensors).items():
+        path = folder / name
+        if not path.is_file() or path.read_bytes() != table.npy:
+            write_whole(path, table.npy)
 
 
 def noise_entry(noise: "Noise", max_range_m: float) -> dict[str, Any] | None:

@@ -54,6 +54,9 @@ class Dataset:
         self.manifest = trust.load(self.folder)
         with self._advice():
             self.grid, self.lidar = self.manifest.grid, self.manifest.lidar
+            self.settings = self.manifest.settings
+            """Sensor, mapping and noise of each of the datasets that its samples were made for;
+            `lidar` is that of the first."""
         if not (self.manifest.complete or partial):
             raise DatasetError(
                 f"{self.folder}: incomplete; give the command that made it again to go on where "
@@ -145,15 +148,15 @@ class Dataset:
     def _shard(self, entry: trust.Entry) -> ShardFile:
         """An open shard, of this dataset by its own word."""
         path = self.folder / entry.file
+        home = self.manifest.home(entry)
         with self._advice():
-            shard = open_shard(
-                self._open(entry.file, entry.sha256), path, entry.samples, self.manifest.layout
-            )
+            file = self._open(entry.file, entry.sha256)
+            shard = open_shard(file, path, entry.samples, home.layout)
             shard.check_origin(
                 split=entry.split,
                 first_world=entry.first_world,
                 worlds_sha256=entry.worlds_sha256,
-                parameters=self.manifest.home(entry).fingerprint,
+                parameters=home.fingerprint,
             )
         return shard
 
@@ -207,9 +210,8 @@ class Split(Sequence[Sample]):
         self._shard(number)  # which says at once if the file is missing or not this dataset's
         if self.dataset.checked:
             self.check(index)
-        it = self.dataset
-        find = partial(self._find, number, row)
-        return Sample.lazy(it.manifest.schema.names, find, lidar=it.lidar, grid=it.grid)
+        home, find = self.home(index), partial(self._find, number, row)
+        return Sample.lazy(home.schema.names, find, lidar=home.lidar, grid=home.grid)
 
     def check(self, index: int) -> None:
         """Raise DatasetError unless sample `index` has the digest that stands beside it; `free` and
@@ -233,7 +235,8 @@ class Split(Sequence[Sample]):
         return html_table(rows, self)
 
     def describe(self) -> dict[str, dict[str, Any]]:
-        """What a sample holds: name of each field to its `dtype`, `shape`, `unit` and `meaning`."""
+        """What a sample holds, of the first source where these differ: name of each field to its
+        `dtype`, `shape`, `unit` and `meaning`."""
         return self.dataset.manifest.schema.describe()
 
     def _place(self, index: int) -> tuple[int, int]:
@@ -261,8 +264,9 @@ class Split(Sequence[Sample]):
         """A field of the sample in a row of a shard: as it is stored, or derived from the other
         fields. Raises DatasetError."""
         it, shard = self.dataset, self._shard(number)
+        home = it.manifest.home(self.shards[number])
         with it._advice():
-            if name in it.manifest.fields:
+            if name in home.fields:
                 value = shard.value(name, row)
                 return value + self.first_worlds[number] if name == "world" else value
             if name == "tudf":
@@ -271,8 +275,7 @@ class Split(Sequence[Sample]):
             if not np.isfinite(sample.origin).all() or not all((it >= 0).all() for it in ranges):
                 raise BrokenError(f"{shard.name}: sample {row}: origin or ranges are no lengths")
             try:
-                scans, fusion = sample.scans(), it.manifest.mapping
-                return derive_free(scans, sample.origin, grid=it.grid, fusion=fusion)
+                return derive_free(sample.scans(), sample.origin, grid=it.grid, fusion=home.mapping)
             except ValueError as error:
                 raise BrokenError(f"{shard.name}: sample {row}: {error}") from None
 

@@ -2,6 +2,7 @@
 manifest says of it."""
 
 import contextlib
+import fnmatch
 import hashlib
 import json
 import math
@@ -13,10 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lidarsim import GridSpec, Lidar, Sensor
+from lidarsim import GridSpec, Sensor
 from scenegen import SPLITS
 from scenegen.dataset import manifest, placed, trust
-from scenegen.dataset.parts import RAYS, write_rays
+from scenegen.dataset.parts import tables_of, write_rays
 from scenegen.dataset.placed import read_notes, remove_notes, write_note
 from scenegen.dataset.shard import ARCHIVE, ShardReport, ShardTask, read_report, relabel
 from scenegen.errors import BrokenError, DatasetError
@@ -39,7 +40,8 @@ class Plan:
     folder: Path
     parameters: dict[str, Any]
     shards: tuple[ShardTask, ...]
-    lidar: Sensor
+    lidars: tuple[Sensor, ...]
+    """The sensors of its samples."""
 
     @property
     def samples(self) -> int:
@@ -196,7 +198,7 @@ class State:
             planned = {
                 path.name for shard in self.plan.shards for path in (shard.file, shard.worlds_file)
             }
-            planned |= set() if isinstance(self.plan.lidar, Lidar) else {RAYS}
+            planned |= tables_of(self.plan.lidars).keys()
             for name in sorted(planned & there - set(former)):
                 raise DatasetError(
                     f"{folder / name}: is of no dataset there; move it away, or choose another "
@@ -208,7 +210,7 @@ class State:
         if not self.begun or not (folder / manifest.NAME).exists():
             manifest.write(folder, manifest.assemble(self.plan.parameters, [], complete=False))
             self._listed = self._listed or {}
-        write_rays(self.plan.lidar, folder)
+        write_rays(self.plan.lidars, folder)
 
     def note(self, mine: Sequence[ShardTask] | None = None) -> None:
         """Write down the shards that are known, for a run that is stopped: the next one hashes
@@ -296,8 +298,8 @@ def _report(task: tuple[ShardTask, trust.Entry | None]) -> ShardReport | None:
 
 
 def _former(folder: Path, names: set[str]) -> list[str]:
-    """Those of the `names` in `folder` that are of the dataset whose manifest lies there: its table
-    of rays, the shards that it lists, and those not listed yet, which carry its fingerprint, or
+    """Those of the `names` in `folder` that are of the dataset whose manifest lies there: its
+    tables of rays, the shards that it lists, and those not listed yet, which carry its fingerprint, or
     that of one of its sources. In an order that can be gone on with: worlds come before their
     samples, which hold their digest."""
     if manifest.NAME not in names:
@@ -318,8 +320,8 @@ def _former(folder: Path, names: set[str]) -> list[str]:
         else:  # whose writer was killed before it put the samples beside them
             known = content.startswith(ARCHIVE)
         found |= {name} if known else set()
-    if RAYS in names and hashlib.sha256(_content(folder / RAYS)).hexdigest() in said:
-        found.add(RAYS)
+    for name in fnmatch.filter(names, "rays*.npy"):
+        found |= {name} if hashlib.sha256(_content(folder / name)).hexdigest() in said else set()
     return sorted(found, reverse=True)
 
 

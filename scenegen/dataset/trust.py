@@ -2,11 +2,11 @@
 
 import dataclasses
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from lidarsim import GridSpec, Sensor
 from lidarsim.engines import MUJOCO
@@ -16,10 +16,11 @@ from scenegen.dataset.layout import Layout, layout_of
 from scenegen.dataset.parts import (
     NAMES,
     PARTS,
+    RAYS,
     is_ours,
     noise_of,
+    rays_named,
     schema_of,
-    sensor_files,
     sensor_of,
 )
 from scenegen.dataset.rules import (
@@ -59,10 +60,13 @@ if TYPE_CHECKING:  # which imports what draws worlds
 MINOR = tuple(name for name, since in manifest.SINCE.items() if since != "1")
 """Entries that raise a manifest's version."""
 _COUNT = whole(0, MOST_SAMPLES)
-_ABSENT = Rule(lambda value: value is None, "none: datasets are gathered once")
+_ABSENT = Rule(lambda value: value is None, "none")
 _SOURCE = {"digest": optional(DIGEST), "parameters": TABLE, "taken": LIST}
 ALIKE = ("format", "generator", "fields", *NAMES)
-"""Parameters in which all datasets agree whose samples are in one."""
+"""Parameters in which all datasets agree whose samples are in one, but for those that `differ`
+names."""
+MAY_DIFFER = ("fields", "lidar", "noise", "mapping")
+"""Those that it may name."""
 _RECIPE: dict[str, Any] = {"version": 0, "world": None, "flight": {}, "accept": {}, "scenes": None}
 
 
@@ -120,6 +124,8 @@ class Manifest:
     grid: GridSpec
     folder: Path = field(compare=False)
     """Where the file lies."""
+    rays: Mapping[str, str] = field(default_factory=dict)
+    """Where the tables of rays of its sensors lie, by their SHA-256."""
     engine: str = ruled(text(r"[A-Za-z_][\w.:]{0,199}", "the name of an engine"))
     """What cast the rays; never imported unless it is one of ours."""
     noise: Mapping[str, Any] | None
@@ -151,7 +157,7 @@ class Manifest:
     @property
     def files(self) -> dict[str, str]:
         """Every file that the manifest lists, with its SHA-256."""
-        found = sensor_files(self.parameters["lidar"])
+        found = {name: sha256 for sha256, name in self.rays.items()}
         for entry in self.shards:
             found |= {entry.file: entry.sha256, entry.worlds: entry.worlds_sha256}
         return found
@@ -159,7 +165,18 @@ class Manifest:
     @cached_property
     def lidar(self) -> Sensor:
         """The sensor. Raises BrokenError where the table of its rays is damaged."""
-        return sensor_of(self.parameters["lidar"], self.folder)
+        entry = self.parameters["lidar"]
+        return sensor_of(entry, self.folder, self.rays.get(entry.get("sha256"), RAYS))
+
+    @property
+    def homes(self) -> Sequence[Self]:
+        """What its samples were made for: its `sources`, or this dataset."""
+        return [one for one in self.sources if isinstance(one, type(self))] or [self]
+
+    @property
+    def settings(self) -> tuple[tuple[Sensor, Mapper, str], ...]:
+        """Sensor, mapping and noise, as the manifest spells it, of each of its `homes`."""
+        return tuple((home.lidar, home.mapping, home.noise_stages) for home in self.homes)
 
     @cached_property
     def schema(self) -> Schema:
@@ -297,6 +314,7 @@ def parse(document: Mapping[str, Any], folder: Path, named: str | None = None) -
         tables=found["recipe"],
         fields=tuple(found["fields"]),
         folder=folder,
+        rays=rays_named(found),
         shards=shards,
         named=named,
     )
@@ -324,16 +342,17 @@ def _sources(found: Mapping[str, Any], folder: Path) -> tuple[Manifest, ...]:
     """The datasets that the samples of a manifest, `found`, were made for, which agree with it.
     Raises BrokenError."""
     if found["sources"] is None:
-        check(found, {"seed": whole(0, MOST_SEED)}, "")
+        check(found, {"seed": whole(0, MOST_SEED), "differ": _ABSENT}, "")
         return ()
-    sources = []
+    sources, every = [], []
     for n, entry in enumerate(found["sources"]):
         at = f"sources.{n}"
         check(entry, _SOURCE, at, _SOURCE)
         given = {"generator": 1, "engine": MUJOCO, **dict.fromkeys(MINOR)} | entry["parameters"]
         check(given, {"sources": _ABSENT}, f"{at}.parameters")
-        for name in ALIKE:
-            if given.get(name) != found.get(name):
+        every.append(given)
+        for name in differing(found, [given]):
+            if name not in MAY_DIFFER:
                 raise BrokenError(f"{at}.parameters.{name}: expected what the manifest itself says")
         whole_of = {"complete": True, "shards": [], "rejected": {"worlds": {}, "viewpoints": {}}}
         try:
@@ -342,7 +361,16 @@ def _sources(found: Mapping[str, Any], folder: Path) -> tuple[Manifest, ...]:
         except (BrokenError, KeyError) as error:
             raise BrokenError(f"{at}.parameters: {printable(error)}") from None
         sources.append(source)
-    return tuple(sources)
+    if (differ := differing(found, every) or None) != found["differ"]:
+        raise BrokenError(f"differ = {short(found['differ'])}: expected {differ}, as sources say")
+    rays = rays_named(found)
+    return tuple(dataclasses.replace(source, rays=rays) for source in sources)
+
+
+def differing(parameters: Mapping[str, Any], others: Iterable[Mapping[str, Any]]) -> list[str]:
+    """Those parameters that datasets share whose samples are in one, but in which `others` differ
+    from these."""
+    return [name for name in ALIKE if any(one.get(name) != parameters.get(name) for one in others)]
 
 
 def _check_place(entry: Entry, sources: Sequence[Manifest], at: str) -> None:

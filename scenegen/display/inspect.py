@@ -74,13 +74,16 @@ def inspect(
     found |= {"fields": list(it.fields), "grid": it.parameters["grid"]}
     found["mapping"] = it.parameters.get("mapping")
     if it.sources:
+        differ = it.parameters.get("differ", ())
+        named = [dict(zip(("lidar", "mapping", "noise"), one, strict=True)) for one in it.settings]
         found["sources"] = [
             {
                 **{"kind": one.kind, "seed": one.seed, "digest": one.digest},
+                **{name: str(part) for name, part in parts.items() if name in differ},
                 "taken": entry["taken"],
                 "samples": _counts(shard for shard in it.shards if it.home(shard) is one),
             }
-            for one, entry in zip(it.sources, it.parameters["sources"], strict=True)
+            for one, parts, entry in zip(it.sources, named, it.parameters["sources"], strict=True)
         ]
     splits = [split for split in map(dataset.split, SPLITS) if len(split)]
     tasks = []

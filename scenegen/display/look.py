@@ -169,7 +169,7 @@ def look_into(samples: Split, index: int, guesses: Guesses | None = None) -> Loo
     """
     dataset, name = samples.dataset, f"{samples.name} {index}"
     try:
-        look = look_at(samples[index], dataset.grid, dataset.lidar, name)
+        look = look_at(samples[index], dataset.grid, samples.home(index).lidar, name)
     except IndexError as error:
         raise DatasetError(f"{error}; expected --index below {len(samples)}") from None
     except DatasetError as error:

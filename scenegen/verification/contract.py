@@ -22,11 +22,6 @@ class Contract(Manifest):
         return self.recipe.flight.viewpoints
 
     @property
-    def homes(self) -> list["Contract"]:
-        """What its samples were made for: its `sources`, or this dataset."""
-        return [one for one in self.sources if isinstance(one, Contract)] or [self]
-
-    @property
     def starts(self) -> tuple[int, ...]:
         """Place of every shard's first sample within the split of the dataset that it was made
         for."""

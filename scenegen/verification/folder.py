@@ -16,7 +16,6 @@ from lidarsim import AnalyticEngine, GridSpec, Lidar
 from scenegen.dataset.hdf5 import library_index, read_index
 from scenegen.dataset.layout import DIGEST, most_bytes, open_file, open_shard
 from scenegen.dataset.locate import locate
-from scenegen.dataset.parts import sensor_files
 from scenegen.draw import draw_unit
 from scenegen.errors import DatasetError, told
 from scenegen.recipe import make_recipe
@@ -57,7 +56,7 @@ CHECKS: tuple[Check, ...] = tuple(
 def chosen_checks(contract: Contract, *, quick: bool, own: Iterable[str]) -> list[Check]:
     """The checks that are made of a dataset: those of ours that apply, then a user's `own`, always.
     Raises ValueError for a name that leads to no check."""
-    fields = ("", *contract.fields)
+    fields = {"", *(name for home in contract.homes for name in home.fields)}
     applying = [check for check in CHECKS if (check.quick or not quick) and check.field in fields]
     return [*applying, *map(OWN_CHECKS.find, own)]
 
@@ -239,7 +238,7 @@ class _Examination(Limited[Task, Findings]):
         if note_of(contract.folder) is not None:
             fetch_all(
                 contract.folder,
-                [entry.file, entry.worlds, *sensor_files(contract.parameters["lidar"])],
+                [entry.file, entry.worlds, *contract.rays.values()],
             )
         return super().__call__(task)
 

@@ -252,7 +252,7 @@ def _compare(contract: Contract, page: Page) -> None:
     def opened(number: int) -> ShardFile:
         entry = contract.shards[number]
         path = contract.folder / entry.file
-        return open_shard(open_file(path), path, entry.samples, contract.layout)
+        return open_shard(open_file(path), path, entry.samples, contract.home(entry).layout)
 
     for one, other in ((places[a], places[b]) for a, b in pairs):
         seen = overlap(*(opened(number).value("observed", row) for number, row in (one, other)))

@@ -111,7 +111,8 @@ def _write(dataset: Dataset, out: Path, form: Any, rows: Rows) -> tuple[Rows, Co
             continue
         given: Any = list(found.items()) if together else found[numbers[0]]
         try:
-            contents = form.encode(given, dataset.grid, dataset.lidar)
+            sensor = samples.home(numbers[0]).lidar
+            contents = form.encode(given, dataset.grid, sensor)
         except (DatasetError, ValueError) as error:
             broken += [f"{rows.split} {number} is left out: {printable(error)}" for number in found]
             continue
