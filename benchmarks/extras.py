@@ -4,6 +4,7 @@ python benchmarks/extras.py          needs an environment with all extras; reads
 """
 
 from importlib.metadata import Distribution, PackageNotFoundError, distribution
+from pathlib import Path
 
 from packaging.requirements import Requirement
 
@@ -27,8 +28,8 @@ def closure(name: str, extra: str, found: dict[str, Distribution]) -> None:
 
 def megabytes(it: Distribution) -> float:
     """The size of an installed package."""
-    paths = (it.locate_file(file) for file in it.files or ())
-    return sum(path.stat().st_size for path in paths if path.is_file()) / 1e6  # type: ignore[attr-defined]
+    paths = (Path(str(it.locate_file(file))) for file in it.files or ())
+    return sum(path.stat().st_size for path in paths if path.is_file()) / 1e6
 
 
 def main() -> None:

@@ -25,12 +25,32 @@ if TYPE_CHECKING:
 MOST_SHOWN = 64
 """The most samples on a sheet."""
 SUFFIXES = (".png", ".pdf", ".svg", ".webp")
+FILMS = (".webp", ".gif")
+COLUMNS_MM = {"one": 88.0, "two": 180.0}
+"""Widths of columns of a paper, as most journals have them."""
 FIGURES = ("sample", "world", "completions", "distances", "paths", "example")
+
+
+def _width(ctx: Any, parameter: Any, value: str | None) -> float | None:
+    """A width in inches."""
+    if value is None:
+        return None
+    try:
+        wide = COLUMNS_MM.get(value) or float(value)
+    except ValueError:
+        wide = 0
+    if not 40 <= wide <= 1000:
+        raise click.BadParameter(
+            f"{value!r}: expected one, two, or a width of 40 to 1000 millimetres"
+        )
+    return wide / 25.4
 
 
 @click.command(
     epilog=examples(
         "render data/pillar --index 3 -o sample.png",
+        "render data/pillar --index 3 --weights columns --paper two -o figure.pdf",
+        "render data/pillar --index 3 --flight -o flight.gif",
         "render data/pillar --split test --sheet 12 --weights columns -o sheet.pdf",
         "render room.xml --flight -o room.png",
     )
@@ -54,41 +74,71 @@ FIGURES = ("sample", "world", "completions", "distances", "paths", "example")
     help="What to draw of samples; docs/look.md shows each.  [default: sample, or completions "
     "with --weights]",
 )
-@click.option("--turn", is_flag=True, help="A turntable of one sample, as an animated .webp.")
-@click.option("--flight", is_flag=True, help="With a world: draw a random flight, too.")
+@click.option("--turn", is_flag=True, help="A turntable of one sample, as a .webp or .gif.")
+@click.option(
+    "--flight",
+    is_flag=True,
+    help="With a world: draw a random flight, too. With a dataset: a .gif or .webp of the flight "
+    "that --index is of.",
+)
+@click.option(
+    "--paper",
+    metavar="one|two|MM",
+    callback=_width,
+    help="For print, as wide as one or two columns (88, 180) or so many millimetres: no title, "
+    "letters of one size; .pdf and .svg keep them as letters.",
+)
+@click.option(
+    "--font-size",
+    type=click.FloatRange(4, 20),
+    default=7.0,
+    show_default=True,
+    help="With --paper: the size of its letters, points.",
+)
 @seed_option("What the flight is drawn by.")
 @out_option("The picture: .png, .pdf, .svg or .webp.  [default: sample.png]", file=True)
 @quiet_option
 @shown_options
 def render(
-    source: Path | str, flight: bool, seed: int, out: Path | None, quiet: bool, **options: Any
+    source: Path | str,
+    flight: bool,
+    seed: int,
+    out: Path | None,
+    quiet: bool,
+    font_size: float,
+    **options: Any,
 ) -> None:
     """Draw samples of a dataset, and what is predicted of them.
 
     Or a world (.xml), a scan, a completion of one (.h5), a run's curve from its folder.
     """
-    turn = options["turn"]
-    suffixes = SUFFIXES[-1:] if turn else SUFFIXES
-    out = out or Path("sample.webp" if turn else "sample.png")
+    is_world = isinstance(source, Path) and source.suffix in (".xml", *MESHES)
+    film = "turn" if options.pop("turn") else "flight" if flight and not is_world else ""
+    suffixes = FILMS if film else SUFFIXES
+    out = out or Path("sample.webp" if film else "sample.png")
     if out.suffix not in suffixes:
         raise click.UsageError(f"-o {out}: expected a name that ends in {', '.join(suffixes)}")
-    is_world = isinstance(source, Path) and source.suffix in (".xml", *MESHES)
-    if flight and not is_world:
-        raise click.UsageError("--flight: is for a world, an .xml file or a mesh")
     if options["count"] and options["indices"]:
         raise click.UsageError("give --index or --sheet, not both")
-    if turn and (options["count"] or len(options["indices"]) > 1 or options["figure"]):
-        raise click.UsageError("--turn: shows one sample, without --sheet and --figure")
+    if film and (
+        options["count"] or len(options["indices"]) > 1 or options["figure"] or options["paper"]
+    ):
+        raise click.UsageError(
+            f"--{film}: shows one sample or flight, without --sheet, --figure and --paper"
+        )
     if importlib.util.find_spec("matplotlib") is None:  # before the samples are read
         raise ModuleNotFoundError("matplotlib", name="matplotlib")
-    from scenegen.display.panels import to_bytes
+    from scenegen.display.panels import for_paper, to_bytes
     from scenegen.files import check_ours, write_result
 
     check_ours(out)
     notes: list[str] = []
     made = _draw_file(source, seed if flight else None) if isinstance(source, Path) else None
     if made is None:
-        made, notes = _draw_samples(source, shown=not quiet, **options)
+        film += out.suffix if film else ""
+        made, notes = _draw_samples(source, shown=not quiet, film=film, **options)
+    if options["paper"] is not None and not isinstance(made, bytes):
+        for_paper(made, font_size)
     content = made if isinstance(made, bytes) else to_bytes(made, out.suffix)
     write_result(out, content)
     for line in notes:
@@ -142,31 +192,44 @@ def _draw_samples(
     indices: tuple[int, ...],
     count: int | None,
     figure: str | None,
-    turn: bool,
+    film: str,
+    paper: float | None,
     **predicted: Any,
 ) -> tuple[Any, list[str]]:
     """The picture of a dataset's samples, and a line for each thing that could not be read."""
     from scenegen.display.figures import FIGURES as DRAWN
-    from scenegen.display.look import looks, spread
+    from scenegen.display.look import looks, spread, title_of
     from scenegen.display.panels import plain
-    from scenegen.display.pictures import draw_sample, draw_sheet, draw_turn
+    from scenegen.display.pictures import draw_flight, draw_sample, draw_sheet, draw_turn
 
     found = open_dataset(source, shown=shown)
-    bare = figure in ("sample", "world") or turn
+    bare = figure in ("sample", "world") or film
     guesses, methods = (None, ()) if bare else chosen(found, split, **predicted)
     figure = figure or ("completions" if methods else "sample")
     numbers = indices or (spread(found, split, count) if count else (0,))
+    what, _, suffix = film.partition(".")
+    if what == "flight":
+        numbers = _same_world(found, split, numbers[0])
     seen, notes = looks(found, split, numbers, guesses)
-    title = plain(f"{found.folder.name}: {found.manifest.kind}")
+    title = plain(title_of(found))
     alone = len(seen) == 1 and not count
-    told = f"{title}, {seen[0].name}" if alone else title
-    if turn:
-        return draw_turn(seen[0], title=told), notes
+    told = "" if paper else f"{title}, {seen[0].name}" if alone else title
+    if what == "turn":
+        return draw_turn(seen[0], title=told, suffix=suffix), notes
+    if what == "flight":
+        return draw_flight(seen, title=title, suffix=suffix), notes
     if figure == "world":
         return _draw_archived(found, split, numbers[0], told), notes
-    if figure == "sample":
-        return draw_sample(seen[0], title=told) if alone else draw_sheet(seen, title=told), notes
-    return DRAWN[figure](seen, title=told), notes
+    if figure == "sample" and alone:
+        return draw_sample(seen[0], title=told, width=paper), notes
+    draw = draw_sheet if figure == "sample" else DRAWN[figure]
+    return draw(seen, title=told, width=paper), notes
+
+
+def _same_world(found: "Dataset", split: str, index: int) -> list[int]:
+    """The samples of a sample's world, in order, as many as are shown."""
+    names = found.split(split).names
+    return [n for n, (_, world, _) in enumerate(names) if world == names[index][1]][:MOST_SHOWN]
 
 
 def _draw_archived(found: "Dataset", split: str, index: int, title: str) -> Any:
@@ -179,8 +242,7 @@ def _draw_archived(found: "Dataset", split: str, index: int, title: str) -> Any:
     samples = found.split(split)
     sample = samples[index]
     number = int(sample.world)
-    same = [n for n, (_, world, _) in enumerate(samples.names) if world == number][:MOST_SHOWN]
-    places = np.stack([samples[n].position for n in same])
+    places = np.stack([samples[n].position for n in _same_world(found, split, index)])
     box = sample.origin, sample.origin + found.grid.extent_m
     world = solid(found.compile(split, number), title)
     return draw_world(world, title=title, places=places, box=box)

@@ -126,14 +126,13 @@ def _write(
     guesses: "Guesses | None",
 ) -> None:
     """Writes a page that holds what it shows."""
-    from scenegen.display.look import looks, spread
+    from scenegen.display.look import looks, spread, title_of
     from scenegen.display.page import check_grid, page
-    from scenegen.errors import printable
     from scenegen.files import write_result
 
     check_grid(found.grid)
     shown, notes = looks(found, split, indices or spread(found, split, count), guesses)
-    title = printable(f"{found.folder.name}: {found.manifest.kind}, {split}")
+    title = f"{title_of(found)}, {split}"
     content = page(shown, title=title, notes=notes)
     write_result(out, content.encode())
     for line in notes:

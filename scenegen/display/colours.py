@@ -19,23 +19,25 @@ def scale(text: str) -> Anchors:
 
 
 HEIGHTS = scale(
-    """#30123b #4146ac #4776ee #3aa3fc #1bd0d5 #25eca7 #61fc6c #a4fc3c
-    #d2e935 #f4c73a #fe9b2d #f36315 #da3907 #b21a01 #7a0403"""
+    "#440154 #482475 #414487 #355f8d #2a788e #21918c #22a884 #44bf70 #7ad151 #bddf26 #fde725"
 )
-"""Turbo at 15 places, from low to high; within 9 of 255 of it everywhere."""
-DISTANCES = scale("#213ca0 #68a0dc #f6f4e0 #ee8c46 #b21024")
-"""From blue at 0 to red at the truncation, over a light middle: people who confuse red and green
-tell these apart."""
+"""Viridis at 11 places, from low to high: even to the eye, for all kinds of colour blindness."""
+DISTANCES = scale("#00224e #1a386f #434e6c #61656f #7d7c78 #9b9476 #bcae6c #dec958 #fee838")
+"""Cividis at 9 places, as even, from dark blue at 0 to yellow at the truncation."""
 SENSOR: Rgb = (214, 20, 60)
 MISSED, INVENTED = (222, 30, 150), (36, 36, 36)
-"""Errors of a prediction: a magenta and a black, which Turbo has not, and which differ in
-brightness, too."""
-START, GOAL = (0, 128, 96), SENSOR
-"""Ends of a path, as in the paper."""
-PATHS = dict(zip(("tudf", "occ", "proposed"), scale("#0060c8 #f08c00 #d6143c"), strict=True))
-"""Colours of paths by the names of the paper's networks, as in its figures."""
-OTHER_PATHS = scale("#008c5a #823caa #6e5028 #0096aa")
-"""Colours of other methods' paths, the first of them green, in turn."""
+"""Errors of a prediction, in full from `DEEP` voxels on: a magenta and a black, which the heights
+have not, and which differ in brightness, too."""
+DEEP = 3
+"""Voxels between an error and the nearest one that is right from which on it counts in full."""
+PALE = 0.3
+"""The share of its colour that an error has beside a right voxel; the rest is white."""
+START, GOAL = (0, 158, 115), (255, 205, 0)
+"""Ends of a path."""
+PATHS = dict(zip(("tudf", "occ", "proposed"), scale("#0060c8 #f08c00 #7a3cc8"), strict=True))
+"""Colours of paths by the names of the paper's networks."""
+OTHER_PATHS = scale("#6e5028 #0096aa #787878 #b0c800")
+"""Colours of other methods' paths, in turn. No colour of a legend is another one's, too."""
 
 
 def path_colours(names: Sequence[str]) -> list[Rgb]:
@@ -54,3 +56,17 @@ def colour(shares: NDArray[Any], anchors: Anchors) -> NDArray[np.float64]:
 def rgb(colour: Rgb) -> tuple[float, ...]:
     """A colour as matplotlib takes it, each channel from 0 to 1."""
     return tuple(value / 255 for value in colour)
+
+
+def error_colours(
+    deep: Rgb, right: NDArray[np.bool_], places: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Colours (n, 3) of errors at voxels `places` (n, 3), the paler the nearer to voxels that are
+    `right`: a surface that is a voxel off is no failure."""
+    from scipy.ndimage import distance_transform_edt
+
+    share = np.ones(len(places))
+    if right.any():
+        away = distance_transform_edt(~right)[tuple(places.T)]
+        share = PALE + (1 - PALE) * np.clip((away - 1) / (DEEP - 1), 0, 1)
+    return 1 - share[:, None] * (1 - np.array(rgb(deep)))

@@ -12,10 +12,13 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import Normal, Stroke
 
 from scenegen.display.colours import (
+    DEEP,
     GOAL,
     INVENTED,
     MISSED,
+    PALE,
     START,
+    Rgb,
     path_colours,
     rgb,
 )
@@ -31,6 +34,7 @@ from scenegen.display.panels import (
     line,
     plain,
     put_ball,
+    put_note,
     put_title,
     say_unread,
 )
@@ -44,46 +48,61 @@ apart."""
 OTHER_STYLES: tuple[Any, ...] = ((0, (8, 1.5, 1.5, 1.5)), (0, (1, 1)), (0, (4, 1, 1, 1, 1, 1)))
 
 
-def draw_completions(looks: Sequence[Look], *, title: str) -> Figure:
-    """Draws a row for each sample: its scan, the truth, and each method's prediction, with what it
-    missed and invented in colours of their own; under a single sample, the distances at the
-    sensor's height. (The paper's comparison.)
+def draw_completions(looks: Sequence[Look], *, title: str, width: float | None = None) -> Figure:
+    """Draws a row for each sample: its scan, the truth, and each method's prediction with its IoU,
+    and what it missed and invented in colours of their own; under a single sample, the distances at
+    the sensor's height. (The paper's comparison.)
 
-    Raises DatasetError where nothing is predicted.
+    `width` is that of the figure, inches. Raises DatasetError where nothing is predicted.
     """
     names = methods_of(looks)
     alone = len(looks) == 1
-    grid = Grid(len(looks) + alone, 2 + len(names), title)
+    errors = (
+        (MISSED, f"missed by {DEEP} voxels or more"),
+        (_pale(MISSED), "missed by one"),
+        (INVENTED, f"invented, {DEEP} voxels off or more"),
+        (_pale(INVENTED), "invented, one off"),
+    )
+    handles = [ball("sensor"), *(Patch(color=rgb(one), label=said) for one, said in errors)]
+    grid = Grid(len(looks) + alone, 2 + len(names), title, handles, width=width)
     for row, look in enumerate(looks):
-        for n, (name, head) in enumerate((("points", "scan"), ("occupancy", "truth"))):
-            draw_panel(grid.panels[row, n], look, name, title=head, ticks=alone)
+        grid.name_row(row, look.name)
+        for panel, name in zip(grid.panels[row], ("points", "occupancy"), strict=False):
+            draw_panel(panel, look, name, title="", ticks=alone and not width)
         for guess in look.guesses:
             panel = grid.panels[row, 2 + names.index(guess.name)]
-            frame_box(panel, *look.corners, ticks=alone)
+            frame_box(panel, *look.corners, ticks=alone and not width)
             draw_voxels(panel, look, guess.occupied, truth=look.masks.get("occupancy"))
-            put_title(panel, plain(guess.name))
+            put_note(panel, look.iou(guess))
+    for column, head in enumerate(("scan", "truth", *names)):
+        put_title(grid.panels[0, column], plain(head))
     if alone:
         (look,) = looks
-        for n, (name, tudf) in enumerate(_distances(look).items()):
-            grid.level(1, 1 + n, look, at_sensor(look), tudf, f"distances, {plain(name)}")
+        grid.name_row(1, _distances_at(look))
+        for n, tudf in enumerate(_distances(look).values()):
+            grid.level(1, 1 + n, look, at_sensor(look), tudf, "")
         grid.bar_of_distances(look, row=1)
-    missed = Patch(color=rgb(MISSED), label="missed: occupied, not predicted")
-    invented = Patch(color=rgb(INVENTED), label="invented: predicted, not occupied")
     grid.bar_of_heights(looks, row=0 if alone else None)
-    return grid.finish([ball("sensor"), missed, invented])
+    return grid.finish()
 
 
-def draw_distances(looks: Sequence[Look], *, title: str) -> Figure:
+def _pale(deep: Rgb) -> Any:
+    return tuple(round(255 - PALE * (255 - part)) for part in deep)
+
+
+def draw_distances(looks: Sequence[Look], *, title: str, width: float | None = None) -> Figure:
     """Draws a row for each sample: the true distances at the sensor's height, and each method's.
     Raises DatasetError where nothing is predicted."""
-    names = methods_of(looks)
-    grid = Grid(len(looks), 1 + len(names), title)
+    names = ["truth", *methods_of(looks)]
+    grid = Grid(len(looks), len(names), title, [ball("sensor")], width=width)
+    for column, name in enumerate(names):
+        put_title(grid.panels[0, column], plain(name))
     for row, look in enumerate(looks):
+        grid.name_row(row, f"{look.name}, {_distances_at(look)}")
         for name, tudf in _distances(look).items():
-            column = ["truth", *names].index(name)
-            grid.level(row, column, look, at_sensor(look), tudf, plain(name))
+            grid.level(row, names.index(name), look, at_sensor(look), tudf, "")
     grid.bar_of_distances(looks[0])
-    return grid.finish([ball("sensor")])
+    return grid.finish()
 
 
 def _distances(look: Look) -> dict[str, Any]:
@@ -91,37 +110,44 @@ def _distances(look: Look) -> dict[str, Any]:
     return {"truth": look.tudf, **{guess.name: guess.tudf for guess in look.guesses}}
 
 
-def draw_paths(looks: Sequence[Look], *, title: str) -> Figure:
+def _distances_at(look: Look) -> str:
+    return f"z = {look.origin[2] + (at_sensor(look) + 0.5) * look.grid.voxel_m:.2f} m"
+
+
+def draw_paths(looks: Sequence[Look], *, title: str, width: float | None = None) -> Figure:
     """Draws a panel for each sample: every method's path in the truth, which it may meet. (The
     paper's comparison of paths.) Raises DatasetError where none was planned."""
     names = methods_of(looks, paths=True)
     columns = min(len(looks), 3)
     scale = 1.45 if columns < 3 else 1.2
-    grid = Grid(math.ceil(len(looks) / columns), columns, title, scale)
+    handles = _path_legend(names)
+    grid = Grid(math.ceil(len(looks) / columns), columns, title, handles, scale=scale, width=width)
     for panel, look in zip(grid.panels.flat, looks, strict=False):
         _draw_paths_in(panel, look, look.guesses, names, ticks=len(looks) == 1)
-        put_title(panel, look.name)
+        if len(looks) > 1 or not title:
+            put_title(panel, look.name)
     grid.bar_of_heights(looks)
-    return grid.finish(_path_legend(names))
+    return grid.finish()
 
 
-def draw_example(looks: Sequence[Look], *, title: str) -> Figure:
+def draw_example(looks: Sequence[Look], *, title: str, width: float | None = None) -> Figure:
     """Draws a row for each sample: each method's prediction with its path, and last all paths in
     the truth. (The paper's first figure.) Raises DatasetError where no path was planned."""
     names = methods_of(looks, paths=True)
-    grid = Grid(len(looks), 1 + len(names), title)
+    grid = Grid(len(looks), 1 + len(names), title, _path_legend(names), width=width)
+    for panel, head in zip(grid.panels[0], (*names, "truth"), strict=True):
+        put_title(panel, plain(head))
     for row, look in enumerate(looks):
+        grid.name_row(row, look.name)
         for guess in look.guesses:
             panel = grid.panels[row, names.index(guess.name)]
             masks = {**look.masks, "occupancy": guess.occupied}
             believed = dataclasses.replace(look, masks=masks)
             _draw_paths_in(panel, believed, (guess,), names, ticks=False, hits=False)
-            put_title(panel, plain(guess.name))
-        panel = grid.panels[row, -1]
-        _draw_paths_in(panel, look, look.guesses, names, ticks=False)
-        put_title(panel, "truth")
+            put_note(panel, look.iou(guess))
+        _draw_paths_in(grid.panels[row, -1], look, look.guesses, names, ticks=False)
     grid.bar_of_heights(looks)
-    return grid.finish(_path_legend(names))
+    return grid.finish()
 
 
 FIGURES: dict[str, Callable[..., Figure]] = {
@@ -167,8 +193,9 @@ def _draw_paths_in(
     for n, guess in enumerate(guesses):
         if (route := guess.route) is None:
             continue
-        for place, end in ((route.start, START), (route.goal, GOAL)):
-            put_ball(panel, view.project(place), size=60, color=rgb(end), order=9)
+        for place, end, mark in ((route.start, START, "o"), (route.goal, GOAL, "*")):
+            at = view.project(place)
+            put_ball(panel, at, size=90, color=rgb(end), order=9, marker=mark)
         if route.points is not None:
             # the first is the widest, so that paths that coincide show all the same
             width = 2.0 + 3.0 * (len(guesses) - 1 - n) / max(len(names) - 1, 1)
@@ -185,7 +212,7 @@ def _path_legend(names: Sequence[str]) -> list[Any]:
         line(plain(name), style["color"], 2.2, style["linestyle"])
         for name, style in _path_styles(names).items()
     ]
-    ends = [ball("start", rgb(START)), ball("goal", rgb(GOAL))]
+    ends = [ball("start", rgb(START)), ball("goal", rgb(GOAL), "*")]
     return [*paths, *ends, ball("meets an obstacle", "black", "X")]
 
 

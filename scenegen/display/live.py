@@ -21,7 +21,7 @@ from urllib.parse import urlsplit
 
 from scenegen import SPLITS
 from scenegen.dataset.read import Dataset, Split
-from scenegen.display.look import Guesses, incomplete, look_into
+from scenegen.display.look import Guesses, incomplete, look_into, title_of
 from scenegen.display.page import check_grid, live_page, packed, packed_world
 from scenegen.errors import DatasetError, ScenegenError, printable
 
@@ -68,8 +68,9 @@ class Live(ThreadingHTTPServer):
         self.guesses, self._reading = guesses, threading.Lock()
         counts = []
         for dataset, splits in zip(datasets, self.splits, strict=True):
-            title = printable(f"{dataset.folder.name}: {dataset.manifest.kind}")
-            counts.append((title, {name: len(found) for name, found in splits.items() if found}))
+            counts.append(
+                (title_of(dataset), {name: len(found) for name, found in splits.items() if found})
+            )
         self.page = live_page(counts, split=split, index=index, methods=methods).encode()
         place = ipaddress.ip_address("127.0.0.1" if host == LOCAL else host)
         self.address_family = socket.AF_INET6 if place.version == 6 else socket.AF_INET

@@ -102,11 +102,18 @@ class Look:
         for guess in self.guesses:
             if truth is not None:
                 missed, invented = (truth & ~guess.occupied).sum(), (guess.occupied & ~truth).sum()
-                iou = 1 - (missed + invented) / max((truth | guess.occupied).sum(), 1)
-                found[guess.name] = f"IoU {iou:.3f}, {missed} missed, {invented} invented"
+                found[guess.name] = f"{self.iou(guess)}, {missed} missed, {invented} invented"
             if guess.route is not None:
                 found[f"{guess.name}: path"] = guess.route.told
         return found
+
+    def iou(self, guess: Guess) -> str:
+        """The intersection over union of a prediction, in words; nothing without a truth."""
+        truth = self.masks.get("occupancy")
+        if truth is None:
+            return ""
+        both, either = truth & guess.occupied, truth | guess.occupied
+        return f"IoU {both.sum() / max(either.sum(), 1) if either.any() else 1:.3f}"
 
     def heading_deg(self) -> float:
         """Yaw of the body, degrees, counter-clockwise from x; rounded, so that it is the same on
@@ -204,6 +211,12 @@ def looks(
     if not found:
         raise DatasetError(notes[-1] if notes else f"{dataset.folder}: its {split} split is empty")
     return found, notes
+
+
+def title_of(dataset: Dataset) -> str:
+    """What a dataset is called in titles: its folder, and its kind where that says more."""
+    folder, kind = dataset.folder.name, dataset.manifest.kind
+    return printable(folder if folder == kind else f"{folder}: {kind}")
 
 
 def incomplete(dataset: Dataset, split: str) -> list[str]:

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.collections import Collection, LineCollection, PolyCollection
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
@@ -22,6 +23,7 @@ from scenegen.display.colours import (
     SENSOR,
     Anchors,
     colour,
+    error_colours,
     rgb,
 )
 from scenegen.display.look import Look
@@ -32,7 +34,11 @@ INK, SOFT = "#1b1f24", "#59636e"
 RED = rgb(SENSOR)
 MAP = "#1560bd"
 """The colour of a map's box where another one is drawn, too."""
-DPI = 150
+DPI, PAPER_DPI = 150, 400
+MOST_VECTORS = 100
+"""Voxels that a file for print holds as shapes; more are drawn as pixels."""
+BESIDE, NAME = 1.15, 0.25
+"""Room for a bar and the names of rows beside panels, and for these names alone, inches."""
 WIDE, TALL = 3.05, 2.6
 """A panel with voxels, inches."""
 MOST_FACES = 400_000
@@ -51,11 +57,25 @@ def blank(wide: float, tall: float, title: str, dpi: int | None = None) -> Figur
 
 def to_bytes(figure: Figure, suffix: str) -> bytes:
     """A figure as the file that the suffix says: .png, .pdf, .svg, or .webp."""
+    from matplotlib import rc_context
+
     file = io.BytesIO()
     # without the version of matplotlib, so that the same picture is the same file
     more: dict[str, Any] = {"metadata": {"Software": None}} if suffix == ".png" else {}
-    figure.savefig(file, format=suffix.removeprefix("."), **more)
+    with rc_context({"pdf.fonttype": 42, "svg.fonttype": "none"}):  # letters stay letters
+        figure.savefig(file, format=suffix.removeprefix("."), **more)
     return file.getvalue()
+
+
+def for_paper(figure: Figure, points: float) -> Figure:
+    """`figure` for print: all letters of one size, voxels and points as pixels fine enough for it
+    in files that hold lines and letters as such."""
+    figure.set_dpi(PAPER_DPI)
+    for text in figure.findobj(Text):
+        text.set_fontsize(points)
+    for many in figure.findobj(Collection):
+        many.set_rasterized(len(many.get_paths()) > MOST_VECTORS or "Path" in str(many))
+    return figure
 
 
 def plain(text: str) -> str:
@@ -68,11 +88,18 @@ def put_title(panel: Any, text: str) -> None:
     panel.set_title(text, color=INK, fontsize=10)
 
 
-def put_ball(panel: Any, at: Any, *, size: float = 50, color: Any = RED, order: int = 7) -> None:
-    """Balls with a white rim, at positions (2,) or (n, 2) on the paper."""
+def put_note(panel: Any, text: str) -> None:
+    """The words in the lower left corner of a panel, which its box leaves free."""
+    panel.text(0.02, 0.02, text, transform=panel.transAxes, color=SOFT, fontsize=8)
+
+
+def put_ball(
+    panel: Any, at: Any, *, size: float = 50, color: Any = RED, order: int = 7, marker: str = "o"
+) -> None:
+    """Balls, or other marks, with a white rim, at positions (2,) or (n, 2) on the paper."""
     across, upward = np.asarray(at).T
     rim = {"edgecolors": "white", "linewidths": 0.8}
-    panel.scatter(across, upward, s=size, color=color, zorder=order, **rim)
+    panel.scatter(across, upward, s=size, color=color, zorder=order, marker=marker, **rim)
 
 
 def put_points(
@@ -123,8 +150,8 @@ def draw_voxels(
 ) -> None:
     """Draws cubes where `mask` is set, coloured by height.
 
-    With a `truth`, cubes that it has and the mask lacks are drawn, too, and errors have their own
-    colours. Raises DatasetError for more than a picture can hold.
+    With a `truth`, cubes that it has and the mask lacks are drawn, too, and errors have the colours
+    of `error_colours`. Raises DatasetError for more than a picture can hold.
     """
     corners, voxels, light = visible_faces(mask if truth is None else mask | truth, view)
     if len(voxels) > MOST_FACES:
@@ -134,8 +161,9 @@ def draw_voxels(
     paper = view.project(look.origin + corners * look.grid.voxel_m)
     shades = colour(voxels[:, 2] / max(mask.shape[2] - 1, 1), HEIGHTS)
     if truth is not None:
-        at = tuple(voxels.T)
-        shades[~mask[at]], shades[~truth[at]] = rgb(MISSED), rgb(INVENTED)
+        for right, deep in ((mask, MISSED), (truth, INVENTED)):
+            wrong = ~right[tuple(voxels.T)]
+            shades[wrong] = error_colours(deep, right, voxels[wrong])
     shades *= light[:, None]
     panel.add_collection(
         PolyCollection(paper, facecolors=shades, edgecolors=shades, linewidths=0.2, zorder=3)
@@ -181,7 +209,9 @@ def _put_ticks(panel: Any, low: Any, high: Any, apart: float, view: View) -> Non
         marks = MaxNLocator(4, steps=[1, 2, 5, 10]).tick_values(low[axis], high[axis])
         marks = marks[(marks >= low[axis] - 1e-9) & (marks <= high[axis] + 1e-9)]
         told = [(mark, apart, f"{mark:g}", 7) for mark in marks]
-        told.append(((low[axis] + high[axis]) / 2, 2.6 * apart, f"{'xyz'[axis]} / m", 8))
+        middle = ((low[axis] + high[axis]) / 2, 2.6 * apart)
+        # of the height above its edge, where no number stands
+        told.append((*(middle if axis < 2 else (high[2] + 2 * apart, 0)), f"{'xyz'[axis]} / m", 8))
         for place, out, text, size in told:
             at = view.project(np.where(np.isnan(edge), place, edge)) + out * np.array(way)
             panel.text(*at, text, ha="center", va="center", fontsize=size, color=INK, zorder=8)
@@ -207,9 +237,14 @@ def line(label: str, colour: Any = INK, width: float = 0.8, style: Any = "-") ->
     return Line2D([], [], color=colour, linewidth=width, linestyle=style, label=label)
 
 
+def legend_columns(wide: float, marks: int) -> int:
+    """Columns of a legend of so many marks below a figure, inches."""
+    return min(marks, max(1, int(wide / 1.7)))
+
+
 def add_legend(figure: Figure, handles: Sequence[Any]) -> None:
     """What marks mean, at the lower end."""
-    columns = min(len(handles), max(1, int(figure.get_size_inches()[0] / 1.4)))
+    columns = legend_columns(figure.get_figwidth(), len(handles))
     style: dict[str, Any] = {"fontsize": 8, "frameon": False, "labelcolor": INK, "handlelength": 3}
     figure.legend(handles=list(handles), loc="lower center", ncols=columns, **style)
 
@@ -217,11 +252,26 @@ def add_legend(figure: Figure, handles: Sequence[Any]) -> None:
 class Grid:
     """A figure of panels in rows and columns, with bars at its right and a legend below."""
 
-    def __init__(self, rows: int, columns: int, title: str, scale: float = 1.0):
-        wide, tall = max(scale * WIDE * columns + 0.95, 6.5), scale * TALL * rows + 0.85
+    def __init__(
+        self,
+        rows: int,
+        columns: int,
+        title: str,
+        handles: Sequence[Any],
+        *,
+        scale: float = 1.0,
+        width: float | None = None,
+    ):
+        if width is not None:
+            scale = (width - BESIDE) / (WIDE * columns)
+        wide = width or max(scale * WIDE * columns + BESIDE, 6.5)
+        below = 0.2 + 0.2 * -(-len(handles) // legend_columns(wide, len(handles)))
+        tall = scale * TALL * rows + below + (0.45 if title else 0.2)
         self.figure = blank(wide, tall, title)
-        self.right = scale * WIDE * columns / wide
-        room = {"left": 0, "right": self.right, "bottom": 0.4 / tall, "top": 1 - 0.6 / tall}
+        self.handles = handles
+        self.right = 1 - (BESIDE - NAME) / wide
+        room = {"left": NAME / wide, "right": self.right, "bottom": below / tall}
+        room["top"] = 1 - (0.6 if title else 0.25) / tall
         self.panels = self.figure.subplots(
             rows, columns, squeeze=False, gridspec_kw=room | {"wspace": 0.02, "hspace": 0.08}
         )
@@ -267,9 +317,16 @@ class Grid:
         wide = 0.14 * (1 - self.right)
         add_bar(self.figure, (left, down + 0.1 * high, wide, 0.8 * high), anchors, (0, most), label)
 
-    def finish(self, handles: Sequence[Any]) -> Figure:
+    def name_row(self, row: int, text: str) -> None:
+        """The words left of a row."""
+        place = self.panels[row, 0].get_position()
+        at = 0.5 * NAME / self.figure.get_figwidth(), (place.y0 + place.y1) / 2
+        style: dict[str, Any] = {"rotation": 90, "va": "center", "ha": "center", "fontsize": 9}
+        self.figure.text(*at, plain(text), color=INK, **style)
+
+    def finish(self) -> Figure:
         """The figure, with its legend."""
-        add_legend(self.figure, handles)
+        add_legend(self.figure, self.handles)
         return self.figure
 
 

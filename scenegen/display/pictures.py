@@ -41,20 +41,26 @@ MARKS = [ball("sensor"), line("the map's box"), ball("returns", INK, ".")]
 """What the marks of samples mean."""
 FRAMES, TURN_S, TURN_DPI = 36, 8, 90
 """Pictures of a turntable, and how long it takes to go round, seconds."""
+STAY_S = 0.6
+"""How long a film of a flight stays with a sample, seconds."""
 MOST_DRAWN = 500_000
 """The most points of a picture: more are drawn as every second, third …"""
 PIXELS = 1000
 """Pixels across the picture of a world."""
 SUN = np.array((-0.35, -0.55, 0.9)) / np.linalg.norm((-0.35, -0.55, 0.9))
 """Unit vector towards the light."""
-DOTS = {"cmap": "turbo", "linewidths": 0, "antialiased": False}
+DOTS = {"cmap": "viridis", "linewidths": 0, "antialiased": False}
 """How the rays of a pattern look."""
 CUT, PLAIN = 0.3, 0.88
 """Greys of solids where the picture cuts through them, and of planes."""
 
 
 def draw_sample(
-    look: Look, *, title: str = "", panels: Sequence[str] = ("points", "observed", "occupancy")
+    look: Look,
+    *,
+    title: str = "",
+    panels: Sequence[str] = ("points", "observed", "occupancy"),
+    width: float | None = None,
 ) -> Figure:
     """Draws returns, observed and occupied voxels, seen from above and aside, over three levels of
     the distances.
@@ -62,16 +68,17 @@ def draw_sample(
     The map's box is drawn around each, and the sensor as a red ball. What could not be read is left
     empty, and says so. Raises DatasetError as `draw_voxels`.
     """
-    grid = Grid(2, 3, title or look.name, scale=1.25)
+    handles = [ball("sensor"), line("the map's box")]
+    grid = Grid(2, 3, title, handles, scale=1.25, width=width)
     for panel, name in zip(grid.panels[0], panels, strict=False):
-        draw_panel(panel, look, name)
+        draw_panel(panel, look, name, ticks=not width)
     height = look.grid.shape[2]
     levels = sorted({height // 4, max(height // 2 - 1, 0), 3 * height // 4})
     for n, level in enumerate(levels):
         grid.level(1, n, look, level, look.tudf)
     grid.bar_of_heights([look], row=0)
     grid.bar_of_distances(look, row=1)
-    return grid.finish([ball("sensor"), line("the map's box")])
+    return grid.finish()
 
 
 def draw_completion(look: Look, *, title: str) -> Figure:
@@ -80,27 +87,40 @@ def draw_completion(look: Look, *, title: str) -> Figure:
     return draw_sample(look, title=title, panels=("observed", "predicted"))
 
 
-def draw_sheet(looks: Sequence[Look], *, title: str, columns: int = 4) -> Figure:
+def draw_sheet(
+    looks: Sequence[Look], *, title: str, columns: int = 4, width: float | None = None
+) -> Figure:
     """Draws many samples on one sheet: occupied voxels with the returns over them. Raises
     DatasetError as `draw_voxels`."""
     columns = min(columns, len(looks))
-    grid = Grid(-(-len(looks) // columns), columns, title)
+    grid = Grid(-(-len(looks) // columns), columns, title, MARKS, width=width)
     for panel, look in zip(grid.panels.flat, looks, strict=False):
         _with_returns(panel, look, VIEW, 0.6, look.name)
     grid.bar_of_heights(looks)
-    return grid.finish(MARKS)
+    return grid.finish()
 
 
-def draw_turn(look: Look, *, title: str, frames: int = FRAMES) -> bytes:
-    """Draws a turntable as an animated WebP: occupied voxels and returns, seen from all sides.
+def draw_turn(look: Look, *, title: str, suffix: str = ".webp", frames: int = FRAMES) -> bytes:
+    """Draws a turntable as an animated picture: occupied voxels and returns, seen from all sides.
     Raises DatasetError as `draw_voxels`."""
+    turns = [VIEW.azimuth + 2 * math.pi * turn / frames for turn in range(frames)]
+    return _film([(look, View(azimuth=turn), title) for turn in turns], TURN_S / frames, suffix)
+
+
+def draw_flight(looks: Sequence[Look], *, title: str, suffix: str = ".gif") -> bytes:
+    """Draws the samples of a flight one after the other, as an animated picture. Raises
+    DatasetError as `draw_voxels`."""
+    return _film([(look, VIEW, f"{title}, {look.name}") for look in looks], STAY_S, suffix)
+
+
+def _film(frames: Sequence[tuple[Look, View, str]], pause_s: float, suffix: str) -> bytes:
+    """An animated picture of samples from views, with titles, each shown for a while."""
     from PIL import Image
 
-    low, high = look.corners
-    reach = 0.5 * float(np.linalg.norm(look.grid.extent_m))  # of the box, however it is turned
     pictures = []
-    for turn in range(frames):
-        view = View(azimuth=VIEW.azimuth + 2 * math.pi * turn / frames)
+    for look, view, title in frames:
+        low, high = look.corners
+        reach = 0.5 * float(np.linalg.norm(look.grid.extent_m))  # of the box, however it is turned
         figure = blank(6.4, 4.8, title, dpi=TURN_DPI)
         panel = figure.add_axes((0.01, 0.06, 0.86, 0.86))
         _with_returns(panel, look, view, 1.2, "")
@@ -110,9 +130,9 @@ def draw_turn(look: Look, *, title: str, frames: int = FRAMES) -> bytes:
         add_bar(figure, (0.88, 0.25, 0.02, 0.5), HEIGHTS, (low[2], high[2]), "height / m")
         add_legend(figure, MARKS)
         pictures.append(Image.open(io.BytesIO(to_bytes(figure, ".png"))).convert("RGB"))
-    file, pause = io.BytesIO(), TURN_S * 1000 // frames
+    file, pause = io.BytesIO(), round(pause_s * 1000)
     film = {"save_all": True, "append_images": pictures[1:], "duration": pause, "loop": 0}
-    pictures[0].save(file, "WEBP", quality=72, **film)
+    pictures[0].save(file, suffix.removeprefix("."), quality=72, **film)
     return file.getvalue()
 
 
@@ -163,7 +183,7 @@ def draw_cloud(points: NDArray[np.float64], *, title: str) -> Figure:
 
 def draw_patterns(sensors: Mapping[str, Sensor]) -> Figure:
     """Draws a panel for every sensor by its name, one below the other: every ray is a dot, from
-    blue for the first to red for the last in time. Degrees; azimuth grows to the left, as for the
+    dark for the first to light for the last in time. Degrees; azimuth grows to the left, as for the
     body."""
     angles = [angles_deg(sensor.directions_body.reshape(-1, 3)) for sensor in sensors.values()]
     talls = [max(1.2, 6 * np.ptp(up) / max(np.ptp(around), 1.0)) for up, around in angles]

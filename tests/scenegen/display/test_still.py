@@ -2,6 +2,7 @@
 
 import io
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,17 @@ from lidarsim import MujocoEngine
 from scenegen.dataset.read import Dataset
 from scenegen.display.colours import (
     DISTANCES,
+    GOAL,
     HEIGHTS,
     INVENTED,
     MISSED,
+    OTHER_PATHS,
+    PATHS,
     SENSOR,
+    START,
+    Anchors,
     colour,
+    error_colours,
     path_colours,
 )
 from scenegen.display.figures import FIGURES
@@ -32,9 +39,26 @@ from scenegen.worlds.world import compile_world
 from tests.command_line import ROOT, run
 
 
-def test_heights_are_turbo() -> None:
+@pytest.mark.parametrize(("anchors", "name"), [(HEIGHTS, "viridis"), (DISTANCES, "cividis")])
+def test_scales_are_even_to_the_eye(anchors: Anchors, name: str) -> None:
     at = np.linspace(0, 1, 501)
-    assert np.abs(colour(at, HEIGHTS) - colormaps["turbo"](at)[:, :3]).max() < 0.04
+    assert np.abs(colour(at, anchors) - colormaps[name](at)[:, :3]).max() < 0.08
+
+
+def test_no_colour_means_two_things() -> None:
+    single = [SENSOR, START, GOAL, MISSED, INVENTED, *PATHS.values(), *OTHER_PATHS]
+    far = [np.abs(np.subtract(a, b)).max() for a, b in combinations(single, 2)]
+    assert min(far) > 30
+
+
+def test_an_error_is_the_paler_the_nearer_it_is_to_what_is_right() -> None:
+    right = np.zeros((8, 1, 1), bool)
+    right[0] = True
+    shades = error_colours(MISSED, right, np.argwhere(~right))[:, 1]
+    assert (np.diff(shades[:2]) < 0).all()
+    np.testing.assert_allclose(shades[2:], MISSED[1] / 255)
+    far = error_colours(MISSED, np.zeros((8, 1, 1), bool), np.argwhere(~right))
+    np.testing.assert_allclose(far, np.array([MISSED] * 7) / 255)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -119,7 +143,7 @@ def test_a_sample_becomes_a_picture_with_its_sensor(
     monkeypatch.setattr("scenegen.display.panels.DPI", 60)
     (look,), _ = looks(Dataset(made), "train", [1])
     image = imread(io.BytesIO(to_bytes(draw_sample(look), ".png")), format="png")
-    assert image.shape[:2] == (441, 743)
+    assert image.shape[1] == round(60 * 12.5875)
     red = np.abs(image[..., :3] * 255 - SENSOR).max(axis=2) < 3
     assert red.sum() > 40
     less = replace(look, tudf=None, masks={"observed": look.masks["observed"]})
@@ -145,7 +169,8 @@ def test_the_command_draws_samples_sheets_and_worlds(
         picture.unlink()
     for words, part in (
         (f"{made} -o {tmp_path}/x.gif", "expected a name that ends in"),
-        (f"{made} --flight", "is for a world"),
+        (f"{made} --flight --sheet 2", "--flight: shows one sample or flight"),
+        (f"{made} --paper 3", "40 to 1000 millimetres"),
         (f"{made} --figure paths -o {tmp_path}/x.png", "give --weights or --predictions"),
         (f"{made} --turn -o {tmp_path}/x.png", "ends in .webp"),
         (f"{tmp_path}/none.xml -o {tmp_path}/x.png", "none.xml"),
@@ -154,6 +179,28 @@ def test_the_command_draws_samples_sheets_and_worlds(
         code, _, said = run(capsys, f"render {words}")
         assert (code in (1, 2), said.count("\n"), part in said) == (True, 1, True)
     assert not list(tmp_path.glob("x.*"))
+
+
+def test_a_figure_for_a_paper_is_as_wide_and_its_letters_are_letters(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    picture = tmp_path / "x.svg"
+    assert run(capsys, f"render {made} --paper one --font-size 6 -o {picture} -q")[0] == 0
+    text = picture.read_text(encoding="utf-8")
+    assert f'width="{88 / 25.4 * 72:.6f}pt"' in text
+    assert ">observed</text>" in text
+    assert text.count("<image") >= 5  # points, voxels and distances
+    assert "small" not in text  # a caption's part
+
+
+def test_a_flight_is_a_film_of_its_samples(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("scenegen.display.pictures.TURN_DPI", 40)
+    assert run(capsys, f"render {made} --index 1 --flight -o {tmp_path}/x.gif -q")[0] == 0
+    worlds = [world for _, world, _ in Dataset(made).split("train").names]
+    with Image.open(tmp_path / "x.gif") as film:
+        assert (film.format, film.n_frames) == ("GIF", worlds.count(worlds[1]))
 
 
 def test_a_turntable_turns_once_around(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
