@@ -135,7 +135,7 @@ def fly(
 
         name = weights or robot
         _check(robot, weights)
-        parts = {
+        parts: dict[str, Any] = {
             "vehicle": Vehicle(**taken(Vehicle, options)),
             "rules": Rules(**taken(Rules, options)),
         }

@@ -11,8 +11,10 @@ from lidarsim import GridSpec, Pose, Scan, voxelize
 from lidarsim.pose import rotate
 from scenegen.fly.simulation import Observation
 from scenegen.model.completion.protocol import MapCompleter
+from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import Lattice
+from scenegen.model.evaluation.planning.measure import RATHER
 from scenegen.model.evaluation.planning.refine import field_at, refine
 from scenegen.model.robots.steering import follow, no_way
 from scenegen.truth import distance_field
@@ -69,7 +71,8 @@ class MappingRobot:
         if path is None:
             return no_way(self._about)
         near = path[(np.abs(path - path[0]) <= LOOK_M).all(axis=1)]
-        least = min(float(field_at(distance, *point, self.grid.voxel_m)[0]) for point in near)
+        voxel_m = self.grid.voxel_m
+        least = min(float(field_at(distance, x, y, z, voxel_m)[0]) for x, y, z in near)
         free_m = least - float(self._about["radius_m"])
         return follow(path + self.origin, observation, self._about, free_m)
 
@@ -79,10 +82,15 @@ class MappingRobot:
         assert self._corner is not None
         return self._corner * np.float64(self.grid.voxel_m)
 
-    def occupied(self) -> NDArray[np.bool_]:
-        """What the robot takes for occupied, (*grid.shape)."""
+    def believed(self) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+        """What the robot takes for occupied, and the risk of meeting something, (*grid.shape)
+        each."""
         found = self._completer.complete(self.observed, self.free, grid=self.grid)
-        return self.observed | (found.occupied() & ~self.free)
+        at = Thresholds(probability=PLAN.careful_probability)
+        occupied = self.observed | (found.occupied(at) & ~self.free)
+        chance = found.occupancy_probability
+        unseen = np.maximum(PLAN.unseen_risk, 0 if chance is None else chance)
+        return occupied, np.where(self.free, occupied, np.maximum(occupied, unseen))
 
     def _move(self, position: NDArray[np.float64]) -> None:
         """Have the middle voxel hold the vehicle; what leaves the map is forgotten."""
@@ -115,7 +123,8 @@ class MappingRobot:
         """A path (n, 3) from the vehicle on, metres in the map, and the distances from what is
         taken for occupied, (*grid.shape)."""
         grid, lattice, about = self.grid, self._lattice, self._about
-        distance = distance_field(self.occupied(), grid)
+        occupied, risk = self.believed()
+        distance = distance_field(occupied, grid)
         goal = observation["goal"] - self.origin
         node = np.rint((goal / grid.voxel_m - 0.5 - lattice.first) / lattice.step).astype(np.int64)
         inside = bool(((node >= 0) & (node < lattice.shape)).all())
@@ -135,6 +144,8 @@ class MappingRobot:
                 lattice.start,
                 node,
                 True,
+                risk.astype(np.float32),
+                PLAN.risk_weight,
             )
             if len(nodes):
                 break
@@ -143,7 +154,7 @@ class MappingRobot:
         rough = lattice.centres(nodes)
         path = refine(rough, distance, grid, PLAN) if len(rough) > 2 else rough
         voxels = tuple(np.floor(path[1:] / grid.voxel_m).astype(int).T)
-        path = rough if blocked[voxels].any() else path
+        path = rough if (blocked | (risk > RATHER))[voxels].any() else path
         path[0] = observation["position"] - self.origin
         return (np.concatenate([path, goal[None]]) if inside else path), distance
 
@@ -157,10 +168,11 @@ class TruthRobot(MappingRobot):
         self._memory = False
         self._lattice = Lattice(self.grid, PLAN.step_voxels)
 
-    def occupied(self) -> NDArray[np.bool_]:
-        """See `MappingRobot.occupied`."""
+    def believed(self) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+        """See `MappingRobot.believed`."""
         truth = self._world.truth(self.grid, self.origin)
-        return truth["occupancy"] | ~truth.get("known", np.bool_(True))
+        occupied = truth["occupancy"] | ~truth.get("known", np.bool_(True))
+        return occupied, occupied.astype(np.float32)
 
     def _see(self, observation: Observation) -> None:
         """Nothing."""

@@ -116,7 +116,7 @@ class Simulation:
             forward, left, up = rotate(back, self.state[None, VELOCITY])[0].tolist()
             turning = math.degrees(self._turning)
             pace = Motion(forward_mps=forward, left_mps=left, up_mps=up, yaw_rate_deg_s=turning)
-            chain = Noise((pace, *chain.stages))
+            chain = Noise((pace, *chain.stages))  # type: ignore[arg-type]
         scan = cast(self._caster, self.sensor, pose)
         rng = np.random.default_rng([self._seed, self.periods])
         seen = observed(scan, chain, self.world.albedo, self._caster, rng)
