@@ -102,7 +102,8 @@ def _draw(
             or min(clearance.at(*start), clearance.at(*goal)) < spare
         ):
             continue
-        nodes = search(blocked, np.zeros(3, int), np.array(grid.shape), 1, *voxels, False)
+        first, last = voxels
+        nodes = search(blocked, np.zeros(3, int), np.array(grid.shape), 1, first, last, False)
         if not len(nodes):
             continue
         path = origin + (nodes + 0.5) * VOXEL_M
