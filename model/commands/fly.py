@@ -21,7 +21,7 @@ from scenegen.cli.options import (
     taken,
     workers_option,
 )
-from scenegen.cli.show import Progress, say, show_table
+from scenegen.cli.show import Progress, announce_compilation, say, show_table
 from scenegen.errors import ScenegenError
 from scenegen.fly import Rules, Vehicle
 from scenegen.model.commands.weights import Weights
@@ -125,15 +125,16 @@ def fly(
 
     trouble = ""
     if recorded is not None:
-        name, told = read_recording(recorded)[0], list[tuple[Course, Flown]]()
-        for course, flown, same in replay(recorded):
-            told.append((course, flown))
+        name, found = read_recording(recorded)[0], []
+        for course, again, same in replay(recorded):
+            found.append((course, [again]))
             trouble = trouble if same else f"{recorded}: a flight is not as it was recorded"
-        found = [(course, [flown]) for course, flown in told]
     else:
         from scenegen.run import executor
 
-        name = weights or robot
+        if talk:
+            announce_compilation()
+        name, found = weights or robot, []
         _check(robot, weights)
         parts: dict[str, Any] = {
             "vehicle": Vehicle(**taken(Vehicle, options)),
@@ -150,7 +151,6 @@ def fly(
             for n, share in enumerate(shares)
             if share
         ]
-        found = []
         with Progress("fly", shown=talk) as progress:
             work = partial(fly_course, robot=robot, weights=weights)
             for course, flown in executor(on, workers)(

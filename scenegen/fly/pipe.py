@@ -1,11 +1,5 @@
 """A robot in a process of its own, in any language: it gets observations over a pipe and nothing
-else, in bounded time and memory.
-
-Each message is a line of JSON, ``{"is": "reset" | "act", "arrays": [["ranges", "<f4", [16, 120]],
-...]}``, and then the bytes of these arrays, one after the other, little-endian and in C order. To
-"reset", the process answers with an empty line once it is ready; to "act", with a line of JSON: an
-action, see `Robot.act`, or null for none.
-"""
+else, in bounded time and memory; `messages` says how they talk."""
 
 import json
 import os
@@ -16,11 +10,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from typing import IO, Any, Literal
-
-import numpy as np
+from typing import Any
 
 from scenegen.fly.loop import RobotError
+from scenegen.fly.messages import encoded
 from scenegen.fly.simulation import Observation
 from scenegen.limits import MOST_ANSWER_BYTES, ROBOT_BYTES, ROBOT_SECONDS, ROBOT_START_SECONDS
 from scenegen.run.workers import die_with_parent
@@ -126,26 +119,6 @@ class PipeRobot:
                 if time.monotonic() >= deadline:
                     raise RobotError("hung", f"the robot gave no answer in {seconds:g} s")
         return said
-
-
-def encoded(what: str, arrays: Observation) -> bytes:
-    """A message to a robot's process."""
-    told = [[name, array.dtype.str, list(array.shape)] for name, array in arrays.items()]
-    line = json.dumps({"is": what, "arrays": told}).encode()
-    return b"\n".join([line, b"".join(array.tobytes() for array in arrays.values())])
-
-
-def decoded(pipe: IO[bytes]) -> tuple[Literal["reset", "act"], Observation] | None:
-    """The next message; None where there is none any more."""
-    line = pipe.readline()
-    if not line:
-        return None
-    said, arrays = json.loads(line), dict[str, Any]()
-    for name, kind, shape in said["arrays"]:
-        count = int(np.prod(shape, dtype=np.int64))
-        content = pipe.read(count * np.dtype(kind).itemsize)
-        arrays[name] = np.frombuffer(content, kind).reshape(shape).copy()
-    return said["is"], arrays
 
 
 def own_robot(name: str, **limits: Any) -> PipeRobot:

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 
 from lidarsim.registry import Registry
-from scenegen.fly.pipe import decoded
+from scenegen.fly.messages import decoded
 
 ROBOTS = Registry(
     "robot",

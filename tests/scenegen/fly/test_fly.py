@@ -23,7 +23,7 @@ from scenegen.fly.simulation import Simulation, bounded
 from scenegen.worlds.world import World, compile_world
 
 VEHICLE = Vehicle()
-DIGEST = "?"
+DIGEST = "51911a9eb3d8c644aead8eaa8ba15355d794d3ad648df6caf36ffe67c736a07a"
 BALLS = [(3.0, 0.4, 2.0, 0.5), (5.0, -0.9, 2.3, 0.7), (1.5, 2.0, 1.5, 0.6), (6.0, 1.0, 1.2, 0.4)]
 """x, y, z and radius of spheres, metres."""
 BOUNDS = ((-1.0, -3.0, 0.5), (9.0, 3.0, 4.0))
@@ -73,7 +73,7 @@ def wild(seed: int) -> Any:
         yield rng.normal((1.0, 0.0, 0.0, 0.0), 1.5)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(st.integers(0, 10**6), st.floats(0.2, 8.0), st.floats(1.0, 15.0), st.floats(5.0, 200.0))
 def test_no_bound_of_the_vehicle_is_exceeded(
     seed: int, speed: float, pull: float, jerk: float
@@ -283,7 +283,7 @@ def test_a_recording_flies_again(tmp_path: Path) -> None:
     again = list(replay(file))
     assert [same for _, _, same in again] == [True, True]
     assert [one.digest for _, one, _ in again] == [one.digest for one in flown]
-    damaged = file.read_text().replace("1.8, 0.0", "1.7, 0.0", 1)
+    damaged = file.read_text().replace("1.8, 0.0", "0.5, 0.0", 1)
     file.write_text(damaged)
     assert not all(same for _, _, same in replay(file))
     for wrong in ("{}", "[1]", "x", damaged.replace('"radius_m": 0.3', '"radius_m": -1')):
