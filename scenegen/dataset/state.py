@@ -299,8 +299,8 @@ def _report(task: tuple[ShardTask, trust.Entry | None]) -> ShardReport | None:
 
 def _former(folder: Path, names: set[str]) -> list[str]:
     """Those of the `names` in `folder` that are of the dataset whose manifest lies there: its
-    tables of rays, the shards that it lists, and those not listed yet, which carry its fingerprint, or
-    that of one of its sources. In an order that can be gone on with: worlds come before their
+    tables of rays, the shards that it lists, and those not listed yet, which carry its fingerprint,
+    or that of one of its sources. In an order that can be gone on with: worlds come before their
     samples, which hold their digest."""
     if manifest.NAME not in names:
         return []
