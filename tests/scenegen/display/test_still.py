@@ -248,6 +248,7 @@ def test_the_paper_s_figures_show_methods_errors_and_paths(
     made: Path, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("scenegen.display.panels.DPI", 60)
+    monkeypatch.setattr("scenegen.display.colours.PALE", 1.0)  # errors in full, however near
     look, _ = predicted(made)
 
     def share(shown: Look, colour: tuple[int, ...], near: float = 6) -> float:
@@ -262,7 +263,7 @@ def test_the_paper_s_figures_show_methods_errors_and_paths(
         look, guesses=tuple(replace(one, occupied=look.masks["occupancy"]) for one in look.guesses)
     )
     if name == "completions":
-        assert share(look, MISSED) > share(right, MISSED) + 0.001
+        assert share(look, MISSED) > share(right, MISSED) + 0.002
         assert share(look, INVENTED, 40) > share(right, INVENTED, 40)
     if name in ("paths", "example"):
         bare = replace(
