@@ -128,7 +128,7 @@ def render(
         )
     if importlib.util.find_spec("matplotlib") is None:  # before the samples are read
         raise ModuleNotFoundError("matplotlib", name="matplotlib")
-    from scenegen.display.panels import for_paper, to_bytes
+    from scenegen.display.panels import PAPER_DPI, for_paper, to_bytes
     from scenegen.files import check_ours, write_result
 
     check_ours(out)
@@ -137,9 +137,10 @@ def render(
     if made is None:
         film += out.suffix if film else ""
         made, notes = _draw_samples(source, shown=not quiet, film=film, **options)
-    if options["paper"] is not None and not isinstance(made, bytes):
+    if options["paper"] and not isinstance(made, bytes):
         for_paper(made, font_size)
-    content = made if isinstance(made, bytes) else to_bytes(made, out.suffix)
+    dpi = PAPER_DPI if options["paper"] else None
+    content = made if isinstance(made, bytes) else to_bytes(made, out.suffix, dpi)
     write_result(out, content)
     for line in notes:
         note(line)

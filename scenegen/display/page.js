@@ -37,8 +37,10 @@
   } catch {
     note("This browser shows no WebGL, which the picture needs; names and statistics are shown all the same.");
   }
+  const dark = matchMedia("(prefers-color-scheme: dark)").matches;
+  const [ground, ink] = dark ? [[38, 43, 50], "#e6e9ed"] : [[255, 255, 255], "#1b1f24"];
   const scene = new THREE.Scene();
-  scene.background = new THREE.Color(0xffffff);
+  scene.background = new THREE.Color(`rgb(${ground})`);
   scene.add(new THREE.HemisphereLight(0xffffff, 0x9aa4b0, 2.4));
   const sun = new THREE.DirectionalLight(0xffffff, 1.6);
   sun.position.set(-1, -2, 4);
@@ -63,7 +65,11 @@
   }
 
   // What a layer shows decides how it looks; layers of predictions stand after all others.
-  const PLAIN = { free: [120, 190, 230], unknown: [150, 150, 150], missed: data.colours.missed, invented: data.colours.invented };
+  const PLAIN = {
+    observed: [230, 75, 0], free: [120, 190, 230], unknown: [196, 176, 140], missed: data.colours.missed,
+    invented: dark ? [235, 235, 235] : data.colours.invented, // which a dark ground would hide
+  };
+  const RAYS = [70, 110, 150];
   const CLEAR = { free: 0.12, unknown: 0.1 };
   const SOLID = [139, 148, 158];
   const kinds = new Map([["points", "points"], ["rays", "rays"], ...data.masks.map((name) => [name, name])]);
@@ -77,18 +83,30 @@
   if (methods.size) kinds.set("paths", "paths");
   if (live) kinds.set("world", "world");
   const names = [...kinds.keys()];
-  const shown = new Set(["points", "occupancy", "paths"]);
+  // What the page tells first, and what its buttons tell next: sets of layers.
+  const [first] = methods.keys(), told = new URLSearchParams(location.hash.slice(1));
+  const stories = { truth: ["observed", "occupancy"] };
+  if (methods.size) stories.prediction = ["observed", first, "paths"];
+  if (methods.size) stories.errors = [first, `${first}: missed`, `${first}: invented`, "paths"];
+  const shown = new Set(told.get("layers")?.split("~").filter((name) => kinds.has(name)) ?? [...stories.truth, "paths"]);
   const layers = {};
+  function tell(wanted) {
+    names.forEach((name, n) => { if (boxes[n].checked !== wanted.includes(name)) boxes[n].click(); });
+  }
+  for (const [name, wanted] of Object.entries(stories)) {
+    find("stories").append(Object.assign(make("button", name), { onclick: () => tell(wanted) }));
+  }
   const boxes = names.map((name, n) => {
     const box = Object.assign(make("input"), { type: "checkbox", checked: shown.has(name), id: `show-${n}` });
     const swatch = make("i"), kind = kinds.get(name);
-    const plain = ["points", "rays", "paths"].includes(kind) ? [30, 30, 30] : kind === "world" ? SOLID : PLAIN[kind];
-    swatch.style.background = plain ? `rgb(${plain})` : css(kind === "distances" ? data.colours.distances : data.colours.heights);
+    const plain = { points: dark ? [230, 233, 237] : [17, 17, 17], rays: RAYS, world: SOLID, ...PLAIN }[kind];
+    const scales = { distances: data.colours.distances, paths: [...methods.values(), ...methods.values()] };
+    swatch.style.background = plain ? `rgb(${plain})` : css(scales[kind] ?? data.colours.heights);
     const label = make("label"), short = kind === "missed" || kind === "invented";
     label.append(box, swatch, make("span", short ? kind : n < 9 && kind !== "predicted" ? `${name} (${n + 1})` : name));
     box.onchange = () => {
       box.checked ? shown.add(name) : shown.delete(name);
-      if (sample) fill(name);
+      if (sample) (name === "observed" ? names.filter((one) => /observed|occupancy|predicted/.test(kinds.get(one))) : [name]).forEach(fill);
     };
     if (kind === "predicted") {
       const line = Object.assign(make("i"), { className: "line", title: "colour of its path" });
@@ -106,12 +124,26 @@
   let current = -1, sample = null, fields = {}, turn = 0, placed = false;
   const cube = new THREE.BoxGeometry(1, 1, 1);
 
+  const bit = (bits, x, y, z) => {
+    const [nx, ny, nz] = sample.shape, n = (x * ny + y) * nz + z;
+    return x >= 0 && y >= 0 && z >= 0 && x < nx && y < ny && z < nz && (bits[n >> 3] >> (7 - (n & 7))) & 1;
+  };
+  const near = []; // steps to the voxels around one, the shortest first
+  const { deep } = data.colours, way = Array.from({ length: 2 * deep + 1 }, (_, n) => n - deep);
+  for (const x of way) for (const y of way) for (const z of way) {
+    if (Math.hypot(x, y, z) < deep) near.push([x, y, z, Math.hypot(x, y, z)]);
+  }
+  near.sort((one, other) => one[3] - other[3]);
+
+  // The colour of an error, the paler the nearer it is to voxels that are right.
+  function wrong(colour, right, x, y, z) {
+    const away = near.find(([dx, dy, dz]) => bit(right, x + dx, y + dy, z + dz))?.[3] ?? deep;
+    const share = data.colours.pale + ((1 - data.colours.pale) * (away - 1)) / (deep - 1);
+    return rgb(colour.map((part, n) => ground[n] + share * (part - ground[n])));
+  }
+
   function voxels(bits, name) {
-    const [nx, ny, nz] = sample.shape, inside = (x, y, z) => {
-      if (x < 0 || y < 0 || z < 0 || x >= nx || y >= ny || z >= nz) return false;
-      const n = (x * ny + y) * nz + z;
-      return (bits[n >> 3] >> (7 - (n & 7))) & 1;
-    };
+    const [nx, ny, nz] = sample.shape, inside = (x, y, z) => bit(bits, x, y, z);
     const places = [];
     for (let x = 0; x < nx; x++) for (let y = 0; y < ny; y++) for (let z = 0; z < nz; z++) {
       if (!inside(x, y, z)) continue;
@@ -119,17 +151,19 @@
         && inside(x, y, z - 1) && inside(x, y, z + 1)) continue; // nobody sees it
       places.push(x, y, z);
     }
-    const kind = kinds.get(name), clear = CLEAR[kind] ?? 1, count = places.length / 3;
-    const material = new THREE.MeshLambertMaterial({ transparent: clear < 1, opacity: clear, depthWrite: clear === 1 });
+    const kind = kinds.get(name), count = places.length / 3;
+    const half = /occupancy|predicted/.test(kind) && shown.has("observed"), clear = CLEAR[kind] ?? (half ? 0.5 : 1);
+    const material = new THREE.MeshLambertMaterial({ transparent: clear < 1, opacity: clear, depthWrite: !(kind in CLEAR) });
     const mesh = new THREE.InstancedMesh(cube, material, count);
-    const size = sample.voxel * (clear < 1 ? 0.6 : kind in PLAIN ? 1.02 : kind === "observed" ? 1.01 : 0.98); // outer ones win
+    const size = sample.voxel * (kind in CLEAR ? 0.6 : kind in PLAIN ? 1.02 : 0.98); // outer ones win
     const place = new THREE.Matrix4().makeScale(size, size, size), colour = new THREE.Color();
     const heights = Array.from({ length: nz }, (_, z) => rgb(PLAIN[kind] ?? ramp(data.colours.heights, z / Math.max(nz - 1, 1))));
+    const right = { missed: fields.masks[name.slice(0, -8)], invented: fields.masks.occupancy }[kind];
     for (let n = 0; n < count; n++) {
       const [x, y, z] = [places[3 * n], places[3 * n + 1], places[3 * n + 2]];
       place.setPosition((x + 0.5) * sample.voxel, (y + 0.5) * sample.voxel, (z + 0.5) * sample.voxel);
       mesh.setMatrixAt(n, place);
-      mesh.setColorAt(n, colour.copy(heights[z]));
+      mesh.setColorAt(n, right ? wrong(PLAIN[kind], right, x, y, z) : colour.copy(heights[z]));
     }
     return mesh;
   }
@@ -224,9 +258,9 @@
     if (name === "paths") return routes();
     if (name === "points" && fields.points) {
       const shape = new THREE.BufferGeometry().setAttribute("position", new THREE.BufferAttribute(fields.points, 3));
-      return new THREE.Points(shape, new THREE.PointsMaterial({ color: 0x111111, size: 3, sizeAttenuation: false }));
+      return new THREE.Points(shape, new THREE.PointsMaterial({ color: ink, size: 3, sizeAttenuation: false }));
     }
-    if (name === "rays" && fields.points) return lines(fields.sensor, fields.points.subarray(0, 3 * sample.own), 0x111111, 0.15);
+    if (name === "rays" && fields.points) return lines(fields.sensor, fields.points.subarray(0, 3 * sample.own), rgb(RAYS), 0.25);
     return fields.masks[name] && voxels(fields.masks[name], name);
   }
 
@@ -251,6 +285,7 @@
     find("at").textContent = `${(sample.origin[axis] + (level + 0.5) * sample.voxel).toFixed(2)} m`;
     document.body.dataset.layers = Object.keys(layers).sort().join(" ");
     document.body.dataset.level = level;
+    keep();
     draw();
   }
 
@@ -258,13 +293,14 @@
     for (const name of ["#box", "#sensor", "#x", "#y", "#z"]) drop(name);
     const size = sample.shape.map((count) => count * sample.voxel);
     const box = new THREE.Box3(new THREE.Vector3(), new THREE.Vector3(...size));
-    scene.add(layers["#box"] = new THREE.Box3Helper(box, 0x39414b));
+    scene.add(layers["#box"] = new THREE.Box3Helper(box, new THREE.Color(ink)));
     scene.add(layers["#sensor"] = ball(fields.sensor, large(), data.colours.sensor));
     ["x", "y", "z"].forEach((name, axis) => {
-      const sign = Object.assign(make("canvas"), { width: 256, height: 64 }), ink = sign.getContext("2d");
-      ink.font = "40px system-ui, sans-serif";
-      ink.textAlign = "center";
-      ink.fillText(`${name} ${+size[axis].toFixed(2)} m`, 128, 46);
+      const sign = Object.assign(make("canvas"), { width: 256, height: 64 }), pen = sign.getContext("2d");
+      pen.font = "40px system-ui, sans-serif";
+      pen.fillStyle = ink;
+      pen.textAlign = "center";
+      pen.fillText(`${name} ${+size[axis].toFixed(2)} m`, 128, 46);
       const tag = new THREE.Sprite(new THREE.SpriteMaterial({ map: new THREE.CanvasTexture(sign) }));
       const wide = 0.22 * Math.max(...size);
       tag.scale.set(wide, wide / 4, 1);
@@ -274,6 +310,51 @@
     });
     return size;
   }
+
+  // The address keeps what is shown, and from where.
+  let keeping;
+  function keep() {
+    clearTimeout(keeping);
+    keeping = setTimeout(() => {
+      const place = [...camera.position.toArray(), ...controls.target.toArray()].map((one) => +one.toFixed(3));
+      const now = new URLSearchParams({ sample: current, layers: [...shown].join("~"), camera: place.join("~") });
+      if (live) now.set("dataset", find("dataset").value), now.set("split", find("split").value);
+      try { history.replaceState(null, "", `#${now}`); } catch { /* a notebook's frame has no address */ }
+    }, 200);
+  }
+  controls.addEventListener("end", keep);
+
+  // A click on a voxel tells what is known of it.
+  let down;
+  canvas.addEventListener("pointerdown", (event) => { down = [event.clientX, event.clientY]; });
+  canvas.addEventListener("pointerup", (event) => {
+    if (!sample || Math.hypot(event.clientX - down[0], event.clientY - down[1]) > 4) return;
+    const { left, top, width, height } = canvas.getBoundingClientRect(), caster = new THREE.Raycaster();
+    const at = new THREE.Vector2(2 * (event.clientX - left) / width - 1, 1 - 2 * (event.clientY - top) / height);
+    caster.setFromCamera(at, camera);
+    const [hit] = caster.intersectObjects(Object.values(layers).filter((one) => one.isInstancedMesh));
+    drop("#picked");
+    find("picked").textContent = hit ? picked(hit.point.addScaledVector(hit.face.normal, -0.1 * sample.voxel)) : "";
+    draw();
+  });
+  function picked(point) {
+    const cell = point.toArray().map((one) => Math.floor(one / sample.voxel)), [, ny, nz] = sample.shape;
+    const low = new THREE.Vector3(...cell).multiplyScalar(sample.voxel), box = new THREE.Box3(low, low.clone().addScalar(sample.voxel));
+    scene.add(layers["#picked"] = new THREE.Box3Helper(box, rgb(data.colours.sensor)));
+    const is = Object.keys(fields.masks).filter((name) => bit(fields.masks[name], ...cell));
+    const distances = Object.entries(fields.tudf).map(([name, all]) => {
+      const value = all[(cell[0] * ny + cell[1]) * nz + cell[2]] / 255;
+      return `${name} ${value < 1 ? (value * sample.truncation).toFixed(2) : `${sample.truncation} or more`} m`;
+    });
+    const place = cell.map((one, n) => (sample.origin[n] + (one + 0.5) * sample.voxel).toFixed(2));
+    return `Voxel ${cell.join(", ")} at ${place.join(", ")} m: ${is.join(", ") || "nothing"}. Distances: ${distances.join(", ")}.`;
+  }
+
+  find("png").onclick = () => canvas.toBlob((blob) => {
+    const link = Object.assign(make("a"), { href: URL.createObjectURL(blob), download: `sample-${current}.png` });
+    link.click();
+    URL.revokeObjectURL(link.href);
+  });
 
   function view(top) {
     if (!sample) return;
@@ -362,6 +443,15 @@
     }));
     legend();
     if (first) view(false);
+    drop("#picked");
+    find("picked").textContent = "";
+    const from = told.get("camera")?.split("~").map(Number);
+    if (from?.length === 6 && from.every(Number.isFinite)) {
+      camera.position.fromArray(from);
+      controls.target.fromArray(from, 3);
+      controls.update();
+    }
+    told.delete("camera"); // once
     if (live && on !== number && on >= 0 && on < count()) fetched(on);
     document.body.dataset.sample = current;
     document.body.dataset.milliseconds = Math.round(performance.now() - began);
@@ -408,9 +498,10 @@
     live.datasets.forEach(({ name }, n) => find("dataset").append(Object.assign(make("option", name), { value: n })));
     find("dataset-row").hidden = live.datasets.length < 2;
     find("title").hidden = live.datasets.length > 1;
+    if (told.get("dataset") in live.datasets) find("dataset").value = told.get("dataset");
     find("dataset").onchange = () => { offer(find("split").value); show(0); };
     find("split").onchange = () => show(0);
-    offer(live.split);
+    offer(told.get("split") ?? live.split);
   }
   find("before").onclick = () => show(current - 1);
   find("next").onclick = () => show(current + 1);
@@ -441,7 +532,7 @@
   }
   new ResizeObserver(resize).observe(canvas);
   resize();
-  await show(live ? live.index : 0);
+  await show(Math.floor(+(told.get("sample") ?? (live ? live.index : 0))) || 0);
 })().catch((error) => {
   if (parent === window) throw error;
   document.body.hidden = true; // a notebook has a picture behind this frame

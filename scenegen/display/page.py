@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 
 from lidarsim import GridSpec
 from scenegen.display.colours import (
+    DEEP,
     DISTANCES,
     GOAL,
     HEIGHTS,
     INVENTED,
     MISSED,
+    PALE,
     SENSOR,
     START,
     path_colours,
@@ -40,6 +42,8 @@ COLOURS = {
     "invented": INVENTED,
     "start": START,
     "goal": GOAL,
+    "deep": DEEP,
+    "pale": PALE,
 }
 """What the page's script colours by."""
 HERE = files("scenegen.display")

@@ -108,6 +108,30 @@ def test_a_notebook_shows_the_page_and_a_picture_where_there_are_no_scripts(
     tab.close()
 
 
+def test_the_address_keeps_what_is_shown_and_a_click_tells_of_a_voxel(
+    browser: Any, made: Path
+) -> None:
+    with served([Dataset(made)]) as server:
+        place = f"{server.address}#sample=2&split=train&layers=occupancy~free"
+        tab, told = reached(browser, place, (server.address, "blob:"), first=2)
+        assert tab.evaluate("document.body.dataset.layers").split()[-2:] == ["free", "occupancy"]
+        box = tab.locator("canvas#scene").bounding_box()
+        spots = [(0.55 + 0.05 * n, 0.4 + 0.05 * m) for n in range(6) for m in range(6)]
+        for across, down in spots:
+            tab.mouse.click(box["x"] + across * box["width"], box["y"] + down * box["height"])
+            if said := tab.locator("#picked").inner_text():
+                break
+        assert "occupancy" in said or "free" in said
+        assert " m." in said
+        with tab.expect_download() as saved:
+            tab.get_by_role("button", name="PNG").click()
+        assert saved.value.suggested_filename == "sample-2.png"
+        tab.keyboard.press("ArrowRight")
+        tab.wait_for_url("**#sample=3&*")
+        assert told == []
+        tab.close()
+
+
 def test_the_viewer_steps_through_datasets_and_splits_and_tells_what_is_damaged(
     browser: Any, made: Path, dataset: Path
 ) -> None:
@@ -121,7 +145,10 @@ def test_the_viewer_steps_through_datasets_and_splits_and_tells_what_is_damaged(
     with served([dataset, made], index=2, guesses=guesses, methods=(HOSTILE,)) as server:
         tab, told = reached(browser, server.address, (server.address, "blob:"), first=2)
         state = lambda name: tab.evaluate(f"document.body.dataset.{name}")  # noqa: E731
-        assert {"paths", "occupancy", "points"} <= set(state("layers").split())
+        assert {"paths", "occupancy", "observed"} <= set(state("layers").split())
+        tab.get_by_role("button", name="errors").click()
+        assert "invented" in state("layers")
+        tab.get_by_role("button", name="truth").click()
         assert tab.locator("img").count() == 0
         assert "2.9 m" in tab.locator("#figures").inner_text()
         tab.get_by_label("world").check()

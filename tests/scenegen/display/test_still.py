@@ -185,7 +185,7 @@ def test_a_figure_for_a_paper_is_as_wide_and_its_letters_are_letters(
     made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     picture = tmp_path / "x.svg"
-    assert run(capsys, f"render {made} --paper one --font-size 6 -o {picture} -q")[0] == 0
+    assert run(capsys, f"render {made} --paper one --font-size 6 -o {picture} --quiet")[0] == 0
     text = picture.read_text(encoding="utf-8")
     assert f'width="{88 / 25.4 * 72:.6f}pt"' in text
     assert ">observed</text>" in text
@@ -197,7 +197,7 @@ def test_a_flight_is_a_film_of_its_samples(
     made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("scenegen.display.pictures.TURN_DPI", 40)
-    assert run(capsys, f"render {made} --index 1 --flight -o {tmp_path}/x.gif -q")[0] == 0
+    assert run(capsys, f"render {made} --index 1 --flight -o {tmp_path}/x.gif --quiet")[0] == 0
     worlds = [world for _, world, _ in Dataset(made).split("train").names]
     with Image.open(tmp_path / "x.gif") as film:
         assert (film.format, film.n_frames) == ("GIF", worlds.count(worlds[1]))
@@ -248,6 +248,7 @@ def test_the_paper_s_figures_show_methods_errors_and_paths(
     made: Path, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("scenegen.display.panels.DPI", 60)
+    monkeypatch.setattr("scenegen.display.colours.PALE", 1.0)  # errors in full, however near
     look, _ = predicted(made)
 
     def share(shown: Look, colour: tuple[int, ...], near: float = 6) -> float:
