@@ -109,8 +109,8 @@ _LIBRARIES: dict[int, _Library] = {}
 """That of each process, by its number: a forked one has none yet."""
 _KNOWN: dict[tuple[int, ...], Index] = {}
 """Files that were indexed before, for readers that open more shards than they keep open."""
-MOST_KNOWN, MOST_CHUNKS = 1000, 2000
-"""How many these are at most, and of how many chunks each: together they take up to 64 MB."""
+MOST_KNOWN, MOST_CHUNKS = 1000, 2_000_000
+"""How many these are at most, and how many chunks they have together, which take 64 MB."""
 
 
 def with_index(content: bytes, file: Any, most_chunks: int) -> bytes:
@@ -118,7 +118,7 @@ def with_index(content: bytes, file: Any, most_chunks: int) -> bytes:
     import h5py
 
     text = json.dumps(_index(h5py, file, most_chunks), sort_keys=True).encode()
-    return content + text + len(text).to_bytes(8, "little") + MARK
+    return b"".join([content, text, len(text).to_bytes(8, "little"), MARK])
 
 
 def read_index(handle: int, most_chunks: int) -> Index:
@@ -127,10 +127,12 @@ def read_index(handle: int, most_chunks: int) -> Index:
     changed since. Raises Hdf5Error."""
     file = os.fstat(handle)
     key = (file.st_dev, file.st_ino, file.st_size, file.st_mtime_ns, file.st_ctime_ns, most_chunks)
-    found = _KNOWN.get(key) or _own(handle, most_chunks) or library_index(handle, most_chunks)
-    if sum(len(one[-1]) for one in found.objects.values()) <= MOST_CHUNKS:
-        _KNOWN[key] = found
-    for old in list(_KNOWN)[:-MOST_KNOWN]:
+    known = _KNOWN.pop(key, None)
+    found = known or _own(handle, most_chunks) or library_index(handle, most_chunks)
+    _KNOWN[key] = found  # last in line: the one used longest ago stands first
+    # as if all were as large as this one, which shards of a dataset are
+    chunks = sum(len(one[-1]) for one in found.objects.values())
+    for old in list(_KNOWN)[: -max(min(MOST_KNOWN, MOST_CHUNKS // max(chunks, 1)), 1)]:
         _KNOWN.pop(old, None)
     return found
 

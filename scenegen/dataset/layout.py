@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from io import BufferedReader
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -92,29 +93,25 @@ class ShardFile:
         return self.column(name)[row].copy()
 
     def column(self, name: str) -> NDArray[Any]:
-        """A field of all samples, (N, ...); where the chunks lie in a row, they are read as one.
-        Raises BrokenError."""
+        """A field of all samples, (N, ...); chunks that lie in a row are read as one. Raises
+        BrokenError."""
         column = self.columns[name]
         if name not in self._read:
-            count, size, (_, first, *_) = (
-                len(column.places),
-                column.bytes,
-                column.places[0].tolist(),
-            )
-            in_a_row = np.array_equal(
-                column.places[:, 1:3], [(first + n * size, size) for n in range(count)]
-            )
-            if in_a_row and not column.filters:
-                raw = os.pread(self.file.fileno(), count * size, first)
-                if len(raw) != count * size:
-                    raise BrokenError(f"{self.name}: {name}: the file ends within it")
-                self._read[name] = _array(
-                    bytearray(raw), column, (count, *column.shape), f"{self.name}: {name}"
-                )
-            else:
+            count, size = len(column.places), column.bytes
+            if column.filters or (column.places[:, 2] != size).any():
                 self._read[name] = np.stack(
                     [self._chunk(column, row, True) for row in range(count)]
                 )
+            else:
+                begins = column.places[:, 1].tolist()
+                breaks = np.flatnonzero(np.diff(column.places[:, 1]) != size) + 1
+                raw = bytearray()
+                for row, end in pairwise([0, *breaks.tolist(), count]):
+                    raw += os.pread(self.file.fileno(), (end - row) * size, begins[row])
+                if len(raw) != count * size:
+                    raise BrokenError(f"{self.name}: {name}: the file ends within it")
+                shape, where = (count, *column.shape), f"{self.name}: {name}"
+                self._read[name] = _array(raw, column, shape, where)
         return self._read[name]
 
     def _chunk(self, column: Column, row: int, read_only: bool) -> NDArray[Any]:
