@@ -2,7 +2,8 @@
 
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,17 +22,20 @@ from scenegen.cli.options import (
     taken,
     workers_option,
 )
-from scenegen.cli.show import Progress, announce_compilation, say, show_table
+from scenegen.cli.show import Progress, say, show_table
 from scenegen.errors import ScenegenError
-from scenegen.fly import Rules, Vehicle
+from scenegen.fly import SUITES, Rules, Vehicle
 from scenegen.model.commands.weights import Weights
 from scenegen.model.robots import MAPPING, NAMES, REACTIVE
+from scenegen.run import Executor, executor
 
 if TYPE_CHECKING:
     from scenegen.fly.course import Course
     from scenegen.fly.loop import Flown
 
 MOST_FLIGHTS = 10_000
+SAVED = 10
+"""Courses of a suite after which its entry is written."""
 RATIOS = ("score", "spl", "ratio", "speed_mps", "mean_clearance_m", "jerk_mps3", "step_s")
 """Figures of which the mean over flights is told."""
 COUNTS = ("late", "invalid", "speeding")
@@ -42,7 +46,8 @@ COUNTS = ("late", "invalid", "speeding")
     epilog=examples(
         "fly pillar --weights columns --flights 20",
         "fly room.xml --robot my_robot:Robot -o flights.json --picture flights.png",
-        "fly --replay flights.json",
+        "fly --suite aerial-1 --robot my_robot:Robot -o entry.json",
+        "fly --replay entry.json",
     )
 )
 @click.argument("world", required=False)
@@ -54,6 +59,19 @@ COUNTS = ("late", "invalid", "speeding")
     "quotes, which run in a process of their own.",
 )
 @click.option("--weights", type=Weights(), help="The robot maps, and this network completes.")
+@click.option(
+    "--suite",
+    type=click.Choice(SUITES),
+    help="Fly all courses of a suite, in place of WORLD: 300 worlds, or with --quick 19. An entry "
+    "that -o has already goes on where it was.",
+)
+@click.option(
+    "--hidden",
+    type=click.IntRange(0),
+    metavar="SEED",
+    help="With --suite: 50 courses that this number draws, in place of the suite's own.",
+)
+@click.option("--quick", is_flag=True, help="With --suite: every sixteenth course.")
 @click.option(
     "--flights",
     type=click.IntRange(1, MOST_FLIGHTS),
@@ -104,6 +122,9 @@ def fly(
     world: str | None,
     robot: str,
     weights: str | None,
+    suite: str | None,
+    hidden: int | None,
+    quick: bool,
     flights: int,
     worlds: int,
     recorded: Path | None,
@@ -119,50 +140,32 @@ def fly(
 
     The world is a kind's name, an MJCF file, or a map of a real place.
     """
-    if (world is None) == (recorded is None):
-        raise click.UsageError("give a WORLD, or --replay FILE")
-    from scenegen.fly.course import Course, encode_recording, read_recording, replay
+    if sum(one is not None for one in (world, recorded, suite)) != 1:
+        raise click.UsageError("give a WORLD, --suite, or --replay FILE")
+    if suite is None and (quick or hidden is not None):
+        raise click.UsageError("--quick and --hidden choose courses of a suite; give --suite, too")
+    from scenegen.fly.course import Course, Recording, replay
+    from scenegen.fly.loop import Flown
+    from scenegen.fly.suite import chosen_courses
 
-    trouble = ""
+    trouble, found = "", list[tuple[Course, Sequence[Flown]]]()
     if recorded is not None:
-        name, found = read_recording(recorded)[0], []
-        for course, again, same in replay(recorded):
-            found.append((course, [again]))
+        recording = Recording.read(recorded)
+        name = recording.robot
+        for course, flown, same in replay(recording):
+            found.append((course, [flown]))
             trouble = trouble if same else f"{recorded}: a flight is not as it was recorded"
     else:
-        from scenegen.run import executor
-
-        if talk:
-            announce_compilation()
-        name, found = weights or robot, []
+        name = weights or robot
         _check(robot, weights)
-        parts: dict[str, Any] = {
-            "vehicle": Vehicle(**taken(Vehicle, options)),
-            "rules": Rules(**taken(Rules, options)),
-        }
-        options = {key: options[key] for key in ("difficulty", "moving", "seed")} | {
-            "lidar": options["lidar"] or "raster",
-            "noise": options["noise"] or "",
-        }
-        first = options.pop("seed")
-        shares = [flights // worlds + (n < flights % worlds) for n in range(worlds)]
-        courses = [
-            Course(world=str(world), seed=first + n, flights=share, **parts, **options)
-            for n, share in enumerate(shares)
-            if share
-        ]
+        courses = (
+            _courses(str(world), flights, worlds, options)
+            if suite is None
+            else chosen_courses(suite, hidden, quick=quick)
+        )
+        work = partial(fly_course, robot=robot, weights=weights)
         with Progress("fly", shown=talk) as progress:
-            work = partial(fly_course, robot=robot, weights=weights)
-            for course, flown in executor(on, workers)(
-                work, courses, lambda: progress.start(flights)
-            ):
-                found.append((course, flown))
-                progress.count(len(flown))
-        found.sort(key=lambda one: one[0].seed)
-    if out is not None:
-        from scenegen.files import write_result
-
-        write_result(out, encode_recording(name, found))
+            found = fly_courses(courses, work, name, suite, out, executor(on, workers), progress)
     if picture is not None:
         _draw(picture, *found[0], name)
     row = summary(name, [one for _, flown in found for one in flown])
@@ -175,6 +178,65 @@ def fly(
             say(f"robot: {end}")
     if trouble:
         raise ScenegenError(trouble)
+
+
+def _courses(world: str, flights: int, worlds: int, options: dict[str, Any]) -> "list[Course]":
+    """Courses through a world, or through several of a kind."""
+    from scenegen.fly.course import Course
+
+    about: dict[str, Any] = {
+        "vehicle": Vehicle(**taken(Vehicle, options)),
+        "rules": Rules(**taken(Rules, options)),
+        "lidar": options["lidar"] or "raster",
+        "noise": options["noise"] or "",
+        "difficulty": options["difficulty"],
+        "moving": options["moving"],
+    }
+    shares = [flights // worlds + (n < flights % worlds) for n in range(worlds)]
+    return [
+        Course(world=world, seed=options["seed"] + n, flights=share, **about)
+        for n, share in enumerate(shares)
+        if share
+    ]
+
+
+def fly_courses(
+    courses: "Sequence[Course]",
+    work: "Callable[[Course], tuple[Course, Sequence[Flown]]]",
+    name: str,
+    suite: str | None,
+    out: Path | None,
+    execute: Executor,
+    progress: Progress,
+) -> "list[tuple[Course, Sequence[Flown]]]":
+    """The flights through all courses, in their order. What `out` holds of a suite's entry is not
+    flown again; it is written anew after every `SAVED` courses."""
+    from scenegen.files import write_result
+    from scenegen.fly.course import Recording
+
+    found = {}
+    if suite is not None and out is not None and out.exists():
+        former = Recording.read(out)
+        if (former.robot, former.suite) != (name, suite):
+            raise ScenegenError(
+                f"{out}: is an entry of {former.robot} to {former.suite}; give another name"
+            )
+        there = {replace(course, document=""): flown for course, flown in former.courses}
+        found = {c: there[key] for c in courses if (key := replace(c, document="")) in there}
+    left = [course for course in courses if course not in found]
+
+    def save() -> None:
+        if out is not None:
+            flown = [(course, found[course]) for course in courses if course in found]
+            write_result(out, Recording(robot=name, suite=suite, courses=flown).encoded())
+
+    for course, flown in execute(work, left, lambda: progress.start(sum(c.flights for c in left))):
+        found[course] = flown
+        progress.count(len(flown))
+        if suite and len(found) % SAVED == 0:
+            save()
+    save()
+    return [(course, found[course]) for course in courses]
 
 
 def _check(robot: str, weights: str | None) -> None:

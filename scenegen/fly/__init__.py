@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 from lidarsim.parameters import check, number
 
+SUITES = ("aerial-1",)
+"""Courses that never change."""
 PERIOD_S = 0.1
 """From one decision of the robot to the next, seconds."""
 

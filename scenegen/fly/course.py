@@ -4,12 +4,12 @@ processes; and a recording of flights through one, which are flown again from it
 import dataclasses
 import hashlib
 import json
+import platform
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from lidarsim import AnalyticEngine, Sensor
 from lidarsim.noise.chain import Noise
 from lidarsim.sensors import RASTER
 from scenegen import __version__
-from scenegen.errors import DatasetError, printable
+from scenegen.errors import DatasetError, GenerationError, printable
 from scenegen.files import read_bounded
 from scenegen.fly import Rules, Vehicle
 from scenegen.fly.loop import Flown, scored
@@ -54,6 +54,8 @@ class Course:
     rules: Rules = field(default_factory=Rules)
     flights: int = 10
     """Missions."""
+    document: str = ""
+    """The first digits of the world's SHA-256, where it has to be this world."""
 
     @cached_property
     def sensor(self) -> Sensor:
@@ -68,7 +70,13 @@ class Course:
     @cached_property
     def drawn(self) -> World | Place:
         """The world itself."""
-        return named_world(self.world, self.seed, self.difficulty)
+        found = named_world(self.world, self.seed, self.difficulty)
+        if not hashlib.sha256(found.mjcf).hexdigest().startswith(self.document):
+            raise GenerationError(
+                f"{self.world}, seed {self.seed}: another world than the suite or the recording is "
+                "of; take the file, and the version of scenegen, that they were made with"
+            )
+        return found
 
     @cached_property
     def missions(self) -> Sequence[Mission]:
@@ -95,65 +103,75 @@ class Course:
         )
 
 
-def encode_recording(robot: str, courses: Sequence[tuple[Course, Sequence[Flown]]]) -> bytes:
-    """Flights as JSON: what `read_recording` reads. Commands are float32 in as many digits as tell
-    them from all others."""
-    found = []
-    for course, flights in courses:
-        rows = [
-            one.row() | {"commands": [[float(str(x)) for x in row] for row in one.commands]}
-            for one in flights
-        ]
-        about = dataclasses.asdict(course)
-        found.append({"course": about, "sha256": course.sha256, "flights": rows})
-    text = {"format": FORMAT, "scenegen": __version__, "robot": robot, "courses": found}
-    return (json.dumps(text) + "\n").encode()
+Flights = Sequence[tuple[Course, Sequence[Flown]]]
+"""What was flown through courses."""
 
 
-def read_recording(path: Path) -> tuple[str, list[tuple[Course, str, list[dict[str, Any]]]]]:
-    """The robot's name, and each course with its world's SHA-256 and its flights' rows, each with
-    `commands`. Raises DatasetError for a file that is no recording."""
-    try:
-        text = json.loads(read_bounded(path, MOST_MANIFEST_BYTES))
-        if text["format"] != FORMAT:
-            raise DatasetError(f"{path}: has format {text['format']!a}, expected {FORMAT}")
-        courses = []
-        for one in text["courses"]:
-            about = dict(one["course"])
-            parts = {"vehicle": Vehicle(**about["vehicle"]), "rules": Rules(**about["rules"])}
-            course = Course(**about | parts)
-            for row in one["flights"]:
-                row["commands"] = np.array(row["commands"], np.float32).reshape(-1, 4)
-                row["digest"], row["outcome"]
-            courses.append((course, str(one["sha256"]), list(one["flights"])))
-        return printable(text["robot"]), courses
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-        said = f"{type(error).__name__}: {printable(error)}"[:200]
-        raise DatasetError(f"{path}: no recording of flights ({said}); fly again") from None
+@dataclass(frozen=True, kw_only=True)
+class Recording:
+    """Flights, as a file keeps them: all but the ways, which follow from the commands."""
+
+    robot: str
+    """The robot's name."""
+    suite: str | None
+    """The suite that it flew, where it did."""
+    courses: Flights
+
+    def encoded(self) -> bytes:
+        """As JSON, with the machine's name. Commands are float32 in as many digits as tell them
+        from all others."""
+        found = []
+        for course, flights in self.courses:
+            rows = [
+                one.row() | {"commands": [[float(str(x)) for x in row] for row in one.commands]}
+                for one in flights
+            ]
+            about = dataclasses.asdict(course) | {"document": course.sha256}
+            found.append({"course": about, "flights": rows})
+        text = {"format": FORMAT, "scenegen": __version__, "machine": platform.platform()}
+        text |= {"robot": self.robot, "suite": self.suite, "courses": found}
+        return (json.dumps(text) + "\n").encode()
+
+    @classmethod
+    def read(cls, path: Path) -> "Recording":
+        """Raises DatasetError for a file that is no recording."""
+        try:
+            text = json.loads(read_bounded(path, MOST_MANIFEST_BYTES))
+            if text["format"] != FORMAT:
+                raise DatasetError(f"{path}: has format {text['format']!a}, expected {FORMAT}")
+            courses = []
+            for one in text["courses"]:
+                about = dict(one["course"])
+                parts = {"vehicle": Vehicle(**about["vehicle"]), "rules": Rules(**about["rules"])}
+                flights = []
+                for row in one["flights"]:
+                    commands = np.array(row["commands"], np.float32).reshape(-1, 4)
+                    flights.append(Flown(**row | {"commands": commands, "path": np.empty((0, 3))}))
+                courses.append((Course(**about | parts), flights))
+            robot, suite = text["robot"], text["suite"]
+            return cls(robot=printable(robot), suite=suite and printable(suite), courses=courses)
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+            said = f"{type(error).__name__}: {printable(error)}"[:200]
+            raise DatasetError(f"{path}: no recording of flights ({said}); fly again") from None
 
 
-def replay(path: Path) -> Iterator[tuple[Course, Flown, bool]]:
+def replay(recording: Recording) -> Iterator[tuple[Course, Flown, bool]]:
     """Fly the recorded commands again: each flight, and whether it is the same to the bit.
 
     Raises:
-        DatasetError: The file is no recording, or a world is another one than then.
+        GenerationError: A world is another one than then, or has fewer missions.
     """
-    for course, sha256, rows in read_recording(path)[1]:
-        if course.sha256 != sha256 or len(rows) > len(course.missions):
-            raise DatasetError(
-                f"{path}: {course.world} is another world than when it was recorded; give the "
-                "file, and the version of scenegen, of then"
-            )
-        for number, row in enumerate(rows):
+    for course, flights in recording.courses:
+        for number, flown in enumerate(flights[: len(course.missions)]):
             simulation, commands = course.simulation(number), []
-            for command in row["commands"]:
+            for command in flown.commands:
                 given, _ = bounded(command, course.vehicle)
                 if simulation.outcome is not None or given is None:
                     break
                 simulation.observe()
                 simulation.step(command)
                 commands.append(command)
-            simulation.outcome = simulation.outcome or row["outcome"]
+            simulation.outcome = simulation.outcome or flown.outcome
             again = scored(simulation, commands, [], Counter(), "")
-            same = (again.digest, again.outcome) == (row["digest"], row["outcome"])
+            same = (again.digest, again.outcome) == (flown.digest, flown.outcome)
             yield course, again, same

@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 from itertools import count, product
 from pathlib import Path
 
@@ -14,7 +14,6 @@ from scenegen.fly import Rules, Vehicle
 from scenegen.fly.course import Course
 from scenegen.recipes import kind_names
 
-SUITES = ("aerial-1",)
 DIFFICULTIES = ("easy", "medium", "hard")
 WORLDS = 10
 """Worlds of each kind and difficulty."""
@@ -26,64 +25,55 @@ RADIUS_M = 0.2
 """The vehicle's, metres: it passes through the doors of hard rooms."""
 HIDDEN = 50
 """Worlds of a hidden track."""
+QUICK = 16
+"""Of so many courses, one is flown where it has to be quick."""
 DIGITS = 16
 """Hexadecimal digits of a world's SHA-256 that the suite's file holds."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Entered:
-    """A course of a suite."""
-
-    course: Course
-    world: str
-    """The first digits of its world's SHA-256."""
-
-    def check(self) -> None:
-        """Raise GenerationError where this version draws another world."""
-        if not self.course.sha256.startswith(self.world):
-            raise GenerationError(
-                f"{self.course.world}, {self.course.difficulty}, seed {self.course.seed}: this "
-                "version of scenegen draws another world than the suite's; use the suite of its own"
-            )
+def chosen_courses(suite: str, hidden: int | None, *, quick: bool) -> list[Course]:
+    """The courses of a suite, or those that the number `hidden` draws; some of them if `quick`."""
+    found = courses_of(suite) if hidden is None else hidden_courses(hidden)
+    return found[::QUICK] if quick else found
 
 
-def courses_of(suite: str) -> list[Entered]:
+def courses_of(suite: str) -> list[Course]:
     """The courses of a suite, by kind and difficulty."""
-    seeds = json.loads((Path(__file__).parent / f"{suite}.json").read_text(encoding="utf-8"))
+    text = (Path(__file__).parent / f"{suite}.json").read_text(encoding="utf-8")
     return [
-        Entered(course=_course(kind, difficulty, seed), world=world)
-        for kind, graded in seeds.items()
+        _course(kind, difficulty, seed, document)
+        for kind, graded in json.loads(text).items()
         for difficulty, chosen in graded.items()
-        for seed, world in chosen
+        for seed, document in chosen
     ]
 
 
-def hidden_courses(seed: int) -> list[Entered]:
+def hidden_courses(seed: int) -> list[Course]:
     """Courses that nobody has seen before the `seed` is told: of all kinds and difficulties in
     turn."""
     digest = hashlib.sha256(f"aerial hidden {seed}".encode()).digest()
     rng = np.random.default_rng(np.frombuffer(digest, np.uint32))
     turns = list(product(DIFFICULTIES, kind_names()))
-    drawn = (
-        next(flyable(*turns[n % len(turns)][::-1], int(rng.integers(1 << 31))))
-        for n in range(HIDDEN)
-    )
-    return list(drawn)
+    found = []
+    for n in range(HIDDEN):
+        difficulty, kind = turns[n % len(turns)]
+        found.append(next(flyable(kind, difficulty, int(rng.integers(1 << 31)))))
+    return found
 
 
-def flyable(kind: str, difficulty: str, first: int) -> Iterator[Entered]:
+def flyable(kind: str, difficulty: str, first: int) -> Iterator[Course]:
     """Courses of a kind and difficulty that have room for their missions, by seeds from `first`
     on."""
     for seed in count(first):
-        course = _course(kind, difficulty, seed)
+        course = _course(kind, difficulty, seed, "")
         try:
             _ = course.missions
         except GenerationError:  # too narrow
             continue
-        yield Entered(course=course, world=course.sha256[:DIGITS])
+        yield replace(course, document=course.sha256[:DIGITS])
 
 
-def _course(kind: str, difficulty: str, seed: int) -> Course:
+def _course(kind: str, difficulty: str, seed: int, document: str) -> Course:
     return Course(
         world=kind,
         seed=seed,
@@ -91,4 +81,5 @@ def _course(kind: str, difficulty: str, seed: int) -> Course:
         vehicle=Vehicle(radius_m=RADIUS_M),
         rules=Rules(apart_m=APART_M),
         flights=FLIGHTS,
+        document=document,
     )

@@ -13,13 +13,14 @@ from hypothesis import strategies as st
 
 from lidarsim import AnalyticEngine, Lidar
 from scenegen.errors import DatasetError, GenerationError
-from scenegen.fly import Rules, Vehicle
-from scenegen.fly.course import Course, encode_recording, read_recording, replay
+from scenegen.fly import Rules, Vehicle, suite
+from scenegen.fly.course import Course, Recording, replay
 from scenegen.fly.loop import fly
 from scenegen.fly.missions import VOXEL_M, Mission, draw_missions
 from scenegen.fly.motion import STEP_S, advance, most_pull, pose_of
 from scenegen.fly.pipe import PipeRobot
 from scenegen.fly.simulation import Simulation, bounded
+from scenegen.fly.suite import chosen_courses
 from scenegen.worlds.world import World, compile_world
 
 VEHICLE = Vehicle()
@@ -278,18 +279,40 @@ def test_a_recording_flies_again(tmp_path: Path) -> None:
     course = Course(world="pillar", flights=2, seed=4)
     flown = [fly(course.simulation(n), Scripted(straight(0.1 * n))) for n in range(2)]
     file = tmp_path / "flights.json"
-    file.write_bytes(encode_recording("scripted", [(course, flown)]))
-    assert read_recording(file)[0] == "scripted"
-    again = list(replay(file))
+    kept = Recording(robot="scripted", suite=None, courses=[(course, flown)])
+    file.write_bytes(kept.encoded())
+    assert Recording.read(file).robot == "scripted"
+    again = list(replay(Recording.read(file)))
     assert [same for _, _, same in again] == [True, True]
     assert [one.digest for _, one, _ in again] == [one.digest for one in flown]
     damaged = file.read_text().replace("1.8, 0.0", "0.5, 0.0", 1)
     file.write_text(damaged)
-    assert not all(same for _, _, same in replay(file))
+    assert not all(same for _, _, same in replay(Recording.read(file)))
     for wrong in ("{}", "[1]", "x", damaged.replace('"radius_m": 0.3', '"radius_m": -1')):
         file.write_text(wrong)
         with pytest.raises(DatasetError, match=r"fly again|format"):
-            read_recording(file)
+            Recording.read(file)
+    file.write_bytes(kept.encoded().replace(course.sha256.encode(), b"0" * 64))
+    with pytest.raises(GenerationError, match="another world"):
+        list(replay(Recording.read(file)))
+
+
+def test_the_suite_is_drawn_as_it_was_frozen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Worlds are those that the suite's file names, and have missions; a hidden track is another
+    one, by its number alone."""
+    courses = chosen_courses("aerial-1", None, quick=False)
+    assert len(courses) == len(set(courses)) == 300
+    assert {len(course.document) for course in courses} == {16}
+    for course in courses[::61]:
+        assert course.sha256.startswith(course.document)
+        assert len(course.missions) == course.flights
+    quick = chosen_courses("aerial-1", None, quick=True)
+    assert len({course.world for course in quick}) == 10
+    assert {course.difficulty for course in quick} == {"easy", "medium", "hard"}
+    monkeypatch.setattr(suite, "HIDDEN", 2)
+    hidden = [chosen_courses("aerial-1", seed, quick=False) for seed in (5, 5, 6)]
+    assert hidden[0] == hidden[1]
+    assert not set(hidden[0]) & set(hidden[2])
 
 
 @pytest.mark.filterwarnings("ignore")
