@@ -136,7 +136,7 @@ def fly(
             announce_compilation()
         name, found = weights or robot, []
         _check(robot, weights)
-        parts = {
+        parts: dict[str, Any] = {
             "vehicle": Vehicle(**taken(Vehicle, options)),
             "rules": Rules(**taken(Rules, options)),
         }

@@ -93,7 +93,8 @@ def _draw(
 ) -> Mission | None:
     apart = min(rules.apart_m, math.dist(*bounds) / 2)
     clearance, spare = world.clearance, vehicle.radius_m + rules.spare_m
-    for pair in rng.uniform(bounds[0], bounds[1], (TRIES, 2, 3)):
+    inset = np.minimum(spare, (bounds[1] - bounds[0]) / 4)
+    for pair in rng.uniform(bounds[0] + inset, bounds[1] - inset, (TRIES, 2, 3)):
         voxels = grid.index(pair, origin)
         start, goal = origin + (voxels + 0.5) * VOXEL_M
         if (

@@ -23,7 +23,7 @@ from scenegen.fly.simulation import Simulation, bounded
 from scenegen.worlds.world import World, compile_world
 
 VEHICLE = Vehicle()
-DIGEST = "51911a9eb3d8c644aead8eaa8ba15355d794d3ad648df6caf36ffe67c736a07a"
+DIGEST = "ea5be60cfff0fc0a3ecf98c45325b8116dd5600c40bbeefeaaa03c8dce94bec8"
 BALLS = [(3.0, 0.4, 2.0, 0.5), (5.0, -0.9, 2.3, 0.7), (1.5, 2.0, 1.5, 0.6), (6.0, 1.0, 1.2, 0.4)]
 """x, y, z and radius of spheres, metres."""
 BOUNDS = ((-1.0, -3.0, 0.5), (9.0, 3.0, 4.0))
