@@ -1,7 +1,6 @@
 """`scenegen fly`: a robot flies to goals through a world, closed loop, and is scored."""
 
 import json
-from collections import Counter
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -25,17 +24,13 @@ from scenegen.cli.show import Progress, announce_compilation, say, show_table
 from scenegen.errors import ScenegenError
 from scenegen.fly import Rules, Vehicle
 from scenegen.model.commands.weights import Weights
-from scenegen.model.robots import MAPPING, NAMES, REACTIVE
+from scenegen.model.robots import MAPPING, NAMES, REACTIVE, fly_course, summary
 
 if TYPE_CHECKING:
     from scenegen.fly.course import Course
     from scenegen.fly.loop import Flown
 
 MOST_FLIGHTS = 10_000
-RATIOS = ("score", "spl", "ratio", "speed_mps", "mean_clearance_m", "jerk_mps3", "step_s")
-"""Figures of which the mean over flights is told."""
-COUNTS = ("late", "invalid", "speeding")
-"""Those of which the sum is."""
 
 
 @click.command(
@@ -186,38 +181,6 @@ def _check(robot: str, weights: str | None) -> None:
         raise click.UsageError("--weights says which robot flies; leave out --robot")
     if robot not in NAMES and not any(mark in robot for mark in ":/ "):
         raise click.UsageError(Registry("robot", dict.fromkeys(NAMES, "")).unknown(robot))
-
-
-def fly_course(
-    course: "Course", *, robot: str, weights: str | None
-) -> "tuple[Course, Sequence[Flown]]":
-    """All flights of a course, one after the other, by the same robot."""
-    from scenegen.fly.loop import fly as fly_mission
-    from scenegen.model.robots import robot_maker
-
-    made = robot_maker(robot, weights)(course)
-    try:
-        flown = [fly_mission(course.simulation(n), made) for n in range(course.flights)]
-    finally:
-        getattr(made, "close", lambda: None)()
-    if all(one.outcome == "crashed" and not one.time_s for one in flown):
-        raise ScenegenError(f"--robot {robot}: never begins: {flown[0].trouble}")
-    return course, flown
-
-
-def summary(name: str, flown: "Sequence[Flown]") -> dict[str, Any]:
-    """What is told of flights, together."""
-    import numpy as np
-
-    ends = Counter(one.outcome for one in flown)
-    row: dict[str, Any] = {"robot": name, "flights": len(flown)}
-    row |= {end: f"{100 * count / len(flown):.0f} %" for end, count in ends.most_common()}
-    row |= {
-        part: round(float(np.mean([getattr(one, part) for one in flown])), 4) for part in RATIOS
-    }
-    row["min_clearance_m"] = round(min(one.min_clearance_m for one in flown), 4)
-    row["most_step_s"] = round(max(one.most_step_s for one in flown), 4)
-    return row | {part: sum(getattr(one, part) for one in flown) for part in COUNTS}
 
 
 def _draw(picture: Path, course: "Course", flown: "Sequence[Flown]", name: str) -> None:

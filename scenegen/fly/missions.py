@@ -14,7 +14,7 @@ from scenegen.worlds.place import Place
 from scenegen.worlds.search import search
 from scenegen.worlds.world import World
 
-VOXEL_M = 0.2
+VOXEL_M = 0.1
 """Edge of the voxels through which the shortest way is searched, metres."""
 MARGIN = 10
 """Voxels around the flight bounds whose solids count, too."""
