@@ -21,6 +21,7 @@ from scenegen.cli.options import (
     workers_option,
 )
 from scenegen.cli.show import Progress, announce_compilation, say, show_table
+from scenegen.cli.types import OutputFile
 from scenegen.errors import ScenegenError
 from scenegen.fly import Rules, Vehicle
 from scenegen.model.commands.weights import Weights
@@ -89,7 +90,7 @@ MOST_FLIGHTS = 10_000
 @out_option("Where to record the flights, .json.", file=True)
 @click.option(
     "--picture",
-    type=click.Path(path_type=Path),
+    type=OutputFile(),
     help="A picture (.png) of the first world and the ways through it.",
 )
 @workers_option
