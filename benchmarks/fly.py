@@ -25,6 +25,7 @@ def main() -> None:
     parser.add_argument("kinds", nargs="*", default=["pillar", "geometric", "forest", "rooms"])
     parser.add_argument("--flights", type=int, default=20)
     parser.add_argument("--worlds", type=int, default=10)
+    parser.add_argument("--difficulty", choices=["easy", "medium", "hard"])
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--robots", nargs="*", default=[*NAMES, "columns"])
     small = {"kinds": ["pillar"], "flights": 1, "worlds": 1, "robots": ["reactive"]}
@@ -32,7 +33,13 @@ def main() -> None:
     for kind in options.kinds:
         each = options.flights // options.worlds
         courses = [
-            Course(world=kind, seed=options.seed + n, flights=each) for n in range(options.worlds)
+            Course(
+                world=kind,
+                seed=options.seed + n,
+                flights=each,
+                difficulty=options.difficulty,
+            )
+            for n in range(options.worlds)
         ]
         flying = courses[0].simulation(0)
         flying.observe()

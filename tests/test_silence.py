@@ -107,6 +107,7 @@ COMMANDS = {
         "d --weights n.onnx -o o.h5",
     ],
     "bench": ["d --weights run --predictions p.h5 --quick --workers 1"],
+    "fly": ["pillar --weights columns --flights 1 -o f.json --picture f.png", "--replay f.json"],
     "publish": ["d --repo ada/d --dry-run --quick --workers 1"],
     "doctor": [""],
     "completion": ["bash"],
@@ -140,8 +141,8 @@ COMMANDS = {
 DEAR = ("export", "networks")
 """Commands that take ten seconds and more."""
 ASKED = (
-    "again bench c.safetensors d e.onnx i.html k log m.npz maps merged n.onnx o.h5 others p.h5 "
-    "p.png publish r.png run s.h5 s.ply scan.xyz small.toml t taken v.html w.xml"
+    "again bench c.safetensors d e.onnx f.json f.png i.html k log m.npz maps merged n.onnx o.h5 "
+    "others p.h5 p.png publish r.png run s.h5 s.ply scan.xyz small.toml t taken v.html w.xml"
 )
 """What commands are asked to leave where they run."""
 FONTS = ".cache/matplotlib/"

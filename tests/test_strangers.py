@@ -47,6 +47,7 @@ FILES: tuple[tuple[tuple[object, ...], str], ...] = (
         "scan.completed.h5",
     ),
     (("map", "scan.npy", "--assume-free"), "map.npz"),
+    (("fly", "pillar", "--robot", "reactive", "--flights", 1, "-o", "f.json"), "f.json"),
 )
 """Commands and a file that each writes."""
 FOLDERS: tuple[tuple[tuple[object, ...], tuple[str, ...]], ...] = (

@@ -1,7 +1,6 @@
 """`scenegen fly`: a robot flies to goals through a world, closed loop, and is scored."""
 
 import json
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -22,11 +21,12 @@ from scenegen.cli.options import (
     taken,
     workers_option,
 )
-from scenegen.cli.show import Progress, say, show_table
+from scenegen.cli.show import Progress, announce_compilation, say, show_table
+from scenegen.cli.types import OutputFile
 from scenegen.errors import ScenegenError
 from scenegen.fly import SUITES, Rules, Vehicle
 from scenegen.model.commands.weights import Weights
-from scenegen.model.robots import MAPPING, NAMES, REACTIVE
+from scenegen.model.robots import MAPPING, NAMES, REACTIVE, fly_course, summary
 from scenegen.run import Executor, executor
 
 if TYPE_CHECKING:
@@ -36,10 +36,6 @@ if TYPE_CHECKING:
 MOST_FLIGHTS = 10_000
 SAVED = 10
 """Courses of a suite after which its entry is written."""
-RATIOS = ("score", "spl", "ratio", "speed_mps", "mean_clearance_m", "jerk_mps3", "step_s")
-"""Figures of which the mean over flights is told."""
-COUNTS = ("late", "invalid", "speeding")
-"""Those of which the sum is."""
 
 
 @click.command(
@@ -112,7 +108,7 @@ COUNTS = ("late", "invalid", "speeding")
 @out_option("Where to record the flights, .json.", file=True)
 @click.option(
     "--picture",
-    type=click.Path(path_type=Path),
+    type=OutputFile(),
     help="A picture (.png) of the first world and the ways through it.",
 )
 @workers_option
@@ -156,6 +152,8 @@ def fly(
             found.append((course, [flown]))
             trouble = trouble if same else f"{recorded}: a flight is not as it was recorded"
     else:
+        if talk:
+            announce_compilation()
         name = weights or robot
         _check(robot, weights)
         courses = (
@@ -248,38 +246,6 @@ def _check(robot: str, weights: str | None) -> None:
         raise click.UsageError("--weights says which robot flies; leave out --robot")
     if robot not in NAMES and not any(mark in robot for mark in ":/ "):
         raise click.UsageError(Registry("robot", dict.fromkeys(NAMES, "")).unknown(robot))
-
-
-def fly_course(
-    course: "Course", *, robot: str, weights: str | None
-) -> "tuple[Course, Sequence[Flown]]":
-    """All flights of a course, one after the other, by the same robot."""
-    from scenegen.fly.loop import fly as fly_mission
-    from scenegen.model.robots import robot_maker
-
-    made = robot_maker(robot, weights)(course)
-    try:
-        flown = [fly_mission(course.simulation(n), made) for n in range(course.flights)]
-    finally:
-        getattr(made, "close", lambda: None)()
-    if all(one.outcome == "crashed" and not one.time_s for one in flown):
-        raise ScenegenError(f"--robot {robot}: never begins: {flown[0].trouble}")
-    return course, flown
-
-
-def summary(name: str, flown: "Sequence[Flown]") -> dict[str, Any]:
-    """What is told of flights, together."""
-    import numpy as np
-
-    ends = Counter(one.outcome for one in flown)
-    row: dict[str, Any] = {"robot": name, "flights": len(flown)}
-    row |= {end: f"{100 * count / len(flown):.0f} %" for end, count in ends.most_common()}
-    row |= {
-        part: round(float(np.mean([getattr(one, part) for one in flown])), 4) for part in RATIOS
-    }
-    row["min_clearance_m"] = round(min(one.min_clearance_m for one in flown), 4)
-    row["most_step_s"] = round(max(one.most_step_s for one in flown), 4)
-    return row | {part: sum(getattr(one, part) for one in flown) for part in COUNTS}
 
 
 def _draw(picture: Path, course: "Course", flown: "Sequence[Flown]", name: str) -> None:

@@ -1,12 +1,14 @@
 """Robots that fly: those that map, complete and plan, and one without a map."""
 
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from scenegen.errors import ScenegenError
 
 if TYPE_CHECKING:  # the command line asks for the names alone
     from scenegen.fly.course import Course
+    from scenegen.fly.loop import Flown
 
 MAPPING = {
     "returns": "what the last scan says, unknown voxels free",
@@ -19,6 +21,10 @@ MAPPING = {
 REACTIVE = "reactive"
 """The one without a map."""
 NAMES = (*MAPPING, REACTIVE)
+RATIOS = ("score", "spl", "ratio", "speed_mps", "mean_clearance_m", "jerk_mps3", "step_s")
+"""Figures of which the mean over flights is told."""
+COUNTS = ("late", "invalid", "speeding")
+"""Those of which the sum is."""
 
 
 def robot_maker(name: str, weights: str | None) -> "Callable[[Course], Any]":
@@ -48,3 +54,34 @@ def robot_maker(name: str, weights: str | None) -> "Callable[[Course], Any]":
         REACTIVE: lambda course: ReactiveRobot(),
     }
     return known.get(name) or (lambda course: own_robot(name))
+
+
+def fly_course(
+    course: "Course", *, robot: str, weights: str | None
+) -> "tuple[Course, Sequence[Flown]]":
+    """All flights of a course, one after the other, by the same robot."""
+    from scenegen.fly.loop import fly as fly_mission
+
+    made = robot_maker(robot, weights)(course)
+    try:
+        flown = [fly_mission(course.simulation(n), made) for n in range(course.flights)]
+    finally:
+        getattr(made, "close", lambda: None)()
+    if all(one.outcome == "crashed" and not one.time_s for one in flown):
+        raise ScenegenError(f"--robot {robot}: never begins: {flown[0].trouble}")
+    return course, flown
+
+
+def summary(name: str, flown: "Sequence[Flown]") -> dict[str, Any]:
+    """What is told of flights, together."""
+    import numpy as np
+
+    ends = Counter(one.outcome for one in flown)
+    row: dict[str, Any] = {"robot": name, "flights": len(flown)}
+    row |= {end: f"{100 * count / len(flown):.0f} %" for end, count in ends.most_common()}
+    row |= {
+        part: round(float(np.mean([getattr(one, part) for one in flown])), 4) for part in RATIOS
+    }
+    row["min_clearance_m"] = round(min(one.min_clearance_m for one in flown), 4)
+    row["most_step_s"] = round(max(one.most_step_s for one in flown), 4)
+    return row | {part: sum(getattr(one, part) for one in flown) for part in COUNTS}

@@ -71,8 +71,7 @@ class MappingRobot:
         if path is None:
             return no_way(self._about)
         near = path[(np.abs(path - path[0]) <= LOOK_M).all(axis=1)]
-        voxel_m = self.grid.voxel_m
-        least = min(float(field_at(distance, x, y, z, voxel_m)[0]) for x, y, z in near)
+        least = min(float(field_at(distance, x, y, z, self.grid.voxel_m)[0]) for x, y, z in near)
         free_m = least - float(self._about["radius_m"])
         return follow(path + self.origin, observation, self._about, free_m)
 
@@ -126,12 +125,15 @@ class MappingRobot:
         occupied, risk = self.believed()
         distance = distance_field(occupied, grid)
         goal = observation["goal"] - self.origin
-        node = np.rint((goal / grid.voxel_m - 0.5 - lattice.first) / lattice.step).astype(np.int64)
-        inside = bool(((node >= 0) & (node < lattice.shape)).all())
-        fence = (about["bounds"] - self.origin) / grid.voxel_m
-        low, high = (np.clip(edge, 0, grid.shape).astype(int) for edge in (fence[0] + 1, fence[1]))
+        fence = np.floor((about["bounds"] - self.origin) / grid.voxel_m).astype(np.int64)
+        low, high = fence[0] + 1, fence[1]
         beyond = np.ones(grid.shape, np.bool_)
-        beyond[tuple(map(slice, low, high))] = False
+        beyond[tuple(map(slice, np.maximum(low, 0), np.maximum(high, 0)))] = False
+        # the goal's node, or the next one within the bounds
+        ends = -((lattice.first - low) // lattice.step), (high - 1 - lattice.first) // lattice.step
+        node = np.rint((goal / grid.voxel_m - 0.5 - lattice.first) / lattice.step).astype(np.int64)
+        node = np.clip(node, *ends)
+        inside = bool(((node >= 0) & (node < lattice.shape)).all())
         for spare in SPARES_M:
             blocked = beyond | (distance < float(about["radius_m"]) + spare)
             if inside:

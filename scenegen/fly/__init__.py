@@ -45,7 +45,8 @@ class Rules:
     """Least distance from start to goal, metres; half the flight bounds' diagonal where that is
     less."""
     spare_m: float = number(0.3, least=0, most=1)
-    """How much farther than its radius the vehicle is from all solids at start and goal, metres."""
+    """How much farther than its radius the vehicle is from all solids at start and goal, and from
+    the flight bounds, metres; from these, a quarter of their extent where that is less."""
     reach_m: float = number(0.5, above=0, most=10)
     """A flight succeeds this near to its goal, metres."""
     patience: float = number(10.0, least=1, most=1000)

@@ -14,7 +14,7 @@ from scenegen.worlds.place import Place
 from scenegen.worlds.search import NO_RISK, search
 from scenegen.worlds.world import World
 
-VOXEL_M = 0.2
+VOXEL_M = 0.1
 """Edge of the voxels through which the shortest way is searched, metres."""
 MARGIN = 10
 """Voxels around the flight bounds whose solids count, too."""
@@ -93,7 +93,8 @@ def _draw(
 ) -> Mission | None:
     apart = min(rules.apart_m, math.dist(*bounds) / 2)
     clearance, spare = world.clearance, vehicle.radius_m + rules.spare_m
-    for pair in rng.uniform(bounds[0], bounds[1], (TRIES, 2, 3)):
+    inset = np.minimum(spare, (bounds[1] - bounds[0]) / 4)
+    for pair in rng.uniform(bounds[0] + inset, bounds[1] - inset, (TRIES, 2, 3)):
         voxels = grid.index(pair, origin)
         start, goal = origin + (voxels + 0.5) * VOXEL_M
         if (

@@ -115,8 +115,10 @@ class Simulation:
         if self._moving:
             forward, left, up = rotate(back, self.state[None, VELOCITY])[0].tolist()
             turning = math.degrees(self._turning)
-            pace = Motion(forward_mps=forward, left_mps=left, up_mps=up, yaw_rate_deg_s=turning)
-            chain = Noise((pace, *chain.stages))  # type: ignore[arg-type]
+            pace: Any = Motion(
+                forward_mps=forward, left_mps=left, up_mps=up, yaw_rate_deg_s=turning
+            )
+            chain = Noise((pace, *chain.stages))
         scan = cast(self._caster, self.sensor, pose)
         rng = np.random.default_rng([self._seed, self.periods])
         seen = observed(scan, chain, self.world.albedo, self._caster, rng)

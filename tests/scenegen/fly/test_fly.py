@@ -24,7 +24,7 @@ from scenegen.fly.suite import chosen_courses
 from scenegen.worlds.world import World, compile_world
 
 VEHICLE = Vehicle()
-DIGEST = "51911a9eb3d8c644aead8eaa8ba15355d794d3ad648df6caf36ffe67c736a07a"
+DIGEST = "3cd1afbdf9bc5a23758ff3686f50abbf63dc08240ea10b2ef25c1e3ece71af49"
 BALLS = [(3.0, 0.4, 2.0, 0.5), (5.0, -0.9, 2.3, 0.7), (1.5, 2.0, 1.5, 0.6), (6.0, 1.0, 1.2, 0.4)]
 """x, y, z and radius of spheres, metres."""
 BOUNDS = ((-1.0, -3.0, 0.5), (9.0, 3.0, 4.0))
