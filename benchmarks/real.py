@@ -34,7 +34,7 @@ from scenegen.model.evaluation.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Completed, Method, Truth
 from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.statistics import figure, head, interval, line
-from scenegen.model.evaluation.visibility import CLASSES, classify, scored_voxels
+from scenegen.model.evaluation.visibility import CLASSES, UNSCORED, classify, scored_voxels
 from scenegen.recipe import preset
 from scenegen.sample import Sample
 from scenegen.source import DrawnWorlds, Source, read_scenes
@@ -146,10 +146,7 @@ def scored(
 ) -> list[str]:
     """The lines of the tables; pictures of the last method are written."""
     splits = {name: "test" if len(one.split("test")) else "train" for name, one in places.items()}
-    counts = {
-        name: {one.name: Counts.of(one, dataset, splits[name]) for one in methods}
-        for name, dataset in places.items()
-    }
+    counts = {name: counted(dataset, splits[name], methods) for name, dataset in places.items()}
     away = [name for name in places if not name.startswith("`")] or list(places)
     best = {
         one.name: int(
@@ -205,24 +202,46 @@ def scored(
     return lines
 
 
-def groups_of(
-    sample: Sample, dataset: Dataset, scored_here: NDArray[np.bool_]
-) -> NDArray[np.int64]:
-    """What each scored voxel (n,) would be if it were wrong, an index into `GROUPS`."""
+def counted(dataset: Dataset, split: str, methods: list[Method]) -> "dict[str, Counts]":
+    """The voxels of a split's maps by group, as each method completes them."""
+    samples = dataset.split(split)
+    groups = [groups_of(samples, n) for n in range(len(samples))]
+    there = np.array([sums(one) for one in groups])
+    found = {}
+    for method in methods:
+        said = []
+        for sample, group in zip(samples, groups, strict=True):
+            probability = method.completion(sample, samples).occupancy_probability
+            if probability is None:
+                sys.exit(f"{method.name}: predicts distances alone, expected occupancy")
+            said.append([sums(group[probability >= threshold]) for threshold in THRESHOLDS])
+        found[method.name] = Counts(there, np.array(said))
+    return found
+
+
+def sums(groups: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """How many voxels are of each group."""
+    return np.bincount(groups.ravel(), minlength=len(GROUPS))[: len(GROUPS)]
+
+
+def groups_of(samples: Any, index: int) -> NDArray[np.uint8]:
+    """What each voxel (*grid.shape) of a sample would be if it were wrong, an index into `GROUPS`;
+    `UNSCORED` where no score counts it."""
+    sample, dataset = samples[index], samples.dataset
     seen = classify(sample, lidar=dataset.lidar, grid=dataset.grid)
     is_of = {name: seen == number for number, name in enumerate(CLASSES)}
     told = np.broadcast_to(sample.observed.any(axis=2, keepdims=True), seen.shape)
     above = dataset.grid.centres(sample.origin)[..., 2] > sample.position[2]
     hidden, out = is_of["occluded"], is_of["out_of_view"]
     missed = [is_of["observed"], is_of["crossed"], hidden & told, hidden, is_of["interior"]]
-    truth = sample.occupancy
-    beside = ndimage.binary_dilation(truth, np.ones((3, 3, 3)))
-    wrong = np.where(
-        truth,
+    beside = ndimage.binary_dilation(sample.occupancy, np.ones((3, 3, 3)))
+    groups = np.where(
+        sample.occupancy,
         np.select([*missed, out & above], range(MISSED - 1), MISSED - 1),
         np.select([beside, is_of["crossed"]], (MISSED, MISSED + 1), MISSED + 2),
     )
-    return wrong[scored_here]
+    scored_here = scored_voxels(sample, dataset.grid, samples.home(index).tables)
+    return np.where(scored_here, groups, UNSCORED).astype(np.uint8)
 
 
 class Counts(NamedTuple):
@@ -232,21 +251,6 @@ class Counts(NamedTuple):
     """(maps, groups)."""
     said: NDArray[np.int64]
     """(maps, thresholds, groups): those that are said to be occupied."""
-
-    @classmethod
-    def of(cls, method: Method, dataset: Dataset, split: str) -> "Counts":
-        """Those of a split, as a method completes it."""
-        there, told, samples = [], [], dataset.split(split)
-        for n, sample in enumerate(samples):
-            here = scored_voxels(sample, dataset.grid, samples.home(n).tables)
-            groups = groups_of(sample, dataset, here)
-            said = method.completion(sample, samples).occupancy_probability
-            if said is None:
-                sys.exit(f"{method.name}: predicts distances alone, expected occupancy")
-            occupied = [groups[said[here] >= threshold] for threshold in THRESHOLDS]
-            there.append(np.bincount(groups, minlength=len(GROUPS)))
-            told.append([np.bincount(one, minlength=len(GROUPS)) for one in occupied])
-        return cls(np.array(there), np.array(told))
 
     @property
     def either(self) -> NDArray[np.int64]:
