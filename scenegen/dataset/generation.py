@@ -306,15 +306,13 @@ def plan_mixed(
     samples. `options` are those of `plan_dataset`. Raises DatasetError, and RecipeError where the
     components differ in more than their worlds and flights.
     """
-    shares = {
-        split: _shares(counts[split], [weight for _, weight in components]) for split in SPLITS
-    }
+    parts = {split: shares(counts[split], [weight for _, weight in components]) for split in SPLITS}
     plans = [
         plan_dataset(
             folder,
             recipe,
             DrawnWorlds(recipe),
-            counts={split: shares[split][n] for split in SPLITS},
+            counts={split: parts[split][n] for split in SPLITS},
             **options,
         )
         for n, (recipe, _) in enumerate(components)
@@ -341,7 +339,7 @@ def plan_mixed(
     return Plan(folder=folder, parameters=given, shards=tuple(shards), lidars=lidars)
 
 
-def _shares(count: int, weights: Sequence[Fraction]) -> list[int]:
+def shares(count: int, weights: Sequence[Fraction]) -> list[int]:
     """`count` in parts by weight: whole numbers, the largest remainders rounded up."""
     exact = [count * weight / sum(weights) for weight in weights]
     found = [int(part) for part in exact]

@@ -74,8 +74,11 @@ def facts(
     licence, licence_url = LICENCES[request.licence]
     splits = [split for split in SPLITS if split in told["splits"]]
     shape, voxel_m = made.grid.shape, made.grid.voxel_m
-    maps = "" if made.mapping.plain else f", each {made.mapping}"
-    worlds = KINDS.get(made.kind, f"worlds of kind {made.kind}")
+    lidars, mappings, _ = (dict.fromkeys(column) for column in zip(*made.settings, strict=True))
+    plain = all(mapping.plain for mapping in mappings)
+    maps = "" if plain else f", each {' or '.join(map(str, mappings))}"
+    kinds = dict.fromkeys(home.kind for home in made.homes)
+    worlds = "; ".join(KINDS.get(kind, f"worlds of kind {kind}") for kind in kinds)
     return {
         **_notes(made),
         "name": name,
@@ -93,7 +96,7 @@ def facts(
         f"it, in {worlds}, as {' × '.join(map(str, shape))} voxel maps of {voxel_m:g} m{maps}",
         "version": f"{VERSION}.{made.tables.get('version', 0)}.0",
         "seed": made.seed,
-        "lidar": made.lidar,
+        "lidar": " or ".join(map(str, lidars)),
         "digest": made.digest,
         "versions": ", ".join(f"{name} {number}" for name, number in made.software.items()),
         "voxel_m": voxel_m,
@@ -115,7 +118,9 @@ def _notes(made: Manifest) -> dict[str, str]:
     """Sentences that differ between datasets of several sorts."""
     by_hand, file = made.kind == "scene", source_file(made)[0]
     absent = " and ".join(f"`{name}`" for name in ("free", "tudf") if name not in made.fields)
-    noise = f"with simulated noise, `{made.noise['stages']}`" if made.noise is not None else ""
+    stages = dict.fromkeys(home.noise_stages for home in made.homes)
+    said = " or ".join(f"`{one}`" if one else "none" for one in stages)
+    noise = f"with simulated noise, {said}" if any(stages) else ""
     rejected = (
         f"{what}: {', '.join(f'{reason} {count}' for reason, count in reasons.items())}"
         for what, reasons in made.rejected.items()
@@ -176,18 +181,21 @@ def _table(*rows: Sequence[str]) -> str:
 
 
 def stored(made: Manifest) -> dict[str, dict[str, Any]]:
-    """What the shards store, in order: name to `dtype`, `shape`, `unit` and `meaning`."""
-    known = made.schema.describe()
+    """What the shards store, in order: name to `dtype`, `shape`, `unit` and `meaning`; the shape is
+    (-1,) where sensors or scans of several shapes are in one dataset."""
+    known: dict[str, dict[str, Any]] = {}
+    for home in made.homes:
+        for name, about in home.schema.describe().items():
+            if name in home.fields and known.setdefault(name, about)["shape"] != about["shape"]:
+                known[name] = about | {"shape": (-1,)}
     digest = {"meaning": "the sample's own SHA-256 digest", "unit": ""}
-    return {name: known[name] for name in made.fields} | {
-        DIGEST: {"dtype": "uint8", "shape": (32,), **digest}
-    }
+    return known | {DIGEST: {"dtype": "uint8", "shape": (32,), **digest}}
 
 
 def _fields(made: Manifest) -> str:
     rows = [["field", "type, shape of a sample", "unit", "meaning"]]
     for name, field in stored(made).items():
-        shape = " × ".join(map(str, field["shape"]))
+        shape = " × ".join(str(n) if n >= 0 else "by source" for n in field["shape"])
         kind = f"{field['dtype']} ({shape})" if shape else field["dtype"]
         rows.append([f"`{name}`", kind, field["unit"] or "–", field["meaning"]])
     table = _table(*rows)

@@ -8,8 +8,9 @@ import re
 import shlex
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from fractions import Fraction
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import Any
@@ -17,11 +18,12 @@ from typing import Any
 from lidarsim.engines import DEFAULT
 from scenegen import GENERATOR, SPLITS, __version__
 from scenegen.dataset import manifest
-from scenegen.dataset.parts import GRID, sensor_entry, write_rays
+from scenegen.dataset.generation import plan_mixed, read_components, shares
+from scenegen.dataset.parts import GRID, rays_named, sensor_entry, write_rays
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.trust import Manifest
 from scenegen.errors import PublishError, RecipeError, short
-from scenegen.recipe import Recipe, read_recipe
+from scenegen.recipe import read_recipe
 from scenegen.recipes import KINDS
 from scenegen.run import undone_if_stopped
 from scenegen.source import DrawnWorlds
@@ -32,8 +34,10 @@ RECIPE, SENSOR = "recipe.toml", "sensor.toml"
 again."""
 ORIGINAL = "ORIGINAL"
 """Stands in `command` for the dataset that was scanned again."""
-_NOT_OURS = ("software", "format", "version")
+_NOT_OURS = ("software", "format", "version", "engine")
 """Parameters that no recipe decides."""
+MOST_PARTS = 10_000
+"""The largest sum of weights that is looked for."""
 
 
 def source_file(found: Manifest) -> tuple[str, str]:
@@ -42,7 +46,8 @@ def source_file(found: Manifest) -> tuple[str, str]:
         return RECIPE, recipe_text(
             found.parameters, f"every parameter of the dataset {found.digest}"
         )
-    lines = _table(f"# the sensor of the dataset {found.digest}", _lidar(found.parameters))
+    sensor = _lidar(found.parameters, found.rays)
+    lines = _table(f"# the sensor of the dataset {found.digest}", sensor)
     return SENSOR, "\n".join([*lines[1:], ""])
 
 
@@ -80,23 +85,35 @@ def command(found: Manifest, out: str) -> str:
 def recipe_text(parameters: Mapping[str, Any], title: str) -> str:
     """A recipe file with every parameter of a manifest, so that no preset's later version changes
     anything; `title` is its first line."""
-    noise, sources = parameters.get("noise"), parameters.get("sources")
-    shared = {
-        "lidar": _lidar(parameters),
-        "noise": noise and {"stages": noise["stages"]},
-        "mapping": parameters.get("mapping"),
-        "grid": {GRID[name]: value for name, value in parameters["grid"].items()},
-    }
+    sources = [one["parameters"] for one in parameters.get("sources") or ()]
+    files, differ = rays_named(parameters), parameters.get("differ", ())
     lines = [f"# {title}", f"kind = {_toml('mixed' if sources else parameters['kind'])}"]
     if not sources:
         lines += _own(parameters, "")
-    for name, table in shared.items():
-        lines += _table(f"[{name}]", table)
-    for source in sources or ():
-        own = source["parameters"]
-        part = {"kind": own["kind"], "weight": sum(own["counts"].values())}
-        lines += [*_table("[[component]]", part), *_own(own, "component.")]
+    for name, table in _shared(parameters, files).items():
+        lines += [] if name in differ else _table(f"[{name}]", table)
+    weights = _weights([one["counts"] for one in sources])
+    for own, weight in zip(sources, weights, strict=True):
+        lines += _table("[[component]]", {"kind": own["kind"], "weight": weight})
+        lines += _own(own, "component.")
+        for name, table in _shared(own, files).items():
+            lines += _table(f"[component.{name}]", table) if name in differ else []
     return "\n".join([*lines, ""])
+
+
+def _weights(counts: Sequence[Mapping[str, int]]) -> list[int]:
+    """The least weights by which components come out with these `counts`; where none are found,
+    their samples."""
+    largest = max(SPLITS, key=lambda split: sum(one[split] for one in counts))
+    whole = sum(one[largest] for one in counts)
+    for total in range(len(counts), min(whole, MOST_PARTS) + 1):
+        weights = [Fraction(round(Fraction(one[largest] * total, whole))) for one in counts]
+        if all(weights) and all(
+            shares(sum(one[split] for one in counts), weights) == [one[split] for one in counts]
+            for split in SPLITS
+        ):
+            return [int(weight) for weight in weights]
+    return [sum(one.values()) for one in counts]
 
 
 def _own(parameters: Mapping[str, Any], prefix: str) -> list[str]:
@@ -105,9 +122,23 @@ def _own(parameters: Mapping[str, Any], prefix: str) -> list[str]:
     return [line for name in names for line in _table(f"[{prefix}{name}]", recipe.get(name))]
 
 
-def _lidar(parameters: Mapping[str, Any]) -> dict[str, Any]:
+def _shared(
+    parameters: Mapping[str, Any], files: Mapping[str, str]
+) -> dict[str, Mapping[str, Any] | None]:
+    """The tables that components may share; tables of rays lie in `files`, by their SHA-256."""
+    noise = parameters.get("noise")
+    return {
+        "lidar": _lidar(parameters, files),
+        "noise": noise and {"stages": noise["stages"]},
+        "mapping": parameters.get("mapping"),
+        "grid": {GRID[name]: value for name, value in parameters["grid"].items()},
+    }
+
+
+def _lidar(parameters: Mapping[str, Any], files: Mapping[str, str]) -> dict[str, Any]:
     """The table [lidar]; a table of rays has its shape in the file."""
-    return {name: value for name, value in parameters["lidar"].items() if name != "shape"}
+    table = {name: value for name, value in parameters["lidar"].items() if name != "shape"}
+    return table | ({"rays": files[table["sha256"]]} if "rays" in table else {})
 
 
 def _table(head: str, table: Mapping[str, Any] | None) -> list[str]:
@@ -134,9 +165,11 @@ def check_source(dataset: Dataset, name: str, text: str) -> None:
     Raises PublishError where this version would make another dataset of it.
     """
     found = dataset.manifest
-    if not found.noise_is_ours:
+    for home in found.homes:
+        if home.noise_is_ours:
+            continue
         raise PublishError(
-            f"its noise, {short(dict(found.noise or {}))}, has stages that are none of scenegen's "
+            f"its noise, {short(dict(home.noise or {}))}, has stages that are none of scenegen's "
             "own, which are not imported; it cannot be said whether its command makes the same "
             "ranges again"
         )
@@ -149,7 +182,7 @@ def check_source(dataset: Dataset, name: str, text: str) -> None:
                 here = {"generator": GENERATOR, "lidar": sensor_entry(named_lidar(str(path)))}
                 there = {name: found.parameters.get(name) for name in here}
             else:
-                here, there = _read_again(found, read_recipe(path))
+                here, there = _decided(_read_again(found, path)), _decided(found.parameters)
         except RecipeError as error:
             said = str(error).removeprefix(f"{path}: ")
             raise PublishError(f"{_advice(found)}: {said}") from None
@@ -157,23 +190,31 @@ def check_source(dataset: Dataset, name: str, text: str) -> None:
         raise PublishError(f"{_advice(found)}: {wrong[0]}")
 
 
-def _read_again(found: Manifest, recipe: Recipe) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The parameters that a recipe makes, and those of a manifest, as far as a recipe decides."""
-    given = manifest.parameters(
-        dataclasses.replace(recipe, labels=found.recipe.labels),
-        DrawnWorlds(recipe),
-        seed=found.seed,
-        counts=found.counts,
-        compact="tudf" not in found.fields,
-        shard_samples=found.shard_samples,
-        engine=found.engine,
-    )
-    here, there = manifest.completed(given), manifest.completed(found.parameters)
-    there |= {"recipe": {name: it for name, it in found.tables.items() if name != "scenes"}}
-    for parameters in (here, there):
-        for name in _NOT_OURS:
-            parameters.pop(name, None)
-    return here, there
+def _read_again(found: Manifest, path: Path) -> Mapping[str, Any]:
+    """The parameters that the recipe in `path` makes with the counts and the seed of a manifest."""
+    labels = found.homes[0].recipe.labels
+    read = read_components(path) if found.sources else [(read_recipe(path), Fraction(1))]
+    parts = [(dataclasses.replace(recipe, labels=labels), weight) for recipe, weight in read]
+    asked: dict[str, Any] = {
+        "seed": found.seed,
+        "counts": found.counts,
+        "compact": "tudf" not in found.fields,
+        "shard_samples": found.shard_samples,
+    }
+    if found.sources:
+        return plan_mixed(path.parent, parts, **asked).parameters
+    ((recipe, _),) = parts
+    return manifest.parameters(recipe, DrawnWorlds(recipe), **asked)
+
+
+def _decided(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """What of a manifest's `parameters` a recipe decides."""
+    left = manifest.completed(parameters)
+    found = {name: it for name, it in left.items() if name not in _NOT_OURS}
+    found["recipe"] = {name: it for name, it in found["recipe"].items() if name != "scenes"}
+    if "sources" in found:
+        found["sources"] = [_decided(one["parameters"]) for one in found["sources"]]
+    return found
 
 
 def _advice(found: Manifest) -> str:

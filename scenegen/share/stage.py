@@ -103,10 +103,11 @@ def examine(request: Request) -> Dataset:
     """
     dataset = Dataset(request.dataset)
     check_out(request.dataset, request.out)
-    if dataset.manifest.sources:
+    sources = dataset.manifest.parameters.get("sources", ())
+    if any(one["digest"] or one["taken"] != [""] for one in sources):
         raise PublishError(
-            f"{request.dataset}: is a mixture of several kinds or datasets, and no one command "
-            "makes it again; publish a dataset of each"
+            f"{request.dataset}: was taken or merged of other datasets, and no one command makes "
+            "it again; publish those"
         )
     files = len(dataset.manifest.files) + _BESIDES
     if files > MOST_FILES:
@@ -118,7 +119,8 @@ def examine(request: Request) -> Dataset:
             "which changes no sample"
         )
     if dataset.manifest.rescan is None:
-        check_kind(dataset.manifest.kind, request.kind)
+        for home in dataset.manifest.homes:
+            check_kind(home.kind, request.kind)
     check_source(dataset, *source_file(dataset.manifest))
     return dataset
 
