@@ -178,7 +178,8 @@ def _look(
         rejected.viewpoints["few_returns"] += 1
         return None
     truth = truth_of(world, scan, recipe)
-    if truth["occupancy"].mean() < accept.min_occupied_share:
+    occupied = truth["occupancy"]
+    if np.count_nonzero(occupied) / occupied.size < accept.min_occupied_share:
         rejected.viewpoints["few_occupied"] += 1
         return None
     if recipe.known is not None:
