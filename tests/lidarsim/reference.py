@@ -446,24 +446,3 @@ def exact_swept(
             if length >= least:
                 out[index] = True
     return out
-
-
-def sampled(
-    origin: ArrayLike,
-    voxel_m: float,
-    shape: Voxel,
-    position: ArrayLike,
-    directions: Floats,
-    reach: Floats,
-    step_m: float,
-) -> Bools:
-    """The WRONG answer of points sampled along each ray, kept to show that the comparison rejects
-    it."""
-    out = np.zeros(shape, dtype=bool)
-    flat = np.asarray(directions, dtype=np.float64).reshape(-1, 3)
-    for ray, end in zip(flat, np.asarray(reach).ravel(), strict=True):
-        points = np.asarray(position) + np.arange(0.0, end, step_m)[:, None] * ray
-        index = np.floor((points - np.asarray(origin)) / voxel_m).astype(int)
-        index = index[np.all((index >= 0) & (index < shape), axis=1)]
-        out[tuple(index.T)] = True
-    return out

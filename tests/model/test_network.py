@@ -128,14 +128,6 @@ def test_a_network_of_columns_takes_maps_of_its_height_alone() -> None:
         NetworkConfig(variant="columns").check_map((80, 80, 48))
 
 
-def test_maps_of_a_batch_do_not_touch() -> None:
-    net = network()
-    maps = seen(3)["observed"] < 0.1
-    together, alone = net({"observed": maps}), net({"observed": maps[1:2]})
-    torch.testing.assert_close(together.logits[1:2], alone.logits, atol=1e-5, rtol=1e-4)
-    torch.testing.assert_close(together.tudf[1:2], alone.tudf, atol=1e-5, rtol=1e-4)
-
-
 @pytest.mark.parametrize("variant", ["proposed", "columns"])
 def test_completion_convolves_as_training_does(variant: str) -> None:
     """It asks oneDNN itself, alone or in a batch, and is given what the usual path gives."""

@@ -22,8 +22,6 @@ SIZES |= {"box": "0.3 0.8 0.5"}
 DATA = {"hfield": 'hfield="h"', "mesh": 'mesh="m"'}
 PROCESSORS = "mujoco", "analytic"
 """Engines that run anywhere; Warp's is held to the same in tests/lidarsim/gpu."""
-RADIUS_M = 2.2
-"""Of a ball around every solid."""
 
 
 def model_of(*geoms: str) -> mujoco.MjModel:
@@ -69,22 +67,6 @@ def test_two_engines_see_the_same_world_with_meshes_and_height_fields(seed: int)
         assert 100 < np.isfinite(one).sum() < one.size - 100
         np.testing.assert_array_equal(np.isfinite(one), np.isfinite(other))
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-6)
-
-
-@pytest.mark.parametrize("shape", [*SIZES, *DATA])
-def test_two_engines_agree_on_every_shape_alone(shape: str) -> None:
-    given = DATA.get(shape) or f'size="{SIZES[shape]}"'
-    model = model_of(f'type="{shape}" {given} euler="30 40 50"')
-    lidar = Lidar(rows=40, columns=60, vertical_fov_deg=180.0, max_range_m=6.0)
-    hits = 0
-    for yaw in np.linspace(0.0, 6.0, 12):
-        pose = Pose.level(
-            [RADIUS_M * np.cos(yaw), RADIUS_M * np.sin(yaw), 1.2 * np.sin(5 * yaw)], yaw
-        )
-        one, other = (cast(made(name, model), lidar, pose).ranges for name in PROCESSORS)
-        np.testing.assert_allclose(one, other, rtol=0, atol=2e-6)
-        hits += int(np.isfinite(one).sum())
-    assert hits > 100
 
 
 @pytest.mark.parametrize("name", PROCESSORS)
@@ -180,18 +162,6 @@ def test_what_is_no_direction_and_no_place_meets_nothing_and_harms_no_other_ray(
     for place in ([np.nan, 0.0, 0.0], [0.0, np.inf, 0.0]):
         both = engine.cast([place, [0.0, 0.0, 2.0]], [[good, down]] * 2, 10.0)
         np.testing.assert_array_equal(both, [[np.inf, np.inf], [np.inf, 1.0]])
-
-
-@pytest.mark.parametrize("name", PROCESSORS)
-@pytest.mark.parametrize("shape", [shape for shape in SIZES if shape != "plane"])
-def test_from_inside_a_solid_rays_return_where_they_come_out(name: str, shape: str) -> None:
-    model = model_of(f'type="{shape}" size="{SIZES[shape]}" euler="10 20 30"')
-    rays = random_rays(np.random.default_rng(0), 1, 300)[1]
-    out = made(name, model).cast(np.zeros((1, 3)), rays, 10.0)
-    assert np.isfinite(out).all()
-    # all of these are symmetric about their centre: the way out is the way in from the other side
-    back = made(name, model).cast((-4.0 * rays)[0], rays[0][:, None], 10.0)[:, 0]
-    np.testing.assert_allclose(4.0 - back, out[0], rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", PROCESSORS)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lidarsim import GridSpec, Lidar, Pose
+from lidarsim import Lidar, Pose
 from lidarsim.pose import rotate
 from tests.lidarsim import reference
 
@@ -15,13 +15,6 @@ LEVEL = (1.0, 0.0, 0.0, 0.0)
 def azimuth_deg(directions: np.ndarray) -> np.ndarray:
     """Angle left of x in the ground plane."""
     return np.degrees(np.arctan2(directions[..., 1], directions[..., 0]))
-
-
-def test_defaults_are_the_specified_sensor() -> None:
-    lidar = Lidar()
-    assert (lidar.rows, lidar.columns) == (16, 120)
-    assert (lidar.vertical_fov_deg, lidar.horizontal_fov_deg, lidar.pitch_deg) == (60, 360, 30)
-    assert (lidar.max_range_m, lidar.mount) == (10.0, "tilt")
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -107,15 +100,6 @@ def test_facing_a_direction_is_a_turn_by_its_angle() -> None:
             Pose.facing((0.0, 0.0, 0.0), nowhere)
 
 
-def test_a_quaternion_and_its_negative_are_one_attitude() -> None:
-    quaternion = reference.random_quaternion(np.random.default_rng(5))
-    one, other = (
-        rotate(quaternion, Lidar().directions_body),
-        rotate(-quaternion, Lidar().directions_body),
-    )
-    np.testing.assert_allclose(one, other, rtol=0, atol=1e-15)
-
-
 @pytest.mark.parametrize(
     ("parameter", "value"),
     [
@@ -145,24 +129,6 @@ def test_a_bad_lidar_parameter_is_refused_by_name(parameter: str, value: object)
 
 
 @pytest.mark.parametrize(
-    ("parameter", "value"),
-    [
-        ("shape", (80, 80)),
-        ("shape", (80, 80, 0)),
-        ("shape", (80, -1, 40)),
-        ("shape", (80, 80, 40.5)),
-        ("voxel_m", 0.0),
-        ("voxel_m", -0.2),
-        ("voxel_m", float("nan")),
-        ("truncation_m", 0.0),
-    ],
-)
-def test_a_bad_grid_parameter_is_refused_by_name(parameter: str, value: object) -> None:
-    with pytest.raises(ValueError, match=parameter):
-        GridSpec(**{parameter: value})  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
     ("position", "quaternion", "named"),
     [
         ((0.0, 0.0), LEVEL, "position"),
@@ -176,26 +142,3 @@ def test_a_bad_pose_is_refused_by_name(
 ) -> None:
     with pytest.raises(ValueError, match=named):
         Pose(position=np.array(position), quaternion=np.array(quaternion))
-
-
-def test_settings_and_poses_cannot_be_changed_after_the_check() -> None:
-    for value, name in (
-        (Lidar(), "rows"),
-        (GridSpec(), "voxel_m"),
-        (Pose.level((0, 0, 0)), "position"),
-    ):
-        with pytest.raises(AttributeError):
-            setattr(value, name, 1)
-
-
-@pytest.mark.parametrize(
-    ("shape", "voxel"), [((80, 80, 40), 0.2), ((3, 4, 5), 0.25), ((1, 1, 1), 7.0)]
-)
-def test_the_grid_is_centred_on_the_position(shape: tuple[int, int, int], voxel: float) -> None:
-    grid = GridSpec(shape=shape, voxel_m=voxel)
-    position = np.array([3.25, -7.5, 1.125])
-    np.testing.assert_allclose(grid.extent_m, np.array(shape) * voxel, rtol=1e-15)
-    origin = grid.origin_at(position)
-    assert origin.dtype == np.float64
-    np.testing.assert_allclose(position - origin, np.array(shape) * voxel / 2, rtol=0, atol=1e-14)
-    np.testing.assert_array_equal(origin, position - grid.extent_m / 2)

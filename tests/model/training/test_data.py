@@ -54,36 +54,6 @@ def test_loader_workers_read_the_same_after_their_parent_has_read(folders: list[
         assert all(torch.equal(one[name], other[name]) for name in one)
 
 
-def test_chunks_that_other_writers_filtered_are_read_too(
-    folders: list[Path], tmp_path: Path
-) -> None:
-    """The contract allows shuffle and checksums, or no filter at all."""
-    import shutil
-
-    import h5py
-
-    copy = shutil.copytree(folders[0], tmp_path / "copy")
-    expected = [sample.occupancy for sample in Dataset(copy).split("test")]
-    for path in copy.glob("test-*.h5"):
-        with h5py.File(path, "r+") as file:
-            values = file["occupancy"][:]
-            del file["occupancy"]
-            chunks = (1, *values.shape[1:])
-            file.create_dataset(
-                "occupancy",
-                data=values,
-                chunks=chunks,
-                compression="gzip",
-                shuffle=True,
-                fletcher32=True,
-            )
-            plain = file["observed"][:]
-            del file["observed"]
-            file.create_dataset("observed", data=plain, chunks=chunks)
-    found = [sample.occupancy for sample in Dataset(copy).split("test")]
-    assert all(np.array_equal(one, other) for one, other in zip(expected, found, strict=True))
-
-
 def test_damage_is_named(folders: list[Path], tmp_path: Path) -> None:
     import shutil
 

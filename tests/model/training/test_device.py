@@ -4,56 +4,18 @@ import dataclasses
 import math
 import os
 import socket
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 import torch
 
-from scenegen.model.checkpoint import load_network, load_tensors, save_tensors
+from scenegen.model.checkpoint import load_tensors, save_tensors
 from scenegen.model.config import LossConfig
 from scenegen.model.network import Network
 from scenegen.model.training.data import Maps, opened
-from scenegen.model.training.device import Group, autocast, device_name, resolve_precision
+from scenegen.model.training.device import Group, autocast, resolve_precision
 from scenegen.model.training.loop import Step, TrainingError, check_maps
 from tests.model.training.runs import SMALL, elsewhere
-
-
-@pytest.mark.slow
-def test_two_processes_train_one_network(folders: list[Path], tmp_path: Path) -> None:
-    """Under torchrun: each takes half of every batch, one writes, and what comes out is whole."""
-    out = tmp_path / "run"
-    words = [
-        "train",
-        *folders,
-        "--width",
-        4,
-        "--epochs",
-        1,
-        "--batch",
-        4,
-        "--device",
-        "cpu",
-        "--quiet",
-        "--out",
-        out,
-    ]
-    words += ["--precision", "float32"]
-    launch = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", 2]
-    root = Path(__file__).parents[3]
-    environment = os.environ | {"PYTHONPATH": str(root), "OMP_NUM_THREADS": "1"}
-    command = [str(word) for word in [*launch, root / "cli.py", *words]]
-    ended = subprocess.run(
-        command, env=environment, capture_output=True, text=True, check=False, timeout=100
-    )
-    assert ended.returncode == 0, ended.stderr
-    assert len((out / "metrics.csv").read_text().splitlines()) == 2
-    load_network(out / "best.safetensors")
-    again = subprocess.run(
-        command, env=environment, capture_output=True, text=True, check=False, timeout=100
-    )
-    assert again.returncode == 0, again.stderr  # complete already: no process waits for the others
 
 
 def take_a_step(folders: list[Path], out: Path, environment: dict[str, str]) -> None:
@@ -119,12 +81,6 @@ def test_two_processes_take_the_step_that_one_takes(folders: list[Path], tmp_pat
         assert theirs == pytest.approx(losses, rel=1e-5)
         for name, tensor in one.items():
             torch.testing.assert_close(two[name], tensor, atol=1e-6, rtol=1e-5)
-
-
-def test_a_gpu_is_called_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(torch.cuda, "get_device_name", lambda device: f"GPU {device.index}")
-    assert device_name(torch.device("cuda", 1)) == "GPU 1"
-    assert "threads" in device_name(torch.device("cpu"))
 
 
 def test_maps_of_a_few_cells_are_not_trained_in_bfloat16_unasked() -> None:

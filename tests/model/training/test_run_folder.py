@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import os
 import shutil
 from pathlib import Path
 
@@ -105,21 +104,3 @@ def test_rows_may_gain_metrics_on_the_way(tmp_path: Path) -> None:
         [{"epoch": 1.0, "val_loss": 2.0}, {"epoch": 2.0, "val_loss": 1.0, "val_new": 0.5}]
     )
     assert (tmp_path / "metrics.csv").read_text() == "epoch,val_loss,val_new\n1,2,\n2,1,0.5\n"
-
-
-def test_rows_are_drawn_once_as_they_are_now(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    drawn: list[int] = []
-    monkeypatch.setattr(
-        "scenegen.model.training.run_folder.draw_curve",
-        lambda rows: drawn.append(len(rows)) or b"PNG",
-    )
-    folder, row = RunFolder(tmp_path), {"epoch": 1.0, "val_loss": 2.0}
-    for count in (1, 2):
-        folder.write_rows([row] * count)
-        os.utime(tmp_path / "metrics.csv", ns=(count * 5 * 10**17,) * 2)
-        for _ in range(2):
-            folder.draw_rows([row] * count)
-        os.utime(tmp_path / "curve.png", ns=(count * 5 * 10**17,) * 2)
-    assert drawn == [1, 2]

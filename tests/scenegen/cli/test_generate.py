@@ -161,18 +161,6 @@ def test_what_a_scene_leaves_out_is_said_once(
     assert run(capfd, *words, "--quiet")[2] == ""
 
 
-def test_the_first_run_says_why_it_takes_longer(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    from lidarsim import jit
-
-    for cached, said in ((tmp_path / "empty", True), (jit.cache_folder("scenegen"), False)):
-        monkeypatch.setattr(jit, "cache_folder", lambda package, cached=cached: cached)
-        assert (
-            "compiling kernels" in run(capsys, "generate", "--kind", "pillar", "--dry-run")[2]
-        ) == said
-
-
 def test_a_dry_run_prints_a_recipe_file_that_asks_for_the_same(
     small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

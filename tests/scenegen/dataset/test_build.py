@@ -222,19 +222,6 @@ def test_the_job_that_completes_a_dataset_hashes_files_and_no_samples_of_others(
     assert content(tmp_path / "d") == content(tmp_path / "whole")
 
 
-def test_a_job_reads_its_own_part_of_a_complete_dataset(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    make(tmp_path / "d")
-    parts, read = plan(tmp_path / "d"), []
-    monkeypatch.setattr(
-        "scenegen.dataset.state.read_report",
-        lambda shard, *rest, **more: read.append(shard) or read_report(shard, *rest),
-    )
-    found = build(parts, shard_range=(1, 3))
-    assert (found.complete, found.shards_missing, read) == (True, 0, list(parts.shards[1:3]))
-
-
 def test_what_is_finished_is_written_down_on_the_way(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -453,25 +440,6 @@ def test_a_list_of_shards_that_is_damaged_is_written_anew(folder: Path) -> None:
         manifest.write(folder, manifest.read(folder) | damage)
         assert make(folder).samples_written == 0
         assert content(folder) == undisturbed
-
-
-def test_the_manifest_is_read_again_only_where_another_job_may_have_written_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    count, original = 0, manifest.read
-
-    def read(folder: Path) -> dict[str, Any]:
-        nonlocal count
-        count += 1
-        return original(folder)
-
-    monkeypatch.setattr(manifest, "read", read)
-    make(tmp_path / "d")
-    assert count == 1  # before it is signed
-    for path in (tmp_path / "d").glob("*-00000.h5"):
-        path.unlink()
-    make(tmp_path / "d")
-    assert count == 1 + 3  # at first, before the first shard is written, and before it is signed
 
 
 def test_damage_in_another_jobs_part_is_neither_signed_nor_waited_for(

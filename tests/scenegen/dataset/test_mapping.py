@@ -19,8 +19,6 @@ from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.manifest import NAME
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.rescan import plan_rescan, scan_again
-from scenegen.display.inspect import inspect
-from scenegen.display.look import look_at
 from scenegen.draw import draw_unit
 from scenegen.errors import DatasetError, GenerationError, RecipeError
 from scenegen.limits import MOST_SCANS
@@ -348,25 +346,6 @@ def test_a_recipe_says_it_and_is_published(several: Path, tmp_path: Path) -> Non
     check_source(dataset, name, text)
     with pytest.raises(RecipeError, match=r"has a table \[mapping\], and scans is given beside it"):
         read_recipe(tmp_path / "my.toml", mapping={"scans": 2})
-
-
-def test_what_is_there_is_shown(several: Path) -> None:
-    dataset = Dataset(several)
-    found, sample = inspect(several), dataset.split("train")[0]
-    assert found["mapping"]["scans"] == 4
-    assert (
-        str(dataset.manifest.mapping)
-        == "of 4 scans, 0.7 m apart, by visibility, around a level sensor"
-    )
-    look = look_at(sample, dataset.grid, dataset.lidar, "train 0")
-    assert look.points is not None
-    assert (
-        len(look.points)
-        == len(sample.points())
-        > len(look.scans[0])
-        == np.isfinite(sample.ranges).sum()
-    )
-    assert f"of {4 * 8 * 24} rays in 4 scans" in look.figures()["returns"]
 
 
 def test_the_command_line_takes_it_and_refuses_the_impossible_in_one_line(

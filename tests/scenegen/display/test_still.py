@@ -34,7 +34,6 @@ from scenegen.display.oblique import SHADES, VIEW, View, visible_faces
 from scenegen.display.panels import to_bytes
 from scenegen.display.pictures import CUT, draw_sample, draw_turn, see
 from scenegen.errors import DatasetError
-from scenegen.model.commands import render as command
 from scenegen.worlds.world import compile_world
 from tests.command_line import ROOT, run
 
@@ -283,7 +282,3 @@ def test_the_paper_s_figures_show_methods_errors_and_paths(
         assert share(look, DISTANCES[0]) > 0.1  # a prediction of 0 everywhere
     with pytest.raises(DatasetError, match="--weights"):
         FIGURES[name]([replace(look, guesses=())], title="")
-
-
-def test_the_command_knows_every_figure() -> None:
-    assert set(command.FIGURES) == {"sample", "world", *FIGURES}

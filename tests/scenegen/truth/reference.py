@@ -520,48 +520,6 @@ def judge(
     return result
 
 
-def bracket(
-    shape: Shape, centre: ArrayLike, half: float, width: float = 1e-9
-) -> tuple[float, float]:
-    """Certified bounds of the distance from a primitive to one cube, about ``width`` apart.
-
-    Both are at most ``width`` when the two touch or overlap.
-    """
-    kind, margin = _core(shape)
-    if kind == PLANE:
-        signs = np.array(np.meshgrid(*[[-half, half]] * 3)).reshape(3, -1).T
-        low = float(((np.asarray(centre, float) + signs - shape.pos) @ shape.rot[:, 2]).min())
-        return low, max(low, 0.0)
-    size, pos = np.asarray(shape.size, float), np.asarray(shape.pos, float)
-    cx, cy, cz = (float(c) for c in np.asarray(centre, float))
-    scratch = np.zeros((4, 3)), np.zeros(4), np.zeros(4)
-    # A first call with the widest band finds rough bounds; then halve the question "above or
-    # below?".
-    low, high = 0.0, float(np.linalg.norm(pos - [cx, cy, cz]))
-    lo, hi = low, high
-    while hi - lo > width:
-        mid = (lo + hi) / 2
-        low, high = _bracket(
-            kind,
-            size,
-            shape.rot,
-            pos,
-            _NO_HULL,
-            margin,
-            cx,
-            cy,
-            cz,
-            half,
-            *scratch,
-            mid,
-            mid + width / 2,
-        )
-        lo, hi = max(lo, low), min(hi, high)
-        if low < mid + width / 2 and high > mid and not (low >= mid and high <= mid + width / 2):
-            break
-    return lo, hi
-
-
 def support_point(shape: Shape, direction: ArrayLike) -> Floats:
     """The point of a primitive (margin included) farthest along a unit direction."""
     kind, margin = _core(shape)

@@ -20,15 +20,6 @@ def test_the_table_is_that_of_the_checks() -> None:
     assert f"\n\n{table}\n\n" in PAGE.read_text(encoding="utf-8")
 
 
-def test_every_check_has_a_name_of_its_own_and_proves_something_in_one_sentence() -> None:
-    assert len({check.name for check in CHECKS}) == len(CHECKS) == 20
-    for check in CHECKS:
-        assert check.proves[0].isupper() or check.proves[0] == "`"
-        assert check.proves.endswith(".")
-        assert ". " not in check.proves
-        assert check.proves.isprintable()
-
-
 def test_a_check_of_ones_own(
     folder: Path,
     tmp_path: Path,
