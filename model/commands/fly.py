@@ -86,7 +86,7 @@ SAVED = 10
 @click.option(
     "--difficulty",
     type=click.Choice(["easy", "medium", "hard"]),
-    help="Of a kind's worlds.  [default: medium]",
+    help="How hard a kind's worlds are.  [default: medium]",
 )
 @options_of(
     Vehicle,

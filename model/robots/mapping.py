@@ -1,8 +1,8 @@
 """A robot that maps: scans are fused in a grid that moves along, completed, and planned through,
 ten times a second."""
 
+import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,8 @@ from scenegen.worlds.world import World
 SPARES_M = (0.3, 0.15, 0.0)
 """How much farther than its radius the vehicle's path keeps from occupied voxels' centres, metres:
 the first with which there is a path."""
+RENEWED_M = 4.0
+"""A path that ends nearer, and not at the goal, is planned anew, metres."""
 LOOK_M = 1.5
 """How far ahead the vehicle heeds how narrow the way is, metres."""
 PLAN = PlanConfig(step_voxels=2, iterations=20)
@@ -61,19 +63,48 @@ class MappingRobot:
             shape, about["directions_body"], about["times_s"], float(about["max_range_m"])
         )
         self._corner: NDArray[np.int64] | None = None
+        self._path: NDArray[np.float64] | None = None
+        self._last = np.array(self.grid.shape) - 1
         self.observed, self.free = np.zeros((2, *self.grid.shape), np.bool_)
 
     def act(self, observation: Observation) -> NDArray[np.float64]:
         """See `Robot.act`."""
         self._move(observation["position"])
         self._see(observation)
-        path, distance = self._plan(observation)
+        occupied, risk = self.believed()
+        distance = distance_field(occupied, self.grid)
+        path = self._kept(observation, distance)
+        if path is None:
+            path = self._plan(observation, distance, risk.astype(np.float32))
+        self._path = None if path is None else path + self.origin
         if path is None:
             return no_way(self._about)
         near = path[(np.abs(path - path[0]) <= LOOK_M).all(axis=1)]
         least = min(float(field_at(distance, x, y, z, self.grid.voxel_m)[0]) for x, y, z in near)
         free_m = least - float(self._about["radius_m"])
         return follow(path + self.origin, observation, self._about, free_m)
+
+    def _kept(
+        self, observation: Observation, distance: NDArray[np.float32]
+    ) -> NDArray[np.float64] | None:
+        """What is left of the last path, (n, 3) metres in the map, while it is free, and leads to
+        the goal or far enough: else one way out and the next could take turns."""
+        if self._path is None:
+            return None
+        position = observation["position"]
+        away = ((self._path - position) ** 2).sum(axis=1)
+        left = self._path[int(np.argmin(away)) + 1 :]
+        goal = observation["goal"]
+        ends = bool(len(left)) and math.dist(left[-1], goal) < 1e-6
+        seen = (np.abs(goal - position) < self.grid.extent_m / 2).all()
+        far = bool(len(left)) and math.dist(left[-1], position) > RENEWED_M
+        if not (ends or (far and not seen)):
+            return None
+        path = np.concatenate([position[None], left]) - self.origin
+        between = np.concatenate([path[1:], 0.5 * (path[1:] + path[:-1])])
+        voxels = np.clip(np.floor(between / self.grid.voxel_m).astype(int), 0, self._last)
+        free = distance[tuple(voxels.T)] >= self._about["radius_m"]
+        return path if free.all() else None
 
     @property
     def origin(self) -> NDArray[np.float64]:
@@ -118,12 +149,15 @@ class MappingRobot:
         else:
             self.observed, self.free = seen.observed, seen.free
 
-    def _plan(self, observation: Observation) -> tuple[NDArray[np.float64] | None, Any]:
-        """A path (n, 3) from the vehicle on, metres in the map, and the distances from what is
-        taken for occupied, (*grid.shape)."""
+    def _plan(
+        self,
+        observation: Observation,
+        distance: NDArray[np.float32],
+        risk: NDArray[np.float32],
+    ) -> NDArray[np.float64] | None:
+        """A path (n, 3) from the vehicle on, metres in the map; `distance` (*grid.shape) is that
+        from what is taken for occupied, metres, and `risk` that of meeting something."""
         grid, lattice, about = self.grid, self._lattice, self._about
-        occupied, risk = self.believed()
-        distance = distance_field(occupied, grid)
         goal = observation["goal"] - self.origin
         fence = np.floor((about["bounds"] - self.origin) / grid.voxel_m).astype(np.int64)
         low, high = fence[0] + 1, fence[1]
@@ -146,19 +180,19 @@ class MappingRobot:
                 lattice.start,
                 node,
                 True,
-                risk.astype(np.float32),
+                risk,
                 PLAN.risk_weight,
             )
             if len(nodes):
                 break
         else:
-            return None, distance
+            return None
         rough = lattice.centres(nodes)
         path = refine(rough, distance, grid, PLAN) if len(rough) > 2 else rough
         voxels = tuple(np.floor(path[1:] / grid.voxel_m).astype(int).T)
         path = rough if (blocked | (risk > RATHER))[voxels].any() else path
         path[0] = observation["position"] - self.origin
-        return (np.concatenate([path, goal[None]]) if inside else path), distance
+        return np.concatenate([path, goal[None]]) if inside else path
 
 
 class TruthRobot(MappingRobot):

@@ -43,7 +43,7 @@ class Rules:
 
     apart_m: float = number(15.0, above=0, most=1000)
     """Least distance from start to goal, metres; half the flight bounds' diagonal where that is
-    less."""
+    less, and a half or a quarter of it where no such pair is connected."""
     spare_m: float = number(0.3, least=0, most=1)
     """How much farther than its radius the vehicle is from all solids at start and goal, and from
     the flight bounds, metres; from these, a quarter of their extent where that is less."""

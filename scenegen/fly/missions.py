@@ -52,10 +52,15 @@ def draw_missions(
         bounds = world.room(vehicle.radius_m, rules.apart_m, rng=rng)
         if not found or not np.array_equal(bounds, found[-1].bounds):
             grid, origin, blocked = _blocked(world, bounds, vehicle.radius_m)
-        made = _draw(world, vehicle, rules, bounds, grid, origin, blocked, rng=rng)
+        apart = min(rules.apart_m, math.dist(*bounds) / 2)
+        tries = (
+            _draw(world, vehicle, rules, apart / part, bounds, grid, origin, blocked, rng=rng)
+            for part in (1, 2, 4)
+        )
+        made = next(filter(None, tries), None)
         if made is None:
             raise GenerationError(
-                f"no start and goal {rules.apart_m:g} m apart with a way between; give a smaller "
+                f"no start and goal {apart / 4:g} m apart with a way between; give a smaller "
                 "--apart or --radius, or another world"
             )
         found.append(made)
@@ -84,6 +89,7 @@ def _draw(
     world: World | Place,
     vehicle: Vehicle,
     rules: Rules,
+    apart: float,
     bounds: NDArray[np.float64],
     grid: GridSpec,
     origin: NDArray[np.float64],
@@ -91,7 +97,6 @@ def _draw(
     *,
     rng: np.random.Generator,
 ) -> Mission | None:
-    apart = min(rules.apart_m, math.dist(*bounds) / 2)
     clearance, spare = world.clearance, vehicle.radius_m + rules.spare_m
     inset = np.minimum(spare, (bounds[1] - bounds[0]) / 4)
     for pair in rng.uniform(bounds[0] + inset, bounds[1] - inset, (TRIES, 2, 3)):
