@@ -60,7 +60,8 @@ if TYPE_CHECKING:  # which imports what draws worlds
 MINOR = tuple(name for name, since in manifest.SINCE.items() if since != "1")
 """Entries that raise a manifest's version."""
 _COUNT = whole(0, MOST_SAMPLES)
-_ABSENT = Rule(lambda value: value is None, "none")
+_ABSENT = Rule(lambda value: value is None, "none: datasets are gathered once")
+_ALONE = Rule(lambda value: value is None, "none without sources")
 _SOURCE = {"digest": optional(DIGEST), "parameters": TABLE, "taken": LIST}
 ALIKE = ("format", "generator", "fields", *NAMES)
 """Parameters in which all datasets agree whose samples are in one, but for those that `differ`
@@ -342,7 +343,7 @@ def _sources(found: Mapping[str, Any], folder: Path) -> tuple[Manifest, ...]:
     """The datasets that the samples of a manifest, `found`, were made for, which agree with it.
     Raises BrokenError."""
     if found["sources"] is None:
-        check(found, {"seed": whole(0, MOST_SEED), "differ": _ABSENT}, "")
+        check(found, {"seed": whole(0, MOST_SEED), "differ": _ALONE}, "")
         return ()
     sources, every = [], []
     for n, entry in enumerate(found["sources"]):
