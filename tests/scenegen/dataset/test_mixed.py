@@ -69,7 +69,6 @@ kind = "clutter"
 weight = 2
 [component.lidar]
 sensor = "velodyne-vlp-16"
-columns = 90
 [component.mapping]
 scans = 2
 [[component]]
