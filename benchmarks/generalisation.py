@@ -2,20 +2,26 @@
 
     python benchmarks/generalisation.py --data /tmp/g           # docs/results/generalisation.*
     python benchmarks/generalisation.py --data /tmp/g --held rooms --held cave
+    python benchmarks/generalisation.py --data /tmp/g --real MAPS
 
 A network is trained on maps of all kinds but one, drawn anew, and measured on test maps of every
 kind. Two runs of this script may share `--data`, each with kinds of its own: runs of training go on
-where they were, and a row that was measured stays. Without learning, `extrude` stands beside them;
-so does the bundled `columns`, which has seen `pillar` and `geometric` alone.
+where they were, and what was measured stays: `--real` adds the maps of real places that
+`benchmarks/real.py` takes, scored over known voxels, to the rows that are there. Without learning,
+`extrude` stands beside them; so does the bundled `columns`, which has seen `pillar` and `geometric`
+alone.
 """
 
 import json
 import tempfile
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import measuring
+import numpy as np
+from real import real_places
 
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
@@ -55,12 +61,14 @@ def main() -> None:
     parser.add_argument("--tests", type=int, default=100, help="test maps of every kind")
     parser.add_argument("--trials", type=int, default=400, help="planning trials of every kind")
     parser.add_argument("--data", type=Path, help="folder of datasets and runs")
+    parser.add_argument("--real", type=Path, help="folder of maps of real places")
     parser.add_argument("--out", type=Path, default=RESULTS)
     given = measuring.parse(parser, maps=8, tests=5, trials=5, held=["maze"])
     with tempfile.TemporaryDirectory() as spare:
         folder = given.data or Path(spare)
         kinds = ("maze", "pillar") if given.smoke else kind_names()
         tests = {kind: drawn(kind, folder / kind, given.tests) for kind in kinds}
+        tests |= real_places(given.real, folder, given.tests)
         # the paper's planner steps through walls that are thinner than its lattice
         config = BenchConfig(trials=given.trials, plan=PlanConfig(edge_check=True))
         there = rows_of(given.out, given)
@@ -69,13 +77,18 @@ def main() -> None:
             ("extrude", Completed(Extrude())),
             (BUNDLED, Completer.from_pretrained(BUNDLED, threads=1)),
         ):
-            if name not in there:
-                put(given.out, given, name, measured(method, tests, config))
+            if left := missing(there, name, tests):
+                put(given.out, given, name, measured(method, left, config))
         for held in given.held or kinds:
-            if (row := f"without {held}") not in there:
+            if left := missing(there, row := f"without {held}", tests):
                 run = train(folder / row.replace(" ", "-"), [k for k in kinds if k != held], given)
                 network = Completer.from_pretrained(run, threads=1)
-                put(given.out, given, row, measured(network, tests, config))
+                put(given.out, given, row, measured(network, left, config))
+
+
+def missing(there: dict[str, Any], row: str, tests: dict[str, Dataset]) -> dict[str, Dataset]:
+    """The datasets on which a row was not measured yet."""
+    return {kind: dataset for kind, dataset in tests.items() if kind not in there.get(row, ())}
 
 
 def drawn(kind: str, folder: Path, maps: int) -> Dataset:
@@ -98,14 +111,19 @@ def measured(method: Method, tests: dict[str, Dataset], config: BenchConfig) -> 
     """What a method reaches on every kind, with intervals over worlds."""
     found = {}
     for kind, dataset in tests.items():
-        result = bench(dataset, [method], config)
+        split: Any = "test" if len(dataset.split("test")) else "train"  # a map's own is all train
+        result = bench(dataset, [method], replace(config, split=split))
         own = result.methods[method.name]
+        worlds, trial_worlds = result.worlds, result.trial_worlds
+        if len(set(worlds.tolist())) == 1:  # one world a place: maps are what is drawn anew
+            worlds = np.arange(len(worlds))
+            trial_worlds = np.array([map_ for map_, _ in result.trial_places])
         found[kind] = {
-            name: figure(own.reconstruction[:, 0, place], result.worlds, METRICS[name].scale)
+            name: figure(own.reconstruction[:, 0, place], worlds, METRICS[name].scale)
             for name, place in PLACES.items()
         }
         success = [trial.success for trial in own.trials]
-        found[kind]["success"] = figure(success, result.trial_worlds, "outcome")
+        found[kind]["success"] = figure(success, trial_worlds, "outcome")
     return found
 
 
@@ -123,9 +141,8 @@ def put(out: Path, given: Any, row: str, found: dict[str, Any]) -> None:
     file, page = out / "generalisation.json", out / "generalisation.md"
     report = {"commit": commit(), **{name: getattr(given, name) for name in LENGTHS}}
     report["rows"] = rows_of(out, given)
-    report["rows"][row] = json.loads(
-        json.dumps(found), parse_float=lambda digits: round(float(digits), 4)
-    )
+    more = json.loads(json.dumps(found), parse_float=lambda digits: round(float(digits), 4))
+    report["rows"][row] = report["rows"].get(row, {}) | more
     file.write_text(json.dumps(report, separators=(",", ":")) + "\n")
     said = page.read_text().partition("<!-- tables -->")[0] if page.exists() else "# \n\n"
     page.write_text(f"{said}<!-- tables -->\n" + "\n".join(tables(report["rows"])) + "\n")
@@ -137,11 +154,11 @@ def tables(rows: dict[str, Any]) -> list[str]:
     lines = []
     for name, title in TITLES.items():
         lines += ["", f"## {title}", "", *head(("seen in training", "held out", "extrude; truth"))]
-        for kind in next(iter(rows.values())):
+        for kind in dict.fromkeys(kind for row in rows.values() for kind in row):
             saw = [
                 rows[row][kind][name]["mean"]
                 for row in rows
-                if row.startswith("without ") and row != f"without {kind}"
+                if row.startswith("without ") and row != f"without {kind}" and kind in rows[row]
             ]
             mean = f"{sum(saw) / len(saw):.3f} (of {len(saw)})" if saw else "–"
             held, extrude, truth = (

@@ -103,14 +103,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as spare:
         folder = given.data or Path(spare)
         places = {f"`{kind}`": drawn(kind, folder / kind, given.poses) for kind in KINDS}
-        for name, place in PLACES.items() if given.maps else ():
-            file = next(given.maps.rglob(name), None)
-            if file is None:
-                print(f"{name}: is not there; it comes from {place.source}", file=sys.stderr)
-            elif hashlib.sha256(file.read_bytes()).hexdigest() != place.sha256:
-                sys.exit(f"{file}: is another map than was measured; it comes from {place.source}")
-            else:
-                places[file.stem] = real(file, folder / file.stem, given.poses)
+        places |= real_places(given.maps, folder, given.poses)
         networks = [Completer.from_pretrained(one, threads=1) for one in given.network or NETWORKS]
         pictures = folder if given.smoke else PICTURES
         pictures.mkdir(exist_ok=True)
@@ -124,6 +117,20 @@ def main() -> None:
 def drawn(kind: str, folder: Path, poses: int) -> Dataset:
     """Test maps of a kind of worlds, one a flight."""
     return made(folder, preset(kind), DrawnWorlds(preset(kind)), "test", poses)
+
+
+def real_places(maps: Path | None, folder: Path, poses: int) -> dict[str, Dataset]:
+    """A dataset of each of `PLACES` whose map lies in the folder `maps`, by its name."""
+    found = {}
+    for name, place in PLACES.items() if maps else ():
+        file = next(maps.rglob(name), None)
+        if file is None:
+            print(f"{name}: is not there; it comes from {place.source}", file=sys.stderr)
+        elif hashlib.sha256(file.read_bytes()).hexdigest() != place.sha256:
+            sys.exit(f"{file}: is another map than was measured; it comes from {place.source}")
+        else:
+            found[file.stem] = real(file, folder / file.stem, poses)
+    return found
 
 
 def real(file: Path, folder: Path, poses: int) -> Dataset:

@@ -21,7 +21,7 @@ from scenegen.dataset.layout import DIGEST, Layout, ShardFile, check_sum, open_f
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.shard import ShardReport, ShardTask, put, read_report
 from scenegen.dataset.state import Plan
-from scenegen.dataset.trust import ALIKE, MAY_DIFFER, Entry, GatheredEntry, Manifest, differing
+from scenegen.dataset.trust import Entry, GatheredEntry, Manifest
 from scenegen.draw import Rejections
 from scenegen.errors import BrokenError, DatasetError, short
 from scenegen.files import real_path, write_whole
@@ -221,10 +221,10 @@ def unlike(first: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[str, str
     """The first parameter in which two datasets differ that cannot be in one: its name, and its
     values, for people; None where there is none."""
     ours, theirs = manifest.completed(first), manifest.completed(other)
-    for name in (name for name in ALIKE if name not in MAY_DIFFER):
-        one, two = ours.get(name), theirs.get(name)
-        if one == two:
+    for name in manifest.differing(ours, [theirs]):
+        if name in manifest.MAY_DIFFER:
             continue
+        one, two = ours.get(name), theirs.get(name)
         if isinstance(one, dict) and isinstance(two, dict):
             part = next(key for key in (*one, *two) if one.get(key) != two.get(key))
             name, one, two = f"{name}.{part}", one.get(part), two.get(part)
@@ -320,12 +320,12 @@ def gathered(
     taken."""
     each = [manifest.completed(parameters) for parameters, _, _ in sources]
     first = each[0]
-    given = {name: first[name] for name in ALIKE if name in first}
+    given = {name: first[name] for name in manifest.ALIKE if name in first}
     for name, instead in EMPTY.items():
         given[name] = first[name] if all(one[name] == first[name] for one in each) else instead
     if all(one.get("rescan") == first.get("rescan") is not None for one in each):
         given["rescan"] = first["rescan"]
-    if differ := differing(first, each):
+    if differ := manifest.differing(first, each):
         given["differ"] = differ
     given |= {"counts": dict(counts), "shard_samples": shard_samples}
     given["sources"] = [

@@ -5,13 +5,13 @@ import hashlib
 import json
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lidarsim.engines import DEFAULT, MUJOCO
 from scenegen import GENERATOR, SPLITS, __version__
-from scenegen.dataset.parts import PARTS, entries, plain, schema_of
+from scenegen.dataset.parts import NAMES, PARTS, entries, plain, schema_of
 from scenegen.errors import MOST_TOLD, DatasetError, StoreError, printable, short
 from scenegen.files import read_bounded, write_whole
 from scenegen.limits import MOST_DEPTH, MOST_MANIFEST_BYTES
@@ -38,6 +38,11 @@ LAST_NUMBER = (1, 4)
 """Versions up to this one stand in the file as numbers, later ones as text: 1.10 is no 1.1."""
 OF_SHARDS = ("complete", "shards", "rejected", "digest")
 """What a manifest says besides the dataset's parameters."""
+ALIKE = ("format", "generator", "fields", *NAMES)
+"""Parameters in which all datasets agree whose samples are in one, but for those that `differ`
+names."""
+MAY_DIFFER = ("fields", "lidar", "noise", "mapping")
+"""Those that it may name."""
 SEVERAL = "several"
 """What a manifest says for a text in which the datasets differ that its samples were made for."""
 
@@ -118,6 +123,11 @@ def completed(document: Mapping[str, Any]) -> dict[str, Any]:
 def fingerprint(given: Mapping[str, Any]) -> str:
     """A digest of `parameters`, the same for the same dataset."""
     return hashlib.sha256(json.dumps(given, sort_keys=True).encode()).hexdigest()
+
+
+def differing(given: Mapping[str, Any], others: Iterable[Mapping[str, Any]]) -> list[str]:
+    """Those of `ALIKE` in which `others` are not as the parameters `given`."""
+    return [name for name in ALIKE if any(one.get(name) != given.get(name) for one in others)]
 
 
 def differences(there: Mapping[str, Any], asked: Mapping[str, Any], prefix: str = "") -> list[str]:

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -60,13 +60,9 @@ if TYPE_CHECKING:  # which imports what draws worlds
 MINOR = tuple(name for name, since in manifest.SINCE.items() if since != "1")
 """Entries that raise a manifest's version."""
 _COUNT = whole(0, MOST_SAMPLES)
-_ABSENT = Rule(lambda value: value is None, "none")
+_ABSENT = Rule(lambda value: value is None, "none: datasets are gathered once")
+_ALONE = Rule(lambda value: value is None, "none without sources")
 _SOURCE = {"digest": optional(DIGEST), "parameters": TABLE, "taken": LIST}
-ALIKE = ("format", "generator", "fields", *NAMES)
-"""Parameters in which all datasets agree whose samples are in one, but for those that `differ`
-names."""
-MAY_DIFFER = ("fields", "lidar", "noise", "mapping")
-"""Those that it may name."""
 _RECIPE: dict[str, Any] = {"version": 0, "world": None, "flight": {}, "accept": {}, "scenes": None}
 
 
@@ -342,7 +338,7 @@ def _sources(found: Mapping[str, Any], folder: Path) -> tuple[Manifest, ...]:
     """The datasets that the samples of a manifest, `found`, were made for, which agree with it.
     Raises BrokenError."""
     if found["sources"] is None:
-        check(found, {"seed": whole(0, MOST_SEED), "differ": _ABSENT}, "")
+        check(found, {"seed": whole(0, MOST_SEED), "differ": _ALONE}, "")
         return ()
     sources, every = [], []
     for n, entry in enumerate(found["sources"]):
@@ -351,8 +347,8 @@ def _sources(found: Mapping[str, Any], folder: Path) -> tuple[Manifest, ...]:
         given = {"generator": 1, "engine": MUJOCO, **dict.fromkeys(MINOR)} | entry["parameters"]
         check(given, {"sources": _ABSENT}, f"{at}.parameters")
         every.append(given)
-        for name in differing(found, [given]):
-            if name not in MAY_DIFFER:
+        for name in manifest.differing(found, [given]):
+            if name not in manifest.MAY_DIFFER:
                 raise BrokenError(f"{at}.parameters.{name}: expected what the manifest itself says")
         whole_of = {"complete": True, "shards": [], "rejected": {"worlds": {}, "viewpoints": {}}}
         try:
@@ -361,16 +357,10 @@ def _sources(found: Mapping[str, Any], folder: Path) -> tuple[Manifest, ...]:
         except (BrokenError, KeyError) as error:
             raise BrokenError(f"{at}.parameters: {printable(error)}") from None
         sources.append(source)
-    if (differ := differing(found, every) or None) != found["differ"]:
+    if (differ := manifest.differing(found, every) or None) != found["differ"]:
         raise BrokenError(f"differ = {short(found['differ'])}: expected {differ}, as sources say")
     rays = rays_named(found)
     return tuple(dataclasses.replace(source, rays=rays) for source in sources)
-
-
-def differing(parameters: Mapping[str, Any], others: Iterable[Mapping[str, Any]]) -> list[str]:
-    """Those parameters that datasets share whose samples are in one, but in which `others` differ
-    from these."""
-    return [name for name in ALIKE if any(one.get(name) != parameters.get(name) for one in others)]
 
 
 def _check_place(entry: Entry, sources: Sequence[Manifest], at: str) -> None:

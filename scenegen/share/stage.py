@@ -107,7 +107,7 @@ def examine(request: Request) -> Dataset:
     if any(one["digest"] or one["taken"] != [""] for one in sources):
         raise PublishError(
             f"{request.dataset}: was taken or merged of other datasets, and no one command makes "
-            "it again; publish those"
+            "it again; publish a dataset of each"
         )
     files = len(dataset.manifest.files) + _BESIDES
     if files > MOST_FILES:

@@ -5,16 +5,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import scenegen
+from lidarsim import fuse
 from scenegen.dataset import manifest
 from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.choose import Choice
+from scenegen.dataset.gather import plan_merge, plan_take
 from scenegen.dataset.generation import plan_generation, read_components
+from scenegen.dataset.parts import write_rays
 from scenegen.dataset.read import Dataset
 from scenegen.errors import RecipeError
+from scenegen.model.training.data import Maps, SplitSamples
 from scenegen.recipes import kind_names
+from scenegen.sample import Sample
 from scenegen.share.regenerate import recipe_text
+from scenegen.share.stage import Request, stage
 from scenegen.source import DrawnWorlds
+from scenegen.worlds.mapping import Mapper
 from tests.command_line import run
 
 RECIPE = """
@@ -40,6 +49,35 @@ kind = "maze"
 weight = 1
 """
 COUNTS = {"n": 20, "val": 5, "test": 5, "seed": 4}
+DIFFERENT = """
+kind = "mixed"
+[grid]
+shape = [24, 24, 16]
+[flight]
+viewpoints = 2
+[accept]
+min_solids = 0
+min_occupied_share = 0
+min_returned_share = 0
+[[component]]
+kind = "pillar"
+weight = 3
+[component.noise]
+stages = "dropout:0.5"
+[[component]]
+kind = "clutter"
+weight = 2
+[component.lidar]
+sensor = "velodyne-vlp-16"
+[component.mapping]
+scans = 2
+[[component]]
+kind = "maze"
+weight = 1
+[component.lidar]
+sensor = "livox-mid-360"
+"""
+"""Components that differ in sensor, noise and scans."""
 
 
 @pytest.fixture(scope="module")
@@ -108,15 +146,72 @@ def test_it_is_verified_inspected_measured_and_gathered(
     assert kinds(Dataset(tmp_path / "two"), "train") == ["clutter"] * 4 + ["maze"] * 4
     code, _, said = run(capsys, "take", folder, "--kind", "cave", "-o", str(tmp_path / "no"))
     assert (code, "no sample is as asked for (--kind cave)" in said) == (1, True), said
-    code, _, said = run(capsys, "publish", folder, "--repo", "ada/mixed", "--dry-run")
-    assert (code, "mixture of several kinds" in said) == (1, True), said
 
 
-def test_the_recipe_that_a_dry_run_shows_plans_the_same(mixed: Dataset, tmp_path: Path) -> None:
-    text = recipe_text(mixed.manifest.parameters, "again")
-    (tmp_path / "again.toml").write_text(text)
-    plan = plan_generation(recipe=tmp_path / "again.toml", out="x", shard_samples=4, **COUNTS)
-    assert plan.parameters == mixed.manifest.parameters
+@pytest.mark.parametrize("n", [20, 23, 2500])
+@pytest.mark.parametrize("weights", [(3, 1, 1), (1, 1, 1), (0.5, 7, 2.25)])
+def test_the_recipe_that_a_manifest_spells_out_plans_the_same(
+    tmp_path: Path, weights: tuple[float, ...], n: int
+) -> None:
+    text = DIFFERENT
+    for old, new in zip(("weight = 3", "weight = 2", "weight = 1"), weights, strict=True):
+        text = text.replace(old, f"weight = {new}")
+    (tmp_path / "r.toml").write_text(text)
+    asked = {"n": n, "seed": 4, "out": "x", "shard_samples": 400}
+    plan = plan_generation(recipe=tmp_path / "r.toml", **asked)
+    (tmp_path / "again.toml").write_text(recipe_text(plan.parameters, "again"))
+    write_rays(plan.lidars, tmp_path)
+    again = plan_generation(recipe=tmp_path / "again.toml", **asked)
+    assert again.parameters == plan.parameters
+
+
+def test_one_dataset_holds_several_sensors_noises_and_scan_counts(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "r.toml").write_text(DIFFERENT)
+    for name in ("a", "b"):
+        scenegen.generate(recipe=tmp_path / "r.toml", out=tmp_path / name, workers=1, **COUNTS)
+    found = Dataset(tmp_path / "a", checked=True)
+    assert manifest.read(tmp_path / "a") == manifest.read(tmp_path / "b")
+    assert found.manifest.parameters["version"] == "1.6"
+    assert sorted(found.manifest.parameters["differ"]) == ["fields", "lidar", "mapping", "noise"]
+    tables = {path.name for path in tmp_path.glob("a/rays*.npy")}
+    assert len(tables) == 2
+    assert tables < found.manifest.files.keys()
+    samples = found.split("train")
+    for n, sample in enumerate(samples):
+        home = samples.home(n)
+        assert sample.lidar == home.lidar
+        assert sample.ranges.shape == home.lidar.shape
+        assert (sample.earlier_ranges is not None) == (home.mapping.scans == 2)
+        clean = voxelized(sample, home.mapping)
+        assert np.array_equal(sample.free, clean)
+    maps = Maps([SplitSamples(found, "train")], "train", ("observed", "occluded"))
+    assert {len(maps[n]) for n in range(len(maps))} == {3}
+    assert len(set(maps.settings)) == 3
+    code, said, _ = run(capsys, "verify", str(found.folder))
+    assert (code, "failed" in said) == (0, False), said
+    code, said, _ = run(capsys, "inspect", str(found.folder))
+    assert (code, "velodyne-vlp-16" in said, "dropout" in said) == (0, True, True), said
+    request = Request(dataset=found.folder, repository="ada/mixed", out=tmp_path / "p")
+    stage(request, checks=(("splits", "apart"),))
+    assert (tmp_path / "p" / "recipe.toml").exists()
+    build(plan_take(found, tmp_path / "maze", Choice(kinds=("maze",))))
+    few = Dataset(tmp_path / "maze")
+    assert few.manifest.parameters.get("differ") is None
+    assert [path.name for path in few.folder.glob("rays*.npy")] == ["rays.npy"]
+    assert {one.lidar for one in few.split("train")} == {few.lidar}
+    build(plan_take(found, tmp_path / "rest", Choice(kinds=("pillar", "clutter"))))
+    plan = plan_merge([Dataset(tmp_path / "rest"), few], tmp_path / "again")
+    build(plan)
+    assert {one.sha256() for one in Dataset(plan.folder).split("val")} == {
+        one.sha256() for one in found.split("val")
+    }
+
+
+def voxelized(sample: Sample, mapping: Mapper) -> NDArray[np.bool_]:
+    assert sample.grid is not None
+    return fuse(sample.scans()[::-1], sample.grid, sample.origin, mapping).free
 
 
 def test_without_components_every_kind_has_the_same_weight() -> None:
@@ -146,7 +241,7 @@ def test_without_components_every_kind_has_the_same_weight() -> None:
             f"[domain.flight]\nviewpoints = {list(range(1, 1200))}\n[component.world]",
             "combinations",
         ),
-        ("[component.world]", "[component.lidar]\nrows = 4\n[component.world]", "lidar.rows"),
+        ("[component.world]", "[component.grid]\nvoxel_m = 1\n[component.world]", "grid.voxel"),
     ],
 )
 def test_a_bad_mixture_ends_in_one_line(tmp_path: Path, old: str, new: str, told: str) -> None:

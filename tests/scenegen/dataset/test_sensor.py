@@ -160,7 +160,7 @@ def test_a_strangers_word_on_a_table_is_not_trusted(
     tmp_path: Path, change: dict[str, Any], told: str
 ) -> None:
     table = BeamTable(rays=UNIT)
-    write_rays(table, tmp_path)
+    write_rays([table], tmp_path)
     assert sensor_of(sensor_entry(table), tmp_path) == table
     with pytest.raises(BrokenError) as caught:
         sensor_of(read_sensor(sensor_entry(table) | change, {}), tmp_path)
