@@ -70,29 +70,24 @@ class Samples(Protocol):
 class SplitSamples:
     """The samples of a dataset's split. Files are opened in the process that reads them."""
 
-    def __init__(self, dataset: SampleDataset, split: str, share: float = 1.0, weight: Any = None):
+    def __init__(self, dataset: SampleDataset, split: str, weight: Any = None):
         self.weight = weight
         self.grid, self.lidar, self.name = dataset.grid, dataset.lidar, str(dataset.folder)
         self.kind, self.digest = dataset.manifest.kind, str(dataset.manifest.digest)
         self.settings = dataset.settings
         self.known = dataset.manifest.known
         self._split = dataset.split(split)
-        self._count = len(self._split)
-        if share < 1:
-            self._count = max(round(share * self._count), 1)
-            self.digest += f", the first {self._count}"
 
     def __len__(self) -> int:
-        return self._count
+        return len(self._split)
 
     def __getitem__(self, index: int) -> Sample:
         return self._split[index]
 
 
-def opened(folders: Any, split: str, share: float = 1.0) -> list[Samples]:
-    """The samples of one split of every dataset in `folders`, or the first `share` of them. Raises
-    DatasetError for a folder that holds none, and where a merged or taken dataset has samples of
-    another one.
+def opened(folders: Any, split: str) -> list[Samples]:
+    """The samples of one split of every dataset in `folders`. Raises DatasetError for a folder that
+    holds none, and where a merged or taken dataset has samples of another one.
 
     `folders` is a list of them, or of pairs (folder, weight), or a mapping to weights, as a
     stream's parts are. Weights are numbers above 0, in proportion to which samples come in
@@ -105,7 +100,7 @@ def opened(folders: Any, split: str, share: float = 1.0) -> list[Samples]:
     if len(datasets) > 1 and any("sources" in dataset.manifest.parameters for dataset in datasets):
         check_disjoint(datasets)  # what was merged or taken may hold samples of the others
     return [
-        SplitSamples(dataset, split, share, weight)
+        SplitSamples(dataset, split, weight)
         for dataset, (_, weight) in zip(datasets, parts, strict=True)
     ]
 

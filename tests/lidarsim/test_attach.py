@@ -61,9 +61,7 @@ def by_mujoco(
     return tuple(each.reshape(*LIDAR.shape, *each.shape[1:]) for each in (ranges, geoms, normals))
 
 
-def test_a_falling_robot_sees_what_mj_multi_ray_sees_of_the_same_data(
-    model: mujoco.MjModel,
-) -> None:
+def test_a_falling_robot_sees_what_mj_multi_ray_sees_of_the_same_data(model):
     data, offset = mujoco.MjData(model), Pose.level((0.1, 0.05, 0.15), 0.4)
     mounted = attach(model, "robot", LIDAR, offset=offset)
     body, heights, met = model.body("robot").id, [], set[int]()
@@ -89,7 +87,7 @@ def test_a_falling_robot_sees_what_mj_multi_ray_sees_of_the_same_data(
     assert met >= set(range(model.ngeom)) - {model.geom("hull").id}
 
 
-def test_sensors_on_several_bodies_give_what_each_gives_alone(model: mujoco.MjModel) -> None:
+def test_sensors_on_several_bodies_give_what_each_gives_alone(model):
     data, names = mujoco.MjData(model), ["robot", "ball", "drum"]
     offsets = [Pose.level((0, 0, 0.1 * n), 0.5 * n) for n in range(3)]
     together = attach(model, names, LIDAR, offset=offsets)
@@ -109,9 +107,7 @@ def test_sensors_on_several_bodies_give_what_each_gives_alone(model: mujoco.MjMo
 @pytest.mark.parametrize(
     ("unseen", "missing"), [("nothing", set()), ("body", {"hull"}), ("tree", {"hull", "arm"})]
 )
-def test_a_sensor_sees_of_its_carrier_what_it_is_to_see(
-    model: mujoco.MjModel, unseen: str, missing: set[str]
-) -> None:
+def test_a_sensor_sees_of_its_carrier_what_it_is_to_see(model, unseen, missing):
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     offset = Pose.level((0.0, 0.0, 0.3))
@@ -120,9 +116,7 @@ def test_a_sensor_sees_of_its_carrier_what_it_is_to_see(
     assert own == {"hull", "arm"} - missing
 
 
-def test_a_world_that_moved_is_refitted_to_what_an_engine_made_anew_would_see(
-    model: mujoco.MjModel,
-) -> None:
+def test_a_world_that_moved_is_refitted_to_what_an_engine_made_anew_would_see(model):
     data = mujoco.MjData(model)
     mounted, rng = (
         attach(model, "robot", LIDAR, unseen="nothing", offset=Pose.level((0, 0, 1.0))),
@@ -139,7 +133,7 @@ def test_a_world_that_moved_is_refitted_to_what_an_engine_made_anew_would_see(
         np.testing.assert_array_equal(mounted.cast(data)[0], anew)
 
 
-def test_what_cannot_be_attached_is_told_in_one_line(model: mujoco.MjModel) -> None:
+def test_what_cannot_be_attached_is_told_in_one_line(model):
     data = mujoco.MjData(model)
     with pytest.raises(ValueError, match="no body 'robto'; did you mean 'robot'"):
         attach(model, "robto")
@@ -158,9 +152,7 @@ def test_what_cannot_be_attached_is_told_in_one_line(model: mujoco.MjModel) -> N
 
 
 @pytest.mark.parametrize("unseen", ["nothing", "tree"])
-def test_noise_sees_what_the_sensor_does_and_passes_the_carrier_as_its_rays_do(
-    model: mujoco.MjModel, unseen: Any
-) -> None:
+def test_noise_sees_what_the_sensor_does_and_passes_the_carrier_as_its_rays_do(model, unseen):
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     mounted = attach(
@@ -192,7 +184,7 @@ def test_noise_sees_what_the_sensor_does_and_passes_the_carrier_as_its_rays_do(
     assert (np.isfinite(first.ranges[0]) != np.isfinite(second.ranges[0]))[both].any()
 
 
-def test_the_documented_example_runs() -> None:
+def test_the_documented_example_runs():
     text = (Path(__file__).parents[2] / "docs" / "sensor.md").read_text(encoding="utf-8")
     (example,) = (
         block

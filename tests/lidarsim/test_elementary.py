@@ -55,18 +55,18 @@ def _digits():
         yield
 
 
-def test_sines_and_cosines_are_the_nearest_numbers() -> None:
+def test_sines_and_cosines_are_the_nearest_numbers():
     sines, cosines = sin_cos(ANGLES)
     assert off(sines, [sine(Decimal(float(x))) for x in ANGLES]) <= 0.5 + 1e-6
     assert off(cosines, [sine(PI / 2 - Decimal(float(x))) for x in ANGLES]) <= 0.5 + 1e-6
 
 
-def test_exponentials_and_logarithms_are_the_nearest_numbers() -> None:
+def test_exponentials_and_logarithms_are_the_nearest_numbers():
     assert off(exp(EXPONENTS), [Decimal(float(x)).exp() for x in EXPONENTS]) <= 0.5 + 1e-6
     assert off(log(NUMBERS), [Decimal(float(x)).ln() for x in NUMBERS]) <= 0.5 + 1e-6
 
 
-def test_exact_values_symmetries_and_limits() -> None:
+def test_exact_values_symmetries_and_limits():
     x = RNG.uniform(-50.0, 50.0, 1000)
     (s, c), (t, d) = sin_cos(x), sin_cos(-x)
     np.testing.assert_array_equal((s, c), (-t, d))
@@ -85,7 +85,7 @@ def test_exact_values_symmetries_and_limits() -> None:
     np.testing.assert_array_equal(sin_cos([np.inf, -np.inf, np.nan]), np.full((2, 3), np.nan))
 
 
-def test_any_shape_and_layout_is_taken() -> None:
+def test_any_shape_and_layout_is_taken():
     x = RNG.uniform(-5.0, 5.0, (3, 4, 5)).transpose(2, 0, 1)[::2]
     for found in (*sin_cos(x), exp(x)):
         assert found.shape == x.shape

@@ -40,7 +40,7 @@ RULES = [
 
 
 @pytest.mark.parametrize("rule", RULES)
-def test_both_rules_are_those_of_a_slow_reference(rule: Fusion) -> None:
+def test_both_rules_are_those_of_a_slow_reference(rule):
     odds = {name: math.log(p / (1 - p)) for name, p in vars(rule).items() if name != "fusion"}
     both = 0
     for seed in range(6):
@@ -71,7 +71,7 @@ def test_both_rules_are_those_of_a_slow_reference(rule: Fusion) -> None:
     )
 
 
-def test_by_visibility_the_order_says_nothing_and_more_scans_only_add() -> None:
+def test_by_visibility_the_order_says_nothing_and_more_scans_only_add():
     scans = random_scans(2, 5)
     whole = fuse(scans, GRID, ORIGIN)
     for order in ((4, 3, 2, 1, 0), (2, 0, 4, 1, 3)):
@@ -83,7 +83,7 @@ def test_by_visibility_the_order_says_nothing_and_more_scans_only_add() -> None:
         assert less.observed.sum() < more.observed.sum()
 
 
-def test_only_what_returned_something_is_observed_whatever_the_parameters() -> None:
+def test_only_what_returned_something_is_observed_whatever_the_parameters():
     rng, differing = np.random.default_rng(3), 0
     for seed in range(40):
         scans = random_scans(seed, 5)
@@ -117,6 +117,6 @@ def test_only_what_returned_something_is_observed_whatever_the_parameters() -> N
         ({"occupied": 0.98}, "occupied = 0.98: expected at most `most`, 0.971"),
     ],
 )
-def test_bad_values_are_named(values: dict, named: str) -> None:
+def test_bad_values_are_named(values, named):
     with pytest.raises(ValueError, match="^" + named.replace("(", r"\(")):
         Fusion(**values)

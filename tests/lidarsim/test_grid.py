@@ -18,7 +18,7 @@ ORIGINS = [np.zeros(3), np.array([-7.3, 2.9, 0.05]), np.array([1e3, -1e3, 12.34]
 
 @pytest.mark.parametrize("grid", GRIDS)
 @pytest.mark.parametrize("origin", ORIGINS)
-def test_the_index_of_a_centre_is_its_voxel(grid: GridSpec, origin: np.ndarray) -> None:
+def test_the_index_of_a_centre_is_its_voxel(grid, origin):
     centres = grid.centres(origin)
     assert centres.shape == (*grid.shape, 3)
     np.testing.assert_array_equal(
@@ -26,7 +26,7 @@ def test_the_index_of_a_centre_is_its_voxel(grid: GridSpec, origin: np.ndarray) 
     )
 
 
-def test_a_face_belongs_to_the_voxel_above_it() -> None:
+def test_a_face_belongs_to_the_voxel_above_it():
     """With an edge and an origin that float64 holds exactly, so that points lie right on faces."""
     grid, origin = GridSpec(shape=(4, 4, 4), voxel_m=0.25), np.array([-1.5, 0.75, 8.0])
     for corner in itertools.product(range(-2, 6), repeat=3):
@@ -37,9 +37,7 @@ def test_a_face_belongs_to_the_voxel_above_it() -> None:
 
 
 @pytest.mark.parametrize("grid", GRIDS)
-def test_the_extent_is_the_shape_in_metres_and_the_grid_lies_around_its_position(
-    grid: GridSpec,
-) -> None:
+def test_the_extent_is_the_shape_in_metres_and_the_grid_lies_around_its_position(grid):
     np.testing.assert_array_equal(grid.extent_m, [n * grid.voxel_m for n in grid.shape])
     for position in ORIGINS:
         origin = grid.origin_at(position)
@@ -52,7 +50,7 @@ def test_the_extent_is_the_shape_in_metres_and_the_grid_lies_around_its_position
     assert grid.origin_at((0, 0, 0)).dtype == np.float64
 
 
-def test_the_default_grid_is_the_papers() -> None:
+def test_the_default_grid_is_the_papers():
     np.testing.assert_allclose(GridSpec().extent_m, [16.0, 16.0, 8.0], rtol=1e-12)
     np.testing.assert_allclose(GridSpec().origin_at([10, 20, 5]), [2.0, 12.0, 1.0], rtol=1e-12)
 
@@ -70,6 +68,6 @@ def test_the_default_grid_is_the_papers() -> None:
         ("truncation_m", float("nan")),
     ],
 )
-def test_bad_values_are_named(name: str, value: object) -> None:
+def test_bad_values_are_named(name, value):
     with pytest.raises(ValueError, match=name):
         GridSpec(**{name: value})

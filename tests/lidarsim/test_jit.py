@@ -40,7 +40,7 @@ PLAIN = '"""No kernels here."""\nWORDS = ("one",)\n'
 
 
 @pytest.fixture
-def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def package(tmp_path, monkeypatch) -> Iterator[Path]:
     """A package with a kernel that calls one in another file, a cache of its own, and nothing left
     of it afterwards."""
     folder = tmp_path / "kernelled"
@@ -75,7 +75,7 @@ def folder_now() -> Path:
     return cache_folder("kernelled")
 
 
-def test_the_folder_changes_with_files_that_hold_kernels_and_with_no_others(package: Path) -> None:
+def test_the_folder_changes_with_files_that_hold_kernels_and_with_no_others(package):
     before = folder_now()
     assert before == folder_now()
     assert before.name.startswith("kernelled-")
@@ -97,9 +97,7 @@ def test_the_folder_changes_with_files_that_hold_kernels_and_with_no_others(pack
     assert folder_now() == before
 
 
-def test_the_folder_follows_lidarsims_kernels_too(
-    package: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_folder_follows_lidarsims_kernels_too(package, monkeypatch):
     """Those of any package may call them."""
     copy = shutil.copytree(Path(jit.__file__).parent, package.parent / "lidarsim")
     monkeypatch.setattr(jit, "__file__", str(copy / "jit.py"))
@@ -112,13 +110,13 @@ def test_the_folder_follows_lidarsims_kernels_too(
     assert folder_now() != before
 
 
-def test_the_folder_follows_numba(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_folder_follows_numba(package, monkeypatch):
     before = folder_now()
     monkeypatch.setattr(numba, "__version__", "0.0")
     assert folder_now() != before
 
 
-def test_a_kernel_is_compiled_anew_when_one_that_it_calls_changes(package: Path) -> None:
+def test_a_kernel_is_compiled_anew_when_one_that_it_calls_changes(package):
     """Numba's own cache would go on with the old one: the calling file is the same, to its date."""
     values = np.arange(4.0)
     assert fresh("caller").summed(values) == 12.0
@@ -132,9 +130,7 @@ def test_a_kernel_is_compiled_anew_when_one_that_it_calls_changes(package: Path)
     assert fresh("caller").summed(values) == 30.0
 
 
-def test_the_cache_lies_where_the_environment_says(
-    package: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_cache_lies_where_the_environment_says(package, monkeypatch):
     at = package.parent
     places = {"SCENEGEN_CACHE": at / "own", "XDG_CACHE_HOME": at / "xdg"}
     for name, place in places.items():
@@ -151,9 +147,7 @@ def test_the_cache_lies_where_the_environment_says(
 
 @pytest.mark.parametrize("level", ["", "scenegen", "scenegen/kernels", "scenegen/kernels/{name}"])
 @pytest.mark.parametrize("what", ["open to others", "another user's", "a link"])
-def test_kernels_are_not_taken_from_where_others_may_write(
-    level: str, what: str, package: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_kernels_are_not_taken_from_where_others_may_write(level, what, package, monkeypatch):
     assert fresh("callee").scaled(6.0) == 12.0
     root = package.parent / "cache"
     place = root / level.format(name=folder_now().name)
@@ -180,7 +174,7 @@ def test_kernels_are_not_taken_from_where_others_may_write(
         assert sum(again.scaled.stats.cache_hits.values()) == 1
 
 
-def test_the_cache_is_made_for_its_user_alone(package: Path) -> None:
+def test_the_cache_is_made_for_its_user_alone(package):
     before = os.umask(0)
     try:
         assert fresh("callee").scaled(3.0) == 6.0
@@ -195,29 +189,27 @@ def test_the_cache_is_made_for_its_user_alone(package: Path) -> None:
     assert {level.stat().st_mode & 0o777 for level in levels} == {0o700}
 
 
-def test_a_root_that_all_may_write_to_but_nobody_may_move_in_serves(package: Path) -> None:
+def test_a_root_that_all_may_write_to_but_nobody_may_move_in_serves(package):
     (package.parent / "cache").mkdir()
     (package.parent / "cache").chmod(0o1777)  # like /tmp
     folder_now()
     assert jit.cache_trouble("kernelled") == ""
 
 
-def test_kernels_work_where_nothing_can_be_kept(
-    package: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_kernels_work_where_nothing_can_be_kept(package, monkeypatch):
     (package.parent / "file").write_text("in the way")
     monkeypatch.setenv("SCENEGEN_CACHE", str(package.parent / "file" / "cache"))
     assert fresh("callee").scaled(3.0) == 6.0
 
 
-def test_making_a_kernel_leaves_numbas_settings_alone(package: Path) -> None:
+def test_making_a_kernel_leaves_numbas_settings_alone(package):
     before = numba.config.CACHE_DIR
     fresh("callee")
     assert before == numba.config.CACHE_DIR
     assert str(os.environ["SCENEGEN_CACHE"]) not in str(before)
 
 
-def test_dividing_by_zero_in_a_kernel_is_numpys_infinity(package: Path) -> None:
+def test_dividing_by_zero_in_a_kernel_is_numpys_infinity(package):
     (package / "divided.py").write_text(
         "from lidarsim.jit import kernel\n\n@kernel\ndef inverse(x):\n    return 1.0 / x\n"
     )

@@ -63,7 +63,7 @@ TAKEN = [
 
 
 @pytest.mark.parametrize(("name", "value", "kept"), TAKEN)
-def test_what_fits_becomes_the_annotated_type(name: str, value: Any, kept: Any) -> None:
+def test_what_fits_becomes_the_annotated_type(name, value, kept):
     found = getattr(Sensor(**{name: value}), name)
     assert found == kept
     assert type(found) is type(kept)
@@ -121,14 +121,14 @@ REFUSED = [
     REFUSED,
     ids=lambda value: str(value)[:30] if value != HUGE else "huge",
 )
-def test_what_does_not_fit_is_named_with_its_bounds(name: str, value: Any, line: str) -> None:
+def test_what_does_not_fit_is_named_with_its_bounds(name, value, line):
     with pytest.raises(ValueError) as error:
         Sensor(**{name: value})
     assert str(error.value).startswith(line) or line in str(error.value)
     assert len(str(error.value)) < 200
 
 
-def test_a_value_is_shown_on_one_short_line() -> None:
+def test_a_value_is_shown_on_one_short_line():
     nested: list[Any] = []
     for _ in range(100_000):
         nested = [nested]
@@ -139,7 +139,7 @@ def test_a_value_is_shown_on_one_short_line() -> None:
         assert len(said) <= 60
 
 
-def test_annotations_that_only_a_type_checker_can_resolve_leave_the_bounds() -> None:
+def test_annotations_that_only_a_type_checker_can_resolve_leave_the_bounds():
     @dataclass(frozen=True)
     class Odd:
         thing: Unknown = None
@@ -152,7 +152,7 @@ def test_annotations_that_only_a_type_checker_can_resolve_leave_the_bounds() -> 
         check(Odd(rows="many"))  # type: ignore[arg-type]
 
 
-def test_fields_without_bounds_have_those_of_their_name() -> None:
+def test_fields_without_bounds_have_those_of_their_name():
     @dataclass(frozen=True)
     class Kind:
         share: Any = 0.5
@@ -170,7 +170,7 @@ def test_fields_without_bounds_have_those_of_their_name() -> None:
     ("value", "degrees"),
     [(6.283, 360), (6.28, 360), (math.pi / 2, 90), (-0.5236, -30), (0.785, 45)],
 )
-def test_angles_in_radians_are_told_from_degrees(value: float, degrees: int) -> None:
+def test_angles_in_radians_are_told_from_degrees(value, degrees):
     @dataclass(frozen=True, kw_only=True)
     class Held:
         tilt_deg: float = number(0.0, least=-90, most=360)

@@ -14,7 +14,7 @@ ENGINES = Registry(
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def here(tmp_path, monkeypatch) -> Iterator[Path]:
     """A user's folder, with modules of the user's own."""
     before = list(sys.path), set(sys.modules)
     monkeypatch.chdir(tmp_path)
@@ -24,13 +24,13 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         del sys.modules[name]
 
 
-def test_what_is_known_is_imported_by_its_name() -> None:
+def test_what_is_known_is_imported_by_its_name():
     from lidarsim.scan import cast
 
     assert ENGINES.find("plain") is cast
 
 
-def test_a_users_own_is_found_where_the_user_stands(here: Path) -> None:
+def test_a_users_own_is_found_where_the_user_stands(here):
     (here / "own_engines.py").write_text("def fast(): return 7")
     (here / "shed").mkdir()
     (here / "shed" / "engines.py").write_text("def slow(): return 8")
@@ -38,7 +38,7 @@ def test_a_users_own_is_found_where_the_user_stands(here: Path) -> None:
     assert ENGINES.find("shed.engines:slow")() == 8
 
 
-def test_no_file_of_the_users_takes_the_place_of_a_librarys(here: Path) -> None:
+def test_no_file_of_the_users_takes_the_place_of_a_librarys(here):
     (here / "own.py").write_text("import colorsys\ncalled = colorsys.rgb_to_hsv")
     (here / "colorsys.py").write_text("rgb_to_hsv = 'not this one'")
     sys.modules.pop("colorsys", None)
@@ -68,7 +68,7 @@ def test_no_file_of_the_users_takes_the_place_of_a_librarys(here: Path) -> None:
         ),
     ],
 )
-def test_what_is_missing_is_told_in_one_line(here: Path, name: str, told: str) -> None:
+def test_what_is_missing_is_told_in_one_line(here, name, told):
     (here / "own.py").write_text("here = 1\nclass Empty: pass")
     (here / "broken.py").write_text("\n1 / 0")
     (here / "needy.py").write_text("import not_installed_anywhere")
@@ -78,7 +78,7 @@ def test_what_is_missing_is_told_in_one_line(here: Path, name: str, told: str) -
     assert "\n" not in str(caught.value)
 
 
-def test_a_field_without_a_default_counts_as_there(here: Path) -> None:
+def test_a_field_without_a_default_counts_as_there(here):
     (here / "own.py").write_text(
         "from dataclasses import dataclass\n@dataclass\nclass Sensor:\n    shape: tuple\nclass "
         "Other: pass"

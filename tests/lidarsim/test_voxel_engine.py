@@ -28,7 +28,7 @@ def states_along(
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_rays_meet_what_points_along_them_do(seed: int) -> None:
+def test_rays_meet_what_points_along_them_do(seed):
     voxels, rng, far_m = a_map(seed), np.random.default_rng(seed), 4.0
     low, high = voxels.bounds
     starts = rng.uniform(low - 1, high + 1, (40, 3))
@@ -57,7 +57,7 @@ def test_rays_meet_what_points_along_them_do(seed: int) -> None:
     assert 0 < missed < len(starts)
 
 
-def test_a_ray_returns_from_the_middle_of_its_way() -> None:
+def test_a_ray_returns_from_the_middle_of_its_way():
     states = np.full((4, 1, 1), FREE, np.uint8)
     states[1], states[2] = UNKNOWN, OCCUPIED
     engine = VoxelEngine(VoxelMap(states, 0.5, np.zeros(3)))
@@ -73,7 +73,7 @@ def test_a_ray_returns_from_the_middle_of_its_way() -> None:
         assert [float(one[0, 0]) for one in found] == pytest.approx(expected), x
 
 
-def test_what_is_no_ray_meets_nothing() -> None:
+def test_what_is_no_ray_meets_nothing():
     engine = VoxelEngine(VoxelMap(np.full((2, 2, 2), OCCUPIED, np.uint8), 1.0, np.zeros(3)))
     inside, along = [[1.0, 1.0, 1.0]], [[[1.0, 0.0, 0.0]]]
     assert np.isfinite(engine.cast(inside, along, 5.0)).all()

@@ -95,7 +95,7 @@ def random_lidar_scan(rng: np.random.Generator, lidar: Lidar, position: object =
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_full_scans_on_the_default_grid_match_the_slab_test_of_every_voxel(seed: int) -> None:
+def test_full_scans_on_the_default_grid_match_the_slab_test_of_every_voxel(seed):
     rng = np.random.default_rng(seed)
     scan = random_lidar_scan(rng, Lidar(), position=(0.0, 0.0, 0.0) if seed == 0 else None)
     grid = GridSpec()
@@ -109,7 +109,7 @@ def test_full_scans_on_the_default_grid_match_the_slab_test_of_every_voxel(seed:
 
 @pytest.mark.parametrize("mount", ["tilt", "band"])
 @pytest.mark.parametrize("yaw_deg", [0.0, 45.0, 90.0, -90.0, 180.0, 30.0])
-def test_level_scans_whose_rays_run_along_grid_planes_match(yaw_deg: float, mount: str) -> None:
+def test_level_scans_whose_rays_run_along_grid_planes_match(yaw_deg, mount):
     """Here many rays have components of 0 or 1e-17 and run in or along the planes through the
     sensor."""
     rng = np.random.default_rng(7)
@@ -125,7 +125,7 @@ def test_level_scans_whose_rays_run_along_grid_planes_match(yaw_deg: float, moun
 
 
 @pytest.mark.parametrize("seed", range(150))
-def test_random_rays_on_small_grids_of_any_shape_match(seed: int) -> None:
+def test_random_rays_on_small_grids_of_any_shape_match(seed):
     rng = np.random.default_rng(seed)
     grid = GridSpec(
         shape=tuple(rng.integers(1, 12, 3)),
@@ -177,9 +177,7 @@ grids = st.sampled_from(
     position=(0.0, 0.0, 0.0),
     grid=GridSpec(shape=(8, 8, 8), voxel_m=0.25),
 )
-def test_special_rays_on_small_grids_match_rational_arithmetic(
-    rays: list, position: tuple, grid: GridSpec
-) -> None:
+def test_special_rays_on_small_grids_match_rational_arithmetic(rays, position, grid):
     """Parallel, all but parallel, diagonal, tiny and endless rays. The exact answer lies between
     the two float64 references, which are thereby checked too, and so must the answer under test."""
     scan = scan_of([d for d, _ in rays], [r for _, r in rays], position)
@@ -192,7 +190,7 @@ def test_special_rays_on_small_grids_match_rational_arithmetic(
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_random_rays_free_exactly_the_voxels_that_rational_arithmetic_finds(seed: int) -> None:
+def test_random_rays_free_exactly_the_voxels_that_rational_arithmetic_finds(seed):
     """No margin here: random rays do not come within 1e-9 m of an edge, so there is one answer."""
     rng = np.random.default_rng(100 + seed)
     grid = GridSpec(shape=(11, 9, 7))
@@ -222,7 +220,7 @@ def free_set(scan: Scan, grid: GridSpec) -> set[tuple[int, ...]]:
 
 
 @pytest.mark.parametrize("tiny", [0.0, -0.0])
-def test_a_ray_within_the_plane_between_voxels_belongs_to_the_upper_one(tiny: float) -> None:
+def test_a_ray_within_the_plane_between_voxels_belongs_to_the_upper_one(tiny):
     """On a grid exact in float64 the sensor's planes are no matter of rounding: voxels are
     half-open."""
     ahead = free_set(scan_of([[1.0, tiny, tiny]], np.inf), DYADIC)
@@ -236,7 +234,7 @@ def test_a_ray_within_the_plane_between_voxels_belongs_to_the_upper_one(tiny: fl
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_a_slanted_ray_within_a_plane_frees_upper_voxels_only(seed: int) -> None:
+def test_a_slanted_ray_within_a_plane_frees_upper_voxels_only(seed):
     rng = np.random.default_rng(seed)
     rays = rng.normal(size=(6, 3))
     rays[np.arange(6), rng.integers(0, 3, 6)] = rng.choice([0.0, -0.0], 6)
@@ -249,7 +247,7 @@ def test_a_slanted_ray_within_a_plane_frees_upper_voxels_only(seed: int) -> None
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_rays_through_edges_and_corners_of_voxels_match(seed: int) -> None:
+def test_rays_through_edges_and_corners_of_voxels_match(seed):
     """Every ray leaves the sensor for a lattice point of the grid: it meets edges and corners all
     the way."""
     rng = np.random.default_rng(seed)
@@ -264,7 +262,7 @@ def test_rays_through_edges_and_corners_of_voxels_match(seed: int) -> None:
 
 
 @pytest.mark.parametrize("axis", range(3))
-def test_returns_just_outside_the_map_are_dropped_and_just_inside_are_kept(axis: int) -> None:
+def test_returns_just_outside_the_map_are_dropped_and_just_inside_are_kept(axis):
     """Floor, not truncation: below the lower border is voxel -1, not 0. The upper border itself is
     out."""
     for sign, reach, expected in [
@@ -288,7 +286,7 @@ def test_returns_just_outside_the_map_are_dropped_and_just_inside_are_kept(axis:
 
 
 @pytest.mark.parametrize("reach", [0.0, 1e-45, 1e-30, 1e-12, 1e-7, 1e-3])
-def test_a_tiny_range_is_observed_at_the_sensor_and_frees_nothing_beyond(reach: float) -> None:
+def test_a_tiny_range_is_observed_at_the_sensor_and_frees_nothing_beyond(reach):
     """Along a ray into the upper voxels the return is in the sensor's own voxel, which is not free
     then."""
     for grid, index in ((DYADIC, (4, 4, 4)), (GridSpec(shape=(9, 9, 9)), (4, 4, 4))):
@@ -304,7 +302,7 @@ def test_a_tiny_range_is_observed_at_the_sensor_and_frees_nothing_beyond(reach: 
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_observed_is_the_floor_formula_even_for_points_on_grid_planes(seed: int) -> None:
+def test_observed_is_the_floor_formula_even_for_points_on_grid_planes(seed):
     """Returns at multiples of the voxel along axes and diagonals: the last bit decides, by the
     formula."""
     rng = np.random.default_rng(seed)
@@ -329,7 +327,7 @@ def test_observed_is_the_floor_formula_even_for_points_on_grid_planes(seed: int)
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_grids_placed_elsewhere_match_also_when_the_sensor_is_outside(seed: int) -> None:
+def test_grids_placed_elsewhere_match_also_when_the_sensor_is_outside(seed):
     """With `origin` given, rays may enter the map from outside, miss it, or start on its border."""
     rng = np.random.default_rng(seed)
     grid = GridSpec(shape=(7, 6, 5), voxel_m=0.25)
@@ -347,9 +345,7 @@ def test_grids_placed_elsewhere_match_also_when_the_sensor_is_outside(seed: int)
 
 
 @pytest.mark.parametrize("axis", range(3))
-def test_a_ray_within_the_maps_lower_border_is_inside_and_within_the_upper_one_outside(
-    axis: int,
-) -> None:
+def test_a_ray_within_the_maps_lower_border_is_inside_and_within_the_upper_one_outside(axis):
     """The map is half-open as its voxels are; the planes of this grid are exact in float64."""
     along = (axis + 1) % 3
     for shift, inside in ((1.0, True), (-1.0, False)):
@@ -372,7 +368,7 @@ def test_a_ray_within_the_maps_lower_border_is_inside_and_within_the_upper_one_o
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_quarter_turn_of_scene_and_sensor_turns_the_grids(seed: int) -> None:
+def test_a_quarter_turn_of_scene_and_sensor_turns_the_grids(seed):
     """The whole way from MJCF to grids, twice. A turn by +90 degrees about the vertical takes x to
     y and y to -x, and so voxel (i, j, k) to (n - 1 - j, i, k). Left out: voxels within 1e-6 m of
     whose boundary a ray runs or a return lies (two float32 ranges of one ray may differ in the last

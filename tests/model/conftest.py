@@ -7,13 +7,13 @@ import torch
 
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.source import DrawnWorlds
-from tests.conftest import Once, small_recipe
+from tests.conftest import small_recipe
 
 COUNTS = {"train": 12, "val": 6, "test": 5}
 
 
 @pytest.fixture(autouse=True)
-def one_thread() -> None:
+def one_thread():
     torch.set_num_threads(1)
 
 
@@ -35,7 +35,7 @@ def make_dataset(
 
 
 @pytest.fixture(scope="session")
-def folders(once: Once) -> list[Path]:
+def folders(once) -> list[Path]:
     """One dataset of each kind; the second leaves out what can be derived."""
     pillar = once("pillar", make_dataset)
     return [
@@ -45,6 +45,6 @@ def folders(once: Once) -> list[Path]:
 
 
 @pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+def undrawn(monkeypatch):
     """Curves take longer than short runs."""
     monkeypatch.setattr("scenegen.model.training.run_folder.draw_curve", lambda rows: None)

@@ -26,14 +26,14 @@ GRID = GridSpec(shape=(16, 16, 8), voxel_m=0.1, truncation_m=1.0)
 
 
 @pytest.fixture
-def saved(tmp_path: Path) -> tuple[Path, Network]:
+def saved(tmp_path) -> tuple[Path, Network]:
     torch.manual_seed(0)
     network = Network(NetworkConfig(variant="dual", width=4)).eval()
     save_network(tmp_path / "dual.safetensors", network, GRID, {"seed": 3})
     return tmp_path / "dual.safetensors", network
 
 
-def test_what_is_saved_comes_back(saved: tuple[Path, Network]) -> None:
+def test_what_is_saved_comes_back(saved):
     path, network = saved
     found, grid, about = load_network(path)
     assert (found.config, grid, about) == (network.config, GRID, {"seed": 3})
@@ -54,7 +54,7 @@ class Trap:
 
 
 @pytest.mark.parametrize("zipped", [True, False])
-def test_a_pickle_is_refused_and_not_run(tmp_path: Path, zipped: bool) -> None:
+def test_a_pickle_is_refused_and_not_run(tmp_path, zipped):
     trap = Trap(str(tmp_path / "sprung"))
     path = tmp_path / "stranger.safetensors"
     if zipped:
@@ -66,9 +66,7 @@ def test_a_pickle_is_refused_and_not_run(tmp_path: Path, zipped: bool) -> None:
     assert not (tmp_path / "sprung").exists()
 
 
-def test_files_that_hold_no_network_are_refused(
-    saved: tuple[Path, Network], tmp_path: Path
-) -> None:
+def test_files_that_hold_no_network_are_refused(saved, tmp_path):
     path, _ = saved
     whole = path.read_bytes()
     cases = {
@@ -107,9 +105,7 @@ def test_files_that_hold_no_network_are_refused(
         ({"grid": None}, "do not fit"),
     ],
 )
-def test_headers_that_do_not_fit_are_refused(
-    saved: tuple[Path, Network], tmp_path: Path, change: dict, named: str
-) -> None:
+def test_headers_that_do_not_fit_are_refused(saved, tmp_path, change, named):
     tensors, header = load_tensors(saved[0])
     save_tensors(tmp_path / "changed.safetensors", tensors, header | change)
     with pytest.raises(CheckpointError, match=named) as caught:
@@ -118,9 +114,7 @@ def test_headers_that_do_not_fit_are_refused(
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_weights_that_are_no_numbers_are_refused_by_name(
-    saved: tuple[Path, Network], tmp_path: Path, value: float
-) -> None:
+def test_weights_that_are_no_numbers_are_refused_by_name(saved, tmp_path, value):
     tensors, header = load_tensors(saved[0])
     tensors["attention.out.bias"][1] = value
     save_tensors(tmp_path / "bad.safetensors", tensors, header)
@@ -128,7 +122,7 @@ def test_weights_that_are_no_numbers_are_refused_by_name(
         load_network(tmp_path / "bad.safetensors")
 
 
-def test_weights_of_another_type_are_refused(saved: tuple[Path, Network], tmp_path: Path) -> None:
+def test_weights_of_another_type_are_refused(saved, tmp_path):
     tensors, header = load_tensors(saved[0])
     for dtype, said in (
         (torch.int64, "is torch.int64, expected torch.float32"),
@@ -150,7 +144,7 @@ def write(path: Path, about: str) -> Path:
     return path
 
 
-def test_strange_headers_and_files_are_refused_in_one_line(tmp_path: Path) -> None:
+def test_strange_headers_and_files_are_refused_in_one_line(tmp_path):
     path = tmp_path / "strange.safetensors"
     os.mkfifo(tmp_path / "pipe.safetensors")
     for wrong in (

@@ -2,7 +2,6 @@
 
 import json
 from collections import Counter
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -48,7 +47,7 @@ def told(epochs: float, best: float = 1.0) -> dict[str, Any]:
     return {"samples": 100, "curve": rows}
 
 
-def test_claims_are_the_bold_cells_against_each_other_row() -> None:
+def test_claims_are_the_bold_cells_against_each_other_row():
     found = claims()
     assert len(found) == len(set(found)) == 2 * 2 * (10 + 4)
     ties = [claim.best for claim in found if (claim.kind, claim.metric) == ("geometric", "mae")]
@@ -79,7 +78,7 @@ def test_claims_are_the_bold_cells_against_each_other_row() -> None:
     ("metric", "shift", "sign"),
     [("iou", 0.1, 1), ("iou", -0.1, -1), ("rmse", 0.1, -1), ("rmse", -0.1, 1)],
 )
-def test_a_gain_is_positive_where_the_first_is_better(metric: str, shift: float, sign: int) -> None:
+def test_a_gain_is_positive_where_the_first_is_better(metric, shift, sign):
     base = np.random.default_rng(0).normal(0.5, 0.2, 200)
     found = gain(measured({"a": base + shift, "b": base}, metric), metric, [("a", "b")])
     assert found.value == pytest.approx(sign * 0.1)
@@ -87,12 +86,12 @@ def test_a_gain_is_positive_where_the_first_is_better(metric: str, shift: float,
     assert found.freedom == 39
 
 
-def test_bias_is_judged_by_its_distance_from_0() -> None:
+def test_bias_is_judged_by_its_distance_from_0():
     both = measured({"a": np.full(200, -0.02), "b": np.full(200, 0.2)}, "bias")
     assert gain(both, "bias", [("a", "b")]).value == pytest.approx(0.18)
 
 
-def test_paths_are_compared_where_both_have_one() -> None:
+def test_paths_are_compared_where_both_have_one():
     won = np.arange(200) % 2 == 0
     short = measured({"a": np.where(won, 9.0, np.nan), "b": np.where(won, 8.0, 20.0)}, "length")
     assert gain(short, "length", [("a", "b")]).value == pytest.approx(5.0)
@@ -101,7 +100,7 @@ def test_paths_are_compared_where_both_have_one() -> None:
     assert gain(none, "length", [("a", "b")], common=True).chance is None
 
 
-def test_the_variance_of_seeds_is_pooled_over_methods() -> None:
+def test_the_variance_of_seeds_is_pooled_over_methods():
     variance, freedom = spread(
         {"occ-s0": 1.0, "occ-s1": 3.0, "tudf-s0": 0.0, "tudf-s1": 0.0, "tudf-s2": 3.0, "a-s0": 9}
     )
@@ -130,7 +129,7 @@ def found(one: Measured, long: tuple[str, ...] = ()) -> dict[str, Any]:
     return decided([compared(CLAIM, one)], spreads, long)[0]
 
 
-def test_intervals_hold_the_difference_of_methods_whatever_seeds_and_worlds_are_drawn() -> None:
+def test_intervals_hold_the_difference_of_methods_whatever_seeds_and_worlds_are_drawn():
     """Seeds differ by more than worlds let means differ: without them the interval would be far too
     narrow."""
     rng, repeats = np.random.default_rng(1), 400
@@ -145,7 +144,7 @@ def test_intervals_hold_the_difference_of_methods_whatever_seeds_and_worlds_are_
     assert np.mean([verdict != "undecided" for verdict in equal]) < 0.09
 
 
-def test_errors_of_worlds_and_seeds_add_up_as_satterthwaite_has_it() -> None:
+def test_errors_of_worlds_and_seeds_add_up_as_satterthwaite_has_it():
     one = found(study(np.random.default_rng(0), 0.5, 0.4, seeds=3, training=0.01))
     assert len(one["pairs"]) == 9
     assert one["difference"] == pytest.approx(
@@ -164,7 +163,7 @@ def test_errors_of_worlds_and_seeds_add_up_as_satterthwaite_has_it() -> None:
     assert same["holm"] == pytest.approx(2 * stats.t.sf(one["difference"] / error, joined))
 
 
-def test_only_runs_as_long_as_the_paper_s_refute() -> None:
+def test_only_runs_as_long_as_the_paper_s_refute():
     rng = np.random.default_rng(3)
     better, worse, alike = (study(rng, ours, 0.5, training=0.002) for ours in (0.6, 0.4, 0.501))
     assert (found(better)["verdict"], found(alike)["verdict"]) == ("confirmed", "undecided")
@@ -190,7 +189,7 @@ def whole() -> dict[str, Any]:
     return {"runs": runs, "means": {one.kind: one.means() for one in several}, **asked(several)}
 
 
-def test_verdicts_follow_from_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_verdicts_follow_from_the_file(tmp_path, capsys):
     first, file = judged(whole()), tmp_path / "study.json"
     assert len(first["claims"]) == len(claims())
     assert {one["verdict"] for one in first["claims"]} == {"confirmed", "contradicted"}

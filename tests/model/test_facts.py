@@ -17,7 +17,7 @@ def told(capsys: Any, path: Path) -> dict[str, Any]:
     return json.loads(said)
 
 
-def test_a_scan_predictions_and_a_run_are_told(tmp_path: Path, capsys: Any) -> None:
+def test_a_scan_predictions_and_a_run_are_told(tmp_path, capsys):
     points = np.random.default_rng(0).uniform(-5, 5, (40, 3))
     write_points(tmp_path / "scan.pcd", points, None, {})
     found = told(capsys, tmp_path / "scan.pcd")
@@ -58,7 +58,7 @@ def test_a_scan_predictions_and_a_run_are_told(tmp_path: Path, capsys: Any) -> N
     assert (code, "best.val_iou" in said) == (0, True)
 
 
-def test_files_that_are_none_of_these_end_in_one_line(tmp_path: Path, capsys: Any) -> None:
+def test_files_that_are_none_of_these_end_in_one_line(tmp_path, capsys):
     with h5py.File(tmp_path / "other.h5", "w") as file:
         file["x"] = [1]
     (tmp_path / "broken.h5").write_bytes(b"no")

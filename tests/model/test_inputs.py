@@ -1,9 +1,7 @@
 """What a network is shown: trained on, completed from and exported by name; a new channel takes one
 entry."""
 
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import h5py
 import numpy as np
@@ -33,9 +31,7 @@ GRID = GridSpec(shape=(16, 24, 8))
 BOTH = ("observed", "free")
 
 
-def test_free_space_and_a_new_metric_go_all_the_way(
-    folders: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_free_space_and_a_new_metric_go_all_the_way(folders, tmp_path, monkeypatch):
     """Two steps of training, validation, card, then a split, a row of the bench and a scan."""
     alarms = Metric(
         title="alarms", of=lambda s: s.share(s.alarms, s.voxels), needs="occupancy", better="lower"
@@ -103,7 +99,7 @@ def test_free_space_and_a_new_metric_go_all_the_way(
     np.testing.assert_allclose(completer(held).tudf, held["tudf"], atol=1e-5)
 
 
-def test_free_space_of_points_is_what_lies_on_the_way_to_them(folders: list[Path]) -> None:
+def test_free_space_of_points_is_what_lies_on_the_way_to_them(folders):
     """Against steps of a hundredth of a voxel, which pass over corners alone; and of rays without a
     return it knows nothing."""
     sample = Dataset(folders[0]).split("test")[0]
@@ -121,7 +117,7 @@ def test_free_space_of_points_is_what_lies_on_the_way_to_them(folders: list[Path
     assert not (found["free"] & found["observed"]).any()
 
 
-def test_inputs_of_a_sample_by_their_definitions(folders: list[Path]) -> None:
+def test_inputs_of_a_sample_by_their_definitions(folders):
     """`occluded` against the rays' points taken far, `distance` against every pair, `ahead` voxel
     by voxel."""
     dataset = Dataset(folders[0])
@@ -150,7 +146,7 @@ def test_inputs_of_a_sample_by_their_definitions(folders: list[Path]) -> None:
     assert not points["ahead"].any()
 
 
-def test_a_turned_robot_sees_its_inputs_turned(folders: list[Path]) -> None:
+def test_a_turned_robot_sees_its_inputs_turned(folders):
     """A quarter turn of the heading about the map's centre is a quarter turn of the channel."""
     dataset = Dataset(folders[0])
     sample, grid = dataset.split("test")[0], dataset.grid
@@ -165,7 +161,7 @@ def test_a_turned_robot_sees_its_inputs_turned(folders: list[Path]) -> None:
     np.testing.assert_allclose(quarter, np.rot90(plain, 1, (0, 1)), atol=1e-6)
 
 
-def test_channels_turn_with_their_map(folders: list[Path]) -> None:
+def test_channels_turn_with_their_map(folders):
     maps = Maps(opened(folders, "train"), "train", ("observed", "ahead"))
     plain, quarter = maps[3], maps[3, 1]
     for name in ("observed", "occupancy", "ahead"):
@@ -175,7 +171,7 @@ def test_channels_turn_with_their_map(folders: list[Path]) -> None:
 @pytest.mark.parametrize(
     "inputs", [(), ("observed", "observed"), ("smell",), ([1],), "observed"], ids=str
 )
-def test_inputs_that_nobody_knows_are_refused(inputs: Any, tmp_path: Path) -> None:
+def test_inputs_that_nobody_knows_are_refused(inputs, tmp_path):
     with pytest.raises((ValueError, TypeError)):
         NetworkConfig(inputs=inputs)
     save_network(tmp_path / "net.safetensors", Network(NetworkConfig(width=4)), GRID, {})
@@ -188,7 +184,7 @@ def test_inputs_that_nobody_knows_are_refused(inputs: Any, tmp_path: Path) -> No
     assert "\n" not in str(caught.value)
 
 
-def test_networks_of_earlier_commits_take_observed_voxels(tmp_path: Path) -> None:
+def test_networks_of_earlier_commits_take_observed_voxels(tmp_path):
     save_network(tmp_path / "net.safetensors", Network(NetworkConfig(width=4)), GRID, {})
     tensors, header = load_tensors(tmp_path / "net.safetensors")
     del header["network"]["inputs"]
@@ -196,7 +192,7 @@ def test_networks_of_earlier_commits_take_observed_voxels(tmp_path: Path) -> Non
     assert load_network(tmp_path / "net.safetensors")[0].config.inputs == ("observed",)
 
 
-def test_maps_that_an_input_cannot_be_are_refused() -> None:
+def test_maps_that_an_input_cannot_be_are_refused():
     network = Network(NetworkConfig(width=4, inputs=("observed", "distance"))).eval()
     completer = Completer(network, GRID, name="net", inputs=network.config.inputs)
     seen, metres = np.zeros(GRID.shape, bool), np.full(GRID.shape, 0.5, np.float32)

@@ -16,17 +16,6 @@ from scenegen.model.losses import (  # noqa: E402
 )
 
 SHAPE = (3, 5, 4, 6)  # three maps, no two axes alike
-WEIGHTS = [5.0, 1.0, 0.3, 12.5]
-REGRESSIONS = [  # near_m, near_weight, beta_m
-    (0.5, 2.0, 1.0),
-    (0.6, 2.0, 0.1),
-    (0.2, 7.0, 0.7),
-    (1.0, 0.25, 2.0),
-    (0.4, 1.0, 0.01),
-    (0.0, 3.0, 1.0),
-]
-SPACES = [(0.2, 2.0), (0.13, 0.9), (0.5, 1.1), (1.0, 3.4)]  # voxel_m, truncation_m
-
 
 # The equations, one a function, in float64.
 
@@ -101,95 +90,77 @@ def value(loss: "torch.Tensor") -> float:
     return loss.item()
 
 
-def gradient(function, at: np.ndarray) -> np.ndarray:
-    """Of a loss of the tensor made from `at`."""
+def gradient(loss, at: np.ndarray, truth: np.ndarray, **settings: float) -> np.ndarray:
+    """Of a loss by what is predicted."""
     tensor = torch.from_numpy(at).requires_grad_()
-    function(tensor).backward()
+    loss(tensor, torch.from_numpy(truth), **settings).backward()
     return tensor.grad.numpy()
 
 
-def finite_differences(function, at: np.ndarray, step: float = 1e-5) -> np.ndarray:
+def finite_differences(equation, at: np.ndarray, *more, step: float = 1e-5) -> np.ndarray:
     """Of an equation above, by central differences in float64."""
     out, at = np.empty(at.shape), at.astype(np.float64)
     for index in np.ndindex(at.shape):
         up, down = at.copy(), at.copy()
         up[index] += step
         down[index] -= step
-        out[index] = (function(up) - function(down)) / (2 * step)
+        out[index] = (equation(up, *more) - equation(down, *more)) / (2 * step)
     return out
 
 
 # Equality with the equations, in value and in gradient.
 
 
-@pytest.mark.parametrize("weight", WEIGHTS)
-def test_the_occupancy_loss_is_the_papers(weight: float) -> None:
-    for seed in range(5):
-        logits, occupancy, _, _ = random_case(seed)
-        found = occupancy_loss(
-            torch.from_numpy(logits), torch.from_numpy(occupancy), occupied_weight=weight
+SPACES = [(0.2, 2.0), (0.13, 0.9), (0.5, 1.1), (1.0, 3.4)]  # voxel_m, truncation_m
+LAWS = [
+    *[(occupancy_loss, cross_entropy, {"occupied_weight": w}) for w in (5.0, 1.0, 0.3, 12.5)],
+    (lovasz_loss, lovasz_hinge, {}),
+    *[
+        (regression_loss, weighted_smooth_l1, {"near_m": n, "near_weight": w, "beta_m": b})
+        for n, w, b in (
+            (0.6, 3.0, 0.7),
+            (0.5, 2.0, 1.0),
+            (0.6, 2.0, 0.1),
+            (0.2, 7.0, 0.7),
+            (1.0, 0.25, 2.0),
+            (0.4, 1.0, 0.01),
+            (0.0, 3.0, 1.0),
         )
-        assert value(found) == pytest.approx(cross_entropy(logits, occupancy, weight), rel=1e-6)
+    ],
+    *[(eikonal_loss, eikonal, {"voxel_m": v, "truncation_m": t}) for v, t in SPACES],
+]
+"""A loss, its equation, and settings of both."""
 
 
-def test_the_lovasz_loss_is_its_integral_over_sets() -> None:
+def case_of(
+    loss, settings: dict, seed: int, shape: tuple[int, ...] = SHAPE
+) -> tuple[np.ndarray, np.ndarray]:
+    """What is predicted, and what is true."""
+    space = settings if loss is eikonal_loss else {}
+    logits, occupancy, predicted, tudf = random_case(seed, shape, **space)
+    return (logits, occupancy) if loss in (occupancy_loss, lovasz_loss) else (predicted, tudf)
+
+
+@pytest.mark.parametrize(("loss", "equation", "settings"), LAWS)
+def test_a_loss_is_the_papers(loss, equation, settings: dict) -> None:
     for seed in range(5):
-        logits, occupancy, _, _ = random_case(seed)
-        found = lovasz_loss(torch.from_numpy(logits), torch.from_numpy(occupancy))
-        assert value(found) == pytest.approx(lovasz_hinge(logits, occupancy), rel=1e-6)
+        at, truth = case_of(loss, settings, seed)
+        found = loss(torch.from_numpy(at), torch.from_numpy(truth), **settings)
+        assert value(found) == pytest.approx(equation(at, truth, *settings.values()), rel=1e-6)
 
 
-@pytest.mark.parametrize(("near_m", "near_weight", "beta_m"), REGRESSIONS)
-def test_the_regression_loss_is_the_papers(
-    near_m: float, near_weight: float, beta_m: float
+@pytest.mark.parametrize(
+    ("loss", "equation", "settings"), {law[0]: law for law in reversed(LAWS)}.values()
+)
+def test_gradients_are_the_finite_differences_of_the_equations(
+    loss, equation, settings: dict
 ) -> None:
-    settings = {"near_m": near_m, "near_weight": near_weight, "beta_m": beta_m}
-    for seed in range(5):
-        _, _, predicted, tudf = random_case(seed)
-        found = regression_loss(torch.from_numpy(predicted), torch.from_numpy(tudf), **settings)
-        assert value(found) == pytest.approx(
-            weighted_smooth_l1(predicted, tudf, *settings.values()), rel=1e-6
-        )
-
-
-@pytest.mark.parametrize(("voxel_m", "truncation_m"), SPACES)
-def test_the_eikonal_loss_is_the_papers(voxel_m: float, truncation_m: float) -> None:
-    for seed in range(5):
-        _, _, predicted, tudf = random_case(seed, voxel_m=voxel_m, truncation_m=truncation_m)
-        settings = {"voxel_m": voxel_m, "truncation_m": truncation_m}
-        found = eikonal_loss(torch.from_numpy(predicted), torch.from_numpy(tudf), **settings)
-        assert value(found) == pytest.approx(
-            eikonal(predicted, tudf, voxel_m, truncation_m), rel=1e-6
-        )
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_gradients_are_the_finite_differences_of_the_equations(seed: int) -> None:
-    logits, occupancy, predicted, tudf = random_case(seed, (2, 3, 4, 3))
-    truth, field = torch.from_numpy(occupancy), torch.from_numpy(tudf)
-    near = {"near_m": 0.6, "near_weight": 3.0, "beta_m": 0.7}
-    space = {"voxel_m": 0.2, "truncation_m": 2.0}
-    for loss, equation, at in (
-        (
-            lambda x: occupancy_loss(x, truth, occupied_weight=5),
-            lambda x: cross_entropy(x, occupancy, 5),
-            logits,
-        ),
-        (lambda x: lovasz_loss(x, truth), lambda x: lovasz_hinge(x, occupancy), logits),
-        (
-            lambda x: regression_loss(x, field, **near),
-            lambda x: weighted_smooth_l1(x, tudf, *near.values()),
-            predicted,
-        ),
-        (
-            lambda x: eikonal_loss(x, field, **space),
-            lambda x: eikonal(x, tudf, *space.values()),
-            predicted,
-        ),
-    ):
-        wanted = finite_differences(equation, at)
+    for seed in range(3):
+        at, truth = case_of(loss, settings, seed, (2, 3, 4, 3))
+        wanted = finite_differences(equation, at, truth, *settings.values())
         assert np.abs(wanted).max() > 1e-3
-        np.testing.assert_allclose(gradient(loss, at), wanted, rtol=2e-5, atol=1e-7)
+        found = gradient(loss, at, truth, **settings)
+        np.testing.assert_allclose(found, wanted, rtol=2e-5, atol=1e-7)
 
 
 # Extremes.
@@ -277,16 +248,6 @@ def test_a_prediction_far_off_is_pulled_by_its_weight_alone(dtype: str) -> None:
 # Made by hand.
 
 
-def test_an_undecided_map_costs_a_bit_a_voxel_and_five_where_occupied() -> None:
-    logits = torch.zeros(1, 2, 3, 4)
-    free = torch.zeros(logits.shape, dtype=torch.bool)
-    one = free.clone()
-    one[0, 1, 2, 3] = True
-    for truth, weights in ((free, 24), (~free, 24 * 5), (one, 23 + 5), (~one, 23 * 5 + 1)):
-        found = occupancy_loss(logits, truth, occupied_weight=5)
-        assert value(found) == pytest.approx(weights / 24 * math.log(2), rel=1e-6)
-
-
 def test_a_map_one_beside_the_threshold_loses_twice_the_iou_and_an_empty_one_nothing() -> None:
     truth = torch.zeros(1, 2, 3, 4, dtype=torch.bool)
     truth[0, 0] = True  # 12 voxels, of which 8 are found, and 4 beside them
@@ -310,17 +271,6 @@ def test_a_voxel_at_the_very_edge_of_near_is_near(near_m: float) -> None:
         tudf = torch.full((1, 1, 1, 1), float(distance))
         found = regression_loss(tudf + 4, tudf, near_m=near_m, near_weight=3, beta_m=1.0)
         assert value(found) == pytest.approx(weight * 3.5, rel=1e-6)
-
-
-@pytest.mark.parametrize("beta_m", [0.05, 0.1, 1.0, 2.5])
-def test_beta_is_where_the_square_turns_into_a_line(beta_m: float) -> None:
-    for error, wanted in ((0.0, 0.0), (0.5, 0.125), (1.0, 0.5), (1.5, 1.0), (4.0, 3.5)):
-        for sign in (1, -1):
-            tudf = torch.full((2, 3, 2, 2), 1.5, dtype=torch.float32)
-            found = regression_loss(
-                tudf + sign * error * beta_m, tudf, near_m=0.5, near_weight=9, beta_m=beta_m
-            )
-            assert value(found) == pytest.approx(wanted * beta_m, rel=1e-5, abs=1e-12)
 
 
 @pytest.mark.parametrize(

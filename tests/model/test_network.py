@@ -25,7 +25,7 @@ def seen(batch: int) -> dict[str, Tensor]:
 
 @pytest.mark.parametrize("variant", VARIANTS)
 @pytest.mark.parametrize("stem_stride", [1, 2])
-def test_every_variant_predicts_its_tasks_at_full_size(variant: str, stem_stride: int) -> None:
+def test_every_variant_predicts_its_tasks_at_full_size(variant, stem_stride):
     output = network(variant=variant, stem_stride=stem_stride)(seen(2))
     tasks = {
         name
@@ -51,7 +51,7 @@ def reaches(variant: str, task: str, branch: str) -> bool:
     )
 
 
-def test_branches_inform_each_other_in_the_proposed_network_alone() -> None:
+def test_branches_inform_each_other_in_the_proposed_network_alone():
     for task, other in (("tudf", "occupancy"), ("occupancy", "tudf")):
         assert reaches("proposed", task, other)
         assert reaches("dual", task, task)
@@ -59,7 +59,7 @@ def test_branches_inform_each_other_in_the_proposed_network_alone() -> None:
         assert reaches("shared", task, "shared")
 
 
-def test_crossfusion_is_equation_5() -> None:
+def test_crossfusion_is_equation_5():
     torch.manual_seed(0)
     fuse, t, o = CrossFusion(4), torch.rand(2, 4, 3, 2, 1), torch.rand(2, 4, 3, 2, 1)
 
@@ -77,7 +77,7 @@ def test_crossfusion_is_equation_5() -> None:
     torch.testing.assert_close(found_o, new_o)
 
 
-def test_the_head_puts_every_value_in_its_voxel() -> None:
+def test_the_head_puts_every_value_in_its_voxel():
     head = FinalUp(1, 1).eval()
     cells = torch.rand(1, 1, 2, 3, 4)
     head.refine = nn.Identity()
@@ -91,14 +91,14 @@ def test_the_head_puts_every_value_in_its_voxel() -> None:
         assert found[0, i, j, k] == cells[0, 0, i // 2, j // 2, k // 2] + 10.0 * number
 
 
-def test_a_dead_channel_does_not_cap_the_logits() -> None:
+def test_a_dead_channel_does_not_cap_the_logits():
     head = FinalUp(8, 8).eval()
     with torch.no_grad():
         head.refine[1].bias.fill_(-5.0)  # what a ReLU would cut off everywhere
     assert head(torch.randn(1, 8, 4, 4, 4)).std() > 0
 
 
-def test_attention_looks_everywhere() -> None:
+def test_attention_looks_everywhere():
     net = network()
     cells = torch.rand(1, 32, 4, 3, 2, requires_grad=True)
     net.attention(cells)[0, :, 0, 0, 0].sum().backward()
@@ -106,7 +106,7 @@ def test_attention_looks_everywhere() -> None:
     assert (cells.grad.abs().sum(dim=1) > 0).all()
 
 
-def test_columns_and_voxels_inform_each_other_at_every_level() -> None:
+def test_columns_and_voxels_inform_each_other_at_every_level():
     """A flat level depends on the 3-D skip of its level, both predictions on every flat level; and
     a value of a cell comes from its own height."""
     net = network(variant="columns")
@@ -123,13 +123,13 @@ def test_columns_and_voxels_inform_each_other_at_every_level() -> None:
     assert torch.equal(found[0, :, 1, 1], torch.arange(8.0).reshape(2, 4))
 
 
-def test_a_network_of_columns_takes_maps_of_its_height_alone() -> None:
+def test_a_network_of_columns_takes_maps_of_its_height_alone():
     with pytest.raises(ValueError, match=r"sees columns of 40 voxels, no others"):
         NetworkConfig(variant="columns").check_map((80, 80, 48))
 
 
 @pytest.mark.parametrize("variant", ["proposed", "columns"])
-def test_completion_convolves_as_training_does(variant: str) -> None:
+def test_completion_convolves_as_training_does(variant):
     """It asks oneDNN itself, alone or in a batch, and is given what the usual path gives."""
     net = Network(NetworkConfig(variant=variant, height=SHAPE[2])).eval()
     maps = seen(3)["observed"] < 0.1
@@ -142,7 +142,7 @@ def test_completion_convolves_as_training_does(variant: str) -> None:
     torch.testing.assert_close(alone.tudf, usual.tudf, atol=1e-5, rtol=1e-4)
 
 
-def test_a_compiled_convolution_is_the_eager_one() -> None:
+def test_a_compiled_convolution_is_the_eager_one():
     layer, x = Conv3d(1, 2, 3, padding=1), torch.rand(1, 1, 4, 4, 4)
     with torch.inference_mode():
         torch.testing.assert_close(torch.compile(layer, backend="eager")(x), layer(x))
@@ -153,12 +153,12 @@ def test_a_compiled_convolution_is_the_eager_one() -> None:
     [{"variant": "both"}, {"stem_stride": 3}, {"heads": 5}, {"width": 0}, {"heads": 0}],
     ids=str,
 )
-def test_impossible_networks_are_refused(wrong: dict) -> None:
+def test_impossible_networks_are_refused(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         NetworkConfig(**wrong)
 
 
-def test_costs_are_what_the_layers_add_up_to() -> None:
+def test_costs_are_what_the_layers_add_up_to():
     """Multiply-accumulates of a single branch, layer by layer: kernel x channels in x channels out
     x cells out."""
     found = cost(NetworkConfig(variant="occ"), SHAPE)
@@ -175,7 +175,7 @@ def test_costs_are_what_the_layers_add_up_to() -> None:
     assert found["activation_bytes"] > 4 * 10 * 8 * cells[0]
 
 
-def test_the_docs_name_every_variant_as_it_is() -> None:
+def test_the_docs_name_every_variant_as_it_is():
     text = (Path(__file__).parents[2] / "docs" / "network.md").read_text(encoding="utf-8")
     for name, one in VARIANTS.items():
         assert (

@@ -25,7 +25,7 @@ pytestmark = pytest.mark.usefixtures("undrawn")
 
 
 @pytest.fixture
-def here(folders: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def here(folders, tmp_path, monkeypatch) -> Iterator[Path]:
     """A user's folder with the page's files, to stand in; what is imported is forgotten
     afterwards."""
     before = list(sys.path), set(sys.modules)
@@ -42,9 +42,7 @@ def here(folders: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     input_called.cache_clear()
 
 
-def test_the_page_trains_resumes_completes_benches_and_exports(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_page_trains_resumes_completes_benches_and_exports(here, capsys):
     assert (
         sum(
             len((here / name).read_text().splitlines())
@@ -91,7 +89,7 @@ def test_the_page_trains_resumes_completes_benches_and_exports(
 
 
 @pytest.fixture
-def trapped(here: Path) -> Path:
+def trapped(here) -> Path:
     """A stranger's network that names code in the folder where the user stands."""
     (here / "trap.py").write_text(
         "open('sprung', 'w')\nfrom my_net import Net\nfrom my_input import rise\n"
@@ -111,9 +109,7 @@ def trapped(here: Path) -> Path:
     return here
 
 
-def test_a_file_has_nothing_imported_by_itself(
-    trapped: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_has_nothing_imported_by_itself(trapped, capsys):
     for name in ("net", "input"):
         with pytest.raises(
             CheckpointError, match=r"imported only if you name it.*trap:\w+@"
@@ -194,9 +190,7 @@ NET = {"variant": "my_net:Net", "width": 4}
         (NET | {"inputs": ("wrong:failing",)}, {}, {}, r"line \d+ of wrong.py: KeyError"),
     ],
 )
-def test_what_is_wrong_with_own_code_is_told_in_one_line(
-    here: Path, network: dict, loss: dict, more: dict, said: str
-) -> None:
+def test_what_is_wrong_with_own_code_is_told_in_one_line(here, network, loss, more, said):
     (here / "wrong.py").write_text(WRONG)
     config = TrainConfig(network=NetworkConfig(**network), loss=LossConfig(**loss), **more)
     with pytest.raises(ScenegenError, match=said) as caught:
@@ -205,9 +199,7 @@ def test_what_is_wrong_with_own_code_is_told_in_one_line(
     assert not (here / "run").exists()
 
 
-def test_one_task_and_a_scalar_loss_will_do_and_an_export_works_or_says_why_not(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_one_task_and_a_scalar_loss_will_do_and_an_export_works_or_says_why_not(here, capsys):
     (here / "wrong.py").write_text(WRONG)
     words = ("train", "data/pillar", "--epochs", 1, "--device", "cpu", "--quiet", "--variant")
     assert run(capsys, *words, "wrong:Seeing", "--loss", "wrong:Scaled", "--workers", 1)[0] == 0

@@ -2,7 +2,6 @@
 1/200."""
 
 import json
-from pathlib import Path
 
 import pytest
 import torch
@@ -17,14 +16,14 @@ from tests.command_line import run as command
 JUDGED = ("verdicts", "claims", "beside", "paths", "means")
 
 
-def test_runs_differ_in_what_they_are_for() -> None:
+def test_runs_differ_in_what_they_are_for():
     """Names are unique, settings pairwise different, and verdicts have two seeds at least."""
     names = {run.name for run in RUNS}
     assert len(names) == len({repr((run.settings, run.seed)) for run in RUNS}) == len(RUNS)
     assert {name.rpartition("-s")[0] + "-s1" for name in names} <= names
 
 
-def test_a_study_goes_on_with_its_own_settings_alone(tmp_path: Path) -> None:
+def test_a_study_goes_on_with_its_own_settings_alone(tmp_path):
     begin(tmp_path / "study", ReproduceConfig(scale=0.5))
     begin(tmp_path / "study", ReproduceConfig(scale=0.5))
     with pytest.raises(DatasetError, match=r"other settings \(scale is 0.5 there, 1.0 asked for\)"):
@@ -36,7 +35,7 @@ def test_a_study_goes_on_with_its_own_settings_alone(tmp_path: Path) -> None:
         chosen(("occ",))
 
 
-def test_what_a_study_takes_grows_with_its_runs(capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_a_study_takes_grows_with_its_runs(capsys):
     words = ("reproduce", "--dry-run", "--scale", 0.02, "--json")
     assert json.loads(command(capsys, *words, "--only", "occ-s0")[1]) == {
         "datasets": "130 samples",
@@ -47,9 +46,7 @@ def test_what_a_study_takes_grows_with_its_runs(capsys: pytest.CaptureFixture[st
 
 
 @pytest.mark.slow
-def test_a_small_part_of_the_study_is_made_and_goes_on_where_it_was(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_a_small_part_of_the_study_is_made_and_goes_on_where_it_was(capsys, tmp_path):
     """All of it by the command; then what is damaged is made again, and all else is kept."""
     out = tmp_path / "study"
     only = [run.name for run in RUNS if run.name[:-3] in ("occ", "columns")][:4]

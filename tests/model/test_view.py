@@ -1,7 +1,6 @@
 """A page with predictions shows what they say, what they miss and what they invent."""
 
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -25,14 +24,14 @@ COUNTS = {"train": 3, "val": 0, "test": 3}
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory) -> Path:
     recipe = small_recipe()
     folder = tmp_path_factory.mktemp("shown") / "d"
     build(plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=0, counts=COUNTS), workers=1)
     return folder
 
 
-def test_a_page_holds_what_is_predicted(folder: Path, tmp_path: Path, capsys: Any) -> None:
+def test_a_page_holds_what_is_predicted(folder, tmp_path, capsys):
     dataset = Dataset(folder)
     samples = dataset.split("test")
     rng = np.random.default_rng(0)
@@ -77,7 +76,7 @@ def test_a_page_holds_what_is_predicted(folder: Path, tmp_path: Path, capsys: An
     assert "p.h5" in said
 
 
-def test_the_paths_that_are_shown_are_those_that_the_bench_measures(folder: Path) -> None:
+def test_the_paths_that_are_shown_are_those_that_the_bench_measures(folder):
     dataset, methods = Dataset(folder), [Truth(), Completed(Extrude())]
     split, config = dataset.split("test"), BenchConfig(trials=6)
     measured = bench(dataset, methods, config)
@@ -101,9 +100,7 @@ def test_the_paths_that_are_shown_are_those_that_the_bench_measures(folder: Path
     assert all(guess.route is None for guess in far)
 
 
-def test_scans_completions_of_them_and_runs_are_drawn(
-    tmp_path: Path, capsys: Any, monkeypatch: Any
-) -> None:
+def test_scans_completions_of_them_and_runs_are_drawn(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("scenegen.display.panels.DPI", 40)
     points = np.random.default_rng(0).uniform(-5, 5, (500, 3))
     for suffix in (".pcd", ".bin"):

@@ -182,7 +182,7 @@ def at_features(rng: np.random.Generator, count: int) -> Callable[[str, Floats],
 @pytest.mark.parametrize("far", [False, True])
 @pytest.mark.parametrize("kind", [*SIZES, "plane"])
 @pytest.mark.parametrize("name", PROCESSORS)
-def test_one_solid_of_any_size_from_anywhere(name: str, kind: str, far: bool) -> None:
+def test_one_solid_of_any_size_from_anywhere(name, kind, far):
     rng = np.random.default_rng(sum(map(ord, kind)))
     total = np.zeros(3, dtype=int)
     for _ in range(12):
@@ -200,7 +200,7 @@ def test_one_solid_of_any_size_from_anywhere(name: str, kind: str, far: bool) ->
 
 @pytest.mark.parametrize("far", [False, True])
 @pytest.mark.parametrize("name", PROCESSORS)
-def test_solids_that_share_surfaces(name: str, far: bool) -> None:
+def test_solids_that_share_surfaces(name, far):
     """On a floor: faces in faces, balls and rounds that touch them, a twin, one inside another."""
     rng = np.random.default_rng(5)
     total = np.zeros(3, dtype=int)
@@ -227,7 +227,7 @@ def test_solids_that_share_surfaces(name: str, far: bool) -> None:
 
 @pytest.mark.parametrize("name", PROCESSORS)
 @pytest.mark.parametrize("stray", [-9e-7, -4.9e-7, 4.9e-7, 9e-7, "float32"])
-def test_units_to_a_millionth_give_the_metres_of_units(name: str, stray: Any) -> None:
+def test_units_to_a_millionth_give_the_metres_of_units(name, stray):
     """Balls of 3 cm up to 400 m away, each met head on."""
     rng = np.random.default_rng(8)
     rays, far = unit(rng.normal(size=(300, 3))), np.linspace(1.0, 400.0, 300)[:, None]
@@ -240,7 +240,7 @@ def test_units_to_a_millionth_give_the_metres_of_units(name: str, stray: Any) ->
 
 
 @pytest.mark.parametrize("shape", ["mesh", "hfield"])
-def test_no_ray_leaks_out_of_a_closed_surface(shape: str) -> None:
+def test_no_ray_leaks_out_of_a_closed_surface(shape):
     """From within, rays at its corners, at the middles of its edges, and anywhere on these, all
     meet it: small and large, near and 900 km from the world's origin."""
     rng = np.random.default_rng(3)

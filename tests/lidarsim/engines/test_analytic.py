@@ -28,7 +28,7 @@ def from_mujoco(
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_hits_are_mujocos(seed: int) -> None:
+def test_hits_are_mujocos(seed):
     """Geoms, points and normals, of every shape at any attitude."""
     rng = np.random.default_rng(seed)
     model = random_model(rng)
@@ -48,7 +48,7 @@ def test_hits_are_mujocos(seed: int) -> None:
         assert np.isnan(hits.normals[p][~seen]).all()
 
 
-def test_an_empty_world_and_a_crowded_one() -> None:
+def test_an_empty_world_and_a_crowded_one():
     ray = [[[1.0, 0.0, 0.0]]]
     nothing = AnalyticEngine.of(mujoco.MjModel.from_xml_string("<mujoco/>"))
     assert nothing.cast([[0.0, 0.0, 0.0]], ray, 10.0) == np.inf
@@ -66,7 +66,7 @@ def test_an_empty_world_and_a_crowded_one() -> None:
     assert hits.geoms == 0  # the first of those that are as near
 
 
-def test_moved_solids_are_seen_where_they_are() -> None:
+def test_moved_solids_are_seen_where_they_are():
     rng = np.random.default_rng(6)
     origins, rays = random_rays(rng, 4, 500)
     first, second = (solids_of(random_model(np.random.default_rng(seed))) for seed in (7, 8))
@@ -95,7 +95,7 @@ def counted(shapes: np.ndarray) -> list[tuple[int, int]]:
     return [(int(shape), int((shapes[:n] == shape).sum())) for n, shape in enumerate(shapes)]
 
 
-def test_threads_share_poses_and_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_threads_share_poses_and_change_nothing(monkeypatch):
     rng = np.random.default_rng(9)
     solids = solids_of(random_model(rng))
     origins, rays = random_rays(rng, 7, 300)

@@ -48,7 +48,7 @@ def boxes(rng: np.random.Generator, count: int, kind: str) -> tuple[np.ndarray, 
 
 @pytest.mark.parametrize("kind", ["scattered", "coincident", "on a line", "ever farther"])
 @pytest.mark.parametrize("count", [0, 1, 2, 4, 5, 17, 300])
-def test_every_item_lies_in_one_leaf_within_its_boxes(kind: str, count: int) -> None:
+def test_every_item_lies_in_one_leaf_within_its_boxes(kind, count):
     lower, upper = boxes(np.random.default_rng(count), count, kind)
     tree = Hierarchy.over(lower, upper)
     items, depth = leaves(tree, lower, upper)
@@ -59,14 +59,14 @@ def test_every_item_lies_in_one_leaf_within_its_boxes(kind: str, count: int) -> 
     assert leaves(tree, lower + moved, upper + moved) == (items, depth)
 
 
-def test_many_coincident_items_make_a_shallow_tree() -> None:
+def test_many_coincident_items_make_a_shallow_tree():
     lower = np.zeros((100_000, 3))
     items, depth = leaves(Hierarchy.over(lower, lower + 1.0), lower, lower + 1.0)
     assert len(set(items)) == len(lower)
     assert depth <= 17
 
 
-def test_neighbours_share_leaves() -> None:
+def test_neighbours_share_leaves():
     """The tree of two heaps far apart is cut between them."""
     rng = np.random.default_rng(2)
     lower = np.concatenate([rng.uniform(0, 1, (8, 3)), rng.uniform(100, 101, (8, 3))])

@@ -58,7 +58,7 @@ def made(name: str, model: mujoco.MjModel) -> Engine:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_two_engines_see_the_same_world_with_meshes_and_height_fields(seed: int) -> None:
+def test_two_engines_see_the_same_world_with_meshes_and_height_fields(seed):
     rng = np.random.default_rng(seed)
     model = random_model(rng)
     origins, rays = random_rays(rng, 6, 2000)
@@ -70,7 +70,7 @@ def test_two_engines_see_the_same_world_with_meshes_and_height_fields(seed: int)
 
 
 @pytest.mark.parametrize("name", PROCESSORS)
-def test_poses_together_give_what_each_gives_alone(name: str) -> None:
+def test_poses_together_give_what_each_gives_alone(name):
     rng = np.random.default_rng(3)
     engine = made(name, random_model(rng))
     origins, rays = random_rays(rng, 5, 3, 40)
@@ -85,7 +85,7 @@ def test_poses_together_give_what_each_gives_alone(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", PROCESSORS)
-def test_any_shape_and_memory_layout_of_rays_will_do(name: str) -> None:
+def test_any_shape_and_memory_layout_of_rays_will_do(name):
     rng = np.random.default_rng(4)
     engine = made(name, random_model(rng))
     origins, rays = random_rays(rng, 2, 60)
@@ -104,9 +104,7 @@ def test_any_shape_and_memory_layout_of_rays_will_do(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", PROCESSORS)
-def test_data_that_were_never_forwarded_are_refused_and_not_taken_for_an_empty_world(
-    name: str,
-) -> None:
+def test_data_that_were_never_forwarded_are_refused_and_not_taken_for_an_empty_world(name):
     model = model_of('type="box" size="1 1 1" pos="3 0 0"')
     data, lidar, pose = mujoco.MjData(model), Lidar(), Pose.level((0, 0, 0))
     with pytest.raises(ValueError, match="never forwarded"):
@@ -135,7 +133,7 @@ class Odd:
         ),
     ],
 )
-def test_ranges_that_are_none_are_told_of(ranges: np.ndarray, told: str) -> None:
+def test_ranges_that_are_none_are_told_of(ranges, told):
     with pytest.raises(ValueError, match=told):
         cast(Odd(ranges), Lidar(), Pose.level((0, 0, 0)))  # type: ignore[arg-type]
 
@@ -152,7 +150,7 @@ BAD_RAYS = [
 
 
 @pytest.mark.parametrize("name", PROCESSORS)
-def test_what_is_no_direction_and_no_place_meets_nothing_and_harms_no_other_ray(name: str) -> None:
+def test_what_is_no_direction_and_no_place_meets_nothing_and_harms_no_other_ray(name):
     engine = made(
         name, model_of('type="sphere" size="1"', 'type="plane" size="0 0 1" pos="0 0 -3"')
     )
@@ -165,7 +163,7 @@ def test_what_is_no_direction_and_no_place_meets_nothing_and_harms_no_other_ray(
 
 
 @pytest.mark.parametrize("name", PROCESSORS)
-def test_a_plane_is_seen_from_its_front_and_on_it_within_its_size(name: str) -> None:
+def test_a_plane_is_seen_from_its_front_and_on_it_within_its_size(name):
     """MuJoCo's planes have a front, +z, and half sizes of which 0 means without end."""
     floor, tile = (
         made(name, model_of(f'type="plane" size="{size}"')) for size in ("0 0 1", "1 2 1")
@@ -189,6 +187,6 @@ def test_a_plane_is_seen_from_its_front_and_on_it_within_its_size(name: str) -> 
     "world",
     ["<mujoco/>", '<mujoco><worldbody><geom size="1" rgba="1 1 1 0"/></worldbody></mujoco>'],
 )
-def test_a_world_with_nothing_to_see_gives_no_returns(name: str, world: str) -> None:
+def test_a_world_with_nothing_to_see_gives_no_returns(name, world):
     scan = cast(made(name, mujoco.MjModel.from_xml_string(world)), Lidar(), Pose.level((0, 0, 0)))
     assert np.isinf(scan.ranges).all()

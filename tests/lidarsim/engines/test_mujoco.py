@@ -127,7 +127,7 @@ def ghost(geom: Geom) -> Geom:
 
 @pytest.mark.parametrize("level", [True, False])
 @pytest.mark.parametrize("seed", range(8))
-def test_a_scan_of_a_random_world_matches_the_analytic_ranges(seed: int, level: bool) -> None:
+def test_a_scan_of_a_random_world_matches_the_analytic_ranges(seed, level):
     """The whole way from pose to float32 ranges; layout and intersections both come from the
     reference."""
     rng = np.random.default_rng(1000 + seed)
@@ -154,7 +154,7 @@ def test_a_scan_of_a_random_world_matches_the_analytic_ranges(seed: int, level: 
 # returns
 
 
-def test_the_maximum_range_divides_returns_from_infinity() -> None:
+def test_the_maximum_range_divides_returns_from_infinity():
     """A wall 4 m ahead: seen with more range than that, not with less, along slanted rays farther
     away."""
     wall = Geom("box", (0.5, 20.0, 20.0), (4.5, 0.0, 0.0))
@@ -168,7 +168,7 @@ def test_the_maximum_range_divides_returns_from_infinity() -> None:
         np.testing.assert_allclose(got[exact <= reach], exact[exact <= reach], rtol=0, atol=1e-9)
 
 
-def test_an_engine_over_data_sees_the_configuration_of_the_data() -> None:
+def test_an_engine_over_data_sees_the_configuration_of_the_data():
     """A free body moved by its coordinates is seen where it went; without data it is seen where it
     began."""
     rng = np.random.default_rng(12)
@@ -192,7 +192,7 @@ def test_an_engine_over_data_sees_the_configuration_of_the_data() -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_rays_just_inside_a_boxs_edges_hit_it_in_every_direction_of_view(seed: int) -> None:
+def test_rays_just_inside_a_boxs_edges_hit_it_in_every_direction_of_view(seed):
     """Edges reach beyond the angles that the corners span, most near the zenith; azimuth wraps
     behind."""
     rng = np.random.default_rng(seed)
@@ -218,9 +218,7 @@ def test_rays_just_inside_a_boxs_edges_hit_it_in_every_direction_of_view(seed: i
 
 @pytest.mark.parametrize("kind", SOLIDS)
 @pytest.mark.parametrize("owner", ["world", "body", "free body"])
-def test_geoms_without_collisions_outside_their_bodys_colliding_extent_are_seen(
-    kind: str, owner: str
-) -> None:
+def test_geoms_without_collisions_outside_their_bodys_colliding_extent_are_seen(kind, owner):
     """`mj_multiRay` never tests these: it sets bodies aside by a sphere about colliding geoms
     alone."""
     rng = np.random.default_rng(21)
@@ -245,7 +243,7 @@ def test_geoms_without_collisions_outside_their_bodys_colliding_extent_are_seen(
 
 
 @pytest.mark.parametrize("colliding", ["", GHOST])
-def test_geoms_and_materials_of_alpha_zero_are_not_seen(colliding: str) -> None:
+def test_geoms_and_materials_of_alpha_zero_are_not_seen(colliding):
     """Glass walls around the sensor, invisible in both ways, and a visible sphere behind each of
     them."""
     materials = '<material name="clear" rgba="1 0 0 0"/><material name="faint" rgba="1 0 0 0.01"/>'
@@ -303,7 +301,7 @@ def random_mesh(rng: np.random.Generator, name: str) -> str:
 
 @pytest.mark.parametrize("collide", [True, False])
 @pytest.mark.parametrize("seed", range(4))
-def test_mesh_and_height_field_worlds_match_mj_ray_ray_by_ray(seed: int, collide: bool) -> None:
+def test_mesh_and_height_field_worlds_match_mj_ray_ray_by_ray(seed, collide):
     """Meshes that are not convex, height fields, and primitives among them, in the world and in
     bodies."""
     rng = np.random.default_rng(60 + seed)

@@ -2,7 +2,6 @@
 
 import importlib
 import sys
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -23,7 +22,7 @@ from lidarsim.gpu.worlds import Worlds  # noqa: E402
 AXES = np.concatenate([np.eye(3), -np.eye(3)])
 
 
-def test_many_worlds_at_once_give_the_analytic_engines_bits() -> None:
+def test_many_worlds_at_once_give_the_analytic_engines_bits():
     rng = np.random.default_rng(0)
     solids = [solids_of(random_model(rng)) for _ in range(4)]
     plane_alone = model_of('type="plane" size="2 0 1"')
@@ -46,7 +45,7 @@ def test_many_worlds_at_once_give_the_analytic_engines_bits() -> None:
         assert 500 < np.isfinite(ranges).sum() < ranges.size - 500
 
 
-def test_rays_along_the_axes_are_the_analytic_engines() -> None:
+def test_rays_along_the_axes_are_the_analytic_engines():
     """From points level with faces, edges and centres, along all axes: where products of 0 and
     infinity would lurk."""
     sorts = [f'type="{shape}" size="{size}"' for shape, size in SIZES.items() if shape != "plane"]
@@ -61,7 +60,7 @@ def test_rays_along_the_axes_are_the_analytic_engines() -> None:
     np.testing.assert_array_equal(ranges, AnalyticEngine.of(model).cast(origins, rays, 100.0))
 
 
-def test_the_engine_keeps_the_protocol() -> None:
+def test_the_engine_keeps_the_protocol():
     rng = np.random.default_rng(4)
     model = random_model(rng)
     engine = WarpEngine(solids_of(model), device="cpu")
@@ -78,7 +77,7 @@ def test_the_engine_keeps_the_protocol() -> None:
     assert np.isinf(engine.cast([[np.nan, 0, 0]], rays[:1], 1e7)).all()
 
 
-def test_voxels_are_those_of_voxelize() -> None:
+def test_voxels_are_those_of_voxelize():
     rng, lidar = np.random.default_rng(2), Lidar(rows=24, columns=90, max_range_m=7.1)
     models = [random_model(rng) for _ in range(3)]
     # rays in the grid's own planes
@@ -99,7 +98,7 @@ def test_voxels_are_those_of_voxelize() -> None:
         assert free.numpy().any()
 
 
-def test_torch_takes_and_gives_arrays_without_a_copy() -> None:
+def test_torch_takes_and_gives_arrays_without_a_copy():
     torch = pytest.importorskip("torch")
     solids = solids_of(model_of('type="sphere" size="1" pos="5 0 0"'))
     directions = torch.tensor(np.tile(AXES, (2, 1, 1)))
@@ -112,7 +111,7 @@ def test_torch_takes_and_gives_arrays_without_a_copy() -> None:
     assert torch.isinf(tensor[:, 1:]).all()
 
 
-def test_what_a_kernel_cannot_take_is_refused_in_one_line() -> None:
+def test_what_a_kernel_cannot_take_is_refused_in_one_line():
     worlds = Worlds([solids_of(model_of())], device="cpu")
     three = wp.zeros(3, dtype=wp.vec3d, device="cpu")
     for origins, which, message in (
@@ -128,7 +127,7 @@ def test_what_a_kernel_cannot_take_is_refused_in_one_line() -> None:
 
 
 @pytest.mark.skipif(WarpEngine.missing() == "", reason="a GPU is here")
-def test_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_missing_is_named(monkeypatch):
     with pytest.raises(ValueError, match=r"^the engine warp needs an NVIDIA GPU"):
         WarpEngine.of(mujoco.MjModel.from_xml_string("<mujoco/>"))
     with pytest.raises(ValueError, match="Warp finds no GPU on this machine"):
@@ -142,7 +141,7 @@ def test_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.slow
-def test_kernels_compile_for_gpus_without_fused_multiplications(tmp_path: Path) -> None:
+def test_kernels_compile_for_gpus_without_fused_multiplications(tmp_path):
     """A fused multiplication rounds once where the processor rounds twice, and bits would differ.
     No GPU is needed."""
     for name in ("lidarsim.gpu.rays", "scenegen.truth.gpu"):

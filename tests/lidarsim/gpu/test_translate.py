@@ -42,7 +42,7 @@ def each(values: wp.array2d[wp.float64], results: wp.array[wp.float64]) -> None:
     results[n] = function(values[n, 0], values[n, 1], values[n, 2])
 
 
-def test_a_kernel_has_the_same_value_in_warp() -> None:
+def test_a_kernel_has_the_same_value_in_warp():
     wp.set_module_options({"fuse_fp": False})
     values = np.random.default_rng(0).uniform(-3, 3, (200, 3))
     results = wp.zeros(len(values), dtype=wp.float64, device="cpu")

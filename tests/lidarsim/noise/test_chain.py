@@ -27,13 +27,13 @@ ENGINE = AnalyticEngine.of(
 SCAN = cast(ENGINE, Lidar(), Pose.level((0.0, 0.0, 2.0)))
 
 
-def test_no_noise_gives_the_clean_bits() -> None:
+def test_no_noise_gives_the_clean_bits():
     clean = Noise().observe(SCAN, ENGINE, rng=np.random.default_rng(0))
     assert clean.ranges[0].astype(np.float32).tobytes() == SCAN.ranges.tobytes()
     np.testing.assert_array_equal(clean.points(), SCAN.points())
 
 
-def test_a_text_becomes_stages_and_they_become_it() -> None:
+def test_a_text_becomes_stages_and_they_become_it():
     chain = Noise.parse("divergence:2.5:returns=last, range:0.01:share=0.002,dropout")
     assert chain.stages == (
         Divergence(mrad=2.5, returns="last"),
@@ -44,7 +44,7 @@ def test_a_text_becomes_stages_and_they_become_it() -> None:
 
 
 @pytest.mark.parametrize("name", STAGES.known)
-def test_every_stage_reads_back_from_its_text(name: str) -> None:
+def test_every_stage_reads_back_from_its_text(name):
     stage = STAGES.find(name)()
     for item in dataclasses.fields(stage):
         value = getattr(stage, item.name)
@@ -57,13 +57,13 @@ def test_every_stage_reads_back_from_its_text(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMED)
-def test_the_noise_of_a_data_sheet_is_a_chain(name: str) -> None:
+def test_the_noise_of_a_data_sheet_is_a_chain(name):
     chain = Noise.parse("datasheet", NAMED[name])
     assert Noise.parse(NAMED[name].noise) == chain
     assert 0 < chain.bound_m(10.0) < 10
 
 
-def test_the_same_seed_gives_the_same_bits_and_a_further_stage_changes_none_before_it() -> None:
+def test_the_same_seed_gives_the_same_bits_and_a_further_stage_changes_none_before_it():
     def ranges(text: str, seed: int = 1) -> np.ndarray:
         return Noise.parse(text).observe(SCAN, ENGINE, rng=np.random.default_rng(seed)).ranges
 
@@ -79,7 +79,7 @@ def test_the_same_seed_gives_the_same_bits_and_a_further_stage_changes_none_befo
     "text",
     ["range:0.05:share=0.01", "range,quantise:0.1,dropout,far", "grazing,faint,near:3,depth"],
 )
-def test_no_return_moves_further_than_the_bound(text: str) -> None:
+def test_no_return_moves_further_than_the_bound(text):
     chain = Noise.parse(text)
     told = chain.observe(SCAN, ENGINE, rng=np.random.default_rng(0)).ranges[0]
     left = np.isfinite(told)
@@ -90,7 +90,7 @@ def test_no_return_moves_further_than_the_bound(text: str) -> None:
     assert Noise.parse("range,spurious").bound_m(10.0) == math.inf
 
 
-def test_stages_that_cast_come_first_and_once() -> None:
+def test_stages_that_cast_come_first_and_once():
     ranks = {"motion": 0, "divergence": 1, "range": 2, "dropout": 2}
     for pair in itertools.product(ranks, repeat=2):
         fits = ranks[pair[0]] < ranks[pair[1]] or ranks[pair[0]] == ranks[pair[1]] == 2
@@ -102,7 +102,7 @@ def test_stages_that_cast_come_first_and_once() -> None:
 
 
 @pytest.fixture
-def standing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def standing(tmp_path, monkeypatch) -> Iterator[Path]:
     before = list(sys.path)
     monkeypatch.chdir(tmp_path)
     yield tmp_path
@@ -110,7 +110,7 @@ def standing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     sys.modules.pop("my_noise", None)
 
 
-def test_a_stage_of_ones_own(standing: Path) -> None:
+def test_a_stage_of_ones_own(standing):
     (standing / "my_noise.py").write_text("""
 from dataclasses import dataclass
 from typing import ClassVar
@@ -152,7 +152,7 @@ class Shift:
         (",".join(["dropout"] * 21), "20 at most"),
     ],
 )
-def test_a_text_that_is_none_is_told_of_in_one_line(text: str, told: str) -> None:
+def test_a_text_that_is_none_is_told_of_in_one_line(text, told):
     with pytest.raises(ValueError, match=r"^[^\n]*$") as error:
         Noise.parse(text)
     assert told in str(error.value)

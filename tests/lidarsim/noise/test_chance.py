@@ -8,7 +8,7 @@ from lidarsim.noise.returns import normal
 
 
 @pytest.mark.parametrize("shape", [(50_000,), (3, 7001)])
-def test_numbers_are_standard_normal_and_independent(shape: tuple[int, ...]) -> None:
+def test_numbers_are_standard_normal_and_independent(shape):
     drawn = normal(shape, rng=np.random.default_rng(4))
     assert drawn.shape == shape
     flat = drawn.reshape(-1)
@@ -20,6 +20,6 @@ def test_numbers_are_standard_normal_and_independent(shape: tuple[int, ...]) -> 
         assert stats.pearsonr(one**2, other**2).pvalue > 0.01
 
 
-def test_the_seed_alone_decides() -> None:
+def test_the_seed_alone_decides():
     one, other, third = (normal((5,), rng=np.random.default_rng(seed)) for seed in (1, 1, 2))
     assert one.tobytes() == other.tobytes() != third.tobytes()

@@ -55,7 +55,7 @@ def applied(stage: Stage, ranges: Any, sensor: Any = None, seed: int = 5) -> np.
 @pytest.mark.parametrize(
     "stage", [Range(sigma_m=0.03), Range(sigma_m=0.0, share=0.01), Range(quadratic_per_m=0.002)]
 )
-def test_range_noise_is_normal_with_the_stated_deviation(stage: Range, at_m: float) -> None:
+def test_range_noise_is_normal_with_the_stated_deviation(stage, at_m):
     moved = applied(stage, np.full(RAYS, at_m)) - at_m
     sigma = stage.sigma_m + stage.share * at_m + stage.quadratic_per_m * at_m**2
     assert abs(moved.mean()) < 4 * sigma / math.sqrt(RAYS)
@@ -65,7 +65,7 @@ def test_range_noise_is_normal_with_the_stated_deviation(stage: Range, at_m: flo
     assert stage.bound_m(at_m) == pytest.approx(4 * sigma)
 
 
-def test_depth_noise_grows_with_the_square_of_the_depth_and_not_of_the_range() -> None:
+def test_depth_noise_grows_with_the_square_of_the_depth_and_not_of_the_range():
     tilt = math.radians(40)
     rays = np.array(
         [[math.cos(tilt), side * math.sin(tilt), 0.0, 0.0] for side in (-1, 1)] * (RAYS // 2)
@@ -78,7 +78,7 @@ def test_depth_noise_grows_with_the_square_of_the_depth_and_not_of_the_range() -
     assert stats.kstest(in_depth / (0.005 * depth**2), "norm").pvalue > 0.01
 
 
-def test_quantised_ranges_are_the_nearest_steps() -> None:
+def test_quantised_ranges_are_the_nearest_steps():
     ranges = np.random.default_rng(1).uniform(1, 40, RAYS).astype(np.float32).astype(float)
     steps = applied(Quantise(step_m=0.05), ranges)
     np.testing.assert_allclose(steps / 0.05, np.rint(steps / 0.05), atol=1e-9)
@@ -87,7 +87,7 @@ def test_quantised_ranges_are_the_nearest_steps() -> None:
     assert stats.kstest(off / 0.05 + 0.5, "uniform").pvalue > 0.01
 
 
-def test_nothing_returns_from_nearer_than_the_least_range() -> None:
+def test_nothing_returns_from_nearer_than_the_least_range():
     assert applied(Near(min_range_m=0.3), [0.1, 0.299, 0.31, 7.0]).tolist() == [
         np.inf,
         np.inf,
@@ -105,9 +105,7 @@ def test_nothing_returns_from_nearer_than_the_least_range() -> None:
         (Far(power=1), 25.0, 0.25),
     ],
 )
-def test_returns_are_lost_with_the_stated_probability(
-    stage: Stage, at_m: float, share: float
-) -> None:
+def test_returns_are_lost_with_the_stated_probability(stage, at_m, share):
     left = applied(stage, np.full(RAYS, at_m))
     lost = int(np.isinf(left).sum())
     assert stats.binomtest(lost, RAYS, share).pvalue > 0.01
@@ -133,12 +131,12 @@ def seen(stage: Stage, *geoms: str, rays: int = RAYS) -> Returns:
 
 
 @pytest.mark.parametrize(("turn_deg", "share"), [(0, 0.0), (60, 0.0), (80, 0.5), (85, 0.75)])
-def test_flat_angles_are_lost_with_the_stated_probability(turn_deg: float, share: float) -> None:
+def test_flat_angles_are_lost_with_the_stated_probability(turn_deg, share):
     lost = int(np.isinf(seen(Grazing(from_deg=70), wall(turn_deg)).ranges).sum())
     assert stats.binomtest(lost, RAYS, share).pvalue > 0.01
 
 
-def test_faint_returns_are_lost_beyond_a_range_that_grows_with_albedo_and_cosine() -> None:
+def test_faint_returns_are_lost_beyond_a_range_that_grows_with_albedo_and_cosine():
     # 10 % reflectivity head on is found up to 5.5 m, so 0.4 up to 11 m, and 0.4 at 60° up to 7.8 m
     assert np.isfinite(seen(Faint(range_m=5.5, softness=0), wall(0)).ranges).all()
     assert np.isinf(seen(Faint(range_m=5.5, softness=0), wall(60)).ranges).all()
@@ -149,7 +147,7 @@ def test_faint_returns_are_lost_beyond_a_range_that_grows_with_albedo_and_cosine
 
 
 @pytest.mark.parametrize("turn_deg", [0, 30, 60])
-def test_intensity_is_albedo_times_cosine(turn_deg: float) -> None:
+def test_intensity_is_albedo_times_cosine(turn_deg):
     clean = seen(Intensity(), wall(turn_deg), rays=9).intensity
     assert clean == pytest.approx(np.full((1, 9), 0.4 * math.cos(math.radians(turn_deg))), abs=1e-6)
     noisy = seen(Intensity(sigma=0.01), wall(turn_deg)).intensity
@@ -165,7 +163,7 @@ def test_intensity_is_albedo_times_cosine(turn_deg: float) -> None:
 
 
 @pytest.mark.parametrize("at_m", [10.0, np.inf])
-def test_spurious_returns_are_even_along_the_way(at_m: float) -> None:
+def test_spurious_returns_are_even_along_the_way(at_m):
     told = applied(Spurious(share=0.3), np.full(RAYS, at_m))
     chosen = told != at_m
     assert stats.binomtest(int(chosen.sum()), RAYS, 0.3).pvalue > 0.01
@@ -181,7 +179,7 @@ def edge(near_m: float, far_m: float, covered: float) -> tuple[str, str]:
     )
 
 
-def test_a_cone_over_an_edge_returns_the_near_the_far_or_a_mixed_range() -> None:
+def test_a_cone_over_an_edge_returns_the_near_the_far_or_a_mixed_range():
     def told(**values: Any) -> np.ndarray:
         return seen(Divergence(mrad=10, rays=200, **values), *edge(10.0, 20.0, 0.0), rays=20).ranges
 
@@ -197,7 +195,7 @@ def test_a_cone_over_an_edge_returns_the_near_the_far_or_a_mixed_range() -> None
 
 
 @pytest.mark.parametrize("aside", [-0.02, -0.01, 0.01, 0.02])
-def test_the_share_of_a_cone_on_either_side_of_an_edge_is_that_of_a_disk(aside: float) -> None:
+def test_the_share_of_a_cone_on_either_side_of_an_edge_is_that_of_a_disk(aside):
     """The mixed range is the mean by area: a chord cuts a disk of radius 0.05 at 10 m."""
     stage = Divergence(mrad=10, rays=500, resolution_m=50)
     told = float(seen(stage, *edge(10.0, 20.0, aside), rays=10).ranges.mean())
@@ -206,7 +204,7 @@ def test_the_share_of_a_cone_on_either_side_of_an_edge_is_that_of_a_disk(aside: 
     assert told == pytest.approx(10 * near + 20 * (1 - near), abs=0.1)
 
 
-def test_the_strongest_echo_is_the_one_of_most_light() -> None:
+def test_the_strongest_echo_is_the_one_of_most_light():
     stage = Divergence(mrad=10, rays=100)
     assert seen(stage, *edge(10.0, 20.0, -0.02), rays=5).ranges[0] == pytest.approx(
         np.full(5, 20.0), abs=1e-3
@@ -235,9 +233,7 @@ ROOM += [f'<geom type="box" size="20 1 5" pos="0 {side} 0"/>' for side in (11, -
 
 @pytest.mark.parametrize("engine_of", [AnalyticEngine.of, MujocoEngine.of])
 @pytest.mark.parametrize("turned", [0.0, 200.0])
-def test_a_corrected_scan_lies_on_the_walls_and_an_uncorrected_one_bends(
-    engine_of: Any, turned: float
-) -> None:
+def test_a_corrected_scan_lies_on_the_walls_and_an_uncorrected_one_bends(engine_of, turned):
     """The room is 20 m wide: a point on a wall has 10 m for its greater coordinate."""
     engine = engine_of(world(*ROOM))
     motion = Motion(forward_mps=8.0, left_mps=-2.0, yaw_rate_deg_s=turned, poses=400)
@@ -253,7 +249,7 @@ def test_a_corrected_scan_lies_on_the_walls_and_an_uncorrected_one_bends(
     assert off(Motion(forward_mps=0.0)).max() < 1e-5
 
 
-def test_a_ray_along_the_motion_is_shorter_by_the_way_flown() -> None:
+def test_a_ray_along_the_motion_is_shorter_by_the_way_flown():
     """One ray at 0.1 s, straight at the wall 10 m ahead, at 3 m/s; and beside it, turned by the yaw
     meanwhile."""
     sensor = BeamTable(rays=np.array([[1.0, 0, 0, 0.0], [1.0, 0, 0, 0.1]]), max_range_m=REACH_M)
@@ -270,7 +266,7 @@ def test_a_ray_along_the_motion_is_shorter_by_the_way_flown() -> None:
 
 
 @pytest.mark.parametrize("rate", [0.0, 40.0, -90.0])
-def test_the_arc_of_a_motion_is_the_sum_of_small_steps(rate: float) -> None:
+def test_the_arc_of_a_motion_is_the_sum_of_small_steps(rate):
     motion = Motion(forward_mps=3.0, left_mps=1.0, up_mps=-0.5, yaw_rate_deg_s=rate)
     heading, place, step = 0.0, np.zeros(3), 1e-4
     for _ in range(10_000):
@@ -283,7 +279,7 @@ def test_the_arc_of_a_motion_is_the_sum_of_small_steps(rate: float) -> None:
     assert turn == pytest.approx(heading)
 
 
-def test_a_stage_that_asks_for_surfaces_needs_an_engine_that_knows_them() -> None:
+def test_a_stage_that_asks_for_surfaces_needs_an_engine_that_knows_them():
     model = world(wall(0))
     engine = MujocoEngine.of(model)
     with pytest.raises(ValueError, match="use the engine analytic"):

@@ -60,9 +60,7 @@ def angles_deg(sensor: Device) -> tuple[np.ndarray, np.ndarray]:
     return np.degrees(np.arctan2(z, np.hypot(x, y))), np.degrees(np.arctan2(y, x))
 
 
-def test_angles_do_not_hang_on_the_last_bit_of_an_arctangent(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_angles_do_not_hang_on_the_last_bit_of_an_arctangent(monkeypatch):
     """Other processors have another one: a figure halfway between two steps was printed either
     way."""
     tie = Spinning(elevations_deg=(-11.25, 0.005, 33.335), columns=16)
@@ -76,14 +74,14 @@ def test_angles_do_not_hang_on_the_last_bit_of_an_arctangent(
         np.testing.assert_array_equal(device.angles_deg(tie.directions_body), told)
 
 
-def test_the_registry_and_the_catalogue_hold_the_same_sensors() -> None:
+def test_the_registry_and_the_catalogue_hold_the_same_sensors():
     assert set(CATALOGUE) == set(NAMED)
     assert set(SENSORS.known) == set(FAMILIES) | set(CATALOGUE)
     assert {name for name in NAMED if isinstance(NAMED[name], Spinning)} == set(SPINNING)
 
 
 @pytest.mark.parametrize("name", CATALOGUE)
-def test_a_sensor_has_unit_rays_rising_times_and_a_source(name: str) -> None:
+def test_a_sensor_has_unit_rays_rising_times_and_a_source(name):
     sensor = SENSORS.find(name)
     assert sensor.name == name
     assert min(len(sensor.source), len(sensor.checked), len(sensor.error)) > 20
@@ -99,7 +97,7 @@ def test_a_sensor_has_unit_rays_rising_times_and_a_source(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", SPINNING)
-def test_a_spinning_sensors_rays_are_as_documented(name: str) -> None:
+def test_a_spinning_sensors_rays_are_as_documented(name):
     beams, low, high, step_deg, points_hz = SPINNING[name]
     sensor = NAMED[name]
     assert isinstance(sensor, Spinning)
@@ -130,9 +128,7 @@ def test_a_spinning_sensors_rays_are_as_documented(name: str) -> None:
         ("hesai-qt-128", 96, 19.19081372, -6.25017485),
     ],
 )
-def test_staggered_beams_point_where_the_makers_drivers_place_them(
-    name: str, row: int, elevation: float, azimuth: float
-) -> None:
+def test_staggered_beams_point_where_the_makers_drivers_place_them(name, row, elevation, azimuth):
     """Ouster's own formula, and Hesai's: column c at 2π c / columns, azimuths clockwise, begun at
     the rear."""
     sensor = NAMED[name]
@@ -145,7 +141,7 @@ def test_staggered_beams_point_where_the_makers_drivers_place_them(
     np.testing.assert_allclose(sensor.directions_body[row], expected, atol=2e-5)
 
 
-def test_the_qt_128_is_dense_at_the_horizon_and_looks_up_with_73_of_its_beams() -> None:
+def test_the_qt_128_is_dense_at_the_horizon_and_looks_up_with_73_of_its_beams():
     elevation, _ = angles_deg(NAMED["hesai-qt-128"])
     up = np.sort(elevation[:, 0])
     assert (up > 0).sum() == 73
@@ -156,7 +152,7 @@ def test_the_qt_128_is_dense_at_the_horizon_and_looks_up_with_73_of_its_beams() 
     ]  # channels 99 and 65
 
 
-def test_ousters_precision_is_the_data_sheets_at_its_best_and_at_its_worst() -> None:
+def test_ousters_precision_is_the_data_sheets_at_its_best_and_at_its_worst():
     stage = next(
         stage
         for stage in Noise.parse(NAMED["ouster-os1-64"].noise).stages
@@ -170,9 +166,7 @@ def test_ousters_precision_is_the_data_sheets_at_its_best_and_at_its_worst() -> 
     ("name", "firing", "gap_us"),
     [("velodyne-vlp-16", [-15, 1, -13, 3], 2.304), ("hesai-xt-32", [15, 14, 13], 1.512)],
 )
-def test_beams_fire_in_the_documented_order_while_the_head_turns(
-    name: str, firing: list[int], gap_us: float
-) -> None:
+def test_beams_fire_in_the_documented_order_while_the_head_turns(name, firing, gap_us):
     sensor = NAMED[name]
     elevation, azimuth = angles_deg(sensor)
     order = np.argsort(sensor.times_s[:, 0])
@@ -191,9 +185,7 @@ def test_beams_fire_in_the_documented_order_while_the_head_turns(
     ("name", "points_hz", "up"),
     [("livox-mid-360", 2e5, (-7, 52)), ("livox-avia", 2.4e5, (-38.6, 38.6))],
 )
-def test_a_pattern_keeps_to_its_field_of_view_and_does_not_repeat(
-    name: str, points_hz: float, up: Any
-) -> None:
+def test_a_pattern_keeps_to_its_field_of_view_and_does_not_repeat(name, points_hz, up):
     sensor = NAMED[name]
     elevation, azimuth = angles_deg(sensor)
     assert sensor.shape == (points_hz / 10,)
@@ -225,9 +217,7 @@ def test_a_pattern_keeps_to_its_field_of_view_and_does_not_repeat(
 
 
 @pytest.mark.parametrize("share", [0.3, 0.5])
-def test_a_rosette_fills_the_ring_between_the_difference_and_the_sum_of_its_prisms(
-    share: float,
-) -> None:
+def test_a_rosette_fills_the_ring_between_the_difference_and_the_sum_of_its_prisms(share):
     half = math.radians(20)
     rosette = Rosette(horizontal_fov_deg=40, vertical_fov_deg=40, second_share=share, window_s=1.0)
     away = np.arccos(np.clip(rosette.directions_body[:, 0], -1, 1))
@@ -236,7 +226,7 @@ def test_a_rosette_fills_the_ring_between_the_difference_and_the_sum_of_its_pris
 
 
 @pytest.mark.parametrize("name", ["realsense-d435", "realsense-d455"])
-def test_a_depth_cameras_rays_meet_a_plane_in_a_square_grid(name: str) -> None:
+def test_a_depth_cameras_rays_meet_a_plane_in_a_square_grid(name):
     sensor = NAMED[name]
     assert isinstance(sensor, Pinhole)
     picture = sensor.directions_body[..., 1:] / sensor.directions_body[..., :1]
@@ -249,7 +239,7 @@ def test_a_depth_cameras_rays_meet_a_plane_in_a_square_grid(name: str) -> None:
     np.testing.assert_allclose(picture, -picture[::-1, ::-1], atol=1e-12)
 
 
-def test_a_lever_arm_moves_the_origin_of_the_rays_with_the_body() -> None:
+def test_a_lever_arm_moves_the_origin_of_the_rays_with_the_body():
     """At a yaw of 90° the body's x axis is the world's y axis."""
     sensor = Spinning(elevations_deg=(0.0,), columns=4, lever_arm_m=(0.5, 0.0, 0.2))
     model = mujoco.MjModel.from_xml_string(
@@ -307,9 +297,7 @@ IMPOSSIBLE: list[tuple[type, dict[str, Any], str]] = [
 @pytest.mark.parametrize(
     ("family", "values", "told"), IMPOSSIBLE, ids=[told for _, _, told in IMPOSSIBLE]
 )
-def test_an_impossible_sensor_is_told_of_in_one_line(
-    family: type, values: dict[str, Any], told: str
-) -> None:
+def test_an_impossible_sensor_is_told_of_in_one_line(family, values, told):
     with pytest.raises(ValueError, match=r"^[^\n]*$") as error:
         family(**values)
     assert told in str(error.value)

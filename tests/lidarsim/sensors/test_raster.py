@@ -19,7 +19,7 @@ def azimuth_deg(directions: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("mount", ["tilt", "band"])
-def test_every_ray_follows_the_layout_at_any_attitude(seed: int, mount: str) -> None:
+def test_every_ray_follows_the_layout_at_any_attitude(seed, mount):
     """Against `reference.lidar_directions`: products of scipy rotations, restated from the
     specification."""
     quaternion = reference.random_quaternion(np.random.default_rng(seed))
@@ -37,8 +37,8 @@ def test_every_ray_follows_the_layout_at_any_attitude(seed: int, mount: str) -> 
     [(2, 1, 10.0, 0.0), (5, 7, 33.0, 12.5), (32, 9, 90.0, -20.0), (3, 360, 0.5, 90.0)],
 )
 def test_other_sizes_spread_rows_over_the_fov_ends_included_and_columns_over_the_turn(
-    rows: int, columns: int, vertical: float, pitch: float, mount: str
-) -> None:
+    rows, columns, vertical, pitch, mount
+):
     """A single column looks straight ahead; apart from that, the specification's angles for any
     counts."""
     quaternion = reference.random_quaternion(np.random.default_rng(rows))
@@ -61,14 +61,14 @@ def test_other_sizes_spread_rows_over_the_fov_ends_included_and_columns_over_the
     )
 
 
-def test_a_horizontal_fov_below_a_full_turn_includes_both_its_ends() -> None:
+def test_a_horizontal_fov_below_a_full_turn_includes_both_its_ends():
     lidar = Lidar(rows=1, columns=4, horizontal_fov_deg=90.0, pitch_deg=0.0)
     np.testing.assert_allclose(
         azimuth_deg(rotate(LEVEL, lidar.directions_body))[0], [-45, -15, 15, 45], atol=1e-12
     )
 
 
-def test_level_pose_holds_its_position_and_turns_x_to_the_yaw() -> None:
+def test_level_pose_holds_its_position_and_turns_x_to_the_yaw():
     for yaw in (-3.0, 0.0, 0.3, np.pi / 2):
         pose = Pose.level((1.0, -2.0, 3.5), yaw)
         np.testing.assert_array_equal(pose.position, [1.0, -2.0, 3.5])
@@ -77,7 +77,7 @@ def test_level_pose_holds_its_position_and_turns_x_to_the_yaw() -> None:
         np.testing.assert_allclose(matrix @ [0, 0, 1], [0, 0, 1], atol=1e-15)
 
 
-def test_facing_a_direction_is_a_turn_by_its_angle() -> None:
+def test_facing_a_direction_is_a_turn_by_its_angle():
     rng = np.random.default_rng(6)
     plain = [
         (1, 0),
@@ -123,7 +123,7 @@ def test_facing_a_direction_is_a_turn_by_its_angle() -> None:
         ("mount", "gimbal"),
     ],
 )
-def test_a_bad_lidar_parameter_is_refused_by_name(parameter: str, value: object) -> None:
+def test_a_bad_lidar_parameter_is_refused_by_name(parameter, value):
     with pytest.raises(ValueError, match=parameter):
         Lidar(**{parameter: value})  # type: ignore[arg-type]
 
@@ -137,8 +137,6 @@ def test_a_bad_lidar_parameter_is_refused_by_name(parameter: str, value: object)
         ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), "quaternion"),
     ],
 )
-def test_a_bad_pose_is_refused_by_name(
-    position: tuple[float, ...], quaternion: tuple[float, ...], named: str
-) -> None:
+def test_a_bad_pose_is_refused_by_name(position, quaternion, named):
     with pytest.raises(ValueError, match=named):
         Pose(position=np.array(position), quaternion=np.array(quaternion))

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lidarsim import BeamTable, Lidar, Sensor
+from lidarsim import BeamTable, Lidar
 from lidarsim.sensors import SENSORS
 from lidarsim.sensors.table import BeamFile, read_npy
 
@@ -36,7 +36,7 @@ class Fan:
 
 
 @pytest.mark.parametrize("sensor", [Fan(), Lidar(), Lidar(rows=1, columns=5, mount="band")])
-def test_a_table_has_a_sensors_rays_to_the_bit(sensor: Sensor) -> None:
+def test_a_table_has_a_sensors_rays_to_the_bit(sensor):
     table = BeamTable.of(sensor)
     assert table.shape == sensor.shape
     assert table.max_range_m == sensor.max_range_m
@@ -46,14 +46,14 @@ def test_a_table_has_a_sensors_rays_to_the_bit(sensor: Sensor) -> None:
     np.testing.assert_array_equal(read_npy(table.npy), table.rays)
 
 
-def test_a_table_says_what_made_it_and_names_no_folder() -> None:
+def test_a_table_says_what_made_it_and_names_no_folder():
     said = BeamTable.of(Fan()).made_by
     assert said.startswith("tests.lidarsim.sensors.test_table:Fan(rays=9, name=")
     assert "where=fan.txt" in said
     assert said.isprintable()
 
 
-def test_a_table_cannot_be_changed() -> None:
+def test_a_table_cannot_be_changed():
     rays = np.tile([1.0, 0.0, 0.0, 0.0], (3, 1))
     table = BeamTable(rays=rays)
     rays[0, 0] = 7.0
@@ -62,7 +62,7 @@ def test_a_table_cannot_be_changed() -> None:
         table.rays[0, 0] = 2.0
 
 
-def test_a_file_is_a_sensor_by_name(tmp_path: Path) -> None:
+def test_a_file_is_a_sensor_by_name(tmp_path):
     table = BeamTable.of(Fan())
     (tmp_path / "fan.npy").write_bytes(table.npy)
     found = SENSORS.find("table")(rays=tmp_path / "fan.npy", max_range_m=5.0, sha256=table.sha256)
@@ -77,6 +77,6 @@ def test_a_file_is_a_sensor_by_name(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("axes", [0, 5])
-def test_shapes_have_one_to_four_axes(axes: int) -> None:
+def test_shapes_have_one_to_four_axes(axes):
     with pytest.raises(ValueError, match="expected"):
         BeamTable(rays=np.broadcast_to([1.0, 0.0, 0.0, 0.0], (1,) * axes + (4,)))

@@ -7,13 +7,10 @@ from pathlib import Path
 import pytest
 
 from tests.command_line import SMALL, run
-from tests.conftest import Once
 
 
 @pytest.fixture
-def here(
-    once: Once, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Path:
+def here(once, tmp_path, monkeypatch, capsys) -> Path:
     """A folder with a small dataset under data/, to stand in."""
 
     def generate(folder: Path) -> None:
@@ -36,9 +33,7 @@ def here(
     return tmp_path
 
 
-def test_without_arguments_it_takes_what_is_under_data(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_arguments_it_takes_what_is_under_data(here, capsys):
     code, said, _ = run(capsys, "bench", "--quick", "--workers", 1)
     assert code == 0
     assert "pillar, reconstruction" in said
@@ -53,9 +48,7 @@ def test_without_arguments_it_takes_what_is_under_data(
     assert (code, json.loads(said)) == (0, json.loads((here / "other" / "report.json").read_text()))
 
 
-def test_bad_use_ends_in_one_line(
-    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_bad_use_ends_in_one_line(here, capsys, monkeypatch):
     (here / "wrong.h5").write_bytes(b"")
     for words, code, named in (
         (("elsewhere",), 1, "not a dataset"),

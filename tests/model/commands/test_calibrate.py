@@ -1,18 +1,9 @@
 """`scenegen calibrate` as users meet it: bad use ends in one line, and writes nothing."""
 
-from pathlib import Path
-
-import pytest
-
 from tests.command_line import run
 
 
-def test_bad_use_ends_in_one_line(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    folders: list[Path],
-) -> None:
+def test_bad_use_ends_in_one_line(tmp_path, monkeypatch, capsys, folders):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "net.onnx").write_bytes(b"")
     for words, code, told in (

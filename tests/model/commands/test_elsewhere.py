@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 from tests.command_line import run
-from tests.conftest import Once
 from tests.scenegen.run import everywhere
 from tests.scenegen.run.backwards import die_of_one
 from tests.scenegen.run.everywhere import SAMPLES, checks, contents
@@ -19,7 +18,7 @@ Shell = pytest.CaptureFixture[str]
 
 
 @pytest.fixture
-def here(once: Once, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def here(once, tmp_path, monkeypatch) -> Path:
     """A folder to stand in, with a dataset and a network."""
     made = once("everywhere", everywhere.make)
     for name in ("d", "n.safetensors"):
@@ -31,9 +30,7 @@ def here(once: Once, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.parametrize(
     "words", everywhere.COMMANDS, ids=lambda words: "-".join(map(str, words[:1] + words[3:4]))
 )
-def test_a_command_gives_the_same_elsewhere(
-    here: Path, capsys: Shell, words: tuple[object, ...]
-) -> None:
+def test_a_command_gives_the_same_elsewhere(here, capsys, words):
     """Reports are equal, and files byte by byte."""
     local = everywhere.outcome(capsys, here, words, "out", "--workers", 1)
     assert everywhere.outcome(capsys, here, words, "out", *AWAY) == local
@@ -51,7 +48,7 @@ def as_ranks(
     return found
 
 
-def test_verify(here: Path, capsys: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_verify(here, capsys, monkeypatch):
     """Ranks examine every sample once, together, and skip what compares all shards."""
     words = ("verify", "d", "--json")
     code, said, _ = run(capsys, *words, "--workers", 1)
@@ -72,9 +69,7 @@ def test_verify(here: Path, capsys: Shell, monkeypatch: pytest.MonkeyPatch) -> N
     assert not parts[0]["checksums"]["skipped"]
 
 
-def test_verify_names_the_file_that_crashes_its_process(
-    here: Path, capsys: Shell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_verify_names_the_file_that_crashes_its_process(here, capsys, monkeypatch):
     """Also where an executor calls the function in a process of its own: that lives on, and so does
     the next task."""
     monkeypatch.setattr("scenegen.verification.folder.examine", die_of_one)
@@ -86,7 +81,7 @@ def test_verify_names_the_file_that_crashes_its_process(
 
 
 @pytest.mark.parametrize("to", ["npz", "webdataset"])
-def test_convert(here: Path, capsys: Shell, monkeypatch: pytest.MonkeyPatch, to: str) -> None:
+def test_convert(here, capsys, monkeypatch, to):
     """Ranks fill one folder; a run that lost a task goes on."""
     words = ("convert", "d", "--to", to)
     for out, more in (("whole", ("--workers", 1)), ("two", ("--workers", 2))):
@@ -105,7 +100,7 @@ def test_convert(here: Path, capsys: Shell, monkeypatch: pytest.MonkeyPatch, to:
         assert contents(here / out) == whole
 
 
-def test_scans_are_completed_here(here: Path, capsys: Shell) -> None:
+def test_scans_are_completed_here(here, capsys):
     (here / "scan.xyz").write_text("1 1 1\n")
     code, _, complaint = run(capsys, "complete", "scan.xyz", "--weights", "n.safetensors", *AWAY)
     assert (code, complaint.count("\n")) == (1, 1)
@@ -115,9 +110,7 @@ def test_scans_are_completed_here(here: Path, capsys: Shell) -> None:
 @pytest.mark.parametrize(
     "words", [everywhere.BENCH, everywhere.COMPLETE], ids=["bench", "complete"]
 )
-def test_ranks_that_bring_nothing_together_are_refused(
-    here: Path, capsys: Shell, monkeypatch: pytest.MonkeyPatch, words: tuple[object, ...]
-) -> None:
+def test_ranks_that_bring_nothing_together_are_refused(here, capsys, monkeypatch, words):
     """They say so before any work."""
     for code, _, complaint in as_ranks(capsys, monkeypatch, *words, "-o", "ranks", "--quiet"):
         assert (code, complaint.count("\n")) == (1, 1)

@@ -21,20 +21,17 @@ from scenegen.model.evaluation.metrics import METRICS
 from tests.command_line import run
 from tests.model.commands.test_bench import here
 from tests.model.training.runs import elsewhere
-from tests.shell import Shell
 
 assert here  # the fixture
 QUICK = ("--width", 4, "--batch", 2, "--device", "cpu", "--precision", "float32")
 
 
 @pytest.fixture(autouse=True)
-def one_thread() -> None:
+def one_thread():
     torch.set_num_threads(1)
 
 
-def test_train_complete_and_bench_work_together(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_train_complete_and_bench_work_together(here, capsys):
     code, said, _ = run(capsys, "train", "--epochs", 2, "--lambda-occupancy", 0.7, *QUICK)
     assert code == 0
     assert said.count("epoch ") == 3
@@ -112,9 +109,7 @@ def test_train_complete_and_bench_work_together(
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_stream_trains_without_a_dataset(
-    here: Path, small: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_stream_trains_without_a_dataset(here, small, capsys):
     words = (
         "--stream",
         f"{small}=2",
@@ -140,7 +135,7 @@ def test_a_stream_trains_without_a_dataset(
     assert code == 2
 
 
-def test_bad_use_ends_in_one_line(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_use_ends_in_one_line(here, capsys):
     (here / "pickle.pt").write_bytes(b"\x80\x04nothing")
     for words, code, named in (
         (("train", "elsewhere"), 1, "not a dataset"),
@@ -184,9 +179,7 @@ def test_bad_use_ends_in_one_line(here: Path, capsys: pytest.CaptureFixture[str]
         assert named in error
 
 
-def test_without_datasets_it_says_which_command_makes_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_datasets_it_says_which_command_makes_one(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     ended, _, error = run(capsys, "train")
     assert ended == 2
@@ -198,7 +191,7 @@ WITHOUT_TORCH = (
 )
 
 
-def test_without_torch_it_says_what_to_install(tmp_path: Path, shell: Shell) -> None:
+def test_without_torch_it_says_what_to_install(tmp_path, shell):
     (tmp_path / "without.py").write_text(WITHOUT_TORCH)
     for words in (
         ("train", "anything"),
@@ -222,9 +215,7 @@ def train_until_stopped(error: Path) -> None:
     cli.main()
 
 
-def test_the_same_command_goes_on_after_a_signal(
-    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_same_command_goes_on_after_a_signal(here, capsys, monkeypatch):
     running = elsewhere(train_until_stopped, here / "error.txt")
     while not (here / "runs" / "proposed" / "metrics.csv").exists():
         assert running.is_alive()
@@ -255,7 +246,7 @@ def test_the_same_command_goes_on_after_a_signal(
 
 
 @pytest.mark.slow
-def test_networks_prints_what_they_cost(capsys: pytest.CaptureFixture[str]) -> None:
+def test_networks_prints_what_they_cost(capsys):
     code, said, _ = run(capsys, "networks", "--json")
     assert code == 0
     rows = {(row["variant"], row["stem_stride"]): row for row in json.loads(said)}

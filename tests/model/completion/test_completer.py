@@ -1,7 +1,9 @@
 """One object from weights to predictions: shapes, units, and errors that say what to do."""
 
+import re
 import socket
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from scenegen.model.completion.protocol import PredictionError
 from scenegen.model.config import BUNDLED, NetworkConfig, bundled
 from scenegen.model.network import Network
 from scenegen.model.training.card import card
+from scenegen.worlds.mapping import Mapper
 
 GRID = GridSpec(shape=(16, 24, 8))
 
@@ -189,30 +192,43 @@ def test_a_bundled_network_has_the_card_of_its_own_header(name: str) -> None:
     assert (BUNDLED / f"{name}.md").read_text(encoding="utf-8") == card(name, found)
 
 
-def test_a_network_says_where_a_sensor_is_not_that_of_its_training() -> None:
-    """Networks of earlier commits name none: theirs was the paper's."""
-    paper, own = Lidar(), Lidar(rows=8, max_range_m=30.0)
-    assert unlike("net", {}, paper) == unlike("net", {"lidar": sensor_entry(own)}, own) == ""
-    said = unlike("net", {}, own)
-    assert said.startswith("net was trained on another sensor")
-    assert "rows is 16 in training, 8 here; max_range_m is 10.0 in training, 30.0 here" in said
+OWN, NOISE = Lidar(rows=8, max_range_m=30.0), "dropout:share=0.05"
 
 
-def test_a_network_names_a_sensor_that_is_a_table_of_rays() -> None:
-    ouster = SENSORS.find("ouster-os1-64")
-    said = unlike("net", {}, ouster)
-    assert said.endswith(
-        "sensor is a raster of 16 × 120 rays in training, ouster-os1-64 of 64 × 1024 rays here"
-    )
-
-
-def test_a_network_says_where_noise_is_not_that_of_its_training() -> None:
-    met = "dropout:share=0.05"
-    assert (
-        unlike("net", {"noise": ["", met]}, Lidar(), None, met)
-        == unlike("net", {"noise": ["", met]}, Lidar())
-        == ""
-    )
-    said = unlike("net", {}, Lidar(), None, met)
-    assert said.startswith("net was trained on other noise, so expect worse completions: ")
-    assert said.endswith("noise is none in training, dropout:share=0.05 here")
+@pytest.mark.parametrize(
+    ("header", "met", "said"),
+    [  # networks of earlier commits name no sensor: theirs was the paper's
+        ({}, (Lidar(),), ""),
+        ({"lidar": sensor_entry(OWN)}, (OWN,), ""),
+        (
+            {},
+            (OWN,),
+            "another sensor.*rows is 16 in training, 8 here; "
+            "max_range_m is 10.0 in training, 30.0 here",
+        ),
+        (
+            {},
+            (SENSORS.find("ouster-os1-64"),),
+            "raster of 16 × 120 rays in training, ouster-os1-64 of 64 × 1024 rays here$",
+        ),
+        ({}, (Lidar(), Mapper(scan_spacing_m=3.0)), ""),
+        (
+            {},
+            (Lidar(), Mapper(scans=5, tilt_mps=2.0)),
+            "maps made otherwise.*mapping.scans is 1 in training, 5 here; .*"
+            "mapping.tilt_mps is 0.0 in training, 2.0 here",
+        ),
+        ({"noise": ["", NOISE]}, (Lidar(),), ""),
+        ({"noise": ["", NOISE]}, (Lidar(), None, NOISE), ""),
+        (
+            {},
+            (Lidar(), None, NOISE),
+            "other noise.*noise is none in training, dropout:share=0.05 here$",
+        ),
+    ],
+)
+def test_a_network_says_where_maps_are_not_those_of_its_training(
+    header: dict[str, Any], met: tuple[Any, ...], said: str
+) -> None:
+    found = unlike("net", header, *met)
+    assert re.match(f"net was trained on {said}", found) if said else found == ""

@@ -31,9 +31,7 @@ def completer(tmp_path: Path, grid: object, variant: str = "proposed") -> Comple
 
 
 @pytest.mark.parametrize("variant", ["proposed", "tudf"])
-def test_a_predictions_file_is_what_the_bench_takes(
-    folders: list[Path], tmp_path: Path, variant: str
-) -> None:
+def test_a_predictions_file_is_what_the_bench_takes(folders, tmp_path, variant):
     dataset = Dataset(folders[1])
     net = completer(tmp_path, dataset.grid, variant)
     told = []
@@ -63,7 +61,7 @@ def test_a_predictions_file_is_what_the_bench_takes(
             )
 
 
-def test_a_failure_leaves_no_file(folders: list[Path], tmp_path: Path) -> None:
+def test_a_failure_leaves_no_file(folders, tmp_path):
     dataset = Dataset(folders[0])
     net = completer(tmp_path, dataset.grid)
 
@@ -75,7 +73,7 @@ def test_a_failure_leaves_no_file(folders: list[Path], tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["net.safetensors"]
 
 
-def test_maps_of_another_grid_are_refused(folders: list[Path], tmp_path: Path) -> None:
+def test_maps_of_another_grid_are_refused(folders, tmp_path):
     other = make_dataset(tmp_path / "other", grid={"shape": (16, 16, 16)})
     net = completer(tmp_path, Dataset(folders[0]).grid)
     with pytest.raises(DatasetError, match="train a network on this grid"):
@@ -83,9 +81,7 @@ def test_maps_of_another_grid_are_refused(folders: list[Path], tmp_path: Path) -
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".npy"])
-def test_a_scan_of_a_sample_is_completed_as_the_sample_is(
-    folders: list[Path], tmp_path: Path, suffix: str
-) -> None:
+def test_a_scan_of_a_sample_is_completed_as_the_sample_is(folders, tmp_path, suffix):
     dataset = Dataset(folders[0])
     sample = dataset.split("train")[0]
     net = completer(tmp_path, dataset.grid)
@@ -116,7 +112,7 @@ def test_a_scan_of_a_sample_is_completed_as_the_sample_is(
     )
 
 
-def test_files_that_are_no_scans_are_refused(folders: list[Path], tmp_path: Path) -> None:
+def test_files_that_are_no_scans_are_refused(folders, tmp_path):
     net = completer(tmp_path, Dataset(folders[0]).grid)
     np.save(tmp_path / "far.npy", np.full((4, 3), 1000.0))
     np.save(tmp_path / "good.npy", np.zeros((4, 3)))
@@ -132,9 +128,7 @@ def test_files_that_are_no_scans_are_refused(folders: list[Path], tmp_path: Path
         assert not (tmp_path / out).exists()
 
 
-def test_points_beyond_the_map_and_without_a_return_are_counted(
-    folders: list[Path], tmp_path: Path
-) -> None:
+def test_points_beyond_the_map_and_without_a_return_are_counted(folders, tmp_path):
     net = completer(tmp_path, Dataset(folders[0]).grid)
     far = [[1e300, 0, 0], [-50, 0, 0], [0, 0, 1e7]]
     np.save(tmp_path / "scan.npy", [[0, 0, 0], [0.1, 0, 0], *far, [np.nan, 0, 0], [0, np.inf, 0]])
@@ -157,7 +151,7 @@ def test_points_beyond_the_map_and_without_a_return_are_counted(
         )
 
 
-def test_only_completions_are_replaced(folders: list[Path], tmp_path: Path) -> None:
+def test_only_completions_are_replaced(folders, tmp_path):
     net = completer(tmp_path, Dataset(folders[0]).grid)
     np.save(tmp_path / "scan.npy", np.zeros((4, 3)))
     for name in ("out.h5", "out.ply"):
@@ -178,9 +172,7 @@ def test_only_completions_are_replaced(folders: list[Path], tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("room", [1, 3000, 40_000])
-def test_a_full_disk_ends_in_one_line_and_leaves_nothing(
-    room: int, folders: list[Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_full_disk_ends_in_one_line_and_leaves_nothing(room, folders, tmp_path, capfd):
     """As a limit of files' sizes has it; HDF5 itself says more, and goes on saying it."""
     net = completer(tmp_path, Dataset(folders[0]).grid)
     np.save(tmp_path / "scan.npy", np.zeros((4, 3)))
@@ -199,7 +191,7 @@ def test_a_full_disk_ends_in_one_line_and_leaves_nothing(
     assert capfd.readouterr() == ("", "")
 
 
-def test_an_empty_split_names_a_way_on_that_exists(tmp_path: Path) -> None:
+def test_an_empty_split_names_a_way_on_that_exists(tmp_path):
     empty = make_dataset(tmp_path / "empty", counts={"train": 2, "val": 0, "test": 0})
     net = completer(tmp_path, Dataset(empty).grid)
     said = r"its test split is empty; generate with --test \(.* or give another --split"

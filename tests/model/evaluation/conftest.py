@@ -3,14 +3,13 @@
 import pytest
 
 from scenegen.dataset.read import Dataset
-from tests.conftest import Once
 from tests.model.conftest import make_dataset
 
 COUNTS = {"train": 3, "val": 4, "test": 9}
 
 
 @pytest.fixture(scope="session")
-def dataset(once: Once) -> Dataset:
+def dataset(once) -> Dataset:
     """Nine test maps of three worlds."""
     return Dataset(
         once(

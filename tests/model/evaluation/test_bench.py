@@ -46,7 +46,7 @@ class Nothing:
         )
 
 
-def test_a_rows_name_prints_no_line_of_its_own() -> None:
+def test_a_rows_name_prints_no_line_of_its_own():
     completer = Nothing()
     completer.name = "a\nwritten: \x1b[2J"
     assert Completed(completer).name == "a written: \\x1b[2J"
@@ -89,9 +89,7 @@ def write_predictions(
     return path
 
 
-def test_a_perfect_prediction_scores_perfectly_and_plans_like_the_truth(
-    dataset: Dataset, tmp_path: Path
-) -> None:
+def test_a_perfect_prediction_scores_perfectly_and_plans_like_the_truth(dataset, tmp_path):
     predicted = Predicted(write_predictions(tmp_path / "p.h5", dataset))
     predicted.check(dataset, "test")
     found = bench(dataset, [Truth(), predicted, Completed(Copied(dataset))], CONFIG)
@@ -109,9 +107,7 @@ def test_a_perfect_prediction_scores_perfectly_and_plans_like_the_truth(
     np.testing.assert_array_equal(copied.tuned[:, list(METRICS).index("iou")], 1)
 
 
-def test_tables_show_iou_at_the_best_threshold_and_where_it_is(
-    dataset: Dataset, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_tables_show_iou_at_the_best_threshold_and_where_it_is(dataset, capsys):
     """As of a network that was not trained long: at the paper's threshold it calls nothing
     occupied."""
     found = bench(dataset, [Truth(), Completed(Copied(dataset))], CONFIG)
@@ -129,7 +125,7 @@ def test_tables_show_iou_at_the_best_threshold_and_where_it_is(
     assert " at 0.3</small>" in to_html(report)
 
 
-def test_workers_and_other_rows_change_no_figure(dataset: Dataset) -> None:
+def test_workers_and_other_rows_change_no_figure(dataset):
     alone = bench(dataset, [Completed(Returns())], CONFIG)
     beside = bench(dataset, [Truth(), Completed(Returns())], CONFIG, workers=2)
     ours, theirs = alone.methods["returns"], beside.methods["returns"]
@@ -154,7 +150,7 @@ def report_of(dataset: Dataset, out: Path, **options: object) -> dict:
     return run_bench([dataset.folder], out=out, **given)
 
 
-def test_the_report_holds_every_figure_in_its_place(dataset: Dataset, tmp_path: Path) -> None:
+def test_the_report_holds_every_figure_in_its_place(dataset, tmp_path):
     report = report_of(dataset, tmp_path / "bench")
     assert report == json.loads((tmp_path / "bench" / "report.json").read_text())
     for table, names in (
@@ -182,9 +178,7 @@ def strictly(path: Path) -> dict:
     return json.loads(path.read_text(), parse_constant=pytest.fail)
 
 
-def test_a_study_stands_beside_tables_that_it_does_not_change(
-    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_study_stands_beside_tables_that_it_does_not_change(dataset, tmp_path, monkeypatch):
     rows = ("truth", "seen", "returns")
     plain = report_of(dataset, tmp_path / "plain", names=rows)
     report = report_of(dataset, tmp_path / "study", names=rows, study=True)
@@ -212,7 +206,7 @@ def test_a_study_stands_beside_tables_that_it_does_not_change(
         runpy.run_path(str(script), run_name="__main__")
 
 
-def test_paths_can_be_refined_on_the_transform_of_what_is_predicted(dataset: Dataset) -> None:
+def test_paths_can_be_refined_on_the_transform_of_what_is_predicted(dataset):
     plan = dataclasses.replace(CONFIG.plan, field="transform", edge_check=True)
     config = dataclasses.replace(CONFIG, plan=plan, thresholds=Thresholds(probability=0.5))
     found = bench(dataset, [Completed(Copied(dataset, 0.5)), Truth()], config).methods
@@ -222,7 +216,7 @@ def test_paths_can_be_refined_on_the_transform_of_what_is_predicted(dataset: Dat
     assert own.trials != found["truth"].trials
 
 
-def test_the_careful_planner_succeeds_on_the_truth_always(dataset: Dataset) -> None:
+def test_the_careful_planner_succeeds_on_the_truth_always(dataset):
     """And it tells apart what the paper's planner holds equal: unlike probabilities of one map."""
     plan = dataclasses.replace(CONFIG.plan, planner="careful")
     config = dataclasses.replace(CONFIG, plan=plan, thresholds=Thresholds(probability=0.999))
@@ -232,7 +226,7 @@ def test_the_careful_planner_succeeds_on_the_truth_always(dataset: Dataset) -> N
     assert sum(success["copied"]) > sum(success["nothing"])
 
 
-def test_a_study_without_a_trial_says_so(dataset: Dataset) -> None:
+def test_a_study_without_a_trial_says_so(dataset):
     lonely = PlanConfig(step_voxels=100)  # a lattice of one node, so no goal
     config = BenchConfig(samples=2, study=True, plan=lonely)
     report = build_report([bench(dataset, [Truth()], config)], seed=0, about={})
@@ -241,7 +235,7 @@ def test_a_study_without_a_trial_says_so(dataset: Dataset) -> None:
     assert "| truth, probability 0.5 | – | – |" in to_markdown(report)
 
 
-def test_trials_in_which_all_succeed_are_told_by_what_may_have_learned(dataset: Dataset) -> None:
+def test_trials_in_which_all_succeed_are_told_by_what_may_have_learned(dataset):
     """A row that only stands beside them takes none away; where there are only such rows, all
     count."""
     learned, beside = Completed(Nothing()), Truth()
@@ -289,15 +283,13 @@ class Wild(Nothing):
         ("Wild", "nothing: occupancy_probability holds 1.5"),
     ],
 )
-def test_methods_that_are_none_are_refused_in_one_line(
-    dataset: Dataset, tmp_path: Path, method: str, said: str
-) -> None:
+def test_methods_that_are_none_are_refused_in_one_line(dataset, tmp_path, method, said):
     with pytest.raises(ScenegenError, match=said) as caught:
         report_of(dataset, tmp_path / "bench", names=(f"{__name__}:{method}",))
     assert "\n" not in str(caught.value)
 
 
-def test_one_world_gives_no_interval(tmp_path: Path) -> None:
+def test_one_world_gives_no_interval(tmp_path):
     recipe = small_recipe()
     counts = {"train": 3, "val": 0, "test": 3}
     build(plan_dataset(tmp_path / "d", recipe, DrawnWorlds(recipe), seed=0, counts=counts))
@@ -313,7 +305,7 @@ def test_one_world_gives_no_interval(tmp_path: Path) -> None:
     assert "nan" not in text
 
 
-def test_unknown_methods_and_empty_splits_are_refused(dataset: Dataset, tmp_path: Path) -> None:
+def test_unknown_methods_and_empty_splits_are_refused(dataset, tmp_path):
     with pytest.raises(ScenegenError, match="did you mean 'returns'"):
         choose_methods(["retruns"])
     assert choose_methods(["tests.model.evaluation.test_bench:Nothing"])[0].name == "nothing"

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import torch
 
-from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
 from scenegen.model.calibration import KEY, Calibration
 from scenegen.model.checkpoint import CheckpointError, load_network, save_network
@@ -26,7 +25,7 @@ TRAINED = {"settings": {"loss": {"occupied_weight": 5.0}}, "seed": 0}
 
 
 @pytest.fixture
-def weights(dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def weights(dataset, tmp_path, monkeypatch) -> Path:
     monkeypatch.setattr(module, "LEAST_WORLDS", 1)
     torch.manual_seed(0)
     network = Network(NetworkConfig(variant="proposed", width=4))
@@ -34,7 +33,7 @@ def weights(dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     return tmp_path / "net.safetensors"
 
 
-def test_a_file_carries_its_calibration(dataset: Dataset, weights: Path, tmp_path: Path) -> None:
+def test_a_file_carries_its_calibration(dataset, weights, tmp_path):
     before = load_network(weights)[0].state_dict()
     found = calibrate(
         weights, [dataset.folder], tmp_path / "sure.safetensors", split="test", trials=1
@@ -67,9 +66,7 @@ def test_a_file_carries_its_calibration(dataset: Dataset, weights: Path, tmp_pat
         np.testing.assert_allclose(file["probability"][0], said.probability, atol=1e-5)
 
 
-def test_bounds_of_others_are_a_row_of_the_study(
-    dataset: Dataset, weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_bounds_of_others_are_a_row_of_the_study(dataset, weights, tmp_path, monkeypatch):
     completer = Completer.from_pretrained(weights)
     predict_split(completer, dataset.folder, "test", tmp_path / "p.h5")
     with h5py.File(tmp_path / "p.h5", "a") as file:
@@ -99,9 +96,7 @@ def test_bounds_of_others_are_a_row_of_the_study(
             Predicted(tmp_path / "p.h5").check(dataset, "test")
 
 
-def test_what_cannot_be_calibrated_is_said(
-    dataset: Dataset, weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_cannot_be_calibrated_is_said(dataset, weights, tmp_path, monkeypatch):
     network, grid, _ = load_network(weights)
     for about in ({}, {"settings": {"loss": {"occupied_weight": 0}}}):
         save_network(tmp_path / "odd.safetensors", network, grid, about)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lidarsim import Lidar, Scan, voxelize
+from lidarsim import Scan, voxelize
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.draw import draw_unit
@@ -14,7 +14,6 @@ from scenegen.model.evaluation.config import BenchConfig
 from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.visibility import CLASSES, classify, seen_occupancy
 from scenegen.source import DrawnWorlds
-from scenegen.worlds.mapping import Mapper
 from tests.conftest import small_recipe
 
 
@@ -58,17 +57,3 @@ def test_plans_do_not_begin_where_no_sensor_is(tmp_path: Path) -> None:
     ) as caught:
         bench(dataset, [], BenchConfig(split="train"))
     assert "\n" not in str(caught.value)
-
-
-def test_a_network_says_that_it_learned_from_other_maps() -> None:
-    unlike = pytest.importorskip("scenegen.model.completion.completer").unlike
-    lidar, several = Lidar(), Mapper(scans=5, tilt_mps=2.0)
-    assert (
-        unlike("net", {}, lidar, Mapper())
-        == unlike("net", {}, lidar, Mapper(scan_spacing_m=3.0))
-        == ""
-    )
-    said = unlike("net", {}, lidar, several)
-    assert said.startswith("net was trained on maps made otherwise")
-    assert "mapping.scans is 1 in training, 5 here; " in said
-    assert "mapping.tilt_mps is 0.0 in training, 2.0 here" in said

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from scenegen.dataset.read import Dataset
 from scenegen.model.commands.bench import show_tables
 from scenegen.model.evaluation import paper
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS, Metric
@@ -16,14 +15,14 @@ from tests.model.evaluation.test_bench import report_of
 DOCS = Path(__file__).parents[3] / "docs"
 
 
-def test_the_papers_tables_have_the_metrics_that_say_so() -> None:
+def test_the_papers_tables_have_the_metrics_that_say_so():
     for tables_of, metrics in ((paper.RECONSTRUCTION, METRICS), (paper.PLANNING, PLAN_METRICS)):
         for rows in tables_of.values():
             for row in rows.values():
                 assert set(row) == {name for name, metric in metrics.items() if metric.paper}
 
 
-def test_the_docs_name_every_metric() -> None:
+def test_the_docs_name_every_metric():
     rows = [
         f"| `{name}` | {metric.label} | {metric.needs} | {metric.better} |"
         for name, metric in (METRICS | PLAN_METRICS).items()
@@ -40,12 +39,7 @@ def text(name: str) -> str:
     return (DOCS / name).read_text(encoding="utf-8")
 
 
-def test_a_metric_that_the_paper_lacks_is_in_every_table(
-    dataset: Dataset,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_metric_that_the_paper_lacks_is_in_every_table(dataset, tmp_path, monkeypatch, capsys):
     alarms = Metric(
         title="alarms",
         of=lambda s: s.share(s.alarms, s.hits + s.alarms),
@@ -79,9 +73,7 @@ def test_a_metric_that_the_paper_lacks_is_in_every_table(
     assert all(line.endswith("* | – |") for line in paper_rows)
 
 
-def test_a_report_is_json_where_nothing_was_measured(
-    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_report_is_json_where_nothing_was_measured(dataset, tmp_path, monkeypatch):
     never = Metric(
         title="never", of=lambda s: float("nan"), needs="distance", better="lower", tested=("map",)
     )

@@ -52,7 +52,7 @@ class Elements(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def measured(tmp_path_factory: pytest.TempPathFactory) -> Any:
+def measured(tmp_path_factory) -> Any:
     methods = [Truth(), Completed(Returns()), Completed(Blind())]
     recipe, folder = small_recipe(), tmp_path_factory.mktemp("shown") / "d"
     build(plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=0, counts=COUNTS), workers=1)
@@ -61,8 +61,8 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 
 def test_the_page_holds_both_tables_the_paper_s_and_pictures_and_runs_nothing(
-    measured: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    measured, monkeypatch
+):
     monkeypatch.setattr("scenegen.display.panels.DPI", 40)
     result, dataset, methods = measured
     name, trials = failing(result)
@@ -91,7 +91,7 @@ def test_the_page_holds_both_tables_the_paper_s_and_pictures_and_runs_nothing(
         assert all(f"{mean:.3f}" in said for mean, _ in row.values())
 
 
-def test_the_best_is_the_best_as_printed_and_never_the_truth() -> None:
+def test_the_best_is_the_best_as_printed_and_never_the_truth():
     def rows(**means: float | None) -> dict[str, Any]:
         return {
             name: {"x": {"mean": mean, "n": 0 if mean is None else 1}}

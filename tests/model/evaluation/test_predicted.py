@@ -2,14 +2,12 @@
 
 import contextlib
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 import pytest
 
-from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.methods import Predicted
@@ -17,9 +15,7 @@ from scenegen.model.evaluation.run import tune
 from tests.model.evaluation.test_bench import report_of, write_predictions
 
 
-def test_predictions_that_do_not_fit_are_refused_before_anything_is_measured(
-    dataset: Dataset, tmp_path: Path
-) -> None:
+def test_predictions_that_do_not_fit_are_refused_before_anything_is_measured(dataset, tmp_path):
     path = tmp_path / "p.h5"
     path.write_bytes(b"no HDF5")
     with pytest.raises(DatasetError, match="cannot be read as HDF5"):
@@ -98,9 +94,7 @@ def link_outside(file: h5py.File) -> None:
         (promise_a_terabyte, "viewpoint has 9 rows, expected 1000000000000"),
     ],
 )
-def test_predictions_that_cannot_be_are_refused_in_one_line(
-    dataset: Dataset, tmp_path: Path, change: Callable[[h5py.File], None], said: str
-) -> None:
+def test_predictions_that_cannot_be_are_refused_in_one_line(dataset, tmp_path, change, said):
     path = write_predictions(tmp_path / "p.h5", dataset)
     with h5py.File(path, "a") as file:
         change(file)
@@ -110,9 +104,7 @@ def test_predictions_that_cannot_be_are_refused_in_one_line(
     assert str(caught.value).isprintable()
 
 
-def test_a_cut_or_scrambled_predictions_file_is_refused_in_one_line(
-    dataset: Dataset, tmp_path: Path
-) -> None:
+def test_a_cut_or_scrambled_predictions_file_is_refused_in_one_line(dataset, tmp_path):
     whole = write_predictions(tmp_path / "p.h5", dataset).read_bytes()
     rng = np.random.default_rng(0)
     for n in range(12):
@@ -129,7 +121,7 @@ def test_a_cut_or_scrambled_predictions_file_is_refused_in_one_line(
         Predicted(tmp_path / "absent.h5").check(dataset, "test")
 
 
-def test_predictions_of_one_split_say_nothing_of_another(dataset: Dataset, tmp_path: Path) -> None:
+def test_predictions_of_one_split_say_nothing_of_another(dataset, tmp_path):
     """Worlds are numbered from 0 in every split, so a row must go by its split, too."""
     predicted = Predicted(write_predictions(tmp_path / "p.h5", dataset))
     with pytest.raises(KeyError):

@@ -55,7 +55,7 @@ def random_maps(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return rng.random(truth.shape) < 0.2, rng.uniform(0, 2, truth.shape).astype(np.float32), truth
 
 
-def test_metrics_agree_with_definitions_written_out() -> None:
+def test_metrics_agree_with_definitions_written_out():
     for seed in range(5):
         occupied, distance, truth = random_maps(seed)
         found = score(occupied, distance, truth)
@@ -74,7 +74,7 @@ def test_metrics_agree_with_definitions_written_out() -> None:
         assert found["f1"] == pytest.approx(stats.hmean([found["precision"], found["recall"]]))
 
 
-def test_classes_and_their_union_are_measured_on_their_voxels_alone() -> None:
+def test_classes_and_their_union_are_measured_on_their_voxels_alone():
     occupied, distance, truth = random_maps(7)
     classes = np.random.default_rng(7).integers(0, 3, truth.shape).astype(np.uint8)
     true_distance = distance_field(truth, GridSpec(shape=truth.shape))
@@ -98,7 +98,7 @@ def test_classes_and_their_union_are_measured_on_their_voxels_alone() -> None:
         assert found["iou"] == pytest.approx(hits / ((occupied | truth) & chosen).sum())
 
 
-def test_nothing_occupied_and_nothing_predicted_are_defined() -> None:
+def test_nothing_occupied_and_nothing_predicted_are_defined():
     none, some = np.zeros((2, 2, 2), bool), np.ones((2, 2, 2), bool)
     far = np.full((2, 2, 2), 2.0, np.float32)
     assert [score(none, far, none)[name] for name in SHARES] == [1, 1, 1, 1]
@@ -107,7 +107,7 @@ def test_nothing_occupied_and_nothing_predicted_are_defined() -> None:
     assert np.isnan(score(none, far, none)["near_rmse"])
 
 
-def test_near_is_closed() -> None:
+def test_near_is_closed():
     truth = np.zeros((1, 1, 12), bool)
     truth[0, 0, 0] = True
     distance = distance_field(truth, GridSpec(shape=truth.shape))
@@ -116,7 +116,7 @@ def test_near_is_closed() -> None:
 
 
 @pytest.mark.parametrize("kind", ["pillar", "geometric"])
-def test_classes_part_the_map_and_mean_what_they_say(kind: str) -> None:
+def test_classes_part_the_map_and_mean_what_they_say(kind):
     recipe = small_recipe(kind)
     for sample in draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="val", unit=1).samples:
         classes = classify(sample, lidar=recipe.lidar, grid=recipe.grid)
@@ -137,7 +137,7 @@ def test_classes_part_the_map_and_mean_what_they_say(kind: str) -> None:
         assert counts["occluded"] > 0
 
 
-def test_nothing_below_the_ground_counts() -> None:
+def test_nothing_below_the_ground_counts():
     recipe = small_recipe("geometric", flight={"altitude_m": (0.5, 1.0)})
     low = draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="val", unit=1).samples[0]
     grid, tables = recipe.grid, recipe.resolved()
@@ -162,7 +162,7 @@ def test_nothing_below_the_ground_counts() -> None:
     assert scored_voxels(low, grid, tables).all()
 
 
-def test_what_is_not_known_counts_nowhere_and_is_solid_for_plans() -> None:
+def test_what_is_not_known_counts_nowhere_and_is_solid_for_plans():
     recipe = small_recipe("geometric")
     drawn = draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="val", unit=1).samples[0]
     grid, rng = recipe.grid, np.random.default_rng(0)
@@ -191,7 +191,7 @@ def test_what_is_not_known_counts_nowhere_and_is_solid_for_plans() -> None:
     np.testing.assert_array_equal(gap, distance_field(solid, grid))
 
 
-def test_unlearned_methods_do_what_they_say() -> None:
+def test_unlearned_methods_do_what_they_say():
     observed, free = np.zeros(GRID.shape, bool), np.zeros(GRID.shape, bool)
     observed[2, 3, 2] = free[2, 3, 4] = free[2, 3, 0] = observed[4, 4, 0] = True
     free[4, 4, 1] = free[1, 1, :] = True
@@ -212,7 +212,7 @@ def test_unlearned_methods_do_what_they_say() -> None:
         np.testing.assert_array_equal(completion.distance(at, GRID), expected)
 
 
-def test_what_a_completion_leaves_out_is_derived_and_both_left_out_is_refused() -> None:
+def test_what_a_completion_leaves_out_is_derived_and_both_left_out_is_refused():
     tudf = np.linspace(0, 3, 8, dtype=np.float32).reshape(2, 2, 2)
     completion = Prediction(tudf=tudf)
     np.testing.assert_array_equal(completion.occupied(Thresholds(distance_m=0.5)), tudf < 0.5)

@@ -5,14 +5,13 @@ import numpy as np
 
 from lidarsim.pose import rotate
 from lidarsim.solids.model import solids_of
-from scenegen.dataset.read import Dataset
 from scenegen.model.completion.protocol import check_prediction
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.visibility import Seen, seen_occupancy, some_of
 from scenegen.truth import rasterize
 
 
-def test_the_obstacles_are_those_that_mujocos_rays_meet(dataset: Dataset) -> None:
+def test_the_obstacles_are_those_that_mujocos_rays_meet(dataset):
     """Geoms that no ray meets are made invisible, which takes them out of the truth."""
     split = dataset.split("test")
     left_out = 0
@@ -40,7 +39,7 @@ def test_the_obstacles_are_those_that_mujocos_rays_meet(dataset: Dataset) -> Non
     assert left_out > 0
 
 
-def test_some_of_all_kinds_of_solids() -> None:
+def test_some_of_all_kinds_of_solids():
     """Meshes keep their triangles, whichever are taken with them."""
     model = mujoco.MjModel.from_xml_string(
         """<mujoco><asset><mesh name="a" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/>

@@ -8,7 +8,7 @@ from benchmarks.intervals import POPULATIONS, SPARSE, WORLDS, coverage
 from scenegen.model.evaluation.statistics import caution, estimate, figure, holm, paired_p
 
 
-def test_mean_spread_and_count_are_those_of_the_samples() -> None:
+def test_mean_spread_and_count_are_those_of_the_samples():
     spread = figure([1.0, 2.0, np.nan, 6.0], [0, 0, 1, 1])
     assert (spread["mean"], spread["n"]) == (3.0, 3)
     assert spread["std"] == pytest.approx(np.std([1, 2, 6], ddof=1))
@@ -20,7 +20,7 @@ def test_mean_spread_and_count_are_those_of_the_samples() -> None:
     )
 
 
-def test_the_interval_of_as_many_samples_a_world_is_students_of_the_worlds_means() -> None:
+def test_the_interval_of_as_many_samples_a_world_is_students_of_the_worlds_means():
     values = np.random.default_rng(0).normal(3, 1, (7, 4))
     found = figure(values.ravel(), np.repeat(np.arange(7), 4))
     means = values.mean(axis=1)
@@ -33,7 +33,7 @@ def test_the_interval_of_as_many_samples_a_world_is_students_of_the_worlds_means
 
 
 @pytest.mark.parametrize("worlds", WORLDS)
-def test_intervals_cover_the_mean_of_worlds_that_differ(worlds: int) -> None:
+def test_intervals_cover_the_mean_of_worlds_that_differ(worlds):
     """95 % within 2, and each population within what 500 draws leave open;
     `benchmarks/intervals.py` draws more. Where three to five trials a world decide, chance comes in
     steps, and intervals are on the safe side."""
@@ -44,7 +44,7 @@ def test_intervals_cover_the_mean_of_worlds_that_differ(worlds: int) -> None:
     assert min(coverage(population, worlds, 500) for population in SPARSE) >= 0.91
 
 
-def test_outcomes_that_are_all_alike_are_not_certain() -> None:
+def test_outcomes_that_are_all_alike_are_not_certain():
     worlds = np.repeat(np.arange(3), 20)
     sure = figure(np.ones(60), worlds, "outcome")
     assert 0.9 < sure["low"] < 0.98
@@ -55,12 +55,12 @@ def test_outcomes_that_are_all_alike_are_not_certain() -> None:
     assert (exact["low"], exact["high"]) == (1, 1)
 
 
-def test_few_worlds_are_cautioned_against() -> None:
+def test_few_worlds_are_cautioned_against():
     assert "3 worlds" in caution(3)
     assert not caution(10)
 
 
-def test_the_paired_test_holds_its_level_and_finds_a_difference() -> None:
+def test_the_paired_test_holds_its_level_and_finds_a_difference():
     rng = np.random.default_rng(2)
     worlds = np.repeat(np.arange(30), 4)
     equal, unequal = [], []
@@ -74,7 +74,7 @@ def test_the_paired_test_holds_its_level_and_finds_a_difference() -> None:
     assert paired_p(shared, shared, worlds, rng=rng) == 1.0
 
 
-def test_holm_agrees_with_scipys_ordering_and_hand_computation() -> None:
+def test_holm_agrees_with_scipys_ordering_and_hand_computation():
     np.testing.assert_allclose(holm([0.01, 0.04, 0.03]), [0.03, 0.06, 0.06])
     p = np.random.default_rng(3).random(20)
     assert (holm(p) >= stats.false_discovery_control(p)).all()

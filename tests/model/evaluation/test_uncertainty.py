@@ -37,7 +37,7 @@ def counted(
     return count([said, corrected(said, weight)], occupied, inside)
 
 
-def test_counts_are_those_of_histograms() -> None:
+def test_counts_are_those_of_histograms():
     said, occupied, unknown = drawn(5.0)
     counts = counted(said, occupied, unknown, 5.0)
     for r, region in enumerate((np.ones(SHAPE, bool), unknown)):
@@ -56,7 +56,7 @@ def test_counts_are_those_of_histograms() -> None:
 
 
 @pytest.mark.parametrize("weight", [1.0, 5.0])
-def test_inverting_the_weight_calibrates_what_was_trained_with_it(weight: float) -> None:
+def test_inverting_the_weight_calibrates_what_was_trained_with_it(weight):
     counts = np.array([counted(*drawn(weight, seed), weight) for seed in range(4)])
     found = reliability(counts, np.array([0, 0, 1, 2]))
     for region in found.values():
@@ -67,7 +67,7 @@ def test_inverting_the_weight_calibrates_what_was_trained_with_it(weight: float)
     assert (alone["map"]["said"]["low"], alone["map"]["said"]["high"]) == (None, None)
 
 
-def test_certain_and_right_is_calibrated() -> None:
+def test_certain_and_right_is_calibrated():
     occupied = drawn(1.0)[1]
     counts = counted(occupied.astype(np.float32), occupied, occupied, 5.0)
     found = reliability(counts[None], np.zeros(1, int))
@@ -75,7 +75,7 @@ def test_certain_and_right_is_calibrated() -> None:
     assert [one["occupied"] for one in found["map"]["said"]["bins"]] == [0.0, 1.0]
 
 
-def test_regions_are_told_by_the_nearest_obstacle() -> None:
+def test_regions_are_told_by_the_nearest_obstacle():
     unknown = np.array([True, True, True, True, False])
     true, seen = np.array([[0.4, 0.4, 1.5, 2.0, 0.4], [0.4, 1.0, 1.5, 2.0, 0.4]], np.float32)
     said = np.array([0.9, 1.5, 0.5, 0.5, 0.5], np.float32)
@@ -94,7 +94,7 @@ def test_regions_are_told_by_the_nearest_obstacle() -> None:
     ).any()
 
 
-def test_sparsification() -> None:
+def test_sparsification():
     rng = np.random.default_rng(0)
     error = rng.random(400)
     assert ause(error, error) == pytest.approx(0, abs=1e-9)
@@ -112,7 +112,7 @@ def test_sparsification() -> None:
     assert ause(np.zeros(4), np.arange(4)) == 0
 
 
-def test_coverage_and_width_are_counted_by_region() -> None:
+def test_coverage_and_width_are_counted_by_region():
     shape, rng = (6, 6, 6), np.random.default_rng(0)
     true, distance = 2 * rng.random(shape, np.float32), 2 * rng.random(shape, np.float32)
     low = (distance * rng.random(shape, np.float32)).astype(np.float32)

@@ -3,7 +3,6 @@
 import dataclasses
 import itertools
 import math
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -46,7 +45,7 @@ def rates(of: Course, decay: int | None = None) -> list[float]:
     return [of.rate(step, decay) for step in range(of.end(decay))]
 
 
-def test_a_cosine_rises_then_falls_to_nothing() -> None:
+def test_a_cosine_rises_then_falls_to_nothing():
     found = rates(course(lr=2.0, warmup_share=0.1, epochs=10, schedule="cosine"))
     assert len(found) == 100
     assert found[:10] == pytest.approx([0.2 * n for n in range(1, 11)])
@@ -57,7 +56,7 @@ def test_a_cosine_rises_then_falls_to_nothing() -> None:
 
 
 @pytest.mark.parametrize("decay", [None, 1, 17, 40, 79])
-def test_a_decay_stays_level_and_ends_at_nothing_wherever_it_begins(decay: int | None) -> None:
+def test_a_decay_stays_level_and_ends_at_nothing_wherever_it_begins(decay):
     of = course(lr=2.0, warmup_share=0.0, epochs=10, decay_share=0.2)
     found = rates(of, decay)
     begin = 80 if decay is None else decay
@@ -68,7 +67,7 @@ def test_a_decay_stays_level_and_ends_at_nothing_wherever_it_begins(decay: int |
     assert len(falls) == math.ceil(begin / 4)
 
 
-def test_a_budget_in_maps_replaces_passes() -> None:
+def test_a_budget_in_maps_replaces_passes():
     assert course(epochs=3).end(None) == 30
     assert course(epochs=3, maps=480).end(None) == 60
     assert course(maps=3).end(None) == 1
@@ -76,7 +75,7 @@ def test_a_budget_in_maps_replaces_passes() -> None:
 
 
 @pytest.mark.parametrize("interval", [None, 8, 24, 200])
-def test_rounds_see_the_passes_one_after_the_other(interval: int | None) -> None:
+def test_rounds_see_the_passes_one_after_the_other(interval):
     of = course(count=83, maps=400, interval=interval)
     passes = [
         epoch_batches(Counted(83), batch=8, seed=0, epoch=epoch, views=Views(augment=True))
@@ -88,8 +87,8 @@ def test_rounds_see_the_passes_one_after_the_other(interval: int | None) -> None
 
 
 def test_a_stall_begins_the_decay_and_the_run_ends_at_its_end(
-    undrawn: None, folders: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    undrawn, folders, tmp_path, monkeypatch
+):
     """Losses that never fall after round 2, and patience 2: the rate falls from round 5 on, over as
     many rounds."""
     losses = iter([3.0, 2.0, *[2.5] * 20])
@@ -105,9 +104,7 @@ def test_a_stall_begins_the_decay_and_the_run_ends_at_its_end(
     assert [row["maps"] / steps for row in rows] == list(range(1, 9))
 
 
-def test_a_run_begins_with_given_weights_of_its_own_network(
-    undrawn: None, folders: list[Path], tmp_path: Path
-) -> None:
+def test_a_run_begins_with_given_weights_of_its_own_network(undrawn, folders, tmp_path):
     """With a rate of next to nothing, it ends with them."""
     once, still = (
         dataclasses.replace(TINY, epochs=1, lr=lr, seed=seed)
@@ -131,9 +128,7 @@ def test_a_run_begins_with_given_weights_of_its_own_network(
         train(folders, still, tmp_path / "second", device="cpu")
 
 
-def test_a_budget_grows_from_where_the_rate_was_level(
-    undrawn: None, folders: list[Path], tmp_path: Path
-) -> None:
+def test_a_budget_grows_from_where_the_rate_was_level(undrawn, folders, tmp_path):
     """A run of 2 rounds that goes on to 4 ends with the weights of a run of 4, and keeps what 2
     gave."""
     short, long = (

@@ -2,7 +2,6 @@
 
 import os
 import signal
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -29,7 +28,7 @@ from scenegen.model.training.loop import origin
 from tests.model.conftest import COUNTS, make_dataset
 
 
-def test_maps_are_the_samples_of_all_datasets_in_order(folders: list[Path]) -> None:
+def test_maps_are_the_samples_of_all_datasets_in_order(folders):
     maps = Maps(opened(folders, "train"), "train")
     samples = [sample for folder in folders for sample in Dataset(folder).split("train")]
     assert len(maps) == len(samples) == 2 * COUNTS["train"]
@@ -44,7 +43,7 @@ def test_maps_are_the_samples_of_all_datasets_in_order(folders: list[Path]) -> N
         maps[len(samples)]
 
 
-def test_loader_workers_read_the_same_after_their_parent_has_read(folders: list[Path]) -> None:
+def test_loader_workers_read_the_same_after_their_parent_has_read(folders):
     maps = Maps(opened(folders, "train"), "train")
     batches = [[5, 1, 20], [23, 0, 7], [12, 13, 3]]
     here = list(load(maps, batches, workers=0, pinned=False))
@@ -54,7 +53,7 @@ def test_loader_workers_read_the_same_after_their_parent_has_read(folders: list[
         assert all(torch.equal(one[name], other[name]) for name in one)
 
 
-def test_damage_is_named(folders: list[Path], tmp_path: Path) -> None:
+def test_damage_is_named(folders, tmp_path):
     import shutil
 
     import h5py
@@ -75,15 +74,13 @@ def test_damage_is_named(folders: list[Path], tmp_path: Path) -> None:
         assert "\n" not in str(caught.value)
 
 
-def test_a_loader_process_that_dies_is_named(
-    folders: list[Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_loader_process_that_dies_is_named(folders, monkeypatch):
     monkeypatch.setattr(Maps, "__getitem__", lambda self, key: os.kill(os.getpid(), signal.SIGKILL))
     with pytest.raises(LoaderError, match="--workers 0"):
         list(load(Maps(opened(folders, "train"), "train"), [[0], [1]], workers=1, pinned=False))
 
 
-def test_datasets_that_do_not_go_together_are_refused(folders: list[Path], tmp_path: Path) -> None:
+def test_datasets_that_do_not_go_together_are_refused(folders, tmp_path):
     other_grid = make_dataset(tmp_path / "grid", grid={"shape": (16, 16, 16)})
     refused = {other_grid: "its grid", folders[0]: "the same samples"}
     for wrong, named in refused.items():
@@ -93,9 +90,7 @@ def test_datasets_that_do_not_go_together_are_refused(folders: list[Path], tmp_p
         Maps([], "train")
 
 
-def test_sensors_and_mappings_may_differ_and_are_remembered(
-    folders: list[Path], tmp_path: Path
-) -> None:
+def test_sensors_and_mappings_may_differ_and_are_remembered(folders, tmp_path):
     few = make_dataset(tmp_path / "sensor", lidar={"rows": 4, "columns": 30})
     fused = make_dataset(tmp_path / "fused", mapping={"scans": 2})
     maps = Maps(opened([folders[0], few, fused], "train"), "train", ("observed", "ahead"))
@@ -107,7 +102,7 @@ def test_sensors_and_mappings_may_differ_and_are_remembered(
     assert "another sensor" in unlike("net", about, Lidar(rows=5))
 
 
-def test_points_alone_free_less_and_hold_the_same_returns(folders: list[Path]) -> None:
+def test_points_alone_free_less_and_hold_the_same_returns(folders):
     maps = Maps(opened(folders[:1], "train"), "train", ("observed", "free"))
     fewer = 0
     for n in range(len(maps)):
@@ -128,9 +123,7 @@ def passes(maps: Maps, count: int, *, seed: int = 0) -> list[list[int]]:
     ]
 
 
-def test_weighted_datasets_come_in_proportion_and_every_map_before_any_comes_again(
-    folders: list[Path],
-) -> None:
+def test_weighted_datasets_come_in_proportion_and_every_map_before_any_comes_again(folders):
     weighted = {folders[0]: 3, folders[1]: 1}
     maps = Maps(opened(weighted, "train"), "train")
     seen = passes(maps, 7)
@@ -151,7 +144,7 @@ def test_weighted_datasets_come_in_proportion_and_every_map_before_any_comes_aga
     assert len(passes(maps, 1)[0]) == len(maps)
 
 
-def test_without_weights_each_map_comes_once_a_pass(folders: list[Path]) -> None:
+def test_without_weights_each_map_comes_once_a_pass(folders):
     plain, pairs = Maps(opened(folders, "train"), "train"), [(folder, None) for folder in folders]
     assert sorted(passes(plain, 1)[0]) == list(range(len(plain)))
     assert passes(Maps(opened(pairs, "train"), "train"), 2) == passes(plain, 2)
@@ -159,14 +152,14 @@ def test_without_weights_each_map_comes_once_a_pass(folders: list[Path]) -> None
 
 
 @pytest.mark.parametrize("weight", [0, -1, float("nan"), float("inf"), "2", True, 1e-3])
-def test_weights_that_are_no_proportion_are_refused(folders: list[Path], weight: object) -> None:
+def test_weights_that_are_no_proportion_are_refused(folders, weight):
     with pytest.raises(ScenegenError, match="weight") as error:
         Maps(opened([(folders[0], weight), folders[1]], "train"), "train")
     assert "\n" not in str(error.value)
     assert str(folders[0]) in str(error.value)
 
 
-def test_samples_that_a_merged_dataset_has_from_another_are_not_seen_twice(tmp_path: Path) -> None:
+def test_samples_that_a_merged_dataset_has_from_another_are_not_seen_twice(tmp_path):
     first = make_dataset(tmp_path / "first")
     build(plan_take(Dataset(first), tmp_path / "few", Choice(most=2)))
     with pytest.raises(

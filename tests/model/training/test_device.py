@@ -41,7 +41,7 @@ def take_a_step(folders: list[Path], out: Path, environment: dict[str, str]) -> 
         save_tensors(out / f"{group.rank} of {group.size}", network.state_dict(), losses)
 
 
-def test_processes_get_equal_shares(folders: list[Path]) -> None:
+def test_processes_get_equal_shares(folders):
     """Samples that are fewer than a batch are one, which has to divide, too."""
     maps = Maps(opened(folders, "train"), "train")
     processes = len(maps) - 1
@@ -59,7 +59,7 @@ def free_port() -> int:
         return int(listening.getsockname()[1])
 
 
-def test_two_processes_take_the_step_that_one_takes(folders: list[Path], tmp_path: Path) -> None:
+def test_two_processes_take_the_step_that_one_takes(folders, tmp_path):
     """Gradients and losses are the whole batch's, the Eikonal term among them, whose voxels are not
     shared evenly."""
     torchrun = {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free_port())}
@@ -83,7 +83,7 @@ def test_two_processes_take_the_step_that_one_takes(folders: list[Path], tmp_pat
             torch.testing.assert_close(two[name], tensor, atol=1e-6, rtol=1e-5)
 
 
-def test_maps_of_a_few_cells_are_not_trained_in_bfloat16_unasked() -> None:
+def test_maps_of_a_few_cells_are_not_trained_in_bfloat16_unasked():
     """Where every pass is repeated among freed memory full of NaN, gradients stay finite."""
     cpu = torch.device("cpu")
     assert resolve_precision("auto", cpu, (16, 16, 16)) == torch.float32

@@ -23,12 +23,11 @@ from scenegen.model.network import Network
 from scenegen.model.training.data import Maps, TudfOf, opened
 from scenegen.model.training.device import TrainingError
 from scenegen.model.training.loop import Watcher
-from tests.conftest import Once
 from tests.model.conftest import make_dataset
 from tests.model.training.runs import SMALL, elsewhere, train
 
 
-def test_one_batch_is_learned_by_heart(folders: list[Path]) -> None:
+def test_one_batch_is_learned_by_heart(folders):
     """IoU above .99 at the paper's threshold, and distances within a tenth of a voxel on
     average."""
     maps = Maps(opened(folders, "train"), "train")
@@ -76,21 +75,19 @@ def figures(out: Path) -> list[dict[str, str]]:
 
 
 @pytest.fixture(scope="module")
-def uninterrupted(folders: list[Path], once: Once) -> Path:
+def uninterrupted(folders, once) -> Path:
     """The run that none interrupts; not to be changed, nor to be locked."""
     torch.set_num_threads(1)
     return once("run", lambda out: train(folders, SMALL, out, device="cpu", command="test"))
 
 
 @pytest.fixture(autouse=True)
-def undrawn(uninterrupted: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def undrawn(uninterrupted, monkeypatch):
     """Only the uninterrupted run draws its curve: pictures take longer than the training here."""
     monkeypatch.setattr("scenegen.model.training.run_folder.draw_curve", lambda rows: None)
 
 
-def test_a_run_leaves_its_settings_figures_and_best_network(
-    uninterrupted: Path, folders: list[Path]
-) -> None:
+def test_a_run_leaves_its_settings_figures_and_best_network(uninterrupted, folders):
     with open(uninterrupted / "metrics.csv") as file:
         rows = list(csv.DictReader(file))
     assert [float(row["epoch"]) for row in rows] == [1, 2, 3]
@@ -108,9 +105,7 @@ def test_a_run_leaves_its_settings_figures_and_best_network(
     assert (uninterrupted / "curve.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_stopped_run_ends_where_an_uninterrupted_one_does(
-    folders: list[Path], tmp_path: Path, uninterrupted: Path
-) -> None:
+def test_a_stopped_run_ends_where_an_uninterrupted_one_does(folders, tmp_path, uninterrupted):
     """Bit for bit on one thread, stopped four times: in the middle of an epoch, at its last step
     and at its first."""
     steps = 0
@@ -144,9 +139,7 @@ def train_and_be_killed(folders: list[Path], out: Path) -> None:
     train(folders, SMALL, out, device="cpu", watcher=Watcher(on_step=count))
 
 
-def test_a_killed_run_ends_where_an_uninterrupted_one_does(
-    folders: list[Path], tmp_path: Path, uninterrupted: Path
-) -> None:
+def test_a_killed_run_ends_where_an_uninterrupted_one_does(folders, tmp_path, uninterrupted):
     out = tmp_path / "run"
     process = elsewhere(train_and_be_killed, folders, out)
     process.join()
@@ -159,9 +152,7 @@ def test_a_killed_run_ends_where_an_uninterrupted_one_does(
         assert same(out / name, uninterrupted / name)
 
 
-def test_a_run_is_not_continued_by_mistake(
-    folders: list[Path], tmp_path: Path, uninterrupted: Path
-) -> None:
+def test_a_run_is_not_continued_by_mistake(folders, tmp_path, uninterrupted):
     out = shutil.copytree(uninterrupted, tmp_path / "run")
     with (out / "config.json").open() as held:
         fcntl.flock(held, fcntl.LOCK_EX)
@@ -173,9 +164,7 @@ def test_a_run_is_not_continued_by_mistake(
         train(folders[:1], SMALL, out, device="cpu")
 
 
-def test_a_finished_run_given_again_stays_as_it_is(
-    folders: list[Path], tmp_path: Path, uninterrupted: Path
-) -> None:
+def test_a_finished_run_given_again_stays_as_it_is(folders, tmp_path, uninterrupted):
     out = shutil.copytree(uninterrupted, tmp_path / "run")
     before = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
     told: list[int] = []
@@ -190,9 +179,7 @@ def test_a_finished_run_given_again_stays_as_it_is(
     assert {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()} == before
 
 
-def test_training_ends_after_so_many_epochs_without_improvement(
-    folders: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_training_ends_after_so_many_epochs_without_improvement(folders, tmp_path, monkeypatch):
     """Validation losses 3 2 2 4 1 …: the second epoch is the best of the first five with patience
     3."""
     losses = iter([3.0, 2.0, 2.0, 4.0, 2.5, 1.0])
@@ -206,9 +193,7 @@ def test_training_ends_after_so_many_epochs_without_improvement(
     assert load_network(tmp_path / "run" / "best.safetensors")[2]["figures"]["epoch"] == 2
 
 
-def test_divergence_names_the_batch_and_keeps_the_last_good_state(
-    folders: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_divergence_names_the_batch_and_keeps_the_last_good_state(folders, tmp_path, monkeypatch):
     out, steps = tmp_path / "run", 0
     honest = Coupled.__call__
 
@@ -232,9 +217,7 @@ def test_divergence_names_the_batch_and_keeps_the_last_good_state(
     )
 
 
-def test_running_out_of_memory_says_what_fits(
-    folders: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_running_out_of_memory_says_what_fits(folders, tmp_path, monkeypatch):
     honest = Coupled.__call__
 
     def hungry(
@@ -250,7 +233,7 @@ def test_running_out_of_memory_says_what_fits(
         train(folders, config, tmp_path / "run", device="cpu")
 
 
-def test_what_cannot_be_trained_on_is_refused(folders: list[Path], tmp_path: Path) -> None:
+def test_what_cannot_be_trained_on_is_refused(folders, tmp_path):
     odd = make_dataset(tmp_path / "odd", grid={"shape": (20, 24, 16)})
     with pytest.raises(DatasetError, match="multiple of 8"):
         train([odd], SMALL, tmp_path / "run", device="cpu")
@@ -280,6 +263,6 @@ def test_what_cannot_be_trained_on_is_refused(folders: list[Path], tmp_path: Pat
     ],
     ids=str,
 )
-def test_impossible_settings_are_refused(wrong: dict) -> None:
+def test_impossible_settings_are_refused(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         TrainConfig(**wrong)

@@ -23,7 +23,7 @@ TORCHRUN = (sys.executable, "-m", "torch.distributed.run")
 
 
 @pytest.fixture
-def words(folders: list[Path]) -> list[str]:
+def words(folders) -> list[str]:
     """A short run."""
     options = (
         "--width",
@@ -42,7 +42,7 @@ def words(folders: list[Path]) -> list[str]:
 
 
 @pytest.fixture
-def alone(words: list[str], tmp_path: Path) -> Path:
+def alone(words, tmp_path) -> Path:
     """The run by two processes of one node."""
     out = tmp_path / "alone"
     run([*TORCHRUN, "--standalone", "--nproc-per-node", "2", *words, str(out)])
@@ -82,9 +82,7 @@ def check_same(one: Path, other: Path) -> None:
 @pytest.mark.skipif(
     shutil.which("slurmctld") is None or os.getuid() != 0, reason="needs slurm-wlm, and to be root"
 )
-def test_two_nodes_of_slurm_train_what_one_does(
-    alone: Path, words: list[str], tmp_path: Path
-) -> None:
+def test_two_nodes_of_slurm_train_what_one_does(alone, words, tmp_path):
     out = tmp_path / "slurm"
     meeting = [
         "--rdzv-backend",
@@ -112,9 +110,7 @@ def test_two_nodes_of_slurm_train_what_one_does(
     check_same(alone, out)
 
 
-def test_two_nodes_of_ray_train_what_one_does(
-    alone: Path, words: list[str], tmp_path: Path
-) -> None:
+def test_two_nodes_of_ray_train_what_one_does(alone, words, tmp_path):
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
     cluster_utils = pytest.importorskip("ray.cluster_utils")
     head = {"num_cpus": 1, "include_dashboard": False}

@@ -15,12 +15,11 @@ from scenegen.model.network import Network
 from scenegen.model.training.data import Maps, opened
 from scenegen.model.training.loop import Watcher
 from scenegen.model.training.run_folder import Progress, RunFolder
-from tests.conftest import Once
 from tests.model.training.runs import SMALL, train
 
 
 @pytest.fixture(scope="module")
-def begun(folders: list[Path], once: Once) -> Path:
+def begun(folders, once) -> Path:
     """A run of one epoch; not to be changed, nor to be locked."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("scenegen.model.training.run_folder.draw_curve", lambda rows: None)
@@ -37,7 +36,7 @@ def begun(folders: list[Path], once: Once) -> Path:
     ],
     ids=str,
 )
-def test_a_damaged_state_is_refused_in_one_line(begun: Path, tmp_path: Path, wrong: dict) -> None:
+def test_a_damaged_state_is_refused_in_one_line(begun, tmp_path, wrong):
     tensors, header = load_tensors(begun / "last.safetensors")
     save_tensors(tmp_path / "last.safetensors", tensors, header | wrong)
     network = Network(SMALL.network)
@@ -46,7 +45,7 @@ def test_a_damaged_state_is_refused_in_one_line(begun: Path, tmp_path: Path, wro
     assert "\n" not in str(caught.value)
 
 
-def test_a_state_that_is_no_network_says_what_to_remove(tmp_path: Path) -> None:
+def test_a_state_that_is_no_network_says_what_to_remove(tmp_path):
     (tmp_path / "last.safetensors").write_bytes(b"\xff" * 5000)
     network = Network(SMALL.network)
     with pytest.raises(CheckpointError, match="remove it to begin again"):
@@ -56,16 +55,14 @@ def test_a_state_that_is_no_network_says_what_to_remove(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "content", ["[" * 100_000, '{"settings": 1}', "\xff", "{}", " " * 5_000_000]
 )
-def test_settings_that_cannot_be_read_are_refused_in_one_line(tmp_path: Path, content: str) -> None:
+def test_settings_that_cannot_be_read_are_refused_in_one_line(tmp_path, content):
     (tmp_path / "config.json").write_bytes(content.encode("latin-1"))
     with pytest.raises(DatasetError, match=r"config\.json") as caught:
         RunFolder(tmp_path).open({"settings": {}})
     assert "\n" not in str(caught.value)
 
 
-def test_a_full_disk_ends_the_run_and_leaves_the_last_state(
-    folders: list[Path], begun: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_ends_the_run_and_leaves_the_last_state(folders, begun, tmp_path, monkeypatch):
     out = shutil.copytree(begun, tmp_path / "run")
     before = {path.name: path.read_bytes() for path in out.glob("*.safetensors")}
 
@@ -84,9 +81,7 @@ def test_a_full_disk_ends_the_run_and_leaves_the_last_state(
     assert before == {path.name: path.read_bytes() for path in out.glob("*.safetensors")}
 
 
-def test_a_run_that_an_earlier_commit_began_goes_on(
-    folders: list[Path], begun: Path, tmp_path: Path
-) -> None:
+def test_a_run_that_an_earlier_commit_began_goes_on(folders, begun, tmp_path):
     """Its settings name no inputs, nor the weight of the Lovász hinge."""
     out = shutil.copytree(begun, tmp_path / "run")
     held = json.loads((out / "config.json").read_text())
@@ -99,7 +94,7 @@ def test_a_run_that_an_earlier_commit_began_goes_on(
     assert (len(rows), told) == (1, [])
 
 
-def test_rows_may_gain_metrics_on_the_way(tmp_path: Path) -> None:
+def test_rows_may_gain_metrics_on_the_way(tmp_path):
     RunFolder(tmp_path).write_rows(
         [{"epoch": 1.0, "val_loss": 2.0}, {"epoch": 2.0, "val_loss": 1.0, "val_new": 0.5}]
     )

@@ -41,7 +41,7 @@ def run(out: Path, **more: object) -> list[dict[str, float]]:
 
 
 @pytest.fixture
-def drawers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def drawers(tmp_path, monkeypatch) -> Path:
     """A folder with a file for every unit and process that draws it."""
     folder, original = tmp_path / "drawers", Component.draw
     folder.mkdir()
@@ -54,7 +54,7 @@ def drawers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def test_a_stopped_run_ends_where_an_uninterrupted_one_does(tmp_path: Path) -> None:
+def test_a_stopped_run_ends_where_an_uninterrupted_one_does(tmp_path):
     rows = run(tmp_path / "whole")
     assert [row["maps"] for row in rows] == [8, 16, 24]
     seen = 0
@@ -74,7 +74,7 @@ def test_a_stopped_run_ends_where_an_uninterrupted_one_does(tmp_path: Path) -> N
         assert same_run(tmp_path / "whole" / name, tmp_path / "parts" / name)
 
 
-def test_maps_are_the_streams_each_once_and_turned_by_seed() -> None:
+def test_maps_are_the_streams_each_once_and_turned_by_seed():
     stream = streamed()
     maps = Maps([stream], "train")
     course = Course(maps, CONFIG)
@@ -89,7 +89,7 @@ def test_maps_are_the_streams_each_once_and_turned_by_seed() -> None:
 
 
 @pytest.mark.parametrize("workers", [0, 2])
-def test_no_loader_process_draws_what_another_draws(workers: int, drawers: Path) -> None:
+def test_no_loader_process_draws_what_another_draws(workers, drawers):
     maps = Maps([streamed()], "train")
     batches = Course(maps, CONFIG).batches(3, 40)
     assert (
@@ -101,7 +101,7 @@ def test_no_loader_process_draws_what_another_draws(workers: int, drawers: Path)
     assert len({process for _, _, process in drawn}) == max(workers, 1)
 
 
-def test_torchs_own_conventions_hold() -> None:
+def test_torchs_own_conventions_hold():
     """With workers of its own in the main process, which torch's may not have, and without."""
     expected = streamed()
     helped = scenegen.stream(expected.mixture.components, seed=1, samples=24, workers=1)
@@ -116,9 +116,7 @@ def test_torchs_own_conventions_hold() -> None:
     helped.close()
 
 
-def test_what_cannot_be_trained_on_ends_in_a_line(
-    folders: list[Path], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_cannot_be_trained_on_ends_in_a_line(folders, monkeypatch):
     maps = Maps([streamed()], "train")
     with pytest.raises(DatasetError, match="say how many maps to see with --maps"):
         Course(maps, SMALL)

@@ -11,7 +11,7 @@ from scipy import ndimage
 
 torch = pytest.importorskip("torch")
 
-from lidarsim import GridSpec, Lidar, MujocoEngine, Pose, Sensor, cast, voxelize  # noqa: E402
+from lidarsim import GridSpec, Lidar, MujocoEngine, Pose, cast, voxelize  # noqa: E402
 from lidarsim.sensors import SENSORS  # noqa: E402
 from scenegen.model.inputs import turned  # noqa: E402
 from scenegen.model.training.data import TudfOf, Views, epoch_batches, is_mirrored  # noqa: E402
@@ -52,7 +52,7 @@ def table_of(grid: np.ndarray, symmetries: range) -> np.ndarray:
 
 
 @pytest.mark.parametrize("side", [4, 5])
-def test_the_eight_symmetries_are_the_dihedral_group(side: int) -> None:
+def test_the_eight_symmetries_are_the_dihedral_group(side):
     """Of all groups of order eight only D4 has one, five and two elements of the orders one, two
     and four."""
     table = table_of(numbered(side, side, 3), ALL)
@@ -71,7 +71,7 @@ def test_the_eight_symmetries_are_the_dihedral_group(side: int) -> None:
     assert powers[1] == [1, 2, 3, 0]
 
 
-def test_a_map_longer_one_way_has_the_four_without_a_quarter_turn() -> None:
+def test_a_map_longer_one_way_has_the_four_without_a_quarter_turn():
     table = table_of(numbered(5, 4, 3), range(0, 8, 2))
     for line in table:
         assert sorted(line) == [0, 2, 4, 6]
@@ -80,7 +80,7 @@ def test_a_map_longer_one_way_has_the_four_without_a_quarter_turn() -> None:
 
 @pytest.mark.parametrize("symmetry", ALL)
 @pytest.mark.parametrize("side", [6, 7])
-def test_height_and_the_distance_from_the_centre_stay(symmetry: int, side: int) -> None:
+def test_height_and_the_distance_from_the_centre_stay(symmetry, side):
     x, y, z = np.indices((side, side, 4))
     middle = (side - 1) / 2
     radius = (x - middle) ** 2 + (y - middle) ** 2
@@ -89,7 +89,7 @@ def test_height_and_the_distance_from_the_centre_stay(symmetry: int, side: int) 
 
 
 @pytest.mark.parametrize("symmetry", ALL)
-def test_only_the_second_four_mirror(symmetry: int) -> None:
+def test_only_the_second_four_mirror(symmetry):
     """What lies ahead and what lies to its left, after the turn: still left, or now right."""
     ahead, left = np.zeros((2, 5, 5, 2))
     ahead[4, 2], left[2, 4] = 1, 1
@@ -98,7 +98,7 @@ def test_only_the_second_four_mirror(symmetry: int) -> None:
 
 
 @pytest.mark.parametrize("symmetry", ALL)
-def test_a_map_of_any_kind_is_turned_and_left_alone(symmetry: int) -> None:
+def test_a_map_of_any_kind_is_turned_and_left_alone(symmetry):
     for dtype in (np.bool_, np.uint8, np.float32):
         grid = (numbered(4, 4, 3) % 7).astype(dtype)
         before = grid.copy()
@@ -130,7 +130,7 @@ def maps_of(grid: GridSpec) -> np.ndarray:
 
 @pytest.mark.parametrize("grid", GRIDS)
 @pytest.mark.parametrize("device", DEVICES)
-def test_the_field_is_scipys_to_the_last_bit_either_way(grid: GridSpec, device: str) -> None:
+def test_the_field_is_scipys_to_the_last_bit_either_way(grid, device):
     occupancy = maps_of(grid)
     wanted = np.stack([true_field(one, grid) for one in occupancy])
     tudf_of, batch = TudfOf(grid), torch.from_numpy(occupancy).to(device)
@@ -141,7 +141,7 @@ def test_the_field_is_scipys_to_the_last_bit_either_way(grid: GridSpec, device: 
     np.testing.assert_array_equal(batch.cpu().numpy(), occupancy)
 
 
-def test_the_papers_map_comes_out_the_same_either_way() -> None:
+def test_the_papers_map_comes_out_the_same_either_way():
     """At full size: dense on one side, on the other with voxels farther apart than the truncation
     reaches."""
     grid = GridSpec()
@@ -154,7 +154,7 @@ def test_the_papers_map_comes_out_the_same_either_way() -> None:
 
 
 @pytest.mark.parametrize("symmetry", ALL)
-def test_the_field_of_a_turned_map_is_the_turned_field(symmetry: int) -> None:
+def test_the_field_of_a_turned_map_is_the_turned_field(symmetry):
     for grid in (GridSpec(shape=(11, 11, 6)), GridSpec(shape=(10, 7, 6), voxel_m=0.13)):
         if symmetry % 2 and grid.shape[0] != grid.shape[1]:
             continue
@@ -188,7 +188,7 @@ class Counted:
 @pytest.mark.parametrize(
     ("count", "batch"), [(23, 5), (20, 5), (5, 5), (6, 5), (3, 5), (1, 8), (7, 1)]
 )
-def test_an_epoch_is_full_batches_of_maps_seen_once(count: int, batch: int, augment: bool) -> None:
+def test_an_epoch_is_full_batches_of_maps_seen_once(count, batch, augment):
     """Of what is too little for one batch, it is that one."""
     for epoch in range(4):
         batches = epoch_batches(
@@ -201,7 +201,7 @@ def test_an_epoch_is_full_batches_of_maps_seen_once(count: int, batch: int, augm
 
 
 @pytest.mark.parametrize("augment", [False, True])
-def test_seed_and_epoch_decide_alone(augment: bool) -> None:
+def test_seed_and_epoch_decide_alone(augment):
     """And each of them matters: seed 0 at epoch 1 is not seed 1 at epoch 0."""
 
     def drawn(seed: int, epoch: int) -> str:
@@ -218,7 +218,7 @@ def test_seed_and_epoch_decide_alone(augment: bool) -> None:
     assert len(set(first)) == len(pairs)
 
 
-def test_no_map_is_left_out_epoch_after_epoch() -> None:
+def test_no_map_is_left_out_epoch_after_epoch():
     seen: set[int] = set()
     for epoch in range(20):
         seen |= {
@@ -227,7 +227,7 @@ def test_no_map_is_left_out_epoch_after_epoch() -> None:
     assert seen == set(range(15))
 
 
-def test_nothing_is_turned_unless_asked_for() -> None:
+def test_nothing_is_turned_unless_asked_for():
     for epoch in range(5):
         keys = itertools.chain(*epoch_batches(Counted(64), batch=8, seed=0, epoch=epoch))
         assert {symmetry for _, symmetry in keys} == {0}
@@ -242,9 +242,7 @@ def test_nothing_is_turned_unless_asked_for() -> None:
         ((8, 6, 4), False, (0, 2)),
     ],
 )
-def test_symmetries_that_fit_the_map_occur_about_as_often(
-    shape: tuple, mirrored: bool, allowed: tuple[int, ...]
-) -> None:
+def test_symmetries_that_fit_the_map_occur_about_as_often(shape, mirrored, allowed):
     """A map as long as it is wide has eight, another has those that keep its shape; half of them
     where rays are no mirror image; each map draws its own."""
     maps = Counted(800, GridSpec(shape=shape), mirrored=mirrored)
@@ -273,13 +271,11 @@ def test_symmetries_that_fit_the_map_occur_about_as_often(
         (SENSORS.find("livox-mid-360"), False),
     ],
 )
-def test_maps_are_mirrored_where_rays_are_their_own_mirror_image(
-    sensor: Sensor, mirrored: bool
-) -> None:
+def test_maps_are_mirrored_where_rays_are_their_own_mirror_image(sensor, mirrored):
     assert is_mirrored(sensor) is mirrored
 
 
-def test_a_mirrored_world_gives_a_mirrored_sensor_the_mirrored_map() -> None:
+def test_a_mirrored_world_gives_a_mirrored_sensor_the_mirrored_map():
     """What stands behind the mirror: rays, boxes and voxels of a world and of its mirror image,
     cast and gridded."""
     rng = np.random.default_rng(0)

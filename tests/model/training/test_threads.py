@@ -4,7 +4,6 @@ import os
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -19,9 +18,7 @@ def load():
 
 
 @pytest.mark.parametrize(("given", "found"), [({}, "0"), ({"GOMP_SPINCOUNT": "7"}, "7")])
-def test_torch_is_loaded_with_threads_that_wait_asleep(
-    given: dict[str, str], found: str, tmp_path: Path
-) -> None:
+def test_torch_is_loaded_with_threads_that_wait_asleep(given, found, tmp_path):
     """As OpenMP itself says when torch loads it: how often a thread looks for work before it
     sleeps."""
     (tmp_path / "mine.py").write_text(COMMAND)

@@ -38,7 +38,7 @@ def said(seed: int = 0) -> Prediction:
 
 
 @pytest.mark.parametrize("weight", [0.2, 1.0, 5.0, 40.0])
-def test_the_class_weight_is_inverted(weight: float) -> None:
+def test_the_class_weight_is_inverted(weight):
     """What minimises the weighted cross-entropy of a voxel that is occupied with chance q, found
     without the formula, comes back as q."""
     p = np.linspace(0.0005, 0.9995, 2000)
@@ -53,7 +53,7 @@ def test_the_class_weight_is_inverted(weight: float) -> None:
     assert corrected(np.array([0, 1], np.float32), weight).tolist() == [0, 1]
 
 
-def test_a_prediction_is_read_voxel_by_voxel() -> None:
+def test_a_prediction_is_read_voxel_by_voxel():
     """Against the table, one voxel after the other."""
     found = said()
     low, chance = found.low(0.06), found.probability
@@ -67,7 +67,7 @@ def test_a_prediction_is_read_voxel_by_voxel() -> None:
     assert (found.low(0.2) >= low).all()
 
 
-def test_torch_for_torch_and_a_batch_for_a_batch() -> None:
+def test_torch_for_torch_and_a_batch_for_a_batch():
     one = said()
     arrays = [np.stack([one.occupancy_probability] * 2), np.stack([one.tudf] * 2)]
     both = Prediction(*map(torch.from_numpy, arrays), uncertainty=PLAIN, grid=GRID)
@@ -78,7 +78,7 @@ def test_torch_for_torch_and_a_batch_for_a_batch() -> None:
     assert alone.low(0.2).shape == arrays[0].shape
 
 
-def test_what_nobody_knows_is_refused_in_a_line() -> None:
+def test_what_nobody_knows_is_refused_in_a_line():
     bare = Prediction(np.zeros(GRID.shape, np.float32))
     assert (bare.probability, bare.tudf_low) == (None, None)
     with pytest.raises(UncertaintyError, match="not calibrated; run `scenegen calibrate`"):
@@ -98,14 +98,14 @@ def test_what_nobody_knows_is_refused_in_a_line() -> None:
         given.low(0.05)
 
 
-def test_bounds_that_somebody_gives_are_checked() -> None:
+def test_bounds_that_somebody_gives_are_checked():
     values = np.zeros(GRID.shape, np.float32)
     for bad in ({"tudf_low": values - 1}, {"probability": values + 2}, {"tudf_low": values[0]}):
         with pytest.raises(PredictionError, match=next(iter(bad))):
             check_prediction(Prediction(values, uncertainty=Given(**bad)), GRID.shape, "mine")
 
 
-def test_a_header_holds_it_whole() -> None:
+def test_a_header_holds_it_whole():
     told = json.loads(json.dumps({KEY: PLAIN.said()}))
     assert Calibration.of(told, GRID) == PLAIN
     assert Calibration.of({}, GRID) is None
@@ -128,14 +128,14 @@ def test_a_header_holds_it_whole() -> None:
     ],
     ids=str,
 )
-def test_a_strangers_calibration_that_cannot_be_is_refused(change: dict) -> None:
+def test_a_strangers_calibration_that_cannot_be_is_refused(change):
     with pytest.raises(ValueError, match="calibrate it again"):
         Calibration.of({KEY: PLAIN.said() | change}, GRID)
     with pytest.raises(ValueError, match="damaged"):
         Calibration.of({KEY: 3}, GRID)
 
 
-def test_paths_are_planned_by_one_number() -> None:
+def test_paths_are_planned_by_one_number():
     measured = dataclasses.replace(PLAIN, path_risks=(0.1, 0.04))
     assert [measured.for_paths(risk) for risk in (0.5, 0.1, 0.05, 0.04)] == [0.2, 0.2, 0.05, 0.05]
     for found, told in ((measured, r"promises down to 0\.04"), (PLAIN, "--trials 0")):

@@ -47,7 +47,7 @@ def calibrated(rng: np.random.Generator, worlds: int) -> Calibration:
     )
 
 
-def test_new_worlds_are_covered_as_promised_and_not_much_better() -> None:
+def test_new_worlds_are_covered_as_promised_and_not_much_better():
     """Over many calibrations: a mean of 20 x 40 worlds, each with the same word."""
     rng, worlds = np.random.default_rng(0), 40
     rows = []
@@ -67,14 +67,14 @@ def test_new_worlds_are_covered_as_promised_and_not_much_better() -> None:
     assert (np.diff(covered[:, 0]) >= 0).all()
 
 
-def test_margins_of_a_predictor_that_is_never_wrong_are_small() -> None:
+def test_margins_of_a_predictor_that_is_never_wrong_are_small():
     rng = np.random.default_rng(0)
     true = (2 * rng.random((30, 3000))).astype(np.float32)
     counts = np.stack([count_scores(one, None, one, ALL, GRID) for one in true])
     assert np.max(fit_margins(counts, near_bins(GRID, ()))[1]) == 0.0
 
 
-def test_a_bins_shape_is_its_quantile() -> None:
+def test_a_bins_shape_is_its_quantile():
     rng = np.random.default_rng(0)
     scores = rng.integers(0, 50, (4, 500))
     counts = np.stack([np.bincount(row, minlength=60) for row in scores])
@@ -85,7 +85,7 @@ def test_a_bins_shape_is_its_quantile() -> None:
 
 
 @pytest.mark.parametrize("temperature", [1.0, 0.5, 2.5])
-def test_the_temperature_is_found(temperature: float) -> None:
+def test_the_temperature_is_found(temperature):
     """Of one that says what is, and of others that are as sure again, or less; by a weight of 5."""
     rng = np.random.default_rng(0)
     logit = rng.normal(-1, 2, 200_000)
@@ -96,7 +96,7 @@ def test_the_temperature_is_found(temperature: float) -> None:
     assert fit_temperature(counts) == pytest.approx(temperature, rel=0.03)
 
 
-def test_only_unknown_voxels_count() -> None:
+def test_only_unknown_voxels_count():
     rng = np.random.default_rng(0)
     said, chance, true = rng.random((3, 3000), np.float32)
     unknown = rng.random(3000) < 0.3
@@ -105,7 +105,7 @@ def test_only_unknown_voxels_count() -> None:
     assert count_logits(chance, true > 0.5, unknown, 5.0).sum() == unknown.sum()
 
 
-def test_paths_of_new_worlds_collide_no_more_than_was_promised() -> None:
+def test_paths_of_new_worlds_collide_no_more_than_was_promised():
     """Conformal risk control on losses that are not monotone; over many calibrations of 30
     worlds."""
     rng, risks = np.random.default_rng(0), np.linspace(0.6, 0.0, 12)

@@ -10,7 +10,7 @@ from scenegen.model.completion.completer import Completer
 from scenegen.model.evaluation.visibility import UNOBSERVED, classify
 
 
-def test_the_bundled_network_keeps_its_bounds_on_new_worlds() -> None:
+def test_the_bundled_network_keeps_its_bounds_on_new_worlds():
     """Of unknown voxels, as many as are promised, in the mean over worlds of both kinds; and bounds
     that are worth something: predicted distances would be too great far more often."""
     completer, kept, naive = Completer.from_pretrained(), [], []

@@ -1,7 +1,6 @@
 """A recipe that cannot be is refused in one line."""
 
 import os
-from pathlib import Path
 
 import pytest
 
@@ -90,9 +89,7 @@ BAD_RECIPES = {
 
 
 @pytest.mark.parametrize("what", BAD_RECIPES)
-def test_a_bad_recipe_ends_in_one_line(
-    what: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_bad_recipe_ends_in_one_line(what, tmp_path, capsys):
     text, named = BAD_RECIPES[what]
     (tmp_path / "r.toml").write_text(text)
     command = f"generate pillar --recipe {tmp_path / 'r.toml'} --n 5 --quiet --out {tmp_path / 'd'}"
@@ -101,9 +98,7 @@ def test_a_bad_recipe_ends_in_one_line(
     assert named in error
 
 
-def test_a_recipe_that_is_no_file_ends_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_recipe_that_is_no_file_ends_in_one_line(tmp_path, capsys):
     os.mkfifo(tmp_path / "pipe.toml")
     for path, named in (
         ("pipe.toml", "not a regular file"),

@@ -4,7 +4,6 @@ import dataclasses
 import itertools
 import json
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from tests.command_line import run
 
 
 @pytest.fixture(autouse=True)
-def short(monkeypatch: pytest.MonkeyPatch) -> None:
+def short(monkeypatch):
     monkeypatch.setattr(doctor, "SELF_TEST_S", 0.1)
 
 
@@ -53,7 +52,7 @@ def with_a_range_that_changes(number: int, sample: Sample) -> Sample:
 BROKEN = {"returns_occupied": without_one_solid_voxel, "repeatable": with_a_range_that_changes}
 
 
-def test_a_fit_machine_is_found_fit(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_fit_machine_is_found_fit(monkeypatch, tmp_path):
     asked = spoil(monkeypatch, lambda number, sample: sample)
     found = doctor.examine(tmp_path)
     test = found["self_test"]
@@ -66,7 +65,7 @@ def test_a_fit_machine_is_found_fit(monkeypatch: pytest.MonkeyPatch, tmp_path: P
     json.dumps(found, allow_nan=False)
 
 
-def test_a_law_broken_once_is_not_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_law_broken_once_is_not_forgotten(monkeypatch):
     """By the first unit of many."""
     monkeypatch.setattr(doctor, "SELF_TEST_S", 0.3)
     broken = without_one_solid_voxel
@@ -77,9 +76,7 @@ def test_a_law_broken_once_is_not_forgotten(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 @pytest.mark.parametrize("law", BROKEN)
-def test_the_command_fails_where_a_law_is_broken(
-    law: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_fails_where_a_law_is_broken(law, monkeypatch, capsys):
     spoil(monkeypatch, BROKEN[law])
     code, said, error = run(capsys, "doctor", "--json")
     assert code == 1

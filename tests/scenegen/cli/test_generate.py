@@ -19,9 +19,7 @@ BOX = (
 )
 
 
-def test_generate_inspect_and_world_work_together(
-    small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_generate_inspect_and_world_work_together(small, tmp_path, capsys):
     out = tmp_path / "d"
     code, said, _ = run(capsys, f"generate --recipe {small} --n 12 --out {out} --workers 1")
     assert code == 0
@@ -44,9 +42,7 @@ def test_generate_inspect_and_world_work_together(
     assert mujoco.MjModel.from_xml_path(str(tmp_path / "world.xml")).ngeom > 0
 
 
-def test_json_and_quiet_and_dry_run_print_what_they_say(
-    small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_json_and_quiet_and_dry_run_print_what_they_say(small, tmp_path, capsys):
     command = f"generate --recipe {small} --n 6 --workers 1 --out {tmp_path / 'd'}"
     code, said, _ = run(capsys, f"{command} --dry-run --json")
     assert code == 0
@@ -56,9 +52,7 @@ def test_json_and_quiet_and_dry_run_print_what_they_say(
     assert run(capsys, f"{command} --quiet") == (0, "", "")
 
 
-def test_an_engine_and_a_sensor_are_taken_by_name(
-    small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_engine_and_a_sensor_are_taken_by_name(small, tmp_path, capsys):
     small.write_text(SMALL.replace("[lidar]\nrows = 8\ncolumns = 24\n", ""))
     out = tmp_path / "d"
     command = f"generate --recipe {small} --n 3 --val 0 --test 0 --workers 1 --out {out}"
@@ -72,9 +66,7 @@ def test_an_engine_and_a_sensor_are_taken_by_name(
     assert [item.value for item in Named(ENGINES).shell_complete(None, None, "a")] == ["analytic"]
 
 
-def test_a_split_range_makes_its_shards_alone(
-    small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_split_range_makes_its_shards_alone(small, tmp_path, capsys):
     command = f"generate --recipe {small} --n 9 --shard-samples 3 --json --out {tmp_path / 'd'}"
     said = json.loads(run(capsys, f"{command} --split-range 1:3")[1])
     assert (said["complete"], said["samples_written"], said["shards_missing"]) == (False, 6, 3)
@@ -97,9 +89,7 @@ BAD_USE = {
 
 
 @pytest.mark.parametrize("what", BAD_USE)
-def test_bad_use_ends_in_one_line(
-    what: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_use_ends_in_one_line(what, tmp_path, capsys):
     words, named = BAD_USE[what]
     code, said, error = run(capsys, f"generate {words} --out {tmp_path / 'd'} --quiet")
     assert (code, said, error.count("\n")) == (2, "", 1)
@@ -107,9 +97,7 @@ def test_bad_use_ends_in_one_line(
     assert not (tmp_path / "d").exists()
 
 
-def test_a_grid_that_the_network_cannot_take_is_mentioned(
-    small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_grid_that_the_network_cannot_take_is_mentioned(small, tmp_path, capsys):
     words = ("generate", "--n", 3, "--out", tmp_path / "d", "--dry-run", "--recipe")
     (tmp_path / "odd.toml").write_text(SMALL.replace("24, 24, 16", "24, 20, 16"))
     assert "multiples of 8" not in run(capsys, *words, small)[2]
@@ -140,9 +128,7 @@ BAD_SCENES = {
 
 
 @pytest.mark.parametrize("what", BAD_SCENES)
-def test_a_bad_scene_ends_in_one_line(
-    what: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_bad_scene_ends_in_one_line(what, tmp_path, capfd):
     document, named = BAD_SCENES[what]
     (tmp_path / "s.xml").write_text(document)
     command = f"generate --scene {tmp_path / 's.xml'} --n 5 --out {tmp_path / 'd'} --quiet"
@@ -151,9 +137,7 @@ def test_a_bad_scene_ends_in_one_line(
     assert named in error
 
 
-def test_what_a_scene_leaves_out_is_said_once(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_what_a_scene_leaves_out_is_said_once(tmp_path, capfd):
     body = '<body><joint name="j"/><geom size="1"/></body><geom size="1" pos="9 9 2"/>'
     (tmp_path / "s.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
     words = ("generate", "--scene", tmp_path / "s.xml", "--n", 5, "--dry-run")
@@ -161,9 +145,7 @@ def test_what_a_scene_leaves_out_is_said_once(
     assert run(capfd, *words, "--quiet")[2] == ""
 
 
-def test_a_dry_run_prints_a_recipe_file_that_asks_for_the_same(
-    small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_dry_run_prints_a_recipe_file_that_asks_for_the_same(small, tmp_path, capsys):
     words = ("generate", "-n", 6, "--out", tmp_path / "d", "--dry-run", "--recipe")
     code, said, _ = run(capsys, *words, small)
     assert code == 0
@@ -175,9 +157,7 @@ def test_a_dry_run_prints_a_recipe_file_that_asks_for_the_same(
     assert pasted == wanted
 
 
-def test_a_world_of_ones_own_as_the_docs_show_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_world_of_ones_own_as_the_docs_show_it(tmp_path, capsys):
     page = (ROOT / "docs" / "recipes.md").read_text()
     (tmp_path / "yard.xml").write_text(page.split("```xml\n")[1].split("```")[0])
     words = ("generate", "--scene", tmp_path / "yard.xml", *["--n", "2", "--workers", "1", "--out"])
@@ -188,9 +168,7 @@ def test_a_world_of_ones_own_as_the_docs_show_it(
     assert (code, "nothing was left to make" in said) == (0, True)
 
 
-def test_folders_under_data_without_samples_are_left_out(
-    small: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_folders_under_data_without_samples_are_left_out(small, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert run(capsys, "generate", "--recipe", small, "--n", 3, "--workers", 1, "--quiet")[0] == 0
     empty = manifest.read(Path("data/pillar"))

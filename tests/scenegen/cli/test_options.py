@@ -39,11 +39,11 @@ def run(*words: str) -> tuple[int, str]:
     return ended.exit_code, ended.output
 
 
-def test_nothing_given_is_the_configuration_as_it_comes() -> None:
+def test_nothing_given_is_the_configuration_as_it_comes():
     assert run() == (0, f"{Config()!r}\n")
 
 
-def test_what_is_given_has_the_fields_type() -> None:
+def test_what_is_given_has_the_fields_type():
     code, said = run("--width", "4", "--reach", "2", "--stride", "1", "--mode", "plain", "--turned")
     assert (code, said) == (
         0,
@@ -70,13 +70,13 @@ def test_what_is_given_has_the_fields_type() -> None:
         ),
     ],
 )
-def test_bounds_and_choices_are_the_fields(words: tuple[str, ...]) -> None:
+def test_bounds_and_choices_are_the_fields(words):
     code, said = run(*words)
     assert (code, words[0] in said) == (2, True)
 
 
 @pytest.mark.parametrize("word", ["-o", "--out", "--output"])
-def test_where_the_result_goes_has_three_names(word: str) -> None:
+def test_where_the_result_goes_has_three_names(word):
     @click.command()
     @out_option("Somewhere.")
     def place(out: Any) -> None:

@@ -6,21 +6,18 @@ from pathlib import Path
 import pytest
 
 from tests.command_line import run
-from tests.scenegen.conftest import Check
-from tests.scenegen.hub import TOKEN, Hub
+from tests.scenegen.hub import TOKEN
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def here(tmp_path, monkeypatch) -> Path:
     """A folder to stand in."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
 @pytest.mark.usefixtures("verified")
-def test_a_rehearsal_lists_what_would_go(
-    here: Path, made: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_rehearsal_lists_what_would_go(here, made, capsys):
     command = f"publish {made} --repo ada/pillars --dry-run"
     code, said, _ = run(capsys, f"{command} --workers 1")
     assert code == 0
@@ -35,12 +32,7 @@ def test_a_rehearsal_lists_what_would_go(
 
 
 @pytest.mark.usefixtures("verified")
-def test_published_and_read_back_by_name(
-    here: Path,
-    made: Path,
-    hub: Hub,
-    capfd: pytest.CaptureFixture[str],
-) -> None:
+def test_published_and_read_back_by_name(here, made, hub, capfd):
     code, said, error = run(capfd, "publish", made, "--repo", "ada/pillars", "--tag", "v1")
     assert code == 0
     assert "hf://ada/pillars@v1" in said
@@ -53,14 +45,7 @@ def test_published_and_read_back_by_name(
     assert said.startswith("<mujoco")
 
 
-def test_bad_use_ends_in_one_line(
-    here: Path,
-    made: Path,
-    hub: Hub,
-    verified: list[Check],
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_bad_use_ends_in_one_line(here, made, hub, verified, capsys, monkeypatch):
     monkeypatch.delenv("HF_TOKEN")
     for words, ends, named in (
         (f"publish {made}", 2, "--repo"),

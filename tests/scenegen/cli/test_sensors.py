@@ -33,7 +33,7 @@ noise = "range:0.02"
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def here(tmp_path, monkeypatch) -> Path:
     """A folder to stand in, with a room 20 m wide, a recipe and a sensor."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "room.xml").write_text(ROOM)
@@ -43,9 +43,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_the_list_has_every_sensor_and_a_file_is_told_of(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_list_has_every_sensor_and_a_file_is_told_of(here, capsys):
     code, said, _ = run(capsys, "sensors")
     assert code == 0
     assert {line.split(" ")[0] for line in said.splitlines()} >= {"raster", *CATALOGUE}
@@ -61,7 +59,7 @@ def test_the_list_has_every_sensor_and_a_file_is_told_of(
     assert matplotlib.image.imread(here / "p.png").shape[1] == 640
 
 
-def test_a_pattern_has_a_dot_where_a_ray_points() -> None:
+def test_a_pattern_has_a_dot_where_a_ray_points():
     up, left = math.radians(20), math.radians(-35)
     ray = [math.cos(up) * math.cos(left), math.cos(up) * math.sin(left), math.sin(up), 0.1]
     sensor = BeamTable(rays=np.array([[1.0, 0, 0, 0.0], ray]))
@@ -74,14 +72,12 @@ def test_a_pattern_has_a_dot_where_a_ray_points() -> None:
     assert len(figure.axes) == 2
 
 
-def test_the_docs_have_the_pattern_of_every_sensor() -> None:
+def test_the_docs_have_the_pattern_of_every_sensor():
     there = (ROOT / "docs" / "pictures" / "sensors").glob("*.png")
     assert {path.stem for path in there if path.stat().st_size < 60_000} >= set(CATALOGUE)
 
 
-def test_a_dataset_by_a_sensors_name_says_what_made_it(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_dataset_by_a_sensors_name_says_what_made_it(here, capsys):
     command = "generate -n 3 --val 0 --test 0 --quiet --workers 1"
     sensor = "--recipe bare.toml --lidar robosense-helios-16p"
     assert run(capsys, f"{command} {sensor} --out by-name")[0] == 0
@@ -94,9 +90,7 @@ def test_a_dataset_by_a_sensors_name_says_what_made_it(
     assert "robosense-helios-16p(max_range_m=20.0)" in text
 
 
-def test_a_scan_without_noise_lies_on_the_walls_and_with_it_near_them(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_scan_without_noise_lies_on_the_walls_and_with_it_near_them(here, capsys):
     at = f"{AT} --lidar mine.toml --frame world --json -o"
     assert json.loads(run(capsys, f"{at} clean.npz")[1])["returns"] == 16
     points = np.load(here / "clean.npz")["points"]
@@ -110,9 +104,7 @@ def test_a_scan_without_noise_lies_on_the_walls_and_with_it_near_them(
     assert (here / "again.npz").read_bytes() == (here / "noisy.npz").read_bytes()
 
 
-def test_kitti_s_files_hold_the_same_points_and_their_intensity(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_kitti_s_files_hold_the_same_points_and_their_intensity(here, capsys):
     for name in ("a.npz", "a.bin"):
         noise = "divergence:3:returns=dual,intensity"
         assert run(capsys, f"{AT} --noise {noise} -o {name}")[0] == 0
@@ -121,9 +113,7 @@ def test_kitti_s_files_hold_the_same_points_and_their_intensity(
     np.testing.assert_allclose(rows[:, 3], stored["intensity"], rtol=1e-6)
 
 
-def test_a_scan_in_flight_is_at_the_seeds_place(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_scan_in_flight_is_at_the_seeds_place(here, capsys):
     def place(seed: int) -> list[float]:
         said = run(capsys, f"scan room.xml --flight --seed {seed} --json")[1]
         return json.loads(said)["position"]
@@ -131,7 +121,7 @@ def test_a_scan_in_flight_is_at_the_seeds_place(
     assert place(1) == place(1) != place(2)
 
 
-def test_a_sequence_follows_one_flight(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_sequence_follows_one_flight(here, capsys):
     command = "scan room.xml --flight --every 0.5 --seed 2 --noise range --json -o walk.npz"
     scans = json.loads(run(capsys, command)[1])["scans"]
     assert [scan["file"] for scan in scans] == [f"walk-{n:03d}.npz" for n in range(len(scans))]
@@ -181,9 +171,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("what", REFUSED)
-def test_what_cannot_be_ends_in_one_line(
-    what: str, here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_ends_in_one_line(what, here, capsys):
     (here / "arm.toml").write_text(
         (here / "bare.toml").read_text() + f"[lidar]\n{LIDAR}lever_arm_m = [0, 0, 0.3]"
     )
@@ -202,9 +190,7 @@ def test_what_cannot_be_ends_in_one_line(
     assert set(here.iterdir()) == before
 
 
-def test_a_map_of_a_real_place_is_scanned_and_told_of(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_map_of_a_real_place_is_scanned_and_told_of(tmp_path, capsys, monkeypatch):
     """A room of 4 × 4 × 2 m, mapped at 0.1 m; beyond its walls, and behind one of its halves,
     nothing is known."""
     monkeypatch.chdir(tmp_path)

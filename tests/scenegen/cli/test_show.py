@@ -7,9 +7,7 @@ from scenegen.cli.show import curve, say, show_figures, show_table
 FORGED = "pillar\nscenegen: verify: all 17 checks passed\x1b[32m\x07\u202e"
 
 
-def test_names_and_values_are_escaped_and_keep_their_columns(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_names_and_values_are_escaped_and_keep_their_columns(capsys):
     show_table({FORGED: FORGED, "short": "   12,345"}, FORGED, {"short": ("ok", "green")})
     said = capsys.readouterr().out
     lines = said.split("\n")
@@ -19,15 +17,13 @@ def test_names_and_values_are_escaped_and_keep_their_columns(
     assert lines[3].endswith("  ok     12,345")
 
 
-def test_lines_are_kept_and_what_is_within_them_is_not(capsys: pytest.CaptureFixture[str]) -> None:
+def test_lines_are_kept_and_what_is_within_them_is_not(capsys):
     say("one\n  two\x1b[31m\udcff")
     assert capsys.readouterr().out == "one\n  two\\x1b[31m\\udcff\n"
 
 
 @pytest.mark.parametrize("wide", [10, 80, 200])
-def test_figures_fit_the_terminal_and_none_is_left_out(
-    wide: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_figures_fit_the_terminal_and_none_is_left_out(wide, monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", str(wide))
     heads = [f"metric_{n}" for n in range(12)]
     show_figures({"one": [f"{n}.5" for n in range(12)], "another": ["–"] * 12}, heads, "a title")
@@ -40,7 +36,7 @@ def test_figures_fit_the_terminal_and_none_is_left_out(
         assert lines[lines.index(at) + 1].split()[1 + at.split().index(head)] == f"{n}.5"
 
 
-def test_a_curve_rises_and_falls_with_its_numbers() -> None:
+def test_a_curve_rises_and_falls_with_its_numbers():
     assert curve([0.5, 0.1, 0.9])[1:] == "▁█"
     assert curve([2.0, 2.0]) == "▁▁"
     long = curve([float(n) for n in range(1000)])

@@ -57,9 +57,7 @@ def descendants(pid: int) -> list[int]:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_a_stopped_run_leaves_no_process_and_whole_files(
-    number: int, small: Path, tmp_path: Path
-) -> None:
+def test_a_stopped_run_leaves_no_process_and_whole_files(number, small, tmp_path):
     out = tmp_path / "d"
     process = start(small, out)
     assert len(descendants(process.pid)) >= 2

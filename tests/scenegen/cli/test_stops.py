@@ -69,7 +69,7 @@ def ready(code: str) -> subprocess.Popen[str]:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_within_a_librarys_callback(number: int) -> None:
+def test_within_a_librarys_callback(number):
     running = ready(CALLBACK)
     running.send_signal(number)
     assert running.communicate(timeout=60) == ("", LINE)
@@ -77,7 +77,7 @@ def test_within_a_librarys_callback(number: int) -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="asks the C library")
-def test_a_second_stop_ends_what_hangs_in_a_library() -> None:
+def test_a_second_stop_ends_what_hangs_in_a_library():
     running = ready(HANGING)
     running.send_signal(signal.SIGTERM)
     time.sleep(0.5)
@@ -86,7 +86,7 @@ def test_a_second_stop_ends_what_hangs_in_a_library() -> None:
     running.communicate()
 
 
-def test_a_loop_notes_the_first_stop_and_the_second_ends_all() -> None:
+def test_a_loop_notes_the_first_stop_and_the_second_ends_all():
     running = ready(NOTED)
     running.send_signal(signal.SIGINT)
     assert running.stdout
@@ -103,7 +103,7 @@ def answers(process: subprocess.Popen[str]) -> bool:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
-def test_while_a_command_begins(tmp_path: Path) -> None:
+def test_while_a_command_begins(tmp_path):
     """Imports and the loading of kernels, at moments spread over them: six processes, three at a
     time."""
     command = [

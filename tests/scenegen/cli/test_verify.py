@@ -1,17 +1,12 @@
 """`scenegen verify` as users meet it."""
 
 import json
-from pathlib import Path
-
-import pytest
 
 from tests.command_line import run
 from tests.scenegen.verification import forge
 
 
-def test_verify_prints_a_table_and_ends_with_one_where_a_check_fails(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_verify_prints_a_table_and_ends_with_one_where_a_check_fails(tmp_path, capsys):
     folder = forge.make(tmp_path / "d", counts={"train": 3, "val": 0, "test": 0})
     code, said, complaint = run(capsys, "verify", folder, "--workers", 1)
     assert code == 0

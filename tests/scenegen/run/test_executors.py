@@ -32,9 +32,7 @@ def make(
     return summary.digest, {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def test_ranks_make_a_dataset_together_in_any_order(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ranks_make_a_dataset_together_in_any_order(tmp_path, monkeypatch):
     """Each job writes its own shards and no others; whichever ends last completes the manifest."""
     whole = make(tmp_path / "whole")
     monkeypatch.setenv("SCENEGEN_WORLD_SIZE", "3")
@@ -65,9 +63,7 @@ def test_ranks_make_a_dataset_together_in_any_order(
         ("SLURM_ARRAY_TASK_ID=1 SLURM_ARRAY_TASK_COUNT=2 SLURM_ARRAY_TASK_MIN=5", "SLURM_ARRAY"),
     ],
 )
-def test_the_environment_tells_the_rank_or_one_line_says_why_not(
-    environment: str, expected: object
-) -> None:
+def test_the_environment_tells_the_rank_or_one_line_says_why_not(environment, expected):
     given = dict(pair.split("=") for pair in environment.split())
     if not isinstance(expected, str):
         assert rank_of(given) == expected
@@ -77,12 +73,12 @@ def test_the_environment_tells_the_rank_or_one_line_says_why_not(
 
 
 @pytest.mark.parametrize("name", ["local", "rank"])
-def test_places_without_an_address_take_none(name: str) -> None:
+def test_places_without_an_address_take_none(name):
     with pytest.raises(DatasetError, match=f"--on {name}://somewhere: "):
         executor(f"{name}://somewhere", 1)
 
 
-def test_what_is_no_executor_is_refused() -> None:
+def test_what_is_no_executor_is_refused():
     with pytest.raises(ScenegenError, match="--on: unknown executor 'clouds'"):
         executor("clouds", 1)
     with pytest.raises(
@@ -92,9 +88,7 @@ def test_what_is_no_executor_is_refused() -> None:
     assert set(EXECUTORS.known) == {"local", "rank", "ray", "slurm"}
 
 
-def test_a_machine_with_another_scenegen_refuses_and_says_what_it_has(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_machine_with_another_scenegen_refuses_and_says_what_it_has(tmp_path, monkeypatch):
     recipe = small_recipe()
     plan = plan_dataset(
         tmp_path / "d", recipe, DrawnWorlds(recipe), seed=5, counts=COUNTS, shard_samples=3
@@ -115,7 +109,7 @@ def test_a_machine_with_another_scenegen_refuses_and_says_what_it_has(
     assert not list((tmp_path / "d").glob("*.h5"))
 
 
-def test_a_machine_without_scenegen_says_so() -> None:
+def test_a_machine_without_scenegen_says_so():
     """What is sent needs nothing of ours: its code is run by a Python that has no packages."""
     there: Any = sent(abs)
     cells = {
@@ -140,9 +134,7 @@ def test_a_machine_without_scenegen_says_so() -> None:
         Outcome(said, node).taken()
 
 
-def test_where_there_is_no_slurm_one_line_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_where_there_is_no_slurm_one_line_says_so(tmp_path, monkeypatch):
     pytest.importorskip("submitit")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PATH", str(tmp_path))

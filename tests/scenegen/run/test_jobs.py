@@ -61,7 +61,7 @@ class Submitit(SimpleNamespace):
 
 
 @pytest.fixture
-def slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Submitit:
+def slurm(tmp_path, monkeypatch) -> Submitit:
     """A folder to stand in, where there are Slurm's commands."""
     for name, line in COMMANDS.items():
         (tmp_path / name).write_text(f"#!/bin/sh\n{line}\n")
@@ -74,7 +74,7 @@ def slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Submitit:
     return found
 
 
-def test_an_array_is_no_larger_than_the_cluster_takes(slurm: Submitit, tmp_path: Path) -> None:
+def test_an_array_is_no_larger_than_the_cluster_takes(slurm, tmp_path):
     """All tasks are done, no more jobs at a time than there are workers, and none is left."""
     found = executor("slurm://cpu?time=60&mem=4G", 5)(abs, range(-50, 0), lambda: None)
     assert sorted(found) == list(range(1, 51))
@@ -88,7 +88,7 @@ def test_an_array_is_no_larger_than_the_cluster_takes(slurm: Submitit, tmp_path:
 
 
 @pytest.mark.parametrize("minutes", ["1:00:00", "0", "9" * 99, "&"])
-def test_a_time_limit_is_in_whole_minutes(slurm: Submitit, minutes: str) -> None:
+def test_a_time_limit_is_in_whole_minutes(slurm, minutes):
     with pytest.raises(DatasetError, match="the time in whole minutes"):
         executor(f"slurm://?time={minutes}", 1)
 
@@ -98,7 +98,7 @@ def interrupted(error: type[Exception]) -> None:
 
 
 @pytest.mark.parametrize("error", [UncompletedJobError, OwnCodeError])
-def test_a_time_limit_that_is_reached_is_one_line(slurm: Submitit, error: type[Exception]) -> None:
+def test_a_time_limit_that_is_reached_is_one_line(slurm, error):
     with pytest.raises(
         GenerationError, match=r"job 1_0: timed-out: its 60 minutes are too few"
     ) as caught:
@@ -106,7 +106,7 @@ def test_a_time_limit_that_is_reached_is_one_line(slurm: Submitit, error: type[E
     assert "\n" not in str(caught.value)
 
 
-def test_jobs_are_cancelled_though_the_command_is_killed(slurm: Submitit, tmp_path: Path) -> None:
+def test_jobs_are_cancelled_though_the_command_is_killed(slurm, tmp_path):
     code = (
         "import time\nfrom scenegen.run.slurm import _cancelled\nwith _cancelled('ours'):\n    "
         "print('begun', flush=True)\n    time.sleep(60)\n"

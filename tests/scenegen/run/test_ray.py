@@ -42,7 +42,7 @@ def cluster() -> Iterator[Any]:
 
 
 @pytest.fixture
-def connected(cluster: Any) -> Iterator[Any]:
+def connected(cluster) -> Iterator[Any]:
     """The cluster, to which this process is connected."""
     ray.init(address=cluster.address, log_to_driver=False, configure_logging=False)
     yield cluster
@@ -54,9 +54,7 @@ def plan(folder: Path) -> Any:
     return plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=5, counts=COUNTS, shard_samples=3)
 
 
-def test_a_cluster_makes_the_same_dataset_though_a_node_dies(
-    connected: Any, tmp_path: Path
-) -> None:
+def test_a_cluster_makes_the_same_dataset_though_a_node_dies(connected, tmp_path):
     here = build(plan(tmp_path / "here"))
     killed = []
 
@@ -73,12 +71,7 @@ def test_a_cluster_makes_the_same_dataset_though_a_node_dies(
     assert ray.is_initialized(), "what was there before is left"
 
 
-def test_commands_give_the_same_there_though_a_node_dies(
-    cluster: Any,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_commands_give_the_same_there_though_a_node_dies(cluster, tmp_path, monkeypatch, capsys):
     """verify, convert, complete and bench, each with a node that is killed on the way. Nothing of
     Ray's is printed."""
     monkeypatch.setenv("RAY_ADDRESS", cluster.address)
@@ -110,7 +103,7 @@ def beat(path: Path) -> None:
         time.sleep(0.2)
 
 
-def test_a_stop_ends_the_tasks_of_this_run_and_no_others(connected: Any, tmp_path: Path) -> None:
+def test_a_stop_ends_the_tasks_of_this_run_and_no_others(connected, tmp_path):
     ours, others = tmp_path / "ours", tmp_path / "others"
     task = ray.remote(beat).remote(others)
     code = (
@@ -133,7 +126,7 @@ def test_a_stop_ends_the_tasks_of_this_run_and_no_others(connected: Any, tmp_pat
     ray.cancel(task, force=True)
 
 
-def test_usage_is_never_reported() -> None:
+def test_usage_is_never_reported():
     """The switch is off before Ray is imported, and Ray's own opinion is asked."""
     code = (
         "from scenegen.run import executor\nexecutor('ray', 1)\nfrom ray._common.usage import "
@@ -143,7 +136,7 @@ def test_usage_is_never_reported() -> None:
     subprocess.run([sys.executable, "-c", code], check=True, env=clean, timeout=120)
 
 
-def test_an_address_where_nobody_answers_ends_in_one_line() -> None:
+def test_an_address_where_nobody_answers_ends_in_one_line():
     pytest.importorskip("grpc", reason="Ray's client needs grpcio")
     with pytest.raises(
         ScenegenError, match=r"--on ray://127\.0\.0\.1:9: no cluster answers there"

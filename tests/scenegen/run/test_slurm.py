@@ -40,7 +40,7 @@ COUNTS = {"train": 24, "val": 3, "test": 3}
 
 
 @pytest.fixture(scope="module")
-def slurm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, int]]:
+def slurm(tmp_path_factory) -> Iterator[dict[str, int]]:
     """A cluster of two nodes, both this machine."""
     with slurm_here.slurm(tmp_path_factory.mktemp("slurm"), nodes=2) as nodes:
         yield nodes
@@ -52,13 +52,13 @@ def plan(folder: Path) -> Any:
 
 
 @pytest.fixture
-def here(slurm: dict[str, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def here(slurm, tmp_path, monkeypatch) -> Path:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PYTHONPATH", str(ROOT))  # where jobs find functions of this file
     return tmp_path
 
 
-def test_a_job_array_makes_the_same_dataset(here: Path) -> None:
+def test_a_job_array_makes_the_same_dataset(here):
     seen: list[bool] = []
     there = build(
         plan(here / "there"),
@@ -72,9 +72,7 @@ def test_a_job_array_makes_the_same_dataset(here: Path) -> None:
     assert not list(here.glob("scenegen-slurm-*")), "nothing is left"
 
 
-def test_commands_give_the_same_there(
-    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_commands_give_the_same_there(here, monkeypatch, capsys):
     """verify, convert, complete and bench: equal reports, and files byte by byte."""
     everywhere.make(here)
     everywhere.stand(here, monkeypatch)
@@ -83,7 +81,7 @@ def test_commands_give_the_same_there(
         assert there == everywhere.outcome(capsys, here, words, "here", "--workers", 1)
 
 
-def test_an_error_is_raised_here_names_the_node_and_ends_the_rest(here: Path) -> None:
+def test_an_error_is_raised_here_names_the_node_and_ends_the_rest(here):
     with pytest.raises(DatasetError, match=rf"nowhere/0: .* \(on {socket.gethostname()}"):
         list(
             executor("slurm", 1)(
@@ -98,9 +96,7 @@ def test_an_error_is_raised_here_names_the_node_and_ends_the_rest(here: Path) ->
     assert left == ""
 
 
-def test_a_job_that_somebody_cancels_is_told_of(
-    here: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_job_that_somebody_cancels_is_told_of(here, monkeypatch):
     monkeypatch.setattr("scenegen.run.slurm.LOOKS", 2)
 
     def cancel() -> None:
@@ -115,9 +111,7 @@ def test_a_job_that_somebody_cancels_is_told_of(
 
 
 @pytest.mark.parametrize(("stop", "code"), [(signal.SIGINT, 130), (signal.SIGKILL, -9)])
-def test_a_command_that_is_stopped_or_killed_leaves_no_jobs(
-    here: Path, stop: int, code: int
-) -> None:
+def test_a_command_that_is_stopped_or_killed_leaves_no_jobs(here, stop, code):
     """Those of this run are cancelled, and no others."""
     other = subprocess.run(
         ["sbatch", "--parsable", "--wrap", "sleep 60"], capture_output=True, text=True, check=True
@@ -155,9 +149,7 @@ def twice(task: Path) -> str:
     return "was not lost"
 
 
-def test_a_task_whose_node_is_lost_begins_again_on_another(
-    slurm: dict[str, int], here: Path
-) -> None:
+def test_a_task_whose_node_is_lost_begins_again_on_another(slurm, here):
     """The last test, for a node is lost. Slurm waits two minutes before a task begins again."""
 
     def lose() -> None:

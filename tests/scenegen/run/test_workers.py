@@ -31,7 +31,7 @@ LIMITED: Limited[str, str] = Limited(
 
 
 @pytest.mark.parametrize("workers", [1, 3])
-def test_bad_tasks_are_given_up_and_good_ones_done(workers: int) -> None:
+def test_bad_tasks_are_given_up_and_good_ones_done(workers):
     before = set(multiprocessing.active_children())
     others = multiprocessing.get_context("fork").Process(target=time.sleep, args=(60,))
     others.start()
@@ -56,7 +56,7 @@ def test_bad_tasks_are_given_up_and_good_ones_done(workers: int) -> None:
     others.join()
 
 
-def test_too_many_deaths_end_the_run_but_not_the_caller(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_many_deaths_end_the_run_but_not_the_caller(monkeypatch):
     monkeypatch.setattr("scenegen.run.workers.MOST_REPLACED", 1)
     results = list(run(LIMITED, ["die"] * 5, 1))
     assert len(results) == 5
@@ -64,7 +64,7 @@ def test_too_many_deaths_end_the_run_but_not_the_caller(monkeypatch: pytest.Monk
     assert "was not examined" in results[-1]
 
 
-def test_called_by_itself_a_limited_function_runs_in_a_process_of_its_own() -> None:
+def test_called_by_itself_a_limited_function_runs_in_a_process_of_its_own():
     """As executors on other machines call it."""
     limited: Limited[str, int] = Limited(process, lambda task: 60.0, 1 << 30, lambda task, why: -1)
     before = set(multiprocessing.active_children())
@@ -80,7 +80,7 @@ def process(task: str) -> int:
 
 
 @pytest.fixture
-def hostile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def hostile(tmp_path, monkeypatch) -> Path:
     """The working folder, which holds modules of well-known names, and gets a file `ran` if any is
     imported."""
     for name in (
@@ -100,16 +100,14 @@ def hostile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_a_spawned_process_imports_nothing_from_the_working_folder(hostile: Path) -> None:
+def test_a_spawned_process_imports_nothing_from_the_working_folder(hostile):
     assert list(run(LIMITED, ["die", "a", "b"], 1))[1:] == ["a", "b"]
     assert replace(LIMITED)("a") == "a"
     assert not (hostile / "ran").exists()
     assert "PYTHONSAFEPATH" not in os.environ  # the caller's own processes are left alone
 
 
-def test_a_task_elsewhere_imports_from_the_working_folder_only_what_was_named(
-    hostile: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_task_elsewhere_imports_from_the_working_folder_only_what_was_named(hostile, monkeypatch):
     """As of the registry, which appends the folder where a user names a module of his own."""
     bare, before = sent(len), list(sys.path)
     monkeypatch.setattr(sys, "path", [*before, str(hostile)])

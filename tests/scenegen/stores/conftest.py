@@ -10,7 +10,7 @@ from tests.scenegen.stores.kept import HOME
 
 
 @pytest.fixture
-def store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def store(tmp_path, monkeypatch) -> Path:
     """The folder where the objects of s3:// are kept."""
     home = tmp_path / "store"
     home.mkdir()

@@ -32,13 +32,13 @@ SHARDS = 84
 
 
 @pytest.fixture(scope="module")
-def ceph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ceph]:
+def ceph(tmp_path_factory) -> Iterator[Ceph]:
     with Ceph(tmp_path_factory.mktemp("ceph")) as server:
         yield server
 
 
 @pytest.fixture(scope="module")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def cache(tmp_path_factory) -> Iterator[Path]:
     """Where copies go, and kernels, which are compiled once."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SCENEGEN_CACHE", str(found := tmp_path_factory.mktemp("cache")))
@@ -46,7 +46,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.fixture(scope="module")
-def here(tmp_path_factory: pytest.TempPathFactory, cache: Path) -> Path:
+def here(tmp_path_factory, cache) -> Path:
     """The same dataset in a folder."""
     home = tmp_path_factory.mktemp("here")
     (home / "small.toml").write_text(SMALL)
@@ -55,7 +55,7 @@ def here(tmp_path_factory: pytest.TempPathFactory, cache: Path) -> Path:
 
 
 @pytest.fixture
-def bucket(ceph: Ceph, here: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+def bucket(ceph, here, tmp_path, monkeypatch) -> str:
     """A new bucket, and this process and its children may use it."""
     for name, value in ceph.environment.items():
         monkeypatch.setenv(name, value)
@@ -130,7 +130,7 @@ def wait_for(bucket: str, shards: int) -> int:
 
 
 @pytest.mark.parametrize("of_what", [None, "version"])
-def test_the_servers_conditional_put_is_real(of_what: str | None, bucket: str) -> None:
+def test_the_servers_conditional_put_is_real(of_what, bucket):
     """Of eight at once exactly one wins, and what it put is there."""
     store = StorePath(f"s3://{bucket}/d").store
     for turn in range(20):
@@ -161,9 +161,7 @@ def test_the_servers_conditional_put_is_real(of_what: str | None, bucket: str) -
         assert (StorePath(f"s3://{bucket}/d") / name).read_bytes() == won[0]
 
 
-def test_the_server_is_killed_and_begun_again_in_mid_write(
-    ceph: Ceph, bucket: str, here: Path, tmp_path: Path
-) -> None:
+def test_the_server_is_killed_and_begun_again_in_mid_write(ceph, bucket, here, tmp_path):
     run = Run(tmp_path, f"s3://{bucket}/d")
     for share in (0.1, 0.4, 0.7):
         assert wait_for(bucket, int(share * SHARDS)) < SHARDS
@@ -179,8 +177,8 @@ def test_the_server_is_killed_and_begun_again_in_mid_write(
 
 
 def test_a_server_that_stays_away_ends_the_run_in_one_line_and_loses_nothing(
-    ceph: Ceph, bucket: str, here: Path, tmp_path: Path
-) -> None:
+    ceph, bucket, here, tmp_path
+):
     run = Run(tmp_path, f"s3://{bucket}/d")
     there = wait_for(bucket, 20)
     ceph.kill()

@@ -11,7 +11,6 @@ from scenegen.dataset.locate import locate
 from scenegen.errors import StoreError
 from scenegen.run import EXECUTORS
 from tests.command_line import run
-from tests.conftest import Once
 from tests.scenegen.run import everywhere
 from tests.scenegen.run.backwards import Bare
 from tests.scenegen.stores.conftest import forget
@@ -23,13 +22,13 @@ Shell = pytest.CaptureFixture[str]
 
 
 @pytest.fixture
-def everything(once: Once) -> Path:
+def everything(once) -> Path:
     """A dataset and a network, made before the cache is another one."""
     return once("everywhere", everywhere.make)
 
 
 @pytest.fixture
-def here(everything: Path, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def here(everything, store, tmp_path, monkeypatch) -> Path:
     """A folder to stand in, with the dataset there and in the store."""
     for name in ("d", "n.safetensors"):
         (tmp_path / name).symlink_to(everything / name)
@@ -45,17 +44,15 @@ def here(everything: Path, store: Path, tmp_path: Path, monkeypatch: pytest.Monk
     [("verify", "d", "--json", "--quick"), *everywhere.COMMANDS[1:4]],
     ids=lambda words: words[0],
 )
-def test_a_command_gives_the_same_where_nothing_is_copied_yet(
-    here: Path, capsys: Shell, words: tuple
-) -> None:
+def test_a_command_gives_the_same_where_nothing_is_copied_yet(here, capsys, words):
     local = everywhere.outcome(capsys, here, words, "out", "--workers", 1)
     there = tuple(NAME if word == "d" else word for word in words)
     assert everywhere.outcome(capsys, here, there, "out", *BARE) == local
 
 
 def test_a_store_that_does_not_answer_a_machine_is_no_fault_of_the_dataset(
-    here: Path, capsys: Shell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    here, capsys, monkeypatch
+):
     read, asked = Kept.read, list[str]()
 
     def fail(self: Kept, name: str, *more: Any) -> Any:
@@ -70,9 +67,7 @@ def test_a_store_that_does_not_answer_a_machine_is_no_fault_of_the_dataset(
     assert "val-00000.h5: the store does not answer (on " in complaint
 
 
-def test_a_dataset_that_changes_meanwhile_is_not_mixed_with_the_first(
-    here: Path, store: Path, capsys: Shell
-) -> None:
+def test_a_dataset_that_changes_meanwhile_is_not_mixed_with_the_first(here, store, capsys):
     folder = locate(NAME)
     manifest = store / "lab" / "d" / "dataset.json"
     manifest.write_text(json.dumps(json.loads(manifest.read_text())))  # the same, written otherwise

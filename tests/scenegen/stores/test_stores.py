@@ -65,7 +65,7 @@ def asked() -> list[str]:
 
 
 @pytest.mark.parametrize("path", ["./s3:/b", "./s3://b", "S3://b/x", "data", "", "a b://c", "s3:"])
-def test_a_path_stays_a_path(path: str) -> None:
+def test_a_path_stays_a_path(path):
     assert not is_remote(path)
     assert not is_remote(Path("s3://bucket/x"))
     assert folder_of(path) == Path(path)
@@ -74,23 +74,23 @@ def test_a_path_stays_a_path(path: str) -> None:
 @pytest.mark.parametrize(
     "name", ["s3:///x", "s3://b//x", "s3://b/../x", "s3://b/x\n", "s3://B/x", "s3://" + "b" * 2000]
 )
-def test_a_name_that_cannot_be_is_refused(name: str) -> None:
+def test_a_name_that_cannot_be_is_refused(name):
     with pytest.raises(DatasetError, match=r"expected .*(?i:s3://bucket/folder)"):
         folder_of(name)
 
 
-def test_one_slash_is_no_folder() -> None:
+def test_one_slash_is_no_folder():
     with pytest.raises(DatasetError, match="s3:/bucket/x: expected two slashes, s3://bucket/x"):
         folder_of("s3:/bucket/x")
 
 
-def test_credentials_in_a_name_are_refused_and_not_repeated() -> None:
+def test_credentials_in_a_name_are_refused_and_not_repeated():
     with pytest.raises(DatasetError, match="holds no credentials") as refused:
         folder_of("s3://AKIA:secret@bucket/x")
     assert "secret" not in str(refused.value)
 
 
-def test_a_place_is_named_as_it_was_given_and_names_what_lies_in_it() -> None:
+def test_a_place_is_named_as_it_was_given_and_names_what_lies_in_it():
     folder = StorePath("s3://lab/a/b")
     assert (str(folder), str(folder / "x.h5"), (folder / "x.h5").name) == (
         "s3://lab/a/b",
@@ -102,7 +102,7 @@ def test_a_place_is_named_as_it_was_given_and_names_what_lies_in_it() -> None:
         folder.open()  # nothing of Path's reaches for a file of that name
 
 
-def test_what_others_put_is_never_replaced_unread(store: Path) -> None:
+def test_what_others_put_is_never_replaced_unread(store):
     path = folder_of(NAME) / "x"
     path.put(b"1")
     path.put(b"2")
@@ -116,14 +116,12 @@ def test_what_others_put_is_never_replaced_unread(store: Path) -> None:
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_a_bucket_holds_the_bytes_of_a_folder(workers: int, store: Path, made: Path) -> None:
+def test_a_bucket_holds_the_bytes_of_a_folder(workers, store, made):
     assert write(workers=workers).digest == Dataset(made).manifest.digest
     assert objects(store) == files(made)
 
 
-def test_a_store_that_is_full_after_any_put_loses_nothing(
-    store: Path, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_store_that_is_full_after_any_put_loses_nothing(store, made, tmp_path, monkeypatch):
     """Whichever put is the last one, the next call goes on from there, and draws no shard again
     that was put."""
     room = tmp_path / "room"
@@ -146,7 +144,7 @@ def test_a_store_that_is_full_after_any_put_loses_nothing(
     assert objects(store) == files(made)
 
 
-def test_a_resumed_run_reads_no_samples(store: Path, made: Path) -> None:
+def test_a_resumed_run_reads_no_samples(store, made):
     write()
     (store / "lab" / "pillar" / "train-00001.h5").unlink()
     written = write().samples_written
@@ -162,7 +160,7 @@ def test_a_resumed_run_reads_no_samples(store: Path, made: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", [b"", b"not a shard", None])
-def test_what_is_damaged_is_made_again(damage: bytes | None, store: Path, made: Path) -> None:
+def test_what_is_damaged_is_made_again(damage, store, made):
     write()
     home = store / "lab" / "pillar"
     for name in (
@@ -181,9 +179,7 @@ def test_what_is_damaged_is_made_again(damage: bytes | None, store: Path, made: 
     assert objects(store) == files(made)
 
 
-def test_a_disk_without_room_for_a_copy_is_no_damage(
-    store: Path, made: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_disk_without_room_for_a_copy_is_no_damage(store, made, monkeypatch):
     """Nothing is removed because this machine could not look at it."""
     write()
     (store / "lab" / "pillar" / f"train-00002{SUFFIX}").unlink()
@@ -202,7 +198,7 @@ def test_a_disk_without_room_for_a_copy_is_no_damage(
     assert objects(store) == files(made)
 
 
-def test_two_drivers_at_once_end_with_equal_bits(store: Path, made: Path) -> None:
+def test_two_drivers_at_once_end_with_equal_bits(store, made):
     other: list[Summary] = []
 
     def begin_another(report: Any, fresh: bool) -> None:
@@ -215,7 +211,7 @@ def test_two_drivers_at_once_end_with_equal_bits(store: Path, made: Path) -> Non
     assert objects(store) == files(made)
 
 
-def test_two_drivers_of_different_datasets_never_mix(store: Path, made: Path) -> None:
+def test_two_drivers_of_different_datasets_never_mix(store, made):
     """The later one is refused where the first has begun; where both find nothing, one wins the
     manifest."""
     forget()
@@ -241,7 +237,7 @@ def test_two_drivers_of_different_datasets_never_mix(store: Path, made: Path) ->
     assert objects(store) == {"dataset.json": theirs}
 
 
-def test_it_grows_and_is_made_in_parts(store: Path, made: Path) -> None:
+def test_it_grows_and_is_made_in_parts(store, made):
     """A smaller dataset goes on, and jobs with a part of the shards complete it, whichever comes
     last."""
     build(plan(folder_of(NAME), train=5))
@@ -250,7 +246,7 @@ def test_it_grows_and_is_made_in_parts(store: Path, made: Path) -> None:
     assert objects(store) == files(made)
 
 
-def test_a_table_of_rays_lies_there_too(store: Path, tmp_path: Path) -> None:
+def test_a_table_of_rays_lies_there_too(store, tmp_path):
     raster = small_recipe()
     recipe = dataclasses.replace(raster, lidar=BeamTable.of(raster.lidar))
     for folder in (tmp_path / "d", folder_of(NAME)):
@@ -265,13 +261,13 @@ def test_a_table_of_rays_lies_there_too(store: Path, tmp_path: Path) -> None:
     assert np.array_equal(load(NAME).dataset.lidar.rays, recipe.lidar.rays)
 
 
-def test_force_replaces_another_dataset(store: Path, made: Path) -> None:
+def test_force_replaces_another_dataset(store, made):
     build(plan(folder_of(NAME), seed=4, train=20))
     write(force=True)
     assert objects(store) == files(made)
 
 
-def test_reading_copies_what_is_opened_once_and_verifies_it(store: Path, made: Path) -> None:
+def test_reading_copies_what_is_opened_once_and_verifies_it(store, made):
     shutil.copytree(made, store / "lab" / "pillar")
     forget()
     split, here = load(NAME, split="train"), load(made, split="train")
@@ -290,9 +286,7 @@ def test_reading_copies_what_is_opened_once_and_verifies_it(store: Path, made: P
         split[0]
 
 
-def test_a_strangers_folder_has_no_say_in_what_is_asked_of_a_place(
-    store: Path, made: Path, tmp_path: Path
-) -> None:
+def test_a_strangers_folder_has_no_say_in_what_is_asked_of_a_place(store, made, tmp_path):
     shutil.copytree(made, store / "lab" / "pillar")
     forget()
     folder = locate(NAME)
@@ -302,7 +296,7 @@ def test_a_strangers_folder_has_no_say_in_what_is_asked_of_a_place(
         load(tmp_path / "theirs")[0]
 
 
-def test_other_bytes_than_the_manifests_are_refused_and_not_kept(store: Path, made: Path) -> None:
+def test_other_bytes_than_the_manifests_are_refused_and_not_kept(store, made):
     shutil.copytree(made, store / "lab" / "pillar")
     path = store / "lab" / "pillar" / "test-00000.h5"
     path.write_bytes(path.read_bytes()[:-1] + b"?")
@@ -320,8 +314,8 @@ def test_other_bytes_than_the_manifests_are_refused_and_not_kept(store: Path, ma
 @pytest.mark.parametrize("level", ["", "scenegen", "scenegen/places", "scenegen/places/{store}"])
 @pytest.mark.parametrize("what", ["open to others", "another user's"])
 def test_copies_are_neither_taken_from_nor_put_where_others_may_write(
-    level: str, what: str, store: Path, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    level, what, store, made, tmp_path, monkeypatch
+):
     shutil.copytree(made, store / "lab" / "pillar")
     forget()
     folder = locate(NAME)
@@ -347,7 +341,7 @@ def test_copies_are_neither_taken_from_nor_put_where_others_may_write(
 @pytest.mark.parametrize(
     "damage", [lambda there: there[:-9], lambda there: there[:-1] + b"?", lambda there: b""]
 )
-def test_a_copy_that_changed_is_fetched_again(damage: Any, store: Path, made: Path) -> None:
+def test_a_copy_that_changed_is_fetched_again(damage, store, made):
     shutil.copytree(made, store / "lab" / "pillar")
     forget()
     folder, whole = locate(NAME, whole=True), files(made)
@@ -366,7 +360,7 @@ def test_a_copy_that_changed_is_fetched_again(damage: Any, store: Path, made: Pa
     assert len(asked()) == count  # what is whole is not asked for
 
 
-def test_forked_processes_read_for_themselves(store: Path, made: Path) -> None:
+def test_forked_processes_read_for_themselves(store, made):
     import multiprocessing
 
     shutil.copytree(made, store / "lab" / "pillar")
@@ -386,12 +380,8 @@ def _digest(task: tuple[Any, int]) -> bytes:
 
 
 def test_commands_take_a_place_and_refuse_it_where_they_cannot(
-    store: Path,
-    made: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    store, made, tmp_path, capsys, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     shutil.copytree(made, store / "lab" / "pillar")
     forget()
@@ -419,9 +409,7 @@ def test_commands_take_a_place_and_refuse_it_where_they_cannot(
     assert {path.name for path in tmp_path.iterdir()} <= {"store", "copies"}
 
 
-def test_other_places_are_read_by_fsspec(
-    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_places_are_read_by_fsspec(made, tmp_path, monkeypatch):
     fsspec = pytest.importorskip("fsspec")
     monkeypatch.setenv("SCENEGEN_CACHE", str(tmp_path))
     fsspec.filesystem("memory").put(f"{made}/*", "/pillar/")
@@ -434,7 +422,7 @@ def test_other_places_are_read_by_fsspec(
         locate("nothing://there")
 
 
-def test_without_boto3_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_boto3_one_line_says_what_to_install(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "boto3", None)
     forget()
     with pytest.raises(
@@ -444,7 +432,7 @@ def test_without_boto3_one_line_says_what_to_install(monkeypatch: pytest.MonkeyP
         folder_of("s3://lab/x")
 
 
-def test_an_answer_that_is_cut_off_is_asked_for_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_answer_that_is_cut_off_is_asked_for_again(monkeypatch):
     botocore = pytest.importorskip("botocore")
     from scenegen.stores import bucket as module
 
@@ -503,9 +491,7 @@ class Odd(BaseHTTPRequestHandler):
 
 
 @pytest.mark.parametrize("answer", ["cut", "no ETag", "no length", "page", "circle"])
-def test_an_odd_servers_answer_ends_in_one_line(
-    answer: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_odd_servers_answer_ends_in_one_line(answer, monkeypatch):
     pytest.importorskip("boto3")
     from scenegen.stores import bucket as module
 
@@ -545,8 +531,8 @@ def test_an_odd_servers_answer_ends_in_one_line(
     ],
 )
 def test_a_refusal_is_told_in_one_line_without_what_the_server_repeats(
-    status: int, code: str, told: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    status, code, told, monkeypatch
+):
     pytest.importorskip("boto3")
     from botocore.stub import Stubber
 

@@ -21,7 +21,7 @@ def empty() -> np.ndarray:
     return np.zeros((13, 13, 13), np.bool_)
 
 
-def test_an_empty_map() -> None:
+def test_an_empty_map():
     found = measured(empty())
     assert found.clearance_m == 2.0
     # six voxels to every edge: along 6 axes, 12 diagonals of faces, 8 of the cube
@@ -41,7 +41,7 @@ def test_an_empty_map() -> None:
     assert (found.occlusion, found.turning) == (0.0, 0.0)
 
 
-def test_an_obstacle_ahead_occludes_by_its_distance() -> None:
+def test_an_obstacle_ahead_occludes_by_its_distance():
     occupancy = np.zeros((41, 21, 21), np.bool_)
     occupancy[30, 10, 10] = True  # 6 m from the start, right ahead
     occupancy[5, 0, 10] = True  # aside, never within 36 degrees of the direction
@@ -54,7 +54,7 @@ def test_an_obstacle_ahead_occludes_by_its_distance() -> None:
     assert hardness([path], occupancy, narrow, VOXEL).obstruction == pytest.approx(4 / 2 / 0.4)
 
 
-def test_corners_count_by_their_angles_and_only_where_they_are_needed() -> None:
+def test_corners_count_by_their_angles_and_only_where_they_are_needed():
     occupancy = np.zeros((21, 21, 5), np.bool_)
     far = np.full(occupancy.shape, 2.0, np.float32)
     path = np.array([(0, 0, 2), (5, 0, 2), (10, 0, 2), (10, 5, 2), (10, 10, 2)])
@@ -65,7 +65,7 @@ def test_corners_count_by_their_angles_and_only_where_they_are_needed() -> None:
     assert all(map(math.isnan, hardness([], occupancy, far, VOXEL)))
 
 
-def test_a_wall_with_a_slit() -> None:
+def test_a_wall_with_a_slit():
     """A wall two voxels beyond the middle, in which one voxel of the line of sight is free."""
     occupancy = empty()
     occupancy[8] = True
@@ -94,7 +94,7 @@ DIRECTIONS = [
 ]
 
 
-def test_a_way_around_a_wall_is_longer() -> None:
+def test_a_way_around_a_wall_is_longer():
     """On a lattice of three voxels, a wall of nodes from edge to edge but for the top layer."""
     occupancy = empty()
     occupancy[9, :, :12] = True
@@ -116,14 +116,14 @@ def test_a_way_around_a_wall_is_longer() -> None:
     assert found.tortuosity > 1.0
 
 
-def test_traversability_is_the_mean_way_in_diameters() -> None:
+def test_traversability_is_the_mean_way_in_diameters():
     occupancy = np.ones((7, 7, 1), np.bool_)
     occupancy[:, 3] = False  # a corridor along x, whose nodes are 0, 3 and 6
     # from 0 and 6, 6 voxels one way; from 3, 3 both ways; sideways and diagonally none
     assert measured(occupancy).traversability == pytest.approx((6 + 6 + 6) * VOXEL / 0.6 / 24)
 
 
-def test_a_blocked_middle_has_no_figures() -> None:
+def test_a_blocked_middle_has_no_figures():
     occupancy = empty()
     occupancy[6, 6, 6] = True
     found = measured(occupancy)
@@ -131,7 +131,7 @@ def test_a_blocked_middle_has_no_figures() -> None:
     assert all(map(math.isnan, found[1:]))
 
 
-def test_figures_do_not_change_where_a_map_is_turned() -> None:
+def test_figures_do_not_change_where_a_map_is_turned():
     rng, grid = np.random.default_rng(2), small_recipe().grid
     occupancy = rng.random((25, 25, 17)) < 0.05
     occupancy[12, 12, 8] = False

@@ -46,9 +46,7 @@ def field(occupancy: NDArray[np.bool_], voxel: float, truncation: float) -> NDAr
 @pytest.mark.parametrize("voxel", VOXELS)
 @pytest.mark.parametrize("truncation", TRUNCATIONS)
 @pytest.mark.parametrize("density", [0.0001, 0.001, 0.02, 0.3, 0.97])
-def test_the_field_is_scipys_to_the_last_bit(
-    voxel: float, truncation: float, density: float
-) -> None:
+def test_the_field_is_scipys_to_the_last_bit(voxel, truncation, density):
     rng = np.random.default_rng(31)
     for shape in ((23, 31, 17), (40, 9, 26), (5, 60, 40), (1, 33, 8), (12, 1, 1)):
         occupancy = rng.random(shape) < density
@@ -57,7 +55,7 @@ def test_the_field_is_scipys_to_the_last_bit(
 
 
 @pytest.mark.parametrize("voxel", VOXELS)
-def test_truncations_of_every_reach_are_exact(voxel: float) -> None:
+def test_truncations_of_every_reach_are_exact(voxel):
     """From less than one voxel to farther than the map is wide, whole numbers and their
     neighbours."""
     rng = np.random.default_rng(36)
@@ -79,7 +77,7 @@ def test_truncations_of_every_reach_are_exact(voxel: float) -> None:
             np.testing.assert_array_equal(answer, expected_field(k, voxel, float(truncation)))
 
 
-def test_the_field_ignores_how_the_map_lies_in_memory() -> None:
+def test_the_field_ignores_how_the_map_lies_in_memory():
     """Fortran order and reversed views of one map give one answer."""
     rng = np.random.default_rng(35)
     occupancy = rng.random((13, 17, 11)) < 0.01

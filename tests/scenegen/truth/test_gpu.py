@@ -25,7 +25,7 @@ from scenegen.truth import gpu  # noqa: E402
         GridSpec(shape=(1, 7, 5), voxel_m=2.0, truncation_m=9.0),
     ],
 )
-def test_occupancy_and_distances_have_the_processors_bits(grid: GridSpec) -> None:
+def test_occupancy_and_distances_have_the_processors_bits(grid):
     rng = np.random.default_rng(3)
     solids = [solids_of(random_model(rng)) for _ in range(3)]
     upright = (
@@ -46,7 +46,7 @@ def test_occupancy_and_distances_have_the_processors_bits(grid: GridSpec) -> Non
     assert not occupancy.numpy()[-1].any()
 
 
-def test_what_a_kernel_cannot_take_is_refused_in_one_line() -> None:
+def test_what_a_kernel_cannot_take_is_refused_in_one_line():
     occupancy = wp.zeros((1, 4, 4, 4), dtype=wp.bool, device="cpu")
     with pytest.raises(ValueError, match=r"^occupancy: .* expected \(1, 5, 4, 4\)"):
         gpu.distance_field(occupancy, GridSpec(shape=(5, 4, 4)))

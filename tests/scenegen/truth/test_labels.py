@@ -2,7 +2,6 @@
 
 import dataclasses
 import hashlib
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -67,7 +66,7 @@ def distances(points: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.037])
-def test_a_voxel_belongs_to_the_nearest_solid_and_of_two_to_the_first(shift: float) -> None:
+def test_a_voxel_belongs_to_the_nearest_solid_and_of_two_to_the_first(shift):
     world = compile_world(WORLD.encode())
     grid, origin = GridSpec(shape=(18, 20, 12), voxel_m=0.2), np.array([-1.8, -2.0, -0.6]) + shift
     occupancy = rasterize(world.solids, grid, origin)
@@ -85,7 +84,7 @@ def test_a_voxel_belongs_to_the_nearest_solid_and_of_two_to_the_first(shift: flo
     assert set(np.unique(found)) == {0, 1, 2, 4, 5}
 
 
-def test_classes_come_from_names_shapes_or_groups() -> None:
+def test_classes_come_from_names_shapes_or_groups():
     model = compile_world(WORLD.encode()).model
     assert class_names(model, "name") == ["wall", "plane", "ball", "same", "crate", "wall_top"]
     assert set(class_names(model, "group")) == {"group 0"}
@@ -102,7 +101,7 @@ def test_classes_come_from_names_shapes_or_groups() -> None:
     ]
 
 
-def test_labels_add_fields_and_change_none_and_their_digest_covers_them() -> None:
+def test_labels_add_fields_and_change_none_and_their_digest_covers_them():
     recipe = small_recipe()
     with_labels = dataclasses.replace(recipe, labels=labels_by("name", ()))
     plain, more = (
@@ -122,9 +121,7 @@ def test_labels_add_fields_and_change_none_and_their_digest_covers_them() -> Non
 
 
 @pytest.mark.parametrize("noise", ["", "spurious:0.05,range"])
-def test_a_dataset_with_labels_is_kept_verified_and_scanned_again(
-    tmp_path: Path, noise: str
-) -> None:
+def test_a_dataset_with_labels_is_kept_verified_and_scanned_again(tmp_path, noise):
     recipe = dataclasses.replace(small_recipe(), labels=labels_by("group", ()))
     folder = tmp_path / "data"
     plan = plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=3, counts=COUNTS, compact=True)
@@ -155,7 +152,7 @@ DRESSED = """<mujoco><asset>
 </worldbody></mujoco>"""
 
 
-def test_a_scenes_materials_make_classes_and_their_archive_keeps_them(tmp_path: Path) -> None:
+def test_a_scenes_materials_make_classes_and_their_archive_keeps_them(tmp_path):
     file = tmp_path / "one.xml"
     file.write_text(DRESSED)
     counts = {"train": 6, "val": 0, "test": 0}
@@ -192,7 +189,7 @@ def test_a_scenes_materials_make_classes_and_their_archive_keeps_them(tmp_path: 
     assert met == {-1, 0, 1, 2, 3}
 
 
-def test_a_dataset_with_labels_can_be_published(tmp_path: Path) -> None:
+def test_a_dataset_with_labels_can_be_published(tmp_path):
     recipe = dataclasses.replace(
         small_recipe(), labels=labels_by("name", ()), noise=Noise.parse("range")
     )

@@ -160,7 +160,7 @@ def squarely(shape: Shape, normal: Floats, rng: np.random.Generator) -> Shape:
 
 @pytest.mark.parametrize("kind", KINDS)
 @quarter(250)
-def test_gaps_of_a_micrometre_decide(kind: str, count: int) -> None:
+def test_gaps_of_a_micrometre_decide(kind, count):
     """Cubes at a distance known by construction, from solids at random attitudes or flat against
     them.
 
@@ -215,7 +215,7 @@ assert sum(WANTED.values()) >= MILLION
 
 @pytest.mark.parametrize("kind", KINDS)
 @quarter(ATTITUDES)
-def test_primitives_at_many_attitudes_occupy_the_cubes_they_touch(kind: str, count: int) -> None:
+def test_primitives_at_many_attitudes_occupy_the_cubes_they_touch(kind, count):
     """Random sizes, attitudes, positions and voxels; every voxel of every map, near the surface or
     not."""
     rng = np.random.default_rng([13, KINDS.index(kind)])
@@ -268,7 +268,7 @@ def right_angles() -> Iterator[Floats]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_right_angled_attitudes_on_and_off_the_lattice(kind: str) -> None:
+def test_right_angled_attitudes_on_and_off_the_lattice(kind):
     """All 24 of them, touching voxel faces, edges and corners exactly, and a little off."""
     rng = np.random.default_rng(16)
     shapes, voxels = [], []
@@ -284,7 +284,7 @@ def test_right_angled_attitudes_on_and_off_the_lattice(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 @quarter(8)
-def test_a_hair_off_upright_is_not_upright(kind: str, count: int) -> None:
+def test_a_hair_off_upright_is_not_upright(kind, count):
     """Tilts from 1e-9 to 1e-2 rad of solids up to 50 m long, whose far end is then micrometres to
     metres off.
 
@@ -322,7 +322,7 @@ def test_a_hair_off_upright_is_not_upright(kind: str, count: int) -> None:
 
 @pytest.mark.parametrize("kind", CONVEX)
 @quarter(40)
-def test_solids_smaller_than_a_voxel_leave_a_mark(kind: str, count: int) -> None:
+def test_solids_smaller_than_a_voxel_leave_a_mark(kind, count):
     """From 0.2 mm to 4 cm across: one voxel when inside it, and all those around a corner it sits
     on.
 
@@ -348,7 +348,7 @@ def test_solids_smaller_than_a_voxel_leave_a_mark(kind: str, count: int) -> None
 
 @pytest.mark.parametrize("kind", KINDS)
 @quarter(120)
-def test_solids_larger_than_the_map_and_partly_or_wholly_outside_it(kind: str, count: int) -> None:
+def test_solids_larger_than_the_map_and_partly_or_wholly_outside_it(kind, count):
     """Maps that a solid swallows, clips, or misses altogether, of unequal sides and far from the
     origin."""
     rng = np.random.default_rng(20)
@@ -367,7 +367,7 @@ def test_solids_larger_than_the_map_and_partly_or_wholly_outside_it(kind: str, c
     assert min(kinds_seen.values()) >= count / 24
 
 
-def test_the_map_at_the_size_of_use_holds_a_whole_scene() -> None:
+def test_the_map_at_the_size_of_use_holds_a_whole_scene():
     """80 x 80 x 40 voxels, a floor and forty solids at once: the union, every voxel."""
     rng = np.random.default_rng(21)
     grid = GridSpec()
@@ -392,7 +392,7 @@ def test_the_map_at_the_size_of_use_holds_a_whole_scene() -> None:
     assert 0.15 < answer.mean() < 0.6
 
 
-def test_solids_stand_where_their_bodies_put_them_at_qpos0() -> None:
+def test_solids_stand_where_their_bodies_put_them_at_qpos0():
     """Nested bodies, a hinge and a slide with a reference, a free body: the pose is the model's at
     rest."""
     spec = mujoco.MjSpec()
@@ -534,7 +534,7 @@ def mesh_triangles(mesh: Mesh, pos: ArrayLike, quat: ArrayLike) -> Floats:
 @pytest.mark.parametrize(
     "count", [3, pytest.param(6, marks=pytest.mark.slow)]
 )  # one of each voxel, at least
-def test_closed_meshes_are_filled_and_open_ones_are_their_surface(name: str, count: int) -> None:
+def test_closed_meshes_are_filled_and_open_ones_are_their_surface(name, count):
     """At random attitudes; hollows and holes stay free, unlike in the convex hull."""
     rng = np.random.default_rng(22)
     closed = name in WATERTIGHT
@@ -570,7 +570,7 @@ def test_closed_meshes_are_filled_and_open_ones_are_their_surface(name: str, cou
 
 @pytest.mark.parametrize("name", [*WATERTIGHT, *OPEN])
 @quarter(150)
-def test_a_map_that_cuts_or_lies_within_a_mesh_is_filled_alike(name: str, count: int) -> None:
+def test_a_map_that_cuts_or_lies_within_a_mesh_is_filled_alike(name, count):
     """Small maps anywhere in and around it: what is inside does not depend on how much the map
     shows."""
     rng = np.random.default_rng(26)
@@ -594,7 +594,7 @@ def test_a_map_that_cuts_or_lies_within_a_mesh_is_filled_alike(name: str, count:
 
 
 @pytest.mark.parametrize("scale", [(1, 1, 1), (0.5, 1.3, 0.8), (1, -1, 1), (-0.7, -0.7, -0.7)])
-def test_scaled_and_mirrored_meshes_are_filled(scale: tuple[float, float, float]) -> None:
+def test_scaled_and_mirrored_meshes_are_filled(scale):
     vertices, faces = bracket_shape()
     quat, pos = np.array([0.3, 0.5, -0.2, 0.7]), np.array([2.0, 2.1, 1.9])
     triangles = mesh_triangles((vertices * scale, faces), pos, quat)
@@ -609,7 +609,7 @@ def test_scaled_and_mirrored_meshes_are_filled(scale: tuple[float, float, float]
 @pytest.mark.parametrize(
     "faults", ["three vertices a face", "all faces inward", "some faces inward"]
 )
-def test_a_watertight_mesh_is_filled_however_its_faces_are_listed(faults: str) -> None:
+def test_a_watertight_mesh_is_filled_however_its_faces_are_listed(faults):
     """Vertices not shared between faces, or faces wound the wrong way round, enclose the same
     space."""
     vertices, faces = bracket_shape()
@@ -628,7 +628,7 @@ def test_a_watertight_mesh_is_filled_however_its_faces_are_listed(faults: str) -
 
 
 @quarter(100)
-def test_gaps_of_a_micrometre_decide_for_meshes_and_height_fields(count: int) -> None:
+def test_gaps_of_a_micrometre_decide_for_meshes_and_height_fields(count):
     """As for the primitives: the farthest vertex along -n lies a known gap from a cube with a
     normal n there.
 
@@ -665,7 +665,7 @@ def test_gaps_of_a_micrometre_decide_for_meshes_and_height_fields(count: int) ->
 
 
 @quarter(150)
-def test_a_triangle_occupies_the_cubes_it_grazes(count: int) -> None:
+def test_a_triangle_occupies_the_cubes_it_grazes(count):
     """Open meshes of one sliver or large triangle at random, each voxel; thin ones slip past every
     centre."""
     rng = np.random.default_rng(23)
@@ -717,7 +717,7 @@ def random_elevation(rng: np.random.Generator, rows: int, cols: int) -> Floats:
 
 
 @pytest.mark.parametrize("turned", [False, True])
-def test_height_fields_are_filled_down_to_their_base(turned: bool) -> None:
+def test_height_fields_are_filled_down_to_their_base(turned):
     """Against prisms, and against rays: a point between surface and base is in an occupied voxel.
 
     The rays run along the field's own vertical, so that the first hit from above is the surface.
@@ -769,9 +769,7 @@ def test_height_fields_are_filled_down_to_their_base(turned: bool) -> None:
 @pytest.mark.parametrize("material_alpha", [None, 0.0, 1.0])
 @pytest.mark.parametrize("contype", [0, 1])
 @pytest.mark.parametrize("group", [0, 4])
-def test_what_a_ray_sees_is_occupied(
-    geom_alpha: float, material_alpha: float | None, contype: int, group: int
-) -> None:
+def test_what_a_ray_sees_is_occupied(geom_alpha, material_alpha, contype, group):
     """``mj_ray`` decides, whatever collides and whichever group is drawn; materials have their own
     alpha."""
     spec = mujoco.MjSpec()

@@ -10,7 +10,7 @@ from scenegen.truth.voxels import resample
 
 
 @pytest.mark.parametrize("edge_m", [0.2, 0.08, 0.5, 0.3])
-def test_occupied_and_known_voxels_are_those_that_overlap(edge_m: float) -> None:
+def test_occupied_and_known_voxels_are_those_that_overlap(edge_m):
     rng = np.random.default_rng(1)
     states = rng.choice([UNKNOWN, FREE, OCCUPIED], (12, 10, 8), p=[0.5, 0.48, 0.02])
     voxels = VoxelMap(states.astype(np.uint8), edge_m, np.array([-1.0, 0.2, 0.0]))
@@ -34,7 +34,7 @@ def test_occupied_and_known_voxels_are_those_that_overlap(edge_m: float) -> None
         assert not known.all()
 
 
-def test_returns_lie_in_occupied_voxels() -> None:
+def test_returns_lie_in_occupied_voxels():
     rng, recipe = np.random.default_rng(2), preset("pillar")
     for edge_m in (0.08, 0.2, 0.33):
         shape = tuple((np.array([14.0, 14.0, 7.0]) / edge_m).astype(int))

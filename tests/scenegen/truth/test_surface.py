@@ -63,7 +63,7 @@ def eroded(shape: Shape, by: float) -> Shape:
 
 
 @pytest.mark.parametrize("kind", reference.KINDS)
-def test_what_is_left_out_lies_wholly_inside_one_solid_and_nothing_else_does(kind: str) -> None:
+def test_what_is_left_out_lies_wholly_inside_one_solid_and_nothing_else_does(kind):
     rng = np.random.default_rng(list(kind.encode()))
     places = [placed(kind, rng, EDGE) for _ in range(40)]
     inner = 0
@@ -91,13 +91,13 @@ def test_what_is_left_out_lies_wholly_inside_one_solid_and_nothing_else_does(kin
 
 
 @pytest.mark.parametrize(("proud_m", "inner"), [(0.0, 3), (5e-7, 3), (3e-6, 5)])
-def test_cubes_that_share_a_face_with_the_surface_touch_it(proud_m: float, inner: int) -> None:
+def test_cubes_that_share_a_face_with_the_surface_touch_it(proud_m, inner):
     shape = Shape("box", (0.625 + proud_m,) * 3, pos=np.full(3, 1.375))
     solid, surface = both(solids_of(reference.world_of(shape)), (12, 12, 12), 0.25, np.zeros(3))
     assert (solid.sum(), (solid & ~surface).sum()) == (7**3, inner**3)
 
 
-def test_a_closed_mesh_is_its_surface() -> None:
+def test_a_closed_mesh_is_its_surface():
     solids = solids_of(mesh_model(bracket_shape(), (0, 0, 0), (0.9, 0.2, 0.3, 0.1)))
     assert solids.mesh_filled.all()
     low = solids.triangles.min(axis=(0, 1)) - 0.05
@@ -109,7 +109,7 @@ def test_a_closed_mesh_is_its_surface() -> None:
 
 
 @pytest.mark.parametrize("kind", ["pillar", "geometric"])
-def test_every_return_lies_in_a_surface_voxel_and_scans_do_not_depend_on_truth(kind: str) -> None:
+def test_every_return_lies_in_a_surface_voxel_and_scans_do_not_depend_on_truth(kind):
     plain = preset(kind)
     grid = dataclasses.replace(plain.grid, hollow=True)
     kept = []
@@ -139,7 +139,7 @@ def plan(folder: Path, *, hollow: bool | None = True) -> Plan:
     )
 
 
-def test_a_dataset_of_surfaces_is_written_verified_and_read_back(tmp_path: Path) -> None:
+def test_a_dataset_of_surfaces_is_written_verified_and_read_back(tmp_path):
     one, two = plan(tmp_path / "one"), plan(tmp_path / "two")
     build(one, workers=1)
     build(two, workers=2)

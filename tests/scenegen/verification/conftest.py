@@ -9,13 +9,13 @@ from tests.scenegen.verification import forge
 
 
 @pytest.fixture(scope="session")
-def originals(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def originals(tmp_path_factory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("originals")
     return {kind: forge.make(folder / kind, kind) for kind in ("pillar", "geometric")}
 
 
 @pytest.fixture
-def folder(originals: dict[str, Path], tmp_path: Path) -> Path:
+def folder(originals, tmp_path) -> Path:
     """A dataset to plant faults in."""
     return forge.copy(originals["pillar"], tmp_path / "pillar")
 

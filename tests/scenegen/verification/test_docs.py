@@ -12,7 +12,7 @@ from tests.command_line import run
 PAGE = Path(__file__).parents[3] / "docs" / "verify.md"
 
 
-def test_the_table_is_that_of_the_checks() -> None:
+def test_the_table_is_that_of_the_checks():
     rows = [
         f"| `{check.name}` | {'yes' if check.quick else ''} | {check.proves} |" for check in CHECKS
     ]
@@ -20,12 +20,7 @@ def test_the_table_is_that_of_the_checks() -> None:
     assert f"\n\n{table}\n\n" in PAGE.read_text(encoding="utf-8")
 
 
-def test_a_check_of_ones_own(
-    folder: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_check_of_ones_own(folder, tmp_path, monkeypatch, capsys):
     code = PAGE.read_text(encoding="utf-8").split("```python\n")[-1].split("```")[0]
     (tmp_path / "my_checks.py").write_text(
         code + "\nlow = Check(name='low', proves='x', sample=lambda s, page: page.fault(s.where))\n"

@@ -17,7 +17,7 @@ SHARD = "train-00000.h5"
 
 
 @pytest.fixture
-def older(folder: Path) -> Path:
+def older(folder) -> Path:
     """A dataset that does not name its generator."""
     given = manifest.read(folder)
     del given["generator"]
@@ -48,13 +48,13 @@ def fly_lower(folder: Path) -> None:
     forge.edit(folder, SHARD, change)
 
 
-def test_older_datasets_read_and_verify(older: Path) -> None:
+def test_older_datasets_read_and_verify(older):
     assert Dataset(older).split("train")[0].tudf.size
     report = verify(older)
     assert [check.detail for check in report.checks if not check.ok] == []
 
 
-def test_what_cannot_be_compared_is_counted_and_fails_nothing(older: Path) -> None:
+def test_what_cannot_be_compared_is_counted_and_fails_nothing(older):
     forge.sign(older, seed=1)
     check = again(older)
     assert (check.ok, check.skipped) == (True, True)
@@ -63,7 +63,7 @@ def test_what_cannot_be_compared_is_counted_and_fails_nothing(older: Path) -> No
     assert "(3 worlds, 9 samples, 12 come out otherwise)" in check.detail
 
 
-def test_what_rounding_decides_is_let_pass_in_older_datasets_alone(folder: Path) -> None:
+def test_what_rounding_decides_is_let_pass_in_older_datasets_alone(folder):
     fly_lower(folder)
     assert "free" in failed(folder)
     given = manifest.read(folder)
@@ -74,7 +74,7 @@ def test_what_rounding_decides_is_let_pass_in_older_datasets_alone(folder: Path)
 
 
 @pytest.mark.parametrize("field", ["observed", "free"])
-def test_a_voxel_changed_in_an_older_dataset_is_found(older: Path, field: str) -> None:
+def test_a_voxel_changed_in_an_older_dataset_is_found(older, field):
     def change(arrays: forge.Arrays) -> None:
         values = arrays[field][3]
         values[np.unravel_index(values.argmax(), values.shape)] = False

@@ -1,7 +1,5 @@
 """A dataset that a GPU cast the rays of, verified where there is none."""
 
-from pathlib import Path
-
 import pytest
 
 from lidarsim import AnalyticEngine
@@ -14,8 +12,8 @@ from tests.conftest import small_recipe
 
 
 def test_a_gpus_dataset_is_sound_without_one_but_for_what_cannot_be_made_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    tmp_path, monkeypatch
+):
     recipe, counts = small_recipe(), {"train": 3, "val": 0, "test": 0}
     monkeypatch.setattr(WarpEngine, "missing", lambda: "")
     monkeypatch.setattr(WarpEngine, "of", AnalyticEngine.of)  # the same ranges

@@ -21,6 +21,7 @@ from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
 
 SHARD, WORLDS = "train-00000.h5", "train-00000.worlds.zip"
+Put = Callable[[h5py.File], None]
 SECONDS = 20.0
 """Far more than any of these take, on the slowest machine; a hang or a bomb takes more."""
 
@@ -46,69 +47,27 @@ def soon_and_small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> object:
     assert not (tmp_path / "evil").exists()
 
 
-def replace(folder: Path, name: str, put: Callable[[h5py.File], None]) -> None:
-    """Put something else in the place of a dataset of a shard."""
-    with h5py.File(folder / SHARD, "r+") as shard:
-        del shard[name]
-        put(shard)
+SHAPE, PACKED = (6, 24, 24, 16), {"chunks": (1, 24, 24, 16), "compression": "gzip"}
 
 
-def external_link(shard: h5py.File) -> None:
-    shard["tudf"] = h5py.ExternalLink("/etc/passwd", "/x")
-
-
-def external_storage(shard: h5py.File) -> None:
-    shard.create_dataset(
-        "tudf", (6, 24, 24, 16), "<f4", external=[("/etc/passwd", 0, 6 * 24 * 24 * 16 * 4)]
-    )
+def plain(shape: tuple[int, ...] = SHAPE, dtype: str = "<f4", **options: object) -> Put:
+    """Distances of which nothing is stored."""
+    return lambda shard: shard.create_dataset("tudf", shape, dtype, **{**PACKED, **options})
 
 
 def virtual(shard: h5py.File) -> None:
-    layout = h5py.VirtualLayout((6, 24, 24, 16), "<f4")
-    layout[:] = h5py.VirtualSource("/etc/passwd", "x", (6, 24, 24, 16))
+    layout = h5py.VirtualLayout(SHAPE, "<f4")
+    layout[:] = h5py.VirtualSource("/etc/passwd", "x", SHAPE)
     shard.create_virtual_dataset("tudf", layout)
 
 
-def unknown_filter(shard: h5py.File) -> None:
-    shard.create_dataset("tudf", (6, 24, 24, 16), "<f4", chunks=(1, 24, 24, 16), compression="lzf")
-
-
-def absurd_shape(shard: h5py.File) -> None:
-    shard.create_dataset(
-        "tudf", (6, 10**6, 10**6, 10**6), "<f4", chunks=(1, 24, 24, 16), compression="gzip"
-    )
-
-
-def other_type(shard: h5py.File) -> None:
-    shard.create_dataset("tudf", (6, 24, 24, 16), "<f8", chunks=(1, 24, 24, 16))
-
-
-def other_chunks(shard: h5py.File) -> None:
-    shard.create_dataset("tudf", (6, 24, 24, 16), "<f4", chunks=(6, 24, 24, 16), compression="gzip")
-
-
-def nothing_stored(shard: h5py.File) -> None:
-    shard.create_dataset("tudf", (6, 24, 24, 16), "<f4", chunks=(1, 24, 24, 16), compression="gzip")
-
-
-def group(shard: h5py.File) -> None:
-    shard.create_group("tudf")
-
-
-def hidden(shard: h5py.File) -> None:
-    shard["more"] = np.zeros(3)
-    shard["tudf"] = np.zeros(3)
-
-
-def chunks(content: bytes) -> Callable[[h5py.File], None]:
+def chunks(content: bytes) -> Put:
     """Every sample's distances are `content`, as they stand in the file."""
 
     def put(shard: h5py.File) -> None:
-        made = shard.create_dataset(
-            "tudf", (6, 24, 24, 16), "<f4", chunks=(1, 24, 24, 16), compression="gzip"
-        )
+        plain()(shard)
         for row in range(6):
-            made.id.write_direct_chunk((row, 0, 0, 0), content)
+            shard["tudf"].id.write_direct_chunk((row, 0, 0, 0), content)
 
     return put
 
@@ -116,22 +75,30 @@ def chunks(content: bytes) -> Callable[[h5py.File], None]:
 @pytest.mark.parametrize(
     ("put", "said"),
     [
-        (external_link, "tudf is a link to elsewhere"),
-        (external_storage, "tudf keeps its data in other files"),
+        (
+            lambda shard: shard.update(tudf=h5py.ExternalLink("/etc/passwd", "/x")),
+            "tudf is a link to elsewhere",
+        ),
+        (
+            plain(
+                chunks=None, compression=None, external=[("/etc/passwd", 0, 6 * 24 * 24 * 16 * 4)]
+            ),
+            "tudf keeps its data in other files",
+        ),
         (virtual, "tudf keeps its data in other files"),
         (
-            unknown_filter,
+            plain(compression="lzf"),
             "tudf has filters (32000,), expected only gzip (1), shuffle (2) and fletcher32 (3)",
         ),
         (
-            absurd_shape,
+            plain((6, 10**6, 10**6, 10**6)),
             "tudf is float32 (6, 1000000, 1000000, 1000000), expected float32 (6, 24, 24, 16)",
         ),
-        (other_type, "tudf is float64"),
-        (other_chunks, "tudf has other chunks than one a sample"),
-        (nothing_stored, "tudf: 0 of 6 samples are stored"),
-        (group, "tudf is not a dataset"),
-        (hidden, "more: there or missing"),
+        (plain(dtype="<f8", compression=None), "tudf is float64"),
+        (plain(chunks=SHAPE), "tudf has other chunks than one a sample"),
+        (plain(), "tudf: 0 of 6 samples are stored"),
+        (lambda shard: shard.create_group("tudf"), "tudf is not a dataset"),
+        (lambda shard: shard.update(more=np.zeros(3), tudf=np.zeros(3)), "more: there or missing"),
         (
             chunks(zlib.compress(bytes(1 << 25))),
             "sample 0: tudf cannot be unpacked",
@@ -140,9 +107,11 @@ def chunks(content: bytes) -> Callable[[h5py.File], None]:
     ],
 )
 def test_a_shard_that_is_not_plain_is_refused_before_it_is_read(
-    folder: Path, put: Callable[[h5py.File], None], said: str
+    folder: Path, put: Put, said: str
 ) -> None:
-    replace(folder, "tudf", put)
+    with h5py.File(folder / SHARD, "r+") as shard:
+        del shard["tudf"]
+        put(shard)
     assert said in failed(folder)["layout"]
 
 

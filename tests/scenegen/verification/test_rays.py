@@ -20,9 +20,7 @@ WORLD = b"""<mujoco><worldbody><geom type="box" size="1 2 3" pos="4 0 0"/>
 @pytest.mark.parametrize(
     ("made_with", "audits"), [("mujoco", "AnalyticEngine"), ("analytic", "MujocoEngine")]
 )
-def test_the_engine_that_audits_is_never_the_one_that_made_the_ranges(
-    made_with: str, audits: str
-) -> None:
+def test_the_engine_that_audits_is_never_the_one_that_made_the_ranges(made_with, audits):
     world = compile_world(WORLD)
     engine = auditor(world.solids, made_with=made_with, compiled=lambda: world)
     assert type(engine).__name__ == audits
@@ -43,7 +41,7 @@ def test_the_engine_that_audits_is_never_the_one_that_made_the_ranges(
     )
 
 
-def test_an_engine_of_a_users_own_is_audited_by_mujoco_and_not_imported() -> None:
+def test_an_engine_of_a_users_own_is_audited_by_mujoco_and_not_imported():
     world = compile_world(WORLD)
     engine = auditor(world.solids, made_with="my_engines:Fast", compiled=lambda: world)
     assert isinstance(engine, MujocoEngine)
@@ -52,9 +50,7 @@ def test_an_engine_of_a_users_own_is_audited_by_mujoco_and_not_imported() -> Non
 @pytest.mark.parametrize("mount", ["tilt", "band"])
 @pytest.mark.parametrize("fov", [(60.0, 360.0), (30.0, 90.0)])
 @pytest.mark.parametrize("size", [(16, 120), (1, 1)])
-def test_directions_are_the_sensors(
-    mount: str, fov: tuple[float, float], size: tuple[int, int]
-) -> None:
+def test_directions_are_the_sensors(mount, fov, size):
     lidar = Lidar(
         rows=size[0],
         columns=size[1],
@@ -69,7 +65,7 @@ def test_directions_are_the_sensors(
     )
 
 
-def test_a_micrometre_and_a_half_is_too_much() -> None:
+def test_a_micrometre_and_a_half_is_too_much():
     gap = np.array([0.9e-6, 2.5e-6, 0.01, np.nan])
     assert disagrees(gap, np.array([1.0, 1.0, 10.0, 1.0]), 10.0).tolist() == [
         False,

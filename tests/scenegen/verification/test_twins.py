@@ -16,14 +16,14 @@ from scenegen.verification.splits import (
 
 
 @pytest.mark.parametrize("shape", [(24, 24, 16), (80, 80, 40), (7, 9, 3), (1, 1, 1)])
-def test_a_signature_counts_every_voxel_once(shape: tuple[int, int, int]) -> None:
+def test_a_signature_counts_every_voxel_once(shape):
     occupancy = np.random.default_rng(0).random(shape) < 0.3
     blocks = signature(occupancy)
     assert blocks.shape == (320,)
     assert blocks.sum() == occupancy.sum()
 
 
-def test_no_near_twin_is_missed() -> None:
+def test_no_near_twin_is_missed():
     rng = np.random.default_rng(1)
     shape = (16, 16, 10)
     maps = [rng.random(shape) < rng.uniform(0.02, 0.5) for _ in range(60)]
@@ -54,7 +54,7 @@ def test_no_near_twin_is_missed() -> None:
     assert all(splits[a] != splits[b] for a, b in found)
 
 
-def test_a_floor_alone_makes_no_twins() -> None:
+def test_a_floor_alone_makes_no_twins():
     floor = np.zeros((20, 20, 10), np.bool_)
     floor[:, :, :4] = True
     one, other = floor.copy(), floor.copy()
@@ -67,7 +67,7 @@ def test_a_floor_alone_makes_no_twins() -> None:
     assert standing_overlap(one, other) < 0.1
 
 
-def test_empty_maps_are_no_twins() -> None:
+def test_empty_maps_are_no_twins():
     found, complete = candidates(
         np.zeros((4, 320), np.uint32),
         np.zeros((4, 128), np.uint64),
@@ -78,9 +78,7 @@ def test_empty_maps_are_no_twins() -> None:
 
 
 @pytest.mark.parametrize("most", [10_000, 10**6])
-def test_a_folder_full_of_the_same_map_is_not_compared_all_with_all(
-    monkeypatch: pytest.MonkeyPatch, most: int
-) -> None:
+def test_a_folder_full_of_the_same_map_is_not_compared_all_with_all(monkeypatch, most):
     monkeypatch.setattr("scenegen.verification.splits.MOST_PAIRS", most)
     same = np.ones((600, 320), np.uint32), np.ones((600, 128), np.uint64), np.full(600, 128)
     found, complete = candidates(*same, np.arange(600) % 3)

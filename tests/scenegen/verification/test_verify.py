@@ -33,9 +33,7 @@ SCENES = Path(__file__).parents[3] / "scenes"
 
 @pytest.mark.parametrize("kind", ["pillar", "geometric"])
 @pytest.mark.parametrize("quick", [False, True])
-def test_a_dataset_as_made_passes_every_check(
-    originals: dict[str, Path], kind: str, quick: bool
-) -> None:
+def test_a_dataset_as_made_passes_every_check(originals, kind, quick):
     told: list[int] = []
     report = verify(
         originals[kind], quick=quick, on_start=lambda n: told.append(-n), on_done=told.append
@@ -53,8 +51,8 @@ def test_a_dataset_as_made_passes_every_check(
 
 
 def test_nothing_in_the_folder_changes_and_nothing_appears_elsewhere(
-    originals: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    originals, tmp_path, monkeypatch
+):
     before = {
         path.name: (path.stat().st_mtime_ns, path.stat().st_size)
         for path in originals["pillar"].iterdir()
@@ -68,7 +66,7 @@ def test_nothing_in_the_folder_changes_and_nothing_appears_elsewhere(
 
 
 @pytest.mark.parametrize("scene", ["forest.xml", "room_with_gap.xml"])
-def test_worlds_drawn_by_hand_pass(tmp_path: Path, scene: str) -> None:
+def test_worlds_drawn_by_hand_pass(tmp_path, scene):
     counts = {"train": 5, "val": 0, "test": 0}
     tables = {name: SMALL[name] for name in ("lidar", "grid")} | {"flight": {"viewpoints": 2}}
     recipe = make_recipe("scene", tables, where="test")
@@ -203,9 +201,7 @@ def change_everything_alike(arrays: forge.Arrays) -> None:
         (not_a_number, "laws", "sample 0: 1 ranges are not from 0 to 10 m, or inf", True),
     ],
 )
-def test_a_forger_who_rewrites_every_digest_is_caught_by_name(
-    folder: Path, change: Callable[[forge.Arrays], None], check: str, said: str, quick: bool
-) -> None:
+def test_a_forger_who_rewrites_every_digest_is_caught_by_name(folder, change, check, said, quick):
     forge.edit(folder, SHARD, change)
     found = failed(folder, quick=quick)
     assert f"{SHARD}: " in found[check]
@@ -213,9 +209,7 @@ def test_a_forger_who_rewrites_every_digest_is_caught_by_name(
     assert set(found) & {"manifest", "checksums", "layout", "digest", "archives"} == set()
 
 
-def test_samples_that_are_true_but_not_the_seeds_are_caught(
-    originals: dict[str, Path], tmp_path: Path
-) -> None:
+def test_samples_that_are_true_but_not_the_seeds_are_caught(originals, tmp_path):
     folder = forge.copy(originals["geometric"], tmp_path / "d")
     forge.edit(folder, "val-00000.h5", change_everything_alike)
     assert set(failed(folder)) == {"regenerated"}
@@ -252,9 +246,7 @@ def rename_and_reorder(document: bytes) -> bytes:
 
 @pytest.mark.parametrize("disguise", [lambda document: document, rename_and_reorder])
 @pytest.mark.parametrize("quick", [False, True])
-def test_a_world_in_two_splits_is_found_whatever_its_geoms_are_called(
-    folder: Path, disguise: Callable[[bytes], bytes], quick: bool
-) -> None:
+def test_a_world_in_two_splits_is_found_whatever_its_geoms_are_called(folder, disguise, quick):
     share_a_world(folder, disguise)
     found = failed(folder, quick=quick)
     assert "world 0 of test has the same solids as world 0 of train" in found["splits"]
@@ -264,7 +256,7 @@ def test_a_world_in_two_splits_is_found_whatever_its_geoms_are_called(
         assert "regenerated" in found
 
 
-def test_a_world_nudged_by_a_centimetre_does_not_hide_a_twin(folder: Path) -> None:
+def test_a_world_nudged_by_a_centimetre_does_not_hide_a_twin(folder):
     """Everything in the twin is true of its own world: only the two splits together are at
     fault."""
     members: dict[str, bytes] = {}
@@ -304,7 +296,7 @@ def test_a_world_nudged_by_a_centimetre_does_not_hide_a_twin(folder: Path) -> No
 
 
 @pytest.mark.parametrize("resigned", [False, True])
-def test_swapped_shards_are_named(folder: Path, resigned: bool) -> None:
+def test_swapped_shards_are_named(folder, resigned):
     shutil.move(folder / "val-00000.h5", folder / "x")
     shutil.move(folder / "test-00000.h5", folder / "val-00000.h5")
     shutil.move(folder / "x", folder / "test-00000.h5")
@@ -315,7 +307,7 @@ def test_swapped_shards_are_named(folder: Path, resigned: bool) -> None:
     assert ("val-00000.h5: SHA-256" in found.get("checksums", "")) is not resigned
 
 
-def test_a_missing_file_and_an_unlisted_one_are_named(folder: Path) -> None:
+def test_a_missing_file_and_an_unlisted_one_are_named(folder):
     (folder / "val-00000.h5").unlink()
     (folder / "train-00007.h5").write_bytes(b"")
     found = failed(folder, quick=True)
@@ -348,14 +340,12 @@ def test_a_missing_file_and_an_unlisted_one_are_named(folder: Path) -> None:
         ({"kind": "scene"}, "manifest", "recipe.scenes = None"),
     ],
 )
-def test_an_edited_manifest_is_named(
-    folder: Path, changes: dict[str, object], check: str, said: str
-) -> None:
+def test_an_edited_manifest_is_named(folder, changes, check, said):
     forge.edit_manifest(folder, **changes)
     assert said in failed(folder, quick=True)[check]
 
 
-def test_a_recipe_edited_with_every_shard_is_caught_by_what_the_seed_gives(folder: Path) -> None:
+def test_a_recipe_edited_with_every_shard_is_caught_by_what_the_seed_gives(folder):
     forge.sign(folder, seed=1)
     found = failed(folder)
     assert set(found) == {"regenerated"}
@@ -367,7 +357,7 @@ def test_a_recipe_edited_with_every_shard_is_caught_by_what_the_seed_gives(folde
     )
 
 
-def test_other_software_is_said_and_fails_nothing(folder: Path) -> None:
+def test_other_software_is_said_and_fails_nothing(folder):
     there = manifest.read(folder)["software"] | {"mujoco": "9.9"}
     forge.sign(folder, software=there)
     assert verify(folder).ok  # the same bits came out all the same
@@ -379,7 +369,7 @@ def test_other_software_is_said_and_fails_nothing(folder: Path) -> None:
     assert 'mujoco is "9.9" there' in again.detail
 
 
-def test_what_is_audited_depends_on_the_seed_alone(originals: dict[str, Path]) -> None:
+def test_what_is_audited_depends_on_the_seed_alone(originals):
     reports = [verify(originals["pillar"], seed=3, workers=workers).to_json() for workers in (1, 2)]
     for report in reports:
         for check in report["checks"]:
@@ -387,7 +377,7 @@ def test_what_is_audited_depends_on_the_seed_alone(originals: dict[str, Path]) -
     assert reports[0] == reports[1]
 
 
-def test_only_a_folder_without_a_dataset_raises(tmp_path: Path) -> None:
+def test_only_a_folder_without_a_dataset_raises(tmp_path):
     with pytest.raises(DatasetError, match="not a dataset"):
         verify(tmp_path)
     with pytest.raises(DatasetError, match="not a dataset"):

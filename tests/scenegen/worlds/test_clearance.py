@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from lidarsim.solids.model import solids_of
 from scenegen.worlds.clearance import CAP_M, Clearance
+from tests.scenegen.truth.reference import winding_number
 
 Floats = NDArray[np.float64]
 Distances = Callable[[Floats], Floats]
@@ -199,18 +200,6 @@ def bent_world(
         pose[:3, 3] = at["pos"]
         shapes.append((BENT[name].copy().apply_transform(pose), name in FILLED))
     return Clearance(solids_of(spec.compile()), BOUNDS), shapes
-
-
-def winding_number(triangles: Floats, points: Floats) -> Floats:
-    """How often a soup (T, 3, 3) winds around points (n, 3): the solid angle it shows there, over 4
-    pi (Van Oosterom and Strackee 1983)."""
-    a, b, c = (triangles[None, :, corner] - points[:, None] for corner in range(3))
-    la, lb, lc = (np.linalg.norm(side, axis=2) for side in (a, b, c))
-    volume = np.einsum("nti,nti->nt", a, np.cross(b, c))
-    dots = [np.einsum("nti,nti->nt", *pair) for pair in ((a, b), (b, c), (c, a))]
-    return np.arctan2(volume, la * lb * lc + dots[0] * lc + dots[1] * la + dots[2] * lb).sum(
-        axis=1
-    ) / (2 * np.pi)
 
 
 def distances_to(shapes: list[tuple[trimesh.Trimesh, bool]], points: Floats) -> Floats:

@@ -74,7 +74,7 @@ def length_of(path: NDArray[np.float64]) -> float:
 @pytest.mark.parametrize(
     ("step", "density"), [(1, 0.55), (1, 0.75), (2, 0.5), (2, 0.8), (3, 0.3), (3, 0.6)]
 )
-def test_paths_are_as_short_as_dijkstras(step: int, density: float, edge_check: bool) -> None:
+def test_paths_are_as_short_as_dijkstras(step, density, edge_check):
     """To every free node, reachable or not; and every path is one of free nodes, neighbour to
     neighbour."""
     rng = np.random.default_rng(100 * step + int(10 * density))
@@ -106,7 +106,7 @@ def test_paths_are_as_short_as_dijkstras(step: int, density: float, edge_check: 
 
 
 @pytest.mark.parametrize(("step", "weight"), [(1, 4.0), (3, 10.0), (3, 0.0)])
-def test_ways_are_weighed_by_their_risk(step: int, weight: float) -> None:
+def test_ways_are_weighed_by_their_risk(step, weight):
     """The path found is the cheapest of all, and no dearer than any other."""
     rng = np.random.default_rng(step)
     risk = rng.random(GRID.shape).astype(np.float32) ** 2
@@ -132,7 +132,7 @@ def test_ways_are_weighed_by_their_risk(step: int, weight: float) -> None:
     assert reached > 20
 
 
-def test_the_default_lattice_is_the_papers() -> None:
+def test_the_default_lattice_is_the_papers():
     """Steps of 0.6 m around voxel (40, 40, 20) of 80 x 80 x 40."""
     lattice = Lattice(GridSpec(), PlanConfig().step_voxels)
     assert lattice.shape == (27, 27, 13)
@@ -146,7 +146,7 @@ def test_the_default_lattice_is_the_papers() -> None:
         assert lattice.node_at(lattice.centres(node)).tolist() == node
 
 
-def test_a_wall_between_nodes_stops_paths_with_the_edge_check_alone() -> None:
+def test_a_wall_between_nodes_stops_paths_with_the_edge_check_alone():
     """One voxel thick, between two layers of nodes; with a hole in it, the path goes through the
     hole."""
     grid = GridSpec(shape=(40, 40, 20))
@@ -168,7 +168,7 @@ def test_a_wall_between_nodes_stops_paths_with_the_edge_check_alone() -> None:
     )
 
 
-def test_blocked_ends_are_told_apart() -> None:
+def test_blocked_ends_are_told_apart():
     lattice = Lattice(GRID, 3)
     goal = lattice.centres([0, 0, 0])
     for voxel, reason in (
@@ -187,12 +187,12 @@ def test_blocked_ends_are_told_apart() -> None:
 @pytest.mark.parametrize(
     "goal", [[2.5, 2.1, 1.6], [2.7, 2.1, 1.5], [-0.5, 2.1, 1.5], [99, 2, 2], [2.5, 2.1, np.nan]]
 )
-def test_a_goal_that_is_no_node_is_refused(goal: list[float]) -> None:
+def test_a_goal_that_is_no_node_is_refused(goal):
     with pytest.raises(ValueError, match="goal"):
         plan_path(np.zeros(GRID.shape, bool), goal, GRID, PlanConfig())
 
 
-def test_a_map_of_another_shape_is_refused() -> None:
+def test_a_map_of_another_shape_is_refused():
     with pytest.raises(ValueError, match=r"occupied: shape \(24, 21, 13\)"):
         plan_path(np.zeros((24, 21, 13), bool), [2.5, 2.1, 1.5], GRID, PlanConfig())
 
@@ -212,6 +212,6 @@ def test_a_map_of_another_shape_is_refused() -> None:
         ("field", "exact"),
     ],
 )
-def test_parameters_out_of_range_are_refused(name: str, value: object) -> None:
+def test_parameters_out_of_range_are_refused(name, value):
     with pytest.raises(ValueError, match=name):
         PlanConfig(**{name: value})  # type: ignore[arg-type]

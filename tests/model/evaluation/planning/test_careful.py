@@ -22,14 +22,14 @@ from tests.model.evaluation.planning.test_measure import EAST, FAR, FREE, GRID, 
 PLAN = PlanConfig()
 
 
-def test_what_is_met_is_what_the_judge_looks_at() -> None:
+def test_what_is_met_is_what_the_judge_looks_at():
     path = np.array([[4.1, 4.1, 2.1], [7.7, 4.1, 2.1]])
     voxels = np.unravel_index(met(path, GRID, PLAN), GRID.shape)
     assert voxels[0].tolist() == list(range(20, 39))
     assert set(voxels[1]) == {20}
 
 
-def test_it_never_enters_what_its_map_holds_occupied() -> None:
+def test_it_never_enters_what_its_map_holds_occupied():
     found = 0
     for seed in range(20):
         occupied = scattered(seed)
@@ -46,7 +46,7 @@ def test_it_never_enters_what_its_map_holds_occupied() -> None:
     assert found > 60
 
 
-def test_it_abstains_where_it_knows_no_way() -> None:
+def test_it_abstains_where_it_knows_no_way():
     wall = filled((30,))
     done = plan_carefully(wall, distance_field(wall, GRID), EAST, GRID, PLAN)
     assert (done.path, len(done.voxels), done.plan.reason) == (None, 0, "no_path")
@@ -54,7 +54,7 @@ def test_it_abstains_where_it_knows_no_way() -> None:
     assert plan_carefully(FREE, FAR, EAST, GRID, PLAN).path is not None
 
 
-def test_a_robot_may_start_where_its_map_holds_occupied() -> None:
+def test_a_robot_may_start_where_its_map_holds_occupied():
     around = np.zeros(GRID.shape, bool)
     around[tuple(edge // 2 for edge in GRID.shape)] = True
     done = plan_carefully(around, FAR, EAST, GRID, PLAN)
@@ -62,7 +62,7 @@ def test_a_robot_may_start_where_its_map_holds_occupied() -> None:
     assert plan_path(around, EAST, GRID, PLAN).reason == "start_blocked"
 
 
-def test_it_goes_round_what_is_likely_occupied() -> None:
+def test_it_goes_round_what_is_likely_occupied():
     """A slab of a probability below the threshold, with a gap two metres off the straight line: the
     shortest path goes through the slab, the careful one through the gap."""
     risk = np.zeros(GRID.shape, np.float32)
@@ -75,7 +75,7 @@ def test_it_goes_round_what_is_likely_occupied() -> None:
     assert risk.reshape(-1)[done.voxels].max() <= 0.5
 
 
-def test_the_risk_asked_is_the_risk_had() -> None:
+def test_the_risk_asked_is_the_risk_had():
     """A method that sees all obstacles of a world shrunk alike, in some worlds to nothing:
     calibrated on some worlds, and given other ones."""
     rng = np.random.default_rng(0)

@@ -49,7 +49,7 @@ def scattered(seed: int) -> NDArray[np.bool_]:
     return occupied
 
 
-def test_measurements_are_those_of_a_slow_reference() -> None:
+def test_measurements_are_those_of_a_slow_reference():
     """Every leg cut into pieces of at most 0.05 m, read by scipy, averaged along the path."""
     axes = [(np.arange(n) + 0.5) * 0.2 for n in GRID.shape]
     config = PlanConfig()
@@ -90,7 +90,7 @@ def test_measurements_are_those_of_a_slow_reference() -> None:
     assert {None, "initial_collides"} <= outcomes
 
 
-def test_a_perfect_prediction_plans_like_the_truth() -> None:
+def test_a_perfect_prediction_plans_like_the_truth():
     """What is excluded in the truth aside, it always finds a path; with the edge check, and before
     refinement, the whole of it is free."""
     for seed in range(12):
@@ -111,9 +111,7 @@ def test_a_perfect_prediction_plans_like_the_truth() -> None:
 
 
 @pytest.mark.parametrize("direction", [(1, 0, 0), (0, -1, 0), (1, 1, 0), (-1, 1, 1)])
-def test_an_empty_prediction_goes_straight_and_fails_where_the_truth_blocks(
-    direction: tuple[int, int, int],
-) -> None:
+def test_an_empty_prediction_goes_straight_and_fails_where_the_truth_blocks(direction):
     """Along an axis or a diagonal, where the lattice allows a straight path."""
     nodes = 3
     goal = LATTICE.centres(LATTICE.start + nodes * np.array(direction))
@@ -128,12 +126,12 @@ def test_an_empty_prediction_goes_straight_and_fails_where_the_truth_blocks(
         assert result.cause == (None if result.success else "initial_collides")
 
 
-def test_a_thin_obstacle_between_waypoints_is_seen_by_the_samples() -> None:
+def test_a_thin_obstacle_between_waypoints_is_seen_by_the_samples():
     result = trial(FREE, filled((30,)))  # nodes at 29 and 32
     assert (result.success, result.cause) == (False, "initial_collides")
 
 
-def test_an_imagined_obstacle_can_push_the_path_into_a_real_one() -> None:
+def test_an_imagined_obstacle_can_push_the_path_into_a_real_one():
     """A wall is imagined two voxels beside a free way; an obstacle stands a voxel off on the
     other."""
     imagined = filled((slice(22, 37), 22))
@@ -144,7 +142,7 @@ def test_an_imagined_obstacle_can_push_the_path_into_a_real_one() -> None:
     assert trial(FREE, real).success
 
 
-def test_refinement_can_save_a_path_that_collides_at_first() -> None:
+def test_refinement_can_save_a_path_that_collides_at_first():
     imagined = filled((slice(22, 37), 22))
     real = filled((30, 20, 10))
     assert trial(imagined, real, iterations=0).cause == "initial_collides"
@@ -152,7 +150,7 @@ def test_refinement_can_save_a_path_that_collides_at_first() -> None:
     assert (saved.success, saved.cause) == (True, None)
 
 
-def test_maps_of_another_shape_are_refused() -> None:
+def test_maps_of_another_shape_are_refused():
     for place, name in enumerate(("occupied", "tudf", "occupancy_truth", "tudf_truth")):
         maps = [FREE, FAR, FREE, FAR]
         maps[place] = maps[place][1:]

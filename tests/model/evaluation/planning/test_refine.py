@@ -62,7 +62,7 @@ def searched(rng: np.random.Generator, grid: GridSpec, density: float) -> tuple[
             return distance_field(occupied, grid), path
 
 
-def test_the_field_is_read_as_scipy_reads_it() -> None:
+def test_the_field_is_read_as_scipy_reads_it():
     """Anywhere in the map, at centres, and beyond the outermost ones; one voxel thin maps, too."""
     rng = np.random.default_rng(1)
     for shape in ((20, 16, 12), (5, 2, 7)):
@@ -83,7 +83,7 @@ def test_the_field_is_read_as_scipy_reads_it() -> None:
 
 
 @pytest.mark.parametrize(("safety_m", "weight"), [(1.0, 1.0), (0.6, 3.0), (2.5, 0.2)])
-def test_cost_and_gradient_are_the_formulas(safety_m: float, weight: float) -> None:
+def test_cost_and_gradient_are_the_formulas(safety_m, weight):
     """The cost by numpy and scipy; the gradient by central differences of that, ends excepted."""
     rng = np.random.default_rng(2)
     config = PlanConfig(safety_m=safety_m, clearance_weight=weight)
@@ -107,7 +107,7 @@ def test_cost_and_gradient_are_the_formulas(safety_m: float, weight: float) -> N
 
 
 @pytest.mark.parametrize("first_step", [1e-3, 1.0, 1e4])
-def test_the_cost_never_rises_and_the_ends_stay(first_step: float) -> None:
+def test_the_cost_never_rises_and_the_ends_stay(first_step):
     """Iteration by iteration, whatever the first step; and it falls far on crowded maps."""
     rng = np.random.default_rng(3)
     grid = GridSpec(shape=(40, 40, 20))
@@ -126,7 +126,7 @@ def test_the_cost_never_rises_and_the_ends_stay(first_step: float) -> None:
     assert max(fell) < 0.7
 
 
-def test_a_bent_path_in_free_space_becomes_the_even_straight_line() -> None:
+def test_a_bent_path_in_free_space_becomes_the_even_straight_line():
     """The only path without second differences between its ends."""
     rng = np.random.default_rng(5)
     tudf = np.full(GRID.shape, 2.0, np.float32)
@@ -141,7 +141,7 @@ def test_a_bent_path_in_free_space_becomes_the_even_straight_line() -> None:
     )
 
 
-def test_waypoints_stay_within_the_outermost_voxel_centres() -> None:
+def test_waypoints_stay_within_the_outermost_voxel_centres():
     """Pushed against the border, they stop there and still slide along it."""
     grid = GridSpec(shape=(40, 40, 20))
     occupied = np.zeros(grid.shape, bool)
@@ -156,7 +156,7 @@ def test_waypoints_stay_within_the_outermost_voxel_centres() -> None:
     assert cost(refined, tudf, grid, config) < cost(line, tudf, grid, config)
 
 
-def test_hostile_waypoints_are_refused() -> None:
+def test_hostile_waypoints_are_refused():
     tudf = np.full(GRID.shape, 2.0, np.float32)
     for path in (
         [[1.0, 1.0, 0.1]],

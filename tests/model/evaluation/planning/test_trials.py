@@ -20,7 +20,7 @@ def scattered(seed: int, density: float) -> NDArray[np.bool_]:
 
 
 @pytest.mark.parametrize("faces", ["lateral", "box"])
-def test_goals_are_free_reachable_different_nodes_of_the_faces(faces: str) -> None:
+def test_goals_are_free_reachable_different_nodes_of_the_faces(faces):
     truth = scattered(1, 0.3)
     config = PlanConfig(goal_faces=faces)  # type: ignore[arg-type]
     trials = draw_trials(truth, GRID, config, count=80, rng=np.random.default_rng(0))
@@ -38,7 +38,7 @@ def test_goals_are_free_reachable_different_nodes_of_the_faces(faces: str) -> No
     assert blocked == pytest.approx(0.3, abs=0.15)
 
 
-def test_goals_follow_from_the_stream_alone_and_more_of_them_begin_alike() -> None:
+def test_goals_follow_from_the_stream_alone_and_more_of_them_begin_alike():
     truth = scattered(2, 0.2)
     first, again, other, more = (
         draw_trials(truth, GRID, PlanConfig(), count=count, rng=np.random.default_rng(seed))
@@ -50,7 +50,7 @@ def test_goals_follow_from_the_stream_alone_and_more_of_them_begin_alike() -> No
     assert not np.array_equal(first.goals, other.goals)
 
 
-def test_every_goal_left_is_found_and_the_rest_are_counted_by_reason() -> None:
+def test_every_goal_left_is_found_and_the_rest_are_counted_by_reason():
     """A wall cuts off the layer x = 38 (49 + 28 goals in it); one of the others lies in an
     obstacle."""
     truth = np.zeros(GRID.shape, bool)
@@ -66,7 +66,7 @@ def test_every_goal_left_is_found_and_the_rest_are_counted_by_reason() -> None:
     assert (trials.goals[:, 0] < 35 * 0.2).all()
 
 
-def test_goals_keep_within_bounds() -> None:
+def test_goals_keep_within_bounds():
     """As the world ends at a height of 2.5 m and at x = 6 m of this map."""
     bounds = [[-1.0, -9.0, 1.0], [6.0, 99.0, 2.5]]
     free = np.zeros(GRID.shape, bool)
