@@ -48,13 +48,19 @@ class _Kernel:
         with _LOCK:
             return _compiled(self.py_func)
 
+    @cached_property
+    def callee(self) -> Any:
+        """The same for kernels that call it, without the part by which Python would."""
+        with _LOCK:
+            return _compiled(self.py_func, no_cpython_wrapper=True)
+
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(name)
         return getattr(self.compiled, name)
 
 
-def _compiled(function: Callable[..., Any]) -> Any:
+def _compiled(function: Callable[..., Any], **options: bool) -> Any:
     """`function` as numba's dispatcher, which compiles it for each type of arguments that it
     meets."""
     numba = _numba()
@@ -62,11 +68,12 @@ def _compiled(function: Callable[..., Any]) -> Any:
     kept = not cache_trouble(
         package
     )  # else compiled anew by every process: slower to start, but right
-    previous, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(cache_folder(package))
+    # numba does not look at options when it looks a kernel up: each has a folder of its own
+    folder = cache_folder(package).joinpath(*options)
+    previous, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder)
+    options |= {"nogil": True, "no_cfunc_wrapper": True}
     try:
-        return numba.njit(cache=kept, nogil=True, error_model="numpy", no_cfunc_wrapper=True)(
-            function
-        )
+        return numba.njit(cache=kept, error_model="numpy", **options)(function)
     finally:
         numba.config.CACHE_DIR = previous
 
@@ -79,7 +86,7 @@ def _numba() -> Any:
 
     @typeof_impl.register(_Kernel)
     def dispatcher(value: _Kernel, context: Any) -> Any:
-        return numba.types.Dispatcher(value.compiled)
+        return numba.types.Dispatcher(value.callee)
 
     return numba
 

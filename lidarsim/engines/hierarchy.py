@@ -67,7 +67,7 @@ def _build(lower, upper):
     boxes = np.empty((most, 6, WIDTH))
     links, ends = np.zeros((most, WIDTH), np.uint64), np.zeros((most, WIDTH), np.uint64)
     waiting = np.empty((WAITING, 4), np.int64)  # begin and end in `order`, the node, its level
-    waiting[0] = np.array([0, n, 0, 0])
+    waiting[0, 0], waiting[0, 1], waiting[0, 2], waiting[0, 3] = 0, n, 0, 0
     left, nodes = min(n, 1), min(n, 1)
     part = np.empty(WIDTH + 1, np.int64)  # where the node's parts begin, and the last one ends
     while left > 0:
@@ -90,7 +90,8 @@ def _build(lower, upper):
                 middle = _cut(lower, upper, centre, order, begin, end, middle)
             for k in range(parts, chosen, -1):
                 part[k + 1] = part[k]
-                boxes[node, :, k] = boxes[node, :, k - 1]
+                for a in range(6):  # one by one: numba takes 2 s to compile a slice's assignment
+                    boxes[node, a, k] = boxes[node, a, k - 1]
             part[chosen + 1] = middle
             _hull(lower, upper, order, begin, middle, boxes[node, :, chosen])
             _hull(lower, upper, order, middle, end, boxes[node, :, chosen + 1])

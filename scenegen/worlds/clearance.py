@@ -83,7 +83,8 @@ def _sort_into_cells(first, last, cells):
     start = np.zeros(cells[0] * cells[1] + 1, np.int64)
     for sweep in range(2):
         if sweep == 1:
-            start = np.cumsum(start)
+            for cell in range(1, len(start)):
+                start[cell] += start[cell - 1]
             item = np.empty(start[-1], np.int64)
             filled = start[:-1].copy()
         for n in range(len(first)):
