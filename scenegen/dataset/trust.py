@@ -60,8 +60,7 @@ if TYPE_CHECKING:  # which imports what draws worlds
 MINOR = tuple(name for name, since in manifest.SINCE.items() if since != "1")
 """Entries that raise a manifest's version."""
 _COUNT = whole(0, MOST_SAMPLES)
-_ABSENT = Rule(lambda value: value is None, "none: datasets are gathered once")
-_ALONE = Rule(lambda value: value is None, "none without sources")
+_ABSENT = Rule(lambda value: value is None, "none")
 _SOURCE = {"digest": optional(DIGEST), "parameters": TABLE, "taken": LIST}
 _RECIPE: dict[str, Any] = {"version": 0, "world": None, "flight": {}, "accept": {}, "scenes": None}
 
@@ -338,7 +337,7 @@ def _sources(found: Mapping[str, Any], folder: Path) -> tuple[Manifest, ...]:
     """The datasets that the samples of a manifest, `found`, were made for, which agree with it.
     Raises BrokenError."""
     if found["sources"] is None:
-        check(found, {"seed": whole(0, MOST_SEED), "differ": _ALONE}, "")
+        check(found, {"seed": whole(0, MOST_SEED), "differ": _ABSENT}, "")
         return ()
     sources, every = [], []
     for n, entry in enumerate(found["sources"]):
@@ -369,8 +368,7 @@ def _check_place(entry: Entry, sources: Sequence[Manifest], at: str) -> None:
         return
     if entry.source >= len(sources):
         raise BrokenError(
-            f"{at}.source = {entry.source}: expected less than {len(sources)}, the number of "
-            f"`sources`"
+            f"{at}.source = {entry.source}: expected less than the {len(sources)} of `sources`"
         )
     most = sources[entry.source].counts[entry.split]
     if not entry.samples <= entry.stop - entry.start or entry.stop > most:
