@@ -379,8 +379,7 @@ def _check_place(entry: Entry, sources: Sequence[Manifest], at: str) -> None:
 
 
 def load(folder: Path, name: str = "") -> Manifest:
-    """The manifest of `folder`, by which samples can be read; `name` stands for the folder in
-    errors.
+    """The manifest of `folder`, which errors call `name`.
 
     Raises DatasetError for a folder without one, for a value of a wrong type or beyond reason, and
     for shards that are no dataset's files, or not as many samples as the counts say.

@@ -256,7 +256,7 @@ def test_worlds_from_files_are_merged_where_they_are_in_one_split(tmp_path: Path
     [
         (lambda it: it.update(sources=[]), "sources"),
         (lambda it: it["sources"][0].pop("digest"), "digest is missing"),
-        (lambda it: it["sources"][0]["parameters"].update(sources=[]), "gathered once"),
+        (lambda it: it["sources"][0]["parameters"].update(sources=[]), "expected none"),
         (lambda it: it["sources"][0]["parameters"]["grid"].update(voxel=0.3), "parameters.grid"),
         (
             lambda it: it["sources"][0]["parameters"]["recipe"]["flight"].pop("viewpoints"),
