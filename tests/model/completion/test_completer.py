@@ -209,7 +209,7 @@ OWN, NOISE = Lidar(rows=8, max_range_m=30.0), "dropout:share=0.05"
         (
             {},
             (SENSORS.find("ouster-os1-64"),),
-            "raster of 16 × 120 rays in training, ouster-os1-64 of 64 × 1024 rays here$",
+            "another sensor.*16 × 120 rays in training, ouster-os1-64 of 64 × 1024 rays here$",
         ),
         ({}, (Lidar(), Mapper(scan_spacing_m=3.0)), ""),
         (
