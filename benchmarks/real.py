@@ -89,8 +89,10 @@ def drawn(kind: str, folder: Path, poses: int) -> Dataset:
 
 def real_places(maps: Path | None, folder: Path, poses: int) -> dict[str, Dataset]:
     """A dataset of each of `PLACES` whose map lies in the folder `maps`, by its name."""
-    found = {}
-    for name, place in PLACES.items() if maps else ():
+    found: dict[str, Dataset] = {}
+    if maps is None:
+        return found
+    for name, place in PLACES.items():
         file = next(maps.rglob(name), None)
         if file is None:
             print(f"{name}: is not there; it comes from {place.source}", file=sys.stderr)
