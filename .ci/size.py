@@ -14,8 +14,8 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 276_500, "benchmarks": 25_000, "tests": 283_000}
-FILES = 229
+TOKENS = {"product": 295_500, "benchmarks": 28_000, "tests": 283_500}
+FILES = 247
 LINES = 400
 """The longest file of product code."""
 WIDTH = 100

@@ -6,6 +6,7 @@ python benchmarks/extras.py          needs an environment with all extras; reads
 from importlib.metadata import Distribution, PackageNotFoundError, distribution
 from pathlib import Path
 
+import measuring
 from packaging.requirements import Requirement
 
 PROJECT = "scenegen-lidar"
@@ -34,6 +35,7 @@ def megabytes(it: Distribution) -> float:
 
 def main() -> None:
     """Print the table."""
+    measuring.parse(measuring.options(__doc__))
     core: dict[str, Distribution] = {}
     closure(PROJECT, "", core)
     sizes = {name: megabytes(it) for name, it in core.items()}

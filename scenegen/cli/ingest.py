@@ -60,6 +60,7 @@ def ingest(
     with PointCloud2 or Livox's CustomMsg and /tf or odometry, or a folder of clouds with --poses.
     Stopped or killed, the same command goes on.
     """
+    from scenegen.files import check_free
     from scenegen.logs.fuse import ingest as write
     from scenegen.logs.read import read_log
 
@@ -68,6 +69,7 @@ def ingest(
         how = Fusing(**options)
     except ValueError as error:
         raise click.UsageError(str(error)) from None
+    check_free(target)
     found = read_log(log, poses=poses, topic=topic)
     with Progress("ingest", shown=not quiet) as progress:
         progress.start(len(found.poses))

@@ -22,7 +22,7 @@ from scenegen.dataset.generation import plan_mixed, read_components, shares
 from scenegen.dataset.parts import GRID, rays_named, sensor_entry, write_rays
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.trust import Manifest
-from scenegen.errors import PublishError, RecipeError, short
+from scenegen.errors import BrokenError, PublishError, RecipeError, short
 from scenegen.recipe import read_recipe
 from scenegen.recipes import KINDS
 from scenegen.run import undone_if_stopped
@@ -183,7 +183,7 @@ def check_source(dataset: Dataset, name: str, text: str) -> None:
                 there = {name: found.parameters.get(name) for name in here}
             else:
                 here, there = _decided(_read_again(found, path)), _decided(found.parameters)
-        except RecipeError as error:
+        except (RecipeError, BrokenError) as error:
             said = str(error).removeprefix(f"{path}: ")
             raise PublishError(f"{_advice(found)}: {said}") from None
     if wrong := manifest.differences(there, here):

@@ -32,6 +32,7 @@ SCRIPTS: dict[str, tuple[tuple[object, ...], tuple[str, ...]]] = {
         ("iou +alone N N  together N", "brier +alone N N  together N"),
     ),
     "executors": ((), (r"rank +N +N +N +N +N\n", RAY)),
+    "extras": ((), (r"the core \| N \|", r"`\[train\]` \| N \|")),
     "fly": ((), ("N ms a simulated period", r"reactive +success N %", "N ms a decision")),
     "folders": (
         (),

@@ -129,7 +129,7 @@ def test_what_is_wrong_in_a_manifest_is_said_in_our_words(
 @pytest.mark.parametrize(
     ("at", "value", "said"),
     [
-        (("version",), 1.6, "1.6"),
+        (("version",), 1.7, "1.7"),
         (("version",), "1.10", "1.10"),
         (("version",), 2, "2"),
         (("fields",), [*GROUPS[""], "intensity"], "intensity"),

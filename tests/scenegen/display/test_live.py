@@ -59,7 +59,7 @@ def test_samples_are_served_as_they_are_by_split_and_number(made: Path) -> None:
         assert (status, headers["Content-Type"]) == (200, "text/html; charset=utf-8")
         page = Seen(text)
         splits = {name: len(dataset.split(name)) for name in SPLITS if len(dataset.split(name))}
-        datasets = [{"name": "pillar: pillar", "splits": splits}]
+        datasets = [{"name": "pillar", "splits": splits}]
         assert page.data()["live"] == {"datasets": datasets, "split": "test", "index": 2}
         assert "default-src 'none'" in page.policy()
         assert page.policy().endswith("; connect-src 'self'")
