@@ -76,7 +76,7 @@ class MappingRobot:
         path = self._kept(observation, distance)
         if path is None:
             path = self._plan(observation, distance, risk.astype(np.float32))
-        self._path = None if path is None else path + self.origin
+            self._path = None if path is None else path + self.origin
         if path is None:
             return no_way(self._about)
         near = path[(np.abs(path - path[0]) <= LOOK_M).all(axis=1)]
@@ -92,7 +92,10 @@ class MappingRobot:
         if self._path is None:
             return None
         position = observation["position"]
-        away = ((self._path - position) ** 2).sum(axis=1)
+        legs, way = np.diff(self._path, axis=0), position - self._path[:-1]
+        lengths = np.maximum((legs * legs).sum(axis=1), 1e-12)
+        along = np.clip((way * legs).sum(axis=1) / lengths, 0, 1)
+        away = ((way - along[:, None] * legs) ** 2).sum(axis=1)
         left = self._path[int(np.argmin(away)) + 1 :]
         goal = observation["goal"]
         ends = bool(len(left)) and math.dist(left[-1], goal) < 1e-6
