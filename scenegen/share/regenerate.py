@@ -131,6 +131,7 @@ def _shared(
         "lidar": _lidar(parameters, files),
         "noise": noise and {"stages": noise["stages"]},
         "mapping": parameters.get("mapping"),
+        "known": parameters.get("known"),
         "grid": {GRID[name]: value for name, value in parameters["grid"].items()},
     }
 
