@@ -14,12 +14,14 @@ from lidarsim import Lidar, Pose, cast
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
 from scenegen.dataset.build import build
 from scenegen.dataset.generation import plan_generation
+from scenegen.dataset.read import Dataset
 from scenegen.errors import SceneError
 from scenegen.model.config import LossConfig, NetworkConfig, TrainConfig
 from scenegen.model.losses import Coupled
 from scenegen.model.network import Output
 from scenegen.model.training.data import Maps, TudfOf, load, opened
 from scenegen.model.training.loop import train
+from scenegen.share.stage import Request, stage
 from scenegen.verification import verify
 from scenegen.verification.rays import MapAuditor
 from scenegen.worlds.flight import Flight, fly
@@ -120,6 +122,13 @@ def test_a_dataset_of_maps_passes_every_check(dataset: Path) -> None:
     counts = {check.name: check.counts for check in report.checks}
     assert counts["occupancy"]["samples"] == 30
     assert counts["rays"]["rays"] == counts["known"]["samples"] * 1920 > 0
+
+
+def test_a_dataset_of_maps_is_published(dataset: Path, tmp_path: Path) -> None:
+    """Its recipe says how much must be known, and makes the same parameters again."""
+    staged = stage(Request(dataset=dataset, repository="ada/hall", out=tmp_path / "out"), ())
+    assert staged.digest == str(Dataset(dataset).manifest.digest)
+    assert "[known]" in (tmp_path / "out" / "recipe.toml").read_text()
 
 
 def test_samples_say_what_is_known(dataset: Path) -> None:
