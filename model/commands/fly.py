@@ -221,6 +221,8 @@ def fly_courses(
             )
         there = {replace(course, document=""): flown for course, flown in former.courses}
         found = {c: there[key] for c in courses if (key := replace(c, document="")) in there}
+        if len(found) < len(there):  # they would be lost
+            raise ScenegenError(f"{out}: is an entry with other courses, too; give another name")
     left = [course for course in courses if course not in found]
 
     def save() -> None:

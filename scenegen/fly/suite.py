@@ -20,7 +20,7 @@ WORLDS = 10
 FLIGHTS = 5
 """Missions through each world."""
 APART_M = 10.0
-"""Least distance from start to goal, metres: rooms have no longer ways between all of them."""
+"""Distance from start to goal at least, metres, where a pair so far apart is connected."""
 RADIUS_M = 0.2
 """The vehicle's, metres: it passes through the doors of hard rooms."""
 HIDDEN = 50

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from lidarsim import GridSpec
-from scenegen.fly.course import Course
+from scenegen.fly import suite
+from scenegen.fly.course import Course, Recording
 from scenegen.fly.loop import fly
 from scenegen.model.completion.unlearned import Returns
 from scenegen.model.robots import NAMES, robot_maker
@@ -54,6 +55,29 @@ def test_the_command_flies_records_and_flies_again(
     assert code == 0
     again = json.loads(out)
     assert [one["digest"] for one in again["flights"]] == [one["digest"] for one in told["flights"]]
+
+
+def test_an_entry_to_a_suite_goes_on_and_is_not_lost(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What it holds is not flown again; a command for fewer, or other, courses leaves it alone."""
+    monkeypatch.setattr(suite, "FLIGHTS", 1)
+    courses = suite.courses_of("aerial-1")
+    chosen = [one for one in courses if one.world == "pillar"][::10]
+    asked = [chosen[:1], chosen, chosen[1:]]
+    monkeypatch.setattr(suite, "chosen_courses", lambda *_, **__: asked.pop(0))
+    file = tmp_path / "entry.json"
+    words = ("fly", "--suite", "aerial-1", "--robot", "reactive", "--workers", 1, "-o", file)
+    assert run(capsys, *words)[0] == 0
+    (first,) = Recording.read(file).courses
+    assert run(capsys, *words)[0] == 0
+    every = Recording.read(file).courses
+    assert [course.seed for course, _ in every] == [course.seed for course in chosen]
+    assert every[0][1][0].step_s == first[1][0].step_s  # by the clock: no second flight has it
+    kept = file.read_bytes()
+    code, _, complaint = run(capsys, *words)
+    assert (code, "other courses" in complaint) == (1, True)
+    assert file.read_bytes() == kept
 
 
 OWN = """
