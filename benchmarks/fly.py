@@ -2,21 +2,19 @@
 
     python benchmarks/fly.py pillar geometric forest --flights 20 --robots truth optimistic columns
 
-A name of a bundled network is a robot that maps and has it complete. Per kind and robot: success,
-collisions and time-outs, %, BARN's score, the length flown over the shortest, and milliseconds of
-a decision; first, milliseconds of a simulated period (sensing, motion, collisions). In this
-process alone, one after the other.
+A name of a bundled network is a robot that maps and has it complete. Per kind and robot:
+what `scenegen fly` tells; first, milliseconds of a simulated period (sensing, motion, collisions).
+In this process alone, one after the other.
 """
 
 import time
-from collections import Counter
 
 import measuring
 import numpy as np
 
 from scenegen.fly.course import Course
-from scenegen.fly.loop import Flown, fly
-from scenegen.model.robots import NAMES, robot_maker
+from scenegen.fly.loop import fly
+from scenegen.model.robots import NAMES, robot_maker, summary
 
 
 def main() -> None:
@@ -54,20 +52,8 @@ def main() -> None:
             flown = [
                 fly(course.simulation(n), make(course)) for course in courses for n in range(each)
             ]
-            print(f"{kind:10} {name:11} {_line(flown)}", flush=True)
-
-
-def _line(flown: list[Flown]) -> str:
-    ends = Counter(one.outcome for one in flown)
-    shares = "  ".join(
-        f"{end} {100 * ends[end] / len(flown):.0f} %" for end in ("success", "collision", "timeout")
-    )
-    score, ratio, clearance, seconds = (
-        float(np.mean([getattr(one, name) for one in flown]))
-        for name in ("score", "ratio", "min_clearance_m", "step_s")
-    )
-    figures = f"score {score:.3f}  ratio {ratio:.2f}  clearance {clearance:.2f} m"
-    return f"{shares}  {figures}  {seconds * 1e3:.1f} ms a decision"
+            told = "  ".join(f"{key} {value}" for key, value in summary(name, flown).items())
+            print(f"{kind}: {told}", flush=True)
 
 
 if __name__ == "__main__":

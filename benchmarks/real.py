@@ -42,6 +42,10 @@ from scenegen.source import DrawnWorlds, Source, read_scenes
 PAGE = Path(__file__).parents[1] / "docs" / "results" / "real.md"
 NETWORKS = ("columns", "proposed", "occ", "anywhere")
 KINDS = ("pillar", "geometric")
+PLANNERS = {
+    "the paper's planner with edges checked": PlanConfig(edge_check=True),
+    "the careful planner": PlanConfig(planner="careful"),
+}
 THRESHOLDS = np.arange(1, 20) / 20
 GROUPS = (
     "missed: holds a return",
@@ -189,18 +193,9 @@ def scored(
     for n, group in enumerate(GROUPS):
         lost = [counts[name][last].share(n, best[last])[0] for name in away]
         lines.append(line(group, [f"{one:.1f}" for one in lost]))
-    lines += ["", "## Success of planning, edges checked", "", *head(("trials", *titles, "truth"))]
-    for name, dataset in places.items():
-        split: Any = splits[name]
-        config = BenchConfig(split=split, trials=trials, plan=PlanConfig(edge_check=True))
-        result = bench(dataset, [*methods, Truth()], config)
-        cells = [str(len(result.trial_worlds))]
-        for measured in result.methods.values():
-            success = [one.success for one in measured.trials]
-            # one flight a map, and one world a place: maps are what is drawn anew
-            own = figure(success, [map_ for map_, _ in result.trial_places], "outcome")
-            cells.append(f"{own['mean']:.2f} {interval(own, '.2f')}")
-        lines.append(line(name, cells))
+    for title, plan in PLANNERS.items():
+        lines += ["", f"## Success of planning, {title}", ""]
+        lines += planned(places, splits, [*methods, Truth()], trials, plan)
     lines += ["", "## Pictures", "", f"The map of each place in which `{last}` has the median IoU."]
     for name in away:
         order = np.argsort(counts[name][last].iou[:, best[last]])
@@ -208,6 +203,38 @@ def scored(
         path = pictures / f"{name.strip('`')}.png"
         path.write_bytes(drawn_map(places[name], splits[name], median, methods[-1], best[last]))
         lines += ["", f"![{name}](../pictures/real/{path.name})"]
+    return lines
+
+
+def planned(
+    places: dict[str, Dataset],
+    splits: dict[str, str],
+    methods: list[Method],
+    trials: int,
+    plan: PlanConfig,
+) -> list[str]:
+    """A table of success: a row a place, then by how much all real places together succeed oftener
+    than with the first method, trial by trial."""
+    lines = head(("trials", *(one.name for one in methods)))
+    ahead: dict[str, list[float]] = {one.name: [] for one in methods}
+    maps: list[str] = []
+    for name, dataset in places.items():
+        split: Any = splits[name]
+        result = bench(dataset, methods, BenchConfig(split=split, trials=trials, plan=plan))
+        # one flight a map, and one world a place: maps are what is drawn anew
+        drawn_from = [f"{name} {map_}" for map_, _ in result.trial_places]
+        success = {key: [one.success for one in it.trials] for key, it in result.methods.items()}
+        rows = {key: figure(one, drawn_from, "outcome") for key, one in success.items()}
+        cells = [f"{own['mean']:.2f} {interval(own, '.2f')}" for own in rows.values()]
+        lines.append(line(name, [str(len(drawn_from)), *cells]))
+        if not name.startswith("`"):
+            maps += drawn_from
+            for key, one in success.items():
+                ahead[key] += np.subtract(one, success[methods[0].name], dtype=float).tolist()
+    if maps:
+        rows = {key: figure(one, maps) for key, one in ahead.items()}
+        cells = [f"{own['mean']:+.3f} {interval(own, '+.3f')}" for own in rows.values()]
+        lines.append(line(f"real places, less {methods[0].name}", [str(len(maps)), *cells]))
     return lines
 
 
