@@ -21,7 +21,13 @@ from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.config import BenchConfig
 from scenegen.model.evaluation.methods import Method
 from scenegen.model.evaluation.metrics import measure
-from scenegen.model.evaluation.planning.measure import Measurement, Trials, draw_trials, run_trial
+from scenegen.model.evaluation.planning.measure import (
+    Measurement,
+    Trials,
+    draw_trials,
+    risk_of,
+    run_trial,
+)
 from scenegen.model.evaluation.study import Study, study_map
 from scenegen.model.evaluation.visibility import (
     CLASSES,
@@ -279,20 +285,18 @@ def _work(
 
 def planner_maps(
     said: Prediction, sample: Sample, grid: GridSpec, config: BenchConfig
-) -> tuple[NDArray[np.bool_], NDArray[np.float32], NDArray[np.float32]]:
+) -> tuple[NDArray[np.bool_], NDArray[np.float32], NDArray[np.float32] | None]:
     """What the planner of `config` is given of a prediction: a collision map, distances, metres,
     and for the careful planner the risk of every voxel, (*grid.shape) each."""
-    at, plan = config.thresholds, config.plan
-    if plan.planner == "careful":
+    at, plan, careful = config.thresholds, config.plan, config.plan.planner == "careful"
+    if careful:
         at = dataclasses.replace(at, probability=plan.careful_probability)
     occupied, distance = said.occupied(at), said.distance(at, grid)
     if plan.field == "transform":
         distance = distance_field(occupied, grid)
     occupied, distance = walled(occupied, distance, sample.known, grid)
-    chance = said.occupancy_probability
-    risk = np.maximum(occupied, 0 if chance is None else chance, dtype=np.float32)
-    unseen = ~(sample.observed | sample.free)
-    return occupied, distance, np.where(unseen, np.maximum(risk, plan.unseen_risk), risk)
+    seen = sample.observed | sample.free
+    return occupied, distance, risk_of(said, occupied, seen, plan) if careful else None
 
 
 def trials_of(sample: Sample, index: int, split: Split, config: BenchConfig, count: int) -> Trials:

@@ -62,7 +62,7 @@ def route_to(
     goal: NDArray[np.float64],
     occupied: NDArray[np.bool_],
     tudf: NDArray[np.float32],
-    risk: NDArray[np.float32],
+    risk: NDArray[np.float32] | None,
     sample: Sample,
     grid: GridSpec,
     config: PlanConfig,

@@ -14,7 +14,7 @@ from scenegen.model.completion.protocol import MapCompleter
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import Lattice
-from scenegen.model.evaluation.planning.measure import RATHER
+from scenegen.model.evaluation.planning.measure import RATHER, risk_of
 from scenegen.model.evaluation.planning.refine import field_at, refine
 from scenegen.model.robots.steering import follow, no_way
 from scenegen.truth import distance_field
@@ -75,7 +75,7 @@ class MappingRobot:
         distance = distance_field(occupied, self.grid)
         path = self._kept(observation, distance)
         if path is None:
-            path = self._plan(observation, distance, risk.astype(np.float32))
+            path = self._plan(observation, distance, risk)
             self._path = None if path is None else path + self.origin
         if path is None:
             return no_way(self._about)
@@ -121,9 +121,7 @@ class MappingRobot:
         found = self._completer.complete(self.observed, self.free, grid=self.grid)
         at = Thresholds(probability=PLAN.careful_probability)
         occupied = self.observed | (found.occupied(at) & ~self.free)
-        chance = found.occupancy_probability
-        unseen = np.maximum(PLAN.unseen_risk, 0 if chance is None else chance)
-        return occupied, np.where(self.free, occupied, np.maximum(occupied, unseen))
+        return occupied, risk_of(found, occupied, self.observed | self.free, PLAN)
 
     def _move(self, position: NDArray[np.float64]) -> None:
         """Have the middle voxel hold the vehicle; what leaves the map is forgotten."""

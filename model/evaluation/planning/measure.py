@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lidarsim.grid import GridSpec
 from lidarsim.jit import kernel
+from scenegen.model.completion.protocol import Prediction
 from scenegen.model.evaluation.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import Blocked, Lattice, Plan, checked, plan_path
 from scenegen.model.evaluation.planning.refine import field_at, refine
@@ -266,6 +267,20 @@ def plan_carefully(
     if avoided.reshape(-1)[np.setdiff1d(voxels, allowed, assume_unique=True)].any():
         return Careful(plan, plan.waypoints, allowed)
     return Careful(plan, path, voxels)
+
+
+def risk_of(
+    said: Prediction,
+    occupied: NDArray[np.bool_],
+    seen: NDArray[np.bool_],
+    config: PlanConfig,
+) -> NDArray[np.float32]:
+    """The risk of meeting something in every voxel (*grid.shape), a probability: 1 where it is held
+    `occupied`, else what is `said`, and no less than `config.unseen_risk` where it was not
+    `seen`."""
+    chance = said.occupancy_probability
+    risk = np.maximum(occupied, 0 if chance is None else chance, dtype=np.float32)
+    return np.where(seen, risk, np.maximum(risk, np.float32(config.unseen_risk)))
 
 
 def careful(config: PlanConfig) -> PlanConfig:
