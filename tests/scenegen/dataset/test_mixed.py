@@ -26,7 +26,7 @@ from scenegen.source import DrawnWorlds
 from scenegen.worlds.mapping import Mapper
 from tests.command_line import run
 
-RECIPE = """
+SMALL = """
 kind = "mixed"
 [grid]
 shape = [24, 24, 16]
@@ -36,7 +36,8 @@ viewpoints = 2
 min_solids = 0
 min_occupied_share = 0
 min_returned_share = 0
-[[component]]
+"""
+RECIPE = f"""{SMALL}[[component]]
 kind = "pillar"
 weight = 3
 [component.world]
@@ -49,17 +50,7 @@ kind = "maze"
 weight = 1
 """
 COUNTS = {"n": 20, "val": 5, "test": 5, "seed": 4}
-DIFFERENT = """
-kind = "mixed"
-[grid]
-shape = [24, 24, 16]
-[flight]
-viewpoints = 2
-[accept]
-min_solids = 0
-min_occupied_share = 0
-min_returned_share = 0
-[[component]]
+DIFFERENT = f"""{SMALL}[[component]]
 kind = "pillar"
 weight = 3
 [component.noise]
