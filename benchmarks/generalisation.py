@@ -21,7 +21,7 @@ from typing import Any
 
 import measuring
 import numpy as np
-from real import real_places
+from real import POSES, real_places
 
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
@@ -68,7 +68,7 @@ def main() -> None:
         folder = given.data or Path(spare)
         kinds = ("maze", "pillar") if given.smoke else kind_names()
         tests = {kind: drawn(kind, folder / kind, given.tests) for kind in kinds}
-        tests |= real_places(given.real, folder, given.tests)
+        tests |= real_places(given.real, folder, min(given.tests, POSES))
         # the paper's planner steps through walls that are thinner than its lattice
         config = BenchConfig(trials=given.trials, plan=PlanConfig(edge_check=True))
         there = rows_of(given.out, given)

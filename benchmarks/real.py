@@ -42,6 +42,8 @@ from scenegen.source import DrawnWorlds, Source, read_scenes
 PAGE = Path(__file__).parents[1] / "docs" / "results" / "real.md"
 NETWORKS = ("columns", "proposed", "occ", "anywhere")
 KINDS = ("pillar", "geometric")
+POSES = 48
+"""Of each place. The map of building 079 has room for these; one of 100 flights finds none."""
 PLANNERS = {
     "the paper's planner with edges checked": PlanConfig(edge_check=True),
     "the careful planner": PlanConfig(planner="careful"),
@@ -98,7 +100,7 @@ def main() -> None:
     """Score every place, and write the tables."""
     parser = measuring.options(__doc__)
     parser.add_argument("maps", type=Path, nargs="?", help="folder of the maps")
-    parser.add_argument("--poses", type=int, default=48, help="of each place, at most")
+    parser.add_argument("--poses", type=int, default=POSES, help="of each place, at most")
     parser.add_argument("--trials", type=int, default=400, help="planning trials of each place")
     parser.add_argument("--network", action="append", help="a bundled one's name, or a run")
     parser.add_argument("--data", type=Path, help="folder for the datasets")

@@ -318,11 +318,13 @@ def load(
     try:
         yield from loader
     except ScenegenError as error:  # a loader process hands over its traceback with it
+        error.with_traceback(None)  # its frames would keep the loader's processes alive
         kind, line = type(error), str(error).strip().splitlines()[-1]
         raise kind(line.removeprefix(f"{kind.__module__}.{kind.__name__}: ")) from None
     except RuntimeError as error:
         if "DataLoader worker" not in str(error):
             raise
+        error.with_traceback(None)
         raise LoaderError(
             f"a loader process died ({str(error).splitlines()[0]}); give --workers 0, or more "
             f"shared memory"
