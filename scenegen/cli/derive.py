@@ -18,6 +18,7 @@ from scenegen.cli.options import (
     mapping_given,
     mapping_options,
     noise_option,
+    on_option,
     open_dataset,
     out_option,
     printing,
@@ -31,7 +32,7 @@ from scenegen.cli.types import Written, read_ranges
 from scenegen.dataset.choose import FIGURES, NUMBERS, Choice, Condition
 from scenegen.worlds.mapping import Mapper
 
-making = together(force_option, workers_option, printing)
+making = together(force_option, workers_option, on_option, printing)
 """Options of all that make a dataset of others."""
 
 
@@ -97,7 +98,7 @@ def rescan(
     help="Samples for which this holds, such as occupied>=0.05; repeatable. Names are "
     f"{', '.join((*NUMBERS, *FIGURES))}.",
 )
-@out_option("Folder of the new dataset.", required=True)
+@out_option("Folder of the new dataset, or s3://bucket/folder.", stores=True, required=True)
 @making
 def take(
     dataset: Path | str,
@@ -126,7 +127,7 @@ def take(
 
 @click.command()
 @datasets_argument
-@out_option("Folder of the new dataset.", required=True)
+@out_option("Folder of the new dataset, or s3://bucket/folder.", stores=True, required=True)
 @making
 def merge(datasets: tuple[Path | str, ...], out: Path, **options: Any) -> None:
     """Make one dataset of several that share grid, sensor and fields.

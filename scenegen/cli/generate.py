@@ -45,7 +45,6 @@ from scenegen.worlds.mapping import Mapper
 
 if TYPE_CHECKING:
     from scenegen.dataset.state import Plan
-    from scenegen.run import Executor
 
 KIND = Named(
     KINDS, others={".toml": "--recipe", **dict.fromkeys(WORLD_FILES, "--scene")}, more=("mixed",)
@@ -155,7 +154,6 @@ def generate(
         announce_compilation()
     from scenegen.dataset.build import check_folder
     from scenegen.dataset.generation import plan_generation
-    from scenegen.run import executor
     from scenegen.run.workers import keep_memory
 
     keep_memory()
@@ -181,8 +179,8 @@ def generate(
     make(
         plan,
         begin=begin,
-        execute=executor(on, workers),
         workers=workers,
+        on=on,
         shards=shards,
         force=force,
         as_json=as_json,
@@ -214,10 +212,10 @@ def make(
     *,
     begin: float,
     workers: int,
+    on: str,
     force: bool,
     as_json: bool,
     talk: bool,
-    execute: "Executor | None" = None,
     shards: tuple[int, int] | None = None,
 ) -> None:
     """Makes a planned dataset, with a bar, and prints what was made.
@@ -226,16 +224,16 @@ def make(
         plan: What is made.
         begin: When the command began, by `time.perf_counter`.
         workers: Processes.
+        on: Where the work is done, as `scenegen.run.executor` takes it.
         force: Replace another dataset in the folder.
         as_json: Print the result as JSON.
         talk: Print it for people, with a bar meanwhile.
-        execute: What does the work; processes of this machine unless given.
         shards: First of the shards that are made, and the one after the last; all unless given.
     """
     from scenegen.dataset.build import build
-    from scenegen.run.workers import Local
+    from scenegen.run import executor
 
-    execute = execute or Local("", workers)
+    execute = executor(on, workers)
     chosen = execute.mine(plan.shards[slice(*shards)] if shards else plan.shards)
     names = {shard.file.name for shard in chosen}
 

@@ -36,6 +36,8 @@ COMMANDS: tuple[tuple[object, ...], ...] = (
     ("verify", "d", "--json"),
     ("convert", "d", "--to", "npz"),
     ("convert", "d", "--to", "webdataset"),
+    ("rescan", "d", "--noise", "range:0.02"),
+    ("take", "d", "--n", 4),
     COMPLETE,
     BENCH,
 )

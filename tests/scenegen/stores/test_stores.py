@@ -388,11 +388,15 @@ def test_commands_take_a_place_and_refuse_it_where_they_cannot(
     code, said, _ = run(capsys, "inspect", NAME, "--json")
     assert code == 0
     assert json.loads(said)["bytes"] == sum(path.stat().st_size for path in made.iterdir())
-    code, _, wrong = run(
-        capsys, "rescan", NAME, "-o", "s3://lab/again", "--noise", "range:0.02", "--quiet"
-    )
-    assert (code, wrong) == (0, "")
-    assert verify(locate("s3://lab/again", whole=True), quick=True).ok
+    for words in (
+        ("rescan", NAME, "--noise", "range:0.02", "-o", "s3://lab/again"),
+        ("take", NAME, "--split", "train", "-o", "s3://lab/train"),
+        ("take", NAME, "--split", "test", "-o", "s3://lab/test"),
+        ("merge", "s3://lab/train", "s3://lab/test", "-o", "s3://lab/both"),
+    ):
+        code, _, wrong = run(capsys, *words, "--quiet")
+        assert (code, wrong) == (0, "")
+        assert verify(locate(words[-1], whole=True), quick=True).ok
     for words in (
         ("convert", NAME, "--to", "webdataset", "-o", "s3://lab/x"),
         ("world", NAME, 0, "-o", "s3://lab/w.xml"),
