@@ -129,6 +129,11 @@ def cache_trouble(package: str) -> str:
     return "" if os.access(folder, os.W_OK) else f"no permission to write to {folder}"
 
 
+def no_kernels(package: str) -> bool:
+    """Whether none of the kernels of `package` is kept yet."""
+    return not any(cache_folder(package).rglob("*.nbc"))
+
+
 def is_ours(found: os.stat_result) -> bool:
     """Whether a file belongs to this user or to root."""
     return found.st_uid in (os.geteuid(), ROOT)

@@ -107,6 +107,16 @@ def draw_unit(
     )
 
 
+def compile_truth(source: Source, recipe: Recipe, split: str) -> None:
+    """Have the kernels compiled that come last in `draw_unit`: those of the truth and of maps."""
+    world = source.world(split, 0, rng=np.random.default_rng(0))
+    pose = Pose(world.flight_bounds.mean(axis=0), np.array([1.0, 0.0, 0.0, 0.0]))
+    scan = Scan(np.full(recipe.lidar.shape, np.inf, np.float32), pose, recipe.lidar)
+    truth = truth_of(world, scan, recipe)
+    distance_field(truth["occupancy"], recipe.grid)
+    fuse([scan], recipe.grid, recipe.mapping.origin(recipe.grid, pose), recipe.mapping)
+
+
 def flight_rng(seed: int, split: str, unit: int, attempt: int) -> np.random.Generator:
     """What the flights of a draw of a unit are planned by."""
     return _stream(1, seed, split, unit, attempt)

@@ -101,12 +101,12 @@ def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 def announce_compilation() -> None:
     """Says why a run takes longer: the first one, or every one where kernels cannot be kept."""
-    from lidarsim.jit import cache_folder, cache_trouble
+    from lidarsim.jit import cache_trouble, no_kernels
 
     trouble = cache_trouble("scenegen")
     if trouble:
         note(f"compiling kernels, about 20 seconds; they cannot be kept: {trouble} …")
-    elif not any(cache_folder("scenegen").rglob("*.nbc")):
+    elif no_kernels("scenegen"):
         note("compiling kernels: once on this machine, about 20 seconds …")
 
 

@@ -7,6 +7,7 @@ import json
 import os
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field, fields
 from functools import partial
 from pathlib import Path
@@ -18,13 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.engines import DEFAULT, ENGINES, EngineFactory
+from lidarsim.jit import cache_trouble, no_kernels
 from scenegen.dataset.hdf5 import tells, with_index
 from scenegen.dataset.layout import DIGEST, Layout, open_file, open_shard
 from scenegen.dataset.trust import Entry
-from scenegen.draw import Rejections, Unit, draw_unit
+from scenegen.draw import Rejections, Unit, compile_truth, draw_unit
 from scenegen.errors import BrokenError, DatasetError, printable
 from scenegen.files import write_whole
 from scenegen.recipe import Recipe
+from scenegen.run.workers import Worker, cores
 from scenegen.sample import DERIVED, FIELDS
 from scenegen.source import Source
 
@@ -117,8 +120,14 @@ class ShardSpec(ShardTask):
         return "tudf" in self.layout
 
     def prepare(self) -> None:
-        """See `ShardTask`: kernels are compiled, and hopeless parameters end here."""
-        self.draw(self.first_unit)
+        """See `ShardTask`: kernels are compiled, by two processes where there are two cores, and
+        hopeless parameters end here."""
+        with ExitStack() as stack:
+            if cores() > 1 and no_kernels("scenegen") and not cache_trouble("scenegen"):
+                other = Worker(partial(compile_truth, self.source, self.recipe), "fork")
+                stack.callback(other.end)
+                other.give(self.split)
+            self.draw(self.first_unit)
 
     def write(self) -> "ShardReport":
         """See `ShardTask`: its units are drawn into memory, a few megabytes. Raises

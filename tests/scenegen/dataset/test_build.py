@@ -3,9 +3,11 @@ for another."""
 
 import errno
 import hashlib
+import multiprocessing
 import os
 import shutil
 import threading
+import time
 import zlib
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -26,6 +28,7 @@ from scenegen.dataset.layout import ShardFile
 from scenegen.dataset.placed import NOTES, read_notes
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.shard import ShardReport, ShardSpec, read_report
+from scenegen.draw import compile_truth
 from scenegen.errors import DatasetError, GenerationError
 from scenegen.recipe import Recipe
 from scenegen.sample import GROUPS
@@ -672,3 +675,26 @@ def test_reading_names_what_is_wrong(tmp_path: Path, folder: Path) -> None:
     next(folder.glob("val-*.h5")).unlink()
     with pytest.raises(DatasetError, match="is missing"):
         Dataset(folder).split("val")[0]
+
+
+def test_where_nothing_is_compiled_yet_a_second_process_compiles_the_truth(tmp_path, monkeypatch):
+    done = tmp_path / "done"
+
+    def there(*words: Any) -> None:
+        compile_truth(*words)
+        done.touch()
+
+    def wait(self: ShardSpec, unit: int) -> None:
+        deadline = time.monotonic() + 120
+        while not done.exists() and time.monotonic() < deadline:
+            time.sleep(0.05)
+
+    monkeypatch.setattr(shards, "no_kernels", lambda package: True)
+    monkeypatch.setattr(shards, "cores", lambda: 2)
+    monkeypatch.setattr(shards, "compile_truth", there)
+    monkeypatch.setattr(ShardSpec, "draw", wait)
+    recipe = small_recipe()
+    plan = plan_dataset(tmp_path / "d", recipe, DrawnWorlds(recipe), seed=0, counts=COUNTS)
+    plan.shards[0].prepare()
+    assert done.exists()
+    assert not multiprocessing.active_children()
