@@ -25,18 +25,15 @@ ROOMS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "rays": (("lidarsim/engines/*.py",), ("tests/lidarsim/engines",)),
     "truth": (("scenegen/truth/[!g]*.py",), ("tests/scenegen/truth",)),
     "voxelize": (("lidarsim/voxelize.py",), ("tests/lidarsim/test_voxelize.py", "tests/lidarsim")),
-    "losses": (
-        ("model/losses.py",),
-        ("tests/model/test_losses.py", "tests/model/test_objective.py"),
-    ),
-    "planning": (("model/*/planning/*.py",), ("tests/model/evaluation", "tests/model/bench")),
-    "statistics": (("model/*/statistics.py",), ("tests/model/evaluation", "tests/model/bench")),
+    "losses": (("model/losses.py",), ("tests/model/test_losses.py", "tests/model/training")),
+    "planning": (("model/*/planning/*.py",), ("tests/model/evaluation",)),
+    "statistics": (("model/*/statistics.py",), ("tests/model/evaluation",)),
     "manifest": (
         ("scenegen/dataset/manifest.py", "scenegen/dataset/trust.py"),
-        ("tests/scenegen/dataset", "tests/scenegen/verification", "tests/scenegen/verify"),
+        ("tests/scenegen/dataset", "tests/scenegen/verification"),
     ),
 }
-"""What is mutated by room, and the tests that are run first to last; those that are there."""
+"""What is mutated by room, and the tests that are run first to last."""
 TIMEOUT_S = 600
 
 
@@ -94,9 +91,8 @@ def tested(copy: Path, mutant: dict[str, Any], whole: bool) -> str:
     from cosmic_ray.mutating import use_mutation
     from cosmic_ray.plugins import get_operator
 
-    tests = [test for test in ROOMS[mutant["room"]][1] if (copy / test).exists()]
     pytest = [str(ROOT / ".venv/bin/python"), "-m", "pytest", "-x", "-q"]
-    runs = [[]] if whole else [["-n", "0", test] for test in tests]
+    runs = [[]] if whole else [["-n", "0", test] for test in ROOMS[mutant["room"]][1]]
     environment = os.environ | {"PYTHONPATH": str(copy), "OMP_NUM_THREADS": "1"}
     operator = get_operator(mutant["operator"])()
     with use_mutation(copy / mutant["file"], operator, mutant["occurrence"]) as (_, mutated):

@@ -326,3 +326,25 @@ def test_a_voxel_takes_part_when_its_own_distance_is_strictly_within_reach(
                     eikonal(predicted, tudf, 0.2, truncation_m), rel=1e-6
                 )
                 assert (value(found) != 0) == (inside and max(where) < 2)
+
+
+def test_a_loss_over_what_is_known_is_that_of_the_map_without_the_rest() -> None:
+    rng = np.random.default_rng(8)
+    occupancy = torch.from_numpy(rng.random(SHAPE) < 0.3)
+    logits, predicted, tudf = (
+        torch.from_numpy(rng.normal(1, 1, SHAPE).astype(np.float32)) for _ in range(3)
+    )
+    known = torch.zeros(SHAPE, dtype=torch.bool)
+    known[:, :3] = True
+    slopes = known.clone()
+    slopes[:, 2] = False  # a slope needs the next voxel
+    metres = {"near_m": 0.5, "near_weight": 2.0, "beta_m": 0.3}
+    space = {"voxel_m": 0.2, "truncation_m": 2.0}
+    for loss, given, over, words in (
+        (occupancy_loss, (logits, occupancy), known, {"occupied_weight": 3.0}),
+        (lovasz_loss, (logits, occupancy), known, {}),
+        (regression_loss, (predicted, tudf), known, metres),
+        (eikonal_loss, (predicted, tudf), slopes, space),
+    ):
+        part = loss(*(field[:, :3] for field in given), **words)
+        assert value(loss(*given, over, **words)) == pytest.approx(value(part), rel=1e-6)
