@@ -25,7 +25,10 @@ ROOMS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "rays": (("lidarsim/engines/*.py",), ("tests/lidarsim/engines",)),
     "truth": (("scenegen/truth/[!g]*.py",), ("tests/scenegen/truth",)),
     "voxelize": (("lidarsim/voxelize.py",), ("tests/lidarsim/test_voxelize.py", "tests/lidarsim")),
-    "losses": (("model/losses.py",), ("tests/model/test_losses.py", "tests/model/training")),
+    "losses": (
+        ("model/losses.py",),
+        ("tests/model/test_losses.py", "tests/model/test_objective.py"),
+    ),
     "planning": (("model/*/planning/*.py",), ("tests/model/evaluation",)),
     "statistics": (("model/*/statistics.py",), ("tests/model/evaluation",)),
     "manifest": (
