@@ -1,11 +1,10 @@
 """A robot that maps: scans are fused in a grid that moves along, completed, and planned through,
 ten times a second."""
 
-import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lidarsim import GridSpec, Pose, Scan, voxelize
 from lidarsim.pose import rotate
@@ -13,7 +12,6 @@ from scenegen.fly.simulation import Observation
 from scenegen.model.completion.protocol import MapCompleter
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.config import PlanConfig
-from scenegen.model.evaluation.planning.astar import Lattice
 from scenegen.model.evaluation.planning.measure import RATHER, risk_of
 from scenegen.model.evaluation.planning.refine import field_at, refine
 from scenegen.model.robots.steering import follow, no_way
@@ -22,13 +20,11 @@ from scenegen.worlds.place import Place
 from scenegen.worlds.search import search
 from scenegen.worlds.world import World
 
-SPARES_M = (0.3, 0.15, 0.0)
+SPARES_M = (0.3, 0.2, 0.15, 0.1, 0.0)
 """How much farther than its radius the vehicle's path keeps from occupied voxels' centres, metres:
 the first with which there is a path."""
-RENEWED_M = 4.0
-"""A path that ends nearer, and not at the goal, is planned anew, metres."""
-LOOK_M = 1.5
-"""How far ahead the vehicle heeds how narrow the way is, metres."""
+RIM = 5
+"""Voxels of the window's rim, a metre, in which nothing is believed yet."""
 PLAN = PlanConfig(step_voxels=2, iterations=20)
 
 
@@ -43,17 +39,17 @@ class _Rays:
 
 
 class MappingRobot:
-    """Fuses scans by visibility in the completer's grid around it, and takes for occupied what
-    returned, and what the `completer` says of voxels that no ray crossed.
+    """Fuses scans by visibility, and takes for occupied what returned, and what the `completer`
+    says of voxels in its grid around the vehicle that no ray crossed. What it believed stays where
+    the grid has moved on: dead ends are remembered.
 
-    A* leads to the goal, or to the map's edge on the way to it; its path is refined as the bench
-    does, and followed. Without `memory`, a map is of one scan.
+    A* leads to the goal through all that lies within the bounds; its path is refined as the bench
+    does, and followed. Without `memory`, a map is of one scan, and what it does not hold is free.
     """
 
     def __init__(self, completer: MapCompleter, *, memory: bool = True):
         self._completer, self._memory = completer, memory
         self.grid: GridSpec = getattr(completer, "grid", GridSpec())
-        self._lattice = Lattice(self.grid, PLAN.step_voxels)
 
     def reset(self, about: Observation) -> None:
         """See `Robot.reset`."""
@@ -62,58 +58,66 @@ class MappingRobot:
         self._rays = _Rays(
             shape, about["directions_body"], about["times_s"], float(about["max_range_m"])
         )
-        self._corner: NDArray[np.int64] | None = None
         self._path: NDArray[np.float64] | None = None
-        self._last = np.array(self.grid.shape) - 1
-        self.observed, self.free = np.zeros((2, *self.grid.shape), np.bool_)
+        edges = np.floor(about["bounds"] / self.grid.voxel_m).astype(np.int64)
+        self._low, count = edges[0] + 1, np.maximum(edges[1] - edges[0] - 1, 1)
+        x, y, z = count.tolist()
+        self._fence = replace(self.grid, shape=(x, y, z))
+        """The voxels within the bounds, in which ways are planned; `_low` is the first."""
+        self._forget()
+        window = np.array(self.grid.shape)
+        self._least = self._low - window // 2 - 2
+        self._known = np.zeros((2, *(count + window + 4)), np.bool_)
+        """What was observed, and what is free, wherever the window may come; `_least` is the
+        first voxel."""
+
+    def _forget(self) -> None:
+        """Hold for free, and without risk, all that the window does not show."""
+        shape, far = self._fence.shape, self.grid.truncation_m
+        self._distance, self._risk = np.full(shape, far, np.float32), np.zeros(shape, np.float32)
 
     def act(self, observation: Observation) -> NDArray[np.float64]:
         """See `Robot.act`."""
-        self._move(observation["position"])
+        position = observation["position"]
+        self._corner = np.floor(position / self.grid.voxel_m).astype(np.int64)
+        self._corner -= np.array(self.grid.shape) // 2
         self._see(observation)
-        occupied, risk = self.believed()
-        distance = distance_field(occupied, self.grid)
-        path = self._kept(observation, distance)
+        self._believe()
+        path = self._kept(observation)
         if path is None:
-            path = self._plan(observation, distance, risk)
-            self._path = None if path is None else path + self.origin
+            path = self._plan(observation)
+        self._path = path
         if path is None:
             return no_way(self._about)
-        near = path[(np.abs(path - path[0]) <= LOOK_M).all(axis=1)]
-        least = min(float(field_at(distance, x, y, z, self.grid.voxel_m)[0]) for x, y, z in near)
-        free_m = least - float(self._about["radius_m"])
-        return follow(path + self.origin, observation, self._about, free_m)
+        return follow(path, observation, self._about, self._room)
 
-    def _kept(
-        self, observation: Observation, distance: NDArray[np.float32]
-    ) -> NDArray[np.float64] | None:
-        """What is left of the last path, (n, 3) metres in the map, while it is free, and leads to
-        the goal or far enough: else one way out and the next could take turns."""
-        if self._path is None:
-            return None
-        position = observation["position"]
-        legs, way = np.diff(self._path, axis=0), position - self._path[:-1]
-        lengths = np.maximum((legs * legs).sum(axis=1), 1e-12)
-        along = np.clip((way * legs).sum(axis=1) / lengths, 0, 1)
-        away = ((way - along[:, None] * legs) ** 2).sum(axis=1)
-        left = self._path[int(np.argmin(away)) + 1 :]
-        goal = observation["goal"]
-        ends = bool(len(left)) and math.dist(left[-1], goal) < 1e-6
-        seen = (np.abs(goal - position) < self.grid.extent_m / 2).all()
-        far = bool(len(left)) and math.dist(left[-1], position) > RENEWED_M
-        if not (ends or (far and not seen)):
-            return None
-        path = np.concatenate([position[None], left]) - self.origin
-        between = np.concatenate([path[1:], 0.5 * (path[1:] + path[:-1])])
-        voxels = np.clip(np.floor(between / self.grid.voxel_m).astype(int), 0, self._last)
-        free = distance[tuple(voxels.T)] >= self._about["radius_m"]
-        return path if free.all() else None
+    def _room(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """How far points (n, 3), world metres, are from what is taken for occupied, (n,) metres."""
+        field, voxel_m = self._distance, self.grid.voxel_m
+        return np.array([field_at(field, x, y, z, voxel_m)[0] for x, y, z in points - self._start])
 
     @property
     def origin(self) -> NDArray[np.float64]:
-        """The map's least corner (3,), world metres."""
-        assert self._corner is not None
+        """The window's least corner (3,), world metres."""
         return self._corner * np.float64(self.grid.voxel_m)
+
+    @property
+    def _start(self) -> NDArray[np.float64]:
+        """The fence's least corner (3,), world metres."""
+        return self._low * np.float64(self.grid.voxel_m)
+
+    def _see(self, observation: Observation) -> None:
+        quaternion = observation["quaternion"]
+        arm = rotate(quaternion, self._about["lever_arm_m"][None])[0]
+        pose = Pose(observation["position"] + arm, quaternion)
+        seen = voxelize(Scan(observation["ranges"], pose, self._rays), self.grid, self.origin)
+        self.observed, self.free = seen.observed, seen.free
+        if self._memory:
+            window = _box(self._corner - self._least, self.grid.shape)
+            observed, free = self._known[:, *window]
+            self.observed |= observed
+            self.free = (self.free | free) & ~self.observed
+            self._known[:, *window] = self.observed, self.free
 
     def believed(self) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
         """What the robot takes for occupied, and the risk of meeting something, (*grid.shape)
@@ -123,77 +127,65 @@ class MappingRobot:
         occupied = self.observed | (found.occupied(at) & ~self.free)
         return occupied, risk_of(found, occupied, self.observed | self.free, PLAN)
 
-    def _move(self, position: NDArray[np.float64]) -> None:
-        """Have the middle voxel hold the vehicle; what leaves the map is forgotten."""
-        shape = np.array(self.grid.shape)
-        corner = np.floor(position / self.grid.voxel_m).astype(np.int64) - shape // 2
-        before, self._corner = self._corner, corner
-        if before is None:
-            return
-        moved = corner - before
-        kept = tuple(slice(max(m, 0), n + min(m, 0)) for m, n in zip(moved, shape, strict=True))
-        put = tuple(slice(max(-m, 0), n + min(-m, 0)) for m, n in zip(moved, shape, strict=True))
-        for name in ("observed", "free"):
-            there = np.zeros(self.grid.shape, np.bool_)
-            if self._memory and (abs(moved) < shape).all():
-                there[put] = getattr(self, name)[kept]
-            setattr(self, name, there)
+    def _believe(self) -> None:
+        """Take what is believed in the window over into the fence, but for the window's rim, whose
+        distances lack what lies beyond."""
+        occupied, risk = self.believed()
+        if not self._memory:
+            self._forget()
+        corner, shape = self._corner, np.array(self.grid.shape)
+        low = np.maximum(corner + RIM, self._low)
+        count = np.maximum(np.minimum(corner + shape - RIM, self._low + self._fence.shape) - low, 0)
+        there, here = _box(low - self._low, count), _box(low - corner, count)
+        self._distance[there] = distance_field(occupied, self.grid)[here]
+        self._risk[there] = risk[here]
 
-    def _see(self, observation: Observation) -> None:
-        quaternion = observation["quaternion"]
-        arm = rotate(quaternion, self._about["lever_arm_m"][None])[0]
-        pose = Pose(observation["position"] + arm, quaternion)
-        seen = voxelize(Scan(observation["ranges"], pose, self._rays), self.grid, self.origin)
-        if self._memory:
-            self.observed |= seen.observed
-            self.free = (self.free | seen.free) & ~self.observed
-        else:
-            self.observed, self.free = seen.observed, seen.free
+    def _kept(self, observation: Observation) -> NDArray[np.float64] | None:
+        """What is left of the last path, (n, 3) world metres, while it is free: else one way out
+        and the next could take turns."""
+        if self._path is None:
+            return None
+        position = observation["position"]
+        legs, way = np.diff(self._path, axis=0), position - self._path[:-1]
+        lengths = np.maximum((legs * legs).sum(axis=1), 1e-12)
+        along = np.clip((way * legs).sum(axis=1) / lengths, 0, 1)
+        away = ((way - along[:, None] * legs) ** 2).sum(axis=1)
+        path = np.concatenate([position[None], self._path[int(np.argmin(away)) + 1 :]])
+        between = np.concatenate([path[1:], 0.5 * (path[1:] + path[:-1])])
+        free = self._distance[self._voxels(between)] >= self._about["radius_m"]
+        return path if free.all() else None
 
-    def _plan(
-        self,
-        observation: Observation,
-        distance: NDArray[np.float32],
-        risk: NDArray[np.float32],
-    ) -> NDArray[np.float64] | None:
-        """A path (n, 3) from the vehicle on, metres in the map; `distance` (*grid.shape) is that
-        from what is taken for occupied, metres, and `risk` that of meeting something."""
-        grid, lattice, about = self.grid, self._lattice, self._about
-        goal = observation["goal"] - self.origin
-        fence = np.floor((about["bounds"] - self.origin) / grid.voxel_m).astype(np.int64)
-        low, high = fence[0] + 1, fence[1]
-        beyond = np.ones(grid.shape, np.bool_)
-        beyond[tuple(map(slice, np.maximum(low, 0), np.maximum(high, 0)))] = False
-        # the goal's node, or the next one within the bounds
-        ends = -((lattice.first - low) // lattice.step), (high - 1 - lattice.first) // lattice.step
-        node = np.rint((goal / grid.voxel_m - 0.5 - lattice.first) / lattice.step).astype(np.int64)
-        node = np.clip(node, *ends)
-        inside = bool(((node >= 0) & (node < lattice.shape)).all())
+    def _voxels(self, points: NDArray[np.float64]) -> tuple[NDArray[np.int64], ...]:
+        """The fence's voxels that hold `points` (n, 3), world metres, or are next to them."""
+        found = np.floor((points - self._start) / self.grid.voxel_m).astype(np.int64)
+        return tuple(np.clip(found, 0, np.array(self._fence.shape) - 1).T)
+
+    def _plan(self, observation: Observation) -> NDArray[np.float64] | None:
+        """A path (n, 3) from the vehicle to the goal, world metres."""
+        step, voxel_m, goal = PLAN.step_voxels, self.grid.voxel_m, observation["goal"]
+        ends = np.transpose(self._voxels(np.stack([observation["position"], goal])))
+        first = ends[0] % step
+        shape = (np.array(self._fence.shape) - 1 - first) // step + 1
+        node = np.minimum(np.rint((ends[1] - first) / step).astype(np.int64), shape - 1)
         for spare in SPARES_M:
-            blocked = beyond | (distance < float(about["radius_m"]) + spare)
-            if inside:
-                blocked[tuple(lattice.voxels(node))] = False
-            nodes = search(
-                blocked,
-                lattice.first,
-                np.array(lattice.shape),
-                lattice.step,
-                lattice.start,
-                node,
-                True,
-                risk,
-                PLAN.risk_weight,
-            )
+            blocked = self._distance < float(self._about["radius_m"]) + spare
+            blocked[tuple(first + step * node)] = False
+            begin, weight = ends[0] // step, PLAN.risk_weight
+            nodes = search(blocked, first, shape, step, begin, node, True, self._risk, weight)
             if len(nodes):
                 break
         else:
             return None
-        rough = lattice.centres(nodes)
-        path = refine(rough, distance, grid, PLAN) if len(rough) > 2 else rough
-        voxels = tuple(np.floor(path[1:] / grid.voxel_m).astype(int).T)
-        path = rough if (blocked | (risk > RATHER))[voxels].any() else path
-        path[0] = observation["position"] - self.origin
-        return np.concatenate([path, goal[None]]) if inside else path
+        rough = (first + step * nodes + 0.5) * voxel_m
+        path = refine(rough, self._distance, self._fence, PLAN) if len(rough) > 2 else rough
+        met = self._voxels(path[1:] + self._start)
+        path = (rough if (blocked | (self._risk > RATHER))[met].any() else path) + self._start
+        return np.concatenate([observation["position"][None], path[1:], goal[None]])
+
+
+def _box(low: NDArray[np.int64], count: ArrayLike) -> tuple[slice, ...]:
+    """The voxels from `low` (3,) on, so many along each axis."""
+    return tuple(map(slice, low, low + np.asarray(count)))
 
 
 class TruthRobot(MappingRobot):
@@ -202,8 +194,7 @@ class TruthRobot(MappingRobot):
     def __init__(self, world: World | Place):
         self._world = world
         self.grid = GridSpec()
-        self._memory = False
-        self._lattice = Lattice(self.grid, PLAN.step_voxels)
+        self._memory = True
 
     def believed(self) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
         """See `MappingRobot.believed`."""
