@@ -6,10 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lidarsim import GridSpec
-from scenegen.fly import suite
+from lidarsim import AnalyticEngine, GridSpec
+from scenegen.fly import Vehicle, suite
 from scenegen.fly.course import Course, Recording
 from scenegen.fly.loop import fly
+from scenegen.fly.missions import Mission
+from scenegen.fly.simulation import Simulation
 from scenegen.model.completion.unlearned import Returns
 from scenegen.model.robots import NAMES, robot_maker
 from scenegen.model.robots.mapping import MappingRobot
@@ -39,6 +41,41 @@ def test_a_map_that_moves_along_is_that_of_one_grid() -> None:
     assert not (robot.observed & robot.free).any()
     middle = np.floor((flying.state[:3] - robot.origin) / 0.2)
     assert middle.tolist() == [40, 40, 20]
+
+
+DEAD_END = """<mujoco>
+<custom><numeric name="flight_bounds" data="-4 -9 0.5 18 9 2"/></custom>
+<worldbody>
+<geom type="plane" size="40 40 1"/>
+<geom type="box" pos="12 0 2" size="0.1 4 2"/>
+<geom type="box" pos="6 4 2" size="6 0.1 2"/>
+<geom type="box" pos="6 -4 2" size="6 0.1 2"/>
+<geom type="box" pos="7 0 2.3" size="11 9 0.1"/>
+</worldbody></mujoco>"""
+
+
+def test_a_dead_end_deeper_than_the_window_is_left(tmp_path: Path) -> None:
+    """At its mouth, its end is 12 m behind: farther than the window reaches."""
+    (tmp_path / "dead.xml").write_text(DEAD_END)
+    course = Course(world=str(tmp_path / "dead.xml"), vehicle=Vehicle(speed_mps=4.0))
+    mission = Mission(
+        start=(1.0, 0.0, 1.2),
+        goal=(16.0, 0.0, 1.2),
+        shortest_m=25.0,
+        bounds=((-4.0, -9.0, 0.5), (18.0, 9.0, 2.0)),
+    )
+    flying = course.simulation(0)
+    flying = Simulation(
+        flying.world,
+        flying.world.caster(AnalyticEngine.of),
+        mission,
+        sensor=course.sensor,
+        vehicle=course.vehicle,
+        rules=course.rules,
+    )
+    flown = fly(flying, MappingRobot(Returns()))
+    assert flown.outcome == "success"
+    assert flown.path[:, 0].min() < 0, "around the walls"
 
 
 def test_the_command_flies_records_and_flies_again(
