@@ -1,59 +1,162 @@
-"""How robots fly, and what a step costs: each robot, on the same missions through each kind.
+"""Does completing the scene help a robot that moves? Robots fly the suite: docs/results/fly.md.
 
-    python benchmarks/fly.py pillar geometric forest --flights 20 --robots truth optimistic columns
+    python benchmarks/fly.py ENTRIES                        # flies what ENTRIES lacks; the page
+    python benchmarks/fly.py ENTRIES --every 1 --robots optimistic my_net.onnx
 
-A name of a bundled network is a robot that maps and has it complete. Per kind and robot:
-what `scenegen fly` tells; first, milliseconds of a simulated period (sensing, motion, collisions).
-In this process alone, one after the other.
+ENTRIES is a folder with an entry of each robot, as `scenegen fly --suite` writes them; one that is
+there goes on. Every tenth course is one world of each kind and difficulty. A name that is no
+robot's is a network, with which a robot maps. Decisions are timed in this process alone.
 """
 
+import tempfile
 import time
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
 
 import measuring
 import numpy as np
 
+from scenegen.cli.show import Progress
 from scenegen.fly.course import Course
-from scenegen.fly.loop import fly
-from scenegen.model.robots import NAMES, robot_maker, summary
+from scenegen.fly.loop import Flown
+from scenegen.fly.suite import DIFFICULTIES, courses_of
+from scenegen.model.commands.fly import fly_courses
+from scenegen.model.evaluation.statistics import brief, figure, head, interval, line
+from scenegen.model.robots import MAPPING, NAMES, fly_course, robot_maker
+from scenegen.recipes import kind_names
+from scenegen.run.workers import Local
+
+PAGE = Path(__file__).parents[1] / "docs" / "results" / "fly.md"
+ROBOTS = (*NAMES, "proposed", "columns", "anywhere")
+BASELINES = ("optimistic", "extrude")
+Row = tuple[Course, Flown]
+FIGURES: dict[str, Callable[[Flown], float]] = {
+    "success": lambda one: float(one.outcome == "success"),
+    "collision": lambda one: float(one.outcome == "collision"),
+    "score": lambda one: one.score,
+    "path ratio": lambda one: one.ratio if one.outcome == "success" else np.nan,
+    "mean clearance, m": lambda one: one.mean_clearance_m,
+    "jerk, m/s³": lambda one: one.jerk_mps3,
+}
 
 
 def main() -> None:
-    """Print a line for each kind and robot."""
+    """Fly what is missing, and write the page."""
     parser = measuring.options(__doc__)
-    parser.add_argument("kinds", nargs="*", default=["pillar", "geometric", "forest", "rooms"])
-    parser.add_argument("--flights", type=int, default=20)
-    parser.add_argument("--worlds", type=int, default=10)
-    parser.add_argument("--difficulty", choices=["easy", "medium", "hard"])
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--robots", nargs="*", default=[*NAMES, "columns"])
-    small = {"kinds": ["pillar"], "flights": 1, "worlds": 1, "robots": ["reactive"]}
-    options = measuring.parse(parser, **small)
-    for kind in options.kinds:
-        each = options.flights // options.worlds
-        courses = [
-            Course(
-                world=kind,
-                seed=options.seed + n,
-                flights=each,
-                difficulty=options.difficulty,
-            )
-            for n in range(options.worlds)
+    parser.add_argument("entries", type=Path, nargs="?", help="folder of the entries")
+    parser.add_argument("--every", type=int, default=10, help="one of so many courses")
+    parser.add_argument("--robots", nargs="*", default=list(ROBOTS))
+    parser.add_argument("--page", type=Path, default=PAGE)
+    small = {"every": 300, "robots": ["reactive", "optimistic"], "page": Path("/dev/null")}
+    given = measuring.parse(parser, **small)
+    with tempfile.TemporaryDirectory() as spare:
+        courses = courses_of("aerial-1")[:: given.every]
+        found = {
+            name: flown(name, courses, (given.entries or Path(spare)) / f"{Path(name).stem}.json")
+            for name in given.robots
+        }
+    said = given.page.read_text().partition("<!-- tables -->")[0] if given.page.is_file() else ""
+    lines = [*tables(found), "", *first_plans(found), "", period(courses[0])]
+    given.page.write_text(f"{said}<!-- tables -->\n" + "\n".join(lines) + "\n")
+
+
+def flown(name: str, courses: Sequence[Course], entry: Path) -> list[Row]:
+    """The flights of a robot through all courses; those that its `entry` holds are not flown."""
+    entry.parent.mkdir(parents=True, exist_ok=True)
+    robot, weights = (name, None) if name in NAMES else ("optimistic", name)
+    work = partial(fly_course, robot=robot, weights=weights)
+    with Progress(name, shown=False) as progress:
+        done = fly_courses(courses, work, name, "aerial-1", entry, Local("", 1), progress)
+    print(f"{name}: {sum(len(flights) for _, flights in done)} flights", flush=True)
+    return [(course, one) for course, flights in done for one in flights]
+
+
+def told(rows: Iterable[Row], of: Callable[[Flown], float], scale: Any = "amount") -> Any:
+    """A figure of flights; its interval is over worlds."""
+    rows = list(rows)
+    return figure([of(one) for _, one in rows], [course.sha256 for course, _ in rows], scale)
+
+
+def tables(found: dict[str, list[Row]]) -> list[str]:
+    """Every robot's figures, what completion adds to the baselines, and success by world."""
+    success = FIGURES["success"]
+    lines = ["", "## Robots", "", *head([*FIGURES, "decision, ms"])]
+    for name, rows in found.items():
+        cells = [
+            brief(told(rows, of, "outcome" if title in ("success", "collision") else "amount"))
+            for title, of in FIGURES.items()
         ]
-        flying = courses[0].simulation(0)
+        step = np.mean([one.step_s for _, one in rows]) * 1e3
+        lines.append(line(f"`{name}`", [*cells, f"{step:.1f}"]))
+    for base in filter(found.__contains__, BASELINES):
+        lines += ["", f"## Flight by flight, less `{base}`", "", *head(["success", "score"])]
+        for name, rows in found.items():
+            cells = []
+            for of in (success, FIGURES["score"]):
+                pairs = zip(rows, found[base], strict=True)
+                differences = [of(one) - of(other) for (_, one), (_, other) in pairs]
+                one = figure(differences, [course.sha256 for course, _ in rows])
+                cells.append(f"{one['mean']:+.3f} {interval(one, '+.3f')}")
+            lines.append(line(f"`{name}`", cells))
+    for title, groups, key in (
+        ("difficulty", DIFFICULTIES, lambda course: course.difficulty),
+        ("kind", kind_names(), lambda course: course.world),
+    ):
+        lines += ["", f"## Success by {title}", "", *head(groups)]
+        for name, rows in found.items():
+            parts = [[row for row in rows if key(row[0]) == group] for group in groups]
+            shares = [told(part, success, "outcome") if part else None for part in parts]
+            cells = [f"{one['mean']:.2f}" if one else "–" for one in shares]
+            lines.append(line(f"`{name}`", cells))
+    return lines
+
+
+def first_plans(found: dict[str, list[Row]]) -> list[str]:
+    """How often the first plan is free of collisions, flown blindly; and what that says of the
+    flight."""
+    lines = ["## The first plan and the flight", ""]
+    lines += head(["first plan is free", "goal reached, if it is", "if it is not"])
+    for name, rows in found.items():
+        if name in NAMES and name not in MAPPING:
+            continue
+        free, reached, numbers = list[bool](), list[bool](), dict[str, int]()
+        for course, one in rows:
+            number = numbers.setdefault(course.sha256, 0)
+            numbers[course.sha256] += 1
+            free.append(first_plan_is_free(course, number, name))
+            reached.append(one.outcome == "success")
+        is_free, worlds = np.array(free), [course.sha256 for course, _ in rows]
+        parts = [np.where(is_free == value, reached, np.nan) for value in (True, False)]
+        shares = [figure(free, worlds, "outcome"), *(figure(one, worlds) for one in parts)]
+        lines.append(line(f"`{name}`", map(brief, shares)))
+    return lines
+
+
+def first_plan_is_free(course: Course, number: int, name: str) -> bool:
+    """Whether the way that a robot plans first leaves room for the vehicle."""
+    robot = robot_maker(*((name, None) if name in NAMES else ("optimistic", name)))(course)
+    flying = course.simulation(number)
+    robot.reset(flying.about())
+    robot.act(flying.observe())
+    if robot.path is None:
+        return False
+    legs = zip(robot.path, robot.path[1:], strict=False)
+    is_free = course.drawn.clearance.motion_is_free
+    return all(is_free(tuple(p), tuple(q), course.vehicle.radius_m) for p, q in legs)
+
+
+def period(course: Course) -> str:
+    """What it takes to see and to move, ten times a second."""
+    flying = course.simulation(0)
+    spent = []
+    for _ in range(20):
+        begin = time.process_time()
         flying.observe()
         flying.step(np.zeros(4, np.float32))
-        begin = time.perf_counter()
-        for _ in range(20):
-            flying.observe()
-            flying.step(np.zeros(4, np.float32))
-        print(f"{kind}: {(time.perf_counter() - begin) / 20 * 1e3:.2f} ms a simulated period")
-        for name in options.robots:
-            make = robot_maker(name, None if name in NAMES else name)
-            flown = [
-                fly(course.simulation(n), make(course)) for course in courses for n in range(each)
-            ]
-            told = "  ".join(f"{key} {value}" for key, value in summary(name, flown).items())
-            print(f"{kind}: {told}", flush=True)
+        spent.append(time.process_time() - begin)
+    return f"To see and to move takes {np.median(spent) * 1e3:.1f} ms of processor time a period."
 
 
 if __name__ == "__main__":

@@ -58,7 +58,8 @@ class MappingRobot:
         self._rays = _Rays(
             shape, about["directions_body"], about["times_s"], float(about["max_range_m"])
         )
-        self._path: NDArray[np.float64] | None = None
+        self.path: NDArray[np.float64] | None = None
+        """The way that it follows, (n, 3) world metres, the goal last."""
         edges = np.floor(about["bounds"] / self.grid.voxel_m).astype(np.int64)
         self._low, count = edges[0] + 1, np.maximum(edges[1] - edges[0] - 1, 1)
         x, y, z = count.tolist()
@@ -86,7 +87,7 @@ class MappingRobot:
         path = self._kept(observation)
         if path is None:
             path = self._plan(observation)
-        self._path = path
+        self.path = path
         if path is None:
             return no_way(self._about)
         return follow(path, observation, self._about, self._room)
@@ -143,14 +144,14 @@ class MappingRobot:
     def _kept(self, observation: Observation) -> NDArray[np.float64] | None:
         """What is left of the last path, (n, 3) world metres, while it is free: else one way out
         and the next could take turns."""
-        if self._path is None:
+        if self.path is None:
             return None
         position = observation["position"]
-        legs, way = np.diff(self._path, axis=0), position - self._path[:-1]
+        legs, way = np.diff(self.path, axis=0), position - self.path[:-1]
         lengths = np.maximum((legs * legs).sum(axis=1), 1e-12)
         along = np.clip((way * legs).sum(axis=1) / lengths, 0, 1)
         away = ((way - along[:, None] * legs) ** 2).sum(axis=1)
-        path = np.concatenate([position[None], self._path[int(np.argmin(away)) + 1 :]])
+        path = np.concatenate([position[None], self.path[int(np.argmin(away)) + 1 :]])
         between = np.concatenate([path[1:], 0.5 * (path[1:] + path[:-1])])
         free = self._distance[self._voxels(between)] >= self._about["radius_m"]
         return path if free.all() else None
