@@ -24,9 +24,10 @@ from scenegen.cli.options import (
 from scenegen.cli.show import Progress, announce_compilation, say, show_table
 from scenegen.cli.types import OutputFile
 from scenegen.errors import ScenegenError
+from scenegen.files import write_result
 from scenegen.fly import SUITES, Rules, Vehicle
 from scenegen.model.commands.weights import Weights
-from scenegen.model.robots import MAPPING, NAMES, REACTIVE, fly_course, summary
+from scenegen.model.robots import MAPPING, NAMES, REACTIVE, fly_course, leaderboard, summary
 from scenegen.run import Executor, executor
 
 if TYPE_CHECKING:
@@ -44,6 +45,7 @@ SAVED = 10
         "fly room.xml --robot my_robot:Robot -o flights.json --picture flights.png",
         "fly --suite aerial-1 --robot my_robot:Robot -o entry.json",
         "fly --replay entry.json",
+        "fly --leaderboard entries -o page.html",
     )
 )
 @click.argument("world", required=False)
@@ -105,6 +107,12 @@ SAVED = 10
     type=click.Path(path_type=Path),
     help="Fly what -o wrote again, in place of all else, and compare every bit.",
 )
+@click.option(
+    "--leaderboard",
+    "entries",
+    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    help="Write a page (-o, .html) of all entries in a folder, in place of all else.",
+)
 @out_option("Where to record the flights, .json.", file=True)
 @click.option(
     "--picture",
@@ -124,6 +132,7 @@ def fly(
     flights: int,
     worlds: int,
     recorded: Path | None,
+    entries: Path | None,
     out: Path | None,
     picture: Path | None,
     workers: int,
@@ -136,8 +145,15 @@ def fly(
 
     The world is a kind's name, an MJCF file, or a map of a real place.
     """
-    if sum(one is not None for one in (world, recorded, suite)) != 1:
-        raise click.UsageError("give a WORLD, --suite, or --replay FILE")
+    if sum(one is not None for one in (world, recorded, suite, entries)) != 1:
+        raise click.UsageError("give a WORLD, --suite, --replay FILE, or --leaderboard FOLDER")
+    if entries is not None:
+        if out is None:
+            raise click.UsageError("--leaderboard: say where to write the page with -o, .html")
+        write_result(out, leaderboard(entries).encode())
+        if talk:
+            say(f"written: {out}")
+        return
     if suite is None and (quick or hidden is not None):
         raise click.UsageError("--quick and --hidden choose courses of a suite; give --suite, too")
     from scenegen.fly.course import Course, Recording, replay
@@ -209,7 +225,6 @@ def fly_courses(
 ) -> "list[tuple[Course, Sequence[Flown]]]":
     """The flights through all courses, in their order. What `out` holds of a suite's entry is not
     flown again; it is written anew after every `SAVED` courses."""
-    from scenegen.files import write_result
     from scenegen.fly.course import Recording
 
     found = {}
@@ -254,7 +269,6 @@ def _draw(picture: Path, course: "Course", flown: "Sequence[Flown]", name: str) 
     from scenegen.display.oblique import VIEW
     from scenegen.display.panels import RED, to_bytes
     from scenegen.display.pictures import draw_world
-    from scenegen.files import write_result
     from scenegen.worlds.world import solid
 
     figure = draw_world(solid(course.drawn, course.world), title=f"{name} in {course.world}")

@@ -115,6 +115,9 @@ def test_an_entry_to_a_suite_goes_on_and_is_not_lost(
     code, _, complaint = run(capsys, *words)
     assert (code, "other courses" in complaint) == (1, True)
     assert file.read_bytes() == kept
+    page = tmp_path / "page.html"
+    assert run(capsys, "fly", "--leaderboard", tmp_path, "-o", page)[0] == 0
+    assert f"aerial-1: {len(chosen)} worlds" in page.read_text()
 
 
 OWN = """
