@@ -8,6 +8,7 @@ there goes on. Every tenth course is one world of each kind and difficulty. A na
 robot's is a network, with which a robot maps. Decisions are timed in this process alone.
 """
 
+import math
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -100,6 +101,17 @@ def tables(found: dict[str, list[Row]]) -> list[str]:
                 one = figure(differences, [course.sha256 for course, _ in rows])
                 cells.append(f"{one['mean']:+.3f} {interval(one, '+.3f')}")
             lines.append(line(f"`{name}`", cells))
+    courses = list(dict.fromkeys(course for course, _ in next(iter(found.values()))))
+    lines += ["", "## How hard the courses are", "", *head(["shortest way to straight line"])]
+    for difficulty in DIFFICULTIES:
+        ways = [
+            one.shortest_m / math.dist(one.start, one.goal)
+            for course in courses
+            if course.difficulty == difficulty
+            for one in course.missions
+        ]
+        if ways:
+            lines.append(line(difficulty, [f"{np.mean(ways):.2f}"]))
     for title, groups, key in (
         ("difficulty", DIFFICULTIES, lambda course: course.difficulty),
         ("kind", kind_names(), lambda course: course.world),

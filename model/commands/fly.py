@@ -250,7 +250,8 @@ def fly_courses(
         progress.count(len(flown))
         if suite and len(found) % SAVED == 0:
             save()
-    save()
+    if left:
+        save()
     return [(course, found[course]) for course in courses]
 
 
