@@ -5,8 +5,9 @@
 
 MAPS is a folder with the maps of `PLACES`, which says where each comes from; one that is missing is
 left out, one with other bytes is refused. The paper's sensor looks from free space along flights of
-its own, one viewpoint each, and scores are over known voxels alone. Drawn kinds stand beside them.
-What IoU is lost by is told apart by `GROUPS`, and a map of each place is drawn.
+its own, one viewpoint each, and scores are over known voxels alone. Drawn kinds stand beside them,
+and logs that are flown in some of the worlds, as `scenegen ingest` reads them. What IoU is lost by
+is told apart by `GROUPS`, and a map of each place is drawn.
 """
 
 import dataclasses
@@ -15,6 +16,7 @@ import io
 import sys
 import tempfile
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import measuring
@@ -23,6 +25,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy import ndimage
 
+from lidarsim import GridSpec
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.display.figures import draw_completions
@@ -34,7 +37,9 @@ from scenegen.model.evaluation.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Completed, Method, Truth
 from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.statistics import figure, head, interval, line
+from scenegen.model.evaluation.uncertainty import REGIONS, count, reliability
 from scenegen.model.evaluation.visibility import CLASSES, UNSCORED, classify, scored_voxels
+from scenegen.model.inputs import PointScan
 from scenegen.recipe import preset
 from scenegen.sample import Sample
 from scenegen.source import DrawnWorlds, Source, read_scenes
@@ -65,6 +70,10 @@ GROUPS = (
 free ones."""
 MISSED = 7
 """How many of them are occupied."""
+LOGS = ("pillar", "geb079", "fr_campus")
+"""Worlds that logs are flown in."""
+FLOWN = "scan --flight --sequence --lidar ouster-os1-64 --noise range:0.02 --quiet --length"
+GRID = GridSpec()
 PICTURES = PAGE.parents[1] / "pictures" / "real"
 COLOURS = 96
 """Of a picture: it is half as large as with all."""
@@ -102,10 +111,11 @@ def main() -> None:
     parser.add_argument("maps", type=Path, nargs="?", help="folder of the maps")
     parser.add_argument("--poses", type=int, default=POSES, help="of each place, at most")
     parser.add_argument("--trials", type=int, default=400, help="planning trials of each place")
+    parser.add_argument("--length", type=int, default=60, help="of each log, metres")
     parser.add_argument("--network", action="append", help="a bundled one's name, or a run")
     parser.add_argument("--data", type=Path, help="folder for the datasets")
     parser.add_argument("--page", type=Path, default=PAGE)
-    given = measuring.parse(parser, poses=2, trials=4, network=["columns"])
+    given = measuring.parse(parser, poses=2, trials=4, length=3, network=["columns"])
     with tempfile.TemporaryDirectory() as spare:
         folder = given.data or Path(spare)
         places = {f"`{kind}`": drawn(kind, folder / kind, given.poses) for kind in KINDS}
@@ -113,7 +123,13 @@ def main() -> None:
         networks = [Completer.from_pretrained(one, threads=1) for one in given.network or NETWORKS]
         pictures = folder if given.smoke else PICTURES
         pictures.mkdir(exist_ok=True)
-        tables = scored(places, [Completed(Extrude()), *networks], given.trials, pictures)
+        logs = {
+            f"log in {name}": flown(world, folder / f"{name}-log", given.length)
+            for name in LOGS
+            for world in ([name] if name in KINDS else (given.maps or folder).rglob(f"{name}.bt"))
+        }
+        methods: list[Method] = [Completed(Extrude()), *networks]
+        tables = scored(places, logs, methods, given.trials, pictures)
     print("\n".join(tables))
     if not given.smoke:
         said = given.page.read_text().partition("<!-- tables -->")[0]
@@ -147,6 +163,28 @@ def real(file: Path, folder: Path, poses: int) -> Dataset:
     return made(folder, preset("scene"), read_scenes(file, counts, seed=0), "train", poses)
 
 
+class Observation(PointScan):
+    """A scan of a log that `scenegen ingest` kept, as methods are shown it."""
+
+    lidar = None
+
+
+def flown(world: object, folder: Path, length: int) -> list[tuple[Observation, NDArray[np.uint8]]]:
+    """Scans of a log that a sensor records in a world, and of each voxel whether the whole log says
+    that it is occupied: one of `GROUPS`, or `UNSCORED`."""
+    measuring.run("-m", "scenegen", *FLOWN.split(), length, world, "-o", folder)
+    maps = folder.with_suffix(".maps")
+    measuring.run("-m", "scenegen", "ingest", folder, "--quiet", "-o", maps)
+    found = []
+    for path in sorted(maps.glob("observations/*.npz")):
+        with np.load(path) as it:
+            here, points = it["position"], it["position"] + it["points"]
+            scan = Observation(points=points, position=here, grid=GRID)
+            groups = np.where(it["known"], np.where(it["occupancy"], 0, MISSED), UNSCORED)
+            found.append((scan, groups.astype(np.uint8)))
+    return found
+
+
 def made(folder: Path, recipe: Any, source: Source, split: str, poses: int) -> Dataset:
     """A dataset in `folder` with so many samples in a split, each of a flight of its own."""
     recipe = dataclasses.replace(recipe, flight=dataclasses.replace(recipe.flight, viewpoints=1))
@@ -157,11 +195,21 @@ def made(folder: Path, recipe: Any, source: Source, split: str, poses: int) -> D
 
 
 def scored(
-    places: dict[str, Dataset], methods: list[Method], trials: int, pictures: Path
+    places: dict[str, Dataset],
+    logs: dict[str, list[tuple[Observation, NDArray[np.uint8]]]],
+    methods: list[Method],
+    trials: int,
+    pictures: Path,
 ) -> list[str]:
     """The lines of the tables; pictures of the last method are written."""
     splits = {name: "test" if len(one.split("test")) else "train" for name, one in places.items()}
-    counts = {name: counted(dataset, splits[name], methods) for name, dataset in places.items()}
+    counts: dict[str, dict[str, Counts]] = {}
+    for name, dataset in places.items():
+        samples = dataset.split(splits[name])
+        seen = [(sample, groups_of(samples, n)) for n, sample in enumerate(samples)]
+        counts[name] = counted(seen, samples, methods)
+    alone = SimpleNamespace(dataset=SimpleNamespace(grid=GRID))
+    counts |= {name: counted(scans, alone, methods) for name, scans in logs.items()}
     away = [name for name in places if not name.startswith("`")] or list(places)
     best = {
         one.name: int(
@@ -182,6 +230,9 @@ def scored(
         for one in methods
     ]
     lines.append(line("mean of the places", ["", *(f"{mean:.3f}" for mean in means)]))
+    lines += ["", "## Calibration", "", *head([one.name for one in methods])]
+    for name, found in counts.items():
+        lines.append(line(name, [values.ece for values in found.values()]))
     lines += ["", "## What costs IoU", "", *head(("of what is occupied", *titles))]
     for n, group in enumerate(GROUPS):
         cells = [f"{100 * np.mean([counts[name][methods[0].name].size(n) for name in away]):.0f} %"]
@@ -240,20 +291,24 @@ def planned(
     return lines
 
 
-def counted(dataset: Dataset, split: str, methods: list[Method]) -> "dict[str, Counts]":
-    """The voxels of a split's maps by group, as each method completes them."""
-    samples = dataset.split(split)
-    groups = [groups_of(samples, n) for n in range(len(samples))]
-    there = np.array([sums(one) for one in groups])
+def counted(seen: Any, split: Any, methods: list[Method]) -> "dict[str, Counts]":
+    """The voxels of maps by group, as each method completes them; `seen` holds a sample and its
+    groups for each."""
+    there = np.array([sums(group) for _, group in seen])
     found = {}
     for method in methods:
-        said = []
-        for sample, group in zip(samples, groups, strict=True):
-            probability = method.completion(sample, samples).occupancy_probability
+        said, sure = [], []
+        for sample, group in seen:
+            guess = method.completion(sample, split)
+            probability, calibrated = guess.occupancy_probability, guess.probability
             if probability is None:
                 sys.exit(f"{method.name}: predicts distances alone, expected occupancy")
             said.append([sums(group[probability >= threshold]) for threshold in THRESHOLDS])
-        found[method.name] = Counts(there, np.array(said))
+            readings = [probability] if calibrated is None else [*[probability] * 2, calibrated]
+            inside = np.zeros((len(REGIONS), *group.shape), np.bool_)
+            inside[0] = group != UNSCORED
+            sure.append(count(readings, group < MISSED, inside))
+        found[method.name] = Counts(there, np.array(said), np.array(sure))
     return found
 
 
@@ -289,6 +344,8 @@ class Counts(NamedTuple):
     """(maps, groups)."""
     said: NDArray[np.int64]
     """(maps, thresholds, groups): those that are said to be occupied."""
+    sure: NDArray[np.float64]
+    """Of each map, what `count` counts over the voxels that are scored."""
 
     @property
     def either(self) -> NDArray[np.int64]:
@@ -299,6 +356,13 @@ class Counts(NamedTuple):
     def iou(self) -> NDArray[np.float64]:
         """(maps, thresholds)."""
         return self.said[..., :MISSED].sum(axis=2) / np.maximum(self.either, 1)
+
+    @property
+    def ece(self) -> str:
+        """The expected calibration error as predicted, and calibrated where the method can."""
+        found = reliability(self.sure, np.arange(len(self.sure)))["map"]
+        cells = [f"{one['ece']:.3f} {interval(one, '.3f')}" for one in found.values()]
+        return " → ".join(cells[::2])
 
     def size(self, group: int) -> float:
         """The share of a group in what is occupied."""

@@ -166,7 +166,7 @@ def _content_digest(scene: Scene) -> str:
 
 def read_scenes(
     path: Path,
-    counts: Mapping[str, int],
+    counts: Mapping[str, int | None],
     *,
     seed: int,
     allow_unseen: bool = False,
@@ -180,7 +180,7 @@ def read_scenes(
     Args:
         path: An MJCF file, a mesh, a map of a real place, or a folder of them; or a cloud of
             points.
-        counts: How many samples each split shall have.
+        counts: How many samples each split shall have; None for some if there are several worlds.
         seed: What the worlds are dealt by.
         allow_unseen: Whether worlds may have geoms that rays cannot see.
         materials: Whether worlds keep the names of their materials.
@@ -201,7 +201,8 @@ def read_scenes(
     _check(scenes, allow_unseen)
     notes = [f"{path}: {named(parts)} left out: parts, which other files include"] if parts else []
     notes += [note for scene in scenes.values() for note in scene.notes]
-    wanted = [split for split in SPLITS if counts[split]]
+    several = len(scenes) > 1
+    wanted = [split for split in SPLITS if (several if counts[split] is None else counts[split])]
     if len(scenes) < len(wanted):
         raise SceneError(
             f"{path}: {len(scenes)} worlds for {len(wanted)} splits, and no two splits share one; "

@@ -93,8 +93,8 @@ def plan_generation(
         kind: Name of a kind of random worlds, or "module:Class"; "mixed" for all, or for the
             components of the recipe.
         n: Training samples.
-        val: Validation samples; by default a tenth of `n`, and none for a single scene.
-        test: Test samples; by default a fifth of `n`, and none for a single scene.
+        val: Validation samples; by default a tenth of `n`, and none where there is one world.
+        test: Test samples; by default a fifth of `n`, and none where there is one world.
         out: Folder of the dataset; by default data/<kind>, or data/<the scene's name>.
         scene: An MJCF file, a mesh, a map of a real place (.bt, .ot, .npz), or a folder of them, or
             a cloud of points that says where its sensor was, in place
@@ -137,17 +137,17 @@ def plan_generation(
     else:
         assert named is not None
         asked = preset(named, **given)
-    alone = path is not None and not path.is_dir()
-    counts = _counts(n, val, test, alone=alone)
+    alone = False
     source: DrawnWorlds | SceneWorlds
     if path is not None:
         source = read_scenes(
             path,
-            counts,
+            {"train": n, "val": val, "test": test},
             seed=seed,
             allow_unseen=allow_unseen,
             materials=labels in ("class", "material"),
         )
+        alone = sum(map(len, source.scenes.values())) == 1
         for line in source.notes:
             tell(line)
     elif asked.world is None:
@@ -163,13 +163,14 @@ def plan_generation(
                 f"{source.maps[0]}: is a map of voxels, which has no engine but its own; leave "
                 "--engine out"
             )
+    counts = _counts(n, val, test, alone=alone)
     # data/Towers for my_worlds:Towers
     name = path.stem if path is not None else asked.kind.rpartition(":")[2]
     return plan_dataset(_folder(out, name), asked, source, seed=seed, counts=counts, **more)
 
 
 def _counts(n: int, val: int | None, test: int | None, *, alone: bool) -> dict[str, int]:
-    """Samples of each split; those of a single scene are all for training unless asked for."""
+    """Samples of each split; those of the only world are all for training unless asked for."""
     return {
         "train": n,
         "val": val if val is not None else 0 if alone else max(n // 10, 1),

@@ -45,6 +45,10 @@ MOST_TOLD = 255
 """Scans that are counted of a voxel: beyond, both of its counts are halved."""
 
 
+class _UnreadableError(DatasetError):
+    """A scan of a log cannot be read; what was fused before it is kept."""
+
+
 @dataclass(frozen=True, eq=False)
 class _Window:
     """What one scan says of the voxels around it."""
@@ -64,7 +68,8 @@ def ingest(
 ) -> Counter[str]:
     """Write the maps of a log, ``place-000.npz`` and on, and its observations into a new folder
     `out`. Until all is there, it is called as `out` with ``.part`` behind: where a run was stopped
-    or killed, the same call goes on from what it saved last, to the same bits.
+    or killed, or met a scan that cannot be read, the same call goes on from what it saved last, to
+    the same bits.
 
     A new map begins where one would have more than `MOST_PLACE_VOXELS`. A voxel is occupied where
     it holds returns, but for what moved on (see `Fusing`), and free where it holds none and a ray
@@ -91,6 +96,8 @@ def ingest(
             path.unlink()
         check_free(out)
         unfinished.rename(out)
+    except _UnreadableError:
+        raise
     except DatasetError:
         shutil.rmtree(unfinished)
         raise
@@ -225,7 +232,7 @@ def _fused(
     if not state.told.size:
         state.told = np.zeros((2, *shape), np.uint8)
     (hits, misses), counts, rest = state.told, state.counts, range(state.scan, part.stop)
-    for n, (scan, window) in zip(rest, _windows(log, scans, rest, how), strict=True):
+    for n, (scan, window) in zip(rest, _windows(log, scans, rest, how, state), strict=True):
         met, observed = _count(hits, misses, window.least - first, window.observed, window.free)
         counts["scans"] += 1
         counts["returns"] += len(window.points)
@@ -255,19 +262,30 @@ def _fused(
 
 
 def _windows(
-    log: Log, scans: Iterator[LogScan], part: range, how: Fusing
+    log: Log, scans: Iterator[LogScan], part: range, how: Fusing, state: _State
 ) -> Iterator[tuple[LogScan, _Window]]:
-    """Scans, each with what it says, in order; some are worked on ahead."""
-    waiting = deque[tuple[LogScan, Future[_Window]]]()
+    """Scans, each with what it says, in order; some are worked on ahead. Keeps the state where one
+    cannot be read."""
+    waiting, broken = deque[tuple[LogScan, Future[_Window]]](), None
     with ThreadPoolExecutor(THREADS) as pool:
         for n in part:
-            scan = next(scans)
+            try:
+                scan = next(scans)
+            except DatasetError as error:
+                broken = error
+                break
             waiting.append((scan, pool.submit(_window, scan, _pace(log, n), how)))
             if len(waiting) > 2 * THREADS:
                 ready, window = waiting.popleft()
                 yield ready, window.result()
         for ready, window in waiting:
             yield ready, window.result()
+    if broken is not None:
+        state.save()
+        raise _UnreadableError(
+            f"{broken}; mend it and give the same command again, which goes on from scan "
+            f"{state.scan} of {len(log.poses)}"
+        )
 
 
 def _pace(log: Log, n: int) -> tuple[Pose, float]:

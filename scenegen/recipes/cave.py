@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lidarsim.elementary import sin_cos
 from lidarsim.parameters import number
 from scenegen.recipes.kind import Range, WorldKind, attitudes
-from scenegen.recipes.parts import Parts, count, height_at, hilly
+from scenegen.recipes.parts import Parts, height_at, hilly, scattered
 from scenegen.recipes.pieces import stone
 from scenegen.worlds.classes import CLASSES
 from scenegen.worlds.drawing import Drawing
@@ -93,8 +93,8 @@ class Cave(WorldKind):
             spec.add_height_field(
                 roof, size, (*middle, height), depth_m=0.5, hanging=True, of_class="rock"
             )
-        area = x_m * y_m
-        for x, y in self._places(self.dripstone_density, area, rng=rng):
+        plan = (x_m * y_m, (0.0, 0.0), size)
+        for x, y in scattered(self.dripstone_density, *plan, rng=rng):
             low = height_at(floor, self.size_m, x, y)
             high = height - height_at(roof, self.size_m, x, y)
             long, wide, side = rng.random(3).tolist()
@@ -105,18 +105,11 @@ class Cave(WorldKind):
                 knee = foot + up * reach / 2
                 parts.limb("rock", (x, y, foot), (x, y, knee), radius)
                 parts.limb("rock", (x, y, knee), (x, y, foot + up * reach), radius / 2)
-        places = self._places(self.rock_density, area, rng=rng)
+        places = scattered(self.rock_density, *plan, rng=rng)
         turns = attitudes(len(places), 1.0, rng=rng).tolist()
         for (x, y), turn in zip(places, turns, strict=True):
             stone(parts.at(x, y, height_at(floor, self.size_m, x, y)), turn, rng=rng)
         parts.add_to(spec)
-
-    def _places(
-        self, density: Range, area: float, *, rng: np.random.Generator
-    ) -> list[list[float]]:
-        n = count(density, area, rng=rng)
-        found: list[list[float]] = rng.uniform((0.0, 0.0), self.size_m[:2], (n, 2)).tolist()
-        return found
 
     def _outside(self, shape: tuple[int, ...], *, rng: np.random.Generator) -> NDArray[np.float64]:
         """How far points of a lattice (along y, along x) lie outside of chambers and tunnels,

@@ -8,7 +8,7 @@ import numpy as np
 from lidarsim.elementary import sin_cos
 from lidarsim.parameters import number
 from scenegen.recipes.kind import Range, WorldKind
-from scenegen.recipes.parts import Parts, count, height_at, hilly
+from scenegen.recipes.parts import Parts, height_at, hilly, scattered
 from scenegen.worlds.classes import CLASSES
 from scenegen.worlds.drawing import Drawing
 
@@ -73,11 +73,8 @@ class Forest(WorldKind):
         area = x_m * y_m
 
         def places(density: Range) -> list[Parts]:
-            drawn = rng.uniform((0.0, 0.0, 0.0), (x_m, y_m, 2 * np.pi), (n(density), 3)).tolist()
+            drawn = scattered(density, area, (0.0, 0.0, 0.0), (x_m, y_m, 2 * np.pi), rng=rng)
             return [parts.at(x, y, height_at(heights, self.size_m, x, y), a) for x, y, a in drawn]
-
-        def n(density: Range) -> int:
-            return count(density, area, rng=rng)
 
         for place in places(self.density):
             self._tree(place, rng=rng)

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarsim.parameters import number
 from lidarsim.solids.shapes import BOX, CYLINDER, SPHERE
 from scenegen.limits import MOST_DRAWN_SOLIDS
 from scenegen.recipes.kind import Range, WorldKind, attitudes, log_uniform, normal, yaw_quaternion
+from scenegen.recipes.parts import half_height
 from scenegen.worlds.drawing import Drawing
 
 SHAPES = np.array([SPHERE, BOX, CYLINDER])
@@ -113,7 +113,7 @@ class Geometric(WorldKind):
         place = rng.random(count)
         free_height = rng.uniform(0.0, self.size_m[2], count)
         on = rng.integers(0, np.maximum(np.arange(count), 1))
-        reach = _half_height(shape, size, tilt)
+        reach = half_height(shape, size, tilt)
         standing = place < self.standing_share
         z = np.where(standing, reach, free_height)
         stacked = ~standing & (place < self.standing_share + self.stacked_share)
@@ -142,17 +142,6 @@ class Geometric(WorldKind):
             size = rng.uniform(*self.clutter_half_size_m, (count, 3))
             offset = self.clutter_spread_m * normal((count, 3), rng=rng)
             tilt = attitudes(count, 1.0, rng=rng)
-            z = _half_height(shape, size, tilt) + np.abs(offset[:, 2])
+            z = half_height(shape, size, tilt) + np.abs(offset[:, 2])
             place = np.column_stack([centre + offset[:, :2], z])
             spec.add_geoms(SHAPES[shape], size, place, tilt, COLOURS[shape])
-
-
-def _half_height(
-    shape: NDArray[np.int64], size: NDArray[np.float64], quaternion: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """How far solids (n,) reach above their centres, metres."""
-    w, x, y, z = quaternion.T
-    u, v, up = np.abs([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
-    box = u * size[:, 0] + v * size[:, 1] + up * size[:, 2]
-    cylinder = up * size[:, 1] + np.sqrt(np.maximum(1 - up * up, 0.0)) * size[:, 0]
-    return np.choose(shape, [size[:, 0], box, cylinder])

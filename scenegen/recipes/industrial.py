@@ -7,7 +7,7 @@ import numpy as np
 
 from lidarsim.solids.shapes import CYLINDER
 from scenegen.recipes.kind import Range, WorldKind
-from scenegen.recipes.parts import Parts, count
+from scenegen.recipes.parts import Parts, scattered
 from scenegen.recipes.pieces import machine, scaffold
 from scenegen.worlds.classes import CLASSES
 from scenegen.worlds.drawing import Drawing
@@ -76,9 +76,7 @@ class Industrial(WorldKind):
 
     def add_to(self, spec: Drawing, *, rng: np.random.Generator) -> None:
         """Draw the hall, and one group of things after the other."""
-        parts, (x_m, y_m, z_m) = Parts(), self.size_m
-        if self.ground:
-            parts.box("floor", (0, 0, -self.ground_m), (x_m, y_m, 0))
+        parts, (x_m, y_m, z_m) = self.begun("floor"), self.size_m
         apart = rng.uniform(*self.column_m)
         for x in np.arange(apart / 2, x_m, apart).tolist():
             for y in np.arange(apart / 2, y_m, apart).tolist():
@@ -93,8 +91,8 @@ class Industrial(WorldKind):
             (machine, self.machine_density),
             (scaffold, self.scaffold_density),
         ):
-            n = count(density, x_m * y_m, rng=rng)
-            for x, y in rng.uniform((1.0, 1.0), (x_m - 1.0, y_m - 1.0), (n, 2)).tolist():
+            inside = ((1.0, 1.0), (x_m - 1.0, y_m - 1.0))
+            for x, y in scattered(density, x_m * y_m, *inside, rng=rng):
                 make(parts.at(x, y, 0.0, int(rng.integers(0, 4)) * QUARTER), rng=rng)
         parts.add_to(spec)
 

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from lidarsim.elementary import exp, log, sin_cos
 from lidarsim.parameters import Bounds, check, shown
 from scenegen.limits import MOST_DRAWN_M, MOST_DRAWN_SOLIDS
+from scenegen.recipes.parts import Parts
 from scenegen.worlds.drawing import Drawing
 
 Range = tuple[float, float]
@@ -70,8 +71,15 @@ class WorldKind(ABC):
         """Draw one world and add its solids to `spec`, by `add_geoms` or `add_geom`, or as to any
         `mujoco.MjSpec`."""
 
+    def begun(self, of_class: str) -> Parts:
+        """The parts of a world of which nothing but the floor is drawn yet, where there is one."""
+        parts, (x, y, _) = Parts(), self.size_m
+        if self.ground:
+            parts.box(of_class, (0, 0, -self.ground_m), (x, y, 0))
+        return parts
+
     def add_ground(self, spec: Drawing) -> None:
-        """Add the floor, where there is one."""
+        """Add the floor, where there is one, to worlds whose solids have no classes."""
         if self.ground:
             x, y, _ = self.size_m
             half, centre = (x / 2, y / 2, self.ground_m / 2), (x / 2, y / 2, -self.ground_m / 2)

@@ -77,9 +77,7 @@ class Maze(WorldKind):
 
     def add_to(self, spec: Drawing, *, rng: np.random.Generator) -> None:
         """Join cells in a random order, and build what is between them."""
-        parts, (x_m, y_m, _) = Parts(), self.size_m
-        if self.ground:
-            parts.box("floor", (0, 0, -self.ground_m), (x_m, y_m, 0))
+        parts = self.begun("floor")
         shape = self._cells(rng.uniform(*self.cell_m), rng.uniform(*self.level_m))
         edges = np.array(self.size_m) / shape
         half = rng.uniform(*self.wall_m) / 2
@@ -93,9 +91,7 @@ class Maze(WorldKind):
         for n in rng.permutation(len(walls)).tolist():
             axis, cell = walls[n]
             other = tuple(a + b for a, b in zip(cell, STEPS[axis], strict=True))
-            joined = chances[n][0] < self.loop_share or ways.apart(cell, other)
-            if joined:
-                ways.join(cell, other)
+            joined = ways.join(cell, other) or chances[n][0] < self.loop_share
             if not (joined and chances[n][1] < self.open_share):
                 low = [a * b for a, b in zip(cell, edges.tolist(), strict=True)]
                 self._wall(parts, axis, low, edges.tolist(), half, joined, chances[n][2:])

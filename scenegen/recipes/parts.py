@@ -1,8 +1,8 @@
 """What kinds of worlds build from: boxes, rods and balls in frames of their own, by class; uneven
-ground; and counts by density."""
+ground; and places by density."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -144,13 +144,11 @@ class Joined:
             one = home
         return one
 
-    def apart(self, one: Any, other: Any) -> bool:
-        """Whether two things are not joined."""
-        return bool(self._root(one) != self._root(other))
-
-    def join(self, one: Any, other: Any) -> None:
-        """Join two things."""
-        self._home[self._root(one)] = self._root(other)
+    def join(self, one: Any, other: Any) -> bool:
+        """Join two things: whether they were not joined before."""
+        first, second = self._root(one), self._root(other)
+        self._home[first] = second
+        return bool(first != second)
 
 
 def divided(
@@ -184,6 +182,17 @@ def shared_edges(
                 if first[axis + 2] == second[axis] and high - low > 1e-9:
                     found.append((axis, second[axis], low, high, a, b))
     return found
+
+
+def rim_edges(
+    rooms: Sequence[Rectangle], size_m: Sequence[float]
+) -> Iterator[tuple[int, float, float, float]]:
+    """Where rectangles touch the rim of a plan of `size_m` from the origin: the axis across the
+    edge, where on it, and from where to where along the other."""
+    for room in rooms:
+        for axis, side in ((0, 0), (0, 2), (1, 1), (1, 3)):
+            if room[side] in (0.0, size_m[axis]):
+                yield axis, room[side], room[1 - axis], room[3 - axis]
 
 
 def noise_field(
@@ -244,7 +253,24 @@ def height_at(heights: NDArray[np.float64], size_m: Sequence[float], x: float, y
     return float(heights[i : i + 2, j : j + 2].min())
 
 
-def count(density: ArrayLike, area_m2: float, *, rng: np.random.Generator) -> int:
-    """How many there are on an area, by a density a square metre drawn between two bounds."""
-    low, high = np.asarray(density).tolist()
-    return round(rng.uniform(low, high) * area_m2)
+def scattered(
+    density: ArrayLike, area_m2: float, low: Point, high: Point, *, rng: np.random.Generator
+) -> list[list[float]]:
+    """Points (n, k) between two corners of k numbers: as many as there are on an area by a density
+    a square metre, drawn between two bounds."""
+    least, most = np.asarray(density).tolist()
+    n = round(rng.uniform(least, most) * area_m2)
+    found: list[list[float]] = rng.uniform(low, high, (n, len(low))).tolist()
+    return found
+
+
+def half_height(
+    shape: NDArray[np.int64], size: NDArray[np.float64], quaternion: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """How far solids (n,) reach above their centres, metres; shapes are 0 for a sphere, 1 for a
+    box, 2 for a cylinder."""
+    w, x, y, z = quaternion.T
+    u, v, up = np.abs([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
+    box = u * size[:, 0] + v * size[:, 1] + up * size[:, 2]
+    cylinder = up * size[:, 1] + np.sqrt(np.maximum(1 - up * up, 0.0)) * size[:, 0]
+    return np.choose(shape, [size[:, 0], box, cylinder])

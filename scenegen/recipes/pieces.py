@@ -2,11 +2,12 @@
 each in a frame of its own."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
 from lidarsim.solids.shapes import BOX
-from scenegen.recipes.parts import Parts, Point
+from scenegen.recipes.parts import Parts, Point, Rectangle
 
 PIECES = ("table", "chair", "shelf", "cupboard", "sofa")
 PALLET_M = (1.2, 0.8, 0.15)
@@ -45,6 +46,24 @@ def _legs(parts: Parts, x: float, y: float, z: float) -> None:
         parts.box("furniture", (dx, dy, 0), (dx + 0.05, dy + 0.05, z))
 
 
+def furnish(
+    parts: Parts,
+    room: Rectangle,
+    doors: Sequence[tuple[float, float]],
+    density: float,
+    *,
+    rng: np.random.Generator,
+) -> None:
+    """Furniture in a room, so many pieces a square metre, and none before its doors."""
+    x0, y0, x1, y1 = room
+    pieces = round(density * (x1 - x0) * (y1 - y0) + rng.uniform(-0.5, 0.5))
+    inside = ((x0 + 0.9, y0 + 0.9), (max(x1 - 0.9, x0 + 0.9), max(y1 - 0.9, y0 + 0.9)))
+    for px, py in rng.uniform(*inside, (max(pieces, 0), 2)).tolist():
+        kind, turn = rng.integers(0, len(PIECES)), rng.integers(0, 4)
+        if all((px - x) ** 2 + (py - y) ** 2 > 1.7 for x, y in doors):
+            furniture(parts.at(px, py, 0.0, turn * (np.pi / 2)), PIECES[kind], rng=rng)
+
+
 def stairs(parts: Parts, low: Point, length: float, height: float) -> None:
     """Steps along x that rise from `low` until `length` or `height` ends them, metres."""
     x, y, z = low
@@ -77,6 +96,34 @@ def balcony(parts: Parts, width: float, *, rng: np.random.Generator) -> None:
             parts.limb("fence", (x, -out, 0), (x, -out, 1.0), 0.02)
 
 
+def colonnade(
+    parts: Parts, size: Point, bays: int, pier: float, *, rng: np.random.Generator
+) -> None:
+    """A ground floor of `size` that stands back behind a row of columns along x at y = 0."""
+    width, deep, high = size
+    parts.box("building", (0, rng.uniform(1.8, 2.8), 0), (width, deep, high))
+    for n in range(bays + 1):
+        x = min(max(n * (width / bays), pier / 2), width - pier / 2)
+        parts.rod("column", (x, pier / 2, 0), (x, pier / 2, high), pier / 2)
+
+
+def facade(
+    parts: Parts,
+    size: tuple[float, float],
+    bays: int,
+    pier: float,
+    relief: float,
+    span: tuple[float, float],
+) -> None:
+    """A block of `size` along x and y, from a height to another. Its front at y = 0 has piers
+    between bays, which stand out by `relief`."""
+    (width, deep), (bottom, top) = size, span
+    parts.box("building", (0, relief, bottom), (width, deep, top))
+    for n in range(bays + 1):
+        low = min(max(n * (width / bays) - pier / 2, 0.0), width - pier)
+        parts.box("building", (low, 0, bottom), (low + pier, relief, top))
+
+
 def gable_roof(parts: Parts, width: float, deep: float, rise: float) -> None:
     """Two planes that rise by `rise` over a rectangle from the origin, with the ridge along x."""
     half = float(np.sqrt(1 + rise * rise)) * deep / 4
@@ -85,6 +132,21 @@ def gable_roof(parts: Parts, width: float, deep: float, rise: float) -> None:
     for side, turn in ((0.25, sine), (0.75, -sine)):
         size, middle = (width / 2 + 0.2, half, 0.1), (width / 2, deep * side, rise * deep / 4)
         parts.solid("roof", BOX, size, middle, (cosine, turn, 0.0, 0.0))
+
+
+def lamp_posts(
+    parts: Parts, places: Sequence[float], kerb: float, height: float, *, wired: bool
+) -> None:
+    """Lamp posts along x behind a kerb, whose arms hang over the road, with wires between them if
+    `wired`."""
+    y = kerb + 0.4
+    for x in places:
+        parts.rod("pole", (x, y, 0), (x, y, height), 0.09)
+        parts.limb("pole", (x, y, height), (x, kerb - 1.2, height + 0.2), 0.05)
+    if wired:
+        for one, other in pairwise(places):
+            for z in (height - 0.1, height - 0.6):
+                cable(parts, (one, y, z), (other, y, z))
 
 
 def cable(parts: Parts, start: Point, end: Point) -> None:

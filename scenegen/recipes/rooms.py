@@ -7,12 +7,10 @@ import numpy as np
 
 from lidarsim.parameters import number
 from scenegen.recipes.kind import Range, WorldKind
-from scenegen.recipes.parts import Joined, Parts, Rectangle, divided, shared_edges
-from scenegen.recipes.pieces import PIECES, furniture, stairs
+from scenegen.recipes.parts import Joined, Parts, Rectangle, divided, rim_edges, shared_edges
+from scenegen.recipes.pieces import furnish, stairs
 from scenegen.worlds.classes import CLASSES
 from scenegen.worlds.drawing import Drawing
-
-QUARTER = np.pi / 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,25 +81,21 @@ class Rooms(WorldKind):
 
     def add_to(self, spec: Drawing, *, rng: np.random.Generator) -> None:
         """Divide the plan, raise walls with openings, and furnish the rooms."""
-        parts, (x_m, y_m, _) = Parts(), self.size_m
-        if self.ground:
-            parts.box("floor", (0, 0, -self.ground_m), (x_m, y_m, 0))
+        parts, (x_m, y_m, _) = self.begun("floor"), self.size_m
         height, half = rng.uniform(*self.height_m), rng.uniform(*self.wall_half_thickness_m)
         wide = min(rng.uniform(*self.corridor_m), y_m / 3)
         low = rng.uniform(0.35, 0.65) * y_m - wide / 2
-        corridor = (0.0, low, x_m, low + wide)
-        rooms = [
-            corridor,
-            *divided((0.0, 0.0, x_m, low), self.room_m, rng=rng),
-            *divided((0.0, low + wide, x_m, y_m), self.room_m, rng=rng),
-        ]
+        rooms = [(0.0, low, x_m, low + wide)]
+        for side in ((0.0, 0.0, x_m, low), (0.0, low + wide, x_m, y_m)):
+            rooms += divided(side, self.room_m, rng=rng)
         doors = self._add_walls(parts, rooms, height, half, rng=rng)
         density = rng.uniform(*self.furniture_density)
         for n, room in enumerate(rooms):
             if rng.random() < self.ceiling_share:
                 parts.box("ceiling", (*room[:2], height), (*room[2:], height + 0.2))
             if n > 0:
-                self._furnish(parts, room, doors[n], height, density, rng=rng)
+                furnish(parts, room, doors[n], density, rng=rng)
+                self._fit_out(parts, room, height, rng=rng)
         parts.add_to(spec)
 
     def _add_walls(
@@ -124,8 +118,7 @@ class Rooms(WorldKind):
             if wider < self.open_share and high - low > 2 * width + 4 * half:
                 width, top = 2 * width, height
             opening = None
-            if high - low > width + 4 * half and (joined.apart(a, b) or chance < self.loop_share):
-                joined.join(a, b)
+            if high - low > width + 4 * half and (joined.join(a, b) or chance < self.loop_share):
                 begin = low + 2 * half + place * (high - low - width - 4 * half)
                 opening = ((begin, begin + width), (0.0, top))
                 middle = (at, begin + width / 2)
@@ -133,35 +126,20 @@ class Rooms(WorldKind):
                     doors[one].append(middle if axis == 0 else middle[::-1])
             span = ((low - half, high + half), (0.0, height))
             parts.wall("wall", axis, at, half, span, opening)
-        for room in rooms:
-            for axis, side in ((0, 0), (0, 2), (1, 1), (1, 3)):
-                if room[side] in (0.0, self.size_m[axis]):
-                    low, high = room[1 - axis], room[3 - axis]
-                    sill, width = rng.uniform(0.7, 1.1), rng.uniform(0.3, 0.7) * (high - low)
-                    begin = (low + high - width) / 2
-                    window = ((begin, begin + width), (sill, min(2.2, height - 0.1)))
-                    opening = window if rng.random() < self.window_share else None
-                    span = ((low, high), (0.0, height))
-                    parts.wall("wall", axis, room[side], half, span, opening)
+        for axis, at, low, high in rim_edges(rooms, self.size_m):
+            sill, width = rng.uniform(0.7, 1.1), rng.uniform(0.3, 0.7) * (high - low)
+            begin = (low + high - width) / 2
+            window = ((begin, begin + width), (sill, min(2.2, height - 0.1)))
+            opening = window if rng.random() < self.window_share else None
+            span = ((low, high), (0.0, height))
+            parts.wall("wall", axis, at, half, span, opening)
         return doors
 
-    def _furnish(
-        self,
-        parts: Parts,
-        room: Rectangle,
-        doors: list[tuple[float, float]],
-        height: float,
-        density: float,
-        *,
-        rng: np.random.Generator,
+    def _fit_out(
+        self, parts: Parts, room: Rectangle, height: float, *, rng: np.random.Generator
     ) -> None:
+        """Stairs and columns."""
         x0, y0, x1, y1 = room
-        pieces = round(density * (x1 - x0) * (y1 - y0) + rng.uniform(-0.5, 0.5))
-        inside = ((x0 + 0.9, y0 + 0.9), (max(x1 - 0.9, x0 + 0.9), max(y1 - 0.9, y0 + 0.9)))
-        for px, py in rng.uniform(*inside, (max(pieces, 0), 2)).tolist():
-            kind, turn = rng.integers(0, len(PIECES)), rng.integers(0, 4)
-            if all((px - x) ** 2 + (py - y) ** 2 > 1.7 for x, y in doors):
-                furniture(parts.at(px, py, 0.0, turn * QUARTER), PIECES[kind], rng=rng)
         rising, columns = rng.random(2).tolist()
         if rising < self.stairs_share and x1 - x0 > 5 and y1 - y0 > 3:
             stairs(parts, (x0 + 1, y0 + 0.2, 0.0), x1 - x0 - 2, height)

@@ -1,14 +1,13 @@
 """A street: two rows of houses with relief, and what stands, hangs and parks between them."""
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
 
 from scenegen.recipes.kind import Range, WorldKind
-from scenegen.recipes.parts import Parts
-from scenegen.recipes.pieces import balcony, cable, car, gable_roof, tree
+from scenegen.recipes.parts import Parts, scattered
+from scenegen.recipes.pieces import balcony, car, colonnade, facade, gable_roof, lamp_posts, tree
 from scenegen.worlds.classes import CLASSES
 from scenegen.worlds.drawing import Drawing
 
@@ -86,10 +85,8 @@ class Street(WorldKind):
 
     def add_to(self, spec: Drawing, *, rng: np.random.Generator) -> None:
         """Draw the ground, then each side of the street in a frame of its own."""
-        parts, (x_m, y_m, _) = Parts(), self.size_m
+        parts, (x_m, y_m, _) = self.begun("road"), self.size_m
         road, pavement = rng.uniform(*self.road_m), rng.uniform(*self.pavement_m)
-        if self.ground:
-            parts.box("road", (0, 0, -self.ground_m), (x_m, y_m, 0))
         for side, yaw in SIDES:
             # x along the street, y from its middle outwards
             here = parts.at(0.0 if side > 0 else x_m, y_m / 2, 0.0, yaw)
@@ -120,17 +117,9 @@ class Street(WorldKind):
         bays = max(int(width / rng.uniform(*self.bay_m)), 1)
         each, pier = width / bays, rng.uniform(0.25, 0.45)
         arcade, gable = rng.random(2).tolist()
-        first = 0
-        if arcade < self.arcade_share:
-            first, recess = 1, rng.uniform(1.8, 2.8)
-            parts.box("building", (0, recess, 0), (width, deep, STOREY_M))
-            for n in range(bays + 1):
-                x = min(max(n * each, pier / 2), width - pier / 2)
-                parts.rod("column", (x, pier / 2, 0), (x, pier / 2, STOREY_M), pier / 2)
-        parts.box("building", (0, relief, first * STOREY_M), (width, deep, top))
-        for n in range(bays + 1):
-            low = min(max(n * each - pier / 2, 0.0), width - pier)
-            parts.box("building", (low, 0, first * STOREY_M), (low + pier, relief, top))
+        if first := int(arcade < self.arcade_share):
+            colonnade(parts, (width, deep, STOREY_M), bays, pier, rng=rng)
+        facade(parts, (width, deep), bays, pier, relief, (first * STOREY_M, top))
         for storey in range(first, storeys):
             z = storey * STOREY_M
             parts.box("building", (0, relief / 2, z + 0.7), (width, relief, z + 0.95))
@@ -146,25 +135,16 @@ class Street(WorldKind):
     def _pavement(
         self, parts: Parts, kerb: float, wide: float, *, rng: np.random.Generator
     ) -> None:
-        x_m = self.size_m[0]
-        area, gap = x_m * wide, rng.uniform(10.0, 15.0)
+        x_m, gap = self.size_m[0], rng.uniform(10.0, 15.0)
         posts = np.arange(rng.uniform(0.5, gap), x_m, gap).tolist()
         height, wired = rng.uniform(5.0, 8.0), rng.random() < self.wire_share
-        for x in posts:
-            parts.rod("pole", (x, kerb + 0.4, 0), (x, kerb + 0.4, height), 0.09)
-            parts.limb("pole", (x, kerb + 0.4, height), (x, kerb - 1.2, height + 0.2), 0.05)
-        if wired:
-            for one, other in pairwise(posts):
-                for z in (height - 0.1, height - 0.6):
-                    cable(parts, (one, kerb + 0.4, z), (other, kerb + 0.4, z))
+        lamp_posts(parts, posts, kerb, height, wired=wired)
         for x, out in rng.uniform((0.0, 0.5), (x_m, wide), (int(rng.integers(0, 5)), 2)).tolist():
             parts.rod("pole", (x, kerb + out, 0), (x, kerb + out, 2.4), 0.04)
             parts.box("sign", (x - 0.35, kerb + out - 0.05, 1.9), (x + 0.35, kerb + out, 2.6))
-        trees = round(area * rng.uniform(*self.tree_density))
-        for x in rng.uniform(1.0, x_m - 1.0, trees).tolist():
+        for (x,) in scattered(self.tree_density, x_m * wide, (1.0,), (x_m - 1.0,), rng=rng):
             tree(parts.at(x, kerb + 1.0), rng.uniform(4.0, 8.0), rng=rng)
-        bushes = round(area * rng.uniform(*self.bush_density))
-        for x, long in rng.uniform((0.0, 1.0), (x_m, 5.0), (bushes, 2)).tolist():
+        for x, long in scattered(self.bush_density, x_m * wide, (0.0, 1.0), (x_m, 5.0), rng=rng):
             high = rng.uniform(0.5, 1.6)
             low = (x, kerb + wide - 0.8, 0.0)
             parts.box("vegetation", low, (min(x + long, x_m), kerb + wide - 0.1, high))

@@ -73,9 +73,7 @@ class Warehouse(WorldKind):
 
     def add_to(self, spec: Drawing, *, rng: np.random.Generator) -> None:
         """Draw the hall, then row after row."""
-        parts, (x_m, y_m, z_m) = Parts(), self.size_m
-        if self.ground:
-            parts.box("floor", (0, 0, -self.ground_m), (x_m, y_m, 0))
+        parts, (x_m, y_m, z_m) = self.begun("floor"), self.size_m
         for x in (-0.2, x_m):
             parts.box("wall", (x, 0, 0), (x + 0.2, y_m, z_m))
         for y in (-0.2, y_m):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from scenegen import SPLITS
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, SceneError
@@ -104,6 +105,9 @@ def test_too_few_worlds_for_the_splits_are_refused(folder: Path) -> None:
         (folder / f"room{n}.xml").unlink()
     with pytest.raises(SceneError, match="2 worlds for 3 splits"):
         read_scenes(folder, COUNTS, seed=0)
+    (folder / "room1.xml").unlink()
+    found = read_scenes(folder, {"train": 9, "val": None, "test": None}, seed=0)
+    assert [len(found.scenes[split]) for split in SPLITS] == [1, 0, 0]
     with pytest.raises(SceneError, match="no such file"):
         read_scenes(folder / "absent", COUNTS, seed=0)
 
