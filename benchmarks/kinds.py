@@ -7,43 +7,47 @@ Processor time of one core. The pace is a multiple of that of `geometric` in the
 """
 
 import argparse
+import itertools
 import time
+from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 
 from scenegen.draw import draw_unit
 from scenegen.recipe import preset
 from scenegen.recipes import kind_names
-from scenegen.sample import Sample
 from scenegen.source import DrawnWorlds
 from scenegen.truth.difficulty import Difficulty, difficulty
 from scenegen.worlds.world import solid
 
 
-def measure(kind: str, worlds: int) -> dict[str, float]:
-    """The figures of a preset over so many flights."""
-    recipe = preset(kind)
-    source = DrawnWorlds(recipe)
-    draw_unit(source, recipe, seed=0, split="val", unit=0)  # compiles kernels
-    begin, rejected, solids = time.process_time(), 0, []
-    occupied, unknown = [], []
-    samples: list[Sample] = []
-    for number in range(worlds):
-        unit = draw_unit(source, recipe, seed=1, split="val", unit=number)
-        rejected += sum(unit.rejected.worlds.values())
-        solids.append(solid(unit.world, "drawn").model.ngeom)
-        occupied += [sample.occupancy.mean() for sample in unit.samples]
-        unknown += [1 - (sample.observed | sample.free).mean() for sample in unit.samples]
-        samples += unit.samples
-    taken = time.process_time() - begin
-    hard = [difficulty(one.occupancy, one.tudf, recipe.grid.voxel_m) for one in samples]
+def measure(kinds: Sequence[str], worlds: int) -> dict[str, dict[str, float]]:
+    """The figures of the kinds' presets over so many flights. Kinds take turns, so that whatever
+    else the machine does slows all of them."""
+    recipes = {kind: preset(kind) for kind in kinds}
+    found: dict[str, list[list[float]]] = {kind: [] for kind in kinds}
+    rejected, taken = Counter[str](), dict.fromkeys(kinds, 0.0)
+    for number, kind in itertools.product(range(-1, worlds), kinds):
+        recipe, begin = recipes[kind], time.process_time()
+        unit = draw_unit(DrawnWorlds(recipe), recipe, seed=1, split="val", unit=max(number, 0))
+        if number < 0:  # it compiled kernels
+            continue
+        taken[kind] += time.process_time() - begin
+        rejected[kind] += sum(unit.rejected.worlds.values())
+        solids = solid(unit.world, "drawn").model.ngeom
+        for one in unit.samples:
+            hard = difficulty(one.occupancy, one.tudf, recipe.grid.voxel_m)
+            unknown = 1 - (one.observed | one.free).mean()
+            found[kind].append([*hard, solids, one.occupancy.mean(), unknown])
+    names = (*Difficulty._fields, "solids", "occupied", "unknown")
     return {
-        **dict(zip(Difficulty._fields, np.nanmean(hard, axis=0).tolist(), strict=True)),
-        "samples a second": len(occupied) / taken,
-        "rejected": rejected / (rejected + worlds),
-        "solids": float(np.mean(solids)),
-        "occupied": float(np.mean(occupied)),
-        "unknown": float(np.mean(unknown)),
+        kind: {
+            **dict(zip(names, np.nanmean(rows, axis=0).tolist(), strict=True)),
+            "samples a second": len(rows) / taken[kind],
+            "rejected": rejected[kind] / (rejected[kind] + worlds),
+        }
+        for kind, rows in found.items()
     }
 
 
@@ -56,7 +60,7 @@ def main() -> None:
     given = parser.parse_args()
     names = ["maze"] if given.smoke else given.kinds or kind_names()
     worlds = 1 if given.smoke else given.worlds
-    found = {kind: measure(kind, worlds) for kind in dict.fromkeys(("geometric", *names))}
+    found = measure(list(dict.fromkeys(("geometric", *names))), worlds)
     base = found["geometric"]["samples a second"]
     print("| kind | solids | occupied · unknown | rejected · pace |\n|---|---|---|---|")
     for kind, row in found.items():

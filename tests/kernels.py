@@ -60,9 +60,9 @@ def _meshes() -> None:
     from scenegen.truth.occupancy import _fill_surface
     from scenegen.truth.triangles import inside_columns
 
-    triangles, corner = np.zeros((1, 3, 3)), np.zeros((1, 3))
+    triangles = np.zeros((1, 3, 3))
     into = (np.zeros(3), 0.2, np.zeros((4, 4, 4), np.bool_))
-    _fill_surface(triangles, corner, corner, *into)
+    _fill_surface(triangles, *into)
     inside_columns(triangles, *into)
 
 

@@ -21,9 +21,15 @@ from scenegen.worlds.mapping import Mapper
 @click.command(epilog=examples("inspect data/pillar", "inspect scenes/forest.xml --json"))
 @dataset_argument
 @click.option("--all", "every", is_flag=True, help="Measure all samples, not 200 of each split.")
+@click.option(
+    "--keep",
+    is_flag=True,
+    help="Measure all, and keep what was measured beside them, for inspect, take --where and "
+    "publish.",
+)
 @workers_option
 @json_option
-def inspect(dataset: Path | str, every: bool, workers: int, as_json: bool) -> None:
+def inspect(dataset: Path | str, every: bool, keep: bool, workers: int, as_json: bool) -> None:
     """Print what is in a dataset: counts, sizes, and statistics of scans and truth.
 
     A folder of datasets is listed; of a world (.xml), an OctoMap (.bt, .ot), a scan, a file of
@@ -38,7 +44,7 @@ def inspect(dataset: Path | str, every: bool, workers: int, as_json: bool) -> No
     if several:
         _show_all(inspect_all(path), as_json)
     elif facts is None:
-        _inspect_dataset(dataset, every, workers, as_json)
+        _inspect_dataset(dataset, every, keep, workers, as_json)
     elif as_json:
         print(json.dumps(facts))
     else:
@@ -62,16 +68,19 @@ def _facts(path: Path) -> dict[str, Any] | None:
     return facts.prediction_facts(path) if path.suffix == ".h5" else facts.run_facts(path)
 
 
-def _inspect_dataset(dataset: Path | str, every: bool, workers: int, as_json: bool) -> None:
+def _inspect_dataset(
+    dataset: Path | str, every: bool, keep: bool, workers: int, as_json: bool
+) -> None:
     from scenegen.display.inspect import MOST_MEASURED, misfits
     from scenegen.display.inspect import inspect as examine
     from scenegen.model.config import NetworkConfig
 
     opened = open_dataset(dataset, shown=not as_json)
-    with Progress("inspect", shown=every and not as_json) as progress:
+    with Progress("inspect", shown=(every or keep) and not as_json) as progress:
         found = examine(
             opened.folder,
             most=None if every else MOST_MEASURED,
+            keep=keep,
             workers=workers,
             on_start=progress.start,
             on_done=progress.count,

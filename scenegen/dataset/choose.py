@@ -1,12 +1,14 @@
 """Which samples of a dataset are taken: by split, world, number, and by what is measured of one
 sample."""
 
+import io
 import operator
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +17,8 @@ from numpy.typing import NDArray
 from scenegen import SPLITS
 from scenegen.dataset.read import Dataset, Split
 from scenegen.dataset.trust import Entry
-from scenegen.errors import short
+from scenegen.errors import ScenegenError, short
+from scenegen.files import read_bounded
 from scenegen.limits import MOST_SAMPLES
 from scenegen.run.workers import run
 from scenegen.sample import Sample
@@ -55,7 +58,9 @@ FIGURES: Mapping[str, Callable[[Sample], float]] = {
 }
 """Shares of all voxels; of all rays, those that returned; the mean range of these, metres, NaN for
 none; the mean distance of the map's voxels, metres; and how hard the map is."""
-
+COLUMNS = tuple(FIGURES)
+ROW = np.dtype([(name, "<f8") for name in FIGURES])
+"""A sample in the file of figures."""
 
 NUMBERS = ("sample", "world", "viewpoint")
 """What can be asked of a sample without reading it: its number in the split, and who it is."""
@@ -68,6 +73,36 @@ SIGNS = {
 }
 AT_ONCE = 16
 """Shards that a worker is given before it is seen whether enough was found."""
+
+
+def figures_file(dataset: Dataset) -> Path:
+    """Where `scenegen inspect --keep` puts the figures of all samples of a complete dataset: beside
+    its shards, by its digest, so that those of another dataset are never taken for its own."""
+    return dataset.folder / f"figures-{str(dataset.manifest.digest)[:16]}.npy"
+
+
+def encode_figures(table: NDArray[np.float64]) -> bytes:
+    """The content of that file, from the `FIGURES` (samples, figures) of all splits in order."""
+    file = io.BytesIO()
+    np.save(file, np.ascontiguousarray(table, "<f8").view(ROW)[:, 0])
+    return file.getvalue()
+
+
+def kept_figures(dataset: Dataset) -> dict[str, NDArray[np.float64]]:
+    """What that file holds, (samples, figures) by split; {} where there is none, or it is not as
+    this version writes it."""
+    counts = [len(dataset.split(name)) for name in SPLITS]
+    blank = np.zeros((sum(counts), len(COLUMNS)))
+    usual = encode_figures(blank)
+    try:
+        content = read_bounded(figures_file(dataset), len(usual))
+    except (OSError, ScenegenError):
+        return {}
+    head = len(usual) - blank.nbytes
+    if len(content) != len(usual) or content[:head] != usual[:head]:
+        return {}
+    table = np.frombuffer(content[head:], "<f8").reshape(blank.shape)
+    return dict(zip(SPLITS, np.split(table, np.cumsum(counts)[:-1]), strict=True))
 
 
 @dataclass(frozen=True)
@@ -142,11 +177,12 @@ def choose(dataset: Dataset, choice: Choice, *, workers: int = 1) -> Iterator[Ch
     """The samples of `dataset` that are taken, shard by shard in its order, and none of a shard
     without any.
 
-    Samples are read only where something measured is asked for, by `workers` processes. Raises
-    DatasetError.
+    Samples are read only where something measured is asked for that is not kept beside them, by
+    `workers` processes. Raises DatasetError.
     """
     measured = tuple(condition for condition in choice.where if condition.name in FIGURES)
-    step = workers * AT_ONCE if measured else 1
+    kept = kept_figures(dataset) if measured else {}
+    step = workers * AT_ONCE if measured and not kept else 1
     for name in (name for name in SPLITS if name in choice.splits):
         split = dataset.split(name)
         left = MOST_SAMPLES if choice.most is None else choice.most
@@ -156,11 +192,16 @@ def choose(dataset: Dataset, choice: Choice, *, workers: int = 1) -> Iterator[Ch
                 for n in range(begin, min(begin + step, len(split.shards)))
                 if not choice.kinds or dataset.manifest.home(split.shards[n]).kind in choice.kinds
             }
-            if measured:
+            if kept:
+                for n, one in found.items():
+                    columns = kept[name][split.first(n) + one.rows].T
+                    fulfil = [c.holds(columns[COLUMNS.index(c.name)]) for c in measured]
+                    found[n] = one.but(np.all(fulfil, axis=0))
+            elif measured:
                 tasks = [(n, one.rows) for n, one in found.items()]
                 with closing(run(partial(_measured, split, measured), tasks, workers)) as results:
-                    kept = dict(results)
-                found = {n: one.but(kept[n]) for n, one in found.items()}
+                    good = dict(results)
+                found = {n: one.but(good[n]) for n, one in found.items()}
             for one in found.values():
                 one = one.but(slice(left))
                 left -= len(one.rows)

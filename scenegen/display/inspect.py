@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from lidarsim import GridSpec, Sensor
 from lidarsim.engines.voxels import VoxelMap
 from scenegen import SPLITS
-from scenegen.dataset.choose import FIGURES
+from scenegen.dataset.choose import FIGURES, encode_figures, figures_file, kept_figures
 from scenegen.dataset.manifest import NAME
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.trust import Entry, load
 from scenegen.display.look import spread
 from scenegen.errors import DatasetError, printable
+from scenegen.files import write_whole
 from scenegen.run.workers import run
 from scenegen.stores.cache import bytes_in
 
@@ -48,6 +49,7 @@ def inspect(
     folder: Path,
     *,
     most: int | None = MOST_MEASURED,
+    keep: bool = False,
     workers: int = 1,
     on_start: Callable[[int], None] = lambda samples: None,
     on_done: Callable[[int], None] = lambda samples: None,
@@ -56,7 +58,9 @@ def inspect(
 
     Args:
         folder: The dataset.
-        most: Samples of a split that are measured, evenly spread; None for all.
+        most: Samples of a split that are measured, evenly spread; None for all. All count where
+            their figures are kept beside them.
+        keep: Measure all, and keep their figures there: see `figures_file`.
         workers: Processes that measure.
         on_start: Called with the number of samples that are measured, once processes run.
         on_done: Called with the number of every few.
@@ -68,7 +72,7 @@ def inspect(
     Raises:
         DatasetError: The folder holds no dataset, or a damaged one.
     """
-    dataset = Dataset(folder, partial=True)
+    dataset = Dataset(folder, partial=not keep)
     it = dataset.manifest
     found = {name: getattr(it, name) for name in ("kind", "seed", "complete", "digest", "rejected")}
     found |= {"fields": list(it.fields), "grid": it.parameters["grid"]}
@@ -86,9 +90,9 @@ def inspect(
             for one, parts, entry in zip(it.sources, named, it.parameters["sources"], strict=True)
         ]
     splits = [split for split in map(dataset.split, SPLITS) if len(split)]
-    tasks = []
-    for split in splits:
-        chosen = spread(dataset, split.name, most or len(split))
+    tasks, tables = [], kept_figures(dataset)
+    for split in splits if not tables else ():
+        chosen = spread(dataset, split.name, (not keep and most) or len(split))
         tasks += [(split.name, chosen[n : n + AT_ONCE]) for n in range(0, len(chosen), AT_ONCE)]
     measured: dict[int, NDArray[np.float64]] = {}
     begun = partial(on_start, sum(len(part) for _, part in tasks))
@@ -96,11 +100,15 @@ def inspect(
         for number, rows in results:
             measured[number] = rows
             on_done(len(rows))
-    told = {}
-    for split in splits:
-        table = np.concatenate(
+    for split in splits if tasks else ():
+        tables[split.name] = np.concatenate(
             [measured[n] for n, (name, _) in enumerate(tasks) if name == split.name]
         )
+    if keep and tasks:
+        write_whole(figures_file(dataset), encode_figures(np.concatenate(list(tables.values()))))
+    told = {}
+    for split in splits:
+        table = tables[split.name]
         columns = {
             name: column[~np.isnan(column)] for name, column in zip(FIGURES, table.T, strict=True)
         }

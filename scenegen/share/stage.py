@@ -15,6 +15,7 @@ from pathlib import Path
 
 from scenegen import SPLITS
 from scenegen.dataset import manifest
+from scenegen.dataset.choose import figures_file, kept_figures
 from scenegen.dataset.locate import REPOSITORY, REVISION, file_sha256
 from scenegen.dataset.read import Dataset
 from scenegen.display.inspect import inspect
@@ -47,7 +48,7 @@ LICENCE = """This dataset, published by {owner}, is licensed under
 The full text at this address is what counts. The files are provided as they are, without any \
 warranty.
 """
-_BESIDES = 12
+_BESIDES = 13
 """The most files that a published folder holds besides shards and archives."""
 
 
@@ -139,6 +140,9 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
     with drafted(request.out) as draft:
         take(request.dataset, draft, found.files)
         write_whole(draft / manifest.NAME, content)
+        if kept_figures(dataset):
+            figures = figures_file(dataset)
+            write_whole(draft / figures.name, figures.read_bytes())
         sums = {**found.files, manifest.NAME: file_sha256(draft / manifest.NAME)}
         told = inspect(draft)
         given = facts(

@@ -44,8 +44,7 @@ def rasterize(solids: Solids, grid: GridSpec, origin: ArrayLike) -> NDArray[np.b
     )
     for mesh, filled in enumerate(solids.mesh_filled):
         triangles = solids.triangles[solids.mesh_start[mesh] : solids.mesh_start[mesh + 1]]
-        low, high = triangles.min(axis=1), triangles.max(axis=1)
-        _fill_surface(triangles, low, high, origin, grid.voxel_m, occupancy)
+        _fill_surface(triangles, origin, grid.voxel_m, occupancy)
         if filled and not grid.hollow:
             inside_columns(triangles, origin, grid.voxel_m, occupancy)
     return occupancy
@@ -187,8 +186,8 @@ def fill_column(shape, size, axes, dx, dy, dz, voxel_m, column, first, end):
 
 
 @kernel
-def _fill_surface(triangles, low, high, origin, voxel_m, occupancy):
-    """Mark the voxels that triangles (T, 3, 3), in boxes from `low` to `high` (T, 3), pass through.
+def _fill_surface(triangles, origin, voxel_m, occupancy):
+    """Mark the voxels that triangles (T, 3, 3) pass through.
 
     Columns whose square the triangle misses are left out, and of the others all voxels that its
     plane misses by more than one.
@@ -196,7 +195,9 @@ def _fill_surface(triangles, low, high, origin, voxel_m, occupancy):
     half = 0.5 * voxel_m
     for n in range(len(triangles)):
         a, b, c = triangles[n, 0], triangles[n, 1], triangles[n, 2]
-        i0, i1, j0, j1, k0, k1 = spans(low[n], high[n], origin, voxel_m, occupancy.shape)
+        low = (min(a[0], b[0], c[0]), min(a[1], b[1], c[1]), min(a[2], b[2], c[2]))
+        high = (max(a[0], b[0], c[0]), max(a[1], b[1], c[1]), max(a[2], b[2], c[2]))
+        i0, i1, j0, j1, k0, k1 = spans(low, high, origin, voxel_m, occupancy.shape)
         if k0 >= k1:
             continue
         slope_x, slope_y, upright = plane_slopes(a, b, c)

@@ -11,6 +11,7 @@ import pytest
 
 from lidarsim import GridSpec, Lidar
 from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.read import Dataset
 from scenegen.display.inspect import inspect, misfits
 from scenegen.source import DrawnWorlds
 from scenegen.truth.difficulty import Difficulty, difficulty
@@ -131,6 +132,28 @@ def test_many_samples_are_measured_by_several_processes_some_at_a_time(
     assert len(told) > 3
     for name, split in few["splits"].items():
         check(split["statistics"], recomputed(fields(full, name), np.arange(COUNTS[name])))
+
+
+def test_figures_that_are_kept_are_read_and_no_others(
+    full: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A table for another dataset has another name; a cut one is measured anew."""
+    folder = shutil.copytree(full, tmp_path / "kept")
+    words = ("--where", "visibility_m>2.2")
+    assert run(capsys, "take", folder, *words, "-o", tmp_path / "measured")[0] == 0
+    assert run(capsys, "inspect", folder, "--keep")[0] == 0
+    every = inspect(full, most=None)["splits"]
+    (file,) = folder.glob("figures-*.npy")
+    content = file.read_bytes()
+    with monkeypatch.context() as patch:
+        patch.setattr("scenegen.dataset.choose.difficulty", None)  # nothing measures
+        assert inspect(folder, most=1)["splits"] == every
+        assert run(capsys, "take", folder, *words, "-o", tmp_path / "read")[0] == 0
+    taken = [Dataset(tmp_path / name).manifest.digest for name in ("read", "measured")]
+    assert taken[0] == taken[1]
+    for damaged in (content[:-1], b"x" + content[1:]):
+        file.write_bytes(damaged)
+        assert inspect(folder, most=1)["splits"]["train"]["sampled"] == 1
 
 
 def test_a_split_without_returns_gives_valid_json(
