@@ -14,7 +14,7 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 296_100, "benchmarks": 28_600, "tests": 284_000}
+TOKENS = {"product": 297_500, "benchmarks": 29_800, "tests": 285_500}
 FILES = 247
 LINES = 400
 """The longest file of product code."""

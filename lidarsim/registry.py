@@ -98,7 +98,8 @@ class Registry:
 def suggestion(name: str, known: Iterable[str]) -> str:
     """What to say after a `name` that is none of those `known`: the nearest of them, or all."""
     known = list(known)
-    near = [one for one in known if name and name.lower() in one]
+    plain = name.lower().replace("-", "")
+    near = [one for one in known if plain and plain in one.replace("-", "")]
     if not 0 < len(near) <= MOST_SUGGESTED:
         near = difflib.get_close_matches(name[:MOST_NAMED], known, n=1)
     return f"did you mean {' or '.join(map(repr, near))}?" if near else f"known: {', '.join(known)}"

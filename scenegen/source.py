@@ -20,7 +20,6 @@ from scenegen.errors import BrokenError, RecipeError, SceneError, printable
 from scenegen.files import real_path
 from scenegen.limits import MOST_ARCHIVE_BYTES, MOST_GEOMS, MOST_MEMBERS, SCENE_BYTES, SCENE_SECONDS
 from scenegen.recipe import Recipe, preset
-from scenegen.recipes import KINDS
 from scenegen.run.workers import Limited, run
 from scenegen.worlds import CLOUDS, MAPS, MESHES
 from scenegen.worlds.labels import By, class_names
@@ -146,7 +145,7 @@ def read_world(path: str | Path) -> World | Place:
 def named_world(name: str, seed: int, difficulty: str | None = None) -> World | Place:
     """The world of a file, see `read_world`, or one of the kind called `name`, as its preset of
     that difficulty draws it by `seed`."""
-    if Path(name).exists() or (name not in KINDS.known and ":" not in name):
+    if Path(name).exists() or (":" not in name and not name.isidentifier()):
         return read_world(name)
     drawn = DrawnWorlds(preset(name, difficulty=difficulty))
     return drawn.world("train", 0, rng=np.random.default_rng(seed))

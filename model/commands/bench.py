@@ -14,11 +14,11 @@ from scenegen.cli.options import (
     datasets_argument,
     examples,
     find_datasets,
-    json_option,
+    group,
     on_option,
     options_of,
     out_option,
-    quiet_option,
+    printing,
     taken,
     workers_option,
 )
@@ -85,20 +85,20 @@ QUICK_SAMPLES, QUICK_TRIALS = 50, 200
 )
 @workers_option
 @on_option
-@json_option
-@quiet_option
+@printing
+@group("Rows", "method weights predictions")
+@group("Planning", "planner edge-check field clearance-weight")
 def bench(
     datasets: tuple[Path | str, ...],
     out: Path,
     workers: int,
     on: str,
     as_json: bool,
-    quiet: bool,
+    talk: bool,
     **options: Any,
 ) -> None:
     """Score completion methods on reconstruction and planning: the paper's two tables, and more in
     the report."""
-    talk = not (quiet or as_json)
     if talk:
         announce_compilation()
     report = run_bench(

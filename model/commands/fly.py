@@ -11,6 +11,7 @@ import rich_click as click
 
 from scenegen.cli.options import (
     examples,
+    group,
     lidar_option,
     noise_option,
     on_option,
@@ -22,7 +23,7 @@ from scenegen.cli.options import (
     workers_option,
 )
 from scenegen.cli.show import Progress, announce_compilation, say, show_table
-from scenegen.cli.types import OutputFile
+from scenegen.cli.types import Choice, OutputFile
 from scenegen.errors import ScenegenError
 from scenegen.files import write_result
 from scenegen.fly import SUITES, Rules, Vehicle
@@ -59,7 +60,7 @@ SAVED = 10
 @click.option("--weights", type=Weights(), help="The robot maps, and this network completes.")
 @click.option(
     "--suite",
-    type=click.Choice(SUITES),
+    type=Choice(SUITES),
     help="Fly all courses of a suite, in place of WORLD: 300 worlds, or with --quick 19. An entry "
     "that -o has already goes on where it was.",
 )
@@ -87,7 +88,7 @@ SAVED = 10
 )
 @click.option(
     "--difficulty",
-    type=click.Choice(["easy", "medium", "hard"]),
+    type=Choice(["easy", "medium", "hard"]),
     help="How hard a kind's worlds are.  [default: medium]",
 )
 @options_of(
@@ -122,6 +123,8 @@ SAVED = 10
 @workers_option
 @on_option
 @printing
+@group("Robot", "robot weights radius speed acceleration")
+@group("Courses", "suite hidden quick flights worlds difficulty apart moving replay")
 def fly(
     world: str | None,
     robot: str,
@@ -190,6 +193,10 @@ def fly(
         show_table(row)
         for end in sorted({one.trouble for _, flown in found for one in flown} - {""}):
             say(f"robot: {end}")
+        for path in filter(None, (out, picture)):
+            say(f"written: {path}")
+        if recorded and not trouble:
+            say("every flight is as it was recorded")
     if trouble:
         raise ScenegenError(trouble)
 

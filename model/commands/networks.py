@@ -8,10 +8,11 @@ import rich_click as click
 
 from scenegen.cli.options import (
     datasets_argument,
+    examples,
     find_datasets,
     json_option,
     out_option,
-    quiet_option,
+    printing,
     seed_option,
     split_option,
     workers_option,
@@ -22,7 +23,7 @@ from scenegen.model.commands.weights import Weights
 from scenegen.model.config import DEFAULT_NETWORK, split_own
 
 
-@click.command()
+@click.command(epilog=examples("networks", "networks --json"))
 @json_option
 def networks(as_json: bool) -> None:
     """Print what the network's variants cost: parameters, multiply-accumulates, memory."""
@@ -41,7 +42,7 @@ def networks(as_json: bool) -> None:
         )
 
 
-@click.command()
+@click.command(epilog=examples("export", "export runs/mine -o mine.onnx"))
 @click.argument("weights", type=Weights(), default=DEFAULT_NETWORK)
 @out_option("File to write.  [default: <name>.onnx]", file=True)
 def export(weights: str, out: Path | None) -> None:
@@ -57,7 +58,11 @@ def export(weights: str, out: Path | None) -> None:
     say(f"written: {out}")
 
 
-@click.command()
+@click.command(
+    epilog=examples(
+        "calibrate columns data/pillar -o mine.safetensors", "calibrate runs/mine --trials 0"
+    )
+)
 @click.argument("weights", type=Weights())
 @datasets_argument
 @split_option("val", help="The split whose worlds are looked at; one that no training saw.")
@@ -77,8 +82,7 @@ def export(weights: str, out: Path | None) -> None:
     file=True,
 )
 @workers_option
-@json_option
-@quiet_option
+@printing
 def calibrate(
     weights: str,
     datasets: tuple[Path | str, ...],
@@ -89,7 +93,7 @@ def calibrate(
     out: Path | None,
     workers: int,
     as_json: bool,
-    quiet: bool,
+    talk: bool,
 ) -> None:
     """Calibrate a network: probabilities, bounds of distance, and the risk of paths, kept in its
     file."""
@@ -99,7 +103,6 @@ def calibrate(
     from scenegen.model.config import bundled, split_own
     from scenegen.model.evaluation.calibrate import calibrate as fit
 
-    talk = not (quiet or as_json)
     path = locate(weights)
     if path.suffix == ".onnx":
         raise CheckpointError(

@@ -8,6 +8,7 @@ import rich_click as click
 
 from scenegen.cli.options import (
     examples,
+    group,
     open_dataset,
     out_option,
     quiet_option,
@@ -15,7 +16,7 @@ from scenegen.cli.options import (
     split_option,
 )
 from scenegen.cli.show import note, say
-from scenegen.cli.types import DatasetPath
+from scenegen.cli.types import Choice, DatasetPath
 from scenegen.model.commands.weights import chosen, shown_options
 from scenegen.worlds import MESHES
 
@@ -70,7 +71,7 @@ def _width(ctx: Any, parameter: Any, value: str | None) -> float | None:
 )
 @click.option(
     "--figure",
-    type=click.Choice(FIGURES),
+    type=Choice(FIGURES),
     help="What to draw of samples; docs/look.md shows each.  [default: sample, or completions "
     "with --weights]",
 )
@@ -99,6 +100,8 @@ def _width(ctx: Any, parameter: Any, value: str | None) -> float | None:
 @out_option("The picture: .png, .pdf, .svg or .webp.  [default: sample.png]", file=True)
 @quiet_option
 @shown_options
+@group("What is drawn", "split index sheet figure turn flight")
+@group("For print", "paper font-size")
 def render(
     source: Path | str,
     flight: bool,

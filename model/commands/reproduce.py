@@ -9,10 +9,10 @@ import rich_click as click
 
 from scenegen.cli.options import (
     device_option,
-    json_option,
+    examples,
     options_of,
     out_option,
-    quiet_option,
+    printing,
     workers_option,
 )
 from scenegen.cli.show import Progress, announce_compilation, say, show_table
@@ -20,7 +20,9 @@ from scenegen.errors import DatasetError
 from scenegen.model.study.runs import KINDS, TRIALS, ReproduceConfig, chosen
 
 
-@click.command()
+@click.command(
+    epilog=examples("reproduce --scale 0.02", "reproduce --from study/study.json --json")
+)
 @options_of(
     ReproduceConfig,
     scale="Share of all samples, maps and trials; 0.02 takes some ten minutes on two cores.",
@@ -45,8 +47,7 @@ from scenegen.model.study.runs import KINDS, TRIALS, ReproduceConfig, chosen
 )
 @click.option("--dry-run", is_flag=True, help="Say what it would take, and do nothing.")
 @workers_option
-@json_option
-@quiet_option
+@printing
 def reproduce(
     only: tuple[str, ...],
     device: str,
@@ -55,7 +56,7 @@ def reproduce(
     workers: int,
     dry_run: bool,
     as_json: bool,
-    quiet: bool,
+    talk: bool,
     **options: Any,
 ) -> None:
     """Repeat the study of the paper's claims: datasets, networks, bench, verdicts.
@@ -68,7 +69,6 @@ def reproduce(
         return
     from scenegen.model.study import stages
 
-    talk = not (quiet or as_json)
     config, runs = ReproduceConfig(**options), chosen(only)
     if talk or dry_run:
         maps, samples = config.scaled(config.maps), sum(config.counts.values())

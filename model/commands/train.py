@@ -15,10 +15,9 @@ from scenegen.cli.options import (
     device_option,
     examples,
     find_datasets,
-    json_option,
     options_of,
     out_option,
-    quiet_option,
+    printing,
     taken,
     was_given,
 )
@@ -199,15 +198,14 @@ class Weighted(click.ParamType):
     help="Loader processes.  [default: 0 on a CPU, else up to 8]",
 )
 @out_option("The run's folder.  [default: runs/<variant>]")
-@json_option
-@quiet_option
+@printing
 def train(
     datasets: tuple[tuple[Path | str, float | None], ...],
     protocol: str,
     device: str,
     workers: int | None,
     as_json: bool,
-    quiet: bool,
+    talk: bool,
     **options: Any,
 ) -> None:
     """Train the completion network on datasets, or on a stream; under torchrun, on several GPUs.
@@ -222,7 +220,7 @@ def train(
     from scenegen.run.workers import cores
 
     first = int(os.environ.get("RANK", "0")) == 0
-    talk = first and not (quiet or as_json)
+    talk = first and talk
     weights = options["weights"]
     if weights is not None:
         _take_settings(weights, options)

@@ -91,7 +91,9 @@ def convert(
         say(f"{target}: {done.written} samples written, {done.there} were there{others}")
 
 
-@click.command()
+@click.command(
+    epilog=examples("world data/pillar 3 -o world.xml", "world scenes/forest.xml -o forest.glb")
+)
 @dataset_argument
 @click.argument("number", type=click.IntRange(min=0), required=False)
 @split_option("train", help="The split that the world belongs to.")

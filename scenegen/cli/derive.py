@@ -13,7 +13,9 @@ from scenegen.cli.options import (
     dataset_argument,
     datasets_argument,
     engine_option,
+    examples,
     force_option,
+    group,
     lidar_option,
     mapping_given,
     mapping_options,
@@ -36,7 +38,12 @@ making = together(force_option, workers_option, on_option, printing)
 """Options of all that make a dataset of others."""
 
 
-@click.command()
+@click.command(
+    epilog=examples(
+        "rescan data/pillar --lidar livox-mid-360 -o data/livox",
+        "rescan data/pillar --noise datasheet --scans 5 -o data/noisy",
+    )
+)
 @dataset_argument
 @lidar_option("the dataset's")
 @noise_option
@@ -72,7 +79,12 @@ def rescan(
     make(plan, begin=begin, talk=talk, **without(Mapper, options))
 
 
-@click.command()
+@click.command(
+    epilog=examples(
+        "take data/mixed --kind rooms --n 500 -o data/rooms",
+        "take data/pillar --split train --where occupied>=0.05 -o data/dense",
+    )
+)
 @dataset_argument
 @splits_option("Samples of this split")
 @click.option(
@@ -100,6 +112,7 @@ def rescan(
 )
 @out_option("Folder of the new dataset, or s3://bucket/folder.", stores=True, required=True)
 @making
+@group("Which samples", "split n kind worlds where")
 def take(
     dataset: Path | str,
     splits: tuple[str, ...],
@@ -125,7 +138,7 @@ def take(
     make(plan_take(source, out, choice, workers=options["workers"]), begin=begin, **options)
 
 
-@click.command()
+@click.command(epilog=examples("merge data/pillar data/geometric -o data/both"))
 @datasets_argument
 @out_option("Folder of the new dataset, or s3://bucket/folder.", stores=True, required=True)
 @making

@@ -2,28 +2,34 @@
 shell complete the command line."""
 
 import json
+import re
 import shutil
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import rich_click as click
 from click.shell_completion import get_completion_class
 
-from scenegen.cli.options import json_option
-from scenegen.cli.show import announce_compilation, flat, show_table
+from scenegen.cli.options import examples, json_option
+from scenegen.cli.show import announce_compilation, flat, say, show_table
+from scenegen.cli.types import Choice
 from scenegen.errors import ScenegenError, needs
 
 LITTLE_GB = 5.0
 """Free disk below which `doctor` warns: a dataset of default size takes a quarter of a gigabyte, a
 run some more."""
 SELF_TEST_S = 2.0
+GENERATED = 3250
+"""Samples that `generate` makes by default, of all splits together."""
 
 
-@click.command()
+@click.command(epilog=examples("doctor", "doctor --json"))
 @json_option
 def doctor(as_json: bool) -> None:
-    """Check this machine: versions, cores, disk, GPU, and a two-second self-test."""
+    """Check this machine: versions, extras, cores, disk, GPU, cache, pace, and a two-second
+    self-test."""
     if not as_json:
         announce_compilation()
     found = examine()
@@ -40,13 +46,15 @@ def doctor(as_json: bool) -> None:
             "the self-test failed: samples made here cannot be trusted; reinstall, then run it "
             "again"
         )
+    if not as_json:
+        say("all is well")
 
 
 def _advice(found: dict[str, Any]) -> dict[str, str]:
     """What to do about what is missing, by the name of its line."""
     from lidarsim.jit import cache_trouble
 
-    advice = {}
+    advice = {f"extras.{name}": "" for name, told in found["extras"].items() if told != "ok"}
     if found["torch"] == "absent":
         advice["torch"] = f"; training a network and completing with one {needs('torch', 'train')}"
     if found["disk_free_gb"] < LITTLE_GB:
@@ -72,11 +80,30 @@ def examine(folder: Path = Path()) -> dict[str, Any]:
         "ok": test["ok"],
         "software": software(),
         "torch": installed("torch"),
+        "extras": extras(),
         "gpu": _gpu(),
         "cores": cores(),
         "disk_free_gb": round(shutil.disk_usage(folder).free / 1e9, 1),
         "kernel_cache": cache_trouble("scenegen") or str(cache_folder("scenegen").parent),
         "self_test": test,
+        "generate_2500_s": round(GENERATED / (test["samples_per_second_per_core"] * cores()), 1),
+    }
+
+
+def extras() -> dict[str, str]:
+    """Of every extra, "ok", or what it lacks here."""
+    from importlib.metadata import PackageNotFoundError, requires
+
+    from scenegen.run.software import installed
+
+    lacks: dict[str, list[str]] = {}
+    with suppress(PackageNotFoundError):  # a checkout that is not installed
+        for line in requires("scenegen-lidar") or ():
+            package, *extra = re.findall(r"^[\w-]+|(?<=extra == ')\w+", line)
+            for name in extra:
+                lacks.setdefault(name, []).extend([package] * (installed(package) == "absent"))
+    return {
+        extra: " ".join(["lacks", *names] if names else ["ok"]) for extra, names in lacks.items()
     }
 
 
@@ -119,8 +146,8 @@ def _gpu() -> str:
     return torch.cuda.get_device_name(0) if torch.cuda.is_available() else "none"
 
 
-@click.command()
-@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
+@click.command(epilog=examples("completion bash", "completion zsh"))
+@click.argument("shell", type=Choice(["bash", "zsh", "fish"]))
 @click.pass_context
 def completion(ctx: click.Context, shell: str) -> None:
     """Print a completion script: eval "$(scenegen completion bash)"."""

@@ -37,7 +37,7 @@ from scenegen.cli.show import (
     say,
     show_table,
 )
-from scenegen.cli.types import Named, Written, read_range
+from scenegen.cli.types import Choice, Named, Written, read_range
 from scenegen.limits import USUAL_IN_SHARD
 from scenegen.recipes import KINDS
 from scenegen.worlds import WORLD_FILES
@@ -71,7 +71,7 @@ count = partial(of_size, type=click.IntRange(min=1), show_default=True)
 )
 @of_worlds(
     "--difficulty",
-    type=click.Choice(["easy", "medium", "hard"]),
+    type=Choice(["easy", "medium", "hard"]),
     help="Which preset of the kind.  [default: medium]",
 )
 @of_worlds(
@@ -91,7 +91,7 @@ count = partial(of_size, type=click.IntRange(min=1), show_default=True)
 )
 @of_worlds(
     "--labels",
-    type=click.Choice(["class", "name", "material", "group"]),
+    type=Choice(["class", "name", "material", "group"]),
     help="Say of every return and voxel which geom it is of, and which class: the kinds' "
     "own classes, or by names, materials or groups of geoms.",
 )
@@ -273,7 +273,7 @@ def make(
     )
 
 
-@click.command()
+@click.command(epilog=examples("recipe pillar", "recipe rooms -o rooms.toml"))
 @click.argument("kind", type=Named(KINDS))
 @lidar_option("the kind's")
 @out_option("The file to write.  [default: standard output]", file=True)
@@ -303,3 +303,4 @@ def recipe(kind: str, lidar: str | None, out: Path | None) -> None:
         say(text.rstrip())
     else:
         write_result(out, text.encode())
+        say(f"written: {out}")

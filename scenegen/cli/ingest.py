@@ -8,10 +8,10 @@ import rich_click as click
 
 from scenegen.cli.options import (
     examples,
-    json_option,
+    group,
     options_of,
     out_option,
-    quiet_option,
+    printing,
 )
 from scenegen.cli.show import Progress, show_table
 from scenegen.logs import Fusing
@@ -43,15 +43,16 @@ from scenegen.logs import Fusing
     deskew="Move points to where their rays met something, by the time of each: for raw scans.",
 )
 @out_option("The folder to write, a new one.")
-@json_option
-@quiet_option
+@printing
+@group("Log", "poses topic deskew")
+@group("Maps", "voxel reach rise least moved-share")
 def ingest(
     log: Path,
     poses: Path | None,
     topic: str | None,
     out: Path | None,
     as_json: bool,
-    quiet: bool,
+    talk: bool,
     **options: Any,
 ) -> None:
     """Make maps of a log of LiDAR scans with poses, and keep some of its scans beside them.
@@ -71,10 +72,10 @@ def ingest(
         raise click.UsageError(str(error)) from None
     check_free(target)
     found = read_log(log, poses=poses, topic=topic)
-    with Progress("ingest", shown=not quiet) as progress:
+    with Progress("ingest", shown=talk) as progress:
         progress.start(len(found.poses))
         counts = write(found, target, how, on_scan=progress.count)
     if as_json:
         print(json.dumps({"folder": str(target), **counts}))
-    elif not quiet:
-        show_table({"folder": target, **counts})
+    elif talk:
+        show_table({**counts, "next": f"scenegen generate --scene {target}"})

@@ -8,10 +8,10 @@ import rich_click as click
 
 from scenegen.cli.options import (
     examples,
-    json_option,
+    group,
     options_of,
     out_option,
-    quiet_option,
+    printing,
     was_given,
 )
 from scenegen.cli.show import show_table
@@ -50,8 +50,8 @@ from scenegen.worlds.cloud import Survey
     "says so already: for clouds of which nobody knows where they were seen from.",
 )
 @out_option("The map to write, .npz.", file=True, default=Path("map.npz"))
-@json_option
-@quiet_option
+@printing
+@group("Clouds", "sensor poses box unit up")
 def map(
     clouds: tuple[Path, ...],
     sensor: tuple[float, ...] | None,
@@ -59,7 +59,7 @@ def map(
     box: tuple[float, ...] | None,
     out: Path,
     as_json: bool,
-    quiet: bool,
+    talk: bool,
     **options: Any,
 ) -> None:
     """Make a map of a real place from clouds of points: .ply, .pcd, .las, .laz, .xyz, .npz, .npy;
@@ -97,5 +97,5 @@ def map(
     row = about | map_facts(made.voxels)
     if as_json:
         print(json.dumps(row))
-    elif not quiet:
-        show_table(row)
+    elif talk:
+        show_table(row | {"next": f"scenegen generate --scene {out}"})

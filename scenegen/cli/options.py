@@ -42,6 +42,11 @@ SENSING, RUNNING = "Sensor and maps", "Running and printing"
 """Groups of options on help pages."""
 
 
+def group(name: str, options: str) -> Decorator[Any]:
+    """Groups options of a command, their names in one text, under `name` on its help page."""
+    return click.option_panel(name, options=[f"--{option}" for option in options.split()])
+
+
 def together(*options: Decorator[Any]) -> Decorator[Any]:
     """Several options as one decorator, listed in this order."""
     return lambda function: reduce(lambda made, option: option(made), reversed(options), function)
@@ -114,7 +119,7 @@ def printing(function: Function) -> Function:
 def split_option(default: str, help: str) -> Decorator[Any]:
     """--split, one of a dataset's."""
     return click.option(
-        "--split", type=click.Choice(SPLITS), default=default, show_default=True, help=help
+        "--split", type=Choice(SPLITS), default=default, show_default=True, help=help
     )
 
 
@@ -123,7 +128,7 @@ def splits_option(help: str) -> Decorator[Any]:
     return click.option(
         "--split",
         "splits",
-        type=click.Choice(SPLITS),
+        type=Choice(SPLITS),
         multiple=True,
         help=f"{help}; repeatable.  [default: all]",
     )

@@ -10,6 +10,7 @@ import rich_click as click
 from scenegen.cli.options import (
     dataset_argument,
     examples,
+    group,
     kind_option,
     out_option,
     printing,
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
 @kind_option
 @workers_option
 @printing
+@group("On the Hub", "repo tag licence private")
 def publish(
     dataset: Path | str,
     repo: str,

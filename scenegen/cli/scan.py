@@ -16,6 +16,7 @@ from lidarsim.sensors import CATALOGUE, RASTER, SENSORS
 from scenegen.cli.options import (
     engine_option,
     examples,
+    group,
     json_option,
     lidar_option,
     noise_option,
@@ -26,7 +27,7 @@ from scenegen.cli.options import (
     taken,
     was_given,
 )
-from scenegen.cli.show import Progress, say, show_figures, show_table
+from scenegen.cli.show import Progress, say, show_figures, show_table, show_written
 from scenegen.cli.types import Named, Number, Numbers
 from scenegen.display.exchange import Choices
 from scenegen.limits import LEAST_DRAWN_M
@@ -87,6 +88,8 @@ def sensors(names: tuple[str, ...], out: Path | None, as_json: bool) -> None:
         cells = {name: [_cell(row[head]) for head in HEADS] for name, row in rows.items()}
         show_figures(cells, list(HEADS.values()))
         say("\nscenegen sensors NAME tells where its figures come from; --out FILE draws it")
+    if out is not None and not as_json:
+        say(f"written: {out}")
 
 
 def _facts(sensor: "Sensor") -> dict[str, Any]:
@@ -163,6 +166,8 @@ def _cell(value: Any) -> str:
 @seed_option("What the noise, and the flight, are drawn by.")
 @out_option("The file to write: .ply, .pcd, .npz or .bin.", default=Path("scan.ply"), file=True)
 @printing
+@group("Poses", "pose flight every")
+@group("A log", "sequence length speed acceleration yaw-rate moving")
 def scan(
     world: Path,
     pose: tuple[float, ...] | None,
@@ -211,7 +216,7 @@ def scan(
         if as_json:
             print(json.dumps(row))
         elif talk:
-            show_table(row)
+            show_written(row, out)
         return
     found = named_world(str(world), seed)
     poses = _poses(found, pose, every, seed)
@@ -228,7 +233,7 @@ def scan(
         told = {name: value for name, value in rows[0].items() if name != "quaternion"}
         if len(rows) > 1:
             told |= {"file": f"{files[0]} … {files[-1]}", "scans": len(rows)}
-        show_table(told)
+        show_written(told, told.pop("file"))
 
 
 def _write_sequence(

@@ -27,7 +27,7 @@ _noted: list[list[int]] = []
 def is_command() -> bool:
     """Whether this process was begun to be the command line, and not to import it."""
     name = os.path.basename(sys.argv[0])  # noqa: PTH119 (pathlib takes time)
-    return name in ("scenegen", "cli.py")
+    return name in ("scenegen", "scenegen-lidar", "cli.py")
 
 
 def answer() -> None:
