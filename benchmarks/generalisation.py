@@ -154,7 +154,7 @@ def tables(rows: dict[str, Any]) -> list[str]:
     lines = []
     for name, title in TITLES.items():
         lines += ["", f"## {title}", "", *head(("seen in training", "held out", "extrude; truth"))]
-        for kind in dict.fromkeys(kind for row in rows.values() for kind in row):
+        for kind in (kind for kind in kind_names() if any(kind in row for row in rows.values())):
             saw = [
                 rows[row][kind][name]["mean"]
                 for row in rows
@@ -165,6 +165,13 @@ def tables(rows: dict[str, Any]) -> list[str]:
                 _cell(rows, row, kind, name) for row in (f"without {kind}", "extrude", "truth")
             )
             lines.append(line(f"`{kind}`", (mean, held, f"{extrude}; {truth.partition(' ')[0]}")))
+    places = [place for place in rows.get(BUNDLED, ()) if place not in kind_names()]
+    if places:
+        lines += ["", "## Real places", "", *head(TITLES.values())]
+        for name, row in rows.items():
+            if all(place in row for place in places):
+                found = ([row[place][title]["mean"] for place in places] for title in TITLES)
+                lines.append(line(name, (f"{np.mean(values):.3f}" for values in found)))
     lines += ["", f"## The bundled `{BUNDLED}`", "", *head(TITLES.values())]
     for kind in rows.get(BUNDLED, ()):
         lines.append(line(f"`{kind}`", (_cell(rows, BUNDLED, kind, name) for name in TITLES)))
