@@ -14,7 +14,7 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 295_500, "benchmarks": 28_000, "tests": 284_000}
+TOKENS = {"product": 295_500, "benchmarks": 28_000, "tests": 275_500}
 FILES = 247
 LINES = 400
 """The longest file of product code."""
