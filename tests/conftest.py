@@ -5,12 +5,12 @@ import fcntl
 import gc
 import os
 import shutil
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from scenegen.recipe import Recipe, make_recipe
+from scenegen.recipe import make_recipe
 from scenegen.source import DrawnWorlds
 from tests.command_line import SMALL as SMALL_FILE
 from tests.shell import Shell
@@ -31,7 +31,7 @@ MANY = 300
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_collection() -> Generator[None, object, object]:
+def pytest_collection():
     """What is imported stays: the garbage collector looks for none in it, neither meanwhile nor in
     any test."""
     if "PYTEST_XDIST_WORKER" in os.environ:
@@ -46,18 +46,18 @@ def pytest_collection() -> Generator[None, object, object]:
         gc.enable()
 
 
-def pytest_sessionfinish() -> None:
+def pytest_sessionfinish():
     """Libraries that count what is left when a process ends find it gone."""
     gc.unfreeze()
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(items):
     """Files of long tests come first: what is left for the end divides evenly."""
     items.sort(key=lambda item: item.path.name not in LONG)
 
 
 @pytest.fixture(scope="session", autouse=True)
-def compiled(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> None:
+def compiled(request, tmp_path_factory):
     """Kernels that no earlier run compiled: the workers of a long run share them, lest each compile
     all."""
     worker = os.environ.get("PYTEST_XDIST_WORKER", "")
@@ -68,13 +68,13 @@ def compiled(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
         share(int(worker.removeprefix("gw")), workers, tmp_path_factory.getbasetemp().parent)
 
 
-def small_recipe(kind: str = "pillar", **tables: dict) -> Recipe:
+def small_recipe(kind="pillar", **tables):
     """The preset of `kind` with everything made small, and `tables` put in."""
     merged = {name: {**SMALL.get(name, {}), **tables.get(name, {})} for name in {*SMALL, *tables}}
     return make_recipe(kind, merged, where="test")
 
 
-def picky_recipe() -> Recipe:
+def picky_recipe():
     """A small recipe that rejects some worlds and some viewpoints of every shard of a few
     worlds."""
     return small_recipe(
@@ -84,7 +84,7 @@ def picky_recipe() -> Recipe:
     )
 
 
-def quarter(count: int) -> pytest.MarkDecorator:
+def quarter(count):
     """A test of so many instances, its argument `count`: a quarter of them by default, all among
     the slow tests."""
     return pytest.mark.parametrize(
@@ -96,7 +96,7 @@ Once = Callable[[str, Callable[[Path], object]], Path]
 
 
 @pytest.fixture(scope="session")
-def once(tmp_path_factory: pytest.TempPathFactory) -> Once:
+def once(tmp_path_factory):
     """Makes a folder once for all processes that run tests: the first that asks fills it, and the
     others wait.
 
@@ -105,7 +105,7 @@ def once(tmp_path_factory: pytest.TempPathFactory) -> Once:
     base = tmp_path_factory.getbasetemp()
     base = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
 
-    def make(name: str, fill: Callable[[Path], object]) -> Path:
+    def make(name, fill):
         folder = base / name
         with open(base / f"{name}.made", "a+") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
@@ -122,14 +122,14 @@ def once(tmp_path_factory: pytest.TempPathFactory) -> Once:
 
 
 @pytest.fixture(params=["pillar", "geometric"])
-def drawn(request: pytest.FixtureRequest) -> tuple[Recipe, DrawnWorlds]:
+def drawn(request):
     """A small recipe of each kind, and its source."""
     recipe = small_recipe(request.param)
     return recipe, DrawnWorlds(recipe)
 
 
 @pytest.fixture
-def small(tmp_path: Path) -> Path:
+def small(tmp_path):
     """A recipe file for a small dataset."""
     path = tmp_path / "small.toml"
     path.write_text(SMALL_FILE)
@@ -137,7 +137,7 @@ def small(tmp_path: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
-def shell() -> Iterator[Shell]:
+def shell():
     """Runs files and the installed script as a user does."""
     opened = Shell()
     yield opened

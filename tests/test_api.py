@@ -16,12 +16,12 @@ ROOT = Path(__file__).parents[1]
 
 
 @pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> scenegen.Dataset:
+def dataset(tmp_path_factory):
     folder = tmp_path_factory.mktemp("api") / "d"
     return scenegen.generate("pillar", n=2, val=0, test=2, out=folder, seed=3)
 
 
-def test_a_dataset_is_made_loaded_and_checked(dataset: scenegen.Dataset) -> None:
+def test_a_dataset_is_made_loaded_and_checked(dataset):
     samples = scenegen.load(dataset.folder, "test")
     assert isinstance(samples[0], scenegen.Sample)
     drawn = scenegen.stream("pillar", seed=3, split="test")[0]
@@ -29,7 +29,7 @@ def test_a_dataset_is_made_loaded_and_checked(dataset: scenegen.Dataset) -> None
     assert scenegen.verify(dataset.folder, quick=True).ok
 
 
-def test_samples_are_shown(dataset: scenegen.Dataset, tmp_path: Path) -> None:
+def test_samples_are_shown(dataset, tmp_path):
     sample = dataset.split("train")[0]
     guess = scenegen.Prediction(occupancy_probability=sample.observed.astype(np.float32))
     path = np.linspace(sample.origin, sample.position, 5)
@@ -48,25 +48,25 @@ def test_samples_are_shown(dataset: scenegen.Dataset, tmp_path: Path) -> None:
         scenegen.show(scenegen.Sample(**{name: getattr(sample, name) for name in sample.names}))
 
 
-def test_methods_are_measured(dataset: scenegen.Dataset) -> None:
+def test_methods_are_measured(dataset):
     class Mine:
         name = "mine"
 
-        def complete(self, observed: object, free: object, *, grid: object) -> scenegen.Prediction:
+        def complete(self, observed, free, *, grid):
             return scenegen.Prediction(occupancy_probability=np.float32(observed))
 
     report = scenegen.bench(dataset.folder, [Mine()], workers=1, trials=4)
     assert 0 < report["reconstruction"]["pillar"]["mine"]["iou"]["mean"] < 1
 
 
-def test_what_names_no_worlds_is_refused(tmp_path: Path) -> None:
+def test_what_names_no_worlds_is_refused(tmp_path):
     with pytest.raises(RecipeError, match="give a kind"):
         scenegen.generate(n=1, out=tmp_path)
     with pytest.raises(RecipeError, match="give one"):
         scenegen.generate("pillar", n=1, out=tmp_path, scene=ROOT / "scenes")
 
 
-def test_a_checkout_without_links_works(tmp_path: Path) -> None:
+def test_a_checkout_without_links_works(tmp_path):
     """A zip, and a checkout on Windows, has a text file in the link's place."""
     for part in ("lidarsim", "scenegen", "model"):
         left = shutil.ignore_patterns("__pycache__", "*.safetensors", "three")

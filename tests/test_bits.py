@@ -33,11 +33,11 @@ HIDDEN = {
 
 
 @cache
-def here() -> dict[str, str]:
+def here():
     return of_datasets()
 
 
-def check(*parts: str) -> None:
+def check(*parts):
     """The digests are the same where these parts of the processor are hidden, though others are
     not."""
     hidden = {name: value for part in parts for name, value in HIDDEN[part].items()}
@@ -62,16 +62,16 @@ def check(*parts: str) -> None:
         )
 
 
-def test_without_what_numpy_libm_and_blas_find_in_the_processor() -> None:
+def test_without_what_numpy_libm_and_blas_find_in_the_processor():
     check("numpy", "libm", "blas")
 
 
 @pytest.mark.slow  # kernels are compiled anew
-def test_without_any_of_it() -> None:
+def test_without_any_of_it():
     check(*HIDDEN)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("part", HIDDEN)
-def test_without_one_part_of_it(part: str) -> None:
+def test_without_one_part_of_it(part):
     check(part)

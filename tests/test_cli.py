@@ -6,8 +6,6 @@ import os
 import subprocess
 import sys
 import warnings
-from pathlib import Path
-from typing import Any
 
 import click
 import mujoco
@@ -21,9 +19,7 @@ from scenegen.model.evaluation.config import BenchConfig
 from tests.command_line import ROOT, run
 
 
-def test_version_completion_and_doctor(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_version_completion_and_doctor(capsys, monkeypatch):
     monkeypatch.setattr("scenegen.cli.doctor.SELF_TEST_S", 0.1)
     assert __version__ in run(capsys, "--version")[1] == run(capsys, "-V")[1]
     assert "_SCENEGEN_COMPLETE" in run(capsys, "completion", "bash")[1]
@@ -37,7 +33,7 @@ def test_version_completion_and_doctor(
 HEAVY = ("torch", "mujoco", "numba", "h5py", "ompl", "scipy", "numpy")
 
 
-def loaded(*words: str) -> set[str]:
+def loaded(*words):
     """The modules that a command line has imported by its end, in a process of its own."""
     code = "import atexit, sys; atexit.register(lambda: print(*sys.modules, file=sys.stderr)); "
     code += f"sys.argv = {['scenegen', *words]!r}; from scenegen.__main__ import main; main()"
@@ -48,14 +44,14 @@ def loaded(*words: str) -> set[str]:
     return set(ended.stderr.split())
 
 
-def test_help_imports_no_command() -> None:
+def test_help_imports_no_command():
     found = loaded("--help")
     assert not found & set(HEAVY)
     assert not found & PLACES_OF_COMMANDS
 
 
 @pytest.mark.parametrize("name", ["generate", "publish", "train", "bench"])
-def test_help_of_a_command_loads_nothing_heavy(name: str) -> None:
+def test_help_of_a_command_loads_nothing_heavy(name):
     found = loaded(name, "--help")
     assert not found & set(HEAVY)
     assert len([name for name in found if name in PLACES_OF_COMMANDS]) == 1
@@ -65,8 +61,8 @@ PLACES_OF_COMMANDS = {place.partition(":")[0] for place in PLACES.values()}
 
 
 def test_every_command_says_in_the_list_what_it_says_itself(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    capsys,
+):
     for name in app.registry.known:
         command = app.find(name)
         assert command.name == name
@@ -75,7 +71,7 @@ def test_every_command_says_in_the_list_what_it_says_itself(
         assert (code, "Of " in said) == (0, False)
 
 
-def test_examples_on_help_pages_are_of_the_command_and_its_options() -> None:
+def test_examples_on_help_pages_are_of_the_command_and_its_options():
     commands = {name: app.find(name) for name in app.registry.known}
     lines = [
         (name, line.split())
@@ -89,7 +85,7 @@ def test_examples_on_help_pages_are_of_the_command_and_its_options() -> None:
         command.make_parser(click.Context(command)).parse_args(words)
 
 
-def test_what_stands_twice_is_the_same() -> None:
+def test_what_stands_twice_is_the_same():
     """Where a command may not import what knows a default, or would take a second to."""
     config, options = (
         BenchConfig(),
@@ -99,7 +95,7 @@ def test_what_stands_twice_is_the_same() -> None:
     assert STRIDE == NETWORK_EDGE
 
 
-def completed(words: str) -> list[str]:
+def completed(words):
     """What the shell is offered for the last of `words`."""
     environment = {
         **os.environ,
@@ -119,7 +115,7 @@ def completed(words: str) -> list[str]:
     return [line.partition(",")[2] for line in ended.stdout.splitlines()]
 
 
-def test_the_shell_completes_commands_options_kinds_and_networks() -> None:
+def test_the_shell_completes_commands_options_kinds_and_networks():
     assert completed("comp") == ["complete", "completion"]
     assert "--epochs" in completed("train --e")
     assert completed("generate --kind pil") == ["pillar"]
@@ -129,9 +125,7 @@ def test_the_shell_completes_commands_options_kinds_and_networks() -> None:
     )  # which is not there, and nobody is told off for it
 
 
-def test_printing_in_vain_changes_no_verdict(
-    small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_printing_in_vain_changes_no_verdict(small, tmp_path, capsys):
     """Output that is lost is told and ends with 1; nobody need read standard error, nor all of the
     output."""
     out = tmp_path / "d"
@@ -155,9 +149,7 @@ def test_printing_in_vain_changes_no_verdict(
         assert (process.communicate(timeout=120)[1], process.returncode) == (error, code), command
 
 
-def test_names_from_files_print_no_lines_of_their_own(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_names_from_files_print_no_lines_of_their_own(tmp_path, capsys):
     forged = "x\nscenegen: verify: all 17 checks passed\x1b[32m"
     (tmp_path / forged).mkdir()
     (tmp_path / forged / "dataset.json").write_text(json.dumps({"format": forged}))
@@ -173,10 +165,8 @@ def test_names_from_files_print_no_lines_of_their_own(
             assert not line.startswith("scenegen: verify: all")
 
 
-def test_warnings_of_libraries_reach_nobody(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    def warn() -> dict[str, Any]:
+def test_warnings_of_libraries_reach_nobody(monkeypatch, capfd):
+    def warn():
         warnings.warn("settotalmass is deprecated", stacklevel=1)
         return {"ok": True}
 

@@ -20,7 +20,7 @@ API = ROOT / "scenegen" / "__init__.py"
 """The one file that names what stands above it: what it offers is looked up when asked for."""
 
 
-def files_of(part: str) -> list[Path]:
+def files_of(part):
     """Its files, less those of another part that stand in it; a link leads into another part."""
     place, _ = ORDER[part]
     found = [place] if place.is_file() else sorted(place.rglob("*.py"))
@@ -32,7 +32,7 @@ def files_of(part: str) -> list[Path]:
     ]
 
 
-def imported(path: Path, *, typing: bool = True) -> set[str]:
+def imported(path, *, typing=True):
     """Names of modules that a file imports, at any depth; with `typing`, for types alone, too."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     skipped = {
@@ -53,7 +53,7 @@ def imported(path: Path, *, typing: bool = True) -> set[str]:
     return found
 
 
-def circles(below: dict[str, set[str]]) -> set[frozenset[str]]:
+def circles(below):
     """The sets of names that all lead to each other."""
     reached = {}
     for name in below:
@@ -71,7 +71,7 @@ def circles(below: dict[str, set[str]]) -> set[frozenset[str]]:
 
 
 @pytest.mark.parametrize("part", ORDER)
-def test_a_part_imports_none_above_it(part: str) -> None:
+def test_a_part_imports_none_above_it(part):
     above = [pattern for _, pattern in list(ORDER.values())[list(ORDER).index(part) + 1 :]]
     files = files_of(part)
     assert files
@@ -84,10 +84,10 @@ def test_a_part_imports_none_above_it(part: str) -> None:
     assert wrong == set()
 
 
-def rooms_of(part: str) -> dict[str, set[str]]:
+def rooms_of(part):
     """Every room of a package, a file or a folder at its top, with the rooms that it imports."""
     place, prefix = ORDER[part][0], "scenegen.model." if part == "model" else f"{part}."
-    found: dict[str, set[str]] = {}
+    found = {}
     for path in files_of(part):
         room = path.relative_to(place).parts[0].removesuffix(".py")
         if room != "__init__":
@@ -99,13 +99,13 @@ def rooms_of(part: str) -> dict[str, set[str]]:
 
 
 @pytest.mark.parametrize("part", ["lidarsim", "scenegen", "model"])
-def test_inside_a_part_no_room_imports_one_that_imports_it(part: str) -> None:
+def test_inside_a_part_no_room_imports_one_that_imports_it(part):
     rooms = rooms_of(part)
     assert len(rooms) > 5
     assert circles(rooms) == set()
 
 
-def test_no_file_imports_one_that_imports_it() -> None:
+def test_no_file_imports_one_that_imports_it():
     """Types alone may go in a circle: they are imported by nobody who runs the file."""
     names = {}
     for part in ("lidarsim", "scenegen", "model"):
@@ -118,7 +118,7 @@ def test_no_file_imports_one_that_imports_it() -> None:
     assert circles(below) == set()
 
 
-def test_the_package_offers_names_that_no_room_takes() -> None:
+def test_the_package_offers_names_that_no_room_takes():
     offered = set(scenegen.__all__)
     assert offered <= set(dir(scenegen))
     for name in offered:
@@ -132,7 +132,7 @@ def test_the_package_offers_names_that_no_room_takes() -> None:
     }
 
 
-def test_nothing_is_imported_by_a_name_that_users_give_their_own_files() -> None:
+def test_nothing_is_imported_by_a_name_that_users_give_their_own_files():
     files = [path for part in ORDER for path in files_of(part)]
     files += (ROOT / "benchmarks").rglob("*.py")
     names = {name.split(".")[0] for path in files for name in imported(path)}
@@ -140,7 +140,7 @@ def test_nothing_is_imported_by_a_name_that_users_give_their_own_files() -> None
     assert not names & common
 
 
-def test_the_top_level_holds_what_it_should_and_no_more() -> None:
+def test_the_top_level_holds_what_it_should_and_no_more():
     expected = {"cli.py", "lidarsim", "scenegen", "model", "scenes", "tests", "docs", "benchmarks"}
     expected |= {"pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", "mkdocs.yml"}
     expected |= {"CITATION.cff", "CONTRIBUTING.md"}

@@ -31,7 +31,7 @@ print(Extrude.name, scenegen.__version__)
 """
 
 
-def environment(folder: Path) -> Path:
+def environment(folder):
     """The interpreter of a new environment that has this one's packages, but nothing of ours."""
     venv.create(folder, with_pip=False)
     (site,) = (folder / "lib").glob("python*/site-packages")
@@ -42,7 +42,7 @@ def environment(folder: Path) -> Path:
     return folder / "bin" / "python"
 
 
-def run(*words: object, cwd: Path) -> str:
+def run(*words, cwd):
     """What a command prints; it must end well."""
     ended = subprocess.run(
         list(map(str, words)), cwd=cwd, capture_output=True, text=True, timeout=300, check=False
@@ -52,7 +52,7 @@ def run(*words: object, cwd: Path) -> str:
 
 
 @pytest.mark.slow
-def test_the_wheel_works_in_an_empty_environment_beside_a_users_own_files(tmp_path: Path) -> None:
+def test_the_wheel_works_in_an_empty_environment_beside_a_users_own_files(tmp_path):
     run(
         sys.executable,
         "-m",
@@ -109,7 +109,7 @@ def test_the_wheel_works_in_an_empty_environment_beside_a_users_own_files(tmp_pa
     assert "returns" in bench
 
 
-def test_what_figures_were_measured_with_is_allowed() -> None:
+def test_what_figures_were_measured_with_is_allowed():
     """Every dependency of `all` has a version in benchmarks/constraints.txt, and within its
     bounds."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -125,12 +125,12 @@ def test_what_figures_were_measured_with_is_allowed() -> None:
         assert needed.specifier.contains(measured[needed.name]), line
 
 
-def test_who_cites_it_names_this_version() -> None:
+def test_who_cites_it_names_this_version():
     cited = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     assert f"\nversion: {scenegen.__version__}\n" in cited
 
 
-def test_an_editable_install_shows_our_two_packages_alone() -> None:
+def test_an_editable_install_shows_our_two_packages_alone():
     """Where this suite runs from such an install; the finder maps each package by itself, not the
     checkout's folder."""
     finders = [

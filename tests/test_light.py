@@ -3,7 +3,6 @@ learns."""
 
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -25,14 +24,14 @@ HEAVY = (
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     folder, recipe = tmp_path_factory.mktemp("light") / "d", small_recipe()
     counts = {"train": 3, "val": 0, "test": 0}
     build(plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=0, counts=counts, compact=True))
     return folder
 
 
-def imported(code: str) -> set[str]:
+def imported(code):
     """Which of the heavy modules a new process has imported after `code`."""
     report = f"import sys; print(*(name for name in {HEAVY!r} if name in sys.modules))"
     done = subprocess.run(
@@ -41,13 +40,13 @@ def imported(code: str) -> set[str]:
     return set(done.stdout.split())
 
 
-def test_importing_is_light() -> None:
+def test_importing_is_light():
     """Where all together import nothing heavy, neither does any alone."""
     modules = "scenegen, lidarsim, scenegen.model.evaluation.config, scenegen.__main__"
     assert imported(f"import {modules}, scenegen.dataset.read") == set()
 
 
-def test_loading_and_reading_what_is_stored_is_light(folder: Path) -> None:
+def test_loading_and_reading_what_is_stored_is_light(folder):
     code = f"""
 import scenegen
 samples = scenegen.load({str(folder)!r})
@@ -57,7 +56,7 @@ samples.dataset.manifest.grid, samples.dataset.manifest.lidar, samples.dataset.w
     assert imported(code) == set()
 
 
-def test_a_stream_needs_no_torch() -> None:
+def test_a_stream_needs_no_torch():
     code = "import scenegen; from tests.conftest import small_recipe"
     code += "; stream = scenegen.stream(small_recipe())"
     assert "torch" not in imported(
@@ -65,13 +64,13 @@ def test_a_stream_needs_no_torch() -> None:
     )
 
 
-def test_inspecting_and_viewing_a_dataset_need_no_torch(folder: Path, tmp_path: Path) -> None:
+def test_inspecting_and_viewing_a_dataset_need_no_torch(folder, tmp_path):
     main = "from scenegen.__main__ import app; app.main({}, standalone_mode=False)"
     for words in (["inspect", folder], ["view", folder, "-o", tmp_path / "page.html"]):
         assert "torch" not in imported(main.format([str(word) for word in words]))
 
 
-def test_what_is_derived_cast_or_drawn_is_imported_then(folder: Path) -> None:
+def test_what_is_derived_cast_or_drawn_is_imported_then(folder):
     load = f"import scenegen; samples = scenegen.load({str(folder)!r})\n"
     assert "numba" in imported(f"{load}samples[0].free")
     assert "mujoco" in imported(f"{load}assert samples.dataset.manifest.recipe.world")

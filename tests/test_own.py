@@ -2,8 +2,6 @@
 of the user's."""
 
 import sys
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
@@ -11,7 +9,6 @@ from scenegen.dataset.build import build, plan_dataset
 from scenegen.source import DrawnWorlds
 from tests.command_line import ROOT, SMALL, run
 from tests.conftest import small_recipe
-from tests.shell import Shell
 
 EXAMPLES = {
     "my_worlds.py": "recipes.md",
@@ -23,14 +20,14 @@ OTHERS = ("model.py", "cli.py", "data.py", "tests/__init__.py", "tests/helpers.p
 field."""
 
 
-def example(page: str) -> str:
+def example(page):
     """The last Python file that a page of the docs shows: a block that begins with a docstring."""
     blocks = (ROOT / "docs" / page).read_text().split("```python\n")
     return [block for block in blocks if block.startswith('"""')][-1].split("```")[0]
 
 
 @pytest.fixture
-def here(tmp_path: Path) -> Path:
+def here(tmp_path):
     """A user's folder, with the examples of the docs."""
     for name in OTHERS:
         (tmp_path / name).parent.mkdir(exist_ok=True)
@@ -44,8 +41,8 @@ def here(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_kind_a_method_and_a_command_of_ones_own(here: Path, shell: Shell) -> None:
-    def done(*words: str) -> str:
+def test_a_kind_a_method_and_a_command_of_ones_own(here, shell):
+    def done(*words):
         return shell.done(*words, here=here)
 
     done("generate", "--recipe", "fence.toml", "-n", "6", "--workers", "2")
@@ -66,7 +63,7 @@ def test_a_kind_a_method_and_a_command_of_ones_own(here: Path, shell: Shell) -> 
     assert (ended.code, "give --kind" in ended.err, ended.err.count("\n")) == (1, True, 1)
 
 
-def regenerated(table: str) -> str:
+def regenerated(table):
     """The line of what was drawn again."""
     (line,) = (line for line in table.splitlines() if line.startswith("regenerated"))
     return line
@@ -223,7 +220,7 @@ class {"K" * 95}(Bare): pass
 
 
 @pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def dataset(tmp_path_factory):
     """A small dataset of pillars; not to be changed."""
     folder, recipe = tmp_path_factory.mktemp("made") / "pillar", small_recipe()
     build(
@@ -235,7 +232,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def standing(here: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def standing(here, monkeypatch):
     """The user's folder, to stand in; what is imported from it is forgotten afterwards."""
     before = list(sys.path), set(sys.modules)
     monkeypatch.chdir(here)
@@ -246,9 +243,7 @@ def standing(here: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 @pytest.mark.parametrize("what", LACKING)
-def test_one_that_lacks_something_is_told_in_one_line(
-    what: str, standing: Path, dataset: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_one_that_lacks_something_is_told_in_one_line(what, standing, dataset, capsys):
     words, code, told = LACKING[what]
     (standing / "wrong.py").write_text(WRONG)
     (standing / "ends.py").write_text("import sys\nsys.exit(3)\n")

@@ -7,8 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from tests.shell import Shell
-
 ROOT = Path(__file__).parents[1]
 SMALL = """petals = 5.7
 rays = 300
@@ -28,7 +26,7 @@ min_distance_m = 4.0
 
 
 @pytest.fixture
-def examples(tmp_path: Path) -> Path:
+def examples(tmp_path):
     """A folder with the documented files."""
     text = (ROOT / "docs" / "sensor.md").read_text(encoding="utf-8")
     for content, name in re.findall(r"```\w+\n(# (\S+)\n.*?)```", text, re.DOTALL):
@@ -45,9 +43,7 @@ def examples(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_users_sensor_makes_a_dataset_that_nobody_needs_the_sensor_for(
-    examples: Path, shell: Shell
-) -> None:
+def test_a_users_sensor_makes_a_dataset_that_nobody_needs_the_sensor_for(examples, shell):
     made = ("generate", "--recipe", "my.toml", "--n", 6, "--val", 0, "--test", 3, "--workers", 2)
     shell.done(*made, "--out", "data/rosette", "--shard-samples", 3, here=examples)
     (elsewhere := examples / "elsewhere").mkdir()
@@ -131,9 +127,7 @@ def test_a_users_sensor_makes_a_dataset_that_nobody_needs_the_sensor_for(
         ("my_sensor.py", "@dataclass(frozen=True, kw_only=True)\n", "", "expected a dataclass"),
     ],
 )
-def test_a_sensor_that_is_none_is_told_of_in_one_line(
-    examples: Path, shell: Shell, file: str, find: str, put: str, told: str
-) -> None:
+def test_a_sensor_that_is_none_is_told_of_in_one_line(examples, shell, file, find, put, told):
     text = (examples / file).read_text()
     assert find in text
     (examples / file).write_text(text.replace(find, put))
@@ -142,9 +136,7 @@ def test_a_sensor_that_is_none_is_told_of_in_one_line(
     assert told in ended.err
 
 
-def test_a_users_engine_makes_a_dataset_that_verify_audits_with_mujoco(
-    examples: Path, shell: Shell
-) -> None:
+def test_a_users_engine_makes_a_dataset_that_verify_audits_with_mujoco(examples, shell):
     script = examples / "make.py"
     script.write_text(script.read_text().replace('"train": 5', '"train": 2'))
     assert re.fullmatch(r"[0-9a-f]{64}\n", shell.python("make.py", here=examples).out)

@@ -151,7 +151,7 @@ user's home besides the kernels."""
 
 
 @pytest.fixture(scope="session")
-def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def shim(tmp_path_factory):
     """The library that notes connections, compiled."""
     compiler = shutil.which("cc")
     if compiler is None:
@@ -164,7 +164,7 @@ def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "shim.so"
 
 
-def environment(shim: Path, folder: Path) -> dict[str, str]:
+def environment(shim, folder):
     """Of a user whose home is empty, under the shim; the compiled kernels are where they always
     are."""
     kept = {
@@ -184,13 +184,13 @@ def environment(shim: Path, folder: Path) -> dict[str, str]:
     }
 
 
-def noted(folder: Path) -> list[str]:
+def noted(folder):
     """What the shim saw."""
     log = folder / "log"
     return log.read_text().splitlines() if log.exists() else []
 
 
-def run_all(shim: Path, folder: Path, lines: list[tuple[str, ...]]) -> None:
+def run_all(shim, folder, lines):
     """Run command lines in one process, each of which must succeed."""
     ended = subprocess.run(
         [sys.executable, "-m", "tests.test_silence"],
@@ -205,7 +205,7 @@ def run_all(shim: Path, folder: Path, lines: list[tuple[str, ...]]) -> None:
     assert ended.returncode == 0, f"{ended.stdout[-1000:]}\n{ended.stderr[-3000:]}"
 
 
-def test_the_shim_sees_python_and_native_libraries(shim: Path, tmp_path: Path) -> None:
+def test_the_shim_sees_python_and_native_libraries(shim, tmp_path):
     reach = (
         "import ctypes, socket\n"
         f"ctypes.CDLL({str(shim.with_name('native.so'))!r}).look_up()\n"
@@ -233,14 +233,14 @@ def test_the_shim_sees_python_and_native_libraries(shim: Path, tmp_path: Path) -
     assert len(seen) == 5
 
 
-def lines_of(names: tuple[str, ...]) -> list[tuple[str, ...]]:
+def lines_of(names):
     """The command lines of these commands, as far as what they need is installed."""
     runtime = any(importlib.util.find_spec(name) for name in ("openvino", "onnxruntime"))
     found = [(name, *line.split()) for name in COMMANDS if name in names for line in COMMANDS[name]]
     return [words for words in found if runtime or "n.onnx" not in words]
 
 
-def prepare(here: Path) -> None:
+def prepare(here):
     """What the commands read and do not make."""
     (here / "small.toml").write_text(SMALL)
     (here / "scan.xyz").write_text(
@@ -252,11 +252,11 @@ def prepare(here: Path) -> None:
         write_onnx(here / "n.onnx")
 
 
-def everything_in(folder: Path) -> set[str]:
+def everything_in(folder):
     return {str(path.relative_to(folder)) for path in folder.rglob("*") if not path.is_dir()}
 
 
-def check_silent(shim: Path, folder: Path, names: tuple[str, ...]) -> None:
+def check_silent(shim, folder, names):
     """Run these commands: nothing is noted, and nothing is left but what was asked for."""
     environment(shim, folder)
     prepare(folder / "here")
@@ -269,7 +269,7 @@ def check_silent(shim: Path, folder: Path, names: tuple[str, ...]) -> None:
     assert everything_in(folder / "temporary") == set()
 
 
-def test_no_command_connects_or_leaves_anything_behind(shim: Path, tmp_path: Path) -> None:
+def test_no_command_connects_or_leaves_anything_behind(shim, tmp_path):
     if not importlib.util.find_spec("torch"):
         pytest.skip("needs torch")
     assert set(COMMANDS) == set(app.registry.known), "a new command? say here how it is run"
@@ -277,13 +277,13 @@ def test_no_command_connects_or_leaves_anything_behind(shim: Path, tmp_path: Pat
 
 
 @pytest.mark.slow
-def test_nor_do_the_dear_ones(shim: Path, tmp_path: Path) -> None:
+def test_nor_do_the_dear_ones(shim, tmp_path):
     if not importlib.util.find_spec("onnxscript"):
         pytest.skip("needs onnxscript")
     check_silent(shim, tmp_path, ("generate", "train", *DEAR))
 
 
-def main() -> None:
+def main():
     """Run the command lines that standard input lists, one after another, in this process."""
     import time
 

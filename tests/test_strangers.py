@@ -3,7 +3,6 @@
 import multiprocessing
 import os
 import signal
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +17,7 @@ from scenegen.model.config import NetworkConfig
 from scenegen.model.network import Network
 from scenegen.source import DrawnWorlds
 from tests.command_line import ROOT, SMALL, run
-from tests.conftest import Once, small_recipe
+from tests.conftest import small_recipe
 
 SCENE = ROOT / "scenes" / "forest.xml"
 SCAN = ("scan", SCENE, "--flight", "--quiet")
@@ -68,10 +67,10 @@ SILENT = ("completion", "datasets", "doctor", "inspect", "networks", "verify")
 
 
 @pytest.fixture
-def here(once: Once, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def here(once, tmp_path, monkeypatch):
     """The working folder, with what the commands read: two datasets, a network and a scan."""
 
-    def make(folder: Path) -> None:
+    def make(folder):
         recipe, counts = small_recipe(), {"train": 4, "val": 2, "test": 2}
         for name, seed in (("d", 1), ("e", 2)):
             build(
@@ -94,7 +93,7 @@ def here(once: Once, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def begin_and_die(path: Path) -> None:
+def begin_and_die(path):
     with whole(path):
         os.kill(os.getpid(), signal.SIGKILL)
 
@@ -104,9 +103,7 @@ def begin_and_die(path: Path) -> None:
     [FILES[n] for n in (0, 8, 14)],
     ids=lambda it: it if isinstance(it, str) else str(it[0]),
 )
-def test_what_a_killed_command_left_is_taken_away(
-    words: tuple[object, ...], name: str, here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_a_killed_command_left_is_taken_away(words, name, here, capsys):
     (here / name).parent.mkdir(exist_ok=True)
     killed = multiprocessing.get_context("fork").Process(target=begin_and_die, args=(here / name,))
     killed.start()
@@ -116,16 +113,14 @@ def test_what_a_killed_command_left_is_taken_away(
     assert not list(here.rglob("*.tmp"))
 
 
-def test_every_command_is_here() -> None:
+def test_every_command_is_here():
     assert {str(words[0]) for words, _ in (*FILES, *FOLDERS)} | set(SILENT) >= set(PLACES)
 
 
 @pytest.mark.parametrize(
     ("words", "name"), FILES, ids=lambda it: it if isinstance(it, str) else str(it[0])
 )
-def test_a_strangers_file_is_not_replaced(
-    words: tuple[object, ...], name: str, here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_strangers_file_is_not_replaced(words, name, here, capsys):
     (here / name).parent.mkdir(exist_ok=True)
     (here / name).write_bytes(b"mine")
     before = set(here.rglob("*"))
@@ -142,9 +137,7 @@ def test_a_strangers_file_is_not_replaced(
     [(words, name) for words, names in FOLDERS for name in names],
     ids=lambda it: str(it).split("'")[1] if isinstance(it, tuple) else it,
 )
-def test_nor_one_in_a_folder(
-    words: tuple[object, ...], name: str, here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_nor_one_in_a_folder(words, name, here, capsys):
     (here / "out" / name).parent.mkdir(parents=True)
     content = b"{}" if name.endswith(".json") else b"mine"
     (here / "out" / name).write_bytes(content)
@@ -162,9 +155,7 @@ def test_nor_one_in_a_folder(
     [FILES[n] for n in (0, 1, 5, 7, 8, 10)],
     ids=lambda it: it if isinstance(it, str) else str(it[0]),
 )
-def test_its_own_is_replaced_until_somebody_changes_it(
-    words: tuple[object, ...], name: str, here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_its_own_is_replaced_until_somebody_changes_it(words, name, here, capsys):
     try:
         os.setxattr(here, "user.test", b"")
     except (AttributeError, OSError):

@@ -2,7 +2,6 @@
 
 import re
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -28,13 +27,11 @@ LIDAR = Lidar(rows=12, columns=40, vertical_fov_deg=150.0)
 
 
 @pytest.fixture
-def model() -> mujoco.MjModel:
+def model():
     return mujoco.MjModel.from_xml_string(WORLD)
 
 
-def by_mujoco(
-    model: mujoco.MjModel, data: mujoco.MjData, pose: Pose, without: int = -1
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def by_mujoco(model, data, pose, without=-1):
     """Ranges, geoms and normals of `LIDAR` by `mj_multiRay`, attitudes as matrices by MuJoCo,
     too."""
     turn, count = np.empty(9), LIDAR.rows * LIDAR.columns
@@ -191,7 +188,7 @@ def test_the_documented_example_runs():
         for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL)
         if "import Lidar, Pose, attach" in block
     )
-    names: dict[str, Any] = {}
+    names = {}
     exec(example, names)
     assert np.isfinite(names["scan"].ranges).sum() > 300
     assert set(np.unique(names["hits"].geoms)) == {-1, 0, 1}

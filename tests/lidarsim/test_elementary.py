@@ -30,7 +30,7 @@ NUMBERS = np.concatenate(
 )
 
 
-def sine(angle: Decimal) -> Decimal:
+def sine(angle):
     """By the power series, after whole turns are taken off."""
     angle = angle.remainder_near(2 * PI)
     total, term, n = Decimal(0), angle, 1
@@ -41,7 +41,7 @@ def sine(angle: Decimal) -> Decimal:
     return total
 
 
-def off(values: np.ndarray, references: list[Decimal]) -> float:
+def off(values, references):
     """The greatest distance from the truth in units of the last place."""
     return max(
         float(abs(Decimal(float(value)) - truth) / Decimal(math.ulp(float(value))))

@@ -6,13 +6,13 @@ import math
 import numpy as np
 import pytest
 
-from lidarsim import BeamTable, Fusion, GridSpec, ObservedGrid, Pose, Scan, fuse, voxelize
+from lidarsim import BeamTable, Fusion, GridSpec, Pose, Scan, fuse, voxelize
 
 GRID = GridSpec(shape=(8, 7, 6), voxel_m=0.3)
 ORIGIN = np.array([-1.2, -1.0, -0.9])
 
 
-def random_scans(seed: int, count: int) -> list[Scan]:
+def random_scans(seed, count):
     """Scans of random rays from places near the grid's middle; a third of the rays returns
     nothing."""
     rng = np.random.default_rng(seed)
@@ -28,7 +28,7 @@ def random_scans(seed: int, count: int) -> list[Scan]:
     return found
 
 
-def equal(one: ObservedGrid, other: ObservedGrid) -> bool:
+def equal(one, other):
     return np.array_equal(one.observed, other.observed) and np.array_equal(one.free, other.free)
 
 

@@ -5,9 +5,7 @@ import importlib
 import os
 import shutil
 import sys
-from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 
 import numba
 import numpy as np
@@ -40,7 +38,7 @@ PLAIN = '"""No kernels here."""\nWORDS = ("one",)\n'
 
 
 @pytest.fixture
-def package(tmp_path, monkeypatch) -> Iterator[Path]:
+def package(tmp_path, monkeypatch):
     """A package with a kernel that calls one in another file, a cache of its own, and nothing left
     of it afterwards."""
     folder = tmp_path / "kernelled"
@@ -56,7 +54,7 @@ def package(tmp_path, monkeypatch) -> Iterator[Path]:
     forget()
 
 
-def forget() -> None:
+def forget():
     """As a new process would begin."""
     for name in [name for name in sys.modules if name.split(".")[0] == "kernelled"]:
         del sys.modules[name]
@@ -65,12 +63,12 @@ def forget() -> None:
     importlib.invalidate_caches()
 
 
-def fresh(module: str) -> ModuleType:
+def fresh(module):
     forget()
     return importlib.import_module(f"kernelled.{module}")
 
 
-def folder_now() -> Path:
+def folder_now():
     fresh("plain")
     return cache_folder("kernelled")
 

@@ -34,7 +34,7 @@ class Sensor:
     plain: float = 1.0
     anything: Any = None
 
-    def __post_init__(self) -> None:
+    def __post_init__(self):
         check(self)
 
 
@@ -129,7 +129,7 @@ def test_what_does_not_fit_is_named_with_its_bounds(name, value, line):
 
 
 def test_a_value_is_shown_on_one_short_line():
-    nested: list[Any] = []
+    nested = []
     for _ in range(100_000):
         nested = [nested]
     for value in ("a\nb\x1b[2J" * 100, HUGE, nested, ["\u202e"]):
@@ -158,7 +158,7 @@ def test_fields_without_bounds_have_those_of_their_name():
         share: Any = 0.5
         rows: Any = number(3, least=1)
 
-    def by_name(name: str, value: Any) -> Bounds:
+    def by_name(name, value):
         return Bounds(least=0, most=1) if name == "share" else Bounds(most=0)
 
     check(Kind(), by_name)
@@ -176,7 +176,7 @@ def test_angles_in_radians_are_told_from_degrees(value, degrees):
         tilt_deg: float = number(0.0, least=-90, most=360)
         length_m: float = number(1.0)
 
-        def __post_init__(self) -> None:
+        def __post_init__(self):
             check(self)
 
     with pytest.raises(

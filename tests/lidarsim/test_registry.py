@@ -1,8 +1,6 @@
 """Things by name: the toolkit's, and a user's own."""
 
 import sys
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
@@ -14,7 +12,7 @@ ENGINES = Registry(
 
 
 @pytest.fixture
-def here(tmp_path, monkeypatch) -> Iterator[Path]:
+def here(tmp_path, monkeypatch):
     """A user's folder, with modules of the user's own."""
     before = list(sys.path), set(sys.modules)
     monkeypatch.chdir(tmp_path)

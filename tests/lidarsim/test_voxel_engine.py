@@ -2,22 +2,19 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelEngine, VoxelMap
 
 STEP_M = 5e-4
 
 
-def a_map(seed: int, *, voxel_m: float = 0.25) -> VoxelMap:
+def a_map(seed, *, voxel_m=0.25):
     rng = np.random.default_rng(seed)
     states = rng.choice([UNKNOWN, FREE, OCCUPIED], (12, 9, 7), p=[0.2, 0.75, 0.05])
     return VoxelMap(states.astype(np.uint8), voxel_m, rng.uniform(-3, 3, 3))
 
 
-def states_along(
-    voxels: VoxelMap, start: NDArray[np.float64], ray: NDArray[np.float64], far_m: float
-) -> NDArray[np.uint8]:
+def states_along(voxels, start, ray, far_m):
     """The state at the middle of every step."""
     points = start + ((np.arange(int(far_m / STEP_M)) + 0.5) * STEP_M)[:, None] * ray
     index = np.floor((points - voxels.origin) / voxels.voxel_m).astype(int)

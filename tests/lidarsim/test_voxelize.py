@@ -19,7 +19,6 @@ from lidarsim import (
     GridSpec,
     Lidar,
     MujocoEngine,
-    ObservedGrid,
     Pose,
     Scan,
     cast,
@@ -34,9 +33,7 @@ DYADIC = GridSpec(shape=(8, 8, 8), voxel_m=0.25)
 side."""
 
 
-def scan_of(
-    rays: object, ranges: object, position: object = (0.0, 0.0, 0.0), max_range_m: float = 10.0
-) -> Scan:
+def scan_of(rays, ranges, position=(0.0, 0.0, 0.0), max_range_m=10.0):
     """A scan with given world directions (n, 3), made unit, and ranges (n,)."""
     directions = np.asarray(rays, dtype=np.float64).reshape(-1, 1, 3)
     longest = np.abs(directions).max(axis=-1, keepdims=True)
@@ -54,13 +51,13 @@ def scan_of(
     )
 
 
-def inputs(scan: Scan, grid: GridSpec, got: ObservedGrid) -> tuple:
+def inputs(scan, grid, got):
     """What every reference takes first: origin, voxel, shape, position, directions."""
     directions = scan.directions
     return got.origin, grid.voxel_m, grid.shape, scan.pose.position, directions
 
 
-def assert_right(scan: Scan, grid: GridSpec, got: ObservedGrid) -> tuple[np.ndarray, np.ndarray]:
+def assert_right(scan, grid, got):
     """The grids of a scan against the references; the enclosing free grids are handed back."""
     given_ = inputs(scan, grid, got)
     assert got.observed.shape == got.free.shape == grid.shape
@@ -78,7 +75,7 @@ def assert_right(scan: Scan, grid: GridSpec, got: ObservedGrid) -> tuple[np.ndar
     return must, may
 
 
-def random_lidar_scan(rng: np.random.Generator, lidar: Lidar, position: object = None) -> Scan:
+def random_lidar_scan(rng, lidar, position=None):
     """Ranges drawn at random, three in ten without return, from a random place and attitude."""
     reach = rng.uniform(0.05, lidar.max_range_m, (lidar.rows, lidar.columns)).astype(np.float32)
     reach[rng.random(reach.shape) < 0.3] = np.inf
@@ -212,7 +209,7 @@ def test_random_rays_free_exactly_the_voxels_that_rational_arithmetic_finds(seed
 # rays
 
 
-def free_set(scan: Scan, grid: GridSpec) -> set[tuple[int, ...]]:
+def free_set(scan, grid):
     """Indices of the free voxels, after the check against the references."""
     got = voxelize(scan, grid)
     assert_right(scan, grid, got)
@@ -378,7 +375,7 @@ def test_a_quarter_turn_of_scene_and_sensor_turns_the_grids(seed):
     geoms = [reference.random_geom(rng, kinds, 7) for _ in range(25)]
     quarter = Rotation.from_euler("z", 90, degrees=True)
 
-    def turned(geom: reference.Geom) -> reference.Geom:
+    def turned(geom):
         attitude = (quarter * reference.rotation(geom.quaternion)).as_quat()[[3, 0, 1, 2]]
         return reference.Geom(
             geom.kind, geom.size, tuple(quarter.apply(geom.position)), tuple(attitude)

@@ -1,7 +1,5 @@
 """Two small datasets; one thread, since tests run side by side."""
 
-from pathlib import Path
-
 import pytest
 import torch
 
@@ -18,13 +16,13 @@ def one_thread():
 
 
 def make_dataset(
-    folder: Path,
-    kind: str = "pillar",
+    folder,
+    kind="pillar",
     *,
-    compact: bool = False,
-    counts: dict = COUNTS,
-    **tables: dict,
-) -> Path:
+    compact=False,
+    counts=COUNTS,
+    **tables,
+):
     """A dataset of a few small maps."""
     recipe = small_recipe(kind, **tables)
     plan = plan_dataset(
@@ -35,7 +33,7 @@ def make_dataset(
 
 
 @pytest.fixture(scope="session")
-def folders(once) -> list[Path]:
+def folders(once):
     """One dataset of each kind; the second leaves out what can be derived."""
     pillar = once("pillar", make_dataset)
     return [

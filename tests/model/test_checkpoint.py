@@ -5,7 +5,6 @@ import json
 import math
 import os
 import pickle
-from pathlib import Path
 
 import pytest
 import torch
@@ -26,7 +25,7 @@ GRID = GridSpec(shape=(16, 16, 8), voxel_m=0.1, truncation_m=1.0)
 
 
 @pytest.fixture
-def saved(tmp_path) -> tuple[Path, Network]:
+def saved(tmp_path):
     torch.manual_seed(0)
     network = Network(NetworkConfig(variant="dual", width=4)).eval()
     save_network(tmp_path / "dual.safetensors", network, GRID, {"seed": 3})
@@ -46,10 +45,10 @@ def test_what_is_saved_comes_back(saved):
 class Trap:
     """Leaves a file behind when it is unpickled."""
 
-    def __init__(self, path: str):
+    def __init__(self, path):
         self.path = path
 
-    def __reduce__(self) -> tuple:
+    def __reduce__(self):
         return open, (self.path, "w")
 
 
@@ -137,7 +136,7 @@ def test_weights_of_another_type_are_refused(saved, tmp_path):
             load_network(tmp_path / "bad.safetensors")
 
 
-def write(path: Path, about: str) -> Path:
+def write(path, about):
     """A safetensors file without tensors, whose header holds `about`."""
     text = json.dumps({"__metadata__": {"header": about}}).encode()
     path.write_bytes(len(text).to_bytes(8, "little") + text)

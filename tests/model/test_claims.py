@@ -2,7 +2,6 @@
 
 import json
 from collections import Counter
-from typing import Any
 
 import numpy as np
 import pytest
@@ -32,16 +31,14 @@ WORLDS = np.repeat(np.arange(40), 5)
 CLAIM = Claim(kind="pillar", metric="iou", best="proposed", other="occ")
 
 
-def measured(
-    values: dict[str, Any], metric: str = "iou", kind: str = "pillar", worlds: Any = WORLDS
-) -> Measured:
+def measured(values, metric="iou", kind="pillar", worlds=WORLDS):
     """Rows whose `metric` on every map, or trial, is as given, and whose others are 0."""
     nothing = dict.fromkeys(ALL, np.zeros(len(worlds)))
     rows = {name.replace("_", "-"): nothing | {metric: one} for name, one in values.items()}
     return Measured(kind=kind, rows=rows, worlds=dict.fromkeys(ALL, worlds))
 
 
-def told(epochs: float, best: float = 1.0) -> dict[str, Any]:
+def told(epochs, best=1.0):
     """What is told of a run of so many epochs that was best after `best` of them."""
     rows = [{"maps": 100 * best, "val_loss": 0.1}, {"maps": 100 * epochs, "val_loss": 0.2}]
     return {"samples": 100, "curve": rows}
@@ -109,9 +106,7 @@ def test_the_variance_of_seeds_is_pooled_over_methods():
     assert spread({"occ-s0": 1.0})[1] == 0
 
 
-def study(
-    rng: np.random.Generator, ours: float, theirs: float, *, seeds: int = 2, training: float = 0.0
-) -> Measured:
+def study(rng, ours, theirs, *, seeds=2, training=0.0):
     """Four methods in 40 worlds, which are unlike for each network, as training seeds are by
     `training`."""
     rows = {}
@@ -124,7 +119,7 @@ def study(
     return measured(rows)
 
 
-def found(one: Measured, long: tuple[str, ...] = ()) -> dict[str, Any]:
+def found(one, long=()):
     spreads = {("pillar", "iou"): spread(losses(one.means(), "iou"))}
     return decided([compared(CLAIM, one)], spreads, long)[0]
 
@@ -174,7 +169,7 @@ def test_only_runs_as_long_as_the_paper_s_refute():
     assert waited(told(PATIENCE + 3, best=3)) == PATIENCE
 
 
-def whole() -> dict[str, Any]:
+def whole():
     """A study of both kinds, as it is before it is judged."""
     rng = np.random.default_rng(0)
     several = []

@@ -1,10 +1,7 @@
 """ONNX files say what the network says, in every runtime, and other files are refused."""
 
 import json
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,18 +14,17 @@ from scenegen.model.config import VARIANTS, NetworkConfig
 from scenegen.model.export import Traced, export_onnx
 from scenegen.model.network import Network
 from scenegen.model.runtime import RUNTIMES, examine, load_onnx, read_graph
-from tests.conftest import Once
 
 GRID = GridSpec(shape=(16, 24, 8))
 pytest.importorskip("onnxscript")
 
 
-def seen(batch: int) -> dict[str, torch.Tensor]:
+def seen(batch):
     """Maps of noise, in another order than the network's."""
     return {name: torch.rand(batch, *GRID.shape) < 0.1 for name in ("free", "observed")}
 
 
-def export(folder: Path) -> None:
+def export(folder):
     """A network of two inputs, which sees columns whole: as a checkpoint, and as ONNX."""
     torch.manual_seed(0)
     network = Network(
@@ -41,14 +37,14 @@ def export(folder: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def exported(once: Once) -> tuple[Path, Network]:
+def exported(once):
     """Such an ONNX file, and its network."""
     folder = once("onnx", export)
     return folder / "net.onnx", load_network(folder / "net.safetensors")[0]
 
 
 @pytest.mark.parametrize("runtime", RUNTIMES)
-def test_runtimes_agree_with_torch(exported: tuple[Path, Network], runtime: str) -> None:
+def test_runtimes_agree_with_torch(exported, runtime):
     """For one map and for several; onnxruntime to rounding, OpenVINO to bfloat16's, where the
     processor has it."""
     pytest.importorskip(runtime)
@@ -66,9 +62,7 @@ def test_runtimes_agree_with_torch(exported: tuple[Path, Network], runtime: str)
 
 
 @pytest.mark.parametrize("runtime", RUNTIMES)
-def test_threads_get_the_answer_to_their_own_map(
-    exported: tuple[Path, Network], runtime: str
-) -> None:
+def test_threads_get_the_answer_to_their_own_map(exported, runtime):
     pytest.importorskip(runtime)
     forward, _ = load_onnx(exported[0], runtime=runtime, threads=1)
     asked = [seen(1) for _ in range(24)]
@@ -79,7 +73,7 @@ def test_threads_get_the_answer_to_their_own_map(
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_what_is_exported_is_the_network(variant: str) -> None:
+def test_what_is_exported_is_the_network(variant):
     """Heads that read the same features are exported as one."""
     torch.manual_seed(0)
     network = Network(NetworkConfig(variant=variant, width=4, height=GRID.shape[2]))
@@ -94,14 +88,14 @@ def test_what_is_exported_is_the_network(variant: str) -> None:
         torch.testing.assert_close(one, other, atol=1e-5, rtol=1e-5)
 
 
-def test_a_network_of_one_input_takes_any_number_of_maps(tmp_path: Path) -> None:
+def test_a_network_of_one_input_takes_any_number_of_maps(tmp_path):
     """Tracing with one map would fix their number at one, in some networks and without a word."""
     network = Network(NetworkConfig(variant="flat", width=4, height=GRID.shape[2])).eval()
     export_onnx(network, GRID, tmp_path / "flat.onnx", about={})
     read_graph((tmp_path / "flat.onnx").read_bytes())
 
 
-def test_an_onnx_file_is_a_completer(exported: tuple[Path, Network]) -> None:
+def test_an_onnx_file_is_a_completer(exported):
     path, network = exported
     maps = seen(1)
     found = Completer.from_pretrained(path)(maps)
@@ -112,7 +106,7 @@ def test_an_onnx_file_is_a_completer(exported: tuple[Path, Network]) -> None:
     )
 
 
-def test_other_files_are_refused(tmp_path: Path) -> None:
+def test_other_files_are_refused(tmp_path):
     import onnx
 
     (tmp_path / "text.onnx").write_text("no network")
@@ -127,9 +121,7 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
         assert "\n" not in str(caught.value)
 
 
-def test_other_names_and_missing_files_are_refused(
-    exported: tuple[Path, Network], tmp_path: Path
-) -> None:
+def test_other_names_and_missing_files_are_refused(exported, tmp_path):
     with pytest.raises(CheckpointError, match=r"ends in \.onnx"):
         export_onnx(exported[1], GRID, tmp_path / "net.pt", about={})
     assert not list(tmp_path.iterdir())
@@ -137,7 +129,7 @@ def test_other_names_and_missing_files_are_refused(
         load_onnx(tmp_path / "absent.onnx")
 
 
-def changed(path: Path, change: Callable[[Any], None]) -> bytes:
+def changed(path, change):
     """The file at `path` after a `change` of its model."""
     import onnx
 
@@ -146,7 +138,7 @@ def changed(path: Path, change: Callable[[Any], None]) -> bytes:
     return model.SerializeToString()
 
 
-def swap_outputs(model: Any) -> None:
+def swap_outputs(model):
     """The two outputs in the other order, under their own names."""
     first, second = model.graph.output
     kept = first.SerializeToString()
@@ -155,9 +147,7 @@ def swap_outputs(model: Any) -> None:
 
 
 @pytest.mark.parametrize("runtime", RUNTIMES)
-def test_outputs_go_by_name_and_not_by_place(
-    exported: tuple[Path, Network], tmp_path: Path, runtime: str
-) -> None:
+def test_outputs_go_by_name_and_not_by_place(exported, tmp_path, runtime):
     pytest.importorskip(runtime)
     path = tmp_path / "swapped.onnx"
     path.write_bytes(changed(exported[0], swap_outputs))
@@ -169,26 +159,26 @@ def test_outputs_go_by_name_and_not_by_place(
     torch.testing.assert_close(swapped.tudf, straight.tudf)
 
 
-def fix_the_batch(model: Any) -> None:
+def fix_the_batch(model):
     for one in (*model.graph.input, *model.graph.output):
         one.type.tensor_type.shape.dim[0].dim_value = 1
 
 
-def set_header(**values: object) -> Callable[[Any], None]:
-    def change(model: Any) -> None:
+def set_header(**values):
+    def change(model):
         entry = next(entry for entry in model.metadata_props if entry.key == "scenegen")
         entry.value = json.dumps({**json.loads(entry.value), **values})
 
     return change
 
 
-def widen(model: Any) -> None:
+def widen(model):
     for one in model.graph.input:
         one.type.tensor_type.shape.dim[1].dim_value += 8
 
 
-def set_weight(value: float) -> Callable[[Any], None]:
-    def change(model: Any) -> None:
+def set_weight(value):
+    def change(model):
         import onnx
 
         tensor = next(one for one in model.graph.initializer if one.dims and one.data_type == 1)
@@ -199,18 +189,18 @@ def set_weight(value: float) -> Callable[[Any], None]:
     return change
 
 
-def loop(model: Any) -> None:
+def loop(model):
     import onnx
 
     model.graph.node.append(onnx.helper.make_node("Loop", ["", "", ""], ["found"]))
 
 
-def rename_outputs(model: Any) -> None:
+def rename_outputs(model):
     for output in model.graph.output:
         output.name += "x"
 
 
-def point_outside(model: Any) -> None:
+def point_outside(model):
     tensor = model.graph.initializer[0]
     tensor.data_location = 1
     tensor.ClearField("raw_data")
@@ -241,9 +231,7 @@ def point_outside(model: Any) -> None:
         ),
     ],
 )
-def test_what_no_export_holds_is_refused(
-    exported: tuple[Path, Network], tmp_path: Path, change: Callable[[Any], None], said: str
-) -> None:
+def test_what_no_export_holds_is_refused(exported, tmp_path, change, said):
     pytest.importorskip("onnxruntime")
     path = tmp_path / "changed.onnx"
     path.write_bytes(changed(exported[0], change))

@@ -1,8 +1,6 @@
 """What `inspect` says of scans, predictions and runs is what is in them."""
 
 import json
-from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -11,7 +9,7 @@ from scenegen.display.exchange.files import write_points
 from tests.command_line import run
 
 
-def told(capsys: Any, path: Path) -> dict[str, Any]:
+def told(capsys, path):
     code, said, noted = run(capsys, "inspect", path, "--json")
     assert (code, noted) == (0, "")
     return json.loads(said)

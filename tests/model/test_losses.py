@@ -20,7 +20,7 @@ SHAPE = (3, 5, 4, 6)  # three maps, no two axes alike
 # The equations, one a function, in float64.
 
 
-def cross_entropy(logits: np.ndarray, occupancy: np.ndarray, weight: float) -> float:
+def cross_entropy(logits, occupancy, weight):
     """L_occ = -1/N sum w (o log p + (1 - o) log(1 - p)), with log p = -log(1 + exp(-x)) for p of
     logit x."""
     o, x = occupancy.astype(np.float64), logits.astype(np.float64)
@@ -28,7 +28,7 @@ def cross_entropy(logits: np.ndarray, occupancy: np.ndarray, weight: float) -> f
     return -(w * (o * -np.logaddexp(0, -x) + (1 - o) * -np.logaddexp(0, x))).sum() / x.size
 
 
-def lovasz_hinge(logits: np.ndarray, occupancy: np.ndarray) -> float:
+def lovasz_hinge(logits, occupancy):
     """The mean over maps of the integral over t > 0 of 1 - IoU, where the voxels whose error is t
     or more are wrong."""
     found = []
@@ -43,9 +43,7 @@ def lovasz_hinge(logits: np.ndarray, occupancy: np.ndarray) -> float:
     return float(np.mean(found))
 
 
-def weighted_smooth_l1(
-    predicted: np.ndarray, tudf: np.ndarray, near_m: float, weight: float, beta_m: float
-) -> float:
+def weighted_smooth_l1(predicted, tudf, near_m, weight, beta_m):
     """L_reg = 1/N sum w SmoothL1(predicted, tudf): e^2 / 2 beta where e < beta, e - beta / 2
     beyond."""
     error = np.abs(predicted.astype(np.float64) - tudf.astype(np.float64))
@@ -54,7 +52,7 @@ def weighted_smooth_l1(
     return (w * smooth).sum() / error.size
 
 
-def eikonal(predicted: np.ndarray, tudf: np.ndarray, voxel_m: float, truncation_m: float) -> float:
+def eikonal(predicted, tudf, voxel_m, truncation_m):
     """L_eik = 1/sum(m) sum m | |grad| - 1 |, voxel by voxel."""
     p, total, count = predicted.astype(np.float64), 0.0, 0
     for b, i, j, k in np.ndindex(p.shape[0], *(n - 1 for n in p.shape[1:])):
@@ -65,9 +63,7 @@ def eikonal(predicted: np.ndarray, tudf: np.ndarray, voxel_m: float, truncation_
     return total / count if count else 0.0
 
 
-def random_case(
-    seed: int, shape: tuple[int, ...] = SHAPE, voxel_m: float = 0.2, truncation_m: float = 2.0
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def random_case(seed, shape=SHAPE, voxel_m=0.2, truncation_m=2.0):
     """Logits, occupancy, predicted metres and a field with all its shells: 0, voxel * sqrt(k), the
     truncation."""
     rng = np.random.default_rng(seed)
@@ -85,19 +81,19 @@ def random_case(
     )
 
 
-def value(loss: "torch.Tensor") -> float:
+def value(loss):
     assert loss.shape == ()
     return loss.item()
 
 
-def gradient(loss, at: np.ndarray, truth: np.ndarray, **settings: float) -> np.ndarray:
+def gradient(loss, at, truth, **settings):
     """Of a loss by what is predicted."""
     tensor = torch.from_numpy(at).requires_grad_()
     loss(tensor, torch.from_numpy(truth), **settings).backward()
     return tensor.grad.numpy()
 
 
-def finite_differences(equation, at: np.ndarray, *more, step: float = 1e-5) -> np.ndarray:
+def finite_differences(equation, at, *more, step=1e-5):
     """Of an equation above, by central differences in float64."""
     out, at = np.empty(at.shape), at.astype(np.float64)
     for index in np.ndindex(at.shape):
@@ -132,9 +128,7 @@ LAWS = [
 """A loss, its equation, and settings of both."""
 
 
-def case_of(
-    loss, settings: dict, seed: int, shape: tuple[int, ...] = SHAPE
-) -> tuple[np.ndarray, np.ndarray]:
+def case_of(loss, settings, seed, shape=SHAPE):
     """What is predicted, and what is true."""
     space = settings if loss is eikonal_loss else {}
     logits, occupancy, predicted, tudf = random_case(seed, shape, **space)
@@ -142,7 +136,7 @@ def case_of(
 
 
 @pytest.mark.parametrize(("loss", "equation", "settings"), LAWS)
-def test_a_loss_is_the_papers(loss, equation, settings: dict) -> None:
+def test_a_loss_is_the_papers(loss, equation, settings):
     for seed in range(5):
         at, truth = case_of(loss, settings, seed)
         found = loss(torch.from_numpy(at), torch.from_numpy(truth), **settings)
@@ -152,9 +146,7 @@ def test_a_loss_is_the_papers(loss, equation, settings: dict) -> None:
 @pytest.mark.parametrize(
     ("loss", "equation", "settings"), {law[0]: law for law in reversed(LAWS)}.values()
 )
-def test_gradients_are_the_finite_differences_of_the_equations(
-    loss, equation, settings: dict
-) -> None:
+def test_gradients_are_the_finite_differences_of_the_equations(loss, equation, settings):
     for seed in range(3):
         at, truth = case_of(loss, settings, seed, (2, 3, 4, 3))
         wanted = finite_differences(equation, at, truth, *settings.values())
@@ -168,7 +160,7 @@ def test_gradients_are_the_finite_differences_of_the_equations(
 
 @pytest.mark.parametrize("dtype", ["float32", "bfloat16"])
 @pytest.mark.parametrize("occupied", [False, True])
-def test_logits_of_any_size_have_the_right_limits(dtype: str, occupied: bool) -> None:
+def test_logits_of_any_size_have_the_right_limits(dtype, occupied):
     """Sure and right costs nothing and pulls at nothing; sure and wrong costs and pulls by its
     weight."""
     size, weight = 4 * 3 * 2, 5.0 if occupied else 1.0
@@ -185,7 +177,7 @@ def test_logits_of_any_size_have_the_right_limits(dtype: str, occupied: bool) ->
         np.testing.assert_allclose(logits.grad.float().numpy(), pull, rtol=4e-3, atol=1e-30)
 
 
-def test_a_small_loss_is_not_rounded_away() -> None:
+def test_a_small_loss_is_not_rounded_away():
     """-log(sigmoid(x)) taken step by step is 0 from about 17 on in float32."""
     truth = np.ones((1, 2, 2, 2), bool)
     for logit in (8.0, 20.0, 40.0, 80.0):
@@ -199,7 +191,7 @@ def test_a_small_loss_is_not_rounded_away() -> None:
             assert value(sure) == pytest.approx(cross_entropy(logits, truth, 1), rel=1e-5, abs=0)
 
 
-def test_halves_are_summed_in_full() -> None:
+def test_halves_are_summed_in_full():
     """A network under bf16 autocast hands over bf16; the loss is that of its values to a float32's
     precision."""
     logits, occupancy, predicted, tudf = random_case(3, (2, 12, 11, 10))
@@ -225,7 +217,7 @@ def test_halves_are_summed_in_full() -> None:
 
 
 @pytest.mark.parametrize("dtype", ["float32", "bfloat16"])
-def test_a_flat_prediction_has_a_finite_gradient(dtype: str) -> None:
+def test_a_flat_prediction_has_a_finite_gradient(dtype):
     """The root's own slope at 0 is infinite: what stands under it keeps it 1e-4."""
     predicted = torch.full(SHAPE, 0.7).to(getattr(torch, dtype)).requires_grad_()
     loss = eikonal_loss(predicted, torch.ones(SHAPE), voxel_m=0.2, truncation_m=2.0)
@@ -235,7 +227,7 @@ def test_a_flat_prediction_has_a_finite_gradient(dtype: str) -> None:
 
 
 @pytest.mark.parametrize("dtype", ["float32", "bfloat16"])
-def test_a_prediction_far_off_is_pulled_by_its_weight_alone(dtype: str) -> None:
+def test_a_prediction_far_off_is_pulled_by_its_weight_alone(dtype):
     predicted = torch.full((1, 4, 3, 2), 1e4).to(getattr(torch, dtype)).requires_grad_()
     tudf = torch.zeros(predicted.shape)
     tudf[:, 2:] = 2.0
@@ -248,7 +240,7 @@ def test_a_prediction_far_off_is_pulled_by_its_weight_alone(dtype: str) -> None:
 # Made by hand.
 
 
-def test_a_map_one_beside_the_threshold_loses_twice_the_iou_and_an_empty_one_nothing() -> None:
+def test_a_map_one_beside_the_threshold_loses_twice_the_iou_and_an_empty_one_nothing():
     truth = torch.zeros(1, 2, 3, 4, dtype=torch.bool)
     truth[0, 0] = True  # 12 voxels, of which 8 are found, and 4 beside them
     found = truth.clone()
@@ -259,7 +251,7 @@ def test_a_map_one_beside_the_threshold_loses_twice_the_iou_and_an_empty_one_not
 
 
 @pytest.mark.parametrize("near_m", [0.2, 0.5, 0.6, 0.7, 1.4])
-def test_a_voxel_at_the_very_edge_of_near_is_near(near_m: float) -> None:
+def test_a_voxel_at_the_very_edge_of_near_is_near(near_m):
     """The edge as float32 holds it, on either side of the number written."""
     edge = np.float32(near_m)
     for distance, weight in (
@@ -277,9 +269,7 @@ def test_a_voxel_at_the_very_edge_of_near_is_near(near_m: float) -> None:
     "normal", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0, -1, 0), (1 / 3, 2 / 3, 2 / 3), (0.6, 0, -0.8)]
 )
 @pytest.mark.parametrize("voxel_m", [0.2, 0.25, 0.5])
-def test_the_distance_to_a_plane_satisfies_the_eikonal_equation(
-    normal: tuple, voxel_m: float
-) -> None:
+def test_the_distance_to_a_plane_satisfies_the_eikonal_equation(normal, voxel_m):
     centres = np.moveaxis(np.indices((7, 6, 5)), 0, -1) * voxel_m
     distance = torch.from_numpy((centres @ np.array(normal) + 4.0)[None].astype(np.float32))
     for scale, wanted in ((1, 0), (2, 1), (3, 2), (0.5, 0.5), (-1, 0)):
@@ -287,7 +277,7 @@ def test_the_distance_to_a_plane_satisfies_the_eikonal_equation(
         assert value(found) == pytest.approx(wanted, abs=2e-5)
 
 
-def test_where_nothing_is_in_reach_the_eikonal_loss_is_zero_and_so_is_its_gradient() -> None:
+def test_where_nothing_is_in_reach_the_eikonal_loss_is_zero_and_so_is_its_gradient():
     shape = (2, 4, 3, 5)
     fields = [torch.zeros(shape), torch.full(shape, 2.0), torch.full(shape, 2.0)]
     fields[2][:, -1], fields[2][:, :, -1], fields[2][..., -1] = 1.0, 1.0, 1.0
@@ -302,8 +292,8 @@ def test_where_nothing_is_in_reach_the_eikonal_loss_is_zero_and_so_is_its_gradie
 
 @pytest.mark.parametrize("truncation_m", [2.0, 1.1, 0.9, 3.4])
 def test_a_voxel_takes_part_when_its_own_distance_is_strictly_within_reach(
-    truncation_m: float,
-) -> None:
+    truncation_m,
+):
     """One voxel is asked about at a time, whatever its neighbours' distances; the others are at 0
     or the truncation."""
     limit = np.float32(truncation_m)

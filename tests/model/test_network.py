@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from torch import Tensor, nn
+from torch import nn
 
 from scenegen.model.config import VARIANTS, NetworkConfig
 from scenegen.model.facts import cost
@@ -13,12 +13,12 @@ from scenegen.model.network import Columns, Conv3d, CrossFusion, FinalUp, Networ
 SHAPE = (16, 24, 8)
 
 
-def network(**config: object) -> Network:
+def network(**config):
     torch.manual_seed(0)
     return Network(NetworkConfig(height=SHAPE[2], **config)).eval()
 
 
-def seen(batch: int) -> dict[str, Tensor]:
+def seen(batch):
     """A batch of maps of noise."""
     return {"observed": torch.rand(batch, *SHAPE)}
 
@@ -38,7 +38,7 @@ def test_every_variant_predicts_its_tasks_at_full_size(variant, stem_stride):
     assert output.tudf is None or (output.tudf >= 0).all()
 
 
-def reaches(variant: str, task: str, branch: str) -> bool:
+def reaches(variant, task, branch):
     """Whether the prediction of `task` depends on the weights of the decoder of `branch`."""
     net = network(variant=variant)
     output = net(seen(1))
@@ -63,7 +63,7 @@ def test_crossfusion_is_equation_5():
     torch.manual_seed(0)
     fuse, t, o = CrossFusion(4), torch.rand(2, 4, 3, 2, 1), torch.rand(2, 4, 3, 2, 1)
 
-    def add(x: Tensor, y: Tensor, layers: nn.Sequential) -> Tensor:
+    def add(x, y, layers):
         """x + C(x, y), a cell at a time."""
         first, _, second = layers
         both = torch.cat((x, y), dim=1).movedim(1, -1)

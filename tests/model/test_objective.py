@@ -42,9 +42,7 @@ CONFIGS = [
 @pytest.mark.parametrize("config", CONFIGS)
 @pytest.mark.parametrize("heads", ["both", "logits", "tudf"])
 @pytest.mark.parametrize(("voxel_m", "truncation_m"), SPACES[:2])
-def test_the_objective_is_the_weighted_sum(
-    config: LossConfig, heads: str, voxel_m: float, truncation_m: float
-) -> None:
+def test_the_objective_is_the_weighted_sum(config, heads, voxel_m, truncation_m):
     """L = l_occ L_occ + l_tudf (L_reg + l_eik L_eik), of what the output has."""
     logits, occupancy, predicted, tudf = random_case(11, voxel_m=voxel_m, truncation_m=truncation_m)
     output = Output(
@@ -71,7 +69,7 @@ def test_the_objective_is_the_weighted_sum(
     )
 
 
-def test_the_default_weights_are_the_papers() -> None:
+def test_the_default_weights_are_the_papers():
     wanted = {
         "occupancy": 0.1,
         "tudf": 1.0,
@@ -91,7 +89,7 @@ def test_the_default_weights_are_the_papers() -> None:
 @pytest.mark.parametrize(
     "name", [one.name for one in dataclasses.fields(LossConfig) if one.name != "objective"]
 )
-def test_a_weight_that_makes_no_sense_is_refused_by_name(name: str) -> None:
+def test_a_weight_that_makes_no_sense_is_refused_by_name(name):
     for wrong in (-0.1, math.nan, math.inf, -math.inf):
         with pytest.raises(ValueError, match=name):
             LossConfig(**{name: wrong})

@@ -4,7 +4,6 @@ do."""
 import csv
 import re
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import h5py
@@ -25,7 +24,7 @@ pytestmark = pytest.mark.usefixtures("undrawn")
 
 
 @pytest.fixture
-def here(folders, tmp_path, monkeypatch) -> Iterator[Path]:
+def here(folders, tmp_path, monkeypatch):
     """A user's folder with the page's files, to stand in; what is imported is forgotten
     afterwards."""
     before = list(sys.path), set(sys.modules)
@@ -89,7 +88,7 @@ def test_the_page_trains_resumes_completes_benches_and_exports(here, capsys):
 
 
 @pytest.fixture
-def trapped(here) -> Path:
+def trapped(here):
     """A stranger's network that names code in the folder where the user stands."""
     (here / "trap.py").write_text(
         "open('sprung', 'w')\nfrom my_net import Net\nfrom my_input import rise\n"

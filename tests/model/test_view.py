@@ -1,7 +1,5 @@
 """A page with predictions shows what they say, what they miss and what they invent."""
 
-from pathlib import Path
-
 import h5py
 import numpy as np
 import pytest
@@ -24,7 +22,7 @@ COUNTS = {"train": 3, "val": 0, "test": 3}
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory) -> Path:
+def folder(tmp_path_factory):
     recipe = small_recipe()
     folder = tmp_path_factory.mktemp("shown") / "d"
     build(plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=0, counts=COUNTS), workers=1)

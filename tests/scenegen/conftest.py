@@ -3,17 +3,15 @@
 import shutil
 import sys
 import types
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.share.stage import Request
 from scenegen.source import DrawnWorlds
-from tests.conftest import Once, small_recipe
+from tests.conftest import small_recipe
 from tests.scenegen.hub import TOKEN, Hub
 
 COUNTS = {"train": 11, "val": 2, "test": 4}
@@ -28,10 +26,10 @@ class Check:
 
 
 @pytest.fixture(scope="session")
-def made(once: Once) -> Path:
+def made(once):
     """A dataset of seven shards; not to be changed."""
 
-    def make(folder: Path) -> None:
+    def make(folder):
         recipe = small_recipe()
         plan = plan_dataset(
             folder / "pillar", recipe, DrawnWorlds(recipe), seed=3, counts=COUNTS, shard_samples=3
@@ -42,13 +40,13 @@ def made(once: Once) -> Path:
 
 
 @pytest.fixture
-def dataset(made: Path, tmp_path: Path) -> Path:
+def dataset(made, tmp_path):
     """A copy of it, to change."""
     return Path(shutil.copytree(made, tmp_path / "data" / "pillar"))
 
 
 @pytest.fixture
-def asked(dataset: Path, tmp_path: Path) -> Request:
+def asked(dataset, tmp_path):
     """To publish it."""
     return Request(
         dataset=dataset, repository="ada/small-pillars", out=tmp_path / "publish" / "small-pillars"
@@ -56,11 +54,11 @@ def asked(dataset: Path, tmp_path: Path) -> Request:
 
 
 @pytest.fixture
-def verified(monkeypatch: pytest.MonkeyPatch) -> list[Check]:
+def verified(monkeypatch):
     """A check in place of the thorough one: what it finds can be changed."""
     checks = [Check("files", True, "14 files hold")]
 
-    def verify(folder: Path, **options: Any) -> Any:
+    def verify(folder, **options):
         return types.SimpleNamespace(ok=all(check.ok for check in checks), checks=tuple(checks))
 
     stand_in = types.ModuleType("scenegen.verification")
@@ -70,7 +68,7 @@ def verified(monkeypatch: pytest.MonkeyPatch) -> list[Check]:
 
 
 @pytest.fixture
-def hub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hub]:
+def hub(tmp_path, monkeypatch):
     """The stand-in, with the client's addresses, cache and token turned to it."""
     from huggingface_hub import constants
 

@@ -2,8 +2,6 @@
 are refused."""
 
 import struct
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,16 +17,14 @@ HEAD = "element vertex {count}\nproperty float x\nproperty float y\nproperty flo
 
 @pytest.mark.parametrize("encoding", ["ascii", "binary"])
 @pytest.mark.parametrize("coloured", [False, True])
-def test_what_trimesh_writes_as_ply_comes_back(
-    tmp_path: Path, encoding: str, coloured: bool
-) -> None:
+def test_what_trimesh_writes_as_ply_comes_back(tmp_path, encoding, coloured):
     colours = np.full((50, 4), 7, np.uint8) if coloured else None
     cloud = trimesh.PointCloud(POINTS, colors=colours)
     (tmp_path / "scan.ply").write_bytes(cloud.export(file_type="ply", encoding=encoding))
     np.testing.assert_allclose(read_points(tmp_path / "scan.ply"), POINTS, atol=1e-7)
 
 
-def test_big_endian_vertices_in_any_order_and_before_faces_come_back(tmp_path: Path) -> None:
+def test_big_endian_vertices_in_any_order_and_before_faces_come_back(tmp_path):
     head = (
         "ply\nformat binary_big_endian 1.0\ncomment caf\xe9\nelement vertex 50\nproperty uchar "
         "i\nproperty double z\n"
@@ -43,17 +39,17 @@ def test_big_endian_vertices_in_any_order_and_before_faces_come_back(tmp_path: P
 
 
 @pytest.mark.parametrize("order", ["C", "F"])
-def test_arrays_come_back(tmp_path: Path, order: str) -> None:
+def test_arrays_come_back(tmp_path, order):
     np.save(tmp_path / "scan.npy", np.asarray(POINTS, order=order))
     np.testing.assert_array_equal(read_points(tmp_path / "scan.npy"), POINTS)
 
 
-def test_text_comes_back_by_spaces_or_commas(tmp_path: Path) -> None:
+def test_text_comes_back_by_spaces_or_commas(tmp_path):
     (tmp_path / "scan.xyz").write_text("# x y z\n1 2 3 9\n\n4,5,nan,9\n")
     np.testing.assert_array_equal(read_points(tmp_path / "scan.xyz"), [[1, 2, 3], [4, 5, np.nan]])
 
 
-def npy(header: str) -> str:
+def npy(header):
     """An array file that holds nothing but its header."""
     return "\x93NUMPY\1\0\x50\0" + header.ljust(80)
 
@@ -110,9 +106,7 @@ def npy(header: str) -> str:
         ("e.xyz", "\0" * 1000, "cannot be read"),
     ],
 )
-def test_files_that_do_not_hold_what_they_promise_are_refused(
-    tmp_path: Path, name: str, content: str, said: str
-) -> None:
+def test_files_that_do_not_hold_what_they_promise_are_refused(tmp_path, name, content, said):
     (tmp_path / name).write_bytes(content.encode("latin-1"))
     with pytest.raises(DatasetError) as caught:
         read_points(tmp_path / name)
@@ -121,7 +115,7 @@ def test_files_that_do_not_hold_what_they_promise_are_refused(
 
 
 @pytest.mark.parametrize("suffix", [".pcd", ".bin", ".npz", ".ply"])
-def test_what_scan_writes_comes_back(tmp_path: Path, suffix: str) -> None:
+def test_what_scan_writes_comes_back(tmp_path, suffix):
     points = np.random.default_rng(0).normal(size=(70, 3)).astype(np.float32)
     for intensity in (None, np.linspace(0, 1, 70)):
         write_points(tmp_path / f"scan{suffix}", points.astype(np.float64), intensity, {})
@@ -134,7 +128,7 @@ PCD = (
 )
 
 
-def pcd(form: str, n: int = 3, **said: str) -> bytes:
+def pcd(form, n=3, **said):
     usual = {
         "fields": "intensity _ z y x",
         "size": "2 1 8 4 4",
@@ -144,7 +138,7 @@ def pcd(form: str, n: int = 3, **said: str) -> bytes:
     return PCD.format(**{**usual, "form": form, "n": n, **said}).encode()
 
 
-def test_pcd_in_text_and_with_fields_of_any_kind_in_any_order(tmp_path: Path) -> None:
+def test_pcd_in_text_and_with_fields_of_any_kind_in_any_order(tmp_path):
     points = np.random.default_rng(1).normal(size=(3, 3)).astype(np.float32).astype(np.float64)
     text = "".join(f"7 0 0 0 {z!r} {y!r} {x!r}\n" for x, y, z in points.tolist())
     (tmp_path / "text.pcd").write_bytes(b"# made by hand\n" + pcd("ascii") + text.encode())
@@ -171,17 +165,13 @@ def test_pcd_in_text_and_with_fields_of_any_kind_in_any_order(tmp_path: Path) ->
         ("none.npz", b"PK\x05\x06" + bytes(18)),
     ],
 )
-def test_files_of_other_programs_that_hold_nothing_are_refused(
-    tmp_path: Path, name: str, content: bytes
-) -> None:
+def test_files_of_other_programs_that_hold_nothing_are_refused(tmp_path, name, content):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(DatasetError, match=name):
         read_points(tmp_path / name)
 
 
-def test_an_archive_that_unpacks_to_more_than_a_scan_is_refused(
-    tmp_path: Path, monkeypatch: Any
-) -> None:
+def test_an_archive_that_unpacks_to_more_than_a_scan_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("scenegen.clouds.MOST_SCAN_BYTES", 10_000)
     np.savez_compressed(tmp_path / "bomb.npz", points=np.zeros((10_000, 3)))
     assert (tmp_path / "bomb.npz").stat().st_size < 10_000
@@ -189,7 +179,7 @@ def test_an_archive_that_unpacks_to_more_than_a_scan_is_refused(
         read_points(tmp_path / "bomb.npz")
 
 
-def test_a_folder_s_scans_are_found_below_it(tmp_path: Path) -> None:
+def test_a_folder_s_scans_are_found_below_it(tmp_path):
     for name in ("00/velodyne/000001.bin", "00/velodyne/000000.bin", "01/a.pcd", "01/times.txt"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_bytes(b"")

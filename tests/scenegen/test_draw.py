@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from lidarsim import GridSpec, Lidar, MujocoEngine, Pose, cast, voxelize
 from lidarsim.solids.model import solids_of
-from scenegen.draw import Unit, draw_unit
+from scenegen.draw import draw_unit
 from scenegen.errors import GenerationError
 from scenegen.recipe import Recipe, preset
 from scenegen.sample import GROUPS, derive_free, derive_tudf
@@ -20,12 +20,12 @@ from tests.conftest import picky_recipe, small_recipe
 Drawn = tuple[Recipe, DrawnWorlds]
 
 
-def draw(drawn: Drawn, unit: int = 0, *, seed: int = 0, split: str = "train") -> Unit:
+def draw(drawn, unit=0, *, seed=0, split="train"):
     recipe, source = drawn
     return draw_unit(source, recipe, seed=seed, split=split, unit=unit)
 
 
-def same(a: Unit, b: Unit) -> bool:
+def same(a, b):
     return a.world.mjcf == b.world.mjcf and all(
         np.array_equal(getattr(x, name), getattr(y, name))
         for x, y in zip(a.samples, b.samples, strict=True)
@@ -34,7 +34,7 @@ def same(a: Unit, b: Unit) -> bool:
 
 
 @pytest.mark.parametrize("kind", ["pillar", "geometric"])
-def test_every_return_lies_in_an_occupied_voxel_at_full_size(kind: str) -> None:
+def test_every_return_lies_in_an_occupied_voxel_at_full_size(kind):
     recipe = preset(kind)
     returned = 0
     for unit in range(6):
@@ -45,7 +45,7 @@ def test_every_return_lies_in_an_occupied_voxel_at_full_size(kind: str) -> None:
     assert returned > 6 * 5 * 50
 
 
-def test_distances_equal_an_independent_transform(drawn: Drawn) -> None:
+def test_distances_equal_an_independent_transform(drawn):
     recipe, _ = drawn
     grid = recipe.grid
     for unit in range(4):
@@ -57,7 +57,7 @@ def test_distances_equal_an_independent_transform(drawn: Drawn) -> None:
             np.testing.assert_array_equal(sample.tudf, expected)
 
 
-def test_what_is_derived_follows_from_what_is_stored(drawn: Drawn) -> None:
+def test_what_is_derived_follows_from_what_is_stored(drawn):
     recipe, _ = drawn
     for sample in draw(drawn).samples:
         free = derive_free(
@@ -67,7 +67,7 @@ def test_what_is_derived_follows_from_what_is_stored(drawn: Drawn) -> None:
         np.testing.assert_array_equal(sample.tudf, derive_tudf(sample.occupancy, grid=recipe.grid))
 
 
-def test_the_archived_document_alone_gives_the_same_scan_and_truth(drawn: Drawn) -> None:
+def test_the_archived_document_alone_gives_the_same_scan_and_truth(drawn):
     recipe, _ = drawn
     unit = draw(drawn)
     model = mujoco.MjModel.from_xml_string(unit.world.mjcf.decode())
@@ -79,7 +79,7 @@ def test_the_archived_document_alone_gives_the_same_scan_and_truth(drawn: Drawn)
         )
 
 
-def test_a_unit_depends_on_its_numbers_alone(drawn: Drawn) -> None:
+def test_a_unit_depends_on_its_numbers_alone(drawn):
     alone = draw(drawn, 3)
     for unit in (5, 0, 4):
         draw(drawn, unit)
@@ -89,7 +89,7 @@ def test_a_unit_depends_on_its_numbers_alone(drawn: Drawn) -> None:
         assert alone.world.mjcf != other.world.mjcf
 
 
-def test_viewpoints_are_level_apart_and_clear_of_solids(drawn: Drawn) -> None:
+def test_viewpoints_are_level_apart_and_clear_of_solids(drawn):
     recipe, _ = drawn
     for unit in range(5):
         found = draw(drawn, unit)
@@ -107,7 +107,7 @@ def test_viewpoints_are_level_apart_and_clear_of_solids(drawn: Drawn) -> None:
 
 
 @pytest.mark.parametrize("kind", ["pillar", "geometric"])
-def test_turning_the_world_by_a_right_angle_turns_the_sample(kind: str) -> None:
+def test_turning_the_world_by_a_right_angle_turns_the_sample(kind):
     recipe = preset(kind)
     unit = draw((recipe, DrawnWorlds(recipe)), 1)
     spec = mujoco.MjSpec.from_string(unit.world.mjcf.decode())
@@ -147,7 +147,7 @@ def test_turning_the_world_by_a_right_angle_turns_the_sample(kind: str) -> None:
     assert cells > 1000, "the world looks the same turned: the test shows nothing"
 
 
-def test_rejected_worlds_and_viewpoints_are_counted_by_reason() -> None:
+def test_rejected_worlds_and_viewpoints_are_counted_by_reason():
     recipe = picky_recipe()
     source = DrawnWorlds(recipe)
     units = [draw((recipe, source), unit) for unit in range(12)]
@@ -170,13 +170,13 @@ def test_rejected_worlds_and_viewpoints_are_counted_by_reason() -> None:
         ({"flight": {"viewpoints": 500}}, "flight.viewpoints"),
     ],
 )
-def test_impossible_parameters_end_and_are_named(tables: dict, named: str) -> None:
+def test_impossible_parameters_end_and_are_named(tables, named):
     recipe = small_recipe(**{**tables, "accept": {"max_draws": 4, **tables.get("accept", {})}})
     with pytest.raises(GenerationError, match=named.replace(".", r"\.")):
         draw((recipe, DrawnWorlds(recipe)))
 
 
-def test_other_grids_and_sensors_come_through() -> None:
+def test_other_grids_and_sensors_come_through():
     recipe = small_recipe(
         grid={"shape": (10, 20, 30), "voxel_m": 0.1, "truncation_m": 0.5},
         lidar={"mount": "band"},

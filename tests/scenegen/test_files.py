@@ -24,7 +24,7 @@ from scenegen.files import (
 from scenegen.run import undo_all
 
 
-def test_what_is_written_stands_there_and_nothing_beside_it(tmp_path: Path) -> None:
+def test_what_is_written_stands_there_and_nothing_beside_it(tmp_path):
     for content in (b"first", b"second"):
         write_whole(tmp_path / "a", content)
         assert (tmp_path / "a").read_bytes() == content
@@ -43,7 +43,7 @@ def test_what_is_written_stands_there_and_nothing_beside_it(tmp_path: Path) -> N
         make_parent(tmp_path / "a" / "x" / "y")
 
 
-def test_only_regular_files_are_replaced(tmp_path: Path) -> None:
+def test_only_regular_files_are_replaced(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "folder").mkdir()
     (tmp_path / "target").write_bytes(b"mine")
@@ -65,16 +65,14 @@ def test_only_regular_files_are_replaced(tmp_path: Path) -> None:
     assert (tmp_path / "target").read_bytes() == b"mine"
 
 
-def test_a_pipe_put_there_meanwhile_is_not_replaced_either(tmp_path: Path) -> None:
+def test_a_pipe_put_there_meanwhile_is_not_replaced_either(tmp_path):
     with pytest.raises(DatasetError, match="is not a regular file"), whole(tmp_path / "a"):
         os.mkfifo(tmp_path / "a")
     assert stat.S_ISFIFO((tmp_path / "a").lstat().st_mode)
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
 
-def test_a_draft_is_never_somebody_elses_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_draft_is_never_somebody_elses_file(tmp_path, monkeypatch):
     names = {draft_of(tmp_path / "a").name for _ in range(100)}
     assert len(names) == 100
     planted, victim = tmp_path / ".scenegen-guessed.tmp", tmp_path / "victim"
@@ -94,7 +92,7 @@ def test_a_draft_is_never_somebody_elses_file(
     assert not (tmp_path / "a").exists()
 
 
-def left_behind(folder: Path, *, content: bytes | None = b"half") -> Path:
+def left_behind(folder, *, content=b"half"):
     """A draft, or a folder, of a process that has ended."""
     place = str(folder / "a")
     code = (
@@ -112,9 +110,7 @@ def left_behind(folder: Path, *, content: bytes | None = b"half") -> Path:
     return Path(said)
 
 
-def test_cleaning_takes_what_an_ended_process_left_and_nothing_else(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_cleaning_takes_what_an_ended_process_left_and_nothing_else(tmp_path, monkeypatch):
     """Among the rest are drafts as they were called once, of whatever age."""
     gone, gone_folder = left_behind(tmp_path), left_behind(tmp_path, content=None)
     kept = [draft_of(tmp_path / "a")]  # of this process, which lives
@@ -141,9 +137,7 @@ def test_cleaning_takes_what_an_ended_process_left_and_nothing_else(
     assert not gone_folder.exists()
 
 
-def test_a_process_number_in_use_again_and_other_machines_are_told_apart(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_process_number_in_use_again_and_other_machines_are_told_apart(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(files, "_start_of", lambda pid: 12345)  # a former process of this number
         reused = draft_of(tmp_path / "a")
@@ -158,7 +152,7 @@ def test_a_process_number_in_use_again_and_other_machines_are_told_apart(
     assert list(tmp_path.iterdir()) == [elsewhere]
 
 
-def test_a_stop_removes_what_is_being_written(tmp_path: Path) -> None:
+def test_a_stop_removes_what_is_being_written(tmp_path):
     write_whole(tmp_path / "a", b"whole")
     undo_all()
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
@@ -167,7 +161,7 @@ def test_a_stop_removes_what_is_being_written(tmp_path: Path) -> None:
         assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
 
-def test_links_are_followed_unless_they_lead_in_a_circle(tmp_path: Path) -> None:
+def test_links_are_followed_unless_they_lead_in_a_circle(tmp_path):
     (tmp_path / "link").symlink_to("a")
     (tmp_path / "loop").symlink_to("loop")
     assert real_path(tmp_path / "link") == tmp_path.resolve() / "a"

@@ -7,7 +7,6 @@ import math
 import random
 from collections import Counter
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -15,7 +14,7 @@ from scenegen.dataset import manifest
 from scenegen.dataset.trust import parse
 from scenegen.errors import RecipeError
 from scenegen.limits import MOST_DRAWN_SOLIDS, MOST_SAMPLES, MOST_SAMPLES_IN_SHARD, MOST_SEED
-from scenegen.recipe import Recipe, make_recipe, preset, read_recipe
+from scenegen.recipe import make_recipe, preset, read_recipe
 from scenegen.recipes import kind_names
 from scenegen.source import DrawnWorlds
 from scenegen.verification.contract import read_contract
@@ -61,12 +60,12 @@ NASTY = (
 
 
 @pytest.fixture(autouse=True)
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+def quick(monkeypatch):
     """Looking up versions takes longer than all the rest."""
     monkeypatch.setattr(manifest, "software", dict)
 
 
-def manifest_of(recipe: Recipe) -> dict[str, Any]:
+def manifest_of(recipe):
     """A manifest of no shard, with the greatest numbers besides the recipe that there may be."""
     counts = dict.fromkeys(("train", "val", "test"), MOST_SAMPLES)
     options = {
@@ -79,10 +78,10 @@ def manifest_of(recipe: Recipe) -> dict[str, Any]:
     return json.loads(json.dumps(manifest.assemble(given, [], complete=False)))
 
 
-def random_tables(chance: random.Random, recipe: Recipe) -> dict[str, Any]:
+def random_tables(chance, recipe):
     """A few parameters, of random values: nasty ones, and those that are there, scaled or mixed
     up."""
-    tables: dict[str, Any] = {}
+    tables = {}
     for _ in range(chance.choice((1, 1, 1, 2, 4))):
         name = chance.choice(("world", "flight", "accept", "lidar", "grid"))
         part = getattr(recipe, name)
@@ -101,12 +100,12 @@ def random_tables(chance: random.Random, recipe: Recipe) -> dict[str, Any]:
 
 
 def test_a_recipe_of_any_values_ends_in_one_line_or_makes_a_manifest_that_readers_take(
-    tmp_path: Path,
-) -> None:
+    tmp_path,
+):
     chance = random.Random(0)
     presets = {kind: preset(kind) for kind in kind_names()}
-    outcome: Counter[str] = Counter()
-    lines: set[str] = set()
+    outcome = Counter()
+    lines = set()
     for _ in range(1500):
         kind = chance.choice(list(presets))
         try:
@@ -133,7 +132,7 @@ def test_a_recipe_of_any_values_ends_in_one_line_or_makes_a_manifest_that_reader
 
 
 @pytest.mark.parametrize("kind", [*kind_names(), "scene"])
-def test_every_preset_keeps_its_own_rules_and_reads_back(kind: str) -> None:
+def test_every_preset_keeps_its_own_rules_and_reads_back(kind):
     recipe = preset(kind)
     plain = {
         name: dataclasses.asdict(getattr(recipe, name))
@@ -144,7 +143,7 @@ def test_every_preset_keeps_its_own_rules_and_reads_back(kind: str) -> None:
     assert make_recipe(kind, json.loads(json.dumps(plain)), where="test") == recipe
 
 
-def test_whole_numbers_and_floats_make_the_same_dataset() -> None:
+def test_whole_numbers_and_floats_make_the_same_dataset():
     """A recipe says 1 or 1.0; the manifest, and so the dataset's fingerprint, says one of them."""
     whole = {
         "grid": {"voxel_m": 1, "shape": [8.0, 8.0, 8.0]},
@@ -163,7 +162,7 @@ def test_whole_numbers_and_floats_make_the_same_dataset() -> None:
     assert found[0] == found[1]
 
 
-def test_all_sorts_of_solids_are_counted_together() -> None:
+def test_all_sorts_of_solids_are_counted_together():
     """Each alone would do."""
     alone = {"density": [0.001, 9.0]}, {"wall_density": [0.0, 9.0]}, {"clutter_density": [0.0, 0.9]}
     for world in alone:
@@ -174,7 +173,7 @@ def test_all_sorts_of_solids_are_counted_together() -> None:
             make_recipe("geometric", tables, where="test")
 
 
-def test_a_parameter_without_default_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_parameter_without_default_is_asked_for(monkeypatch):
     @dataclasses.dataclass(frozen=True, kw_only=True)
     class Bare(type(preset("pillar").world)):  # type: ignore[misc]
         posts: int
@@ -187,14 +186,14 @@ def test_a_parameter_without_default_is_asked_for(monkeypatch: pytest.MonkeyPatc
         make_recipe("pillar", {"world": {"posts": 3.5}}, where="test")
 
 
-def test_a_recipe_as_large_as_may_be_is_read_in_bounded_time(tmp_path: Path) -> None:
+def test_a_recipe_as_large_as_may_be_is_read_in_bounded_time(tmp_path):
     lines = f"[{'a.' * 200}a]\n" + "".join(f"k{n:05d}=1\n" for n in range(6_000))
     (tmp_path / "r.toml").write_text(f'kind = "pillar"\n{lines}')
     with pytest.raises(RecipeError, match="unknown table 'a'"):
         read_recipe(tmp_path / "r.toml")
 
 
-def test_a_difficulty_is_the_kinds_own_or_refused(tmp_path: Path) -> None:
+def test_a_difficulty_is_the_kinds_own_or_refused(tmp_path):
     hard = preset("pillar", difficulty="hard")
     path = tmp_path / "r.toml"
     path.write_text('kind = "pillar"\ndifficulty = "hard"\n[world]\nround_share = 0.5\n')

@@ -1,7 +1,6 @@
 """Samples and splits say what they are, and give their points."""
 
 import html
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from scenegen.sample import GROUPS, Sample
 from tests.command_line import run
 
 
-def test_points_lie_along_the_rays_and_in_observed_voxels(made: Path) -> None:
+def test_points_lie_along_the_rays_and_in_observed_voxels(made):
     dataset = Dataset(made)
     sample = dataset.split("train")[2]
     points = sample.points()
@@ -28,7 +27,7 @@ def test_points_lie_along_the_rays_and_in_observed_voxels(made: Path) -> None:
     }
 
 
-def test_a_sample_without_a_dataset_needs_its_sensor(made: Path) -> None:
+def test_a_sample_without_a_dataset_needs_its_sensor(made):
     dataset = Dataset(made)
     stored = dataset.split("train")[0]
     plain = Sample(**{name: getattr(stored, name) for name in GROUPS[""]})
@@ -37,7 +36,7 @@ def test_a_sample_without_a_dataset_needs_its_sensor(made: Path) -> None:
     np.testing.assert_array_equal(plain.points(dataset.lidar), stored.points())
 
 
-def test_samples_and_splits_say_what_they_are(dataset: Path) -> None:
+def test_samples_and_splits_say_what_they_are(dataset):
     folder = dataset.rename(dataset.with_name("<b>x"))
     split = Dataset(folder).split("train")
     assert repr(split) == f"<Split: 11 samples of {folder}, train>"
@@ -59,9 +58,7 @@ def test_samples_and_splits_say_what_they_are(dataset: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["pillar", "geometric"])
-def test_a_preset_as_a_file_is_the_preset(
-    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_preset_as_a_file_is_the_preset(kind, tmp_path, capsys):
     from scenegen.recipe import preset, read_recipe
 
     code, said, _ = run(capsys, "recipe", kind)

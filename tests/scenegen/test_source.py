@@ -14,7 +14,7 @@ from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, SceneError
 from scenegen.recipe import make_recipe, preset
-from scenegen.source import DrawnWorlds, SceneWorlds, read_scenes
+from scenegen.source import DrawnWorlds, read_scenes
 from scenegen.worlds.world import write_world
 from tests.conftest import SMALL
 
@@ -27,14 +27,14 @@ ROOM = """<mujoco><custom><numeric name="flight_bounds" data="0 0 1 12 12 3"/></
     </mujoco>"""
 
 
-def scene_recipe() -> object:
+def scene_recipe():
     return make_recipe(
         "scene", {name: SMALL[name] for name in ("flight", "lidar", "grid", "accept")}, where="test"
     )
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     """Five small worlds."""
     (tmp_path / "worlds").mkdir()
     for n in range(5):
@@ -42,13 +42,13 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "worlds"
 
 
-def make(folder: Path, out: Path, counts: dict[str, int] = COUNTS) -> tuple[SceneWorlds, Dataset]:
+def make(folder, out, counts=COUNTS):
     source = read_scenes(folder, counts, seed=0)
     build(plan_dataset(out, scene_recipe(), source, seed=0, counts=counts, shard_samples=3))
     return source, Dataset(out)
 
 
-def test_a_folder_is_split_by_world_and_visited_in_turn(folder: Path, tmp_path: Path) -> None:
+def test_a_folder_is_split_by_world_and_visited_in_turn(folder, tmp_path):
     source, dataset = make(folder, tmp_path / "d", {**COUNTS, "train": 21})
     named = [scene.name for scenes in source.scenes.values() for scene in scenes]
     assert sorted(named) == [f"room{n}.xml" for n in range(5)]
@@ -67,7 +67,7 @@ def test_a_folder_is_split_by_world_and_visited_in_turn(folder: Path, tmp_path: 
     ]
 
 
-def test_fewer_samples_of_a_folder_are_the_first_of_more(folder: Path, tmp_path: Path) -> None:
+def test_fewer_samples_of_a_folder_are_the_first_of_more(folder, tmp_path):
     _, small = make(folder, tmp_path / "small")
     _, large = make(folder, tmp_path / "large", {name: 2 * count for name, count in COUNTS.items()})
     for split, count in COUNTS.items():
@@ -75,7 +75,7 @@ def test_fewer_samples_of_a_folder_are_the_first_of_more(folder: Path, tmp_path:
         assert [sample.sha256() for sample in small.split(split)] == first
 
 
-def test_how_many_samples_are_asked_for_deals_no_world_otherwise(tmp_path: Path) -> None:
+def test_how_many_samples_are_asked_for_deals_no_world_otherwise(tmp_path):
     for n in range(20):
         (tmp_path / f"room{n:02d}.xml").write_text(ROOM.format(n=3 + n / 10))
     dealt = {
@@ -91,14 +91,14 @@ def test_how_many_samples_are_asked_for_deals_no_world_otherwise(tmp_path: Path)
     assert not dealt
 
 
-def test_a_changed_scene_is_another_dataset(folder: Path, tmp_path: Path) -> None:
+def test_a_changed_scene_is_another_dataset(folder, tmp_path):
     make(folder, tmp_path / "d")
     (folder / "room3.xml").write_text(ROOM.format(n=11))
     with pytest.raises(DatasetError, match=r"recipe\.scenes"):
         make(folder, tmp_path / "d")
 
 
-def test_too_few_worlds_for_the_splits_are_refused(folder: Path) -> None:
+def test_too_few_worlds_for_the_splits_are_refused(folder):
     with pytest.raises(SceneError, match=r"1 worlds for 3 splits.*bench --split train"):
         read_scenes(folder / "room0.xml", COUNTS, seed=0)
     for n in range(2, 5):
@@ -112,7 +112,7 @@ def test_too_few_worlds_for_the_splits_are_refused(folder: Path) -> None:
         read_scenes(folder / "absent", COUNTS, seed=0)
 
 
-def test_assets_and_includes_travel_with_the_world(tmp_path: Path) -> None:
+def test_assets_and_includes_travel_with_the_world(tmp_path):
     """What is archived alone gives the meshes that the files gave."""
     (tmp_path / "parts").mkdir()
     trimesh.creation.torus(1.0, 0.3).export(tmp_path / "parts" / "ring.stl")
@@ -141,8 +141,8 @@ def test_assets_and_includes_travel_with_the_world(tmp_path: Path) -> None:
         assert not (sample.observed & ~sample.occupancy).any()
 
 
-def test_worlds_of_many_geoms_compile() -> None:
-    def add(spec: mujoco.MjSpec) -> None:
+def test_worlds_of_many_geoms_compile():
+    def add(spec):
         for n in range(12_000):
             spec.worldbody.add_geom(
                 type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.1, 0, 0], pos=[n % 100, n // 100, 0]
@@ -153,7 +153,7 @@ def test_worlds_of_many_geoms_compile() -> None:
 
 
 @pytest.mark.parametrize("name", ["forest", "warehouse", "room_with_gap"])
-def test_the_bundled_scenes_keep_the_laws_at_full_size(name: str) -> None:
+def test_the_bundled_scenes_keep_the_laws_at_full_size(name):
     from scenegen.draw import draw_unit
 
     recipe = preset("scene")
@@ -168,7 +168,7 @@ def test_the_bundled_scenes_keep_the_laws_at_full_size(name: str) -> None:
         assert sample.observed.sum() > 100
 
 
-def test_a_new_kind_is_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_new_kind_is_one_file(tmp_path, monkeypatch):
     text = (Path(__file__).parents[2] / "docs" / "recipes.md").read_text()
     (tmp_path / "my_worlds.py").write_text(text.split("```python\n")[-1].split("```")[0])
     monkeypatch.syspath_prepend(tmp_path)
@@ -181,7 +181,7 @@ def test_a_new_kind_is_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert world.model.geom_size[0, 0] == 0.1
 
 
-def test_two_files_of_one_world_are_refused(folder: Path) -> None:
+def test_two_files_of_one_world_are_refused(folder):
     """Renamed and reordered, they could still come to lie in two splits."""
     twin = """<mujoco><custom><numeric name="flight_bounds" data="0 0 1 12 12 3"/></custom>
     <worldbody>

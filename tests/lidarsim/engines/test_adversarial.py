@@ -9,7 +9,6 @@ A range is right if some solids, larger or smaller than the world's by a toleran
 that tolerance. So a ray that touches a solid may hit or miss it, and nothing else may be missed.
 """
 
-from collections.abc import Callable
 from typing import Any
 
 import mujoco
@@ -38,7 +37,7 @@ Rays = tuple[Floats, Floats]
 """Origins (n, 3) and unit vectors (n, 3)."""
 
 
-def tolerance_m(name: str, size: Floats, distance_m: Floats) -> Floats:
+def tolerance_m(name, size, distance_m):
     """How far a solid's surface may seem to lie from where it is, for rays from such distances.
 
     An origin, a direction and a point met are each rounded a few times, in shares of the distance
@@ -49,13 +48,13 @@ def tolerance_m(name: str, size: Floats, distance_m: Floats) -> Floats:
     return ROUNDINGS * EPSILON * (reach if name == "analytic" else reach**2 / size.min())
 
 
-def unit(vectors: Floats) -> Floats:
+def unit(vectors):
     """Unit vectors; along x, where there is no direction."""
     length = np.sqrt((vectors * vectors).sum(axis=-1, keepdims=True))
     return np.where(length > 0, vectors, [1.0, 0.0, 0.0]) / np.where(length > 0, length, 1.0)
 
 
-def features(rng: np.random.Generator, kind: str, size: Floats, count: int) -> Rays:
+def features(rng, kind, size, count):
     """Points on a solid and normals there, in its frame; many on edges, rims, seams and corners."""
     ball = unit(rng.normal(size=(count, 3)))
     sign = rng.choice([-1.0, 1.0], (count, 3))
@@ -80,7 +79,7 @@ def features(rng: np.random.Generator, kind: str, size: Floats, count: int) -> R
     return np.where(capped, cap, side), np.where(capped, out, ring)
 
 
-def aimed(rng: np.random.Generator, points: Floats, normals: Floats, size_m: float) -> Rays:
+def aimed(rng, points, normals, size_m):
     """Rays at points of a solid: random, touching, along axes, from right there, from inside."""
     count = len(points)
     sort = rng.integers(0, 5, (count, 1))
@@ -97,7 +96,7 @@ def aimed(rng: np.random.Generator, points: Floats, normals: Floats, size_m: flo
     return origins, unit(np.where(sort == 4, points - inside, rays))
 
 
-def right(kind: str, size: Floats, rays: Rays, found: Floats, tol: Floats) -> tuple[Bools, Floats]:
+def right(kind, size, rays, found, tol):
     """Whether each of the ranges `found` is a solid's, and the greatest that would be."""
     if kind == "plane":
         return _right_of_plane(size, rays, found, tol)
@@ -117,14 +116,14 @@ def right(kind: str, size: Floats, rays: Rays, found: Floats, tol: Floats) -> tu
     return np.where(np.isinf(found), missed, comes_in | comes_out), np.where(missed, np.inf, last)
 
 
-def _right_of_plane(size: Floats, rays: Rays, found: Floats, tol: Floats) -> tuple[Bools, Floats]:
+def _right_of_plane(size, rays, found, tol):
     """Planes are seen from above, within half sizes where these are not 0. What is rounded of a
     direction moves a point farther away by more."""
     half, slack = np.where(size[:2] > 0, size[:2], np.inf), ROUNDINGS * EPSILON
     start, along = rays
     height, falling = start[:, 2], -along[:, 2]
 
-    def aside(t: Floats, by: Floats) -> Bools:
+    def aside(t, by):
         at = start + np.where(np.isfinite(t), t, 0.0)[:, None] * along
         return (np.abs(at[:, :2]) > half + by[:, None]).any(axis=1)
 
@@ -141,7 +140,7 @@ def _right_of_plane(size: Floats, rays: Rays, found: Floats, tol: Floats) -> tup
     return np.where(np.isinf(found), missed, hit), np.where(missed, np.inf, last)
 
 
-def turned(rng: np.random.Generator, geoms: list[Geom], far: bool) -> mujoco.MjModel:
+def turned(rng, geoms, far):
     """A world of geoms, moved and turned as one."""
     place = FAR_M * unit(rng.normal(size=3)) if far else rng.uniform(-1, 1, 3)
     attitude = reference.random_quaternion(rng) if rng.random() < 0.7 else [1.0, 0.0, 0.0, 0.0]
@@ -150,7 +149,7 @@ def turned(rng: np.random.Generator, geoms: list[Geom], far: bool) -> mujoco.MjM
     return mujoco.MjModel.from_xml_string(reference.world_xml([], [body]))
 
 
-def wrong_rays(name: str, model: mujoco.MjModel, rays_at: Callable[[str, Floats], Rays]) -> Floats:
+def wrong_rays(name, model, rays_at):
     """Of rays aimed at each geom of a world, in its frame: how many are wrong, hit, are there."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -175,7 +174,7 @@ def wrong_rays(name: str, model: mujoco.MjModel, rays_at: Callable[[str, Floats]
     return np.array([wrong.sum(), np.isfinite(found).sum(), len(found)])
 
 
-def at_features(rng: np.random.Generator, count: int) -> Callable[[str, Floats], Rays]:
+def at_features(rng, count):
     return lambda kind, size: aimed(rng, *features(rng, kind, size, count), float(size.max()))
 
 

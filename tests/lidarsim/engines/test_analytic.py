@@ -13,9 +13,7 @@ from lidarsim.solids.model import solids_of
 from tests.lidarsim.engines.test_laws import model_of, random_model, random_rays
 
 
-def from_mujoco(
-    model: mujoco.MjModel, origin: np.ndarray, rays: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def from_mujoco(model, origin, rays):
     """Ranges, geoms and normals by `mj_ray`, one ray at a time."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -90,7 +88,7 @@ def test_moved_solids_are_seen_where_they_are():
         engine.move(solids_of(model_of('type="sphere" size="1"')))
 
 
-def counted(shapes: np.ndarray) -> list[tuple[int, int]]:
+def counted(shapes):
     """Each shape, and how many of it came before."""
     return [(int(shape), int((shapes[:n] == shape).sum())) for n, shape in enumerate(shapes)]
 

@@ -6,10 +6,10 @@ import pytest
 from lidarsim.engines.hierarchy import IN_LEAF, LEVELS, Hierarchy
 
 
-def leaves(tree: Hierarchy, lower: np.ndarray, upper: np.ndarray) -> tuple[list[int], int]:
+def leaves(tree, lower, upper):
     """All items, in the order in which the tree's leaves hold them, and its depth; boxes are
     checked on the way."""
-    items: list[int] = []
+    items = []
     deepest, waiting = 0, [(0, 1)] if len(tree.boxes) else []
     while waiting:
         node, level = waiting.pop()
@@ -34,7 +34,7 @@ def leaves(tree: Hierarchy, lower: np.ndarray, upper: np.ndarray) -> tuple[list[
     return items, deepest
 
 
-def boxes(rng: np.random.Generator, count: int, kind: str) -> tuple[np.ndarray, np.ndarray]:
+def boxes(rng, count, kind):
     centre = rng.uniform(-50, 50, (count, 3))
     if kind == "coincident":
         centre[:] = 7.0

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from lidarsim import Lidar, Pose, cast
-from lidarsim.engines import ENGINES, Engine
+from lidarsim.engines import ENGINES
 
 HFIELD = """<hfield name="h" nrow="3" ncol="4" size="2 1.5 1 0.3"
  elevation="0 1 0 .4 .2 .8 .1 .9 0 .3 .7 .5"/>"""
@@ -24,7 +24,7 @@ PROCESSORS = "mujoco", "analytic"
 """Engines that run anywhere; Warp's is held to the same in tests/lidarsim/gpu."""
 
 
-def model_of(*geoms: str) -> mujoco.MjModel:
+def model_of(*geoms):
     """A world of geoms, each given by its attributes."""
     body = "".join(f"<geom {geom}/>" for geom in geoms)
     return mujoco.MjModel.from_xml_string(
@@ -32,7 +32,7 @@ def model_of(*geoms: str) -> mujoco.MjModel:
     )
 
 
-def random_model(rng: np.random.Generator) -> mujoco.MjModel:
+def random_model(rng):
     """Two solids of every sort on a lattice with room between them, turned at random."""
     geoms = ['type="plane" size="0 0 1" pos="0 0 -4" euler="4 7 0"']
     sorts = [f'type="{shape}" size="{size}"' for shape, size in SIZES.items() if shape != "plane"]
@@ -45,7 +45,7 @@ def random_model(rng: np.random.Generator) -> mujoco.MjModel:
     return model_of(*geoms)
 
 
-def random_rays(rng: np.random.Generator, poses: int, *shape: int) -> tuple[np.ndarray, np.ndarray]:
+def random_rays(rng, poses, *shape):
     """Origins (P, 3) between the solids, and unit vectors (P, *shape, 3)."""
     origins = 6.0 * rng.integers(0, 3, (poses, 3)) + 3.0
     origins[:, 2] = rng.uniform(-2, 2, poses)
@@ -53,7 +53,7 @@ def random_rays(rng: np.random.Generator, poses: int, *shape: int) -> tuple[np.n
     return origins, rays / np.linalg.norm(rays, axis=-1, keepdims=True)
 
 
-def made(name: str, model: mujoco.MjModel) -> Engine:
+def made(name, model):
     return ENGINES.find(name).of(model)
 
 
@@ -116,10 +116,10 @@ def test_data_that_were_never_forwarded_are_refused_and_not_taken_for_an_empty_w
 class Odd:
     """An engine that gives whatever it is told to."""
 
-    def __init__(self, ranges: np.ndarray):
+    def __init__(self, ranges):
         self.ranges = ranges
 
-    def cast(self, origins: np.ndarray, directions: np.ndarray, max_range_m: float) -> np.ndarray:
+    def cast(self, origins, directions, max_range_m):
         return self.ranges
 
 

@@ -14,12 +14,9 @@ colliding geoms, and limits no distance.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike
 
 from lidarsim import Lidar, MujocoEngine, Pose, cast
 from tests.lidarsim import reference
@@ -30,37 +27,35 @@ GHOST = 'contype="0" conaffinity="0"'
 """A geom that is seen but takes no part in collisions, as visual geoms do."""
 
 
-def engine_of(xml: str) -> MujocoEngine:
+def engine_of(xml):
     """The engine of a world given as MJCF."""
     return MujocoEngine.of(mujoco.MjModel.from_xml_string(xml))
 
 
-def ranges_of(
-    engine: MujocoEngine, position: ArrayLike, rays: ArrayLike, reach: float
-) -> np.ndarray:
+def ranges_of(engine, position, rays, reach):
     """Ranges from one position."""
     return engine.cast(np.asarray(position)[None], np.asarray(rays)[None], reach)[0]
 
 
-def random_rays(rng: np.random.Generator, count: int) -> np.ndarray:
+def random_rays(rng, count):
     """Directions uniform on the sphere."""
     rays = rng.normal(size=(count, 3))
     return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
 
 def aimed_rays(
-    rng: np.random.Generator,
-    position: Sequence[float],
-    target: Sequence[float],
-    spread: float,
-    count: int,
-) -> np.ndarray:
+    rng,
+    position,
+    target,
+    spread,
+    count,
+):
     """Directions from a position to points scattered normally about a target."""
     rays = np.asarray(target) + spread * rng.normal(size=(count, 3)) - np.asarray(position)
     return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
 
-def assert_same_ranges(got: np.ndarray, expected: np.ndarray, returns_at_least: int = 1) -> None:
+def assert_same_ranges(got, expected, returns_at_least=1):
     """Equal to a micrometre, inf exactly where the reference is inf, and enough returns to mean
     something."""
     assert got.shape == expected.shape
@@ -75,9 +70,7 @@ def assert_same_ranges(got: np.ndarray, expected: np.ndarray, returns_at_least: 
     np.testing.assert_allclose(got[seen], expected[seen], rtol=0, atol=1e-6)
 
 
-def mj_ray_ranges(
-    xml: str, position: np.ndarray, directions: np.ndarray, max_range_m: float
-) -> np.ndarray:
+def mj_ray_ranges(xml, position, directions, max_range_m):
     """The one-ray function of MuJoCo, ray by ray, with its -1 and far distances turned to inf."""
     model = mujoco.MjModel.from_xml_string(xml)
     data = mujoco.MjData(model)
@@ -89,7 +82,7 @@ def mj_ray_ranges(
     return out.reshape(directions.shape[:-1])
 
 
-def random_world(rng: np.random.Generator, ghosts: bool = False) -> tuple[list[Geom], list[Body]]:
+def random_world(rng, ghosts=False):
     """Planes and solids of the world body, and bodies at random attitudes, some of them free to
     move."""
     geoms = [
@@ -116,7 +109,7 @@ def random_world(rng: np.random.Generator, ghosts: bool = False) -> tuple[list[G
     return geoms, bodies
 
 
-def ghost(geom: Geom) -> Geom:
+def ghost(geom):
     """The same geom without collisions."""
     return Geom(geom.kind, geom.size, geom.position, geom.quaternion, GHOST)
 
@@ -273,7 +266,7 @@ def test_geoms_and_materials_of_alpha_zero_are_not_seen(colliding):
     )
 
 
-def random_mesh(rng: np.random.Generator, name: str) -> str:
+def random_mesh(rng, name):
     """A bumpy closed surface, not convex: an octahedron refined once, each corner at its own
     radius."""
     corners = np.array(
@@ -312,7 +305,7 @@ def test_mesh_and_height_field_worlds_match_mj_ray_ray_by_ray(seed, collide):
     )
     look = "" if collide else GHOST
 
-    def mesh(spread: float) -> str:
+    def mesh(spread):
         place = reference.numbers(rng.uniform(-spread, spread, 3))
         attitude = reference.numbers(reference.random_quaternion(rng))
         return (

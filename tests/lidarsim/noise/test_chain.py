@@ -4,8 +4,6 @@ import dataclasses
 import itertools
 import math
 import sys
-from collections.abc import Iterator
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -64,7 +62,7 @@ def test_the_noise_of_a_data_sheet_is_a_chain(name):
 
 
 def test_the_same_seed_gives_the_same_bits_and_a_further_stage_changes_none_before_it():
-    def ranges(text: str, seed: int = 1) -> np.ndarray:
+    def ranges(text, seed=1):
         return Noise.parse(text).observe(SCAN, ENGINE, rng=np.random.default_rng(seed)).ranges
 
     assert ranges("range,dropout:0.2").tobytes() == ranges("range,dropout:0.2").tobytes()
@@ -102,7 +100,7 @@ def test_stages_that_cast_come_first_and_once():
 
 
 @pytest.fixture
-def standing(tmp_path, monkeypatch) -> Iterator[Path]:
+def standing(tmp_path, monkeypatch):
     before = list(sys.path)
     monkeypatch.chdir(tmp_path)
     yield tmp_path

@@ -3,7 +3,6 @@ seed."""
 
 import dataclasses
 import math
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -11,11 +10,10 @@ import pytest
 from scipy import stats
 
 from lidarsim import AnalyticEngine, BeamTable, MujocoEngine, Pose, Scan, cast
-from lidarsim.noise import Stage
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.losses import Dropout, Faint, Far, Grazing, Motion, Spurious
 from lidarsim.noise.ranges import Depth, Divergence, Near, Quantise, Range
-from lidarsim.noise.returns import Intensity, Returns, View, albedo_of
+from lidarsim.noise.returns import Intensity, View, albedo_of
 
 RAYS = 20_000
 REACH_M = 50.0
@@ -26,25 +24,25 @@ class Nowhere:
     """An engine that meets nothing: for stages that ask it nothing."""
 
     @classmethod
-    def of(cls, model: Any, data: Any = None) -> "Nowhere":
+    def of(cls, model, data=None):
         return cls()
 
-    def cast(self, origins: Any, directions: Any, max_range_m: float) -> np.ndarray:
+    def cast(self, origins, directions, max_range_m):
         raise AssertionError("asked")
 
 
-def ahead(count: int, reach_m: float = REACH_M) -> BeamTable:
+def ahead(count, reach_m=REACH_M):
     """A sensor whose rays all go straight ahead."""
     return BeamTable(rays=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), max_range_m=reach_m)
 
 
-def world(*geoms: str) -> mujoco.MjModel:
+def world(*geoms):
     return mujoco.MjModel.from_xml_string(
         f"<mujoco><worldbody>{''.join(geoms)}</worldbody></mujoco>"
     )
 
 
-def applied(stage: Stage, ranges: Any, sensor: Any = None, seed: int = 5) -> np.ndarray:
+def applied(stage, ranges, sensor=None, seed=5):
     """What a stage makes of ranges (n,) straight ahead."""
     ranges = np.asarray(ranges, np.float32)
     scan = Scan(ranges, LEVEL, sensor or ahead(len(ranges)))
@@ -114,13 +112,13 @@ def test_returns_are_lost_with_the_stated_probability(stage, at_m, share):
     assert len(runs) == pytest.approx(2 * share * (1 - share) * RAYS, rel=0.1, abs=1)
 
 
-def wall(turn_deg: float, grey: float = 0.4) -> str:
+def wall(turn_deg, grey=0.4):
     """A wide wall 10 m ahead, its normal turned by `turn_deg` away from the sensor."""
     look = f'euler="0 0 {turn_deg}" rgba="{grey} {grey} {grey} 1"'
     return f'<geom type="box" size="0.5 60 60" pos="10 0 0" {look}/>'
 
 
-def seen(stage: Stage, *geoms: str, rays: int = RAYS) -> Returns:
+def seen(stage, *geoms, rays=RAYS):
     """What rays straight ahead return of some geoms."""
     model = world(*geoms)
     engine = AnalyticEngine.of(model)
@@ -170,7 +168,7 @@ def test_spurious_returns_are_even_along_the_way(at_m):
     assert stats.kstest(told[chosen] / min(at_m, REACH_M), "uniform").pvalue > 0.01
 
 
-def edge(near_m: float, far_m: float, covered: float) -> tuple[str, str]:
+def edge(near_m, far_m, covered):
     """A wall at `far_m`, and one at `near_m` whose upper edge lies so that it stands `covered` m
     above the axis."""
     return (
@@ -180,7 +178,7 @@ def edge(near_m: float, far_m: float, covered: float) -> tuple[str, str]:
 
 
 def test_a_cone_over_an_edge_returns_the_near_the_far_or_a_mixed_range():
-    def told(**values: Any) -> np.ndarray:
+    def told(**values):
         return seen(Divergence(mrad=10, rays=200, **values), *edge(10.0, 20.0, 0.0), rays=20).ranges
 
     assert told(returns="first")[0] == pytest.approx(np.full(20, 10.0), abs=1e-3)
@@ -217,7 +215,7 @@ def test_the_strongest_echo_is_the_one_of_most_light():
     assert np.isinf(seen(stage, rays=5).ranges).all()
 
 
-def turning(rays: int = 200, scan_s: float = 0.1) -> BeamTable:
+def turning(rays=200, scan_s=0.1):
     """A horizontal turn, one ray after the other."""
     angle = 2 * math.pi * np.arange(rays) / rays
     columns = (np.cos(angle), np.sin(angle), np.zeros(rays), scan_s * np.arange(rays) / rays)
@@ -240,7 +238,7 @@ def test_a_corrected_scan_lies_on_the_walls_and_an_uncorrected_one_bends(engine_
     pose = Pose.level((1.0, -2.0, 0.5), yaw_rad=0.4)
     scan = cast(engine, turning(), pose)
 
-    def off(stage: Motion) -> np.ndarray:
+    def off(stage):
         told = Noise((stage,)).observe(scan, engine, rng=np.random.default_rng(0))
         return np.abs(np.abs(told.points()[:, :2]).max(axis=1) - 10.0)
 
@@ -256,7 +254,7 @@ def test_a_ray_along_the_motion_is_shorter_by_the_way_flown():
     engine = AnalyticEngine.of(world(*ROOM))
     scan = cast(engine, sensor, LEVEL)
 
-    def told(stage: Motion) -> np.ndarray:
+    def told(stage):
         return Noise((stage,)).observe(scan, engine, rng=np.random.default_rng(0)).ranges[0]
 
     assert told(Motion(forward_mps=3.0, poses=10_000)) == pytest.approx([10.0, 9.7], abs=1e-4)

@@ -14,7 +14,6 @@ from lidarsim.noise.chain import Noise
 from lidarsim.noise.ranges import Range
 from lidarsim.sensors import CATALOGUE, FAMILIES, SENSORS, device
 from lidarsim.sensors.catalogue import NAMED
-from lidarsim.sensors.device import Device
 from lidarsim.sensors.nonrepetitive import Coil, Rosette
 from lidarsim.sensors.raster import Pinhole
 from lidarsim.sensors.spinning import Spinning
@@ -54,7 +53,7 @@ RANGES_M |= {
 }
 
 
-def angles_deg(sensor: Device) -> tuple[np.ndarray, np.ndarray]:
+def angles_deg(sensor):
     """Elevation and azimuth of every ray."""
     x, y, z = np.moveaxis(sensor.directions_body, -1, 0)
     return np.degrees(np.arctan2(z, np.hypot(x, y))), np.degrees(np.arctan2(y, x))
@@ -197,7 +196,7 @@ def test_a_pattern_keeps_to_its_field_of_view_and_does_not_repeat(name, points_h
     assert np.abs(azimuth).max() <= wide + 1e-9
     assert np.abs(azimuth).max() > wide - 0.5
 
-    def cells(seed: int, window_s: float) -> set[tuple[int, int]]:
+    def cells(seed, window_s):
         up, around = angles_deg(dataclasses.replace(sensor, seed=seed, window_s=window_s))
         return set(
             zip(

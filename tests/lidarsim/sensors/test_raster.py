@@ -12,7 +12,7 @@ from tests.lidarsim import reference
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 
 
-def azimuth_deg(directions: np.ndarray) -> np.ndarray:
+def azimuth_deg(directions):
     """Angle left of x in the ground plane."""
     return np.degrees(np.arctan2(directions[..., 1], directions[..., 0]))
 

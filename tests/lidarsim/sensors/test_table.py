@@ -22,16 +22,16 @@ class Fan:
     max_range_m: float = 5.0
 
     @property
-    def shape(self) -> tuple[int, ...]:
+    def shape(self):
         return (self.rays,)
 
     @cached_property
-    def directions_body(self) -> np.ndarray:
+    def directions_body(self):
         angle = np.linspace(-1, 1, self.rays)
         return np.stack([np.cos(angle), np.sin(angle), np.zeros(self.rays)], axis=-1)
 
     @property
-    def times_s(self) -> np.ndarray:
+    def times_s(self):
         return np.arange(self.rays) / 100
 
 

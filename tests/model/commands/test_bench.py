@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from pathlib import Path
 
 import pytest
 
@@ -10,10 +9,10 @@ from tests.command_line import SMALL, run
 
 
 @pytest.fixture
-def here(once, tmp_path, monkeypatch, capsys) -> Path:
+def here(once, tmp_path, monkeypatch, capsys):
     """A folder with a small dataset under data/, to stand in."""
 
-    def generate(folder: Path) -> None:
+    def generate(folder):
         (folder / "small.toml").write_text(SMALL)
         words = (
             "--recipe",

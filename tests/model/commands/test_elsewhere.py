@@ -1,8 +1,6 @@
 """What works shard by shard gives the same wherever it is done: `--on` for verify, convert, bench
 and complete."""
 
-from pathlib import Path
-
 import pytest
 
 from tests.command_line import run
@@ -18,7 +16,7 @@ Shell = pytest.CaptureFixture[str]
 
 
 @pytest.fixture
-def here(once, tmp_path, monkeypatch) -> Path:
+def here(once, tmp_path, monkeypatch):
     """A folder to stand in, with a dataset and a network."""
     made = once("everywhere", everywhere.make)
     for name in ("d", "n.safetensors"):
@@ -36,9 +34,7 @@ def test_a_command_gives_the_same_elsewhere(here, capsys, words):
     assert everywhere.outcome(capsys, here, words, "out", *AWAY) == local
 
 
-def as_ranks(
-    capsys: Shell, monkeypatch: pytest.MonkeyPatch, *words: object
-) -> list[tuple[int, str, str]]:
+def as_ranks(capsys, monkeypatch, *words):
     """What each of several ranks says, the last one first."""
     monkeypatch.setenv("SCENEGEN_WORLD_SIZE", str(RANKS))
     found = []

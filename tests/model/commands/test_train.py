@@ -4,7 +4,6 @@ import json
 import re
 import sys
 import time
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -204,7 +203,7 @@ def test_without_torch_it_says_what_to_install(tmp_path, shell):
         assert "pip install -e '.[train]'" in ended.err
 
 
-def train_until_stopped(error: Path) -> None:
+def train_until_stopped(error):
     """The command line, which answers signals as the installed script does, in a process of its
     own."""
     sys.stderr = error.open("w")

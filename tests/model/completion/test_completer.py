@@ -2,8 +2,6 @@
 
 import re
 import socket
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +21,7 @@ from scenegen.worlds.mapping import Mapper
 GRID = GridSpec(shape=(16, 24, 8))
 
 
-def save(path: Path, variant: str = "proposed") -> Network:
+def save(path, variant="proposed"):
     torch.manual_seed(0)
     network = Network(NetworkConfig(variant=variant, width=4)).eval()
     path.parent.mkdir(exist_ok=True)
@@ -32,14 +30,12 @@ def save(path: Path, variant: str = "proposed") -> Network:
 
 
 @pytest.fixture
-def observed() -> np.ndarray:
+def observed():
     return np.random.default_rng(0).random((5, *GRID.shape)) < 0.05
 
 
 @pytest.mark.parametrize("variant", ["proposed", "occ", "tudf"])
-def test_a_batch_is_completed_as_the_network_says(
-    tmp_path: Path, observed: np.ndarray, variant: str
-) -> None:
+def test_a_batch_is_completed_as_the_network_says(tmp_path, observed, variant):
     network = save(tmp_path / "net.safetensors", variant)
     with torch.no_grad():
         output = network({"observed": torch.from_numpy(observed)})
@@ -56,7 +52,7 @@ def test_a_batch_is_completed_as_the_network_says(
         np.testing.assert_allclose(found.tudf, output.tudf.clamp(max=2.0), atol=1e-5)
 
 
-def test_what_goes_in_decides_what_comes_out(tmp_path: Path, observed: np.ndarray) -> None:
+def test_what_goes_in_decides_what_comes_out(tmp_path, observed):
     save(tmp_path / "net.safetensors")
     completer = Completer.from_pretrained(tmp_path / "net.safetensors")
     batch = completer(observed)
@@ -77,7 +73,7 @@ def test_what_goes_in_decides_what_comes_out(tmp_path: Path, observed: np.ndarra
     np.testing.assert_allclose(tensor.occupancy_probability, batch.occupancy_probability, atol=1e-6)
 
 
-def test_distances_end_at_the_truncation(tmp_path: Path) -> None:
+def test_distances_end_at_the_truncation(tmp_path):
     network = save(tmp_path / "a.safetensors")
     with torch.no_grad():
         network.head["tudf"].split.bias.fill_(50.0)
@@ -86,7 +82,7 @@ def test_distances_end_at_the_truncation(tmp_path: Path) -> None:
     assert (found.tudf == np.float32(2.0)).all()
 
 
-def test_a_completion_that_is_no_number_ends_in_one_line(tmp_path: Path) -> None:
+def test_a_completion_that_is_no_number_ends_in_one_line(tmp_path):
     network = save(tmp_path / "a.safetensors")
     with torch.no_grad():
         for parameter in network.head.parameters():
@@ -109,7 +105,7 @@ def test_a_completion_that_is_no_number_ends_in_one_line(tmp_path: Path) -> None
         (None, "observed is of type NoneType; expected a sample"),
     ],
 )
-def test_other_maps_are_refused(tmp_path: Path, wrong: np.ndarray | None, named: str) -> None:
+def test_other_maps_are_refused(tmp_path, wrong, named):
     save(tmp_path / "net.safetensors")
     completer = Completer.from_pretrained(tmp_path / "net.safetensors")
     with pytest.raises(ValueError, match=named):
@@ -118,13 +114,11 @@ def test_other_maps_are_refused(tmp_path: Path, wrong: np.ndarray | None, named:
         completer.complete(np.zeros(GRID.shape, bool), np.zeros(GRID.shape, bool), grid=GridSpec())
 
 
-def test_networks_are_found_by_folder_and_nothing_else_is_fetched(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_networks_are_found_by_folder_and_nothing_else_is_fetched(tmp_path, monkeypatch):
     save(tmp_path / "run" / "best.safetensors")
     assert Completer.from_pretrained(tmp_path / "run").name == "run"
 
-    def refuse(*given: object) -> None:
+    def refuse(*given):
         raise AssertionError("reached for the network")
 
     monkeypatch.setattr(socket.socket, "connect", refuse)
@@ -137,15 +131,13 @@ def test_networks_are_found_by_folder_and_nothing_else_is_fetched(
             Completer.from_pretrained(name)
 
 
-def test_a_repository_is_fetched_when_asked_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_repository_is_fetched_when_asked_for(tmp_path, monkeypatch, capfd):
     import huggingface_hub
 
     save(tmp_path / "model.safetensors")
     asked = []
 
-    def fetch(*given: object, **named: object) -> str:
+    def fetch(*given, **named):
         asked.append((given, named))
         return str(tmp_path / "model.safetensors")
 
@@ -153,7 +145,7 @@ def test_a_repository_is_fetched_when_asked_for(
     Completer.from_pretrained("hf://user/net@v2")
     assert asked == [(("user/net", "model.safetensors"), {"revision": "v2"})]
 
-    def fail(*given: object, **named: object) -> str:
+    def fail(*given, **named):
         huggingface_hub.utils.logging.get_logger("huggingface_hub").warning("retrying in 1s")
         raise OSError("401 Client Error\nmore")
 
@@ -164,7 +156,7 @@ def test_a_repository_is_fetched_when_asked_for(
 
 
 @pytest.mark.parametrize("name", ["occ", "proposed", "tudf"])
-def test_bundled_networks_complete_the_papers_grid(name: str) -> None:
+def test_bundled_networks_complete_the_papers_grid(name):
     """A wall ahead: what is behind it is nearer to something than the empty side is."""
     completer = Completer.from_pretrained(name)
     observed = np.zeros(completer.grid.shape, bool)
@@ -178,7 +170,7 @@ def test_bundled_networks_complete_the_papers_grid(name: str) -> None:
     assert completer.about["figures"]["val_iou"] > 0.2
 
 
-def test_a_network_of_more_inputs_warns_where_it_gets_observed_voxels_alone() -> None:
+def test_a_network_of_more_inputs_warns_where_it_gets_observed_voxels_alone():
     completer = Completer.from_pretrained()
     with pytest.warns(
         UserWarning, match="columns takes observed, free, and derives what is not given"
@@ -187,7 +179,7 @@ def test_a_network_of_more_inputs_warns_where_it_gets_observed_voxels_alone() ->
 
 
 @pytest.mark.parametrize("name", bundled())
-def test_a_bundled_network_has_the_card_of_its_own_header(name: str) -> None:
+def test_a_bundled_network_has_the_card_of_its_own_header(name):
     found = load_network(BUNDLED / f"{name}.safetensors")[2]
     assert (BUNDLED / f"{name}.md").read_text(encoding="utf-8") == card(name, found)
 
@@ -227,8 +219,6 @@ OWN, NOISE = Lidar(rows=8, max_range_m=30.0), "dropout:share=0.05"
         ),
     ],
 )
-def test_a_network_says_where_maps_are_not_those_of_its_training(
-    header: dict[str, Any], met: tuple[Any, ...], said: str
-) -> None:
+def test_a_network_says_where_maps_are_not_those_of_its_training(header, met, said):
     found = unlike("net", header, *met)
     assert re.match(f"net was trained on {said}", found) if said else found == ""

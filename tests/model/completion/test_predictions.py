@@ -3,7 +3,6 @@
 import gc
 import resource
 import warnings
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -22,7 +21,7 @@ from scenegen.model.network import Network
 from tests.model.conftest import make_dataset
 
 
-def completer(tmp_path: Path, grid: object, variant: str = "proposed") -> Completer:
+def completer(tmp_path, grid, variant="proposed"):
     torch.manual_seed(0)
     save_network(
         tmp_path / "net.safetensors", Network(NetworkConfig(variant=variant, width=4)), grid, {}
@@ -65,7 +64,7 @@ def test_a_failure_leaves_no_file(folders, tmp_path):
     dataset = Dataset(folders[0])
     net = completer(tmp_path, dataset.grid)
 
-    def fail(samples: int) -> None:
+    def fail(samples):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

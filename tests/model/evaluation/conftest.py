@@ -9,7 +9,7 @@ COUNTS = {"train": 3, "val": 4, "test": 9}
 
 
 @pytest.fixture(scope="session")
-def dataset(once) -> Dataset:
+def dataset(once):
     """Nine test maps of three worlds."""
     return Dataset(
         once(

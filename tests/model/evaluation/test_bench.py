@@ -7,7 +7,6 @@ import re
 import runpy
 import sys
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -39,7 +38,7 @@ class Nothing:
 
     name = "nothing"
 
-    def complete(self, observed: np.ndarray, free: np.ndarray, *, grid: object) -> Prediction:
+    def complete(self, observed, free, *, grid):
         return Prediction(
             occupancy_probability=np.zeros(observed.shape, np.float32),
             tudf=np.full(observed.shape, 2.0, np.float32),
@@ -58,13 +57,13 @@ class Copied:
 
     name = "copied"
 
-    def __init__(self, dataset: Dataset, nearer: float = 1.0):
+    def __init__(self, dataset, nearer=1.0):
         self.nearer = np.float32(nearer)
         self.answers = {
             s.observed.tobytes(): s for name in ("val", "test") for s in dataset.split(name)
         }
 
-    def complete(self, observed: np.ndarray, free: np.ndarray, *, grid: object) -> Prediction:
+    def complete(self, observed, free, *, grid):
         sample = self.answers[observed.tobytes()]
         return Prediction(
             occupancy_probability=np.where(sample.occupancy, np.float32(0.6), np.float32(0.3)),
@@ -72,9 +71,7 @@ class Copied:
         )
 
 
-def write_predictions(
-    path: Path, dataset: Dataset, *, drop: int = 0, digest: str | None = None
-) -> Path:
+def write_predictions(path, dataset, *, drop=0, digest=None):
     """The truth of the test split as a predictions file."""
     samples = list(dataset.split("test"))[drop:]
     with h5py.File(path, "w") as file:
@@ -136,7 +133,7 @@ def test_workers_and_other_rows_change_no_figure(dataset):
     ].trials != (beside.methods["truth"].trials)
 
 
-def report_of(dataset: Dataset, out: Path, **options: object) -> dict:
+def report_of(dataset, out, **options):
     """What the command makes of one dataset."""
     given = {
         "names": (),
@@ -173,7 +170,7 @@ def test_the_report_holds_every_figure_in_its_place(dataset, tmp_path):
     assert "0.559 ± 0.058" in text
 
 
-def strictly(path: Path) -> dict:
+def strictly(path):
     """JSON without the words NaN and Infinity, which are none."""
     return json.loads(path.read_text(), parse_constant=pytest.fail)
 
@@ -262,12 +259,12 @@ class Aimless:
 
 
 class Plain(Nothing):
-    def complete(self, observed: np.ndarray, free: np.ndarray, *, grid: object) -> Any:
+    def complete(self, observed, free, *, grid):
         return observed.astype(np.float32)
 
 
 class Wild(Nothing):
-    def complete(self, observed: np.ndarray, free: np.ndarray, *, grid: object) -> Prediction:
+    def complete(self, observed, free, *, grid):
         return Prediction(occupancy_probability=np.full(observed.shape, 1.5, np.float32))
 
 

@@ -2,7 +2,6 @@
 everything reads it."""
 
 import json
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -25,7 +24,7 @@ TRAINED = {"settings": {"loss": {"occupied_weight": 5.0}}, "seed": 0}
 
 
 @pytest.fixture
-def weights(dataset, tmp_path, monkeypatch) -> Path:
+def weights(dataset, tmp_path, monkeypatch):
     monkeypatch.setattr(module, "LEAST_WORLDS", 1)
     torch.manual_seed(0)
     network = Network(NetworkConfig(variant="proposed", width=4))

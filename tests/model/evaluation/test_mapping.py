@@ -1,7 +1,5 @@
 """Networks and the bench meet maps of several scans, and maps that lie ahead."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -17,7 +15,7 @@ from scenegen.source import DrawnWorlds
 from tests.conftest import small_recipe
 
 
-def dataset_with(folder: Path, **mapping: object) -> Dataset:
+def dataset_with(folder, **mapping):
     recipe = small_recipe(
         mapping=mapping, world={"density": (0.2, 0.2)}, grid={"shape": (40, 40, 16)}
     )
@@ -26,7 +24,7 @@ def dataset_with(folder: Path, **mapping: object) -> Dataset:
     return Dataset(folder)
 
 
-def test_what_any_scan_could_see_is_in_view() -> None:
+def test_what_any_scan_could_see_is_in_view():
     recipe = small_recipe(mapping={"scans": 4, "scan_spacing_m": 1.0})
     nothing = np.full(recipe.lidar.shape, np.inf, np.float32)
     for sample in draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="train", unit=0).samples:
@@ -36,7 +34,7 @@ def test_what_any_scan_could_see_is_in_view() -> None:
             assert not (view & (classes == CLASSES.index("out_of_view"))).any()
 
 
-def test_more_scans_see_more_of_the_obstacles(tmp_path: Path) -> None:
+def test_more_scans_see_more_of_the_obstacles(tmp_path):
     one, four = (
         dataset_with(tmp_path / str(scans), scans=scans, scan_spacing_m=1.0).split("train")
         for scans in (1, 4)
@@ -50,7 +48,7 @@ def test_more_scans_see_more_of_the_obstacles(tmp_path: Path) -> None:
     assert more > 0
 
 
-def test_plans_do_not_begin_where_no_sensor_is(tmp_path: Path) -> None:
+def test_plans_do_not_begin_where_no_sensor_is(tmp_path):
     dataset = dataset_with(tmp_path / "d", map_ahead_m=(1.0, 0.0, 0.0))
     with pytest.raises(
         DatasetError, match=r"its maps lie \[1.0, 0.0, 0.0\] m ahead of the sensor"

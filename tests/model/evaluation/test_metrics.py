@@ -35,7 +35,7 @@ def test_the_docs_name_every_metric():
     assert found == rows
 
 
-def text(name: str) -> str:
+def text(name):
     return (DOCS / name).read_text(encoding="utf-8")
 
 
@@ -80,7 +80,7 @@ def test_a_report_is_json_where_nothing_was_measured(dataset, tmp_path, monkeypa
     monkeypatch.setitem(METRICS, "never", never)
     report_of(dataset, tmp_path, names=("returns", "truth"))
 
-    def refuse(constant: str) -> None:
+    def refuse(constant):
         raise AssertionError(f"{constant} is no JSON")
 
     held = json.loads((tmp_path / "report.json").read_text(), parse_constant=refuse)

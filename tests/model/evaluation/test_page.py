@@ -2,7 +2,6 @@
 
 import dataclasses
 from html.parser import HTMLParser
-from typing import Any
 
 import numpy as np
 import pytest
@@ -32,27 +31,27 @@ class Blind:
 
     name = HOSTILE
 
-    def complete(self, observed: Any, free: Any, *, grid: Any) -> Prediction:
+    def complete(self, observed, free, *, grid):
         return Prediction(occupancy_probability=np.zeros(grid.shape, np.float32))
 
 
 class Elements(HTMLParser):
-    def __init__(self, text: str):
+    def __init__(self, text):
         super().__init__()
         self.found: list[tuple[str, dict[str, str | None]]] = []
         self.texts: list[str] = []
         self.feed(text)
         self.close()
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+    def handle_starttag(self, tag, attrs):
         self.found.append((tag, dict(attrs)))
 
-    def handle_data(self, data: str) -> None:
+    def handle_data(self, data):
         self.texts.append(data)
 
 
 @pytest.fixture(scope="module")
-def measured(tmp_path_factory) -> Any:
+def measured(tmp_path_factory):
     methods = [Truth(), Completed(Returns()), Completed(Blind())]
     recipe, folder = small_recipe(), tmp_path_factory.mktemp("shown") / "d"
     build(plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=0, counts=COUNTS), workers=1)
@@ -92,7 +91,7 @@ def test_the_page_holds_both_tables_the_paper_s_and_pictures_and_runs_nothing(
 
 
 def test_the_best_is_the_best_as_printed_and_never_the_truth():
-    def rows(**means: float | None) -> dict[str, Any]:
+    def rows(**means):
         return {
             name: {"x": {"mean": mean, "n": 0 if mean is None else 1}}
             for name, mean in means.items()

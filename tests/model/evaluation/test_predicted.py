@@ -1,8 +1,6 @@
 """Files of predictions: those that do not fit, or cannot be, are refused in one line."""
 
 import contextlib
-from collections.abc import Callable
-from typing import Any
 
 import h5py
 import numpy as np
@@ -27,22 +25,22 @@ def test_predictions_that_do_not_fit_are_refused_before_anything_is_measured(dat
     assert not (tmp_path / "bench").exists()
 
 
-def set_voxel(name: str, value: float) -> Callable[[h5py.File], None]:
-    def change(file: h5py.File) -> None:
+def set_voxel(name, value):
+    def change(file):
         file[name][3, 1, 2, 3] = value
 
     return change
 
 
-def put(name: str, value: Any, **options: Any) -> Callable[[h5py.File], None]:
-    def change(file: h5py.File) -> None:
+def put(name, value, **options):
+    def change(file):
         del file[name]
         file.create_dataset(name, data=value, **options)
 
     return change
 
 
-def promise_a_terabyte(file: h5py.File) -> None:
+def promise_a_terabyte(file):
     """Chunks that were never written: a file of a few kilobytes."""
     del file["tudf"]
     file.create_dataset(
@@ -56,17 +54,17 @@ def promise_a_terabyte(file: h5py.File) -> None:
     file.create_dataset("world", (10**12,), np.int64, chunks=(10**6,))
 
 
-def repeat_a_row(file: h5py.File) -> None:
+def repeat_a_row(file):
     file["world"][1], file["viewpoint"][1] = file["world"][0], file["viewpoint"][0]
 
 
-def leave_unwritten(file: h5py.File) -> None:
+def leave_unwritten(file):
     """What a program leaves that ended too early."""
     del file["tudf"]
     file.create_dataset("tudf", (9, 24, 24, 16), np.float32, chunks=(1, 24, 24, 16))[:5] = 1.0
 
 
-def link_outside(file: h5py.File) -> None:
+def link_outside(file):
     del file["tudf"]
     file["tudf"] = h5py.ExternalLink("/etc/passwd", "tudf")
 

@@ -31,7 +31,7 @@ DISTANCES, SHARES = (
 )
 
 
-def score(occupied: np.ndarray, distance: np.ndarray, truth: np.ndarray) -> dict:
+def score(occupied, distance, truth):
     """Metrics by name over the whole map."""
     true_distance = distance_field(truth, GridSpec(shape=truth.shape))
     whole = np.zeros(truth.shape, np.uint8)
@@ -49,7 +49,7 @@ def score(occupied: np.ndarray, distance: np.ndarray, truth: np.ndarray) -> dict
     return dict(zip(METRICS, rows[0], strict=True))
 
 
-def random_maps(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def random_maps(seed):
     rng = np.random.default_rng(seed)
     truth = rng.random((9, 8, 7)) < 0.1
     return rng.random(truth.shape) < 0.2, rng.uniform(0, 2, truth.shape).astype(np.float32), truth

@@ -20,7 +20,7 @@ from scenegen.model.evaluation.uncertainty import (
 SHAPE = (40, 40, 40)
 
 
-def drawn(weight: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def drawn(weight, seed=0):
     """What a network says that minimises a loss with `weight`; what is occupied; what is
     unknown."""
     rng = np.random.default_rng(seed)
@@ -29,9 +29,7 @@ def drawn(weight: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndar
     return (weight * chance / (weight * chance + 1 - chance)).astype(np.float32), occupied, unknown
 
 
-def counted(
-    said: np.ndarray, occupied: np.ndarray, unknown: np.ndarray, weight: float
-) -> np.ndarray:
+def counted(said, occupied, unknown, weight):
     inside = np.zeros((len(REGIONS), *SHAPE), bool)
     inside[0], inside[1] = True, unknown
     return count([said, corrected(said, weight)], occupied, inside)

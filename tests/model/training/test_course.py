@@ -3,7 +3,6 @@
 import dataclasses
 import itertools
 import math
-from typing import Any
 
 import pytest
 import torch
@@ -27,21 +26,21 @@ class Counted:
 
     shares, mirrored = None, True
 
-    def __init__(self, count: int):
+    def __init__(self, count):
         self._count = count
 
-    def __len__(self) -> int:
+    def __len__(self):
         return self._count
 
-    def order(self, batch: int) -> None:
+    def order(self, batch):
         """None: these are seen in passes."""
 
 
-def course(count: int = 80, **settings: Any) -> Course:
+def course(count=80, **settings):
     return Course(Counted(count), TrainConfig(**settings))  # type: ignore[arg-type]
 
 
-def rates(of: Course, decay: int | None = None) -> list[float]:
+def rates(of, decay=None):
     return [of.rate(step, decay) for step in range(of.end(decay))]
 
 
@@ -94,7 +93,7 @@ def test_a_stall_begins_the_decay_and_the_run_ends_at_its_end(
     losses = iter([3.0, 2.0, *[2.5] * 20])
     found = scenegen.model.training.loop.validate
 
-    def stalling(*args: Any) -> dict[str, float]:
+    def stalling(*args):
         return found(*args) | {"loss": next(losses)}
 
     monkeypatch.setattr(scenegen.model.training.loop, "validate", stalling)

@@ -120,7 +120,7 @@ def test_points_alone_free_less_and_hold_the_same_returns(folders):
     assert 150 < sum(view >= SYMMETRIES for _, view in keys) < 250
 
 
-def passes(maps: Maps, count: int, *, seed: int = 0) -> list[list[int]]:
+def passes(maps, count, *, seed=0):
     """The maps of each of `count` passes, in order."""
     return [
         [index for batch in epoch_batches(maps, batch=1, seed=seed, epoch=n) for index, _ in batch]

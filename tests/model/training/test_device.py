@@ -4,7 +4,6 @@ import dataclasses
 import math
 import os
 import socket
-from pathlib import Path
 
 import pytest
 import torch
@@ -18,7 +17,7 @@ from scenegen.model.training.loop import Step, TrainingError, check_maps
 from tests.model.training.runs import SMALL, elsewhere
 
 
-def take_a_step(folders: list[Path], out: Path, environment: dict[str, str]) -> None:
+def take_a_step(folders, out, environment):
     """One step from the same first weights, whatever the number of processes; `environment` is what
     torchrun sets."""
     torch.set_num_threads(1)
@@ -53,7 +52,7 @@ def test_processes_get_equal_shares(folders):
     check_maps(maps, maps, dataclasses.replace(SMALL, batch=processes), processes)
 
 
-def free_port() -> int:
+def free_port():
     with socket.socket() as listening:
         listening.bind(("127.0.0.1", 0))
         return int(listening.getsockname()[1])

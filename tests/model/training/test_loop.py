@@ -7,7 +7,6 @@ import math
 import os
 import shutil
 import signal
-from pathlib import Path
 
 import pytest
 import torch
@@ -54,18 +53,18 @@ def test_one_batch_is_learned_by_heart(folders):
     pytest.fail(f"after {step + 1} steps IoU {iou:.3f}, {error_m:.3f} m")
 
 
-def weights(path: Path) -> dict[str, torch.Tensor]:
+def weights(path):
     return load_tensors(path)[0]
 
 
-def same(one: Path, other: Path) -> bool:
+def same(one, other):
     first, second = weights(one), weights(other)
     return first.keys() == second.keys() and all(
         torch.equal(first[name], second[name]) for name in first
     )
 
 
-def figures(out: Path) -> list[dict[str, str]]:
+def figures(out):
     """The rows of metrics.csv, less how long they took."""
     with open(out / "metrics.csv") as file:
         return [
@@ -75,7 +74,7 @@ def figures(out: Path) -> list[dict[str, str]]:
 
 
 @pytest.fixture(scope="module")
-def uninterrupted(folders, once) -> Path:
+def uninterrupted(folders, once):
     """The run that none interrupts; not to be changed, nor to be locked."""
     torch.set_num_threads(1)
     return once("run", lambda out: train(folders, SMALL, out, device="cpu", command="test"))
@@ -110,7 +109,7 @@ def test_a_stopped_run_ends_where_an_uninterrupted_one_does(folders, tmp_path, u
     and at its first."""
     steps = 0
 
-    def count(maps: int, loss: float) -> None:
+    def count(maps, loss):
         nonlocal steps
         steps += 1
 
@@ -124,14 +123,14 @@ def test_a_stopped_run_ends_where_an_uninterrupted_one_does(folders, tmp_path, u
     assert figures(tmp_path / "run") == figures(uninterrupted)
 
 
-def train_and_be_killed(folders: list[Path], out: Path) -> None:
+def train_and_be_killed(folders, out):
     """SIGKILL after the ninth step, with every step saved."""
     torch.set_num_threads(1)
     scenegen.model.training.run_folder.SAVE_EVERY_S = 0.0
     scenegen.model.training.run_folder.draw_curve = lambda rows: None
-    losses: list[float] = []
+    losses = []
 
-    def count(maps: int, loss: float) -> None:
+    def count(maps, loss):
         losses.append(loss)
         if len(losses) == 9:
             os.kill(os.getpid(), signal.SIGKILL)
@@ -167,7 +166,7 @@ def test_a_run_is_not_continued_by_mistake(folders, tmp_path, uninterrupted):
 def test_a_finished_run_given_again_stays_as_it_is(folders, tmp_path, uninterrupted):
     out = shutil.copytree(uninterrupted, tmp_path / "run")
     before = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
-    told: list[int] = []
+    told = []
     rows = train(
         folders,
         SMALL,
@@ -197,7 +196,7 @@ def test_divergence_names_the_batch_and_keeps_the_last_good_state(folders, tmp_p
     out, steps = tmp_path / "run", 0
     honest = Coupled.__call__
 
-    def poisoned(*given: object) -> dict[str, torch.Tensor]:
+    def poisoned(*given):
         nonlocal steps
         steps += torch.is_grad_enabled()  # of training
         losses = honest(*given)
@@ -220,9 +219,7 @@ def test_divergence_names_the_batch_and_keeps_the_last_good_state(folders, tmp_p
 def test_running_out_of_memory_says_what_fits(folders, tmp_path, monkeypatch):
     honest = Coupled.__call__
 
-    def hungry(
-        loss: Coupled, output: object, batch: dict[str, torch.Tensor]
-    ) -> dict[str, torch.Tensor]:
+    def hungry(loss, output, batch):
         if len(batch["occupancy"]) > 3:
             raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 7 EiB")
         return honest(loss, output, batch)

@@ -9,7 +9,6 @@ import os
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -23,7 +22,7 @@ TORCHRUN = (sys.executable, "-m", "torch.distributed.run")
 
 
 @pytest.fixture
-def words(folders) -> list[str]:
+def words(folders):
     """A short run."""
     options = (
         "--width",
@@ -42,14 +41,14 @@ def words(folders) -> list[str]:
 
 
 @pytest.fixture
-def alone(words, tmp_path) -> Path:
+def alone(words, tmp_path):
     """The run by two processes of one node."""
     out = tmp_path / "alone"
     run([*TORCHRUN, "--standalone", "--nproc-per-node", "2", *words, str(out)])
     return out
 
 
-def run(command: list[str], **more: str) -> None:
+def run(command, **more):
     environment = os.environ | {
         "PYTHONPATH": str(ROOT),
         "OMP_NUM_THREADS": "1",
@@ -62,7 +61,7 @@ def run(command: list[str], **more: str) -> None:
     assert ended.returncode == 0, f"{ended.stdout[-2000:]}\n{ended.stderr[-4000:]}"
 
 
-def check_same(one: Path, other: Path) -> None:
+def check_same(one, other):
     """The same weights, and the same figures but for the time that they took."""
     (weights, _), (theirs, _) = (load_tensors(out / "best.safetensors") for out in (one, other))
     assert weights.keys() == theirs.keys()

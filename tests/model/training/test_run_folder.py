@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import shutil
-from pathlib import Path
 
 import pytest
 import torch
@@ -19,7 +18,7 @@ from tests.model.training.runs import SMALL, train
 
 
 @pytest.fixture(scope="module")
-def begun(folders, once) -> Path:
+def begun(folders, once):
     """A run of one epoch; not to be changed, nor to be locked."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("scenegen.model.training.run_folder.draw_curve", lambda rows: None)
@@ -66,7 +65,7 @@ def test_a_full_disk_ends_the_run_and_leaves_the_last_state(folders, begun, tmp_
     out = shutil.copytree(begun, tmp_path / "run")
     before = {path.name: path.read_bytes() for path in out.glob("*.safetensors")}
 
-    def full(path: Path, mode: str) -> object:
+    def full(path, mode):
         raise OSError(28, "No space left on device", str(path))
 
     network, grid = Network(SMALL.network), Maps(opened(folders, "val"), "val").grid
@@ -88,7 +87,7 @@ def test_a_run_that_an_earlier_commit_began_goes_on(folders, begun, tmp_path):
     assert held["settings"]["network"].pop("inputs") == ["observed"]
     assert held["settings"]["loss"].pop("lovasz") == 0
     (out / "config.json").write_text(json.dumps(held))
-    told: list[int] = []
+    told = []
     watcher = Watcher(on_step=lambda maps, loss: told.append(maps))
     rows = train(folders, dataclasses.replace(SMALL, epochs=1), out, device="cpu", watcher=watcher)
     assert (len(rows), told) == (1, [])

@@ -3,7 +3,6 @@ can be resumed."""
 
 import dataclasses
 import os
-from pathlib import Path
 
 import pytest
 import torch
@@ -11,13 +10,11 @@ from torch.utils.data import DataLoader
 
 import scenegen
 import scenegen.model.training.loop
-from scenegen.draw import Unit
 from scenegen.errors import DatasetError, GenerationError, StoppedError
 from scenegen.model.training.course import Course
 from scenegen.model.training.data import Maps, load, opened
 from scenegen.model.training.loop import Watcher
 from scenegen.streams.mixture import Component
-from scenegen.streams.stream import Stream
 from tests.conftest import small_recipe
 from tests.model.training.runs import SMALL
 from tests.model.training.test_loop import same as same_run
@@ -27,13 +24,13 @@ pytestmark = pytest.mark.usefixtures("undrawn")
 CONFIG = dataclasses.replace(SMALL, maps=24, interval=8)
 
 
-def streamed(split: str = "train", samples: int = 10**9) -> Stream:
+def streamed(split="train", samples=10**9):
     return scenegen.stream(
         [small_recipe("pillar"), small_recipe("geometric")], seed=1, split=split, samples=samples
     )
 
 
-def run(out: Path, **more: object) -> list[dict[str, float]]:
+def run(out, **more):
     checking = [streamed("val", 4)]
     return scenegen.model.training.loop.train(
         [streamed()], checking, CONFIG, out, device="cpu", **more
@@ -41,12 +38,12 @@ def run(out: Path, **more: object) -> list[dict[str, float]]:
 
 
 @pytest.fixture
-def drawers(tmp_path, monkeypatch) -> Path:
+def drawers(tmp_path, monkeypatch):
     """A folder with a file for every unit and process that draws it."""
     folder, original = tmp_path / "drawers", Component.draw
     folder.mkdir()
 
-    def draw(component: Component, unit: int) -> Unit:
+    def draw(component, unit):
         (folder / f"{component.recipe.kind} {unit} {os.getpid()}").touch(exist_ok=False)
         return original(component, unit)
 
@@ -59,7 +56,7 @@ def test_a_stopped_run_ends_where_an_uninterrupted_one_does(tmp_path):
     assert [row["maps"] for row in rows] == [8, 16, 24]
     seen = 0
 
-    def count(maps: int, loss: float) -> None:
+    def count(maps, loss):
         nonlocal seen
         seen += maps
 
@@ -107,9 +104,7 @@ def test_torchs_own_conventions_hold():
     helped = scenegen.stream(expected.mixture.components, seed=1, samples=24, workers=1)
     helped[0]
     for processes in (0, 2):
-        loader: DataLoader = DataLoader(
-            helped, batch_size=6, num_workers=processes, collate_fn=list
-        )
+        loader = DataLoader(helped, batch_size=6, num_workers=processes, collate_fn=list)
         assert len(loader) == 4
         read = [sample for batch in loader for sample in batch]
         assert all(same(one, expected[n]) for n, one in enumerate(read))
@@ -123,7 +118,7 @@ def test_what_cannot_be_trained_on_ends_in_a_line(folders, monkeypatch):
     with pytest.raises(DatasetError, match="is trained on alone"):
         Course(Maps([streamed(), *opened(folders[:1], "train")], "train"), CONFIG)
 
-    def hopeless(component: Component, unit: int) -> Unit:
+    def hopeless(component, unit):
         raise GenerationError("train world 0: all draws rejected")
 
     monkeypatch.setattr(Component, "draw", hopeless)

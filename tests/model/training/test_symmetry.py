@@ -31,18 +31,18 @@ GRIDS = [
 ]
 
 
-def numbered(*shape: int) -> np.ndarray:
+def numbered(*shape):
     """A map whose voxels are all different, in no order."""
     return np.random.default_rng(0).permutation(np.prod(shape)).reshape(shape)
 
 
-def which(grid: np.ndarray, candidates: dict[int, np.ndarray]) -> int:
+def which(grid, candidates):
     """The one symmetry whose map this is."""
     (found,) = [s for s, candidate in candidates.items() if np.array_equal(grid, candidate)]
     return found
 
 
-def table_of(grid: np.ndarray, symmetries: range) -> np.ndarray:
+def table_of(grid, symmetries):
     """Which symmetry it is to turn by a, then by b; fails where it is none or more than one."""
     images = {s: turned(grid, s) for s in symmetries}
     return np.array([[which(turned(images[a], b), images) for b in symmetries] for a in symmetries])
@@ -110,7 +110,7 @@ def test_a_map_of_any_kind_is_turned_and_left_alone(symmetry):
 # The distance field.
 
 
-def true_field(occupancy: np.ndarray, grid: GridSpec) -> np.ndarray:
+def true_field(occupancy, grid):
     """float32(min(voxel * sqrt(k), truncation)), k the whole squared distance in voxels that scipy
     found."""
     if not occupancy.any():
@@ -119,7 +119,7 @@ def true_field(occupancy: np.ndarray, grid: GridSpec) -> np.ndarray:
     return np.minimum(grid.voxel_m * np.sqrt(k), grid.truncation_m).astype(np.float32)
 
 
-def maps_of(grid: GridSpec) -> np.ndarray:
+def maps_of(grid):
     """A batch from empty to full, one with a voxel at a corner."""
     rng = np.random.default_rng(7)
     densities = (0.0, 0.002, 1.0, 0.02, 0.2, 0.0, 0.9)
@@ -180,7 +180,7 @@ class Counted:
     shares: None = None
     mirrored: bool = True
 
-    def __len__(self) -> int:
+    def __len__(self):
         return self.count
 
 
@@ -204,7 +204,7 @@ def test_an_epoch_is_full_batches_of_maps_seen_once(count, batch, augment):
 def test_seed_and_epoch_decide_alone(augment):
     """And each of them matters: seed 0 at epoch 1 is not seed 1 at epoch 0."""
 
-    def drawn(seed: int, epoch: int) -> str:
+    def drawn(seed, epoch):
         return repr(
             epoch_batches(
                 Counted(40), batch=8, seed=seed, epoch=epoch, views=Views(augment=augment)
@@ -219,7 +219,7 @@ def test_seed_and_epoch_decide_alone(augment):
 
 
 def test_no_map_is_left_out_epoch_after_epoch():
-    seen: set[int] = set()
+    seen = set()
     for epoch in range(20):
         seen |= {
             i for keys in epoch_batches(Counted(15), batch=8, seed=0, epoch=epoch) for i, _ in keys

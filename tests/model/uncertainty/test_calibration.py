@@ -31,7 +31,7 @@ PLAIN = Calibration(
 """Bins of distance: below 1 m, below 2 m, and 2 m."""
 
 
-def said(seed: int = 0) -> Prediction:
+def said(seed=0):
     rng = np.random.default_rng(seed)
     probability, tudf = rng.random(GRID.shape, np.float32), 2 * rng.random(GRID.shape, np.float32)
     return Prediction(probability, tudf, uncertainty=PLAIN, grid=GRID)

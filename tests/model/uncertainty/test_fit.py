@@ -21,7 +21,7 @@ GRID = GridSpec(shape=(8, 8, 8))
 ALL = np.ones(3000, bool)
 
 
-def world(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def world(rng):
     """Predicted and true distances of a world's voxels: all err together, near ones less; and some
     worlds are small."""
     count = int(rng.choice([300, 3000]))
@@ -30,7 +30,7 @@ def world(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     return np.clip(true + error, 0, 2).astype(np.float32), true
 
 
-def calibrated(rng: np.random.Generator, worlds: int) -> Calibration:
+def calibrated(rng, worlds):
     counts = [
         count_scores(said, None, true, ALL[: len(said)], GRID)
         for said, true in (world(rng) for _ in range(worlds))
@@ -110,7 +110,7 @@ def test_paths_of_new_worlds_collide_no_more_than_was_promised():
     worlds."""
     rng, risks = np.random.default_rng(0), np.linspace(0.6, 0.0, 12)
 
-    def losses(count: int) -> np.ndarray:
+    def losses(count):
         chance = np.clip(
             risks + rng.normal(0, 0.15, (count, 1)) + rng.normal(0, 0.05, (count, 12)), 0, 1
         )

@@ -3,15 +3,12 @@
 import dataclasses
 import itertools
 import json
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
 
 from scenegen.cli import doctor
-from scenegen.draw import Unit, draw_unit
-from scenegen.sample import Sample
+from scenegen.draw import draw_unit
 from tests.command_line import run
 
 
@@ -20,12 +17,12 @@ def short(monkeypatch):
     monkeypatch.setattr(doctor, "SELF_TEST_S", 0.1)
 
 
-def spoil(monkeypatch: pytest.MonkeyPatch, change: Callable[[int, Sample], Sample]) -> list[int]:
+def spoil(monkeypatch, change):
     """Have the doctor draw units whose last sample is changed by `change`, which is told the number
     of the draw; the numbers of the units are noted."""
     draws, asked = itertools.count(), list[int]()
 
-    def spoilt(*arguments: Any, **named: Any) -> Unit:
+    def spoilt(*arguments, **named):
         asked.append(named["unit"])
         unit = draw_unit(*arguments, **named)
         samples = (*unit.samples[:-1], change(next(draws), unit.samples[-1]))
@@ -35,14 +32,14 @@ def spoil(monkeypatch: pytest.MonkeyPatch, change: Callable[[int, Sample], Sampl
     return asked
 
 
-def without_one_solid_voxel(number: int, sample: Sample) -> Sample:
+def without_one_solid_voxel(number, sample):
     """As if the truth missed a voxel in which something returned."""
     occupancy = sample.occupancy.copy()
     occupancy[tuple(np.argwhere(sample.observed)[-1])] = False
     return dataclasses.replace(sample, occupancy=occupancy)
 
 
-def with_a_range_that_changes(number: int, sample: Sample) -> Sample:
+def with_a_range_that_changes(number, sample):
     """As if rays depended on what was cast before."""
     ranges = sample.ranges.copy()
     ranges[np.isfinite(ranges)] += np.float32(1e-3 * number)

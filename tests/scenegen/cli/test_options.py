@@ -2,7 +2,7 @@
 alone."""
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import pytest
 import rich_click as click
@@ -21,7 +21,7 @@ class Config:
     turned: bool = False
     other: int = 3
 
-    def __post_init__(self) -> None:
+    def __post_init__(self):
         check(self)
 
 
@@ -29,12 +29,12 @@ class Config:
 @options_of(
     Config, width="Channels.", reach_m="How far.", stride="Step.", mode="Which.", turned="Whether."
 )
-def command(**options: Any) -> None:
+def command(**options):
     config = Config(**taken(Config, {**options, "nothing": 1}))
     click.echo(repr(config))
 
 
-def run(*words: str) -> tuple[int, str]:
+def run(*words):
     ended = CliRunner().invoke(command, words)
     return ended.exit_code, ended.output
 
@@ -79,7 +79,7 @@ def test_bounds_and_choices_are_the_fields(words):
 def test_where_the_result_goes_has_three_names(word):
     @click.command()
     @out_option("Somewhere.")
-    def place(out: Any) -> None:
+    def place(out):
         click.echo(out)
 
     assert CliRunner().invoke(place, [word, "here"]).output == "here\n"

@@ -1,7 +1,6 @@
 """`scenegen publish` and hf:// as users meet them."""
 
 import json
-from pathlib import Path
 
 import pytest
 
@@ -10,7 +9,7 @@ from tests.scenegen.hub import TOKEN
 
 
 @pytest.fixture
-def here(tmp_path, monkeypatch) -> Path:
+def here(tmp_path, monkeypatch):
     """A folder to stand in."""
     monkeypatch.chdir(tmp_path)
     return tmp_path

@@ -33,7 +33,7 @@ noise = "range:0.02"
 
 
 @pytest.fixture
-def here(tmp_path, monkeypatch) -> Path:
+def here(tmp_path, monkeypatch):
     """A folder to stand in, with a room 20 m wide, a recipe and a sensor."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "room.xml").write_text(ROOM)
@@ -114,7 +114,7 @@ def test_kitti_s_files_hold_the_same_points_and_their_intensity(here, capsys):
 
 
 def test_a_scan_in_flight_is_at_the_seeds_place(here, capsys):
-    def place(seed: int) -> list[float]:
+    def place(seed):
         said = run(capsys, f"scan room.xml --flight --seed {seed} --json")[1]
         return json.loads(said)["position"]
 

@@ -12,7 +12,7 @@ import pytest
 from tests.command_line import ROOT
 
 
-def start(small: Path, out: Path) -> subprocess.Popen[str]:
+def start(small, out):
     """A run with workers that lasts until it is stopped, well under way."""
     command = [
         sys.executable,
@@ -42,7 +42,7 @@ def start(small: Path, out: Path) -> subprocess.Popen[str]:
     return process
 
 
-def descendants(pid: int) -> list[int]:
+def descendants(pid):
     """Processes of the session that `pid` leads, itself left out."""
     found = []
     for entry in Path("/proc").glob("[0-9]*"):

@@ -49,7 +49,7 @@ with stops.noted() as asked, undone_if_stopped(lambda: print("undone", flush=Tru
 """
 
 
-def begin(*command: str) -> subprocess.Popen[str]:
+def begin(*command):
     return subprocess.Popen(
         command,
         cwd=ROOT,
@@ -60,7 +60,7 @@ def begin(*command: str) -> subprocess.Popen[str]:
     )
 
 
-def ready(code: str) -> subprocess.Popen[str]:
+def ready(code):
     running = begin(sys.executable, "-c", code)
     assert running.stdout
     assert running.stdout.readline() == "ready\n"
@@ -96,7 +96,7 @@ def test_a_loop_notes_the_first_stop_and_the_second_ends_all():
     assert running.returncode == 130
 
 
-def answers(process: subprocess.Popen[str]) -> bool:
+def answers(process):
     """Whether our handlers stand; before, Python has one for Ctrl-C alone."""
     status = Path(f"/proc/{process.pid}/status").read_text()
     return int(status.partition("SigCgt:\t")[2].split()[0], 16) & 0x4003 == 0x4003

@@ -9,7 +9,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[3]
 
 
-def test_a_kill_between_any_two_file_operations_changes_nothing(tmp_path: Path) -> None:
+def test_a_kill_between_any_two_file_operations_changes_nothing(tmp_path):
     ran = subprocess.run(
         [sys.executable, "-m", "tests.scenegen.dataset.crash", str(tmp_path)],
         cwd=ROOT,

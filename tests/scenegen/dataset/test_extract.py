@@ -1,8 +1,6 @@
 """A world taken out of a dataset is what it was in there, and nothing of the user's is replaced for
 it."""
 
-from pathlib import Path
-
 import mujoco
 import numpy as np
 import pytest
@@ -26,7 +24,7 @@ SCENE = """
 
 
 @pytest.fixture
-def files(tmp_path: Path) -> dict[str, bytes]:
+def files(tmp_path):
     """A world with a mesh and a height field, as `Dataset.world` gives it."""
     (tmp_path / "scene" / "meshes").mkdir(parents=True)
     (tmp_path / "scene" / "scene.xml").write_text(SCENE)
@@ -37,9 +35,7 @@ def files(tmp_path: Path) -> dict[str, bytes]:
     return {DOCUMENT: scene.mjcf, **scene.assets}
 
 
-def test_its_files_go_into_a_folder_of_their_own_and_it_compiles_to_the_same(
-    files: dict[str, bytes], tmp_path: Path
-) -> None:
+def test_its_files_go_into_a_folder_of_their_own_and_it_compiles_to_the_same(files, tmp_path):
     output = tmp_path / "new" / "my world.xml"
     for _ in range(2):  # what is there already, and the same, is no hindrance
         write_extracted(files, output)
@@ -62,9 +58,7 @@ def test_its_files_go_into_a_folder_of_their_own_and_it_compiles_to_the_same(
         np.testing.assert_array_equal(getattr(archived, name), getattr(taken, name), strict=True)
 
 
-def test_what_stands_beside_the_output_is_left_alone(
-    files: dict[str, bytes], tmp_path: Path
-) -> None:
+def test_what_stands_beside_the_output_is_left_alone(files, tmp_path):
     """Archived files may have any name, such as that of the user's script."""
     (tmp_path / "train.py").write_text("mine")
     write_extracted({**files, "train.py": b"theirs"}, tmp_path / "world.xml")

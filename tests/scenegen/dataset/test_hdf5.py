@@ -7,22 +7,20 @@ import shutil
 import struct
 import time
 import tracemalloc
-from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
 import pytest
 
 from scenegen.dataset import hdf5
-from scenegen.dataset.layout import Layout, layout_of, open_shard
+from scenegen.dataset.layout import layout_of, open_shard
 from scenegen.errors import BrokenError
 from scenegen.sample import GROUPS, Schema
 from scenegen.verification import verify
 from tests.conftest import small_recipe
 
 
-def by_library(path: Path) -> dict[str, Any]:
+def by_library(path):
     """What h5py says of every dataset: type, shape, chunk, filters, and its chunks in the order of
     rows."""
     found = {}
@@ -38,10 +36,10 @@ def by_library(path: Path) -> dict[str, Any]:
         return {"": dict(file.attrs), **found}
 
 
-def by_index(path: Path, most: int = 10**6, read: Any = hdf5.read_index) -> dict[str, Any]:
+def by_index(path, most=10**6, read=hdf5.read_index):
     with open(path, "rb") as file:
         index = read(file.fileno(), most)
-    found: dict[str, Any] = {"": dict(index.attributes)}
+    found = {"": dict(index.attributes)}
     for name, it in index.objects.items():
         assert isinstance(it, hdf5.Stored)
         dtype, places = np.dtype(it.dtype), sorted(map(tuple, it.places.tolist()))
@@ -50,7 +48,7 @@ def by_index(path: Path, most: int = 10**6, read: Any = hdf5.read_index) -> dict
 
 
 @pytest.mark.parametrize("libver", ["earliest", "latest"])
-def test_indexes_are_those_of_the_library(tmp_path: Path, libver: str) -> None:
+def test_indexes_are_those_of_the_library(tmp_path, libver):
     path, rng = tmp_path / "x.h5", np.random.default_rng(0)
     with h5py.File(path, "w", libver=libver) as file:
         for n, dtype in enumerate(("bool", "<f4", "<f8", "<i8", "u1")):
@@ -69,9 +67,7 @@ def test_indexes_are_those_of_the_library(tmp_path: Path, libver: str) -> None:
         by_index(path, 699)
 
 
-def test_a_shard_tells_its_own_index_and_no_library_is_asked(
-    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_shard_tells_its_own_index_and_no_library_is_asked(made, tmp_path, monkeypatch):
     path = next(made.glob("train-*.h5"))
     with open(path, "rb") as file:
         expected = hdf5.library_index(file.fileno(), 10**6)
@@ -101,7 +97,7 @@ def test_a_shard_tells_its_own_index_and_no_library_is_asked(
         hdf5.read_index(file.fileno(), 10**6)
 
 
-def test_an_index_that_is_not_the_librarys_is_found(made: Path, tmp_path: Path) -> None:
+def test_an_index_that_is_not_the_librarys_is_found(made, tmp_path):
     folder = tmp_path / "data"
     shutil.copytree(made, folder)
     path = next(folder.glob("train-*.h5"))
@@ -117,18 +113,18 @@ def test_an_index_that_is_not_the_librarys_is_found(made: Path, tmp_path: Path) 
     assert any("is not what the HDF5 library finds" in check.detail for check in report.checks)
 
 
-def shard_arrays(path: Path) -> dict[str, np.ndarray]:
+def shard_arrays(path):
     with h5py.File(path) as file:
         return {name: file[name][()] for name in file}
 
 
 @functools.cache
-def layout() -> Layout:
+def layout():
     recipe = small_recipe()
     return layout_of(GROUPS[""], Schema(grid=recipe.grid, lidar=recipe.lidar))
 
 
-def read_all(path: Path) -> dict[str, np.ndarray]:
+def read_all(path):
     with open(path, "rb") as file:
         shard = open_shard(file, path, 3, layout())
         return {
@@ -136,16 +132,14 @@ def read_all(path: Path) -> dict[str, np.ndarray]:
         }
 
 
-def same(found: dict[str, np.ndarray], expected: dict[str, np.ndarray]) -> bool:
+def same(found, expected):
     return set(found) == set(expected) and all(
         found[name].dtype == expected[name].dtype and np.array_equal(found[name], expected[name])
         for name in expected
     )
 
 
-def test_values_are_the_librarys_whoever_wrote_them_and_whoever_reads(
-    made: Path, tmp_path: Path
-) -> None:
+def test_values_are_the_librarys_whoever_wrote_them_and_whoever_reads(made, tmp_path):
     path, repacked = made / "train-00000.h5", tmp_path / "repacked.h5"
     expected = shard_arrays(path)
     assert same(read_all(path), expected)
@@ -165,7 +159,7 @@ def test_values_are_the_librarys_whoever_wrote_them_and_whoever_reads(
         read_all(repacked)
 
 
-def places_of_structure(content: bytes, path: Path) -> np.ndarray:
+def places_of_structure(content, path):
     """Bytes that are no sample's."""
     structure = np.ones(len(content), bool)
     for name, parts in by_library(path).items():
@@ -185,9 +179,7 @@ TELLING = [
 ]
 
 
-def test_bytes_changed_anywhere_end_in_the_same_values_or_one_line(
-    made: Path, tmp_path: Path
-) -> None:
+def test_bytes_changed_anywhere_end_in_the_same_values_or_one_line(made, tmp_path):
     """Deflate notices what is changed in a packed sample; a pose is not packed, but stays a pose in
     form."""
     path, target = made / "train-00000.h5", tmp_path / "train-00000.h5"
@@ -225,7 +217,7 @@ def test_bytes_changed_anywhere_end_in_the_same_values_or_one_line(
     assert time.monotonic() - begin < 120
 
 
-def end_it() -> None:
+def end_it():
     """The library's process, which this one has begun."""
     with open(__file__, "rb") as file, pytest.raises(hdf5.Hdf5Error, match="signature not found"):
         hdf5.read_index(file.fileno(), 1)
@@ -235,7 +227,7 @@ def end_it() -> None:
     hdf5._KNOWN.clear()
 
 
-def test_a_process_that_somebody_ended_is_no_fault_of_the_file(made: Path) -> None:
+def test_a_process_that_somebody_ended_is_no_fault_of_the_file(made):
     end_it()
     path = made / "train-00000.h5"
     assert by_index(path) == by_library(path)
@@ -249,9 +241,7 @@ def test_a_process_that_somebody_ended_is_no_fault_of_the_file(made: Path) -> No
         ("os.abort()", "crashed"),
     ],
 )
-def test_a_library_that_hangs_swells_or_crashes_does_so_elsewhere(
-    made: Path, monkeypatch: pytest.MonkeyPatch, does: str, said: str
-) -> None:
+def test_a_library_that_hangs_swells_or_crashes_does_so_elsewhere(made, monkeypatch, does, said):
     patched = f"import os, time; from {hdf5.__name__} import serve; g = serve.__globals__; "
     patched += f"g.update(SECONDS=1, _index=lambda *_: {does}); serve()"
     path = made / "train-00000.h5"

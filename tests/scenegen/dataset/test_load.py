@@ -7,7 +7,6 @@ import hashlib
 import multiprocessing
 import pickle
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +14,6 @@ import pytest
 import scenegen
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.layout import ShardFile
-from scenegen.dataset.read import Split
 from scenegen.errors import DatasetError
 from scenegen.sample import GROUPS, Sample
 from scenegen.source import DrawnWorlds
@@ -23,7 +21,7 @@ from tests.conftest import small_recipe
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """Five shards."""
     folder = tmp_path_factory.mktemp("load") / "pillar"
     recipe = small_recipe()
@@ -35,7 +33,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def digest(task: tuple[Split, int]) -> str:
+def digest(task):
     """All of a sample's fields, in whatever process this runs."""
     split, index = task
     sample = split[index]
@@ -44,7 +42,7 @@ def digest(task: tuple[Split, int]) -> str:
     ).hexdigest()
 
 
-def test_samples_come_lazily_and_described(folder: Path) -> None:
+def test_samples_come_lazily_and_described(folder):
     split = scenegen.load(folder)
     assert len(split) == 12
     assert split._open == {}
@@ -66,13 +64,11 @@ def test_samples_come_lazily_and_described(folder: Path) -> None:
         scenegen.load(folder, split="training")
 
 
-def test_a_field_accessed_is_a_field_read_and_read_once(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    read: list[str] = []
+def test_a_field_accessed_is_a_field_read_and_read_once(folder, monkeypatch):
+    read = []
     original = ShardFile.value
 
-    def value(shard: ShardFile, name: str, row: int, **options: bool) -> object:
+    def value(shard, name, row, **options):
         read.append(name)
         return original(shard, name, row, **options)
 
@@ -88,7 +84,7 @@ def test_a_field_accessed_is_a_field_read_and_read_once(
         sample.colour  # type: ignore[attr-defined]  # noqa: B018
 
 
-def test_a_copy_of_a_sample_is_plain_and_whole(folder: Path) -> None:
+def test_a_copy_of_a_sample_is_plain_and_whole(folder):
     sample = scenegen.load(folder)[5]
     for other in (
         pickle.loads(pickle.dumps(sample)),
@@ -103,7 +99,7 @@ def test_a_copy_of_a_sample_is_plain_and_whole(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("method", ["fork", "spawn"])
-def test_many_processes_read_what_one_reads(folder: Path, method: str) -> None:
+def test_many_processes_read_what_one_reads(folder, method):
     split = scenegen.load(folder)
     expected = [digest((split, index)) for index in range(12)]  # which opens files in this process
     tasks = [(split, index) for index in (*range(12), *reversed(range(12)))]
@@ -114,9 +110,7 @@ def test_many_processes_read_what_one_reads(folder: Path, method: str) -> None:
     assert [digest((split, index)) for index in range(12)] == expected
 
 
-def test_many_threads_and_few_open_files_read_the_same(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_many_threads_and_few_open_files_read_the_same(folder, monkeypatch):
     monkeypatch.setattr("scenegen.dataset.read.MOST_OPEN", 2)
     split = scenegen.load(folder)
     expected = [digest((split, index)) for index in range(12)]

@@ -14,9 +14,8 @@ from scenegen.dataset.locate import locate
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, ScenegenError
 from scenegen.model.completion.completer import locate as locate_network
-from scenegen.share.stage import Request
 from scenegen.share.upload import publish
-from tests.scenegen.hub import TOKEN, Hub, Repository
+from tests.scenegen.hub import TOKEN, Repository
 
 NAME = "hf://ada/small-pillars"
 
@@ -24,8 +23,8 @@ NAME = "hf://ada/small-pillars"
 @pytest.mark.parametrize(
     "path", ["ada/pillar", "data/pillar", "hf/ada", "hf:/ada/pillar", "./hf:", "", "HF://a/b"]
 )
-def test_a_path_stays_a_path(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    def connect(*args: object) -> None:
+def test_a_path_stays_a_path(path, monkeypatch):
+    def connect(*args):
         raise AssertionError("a connection")
 
     monkeypatch.setattr(socket.socket, "connect", connect)
@@ -37,18 +36,18 @@ def test_a_path_stays_a_path(path: str, monkeypatch: pytest.MonkeyPatch) -> None
     "name",
     ["hf://", "hf://ada", "hf://a/b/c", "hf://a/b@", "hf://../b", "hf://a/b@../c", "hf://a/ b"],
 )
-def test_a_name_that_cannot_be_is_refused(name: str) -> None:
+def test_a_name_that_cannot_be_is_refused(name):
     with pytest.raises(DatasetError, match="expected hf://user/name"):
         locate(name)
 
 
 def test_what_was_published_is_read_back_by_revision(
-    asked: Request,
-    hub: Hub,
-    verified: list,
-    made: Path,
-    capfd: pytest.CaptureFixture[str],
-) -> None:
+    asked,
+    hub,
+    verified,
+    made,
+    capfd,
+):
     tag = publish(asked)[0].tag
     repository = hub.repositories[asked.repository]
     repository.commit({"README.md": b"emptied since"})
@@ -70,11 +69,11 @@ def test_what_was_published_is_read_back_by_revision(
 
 
 def test_without_network_the_copy_serves(
-    asked: Request,
-    hub: Hub,
-    verified: list,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    asked,
+    hub,
+    verified,
+    monkeypatch,
+):
     from huggingface_hub import constants
 
     tag = publish(asked)[0].tag
@@ -89,16 +88,16 @@ def test_without_network_the_copy_serves(
 
 
 def test_damage_and_strangers_files_are_refused(
-    asked: Request,
-    hub: Hub,
-    verified: list,
-    tmp_path: Path,
-) -> None:
+    asked,
+    hub,
+    verified,
+    tmp_path,
+):
     publish(asked)
     files = dict(hub.repositories[asked.repository].files("main") or {})
     found = json.loads(files["dataset.json"])
 
-    def offered(**changed: bytes) -> str:
+    def offered(**changed):
         hub.repositories["eve/x"] = repository = Repository()
         repository.commit(
             files | {name.replace("__", "."): content for name, content in changed.items()}
@@ -127,11 +126,11 @@ def test_damage_and_strangers_files_are_refused(
 
 
 def test_a_manifest_of_gigabytes_is_not_even_downloaded(
-    asked: Request,
-    hub: Hub,
-    verified: list,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    asked,
+    hub,
+    verified,
+    monkeypatch,
+):
     publish(asked)
     hub.log.clear()
     monkeypatch.setattr("scenegen.dataset.locate.MOST_MANIFEST_BYTES", 100)
@@ -143,11 +142,11 @@ def test_a_manifest_of_gigabytes_is_not_even_downloaded(
 @pytest.mark.parametrize(
     "token", [TOKEN, "hf_" + "Ab1" * 11, "hf_jwt_eyJhbGciOi.eyJzdWIi.c2ln", "an-older-form"]
 )
-def test_no_token_is_ever_told(token: str, hub: Hub, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_token_is_ever_told(token, hub, monkeypatch):
     """Not even where a server repeats it; nor does what it says reach a terminal raw."""
     import huggingface_hub
 
-    def refuse(*args: object, **options: object) -> None:
+    def refuse(*args, **options):
         raise RuntimeError(f"Bearer {token}\rgot\x1b[2J {token}x")
 
     monkeypatch.setenv("HF_TOKEN", token)
@@ -161,7 +160,7 @@ def test_no_token_is_ever_told(token: str, hub: Hub, monkeypatch: pytest.MonkeyP
         assert str(refused.value).isprintable()
 
 
-def test_the_hubs_client_tells_nobody_that_it_runs() -> None:
+def test_the_hubs_client_tells_nobody_that_it_runs():
     code = (
         "import scenegen.dataset.locate, huggingface_hub.constants as c; "
         "assert c.HF_HUB_DISABLE_TELEMETRY"

@@ -5,7 +5,6 @@ import dataclasses
 import json
 import shutil
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -22,7 +21,7 @@ from scenegen.dataset.rescan import plan_rescan, scan_again
 from scenegen.draw import draw_unit
 from scenegen.errors import DatasetError, GenerationError, RecipeError
 from scenegen.limits import MOST_SCANS
-from scenegen.recipe import Recipe, make_recipe, read_recipe
+from scenegen.recipe import make_recipe, read_recipe
 from scenegen.sample import GROUPS
 from scenegen.share.regenerate import check_source, source_file
 from scenegen.source import DrawnWorlds
@@ -41,13 +40,13 @@ FEW = {"train": 3, "val": 1, "test": 3}
 SAME = ("occupancy", "tudf", "ranges", "position", "quaternion", "origin", "world", "viewpoint")
 
 
-def recipe_with(noise: str = "", **mapping: Any) -> Recipe:
+def recipe_with(noise="", **mapping):
     return dataclasses.replace(
         small_recipe(mapping=mapping), noise=Noise.parse(noise) if noise else Noise()
     )
 
 
-def made_with(folder: Path, recipe: Recipe, *, compact: bool = False, **options: Any) -> Dataset:
+def made_with(folder, recipe, *, compact=False, **options):
     """The dataset of `made`, by another recipe."""
     options = {"shard_samples": 3, "counts": FEW} | options
     build(plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=3, compact=compact, **options))
@@ -55,18 +54,18 @@ def made_with(folder: Path, recipe: Recipe, *, compact: bool = False, **options:
 
 
 @pytest.fixture(scope="module")
-def several(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def several(tmp_path_factory):
     """The dataset of `made`, with four scans a sample; not to be changed."""
     folder = tmp_path_factory.mktemp("several") / "pillar"
     made_with(folder, recipe_with(**SEVERAL), counts=COUNTS)
     return folder
 
 
-def failed(folder: Path, **options: Any) -> dict[str, str]:
+def failed(folder, **options):
     return {check.name: check.detail for check in verify(folder, **options).checks if not check.ok}
 
 
-def test_more_scans_show_more_of_the_same_maps(made: Path, several: Path) -> None:
+def test_more_scans_show_more_of_the_same_maps(made, several):
     plain, found = json.loads((made / NAME).read_text()), json.loads((several / NAME).read_text())
     assert (plain["version"], found["version"]) == (1, 1.3)
     assert "mapping" not in plain
@@ -88,7 +87,7 @@ def test_more_scans_show_more_of_the_same_maps(made: Path, several: Path) -> Non
     assert more > 0
 
 
-def test_earlier_scans_lie_back_along_the_flight(several: Path) -> None:
+def test_earlier_scans_lie_back_along_the_flight(several):
     """Straight lines are shorter than what was flown, and the flight begins where it begins."""
     waited = 0
     for sample in Dataset(several).split("train"):
@@ -118,9 +117,7 @@ def test_earlier_scans_lie_back_along_the_flight(several: Path) -> None:
         ({"tilt_mps": 5.0}, False, ""),
     ],
 )
-def test_such_a_dataset_passes_every_check_whoever_makes_it(
-    tmp_path: Path, mapping: dict[str, Any], compact: bool, noise: str
-) -> None:
+def test_such_a_dataset_passes_every_check_whoever_makes_it(tmp_path, mapping, compact, noise):
     recipe = recipe_with(noise, **mapping)
     dataset = made_with(tmp_path / "one", recipe, compact=compact)
     report = verify(dataset.folder)
@@ -143,7 +140,7 @@ def test_such_a_dataset_passes_every_check_whoever_makes_it(
     )  # stored here, derived there
 
 
-def test_noise_of_earlier_scans_is_their_own_and_that_of_the_last_stays() -> None:
+def test_noise_of_earlier_scans_is_their_own_and_that_of_the_last_stays():
     plain, faulty, alone = (
         draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="val", unit=2).samples
         for recipe in (
@@ -164,8 +161,8 @@ def test_noise_of_earlier_scans_is_their_own_and_that_of_the_last_stays() -> Non
 
 
 def test_scanned_again_it_is_what_would_have_been_drawn_with_as_many_scans_or_fewer(
-    made: Path, several: Path, tmp_path: Path
-) -> None:
+    made, several, tmp_path
+):
     dataset = Dataset(several)
     same = build(plan_rescan(dataset, tmp_path / "same"))
     assert same.digest == dataset.manifest.digest
@@ -186,9 +183,7 @@ def test_scanned_again_it_is_what_would_have_been_drawn_with_as_many_scans_or_fe
     assert not failed(ahead.folder)
 
 
-def test_scanned_again_with_more_scans_the_flight_is_flown_again(
-    made: Path, several: Path, tmp_path: Path
-) -> None:
+def test_scanned_again_with_more_scans_the_flight_is_flown_again(made, several, tmp_path):
     more = plan_rescan(Dataset(made), tmp_path / "more", mapping=SEVERAL)
     assert build(more).digest == Dataset(several).manifest.digest
     moved = Path(shutil.copytree(made, tmp_path / "moved"))
@@ -198,7 +193,7 @@ def test_scanned_again_with_more_scans_the_flight_is_flown_again(
     assert not (tmp_path / "no").exists()
 
 
-def test_a_stream_gives_the_same_samples(several: Path) -> None:
+def test_a_stream_gives_the_same_samples(several):
     stream = scenegen.stream(recipe_with(**SEVERAL), seed=3, engine="analytic")
     for one, other in zip(Dataset(several).split("train")[:4], stream, strict=False):
         for name in (*GROUPS[""], *GROUPS["earlier"]):
@@ -206,7 +201,7 @@ def test_a_stream_gives_the_same_samples(several: Path) -> None:
     assert stream.describe()["earlier_ranges"]["shape"] == (3, 8, 24)
 
 
-def test_labels_are_of_the_own_scan_and_the_digest_covers_all(tmp_path: Path) -> None:
+def test_labels_are_of_the_own_scan_and_the_digest_covers_all(tmp_path):
     recipe = recipe_with(**SEVERAL)
     labelled = dataclasses.replace(recipe, labels=labels_by("name", ()))
     unit, plain = (
@@ -223,9 +218,7 @@ def test_labels_are_of_the_own_scan_and_the_digest_covers_all(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("turns", "shift"), [(0, (5, 2, -1)), (1, (-2, 5, -1)), (2, (-5, -2, -1)), (3, (2, -5, -1))]
 )
-def test_a_map_that_lies_ahead_is_a_shifted_window_of_the_same_truth(
-    turns: int, shift: tuple[int, int, int]
-) -> None:
+def test_a_map_that_lies_ahead_is_a_shifted_window_of_the_same_truth(turns, shift):
     """Five voxels ahead, two to the left, one down: seen towards each side of the world, and from a
     leaning body."""
     recipe = small_recipe(
@@ -259,8 +252,8 @@ def test_a_map_that_lies_ahead_is_a_shifted_window_of_the_same_truth(
     np.testing.assert_allclose(there[0], there[1], rtol=0, atol=1e-12)
 
 
-def test_what_was_changed_in_earlier_scans_is_found(several: Path, tmp_path: Path) -> None:
-    def damaged(name: str, field: str, change: float) -> dict[str, str]:
+def test_what_was_changed_in_earlier_scans_is_found(several, tmp_path):
+    def damaged(name, field, change):
         folder = Path(shutil.copytree(several, tmp_path / name))
         with h5py.File(folder / "train-00000.h5", "r+") as file:
             values = file[field][:]
@@ -293,9 +286,7 @@ def test_what_was_changed_in_earlier_scans_is_found(several: Path, tmp_path: Pat
         ({"mapping": {"map_ahead_m": [99.0, 0.0, 0.0]}}, "lies beyond the sensor's range"),
     ],
 )
-def test_a_strangers_word_is_not_trusted(
-    several: Path, tmp_path: Path, entries: dict[str, Any], told: str
-) -> None:
+def test_a_strangers_word_is_not_trusted(several, tmp_path, entries, told):
     folder = Path(shutil.copytree(several, tmp_path / "d"))
     found = json.loads((folder / NAME).read_text())
     if entries.get("mapping") not in (None, {"scans": 4}):
@@ -318,14 +309,14 @@ def test_a_strangers_word_is_not_trusted(
         ({"scan": 2}, "[mapping]: unknown parameter 'scan'; did you mean 'scans'?"),
     ],
 )
-def test_bad_values_end_in_one_line(table: dict[str, Any], told: str) -> None:
+def test_bad_values_end_in_one_line(table, told):
     with pytest.raises(RecipeError) as caught:
         make_recipe("pillar", {"mapping": table}, where="my.toml")
     assert told in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_too_many_rays_are_refused() -> None:
+def test_too_many_rays_are_refused():
     with pytest.raises(
         RecipeError, match=r"\[mapping\] scans = 100: of 100000 rays each; expected 40 at most"
     ):
@@ -336,7 +327,7 @@ def test_too_many_rays_are_refused() -> None:
         )
 
 
-def test_a_recipe_says_it_and_is_published(several: Path, tmp_path: Path) -> None:
+def test_a_recipe_says_it_and_is_published(several, tmp_path):
     dataset = Dataset(several)
     name, text = source_file(dataset.manifest)
     (tmp_path / "my.toml").write_text(text)
@@ -348,9 +339,7 @@ def test_a_recipe_says_it_and_is_published(several: Path, tmp_path: Path) -> Non
         read_recipe(tmp_path / "my.toml", mapping={"scans": 2})
 
 
-def test_the_command_line_takes_it_and_refuses_the_impossible_in_one_line(
-    small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_line_takes_it_and_refuses_the_impossible_in_one_line(small, tmp_path, capsys):
     words = (
         "generate",
         "--recipe",

@@ -1,11 +1,8 @@
 """Datasets of several kinds: shares, kinds told apart, the same samples as by themselves, resuming,
 and what is wrong in one line."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import scenegen
 from lidarsim import fuse
@@ -19,11 +16,9 @@ from scenegen.dataset.read import Dataset
 from scenegen.errors import RecipeError
 from scenegen.model.training.data import Maps, SplitSamples
 from scenegen.recipes import kind_names
-from scenegen.sample import Sample
 from scenegen.share.regenerate import recipe_text
 from scenegen.share.stage import Request, stage
 from scenegen.source import DrawnWorlds
-from scenegen.worlds.mapping import Mapper
 from tests.command_line import run
 
 SMALL = """
@@ -72,23 +67,23 @@ sensor = "livox-mid-360"
 
 
 @pytest.fixture(scope="module")
-def recipe(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def recipe(tmp_path_factory):
     path = tmp_path_factory.mktemp("mixed") / "recipe.toml"
     path.write_text(RECIPE)
     return path
 
 
 @pytest.fixture(scope="module")
-def mixed(recipe: Path) -> Dataset:
+def mixed(recipe):
     return scenegen.generate(recipe=recipe, out=recipe.parent / "data", shard_samples=4, **COUNTS)
 
 
-def kinds(dataset: Dataset, split: str) -> list[str]:
+def kinds(dataset, split):
     samples = dataset.split(split)
     return [samples.home(n).kind for n in range(len(samples))]
 
 
-def test_samples_come_by_weight_and_know_their_kind(mixed: Dataset) -> None:
+def test_samples_come_by_weight_and_know_their_kind(mixed):
     assert mixed.manifest.kind == manifest.SEVERAL
     assert kinds(mixed, "train") == ["pillar"] * 12 + ["clutter"] * 4 + ["maze"] * 4
     assert kinds(mixed, "val") == ["pillar"] * 3 + ["clutter", "maze"]
@@ -97,7 +92,7 @@ def test_samples_come_by_weight_and_know_their_kind(mixed: Dataset) -> None:
     assert mixed.split("train").count_worlds() == 10
 
 
-def test_a_component_has_the_samples_that_it_has_by_itself(mixed: Dataset, recipe: Path) -> None:
+def test_a_component_has_the_samples_that_it_has_by_itself(mixed, recipe):
     (pillars, _), *_ = read_components(recipe)
     counts = {"train": 12, "val": 3, "test": 3}
     plan = plan_dataset(
@@ -109,7 +104,7 @@ def test_a_component_has_the_samples_that_it_has_by_itself(mixed: Dataset, recip
         assert [one.sha256() for one in alone] == [ours[n].sha256() for n in range(count)]
 
 
-def test_what_is_lost_is_made_again_by_any_number_of_workers(mixed: Dataset, recipe: Path) -> None:
+def test_what_is_lost_is_made_again_by_any_number_of_workers(mixed, recipe):
     before = manifest.read(mixed.folder)
     for name in ("train-00003.h5", "val-00001.worlds.zip", "test-00002.h5"):
         (mixed.folder / name).unlink()
@@ -117,9 +112,7 @@ def test_what_is_lost_is_made_again_by_any_number_of_workers(mixed: Dataset, rec
     assert manifest.read(again.folder) == before
 
 
-def test_it_is_verified_inspected_measured_and_gathered(
-    mixed: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_it_is_verified_inspected_measured_and_gathered(mixed, tmp_path, capsys):
     folder = str(mixed.folder)
     code, said, _ = run(capsys, "verify", folder)
     assert (code, "failed" in said) == (0, False), said
@@ -141,9 +134,7 @@ def test_it_is_verified_inspected_measured_and_gathered(
 
 @pytest.mark.parametrize("n", [20, 23, 2500])
 @pytest.mark.parametrize("weights", [(3, 1, 1), (1, 1, 1), (0.5, 7, 2.25)])
-def test_the_recipe_that_a_manifest_spells_out_plans_the_same(
-    tmp_path: Path, weights: tuple[float, ...], n: int
-) -> None:
+def test_the_recipe_that_a_manifest_spells_out_plans_the_same(tmp_path, weights, n):
     text = DIFFERENT
     for old, new in zip(("weight = 3", "weight = 2", "weight = 1"), weights, strict=True):
         text = text.replace(old, f"weight = {new}")
@@ -156,9 +147,7 @@ def test_the_recipe_that_a_manifest_spells_out_plans_the_same(
     assert again.parameters == plan.parameters
 
 
-def test_one_dataset_holds_several_sensors_noises_and_scan_counts(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_one_dataset_holds_several_sensors_noises_and_scan_counts(tmp_path, capsys):
     (tmp_path / "r.toml").write_text(DIFFERENT)
     for name in ("a", "b"):
         scenegen.generate(recipe=tmp_path / "r.toml", out=tmp_path / name, workers=1, **COUNTS)
@@ -200,12 +189,12 @@ def test_one_dataset_holds_several_sensors_noises_and_scan_counts(
     }
 
 
-def voxelized(sample: Sample, mapping: Mapper) -> NDArray[np.bool_]:
+def voxelized(sample, mapping):
     assert sample.grid is not None
     return fuse(sample.scans()[::-1], sample.grid, sample.origin, mapping).free
 
 
-def test_without_components_every_kind_has_the_same_weight() -> None:
+def test_without_components_every_kind_has_the_same_weight():
     every = plan_generation("mixed", 100, val=0, test=0, out="x", labels="class")
     assert {shard.samples for shard in every.shards} == {10}
     assert len(every.shards) == len(kind_names())
@@ -235,7 +224,7 @@ def test_without_components_every_kind_has_the_same_weight() -> None:
         ("[component.world]", "[component.grid]\nvoxel_m = 1\n[component.world]", "grid.voxel"),
     ],
 )
-def test_a_bad_mixture_ends_in_one_line(tmp_path: Path, old: str, new: str, told: str) -> None:
+def test_a_bad_mixture_ends_in_one_line(tmp_path, old, new, told):
     (tmp_path / "r.toml").write_text(RECIPE.replace(old, new, 1))
     with pytest.raises(RecipeError) as caught:
         plan_generation(recipe=tmp_path / "r.toml", out=tmp_path / "d", **COUNTS)
@@ -253,7 +242,7 @@ stages = ["", "dropout:0.5"]
 """
 
 
-def test_a_domain_draws_with_every_combination_of_what_it_lists(tmp_path: Path) -> None:
+def test_a_domain_draws_with_every_combination_of_what_it_lists(tmp_path):
     (tmp_path / "r.toml").write_text(RECIPE.replace("[[component]]", DOMAIN + "[[component]]", 1))
     components = read_components(tmp_path / "r.toml")
     assert len(components) == 3 * 8
@@ -272,7 +261,7 @@ def test_a_domain_draws_with_every_combination_of_what_it_lists(tmp_path: Path) 
     assert dropped[True] < 0.8 * dropped[False]
 
 
-def test_a_domain_of_one_kind_needs_no_component(tmp_path: Path) -> None:
+def test_a_domain_of_one_kind_needs_no_component(tmp_path):
     text = 'kind = "pillar"\n[domain.flight]\naltitude_m = [[0.5, 1.0], [2.0, 4.0]]\n'
     (tmp_path / "r.toml").write_text(text)
     dataset = scenegen.generate(recipe=tmp_path / "r.toml", out=tmp_path / "d", n=20, val=0, test=0)

@@ -5,7 +5,6 @@ import json
 import shlex
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -34,9 +33,7 @@ CHAIN = "range:0.02,dropout:0.05"
 SPELLED = "range:sigma_m=0.02:share=0.0:quadratic_per_m=0.0,dropout:share=0.05"
 
 
-def made_with(
-    folder: Path, noise: str, *, counts: dict[str, int] | None = None, shard_samples: int = 5
-) -> Dataset:
+def made_with(folder, noise, *, counts=None, shard_samples=5):
     """The dataset of `made`, with noise."""
     recipe = dataclasses.replace(small_recipe(), noise=Noise.parse(noise))
     counts = counts or COUNTS
@@ -49,20 +46,18 @@ def made_with(
 
 
 @pytest.fixture(scope="module")
-def noisy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def noisy(tmp_path_factory):
     """The dataset of `made`, with noise, in other shards; not to be changed."""
     folder = tmp_path_factory.mktemp("noisy") / "pillar"
     made_with(folder, CHAIN)
     return folder
 
 
-def failed(folder: Path, **options: Any) -> dict[str, str]:
+def failed(folder, **options):
     return {check.name: check.detail for check in verify(folder, **options).checks if not check.ok}
 
 
-def test_noise_changes_ranges_alone_and_the_default_knows_nothing_of_it(
-    made: Path, noisy: Path
-) -> None:
+def test_noise_changes_ranges_alone_and_the_default_knows_nothing_of_it(made, noisy):
     plain, faulty = json.loads((made / NAME).read_text()), json.loads((noisy / NAME).read_text())
     assert plain["version"] == 1
     assert not plain.keys() & {"noise", "labels", "rescan"}
@@ -78,9 +73,7 @@ def test_noise_changes_ranges_alone_and_the_default_knows_nothing_of_it(
 
 
 @pytest.mark.parametrize("noise", ["", CHAIN])
-def test_scanned_again_it_is_to_the_bit_what_would_have_been_drawn(
-    made: Path, noisy: Path, tmp_path: Path, noise: str
-) -> None:
+def test_scanned_again_it_is_to_the_bit_what_would_have_been_drawn(made, noisy, tmp_path, noise):
     chain = Noise.parse(noise) if noise else None
     plan = plan_rescan(Dataset(made), tmp_path / "again", chain=chain)
     build(plan, shard_range=(0, 3))
@@ -92,9 +85,7 @@ def test_scanned_again_it_is_to_the_bit_what_would_have_been_drawn(
     assert not failed(plan.folder)
 
 
-def test_another_sensor_sees_the_same_worlds_from_the_same_poses(
-    made: Path, tmp_path: Path
-) -> None:
+def test_another_sensor_sees_the_same_worlds_from_the_same_poses(made, tmp_path):
     rays = BeamTable.of(Lidar(rows=5, columns=40))
     plan = plan_rescan(
         Dataset(made), tmp_path / "again", lidar=rays, chain=Noise.parse("quantise:0.1")
@@ -111,8 +102,8 @@ def test_another_sensor_sees_the_same_worlds_from_the_same_poses(
 
 @pytest.mark.parametrize(("name", "noise"), [("raster", ""), ("table", "quantise:0.1")])
 def test_what_was_scanned_again_is_published_with_the_command_that_does_so(
-    made: Path, tmp_path: Path, name: str, noise: str
-) -> None:
+    made, tmp_path, name, noise
+):
     sensor = Lidar(rows=5, columns=40)
     lidar, chain = (
         sensor if name == "raster" else BeamTable.of(sensor),
@@ -152,14 +143,14 @@ def test_what_was_scanned_again_is_published_with_the_command_that_does_so(
         examine(request)
 
 
-def edited(folder: Path, **entries: Any) -> Path:
+def edited(folder, **entries):
     found = json.loads((folder / NAME).read_text())
     (folder / NAME).write_text(json.dumps({**found, **entries}))
     return folder
 
 
-def test_what_the_noise_cannot_have_done_is_found(noisy: Path, tmp_path: Path) -> None:
-    def copy(name: str, **entries: Any) -> Path:
+def test_what_the_noise_cannot_have_done_is_found(noisy, tmp_path):
+    def copy(name, **entries):
         import shutil
 
         return edited(Path(shutil.copytree(noisy, tmp_path / name)), **entries)
@@ -193,9 +184,7 @@ def test_what_the_noise_cannot_have_done_is_found(noisy: Path, tmp_path: Path) -
         ),
     ],
 )
-def test_a_strangers_word_is_not_trusted(
-    noisy: Path, tmp_path: Path, entries: dict[str, Any], told: str
-) -> None:
+def test_a_strangers_word_is_not_trusted(noisy, tmp_path, entries, told):
     (tmp_path / NAME).write_bytes((noisy / NAME).read_bytes())
     with pytest.raises(DatasetError) as caught:
         Dataset(edited(tmp_path, **entries))
@@ -203,9 +192,7 @@ def test_a_strangers_word_is_not_trusted(
     assert "\n" not in str(caught.value)
 
 
-def test_no_reader_imports_a_stage_that_a_manifest_names(
-    noisy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_reader_imports_a_stage_that_a_manifest_names(noisy, tmp_path, monkeypatch):
     import shutil
 
     (tmp_path / "trap.py").write_text("raise SystemExit('imported')")
@@ -233,17 +220,13 @@ def test_no_reader_imports_a_stage_that_a_manifest_names(
 
 
 @pytest.mark.parametrize("noise", ["divergence:3:returns=dual", "intensity"])
-def test_what_ranges_cannot_hold_is_refused_before_anything_is_written(
-    tmp_path: Path, noise: str
-) -> None:
+def test_what_ranges_cannot_hold_is_refused_before_anything_is_written(tmp_path, noise):
     with pytest.raises(GenerationError, match="a dataset holds one range a ray"):
         made_with(tmp_path / "data", noise)
     assert not (tmp_path / "data").exists()
 
 
-def test_ranges_beyond_the_sensors_are_refused_before_anything_is_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ranges_beyond_the_sensors_are_refused_before_anything_is_written(tmp_path, monkeypatch):
     (tmp_path / "far_noise.py").write_text(
         "from lidarsim.noise.losses import Dropout\n"
         "class Far(Dropout):\n"
@@ -256,7 +239,7 @@ def test_ranges_beyond_the_sensors_are_refused_before_anything_is_written(
     assert not (tmp_path / "data").exists()
 
 
-def test_corrected_motion_is_refused_and_motion_that_bends_walls_is_not() -> None:
+def test_corrected_motion_is_refused_and_motion_that_bends_walls_is_not():
     rays = BeamTable.of(Lidar(rows=4, columns=30)).rays.copy()
     rays[..., 3] = np.linspace(0.0, 0.1, 30)
     base = dataclasses.replace(small_recipe(), lidar=BeamTable(rays=rays))
@@ -269,7 +252,7 @@ def test_corrected_motion_is_refused_and_motion_that_bends_walls_is_not() -> Non
         draw_unit(DrawnWorlds(told), told, **place)  # type: ignore[arg-type]
 
 
-def test_a_recipe_says_its_noise_and_is_held_to_it(noisy: Path, tmp_path: Path) -> None:
+def test_a_recipe_says_its_noise_and_is_held_to_it(noisy, tmp_path):
     dataset = Dataset(noisy)
     name, text = source_file(dataset.manifest)
     assert f'[noise]\nstages = "{SPELLED}"' in text

@@ -6,8 +6,6 @@ import io
 import json
 import pickle
 import sys
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -28,14 +26,14 @@ COUNTS = {"train": 3, "val": 0, "test": 0}
 
 
 @pytest.fixture(scope="module")
-def table() -> BeamTable:
+def table():
     """The rays of a small raster, as nine rows of a list, with times."""
     rays = BeamTable.of(Lidar(rows=8, columns=27)).rays.copy().reshape(9, 24, 4)
     rays[..., 3] = np.linspace(0.0, 0.1, 9)[:, None]
     return BeamTable(rays=rays, made_by="a test")
 
 
-def build_with(folder: Path, lidar: Any, engine: str = "mujoco", *, force: bool = False) -> Dataset:
+def build_with(folder, lidar, engine="mujoco", *, force=False):
     recipe = dataclasses.replace(small_recipe(), lidar=lidar)
     build(
         plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=5, counts=COUNTS, engine=engine),
@@ -45,7 +43,7 @@ def build_with(folder: Path, lidar: Any, engine: str = "mujoco", *, force: bool 
 
 
 @pytest.mark.parametrize("kind", ["pillar", "geometric"])
-def test_the_table_of_a_rasters_rays_gives_the_rasters_samples_to_the_bit(kind: str) -> None:
+def test_the_table_of_a_rasters_rays_gives_the_rasters_samples_to_the_bit(kind):
     recipe = small_recipe(kind)
     other = dataclasses.replace(recipe, lidar=BeamTable.of(recipe.lidar))
     one, two = (
@@ -57,7 +55,7 @@ def test_the_table_of_a_rasters_rays_gives_the_rasters_samples_to_the_bit(kind: 
     np.testing.assert_array_equal(one[0].free, two[0].free)
 
 
-def test_a_raster_is_written_as_it_always_was_and_leaves_no_table(tmp_path: Path) -> None:
+def test_a_raster_is_written_as_it_always_was_and_leaves_no_table(tmp_path):
     build_with(tmp_path, Lidar(rows=8, columns=24))
     found = json.loads((tmp_path / NAME).read_text())
     assert found["lidar"] == dataclasses.asdict(Lidar(rows=8, columns=24))
@@ -65,7 +63,7 @@ def test_a_raster_is_written_as_it_always_was_and_leaves_no_table(tmp_path: Path
     assert not (tmp_path / RAYS).exists()
 
 
-def test_a_table_is_kept_read_verified_and_replaced(tmp_path: Path, table: BeamTable) -> None:
+def test_a_table_is_kept_read_verified_and_replaced(tmp_path, table):
     dataset = build_with(tmp_path, table)
     assert dataset.lidar == table
     assert str(dataset.lidar) == "9 × 24 rays of a test, up to 10 m"
@@ -82,9 +80,7 @@ def test_a_table_is_kept_read_verified_and_replaced(tmp_path: Path, table: BeamT
     assert not (tmp_path / RAYS).exists()
 
 
-def test_a_table_that_was_lost_on_the_way_is_put_back_by_the_same_command(
-    tmp_path: Path, table: BeamTable
-) -> None:
+def test_a_table_that_was_lost_on_the_way_is_put_back_by_the_same_command(tmp_path, table):
     build_with(tmp_path, table)
     (tmp_path / RAYS).unlink()
     with pytest.raises(
@@ -94,7 +90,7 @@ def test_a_table_that_was_lost_on_the_way_is_put_back_by_the_same_command(
     assert build_with(tmp_path, table).lidar == table
 
 
-def test_other_rays_or_times_make_another_sensor(table: BeamTable) -> None:
+def test_other_rays_or_times_make_another_sensor(table):
     rays = table.rays.copy()
     assert BeamTable(rays=rays) == table
     rays[0, 0, 3] = 0.5
@@ -103,7 +99,7 @@ def test_other_rays_or_times_make_another_sensor(table: BeamTable) -> None:
     assert table != Lidar()
 
 
-def npy(values: np.ndarray) -> bytes:
+def npy(values):
     file = io.BytesIO()
     np.save(file, values, allow_pickle=values.dtype == object)
     return file.getvalue()
@@ -131,7 +127,7 @@ HEADER = (
         (npy(UNIT - [0, 0, 0, 1.0]), "a ray's time is negative"),
     ],
 )
-def test_a_damaged_table_ends_in_one_line(tmp_path: Path, content: bytes, told: str) -> None:
+def test_a_damaged_table_ends_in_one_line(tmp_path, content, told):
     import hashlib
 
     (tmp_path / RAYS).write_bytes(content)
@@ -156,9 +152,7 @@ def test_a_damaged_table_ends_in_one_line(tmp_path: Path, content: bytes, told: 
         ({"rows": 16}, "lidar: unknown parameter 'rows'"),
     ],
 )
-def test_a_strangers_word_on_a_table_is_not_trusted(
-    tmp_path: Path, change: dict[str, Any], told: str
-) -> None:
+def test_a_strangers_word_on_a_table_is_not_trusted(tmp_path, change, told):
     table = BeamTable(rays=UNIT)
     write_rays([table], tmp_path)
     assert sensor_of(sensor_entry(table), tmp_path) == table
@@ -168,9 +162,7 @@ def test_a_strangers_word_on_a_table_is_not_trusted(
     assert "\n" not in str(caught.value)
 
 
-def test_no_reader_imports_what_a_manifest_names(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_reader_imports_what_a_manifest_names(tmp_path, monkeypatch):
     folder = tmp_path / "data"
     build_with(folder, Lidar(rows=8, columns=24))
     (tmp_path / "trap.py").write_text("raise SystemExit('imported')")
@@ -189,8 +181,8 @@ def test_no_reader_imports_what_a_manifest_names(
 
 
 def test_no_key_of_a_manifest_names_a_sensor_to_the_recipe_that_publish_reads(
-    tmp_path: Path, table: BeamTable, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    tmp_path, table, monkeypatch
+):
     lidar = dataclasses.replace(table, made_by="''' #")
     dataset = build_with(tmp_path / "data", lidar)
     check_source(dataset, *source_file(dataset.manifest))
@@ -203,9 +195,7 @@ def test_no_key_of_a_manifest_names_a_sensor_to_the_recipe_that_publish_reads(
 
 
 @pytest.mark.parametrize("maker", ["analytic", "mujoco"])
-def test_another_engine_is_named_in_the_manifest_and_audited_by_one_that_is_not_it(
-    tmp_path: Path, maker: str
-) -> None:
+def test_another_engine_is_named_in_the_manifest_and_audited_by_one_that_is_not_it(tmp_path, maker):
     dataset = build_with(tmp_path, Lidar(rows=8, columns=24), maker)
     assert dataset.manifest.engine == maker
     report = verify(tmp_path)
@@ -215,7 +205,7 @@ def test_another_engine_is_named_in_the_manifest_and_audited_by_one_that_is_not_
     assert not checks["regenerated"].skipped
 
 
-def test_an_engine_that_is_not_to_be_had_is_told_of_before_anything_is_made(tmp_path: Path) -> None:
+def test_an_engine_that_is_not_to_be_had_is_told_of_before_anything_is_made(tmp_path):
     with pytest.raises(DatasetError, match="unknown engine 'mujocco'; did you mean 'mujoco'"):
         build_with(tmp_path / "data", Lidar(), "mujocco")
     assert not (tmp_path / "data").exists()

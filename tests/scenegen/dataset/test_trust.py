@@ -12,9 +12,6 @@ import time
 import tracemalloc
 import zipfile
 import zlib
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -26,7 +23,7 @@ from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.display.inspect import inspect
 from scenegen.errors import DatasetError
-from scenegen.sample import GROUPS, Sample
+from scenegen.sample import GROUPS
 from scenegen.source import DrawnWorlds
 from scenegen.verification import verify
 from tests.conftest import small_recipe
@@ -34,7 +31,7 @@ from tests.conftest import small_recipe
 BAD = (None, 3, -1, 1e308, 10**12, "x", "../x", [], [[1]], {}, {"a": 1}, True)
 
 
-def refused(action: Callable[[], Any]) -> str:
+def refused(action):
     with pytest.raises(DatasetError) as error:
         action()
     assert "\n" not in str(error.value)
@@ -42,12 +39,12 @@ def refused(action: Callable[[], Any]) -> str:
     return str(error.value)
 
 
-def whole(sample: Sample) -> tuple[Any, ...]:
+def whole(sample):
     """All its fields, each of which is read when asked for."""
     return tuple(getattr(sample, name) for name in GROUPS[""])
 
 
-def test_no_value_in_a_manifest_ends_in_a_traceback(dataset: Path) -> None:
+def test_no_value_in_a_manifest_ends_in_a_traceback(dataset):
     good = manifest.read(dataset)
     tables = [(), ("grid",), ("lidar",), ("recipe",), ("counts",), ("shards", 0), ("rejected",)]
     count = 0
@@ -112,9 +109,7 @@ def test_no_value_in_a_manifest_ends_in_a_traceback(dataset: Path) -> None:
         (("software",), {"numpy": 2}, "software = {'numpy': 2}: expected a table, each value text"),
     ],
 )
-def test_what_is_wrong_in_a_manifest_is_said_in_our_words(
-    dataset: Path, at: tuple[Any, ...], value: Any, said: str
-) -> None:
+def test_what_is_wrong_in_a_manifest_is_said_in_our_words(dataset, at, value, said):
     found = manifest.read(dataset)
     if value is ...:
         del _at(found, at[:-1])[at[-1]]
@@ -138,9 +133,7 @@ def test_what_is_wrong_in_a_manifest_is_said_in_our_words(
         (("software", "scenegen"), "99.1.0", "counts = 7"),
     ],
 )
-def test_what_a_newer_scenegen_wrote_is_not_called_damaged(
-    dataset: Path, at: tuple[Any, ...], value: Any, said: str
-) -> None:
+def test_what_a_newer_scenegen_wrote_is_not_called_damaged(dataset, at, value, said):
     found = manifest.read(dataset)
     _at(found, at[:-1])[at[-1]] = value
     if "software" in at:
@@ -153,7 +146,7 @@ def test_what_a_newer_scenegen_wrote_is_not_called_damaged(
     assert not verified(dataset)
 
 
-def verified(dataset: Path) -> bool:
+def verified(dataset):
     try:
         return verify(dataset, quick=True).ok
     except DatasetError:
@@ -163,14 +156,14 @@ def verified(dataset: Path) -> bool:
 @pytest.mark.parametrize(
     "version", [1.1, "1.1", "1.4", "1", "1.x", "one", None, -1, [1, 4], "1.5.6", "9" * 9999]
 )
-def test_a_version_that_nobody_wrote_is_not_called_newer(dataset: Path, version: Any) -> None:
+def test_a_version_that_nobody_wrote_is_not_called_newer(dataset, version):
     manifest.write(dataset, manifest.read(dataset) | {"version": version})
     line = refused(lambda: Dataset(dataset))
     assert "newer" not in line
     assert "version" in line
 
 
-def test_versions_are_pairs_of_whole_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_versions_are_pairs_of_whole_numbers(monkeypatch):
     later = {**manifest.SINCE, "a": "1.9", "b": "1.10"}
     monkeypatch.setattr(manifest, "SINCE", later)
     assert [manifest.version_of({name: 1}) for name in ("", "noise", "sources", "a", "b")] == [
@@ -183,7 +176,7 @@ def test_versions_are_pairs_of_whole_numbers(monkeypatch: pytest.MonkeyPatch) ->
     assert manifest.version_of({"a": 1, "b": 1, "noise": 1}) == "1.10"
 
 
-def test_the_checked_manifest_is_what_the_file_says(dataset: Path) -> None:
+def test_the_checked_manifest_is_what_the_file_says(dataset):
     found, typed = manifest.read(dataset), Dataset(dataset).manifest
     for name in (
         "kind",
@@ -208,7 +201,7 @@ def test_the_checked_manifest_is_what_the_file_says(dataset: Path) -> None:
         typed.seed = 4  # type: ignore[misc]
 
 
-def _at(found: Any, path: tuple[Any, ...]) -> Any:
+def _at(found, path):
     for step in path:
         found = found[step]
     return found
@@ -217,26 +210,26 @@ def _at(found: Any, path: tuple[Any, ...]) -> Any:
 @pytest.mark.parametrize(
     "content", [b"", b"[]", b"[" * 10**6, b"\xff\xfe", b'{"shards": 1}', b"{" + b" " * 10**6]
 )
-def test_what_is_no_manifest_is_refused(dataset: Path, content: bytes) -> None:
+def test_what_is_no_manifest_is_refused(dataset, content):
     (dataset / manifest.NAME).write_bytes(content)
     assert manifest.NAME in refused(lambda: Dataset(dataset))
     refused(lambda: inspect(dataset))
 
 
-def _replace(file: h5py.File, name: str, **options: Any) -> None:
+def _replace(file, name, **options):
     shape, dtype = file[name].shape, file[name].dtype
     del file[name]
     options = {"shape": shape, "dtype": dtype, **options}
     file.create_dataset(name, **options)
 
 
-def _bomb(file: h5py.File) -> None:
+def _bomb(file):
     stored = file["tudf"]
     stored.id.write_direct_chunk((0,) * stored.ndim, _zeros(160 << 20))
 
 
 @functools.cache
-def _zeros(size: int) -> bytes:
+def _zeros(size):
     """So many, packed."""
     pack, block = zlib.compressobj(9), bytes(1 << 20)
     return b"".join(pack.compress(block) for _ in range(size >> 20)) + pack.flush()
@@ -274,9 +267,7 @@ def _zeros(size: int) -> bytes:
         ),
     ],
 )
-def test_no_shard_ends_in_a_traceback_or_takes_the_memory(
-    dataset: Path, damage: Callable[[h5py.File], Any]
-) -> None:
+def test_no_shard_ends_in_a_traceback_or_takes_the_memory(dataset, damage):
     with h5py.File(dataset / "train-00000.h5", "r+") as file:
         damage(file)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -286,15 +277,13 @@ def test_no_shard_ends_in_a_traceback_or_takes_the_memory(
 
 
 @pytest.mark.parametrize("keep", [0, 100, 5000, -20_000])
-def test_a_shard_cut_short_is_refused(dataset: Path, keep: int) -> None:
+def test_a_shard_cut_short_is_refused(dataset, keep):
     path = dataset / "train-00000.h5"
     path.write_bytes(path.read_bytes()[:keep])
     assert "train-00000.h5" in refused(lambda: list(scenegen.load(dataset)))
 
 
-def test_an_archive_writes_nowhere_else_and_takes_no_memory(
-    dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_archive_writes_nowhere_else_and_takes_no_memory(dataset, tmp_path, monkeypatch):
     path = dataset / "train-00000.worlds.zip"
     whole = path.read_bytes()
     for name in ("../up.obj", "/tmp/up.obj", "a/b.obj", ".hidden"):
@@ -311,17 +300,15 @@ def test_an_archive_writes_nowhere_else_and_takes_no_memory(
     assert "not a dataset" in refused(lambda: scenegen.load(dataset))
 
 
-def edit(folder: Path, **changes: Any) -> None:
+def edit(folder, **changes):
     manifest.write(folder, {**manifest.read(folder), **changes})
 
 
-def test_an_archive_unpacks_to_what_its_directory_says_and_no_further(
-    dataset: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_archive_unpacks_to_what_its_directory_says_and_no_further(dataset, monkeypatch):
     path = dataset / "train-00000.worlds.zip"
     document = b'<mujoco><asset><mesh file="mesh.obj"/></asset></mujoco>'
 
-    def put(members: dict[str, bytes]) -> None:
+    def put(members):
         with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
             for name, content in members.items():
                 archive.writestr(name, content)
@@ -351,7 +338,7 @@ def test_an_archive_unpacks_to_what_its_directory_says_and_no_further(
     assert "not a whole zip file" in refused(lambda: Dataset(dataset).world("train", 0))
 
 
-def test_a_shard_belongs_to_the_manifest_that_it_was_written_for(dataset: Path) -> None:
+def test_a_shard_belongs_to_the_manifest_that_it_was_written_for(dataset):
     """What a compact dataset leaves out is derived by the manifest's sensor and grid."""
     good = manifest.read(dataset)
     for name, changed in (
@@ -368,7 +355,7 @@ def test_a_shard_belongs_to_the_manifest_that_it_was_written_for(dataset: Path) 
     assert "was written with" in refused(lambda: scenegen.load(dataset)[0])
 
 
-def test_shards_are_as_many_as_the_counts_say_and_none_is_there_twice(dataset: Path) -> None:
+def test_shards_are_as_many_as_the_counts_say_and_none_is_there_twice(dataset):
     shards = manifest.read(dataset)["shards"]
     edit(dataset, shards=shards[1:])
     assert "counts.train = 11, but its shards hold 8 samples" in refused(
@@ -386,7 +373,7 @@ def test_shards_are_as_many_as_the_counts_say_and_none_is_there_twice(dataset: P
     assert "train-00000.h5" in refused(lambda: inspect(dataset))
 
 
-def test_no_manifest_prints_lines_of_its_own_or_nests_without_end(dataset: Path) -> None:
+def test_no_manifest_prints_lines_of_its_own_or_nests_without_end(dataset):
     line = "\nverify: all 17 checks passed\x1b[2J"
     good = manifest.read(dataset)
     for changed in (
@@ -399,7 +386,7 @@ def test_no_manifest_prints_lines_of_its_own_or_nests_without_end(dataset: Path)
     ):
         manifest.write(dataset, {**good, **changed})
         assert "\x1b" not in refused(lambda: Dataset(dataset))
-    deep: Any = 1
+    deep = 1
     for _ in range(300):
         deep = {"a": deep}
     manifest.write(dataset, {**good, "recipe": {**good["recipe"], "world": deep}})
@@ -418,9 +405,7 @@ def test_no_manifest_prints_lines_of_its_own_or_nests_without_end(dataset: Path)
         ("origin", np.inf, "origin"),
     ],
 )
-def test_a_compact_dataset_derives_nothing_from_a_broken_pose(
-    tmp_path: Path, field: str, value: float, said: str
-) -> None:
+def test_a_compact_dataset_derives_nothing_from_a_broken_pose(tmp_path, field, value, said):
     recipe = small_recipe()
     counts = {"train": 3, "val": 0, "test": 0}
     build(

@@ -7,7 +7,7 @@ import math
 import os
 import shutil
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -50,7 +50,7 @@ RECORD = (
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("logs")
     (folder / "room.xml").write_text(ROOM)
     (folder / "mine.toml").write_text(SENSOR)
@@ -58,7 +58,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def here(made: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Path:
+def here(made, monkeypatch, capsys):
     """A folder with a room, and the log `still` of a flight in it."""
     monkeypatch.chdir(made)
     if not (made / "still").exists():
@@ -66,9 +66,7 @@ def here(made: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixt
     return made
 
 
-def test_a_kind_s_world_is_scanned_by_its_seed(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_kind_s_world_is_scanned_by_its_seed(here, capsys):
     for name in ("3", "3 again", "4"):
         words = f"scan pillar --pose 20,20,4,0 --seed {name[0]} --quiet -o"
         assert run(capsys, *words.split(), f"{name}.ply")[0] == 0
@@ -76,7 +74,7 @@ def test_a_kind_s_world_is_scanned_by_its_seed(
     assert first == again != other
 
 
-def test_a_long_flight_keeps_its_bounds(made: Path) -> None:
+def test_a_long_flight_keeps_its_bounds(made):
     world, cruise = read_world(made / "room.xml"), Cruise(length_m=60, speed_mps=3)
     poses = cruise_poses(world, cruise, 0.1, seed=1)
     positions = np.array([pose.position for pose in poses])
@@ -91,9 +89,7 @@ def test_a_long_flight_keeps_its_bounds(made: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["still", "still.mcap"])
-def test_a_log_that_is_recorded_and_ingested_agrees_with_its_world(
-    here: Path, capsys: pytest.CaptureFixture[str], name: str
-) -> None:
+def test_a_log_that_is_recorded_and_ingested_agrees_with_its_world(here, capsys, name):
     if name.endswith(".mcap"):
         pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed")
         assert run(capsys, f"{RECORD} -o {name} --quiet")[0] == 0
@@ -122,9 +118,7 @@ def test_a_log_that_is_recorded_and_ingested_agrees_with_its_world(
         assert sample["occupancy"][sample["observed"]].mean() > 0.9
 
 
-def test_what_a_moving_sensor_tells_is_put_right_by_its_times(
-    here: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_a_moving_sensor_tells_is_put_right_by_its_times(here, capsys):
     pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed")
     found = {}
     for name, more in (("raw.mcap", "--deskew"), ("right", ""), ("raw.mcap", "")):
@@ -141,7 +135,7 @@ def test_what_a_moving_sensor_tells_is_put_right_by_its_times(
     assert abs(found["raw.mcap"][-1] - found["right"][-1]).max() > 0.05
 
 
-def written(folder: Path, count: int = 5) -> list[LogScan]:
+def written(folder, count=5):
     """The scans of a small log at tilted poses, written to `folder`."""
     rng, scans = np.random.default_rng(0), []
     for n in range(count):
@@ -153,7 +147,7 @@ def written(folder: Path, count: int = 5) -> list[LogScan]:
     return scans
 
 
-def close(log: Log, scans: list[LogScan]) -> bool:
+def close(log, scans):
     pairs = zip(log.scans(), scans, strict=True)
     return all(
         np.allclose(matrix_of(one.pose), matrix_of(other.pose), atol=1e-8)
@@ -163,7 +157,7 @@ def close(log: Log, scans: list[LogScan]) -> bool:
     )
 
 
-def test_every_layout_of_a_log_reads_back(tmp_path: Path) -> None:
+def test_every_layout_of_a_log_reads_back(tmp_path):
     log = tmp_path / "sequences" / "00"
     log.parent.mkdir()
     scans = written(log)
@@ -196,13 +190,13 @@ def test_every_layout_of_a_log_reads_back(tmp_path: Path) -> None:
     assert close(read_log(log), scans)
 
 
-def inverse(pose: Pose) -> Pose:
+def inverse(pose):
     back = pose.quaternion * (1, -1, -1, -1)
     return Pose(-rotate(back, pose.position), back)
 
 
-def test_poses_come_from_a_chain_of_frames() -> None:
-    def message(parent: str, child: str, time: float, pose: Pose) -> SimpleNamespace:
+def test_poses_come_from_a_chain_of_frames():
+    def message(parent, child, time, pose):
         place = SimpleNamespace(**dict(zip("xyz", pose.position, strict=True)))
         turn = SimpleNamespace(**dict(zip("wxyz", pose.quaternion, strict=True)))
         stamp = SimpleNamespace(sec=int(time), nanosec=round(1e9 * (time % 1)))
@@ -226,7 +220,7 @@ def test_poses_come_from_a_chain_of_frames() -> None:
     assert not links.known("camera")
 
 
-def test_what_moves_on_is_free_and_jumps_are_counted(tmp_path: Path) -> None:
+def test_what_moves_on_is_free_and_jumps_are_counted(tmp_path):
     """A wall that is seen 400 times, something before it that is seen twice, and a jump."""
     lidar = Lidar()
     wall = 6.03 * lidar.directions_body.reshape(-1, 3)
@@ -235,7 +229,7 @@ def test_what_moves_on_is_free_and_jumps_are_counted(tmp_path: Path) -> None:
     here, far = Pose.level((0.0, 0.0, 0.0)), Pose.level((40.0, 0.0, 0.0))
     clouds = [(here, near if n in (5, 390) else wall) for n in range(400)] + [(far, wall)]
 
-    def scans(first: int) -> Iterator[LogScan]:
+    def scans(first):
         for n, (pose, points) in enumerate(clouds):
             yield LogScan(n / 10, pose, np.concatenate([points, [[np.nan] * 3, [0, 0, 0.01]]]))
 
@@ -252,12 +246,12 @@ def test_what_moves_on_is_free_and_jumps_are_counted(tmp_path: Path) -> None:
     assert (abs(ranges - 6.03) < 0.2).mean() > 0.999  # but for a ray along the voxels' faces
 
 
-def ingest_and_be_killed(log: Path, out: Path, at: int) -> None:
+def ingest_and_be_killed(log, out, at):
     """SIGKILL at a scan, with every scan saved."""
     scenegen.logs.fuse.SAVE_EVERY_S = -1.0
     seen = itertools.count(-1)  # the first call says how many are done already
 
-    def count(_: int) -> None:
+    def count(_):
         if next(seen) == at:
             os.kill(os.getpid(), signal.SIGKILL)
 
@@ -265,9 +259,7 @@ def ingest_and_be_killed(log: Path, out: Path, at: int) -> None:
 
 
 @pytest.mark.parametrize("most_voxels", [MOST_PLACE_VOXELS, 12_000_000], ids=["one map", "several"])
-def test_a_killed_ingest_goes_on_to_the_same_bits(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, most_voxels: int
-) -> None:
+def test_a_killed_ingest_goes_on_to_the_same_bits(tmp_path, monkeypatch, most_voxels):
     monkeypatch.setattr(scenegen.logs.fuse, "MOST_PLACE_VOXELS", most_voxels)
     log, out, how = tmp_path / "log", tmp_path / "out", Fusing(every=2)
     written(log, 12)
@@ -299,10 +291,10 @@ def test_a_killed_ingest_goes_on_to_the_same_bits(
         assert len(list(one.rglob("*"))) == len(list(whole.rglob("*")))
 
 
-def line(number: int, text: str) -> Callable[[Path], None]:
+def line(number, text):
     """Puts `text` in place of a line of the poses."""
 
-    def damage(log: Path) -> None:
+    def damage(log):
         lines = (log / "poses.txt").read_text().splitlines()
         lines[number] = text
         (log / "poses.txt").write_text("\n".join(lines))
@@ -338,9 +330,7 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
 
 
 @pytest.mark.parametrize("name", DAMAGE)
-def test_damaged_logs_end_in_one_line_and_leave_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
-) -> None:
+def test_damaged_logs_end_in_one_line_and_leave_nothing(tmp_path, capsys, name):
     damage, expected = DAMAGE[name]
     written(tmp_path / "log")
     damage(tmp_path / "log")
@@ -358,7 +348,7 @@ uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 t
 """The definition of Livox's CustomMsg (github.com/Livox-SDK/livox_ros_driver2, msg)."""
 
 
-def write_livox(path: Path, scans: list[LogScan], missing: int = 0) -> None:
+def write_livox(path, scans, missing=0):
     """Puts scans into CustomMsg, and their poses into odometry; `missing` more points are
     promised."""
     from mcap_ros2.writer import Writer
@@ -395,7 +385,7 @@ def write_livox(path: Path, scans: list[LogScan], missing: int = 0) -> None:
         writer.finish()
 
 
-def test_livox_s_own_messages_are_read(tmp_path: Path) -> None:
+def test_livox_s_own_messages_are_read(tmp_path):
     pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed")
     times = np.linspace(0, 0.1, 40)
     scans = [dataclasses.replace(scan, more={"t": times}) for scan in written(tmp_path / "log")]
@@ -409,9 +399,7 @@ def test_livox_s_own_messages_are_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("cut", [0, 20, 1000, 2500, -1])
-def test_cut_recordings_end_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], cut: int
-) -> None:
+def test_cut_recordings_end_in_one_line(tmp_path, capsys, cut):
     pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed")
     written(tmp_path / "log.mcap")
     content = (tmp_path / "log.mcap").read_bytes()
@@ -422,7 +410,7 @@ def test_cut_recordings_end_in_one_line(
     assert not (tmp_path / "out").exists()
 
 
-def test_times_of_poses_must_rise(tmp_path: Path) -> None:
+def test_times_of_poses_must_rise(tmp_path):
     (tmp_path / "poses.tum").write_text("1 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n")
     with pytest.raises(DatasetError, match="row 2: expected a time above"):
         read_poses(tmp_path / "poses.tum")
@@ -437,7 +425,7 @@ def test_times_of_poses_must_rise(tmp_path: Path) -> None:
         ("ingest log --voxel 0.01", "voxels"),
     ],
 )
-def test_bad_use_is_told(capsys: pytest.CaptureFixture[str], words: str, expected: str) -> None:
+def test_bad_use_is_told(capsys, words, expected):
     code, _, err = run(capsys, words)
     assert code in (1, 2)
     assert expected in err

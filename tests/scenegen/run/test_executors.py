@@ -4,8 +4,6 @@ import marshal
 import socket
 import subprocess
 import sys
-from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -22,9 +20,7 @@ from tests.scenegen.run.backwards import Backwards
 COUNTS = {"train": 14, "val": 3, "test": 4}
 
 
-def make(
-    folder: Path, place: str = "local", workers: int = 1
-) -> tuple[str | None, dict[str, bytes]]:
+def make(folder, place="local", workers=1):
     """The digest of a small dataset made at `place`, and all its files."""
     recipe = small_recipe()
     plan = plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=5, counts=COUNTS, shard_samples=3)
@@ -36,7 +32,7 @@ def test_ranks_make_a_dataset_together_in_any_order(tmp_path, monkeypatch):
     """Each job writes its own shards and no others; whichever ends last completes the manifest."""
     whole = make(tmp_path / "whole")
     monkeypatch.setenv("SCENEGEN_WORLD_SIZE", "3")
-    written: set[str] = set()
+    written = set()
     for rank in (2, 0, 1):
         monkeypatch.setenv("SCENEGEN_RANK", str(rank))
         digest, files = make(tmp_path / "parts", "rank")
@@ -95,7 +91,7 @@ def test_a_machine_with_another_scenegen_refuses_and_says_what_it_has(tmp_path, 
     )
     theirs = identity() | {"numpy": "1.0", "source": "f00d"}
 
-    def arrive() -> None:
+    def arrive():
         """From here on, this process is the other machine's."""
         monkeypatch.setattr("scenegen.run.remote.identity", lambda: theirs)
 
@@ -111,7 +107,7 @@ def test_a_machine_with_another_scenegen_refuses_and_says_what_it_has(tmp_path, 
 
 def test_a_machine_without_scenegen_says_so():
     """What is sent needs nothing of ours: its code is run by a Python that has no packages."""
-    there: Any = sent(abs)
+    there = sent(abs)
     cells = {
         name: cell.cell_contents
         for name, cell in zip(there.__code__.co_freevars, there.__closure__, strict=True)

@@ -7,9 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
 from functools import partial
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -39,10 +37,10 @@ class Submitit(SimpleNamespace):
     arrays: list[tuple[int, dict[str, Any]]]
     """The size of each array, and its parameters."""
 
-    def SlurmExecutor(self, folder: Path) -> Any:  # noqa: N802
-        given: dict[str, Any] = {}
+    def SlurmExecutor(self, folder):  # noqa: N802
+        given = {}
 
-        def map_array(function: Callable[[Any], Any], parts: Sequence[Any]) -> list[Any]:
+        def map_array(function, parts):
             if len(parts) > MOST:
                 raise RuntimeError(
                     "sbatch: error: Batch job submission failed: Invalid job array specification"
@@ -61,7 +59,7 @@ class Submitit(SimpleNamespace):
 
 
 @pytest.fixture
-def slurm(tmp_path, monkeypatch) -> Submitit:
+def slurm(tmp_path, monkeypatch):
     """A folder to stand in, where there are Slurm's commands."""
     for name, line in COMMANDS.items():
         (tmp_path / name).write_text(f"#!/bin/sh\n{line}\n")
@@ -93,7 +91,7 @@ def test_a_time_limit_is_in_whole_minutes(slurm, minutes):
         executor(f"slurm://?time={minutes}", 1)
 
 
-def interrupted(error: type[Exception]) -> None:
+def interrupted(error):
     raise error("Job not requeued because: timed-out and not checkpointable.")
 
 

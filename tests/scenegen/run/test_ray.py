@@ -8,9 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -30,7 +27,7 @@ COUNTS = {"train": 60, "val": 3, "test": 3}
 
 
 @pytest.fixture
-def cluster() -> Iterator[Any]:
+def cluster():
     """A head and two nodes of one core each, all on this machine."""
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
     found = cluster_utils.Cluster(
@@ -42,14 +39,14 @@ def cluster() -> Iterator[Any]:
 
 
 @pytest.fixture
-def connected(cluster) -> Iterator[Any]:
+def connected(cluster):
     """The cluster, to which this process is connected."""
     ray.init(address=cluster.address, log_to_driver=False, configure_logging=False)
     yield cluster
     ray.shutdown()
 
 
-def plan(folder: Path) -> Any:
+def plan(folder):
     recipe = small_recipe()
     return plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=5, counts=COUNTS, shard_samples=3)
 
@@ -58,7 +55,7 @@ def test_a_cluster_makes_the_same_dataset_though_a_node_dies(connected, tmp_path
     here = build(plan(tmp_path / "here"))
     killed = []
 
-    def kill_one(report: Any, fresh: bool) -> None:
+    def kill_one(report, fresh):
         if fresh and not killed:
             killed.append(connected.nodes.pop())
             connected.remove_node(killed[0], allow_graceful=False)
@@ -79,14 +76,14 @@ def test_commands_give_the_same_there_though_a_node_dies(cluster, tmp_path, monk
     everywhere.stand(tmp_path, monkeypatch)
     count = Progress.count
 
-    def kill_one(self: Any, samples: int) -> None:
+    def kill_one(self, samples):
         count(self, samples)
         if nodes and samples:
             cluster.remove_node(nodes.pop(), allow_graceful=False)
             cluster.nodes.append(cluster.add_node(num_cpus=1))
 
     for words in everywhere.COMMANDS:
-        nodes: list[Any] = []
+        nodes = []
         here = everywhere.outcome(capsys, tmp_path, words, "here", "--workers", 1)
         nodes = [cluster.nodes.pop(0)]
         monkeypatch.setattr(Progress, "count", kill_one)
@@ -96,7 +93,7 @@ def test_commands_give_the_same_there_though_a_node_dies(cluster, tmp_path, monk
         assert there == here
 
 
-def beat(path: Path) -> None:
+def beat(path):
     """Write for a minute what time it is."""
     for _ in range(300):
         path.write_text(str(time.time()))

@@ -13,9 +13,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -40,26 +38,26 @@ COUNTS = {"train": 24, "val": 3, "test": 3}
 
 
 @pytest.fixture(scope="module")
-def slurm(tmp_path_factory) -> Iterator[dict[str, int]]:
+def slurm(tmp_path_factory):
     """A cluster of two nodes, both this machine."""
     with slurm_here.slurm(tmp_path_factory.mktemp("slurm"), nodes=2) as nodes:
         yield nodes
 
 
-def plan(folder: Path) -> Any:
+def plan(folder):
     recipe = small_recipe()
     return plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=5, counts=COUNTS, shard_samples=3)
 
 
 @pytest.fixture
-def here(slurm, tmp_path, monkeypatch) -> Path:
+def here(slurm, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PYTHONPATH", str(ROOT))  # where jobs find functions of this file
     return tmp_path
 
 
 def test_a_job_array_makes_the_same_dataset(here):
-    seen: list[bool] = []
+    seen = []
     there = build(
         plan(here / "there"),
         execute=executor("slurm", 2),
@@ -99,7 +97,7 @@ def test_an_error_is_raised_here_names_the_node_and_ends_the_rest(here):
 def test_a_job_that_somebody_cancels_is_told_of(here, monkeypatch):
     monkeypatch.setattr("scenegen.run.slurm.LOOKS", 2)
 
-    def cancel() -> None:
+    def cancel():
         (folder,) = here.glob("scenegen-slurm-*")
         subprocess.run(["scancel", f"--name={folder.name}"], check=True)
 
@@ -139,7 +137,7 @@ def test_a_command_that_is_stopped_or_killed_leaves_no_jobs(here, stop, code):
     assert left.split() == other.stdout.split()
 
 
-def twice(task: Path) -> str:
+def twice(task):
     """Done by the second who tries, and tells its node; the first one's is lost meanwhile."""
     node = os.environ["SLURMD_NODENAME"]
     if list(task.glob("node*")):
@@ -152,7 +150,7 @@ def twice(task: Path) -> str:
 def test_a_task_whose_node_is_lost_begins_again_on_another(slurm, here):
     """The last test, for a node is lost. Slurm waits two minutes before a task begins again."""
 
-    def lose() -> None:
+    def lose():
         """Once the task has begun, its node is told to be down, and all processes there are
         killed."""
         deadline = time.monotonic() + 60
@@ -169,7 +167,7 @@ def test_a_task_whose_node_is_lost_begins_again_on_another(slurm, here):
             os.kill(int(task), signal.SIGKILL)
             lost.append(name)
 
-    lost: list[str] = []
+    lost = []
     losing = threading.Thread(target=lose)
     try:
         (found,) = executor("slurm", 1)(twice, [here], losing.start)

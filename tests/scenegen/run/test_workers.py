@@ -5,7 +5,6 @@ import os
 import sys
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -13,7 +12,7 @@ from scenegen.run.remote import pack, sent
 from scenegen.run.workers import Limited, run
 
 
-def work(task: str) -> str:
+def work(task):
     if task == "die":
         os.kill(os.getpid(), 9)
     if task == "sleep":
@@ -66,21 +65,21 @@ def test_too_many_deaths_end_the_run_but_not_the_caller(monkeypatch):
 
 def test_called_by_itself_a_limited_function_runs_in_a_process_of_its_own():
     """As executors on other machines call it."""
-    limited: Limited[str, int] = Limited(process, lambda task: 60.0, 1 << 30, lambda task, why: -1)
+    limited = Limited(process, lambda task: 60.0, 1 << 30, lambda task, why: -1)
     before = set(multiprocessing.active_children())
     assert limited("a") != os.getpid()
     assert limited("die") == -1
     assert set(multiprocessing.active_children()) == before
 
 
-def process(task: str) -> int:
+def process(task):
     if task == "die":
         os.kill(os.getpid(), 9)
     return os.getpid()
 
 
 @pytest.fixture
-def hostile(tmp_path, monkeypatch) -> Path:
+def hostile(tmp_path, monkeypatch):
     """The working folder, which holds modules of well-known names, and gets a file `ran` if any is
     imported."""
     for name in (

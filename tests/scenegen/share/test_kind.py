@@ -5,7 +5,6 @@ import dataclasses
 import json
 import shlex
 from importlib.metadata import version
-from pathlib import Path
 
 import pytest
 
@@ -18,12 +17,11 @@ from scenegen.display.inspect import inspect
 from scenegen.errors import PublishError
 from scenegen.share.card import croissant, facts
 from scenegen.share.regenerate import check_kind, closure, command, environment_lock
-from scenegen.share.stage import Request
 from scenegen.source import DrawnWorlds
 from tests.conftest import small_recipe
 
 
-def test_a_kind_of_somebody_elses_has_to_be_named() -> None:
+def test_a_kind_of_somebody_elses_has_to_be_named():
     for there, named in (("pillar", None), ("scene", None), ("a:B", "a:B")):
         check_kind(there, named)
     for there, named in (("a:B", None), ("a:B", "a:C"), ("nobodys", None), ("a:B", "pillar")):
@@ -32,9 +30,7 @@ def test_a_kind_of_somebody_elses_has_to_be_named() -> None:
 
 
 @pytest.mark.parametrize("engine", ["mujoco", "analytic", "my_engine:Slow", None])
-def test_the_command_that_makes_a_dataset_again_is_one_that_generate_takes(
-    engine: str | None, tmp_path: Path
-) -> None:
+def test_the_command_that_makes_a_dataset_again_is_one_that_generate_takes(engine, tmp_path):
     recipe = small_recipe()
     plan = plan_dataset(
         tmp_path, recipe, DrawnWorlds(recipe), seed=3, counts={"train": 5, "val": 1, "test": 0}
@@ -54,9 +50,7 @@ def test_the_command_that_makes_a_dataset_again_is_one_that_generate_takes(
 
 
 @pytest.mark.parametrize(("kind", "random"), [("pillar", True), ("scene", False)])
-def test_worlds_drawn_by_hand_are_not_called_random(
-    kind: str, random: bool, made: Path, asked: Request
-) -> None:
+def test_worlds_drawn_by_hand_are_not_called_random(kind, random, made, asked):
     found = dataclasses.replace(Dataset(made).manifest, kind=kind)
     told = inspect(made, most=1)
     given = facts(found, told, asked, tag="v1", date="2026-01-01", checks=(), pictures="")
@@ -65,7 +59,7 @@ def test_worlds_drawn_by_hand_are_not_called_random(
     assert ("distributions of recipe.toml" in str(said["rai:dataBiases"])) == random
 
 
-def test_the_lock_pins_what_is_needed_as_the_dataset_s_makers_had_it() -> None:
+def test_the_lock_pins_what_is_needed_as_the_dataset_s_makers_had_it():
     needed = closure("scenegen-lidar")
     for name in ("numpy", "mujoco", "h5py", "llvmlite"):
         assert needed[name] == version(name)

@@ -8,7 +8,6 @@ import re
 import shlex
 import subprocess
 import sys
-from pathlib import Path
 
 import datasets
 import h5py
@@ -33,27 +32,27 @@ CHECKS = (("files", "14 files hold"),)
 
 
 @pytest.fixture(autouse=True)
-def few(monkeypatch: pytest.MonkeyPatch) -> None:
+def few(monkeypatch):
     """Pictures have their own tests."""
     monkeypatch.setattr("scenegen.share.stage.SHOWN", 1)
     monkeypatch.setattr("scenegen.display.panels.DPI", 20)
 
 
 @pytest.fixture(scope="module")
-def out(made: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def out(made, tmp_path_factory):
     """A published folder; not to be changed."""
     out = tmp_path_factory.mktemp("publish") / "small-pillars"
     stage(Request(dataset=made, repository="ada/small-pillars", out=out), CHECKS)
     return out
 
 
-def section(card: str, language: str, title: str) -> list[str]:
+def section(card, language, title):
     """Code blocks of a language under a heading."""
     body = card.partition(f"## {title}\n")[2].partition("\n## ")[0]
     return re.findall(rf"```{language}\n(.*?)```", body, flags=re.DOTALL)
 
 
-def test_it_is_still_the_dataset(out: Path, made: Path) -> None:
+def test_it_is_still_the_dataset(out, made):
     there, source = Dataset(out), Dataset(made)
     assert there.manifest == source.manifest
     assert there.split("test").names == source.split("test").names
@@ -61,7 +60,7 @@ def test_it_is_still_the_dataset(out: Path, made: Path) -> None:
     assert there.world("train", 2) == source.world("train", 2)
 
 
-def test_every_file_is_listed_with_its_digest(out: Path) -> None:
+def test_every_file_is_listed_with_its_digest(out):
     lines = [line.split("  ") for line in (out / "SHA256SUMS").read_text().splitlines()]
     there = {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
     assert {name for _, name in lines} == there - {"SHA256SUMS"}
@@ -70,14 +69,14 @@ def test_every_file_is_listed_with_its_digest(out: Path) -> None:
     assert not [path for path in out.rglob("*") if path.is_symlink()]
 
 
-def test_the_page_shows_its_samples_and_the_card_leads_there(out: Path) -> None:
+def test_the_page_shows_its_samples_and_the_card_leads_there(out):
     data = Seen((out / "look.html").read_text(encoding="utf-8")).data()
     assert len(data["samples"]) == COUNTS["train"]
     assert data["notes"] == []
     assert "(look.html)" in (out / "README.md").read_text()
 
 
-def test_the_cards_own_lines_read_it_with_plain_h5py(out: Path) -> None:
+def test_the_cards_own_lines_read_it_with_plain_h5py(out):
     lines = section((out / "README.md").read_text(), "python", "Load it")[0]
     assert len(lines.splitlines()) <= 10
     assert "scenegen" not in lines
@@ -89,9 +88,7 @@ def test_the_cards_own_lines_read_it_with_plain_h5py(out: Path) -> None:
     assert said.stdout == f"{seen} of {solid} occupied voxels were observed\n"
 
 
-def test_datasets_reads_it_offline_by_its_splits(
-    out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_datasets_reads_it_offline_by_its_splits(out, tmp_path, monkeypatch):
     monkeypatch.setattr(datasets.config, "HF_HUB_OFFLINE", True)
     found = datasets.load_dataset(str(out), cache_dir=str(tmp_path)).with_format("numpy")
     assert {name: len(split) for name, split in found.items()} == COUNTS
@@ -106,7 +103,7 @@ def test_datasets_reads_it_offline_by_its_splits(
                 )  # numpy's format has float32
 
 
-def test_croissant_is_valid_and_describes_what_is_there(out: Path, made: Path) -> None:
+def test_croissant_is_valid_and_describes_what_is_there(out, made):
     found = mlcroissant.Dataset(str(out / "croissant.json"))
     issues = found.metadata.ctx.issues
     assert (issues.errors, issues.warnings) == (set(), set())
@@ -142,7 +139,7 @@ def test_croissant_is_valid_and_describes_what_is_there(out: Path, made: Path) -
             assert described[name]["dataType"] == kind + bits
 
 
-def test_the_card_says_what_the_files_hold(out: Path, made: Path) -> None:
+def test_the_card_says_what_the_files_hold(out, made):
     card = (out / "README.md").read_text()
     front = card.split("---\n")[1]
     assert "license: cc-by-4.0" in front
@@ -161,7 +158,7 @@ def test_the_card_says_what_the_files_hold(out: Path, made: Path) -> None:
         assert (out / shown).read_bytes().startswith(b"\x89PNG")
 
 
-def test_its_command_makes_the_same_dataset(out: Path, made: Path, tmp_path: Path) -> None:
+def test_its_command_makes_the_same_dataset(out, made, tmp_path):
     words = shlex.split(section((out / "README.md").read_text(), "", "Make it again")[0])
     assert words[:4] == ["scenegen", "generate", "--recipe", "recipe.toml"]
     options = dict(zip(words[2::2], words[3::2], strict=True))
@@ -181,9 +178,7 @@ def test_its_command_makes_the_same_dataset(out: Path, made: Path, tmp_path: Pat
     assert build(plan, workers=1).digest == Dataset(made).manifest.digest
 
 
-def test_a_recipe_that_this_version_reads_differently_is_refused(
-    dataset: Path, asked: Request
-) -> None:
+def test_a_recipe_that_this_version_reads_differently_is_refused(dataset, asked):
     found = manifest.read(dataset)
     found["recipe"]["world"]["colour"] = 1
     manifest.write(dataset, found)
@@ -193,8 +188,8 @@ def test_a_recipe_that_this_version_reads_differently_is_refused(
 
 
 def test_a_dataset_of_another_generator_is_not_published_as_one_that_can_be_made_again(
-    dataset: Path, asked: Request
-) -> None:
+    dataset, asked
+):
     found = manifest.read(dataset)
     del found["generator"]
     manifest.write(dataset, found)
@@ -206,7 +201,7 @@ def test_a_dataset_of_another_generator_is_not_published_as_one_that_can_be_made
     assert not asked.out.exists()
 
 
-def test_compact_datasets_and_absent_splits_publish_as_well(tmp_path: Path) -> None:
+def test_compact_datasets_and_absent_splits_publish_as_well(tmp_path):
     recipe = small_recipe("geometric")
     counts = {"train": 4, "val": 0, "test": 1}
     made = tmp_path / "made"
@@ -226,8 +221,8 @@ def test_compact_datasets_and_absent_splits_publish_as_well(tmp_path: Path) -> N
     assert Dataset(out).split("test")[0].tudf.shape == recipe.grid.shape
 
 
-def test_the_same_request_gives_the_same_bytes_and_replaces_its_own_folder(asked: Request) -> None:
-    def contents() -> dict[str, bytes]:
+def test_the_same_request_gives_the_same_bytes_and_replaces_its_own_folder(asked):
+    def contents():
         return {str(path): path.read_bytes() for path in asked.out.rglob("*") if path.is_file()}
 
     stage(asked, CHECKS)
@@ -244,7 +239,7 @@ def test_the_same_request_gives_the_same_bytes_and_replaces_its_own_folder(asked
     assert [path.name for path in asked.out.parent.iterdir()] == [asked.out.name]
 
 
-def test_a_folder_of_somebody_elses_is_let_be(asked: Request, dataset: Path) -> None:
+def test_a_folder_of_somebody_elses_is_let_be(asked, dataset):
     stage(asked, CHECKS)
     (asked.out / "notes.md").write_text("mine")
     with pytest.raises(PublishError, match=r"holds notes.md, which publish did not put there"):
@@ -255,7 +250,7 @@ def test_a_folder_of_somebody_elses_is_let_be(asked: Request, dataset: Path) -> 
     assert Dataset(dataset).manifest.complete
 
 
-def test_a_damaged_shard_is_noticed_and_nothing_is_left(asked: Request, dataset: Path) -> None:
+def test_a_damaged_shard_is_noticed_and_nothing_is_left(asked, dataset):
     shard = dataset / "val-00000.h5"
     content = bytearray(shard.read_bytes())
     content[len(content) // 2] ^= 1
@@ -270,9 +265,7 @@ def test_a_damaged_shard_is_noticed_and_nothing_is_left(asked: Request, dataset:
     assert list(asked.out.parent.iterdir()) == []
 
 
-def test_too_many_files_are_refused_with_what_helps(
-    asked: Request, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_too_many_files_are_refused_with_what_helps(asked, monkeypatch):
     monkeypatch.setattr("scenegen.share.stage.MOST_FILES", 20)
     with pytest.raises(
         PublishError, match=r"26 files, more than the 20 .* --shard-samples \d+00, which changes no"
@@ -280,10 +273,8 @@ def test_too_many_files_are_refused_with_what_helps(
         stage(asked, CHECKS)
 
 
-def test_where_links_are_not_possible_files_are_copied(
-    asked: Request, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(*args: object, **options: object) -> None:
+def test_where_links_are_not_possible_files_are_copied(asked, monkeypatch):
+    def refuse(*args, **options):
         raise OSError(18, "Invalid cross-device link")
 
     linked = stage(asked, CHECKS).files
@@ -296,19 +287,19 @@ def test_where_links_are_not_possible_files_are_copied(
 @pytest.mark.parametrize(
     "name", ["pillar", "ada/../x", "/etc", "a/b/c", "ada/", "ada/x y", "--repo", "ada/x.git"]
 )
-def test_a_repository_that_cannot_be_one_is_refused(name: str, tmp_path: Path) -> None:
+def test_a_repository_that_cannot_be_one_is_refused(name, tmp_path):
     with pytest.raises(PublishError, match="expected user/name"):
         Request(dataset=tmp_path, repository=name, out=tmp_path)
 
 
-def test_unknown_licences_and_tags_are_refused(asked: Request) -> None:
+def test_unknown_licences_and_tags_are_refused(asked):
     with pytest.raises(PublishError, match=r"expected one of CC-BY-4\.0"):
         stage(dataclasses.replace(asked, licence="GPL"), CHECKS)
     with pytest.raises(PublishError, match="--tag -f: expected letters"):
         dataclasses.replace(asked, tag="-f")
 
 
-def test_a_folder_with_checksums_of_somebody_elses_is_let_be(asked: Request) -> None:
+def test_a_folder_with_checksums_of_somebody_elses_is_let_be(asked):
     asked.out.mkdir(parents=True)
     (asked.out / "years.of.work").write_text("mine")
     (asked.out / "SHA256SUMS").write_text("0" * 64 + "  years.of.work\n")
@@ -316,7 +307,7 @@ def test_a_folder_with_checksums_of_somebody_elses_is_let_be(asked: Request) -> 
         stage(asked, CHECKS)
 
 
-def test_what_comes_into_the_folder_meanwhile_stays(asked: Request) -> None:
+def test_what_comes_into_the_folder_meanwhile_stays(asked):
     stage(asked, CHECKS)
     with pytest.raises(PublishError, match=r"holds notes\.md"), folder_module.drafted(asked.out):
         (asked.out / "notes.md").write_text("mine")

@@ -2,20 +2,18 @@
 tag is last."""
 
 import dataclasses
-from pathlib import Path
 
 import pytest
 
 from scenegen.errors import PublishError
-from scenegen.share.stage import Request, Staged
 from scenegen.share.upload import publish
 from tests.scenegen.conftest import Check
-from tests.scenegen.hub import TOKEN, Hub
+from tests.scenegen.hub import TOKEN
 
 pytestmark = pytest.mark.usefixtures("verified")
 
 
-def staged_files(folder: Path) -> dict[str, bytes]:
+def staged_files(folder):
     return {
         str(path.relative_to(folder)): path.read_bytes()
         for path in folder.rglob("*")
@@ -23,7 +21,7 @@ def staged_files(folder: Path) -> dict[str, bytes]:
     }
 
 
-def test_what_arrives_is_the_folder_and_the_tag_comes_last(asked: Request, hub: Hub) -> None:
+def test_what_arrives_is_the_folder_and_the_tag_comes_last(asked, hub):
     done = publish(asked)
     repository = hub.repositories[asked.repository]
     there = dict(repository.files(done[0].tag) or {})
@@ -36,7 +34,7 @@ def test_what_arrives_is_the_folder_and_the_tag_comes_last(asked: Request, hub: 
     assert hub.tokens == {TOKEN}
 
 
-def test_an_interrupted_upload_goes_on_where_it_was(asked: Request, hub: Hub) -> None:
+def test_an_interrupted_upload_goes_on_where_it_was(asked, hub):
     hub.refuse_after = 5
     with pytest.raises(PublishError, match="the same command goes on"):
         publish(asked)
@@ -50,7 +48,7 @@ def test_an_interrupted_upload_goes_on_where_it_was(asked: Request, hub: Hub) ->
     assert there == staged_files(asked.out)
 
 
-def test_what_is_published_already_is_not_sent_again(asked: Request, hub: Hub) -> None:
+def test_what_is_published_already_is_not_sent_again(asked, hub):
     first = publish(asked)
     sent = len(hub.log)
     again = publish(asked)
@@ -62,14 +60,14 @@ def test_what_is_published_already_is_not_sent_again(asked: Request, hub: Hub) -
     ]
 
 
-def test_no_tag_where_a_file_is_lost_on_the_way(asked: Request, hub: Hub) -> None:
+def test_no_tag_where_a_file_is_lost_on_the_way(asked, hub):
     hub.lose = "train-00001.h5"
     with pytest.raises(PublishError, match=r"not everything arrived \(train-00001.h5 is missing\)"):
         publish(asked)
     assert hub.repositories[asked.repository].tags == {}
 
 
-def test_a_tag_of_other_content_is_let_be(asked: Request, hub: Hub) -> None:
+def test_a_tag_of_other_content_is_let_be(asked, hub):
     publish(dataclasses.replace(asked, tag="v1"))
     with pytest.raises(
         PublishError, match=r"tag v1 is there with other content .* give another --tag"
@@ -79,9 +77,7 @@ def test_a_tag_of_other_content_is_let_be(asked: Request, hub: Hub) -> None:
     assert set(hub.repositories[asked.repository].tags) == {"v1", "v2"}
 
 
-def test_shards_of_a_former_dataset_go_and_other_peoples_files_stay(
-    asked: Request, hub: Hub
-) -> None:
+def test_shards_of_a_former_dataset_go_and_other_peoples_files_stay(asked, hub):
     from tests.scenegen.hub import Repository
 
     hub.repositories[asked.repository] = former = Repository()
@@ -92,7 +88,7 @@ def test_shards_of_a_former_dataset_go_and_other_peoples_files_stay(
     assert there["notes.md"] == there["pictures/mine.png"] == b"mine"
 
 
-def test_private_stays_private(asked: Request, hub: Hub) -> None:
+def test_private_stays_private(asked, hub):
     publish(asked, private=True)
     assert hub.repositories[asked.repository].private
     other = dataclasses.replace(asked, repository="ada/public")
@@ -101,9 +97,7 @@ def test_private_stays_private(asked: Request, hub: Hub) -> None:
         publish(other, private=True)
 
 
-def test_without_a_token_nothing_begins(
-    asked: Request, hub: Hub, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_token_nothing_begins(asked, hub, monkeypatch):
     monkeypatch.delenv("HF_TOKEN")
     with pytest.raises(
         PublishError, match=r"no token for the Hub: run `hf auth login`, or set HF_TOKEN"
@@ -113,9 +107,7 @@ def test_without_a_token_nothing_begins(
     assert hub.log == []
 
 
-def test_a_refused_token_is_one_line_that_does_not_show_it(
-    asked: Request, hub: Hub, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_refused_token_is_one_line_that_does_not_show_it(asked, hub, monkeypatch, caplog):
     monkeypatch.setenv("HF_TOKEN", "hf_wrongButStillASecret")
     with pytest.raises(PublishError, match=r"the Hub refuses the token \(401\)") as refused:
         publish(asked)
@@ -123,9 +115,7 @@ def test_a_refused_token_is_one_line_that_does_not_show_it(
     assert "\n" not in str(refused.value)
 
 
-def test_a_dataset_that_fails_its_check_goes_nowhere(
-    asked: Request, hub: Hub, verified: list[Check]
-) -> None:
+def test_a_dataset_that_fails_its_check_goes_nowhere(asked, hub, verified):
     verified.append(Check("truth", False, "sample 3 of train differs"))
     with pytest.raises(
         PublishError,
@@ -136,15 +126,15 @@ def test_a_dataset_that_fails_its_check_goes_nowhere(
     assert not asked.out.exists()
 
 
-def test_a_dry_run_contacts_nobody(asked: Request, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_dry_run_contacts_nobody(asked, monkeypatch):
     import socket
 
-    def connect(*args: object) -> None:
+    def connect(*args):
         raise AssertionError("a connection")
 
     monkeypatch.setattr(socket.socket, "connect", connect)
     monkeypatch.delenv("HF_TOKEN", raising=False)
-    seen: list[Staged] = []
+    seen = []
     done = publish(asked, dry_run=True, on_staged=seen.append)
     assert done[1] is None
     assert seen == [done[0]]

@@ -1,7 +1,5 @@
 """A bucket that is none, for this process and those that it forks."""
 
-from pathlib import Path
-
 import pytest
 
 from scenegen import stores
@@ -10,7 +8,7 @@ from tests.scenegen.stores.kept import HOME
 
 
 @pytest.fixture
-def store(tmp_path, monkeypatch) -> Path:
+def store(tmp_path, monkeypatch):
     """The folder where the objects of s3:// are kept."""
     home = tmp_path / "store"
     home.mkdir()
@@ -21,7 +19,7 @@ def store(tmp_path, monkeypatch) -> Path:
     return home
 
 
-def forget() -> None:
+def forget():
     """Have this process be as a new one: nothing is opened or seen."""
     stores._opened.cache_clear()
     stores._seen.clear()

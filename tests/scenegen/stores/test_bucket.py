@@ -9,9 +9,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -32,13 +29,13 @@ SHARDS = 84
 
 
 @pytest.fixture(scope="module")
-def ceph(tmp_path_factory) -> Iterator[Ceph]:
+def ceph(tmp_path_factory):
     with Ceph(tmp_path_factory.mktemp("ceph")) as server:
         yield server
 
 
 @pytest.fixture(scope="module")
-def cache(tmp_path_factory) -> Iterator[Path]:
+def cache(tmp_path_factory):
     """Where copies go, and kernels, which are compiled once."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SCENEGEN_CACHE", str(found := tmp_path_factory.mktemp("cache")))
@@ -46,7 +43,7 @@ def cache(tmp_path_factory) -> Iterator[Path]:
 
 
 @pytest.fixture(scope="module")
-def here(tmp_path_factory, cache) -> Path:
+def here(tmp_path_factory, cache):
     """The same dataset in a folder."""
     home = tmp_path_factory.mktemp("here")
     (home / "small.toml").write_text(SMALL)
@@ -55,7 +52,7 @@ def here(tmp_path_factory, cache) -> Path:
 
 
 @pytest.fixture
-def bucket(ceph, here, tmp_path, monkeypatch) -> str:
+def bucket(ceph, here, tmp_path, monkeypatch):
     """A new bucket, and this process and its children may use it."""
     for name, value in ceph.environment.items():
         monkeypatch.setenv(name, value)
@@ -66,7 +63,7 @@ def bucket(ceph, here, tmp_path, monkeypatch) -> str:
     return name
 
 
-def client() -> Any:
+def client():
     import boto3
     from botocore.config import Config
 
@@ -80,7 +77,7 @@ def client() -> Any:
 class Run:
     """`scenegen generate`, begun in the folder `home`."""
 
-    def __init__(self, home: Path, out: str, *more: str):
+    def __init__(self, home, out, *more):
         asked = f"-m scenegen generate --recipe small.toml {ASKED} --out {out}"
         words = [sys.executable, *asked.split(), *more]
         self.process = subprocess.Popen(
@@ -91,7 +88,7 @@ class Run:
             text=True,
         )
 
-    def ends(self, code: int) -> str:
+    def ends(self, code):
         """What it said, with its exit code as it should be, and no credential in it."""
         said, _ = self.process.communicate(timeout=240)
         assert self.process.returncode == code, said
@@ -102,7 +99,7 @@ class Run:
         return said
 
 
-def objects(bucket: str) -> dict[str, bytes]:
+def objects(bucket):
     """What the bucket holds of the dataset, less what is there for resuming alone."""
     store = StorePath(f"s3://{bucket}/d").store
     names = [item.name for item in store.list()]
@@ -113,11 +110,11 @@ def objects(bucket: str) -> dict[str, bytes]:
     return {name: content for name, content in found.items() if not name.endswith(SUFFIX)}
 
 
-def files(folder: Path) -> dict[str, bytes]:
+def files(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def wait_for(bucket: str, shards: int) -> int:
+def wait_for(bucket, shards):
     """Wait until so many shards are there; how many are."""
     for _ in range(600):
         there = sum(
@@ -139,12 +136,12 @@ def test_the_servers_conditional_put_is_real(of_what, bucket):
         start, won = threading.Barrier(8), list[bytes]()
 
         def put(
-            mine: bytes,
-            name: str = name,
-            version: Any = version,
-            start: Any = start,
-            won: Any = won,
-        ) -> None:
+            mine,
+            name=name,
+            version=version,
+            start=start,
+            won=won,
+        ):
             start.wait()
             try:
                 store.put(name, mine, version)

@@ -2,8 +2,6 @@
 
 import json
 import shutil
-from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -22,13 +20,13 @@ Shell = pytest.CaptureFixture[str]
 
 
 @pytest.fixture
-def everything(once) -> Path:
+def everything(once):
     """A dataset and a network, made before the cache is another one."""
     return once("everywhere", everywhere.make)
 
 
 @pytest.fixture
-def here(everything, store, tmp_path, monkeypatch) -> Path:
+def here(everything, store, tmp_path, monkeypatch):
     """A folder to stand in, with the dataset there and in the store."""
     for name in ("d", "n.safetensors"):
         (tmp_path / name).symlink_to(everything / name)
@@ -55,7 +53,7 @@ def test_a_store_that_does_not_answer_a_machine_is_no_fault_of_the_dataset(
 ):
     read, asked = Kept.read, list[str]()
 
-    def fail(self: Kept, name: str, *more: Any) -> Any:
+    def fail(self, name, *more):
         asked.append(name)
         if asked.count("val-00000.h5") == 2:  # the command itself copies everything, too
             raise StoreError(f"{self.name}/{name}: the store does not answer")

@@ -10,18 +10,16 @@ import shutil
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Thread
-from typing import Any
 
 import numpy as np
 import pytest
 
 from lidarsim import BeamTable
 from scenegen import load, stores
-from scenegen.dataset.build import Summary, build, plan_dataset
+from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.locate import locate
 from scenegen.dataset.placed import SUFFIX
 from scenegen.dataset.read import Dataset
-from scenegen.dataset.state import Plan
 from scenegen.errors import DatasetError, StoreError
 from scenegen.source import DrawnWorlds
 from scenegen.stores import ConflictError, StorePath, folder_of, is_remote
@@ -35,19 +33,19 @@ from tests.scenegen.stores.kept import ROOM, Kept
 NAME = "s3://lab/pillar"
 
 
-def plan(folder: Path, seed: int = 3, **counts: int) -> Plan:
+def plan(folder, seed=3, **counts):
     recipe = small_recipe()
     return plan_dataset(
         folder, recipe, DrawnWorlds(recipe), seed=seed, counts=COUNTS | counts, shard_samples=3
     )
 
 
-def write(**options: Any) -> Summary:
+def write(**options):
     forget()
     return build(plan(folder_of(NAME)), **options)
 
 
-def objects(store: Path) -> dict[str, bytes]:
+def objects(store):
     """What the bucket holds of the dataset, less what is there for resuming alone."""
     home = store / "lab" / "pillar"
     return {
@@ -55,11 +53,11 @@ def objects(store: Path) -> dict[str, bytes]:
     }
 
 
-def files(folder: Path) -> dict[str, bytes]:
+def files(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def asked() -> list[str]:
+def asked():
     """What this process asked of the dataset's store."""
     return stores.store_of(NAME).log  # type: ignore[attr-defined]
 
@@ -130,7 +128,7 @@ def test_a_store_that_is_full_after_any_put_loses_nothing(store, made, tmp_path,
     while not whole:
         room.write_text("2")
         before = {name for name in objects(store) if name.endswith(".h5")}
-        fresh: list[str] = []
+        fresh = []
         try:
             whole = write(
                 on_shard=lambda report, new, to=fresh: to.append(report.file) if new else None
@@ -185,7 +183,7 @@ def test_a_disk_without_room_for_a_copy_is_no_damage(store, made, monkeypatch):
     (store / "lab" / "pillar" / f"train-00002{SUFFIX}").unlink()
     plain = Kept.read
 
-    def full(self: Kept, name: str, file: Any, most_bytes: int) -> Any:
+    def full(self, name, file, most_bytes):
         if name.endswith(".h5"):
             raise OSError(errno.ENOSPC, "No space left on device")
         return plain(self, name, file, most_bytes)
@@ -199,9 +197,9 @@ def test_a_disk_without_room_for_a_copy_is_no_damage(store, made, monkeypatch):
 
 
 def test_two_drivers_at_once_end_with_equal_bits(store, made):
-    other: list[Summary] = []
+    other = []
 
-    def begin_another(report: Any, fresh: bool) -> None:
+    def begin_another(report, fresh):
         if not other:
             other.append(build(plan(folder_of(NAME)), workers=1))
 
@@ -226,7 +224,7 @@ def test_two_drivers_of_different_datasets_never_mix(store, made):
         (made / "dataset.json").read_bytes().replace(b'"seed": 3', b'"seed": 4'),
     )
 
-    def another_was_faster(name: str, content: bytes, version: str | None) -> str | None:
+    def another_was_faster(name, content, version):
         if name == "dataset.json" and version is None:
             begin(name, theirs)
         return begin(name, content, version)
@@ -374,7 +372,7 @@ def test_forked_processes_read_for_themselves(store, made):
     assert found == [sample.sha256() for sample in load(made, split="train")]
 
 
-def _digest(task: tuple[Any, int]) -> bytes:
+def _digest(task):
     split, number = task
     return split[number].sha256()
 
@@ -443,7 +441,7 @@ def test_an_answer_that_is_cut_off_is_asked_for_again(monkeypatch):
     class Cut(io.BytesIO):
         left = 2
 
-        def read(self, size: int | None = -1) -> bytes:
+        def read(self, size=-1):
             if self.tell() and Cut.left:
                 Cut.left -= 1
                 raise botocore.exceptions.IncompleteReadError(actual_bytes=1, expected_bytes=2)
@@ -470,7 +468,7 @@ class Odd(BaseHTTPRequestHandler):
 
     answer = ""
 
-    def _give(self) -> None:
+    def _give(self):
         self.rfile.read(int(self.headers.get("Content-Length") or 0))
         port = self.server.server_address[1]  # type: ignore[attr-defined]
         here = f"http://127.0.0.1:{port}{self.path}"
@@ -490,7 +488,7 @@ class Odd(BaseHTTPRequestHandler):
 
     do_GET = do_PUT = do_HEAD = _give  # noqa: N815
 
-    def log_message(self, *said: object) -> None:
+    def log_message(self, *said):
         """Nothing."""
 
 

@@ -4,7 +4,6 @@ drawn."""
 import json
 from collections import Counter
 from fractions import Fraction
-from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -26,17 +25,17 @@ COMPONENTS = {
 }
 
 
-def mixed(weights: dict[int, Any], samples: int = 10**6) -> Stream:
+def mixed(weights, samples=10**6):
     mixture = Mixture([COMPONENTS[count] for count in weights], list(weights.values()))
     return Stream(mixture, seed=0, split="train", samples=samples, workers=0, cache=None)
 
 
 @settings(max_examples=15, deadline=None)
 @given(st.dictionaries(st.sampled_from(VIEWPOINTS), st.integers(1, 9), min_size=1, max_size=3))
-def test_parts_come_in_order_whole_and_in_proportion(weights: dict[int, int]) -> None:
+def test_parts_come_in_order_whole_and_in_proportion(weights):
     stream, counts = mixed(weights), list(weights)
     whole = sum(weights.values())
-    seen: Counter[int] = Counter()
+    seen = Counter()
     for index in range(400):
         part, number = stream.part(index)
         assert number == seen[part]  # each part by itself is a dataset from its beginning on
@@ -47,7 +46,7 @@ def test_parts_come_in_order_whole_and_in_proportion(weights: dict[int, int]) ->
             share = (index + 1) * weight / whole
             assert abs(seen[k] - share) <= 2 * max(counts)
     # the rule, by counting: the flight whose place is the least comes next
-    flown: Counter[int] = Counter()
+    flown = Counter()
     index = 0
     units = [Fraction(weight, count) for count, weight in weights.items()]
     while index < 400:
@@ -57,13 +56,13 @@ def test_parts_come_in_order_whole_and_in_proportion(weights: dict[int, int]) ->
         index, flown[part] = index + counts[part], flown[part] + 1
 
 
-def test_decimal_weights_are_meant_as_they_are_written() -> None:
+def test_decimal_weights_are_meant_as_they_are_written():
     one, other = mixed({1: 0.7, 2: 0.3}), mixed({1: 7, 2: 3})
     assert one.digest == other.digest
     assert [one.part(n) for n in range(99)] == [other.part(n) for n in range(99)]
 
 
-def test_a_mixtures_part_is_that_parts_own_stream() -> None:
+def test_a_mixtures_part_is_that_parts_own_stream():
     recipes = [small_recipe("pillar"), small_recipe("geometric")]
     mixture, alone = (
         scenegen.stream([(recipes[0], 2), recipes[1]]),
@@ -81,9 +80,7 @@ def test_a_mixtures_part_is_that_parts_own_stream() -> None:
     st.integers(1, 3),
     st.integers(1, 3),
 )
-def test_batches_hold_each_sample_once_and_share_no_flight(
-    weights: dict[int, int], each: int, ranks: int, loaders: int
-) -> None:
+def test_batches_hold_each_sample_once_and_share_no_flight(weights, each, ranks, loaders):
     size = each * ranks
     stream = mixed(weights)
     row = stream.mixture.row
@@ -98,7 +95,7 @@ def test_batches_hold_each_sample_once_and_share_no_flight(
     by_rank = [
         list(stream.batches(size, rank=rank, ranks=ranks, loaders=loaders)) for rank in range(ranks)
     ]
-    rows_of: dict[int, set[tuple[int, int]]] = {}
+    rows_of = {}
     for number, batch in enumerate(everything):
         shares = [theirs[number] for theirs in by_rank]
         assert sorted(index for share in shares for index in share) == sorted(batch)
@@ -109,7 +106,7 @@ def test_batches_hold_each_sample_once_and_share_no_flight(
     assert all(len(readers) == 1 for readers in rows_of.values())
 
 
-def test_batches_go_on_where_a_state_says_with_any_ranks() -> None:
+def test_batches_go_on_where_a_state_says_with_any_ranks():
     stream = mixed({3: 1, 6: 2}, samples=600)
     batches = stream.batches(4, loaders=2)
     begun = [next(batches) for _ in range(7)]
@@ -142,6 +139,6 @@ def test_batches_go_on_where_a_state_says_with_any_ranks() -> None:
         ({"size": 100}, "fewer than one round of 300"),
     ],
 )
-def test_batches_that_cannot_be_end_in_a_line(options: dict, said: str) -> None:
+def test_batches_that_cannot_be_end_in_a_line(options, said):
     with pytest.raises(DatasetError, match=said):
         mixed({3: 1}, samples=50).batches(**options)

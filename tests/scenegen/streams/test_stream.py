@@ -16,9 +16,8 @@ import scenegen
 from lidarsim.noise.chain import Noise
 from scenegen import SPLITS
 from scenegen.dataset.build import build, plan_dataset
-from scenegen.draw import Unit
 from scenegen.errors import DatasetError, GenerationError, RecipeError, SceneError, ScenegenError
-from scenegen.recipe import Recipe, preset
+from scenegen.recipe import preset
 from scenegen.sample import GROUPS, Sample
 from scenegen.source import DrawnWorlds, read_scenes
 from scenegen.streams.mixture import Component
@@ -27,7 +26,7 @@ from tests.conftest import picky_recipe, small_recipe
 SCENES = Path(__file__).parents[3] / "scenes"
 
 
-def same(one: Sample, other: Sample) -> bool:
+def same(one, other):
     """All fields, bit for bit and of the same type."""
     pairs = [
         (np.asarray(getattr(one, name)), np.asarray(getattr(other, name))) for name in GROUPS[""]
@@ -37,12 +36,12 @@ def same(one: Sample, other: Sample) -> bool:
     )
 
 
-def never(component: Component, unit: int) -> Unit:
+def never(component, unit):
     raise AssertionError("drawn")
 
 
 @pytest.mark.parametrize("made_of", ["pillar", "geometric", "picky"])
-def test_its_first_samples_are_those_of_the_dataset(made_of: str, tmp_path: Path) -> None:
+def test_its_first_samples_are_those_of_the_dataset(made_of, tmp_path):
     """The picky recipe rejects some draws of most units."""
     recipe = picky_recipe() if made_of == "picky" else small_recipe(made_of)
     counts = {"train": 8, "val": 2, "test": 4}
@@ -63,7 +62,7 @@ def test_its_first_samples_are_those_of_the_dataset(made_of: str, tmp_path: Path
     assert (made_of != "picky") or sum(manifest.rejected["worlds"].values()) > 0
 
 
-def test_a_folder_of_scenes_is_dealt_as_generate_deals_it(tmp_path: Path) -> None:
+def test_a_folder_of_scenes_is_dealt_as_generate_deals_it(tmp_path):
     drawn, scenes, counts = (
         DrawnWorlds(small_recipe()),
         tmp_path / "scenes",
@@ -91,7 +90,7 @@ def test_a_folder_of_scenes_is_dealt_as_generate_deals_it(tmp_path: Path) -> Non
         scenegen.stream(scenes)
 
 
-def test_what_a_reader_does_to_a_sample_does_not_come_back() -> None:
+def test_what_a_reader_does_to_a_sample_does_not_come_back():
     stream = scenegen.stream(small_recipe())
     first = stream[1]
     expected = pickle.loads(pickle.dumps(first))
@@ -101,14 +100,14 @@ def test_what_a_reader_does_to_a_sample_does_not_come_back() -> None:
     assert same(stream[1], expected)
 
 
-def test_its_samples_know_their_sensor_and_the_stream_all_its_noise() -> None:
+def test_its_samples_know_their_sensor_and_the_stream_all_its_noise():
     noisy = dataclasses.replace(small_recipe(), noise=Noise.parse("dropout:share=0.2"))
     stream = scenegen.stream([small_recipe(), noisy])
     assert len(stream[0].points()) == np.isfinite(stream[0].ranges).sum() > 0
     assert [noise for _, _, noise in stream.settings] == ["", "dropout:share=0.2"]
 
 
-def test_a_sample_depends_on_seed_split_and_number_alone() -> None:
+def test_a_sample_depends_on_seed_split_and_number_alone():
     recipe = small_recipe()
     stream = scenegen.stream(recipe)
     for other in (scenegen.stream(recipe, seed=1), scenegen.stream(recipe, split="val")):
@@ -118,7 +117,7 @@ def test_a_sample_depends_on_seed_split_and_number_alone() -> None:
     assert same(stream[123_456_789], scenegen.stream(recipe)[123_456_789])
 
 
-def test_workers_make_what_one_process_makes_and_the_dead_are_replaced() -> None:
+def test_workers_make_what_one_process_makes_and_the_dead_are_replaced():
     recipe = small_recipe()
     alone, helped = (
         scenegen.stream(recipe, samples=60),
@@ -138,11 +137,11 @@ def test_workers_make_what_one_process_makes_and_the_dead_are_replaced() -> None
 
 
 def test_neighbours_are_made_ahead_of_need_and_hopeless_draws_end_when_asked_for(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     original = Component.draw
 
-    def draw(component: Component, unit: int) -> Unit:
+    def draw(component, unit):
         if unit == 3:
             raise GenerationError("train world 3: all draws rejected")
         return original(component, unit)
@@ -161,7 +160,7 @@ def test_neighbours_are_made_ahead_of_need_and_hopeless_draws_end_when_asked_for
     stream.close()
 
 
-def test_reading_goes_on_where_a_state_says() -> None:
+def test_reading_goes_on_where_a_state_says():
     stream = scenegen.stream(small_recipe(), samples=5)
     reader = iter(stream)
     begun = [next(reader) for _ in range(2)]
@@ -183,7 +182,7 @@ def test_reading_goes_on_where_a_state_says() -> None:
             reader.load_state_dict(wrong)
 
 
-def test_a_stream_that_nobody_closes_ends_without_a_word() -> None:
+def test_a_stream_that_nobody_closes_ends_without_a_word():
     """Also one that outlives the modules that it needs."""
     code = (
         "import numpy, scenegen; "
@@ -195,14 +194,12 @@ def test_a_stream_that_nobody_closes_ends_without_a_word() -> None:
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, "", "")
 
 
-def test_a_cache_gives_the_same_bits_and_makes_again_what_is_damaged(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_cache_gives_the_same_bits_and_makes_again_what_is_damaged(tmp_path, monkeypatch):
     recipe, cache = small_recipe(), tmp_path / "cache"
     expected = scenegen.stream(recipe)[:6]
     scenegen.stream(recipe, cache=cache)[:6]
 
-    def check() -> None:
+    def check():
         assert all(
             same(a, b)
             for a, b in zip(scenegen.stream(recipe, cache=cache)[:6], expected, strict=True)
@@ -255,14 +252,14 @@ def test_a_cache_gives_the_same_bits_and_makes_again_what_is_damaged(
         (Path("absent"), {}, "no such file"),
     ],
 )
-def test_what_cannot_be_ends_in_a_line(asked: object, options: dict, said: str) -> None:
+def test_what_cannot_be_ends_in_a_line(asked, options, said):
     with pytest.raises((RecipeError, SceneError, DatasetError), match=said) as caught:
         scenegen.stream(asked, **options)
     assert isinstance(caught.value, ScenegenError)
     assert "\n" not in str(caught.value)
 
 
-def test_an_index_that_is_none_ends_in_a_line(drawn: tuple[Recipe, DrawnWorlds]) -> None:
+def test_an_index_that_is_none_ends_in_a_line(drawn):
     stream = scenegen.stream(drawn[0], samples=9)
     for wrong in (-1, 9, 10**30):
         with pytest.raises(IndexError, match=r"sample -?\d+: expected 0 to 8$"):

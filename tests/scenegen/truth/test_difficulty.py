@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 from scenegen.truth import distance_field
-from scenegen.truth.difficulty import Difficulty, difficulty
+from scenegen.truth.difficulty import difficulty
 from scenegen.truth.guides import hardness
 from tests.conftest import small_recipe
 
 VOXEL = 0.2
 
 
-def measured(occupancy: np.ndarray) -> Difficulty:
+def measured(occupancy):
     return difficulty(occupancy, np.full(occupancy.shape, 2.0, np.float32), VOXEL)
 
 
-def empty() -> np.ndarray:
+def empty():
     return np.zeros((13, 13, 13), np.bool_)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from lidarsim import GridSpec
@@ -15,7 +14,7 @@ VOXELS = (0.1, 0.2, 0.25)
 TRUNCATIONS = (1.0, 2.0, 3.4)
 
 
-def squares(occupancy: NDArray[np.bool_]) -> NDArray[np.float64]:
+def squares(occupancy):
     """Squared distances in voxels, whole numbers, infinite in an empty map: by scipy's transform of
     the free voxels.
 
@@ -27,12 +26,12 @@ def squares(occupancy: NDArray[np.bool_]) -> NDArray[np.float64]:
     return np.rint(ndimage.distance_transform_edt(~occupancy) ** 2)
 
 
-def expected_field(k: NDArray[np.float64], voxel: float, truncation: float) -> NDArray[np.float32]:
+def expected_field(k, voxel, truncation):
     """The field of a map with the squared distances `k`."""
     return np.minimum(voxel * np.sqrt(k), truncation).astype(np.float32)
 
 
-def field(occupancy: NDArray[np.bool_], voxel: float, truncation: float) -> NDArray[np.float32]:
+def field(occupancy, voxel, truncation):
     """The answer under test, and that it leaves its argument alone."""
     before = occupancy.copy()
     grid = GridSpec(shape=occupancy.shape, voxel_m=voxel, truncation_m=truncation)

@@ -36,10 +36,10 @@ WORLD = f"""<mujoco><asset><mesh name="cube" vertex="{CUBE}"/></asset><worldbody
 </worldbody></mujoco>"""
 
 
-def distances(points: np.ndarray) -> np.ndarray:
+def distances(points):
     """From points (n, 3) to the six geoms of `WORLD`, (6, n); 0 inside."""
 
-    def box(p: np.ndarray, half: tuple[float, float, float]) -> np.ndarray:
+    def box(p, half):
         return np.linalg.norm(np.maximum(np.abs(p) - half, 0.0), axis=1)
 
     turn = np.radians(30.0)
@@ -175,7 +175,7 @@ def test_a_scenes_materials_make_classes_and_their_archive_keeps_them(tmp_path):
     assert verify(folders["material"]).ok
     place = {name: number for number, name in enumerate(classes)}
     wanted = np.array([place[name] for name in ("steel", "oak", "oak", "cylinder", "nothing")])
-    met: set[int] = set()
+    met = set()
     for n in range(counts["train"]):
         bare, material, group = (it.split("train")[n] for it in (plain, dressed, grouped))
         np.testing.assert_array_equal(bare.occupancy, material.occupancy)

@@ -6,18 +6,16 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Iterator, Sequence
 
 import mujoco
 import numpy as np
 import pytest
 import trimesh
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lidarsim import GridSpec
 from lidarsim.solids.model import solids_of
-from lidarsim.solids.shapes import Solids
 from scenegen.truth import rasterize
 from tests.conftest import quarter
 from tests.scenegen.truth import reference
@@ -26,7 +24,6 @@ from tests.scenegen.truth.reference import (
     FREE,
     OCCUPIED,
     Floats,
-    Judged,
     Shape,
     disagreements,
     judge,
@@ -43,18 +40,16 @@ MILLION = 1_000_000
 WANTED = {"plane": 300_000} | dict.fromkeys(CONVEX, 150_000)
 
 
-def grid_of(shape: tuple[int, int, int], voxel: float) -> GridSpec:
+def grid_of(shape, voxel):
     return GridSpec(shape=shape, voxel_m=voxel, truncation_m=2.0)
 
 
-def occupied(
-    model: mujoco.MjModel, shape: tuple[int, int, int], voxel: float, origin: ArrayLike
-) -> NDArray[np.bool_]:
+def occupied(model, shape, voxel, origin):
     """The answer under test."""
     return rasterize(solids_of(model), grid_of(shape, voxel), np.asarray(origin, float))
 
 
-def compiled(shapes: Sequence[Shape]) -> list[Solids]:
+def compiled(shapes):
     """The solids of each shape by itself, which MuJoCo compiled together: that takes a hundredth of
     the time."""
     together = solids_of(reference.world_of(*shapes))
@@ -68,16 +63,16 @@ def compiled(shapes: Sequence[Shape]) -> list[Solids]:
     ]
 
 
-def unit(rng: np.random.Generator) -> Floats:
+def unit(rng):
     v = rng.normal(size=3)
     return v / np.linalg.norm(v)
 
 
-def log_uniform(rng: np.random.Generator, low: float, high: float, n: int = 3) -> Floats:
+def log_uniform(rng, low, high, n=3):
     return np.exp(rng.uniform(math.log(low), math.log(high), n))
 
 
-def random_size(rng: np.random.Generator) -> tuple[float, float, float]:
+def random_size(rng):
     """Half sizes: thin in any number of directions, in one only (plates), or all but one and 50 m
     long."""
     half = log_uniform(rng, THINNEST / 2, THICKEST / 2)
@@ -90,7 +85,7 @@ def random_size(rng: np.random.Generator) -> tuple[float, float, float]:
     return float(half[0]), float(half[1]), float(half[2])
 
 
-def random_shape(kind: str, rng: np.random.Generator) -> Shape:
+def random_shape(kind, rng):
     """A shape at the origin; a plane's size numbers (0 or not) are for drawing only."""
     size = random_size(rng)
     if kind == "plane":
@@ -98,7 +93,7 @@ def random_shape(kind: str, rng: np.random.Generator) -> Shape:
     return Shape(kind, size, quat=rng.normal(size=4))
 
 
-def surface_point(shape: Shape, rng: np.random.Generator) -> Floats:
+def surface_point(shape, rng):
     """A point on the surface: where a random plane touches it, or on a random ray from inside."""
     if shape.kind == "plane":
         return shape.pos + shape.rot[:, :2] @ rng.uniform(-30, 30, 2)
@@ -116,7 +111,7 @@ def surface_point(shape: Shape, rng: np.random.Generator) -> Floats:
     return inside + low * direction
 
 
-def placed(kind: str, rng: np.random.Generator, n: int) -> tuple[Shape, float, Floats]:
+def placed(kind, rng, n):
     """A random shape whose surface passes through the middle part of a random map of n cubed
     voxels."""
     shape = random_shape(kind, rng)
@@ -136,9 +131,7 @@ TOUCHING = (-1e-3, -1e-5, -2e-6, 0.0, 4e-7)
 APART = (3.5e-6, 1e-5, 1e-3)
 
 
-def cube_feature(
-    index: NDArray[np.intp], voxel: float, origin: Floats, rng: np.random.Generator
-) -> tuple[Floats, Floats]:
+def cube_feature(index, voxel, origin, rng):
     """A point on a face, edge or corner of a voxel and a unit outward normal of the cube there."""
     while True:
         side = rng.integers(-1, 2, 3)  # the extreme it sits at, per axis; 0 is in between
@@ -149,7 +142,7 @@ def cube_feature(
     return origin + (index + 0.5 + spread) * voxel, normal / np.linalg.norm(normal)
 
 
-def squarely(shape: Shape, normal: Floats, rng: np.random.Generator) -> Shape:
+def squarely(shape, normal, rng):
     """The shape turned until one of its axes, or a direction up to 0.1 rad from it, points along
     -normal."""
     along = np.eye(3)[rng.integers(3)] + rng.normal(size=3) * 10.0 ** rng.uniform(-9, -1)
@@ -239,9 +232,7 @@ def test_primitives_at_many_attitudes_occupy_the_cubes_they_touch(kind, count):
 # ------------------------------------------------------------------------------------------
 
 
-def check(
-    shape: Shape, solids: Solids, grid_shape: tuple[int, int, int], voxel: float, origin: ArrayLike
-) -> Judged:
+def check(shape, solids, grid_shape, voxel, origin):
     """Assert that the answer for one shape, compiled to `solids`, is the reference's."""
     truth = judge(shape, grid_shape, voxel, origin)
     answer = rasterize(solids, grid_of(grid_shape, voxel), np.asarray(origin, float))
@@ -254,9 +245,9 @@ def check(
     return truth
 
 
-def right_angles() -> Iterator[Floats]:
+def right_angles():
     """The 24 attitudes in which axes lie along axes, as quaternions."""
-    seen: list[Floats] = []
+    seen = []
     root = math.sqrt(0.5)
     for quat in map(np.array, itertools.product((0, 1, -1, 0.5, -0.5, root, -root), repeat=4)):
         if abs(quat @ quat - 1) > 1e-12 or any(abs(abs(q @ quat) - 1) < 1e-9 for q in seen):
@@ -409,7 +400,7 @@ def test_solids_stand_where_their_bodies_put_them_at_qpos0():
         local.add_to(body)
     model = spec.compile()
 
-    def posed(*frames: tuple[ArrayLike, ArrayLike]) -> Shape:
+    def posed(*frames):
         pos, quat = local.pos, local.quat
         for at, turn in reversed(frames):
             pos = np.asarray(at, float) + reference.rotation(turn) @ pos
@@ -434,7 +425,7 @@ def test_solids_stand_where_their_bodies_put_them_at_qpos0():
 Mesh = tuple[Floats, NDArray[np.intp]]
 
 
-def cuboid(low: ArrayLike, high: ArrayLike) -> Mesh:
+def cuboid(low, high):
     """Eight corners and twelve triangles that face outward."""
     low, high = np.asarray(low, float), np.asarray(high, float)
     corners = np.array([np.where([i & 1, i & 2, i & 4], high, low) for i in range(8)])
@@ -442,7 +433,7 @@ def cuboid(low: ArrayLike, high: ArrayLike) -> Mesh:
     return corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
 
 
-def bracket_shape() -> Mesh:
+def bracket_shape():
     """An L: six corners in a plane, extruded, its two caps cut into four triangles each."""
     outline = np.array([(0, 0), (1.5, 0), (1.5, 0.4), (0.4, 0.4), (0.4, 1.1), (0, 1.1)])
     vertices = np.array([(x, y, z) for z in (-0.35, 0.35) for x, y in outline])
@@ -454,34 +445,34 @@ def bracket_shape() -> Mesh:
     return vertices, np.array(faces)
 
 
-def ring() -> Mesh:
+def ring():
     torus = trimesh.creation.torus(
         major_radius=0.8, minor_radius=0.3, major_sections=16, minor_sections=8
     )
     return np.asarray(torus.vertices), np.asarray(torus.faces)
 
 
-def hollow_box() -> Mesh:
+def hollow_box():
     """A box with a box-shaped cavity that no passage joins to the outside."""
     outer, faces = cuboid([-1, -0.9, -0.8], [1, 0.9, 0.8])
     inner, _ = cuboid([-0.6, -0.5, -0.45], [0.65, 0.55, 0.4])
     return np.concatenate([outer, inner]), np.concatenate([faces, faces[:, ::-1] + 8])
 
 
-def two_blocks() -> Mesh:
+def two_blocks():
     """One mesh of two closed pieces that do not touch."""
     a, faces = cuboid([-1, -0.3, -0.3], [-0.2, 0.4, 0.5])
     b, _ = cuboid([0.3, -0.5, -0.2], [1.1, 0.4, 0.3])
     return np.concatenate([a, b]), np.concatenate([faces, faces + 8])
 
 
-def open_box() -> Mesh:
+def open_box():
     """A box without its lid."""
     vertices, faces = cuboid([-0.9, -0.7, -0.6], [0.9, 0.7, 0.6])
     return vertices, faces[[i for i in range(12) if i not in (2, 3)]]
 
 
-def fan() -> Mesh:
+def fan():
     """Six triangles around a point, a tent without a floor."""
     turns = np.radians(np.arange(6) * 60)
     rim = np.stack([np.cos(turns), np.sin(turns), 0.2 * (-1.0) ** np.arange(6)], axis=1)
@@ -490,7 +481,7 @@ def fan() -> Mesh:
     )
 
 
-def punctured_ball() -> Mesh:
+def punctured_ball():
     """A round shell that misses a single triangle."""
     ball = trimesh.creation.icosphere(subdivisions=2, radius=0.9)
     return np.asarray(ball.vertices), np.asarray(ball.faces)[1:]
@@ -505,7 +496,7 @@ WATERTIGHT = {
 OPEN = {"open_box": open_box, "fan": fan, "punctured_ball": punctured_ball}
 
 
-def mesh_model(mesh: Mesh, pos: ArrayLike, quat: ArrayLike, **attributes: object) -> mujoco.MjModel:
+def mesh_model(mesh, pos, quat, **attributes):
     spec = mujoco.MjSpec()
     vertices, faces = mesh
     spec.add_mesh(
@@ -524,7 +515,7 @@ def mesh_model(mesh: Mesh, pos: ArrayLike, quat: ArrayLike, **attributes: object
     return spec.compile()
 
 
-def mesh_triangles(mesh: Mesh, pos: ArrayLike, quat: ArrayLike) -> Floats:
+def mesh_triangles(mesh, pos, quat):
     """The triangles in the world, from the vertices that were put in (MuJoCo keeps float32)."""
     vertices = np.asarray(mesh[0], np.float32).astype(float)
     return (vertices @ reference.rotation(quat).T + np.asarray(pos, float))[mesh[1]]
@@ -691,9 +682,7 @@ def test_a_triangle_occupies_the_cubes_it_grazes(count):
 # ------------------------------------------------------------------------------------------
 
 
-def hfield_model(
-    elevation: Floats, size: tuple[float, float, float, float], pos: ArrayLike, quat: ArrayLike
-) -> mujoco.MjModel:
+def hfield_model(elevation, size, pos, quat):
     spec = mujoco.MjSpec()
     rows, cols = elevation.shape
     spec.add_hfield(
@@ -708,7 +697,7 @@ def hfield_model(
     return spec.compile()
 
 
-def random_elevation(rng: np.random.Generator, rows: int, cols: int) -> Floats:
+def random_elevation(rng, rows, cols):
     """Rough ground between 0 and 1, both reached, as the float32 numbers MuJoCo keeps."""
     data = rng.random((rows, cols))
     flat = data.ravel()

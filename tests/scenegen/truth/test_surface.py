@@ -4,21 +4,17 @@ still is."""
 import dataclasses
 import itertools
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from lidarsim import GridSpec
 from lidarsim.noise.chain import Noise
 from lidarsim.solids.model import solids_of
-from lidarsim.solids.shapes import Solids
 from scenegen.dataset import manifest
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.rescan import plan_rescan
-from scenegen.dataset.state import Plan
 from scenegen.draw import draw_unit
 from scenegen.errors import DatasetError
 from scenegen.recipe import preset
@@ -28,16 +24,14 @@ from scenegen.truth import distance_field, rasterize
 from scenegen.verification import verify
 from tests.conftest import small_recipe
 from tests.scenegen.truth import reference
-from tests.scenegen.truth.reference import Floats, Shape
+from tests.scenegen.truth.reference import Shape
 from tests.scenegen.truth.test_occupancy import bracket_shape, compiled, mesh_model, placed
 
 EDGE = 24
 CORNERS = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
 
 
-def both(
-    solids: Solids, shape: tuple[int, int, int], voxel: float, origin: Floats
-) -> list[NDArray[np.bool_]]:
+def both(solids, shape, voxel, origin):
     """Solid truth, and surface truth."""
     grid = GridSpec(shape=shape, voxel_m=voxel)
     return [
@@ -46,7 +40,7 @@ def both(
     ]
 
 
-def eroded(shape: Shape, by: float) -> Shape:
+def eroded(shape, by):
     """A shape that lies in `shape`, everywhere `by` deep at least."""
     size = np.array(shape.size, float)
     if shape.kind == "plane":
@@ -127,7 +121,7 @@ def test_every_return_lies_in_a_surface_voxel_and_scans_do_not_depend_on_truth(k
     assert 0.5 < np.mean(kept) < 0.97
 
 
-def plan(folder: Path, *, hollow: bool | None = True) -> Plan:
+def plan(folder, *, hollow=True):
     recipe = small_recipe(grid={} if hollow is None else {"hollow": hollow})
     return plan_dataset(
         folder,

@@ -1,28 +1,26 @@
 """One small dataset of each kind, made once a test process; tests change copies."""
 
-from pathlib import Path
-
 import pytest
 
-from scenegen.verification import Report, verify
+from scenegen.verification import verify
 from tests.scenegen.verification import forge
 
 
 @pytest.fixture(scope="session")
-def originals(tmp_path_factory) -> dict[str, Path]:
+def originals(tmp_path_factory):
     folder = tmp_path_factory.mktemp("originals")
     return {kind: forge.make(folder / kind, kind) for kind in ("pillar", "geometric")}
 
 
 @pytest.fixture
-def folder(originals, tmp_path) -> Path:
+def folder(originals, tmp_path):
     """A dataset to plant faults in."""
     return forge.copy(originals["pillar"], tmp_path / "pillar")
 
 
-def failed(folder: Path, **options: object) -> dict[str, str]:
+def failed(folder, **options):
     """Checks that failed, and what they said."""
-    report: Report = verify(folder, **options)  # type: ignore[arg-type]
+    report = verify(folder, **options)  # type: ignore[arg-type]
     said = {check.name: check.detail for check in report.checks if not check.ok}
     assert all("\n" not in line for line in said.values())
     return said

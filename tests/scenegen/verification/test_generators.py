@@ -1,15 +1,13 @@
 """Datasets of generator 1, whose last bits its processor decided, and of other machines: read, and
 verified fairly."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from lidarsim import Pose, Scan, voxelize
 from scenegen.dataset import manifest
 from scenegen.dataset.read import Dataset
-from scenegen.verification import Outcome, verify
+from scenegen.verification import verify
 from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
 
@@ -17,7 +15,7 @@ SHARD = "train-00000.h5"
 
 
 @pytest.fixture
-def older(folder) -> Path:
+def older(folder):
     """A dataset that does not name its generator."""
     given = manifest.read(folder)
     del given["generator"]
@@ -26,16 +24,16 @@ def older(folder) -> Path:
     return folder
 
 
-def again(folder: Path) -> Outcome:
+def again(folder):
     return next(check for check in verify(folder).checks if check.name == "regenerated")
 
 
-def fly_lower(folder: Path) -> None:
+def fly_lower(folder):
     """Compute a shard's voxels from a little below the stored place: the level ray then runs under
     the grid's middle, as it would have with another sine."""
     dataset = Dataset(folder)
 
-    def change(arrays: forge.Arrays) -> None:
+    def change(arrays):
         for row in range(len(arrays["world"])):
             pose = Pose(arrays["position"][row] - [0.0, 0.0, 1e-14], arrays["quaternion"][row])
             seen = voxelize(
@@ -75,7 +73,7 @@ def test_what_rounding_decides_is_let_pass_in_older_datasets_alone(folder):
 
 @pytest.mark.parametrize("field", ["observed", "free"])
 def test_a_voxel_changed_in_an_older_dataset_is_found(older, field):
-    def change(arrays: forge.Arrays) -> None:
+    def change(arrays):
         values = arrays[field][3]
         values[np.unravel_index(values.argmax(), values.shape)] = False
 

@@ -7,7 +7,6 @@ import time
 import zipfile
 import zlib
 from collections.abc import Callable
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -27,7 +26,7 @@ SECONDS = 20.0
 
 
 @pytest.fixture(autouse=True)
-def soon_and_small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> object:
+def soon_and_small(tmp_path, monkeypatch):
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     monkeypatch.chdir(elsewhere)
@@ -50,21 +49,21 @@ def soon_and_small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> object:
 SHAPE, PACKED = (6, 24, 24, 16), {"chunks": (1, 24, 24, 16), "compression": "gzip"}
 
 
-def plain(shape: tuple[int, ...] = SHAPE, dtype: str = "<f4", **options: object) -> Put:
+def plain(shape=SHAPE, dtype="<f4", **options):
     """Distances of which nothing is stored."""
     return lambda shard: shard.create_dataset("tudf", shape, dtype, **{**PACKED, **options})
 
 
-def virtual(shard: h5py.File) -> None:
+def virtual(shard):
     layout = h5py.VirtualLayout(SHAPE, "<f4")
     layout[:] = h5py.VirtualSource("/etc/passwd", "x", SHAPE)
     shard.create_virtual_dataset("tudf", layout)
 
 
-def chunks(content: bytes) -> Put:
+def chunks(content):
     """Every sample's distances are `content`, as they stand in the file."""
 
-    def put(shard: h5py.File) -> None:
+    def put(shard):
         plain()(shard)
         for row in range(6):
             shard["tudf"].id.write_direct_chunk((row, 0, 0, 0), content)
@@ -106,23 +105,21 @@ def chunks(content: bytes) -> Put:
         (chunks(bytes(100_000)), "100000 bytes at byte"),
     ],
 )
-def test_a_shard_that_is_not_plain_is_refused_before_it_is_read(
-    folder: Path, put: Put, said: str
-) -> None:
+def test_a_shard_that_is_not_plain_is_refused_before_it_is_read(folder, put, said):
     with h5py.File(folder / SHARD, "r+") as shard:
         del shard["tudf"]
         put(shard)
     assert said in failed(folder)["layout"]
 
 
-def test_bytes_that_belong_to_no_sample_are_not_even_hashed(folder: Path) -> None:
+def test_bytes_that_belong_to_no_sample_are_not_even_hashed(folder):
     os.truncate(folder / SHARD, 1 << 40)  # a hole: a terabyte that takes no space
     assert "samples take" in failed(folder, quick=True)["layout"]
     os.truncate(folder / SHARD, 1_500_000)
     assert "belong to no sample" in failed(folder, quick=True)["layout"]
 
 
-def test_a_shard_said_to_hold_thousands_is_refused_by_its_size(folder: Path) -> None:
+def test_a_shard_said_to_hold_thousands_is_refused_by_its_size(folder):
     given = manifest.read(folder)
     entries = given["shards"]
     forge.edit_manifest(
@@ -136,7 +133,7 @@ def test_a_shard_said_to_hold_thousands_is_refused_by_its_size(folder: Path) -> 
 
 
 @pytest.mark.parametrize("name", ["../train-00000.h5", "/etc/passwd", "train-0.h5", "val-00000.h5"])
-def test_files_outside_the_folder_are_not_opened(folder: Path, name: str) -> None:
+def test_files_outside_the_folder_are_not_opened(folder, name):
     entries = manifest.read(folder)["shards"]
     forge.edit_manifest(folder, shards=[entries[0] | {"file": name}, *entries[1:]])
     (folder.parent / SHARD).write_bytes((folder / SHARD).read_bytes())
@@ -145,17 +142,17 @@ def test_files_outside_the_folder_are_not_opened(folder: Path, name: str) -> Non
     assert f"'{name}'" in found["manifest"]
 
 
-def test_a_pipe_is_not_waited_for(folder: Path) -> None:
+def test_a_pipe_is_not_waited_for(folder):
     (folder / SHARD).unlink()
     os.mkfifo(folder / SHARD)
     assert f"{SHARD}: is missing, or no file" in failed(folder, quick=True)["layout"]
 
 
-def world(document: bytes) -> Callable[[dict[str, bytes]], None]:
+def world(document):
     return lambda members: members.update({"000000.xml": document})
 
 
-def geoms(count: int, more: str = "") -> bytes:
+def geoms(count, more=""):
     return b"<mujoco>%s<worldbody>%s</worldbody></mujoco>" % (
         more.encode(),
         b'<geom size="1"/>' * count,
@@ -232,9 +229,7 @@ LAUGHS = (
         ),
     ],
 )
-def test_an_archive_that_means_harm_is_named(
-    folder: Path, change: Callable[[dict[str, bytes]], None], said: str
-) -> None:
+def test_an_archive_that_means_harm_is_named(folder, change, said):
     forge.rezip(folder / WORLDS, change)
     forge.sign(folder)
     found = failed(folder, quick=True)
@@ -242,7 +237,7 @@ def test_an_archive_that_means_harm_is_named(
     assert said in found["archives"]
 
 
-def test_what_passes_the_screen_but_is_no_world_is_named(folder: Path) -> None:
+def test_what_passes_the_screen_but_is_no_world_is_named(folder):
     forge.rezip(
         folder / WORLDS, world(b'<mujoco><worldbody><geom type="pyramid"/></worldbody></mujoco>')
     )
@@ -250,7 +245,7 @@ def test_what_passes_the_screen_but_is_no_world_is_named(folder: Path) -> None:
     assert f"{WORLDS}: 000000.xml: not valid MJCF" in failed(folder)["splits"]
 
 
-def test_archives_that_lie_about_their_members_are_named(folder: Path) -> None:
+def test_archives_that_lie_about_their_members_are_named(folder):
     path = folder / WORLDS
     whole = path.read_bytes()
     with zipfile.ZipFile(path) as archive:
@@ -266,7 +261,7 @@ def test_archives_that_lie_about_their_members_are_named(folder: Path) -> None:
         assert failed(folder, quick=True)["archives"].startswith(WORLDS)
 
 
-def test_a_recipe_without_end_is_given_up(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recipe_without_end_is_given_up(folder, monkeypatch):
     import scenegen.verification.folder as module
 
     monkeypatch.setattr(module, "SECONDS", 2.0)
@@ -285,7 +280,7 @@ def test_a_recipe_without_end_is_given_up(folder: Path, monkeypatch: pytest.Monk
     )
 
 
-def test_screening_takes_plain_worlds_and_knows_them_again() -> None:
+def test_screening_takes_plain_worlds_and_knows_them_again():
     box = b'<geom name="%s" rgba="1 0 0 1" size="1 1 1" type="box" pos="%s 0 0"/>'
     first = (
         b"<mujoco><worldbody>" + box % (b"a", b"1") + box % (b"b", b"2") + b"</worldbody></mujoco>"

@@ -4,7 +4,6 @@ checksums, too."""
 import json
 import os
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
@@ -34,7 +33,7 @@ SCENES = Path(__file__).parents[3] / "scenes"
 @pytest.mark.parametrize("kind", ["pillar", "geometric"])
 @pytest.mark.parametrize("quick", [False, True])
 def test_a_dataset_as_made_passes_every_check(originals, kind, quick):
-    told: list[int] = []
+    told = []
     report = verify(
         originals[kind], quick=quick, on_start=lambda n: told.append(-n), on_done=told.append
     )
@@ -97,66 +96,66 @@ def test_worlds_drawn_by_hand_pass(tmp_path, scene):
     )
 
 
-def roll(arrays: forge.Arrays) -> None:
+def roll(arrays):
     for name in ("observed", "free", "occupancy", "tudf"):
         arrays[name][1] = np.roll(arrays[name][1], 1, axis=0)
 
 
-def move_a_return(arrays: forge.Arrays) -> None:
+def move_a_return(arrays):
     row, ray = 2, np.flatnonzero(np.isfinite(arrays["ranges"][2].ravel()))[0]
     arrays["ranges"][row].ravel()[ray] -= 0.01
 
 
-def flip_rays(arrays: forge.Arrays) -> None:
+def flip_rays(arrays):
     arrays["ranges"] = np.ascontiguousarray(arrays["ranges"][:, :, ::-1])
 
 
-def nudge_tudf(arrays: forge.Arrays) -> None:
+def nudge_tudf(arrays):
     arrays["tudf"][5, 0, 0, 0] = np.nextafter(arrays["tudf"][5, 0, 0, 0], np.float32(1))
 
 
-def free_the_observed(arrays: forge.Arrays) -> None:
+def free_the_observed(arrays):
     arrays["free"][3] |= arrays["observed"][3]
 
 
-def lose_free(arrays: forge.Arrays) -> None:
+def lose_free(arrays):
     arrays["free"][3][np.unravel_index(arrays["free"][3].argmax(), arrays["free"][3].shape)] = False
 
 
-def see_what_is_not_there(arrays: forge.Arrays) -> None:
+def see_what_is_not_there(arrays):
     arrays["observed"][0] |= ~arrays["occupancy"][0] & (
         np.arange(arrays["observed"][0].size) % 97 == 0
     ).reshape(arrays["observed"][0].shape)
 
 
-def fill_a_voxel(arrays: forge.Arrays) -> None:
+def fill_a_voxel(arrays):
     """The distances are made to match."""
     empty = np.argwhere(~arrays["occupancy"][4])[0]
     arrays["occupancy"][4][tuple(empty)] = True
     arrays["tudf"][4] = distance_field(arrays["occupancy"][4], small_recipe().grid)
 
 
-def move_the_grid(arrays: forge.Arrays) -> None:
+def move_the_grid(arrays):
     arrays["origin"][4] += 1e-9
 
 
-def rename(arrays: forge.Arrays) -> None:
+def rename(arrays):
     arrays["viewpoint"][[0, 1]] = arrays["viewpoint"][[1, 0]]
 
 
-def lengthen(arrays: forge.Arrays) -> None:
+def lengthen(arrays):
     arrays["ranges"][0, 0, 0] = 10.5
 
 
-def not_a_number(arrays: forge.Arrays) -> None:
+def not_a_number(arrays):
     arrays["ranges"][0, 0, 0] = np.nan
 
 
-def stretch_the_attitude(arrays: forge.Arrays) -> None:
+def stretch_the_attitude(arrays):
     arrays["quaternion"][1] *= 1.001
 
 
-def change_everything_alike(arrays: forge.Arrays) -> None:
+def change_everything_alike(arrays):
     """One sample stands where another should: everything in it is true, of another viewpoint."""
     for name, values in arrays.items():
         if name not in ("world", "viewpoint"):
@@ -219,14 +218,12 @@ def test_samples_that_are_true_but_not_the_seeds_are_caught(originals, tmp_path)
     )
 
 
-def share_a_world(
-    folder: Path, disguise: Callable[[bytes], bytes] = lambda document: document
-) -> None:
+def share_a_world(folder, disguise=lambda document: document):
     """World 0 of test becomes world 0 of train, with the samples."""
     arrays, _ = forge.load(folder, SHARD)
     _, attributes = forge.load(folder, "test-00000.h5")
     taken = {name: values[:3].copy() for name, values in arrays.items()}
-    members: dict[str, bytes] = {}
+    members = {}
     forge.rezip(folder / "train-00000.worlds.zip", members.update)
     forge.rezip(
         folder / "test-00000.worlds.zip",
@@ -235,7 +232,7 @@ def share_a_world(
     forge.store(folder, "test-00000.h5", taken, attributes)
 
 
-def rename_and_reorder(document: bytes) -> bytes:
+def rename_and_reorder(document):
     lines = document.decode().splitlines(keepends=True)
     geoms = [n for n, line in enumerate(lines) if "<geom " in line and "type=" in line]
     assert len(geoms) > 2
@@ -259,7 +256,7 @@ def test_a_world_in_two_splits_is_found_whatever_its_geoms_are_called(folder, di
 def test_a_world_nudged_by_a_centimetre_does_not_hide_a_twin(folder):
     """Everything in the twin is true of its own world: only the two splits together are at
     fault."""
-    members: dict[str, bytes] = {}
+    members = {}
     forge.rezip(folder / "train-00000.worlds.zip", members.update)
     spec = mujoco.MjSpec.from_string(members["000000.xml"].decode())
     for geom in spec.geoms:

@@ -19,11 +19,11 @@ PATH = np.array(
 SPEED, SETTLE = 2.5, 0.7
 
 
-def turned(pose: Pose) -> Rotation:
+def turned(pose):
     return Rotation.from_quat(pose.quaternion, scalar_first=True)
 
 
-def test_acceleration_is_the_second_derivative_of_the_smoothed_path() -> None:
+def test_acceleration_is_the_second_derivative_of_the_smoothed_path():
     route = Route(PATH)
     step = 0.002
     time = np.arange(-3 * SETTLE, route.ends[-1] / SPEED + 3 * SETTLE, step)
@@ -42,7 +42,7 @@ def test_acceleration_is_the_second_derivative_of_the_smoothed_path() -> None:
     assert most > 3.0
 
 
-def test_the_thrust_is_the_bodys_z_axis_and_the_heading_stays() -> None:
+def test_the_thrust_is_the_bodys_z_axis_and_the_heading_stays():
     rng = np.random.default_rng(0)
     for _ in range(200):
         level, pull = Pose.level(rng.normal(size=3), rng.uniform(-3.1, 3.1)), rng.uniform(-4, 4, 3)
@@ -58,7 +58,7 @@ def test_the_thrust_is_the_bodys_z_axis_and_the_heading_stays() -> None:
         np.testing.assert_array_equal(lean.position, level.position)
 
 
-def test_the_lean_is_bounded_and_a_body_that_does_not_accelerate_is_level_to_the_bit() -> None:
+def test_the_lean_is_bounded_and_a_body_that_does_not_accelerate_is_level_to_the_bit():
     rng = np.random.default_rng(1)
     for _ in range(200):
         level = Pose.facing(rng.normal(size=3), rng.normal(size=2))
@@ -72,7 +72,7 @@ def test_the_lean_is_bounded_and_a_body_that_does_not_accelerate_is_level_to_the
     assert turned(forward).apply([1, 0, 0])[2] < 0.0, "to accelerate forward, the nose goes down"
 
 
-def test_next_to_no_speed_is_next_to_level() -> None:
+def test_next_to_no_speed_is_next_to_level():
     route = Route(PATH)
     for flown in (0.0, 2.9, 8.0):
         level, slow = (route.pose(flown, Mapper(tilt_mps=speed)) for speed in (0.0, 1e-9))
@@ -80,7 +80,7 @@ def test_next_to_no_speed_is_next_to_level() -> None:
         np.testing.assert_allclose(slow.quaternion, level.quaternion, atol=1e-9)
 
 
-def test_a_leaning_sensors_ranges_are_mujocos() -> None:
+def test_a_leaning_sensors_ranges_are_mujocos():
     """Each ray by `mj_ray`, its direction by scipy from the stored attitude."""
     recipe = small_recipe(mapping={"tilt_mps": 4.0, "scans": 2})
     unit = draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="train", unit=0)

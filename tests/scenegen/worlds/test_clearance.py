@@ -2,7 +2,7 @@
 winding numbers."""
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import mujoco
 import numpy as np
@@ -29,7 +29,7 @@ SLACK_M = 2e-3
 """What a motion check may be off by; its shortest step is half of it."""
 
 
-def primitive_world(seed: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
+def primitive_world(seed):
     """Primitives of every kind at any attitude, within the bounds and around them; the last geom is
     a probe."""
     rng = np.random.default_rng(seed)
@@ -54,7 +54,7 @@ def primitive_world(seed: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
     return model, data
 
 
-def distances_by_mujoco(model: mujoco.MjModel, data: mujoco.MjData, points: Floats) -> Floats:
+def distances_by_mujoco(model, data, points):
     """Distance from each point (n, 3) to the nearest geom but the probe; 0 within one, and at least
     1.5 m is inf."""
     probe, far_m = model.ngeom - 1, 1.5
@@ -70,7 +70,7 @@ def distances_by_mujoco(model: mujoco.MjModel, data: mujoco.MjData, points: Floa
     return found
 
 
-def motions(rng: np.random.Generator, longest_m: float) -> Iterator[tuple[Floats, Floats]]:
+def motions(rng, longest_m):
     """Segments within the bounds, a fifth of them along an axis."""
     for n in itertools.count():
         p = rng.uniform(BOUNDS[0], BOUNDS[1])
@@ -79,7 +79,7 @@ def motions(rng: np.random.Generator, longest_m: float) -> Iterator[tuple[Floats
         yield p, np.clip(q, BOUNDS[0], BOUNDS[1])
 
 
-def nearest_along(distances: Distances, p: Floats, q: Floats) -> float:
+def nearest_along(distances, p, q):
     """Least distance from points of pq, 2 mm apart: sampled coarsely, then densely where the least
     may lie, for a distance changes by no more than its point moves."""
     coarse_m, fine_m, length = 0.05, 2e-3, float(np.linalg.norm(q - p))
@@ -90,9 +90,7 @@ def nearest_along(distances: Distances, p: Floats, q: Floats) -> float:
     return float(distances(p + fine[beside, None] * (q - p)).min())
 
 
-def check_motions(
-    clearance: Clearance, distances: Distances, seed: int, *, count: int, longest_m: float
-) -> None:
+def check_motions(clearance, distances, seed, *, count, longest_m):
     """A motion is free where all its points are farther than the radius, and is not where one of
     them is nearer."""
     rng = np.random.default_rng(seed)
@@ -111,7 +109,7 @@ def check_motions(
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_distances_to_primitives_are_those_of_mujoco(seed: int) -> None:
+def test_distances_to_primitives_are_those_of_mujoco(seed):
     model, data = primitive_world(seed)
     clearance = Clearance(solids_of(model), BOUNDS)
     points = np.random.default_rng(seed).uniform(BOUNDS[0], BOUNDS[1], (250, 3))
@@ -124,7 +122,7 @@ def test_distances_to_primitives_are_those_of_mujoco(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_a_motion_among_primitives_is_free_where_its_points_keep_the_radius(seed: int) -> None:
+def test_a_motion_among_primitives_is_free_where_its_points_keep_the_radius(seed):
     model, data = primitive_world(seed)
     clearance = Clearance(solids_of(model), BOUNDS)
     check_motions(
@@ -136,7 +134,7 @@ def test_a_motion_among_primitives_is_free_where_its_points_keep_the_radius(seed
     )
 
 
-def torus(share: float = 1.0) -> trimesh.Trimesh:
+def torus(share=1.0):
     """A ring; with a share below 1, its first faces alone, which enclose nothing."""
     ring = trimesh.creation.torus(
         major_radius=1.1, minor_radius=0.5, major_sections=14, minor_sections=7
@@ -144,7 +142,7 @@ def torus(share: float = 1.0) -> trimesh.Trimesh:
     return trimesh.Trimesh(ring.vertices, ring.faces[: round(share * len(ring.faces))])
 
 
-def hill() -> trimesh.Trimesh:
+def hill():
     """A height field of 5 x 6 points over 2.4 x 3.6 m, written out as the solid that it is."""
     height = ELEVATION * 1.5
     y, x = np.meshgrid(np.linspace(-1.8, 1.8, 5), np.linspace(-1.2, 1.2, 6), indexing="ij")
@@ -173,9 +171,7 @@ BENT = {"ring": torus(), "half a ring": torus(0.5), "hill": hill()}
 FILLED = ("ring", "hill")
 
 
-def bent_world(
-    names: tuple[str, ...], seed: int
-) -> tuple[Clearance, list[tuple[trimesh.Trimesh, bool]]]:
+def bent_world(names, seed):
     """Meshes and height fields at any attitude: their clearance, and each as triangles in the
     world, filled or not."""
     rng = np.random.default_rng(seed)
@@ -202,7 +198,7 @@ def bent_world(
     return Clearance(solids_of(spec.compile()), BOUNDS), shapes
 
 
-def distances_to(shapes: list[tuple[trimesh.Trimesh, bool]], points: Floats) -> Floats:
+def distances_to(shapes, points):
     """Distance from each point (n, 3) to the nearest of the shapes; 0 within a filled one."""
     nearest = np.full(len(points), np.inf)
     for shape, filled in shapes:
@@ -216,8 +212,8 @@ def distances_to(shapes: list[tuple[trimesh.Trimesh, bool]], points: Floats) -> 
     "names", [("ring",), ("half a ring",), ("hill",), ("hill", "ring", "half a ring", "ring")]
 )
 def test_distances_to_meshes_and_height_fields_are_those_of_their_triangles(
-    names: tuple[str, ...],
-) -> None:
+    names,
+):
     clearance, shapes = bent_world(names, seed=len(names[0]))
     rng = np.random.default_rng(0)
     corners = np.concatenate([np.asarray(shape.vertices) for shape, _ in shapes])
@@ -235,14 +231,14 @@ def test_distances_to_meshes_and_height_fields_are_those_of_their_triangles(
         assert deep.sum() > 20, "no point lies well within a filled shape: the test shows nothing"
 
 
-def test_a_motion_among_meshes_is_free_where_its_points_keep_the_radius() -> None:
+def test_a_motion_among_meshes_is_free_where_its_points_keep_the_radius():
     clearance, shapes = bent_world(("hill", "ring", "half a ring"), 0)
     check_motions(
         clearance, lambda points: distances_to(shapes, points), 0, count=16, longest_m=1.5
     )
 
 
-def test_motions_of_no_length_and_worlds_without_solids() -> None:
+def test_motions_of_no_length_and_worlds_without_solids():
     model, _ = primitive_world(0)
     clearance = Clearance(solids_of(model), BOUNDS)
     spec = mujoco.MjSpec()
@@ -254,7 +250,7 @@ def test_motions_of_no_length_and_worlds_without_solids() -> None:
     assert empty.motion_is_free(tuple(BOUNDS[0]), tuple(BOUNDS[1]), 0.9)
 
 
-def test_a_motion_may_be_blocked_at_its_ends_alone() -> None:
+def test_a_motion_may_be_blocked_at_its_ends_alone():
     """A ball of 0.3 m against a thin plate, as near to either end as can be."""
     spec = mujoco.MjSpec()
     spec.worldbody.add_geom(type=Geom.mjGEOM_BOX, size=[0.01, 1, 1], pos=[0, 0, 2])
@@ -268,7 +264,7 @@ def test_a_motion_may_be_blocked_at_its_ends_alone() -> None:
     assert clearance.motion_is_free((-1.0, 1.4, 2.0), (1.0, 1.4, 2.0), 0.3)
 
 
-def test_a_motion_that_grazes_a_post_is_seen_wherever_its_steps_fall() -> None:
+def test_a_motion_that_grazes_a_post_is_seen_wherever_its_steps_fall():
     """A ball of 5 cm past a post of 2 cm: they meet over 4 cm of a long way, or pass with 3 mm
     between them."""
     spec = mujoco.MjSpec()

@@ -3,7 +3,6 @@ worlds that they were made of."""
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -30,7 +29,7 @@ VOXELS = Survey(voxel_m=VOXEL_M)
 Scans = list[tuple[NDArray[np.float64], NDArray[np.float64]]]
 
 
-def scanned(count: int, rays_each: int) -> Scans:
+def scanned(count, rays_each):
     """Where the sensor was, and what it saw, so many times."""
     rng, found = np.random.default_rng(0), Scans()
     while len(found) < count:
@@ -47,17 +46,17 @@ def scanned(count: int, rays_each: int) -> Scans:
 
 
 @pytest.fixture(scope="module")
-def scans() -> Scans:
+def scans():
     return scanned(6, 3000)
 
 
-def joined(scans: Scans) -> tuple[NDArray[Any], NDArray[Any]]:
+def joined(scans):
     """All points, and where each was seen from."""
     sensors = [np.broadcast_to(at, points.shape) for at, points in scans]
     return np.concatenate([points for _, points in scans]), np.concatenate(sensors)
 
 
-def write_ply(path: Path, points: NDArray[Any], sensors: NDArray[Any] | None = None) -> Path:
+def write_ply(path, points, sensors=None):
     """Points as float64, and in fields of their own where they were seen from."""
     names = ["x", "y", "z"] if sensors is None else ["x", "y", "z", "vp_x", "vp_y", "vp_z"]
     rows = points if sensors is None else np.concatenate([points, sensors], axis=1)
@@ -67,7 +66,7 @@ def write_ply(path: Path, points: NDArray[Any], sensors: NDArray[Any] | None = N
     return path
 
 
-def write_las(path: Path, points: NDArray[Any], sensors: NDArray[Any] | None = None) -> Path:
+def write_las(path, points, sensors=None):
     laspy = pytest.importorskip("laspy")
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.scales, header.offsets = [1e-5] * 3, np.floor(points[0])
@@ -82,7 +81,7 @@ def write_las(path: Path, points: NDArray[Any], sensors: NDArray[Any] | None = N
     return path
 
 
-def surveyed(folder: Path, scans: Scans, how: str) -> VoxelMap:
+def surveyed(folder, scans, how):
     """The map of scans that say in one of these ways where they were made."""
     places = np.stack([sensor for sensor, _ in scans])
     every, sensors = joined(scans)
@@ -115,7 +114,7 @@ def surveyed(folder: Path, scans: Scans, how: str) -> VoxelMap:
 
 
 @pytest.mark.parametrize("how", ["fields", "viewpoint", "places", "tum", "kitti", ".las", ".laz"])
-def test_a_cloud_s_map_is_the_place_where_rays_went(scans: Scans, tmp_path: Path, how: str) -> None:
+def test_a_cloud_s_map_is_the_place_where_rays_went(scans, tmp_path, how):
     voxels = surveyed(tmp_path, scans, how)
     corner = np.rint((voxels.origin - ORIGIN) / VOXEL_M).astype(int)
     np.testing.assert_allclose(voxels.origin, ORIGIN + corner * VOXEL_M, atol=1e-9)
@@ -137,14 +136,14 @@ def test_a_cloud_s_map_is_the_place_where_rays_went(scans: Scans, tmp_path: Path
         assert any(meets(*scan, low) for scan in scans)
 
 
-def meets(sensor: NDArray[Any], points: NDArray[Any], low: NDArray[Any]) -> bool:
+def meets(sensor, points, low):
     """Whether a segment from the sensor to one of the points meets the voxel at `low`."""
     sides = np.stack([low - sensor, low + VOXEL_M - sensor])[:, None] / (points - sensor)
     begin, end = sides.min(axis=0).max(axis=1), sides.max(axis=0).min(axis=1)
     return bool((np.minimum(end, 1.0) > np.maximum(begin, 0.0)).any())
 
 
-def test_units_axes_and_offsets_change_no_voxel(scans: Scans, tmp_path: Path) -> None:
+def test_units_axes_and_offsets_change_no_voxel(scans, tmp_path):
     sensor, points = scans[0]
     plain = map_clouds([write_ply(tmp_path / "a.ply", points)], VOXELS, sensor=sensor)
     inches, stand = points[:, [0, 2, 1]] * (1, 1, -1) / 0.0254, sensor[[0, 2, 1]] * (1, 1, -1)
@@ -169,7 +168,7 @@ def test_units_axes_and_offsets_change_no_voxel(scans: Scans, tmp_path: Path) ->
     np.testing.assert_array_equal(boxed.voxels.states, plain.voxels.states[part])
 
 
-def test_what_is_assumed_free_lies_above_the_lowest_point(scans: Scans, tmp_path: Path) -> None:
+def test_what_is_assumed_free_lies_above_the_lowest_point(scans, tmp_path):
     np.savetxt(tmp_path / "a.xyz", scans[0][1])
     states = map_clouds([tmp_path / "a.xyz"], Survey(assume_free=True)).voxels.states
     full = states == OCCUPIED
@@ -178,10 +177,10 @@ def test_what_is_assumed_free_lies_above_the_lowest_point(scans: Scans, tmp_path
     assert (states == UNKNOWN).any()
 
 
-def test_a_dataset_of_a_cloud_passes_every_check(tmp_path: Path) -> None:
+def test_a_dataset_of_a_cloud_passes_every_check(tmp_path):
     every, sensors = joined(scanned(12, 40_000))
     write_ply(tmp_path / "a.ply", every, sensors)
-    said: list[str] = []
+    said = []
     for _ in range(2):  # the second time, nothing is left to do
         plan = plan_generation(
             None, 4, scene=tmp_path / "a.ply", out=tmp_path / "data", tell=said.append
@@ -213,14 +212,14 @@ def test_a_dataset_of_a_cloud_passes_every_check(tmp_path: Path) -> None:
     ],
 )
 def test_what_is_no_map_ends_in_a_line(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    name: str,
-    content: bytes,
-    options: list[str],
-    said: str,
-) -> None:
+    tmp_path,
+    monkeypatch,
+    capsys,
+    name,
+    content,
+    options,
+    said,
+):
     monkeypatch.chdir(tmp_path)
     Path("two.txt").write_text("0 0 0\n0 0 1\n")
     Path("flat.txt").write_text("0 " * 12)
@@ -233,9 +232,7 @@ def test_what_is_no_map_ends_in_a_line(
     assert not Path("map.npz").exists()
 
 
-def test_the_command_says_what_it_made(
-    scans: Scans, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_says_what_it_made(scans, tmp_path, capsys):
     sensor, points = scans[0]
     write_points(tmp_path / "a.pcd", points, None, {"frame": "world", "position": sensor})
     code, told, error = run(
@@ -251,7 +248,7 @@ def test_the_command_says_what_it_made(
 
 
 @pytest.mark.parametrize("suffix", [".glb", ".obj", ".stl"])
-def test_a_mesh_is_the_world_that_it_was_made_of(tmp_path: Path, suffix: str) -> None:
+def test_a_mesh_is_the_world_that_it_was_made_of(tmp_path, suffix):
     document = tmp_path / "a.xml"
     document.write_text(
         "<mujoco><worldbody><geom type='box' size='1 2 3' pos='4 0 3' euler='0 0 30'/>"
@@ -282,9 +279,7 @@ def test_a_mesh_is_the_world_that_it_was_made_of(tmp_path: Path, suffix: str) ->
         ("a.obj", b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "a.obj"),
     ],
 )
-def test_what_is_no_mesh_ends_in_a_line(
-    tmp_path: Path, name: str, content: bytes, said: str
-) -> None:
+def test_what_is_no_mesh_ends_in_a_line(tmp_path, name, content, said):
     (tmp_path / name).write_bytes(content)
     with pytest.raises((SceneError, DatasetError), match=said) as raised:
         read_world(tmp_path / name)

@@ -1,7 +1,5 @@
 """A drawn world's document is, byte for byte, the one that MuJoCo's own writer gives."""
 
-from collections.abc import Callable
-
 import mujoco
 import numpy as np
 import pytest
@@ -19,7 +17,7 @@ SHAPES = [
 ]
 
 
-def both(draw: Callable[[Drawing], None]) -> tuple[bytes, bytes, bool]:
+def both(draw):
     """The document as it is written, MuJoCo's, and whether the first is not MuJoCo's, too."""
     ours, theirs = Drawing(BOUNDS), Drawing(BOUNDS)
     draw(ours)
@@ -29,7 +27,7 @@ def both(draw: Callable[[Drawing], None]) -> tuple[bytes, bytes, bool]:
 
 
 @pytest.mark.parametrize("kind", kind_names())
-def test_worlds_of_every_kind_are_written_as_mujoco_writes_them(kind: str) -> None:
+def test_worlds_of_every_kind_are_written_as_mujoco_writes_them(kind):
     world = preset(kind).world
     assert world is not None
     for seed in range(40 if kind in ("pillar", "geometric") else 6):
@@ -40,15 +38,15 @@ def test_worlds_of_every_kind_are_written_as_mujoco_writes_them(kind: str) -> No
         assert ours == theirs
 
 
-def awkward(rng: np.random.Generator) -> float:
+def awkward(rng):
     """A number that six digits may not hold."""
     digits = rng.integers(1, 9)
     return float(np.round(rng.uniform(-1.0, 1.0), digits) * 10.0 ** rng.integers(-9, 7))
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_any_solids_are_written_as_mujoco_writes_them(seed: int) -> None:
-    def draw(drawing: Drawing) -> None:
+def test_any_solids_are_written_as_mujoco_writes_them(seed):
+    def draw(drawing):
         rng = np.random.default_rng(seed)
         for _ in range(40):
             more = {}
@@ -69,7 +67,7 @@ def test_any_solids_are_written_as_mujoco_writes_them(seed: int) -> None:
     assert ours == theirs
 
 
-def test_many_solids_at_once_are_as_if_added_one_by_one() -> None:
+def test_many_solids_at_once_are_as_if_added_one_by_one():
     rng = np.random.default_rng(0)
     shapes = rng.choice([int(shape) for shape in SHAPES], 30)
     sizes, places, quats = rng.random((30, 3)), rng.random((30, 3)), rng.normal(size=(30, 4))
@@ -85,8 +83,8 @@ def test_many_solids_at_once_are_as_if_added_one_by_one() -> None:
         assert singly.mjcf().count(b"<geom ") == 30 + 1  # and the default
 
 
-def test_what_is_not_written_here_is_left_to_mujoco() -> None:
-    def draw(drawing: Drawing, **more: object) -> None:
+def test_what_is_not_written_here_is_left_to_mujoco():
+    def draw(drawing, **more):
         drawing.add_geom(SHAPES[0], [0.5, 0, 0], [1, 2, 3])
         drawing.add_geom(mujoco.mjtGeom.mjGEOM_PLANE, [1, 1, 1], [0, 0, 0], **more)
 
@@ -103,7 +101,7 @@ def test_what_is_not_written_here_is_left_to_mujoco() -> None:
     assert not many[2]
 
 
-def test_a_kind_may_use_all_of_mujocos_spec() -> None:
+def test_a_kind_may_use_all_of_mujocos_spec():
     drawing = Drawing(BOUNDS)
     drawing.add_geom(SHAPES[0], [0.5, 0, 0], [1, 2, 3])
     drawing.worldbody.add_geom(type=SHAPES[4], size=[1, 1, 1], name="by name")
@@ -116,7 +114,7 @@ def test_a_kind_may_use_all_of_mujocos_spec() -> None:
 
 
 @pytest.mark.parametrize("element", ["body", "site"])
-def test_a_kind_draws_nothing_that_readers_refuse(element: str) -> None:
+def test_a_kind_draws_nothing_that_readers_refuse(element):
     drawing = Drawing(BOUNDS)
     add = getattr(drawing.worldbody, f"add_{element}")
     for n in range(MOST_OTHERS + 1):

@@ -23,7 +23,7 @@ FLIGHT = Flight(robot_radius_m=0.4, min_distance_m=5.0, step_m=2.0, iterations=1
 DIAGONAL_M = float(np.linalg.norm(BOUNDS[1] - BOUNDS[0]))
 
 
-def forest(seed: int) -> tuple[Floats, Clearance]:
+def forest(seed):
     """Round columns that reach from floor to ceiling: x, y and radius (n, 3), and the clearance
     around them."""
     rng = np.random.default_rng(seed)
@@ -39,12 +39,12 @@ class Counted(Clearance):
 
     asked = 0
 
-    def motion_is_free(self, *motion: object) -> bool:
+    def motion_is_free(self, *motion):
         self.asked += 1
         return super().motion_is_free(*motion)
 
 
-def wall(x: float, half_thickness: float) -> Counted:
+def wall(x, half_thickness):
     """A wall across the whole flight space."""
     spec = mujoco.MjSpec()
     spec.worldbody.add_geom(type=Geom.mjGEOM_BOX, size=[half_thickness, 50, 50], pos=[x, 0, 0])
@@ -52,7 +52,7 @@ def wall(x: float, half_thickness: float) -> Counted:
 
 
 @pytest.fixture(scope="module")
-def flights() -> list[tuple[Floats, Floats]]:
+def flights():
     """The columns and the path of flights through several forests."""
     found = []
     for seed in range(12):
@@ -65,8 +65,8 @@ def flights() -> list[tuple[Floats, Floats]]:
 
 
 def test_a_whole_flight_keeps_the_clearance_and_the_bounds(
-    flights: list[tuple[Floats, Floats]],
-) -> None:
+    flights,
+):
     tight = []
     for columns, path in flights:
         assert path.shape[1] == 3
@@ -83,8 +83,8 @@ def test_a_whole_flight_keeps_the_clearance_and_the_bounds(
 
 
 def test_legs_are_short_and_flights_spread_over_the_box(
-    flights: list[tuple[Floats, Floats]],
-) -> None:
+    flights,
+):
     for _, path in flights:
         assert np.linalg.norm(np.diff(path, axis=0), axis=1).max() <= FLIGHT.step_m + 1e-9
     ends = np.array([end for _, path in flights for end in (path[0], path[-1])])
@@ -92,9 +92,7 @@ def test_legs_are_short_and_flights_spread_over_the_box(
 
 
 @pytest.mark.parametrize(("asked_m", "least_m"), [(1.0, 1.0), (4.0, 4.0), (1e3, DIAGONAL_M / 3)])
-def test_start_and_goal_are_the_least_distance_apart_or_a_third_of_the_diagonal(
-    asked_m: float, least_m: float
-) -> None:
+def test_start_and_goal_are_the_least_distance_apart_or_a_third_of_the_diagonal(asked_m, least_m):
     _, clearance = forest(0)
     flight = dataclasses.replace(FLIGHT, min_distance_m=asked_m)
     paths = [plan(clearance, BOUNDS, flight, rng=np.random.default_rng(seed)) for seed in range(60)]
@@ -103,7 +101,7 @@ def test_start_and_goal_are_the_least_distance_apart_or_a_third_of_the_diagonal(
     assert least_m - FLIGHT.goal_tolerance_m <= min(lengths) < least_m + 1.5
 
 
-def test_a_flight_depends_on_the_state_of_the_generator_alone() -> None:
+def test_a_flight_depends_on_the_state_of_the_generator_alone():
     _, clearance = forest(3)
     first = plan(clearance, BOUNDS, FLIGHT, rng=np.random.default_rng(3))
     other = plan(clearance, BOUNDS, FLIGHT, rng=np.random.default_rng(4))
@@ -114,18 +112,18 @@ def test_a_flight_depends_on_the_state_of_the_generator_alone() -> None:
     assert other is None or not np.array_equal(first, other)
 
 
-def test_the_search_uses_the_generator_too_not_its_ends_alone() -> None:
+def test_the_search_uses_the_generator_too_not_its_ends_alone():
     """With start and goal the same, another seed for OMPL gives another path."""
     _, clearance = forest(3)
 
     class Reseeded:
-        def __init__(self, seed: int):
+        def __init__(self, seed):
             self._rng, self._seed = np.random.default_rng(3), seed
 
-        def uniform(self, *arguments: object) -> Floats:
+        def uniform(self, *arguments):
             return self._rng.uniform(*arguments)
 
-        def integers(self, *bounds: int) -> int:
+        def integers(self, *bounds):
             return self._seed
 
     paths = [plan(clearance, BOUNDS, FLIGHT, rng=Reseeded(seed)) for seed in (1, 2)]
@@ -134,7 +132,7 @@ def test_the_search_uses_the_generator_too_not_its_ends_alone() -> None:
 
 
 @pytest.mark.parametrize("iterations", [1, 40, 400])
-def test_a_divided_world_gives_up_after_its_iterations(iterations: int) -> None:
+def test_a_divided_world_gives_up_after_its_iterations(iterations):
     """Each side is too short for both ends of a flight, so one is drawn on either side."""
     clearance = wall(8.0, half_thickness=2.5)
     bounds = np.array([[2.0, 5.0, 1.0], [14.0, 5.5, 1.5]])
@@ -145,7 +143,7 @@ def test_a_divided_world_gives_up_after_its_iterations(iterations: int) -> None:
         assert 0.9 * iterations <= clearance.asked <= iterations
 
 
-def test_a_wall_with_a_gap_is_flown_through_by_what_is_thin_enough() -> None:
+def test_a_wall_with_a_gap_is_flown_through_by_what_is_thin_enough():
     spec = mujoco.MjSpec()
     for y in (-50.6, 50.6):  # leaves 1.2 m about y = 0
         spec.worldbody.add_geom(type=Geom.mjGEOM_BOX, size=[0.2, 50, 50], pos=[8, y, 0])
@@ -175,7 +173,7 @@ HEADINGS = np.radians([0, 0, 90, 90, 90, -90, -90, -135])
 x."""
 
 
-def leg_of(point: Floats, path: Floats) -> list[int]:
+def leg_of(point, path):
     """The legs on which a point lies."""
     found = []
     for n, (a, b) in enumerate(itertools.pairwise(path)):
@@ -186,7 +184,7 @@ def leg_of(point: Floats, path: Floats) -> list[int]:
 
 
 @pytest.mark.parametrize("spacing", [0.25, 1.0, 1.7])
-def test_viewpoints_lie_on_the_path_a_spacing_apart(spacing: float) -> None:
+def test_viewpoints_lie_on_the_path_a_spacing_apart(spacing):
     lengths = np.linalg.norm(np.diff(PATH, axis=0), axis=1)
     ends = np.concatenate([[0.0], np.cumsum(lengths)])
     firsts = []
@@ -204,7 +202,7 @@ def test_viewpoints_lie_on_the_path_a_spacing_apart(spacing: float) -> None:
     assert np.ptp(firsts) > 0.5 * spacing
 
 
-def test_viewpoints_look_along_their_leg_and_are_level() -> None:
+def test_viewpoints_look_along_their_leg_and_are_level():
     seen = set()
     for seed in range(5):
         views = viewpoints(PATH, 0.2, rng=np.random.default_rng(seed))
@@ -220,7 +218,7 @@ def test_viewpoints_look_along_their_leg_and_are_level() -> None:
     assert seen == set(range(len(HEADINGS)))
 
 
-def test_viewpoints_come_in_random_order_that_the_generator_alone_decides() -> None:
+def test_viewpoints_come_in_random_order_that_the_generator_alone_decides():
     first, again, other = (
         viewpoints(PATH, 0.5, rng=np.random.default_rng(seed)) for seed in (1, 1, 2)
     )
@@ -232,18 +230,18 @@ def test_viewpoints_come_in_random_order_that_the_generator_alone_decides() -> N
 
 @pytest.mark.parametrize("value", [-1e9, math.nan, True, (3.0, 1.0)])
 @pytest.mark.parametrize("name", [item.name for item in dataclasses.fields(Flight)])
-def test_a_bad_value_is_named(name: str, value: object) -> None:
+def test_a_bad_value_is_named(name, value):
     with pytest.raises(ValueError, match=f"^{name} = .*: expected"):
         Flight(**{name: value})
 
 
-def test_a_flight_keeps_no_single_altitude_and_no_radius_beyond_what_clearance_knows() -> None:
+def test_a_flight_keeps_no_single_altitude_and_no_radius_beyond_what_clearance_knows():
     for given in ({"altitude_m": (2.0, 2.0)}, {"robot_radius_m": 1.0}):
         with pytest.raises(ValueError, match=next(iter(given))):
             Flight(**given)
 
 
-def test_the_margin_and_the_altitudes_bound_flights_through_a_drawn_world() -> None:
+def test_the_margin_and_the_altitudes_bound_flights_through_a_drawn_world():
     flight = Flight(margin_m=3.0, altitude_m=(1.0, 4.0))
     np.testing.assert_array_equal(flight.bounds((20.0, 12.0, 9.0)), [[3, 3, 1], [17, 9, 4]])
     for size in ((6.0, 12.0, 9.0), (20.0, 5.9, 9.0)):
@@ -251,7 +249,7 @@ def test_the_margin_and_the_altitudes_bound_flights_through_a_drawn_world() -> N
             flight.bounds(size)
 
 
-def test_a_flight_with_too_many_places_is_refused_before_they_take_memory() -> None:
+def test_a_flight_with_too_many_places_is_refused_before_they_take_memory():
     path = np.array([[0.0, 0.0, 1.0], [1e6, 0.0, 1.0]])
     with pytest.raises(
         GenerationError, match=r"spacing_m = 0.001: more than 100000 places .* of 1000000 m"

@@ -9,7 +9,7 @@ FIELD = '<hfield name="h" nrow="2" ncol="2" size="1 1 1 1" elevation="0 {} 0 1"/
 ASSETS = '<asset><mesh name="m" vertex="{}"/>' + FIELD + "</asset>"
 
 
-def digest(body: str, *, vertices: str = "0 0 0 1 0 0 0 1 0 0 0 1", height: float = 0.5) -> bytes:
+def digest(body, *, vertices="0 0 0 1 0 0 0 1 0 0 0 1", height=0.5):
     assets = ASSETS.format(vertices, height)
     world = f"<mujoco>{assets}<worldbody>{body}</worldbody></mujoco>"
     return geometry_digest(compile_world(world.encode()).solids)
@@ -35,7 +35,7 @@ B = '<geom type="cylinder" size="1 2" pos="4 0 0"/>'
         A + B + '<geom type="sphere" size="9" rgba="1 1 1 0"/>',
     ],
 )
-def test_names_order_bodies_colours_and_placings_do_not_matter(same: str) -> None:
+def test_names_order_bodies_colours_and_placings_do_not_matter(same):
     assert digest(A + B) == digest(same)
 
 
@@ -51,11 +51,11 @@ def test_names_order_bodies_colours_and_placings_do_not_matter(same: str) -> Non
         A + B.replace("4 0 0", "4 0 0.001"),
     ],
 )
-def test_other_solids_have_another_digest(other: str) -> None:
+def test_other_solids_have_another_digest(other):
     assert digest(A + B) != digest(other)
 
 
-def test_meshes_and_height_fields_count_by_what_they_are() -> None:
+def test_meshes_and_height_fields_count_by_what_they_are():
     body = '<geom type="mesh" mesh="m"/><geom type="hfield" hfield="h"/>'
     swapped = '<geom type="hfield" hfield="h"/><geom type="mesh" mesh="m"/>'
     assert digest(body) == digest(swapped)
@@ -64,8 +64,8 @@ def test_meshes_and_height_fields_count_by_what_they_are() -> None:
     assert digest(body) != digest(body, height=0.51)
 
 
-def test_turned_cubes_and_spheres() -> None:
-    def box(size: str, turn: str) -> bytes:
+def test_turned_cubes_and_spheres():
+    def box(size, turn):
         return digest(f'<geom type="box" size="{size}" euler="{turn}"/>')
 
     assert box("1 1 1", "0 0 90") == box("1 1 1", "90 180 0") != box("1 1 1", "0 0 45")

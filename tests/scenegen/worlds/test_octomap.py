@@ -2,11 +2,9 @@
 
 import struct
 from contextlib import suppress
-from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
 from scenegen.errors import SceneError
@@ -15,24 +13,24 @@ from scenegen.worlds.octomap import parse_octomap, read_octomap
 HALF = 1 << 15
 
 
-def written(states: NDArray[np.uint8], corner: tuple[int, int, int], suffix: str) -> bytes:
+def written(states, corner, suffix):
     """An OctoMap of `states`, whose least voxel is `corner` voxels from the world's origin."""
     place = np.array(corner) + HALF
 
-    def block(low: NDArray[np.int64], size: int) -> NDArray[np.uint8]:
+    def block(low, size):
         begin, end = np.maximum(low - place, 0), np.minimum(low - place + size, states.shape)
         if not (end > begin).all():
             return np.zeros(0, np.uint8)
         return states[tuple(slice(a, b) for a, b in zip(begin, end, strict=True))]
 
-    def kind(low: NDArray[np.int64], size: int) -> int:
+    def kind(low, size):
         """A state, or 3 for what has several."""
         part = block(low, size)
         if not part.any():
             return UNKNOWN
         return int(part.flat[0]) if part.size == size**3 and (part == part.flat[0]).all() else 3
 
-    def node(low: NDArray[np.int64], size: int) -> bytes:
+    def node(low, size):
         steps = [low + size // 2 * np.array([c & 1, c >> 1 & 1, c >> 2]) for c in range(8)]
         kinds = [kind(step, size // 2) for step in steps]
         if suffix == ".bt":
@@ -55,9 +53,7 @@ def written(states: NDArray[np.uint8], corner: tuple[int, int, int], suffix: str
 
 @pytest.mark.parametrize("suffix", [".bt", ".ot"])
 @pytest.mark.parametrize("corner", [(-3, -9, 2), (0, 0, 0), (31000, -32768, -5)])
-def test_a_map_is_read_as_it_was_written(
-    suffix: str, corner: tuple[int, int, int], tmp_path: Path
-) -> None:
+def test_a_map_is_read_as_it_was_written(suffix, corner, tmp_path):
     rng = np.random.default_rng(0)
     states = rng.choice([UNKNOWN, FREE, OCCUPIED], (13, 6, 9)).astype(np.uint8)
     states[:, :4] = FREE  # cubes of several voxels
@@ -95,13 +91,13 @@ DEEP = WHOLE[".bt"][: WHOLE[".bt"].index(b"\ndata\n") + 6]
         (WHOLE[".ot"][:-5] + struct.pack("<fB", np.nan, 0), "NaN"),
     ],
 )
-def test_a_damaged_map_ends_in_a_line(content: bytes, said: str) -> None:
+def test_a_damaged_map_ends_in_a_line(content, said):
     with pytest.raises(SceneError, match=said) as raised:
         parse_octomap(content, "map")
     assert "\n" not in str(raised.value)
 
 
-def test_any_damage_ends_in_a_line_or_in_a_map() -> None:
+def test_any_damage_ends_in_a_line_or_in_a_map():
     rng = np.random.default_rng(0)
     for suffix, whole in WHOLE.items():
         begin = whole.index(b"\ndata\n") + 6

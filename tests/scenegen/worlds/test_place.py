@@ -2,7 +2,6 @@
 
 import json
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,13 +24,13 @@ from scenegen.share.stage import Request, stage
 from scenegen.verification import verify
 from scenegen.verification.rays import MapAuditor
 from scenegen.worlds.flight import Flight, fly
-from scenegen.worlds.place import Place, parse_npz, read_place
+from scenegen.worlds.place import parse_npz, read_place
 from tests.command_line import run
 
 VOXEL_M, ORIGIN = 0.25, (-3.0, 2.0, 0.0)
 
 
-def hall(seed: int = 0) -> np.ndarray:
+def hall(seed=0):
     """A hall of 24 × 24 × 6 m with columns, closed but for its ceiling, of whose one corner nothing
     is known."""
     rng = np.random.default_rng(seed)
@@ -43,19 +42,19 @@ def hall(seed: int = 0) -> np.ndarray:
     return states
 
 
-def write_map(path: Path, states: np.ndarray, **other: object) -> Path:
+def write_map(path, states, **other):
     given = {"states": states, "voxel_m": np.float64(VOXEL_M), "origin": np.array(ORIGIN)}
     np.savez(path, **given | other)  # type: ignore[arg-type]
     return path
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> Place:
+def place(tmp_path_factory):
     return read_place(write_map(tmp_path_factory.mktemp("map") / "hall.npz", hall()))
 
 
 @pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def dataset(tmp_path_factory):
     """Maps and one MJCF file, dealt to the three splits."""
     folder = tmp_path_factory.mktemp("places")
     for seed in range(3):
@@ -71,7 +70,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "data"
 
 
-def test_clearance_is_the_distance_to_the_nearest_voxel_that_is_not_free(place: Place) -> None:
+def test_clearance_is_the_distance_to_the_nearest_voxel_that_is_not_free(place):
     rng = np.random.default_rng(0)
     states = place.voxels.states
     cells = np.argwhere(np.pad(states, 6) != FREE) - 6  # beyond the map, nothing is free
@@ -82,7 +81,7 @@ def test_clearance_is_the_distance_to_the_nearest_voxel_that_is_not_free(place: 
         assert place.clearance.at(*point) == pytest.approx(expected, abs=1e-9)
 
 
-def test_flights_keep_their_clearance_and_stay_near(place: Place) -> None:
+def test_flights_keep_their_clearance_and_stay_near(place):
     rng, flown = np.random.default_rng(0), 0
     flight = Flight(robot_radius_m=0.3)
     for _ in range(10):
@@ -97,14 +96,14 @@ def test_flights_keep_their_clearance_and_stay_near(place: Place) -> None:
     assert flown >= 5
 
 
-def test_flight_bounds_are_those_of_the_free_voxels(place: Place) -> None:
+def test_flight_bounds_are_those_of_the_free_voxels(place):
     low, high = place.flight_bounds
     assert low == pytest.approx(np.array(ORIGIN) + VOXEL_M)
     assert high == pytest.approx(np.array(ORIGIN) + VOXEL_M * np.array([95, 95, 24]))
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.31])
-def test_another_way_to_cast_finds_the_same_ranges(place: Place, scale: float) -> None:
+def test_another_way_to_cast_finds_the_same_ranges(place, scale):
     lidar, rng = Lidar(max_range_m=20 * scale), np.random.default_rng(1)
     for point in rng.uniform(*place.voxels.bounds, (20, 3)):
         pose = Pose.level(point, float(rng.uniform(0, 7)))
@@ -116,7 +115,7 @@ def test_another_way_to_cast_finds_the_same_ranges(place: Place, scale: float) -
         assert ranges[met] == pytest.approx(again[met], abs=1e-5)
 
 
-def test_a_dataset_of_maps_passes_every_check(dataset: Path) -> None:
+def test_a_dataset_of_maps_passes_every_check(dataset):
     report = verify(dataset)
     assert report.ok, [check.detail for check in report.checks]
     counts = {check.name: check.counts for check in report.checks}
@@ -124,14 +123,14 @@ def test_a_dataset_of_maps_passes_every_check(dataset: Path) -> None:
     assert counts["rays"]["rays"] == counts["known"]["samples"] * 1920 > 0
 
 
-def test_a_dataset_of_maps_is_published(dataset: Path, tmp_path: Path) -> None:
+def test_a_dataset_of_maps_is_published(dataset, tmp_path):
     """Its recipe says how much must be known, and makes the same parameters again."""
     staged = stage(Request(dataset=dataset, repository="ada/hall", out=tmp_path / "out"), ())
     assert staged.digest == str(Dataset(dataset).manifest.digest)
     assert "[known]" in (tmp_path / "out" / "recipe.toml").read_text()
 
 
-def test_samples_say_what_is_known(dataset: Path) -> None:
+def test_samples_say_what_is_known(dataset):
     shares = []
     for split in ("train", "val", "test"):
         for sample in scenegen.load(dataset, split=split):
@@ -145,7 +144,7 @@ def test_samples_say_what_is_known(dataset: Path) -> None:
     assert max(shares) == 1.0, "all of the MJCF file's world is known"
 
 
-def test_the_same_bits_however_they_are_made(dataset: Path, tmp_path: Path) -> None:
+def test_the_same_bits_however_they_are_made(dataset, tmp_path):
     plan = plan_generation(
         None, 20, val=5, test=5, scene=dataset.parent, out=tmp_path / "again", shard_samples=5
     )
@@ -154,16 +153,14 @@ def test_the_same_bits_however_they_are_made(dataset: Path, tmp_path: Path) -> N
     assert len(digests) == 1
 
 
-def test_a_stream_mixes_maps_with_drawn_worlds(dataset: Path) -> None:
+def test_a_stream_mixes_maps_with_drawn_worlds(dataset):
     mixed = scenegen.stream([str(dataset.parent / "hall-0.npz"), "pillar"], seed=0, samples=10)
     known = [sample.known for sample in mixed]
     assert all(one is not None for one in known)
     assert {bool(one.all()) for one in known if one is not None} == {True, False}
 
 
-def test_bench_scores_what_is_known(
-    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bench_scores_what_is_known(dataset, tmp_path, capsys):
     out = tmp_path / "bench"
     code, _, error = run(
         capsys, "bench", dataset, "--quick", "--method", "truth", "--split", "train",
@@ -177,7 +174,7 @@ def test_bench_scores_what_is_known(
     assert run(capsys, "bench", dataset, "--study", "-o", out)[0] == 1
 
 
-def test_networks_learn_from_what_is_known(dataset: Path, tmp_path: Path) -> None:
+def test_networks_learn_from_what_is_known(dataset, tmp_path):
     maps = Maps(opened([dataset], "train"), "train")
     batch = next(load(maps, [[0, 1]], workers=0, pinned=False))
     TudfOf(maps.grid).complete(batch)
@@ -213,12 +210,12 @@ def test_networks_learn_from_what_is_known(dataset: Path, tmp_path: Path) -> Non
     ],
 )
 def test_what_a_map_lacks_ends_in_a_line(
-    dataset: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    options: list[str],
-    said: str,
-) -> None:
+    dataset,
+    tmp_path,
+    capsys,
+    options,
+    said,
+):
     world = dataset.parent / "hall-0.npz"
     code, _, error = run(capsys, "generate", "--scene", world, *options, "-o", tmp_path / "no")
     assert code
@@ -239,9 +236,7 @@ def test_what_a_map_lacks_ends_in_a_line(
         ({"states": np.zeros((4, 4, 4), np.uint8)}, "nothing in it is free"),
     ],
 )
-def test_a_damaged_npz_map_ends_in_a_line(
-    tmp_path: Path, changed: dict[str, np.ndarray], said: str
-) -> None:
+def test_a_damaged_npz_map_ends_in_a_line(tmp_path, changed, said):
     path = write_map(tmp_path / "map.npz", **{"states": hall()} | changed)
     with pytest.raises(SceneError, match=said) as raised:
         read_place(path)
@@ -249,7 +244,7 @@ def test_a_damaged_npz_map_ends_in_a_line(
     assert "map.npz" in str(raised.value)
 
 
-def test_an_npz_of_something_else_is_no_map(tmp_path: Path) -> None:
+def test_an_npz_of_something_else_is_no_map(tmp_path):
     np.savez(tmp_path / "scan.npz", points=np.zeros((4, 3)))
     for content in ((tmp_path / "scan.npz").read_bytes(), b"", b"PK\x03\x04" * 9):
         with pytest.raises(SceneError, match=r"not an \.npz map"):

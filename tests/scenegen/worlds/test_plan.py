@@ -1,7 +1,5 @@
 """ROS's plans become columns of voxels, cell by cell, and damaged ones end in a line."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -25,13 +23,13 @@ free_thresh: 0.196
 """
 
 
-def write(folder: Path, text: str = YAML, shades: object = SHADES) -> Path:
+def write(folder, text=YAML, shades=SHADES):
     Image.fromarray(shades).save(folder / "plan.pgm")
     (folder / "plan.yaml").write_text(text)
     return folder / "plan.yaml"
 
 
-def test_every_cell_is_what_its_shade_says(tmp_path: Path) -> None:
+def test_every_cell_is_what_its_shade_says(tmp_path):
     voxels = read_plan(write(tmp_path), 1.1).voxels
     assert voxels.voxel_m == 0.25
     assert voxels.bounds[:, 2] == pytest.approx([-0.25, 1.25])
@@ -49,7 +47,7 @@ def test_every_cell_is_what_its_shade_says(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("form", ["block list", "negated", "png", "quoted"])
-def test_other_spellings_are_the_same_map(form: str, tmp_path: Path) -> None:
+def test_other_spellings_are_the_same_map(form, tmp_path):
     expected = read_plan(write(tmp_path)).voxels
     if form == "block list":
         text = YAML.replace("[-1.5, 2.0, 0.0]", "\n  - -1.5\n  - 2.0\n  - 0.0")
@@ -65,9 +63,7 @@ def test_other_spellings_are_the_same_map(form: str, tmp_path: Path) -> None:
     assert (found.voxels.origin == expected.origin).all()
 
 
-def test_a_plan_is_a_world_as_high_as_it_is_said_to_be(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_plan_is_a_world_as_high_as_it_is_said_to_be(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write(tmp_path)
     world = read_world("plan.yaml")
@@ -104,7 +100,7 @@ def test_a_plan_is_a_world_as_high_as_it_is_said_to_be(
         (YAML[: YAML.index("0.25") + 4], "image: wide.pgm\nresolution: 1e-3", "a lower --height"),
     ],
 )
-def test_a_damaged_plan_ends_in_a_line(tmp_path: Path, old: str, new: str, said: str) -> None:
+def test_a_damaged_plan_ends_in_a_line(tmp_path, old, new, said):
     path = write(tmp_path, YAML.replace(old, new))
     Image.fromarray(np.zeros((4, 4, 4), np.uint8)).save(tmp_path / "alpha.png")
     (tmp_path / "huge.pgm").write_bytes(b"P5\n9999 9999\n255\n")

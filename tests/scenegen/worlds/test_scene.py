@@ -3,7 +3,6 @@ without a trace."""
 
 import os
 import warnings
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -16,7 +15,7 @@ from lidarsim.parameters import MOST_TRIANGLES
 from lidarsim.solids.model import solids_of
 from scenegen.errors import BrokenError, SceneError
 from scenegen.source import read_scenes
-from scenegen.worlds.scene import Scene, load_scene
+from scenegen.worlds.scene import load_scene
 from scenegen.worlds.screen import screen
 from scenegen.worlds.world import compile_world, quiet_mujoco
 
@@ -37,9 +36,7 @@ ROBOT = """<mujoco><compiler meshdir="parts"/><asset>
 
 
 @pytest.fixture(autouse=True)
-def no_trace(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> object:
+def no_trace(tmp_path, monkeypatch, capfd):
     """Nothing is printed, nothing left in the working folder, no warning raised."""
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
@@ -55,13 +52,13 @@ def no_trace(
     assert list(elsewhere.iterdir()) == []
 
 
-def write(folder: Path, text: str, name: str = "world.xml") -> Path:
+def write(folder, text, name="world.xml"):
     (folder / name).parent.mkdir(parents=True, exist_ok=True)
     (folder / name).write_text(text)
     return folder / name
 
 
-def own_rays(path: Path, origin: np.ndarray, directions: np.ndarray) -> np.ndarray:
+def own_rays(path, origin, directions):
     """MuJoCo's own rays in MuJoCo's own model of a file, planes infinite."""
     spec = mujoco.MjSpec.from_file(str(path))
     for skin in list(spec.skins):
@@ -77,7 +74,7 @@ def own_rays(path: Path, origin: np.ndarray, directions: np.ndarray) -> np.ndarr
     return np.where((np.array(found) < 0) | (np.array(found) > REACH_M), np.inf, found)
 
 
-def assert_as_mujoco_compiles_it(path: Path) -> Scene:
+def assert_as_mujoco_compiles_it(path):
     """The archived document gives MuJoCo's rays, from all around."""
     scene = load_scene(path)
     world = compile_world(scene.mjcf, scene.assets)
@@ -90,7 +87,7 @@ def assert_as_mujoco_compiles_it(path: Path) -> Scene:
     return scene
 
 
-def test_an_attached_model_keeps_its_own_mesh_beside_a_namesake(tmp_path: Path) -> None:
+def test_an_attached_model_keeps_its_own_mesh_beside_a_namesake(tmp_path):
     (tmp_path / "sub" / "parts").mkdir(parents=True)
     trimesh.creation.torus(1.0, 0.3).export(tmp_path / "sub" / "parts" / "arm.obj")
     trimesh.creation.box((3, 3, 3)).export(tmp_path / "arm.obj")
@@ -105,7 +102,7 @@ def test_an_attached_model_keeps_its_own_mesh_beside_a_namesake(tmp_path: Path) 
     assert_as_mujoco_compiles_it(write(tmp_path, ATTACHED.format(assets="")))
 
 
-def test_every_kind_of_geom_lies_where_mujoco_puts_it(tmp_path: Path) -> None:
+def test_every_kind_of_geom_lies_where_mujoco_puts_it(tmp_path):
     trimesh.creation.torus(1.5, 0.4).export(tmp_path / "ring.stl")
     heights = np.random.default_rng(0).random((9, 7)).astype(np.float32)
     (tmp_path / "hill.bin").write_bytes(np.array([9, 7], np.int32).tobytes() + heights.tobytes())
@@ -133,7 +130,7 @@ def test_every_kind_of_geom_lies_where_mujoco_puts_it(tmp_path: Path) -> None:
     screen(scene.mjcf, scene.assets, "what generate archives, verify takes")
 
 
-def test_what_only_dresses_geoms_is_not_needed(tmp_path: Path) -> None:
+def test_what_only_dresses_geoms_is_not_needed(tmp_path):
     trimesh.creation.box((1, 2, 3)).export(tmp_path / "box.stl")
     sides = " ".join(
         f'file{side}="absent.png"' for side in ("right", "left", "up", "down", "front", "back")
@@ -158,7 +155,7 @@ def test_what_only_dresses_geoms_is_not_needed(tmp_path: Path) -> None:
     assert [name.rpartition("-")[2] for name in scene.assets] == ["m.msh"]
 
 
-def test_memory_that_a_file_asks_for_beside_its_geoms_is_not_taken(tmp_path: Path) -> None:
+def test_memory_that_a_file_asks_for_beside_its_geoms_is_not_taken(tmp_path):
     """MuJoCo would fill gigabytes, for as long as a reader's limits let it."""
     path = tmp_path / "w.xml"
     path.write_text(
@@ -168,7 +165,7 @@ def test_memory_that_a_file_asks_for_beside_its_geoms_is_not_taken(tmp_path: Pat
     assert len(compile_world(load_scene(path).mjcf).solids) == 1
 
 
-def test_plugins_that_move_things_are_left_out_of_what_is_archived(tmp_path: Path) -> None:
+def test_plugins_that_move_things_are_left_out_of_what_is_archived(tmp_path):
     path = write(
         tmp_path,
         '<mujoco><extension><plugin plugin="mujoco.pid"/></extension><compiler '
@@ -182,7 +179,7 @@ def test_plugins_that_move_things_are_left_out_of_what_is_archived(tmp_path: Pat
     assert b"plugin" not in scene.mjcf
 
 
-def test_boxes_that_share_an_edge_are_filled_and_open_meshes_are_told_of(tmp_path: Path) -> None:
+def test_boxes_that_share_an_edge_are_filled_and_open_meshes_are_told_of(tmp_path):
     one, other = trimesh.creation.box((2, 2, 2)), trimesh.creation.box((2, 2, 2))
     other.apply_translation((2, 2, 0))
     touching = trimesh.util.concatenate([one, other])
@@ -238,9 +235,7 @@ WHOLE = {f"<mujoco><worldbody>{geom}</worldbody></mujoco>": said for geom, said 
 
 
 @pytest.mark.parametrize(("text", "said"), [*WHOLE.items(), *ASSETS.items()])
-def test_what_no_world_can_have_ends_in_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, said: str
-) -> None:
+def test_what_no_world_can_have_ends_in_one_line(tmp_path, monkeypatch, text, said):
     """Soon, and whatever memory it asks for, for MuJoCo reads it in a process with limits."""
     heights = np.zeros((16, 16), np.float32)
     heights[3, 3] = np.nan
@@ -258,7 +253,7 @@ def test_what_no_world_can_have_ends_in_one_line(
     assert len(str(caught.value).splitlines()) == 1
 
 
-def test_parts_of_a_folder_are_no_worlds(tmp_path: Path) -> None:
+def test_parts_of_a_folder_are_no_worlds(tmp_path):
     folder = tmp_path / "worlds"
     write(folder, '<mujocoinclude><geom size="1"/></mujocoinclude>', "part.xml")
     write(folder, '<mujoco><asset><material name="m"/></asset></mujoco>', "assets.xml")
@@ -279,7 +274,7 @@ def test_parts_of_a_folder_are_no_worlds(tmp_path: Path) -> None:
         read_scenes(folder / "part.xml", ONE, seed=0)
 
 
-def test_the_truth_takes_no_numbers_that_a_kernel_cannot() -> None:
+def test_the_truth_takes_no_numbers_that_a_kernel_cannot():
     model = mujoco.MjModel.from_xml_string(HFIELD.format('nrow="3" ncol="3"'))
     model.hfield_data[4] = np.nan
     with pytest.raises(ValueError, match="heights: expected finite numbers"):
@@ -304,16 +299,16 @@ def test_the_truth_takes_no_numbers_that_a_kernel_cannot() -> None:
         ),
     ],
 )
-def test_the_screen_refuses_what_generate_refuses(element: str, said: str) -> None:
+def test_the_screen_refuses_what_generate_refuses(element, said):
     assets = {"f.bin": np.array([65536, 65536, 0], np.int32).tobytes()}
     with pytest.raises(BrokenError) as caught:
         screen(f"<mujoco>{element}</mujoco>".encode(), assets, "w")
     assert said in str(caught.value)
 
 
-def test_a_users_own_handler_of_warnings_comes_back() -> None:
+def test_a_users_own_handler_of_warnings_comes_back():
     before = mujoco.get_mju_user_warning()
-    own: list[str] = []
+    own = []
     try:
         mujoco.set_mju_user_warning(own.append)
         with quiet_mujoco() as told:

@@ -5,7 +5,6 @@ import itertools
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
@@ -17,13 +16,13 @@ GRID = GridSpec(shape=(24, 21, 14))
 
 
 def reference_lengths(
-    occupied: NDArray[np.bool_],
-    grid: GridSpec,
-    step: int,
+    occupied,
+    grid,
+    step,
     *,
-    edge_check: bool,
-    cost: NDArray[np.floating] | None = None,
-) -> dict:
+    edge_check,
+    cost=None,
+):
     """Shortest lengths in metres from the middle to every node that can be reached, by voxel; a
     metre is longer by the mean `cost` of the voxels on the way.
 
@@ -57,7 +56,7 @@ def reference_lengths(
     return {voxel: lengths[n] for voxel, n in number.items() if np.isfinite(lengths[n])}
 
 
-def weighed(cost: NDArray[np.floating] | None, voxel: tuple, there: tuple) -> float:
+def weighed(cost, voxel, there):
     """The mean cost of the voxels stepped on from one node to the next, the first left out."""
     if cost is None:
         return 0.0
@@ -66,7 +65,7 @@ def weighed(cost: NDArray[np.floating] | None, voxel: tuple, there: tuple) -> fl
     return float(cost[tuple(np.rint(line).astype(int).T)].mean())
 
 
-def length_of(path: NDArray[np.float64]) -> float:
+def length_of(path):
     return float(np.sqrt((np.diff(path, axis=0) ** 2).sum(axis=1)).sum())
 
 

@@ -81,14 +81,12 @@ def test_the_risk_asked_is_the_risk_had():
     rng = np.random.default_rng(0)
     shrunk_m, share = [0.0, 0.4, 0.8, 1.2, 1.6], [0.2, 0.2, 0.2, 0.2, 0.2]
 
-    def world(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    def world(seed):
         truth = scattered(seed)
         tudf = distance_field(truth, GRID)
         return truth, np.minimum(tudf + rng.choice(shrunk_m, p=share), 2).astype(np.float32)
 
-    def collisions(
-        found: Calibration, truth: np.ndarray, said: np.ndarray, seed: int
-    ) -> np.ndarray:
+    def collisions(found, truth, said, seed):
         goals = draw_trials(truth, GRID, PLAN, count=2, rng=np.random.default_rng(seed)).goals
         lows = [found.low(said, None, risk) for risk in found.risks]
         plans = [

@@ -4,13 +4,12 @@ import itertools
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import RegularGridInterpolator
 
 from lidarsim import GridSpec
 from scenegen.model.evaluation.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import Lattice, plan_path
-from scenegen.model.evaluation.planning.measure import Measurement, draw_trials, run_trial
+from scenegen.model.evaluation.planning.measure import draw_trials, run_trial
 from scenegen.model.evaluation.planning.refine import refine
 from scenegen.truth import distance_field
 
@@ -23,22 +22,20 @@ FREE = np.zeros(GRID.shape, bool)
 FAR = np.full(GRID.shape, 2.0, np.float32)
 
 
-def filled(*slices: tuple) -> NDArray[np.bool_]:
+def filled(*slices):
     occupied = FREE.copy()
     for part in slices:
         occupied[part] = True
     return occupied
 
 
-def trial(
-    pred: NDArray, truth: NDArray, goal: ArrayLike = EAST, **parameters: object
-) -> Measurement:
+def trial(pred, truth, goal=EAST, **parameters):
     config = PlanConfig(**parameters)  # type: ignore[arg-type]
     fields = distance_field(pred, GRID), distance_field(truth, GRID)
     return run_trial(pred, fields[0], truth, fields[1], goal, GRID, config)
 
 
-def scattered(seed: int) -> NDArray[np.bool_]:
+def scattered(seed):
     """Random pillars and blocks, free around the start."""
     rng = np.random.default_rng(seed)
     occupied = FREE.copy()

@@ -3,7 +3,6 @@ real maps."""
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
 from lidarsim import GridSpec
@@ -15,30 +14,26 @@ from scenegen.truth import distance_field
 GRID = GridSpec(shape=(20, 16, 12), voxel_m=0.25)
 
 
-def reference_field(tudf: NDArray, grid: GridSpec, points: NDArray) -> NDArray[np.float64]:
+def reference_field(tudf, grid, points):
     """scipy's linear interpolation at points moved to the nearest place between voxel centres."""
     axes = [(np.arange(n) + 0.5) * grid.voxel_m for n in grid.shape]
     held = np.clip(points, [a[0] for a in axes], [a[-1] for a in axes])
     return RegularGridInterpolator(axes, tudf.astype(np.float64))(held)
 
 
-def reference_cost(
-    path: NDArray, tudf: NDArray, grid: GridSpec, safety_m: float, weight: float
-) -> float:
+def reference_cost(path, tudf, grid, safety_m, weight):
     bends = path[2:] - 2 * path[1:-1] + path[:-2]
     lack = np.maximum(0.0, safety_m - reference_field(tudf, grid, path[1:-1]))
     return float((bends**2).sum() + weight * (lack**2).sum())
 
 
-def cost(path: NDArray, tudf: NDArray, grid: GridSpec, config: PlanConfig) -> float:
+def cost(path, tudf, grid, config):
     return _cost(
         path, tudf.astype(np.float32), grid.voxel_m, config.safety_m, config.clearance_weight
     )
 
 
-def gradient(
-    path: NDArray, tudf: NDArray, grid: GridSpec, config: PlanConfig
-) -> NDArray[np.float64]:
+def gradient(path, tudf, grid, config):
     slope = np.empty_like(path)
     _gradient(
         path, tudf.astype(np.float32), grid.voxel_m, config.safety_m, config.clearance_weight, slope
@@ -46,12 +41,12 @@ def gradient(
     return slope
 
 
-def interpolate(tudf: NDArray, points: NDArray, grid: GridSpec) -> NDArray[np.float64]:
+def interpolate(tudf, points, grid):
     field = tudf.astype(np.float32)
     return np.array([field_at(field, x, y, z, grid.voxel_m)[0] for x, y, z in points])
 
 
-def searched(rng: np.random.Generator, grid: GridSpec, density: float) -> tuple[NDArray, NDArray]:
+def searched(rng, grid, density):
     """A random map's distance field, and A*'s path across it."""
     lattice = Lattice(grid, 3)
     while True:

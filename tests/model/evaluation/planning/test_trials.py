@@ -3,7 +3,6 @@ stream."""
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from lidarsim import GridSpec
 from scenegen.model.evaluation.config import PlanConfig
@@ -13,7 +12,7 @@ from scenegen.model.evaluation.planning.measure import draw_trials
 GRID = GridSpec(shape=(40, 40, 20))
 
 
-def scattered(seed: int, density: float) -> NDArray[np.bool_]:
+def scattered(seed, density):
     occupied = np.random.default_rng(seed).random(GRID.shape) < density
     occupied[20, 20, 10] = False
     return occupied

@@ -3,9 +3,7 @@
 import json
 import operator
 import shutil
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +23,7 @@ from scenegen.share.stage import Request, examine
 from scenegen.source import DrawnWorlds, read_scenes
 from scenegen.tables import named_noise
 from scenegen.verification import verify
-from tests.conftest import SMALL, Once, small_recipe
+from tests.conftest import SMALL, small_recipe
 from tests.scenegen.verification import forge
 
 COUNTS = {"train": 11, "val": 4, "test": 5}
@@ -34,7 +32,7 @@ WORLD = """<mujoco><worldbody><geom name="floor" type="plane" size="8 8 .1" pos=
 <geom type="box" size="8 8 .1" pos="8 8 -.1"/></worldbody></mujoco>"""
 
 
-def make(folder: Path, seed: int, **tables: dict) -> Path:
+def make(folder, seed, **tables):
     recipe = small_recipe(**tables)
     build(
         plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=seed, counts=COUNTS, shard_samples=3)
@@ -43,34 +41,34 @@ def make(folder: Path, seed: int, **tables: dict) -> Path:
 
 
 @pytest.fixture(scope="session")
-def first(once: Once) -> Path:
+def first(once):
     """A dataset; not to be changed."""
     return once("gather-first", lambda folder: make(folder, 1))
 
 
 @pytest.fixture(scope="session")
-def second(once: Once) -> Path:
+def second(once):
     """One of other worlds; not to be changed."""
     return once("gather-second", lambda folder: make(folder, 2))
 
 
-def merged(out: Path, *folders: Path, workers: int = 1) -> Dataset:
+def merged(out, *folders, workers=1):
     assert build(
         plan_merge([Dataset(one) for one in folders], out, workers=workers), workers=workers
     ).complete
     return Dataset(out)
 
 
-def taken(out: Path, folder: Path, **choice: Any) -> Dataset:
+def taken(out, folder, **choice):
     assert build(plan_take(Dataset(folder), out, Choice(**choice))).complete
     return Dataset(out)
 
 
-def content(folder: Path) -> dict[str, bytes]:
+def content(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def who(dataset: Dataset) -> dict[tuple[bytes, str], bytes]:
+def who(dataset):
     """Every sample by what it shows and its split, and the bytes of its world."""
     return {
         (sample.ranges.tobytes() + sample.position.tobytes(), split): dataset.world(
@@ -81,14 +79,14 @@ def who(dataset: Dataset) -> dict[tuple[bytes, str], bytes]:
     }
 
 
-def sound(folder: Path) -> dict[str, Any]:
+def sound(folder):
     report = verify(folder)
     assert report.ok, [check for check in report.checks if not check.ok]
     return {check.name: check for check in report.checks}
 
 
 @pytest.mark.parametrize("scenes", [None, 1, 4])
-def test_a_samples_place_is_known_by_its_name_and_its_name_by_its_place(scenes: int | None) -> None:
+def test_a_samples_place_is_known_by_its_name_and_its_name_by_its_place(scenes):
     numbering, places = Numbering(viewpoints=3, scenes=scenes), np.arange(50)
     world, viewpoint = numbering.name(places)
     assert (numbering.place(world, viewpoint) == places).all()
@@ -97,9 +95,7 @@ def test_a_samples_place_is_known_by_its_name_and_its_name_by_its_place(scenes: 
         assert list(numbering.worlds(start, 7)) == sorted(set(world[start : start + 7].tolist()))
 
 
-def test_a_merged_dataset_holds_all_samples_as_they_were(
-    first: Path, second: Path, tmp_path: Path
-) -> None:
+def test_a_merged_dataset_holds_all_samples_as_they_were(first, second, tmp_path):
     found = merged(tmp_path / "m", first, second)
     assert manifest.read(tmp_path / "m")["version"] == 1.4
     assert who(found) == who(Dataset(first)) | who(Dataset(second))
@@ -118,14 +114,12 @@ def test_a_merged_dataset_holds_all_samples_as_they_were(
     assert checks["regenerated"].counts["worlds"] == len(found.manifest.shards)
 
 
-def test_workers_and_interruptions_change_no_byte(
-    first: Path, second: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_workers_and_interruptions_change_no_byte(first, second, tmp_path, monkeypatch):
     merged(tmp_path / "m", first, second)
     merged(tmp_path / "two", first, second, workers=2)
     plan = plan_merge([Dataset(first), Dataset(second)], tmp_path / "cut")
 
-    def stop(report: Any, fresh: bool) -> None:
+    def stop(report, fresh):
         if report.file.startswith("val"):
             raise KeyboardInterrupt
 
@@ -138,9 +132,7 @@ def test_workers_and_interruptions_change_no_byte(
     assert content(tmp_path / "m") == content(tmp_path / "two") == content(tmp_path / "cut")
 
 
-def test_what_is_taken_is_what_a_plain_loop_would_take(
-    first: Path, second: Path, tmp_path: Path
-) -> None:
+def test_what_is_taken_is_what_a_plain_loop_would_take(first, second, tmp_path):
     whole = merged(tmp_path / "m", first, second)
     level = float(np.median([sample.occupancy.mean() for sample in whole.split("train")]))
     where = (Condition("occupied", ">=", level), Condition("sample", "<", 20))
@@ -164,7 +156,7 @@ def test_what_is_taken_is_what_a_plain_loop_would_take(
     sound(tmp_path / "t")
 
 
-def test_what_was_taken_apart_can_be_merged_again(first: Path, tmp_path: Path) -> None:
+def test_what_was_taken_apart_can_be_merged_again(first, tmp_path):
     parts = []
     for sign in ("<", ">="):
         parts.append(tmp_path / f"part{len(parts)}")
@@ -184,7 +176,7 @@ def test_what_was_taken_apart_can_be_merged_again(first: Path, tmp_path: Path) -
     )  # whose samples lie here in another order
 
 
-def test_one_split_keeps_its_files_and_its_names(first: Path, tmp_path: Path) -> None:
+def test_one_split_keeps_its_files_and_its_names(first, tmp_path):
     found, there = taken(tmp_path / "t", first, splits=("test",)), Dataset(first)
     assert {split: len(found.split(split)) for split in SPLITS} == {
         "train": 0,
@@ -198,7 +190,7 @@ def test_one_split_keeps_its_files_and_its_names(first: Path, tmp_path: Path) ->
     assert examine_refuses(tmp_path / "t", tmp_path)
 
 
-def examine_refuses(folder: Path, tmp_path: Path) -> str:
+def examine_refuses(folder, tmp_path):
     with pytest.raises(DatasetError, match="scan those again"):
         plan_rescan(Dataset(folder), tmp_path / "again")
     with pytest.raises(Exception, match="publish a dataset of each") as refused:
@@ -206,9 +198,7 @@ def examine_refuses(folder: Path, tmp_path: Path) -> str:
     return str(refused.value)
 
 
-def test_a_dataset_scanned_again_is_verified_as_far_as_its_flights_go(
-    first: Path, tmp_path: Path
-) -> None:
+def test_a_dataset_scanned_again_is_verified_as_far_as_its_flights_go(first, tmp_path):
     there = Dataset(first)
     build(plan_rescan(there, tmp_path / "again", chain=named_noise("range:0.02", there.lidar)))
     taken(tmp_path / "t", tmp_path / "again", where=(Condition("viewpoint", "=", 1.0),))
@@ -218,7 +208,7 @@ def test_a_dataset_scanned_again_is_verified_as_far_as_its_flights_go(
     assert not sound(tmp_path / "u")["regenerated"].skipped
 
 
-def test_worlds_from_files_are_merged_where_they_are_in_one_split(tmp_path: Path) -> None:
+def test_worlds_from_files_are_merged_where_they_are_in_one_split(tmp_path):
     folder = tmp_path / "scenes"
     folder.mkdir()
     for n in range(3):
@@ -227,7 +217,7 @@ def test_worlds_from_files_are_merged_where_they_are_in_one_split(tmp_path: Path
         "scene", {name: SMALL[name] for name in ("flight", "lidar", "grid", "accept")}, where="test"
     )
 
-    def scenes(name: str, path: Path, counts: dict[str, int], seed: int) -> Path:
+    def scenes(name, path, counts, seed):
         source = read_scenes(path, counts, seed=seed)
         build(
             plan_dataset(tmp_path / name, recipe, source, seed=seed, counts=counts, shard_samples=3)
@@ -268,9 +258,7 @@ def test_worlds_from_files_are_merged_where_they_are_in_one_split(tmp_path: Path
         (lambda it: it.pop("sources"), "version = 1.4"),
     ],
 )
-def test_a_strangers_sources_are_not_trusted(
-    first: Path, tmp_path: Path, damage: Callable[[Any], object], said: str
-) -> None:
+def test_a_strangers_sources_are_not_trusted(first, tmp_path, damage, said):
     taken(tmp_path / "t", first, splits=("val",))
     there = manifest.read(tmp_path / "t")
     damage(there)
@@ -280,9 +268,7 @@ def test_a_strangers_sources_are_not_trusted(
     assert not verify(tmp_path / "t", quick=True).ok
 
 
-def test_a_false_account_of_where_samples_are_from_does_not_pass(
-    first: Path, second: Path, tmp_path: Path
-) -> None:
+def test_a_false_account_of_where_samples_are_from_does_not_pass(first, second, tmp_path):
     merged(tmp_path / "m", first, second)
     there = manifest.read(tmp_path / "m")
     for wrong in ({"source": 1}, {"start": 3, "stop": 6}, {"start": 0, "stop": 6}):
@@ -292,9 +278,7 @@ def test_a_false_account_of_where_samples_are_from_does_not_pass(
         assert not verify(tmp_path / "m", quick=True).ok, wrong
 
 
-def test_a_sources_digest_is_held_against_its_samples_where_all_are_there(
-    first: Path, second: Path, tmp_path: Path
-) -> None:
+def test_a_sources_digest_is_held_against_its_samples_where_all_are_there(first, second, tmp_path):
     taken(tmp_path / "part", second, where=(Condition("viewpoint", "<", 1.0),))
     merged(tmp_path / "m", first, tmp_path / "part")
     assert "only a part of their samples is there" in sound(tmp_path / "m")["digest"].detail
@@ -307,7 +291,7 @@ def test_a_sources_digest_is_held_against_its_samples_where_all_are_there(
         assert found.ok == passes, found
 
 
-def test_a_sample_is_not_there_twice(first: Path, tmp_path: Path) -> None:
+def test_a_sample_is_not_there_twice(first, tmp_path):
     taken(tmp_path / "t", first, splits=("train",))
     there = manifest.read(tmp_path / "t")
     again = there["shards"][-1] | {"file": "train-00009.h5", "worlds": "train-00009.worlds.zip"}
@@ -320,12 +304,12 @@ def test_a_sample_is_not_there_twice(first: Path, tmp_path: Path) -> None:
     assert "are there twice" in found["digest"]
 
 
-def moved(arrays: forge.Arrays) -> None:
+def moved(arrays):
     for name in ("position", "origin"):
         arrays[name] = arrays[name] + 0.05
 
 
-def nearer(arrays: forge.Arrays) -> None:
+def nearer(arrays):
     arrays["tudf"] = arrays["tudf"] / 2
 
 
@@ -339,8 +323,8 @@ def nearer(arrays: forge.Arrays) -> None:
     ],
 )
 def test_nothing_is_made_of_samples_that_are_not_what_their_dataset_says(
-    first: Path, second: Path, tmp_path: Path, change: Any, signed: bool, said: str
-) -> None:
+    first, second, tmp_path, change, signed, said
+):
     folder = Path(shutil.copytree(first, tmp_path / "bad"))
     listed = (folder / manifest.NAME).read_bytes()
     if change is None:
@@ -365,10 +349,8 @@ def test_nothing_is_made_of_samples_that_are_not_what_their_dataset_says(
             build(plan)
 
 
-def test_datasets_that_do_not_go_together_are_refused(
-    first: Path, second: Path, tmp_path: Path
-) -> None:
-    def refused(*folders: Path) -> str:
+def test_datasets_that_do_not_go_together_are_refused(first, second, tmp_path):
+    def refused(*folders):
         with pytest.raises(DatasetError) as error:
             plan_merge([Dataset(one) for one in folders], tmp_path / "m")
         assert not (tmp_path / "m").exists()
@@ -394,14 +376,14 @@ def test_datasets_that_do_not_go_together_are_refused(
 @pytest.mark.parametrize(
     "text", ["occupied", "occupied>", ">3", "weight>3", "occupied>>3", "occupied>x", "free=1e"]
 )
-def test_a_condition_that_cannot_be_read_is_refused_in_one_line(text: str) -> None:
+def test_a_condition_that_cannot_be_read_is_refused_in_one_line(text):
     with pytest.raises(ValueError, match="expected a name, a sign and a number") as error:
         Condition.of(text)
     assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("sign", ["<", "<=", ">", ">=", "="])
-def test_a_condition_says_what_its_sign_says(sign: str) -> None:
+def test_a_condition_says_what_its_sign_says(sign):
     condition = Condition.of(f" range_m {sign} 2.5 ")
     assert Condition.of(str(condition)) == condition
     plain = {
