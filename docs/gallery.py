@@ -1,0 +1,156 @@
+"""Draw the gallery's sheets of sensors, noise and networks, and write its page.
+
+python docs/gallery.py          writes docs/gallery.md and docs/pictures/gallery/*.webp
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+
+from lidarsim import Pose
+from lidarsim.noise import STAGES
+from lidarsim.noise.chain import Noise
+from lidarsim.sensors import CATALOGUE, RASTER
+from lidarsim.sensors.device import angles_deg
+from scenegen.display.colours import DISTANCES, colour
+from scenegen.display.panels import to_bytes
+from scenegen.draw import scan_world
+from scenegen.recipes import kind_names
+from scenegen.source import read_world
+from scenegen.tables import named_lidar
+
+DOCS = Path(__file__).parent
+SHEETS = DOCS / "pictures" / "gallery"
+SCENE = DOCS.parent / "scenes" / "warehouse.xml"
+POSE = Pose.level((8.0, 6.0, 1.5), np.radians(30))
+FAR_M = 20.0
+"""What is farther has the last colour, metres."""
+SCALE = ListedColormap(colour(np.linspace(0, 1, 256), DISTANCES))
+SHOWN = {
+    "motion": "motion:8:yaw_rate_deg_s=180",
+    "divergence": "divergence:20",
+    "near": "near:5",
+    "range": "range:0.15",
+    "depth": "depth:0.01",
+    "quantise": "quantise:0.5",
+    "dropout": "dropout:0.4",
+    "far": "far:1:power=1",
+    "grazing": "grazing:50",
+    "faint": "faint:10",
+    "spurious": "spurious:0.03",
+    "intensity": "intensity:0.05",
+}
+"""Every stage, stronger than a sensor has it, so that it is seen."""
+PAGE = """# Gallery
+
+Written by `python docs/gallery.py`; the pictures of worlds by `python docs/pictures.py`.
+
+## Worlds
+
+Every [kind of world](worlds.md), as its preset draws it: the solids, the viewpoints of a flight,
+and the map's box about one of them.
+
+{worlds}
+
+## Sensors
+
+Every [sensor](sensor.md#sensors-that-people-have) by its name, at one pose in
+`scenes/warehouse.xml`. A dot is a return: azimuth from 180° at the left to −180°, elevation from
+−60° to 60°, dark for near, yellow for {far:g} m and more.
+
+![every sensor's returns of the same scene](pictures/gallery/sensors.webp)
+
+## Noise
+
+Every [stage of noise](sensor.md#noise), seen from above in the same scene: grey without it,
+coloured by range with it (`intensity`: by brightness). Stages are stronger here than a sensor has
+them.
+
+![every stage of noise, before and after](pictures/gallery/noise.webp)
+
+## Networks, at home
+
+The paper's three networks on a test sample of `geometric`, a kind that they learned from
+([training](training.md)); magenta is missed, black is invented.
+
+![completions beside the truth](pictures/look/completions.webp)
+
+## Networks, away
+
+`anywhere` in real places, none of which it was trained in: of each, the map with the median IoU
+([results](results/real.md)).
+
+| a building, indoors | a campus |
+|---|---|
+| ![geb079](pictures/real/geb079.png) | ![fr_campus](pictures/real/fr_campus.png) |
+"""
+
+
+def main() -> None:
+    """Write the page and its sheets."""
+    SHEETS.mkdir(parents=True, exist_ok=True)
+    world = read_world(SCENE)
+    for name, figure in (("sensors", sensors(world)), ("noise", noise(world))):
+        (SHEETS / f"{name}.webp").write_bytes(to_bytes(figure, ".webp"))
+    names = kind_names()
+    cells = [f"| ![{name}](pictures/{name}.png) " for name in names]
+    rows = ["| | |", "|---|---|"]
+    for first in range(0, len(names), 2):
+        rows.append("".join(f"| `{name}` " for name in names[first : first + 2]) + "|")
+        rows.append("".join(cells[first : first + 2]) + "|")
+    page = PAGE.format(worlds="\n".join(rows), far=FAR_M)
+    (DOCS / "gallery.md").write_text(page, encoding="utf-8")
+
+
+def panels(count: int, columns: int, size: tuple[float, float]) -> tuple[Figure, list[Any]]:
+    """A sheet of so many panels without axes, inches each."""
+    rows = -(-count // columns)
+    figure = Figure(figsize=(columns * size[0], rows * size[1]), dpi=90, layout="constrained")
+    every = list(figure.subplots(rows, columns, squeeze=False).flat)
+    for panel in every:
+        panel.set(xticks=[], yticks=[])
+    for panel in every[count:]:
+        panel.remove()
+    return figure, every[:count]
+
+
+def sensors(world: Any) -> Figure:
+    """Every sensor's returns by their angles, coloured by range."""
+    names = (RASTER, *CATALOGUE)
+    figure, every = panels(len(names), 3, (4.2, 1.7))
+    for panel, name in zip(every, names, strict=True):
+        lidar = named_lidar(name)
+        ranges = scan_world(world, lidar, POSE, seed=0).ranges.reshape(-1)
+        up, around = angles_deg(lidar.directions_body.reshape(-1, 3))
+        hit = np.isfinite(ranges)
+        panel.scatter(around[hit], up[hit], s=0.3, c=ranges[hit], cmap=SCALE, vmin=0, vmax=FAR_M)
+        panel.set(xlim=(180, -180), ylim=(-60, 60))
+        panel.set_title(name, fontsize=9)
+    return figure
+
+
+def noise(world: Any) -> Figure:
+    """Every stage's returns from above, over the clean ones in grey; metres."""
+    assert set(SHOWN) == set(STAGES.known), "a stage of noise is not shown"
+    lidar = named_lidar("velodyne-vlp-16")
+    figure, every = panels(len(SHOWN), 4, (3.2, 2.6))
+    clean = scan_world(world, lidar, POSE, seed=0).points()
+    for panel, text in zip(every, SHOWN.values(), strict=True):
+        seen = scan_world(world, lidar, POSE, Noise.parse(text), seed=0)
+        points = seen.points()
+        value = np.linalg.norm(points - POSE.position, axis=1) / FAR_M
+        if seen.intensity is not None:
+            value = seen.intensity[np.isfinite(seen.ranges)]
+        panel.scatter(*clean[:, :2].T, s=0.2, color="0.75")
+        panel.scatter(*points[:, :2].T, s=0.3, c=value, cmap=SCALE, vmin=0, vmax=1)
+        low, high = clean[:, :2].min(0) - 1, clean[:, :2].max(0) + 1
+        panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+        panel.set_title(text, fontsize=9)
+    return figure
+
+
+if __name__ == "__main__":
+    main()
