@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -64,7 +65,8 @@ def test_a_fit_machine_is_found_fit(monkeypatch, tmp_path):
 
 def test_a_law_broken_once_is_not_forgotten(monkeypatch):
     """By the first unit of many."""
-    monkeypatch.setattr(doctor, "SELF_TEST_S", 0.3)
+    clock = itertools.count(step=0.01)  # of ten units
+    monkeypatch.setattr(doctor, "time", SimpleNamespace(perf_counter=lambda: next(clock)))
     broken = without_one_solid_voxel
     spoil(monkeypatch, lambda n, sample: broken(n, sample) if n == 2 else sample)
     found = doctor.self_test()
