@@ -90,7 +90,7 @@ def tables(found: dict[str, list[Row]]) -> list[str]:
             for title, of in FIGURES.items()
         ]
         step = np.mean([one.step_s for _, one in rows]) * 1e3
-        lines.append(line(f"`{name}`", [*cells, f"{step:.1f}"]))
+        lines.append(line(f"`{Path(name).stem}`", [*cells, f"{step:.1f}"]))
     for base in filter(found.__contains__, BASELINES):
         lines += ["", f"## Flight by flight, less `{base}`", "", *head(["success", "score"])]
         for name, rows in found.items():
@@ -100,7 +100,7 @@ def tables(found: dict[str, list[Row]]) -> list[str]:
                 differences = [of(one) - of(other) for (_, one), (_, other) in pairs]
                 one = figure(differences, [course.sha256 for course, _ in rows])
                 cells.append(f"{one['mean']:+.3f} {interval(one, '+.3f')}")
-            lines.append(line(f"`{name}`", cells))
+            lines.append(line(f"`{Path(name).stem}`", cells))
     courses = list(dict.fromkeys(course for course, _ in next(iter(found.values()))))
     lines += ["", "## How hard the courses are", "", *head(["shortest way to straight line"])]
     for difficulty in DIFFICULTIES:
@@ -121,7 +121,7 @@ def tables(found: dict[str, list[Row]]) -> list[str]:
             parts = [[row for row in rows if key(row[0]) == group] for group in groups]
             shares = [told(part, success, "outcome") if part else None for part in parts]
             cells = [f"{one['mean']:.2f}" if one else "–" for one in shares]
-            lines.append(line(f"`{name}`", cells))
+            lines.append(line(f"`{Path(name).stem}`", cells))
     return lines
 
 
@@ -142,7 +142,7 @@ def first_plans(found: dict[str, list[Row]]) -> list[str]:
         is_free, worlds = np.array(free), [course.sha256 for course, _ in rows]
         parts = [np.where(is_free == value, reached, np.nan) for value in (True, False)]
         shares = [figure(free, worlds, "outcome"), *(figure(one, worlds) for one in parts)]
-        lines.append(line(f"`{name}`", map(brief, shares)))
+        lines.append(line(f"`{Path(name).stem}`", map(brief, shares)))
     return lines
 
 
