@@ -44,7 +44,7 @@ FIGURES: dict[str, Callable[[Flown], float]] = {
 
 
 def main() -> None:
-    """Fly what is missing, and write the page."""
+    """Fly what is missing; print the tables, and write them to the page."""
     parser = measuring.options(__doc__)
     parser.add_argument("entries", type=Path, nargs="?", help="folder of the entries")
     parser.add_argument("--every", type=int, default=10, help="one of so many courses")
@@ -60,6 +60,7 @@ def main() -> None:
         }
     said = given.page.read_text().partition("<!-- tables -->")[0] if given.page.is_file() else ""
     lines = [*tables(found), "", *first_plans(found), "", period(courses[0])]
+    print("\n".join(lines))
     given.page.write_text(f"{said}<!-- tables -->\n" + "\n".join(lines) + "\n")
 
 

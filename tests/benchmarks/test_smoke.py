@@ -33,7 +33,7 @@ SCRIPTS: dict[str, tuple[tuple[object, ...], tuple[str, ...]]] = {
     ),
     "executors": ((), (r"rank +N +N +N +N +N\n", RAY)),
     "extras": ((), (r"the core \| N \|", r"`\[train\]` \| N \|")),
-    "fly": ((), ("N ms a simulated period", r"robot reactive  flights N", r"step_s N")),
+    "fly": ((), ("takes N ms of processor time", r"`optimistic` \| N", r"easy \| N")),
     "folders": (
         (),
         (

@@ -37,7 +37,7 @@ function = translated(kernel(words))
 
 
 @wp.kernel
-def each(values, results):
+def each(values: wp.array2d[wp.float64], results: wp.array[wp.float64]) -> None:
     n = wp.tid()
     results[n] = function(values[n, 0], values[n, 1], values[n, 2])
 
