@@ -22,6 +22,7 @@ from scenegen.source import Source
 from scenegen.truth import distance_field
 from scenegen.worlds.flight import Viewpoints, fly, viewpoints
 from scenegen.worlds.labels import label_fields
+from scenegen.worlds.mapping import Known
 from scenegen.worlds.place import Place
 from scenegen.worlds.world import World
 
@@ -187,31 +188,40 @@ def _look(
     if returned < scan.ranges.size * accept.min_returned_share:
         rejected.viewpoints["few_returns"] += 1
         return None
+    known = recipe.known
+    if known is not None:  # first, for it costs least
+        rays = rays_known(world, scan, known)
+        if (~rays).mean() > known.most_marked_share:
+            rejected.viewpoints["rays_unknown"] += 1
+            return None
     truth = truth_of(world, scan, recipe)
     occupied = truth["occupancy"]
     if np.count_nonzero(occupied) / occupied.size < accept.min_occupied_share:
         rejected.viewpoints["few_occupied"] += 1
         return None
-    if recipe.known is not None:
-        if truth["known"].mean() < recipe.known.least_share:
+    if known is not None:
+        truth["ray_known"] = rays
+        if truth["known"].mean() < known.least_share:
             rejected.viewpoints["few_known"] += 1
-            return None
-        if (~truth["ray_known"]).mean() > recipe.known.most_marked_share:
-            rejected.viewpoints["rays_unknown"] += 1
             return None
     return scan, truth
 
 
 def truth_of(world: World | Place, scan: Scan, recipe: Recipe) -> dict[str, np.ndarray]:
-    """The fields of a sample that say what is there, and what of it is known, at its own `scan`."""
+    """The fields of a sample that say what is there at its own `scan`, and what of it is known."""
     truth: dict[str, np.ndarray] = world.truth(
         recipe.grid, recipe.mapping.origin(recipe.grid, scan.pose)
     )
     if recipe.known is not None:
         truth.setdefault("known", np.ones(recipe.grid.shape, np.bool_))
-        unknown = world.unknown_m(scan) if isinstance(world, Place) else np.zeros(scan.ranges.shape)
-        truth["ray_known"] = unknown <= recipe.known.most_unknown_m
     return truth
+
+
+def rays_known(world: World | Place, scan: Scan, known: Known) -> np.ndarray:
+    """Which rays of a scan cross little unknown space before they return, (*lidar.shape)."""
+    if not isinstance(world, Place):
+        return np.ones(scan.ranges.shape, np.bool_)
+    return np.asarray(world.unknown_m(scan) <= known.most_unknown_m)
 
 
 def _solids_nearby(world: World | Place, candidates: Viewpoints, recipe: Recipe) -> float:

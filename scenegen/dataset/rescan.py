@@ -23,6 +23,7 @@ from scenegen.draw import (
     Unit,
     engine_of,
     flight_rng,
+    rays_known,
     samples_of,
     scans_from,
     truth_of,
@@ -90,7 +91,10 @@ def scan_again(
     views = []
     for before in poses:
         scans = scans_from(before, caster, recipe.lidar)
-        views.append((scans, truth_of(world, scans[0], recipe)))
+        truth = truth_of(world, scans[0], recipe)
+        if recipe.known is not None:
+            truth["ray_known"] = rays_known(world, scans[0], recipe.known)
+        views.append((scans, truth))
     samples = samples_of(views, recipe, world, caster, seed, split, unit, names, derived)
     return Unit(names[0], world, samples, Rejections())
 

@@ -47,38 +47,49 @@ def _axis(first, edge, voxel_m, count, most):
 
 
 @kernel
-def _share(number, first, edge, n):
-    """The part of voxel n, along one axis, that lies in the map's voxel `number`."""
-    low, high = first + n * edge, first + (n + 1) * edge
-    return max(min(high, number + 1.0) - max(low, float(number)), 0.0) / edge
+def _shares(spans, first, edge):
+    """The part of each voxel, along one axis, that lies in each of the map's voxels that it
+    overlaps: (count, most of them)."""
+    found = np.zeros((len(spans), math.ceil(edge) + 1))
+    for n in range(len(spans)):
+        low, high = first + n * edge, first + (n + 1) * edge
+        for number in range(spans[n, 0], spans[n, 1]):
+            part = min(high, number + 1.0) - max(low, float(number))
+            found[n, number - spans[n, 0]] = max(part, 0.0) / edge
+    return found
 
 
 @kernel
 def _resample(states, first, edge, voxel_m, occupancy, known):
+    """Layer by layer along x: columns of the map are summed along z and x first, then along y."""
     nx, ny, nz = occupancy.shape
     xs = _axis(first[0], edge, voxel_m, nx, states.shape[0])
     ys = _axis(first[1], edge, voxel_m, ny, states.shape[1])
     zs = _axis(first[2], edge, voxel_m, nz, states.shape[2])
+    in_x, in_y, in_z = (
+        _shares(xs, first[0], edge),
+        _shares(ys, first[1], edge),
+        _shares(zs, first[2], edge),
+    )
+    low, high = ys[0, 0], ys[ny - 1, 1]
+    occupied, free = np.empty((high - low, nz), np.bool_), np.empty((high - low, nz))
     for i in range(nx):
+        occupied[:], free[:] = False, 0.0
+        for a in range(xs[i, 0], xs[i, 1]):
+            share = in_x[i, a - xs[i, 0]]
+            for b in range(low, high):
+                for k in range(nz):
+                    for c in range(zs[k, 0], zs[k, 1]):
+                        state = states[a, b, c]
+                        if state == OCCUPIED:
+                            occupied[b - low, k] = True
+                        elif state == FREE:
+                            free[b - low, k] += share * in_z[k, c - zs[k, 0]]
         for j in range(ny):
             for k in range(nz):
-                occupied, free = False, 0.0
-                for a in range(xs[i, 0], xs[i, 1]):
-                    for b in range(ys[j, 0], ys[j, 1]):
-                        for c in range(zs[k, 0], zs[k, 1]):
-                            state = states[a, b, c]
-                            if state == OCCUPIED:
-                                occupied = True
-                                break
-                            if state == FREE:
-                                free += (
-                                    _share(a, first[0], edge, i)
-                                    * _share(b, first[1], edge, j)
-                                    * _share(c, first[2], edge, k)
-                                )
-                        if occupied:
-                            break
-                    if occupied:
-                        break
-                occupancy[i, j, k] = occupied
-                known[i, j, k] = occupied or free >= LEAST_KNOWN - 1e-9
+                solid, part = False, 0.0
+                for b in range(ys[j, 0], ys[j, 1]):
+                    solid |= occupied[b - low, k]
+                    part += in_y[j, b - ys[j, 0]] * free[b - low, k]
+                occupancy[i, j, k] = solid
+                known[i, j, k] = solid or part >= LEAST_KNOWN - 1e-9
