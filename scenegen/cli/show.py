@@ -111,9 +111,9 @@ def announce_compilation() -> None:
 
     trouble = cache_trouble("scenegen")
     if trouble:
-        note(f"compiling kernels, about 20 seconds; they cannot be kept: {trouble} …")
+        note(f"compiling kernels, 10 to 20 seconds; they cannot be kept: {trouble} …")
     elif no_kernels("scenegen"):
-        note("compiling kernels: once on this machine, about 20 seconds …")
+        note("compiling kernels: once on this machine, 10 to 20 seconds …")
 
 
 class Progress:
