@@ -31,7 +31,7 @@ def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
     return Attempt(
         words=("ingest", name, *words(INGEST)),
         damage=f"{path.relative_to(here)}: {ascii(said)[:80]}",
-        makes=("out", "out/*"),
+        makes=("out", "out/*", "out.part*"),
         after=_states,
         holds=_holds,
     )

@@ -79,6 +79,8 @@ def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
             asked.append(glob.escape(str(wanted)))
             parents += [glob.escape(str(path)) for path in wanted.parents[:-1]]
         done.append(f"{parameter.name} = {ascii(value)[:80]}")
+    if "--keep" in words:
+        parents.append("*/figures-*.npy")
     if name in DEAR:
         words.append("one word\x1b[2Jtoo many" if random.random() < 0.2 else "--no-such-option")
     return Attempt(
