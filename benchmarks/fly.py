@@ -134,12 +134,11 @@ def first_plans(found: dict[str, list[Row]]) -> list[str]:
     for name, rows in found.items():
         if name in NAMES and name not in MAPPING:
             continue
-        free, reached, numbers = list[bool](), list[bool](), dict[str, int]()
-        for course, one in rows:
-            number = numbers.setdefault(course.sha256, 0)
-            numbers[course.sha256] += 1
-            free.append(first_plan_is_free(course, number, name))
-            reached.append(one.outcome == "success")
+        free = [
+            first_plan_is_free(course, n % course.flights, name)
+            for n, (course, _) in enumerate(rows)
+        ]
+        reached = [one.outcome == "success" for _, one in rows]
         is_free, worlds = np.array(free), [course.sha256 for course, _ in rows]
         parts = [np.where(is_free == value, reached, np.nan) for value in (True, False)]
         shares = [figure(free, worlds, "outcome"), *(figure(one, worlds) for one in parts)]

@@ -186,7 +186,7 @@ def build(
     # kernels compile here, once, before workers start, and hopeless parameters end here, before
     # anything is written
     if missing and (not begun or (len(missing) > 1 and workers > 1)):
-        missing[0].prepare()
+        missing[0].prepare(workers)
     state.open()
     for report in state.reports.values():
         on_shard(report, False)

@@ -83,8 +83,14 @@ def figures_file(dataset: Dataset) -> Path:
 
 def encode_figures(table: NDArray[np.float64]) -> bytes:
     """The content of that file, from the `FIGURES` (samples, figures) of all splits in order."""
+    return _head(len(table)) + table.astype("<f8").tobytes()
+
+
+def _head(samples: int) -> bytes:
+    """What numpy writes before the values of so many samples."""
     file = io.BytesIO()
-    np.save(file, np.ascontiguousarray(table, "<f8").view(ROW)[:, 0])
+    about = {"descr": ROW.descr, "fortran_order": False, "shape": (samples,)}
+    np.lib.format.write_array_header_1_0(file, about)
     return file.getvalue()
 
 
@@ -92,16 +98,15 @@ def kept_figures(dataset: Dataset) -> dict[str, NDArray[np.float64]]:
     """What that file holds, (samples, figures) by split; {} where there is none, or it is not as
     this version writes it."""
     counts = [len(dataset.split(name)) for name in SPLITS]
-    blank = np.zeros((sum(counts), len(COLUMNS)))
-    usual = encode_figures(blank)
+    head = _head(sum(counts))
+    size = len(head) + sum(counts) * ROW.itemsize
     try:
-        content = read_bounded(figures_file(dataset), len(usual))
+        content = read_bounded(figures_file(dataset), size)
     except (OSError, ScenegenError):
         return {}
-    head = len(usual) - blank.nbytes
-    if len(content) != len(usual) or content[:head] != usual[:head]:
+    if len(content) != size or not content.startswith(head):
         return {}
-    table = np.frombuffer(content[head:], "<f8").reshape(blank.shape)
+    table = np.frombuffer(content, "<f8", offset=len(head)).reshape(-1, len(COLUMNS))
     return dict(zip(SPLITS, np.split(table, np.cumsum(counts)[:-1]), strict=True))
 
 

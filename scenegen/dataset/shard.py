@@ -27,7 +27,7 @@ from scenegen.draw import Rejections, Unit, compile_truth, draw_unit
 from scenegen.errors import BrokenError, DatasetError, printable
 from scenegen.files import write_whole
 from scenegen.recipe import Recipe
-from scenegen.run.workers import Worker, cores
+from scenegen.run.workers import START, Worker
 from scenegen.sample import DERIVED, FIELDS
 from scenegen.source import Source
 
@@ -80,8 +80,9 @@ class ShardTask:
         """Where the worlds go."""
         return self.folder / f"{self.split}-{self.index:05d}.worlds.zip"
 
-    def prepare(self) -> None:
-        """Have done in this process what every writing process would else do by itself."""
+    def prepare(self, workers: int = 1) -> None:
+        """Have done, by up to so many processes, what every writing process would else do by
+        itself."""
 
     def write(self) -> "ShardReport":
         """Write the shard."""
@@ -119,12 +120,11 @@ class ShardSpec(ShardTask):
         """Whether samples hold what could be derived."""
         return "tudf" in self.layout
 
-    def prepare(self) -> None:
-        """See `ShardTask`: kernels are compiled, by two processes where there are two cores, and
-        hopeless parameters end here."""
+    def prepare(self, workers: int = 1) -> None:
+        """See `ShardTask`: kernels are compiled, and hopeless parameters end here."""
         with ExitStack() as stack:
-            if cores() > 1 and no_kernels("scenegen") and not cache_trouble("scenegen"):
-                other = Worker(partial(compile_truth, self.source, self.recipe), "fork")
+            if workers > 1 and no_kernels("scenegen") and not cache_trouble("scenegen"):
+                other = Worker(partial(compile_truth, self.source, self.recipe), START)
                 stack.callback(other.end)
                 other.give(self.split)
             self.draw(self.first_unit)

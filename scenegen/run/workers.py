@@ -31,6 +31,9 @@ MOST_REPLACED = 5
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
 """The C library's names for the most free memory that it keeps, and the least that it takes from
 the system apart."""
+START = "fork" if sys.platform == "linux" else "spawn"
+"""How workers begin: forked ones share the compiled kernels and the imports; elsewhere than on
+Linux forking is not safe."""
 SAFE_PATH = "PYTHONSAFEPATH"
 """Where this is set, Python looks for no modules in the working folder unless it is told to."""
 RANKS = (
@@ -161,15 +164,13 @@ def run(
         on_start()
         yield from map(function, tasks)
         return
-    # forked workers share the compiled kernels and the imports; elsewhere forking is not safe
-    start = "fork" if sys.platform == "linux" else "spawn"
     waiting = iter(tasks)
     busy: list[Worker] = []
     deaths = 0
     with undone_if_stopped(lambda: _kill(busy)):
         try:
             for task in itertools.islice(waiting, workers):
-                busy.append(Worker(function, start))
+                busy.append(Worker(function, START))
                 busy[-1].give(task)
             on_start()
             while busy:

@@ -479,8 +479,8 @@ def test_another_job_that_begins_meanwhile_loses_nothing(
     parts = plan(tmp_path / "d")
     original = ShardSpec.prepare
 
-    def overtaken(shard: ShardSpec) -> None:
-        original(shard)
+    def overtaken(shard: ShardSpec, workers: int) -> None:
+        original(shard, workers)
         monkeypatch.setattr(ShardSpec, "prepare", original)
         assert build(parts, shard_range=(1, len(parts.shards))).samples_written
 
@@ -690,11 +690,10 @@ def test_where_nothing_is_compiled_yet_a_second_process_compiles_the_truth(tmp_p
             time.sleep(0.05)
 
     monkeypatch.setattr(shards, "no_kernels", lambda package: True)
-    monkeypatch.setattr(shards, "cores", lambda: 2)
     monkeypatch.setattr(shards, "compile_truth", there)
     monkeypatch.setattr(ShardSpec, "draw", wait)
     recipe = small_recipe()
     plan = plan_dataset(tmp_path / "d", recipe, DrawnWorlds(recipe), seed=0, counts=COUNTS)
-    plan.shards[0].prepare()
+    plan.shards[0].prepare(2)
     assert done.exists()
     assert not multiprocessing.active_children()
