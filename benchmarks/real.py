@@ -2,6 +2,7 @@
 
     python benchmarks/real.py MAPS                          # docs/results/real.md
     python benchmarks/real.py MAPS --network runs/mine --data /tmp/real
+    python benchmarks/real.py MAPS --recordings LOGS        # logs in LOGS, of `recordings.py`
 
 MAPS is a folder with the maps of `PLACES`, which says where each comes from; one that is missing is
 left out, one with other bytes is refused. The paper's sensor looks from free space along flights of
@@ -23,9 +24,9 @@ import measuring
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+from recordings import GRID, Observed, observed
 from scipy import ndimage
 
-from lidarsim import GridSpec
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.display.figures import draw_completions
@@ -39,7 +40,6 @@ from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.statistics import figure, head, interval, line
 from scenegen.model.evaluation.uncertainty import REGIONS, count, reliability
 from scenegen.model.evaluation.visibility import CLASSES, UNSCORED, classify, scored_voxels
-from scenegen.model.inputs import PointScan
 from scenegen.recipe import preset
 from scenegen.sample import Sample
 from scenegen.source import DrawnWorlds, Source, read_scenes
@@ -73,7 +73,6 @@ MISSED = 7
 LOGS = ("pillar", "geb079", "fr_campus")
 """Worlds that logs are flown in."""
 FLOWN = "scan --flight --sequence --lidar ouster-os1-64 --noise range:0.02 --quiet --length"
-GRID = GridSpec()
 PICTURES = PAGE.parents[1] / "pictures" / "real"
 COLOURS = 96
 """Of a picture: it is half as large as with all."""
@@ -112,6 +111,7 @@ def main() -> None:
     parser.add_argument("--poses", type=int, default=POSES, help="of each place, at most")
     parser.add_argument("--trials", type=int, default=400, help="planning trials of each place")
     parser.add_argument("--length", type=int, default=60, help="of each log, metres")
+    parser.add_argument("--recordings", type=Path, help="folder of logs as KITTI has them")
     parser.add_argument("--network", action="append", help="a bundled one's name, or a run")
     parser.add_argument("--data", type=Path, help="folder for the datasets")
     parser.add_argument("--page", type=Path, default=PAGE)
@@ -124,10 +124,13 @@ def main() -> None:
         pictures = folder if given.smoke else PICTURES
         pictures.mkdir(exist_ok=True)
         logs = {
-            f"log in {name}": flown(world, folder / f"{name}-log", given.length)
+            f"log in {name}": observed(flown(world, folder / f"{name}-log", given.length), folder)
             for name in LOGS
             for world in ([name] if name in KINDS else (given.maps or folder).rglob(f"{name}.bt"))
         }
+        for log in sorted((given.recordings or folder).glob("*/poses.txt")):
+            if given.recordings:
+                logs[f"recording `{log.parent.name}`"] = observed(log.parent, folder)
         methods: list[Method] = [Completed(Extrude()), *networks]
         tables = scored(places, logs, methods, given.trials, pictures)
     print("\n".join(tables))
@@ -163,26 +166,10 @@ def real(file: Path, folder: Path, poses: int) -> Dataset:
     return made(folder, preset("scene"), read_scenes(file, counts, seed=0), "train", poses)
 
 
-class Observation(PointScan):
-    """A scan of a log that `scenegen ingest` kept, as methods are shown it."""
-
-    lidar = None
-
-
-def flown(world: object, folder: Path, length: int) -> list[tuple[Observation, NDArray[np.uint8]]]:
-    """Scans of a log that a sensor records in a world, and of each voxel whether the whole log says
-    that it is occupied: one of `GROUPS`, or `UNSCORED`."""
+def flown(world: object, folder: Path, length: int) -> Path:
+    """A log that a sensor records in a world."""
     measuring.run("-m", "scenegen", *FLOWN.split(), length, world, "-o", folder)
-    maps = folder.with_suffix(".maps")
-    measuring.run("-m", "scenegen", "ingest", folder, "--quiet", "-o", maps)
-    found = []
-    for path in sorted(maps.glob("observations/*.npz")):
-        with np.load(path) as it:
-            here, points = it["position"], it["position"] + it["points"]
-            scan = Observation(points=points, position=here, grid=GRID)
-            groups = np.where(it["known"], np.where(it["occupancy"], 0, MISSED), UNSCORED)
-            found.append((scan, groups.astype(np.uint8)))
-    return found
+    return folder
 
 
 def made(folder: Path, recipe: Any, source: Source, split: str, poses: int) -> Dataset:
@@ -196,7 +183,7 @@ def made(folder: Path, recipe: Any, source: Source, split: str, poses: int) -> D
 
 def scored(
     places: dict[str, Dataset],
-    logs: dict[str, list[tuple[Observation, NDArray[np.uint8]]]],
+    logs: dict[str, list[Observed]],
     methods: list[Method],
     trials: int,
     pictures: Path,
@@ -208,8 +195,12 @@ def scored(
         samples = dataset.split(splits[name])
         seen = [(sample, groups_of(samples, n)) for n, sample in enumerate(samples)]
         counts[name] = counted(seen, samples, methods)
-    alone = SimpleNamespace(dataset=SimpleNamespace(grid=GRID))
-    counts |= {name: counted(scans, alone, methods) for name, scans in logs.items()}
+    for name, scans in logs.items():
+        shown = [
+            (scan, np.where(known, np.where(there, 0, MISSED), UNSCORED).astype(np.uint8))
+            for scan, there, known in scans
+        ]
+        counts[name] = counted(shown, SimpleNamespace(dataset=SimpleNamespace(grid=GRID)), methods)
     away = [name for name in places if not name.startswith("`")] or list(places)
     best = {
         one.name: int(

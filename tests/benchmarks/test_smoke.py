@@ -15,7 +15,7 @@ from tests.conftest import Once
 from tests.shell import Shell
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
-SHARED = {"bars", "measuring"}
+SHARED = {"bars", "measuring", "recordings"}
 STUDY = BENCHMARKS.parent / "docs" / "results" / "study.json"
 DATA = "data"
 """Stands for a dataset's folder."""

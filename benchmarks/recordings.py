@@ -1,0 +1,147 @@
+"""Recordings of real sensors in public repositories, as logs that `scenegen ingest` reads.
+
+    python benchmarks/recordings.py room tsdf-fusion-python/data room    # a Kinect in a room
+    python benchmarks/recordings.py laser 3DTK/dat laser                 # a laser on a robot
+    scenegen ingest room -o room-map
+    python benchmarks/real.py MAPS --recordings FOLDER                   # both logs in FOLDER
+
+`room` is 1000 depth frames with poses, of the 7-Scenes data set (for research alone), as
+`andyzeng/tsdf-fusion-python` keeps them. Every fourth pixel of a row and a column is taken. Its
+poses do not know what is up: the direction near the cameras' in which most points lie on levels.
+`laser` is three scans of a tilting SICK scanner with the robot's own odometry, from `3DTK/3DTK`.
+"""
+
+import io
+import itertools
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import measuring
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from lidarsim import GridSpec, Pose
+from scenegen.logs import LogScan
+from scenegen.logs.poses import pose_of_matrix
+from scenegen.logs.write import write_log
+from scenegen.model.inputs import PointScan
+
+STRIDE = 4
+"""Of so many pixels in a row and in a column, one is taken."""
+FAR_M = 4.0
+"""A Kinect's error beyond is several centimetres."""
+FRAME_S = 1 / 30
+LASER_FAR_M = 30.0
+"""The scanner says 32.76 m where nothing returned."""
+TILTS_DEG = np.arange(-30.0, 31.0, 1.0)
+"""In which what is up is looked for, around the mean of the cameras' own."""
+LEVEL_M = 0.02
+"""Points of a level are that near each other."""
+OBSERVED = 50
+"""Scans of a log that are completed, or up to twice as many."""
+GRID = GridSpec()
+TO_LEFT = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+"""From 3DTK's axes (right, up, forward) to forward, left, up."""
+
+
+class Scan(PointScan):
+    """A scan of a log that `scenegen ingest` kept, as methods are shown it."""
+
+    lidar = None
+
+
+Observed = tuple[Scan, NDArray[np.bool_], NDArray[np.bool_]]
+"""A scan; what is occupied around it, and what is known, by the whole log, (*GRID.shape) each."""
+
+
+def main() -> None:
+    """Write the log."""
+    parser = measuring.options(__doc__)
+    parser.add_argument("recording", choices=list(RECORDINGS), nargs="?", default="laser")
+    parser.add_argument("source", type=Path, nargs="?", help="the folder with its files")
+    parser.add_argument("out", type=Path, nargs="?", help="where the log is written")
+    given = measuring.parse(parser)
+    if given.source is None:
+        print("recordings: not read; give the folder with the files of one")
+        return
+    print(write_log(given.out, RECORDINGS[given.recording](given.source)))
+
+
+def room(source: Path) -> Iterator[LogScan]:
+    """Frames of a depth camera: millimetres, and the camera's pose, x right and z forward."""
+    focal = np.loadtxt(source / "camera-intrinsics.txt")
+    rows, columns = np.mgrid[0:480:STRIDE, 0:640:STRIDE]
+    rays = np.stack([columns - focal[0, 2], rows - focal[1, 2]], axis=-1) / focal[0, 0]
+    rays = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1)
+    frames = sorted(source.glob("*.depth.png"))
+
+    def seen(frame: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        pixels = np.asarray(Image.open(io.BytesIO(frame.read_bytes())), np.float64)
+        depth = pixels[::STRIDE, ::STRIDE] / 1000
+        pose = np.loadtxt(frame.with_name(frame.name.replace("depth.png", "pose.txt")))
+        return pose, (rays * depth[..., None])[(depth > 0) & (depth < FAR_M)]
+
+    turn = _levelled([seen(frame) for frame in frames[:: max(len(frames) // 50, 1)]])
+    for number, frame in enumerate(frames):
+        pose, points = seen(frame)
+        yield LogScan(number * FRAME_S, _placed(turn @ pose, frame), points)
+
+
+def _levelled(seen: list[tuple[NDArray[np.float64], NDArray[np.float64]]]) -> NDArray[np.float64]:
+    """The turn (4, 4) after which z points up: of all directions near the cameras' own the one in
+    which most pairs of points lie on a level."""
+    up = np.mean([-pose[:3, 1] for pose, _ in seen], axis=0)
+    points = np.concatenate([points @ pose[:3, :3].T + pose[:3, 3] for pose, points in seen])
+    aside = np.cross(up, [1.0, 0.0, 0.0])
+    most, best = 0.0, up
+    for one, other in itertools.product(np.tan(np.radians(TILTS_DEG)), repeat=2):
+        tried = up + one * aside + other * np.cross(up, aside)
+        heights = points[::20] @ (tried / np.linalg.norm(tried))
+        bins = np.arange(heights.min(), heights.max() + LEVEL_M, LEVEL_M)
+        pairs = float((np.histogram(heights, bins)[0] ** 2).sum())
+        if pairs > most:
+            most, best = pairs, tried / np.linalg.norm(tried)
+    turn = np.eye(4)
+    turn[0, :3] = np.cross(best, aside) / np.linalg.norm(np.cross(best, aside))
+    turn[1, :3], turn[2, :3] = np.cross(best, turn[0, :3]), best
+    return turn
+
+
+def laser(source: Path) -> Iterator[LogScan]:
+    """Scans in centimetres, and the robot's pose: a position, and angles about x, y and z."""
+    for number, file in enumerate(sorted(source.glob("*.3d"))):
+        points = np.loadtxt(file, usecols=(0, 1, 2)) / 100
+        position, angles = np.loadtxt(file.with_suffix(".pose"))
+        pose = np.eye(4)
+        turn = Rotation.from_euler("XYZ", angles, degrees=True).as_matrix()
+        pose[:3, :3] = TO_LEFT @ turn @ TO_LEFT.T
+        pose[:3, 3] = TO_LEFT @ position / 100
+        near = (points**2).sum(axis=1) < LASER_FAR_M**2
+        yield LogScan(float(number), _placed(pose, file), points[near] @ TO_LEFT.T)
+
+
+def observed(log: Path, folder: Path) -> list[Observed]:
+    """Some fifty scans of a log, or all of a short one; its maps are made in `folder`."""
+    every = max(len(list(log.glob("velodyne/*"))) // OBSERVED, 1)
+    maps = folder / f"{log.name}.maps"
+    measuring.run("-m", "scenegen", "ingest", log, "--every", every, "--quiet", "-o", maps)
+    found = []
+    for path in sorted(maps.glob("observations/*.npz")):
+        with np.load(path) as it:
+            here, points = it["position"], it["position"] + it["points"]
+            scan = Scan(points=points, position=here, grid=GRID)
+            found.append((scan, it["occupancy"], it["known"]))
+    return found
+
+
+def _placed(matrix: NDArray[np.float64], file: Path) -> Pose:
+    return pose_of_matrix(matrix[:3].reshape(-1), str(file))
+
+
+RECORDINGS: dict[str, Callable[[Path], Iterator[LogScan]]] = {"room": room, "laser": laser}
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,51 @@
+"""Real recordings become logs: turned upright, and in the right hand."""
+
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from lidarsim.pose import rotate
+from scenegen.logs.read import read_log
+
+SCRIPT = Path(__file__).parents[2] / "benchmarks" / "recordings.py"
+
+
+def written(recording: str, source: Path, out: Path, monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
+    """The points of all scans in the log's world, (n, 3)."""
+    monkeypatch.syspath_prepend(SCRIPT.parent)
+    monkeypatch.setattr("sys.argv", [str(SCRIPT), recording, str(source), str(out)])
+    runpy.run_path(str(SCRIPT), run_name="__main__")
+    scans = read_log(out).scans()
+    return np.concatenate(
+        [scan.pose.position + rotate(scan.pose.quaternion, scan.points) for scan in scans]
+    )
+
+
+def test_a_floor_seen_from_above_is_level(tmp_path, monkeypatch):
+    focal, tilt, height = 585.0, np.radians(25), 1.4
+    (tmp_path / "camera-intrinsics.txt").write_text(f"{focal} 0 320\n0 {focal} 240\n0 0 1\n")
+    down = (np.arange(480) - 240) / focal
+    # of a camera that looks down by the tilt, x right, y down and z forward
+    sinking = np.sin(tilt) + down * np.cos(tilt)
+    depth = np.where(sinking > 0.1, height / np.maximum(sinking, 0.1), 0)
+    picture = np.repeat(1000 * depth[:, None], 640, axis=1).astype(np.uint16)
+    Image.fromarray(picture).save(tmp_path / "frame-000000.depth.png")
+    (tmp_path / "frame-000000.pose.txt").write_text("1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n")
+
+    points = written("room", tmp_path, tmp_path / "log", monkeypatch)
+
+    assert len(points) > 5000
+    assert abs(points[:, 2] + height).max() < 0.05
+
+
+def test_turns_of_left_handed_axes_are_turned_round(tmp_path, monkeypatch):
+    (tmp_path / "scan000.3d").write_text("0 0 100\n0 50 100\n0 0 3276\n")
+    (tmp_path / "scan000.pose").write_text("0 0 200\n0 90 0\n")
+
+    points = written("laser", tmp_path, tmp_path / "log", monkeypatch)
+
+    # what was ahead is to the right now; what is farther than a scanner sees is left out
+    assert np.allclose(points, [[2, -1, 0], [2, -1, 0.5]], atol=1e-6)
