@@ -14,8 +14,8 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 297_800, "benchmarks": 30_900, "tests": 277_400}
-FILES = 247
+TOKENS = {"product": 300_400, "benchmarks": 30_900, "tests": 278_500}
+FILES = 248
 LINES = 400
 """The longest file of product code."""
 WIDTH = 100

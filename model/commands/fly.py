@@ -20,6 +20,7 @@ from scenegen.cli.options import (
     printing,
     seed_option,
     taken,
+    was_given,
     workers_option,
 )
 from scenegen.cli.show import Progress, announce_compilation, say, show_table
@@ -32,7 +33,7 @@ from scenegen.model.robots import MAPPING, NAMES, REACTIVE, fly_course, leaderbo
 from scenegen.run import Executor, executor
 
 if TYPE_CHECKING:
-    from scenegen.fly.course import Course
+    from scenegen.fly.course import Course, Recording
     from scenegen.fly.loop import Flown
 
 MOST_FLIGHTS = 10_000
@@ -70,6 +71,12 @@ SAVED = 10
     metavar="SEED",
     help="With --suite: 50 courses that this number draws, in place of the suite's own.",
 )
+@click.option(
+    "--maps",
+    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    help="With --suite: 24 courses through the maps of real places in this folder, in place of the "
+    "suite's own.",
+)
 @click.option("--quick", is_flag=True, help="With --suite: every sixteenth course.")
 @click.option(
     "--flights",
@@ -106,7 +113,8 @@ SAVED = 10
     "--replay",
     "recorded",
     type=click.Path(path_type=Path),
-    help="Fly what -o wrote again, in place of all else, and compare every bit.",
+    help="Fly what -o wrote again, in place of all else, and compare every bit. With --robot or "
+    "--weights, that robot flies every sixteenth course anew, too.",
 )
 @click.option(
     "--leaderboard",
@@ -120,17 +128,29 @@ SAVED = 10
     type=OutputFile(),
     help="A picture (.png) of the first world and the ways through it.",
 )
+@click.option(
+    "--film",
+    type=OutputFile(),
+    help="A film (.gif) of the first flight from above, and what the robot takes for occupied.",
+)
+@click.option(
+    "--log",
+    type=click.Path(path_type=Path),
+    help="What the sensor saw on the first flight, as `scan --sequence` writes logs: a folder, or "
+    ".mcap.",
+)
 @workers_option
 @on_option
 @printing
 @group("Robot", "robot weights radius speed acceleration")
-@group("Courses", "suite hidden quick flights worlds difficulty apart moving replay")
+@group("Courses", "suite hidden maps quick flights worlds difficulty apart moving replay")
 def fly(
     world: str | None,
     robot: str,
     weights: str | None,
     suite: str | None,
     hidden: int | None,
+    maps: Path | None,
     quick: bool,
     flights: int,
     worlds: int,
@@ -138,6 +158,8 @@ def fly(
     entries: Path | None,
     out: Path | None,
     picture: Path | None,
+    film: Path | None,
+    log: Path | None,
     workers: int,
     on: str,
     as_json: bool,
@@ -157,19 +179,28 @@ def fly(
         if talk:
             say(f"written: {out}")
         return
-    if suite is None and (quick or hidden is not None):
-        raise click.UsageError("--quick and --hidden choose courses of a suite; give --suite, too")
-    from scenegen.fly.course import Course, Recording, replay
-    from scenegen.fly.loop import Flown
-    from scenegen.fly.suite import chosen_courses
+    if suite is None and (quick or hidden is not None or maps):
+        raise click.UsageError(
+            "--quick, --hidden and --maps choose courses of a suite; give --suite, too"
+        )
+    if hidden is not None and maps:
+        raise click.UsageError("--hidden and --maps choose other courses; give one of them")
+    if film and recorded:
+        raise click.UsageError("--film is taken while a robot flies; leave out --replay")
+    from scenegen.fly.course import Recording
+    from scenegen.fly.suite import QUICK, chosen_courses
 
-    trouble, found = "", list[tuple[Course, Sequence[Flown]]]()
+    trouble = anew = ""
     if recorded is not None:
         recording = Recording.read(recorded)
         name = recording.robot
-        for course, flown, same in replay(recording):
-            found.append((course, [flown]))
-            trouble = trouble if same else f"{recorded}: a flight is not as it was recorded"
+        found, same = _replayed(recording)
+        trouble = "" if same else f"{recorded}: a flight is not as it was recorded"
+        if weights is not None or was_given("robot"):
+            _check(robot, weights)
+            some = recording.courses[::QUICK]
+            told = [_flown_anew(one, robot, weights) for one in some]
+            anew = f"{sum(told)} of {sum(len(flown) for _, flown in some)} flights"
     else:
         if talk:
             announce_compilation()
@@ -178,27 +209,56 @@ def fly(
         courses = (
             _courses(str(world), flights, worlds, options)
             if suite is None
-            else chosen_courses(suite, hidden, quick=quick)
+            else chosen_courses(suite, hidden, maps, quick=quick)
         )
         work = partial(fly_course, robot=robot, weights=weights)
         with Progress("fly", shown=talk) as progress:
             found = fly_courses(courses, work, name, suite, out, executor(on, workers), progress)
     if picture is not None:
         _draw(picture, *found[0], name)
+    if film is not None:
+        _film(film, found[0][0], robot, weights)
+    if log is not None:
+        _log(log, *found[0])
     row = summary(name, [one for _, flown in found for one in flown])
+    row |= {"anew, equal to the bit": anew} if anew else {}
     if as_json:
-        rows = [one.row() | {"seed": course.seed} for course, flown in found for one in flown]
+        rows = [
+            one.row() | {"seed": course.seed, "difficulty": grade._asdict()}
+            for course, flown in found
+            for one, grade in zip(flown, course.graded(), strict=False)
+        ]
         print(json.dumps(row | {"flights": rows}))
     elif talk:
         show_table(row)
         for end in sorted({one.trouble for _, flown in found for one in flown} - {""}):
             say(f"robot: {end}")
-        for path in filter(None, (out, picture)):
+        for path in filter(None, (out, picture, film, log)):
             say(f"written: {path}")
         if recorded and not trouble:
             say("every flight is as it was recorded")
     if trouble:
         raise ScenegenError(trouble)
+
+
+def _replayed(recording: "Recording") -> "tuple[list[tuple[Course, Sequence[Flown]]], bool]":
+    """The flights of a recording, flown again, and whether all are as they were."""
+    from scenegen.fly.course import replay
+
+    found, all_same = list[tuple[Any, list[Any]]](), True
+    for course, flown, same in replay(recording):
+        all_same &= same
+        if not found or found[-1][0] is not course:
+            found.append((course, []))
+        found[-1][1].append(flown)
+    return list(found), all_same
+
+
+def _flown_anew(recorded: "tuple[Course, Sequence[Flown]]", robot: str, weights: str | None) -> int:
+    """How many flights of a course a robot flies to the bit as they were recorded."""
+    course, before = recorded
+    _, now = fly_course(course, robot=robot, weights=weights)
+    return sum(one.digest == other.digest for one, other in zip(before, now, strict=False))
 
 
 def _courses(world: str, flights: int, worlds: int, options: dict[str, Any]) -> "list[Course]":
@@ -265,7 +325,6 @@ def fly_courses(
 def _check(robot: str, weights: str | None) -> None:
     """Raise UsageError for a robot that cannot be."""
     from lidarsim.registry import Registry
-    from scenegen.cli.options import was_given
 
     if weights is not None and was_given("robot"):
         raise click.UsageError("--weights says which robot flies; leave out --robot")
@@ -286,3 +345,21 @@ def _draw(picture: Path, course: "Course", flown: "Sequence[Flown]", name: str) 
             *VIEW.project(one.path).T, color="#1d7a2f" if success else RED, zorder=6
         )
     write_result(picture, to_bytes(figure, ".png"))
+
+
+def _film(path: Path, course: "Course", robot: str, weights: str | None) -> None:
+    from scenegen.model.robots import robot_maker
+    from scenegen.model.robots.film import film
+
+    made = robot_maker(robot, weights)(course)
+    try:
+        write_result(path, film(course, 0, made))
+    finally:
+        getattr(made, "close", lambda: None)()
+
+
+def _log(path: Path, course: "Course", flown: "Sequence[Flown]") -> None:
+    from scenegen.fly.course import log_of
+    from scenegen.logs.write import write_log
+
+    write_log(path, log_of(course, 0, flown[0]))

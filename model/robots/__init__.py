@@ -54,7 +54,7 @@ def robot_maker(name: str, weights: str | None) -> "Callable[[Course], Any]":
         "optimistic": lambda course: MappingRobot(Returns()),
         "pessimistic": lambda course: MappingRobot(Conservative()),
         "extrude": lambda course: MappingRobot(Extrude()),
-        "truth": lambda course: TruthRobot(course.drawn),
+        "truth": lambda course: TruthRobot(course.simulated),
         REACTIVE: lambda course: ReactiveRobot(),
     }
     return known.get(name) or (lambda course: own_robot(name))

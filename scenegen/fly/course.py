@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lidarsim import AnalyticEngine, Sensor
+from lidarsim import AnalyticEngine, Pose, Sensor
 from lidarsim.noise.chain import Noise
 from lidarsim.sensors import RASTER
 from scenegen import __version__
@@ -21,11 +21,13 @@ from scenegen.errors import DatasetError, GenerationError, printable
 from scenegen.files import read_bounded
 from scenegen.fly import Rules, Vehicle
 from scenegen.fly.loop import Flown, scored
-from scenegen.fly.missions import Mission, draw_missions
-from scenegen.fly.simulation import Simulation, bounded
+from scenegen.fly.missions import Mission, draw_missions, graded
+from scenegen.fly.simulation import Observation, Simulation, bounded
 from scenegen.limits import MOST_MANIFEST_BYTES
+from scenegen.logs import LogScan
 from scenegen.source import named_world
 from scenegen.tables import named_lidar, named_noise
+from scenegen.truth.difficulty import Difficulty
 from scenegen.worlds.place import Place
 from scenegen.worlds.world import World
 
@@ -83,6 +85,17 @@ class Course:
         """See `draw_missions`."""
         return draw_missions(self.drawn, self.vehicle, self.rules, self.flights, seed=self.seed)
 
+    @cached_property
+    def simulated(self) -> World | Place:
+        """The world as it is flown through: what is unknown of a map is free there, as for rays,
+        since no robot can see where knowledge ends."""
+        drawn = self.drawn
+        return dataclasses.replace(drawn, opened=True) if isinstance(drawn, Place) else drawn
+
+    def graded(self) -> list[Difficulty]:
+        """How hard each mission is."""
+        return graded(self.drawn, self.vehicle.radius_m, self.missions)
+
     @property
     def sha256(self) -> str:
         """Of the world's document."""
@@ -91,8 +104,8 @@ class Course:
     def simulation(self, number: int) -> Simulation:
         """Mission `number`, about to begin."""
         return Simulation(
-            self.drawn,
-            self.drawn.caster(AnalyticEngine.of),
+            self.simulated,
+            self.simulated.caster(AnalyticEngine.of),
             self.missions[number],
             sensor=self.sensor,
             vehicle=self.vehicle,
@@ -163,15 +176,26 @@ def replay(recording: Recording) -> Iterator[tuple[Course, Flown, bool]]:
     """
     for course, flights in recording.courses:
         for number, flown in enumerate(flights[: len(course.missions)]):
-            simulation, commands = course.simulation(number), []
-            for command in flown.commands:
-                given, _ = bounded(command, course.vehicle)
-                if simulation.outcome is not None or given is None:
-                    break
-                simulation.observe()
-                simulation.step(command)
-                commands.append(command)
+            simulation = course.simulation(number)
+            count = sum(1 for _ in _seen_again(simulation, flown))
             simulation.outcome = simulation.outcome or flown.outcome
-            again = scored(simulation, commands, [], Counter(), "")
+            again = scored(simulation, list(flown.commands[:count]), [], Counter(), "")
             same = (again.digest, again.outcome) == (flown.digest, flown.outcome)
             yield course, again, same
+
+
+def _seen_again(simulation: Simulation, flown: Flown) -> Iterator[Observation]:
+    """What was seen on a flight, while its commands are flown again."""
+    for command in flown.commands:
+        if simulation.outcome is not None or bounded(command, simulation.vehicle)[0] is None:
+            return
+        yield simulation.observe()
+        simulation.step(command)
+
+
+def log_of(course: Course, number: int, flown: Flown) -> Iterator[LogScan]:
+    """The log of a flight: what its sensor saw ten times a second, from the body's pose."""
+    for seen in _seen_again(course.simulation(number), flown):
+        points = seen["points"][np.isfinite(seen["ranges"])]
+        pose = Pose(seen["position"], seen["quaternion"])
+        yield LogScan(float(seen["time_s"][0]), pose, points.astype(np.float64))

@@ -1,7 +1,9 @@
 """Starts and goals by rule: free, far apart, and connected; and how long the shortest way is."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +12,7 @@ from lidarsim import GridSpec
 from scenegen.errors import GenerationError
 from scenegen.fly import Rules, Vehicle
 from scenegen.truth import distance_field
+from scenegen.truth.difficulty import Difficulty, way_difficulty
 from scenegen.worlds.place import Place
 from scenegen.worlds.search import NO_RISK, search
 from scenegen.worlds.world import World
@@ -18,8 +21,11 @@ VOXEL_M = 0.1
 """Edge of the voxels through which the shortest way is searched, metres."""
 MARGIN = 10
 """Voxels around the flight bounds whose solids count, too."""
-TRIES = 200
-"""Pairs drawn for each mission before a world counts as too narrow."""
+TRIES = {World: 200, Place: 10_000}
+"""Pairs drawn for each mission before a world counts as too narrow. Most of a map is unknown."""
+
+ROOMS = 20
+"""Parts of a map that are tried for a mission before the map counts as too narrow."""
 
 Point = tuple[float, float, float]
 
@@ -47,30 +53,49 @@ def draw_missions(
         GenerationError: The world is too narrow.
     """
     found: list[Mission] = []
+    room = None
     for number in range(count):
-        rng = np.random.default_rng([seed, number])
-        bounds = world.room(vehicle.radius_m, rules.apart_m, rng=rng)
-        if not found or not np.array_equal(bounds, found[-1].bounds):
-            grid, origin, blocked = _blocked(world, bounds, vehicle.radius_m)
-        apart = min(rules.apart_m, math.dist(*bounds) / 2)
-        tries = (
-            _draw(world, vehicle, rules, apart / part, bounds, grid, origin, blocked, rng=rng)
-            for part in (1, 2, 4)
-        )
-        made = next(filter(None, tries), None)
-        if made is None:
+        rng, drawn = np.random.default_rng([seed, number]), None
+        for n in range(ROOMS):
+            bounds = world.room(vehicle.radius_m, rules.apart_m, rng=rng)
+            if room is None or not np.array_equal(bounds, room.bounds):
+                room = _room(world, bounds, vehicle.radius_m)
+            elif n:  # no other room will be better
+                break
+            apart = min(rules.apart_m, math.dist(*bounds) / 2)
+            tries = (
+                _draw(world, vehicle, rules, apart / part, room, rng=rng) for part in (1, 2, 4)
+            )
+            drawn = next(filter(None, tries), None)
+            if drawn is not None:
+                break
+        if drawn is None:
             raise GenerationError(
                 f"no start and goal {apart / 4:g} m apart with a way between; give a smaller "
                 "--apart or --radius, or another world"
             )
-        found.append(made)
+        found.append(drawn)
     return found
 
 
-def _blocked(
-    world: World | Place, bounds: NDArray[np.float64], radius_m: float
-) -> tuple[GridSpec, NDArray[np.float64], NDArray[np.bool_]]:
-    """A grid over the bounds, its least corner (3,), and where in it a ball's centre may not be."""
+class _Room(NamedTuple):
+    """Where missions are drawn."""
+
+    bounds: NDArray[np.float64]
+    """See `Mission.bounds`, (2, 3)."""
+    grid: GridSpec
+    """Over the bounds, and `MARGIN` voxels around them."""
+    origin: NDArray[np.float64]
+    """Its least corner (3,), metres."""
+    blocked: NDArray[np.bool_]
+    """(*grid.shape): where a ball's centre may not be."""
+    solid: NDArray[np.bool_]
+    """The same shape: what is not known to be free."""
+    tudf: NDArray[np.float32]
+    """The distances from it, metres."""
+
+
+def _room(world: World | Place, bounds: NDArray[np.float64], radius_m: float) -> _Room:
     shape = np.ceil((bounds[1] - bounds[0]) / VOXEL_M).astype(int) + 2 * MARGIN
     x, y, z = shape.tolist()
     grid = GridSpec(shape=(x, y, z), voxel_m=VOXEL_M)
@@ -78,11 +103,34 @@ def _blocked(
     truth = world.truth(grid, origin)
     solid = truth["occupancy"] | ~truth.get("known", np.bool_(True))
     # a solid is at most half a voxel's diagonal nearer than its voxel's centre
-    near = distance_field(solid, grid) < radius_m + VOXEL_M * math.sqrt(3) / 2
+    tudf = distance_field(solid, grid)
+    near = tudf < radius_m + VOXEL_M * math.sqrt(3) / 2
     inner = (slice(MARGIN, -MARGIN),) * 3
     blocked = np.ones_like(near)
     blocked[inner] = near[inner]
-    return grid, origin, blocked
+    return _Room(bounds, grid, origin, blocked, solid, tudf)
+
+
+def _way(blocked: NDArray[np.bool_], ends: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The voxels (n, 3) of the shortest way between two (2, 3); (0, 3) where none is."""
+    first, shape = np.zeros(3, int), np.array(blocked.shape)
+    nodes: NDArray[np.int64] = search(
+        blocked, first, shape, 1, ends[0], ends[1], False, NO_RISK, 0.0
+    )
+    return nodes
+
+
+def graded(world: World | Place, radius_m: float, missions: Sequence[Mission]) -> list[Difficulty]:
+    """How hard missions are: the figures of the shortest way of each, on voxels of `VOXEL_M`, for a
+    vehicle of a radius in metres."""
+    found: list[Difficulty] = []
+    for number, mission in enumerate(missions):
+        if not number or mission.bounds != missions[number - 1].bounds:
+            room = _room(world, np.array(mission.bounds), radius_m)
+        ends = room.grid.index(np.array([mission.start, mission.goal]), room.origin)
+        way = _way(room.blocked, ends)
+        found.append(way_difficulty(way, room.solid, room.tudf, VOXEL_M))
+    return found
 
 
 def _draw(
@@ -90,29 +138,25 @@ def _draw(
     vehicle: Vehicle,
     rules: Rules,
     apart: float,
-    bounds: NDArray[np.float64],
-    grid: GridSpec,
-    origin: NDArray[np.float64],
-    blocked: NDArray[np.bool_],
+    room: _Room,
     *,
     rng: np.random.Generator,
 ) -> Mission | None:
-    clearance, spare = world.clearance, vehicle.radius_m + rules.spare_m
+    bounds, clearance, spare = room.bounds, world.clearance, vehicle.radius_m + rules.spare_m
     inset = np.minimum(spare, (bounds[1] - bounds[0]) / 4)
-    for pair in rng.uniform(bounds[0] + inset, bounds[1] - inset, (TRIES, 2, 3)):
-        voxels = grid.index(pair, origin)
-        start, goal = origin + (voxels + 0.5) * VOXEL_M
+    for pair in rng.uniform(bounds[0] + inset, bounds[1] - inset, (TRIES[type(world)], 2, 3)):
+        voxels = room.grid.index(pair, room.origin)
+        start, goal = room.origin + (voxels + 0.5) * VOXEL_M
         if (
             math.dist(start, goal) < apart
-            or blocked[tuple(voxels.T)].any()
+            or room.blocked[tuple(voxels.T)].any()
             or min(clearance.at(*start), clearance.at(*goal)) < spare
         ):
             continue
-        first, shape = np.zeros(3, int), np.array(grid.shape)
-        nodes = search(blocked, first, shape, 1, voxels[0], voxels[1], False, NO_RISK, 0.0)
+        nodes = _way(room.blocked, voxels)
         if not len(nodes):
             continue
-        path = origin + (nodes + 0.5) * VOXEL_M
+        path = room.origin + (nodes + 0.5) * VOXEL_M
         here, shortest = 0, 0.0
         while here < len(path) - 1:
             there = len(path) - 1

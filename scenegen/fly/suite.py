@@ -25,16 +25,48 @@ RADIUS_M = 0.2
 """The vehicle's, metres: it passes through the doors of hard rooms."""
 HIDDEN = 50
 """Worlds of a hidden track."""
+MAPS = {
+    "geb079.bt": "95a21e00319a7773",
+    "fr_campus.bt": "241bc88f1bc5169f",
+    "forest_big.bt": "ad1194d4eafac11d",
+    "forest0.bt": "d2c2658cb9ee48fd",
+    "forest1.bt": "4aa306adaf3d7dbb",
+    "forest2.bt": "804aca1b8ed88b3f",
+}
+"""The maps of the real track, and the first `DIGITS` of their documents' SHA-256."""
+MAP_COURSES = 4
+"""Courses through each map."""
 QUICK = 16
 """Of so many courses, one is flown where it has to be quick."""
 DIGITS = 16
 """Hexadecimal digits of a world's SHA-256 that the suite's file holds."""
 
 
-def chosen_courses(suite: str, hidden: int | None, *, quick: bool) -> list[Course]:
-    """The courses of a suite, or those that the number `hidden` draws; some of them if `quick`."""
-    found = courses_of(suite) if hidden is None else hidden_courses(hidden)
+def chosen_courses(
+    suite: str, hidden: int | None, maps: Path | None, *, quick: bool
+) -> list[Course]:
+    """The courses of a suite, those that the number `hidden` draws, or those through the `maps` in
+    a folder; some of them if `quick`."""
+    if maps is not None:
+        found = map_courses(maps)
+    else:
+        found = courses_of(suite) if hidden is None else hidden_courses(hidden)
     return found[::QUICK] if quick else found
+
+
+def map_courses(folder: Path) -> list[Course]:
+    """Courses through the maps of real places in a folder or below it. Raises GenerationError for
+    one that is missing; for another map than was meant, `Course` does."""
+    found = []
+    for (name, document), seed in product(MAPS.items(), range(MAP_COURSES)):
+        file = next(iter(sorted(folder.rglob(name))), None)
+        if file is None:
+            raise GenerationError(
+                f"{folder}: {name} is not there; expected {', '.join(MAPS)}, whose sources the "
+                "page on flights names"
+            )
+        found.append(_course(str(file), None, seed, document))
+    return found
 
 
 def courses_of(suite: str) -> list[Course]:
@@ -73,7 +105,7 @@ def flyable(kind: str, difficulty: str, first: int) -> Iterator[Course]:
         yield replace(course, document=course.sha256[:DIGITS])
 
 
-def _course(kind: str, difficulty: str, seed: int, document: str) -> Course:
+def _course(kind: str, difficulty: str | None, seed: int, document: str) -> Course:
     return Course(
         world=kind,
         seed=seed,

@@ -7,6 +7,7 @@ FlightBench's three (`scenegen.truth.guides`). All are exact for the voxels: not
 random.
 """
 
+import functools
 import heapq
 import itertools
 import math
@@ -75,9 +76,7 @@ def difficulty(
     middle = tuple(edge // 2 for edge in occupancy.shape)
     if occupancy[middle]:
         return Difficulty(0.0, *[math.nan] * 9)
-    ways, blocked = _look(occupancy, np.array(middle), DIRECTIONS)
-    lengths = voxel_m * ways * np.sqrt((DIRECTIONS**2).sum(axis=1))
-    near, far = _neighbours()
+    visibility, dispersion, passage = _around(occupancy, np.array(middle), voxel_m)
     step = max(round(STEP_M / voxel_m), 1)
     way, gap = _mean_ways(occupancy, np.array(middle), step, DIRECTIONS[DIRECTIONS[:, 2] == 0])
     centre = np.array(middle)
@@ -86,14 +85,66 @@ def difficulty(
     paths = [centre + step * (nodes - centre // step) for nodes in guides]
     return Difficulty(
         clearance_m=float(tudf[middle]),
-        visibility_m=float(lengths.mean()),
-        dispersion=float((blocked[near] != blocked[far]).mean()),
-        passage_m=float((lengths + lengths[::-1]).min()),
+        visibility_m=visibility,
+        dispersion=dispersion,
+        passage_m=passage,
         tortuosity=float(_tortuosity(length, np.array(middle) // step)),
         traversability=float(way) * voxel_m / BODY_M,
         gap=float(gap) * voxel_m / BODY_M,
         **hardness(paths, occupancy, tudf, voxel_m)._asdict(),
     )
+
+
+def way_difficulty(
+    way: NDArray[np.int64],
+    occupancy: NDArray[np.bool_],
+    tudf: NDArray[np.float32],
+    voxel_m: float,
+) -> Difficulty:
+    """The figures of a way through a map: those that are of the map's middle otherwise are means
+    along the way, tortuosity is its length over the distance of its ends, and FlightBench's three
+    are of this way alone.
+
+    Args:
+        way: Its voxels (n, 3), each free and next to the one before, at least two.
+        occupancy: Truth (nx, ny, nz).
+        tudf: Its distances (nx, ny, nz), metres.
+        voxel_m: Edge of a voxel, metres.
+    """
+    step = max(round(STEP_M / voxel_m), 1)
+    stops = way[::step]
+    around = np.mean([_around(occupancy, stop, voxel_m) for stop in stops], axis=0)
+    level = DIRECTIONS[DIRECTIONS[:, 2] == 0]
+    free_m, gap = _mean_ways(occupancy, way[0], step, level)
+    length = np.sqrt((np.diff(way, axis=0) ** 2).sum(axis=1)).sum()
+    return Difficulty(
+        clearance_m=float(tudf[tuple(stops.T)].mean()),
+        **dict(zip(("visibility_m", "dispersion", "passage_m"), around.tolist(), strict=True)),
+        tortuosity=float(length / np.sqrt(((way[-1] - way[0]) ** 2).sum())),
+        traversability=float(free_m) * voxel_m / BODY_M,
+        gap=float(gap) * voxel_m / BODY_M,
+        **hardness([way], occupancy, tudf, voxel_m)._asdict(),
+    )
+
+
+def _around(
+    occupancy: NDArray[np.bool_], place: NDArray[np.int64], voxel_m: float
+) -> tuple[float, float, float]:
+    """Visibility, dispersion and passage at a free voxel (3,), see `Difficulty`."""
+    ways, blocked = _look(occupancy, place, DIRECTIONS)
+    lengths = voxel_m * ways * np.sqrt((DIRECTIONS**2).sum(axis=1))
+    near, far = _neighbours()
+    differ = float((blocked[near] != blocked[far]).mean())
+    return float(lengths.mean()), differ, float((lengths + lengths[::-1]).min())
+
+
+@functools.cache
+def _neighbours() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pairs of directions that are at most 45 degrees apart."""
+    length = np.sqrt((DIRECTIONS**2).sum(axis=1))
+    products = (DIRECTIONS[:, None] * DIRECTIONS[None]).sum(axis=2)
+    near, far = np.nonzero(products >= (math.sqrt(0.5) - 1e-9) * length[:, None] * length[None])
+    return near[near < far], far[near < far]
 
 
 def _guides(length: NDArray[np.float64], before: NDArray[np.int64]) -> list[NDArray[np.int64]]:
@@ -112,14 +163,6 @@ def _guides(length: NDArray[np.float64], before: NDArray[np.int64]) -> list[NDAr
         if len(nodes) > 1:
             found.append(np.stack(np.unravel_index(nodes[::-1], length.shape), axis=1))
     return found
-
-
-def _neighbours() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Pairs of directions that are at most 45 degrees apart."""
-    length = np.sqrt((DIRECTIONS**2).sum(axis=1))
-    products = (DIRECTIONS[:, None] * DIRECTIONS[None]).sum(axis=2)
-    near, far = np.nonzero(products >= (math.sqrt(0.5) - 1e-9) * length[:, None] * length[None])
-    return near[near < far], far[near < far]
 
 
 @kernel

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim import GridSpec, Scan
-from lidarsim.engines.voxels import FREE, OCCUPIED, VoxelEngine, VoxelMap
+from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelEngine, VoxelMap
 from lidarsim.jit import kernel
 from scenegen.errors import SceneError, printable
 from scenegen.files import read_bounded
@@ -46,8 +46,8 @@ PARTS: dict[str, tuple[np.dtype[Any], int]] = {
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """A map of a real place, for a sensor to fly through what is free in it: what is unknown counts
-    as solid there. It stands where a `scenegen.worlds.world.World` does."""
+    """A map of a real place, for a sensor to fly through what is free in it. It stands where a
+    `scenegen.worlds.world.World` does."""
 
     mjcf: bytes
     """A document that names the map's file, for archives."""
@@ -57,6 +57,8 @@ class Place:
     """Nothing: a map has no geoms."""
     albedo: None = None
     """A map does not know what reflects how much."""
+    opened: bool = False
+    """Whether what is unknown counts as free, and not as solid."""
 
     @property
     def voxels(self) -> VoxelMap:
@@ -73,7 +75,7 @@ class Place:
     @property
     def clearance(self) -> "PlaceClearance":
         """The collision check."""
-        return PlaceClearance(self.voxels)
+        return PlaceClearance(self.voxels, self.opened)
 
     def room(
         self, radius_m: float, length_m: float, *, rng: np.random.Generator
@@ -92,8 +94,10 @@ class Place:
         return VoxelEngine(self.voxels)
 
     def truth(self, grid: GridSpec, origin: NDArray[np.float64]) -> dict[str, NDArray[np.bool_]]:
-        """The fields of a sample that say what is there: `occupancy` and `known`."""
-        return dict(zip(("occupancy", "known"), resample(self.voxels, grid, origin), strict=True))
+        """The fields of a sample that say what is there: `occupancy`, and `known` where what is
+        unknown does not count as free."""
+        occupancy, known = resample(self.voxels, grid, origin)
+        return {"occupancy": occupancy} | ({} if self.opened else {"known": known})
 
     def unknown_m(self, scan: Scan) -> NDArray[np.float64]:
         """Metres of unknown space that each ray of a scan crosses before it returns, (*rays)."""
@@ -232,14 +236,14 @@ def _free_box(states):
 
 
 class PlaceClearance:
-    """See `scenegen.worlds.clearance.Clearance`: distances to the voxels that are not free."""
+    """See `scenegen.worlds.clearance.Clearance`: distances to the voxels that are not free, or to
+    the occupied ones alone where the map is `opened`."""
 
-    def __init__(self, voxels: VoxelMap):
-        self._arguments = voxels.states, voxels.voxel_m, voxels.origin
+    def __init__(self, voxels: VoxelMap, opened: bool):
+        self._arguments = voxels.states, voxels.voxel_m, voxels.origin, opened
 
     def at(self, x: float, y: float, z: float) -> float:
-        """Distance in metres from a point to the nearest voxel that is not free, at most `CAP_M`; 0
-        in one."""
+        """Distance in metres from a point to the nearest such voxel, at most `CAP_M`; 0 in one."""
         return float(_clearance(x, y, z, *self._arguments))
 
     def motion_is_free(
@@ -250,7 +254,7 @@ class PlaceClearance:
 
 
 @kernel
-def _clearance(x, y, z, states, voxel_m, origin):
+def _clearance(x, y, z, states, voxel_m, origin, opened):
     nx, ny, nz = states.shape
     sx, sy, sz = (x - origin[0]) / voxel_m, (y - origin[1]) / voxel_m, (z - origin[2]) / voxel_m
     nearest = CAP_M / voxel_m
@@ -265,7 +269,8 @@ def _clearance(x, y, z, states, voxel_m, origin):
                 step = 1 if side or shell == 0 else 2 * shell
                 for c in range(k - shell, k + shell + 1, step):
                     inside = 0 <= a < nx and 0 <= b < ny and 0 <= c < nz
-                    if inside and states[a, b, c] == FREE:
+                    state = states[a, b, c] if inside else UNKNOWN
+                    if state == FREE or (opened and state == UNKNOWN):
                         continue
                     u = max(max(a - sx, sx - (a + 1)), 0.0)
                     v = max(max(b - sy, sy - (b + 1)), 0.0)
@@ -275,14 +280,14 @@ def _clearance(x, y, z, states, voxel_m, origin):
 
 
 @kernel
-def _motion_is_free(p, q, radius, states, voxel_m, origin):
+def _motion_is_free(p, q, radius, states, voxel_m, origin, opened):
     dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
     t = 0.0
     while True:
         s = min(t / length, 1.0) if length > 0.0 else 1.0
         x, y, z = p[0] + s * dx, p[1] + s * dy, p[2] + s * dz
-        free = _clearance(x, y, z, states, voxel_m, origin) - radius
+        free = _clearance(x, y, z, states, voxel_m, origin, opened) - radius
         if free < 0.0:
             return False
         if s >= 1.0:

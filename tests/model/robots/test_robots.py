@@ -1,19 +1,25 @@
 """Robots reach their goals, and the command flies, records, draws and flies again."""
 
+import io
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from lidarsim import AnalyticEngine, GridSpec
+from lidarsim.pose import rotate
+from scenegen.display.colours import SENSOR
 from scenegen.fly import Vehicle, suite
 from scenegen.fly.course import Course, Recording
 from scenegen.fly.loop import fly
 from scenegen.fly.missions import Mission
 from scenegen.fly.simulation import Simulation
+from scenegen.logs.read import read_log
 from scenegen.model.completion.unlearned import Returns
 from scenegen.model.robots import NAMES, robot_maker
+from scenegen.model.robots.film import RIGHT, UNHELD, film
 from scenegen.model.robots.mapping import MappingRobot
 from tests.command_line import run
 
@@ -82,16 +88,41 @@ def test_the_command_flies_records_and_flies_again(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     file, picture = tmp_path / "flights.json", tmp_path / "flights.png"
+    film, log = tmp_path / "flight.gif", tmp_path / "log"
     words = ("fly", "pillar", "--robot", "reactive", "--flights", 2, "--worlds", 2, "--workers", 1)
-    code, out, _ = run(capsys, *words, "-o", file, "--picture", picture, "--json")
+    more = ("-o", file, "--picture", picture, "--film", film, "--log", log, "--json")
+    code, out, _ = run(capsys, *words, *more)
     told = json.loads(out)
     assert code == 0
     assert [one["seed"] for one in told["flights"]] == [0, 1]
+    assert {one["difficulty"]["tortuosity"] >= 1 for one in told["flights"]} == {True}
     assert picture.read_bytes()[:4] == b"\x89PNG"
-    code, out, _ = run(capsys, "fly", "--replay", file, "--json")
+    (course, (flown,)), *_ = Recording.read(file).courses
+    with Image.open(film) as shown:
+        assert shown.n_frames == (len(flown.commands) + 2) // 3 + 1
+        assert SENSOR in {colour for _, colour in shown.convert("RGB").getcolors()}
+    scans = list(read_log(log).scans())
+    assert len(scans) == len(flown.commands)
+    for scan in scans[::10]:
+        points = scan.pose.position + rotate(scan.pose.quaternion, scan.points)
+        low, high = course.drawn.flight_bounds  # clearance knows no solids far beyond
+        within = points[((points > low) & (points < high)).all(axis=1)]
+        assert len(within) > 20
+        assert max(course.drawn.clearance.at(*point) for point in within) < 1e-4
+    code, out, _ = run(capsys, "fly", "--replay", file, "--robot", "reactive", "--json")
     assert code == 0
     again = json.loads(out)
     assert [one["digest"] for one in again["flights"]] == [one["digest"] for one in told["flights"]]
+    assert again["anew, equal to the bit"] == "1 of 1 flights"
+
+
+def test_a_film_shows_what_the_robot_takes_for_occupied() -> None:
+    course = Course(world="pillar", difficulty="easy", flights=1, seed=1)
+    for name, shown in (("truth", {RIGHT}), ("optimistic", {RIGHT, UNHELD})):
+        with Image.open(io.BytesIO(film(course, 0, robot_maker(name, None)(course)))) as film_:
+            film_.seek(film_.n_frames - 1)
+            colours = {colour for _, colour in film_.convert("RGB").getcolors()}
+        assert shown <= colours
 
 
 def test_an_entry_to_a_suite_goes_on_and_is_not_lost(

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lidarsim import AnalyticEngine, Lidar
+from lidarsim import AnalyticEngine, GridSpec, Lidar
+from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelMap
 from scenegen.errors import DatasetError, GenerationError
 from scenegen.fly import Rules, Vehicle, suite
 from scenegen.fly.course import Course, Recording, replay
@@ -21,6 +22,7 @@ from scenegen.fly.motion import STEP_S, advance, most_pull, pose_of
 from scenegen.fly.pipe import PipeRobot
 from scenegen.fly.simulation import Simulation, bounded
 from scenegen.fly.suite import chosen_courses
+from scenegen.worlds.place import encode_npz
 from scenegen.worlds.world import World, compile_world
 
 VEHICLE = Vehicle()
@@ -300,19 +302,54 @@ def test_a_recording_flies_again(tmp_path: Path) -> None:
 def test_the_suite_is_drawn_as_it_was_frozen(monkeypatch: pytest.MonkeyPatch) -> None:
     """Worlds are those that the suite's file names, and have missions; a hidden track is another
     one, by its number alone."""
-    courses = chosen_courses("aerial-1", None, quick=False)
+    courses = chosen_courses("aerial-1", None, None, quick=False)
     assert len(courses) == len(set(courses)) == 300
     assert {len(course.document) for course in courses} == {16}
     for course in courses[::61]:
         assert course.sha256.startswith(course.document)
         assert len(course.missions) == course.flights
-    quick = chosen_courses("aerial-1", None, quick=True)
+    quick = chosen_courses("aerial-1", None, None, quick=True)
     assert len({course.world for course in quick}) == 10
     assert {course.difficulty for course in quick} == {"easy", "medium", "hard"}
     monkeypatch.setattr(suite, "HIDDEN", 2)
-    hidden = [chosen_courses("aerial-1", seed, quick=False) for seed in (5, 5, 6)]
+    hidden = [chosen_courses("aerial-1", seed, None, quick=False) for seed in (5, 5, 6)]
     assert hidden[0] == hidden[1]
     assert not set(hidden[0]) & set(hidden[2])
+
+
+def test_what_is_unknown_of_a_map_is_flown_through_and_never_flown_to(tmp_path: Path) -> None:
+    """A hall of 12 m, of which a slice is unknown, and another is a wall with a hole in it."""
+    states = np.full((60, 60, 15), FREE, np.uint8)
+    states[25:30], states[45], states[45, 20:40, 4:12] = UNKNOWN, OCCUPIED, FREE
+    voxels = VoxelMap(states, 0.2, np.zeros(3))
+    (tmp_path / "hall.npz").write_bytes(encode_npz(voxels, "hall"))
+    course = Course(world=str(tmp_path / "hall.npz"), rules=Rules(apart_m=6.0), flights=8)
+    parts = [{end[0] > 5 for end in (one.start, one.goal)} for one in course.missions]
+    assert {len(part) for part in parts} == {1}, "a way leads through what is unknown"
+    number = parts.index({False})
+    flying = course.simulation(number)
+    while flying.outcome is None and flying.state[0] < 6.5:
+        flying.step(np.float32([1.5, 0, 0, 0]))
+    assert flying.outcome is None
+    while flying.outcome is None:  # a wall is one
+        flying.step(np.float32([1.5, 0, 1, 0]))
+    assert flying.outcome == "collision"
+    assert "known" not in course.simulated.truth(GridSpec(), np.zeros(3))
+
+
+def test_the_real_track_is_of_these_maps_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(GenerationError, match=r"geb079\.bt is not there"):
+        chosen_courses("aerial-1", None, tmp_path, quick=False)
+    states = np.full((60, 60, 15), FREE, np.uint8)
+    content = encode_npz(VoxelMap(states, 0.2, np.zeros(3)), "hall")
+    (tmp_path / "hall.npz").write_bytes(content)
+    monkeypatch.setattr(suite, "MAPS", {"hall.npz": "0" * 16})
+    courses = chosen_courses("aerial-1", None, tmp_path, quick=False)
+    assert [course.seed for course in courses] == [0, 1, 2, 3]
+    with pytest.raises(GenerationError, match="another world"):
+        _ = courses[0].drawn
 
 
 @pytest.mark.filterwarnings("ignore")

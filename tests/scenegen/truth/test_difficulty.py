@@ -5,8 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from lidarsim import GridSpec
 from scenegen.truth import distance_field
-from scenegen.truth.difficulty import difficulty
+from scenegen.truth.difficulty import difficulty, way_difficulty
 from scenegen.truth.guides import hardness
 from tests.conftest import small_recipe
 
@@ -140,3 +141,23 @@ def test_figures_do_not_change_where_a_map_is_turned():
     again = difficulty(turned, distance_field(turned, grid), grid.voxel_m)
     # of two ways as long as each other, one is taken: what lies along it may differ
     np.testing.assert_allclose(found[:7], again[:7], rtol=1e-12)
+
+
+def test_a_way_that_begins_in_the_middle_sees_what_the_map_tells_of_it():
+    """Of two voxels, the first is looked from."""
+    occupancy = empty()
+    occupancy[8, :, :] = True
+    occupancy[8, 6, 6] = occupancy[2, 2, 2] = False
+    tudf = distance_field(occupancy, GridSpec(shape=(13, 13, 13)))
+    found = way_difficulty(np.array([(6, 6, 6), (7, 6, 6)]), occupancy, tudf, VOXEL)
+    whole = difficulty(occupancy, tudf, VOXEL)
+    for name in ("clearance_m", "visibility_m", "dispersion", "passage_m", "traversability", "gap"):
+        assert getattr(found, name) == getattr(whole, name), name
+
+
+def test_a_way_round_a_corner_is_longer_than_straight():
+    way = np.array([(x, 3, 3) for x in range(3, 9)] + [(8, y, 3) for y in range(4, 9)])
+    tudf = np.broadcast_to(np.arange(13)[:, None, None] / 10, (13, 13, 13)).astype(np.float32)
+    found = way_difficulty(way, empty(), tudf, VOXEL)
+    assert found.tortuosity == pytest.approx(10 / math.sqrt(50))
+    assert found.clearance_m == pytest.approx(np.mean([0.3, 0.6, 0.8, 0.8]))
