@@ -8,7 +8,6 @@ there goes on. Every tenth course is one world of each kind and difficulty. A na
 robot's is a network, with which a robot maps. Decisions are timed in this process alone.
 """
 
-import math
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -33,6 +32,11 @@ PAGE = Path(__file__).parents[1] / "docs" / "results" / "fly.md"
 ROBOTS = (*NAMES, "proposed", "columns", "anywhere")
 BASELINES = ("optimistic", "extrude")
 Row = tuple[Course, Flown]
+HARDER = {
+    **{"clearance_m": -1, "visibility_m": -1, "dispersion": 1, "passage_m": -1, "tortuosity": 1},
+    **{"traversability": -1, "gap": -1, "obstruction": 1, "occlusion": 1, "turning": 1},
+}
+"""The figures of difficulty: 1 where more is harder, else -1."""
 FIGURES: dict[str, Callable[[Flown], float]] = {
     "success": lambda one: float(one.outcome == "success"),
     "collision": lambda one: float(one.outcome == "collision"),
@@ -59,7 +63,7 @@ def main() -> None:
             for name in given.robots
         }
     said = given.page.read_text().partition("<!-- tables -->")[0] if given.page.is_file() else ""
-    lines = [*tables(found), "", *first_plans(found), "", period(courses[0])]
+    lines = [*tables(found), "", *how_hard(found), "", *first_plans(found), "", period(courses[0])]
     print("\n".join(lines))
     given.page.write_text(f"{said}<!-- tables -->\n" + "\n".join(lines) + "\n")
 
@@ -102,17 +106,6 @@ def tables(found: dict[str, list[Row]]) -> list[str]:
                 one = figure(differences, [course.sha256 for course, _ in rows])
                 cells.append(f"{one['mean']:+.3f} {interval(one, '+.3f')}")
             lines.append(line(f"`{Path(name).stem}`", cells))
-    courses = list(dict.fromkeys(course for course, _ in next(iter(found.values()))))
-    lines += ["", "## How hard the courses are", "", *head(["shortest way to straight line"])]
-    for difficulty in DIFFICULTIES:
-        ways = [
-            one.shortest_m / math.dist(one.start, one.goal)
-            for course in courses
-            if course.difficulty == difficulty
-            for one in course.missions
-        ]
-        if ways:
-            lines.append(line(difficulty, [f"{np.mean(ways):.2f}"]))
     for title, groups, key in (
         ("difficulty", DIFFICULTIES, lambda course: course.difficulty),
         ("kind", kind_names(), lambda course: course.world),
@@ -123,6 +116,31 @@ def tables(found: dict[str, list[Row]]) -> list[str]:
             shares = [told(part, success, "outcome") if part else None for part in parts]
             cells = [f"{one['mean']:.2f}" if one else "–" for one in shares]
             lines.append(line(f"`{Path(name).stem}`", cells))
+    return lines
+
+
+def how_hard(found: dict[str, list[Row]]) -> list[str]:
+    """The figures of difficulty by level, and success in the third of the flights that each figure
+    calls easiest, and in the hardest third."""
+    courses = dict.fromkeys(course for course, _ in next(iter(found.values())))
+    grades = [(course.difficulty, grade) for course in courses for grade in course.graded()]
+    lines = ["## How hard the flights are", "", *head(DIFFICULTIES)]
+    for name in HARDER:
+        of_level = [
+            [getattr(it, name) for level, it in grades if level == one] for one in DIFFICULTIES
+        ]
+        cells = [f"{np.nanmean(values):.2f}" if values else "–" for values in of_level]
+        lines.append(line(f"`{name}`", cells))
+    robots = {name: rows for name, rows in found.items() if name != "truth"}
+    lines += ["", "Success in the easiest third, by the figure · in the hardest:", ""]
+    lines += head([f"`{Path(name).stem}`" for name in robots])
+    reached = [np.array([FIGURES["success"](one) for _, one in rows]) for rows in robots.values()]
+    for name, harder in HARDER.items():
+        order = np.argsort([harder * getattr(it, name) for _, it in grades], kind="stable")
+        third = max(len(order) // 3, 1)
+        ends = order[:third], order[-third:]
+        cells = [" · ".join(f"{one[end].mean():.2f}" for end in ends) for one in reached]
+        lines.append(line(f"`{name}`", cells))
     return lines
 
 

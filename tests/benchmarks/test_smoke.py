@@ -33,7 +33,7 @@ SCRIPTS: dict[str, tuple[tuple[object, ...], tuple[str, ...]]] = {
     ),
     "executors": ((), (r"rank +N +N +N +N +N\n", RAY)),
     "extras": ((), (r"the core \| N \|", r"`\[train\]` \| N \|")),
-    "fly": ((), ("takes N ms of processor time", r"`optimistic` \| N", r"easy \| N")),
+    "fly": ((), ("takes N ms of processor time", r"`optimistic` \| N", r"`tortuosity` \| N")),
     "folders": (
         (),
         (
