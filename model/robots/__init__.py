@@ -52,7 +52,7 @@ def robot_maker(name: str, weights: str | None) -> "Callable[[Course], Any]":
     known: dict[str, Callable[[Course], Any]] = {
         "returns": lambda course: MappingRobot(Returns(), memory=False),
         "optimistic": lambda course: MappingRobot(Returns()),
-        "pessimistic": lambda course: MappingRobot(Conservative()),
+        "pessimistic": lambda course: MappingRobot(Conservative(), frontier=True),
         "extrude": lambda course: MappingRobot(Extrude()),
         "truth": lambda course: TruthRobot(course.simulated),
         REACTIVE: lambda course: ReactiveRobot(),

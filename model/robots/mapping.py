@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
 
 from lidarsim import GridSpec, Pose, Scan, voxelize
 from lidarsim.pose import rotate
@@ -45,10 +46,11 @@ class MappingRobot:
 
     A* leads to the goal through all that lies within the bounds; its path is refined as the bench
     does, and followed. Without `memory`, a map is of one scan, and what it does not hold is free.
+    With `frontier`, a robot that knows no way to the goal flies to where it comes nearest to it.
     """
 
-    def __init__(self, completer: MapCompleter, *, memory: bool = True):
-        self._completer, self._memory = completer, memory
+    def __init__(self, completer: MapCompleter, *, memory: bool = True, frontier: bool = False):
+        self._completer, self._memory, self._frontier = completer, memory, frontier
         self.grid: GridSpec = getattr(completer, "grid", GridSpec())
 
     def reset(self, about: Observation) -> None:
@@ -179,6 +181,11 @@ class MappingRobot:
             blocked = self._distance < float(self._about["radius_m"]) + spare
             blocked[tuple(first + step * node)] = False
             begin, weight = ends[0] // step, PLAN.risk_weight
+            if self._frontier:
+                node = _nearest(blocked[tuple(slice(at, None, step) for at in first)], begin, node)
+                goal = self._start + (first + step * node + 0.5) * voxel_m
+                if (node == begin).all():
+                    continue
             nodes = search(blocked, first, shape, step, begin, node, True, self._risk, weight)
             if len(nodes):
                 break
@@ -189,6 +196,18 @@ class MappingRobot:
         met = self._voxels(path[1:] + self._start)
         path = (rough if (blocked | (self._risk > RATHER))[met].any() else path) + self._start
         return np.concatenate([observation["position"][None], path[1:], goal[None]])
+
+
+def _nearest(
+    blocked: NDArray[np.bool_], begin: NDArray[np.int64], goal: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """The node (3,) nearest to the `goal` of those that can be reached from `begin` by steps along
+    the axes, by which nodes are `blocked`."""
+    free = ~blocked
+    free[tuple(begin)] = True
+    parts, _ = ndimage.label(free)
+    nodes: NDArray[np.int64] = np.argwhere(parts == parts[tuple(begin)])
+    return nodes[np.argmin(((nodes - goal) ** 2).sum(axis=1))]
 
 
 def _box(low: NDArray[np.int64], count: ArrayLike) -> tuple[slice, ...]:
@@ -202,7 +221,7 @@ class TruthRobot(MappingRobot):
     def __init__(self, world: World | Place):
         self._world = world
         self.grid = GridSpec()
-        self._memory = True
+        self._memory, self._frontier = True, False
 
     def believed(self) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
         """See `MappingRobot.believed`."""

@@ -24,7 +24,7 @@ from scenegen.model.robots.mapping import MappingRobot
 from tests.command_line import run
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if name != "pessimistic"])
+@pytest.mark.parametrize("name", NAMES)
 def test_a_robot_reaches_its_goal(name: str) -> None:
     course = Course(world="pillar", difficulty="easy", flights=1, seed=1)
     flown = fly(course.simulation(0), robot_maker(name, None)(course))
