@@ -84,9 +84,9 @@ class Mcap(Together):
         for number, sample in samples:
             header = {"stamp": {"sec": number}, "frame_id": FRAME}
             centres = grid.centres(sample.origin)
-            messages = {"scan": (CLOUD, _cloud(sample.points(lidar), header))}
+            messages = {"scan": (CLOUD, points_message(sample.points(lidar), header))}
             for name in MASKS:
-                messages[name] = CLOUD, _cloud(centres[getattr(sample, name)], header)
+                messages[name] = CLOUD, points_message(centres[getattr(sample, name)], header)
             messages["map"] = VOXEL_GRID, _voxels(sample, grid, number)
             pose = _pose(sample.position, sample.quaternion)
             messages["pose"] = POSE, {"header": header, "pose": pose}
@@ -98,12 +98,12 @@ class Mcap(Together):
         return memory.getvalue()
 
 
-def _cloud(points: NDArray[np.float64], header: dict[str, Any]) -> dict[str, Any]:
-    """A PointCloud2 of points (n, 3), float32."""
+def points_message(points: NDArray[np.float64], header: Any) -> dict[str, Any]:
+    """The values of a PointCloud2 of points (n, 3), as float32, by the names of its fields."""
     return cloud_message(dict(zip("xyz", points.T.astype(np.float32), strict=True)), header)
 
 
-def cloud_message(columns: Mapping[str, NDArray[Any]], header: dict[str, Any]) -> dict[str, Any]:
+def cloud_message(columns: Mapping[str, NDArray[Any]], header: Any) -> dict[str, Any]:
     """A PointCloud2 of values by name, (n,) each, of the types in `POINT_TYPES`."""
     dtype = np.dtype([(name, values.dtype.newbyteorder("<")) for name, values in columns.items()])
     rows = np.empty(len(columns["x"]), dtype)

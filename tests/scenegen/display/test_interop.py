@@ -3,6 +3,7 @@
 import io
 import re
 import sys
+from dataclasses import make_dataclass
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -48,29 +49,26 @@ def test_the_ros_node_publishes_what_the_definitions_say(
     from scenegen.display.exchange.recordings import CLOUD, DEFINITIONS
 
     sent: list[Any] = []
-
-    class Node:
-        def __init__(self, name: str):
-            stamp = SimpleNamespace(to_msg=lambda: {"sec": 7, "nanosec": 5})
-            self.get_clock = lambda: SimpleNamespace(now=lambda: stamp)
-            self.create_publisher = lambda *about: SimpleNamespace(publish=sent.append)
-            self.create_timer = lambda period, call: call()
-
-    def cloud() -> SimpleNamespace:
-        header = SimpleNamespace(stamp=SimpleNamespace(), frame_id="")
-        return SimpleNamespace(header=header)
-
-    messages = {"PointCloud2": cloud, "PointField": SimpleNamespace}
-    parts = {"rclpy": {}, "rclpy.node": {"Node": Node}, "sensor_msgs": {}}
-    for name, held in {**parts, "sensor_msgs.msg": messages}.items():
+    kinds: dict[str, Any] = {}
+    for text in f"MSG: sensor_msgs/PointCloud2\n{DEFINITIONS[CLOUD]}".split("MSG: ")[1:]:
+        name, *fields = re.findall(r"^\S+[/ ](\w+)$", text, re.M)
+        kinds[name] = make_dataclass(name, [(field, Any, None) for field in fields])
+    now = SimpleNamespace(to_msg=lambda: kinds["Time"](sec=7, nanosec=5))
+    node = SimpleNamespace(
+        get_clock=lambda: SimpleNamespace(now=lambda: now),
+        create_publisher=lambda *about: SimpleNamespace(publish=sent.append),
+        create_timer=lambda period, call: call(),
+    )
+    rclpy = {"init": lambda: None, "create_node": lambda name: node, "spin": lambda node: None}
+    messages = {f"{name}.msg": kinds for name in ("sensor_msgs", "std_msgs")}
+    for name, held in {"rclpy": rclpy, "sensor_msgs": {}, "std_msgs": {}, **messages}.items():
         module = ModuleType(name)
         module.__dict__.update(held)
         monkeypatch.setitem(sys.modules, name, module)
-    names: dict[str, Any] = {"__name__": "node"}
-    exec(NODE, names)
     (tmp_path / "scene.xml").write_text(SCENE)
-    node = names["Scanner"](str(tmp_path / "scene.xml"), "robot")
-    assert vars(sent[0].header.stamp) == {"sec": 7, "nanosec": 5}
+    monkeypatch.setattr(sys, "argv", ["node.py", str(tmp_path / "scene.xml"), "robot"])
+    names: dict[str, Any] = {}
+    exec(NODE, names)
     file = io.BytesIO()
     writer = Writer(file)
     writer.write_message("/points", writer.register_msgdef(CLOUD, DEFINITIONS[CLOUD]), sent[0])
@@ -78,8 +76,7 @@ def test_the_ros_node_publishes_what_the_definitions_say(
     reader = make_reader(io.BytesIO(file.getvalue()), decoder_factories=[DecoderFactory()])
     ((_, _, _, read),) = reader.iter_decoded_messages()
     points = np.frombuffer(read.data, "<f4").reshape(-1, 3)
-    scan = node.lidar.scan(node.data)
-    assert (read.header.frame_id, read.width) == ("lidar", np.isfinite(scan.ranges).sum())
-    np.testing.assert_allclose(
-        np.linalg.norm(points, axis=1), scan.ranges[np.isfinite(scan.ranges)], rtol=1e-6
-    )
+    assert (read.header.stamp.sec, read.header.frame_id) == (7, "lidar")
+    ranges = names["lidar"].scan(names["data"]).ranges
+    ranges = ranges[np.isfinite(ranges)]
+    np.testing.assert_allclose(np.linalg.norm(points, axis=1), ranges, rtol=1e-6)
