@@ -100,8 +100,7 @@ def test_a_notebook_shows_the_page_and_a_picture_where_there_are_no_scripts(
     tab.goto((tmp_path / "cell.html").as_uri())
     assert "needs JavaScript" in tab.frame_locator("iframe").locator("body").inner_text()
     assert not tab.frame_locator("iframe").locator("#panel").is_visible()
-    width = tab.locator("img").bounding_box()["width"]
-    assert width > 300
+    assert tab.locator("img").bounding_box()["width"] > 300
 
 
 def test_the_address_keeps_what_is_shown_and_a_click_tells_of_a_voxel(
