@@ -112,9 +112,9 @@
   for (const [name, wanted] of Object.entries(stories)) {
     find("stories").append(Object.assign(make("button", name), { onclick: () => { split([]); tell(wanted); } }));
   }
-  // The sets of the views; none where there is one view, which shows what is checked.
-  const usual = [...(methods.size ? ["observed", first] : ["free", "observed"]), "occupancy"].filter((name) => sets.has(name));
+  // The names of the views' sets; none where there is one view, which shows what is checked.
   let panes = [];
+  const usual = [...(methods.size ? ["observed", first] : ["free", "observed"]), "occupancy"].filter((name) => sets.has(name));
   const views = () => Math.max(panes.length, 1);
   const shows = (view, name) => name.startsWith("#") || shown.has(name) || (sets.get(panes[view]) ?? []).includes(name);
   const wanted = (name) => shown.has(name) || panes.some((_, view) => shows(view, name));
@@ -149,7 +149,9 @@
     label.append(box, swatch, make("span", owner ? kind : n < 9 && kind !== "predicted" ? `${name} (${n + 1})` : name));
     box.onchange = () => {
       box.checked ? shown.add(name) : shown.delete(name);
-      if (box.checked && kind === "distances") names.forEach((other, m) => { if (other !== name && kinds.get(other) === kind && shown.has(other)) boxes[m].click(); });
+      if (box.checked && kind === "distances") names.forEach((other, m) => { // which this one would hide
+        if (other !== name && kinds.get(other) === kind && shown.has(other)) boxes[m].click();
+      });
       if (sample) (name === "observed" ? names.filter((one) => /observed|occupancy|predicted/.test(kinds.get(one))) : [name]).forEach(fill);
     };
     if (kind === "predicted") {
