@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+import scenegen
 from scenegen.dataset.read import Dataset
 from tests.command_line import ROOT
 
 PAGE = (ROOT / "docs" / "interop.md").read_text(encoding="utf-8")
-SPARSE, BATCHES, NODE = re.findall(r"^```python\n(.*?)^```\n", PAGE, re.M | re.S)
+SPARSE, BATCHES, RERUN, NODE = re.findall(r"^```python\n(.*?)^```\n", PAGE, re.M | re.S)
 SCENE = """<mujoco><worldbody>
 <geom type="plane" size="9 9 1"/><geom type="box" size="1 1 9" pos="4 0 0"/>
 <body name="robot" pos="0 0 3"><freejoint/><geom type="sphere" size=".2"/></body>
@@ -36,6 +37,22 @@ def test_sparse_batches_hold_every_observed_voxel(made: Path) -> None:
     dense = list(names["batches"](samples, 3))
     assert len(dense) == len(samples) // 3
     np.testing.assert_array_equal(dense[0][0], observed)
+
+
+def test_rerun_s_recordings_hold_predictions_and_flights(made: Path, tmp_path: Path) -> None:
+    pytest.importorskip("rerun_bindings", reason="rerun-sdk is not installed")
+    names: dict[str, Any] = {}
+    exec(RERUN, names)
+    from rerun.chunk import RrdReader
+
+    samples = Dataset(made).split("train")[:2]
+    free = lambda sample: SimpleNamespace(occupied=lambda: sample.free)  # noqa: E731
+    names["record_predictions"](samples, free, tmp_path / "a.rrd")
+    names["record_flight"](scenegen.Flight("pillar"), tmp_path / "b.rrd")
+    readers = [RrdReader(path) for path in tmp_path.iterdir()]
+    found = {chunk.entity_path for reader in readers for chunk in reader.stream()}
+    assert {"/prediction", "/truth", "/world/points", "/curves/goal"} <= found
+    assert all(reader.blueprints() for reader in readers)
 
 
 def test_the_ros_node_publishes_what_the_definitions_say(
