@@ -1,14 +1,27 @@
-"""Draw the gallery's sheets of sensors, noise and networks, and write its page.
+"""Draw the gallery's sheets of sensors, noise and networks, and write its page; or draw the
+pictures of docs/look.md and docs/sensor.md.
 
-python docs/gallery.py          writes docs/gallery.md and docs/pictures/gallery/*.webp
+    python docs/gallery.py          # docs/gallery.md and docs/pictures/gallery/*.webp
+    python docs/gallery.py sensors  # docs/pictures/sensors/*.png
+    python docs/gallery.py look     # docs/pictures/look/*.webp, of data/geometric and data/pillar
+    python docs/gallery.py page     # those of the page in a browser: `pip install playwright`, and
+                                    # Debian's chromium
+
+`data/geometric` and `data/pillar` are those of `scenegen generate --kind …`.
 """
 
+import io
+import shutil
+import subprocess
+import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
+from PIL import Image
 
 from lidarsim import Pose
 from lidarsim.noise import STAGES
@@ -17,6 +30,7 @@ from lidarsim.sensors import CATALOGUE, RASTER
 from lidarsim.sensors.device import angles_deg
 from scenegen.display.colours import DISTANCES, colour
 from scenegen.display.panels import to_bytes
+from scenegen.display.pictures import draw_patterns
 from scenegen.draw import scan_world
 from scenegen.recipes import kind_names
 from scenegen.source import read_world
@@ -44,6 +58,35 @@ SHOWN = {
     "intensity": "intensity:0.05",
 }
 """Every stage, stronger than a sensor has it, so that it is seen."""
+NETWORKS = "--weights tudf --weights occ --weights proposed"
+LOOKS = {
+    "sample": (1000, "data/geometric --split test --index 437"),
+    "sheet": (1000, "data/geometric --sheet 8"),
+    "completions": (1300, f"data/geometric --split test --index 7 {NETWORKS}"),
+    "paths": (
+        1100,
+        "data/geometric --split test --figure paths --index 499 --index 299 --index 7 "
+        f"{NETWORKS} --weights columns",
+    ),
+    "turn": (384, "data/geometric --split test --index 437 --turn"),
+    "example": (1300, f"data/geometric --split test --index 7 --figure example {NETWORKS}"),
+    "archived": (800, "data/pillar --split test --index 7 --figure world"),
+    "flight": (800, "scenes/warehouse.xml --flight"),
+}
+"""Width in pixels of each of docs/look.md's pictures, and what `scenegen render` is told."""
+FIRST, WHOSE = "sample=7&split=test", "proposed"
+TABS = {
+    "page": (800, "data/geometric", NETWORKS, ""),
+    "predicted": (
+        800,
+        "data/geometric",
+        NETWORKS,
+        f"&layers={WHOSE}~{WHOSE}: missed~{WHOSE}: invented~paths",
+    ),
+    "beside": (520, "data/geometric", NETWORKS, f"&layers=paths&views=observed~{WHOSE}~occupancy"),
+    "world": (800, "data/pillar", "", "&layers=points~occupancy~world"),
+}
+"""The height in pixels, the dataset, the networks and the address of each picture of the page."""
 PAGE = """# Gallery
 
 Written by `python docs/gallery.py`; the pictures of worlds by `python docs/pictures.py`.
@@ -105,6 +148,61 @@ def main() -> None:
     (DOCS / "gallery.md").write_text(page, encoding="utf-8")
 
 
+def draw_looks() -> None:
+    """Draw the pictures of docs/look.md by the commands that stand there."""
+    with tempfile.TemporaryDirectory() as folder:
+        for name, (wide, words) in LOOKS.items():
+            drawn = Path(folder, f"{name}.png" if name != "turn" else "turn.webp")
+            subprocess.run(["scenegen", "render", *words.split(), "-o", drawn], check=True)
+            with Image.open(drawn) as picture:
+                small(picture, wide, f"{name}.webp")
+
+
+def small(picture: Any, wide: int, name: str) -> None:
+    """Write one of docs/look.md's pictures, so many pixels wide; of a film every second picture."""
+    size = wide, round(picture.height * wide / picture.width)
+    drawn = []
+    for n in range(0, getattr(picture, "n_frames", 1), 2):
+        picture.seek(n)
+        drawn.append(picture.convert("RGB").resize(size, Image.Resampling.LANCZOS))
+    how: dict[str, Any] = {"quality": 70, "method": 6}
+    if drawn[1:]:
+        how |= {"quality": 45, "save_all": True, "append_images": drawn[1:]}
+        how |= {"duration": 444, "loop": 0}
+    drawn[0].save(DOCS / "pictures" / "look" / name, **how)
+
+
+def draw_page() -> None:
+    """Take the pictures of what `scenegen view` serves, by Chromium with its software renderer."""
+    from playwright.sync_api import sync_playwright
+
+    flags = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=shutil.which("chromium"), args=flags)
+        tab = browser.new_page()
+        for name, (height, data, networks, place) in TABS.items():
+            tab.set_viewport_size({"width": 1160, "height": height})
+            words = ["scenegen", "view", data, "--port", "0", *networks.split()]
+            server = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+            assert server.stdout is not None
+            tab.goto(f"{server.stdout.readline().split()[0]}#{FIRST}{place}")
+            tab.wait_for_selector("body[data-sample='7']", state="attached", timeout=60_000)
+            tab.wait_for_timeout(3000)  # the world is asked for after the sample
+            small(Image.open(io.BytesIO(tab.screenshot())), 900, f"{name}.webp")
+            server.terminate()
+            server.wait()
+            tab.goto("about:blank")
+        browser.close()
+
+
+def draw_sensors() -> None:
+    """Draw the pattern of every sensor of the catalogue, as `scenegen sensors NAME --out` does."""
+    for name in CATALOGUE:
+        drawn = io.BytesIO(to_bytes(draw_patterns({name: named_lidar(name)}), ".png"))
+        picture = Image.open(drawn).convert("RGB").quantize(64, dither=Image.Dither.NONE)
+        picture.save(DOCS / "pictures/sensors" / f"{name}.png", optimize=True)
+
+
 def panels(count: int, columns: int, size: tuple[float, float]) -> tuple[Figure, list[Any]]:
     """A sheet of so many panels without axes, inches each."""
     rows = -(-count // columns)
@@ -153,4 +251,5 @@ def noise(world: Any) -> Figure:
 
 
 if __name__ == "__main__":
-    main()
+    parts = {"sensors": draw_sensors, "look": draw_looks, "page": draw_page}
+    parts.get(" ".join(sys.argv[1:]), main)()

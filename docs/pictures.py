@@ -19,7 +19,7 @@ from scenegen.source import DrawnWorlds
 from scenegen.worlds.world import solid
 
 OUT = Path(__file__).parent / "pictures"
-HEIGHTS = "viridis"
+HEIGHTS, DISTANCES = "viridis", "cividis"
 
 
 def main() -> None:
@@ -104,7 +104,7 @@ def draw_sample(unit: Unit, recipe: Recipe, path: Path) -> None:
         plotter.add_mesh(
             mesh,
             scalars="metres",
-            cmap=HEIGHTS if column < 2 else "magma",
+            cmap=HEIGHTS if column < 2 else DISTANCES,
             show_scalar_bar=False,
             clim=(sample.origin[2], sample.origin[2] + grid.extent_m[2])
             if column < 2

@@ -146,13 +146,12 @@ def _show(dataset: Path | str, found: dict[str, Any]) -> None:
     for name, split in found["splits"].items():
         rows = {}
         for key, value in split["statistics"].items():
-            _, unit, factor = LABELS[key]
-            short = {"range_m": "mean range", "tudf_m": "mean distance"}
-            label = short.get(key, key.removesuffix("_m"))
-            rows[label] = "–"
+            _, unit = LABELS[key]
+            factor = 100 if unit == "%" else 1
+            rows[key] = "–"
             if value["mean"] is not None:
                 mean, std, low, high = (value[one] * factor for one in value)
-                rows[label] = f"{mean:6.2f} ± {std:5.2f} {unit}   from {low:.2f} to {high:.2f}"
+                rows[key] = f"{mean:6.2f} ± {std:5.2f} {unit}   from {low:.2f} to {high:.2f}"
         counts = f"{split['samples']} samples of {split['worlds']} worlds"
         show_table(rows, f"{name}: {counts} ({split['sampled']} measured)")
 

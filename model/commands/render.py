@@ -131,7 +131,7 @@ def render(
         )
     if importlib.util.find_spec("matplotlib") is None:  # before the samples are read
         raise ModuleNotFoundError("matplotlib", name="matplotlib")
-    from scenegen.display.panels import PAPER_DPI, for_paper, to_bytes
+    from scenegen.display.panels import for_paper, to_bytes
     from scenegen.files import check_ours, write_result
 
     check_ours(out)
@@ -140,10 +140,9 @@ def render(
     if made is None:
         film += out.suffix if film else ""
         made, notes = _draw_samples(source, shown=not quiet, film=film, **options)
-    if options["paper"] and not isinstance(made, bytes):
+    if options["paper"]:
         for_paper(made, font_size)
-    dpi = PAPER_DPI if options["paper"] else None
-    content = made if isinstance(made, bytes) else to_bytes(made, out.suffix, dpi)
+    content = made if isinstance(made, bytes) else to_bytes(made, out.suffix)
     write_result(out, content)
     for line in notes:
         note(line)
@@ -165,7 +164,8 @@ def _draw_file(path: Path, seed: int | None) -> Any:
     if path.suffix == ".h5":
         from scenegen.model.completion.predictions import read_completion
 
-        return pictures.draw_completion(read_completion(path), title=title)
+        panels = "observed", "predicted"
+        return pictures.draw_sample(read_completion(path), title=title, panels=panels)
     if (path / "metrics.csv").is_file():
         from scenegen.model.training.card import draw, read_rows
 
@@ -184,8 +184,8 @@ def _draw_world(path: Path, seed: int | None, title: str) -> Any:
 
     world = solid(read_world(path), str(path))
     poses = [] if seed is None else poses_in_flight(world, seed=seed)
-    flight = np.stack([pose.position for pose in poses]) if poses else None
-    return draw_world(world, title=title, flight=flight)
+    places = np.stack([pose.position for pose in poses]) if poses else None
+    return draw_world(world, title=title, places=places, joined=True)
 
 
 def _draw_samples(
@@ -245,8 +245,7 @@ def _draw_archived(found: "Dataset", split: str, index: int, title: str) -> Any:
 
     samples = found.split(split)
     sample = samples[index]
-    number = int(sample.world)
     places = np.stack([samples[n].position for n in _same_world(found, split, index)])
     box = sample.origin, sample.origin + found.grid.extent_m
-    world = solid(found.compile(split, number), title)
+    world = solid(found.compile(split, int(sample.world)), title)
     return draw_world(world, title=title, places=places, box=box)

@@ -23,17 +23,6 @@ from scenegen.files import write_whole
 from scenegen.run.workers import run
 from scenegen.stores.cache import bytes_in
 
-SHAPES = (
-    "planes",
-    "height fields",
-    "spheres",
-    "capsules",
-    "ellipsoids",
-    "cylinders",
-    "boxes",
-    "meshes",
-)
-"""What MuJoCo's codes of shapes stand for."""
 AT_ONCE = 200
 """Samples that a process measures before it tells of them."""
 MOST_MEASURED = 200
@@ -75,8 +64,8 @@ def inspect(
     dataset = Dataset(folder, partial=not keep)
     it = dataset.manifest
     found = {name: getattr(it, name) for name in ("kind", "seed", "complete", "digest", "rejected")}
-    found |= {"fields": list(it.fields), "grid": it.parameters["grid"]}
-    found["mapping"] = it.parameters.get("mapping")
+    fields, mapping = list(it.fields), it.parameters.get("mapping")
+    found |= {"fields": fields, "grid": it.parameters["grid"], "mapping": mapping}
     if it.sources:
         differ = it.parameters.get("differ", ())
         named = [dict(zip(("lidar", "mapping", "noise"), one, strict=True)) for one in it.settings]
@@ -109,18 +98,18 @@ def inspect(
     told = {}
     for split in splits:
         table = tables[split.name]
-        columns = {
-            name: column[~np.isnan(column)] for name, column in zip(FIGURES, table.T, strict=True)
-        }
         told[split.name] = {
             "samples": len(split),
             "worlds": split.count_worlds(),
             "sampled": len(table),
-            "statistics": {name: _summary(column) for name, column in columns.items()},
+            "statistics": {
+                name: _summary(column[~np.isnan(column)])
+                for name, column in zip(FIGURES, table.T, strict=True)
+            },
         }
     size, samples = bytes_in(folder), sum(map(len, splits))
-    sizes = {"bytes": size, "bytes_per_sample": size / max(samples, 1)}
-    return {**found, "samples": samples, **sizes, "splits": told}
+    found |= {"samples": samples, "bytes": size, "bytes_per_sample": size / max(samples, 1)}
+    return found | {"splits": told}
 
 
 def _measure(dataset: Dataset, task: tuple[int, tuple[str, list[int]]]) -> tuple[int, Any]:
@@ -168,6 +157,7 @@ def inspect_world(path: Path) -> dict[str, Any]:
     """What stands in the world of an MJCF file, or what a map of a real place knows of it. Raises
     SceneError for a file that cannot serve."""
     from scenegen.source import read_world  # which loads what compiles worlds
+    from scenegen.worlds.labels import SHAPES
     from scenegen.worlds.place import Place
 
     world = read_world(path)
@@ -177,7 +167,7 @@ def inspect_world(path: Path) -> dict[str, Any]:
     codes, counts = np.unique(world.solids.shape, return_counts=True)
     solids = {SHAPES[int(code)]: int(count) for code, count in zip(codes, counts, strict=True)}
     if len(world.solids.mesh_filled):
-        solids["meshes"] = len(world.solids.mesh_filled)
+        solids["mesh"] = len(world.solids.mesh_filled)
     return {
         "world": str(path),
         "solids": solids,
@@ -212,21 +202,21 @@ def misfits(grid: GridSpec, lidar: Sensor) -> list[str]:
 
 
 LABELS = {
-    "occupied": ("voxels occupied", "%", 100),
-    "observed": ("voxels observed", "%", 100),
-    "free": ("voxels known to be free", "%", 100),
-    "returned": ("rays that return", "%", 100),
-    "range_m": ("mean range", "m", 1),
-    "tudf_m": ("mean distance", "m", 1),
-    "clearance_m": ("distance to the nearest obstacle", "m", 1),
-    "visibility_m": ("mean visibility", "m", 1),
-    "dispersion": ("dispersion", "%", 100),
-    "passage_m": ("narrowest passage", "m", 1),
-    "tortuosity": ("tortuosity", "", 1),
-    "traversability": ("traversability", "", 1),
-    "gap": ("gap", "", 1),
-    "obstruction": ("obstruction", "", 2),
-    "occlusion": ("occlusion", "", 2),
-    "turning": ("turning", "per metre", 3),
+    "occupied": ("voxels occupied", "%"),
+    "observed": ("voxels observed", "%"),
+    "free": ("voxels known to be free", "%"),
+    "returned": ("rays that return", "%"),
+    "range_m": ("mean range", "m"),
+    "tudf_m": ("mean distance", "m"),
+    "clearance_m": ("distance to the nearest obstacle", "m"),
+    "visibility_m": ("mean visibility", "m"),
+    "dispersion": ("dispersion", "%"),
+    "passage_m": ("narrowest passage", "m"),
+    "tortuosity": ("tortuosity", ""),
+    "traversability": ("traversability", ""),
+    "gap": ("gap", ""),
+    "obstruction": ("obstruction", ""),
+    "occlusion": ("occlusion", ""),
+    "turning": ("turning", "per metre"),
 }
-"""Statistics of a sample: what they are called, their unit, and the factor to it."""
+"""Statistics of a sample: what they are called, and their unit; shares are told in %."""

@@ -66,11 +66,10 @@ class Live(ThreadingHTTPServer):
             check_grid(dataset.grid)
         self.splits = [{name: dataset.split(name) for name in SPLITS} for dataset in datasets]
         self.guesses, self._reading = guesses, threading.Lock()
-        counts = []
-        for dataset, splits in zip(datasets, self.splits, strict=True):
-            counts.append(
-                (title_of(dataset), {name: len(found) for name, found in splits.items() if found})
-            )
+        counts = [
+            (title_of(dataset), {name: len(found) for name, found in splits.items() if found})
+            for dataset, splits in zip(datasets, self.splits, strict=True)
+        ]
         self.page = live_page(counts, split=split, index=index, methods=methods).encode()
         place = ipaddress.ip_address("127.0.0.1" if host == LOCAL else host)
         self.address_family = socket.AF_INET6 if place.version == 6 else socket.AF_INET

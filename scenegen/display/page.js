@@ -52,7 +52,16 @@
   function draw() {
     if (asked || !renderer) return;
     asked = true;
-    requestAnimationFrame(() => { asked = false; renderer.render(scene, camera); });
+    requestAnimationFrame(() => {
+      asked = false;
+      const wide = Math.floor(canvas.clientWidth / views());
+      for (let n = 0; n < views(); n++) {
+        for (const [name, made] of Object.entries(layers)) made.visible = shows(n, name);
+        renderer.setViewport(n * wide, 0, wide, canvas.clientHeight);
+        renderer.setScissor(n * wide, 0, wide, canvas.clientHeight);
+        renderer.render(scene, camera);
+      }
+    });
   }
   controls.addEventListener("change", draw);
 
@@ -75,37 +84,74 @@
   const kinds = new Map([["points", "points"], ["rays", "rays"], ...data.masks.map((name) => [name, name])]);
   if (kinds.has("observed") && kinds.has("free")) kinds.set("unknown", "unknown");
   kinds.set("distances", "distances");
-  const methods = new Map(data.methods), rows = new Map();
+  const methods = new Map(data.methods), rows = new Map(), owners = new Map();
   for (const name of methods.keys()) {
     kinds.set(name, "predicted");
-    for (const kind of ["missed", "invented"]) kinds.set(`${name}: ${kind}`, kind);
+    for (const kind of ["missed", "invented", "distances"]) {
+      kinds.set(`${name}: ${kind}`, kind);
+      owners.set(`${name}: ${kind}`, name);
+    }
   }
   if (methods.size) kinds.set("paths", "paths");
   if (live) kinds.set("world", "world");
   const names = [...kinds.keys()];
+  // Side by side, each view shows one of these sets of layers besides those that are checked.
+  const shared = (name) => ["points", "rays", "paths", "world"].includes(kinds.get(name));
+  const sets = new Map(names.filter((name) => !shared(name)).map((name) => [name, [name]]));
+  for (const name of methods.keys()) sets.set(`${name}: errors`, [name, `${name}: missed`, `${name}: invented`]);
   // What the page tells first, and what its buttons tell next: sets of layers.
   const [first] = methods.keys(), told = new URLSearchParams(location.hash.slice(1));
   const stories = { truth: ["observed", "occupancy"] };
   if (methods.size) stories.prediction = ["observed", first, "paths"];
-  if (methods.size) stories.errors = [first, `${first}: missed`, `${first}: invented`, "paths"];
+  if (methods.size) stories.errors = [...sets.get(`${first}: errors`), "paths"];
   const shown = new Set(told.get("layers")?.split("~").filter((name) => kinds.has(name)) ?? [...stories.truth, "paths"]);
   const layers = {};
   function tell(wanted) {
     names.forEach((name, n) => { if (boxes[n].checked !== wanted.includes(name)) boxes[n].click(); });
   }
   for (const [name, wanted] of Object.entries(stories)) {
-    find("stories").append(Object.assign(make("button", name), { onclick: () => tell(wanted) }));
+    find("stories").append(Object.assign(make("button", name), { onclick: () => { split([]); tell(wanted); } }));
   }
+  // The names of the views' sets; none where there is one view, which shows what is checked.
+  let panes = [];
+  const usual = [...(methods.size ? ["observed", first] : ["free", "observed"]), "occupancy"].filter((name) => sets.has(name));
+  const views = () => Math.max(panes.length, 1);
+  const shows = (view, name) => name.startsWith("#") || shown.has(name) || (sets.get(panes[view]) ?? []).includes(name);
+  const wanted = (name) => shown.has(name) || panes.some((_, view) => shows(view, name));
+  function split(chosen) {
+    panes = chosen;
+    find("views").value = views();
+    find("panes").replaceChildren(...panes.map((name, n) => {
+      const pane = make("div"), pick = make("select");
+      pick.ariaLabel = `view ${n + 1}`;
+      pick.append(...[...sets.keys()].map((one) => new Option(one, one, false, one === name)));
+      pick.onchange = () => split(panes.with(n, pick.value));
+      pane.append(pick);
+      return pane;
+    }));
+    document.body.dataset.views = views();
+    if (sample) names.forEach(fill);
+    resize();
+  }
+  function beside(count) {
+    const kept = [...shown].filter(shared);
+    split(count > 1 ? usual.slice(-count) : []);
+    tell(panes.length ? kept : [...stories.truth, ...kept]);
+  }
+  find("views").onchange = ({ target }) => beside(+target.value);
   const boxes = names.map((name, n) => {
     const box = Object.assign(make("input"), { type: "checkbox", checked: shown.has(name), id: `show-${n}` });
     const swatch = make("i"), kind = kinds.get(name);
     const plain = { points: dark ? [230, 233, 237] : [17, 17, 17], rays: RAYS, world: SOLID, ...PLAIN }[kind];
     const scales = { distances: data.colours.distances, paths: [...methods.values(), ...methods.values()] };
     swatch.style.background = plain ? `rgb(${plain})` : css(scales[kind] ?? data.colours.heights);
-    const label = make("label"), short = kind === "missed" || kind === "invented";
-    label.append(box, swatch, make("span", short ? kind : n < 9 && kind !== "predicted" ? `${name} (${n + 1})` : name));
+    const label = make("label"), owner = owners.get(name);
+    label.append(box, swatch, make("span", owner ? kind : n < 9 && kind !== "predicted" ? `${name} (${n + 1})` : name));
     box.onchange = () => {
       box.checked ? shown.add(name) : shown.delete(name);
+      if (box.checked && kind === "distances") names.forEach((other, m) => { // which this one would hide
+        if (other !== name && kinds.get(other) === kind && shown.has(other)) boxes[m].click();
+      });
       if (sample) (name === "observed" ? names.filter((one) => /observed|occupancy|predicted/.test(kinds.get(one))) : [name]).forEach(fill);
     };
     if (kind === "predicted") {
@@ -115,11 +161,9 @@
       rows.set(name, Object.assign(make("div"), { className: "method" }));
       find("layers").append(rows.get(name));
     }
-    (rows.get(short ? name.slice(0, -kind.length - 2) : name) ?? find("layers")).append(label);
+    (rows.get(owner ?? name) ?? find("layers")).append(label);
     return box;
   });
-  for (const name of ["truth", ...methods.keys()]) find("whose").append(Object.assign(make("option", name), { value: name }));
-  find("whose-row").hidden = !methods.size;
 
   let current = -1, sample = null, fields = {}, turn = 0, placed = false;
   const cube = new THREE.BoxGeometry(1, 1, 1);
@@ -158,7 +202,7 @@
     const size = sample.voxel * (kind in CLEAR ? 0.6 : kind in PLAIN ? 1.02 : 0.98); // outer ones win
     const place = new THREE.Matrix4().makeScale(size, size, size), colour = new THREE.Color();
     const heights = Array.from({ length: nz }, (_, z) => rgb(PLAIN[kind] ?? ramp(data.colours.heights, z / Math.max(nz - 1, 1))));
-    const right = { missed: fields.masks[name.slice(0, -8)], invented: fields.masks.occupancy }[kind];
+    const right = { missed: fields.masks[owners.get(name)], invented: fields.masks.occupancy }[kind];
     for (let n = 0; n < count; n++) {
       const [x, y, z] = [places[3 * n], places[3 * n + 1], places[3 * n + 2]];
       place.setPosition((x + 0.5) * sample.voxel, (y + 0.5) * sample.voxel, (z + 0.5) * sample.voxel);
@@ -178,8 +222,8 @@
     return new THREE.LineSegments(shape, new THREE.LineBasicMaterial({ color: colour, transparent: true, opacity }));
   }
 
-  function slice() {
-    const axis = +find("axis").value, level = +find("level").value, shape = sample.shape, tudf = fields.tudf[find("whose").value];
+  function slice(tudf) {
+    const axis = +find("axis").value, level = +find("level").value, shape = sample.shape;
     const [u, v] = [0, 1, 2].filter((n) => n !== axis);
     const pixels = new Uint8Array(4 * shape[u] * shape[v]), place = [0, 0, 0];
     place[axis] = level;
@@ -254,7 +298,10 @@
 
   function built(name) {
     if (name === "world") return fields.solids ? surface(fields.solids) : void solids();
-    if (name === "distances") return fields.tudf[find("whose").value] && slice();
+    if (kinds.get(name) === "distances") {
+      const tudf = fields.tudf[owners.get(name) ?? "truth"];
+      return tudf && slice(tudf);
+    }
     if (name === "paths") return routes();
     if (name === "points" && fields.points) {
       const shape = new THREE.BufferGeometry().setAttribute("position", new THREE.BufferAttribute(fields.points, 3));
@@ -279,7 +326,7 @@
 
   function fill(name) {
     drop(name);
-    const made = renderer && shown.has(name) && built(name);
+    const made = renderer && wanted(name) && built(name);
     if (made) scene.add(layers[name] = made);
     const axis = +find("axis").value, level = +find("level").value;
     find("at").textContent = `${(sample.origin[axis] + (level + 0.5) * sample.voxel).toFixed(2)} m`;
@@ -318,6 +365,7 @@
     keeping = setTimeout(() => {
       const place = [...camera.position.toArray(), ...controls.target.toArray()].map((one) => +one.toFixed(3));
       const now = new URLSearchParams({ sample: current, layers: [...shown].join("~"), camera: place.join("~") });
+      if (panes.length) now.set("views", panes.join("~"));
       if (live) now.set("dataset", find("dataset").value), now.set("split", find("split").value);
       try { history.replaceState(null, "", `#${now}`); } catch { /* a notebook's frame has no address */ }
     }, 200);
@@ -330,9 +378,11 @@
   canvas.addEventListener("pointerup", (event) => {
     if (!sample || Math.hypot(event.clientX - down[0], event.clientY - down[1]) > 4) return;
     const { left, top, width, height } = canvas.getBoundingClientRect(), caster = new THREE.Raycaster();
-    const at = new THREE.Vector2(2 * (event.clientX - left) / width - 1, 1 - 2 * (event.clientY - top) / height);
+    const across = views() * (event.clientX - left) / width, view = Math.floor(across);
+    const at = new THREE.Vector2(2 * (across - view) - 1, 1 - 2 * (event.clientY - top) / height);
     caster.setFromCamera(at, camera);
-    const [hit] = caster.intersectObjects(Object.values(layers).filter((one) => one.isInstancedMesh));
+    const seen = names.filter((name) => layers[name]?.isInstancedMesh && shows(view, name));
+    const [hit] = caster.intersectObjects(seen.map((name) => layers[name]));
     drop("#picked");
     find("picked").textContent = hit ? picked(hit.point.addScaledVector(hit.face.normal, -0.1 * sample.voxel)) : "";
     draw();
@@ -360,8 +410,8 @@
     if (!sample) return;
     const size = sample.shape.map((count) => count * sample.voxel), far = Math.hypot(...size);
     controls.target.set(size[0] / 2, size[1] / 2, size[2] / 2);
-    const way = top ? [0, -0.001, 1.3] : [0.53, -0.9, 0.71], back = far * Math.max(1, 1.2 / camera.aspect);
-    camera.position.set(...way.map((part, n) => size[n] / 2 + part * back));
+    const way = top ? [0, -0.001, 1.3] : [0.53, -0.9, 0.71];
+    camera.position.set(...way.map((part, n) => size[n] / 2 + part * far));
     camera.near = far / 1000;
     camera.far = far * 20;
     camera.updateProjectionMatrix();
@@ -477,16 +527,16 @@
     find("level").value = Math.max(Math.floor(count / 2) - 1, 0);
   }
 
-  function step(slices) {
+  function step(levels) {
     if (!sample) return;
-    find("level").value = +find("level").value + slices;
-    if (!shown.has("distances")) boxes[names.indexOf("distances")].click();
-    else fill("distances");
+    find("level").value = +find("level").value + levels;
+    const slices = names.filter((name) => kinds.get(name) === "distances" && wanted(name));
+    slices.forEach(fill);
+    if (!slices.length) boxes[names.indexOf("distances")].click();
   }
 
   data.samples.forEach((one, n) => find("which").append(Object.assign(make("option", one.name), { value: n })));
   which.onchange = () => show(Math.round(+which.value) || 0);
-  find("whose").onchange = () => step(0);
   if (live) {
     find("which").hidden = true;
     find("split").hidden = find("number").hidden = false;
@@ -510,7 +560,7 @@
   const keys = {
     ArrowLeft: () => show(current - 1), ArrowRight: () => show(current + 1),
     Home: () => show(0), End: () => show(count() - 1),
-    ArrowUp: () => step(1), ArrowDown: () => step(-1), r: () => view(false), t: () => view(true),
+    ArrowUp: () => step(1), ArrowDown: () => step(-1), v: () => beside((views() % 3) + 1), r: () => view(false), t: () => view(true),
   };
   addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || event.target.matches("select, #number")) return;
@@ -523,15 +573,19 @@
   });
   function resize() {
     const { clientWidth: width, clientHeight: height } = canvas;
-    camera.aspect = width / Math.max(height, 1);
-    const panel = innerWidth > 640 ? find("panel").offsetWidth : 0;
-    camera.setViewOffset(width, height, -panel / 2, 0, width, height); // the middle of what the panel leaves
+    camera.aspect = width / views() / Math.max(height, 1);
+    // A narrow view is as wide as any, and higher: so the same camera shows the same in all of them.
+    const high = Math.tan(Math.PI / 8) * Math.max(1, 1.2 / camera.aspect);
+    camera.fov = THREE.MathUtils.radToDeg(2 * Math.atan(high));
+    camera.updateProjectionMatrix();
     renderer?.setPixelRatio(Math.min(devicePixelRatio, 2));
     renderer?.setSize(width, height, false);
+    renderer?.setScissorTest(true);
     draw();
   }
   new ResizeObserver(resize).observe(canvas);
-  resize();
+  const chosen = (told.get("views") ?? "").split("~").filter((name) => sets.has(name));
+  split(chosen.length > 1 ? chosen.slice(0, 3) : []);
   await show(Math.floor(+(told.get("sample") ?? (live ? live.index : 0))) || 0);
 })().catch((error) => {
   if (parent === window) throw error;

@@ -55,7 +55,7 @@ def blank(wide: float, tall: float, title: str, dpi: int | None = None) -> Figur
     return figure
 
 
-def to_bytes(figure: Figure, suffix: str, dpi: float | None = None) -> bytes:
+def to_bytes(figure: Figure, suffix: str) -> bytes:
     """A figure as the file that the suffix says: .png, .pdf, .svg, or .webp."""
     from matplotlib import rc_context
 
@@ -63,18 +63,18 @@ def to_bytes(figure: Figure, suffix: str, dpi: float | None = None) -> bytes:
     # without the version of matplotlib, so that the same picture is the same file
     more: dict[str, Any] = {"metadata": {"Software": None}} if suffix == ".png" else {}
     with rc_context({"pdf.fonttype": 42, "svg.fonttype": "none"}):  # letters stay letters
-        figure.savefig(file, format=suffix.removeprefix("."), dpi=dpi or "figure", **more)
+        figure.savefig(file, format=suffix.removeprefix("."), dpi="figure", **more)
     return file.getvalue()
 
 
-def for_paper(figure: Figure, points: float) -> Figure:
-    """`figure` for print: all letters of one size, voxels and points as pixels fine enough for it
-    in files that hold lines and letters as such."""
+def for_paper(figure: Figure, points: float) -> None:
+    """Make a figure one for print: all letters of one size, voxels and points as pixels fine
+    enough for it in files that hold lines and letters as such."""
+    figure.set_dpi(PAPER_DPI)
     for text in figure.findobj(Text):
         text.set_fontsize(points)
     for many in figure.findobj(Collection):
         many.set_rasterized(len(many.get_paths()) > MOST_VECTORS or "Path" in str(many))
-    return figure
 
 
 def plain(text: str) -> str:

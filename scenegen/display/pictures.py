@@ -62,8 +62,8 @@ def draw_sample(
     panels: Sequence[str] = ("points", "observed", "occupancy"),
     width: float | None = None,
 ) -> Figure:
-    """Draws returns, observed and occupied voxels, seen from above and aside, over three levels of
-    the distances.
+    """Draws returns, observed and occupied voxels, or other masks, seen from above and aside, over
+    three levels of the distances.
 
     The map's box is drawn around each, and the sensor as a red ball. What could not be read is left
     empty, and says so. Raises DatasetError as `draw_voxels`.
@@ -79,12 +79,6 @@ def draw_sample(
     grid.bar_of_heights([look], row=0)
     grid.bar_of_distances(look, row=1)
     return grid.finish()
-
-
-def draw_completion(look: Look, *, title: str) -> Figure:
-    """Draws what of a scan came into its map, and what was predicted from it, over levels of the
-    predicted distances."""
-    return draw_sample(look, title=title, panels=("observed", "predicted"))
 
 
 def draw_sheet(
@@ -202,8 +196,8 @@ def draw_world(
     world: "World",
     *,
     title: str,
-    flight: NDArray[np.float64] | None = None,
     places: NDArray[np.float64] | None = None,
+    joined: bool = False,
     box: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
 ) -> Figure:
     """Draws what stands in the box in which the sensor flies, and below it, seen from above and
@@ -215,8 +209,8 @@ def draw_world(
     Args:
         world: The world.
         title: The words above it.
-        flight: Viewpoints (n, 3), joined by a red line.
-        places: Viewpoints (n, 3), as balls alone.
+        places: Viewpoints (n, 3), as balls.
+        joined: Whether a red line joins them, as those of a flight.
         box: Least and greatest corner of a map, drawn in blue.
     """
     low, high = world.flight_bounds.copy()
@@ -231,10 +225,8 @@ def draw_world(
     if box is not None:
         put_box(panel, *box)
         handles.insert(0, line("the map's box", MAP, 1.4))
-    if flight is not None:
-        panel.plot(*VIEW.project(flight).T, color=RED, linewidth=1, zorder=6)
-        places = flight
     if places is not None:
+        panel.plot(*VIEW.project(places).T, color=RED, linewidth=float(joined), zorder=6)
         put_ball(panel, VIEW.project(places), size=24)
         handles.insert(0, ball("viewpoints"))
     add_legend(figure, handles)

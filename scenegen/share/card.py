@@ -210,7 +210,8 @@ def _statistics(splits: Mapping[str, Any]) -> str:
     rows = [["", *splits]]
     for name, key in (("samples", "samples"), ("worlds", "worlds"), ("measured", "sampled")):
         rows.append([name, *(str(it[key]) for it in splits.values())])
-    for key, (label, unit, factor) in LABELS.items():
+    for key, (label, unit) in LABELS.items():
+        factor = 100 if unit == "%" else 1
         found = [it["statistics"][key] for it in splits.values()]
         cells = [
             "–"

@@ -10,7 +10,7 @@ from tests.command_line import run
 
 
 def told(capsys, path):
-    code, said, noted = run(capsys, "inspect", path, "--json")
+    code, said, noted = run(capsys, f"inspect {path} --json")
     assert (code, noted) == (0, "")
     return json.loads(said)
 
@@ -52,7 +52,7 @@ def test_a_scan_predictions_and_a_run_are_told(tmp_path, capsys):
     found = told(capsys, run_folder)
     assert (found["network"], found["kinds"], found["epochs"]) == ("occ", ["pillar"], 3)
     assert found["best"] == {"epoch": 2, "val_loss": 0.3, "val_iou": 0.5, "val_near_mae": 0.1}
-    code, said, _ = run(capsys, "inspect", run_folder)
+    code, said, _ = run(capsys, f"inspect {run_folder}")
     assert (code, "best.val_iou" in said) == (0, True)
 
 
@@ -65,8 +65,8 @@ def test_files_that_are_none_of_these_end_in_one_line(tmp_path, capsys):
     with h5py.File(tmp_path / "shard.h5", "w") as file:
         file["occupancy"] = file["tudf"] = np.zeros((3, 4, 4, 2), np.float32)
     for name in ("shard.h5", "other.h5", "broken.h5", "none.h5", "none.pcd", "none.xml", "run"):
-        code, _, said = run(capsys, "inspect", tmp_path / name)
+        code, _, said = run(capsys, f"inspect {tmp_path}/{name}")
         assert (code, said.count("\n")) == (1, 1), name
         assert name in said
-    code, _, said = run(capsys, "inspect", tmp_path / "shard.h5")
+    code, _, said = run(capsys, f"inspect {tmp_path}/shard.h5")
     assert "shard of a dataset" in said

@@ -202,13 +202,13 @@ def test_one_task_and_a_scalar_loss_will_do_and_an_export_works_or_says_why_not(
     (here / "wrong.py").write_text(WRONG)
     words = ("train", "data/pillar", "--epochs", 1, "--device", "cpu", "--quiet", "--variant")
     assert run(capsys, *words, "wrong:Seeing", "--loss", "wrong:Scaled", "--workers", 1)[0] == 0
-    assert run(capsys, "export", "wrong:Seeing@runs/Seeing")[0] == 0
+    assert run(capsys, "export wrong:Seeing@runs/Seeing")[0] == 0
     assert Completer.from_pretrained("Seeing.onnx")(np.zeros((24, 24, 16), bool)).tudf is None
     code, _, error = run(capsys, *words, "wrong:Broken")
     assert (code, error.count("\n"), "of wrong.py: KeyError" in error) == (1, 1, True)
     for name, code in (("Sorted", 0), ("Branching", 1)):
         assert run(capsys, *words, f"wrong:{name}")[0] == 0
-        ended, _, error = run(capsys, "export", f"wrong:{name}@runs/{name}")
+        ended, _, error = run(capsys, f"export wrong:{name}@runs/{name}")
         assert (ended, error.count("\n"), f"wrong:{name}" in error) == (code, code, bool(code)), (
             error
         )

@@ -40,16 +40,8 @@ def test_a_page_holds_what_is_predicted(folder, tmp_path, capsys):
         for name in ("world", "viewpoint"):
             file[name] = np.array([getattr(sample, name) for sample in samples], np.int64)
         file["tudf"] = np.stack([distance_field(guess > 0.85, dataset.grid) for guess in guesses])
-    words = (
-        "view",
-        folder,
-        "--predictions",
-        tmp_path / "p.h5",
-        "-o",
-        tmp_path / "page.html",
-        "--quiet",
-    )
-    code, _, said = run(capsys, *words, "--split", "test")
+    words = f"view {folder} --predictions {tmp_path}/p.h5 -o {tmp_path}/page.html --quiet"
+    code, _, said = run(capsys, f"{words} --split test")
     assert (code, said) == (0, "")
     shown = Seen((tmp_path / "page.html").read_text(encoding="utf-8")).data()["samples"]
     assert len(shown) == len(samples)
@@ -69,7 +61,7 @@ def test_a_page_holds_what_is_predicted(folder, tmp_path, capsys):
         )
         missed, invented = (sample.occupancy & ~guess).sum(), (guess & ~sample.occupancy).sum()
         assert f"{missed} missed, {invented} invented" in packed["figures"]["p"]
-    code, _, said = run(capsys, *words, "--split", "train")  # which the file does not predict
+    code, _, said = run(capsys, f"{words} --split train")  # which the file does not predict
     assert (code, said.count("\n")) == (1, 1)
     assert "p.h5" in said
 
@@ -119,7 +111,7 @@ def test_scans_completions_of_them_and_runs_are_drawn(tmp_path, capsys, monkeypa
     (tmp_path / "bad" / "metrics.csv").write_text("epoch,val_loss\n1,much\n")
     (tmp_path / "empty.npz").write_bytes(b"PK")
     for name in ("scan.pcd", "scan.bin", "done.h5", "run"):
-        code, _, said = run(capsys, "render", tmp_path / name, "-o", tmp_path / "x.png", "--quiet")
+        code, _, said = run(capsys, f"render {tmp_path}/{name} -o {tmp_path}/x.png --quiet")
         assert (code, said) == (0, ""), name
         assert (tmp_path / "x.png").read_bytes().startswith(b"\x89PNG")
         (tmp_path / "x.png").unlink()
@@ -129,7 +121,7 @@ def test_scans_completions_of_them_and_runs_are_drawn(tmp_path, capsys, monkeypa
         ("empty.npz", ".npz"),
         ("run/x.h5", "x.h5"),
     ):
-        code, _, said = run(capsys, "render", tmp_path / name, "-o", tmp_path / "x.png")
+        code, _, said = run(capsys, f"render {tmp_path}/{name} -o {tmp_path}/x.png")
         assert (code, said.count("\n")) == (1, 1), name
         assert part in said
         assert not (tmp_path / "x.png").exists()

@@ -15,6 +15,7 @@ FORMATS = Registry(
     "format",
     {
         "semantickitti": f"{FILES}:SemanticKitti",
+        "occ3d": f"{FILES}:Occ3d",
         "npz": f"{FILES}:Npz",
         "ply": f"{FILES}:Ply",
         "pcd": f"{FILES}:Pcd",

@@ -75,10 +75,8 @@ def encode_points(
 ) -> bytes:
     """What a file of the kind `suffix` holds; for the arguments see `write_points`."""
     if suffix == ".npz":
-        file = io.BytesIO()
         more = {} if intensity is None else {"intensity": intensity}
-        np.savez_compressed(file, allow_pickle=False, points=points, **more, **(about or {}))
-        return file.getvalue()
+        return encode_npz({"points": points, **more, **(about or {})})
     names, columns = ["x", "y", "z"], [points]
     if intensity is not None or suffix == ".bin":
         names.append("intensity")
@@ -95,6 +93,18 @@ def encode_points(
         about_fields["stood"] = " ".join(map(repr, about["position"].tolist()))
     head = HEADS[suffix].format(count=len(points), **about_fields)
     return head.encode() + np.concatenate(columns, axis=1).astype("<f4").tobytes()
+
+
+def encode_npz(fields: Mapping[str, Any]) -> bytes:
+    """A compressed NumPy archive of arrays and texts by name, the same bytes whenever it is
+    made."""
+    file = io.BytesIO()
+    # not numpy.savez_compressed: it knows no level, and level 1 is several times as fast
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as members:
+        for name, values in fields.items():
+            with members.open(f"{name}.npy", "w") as member:
+                np.lib.format.write_array(member, np.asanyarray(values), allow_pickle=False)
+    return file.getvalue()
 
 
 class OneEach:
@@ -146,14 +156,8 @@ class Npz(OneEach):
         """The content of the sample's file."""
         fields = {name: getattr(sample, name) for name in sample.names}
         fields["points"] = sample.points(lidar, frame=self.choices.frame)
-        fields["voxel_m"] = np.float64(grid.voxel_m)
-        file = io.BytesIO()
-        # not numpy.savez_compressed: it knows no level, and level 1 is several times as fast
-        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as members:
-            for name, values in fields.items():
-                with members.open(f"{name}.npy", "w") as member:
-                    np.lib.format.write_array(member, np.asanyarray(values), allow_pickle=False)
-        return file.getvalue()
+        fields["voxel_m"] = grid.voxel_m
+        return encode_npz(fields)
 
 
 class WebDataset(Together):
@@ -213,6 +217,36 @@ class SemanticKitti(OneEach):
             invalid |= ~sample.known
         bits, *more = (np.packbits(mask).tobytes() for mask in (observed, invalid, unseen))
         return bits, labels.tobytes(), *more
+
+
+MANMADE, EMPTY = 15, 17
+"""Occ3D-nuScenes' classes of occupied voxels and of free ones."""
+
+
+class Occ3d(OneEach):
+    """Occ3D-nuScenes' labels (tsinghua-mars-lab.github.io/Occ3D), for programs that read its task
+    of occupancy prediction.
+
+    ``gts/train/000007/labels.npz``, where that dataset has a scene and a token, holds uint8 arrays
+    of the grid's shape: `semantics`, `mask_lidar`, 1 where a ray met or crossed the voxel, and
+    `mask_camera`, 1 where the truth is known. There are no cameras: programs that score within this
+    mask score the whole map. Our grids have the sensor in the middle and the world's axes, where
+    Occ3D's begin 1 m below the car's origin and turn with it.
+    """
+
+    def names(self, split: str, number: int) -> tuple[str, ...]:
+        """The file of a sample."""
+        return (f"gts/{split}/{number:06d}/labels.npz",)
+
+    def encode(self, sample: Sample, grid: GridSpec, lidar: Sensor) -> bytes:
+        """Its content."""
+        truth = sample.occupancy
+        fields = {
+            "semantics": np.where(truth, MANMADE, EMPTY),
+            "mask_lidar": sample.observed | sample.free,
+            "mask_camera": np.ones_like(truth) if sample.known is None else sample.known,
+        }
+        return encode_npz({name: values.astype(np.uint8) for name, values in fields.items()})
 
 
 DEPTH = 16

@@ -84,9 +84,9 @@ class Mcap(Together):
         for number, sample in samples:
             header = {"stamp": {"sec": number}, "frame_id": FRAME}
             centres = grid.centres(sample.origin)
-            messages = {"scan": (CLOUD, _cloud(sample.points(lidar), header))}
+            messages = {"scan": (CLOUD, points_message(sample.points(lidar), header))}
             for name in MASKS:
-                messages[name] = CLOUD, _cloud(centres[getattr(sample, name)], header)
+                messages[name] = CLOUD, points_message(centres[getattr(sample, name)], header)
             messages["map"] = VOXEL_GRID, _voxels(sample, grid, number)
             pose = _pose(sample.position, sample.quaternion)
             messages["pose"] = POSE, {"header": header, "pose": pose}
@@ -98,22 +98,19 @@ class Mcap(Together):
         return memory.getvalue()
 
 
-def _cloud(points: NDArray[np.float64], header: dict[str, Any]) -> dict[str, Any]:
-    """A PointCloud2 of points (n, 3), float32."""
+def points_message(points: NDArray[np.float64], header: Any) -> dict[str, Any]:
+    """The values of a PointCloud2 of points (n, 3), as float32, by the names of its fields."""
     return cloud_message(dict(zip("xyz", points.T.astype(np.float32), strict=True)), header)
 
 
-def cloud_message(columns: Mapping[str, NDArray[Any]], header: dict[str, Any]) -> dict[str, Any]:
+def cloud_message(columns: Mapping[str, NDArray[Any]], header: Any) -> dict[str, Any]:
     """A PointCloud2 of values by name, (n,) each, of the types in `POINT_TYPES`."""
     dtype = np.dtype([(name, values.dtype.newbyteorder("<")) for name, values in columns.items()])
-    rows = np.empty(len(columns["x"]), dtype)
-    for name, values in columns.items():
-        rows[name] = values
-    fields = []
-    for name in columns:
-        kind, offset = dtype.fields[name][:2]  # type: ignore[index]
-        datatype = POINT_TYPES.index(kind.str[1:])
-        fields.append({"name": name, "offset": offset, "datatype": datatype, "count": 1})
+    rows = np.rec.fromarrays([*columns.values()], dtype)
+    fields = [
+        {"name": name, "offset": at, "datatype": POINT_TYPES.index(kind.str[1:]), "count": 1}
+        for name, (kind, at, *_) in dtype.fields.items()  # type: ignore[union-attr]
+    ]
     return {
         "header": header,
         "height": 1,
@@ -171,10 +168,14 @@ def rerun() -> Any:
     return module
 
 
+VIEWS = {"seen": "/scan /observed /sensor", "truth": "/occupancy /sensor"}
+"""What Rerun shows side by side at first."""
+
+
 class Rerun(Together):
     """Rerun's recordings (rerun.io), on the timeline `sample`: ``scan`` and ``sensor``, and
-    ``observed``, ``free`` and ``occupancy`` as centres of voxels, half a voxel large, in the
-    world."""
+    ``observed``, ``free`` and ``occupancy`` as centres of voxels, half a voxel large, in the world;
+    and a blueprint with `VIEWS`."""
 
     suffix = ".rrd"
 
@@ -185,6 +186,11 @@ class Rerun(Together):
             path, name = Path(folder) / "part.rrd", f"scenegen-{samples[0][0]}"
             with library.RecordingStream("scenegen", recording_id=name) as stream:
                 stream.save(path)
+                views = [
+                    library.blueprint.Spatial3DView(name=view, contents=shown.split())
+                    for view, shown in VIEWS.items()
+                ]
+                stream.send_blueprint(library.blueprint.Horizontal(*views))
                 stream.log("/", library.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
                 for number, sample in samples:
                     stream.set_time("sample", sequence=number)
@@ -203,7 +209,7 @@ def _entities(sample: Sample, grid: GridSpec, lidar: Sensor) -> dict[str, tuple[
     centres, half = grid.centres(sample.origin), grid.voxel_m / 2
     shades = (255 * colour(np.linspace(0, 1, grid.shape[2]), HEIGHTS)).astype(np.uint8)
     heights = np.broadcast_to(shades, (*grid.shape, 3))
-    found: dict[str, tuple[Any, Any, float]] = {
+    found = {
         "scan": (sample.points(lidar), MISSED, half / 4),
         "sensor": (sample.position[None], SENSOR, half),
     }

@@ -33,7 +33,7 @@ def here(once, tmp_path, monkeypatch, capsys):
 
 
 def test_without_arguments_it_takes_what_is_under_data(here, capsys):
-    code, said, _ = run(capsys, "bench", "--quick", "--workers", 1)
+    code, said, _ = run(capsys, "bench --quick --workers 1")
     assert code == 0
     assert "pillar, reconstruction" in said
     assert "pillar, planning" in said
@@ -60,6 +60,6 @@ def test_bad_use_ends_in_one_line(here, capsys, monkeypatch):
         assert (ended, said, error.count("\n")) == (code, "", 1)
         assert named in error
     monkeypatch.chdir(here / "data" / "pillar")
-    ended, _, error = run(capsys, "bench", "--quiet")
+    ended, _, error = run(capsys, "bench --quiet")
     assert ended == 2
     assert "none under data/" in error

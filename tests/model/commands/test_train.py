@@ -246,7 +246,7 @@ def test_the_same_command_goes_on_after_a_signal(here, capsys, monkeypatch):
 
 @pytest.mark.slow
 def test_networks_prints_what_they_cost(capsys):
-    code, said, _ = run(capsys, "networks", "--json")
+    code, said, _ = run(capsys, "networks --json")
     assert code == 0
     rows = {(row["variant"], row["stem_stride"]): row for row in json.loads(said)}
     assert len(rows) == 2 * len(VARIANTS)

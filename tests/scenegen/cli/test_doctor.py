@@ -77,7 +77,7 @@ def test_a_law_broken_once_is_not_forgotten(monkeypatch):
 @pytest.mark.parametrize("law", BROKEN)
 def test_the_command_fails_where_a_law_is_broken(law, monkeypatch, capsys):
     spoil(monkeypatch, BROKEN[law])
-    code, said, error = run(capsys, "doctor", "--json")
+    code, said, error = run(capsys, "doctor --json")
     assert code == 1
     assert "self-test failed" in error.splitlines()[-1]
     found = json.loads(said)["self_test"]

@@ -47,7 +47,7 @@ def test_the_list_has_every_sensor_and_a_file_is_told_of(here, capsys):
     code, said, _ = run(capsys, "sensors")
     assert code == 0
     assert {line.split(" ")[0] for line in said.splitlines()} >= {"raster", *CATALOGUE}
-    listed = json.loads(run(capsys, "sensors", "--json")[1])
+    listed = json.loads(run(capsys, "sensors --json")[1])
     assert all(row["source"] and row["error"] for row in listed.values())
     assert listed["ouster-os1-128"]["elevation_deg"] == [-21.82, 20.95]
     assert "metadata" in listed["ouster-os1-128"]["error"]

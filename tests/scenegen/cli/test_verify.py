@@ -8,7 +8,7 @@ from tests.scenegen.verification import forge
 
 def test_verify_prints_a_table_and_ends_with_one_where_a_check_fails(tmp_path, capsys):
     folder = forge.make(tmp_path / "d", counts={"train": 3, "val": 0, "test": 0})
-    code, said, complaint = run(capsys, "verify", folder, "--workers", 1)
+    code, said, complaint = run(capsys, f"verify {folder} --workers 1")
     assert code == 0
     assert [line.split()[1] for line in said.splitlines() if line][:-2] == ["ok"] * 17
     assert "3 samples in" in said

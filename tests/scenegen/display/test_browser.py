@@ -39,19 +39,11 @@ def browser() -> Iterator[Any]:
         opened.close()
 
 
-def opened(browser: Any, path: Path, text: str) -> tuple[Any, list[str]]:
-    """A file's page once its first sample shows, and the list of what its console says against
-    it."""
-    path.write_text(text, encoding="utf-8")
-    return reached(browser, path.as_uri(), ("file:", "blob:"))
-
-
-def reached(
-    browser: Any, address: str, allowed: tuple[str, ...], first: int = 0
-) -> tuple[Any, list[str]]:
-    """The page at an address, and the list of what its console says against it, and of requests
-    that are not `allowed`."""
+def reached(browser: Any, address: str, first: int = 0) -> tuple[Any, list[str]]:
+    """The page at an address once its first sample shows, and the list of what its console says
+    against it, and of requests to other places."""
     told: list[str] = []
+    allowed = address.partition("#")[0], "blob:"
     tab = browser.new_page(viewport={"width": 900, "height": 700})
     tab.on("console", lambda line: told.append(line.text) if line.type == "error" else None)
     tab.on("pageerror", lambda error: told.append(str(error)))
@@ -64,17 +56,23 @@ def reached(
     return tab, told
 
 
+def state(tab: Any, name: str) -> str:
+    """What a page says of itself."""
+    return tab.evaluate(f"document.body.dataset.{name}")
+
+
 def test_a_hostile_dataset_runs_no_script_in_a_browser(
     browser: Any, made: Path, tmp_path: Path
 ) -> None:
     (look,), _ = looks(Dataset(made), "train", [0])
     bad = replace(look, name=HOSTILE, masks={HOSTILE: look.masks["occupancy"]})
-    tab, told = opened(browser, tmp_path / "page.html", page([bad], title=HOSTILE, notes=[HOSTILE]))
+    path = tmp_path / "page.html"
+    path.write_text(page([bad], title=HOSTILE, notes=[HOSTILE]), encoding="utf-8")
+    tab, told = reached(browser, path.as_uri())
     assert tab.locator("img").count() == 0
     assert tab.locator("#title").inner_text().startswith("</script>")
     tab.wait_for_timeout(300)
     assert told == []
-    tab.close()
 
 
 STRICT = """<meta http-equiv="Content-Security-Policy" content="default-src 'none'; script-src
@@ -98,23 +96,20 @@ def test_a_notebook_shows_the_page_and_a_picture_where_there_are_no_scripts(
     frame.locator("body[data-sample='0']").wait_for(state="attached", timeout=60_000)
     assert "paths" in frame.locator("body").get_attribute("data-layers").split()
     assert told == []
-    tab.close()
     tab = browser.new_page(java_script_enabled=False)
     tab.goto((tmp_path / "cell.html").as_uri())
     assert "needs JavaScript" in tab.frame_locator("iframe").locator("body").inner_text()
     assert not tab.frame_locator("iframe").locator("#panel").is_visible()
-    width = tab.locator("img").bounding_box()["width"]
-    assert width > 300
-    tab.close()
+    assert tab.locator("img").bounding_box()["width"] > 300
 
 
 def test_the_address_keeps_what_is_shown_and_a_click_tells_of_a_voxel(
     browser: Any, made: Path
 ) -> None:
-    with served([Dataset(made)]) as server:
+    with served(made) as server:
         place = f"{server.address}#sample=2&split=train&layers=occupancy~free"
-        tab, told = reached(browser, place, (server.address, "blob:"), first=2)
-        assert tab.evaluate("document.body.dataset.layers").split()[-2:] == ["free", "occupancy"]
+        tab, told = reached(browser, place, first=2)
+        assert state(tab, "layers").split()[-2:] == ["free", "occupancy"]
         box = tab.locator("canvas#scene").bounding_box()
         spots = [(0.55 + 0.05 * n, 0.4 + 0.05 * m) for n in range(6) for m in range(6)]
         for across, down in spots:
@@ -129,7 +124,6 @@ def test_the_address_keeps_what_is_shown_and_a_click_tells_of_a_voxel(
         tab.keyboard.press("ArrowRight")
         tab.wait_for_url("**#sample=3&*")
         assert told == []
-        tab.close()
 
 
 def test_the_viewer_steps_through_datasets_and_splits_and_tells_what_is_damaged(
@@ -143,20 +137,17 @@ def test_the_viewer_steps_through_datasets_and_splits_and_tells_what_is_damaged(
         return [Guess(name=HOSTILE, occupied=sample.observed, tudf=sample.tudf, route=route)]
 
     with served([dataset, made], index=2, guesses=guesses, methods=(HOSTILE,)) as server:
-        tab, told = reached(browser, server.address, (server.address, "blob:"), first=2)
-        state = lambda name: tab.evaluate(f"document.body.dataset.{name}")  # noqa: E731
-        assert {"paths", "occupancy", "observed"} <= set(state("layers").split())
+        tab, told = reached(browser, server.address, first=2)
+        assert {"paths", "occupancy", "observed"} <= set(state(tab, "layers").split())
         tab.get_by_role("button", name="errors").click()
-        assert "invented" in state("layers")
-        tab.get_by_role("button", name="truth").click()
-        assert tab.locator("img").count() == 0
+        assert "invented" in state(tab, "layers")
         assert "2.9 m" in tab.locator("#figures").inner_text()
         tab.get_by_label("world").check()
         tab.wait_for_selector("body[data-layers~='world']", state="attached")
         tab.get_by_label("missed").check()
-        assert "missed" in state("layers")
-        tab.locator("#whose").select_option(index=1)
-        assert "distances" in state("layers").split()
+        assert "missed" in state(tab, "layers")
+        tab.get_by_label("distances", exact=True).check()
+        assert f"{HOSTILE}: distances" in state(tab, "layers")
         tab.locator("canvas#scene").click()
         tab.keyboard.press("ArrowRight")
         tab.wait_for_selector("body[data-sample='3']", state="attached")
@@ -171,6 +162,40 @@ def test_the_viewer_steps_through_datasets_and_splits_and_tells_what_is_damaged(
         tab.wait_for_selector("body[data-sample='1']", state="attached")
         tab.locator("#dataset").select_option(index=1)
         tab.wait_for_selector("body[data-sample='0']", state="attached")
-        assert int(state("milliseconds")) < 2000
+        assert int(state(tab, "milliseconds")) < 2000
         assert [line for line in told if "404" not in line] == []
-        tab.close()
+
+
+PIXELS = """() => {
+  const [canvas, count] = [document.querySelector("#scene"), +document.body.dataset.views];
+  const wide = Math.floor(canvas.clientWidth / count);
+  return Array.from({ length: count }, (_, n) => {
+    const copy = Object.assign(document.createElement("canvas"), { width: wide, height: 700 });
+    copy.getContext("2d").drawImage(canvas, -n * wide, 0);
+    return copy.toDataURL();
+  });
+}"""
+
+
+def test_views_side_by_side_have_one_camera(browser: Any, made: Path) -> None:
+    """Views of the same layer are the same picture, however it is turned; the address keeps
+    them."""
+    with served(made) as server:
+        place = f"{server.address}#layers=rays&views=observed~observed~occupancy"
+        tab, told = reached(browser, place)
+        seen = []
+        for across in (500, 560):
+            tab.mouse.move(500, 300)
+            tab.mouse.down()
+            tab.mouse.move(across, 300)
+            tab.mouse.up()
+            tab.wait_for_timeout(500)
+            one, same, other = tab.evaluate(PIXELS)
+            assert one == same != other
+            seen.append(one)
+        assert seen[0] != seen[1]
+        tab.get_by_label("view 2").select_option("free")
+        tab.wait_for_url("**views=observed%7Efree%7Eoccupancy*")
+        assert "free" in state(tab, "layers")
+        tab.get_by_role("button", name="truth").click()
+        assert (state(tab, "views"), told) == ("1", [])

@@ -3,6 +3,7 @@
 import io
 import re
 import sys
+from dataclasses import make_dataclass
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -10,11 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+import scenegen
 from scenegen.dataset.read import Dataset
 from tests.command_line import ROOT
 
 PAGE = (ROOT / "docs" / "interop.md").read_text(encoding="utf-8")
-SPARSE, BATCHES, NODE = re.findall(r"^```python\n(.*?)^```\n", PAGE, re.M | re.S)
+SPARSE, BATCHES, RERUN, NODE = re.findall(r"^```python\n(.*?)^```\n", PAGE, re.M | re.S)
 SCENE = """<mujoco><worldbody>
 <geom type="plane" size="9 9 1"/><geom type="box" size="1 1 9" pos="4 0 0"/>
 <body name="robot" pos="0 0 3"><freejoint/><geom type="sphere" size=".2"/></body>
@@ -37,6 +39,22 @@ def test_sparse_batches_hold_every_observed_voxel(made: Path) -> None:
     np.testing.assert_array_equal(dense[0][0], observed)
 
 
+def test_rerun_s_recordings_hold_predictions_and_flights(made: Path, tmp_path: Path) -> None:
+    pytest.importorskip("rerun_bindings", reason="rerun-sdk is not installed")
+    names: dict[str, Any] = {}
+    exec(RERUN, names)
+    from rerun.chunk import RrdReader
+
+    samples = Dataset(made).split("train")[:2]
+    free = lambda sample: SimpleNamespace(occupied=lambda: sample.free)  # noqa: E731
+    names["record_predictions"](samples, free, tmp_path / "a.rrd")
+    names["record_flight"](scenegen.Flight("pillar"), tmp_path / "b.rrd")
+    readers = [RrdReader(path) for path in tmp_path.iterdir()]
+    found = {chunk.entity_path for reader in readers for chunk in reader.stream()}
+    assert {"/prediction", "/truth", "/world/points", "/curves/goal"} <= found
+    assert all(reader.blueprints() for reader in readers)
+
+
 def test_the_ros_node_publishes_what_the_definitions_say(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -48,29 +66,26 @@ def test_the_ros_node_publishes_what_the_definitions_say(
     from scenegen.display.exchange.recordings import CLOUD, DEFINITIONS
 
     sent: list[Any] = []
-
-    class Node:
-        def __init__(self, name: str):
-            stamp = SimpleNamespace(to_msg=lambda: {"sec": 7, "nanosec": 5})
-            self.get_clock = lambda: SimpleNamespace(now=lambda: stamp)
-            self.create_publisher = lambda *about: SimpleNamespace(publish=sent.append)
-            self.create_timer = lambda period, call: call()
-
-    def cloud() -> SimpleNamespace:
-        header = SimpleNamespace(stamp=SimpleNamespace(), frame_id="")
-        return SimpleNamespace(header=header)
-
-    messages = {"PointCloud2": cloud, "PointField": SimpleNamespace}
-    parts = {"rclpy": {}, "rclpy.node": {"Node": Node}, "sensor_msgs": {}}
-    for name, held in {**parts, "sensor_msgs.msg": messages}.items():
+    kinds: dict[str, Any] = {}
+    for text in f"MSG: sensor_msgs/PointCloud2\n{DEFINITIONS[CLOUD]}".split("MSG: ")[1:]:
+        name, *fields = re.findall(r"^\S+[/ ](\w+)$", text, re.M)
+        kinds[name] = make_dataclass(name, [(field, Any, None) for field in fields])
+    now = SimpleNamespace(to_msg=lambda: kinds["Time"](sec=7, nanosec=5))
+    node = SimpleNamespace(
+        get_clock=lambda: SimpleNamespace(now=lambda: now),
+        create_publisher=lambda *about: SimpleNamespace(publish=sent.append),
+        create_timer=lambda period, call: call(),
+    )
+    rclpy = {"init": lambda: None, "create_node": lambda name: node, "spin": lambda node: None}
+    messages = {f"{name}.msg": kinds for name in ("sensor_msgs", "std_msgs")}
+    for name, held in {"rclpy": rclpy, "sensor_msgs": {}, "std_msgs": {}, **messages}.items():
         module = ModuleType(name)
         module.__dict__.update(held)
         monkeypatch.setitem(sys.modules, name, module)
-    names: dict[str, Any] = {"__name__": "node"}
-    exec(NODE, names)
     (tmp_path / "scene.xml").write_text(SCENE)
-    node = names["Scanner"](str(tmp_path / "scene.xml"), "robot")
-    assert vars(sent[0].header.stamp) == {"sec": 7, "nanosec": 5}
+    monkeypatch.setattr(sys, "argv", ["node.py", str(tmp_path / "scene.xml"), "robot"])
+    names: dict[str, Any] = {}
+    exec(NODE, names)
     file = io.BytesIO()
     writer = Writer(file)
     writer.write_message("/points", writer.register_msgdef(CLOUD, DEFINITIONS[CLOUD]), sent[0])
@@ -78,8 +93,7 @@ def test_the_ros_node_publishes_what_the_definitions_say(
     reader = make_reader(io.BytesIO(file.getvalue()), decoder_factories=[DecoderFactory()])
     ((_, _, _, read),) = reader.iter_decoded_messages()
     points = np.frombuffer(read.data, "<f4").reshape(-1, 3)
-    scan = node.lidar.scan(node.data)
-    assert (read.header.frame_id, read.width) == ("lidar", np.isfinite(scan.ranges).sum())
-    np.testing.assert_allclose(
-        np.linalg.norm(points, axis=1), scan.ranges[np.isfinite(scan.ranges)], rtol=1e-6
-    )
+    assert (read.header.stamp.sec, read.header.frame_id) == (7, "lidar")
+    ranges = names["lidar"].scan(names["data"]).ranges
+    ranges = ranges[np.isfinite(ranges)]
+    np.testing.assert_allclose(np.linalg.norm(points, axis=1), ranges, rtol=1e-6)

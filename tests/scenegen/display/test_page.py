@@ -128,7 +128,7 @@ def test_a_damaged_dataset_is_shown_as_far_as_it_is_sound(
     assert "train 1: tudf is not shown" in unread
     assert Seen(page(shown, title="", notes=notes)).data()["notes"] == notes
     for index, part in ((4, "train-00001.h5"), (11, "--index below 11")):
-        code, _, said = run(capsys, "view", dataset, "--index", index, "-o", tmp_path / "no.html")
+        code, _, said = run(capsys, f"view {dataset} --index {index} -o {tmp_path}/no.html")
         assert (code, said.count("\n"), part in said) == (1, 1, True)
     assert not (tmp_path / "no.html").exists()
 
