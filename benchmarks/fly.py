@@ -2,6 +2,7 @@
 
     python benchmarks/fly.py ENTRIES                        # flies what ENTRIES lacks; the page
     python benchmarks/fly.py ENTRIES --every 1 --robots optimistic my_net.onnx
+    python benchmarks/fly.py REAL --maps MAPS               # the real track: fly-real.md
 
 ENTRIES is a folder with an entry of each robot, as `scenegen fly --suite` writes them; one that is
 there goes on. Every tenth course is one world of each kind and difficulty. A name that is no
@@ -21,7 +22,7 @@ import numpy as np
 from scenegen.cli.show import Progress
 from scenegen.fly.course import Course
 from scenegen.fly.loop import Flown
-from scenegen.fly.suite import DIFFICULTIES, courses_of
+from scenegen.fly.suite import DIFFICULTIES, MAPS, courses_of, map_courses
 from scenegen.model.commands.fly import fly_courses
 from scenegen.model.evaluation.statistics import brief, figure, head, interval, line
 from scenegen.model.robots import MAPPING, NAMES, fly_course, robot_maker
@@ -52,20 +53,22 @@ def main() -> None:
     parser = measuring.options(__doc__)
     parser.add_argument("entries", type=Path, nargs="?", help="folder of the entries")
     parser.add_argument("--every", type=int, default=10, help="one of so many courses")
+    parser.add_argument("--maps", type=Path, help="folder of the real maps, to fly these")
     parser.add_argument("--robots", nargs="*", default=list(ROBOTS))
-    parser.add_argument("--page", type=Path, default=PAGE)
+    parser.add_argument("--page", type=Path)
     small = {"every": 300, "robots": ["reactive", "optimistic"], "page": Path("/dev/null")}
     given = measuring.parse(parser, **small)
     with tempfile.TemporaryDirectory() as spare:
-        courses = courses_of("aerial-1")[:: given.every]
+        courses = map_courses(given.maps) if given.maps else courses_of("aerial-1")[:: given.every]
         found = {
             name: flown(name, courses, (given.entries or Path(spare)) / f"{Path(name).stem}.json")
             for name in given.robots
         }
-    said = given.page.read_text().partition("<!-- tables -->")[0] if given.page.is_file() else ""
+    page = given.page or (PAGE.with_stem("fly-real") if given.maps else PAGE)
+    said = page.read_text().partition("<!-- tables -->")[0] if page.is_file() else ""
     lines = [*tables(found), "", *how_hard(found), "", *first_plans(found), "", period(courses[0])]
     print("\n".join(lines))
-    given.page.write_text(f"{said}<!-- tables -->\n" + "\n".join(lines) + "\n")
+    page.write_text(f"{said}<!-- tables -->\n" + "\n".join(lines) + "\n")
 
 
 def flown(name: str, courses: Sequence[Course], entry: Path) -> list[Row]:
@@ -109,7 +112,10 @@ def tables(found: dict[str, list[Row]]) -> list[str]:
     for title, groups, key in (
         ("difficulty", DIFFICULTIES, lambda course: course.difficulty),
         ("kind", kind_names(), lambda course: course.world),
+        ("map", tuple(MAPS), lambda course: Path(course.world).name),
     ):
+        if not any(key(course) in groups for course, _ in next(iter(found.values()))):
+            continue
         lines += ["", f"## Success by {title}", "", *head(groups)]
         for name, rows in found.items():
             parts = [[row for row in rows if key(row[0]) == group] for group in groups]
@@ -124,13 +130,11 @@ def how_hard(found: dict[str, list[Row]]) -> list[str]:
     calls easiest, and in the hardest third."""
     courses = dict.fromkeys(course for course, _ in next(iter(found.values())))
     grades = [(course.difficulty, grade) for course in courses for grade in course.graded()]
-    lines = ["## How hard the flights are", "", *head(DIFFICULTIES)]
+    levels = [one for one in (*DIFFICULTIES, None) if one in {level for level, _ in grades}]
+    lines = ["## How hard the flights are", "", *head([one or "all" for one in levels])]
     for name in HARDER:
-        of_level = [
-            [getattr(it, name) for level, it in grades if level == one] for one in DIFFICULTIES
-        ]
-        cells = [f"{np.nanmean(values):.2f}" if values else "–" for values in of_level]
-        lines.append(line(f"`{name}`", cells))
+        of_level = [[getattr(it, name) for level, it in grades if level == one] for one in levels]
+        lines.append(line(f"`{name}`", [f"{np.nanmean(values):.2f}" for values in of_level]))
     robots = {name: rows for name, rows in found.items() if name != "truth"}
     lines += ["", "Success in the easiest third, by the figure · in the hardest:", ""]
     lines += head([f"`{Path(name).stem}`" for name in robots])
