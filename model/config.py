@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from lidarsim.parameters import check, number
+from lidarsim.parameters import Checked, check, number
 from lidarsim.registry import Registry
 from scenegen.errors import ScenegenError, short
 from scenegen.limits import (
@@ -266,16 +266,13 @@ PROTOCOLS: dict[str, dict[str, Any]] = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Thresholds:
+class Thresholds(Checked):
     """Where a prediction becomes an obstacle. The paper's, section "Implementation Details"."""
 
     probability: float = number(0.85, least=0, most=1)
     """A voxel is occupied above this probability."""
     distance_m: float = number(0.2, least=0)
     """A voxel is occupied below this distance, where no probability is predicted, metres."""
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 def bundled() -> list[str]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from lidarsim import BeamTable, GridSpec, Lidar, Sensor
 from lidarsim.noise.chain import Noise
-from lidarsim.parameters import check, number
+from lidarsim.parameters import Checked, number
 from scenegen.errors import RecipeError, printable, short
 from scenegen.limits import (
     MOST_CANDIDATES,
@@ -40,7 +40,7 @@ from scenegen.worlds.mapping import Known, Mapper
 
 
 @dataclass(frozen=True, kw_only=True)
-class Acceptance:
+class Acceptance(Checked):
     """Which worlds and viewpoints are worth keeping: the paper removes "scenes with insufficient
     geometric complexity".
 
@@ -57,20 +57,14 @@ class Acceptance:
     max_draws: int = number(50, least=1, most=MOST_DRAWS)
     """Draws of one world after which generation gives up."""
 
-    def __post_init__(self) -> None:
-        check(self)
-
 
 @dataclass(frozen=True, kw_only=True)
-class Faults:
+class Faults(Checked):
     """A recipe's [noise]."""
 
     stages: str = ""
     """Stages of noise, as the option --noise takes them: ``range:0.02,dropout:0.05``; none for
     clean ranges."""
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lidarsim.parameters import LEAST_RANGE_M, MOST_RANGE_M, MOST_RAYS, check, number, shown
+from lidarsim.parameters import LEAST_RANGE_M, MOST_RANGE_M, MOST_RAYS, Checked, number, shown
 from lidarsim.sensors import Sensor
 
 MOST_AXES = 4
@@ -143,7 +143,7 @@ class BeamTable:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BeamFile:
+class BeamFile(Checked):
     """A table in a file, for a recipe's ``[lidar] sensor = "table"``: a `Sensor`."""
 
     rays: Path
@@ -154,9 +154,6 @@ class BeamFile:
     """The SHA-256 of the file, in hexadecimal; empty where any file will do."""
     made_by: str = ""
     """What the table was made by, for people to read."""
-
-    def __post_init__(self) -> None:
-        check(self)
 
     @cached_property
     def _table(self) -> BeamTable:

@@ -4,7 +4,7 @@ options here."""
 from dataclasses import dataclass, field
 from typing import Literal
 
-from lidarsim.parameters import check, number
+from lidarsim.parameters import Checked, number
 from scenegen.model.config import Thresholds
 
 NEAR_M = 1.0
@@ -12,7 +12,7 @@ NEAR_M = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlanConfig:
+class PlanConfig(Checked):
     """How paths are searched, refined and judged.
 
     "Paper" is the paper's section "Implementation Details" or "Planning Evaluation"; "ours" is what
@@ -65,12 +65,9 @@ class PlanConfig:
     """Where goals lie: in the outermost layer of nodes in x or y, or in z, too (ours: "near the map
     boundary")."""
 
-    def __post_init__(self) -> None:
-        check(self)
-
 
 @dataclass(frozen=True, kw_only=True)
-class BenchConfig:
+class BenchConfig(Checked):
     """What is measured, and how much of it."""
 
     split: Literal["train", "val", "test"] = "test"
@@ -87,6 +84,3 @@ class BenchConfig:
     near_m: float = number(NEAR_M, least=0)
     """Voxels whose true distance is at most this are near an obstacle, metres."""
     plan: PlanConfig = field(default_factory=PlanConfig)
-
-    def __post_init__(self) -> None:
-        check(self)

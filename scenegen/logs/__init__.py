@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from lidarsim.parameters import check, number
+from lidarsim.parameters import Checked, check, number
 from scenegen.limits import MOST_PLACE_VOXELS
 
 if TYPE_CHECKING:  # commands take their options from here, and none of these
@@ -34,7 +34,7 @@ class LogScan:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cruise:
+class Cruise(Checked):
     """How a sensor flies while it records a log."""
 
     length_m: float = number(100.0, above=0, most=1e5)
@@ -47,9 +47,6 @@ class Cruise:
     yaw_rate_deg_s: float = number(60.0, above=0, most=360)
     """The most that the body turns, degrees a second. It looks along the flight as far as this lets
     it."""
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @dataclass(frozen=True, kw_only=True)

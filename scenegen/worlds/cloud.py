@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lidarsim.engines.voxels import FREE, OCCUPIED, VoxelMap
 from lidarsim.jit import kernel
-from lidarsim.parameters import check, number
+from lidarsim.parameters import Checked, number
 from lidarsim.pose import rotate
 from lidarsim.voxelize import clear
 from scenegen.clouds import read_cloud
@@ -33,7 +33,7 @@ MOST_SKEW = 1e-2
 
 
 @dataclass(frozen=True, kw_only=True)
-class Survey:
+class Survey(Checked):
     """How clouds are read, and what is made of them."""
 
     voxel_m: float = number(0.2, least=1e-3, most=1e3)
@@ -47,9 +47,6 @@ class Survey:
     assume_free: bool = False
     """Whether a voxel without a point is free that lies above the lowest one with a point in its
     column and was not seen otherwise."""
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @dataclass(frozen=True, eq=False)
