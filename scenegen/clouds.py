@@ -8,6 +8,7 @@ import zipfile
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -269,14 +270,23 @@ def _read_bin(content: bytes) -> NDArray[np.generic]:
 
 def _read_npz(content: bytes) -> NDArray[np.generic]:
     """The array `points` of NumPy's archive."""
+    (points,) = read_npz(content, "points", most_bytes=MOST_SCAN_BYTES)
+    return points
+
+
+def read_npz(content: bytes, *names: str, most_bytes: int) -> list[NDArray[Any]]:
+    """The arrays `names` of NumPy's archive, of at most `most_bytes` bytes each. Raises whatever a
+    crafted file leads to."""
+    found = list[NDArray[Any]]()
     with zipfile.ZipFile(io.BytesIO(content)) as members:
-        about = members.getinfo("points.npy")
-        if about.file_size > MOST_SCAN_BYTES:
-            raise ValueError(
-                f"points of {about.file_size} bytes, expected {MOST_SCAN_BYTES} at most"
-            )
-        with members.open(about) as member:
-            return _read_npy(member.read(MOST_SCAN_BYTES))
+        for name in names:
+            about = members.getinfo(f"{name}.npy")
+            if about.file_size > most_bytes:
+                raise ValueError(
+                    f"{name} of {about.file_size} bytes, expected {most_bytes} at most"
+                )
+            found.append(_read_npy(members.read(about)))
+    return found
 
 
 PCD_TYPES = {

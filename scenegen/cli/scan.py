@@ -317,7 +317,6 @@ def _write_scan(
     import numpy as np
 
     from lidarsim import cast
-    from lidarsim.pose import rotate
     from scenegen.display.exchange.files import write_points
     from scenegen.draw import scan_world
     from scenegen.worlds.mapping import Known
@@ -326,7 +325,7 @@ def _write_scan(
     seen = scan_world(world, sensor, at, chain, seed=seed, engine=ENGINES.find(engine).of)
     points = np.concatenate([seen.points(echo) for echo in range(len(seen.ranges))])
     if frame == "body":
-        points = rotate(at.quaternion * (1.0, -1.0, -1.0, -1.0), points - at.position)
+        points = at.to_body(points)
     intensity = None if seen.intensity is None else seen.intensity[np.isfinite(seen.ranges)]
     about = {
         "ranges": seen.ranges,

@@ -26,8 +26,8 @@ from scenegen.errors import DatasetError
 from scenegen.files import check_free, disk_error, make_parent
 from scenegen.limits import MOST_ASSET_BYTES, MOST_PLACE_VOXELS
 from scenegen.logs import Fusing, LogScan
-from scenegen.logs.poses import between
 from scenegen.logs.read import Log
+from scenegen.poses import between
 from scenegen.truth.voxels import resample
 
 THREADS = 2

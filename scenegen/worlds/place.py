@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from lidarsim import GridSpec, Scan
 from lidarsim.engines.voxels import FREE, OCCUPIED, VoxelEngine, VoxelMap
 from lidarsim.jit import kernel
+from scenegen.clouds import MOST_NPY_HEADER_BYTES, read_npz
 from scenegen.errors import SceneError, printable
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_ASSET_BYTES, MOST_PLACE_VOXELS
@@ -159,16 +160,19 @@ def parse_npz(content: bytes, name: str) -> VoxelMap:
     """The map in an .npz file's arrays `states` (uint8, 0 unknown, 1 free, 2 occupied), `voxel_m`
     and `origin`. Raises SceneError, naming `name`."""
     try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            found = {part: _member(archive, part) for part in PARTS}
-    except SceneError as error:
-        raise SceneError(f"{name}: {error}") from None
+        found = read_npz(content, *PARTS, most_bytes=MOST_PLACE_VOXELS + MOST_NPY_HEADER_BYTES)
     except Exception as error:  # zipfile's, zlib's, and what else a crafted file may bring forth
         raise SceneError(
             f"{name}: not an .npz map ({printable(error)[:100]}); expected arrays "
             f"{', '.join(PARTS)}"
         ) from None
-    states, voxel_m, origin = found["states"], float(found["voxel_m"]), found["origin"]
+    for array, (part, (dtype, dimensions)) in zip(found, PARTS.items(), strict=True):
+        if array.dtype != dtype or array.ndim != dimensions:
+            raise SceneError(
+                f"{name}: {part} is {array.dtype} {array.shape}, expected {dtype} of {dimensions} "
+                "axes"
+            )
+    states, voxel_m, origin = np.ascontiguousarray(found[0]), float(found[1]), found[2]
     check_voxel(voxel_m, name)
     if origin.shape != (3,) or not np.isfinite(origin).all() or states.max(initial=0) > OCCUPIED:
         raise SceneError(
@@ -195,23 +199,6 @@ def encode_npz(voxels: VoxelMap, where: str, **more: NDArray[Any]) -> bytes:
             "give a larger --voxel"
         )
     return content
-
-
-def _member(archive: zipfile.ZipFile, part: str) -> NDArray[Any]:
-    """An array of an .npz file, in no more memory than a map may take."""
-    dtype, dimensions = PARTS[part]
-    with archive.open(f"{part}.npy") as file:
-        np.lib.format.read_magic(file)
-        shape, fortran, found = np.lib.format.read_array_header_1_0(file)
-        count = math.prod(shape)
-        if found != dtype or len(shape) != dimensions or fortran or count <= 0:
-            raise SceneError(f"{part} is {found} {shape}, expected {dtype} of {dimensions} axes")
-        if count > MOST_PLACE_VOXELS:
-            raise SceneError(f"{count} voxels, expected {MOST_PLACE_VOXELS} at most")
-        data = file.read(count * dtype.itemsize + 1)
-    if len(data) != count * dtype.itemsize:
-        raise SceneError(f"{part} holds {len(data)} bytes, expected {count * dtype.itemsize}")
-    return np.frombuffer(data, dtype).reshape(shape)
 
 
 @kernel
