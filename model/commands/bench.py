@@ -140,7 +140,7 @@ def run_bench(
     from scenegen.model.evaluation.page import to_html
     from scenegen.model.evaluation.report import build_report, to_markdown
     from scenegen.model.evaluation.run import bench as measure
-    from scenegen.model.evaluation.run import kinds_of
+    from scenegen.model.evaluation.run import numbers_by_kind
     from scenegen.run.software import commit
 
     for name in REPORTS:
@@ -155,7 +155,7 @@ def run_bench(
         (dataset, kind)
         for dataset in datasets
         # one without samples is refused when it is measured
-        for kind in kinds_of(dataset, config.split) or (dataset.manifest.kind,)
+        for kind in numbers_by_kind(dataset.split(config.split)) or (dataset.manifest.kind,)
     ]
     kinds = [kind for _, kind in tables]
     if len(set(kinds)) < len(kinds):

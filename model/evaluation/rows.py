@@ -28,16 +28,12 @@ USUAL = tuple(name for name in METHODS.known if name != "seen")
 """The rows without any named: `seen` compiles every world, and is measured when it is asked for."""
 
 
-def choose_methods(names: Sequence[str]) -> "list[Method]":
-    """Rows by name: a known one, or ``module:Class`` of a completer; the usual ones for none.
+def find_method(name: str) -> "Method":
+    """The row called `name`: a known one, or ``module:Class`` of a completer.
 
     Raises ScenegenError for a name that leads to none, and for a completer that does not keep the
     protocol.
     """
-    return [_method(name) for name in names or USUAL]
-
-
-def _method(name: str) -> "Method":
     from scenegen.model.evaluation.methods import Completed
 
     try:
@@ -62,7 +58,7 @@ def rows_of(
     ScenegenError where two have one name, and where a row cannot be."""
     from scenegen.model.evaluation.methods import Predicted
 
-    rows: list[Method] = [*map(_method, names), *map(network_row, weights)]
+    rows: list[Method] = [*map(find_method, names), *map(network_row, weights)]
     if predictions is not None:
         rows.append(Predicted(predictions))
     named = [row.name for row in rows]

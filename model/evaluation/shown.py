@@ -71,7 +71,7 @@ def route_to(
     truth; see `scenegen.model.evaluation.planning.measure.run_trial`."""
     plan, refined = plan_trial(occupied, tudf, risk, goal, grid, config)
     truth = walled(sample.occupancy, sample.tudf, sample.known, grid)
-    measured = judge(plan, refined, *truth, grid, config)
+    measured = judge(plan, refined, *truth, grid)
     lattice = Lattice(grid, config.step_voxels)
     told = f"{measured.length_m:.1f} m, clearance {measured.min_clearance_m:.2f} m"
     if measured.cause is not None:
@@ -93,7 +93,7 @@ WIDE = 900
 """Pixels of a picture."""
 
 
-def failing(result: DatasetResult, most: int = MOST) -> tuple[str, list[int]]:
+def failing(result: DatasetResult) -> tuple[str, list[int]]:
     """The learned method that succeeds most often, and trials of different worlds in which its path
     meets an obstacle.
 
@@ -107,7 +107,7 @@ def failing(result: DatasetResult, most: int = MOST) -> tuple[str, list[int]]:
     for n, trial in enumerate(learned[name].trials):
         if trial.hit is not None:
             worlds.setdefault(int(result.trial_worlds[n]), n)
-    return name, list(worlds.values())[:most]
+    return name, list(worlds.values())[:MOST]
 
 
 def draw_failures(
