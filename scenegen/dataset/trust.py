@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 from lidarsim import GridSpec, Sensor
 from lidarsim.engines import MUJOCO
@@ -163,9 +163,9 @@ class Manifest:
         return sensor_of(entry, self.folder, self.rays.get(entry.get("sha256"), ""))
 
     @property
-    def homes(self) -> Sequence[Self]:
+    def homes(self) -> tuple["Manifest", ...]:
         """What its samples were made for: its `sources`, or this dataset."""
-        return [one for one in self.sources if isinstance(one, type(self))] or [self]
+        return self.sources or (self,)
 
     @property
     def settings(self) -> tuple[tuple[Sensor, Mapper, str], ...]:

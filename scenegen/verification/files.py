@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 
 from scenegen.dataset import manifest
-from scenegen.verification.contract import Contract
+from scenegen.dataset.trust import Manifest
 from scenegen.verification.report import Page
 from scenegen.verification.stages import Check, Shard, SignedFile, Worlds
 
@@ -20,7 +20,7 @@ def _written_for_these_parameters(shard: Shard, page: Page) -> None:
     )
 
 
-def _rejections_add_up(contract: Contract, page: Page) -> None:
+def _rejections_add_up(contract: Manifest, page: Page) -> None:
     if len(page.kept) < len(contract.shards):
         return  # a shard could not be read: a fault of another check
     for what in ("worlds", "viewpoints"):

@@ -16,7 +16,6 @@ from scenegen.dataset.trust import Manifest
 from scenegen.sample import GROUPS, derive_tudf
 from scenegen.truth import rasterize
 from scenegen.truth.voxels import resample
-from scenegen.verification.contract import Contract
 from scenegen.verification.rays import count_strays
 from scenegen.verification.report import BrokenError, Page
 from scenegen.verification.stages import Check, Sample
@@ -62,7 +61,7 @@ def _own_digest(sample: Sample, page: Page) -> None:
     )
 
 
-def _whole_digest(contract: Contract, page: Page) -> None:
+def _whole_digest(contract: Manifest, page: Page) -> None:
     found = hashlib.sha256(b"".join(digests for _, digests in page.kept)).hexdigest()
     page.expect(
         contract.digest in (None, found),
@@ -75,7 +74,7 @@ def _whole_digest(contract: Contract, page: Page) -> None:
             _digest_of_source(contract, page, number, source)
 
 
-def _digest_of_source(contract: Contract, page: Page, number: int, source: Manifest) -> None:
+def _digest_of_source(contract: Manifest, page: Page, number: int, source: Manifest) -> None:
     """Hold the digest that the manifest names for a source against its samples', if all are
     there."""
     total, whole = hashlib.sha256(), True
