@@ -185,18 +185,11 @@ def preset(
     Raises:
         RecipeError: One of them cannot be; an unknown kind's nearest name is suggested.
     """
-    return make_recipe(kind, beside_file("", {}, lidar, noise, mapping, difficulty), sensor=lidar)
+    given = beside_file("", {}, noise=noise, mapping=mapping, difficulty=difficulty)
+    return make_recipe(kind, given, sensor=lidar)
 
 
-def read_recipe(
-    path: Path,
-    kind: str | None = None,
-    *,
-    lidar: Sensor | None = None,
-    noise: str | None = None,
-    mapping: Mapping[str, Any] | None = None,
-    difficulty: str | None = None,
-) -> Recipe:
+def read_recipe(path: Path, kind: str | None = None, **given: Any) -> Recipe:
     """A recipe from a TOML file: `kind`, `difficulty`, and tables [world], [flight], [accept],
     [lidar], [noise], [mapping], [known] and [grid] of what differs from the preset.
 
@@ -206,7 +199,7 @@ def read_recipe(
     Args:
         path: The file.
         kind: Stands in for the file's, which may be missing then.
-        lidar, noise, mapping, difficulty: As in `preset`; a file that has the same is refused.
+        given: As for `preset`; a file that has the same is refused.
 
     Raises:
         RecipeError: The file, the table and the parameter are named.
@@ -225,23 +218,23 @@ def read_recipe(
         )
     if not isinstance(named, str):
         raise RecipeError(f'{where}: kind = {short(named)}: expected a name, such as "pillar"')
-    given = beside_file(where, tables, lidar, noise, mapping, difficulty)
-    return make_recipe(named, tables | given, where=where, folder=path.parent, sensor=lidar)
+    more, sensor = beside_file(where, tables, **given), given.get("lidar")
+    return make_recipe(named, tables | more, where=where, folder=path.parent, sensor=sensor)
 
 
 def beside_file(
     where: str,
     tables: Mapping[str, Any],
-    lidar: Sensor | None,
-    noise: str | None,
-    mapping: Mapping[str, Any] | None,
+    *,
+    lidar: Sensor | None = None,
+    noise: str | None = None,
+    mapping: Mapping[str, Any] | None = None,
     difficulty: str | None = None,
 ) -> dict[str, Any]:
-    """What is given beside the tables of a file. Raises RecipeError where the file has one of them,
-    too."""
+    """What is given beside the tables of a file, see `preset`, as tables; the sensor is none.
+    Raises RecipeError where the file has one of them, too."""
     options = {"lidar": lidar, "noise": noise, "mapping": mapping or None}
-    options["difficulty"] = difficulty
-    for name, value in options.items():
+    for name, value in (options | {"difficulty": difficulty}).items():
         if value is not None and name in tables:
             named = ", ".join(mapping or ()) if name == "mapping" else f"--{name}"
             what = name if name == "difficulty" else f"a table [{name}]"

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import rich_click as click
 
 from scenegen.cli.options import (
+    command,
     datasets_argument,
-    examples,
     find_datasets,
     group,
     on_option,
@@ -23,7 +23,7 @@ from scenegen.cli.options import (
     workers_option,
 )
 from scenegen.cli.show import Progress, announce_compilation, note, say, show_figures
-from scenegen.cli.types import Named
+from scenegen.cli.types import FILE, Named
 from scenegen.errors import DatasetError
 from scenegen.model.commands.weights import Weights
 from scenegen.model.evaluation.config import BenchConfig, PlanConfig
@@ -38,12 +38,10 @@ QUICK_SAMPLES, QUICK_TRIALS = 50, 200
 """What `--quick` measures of every dataset."""
 
 
-@click.command(
-    epilog=examples(
-        "bench data/pillar --quick",
-        "bench data/pillar --weights columns --weights runs/mine -o bench/mine",
-        "bench data/pillar --method my_methods:Grown --method extrude",
-    )
+@command(
+    "bench data/pillar --quick",
+    "bench data/pillar --weights columns --weights runs/mine -o bench/mine",
+    "bench data/pillar --method my_methods:Grown --method extrude",
 )
 @datasets_argument
 @click.option(
@@ -63,7 +61,7 @@ QUICK_SAMPLES, QUICK_TRIALS = 50, 200
 )
 @click.option(
     "--predictions",
-    type=click.Path(path_type=Path),
+    type=FILE,
     help="HDF5 file of somebody's predictions: one more row.",
 )
 @out_option("Folder of the report.", default=Path("bench"))

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import rich_click as click
 
 from scenegen.cli.options import (
+    command,
     device_option,
-    examples,
     on_option,
     quiet_option,
     split_option,
@@ -25,12 +25,10 @@ if TYPE_CHECKING:
     from scenegen.model.completion.completer import Completer
 
 
-@click.command(
-    epilog=examples(
-        "complete data/pillar --weights columns --split test -o predictions.h5",
-        "complete scan.ply --sensor 0 0 1.2",
-        "complete kitti/sequences/00/velodyne -o completed",
-    )
+@command(
+    "complete data/pillar --weights columns --split test -o predictions.h5",
+    "complete scan.ply --sensor 0 0 1.2",
+    "complete kitti/sequences/00/velodyne -o completed",
 )
 @click.argument("source", type=DatasetPath())
 @click.option(

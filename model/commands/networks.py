@@ -7,8 +7,8 @@ from pathlib import Path
 import rich_click as click
 
 from scenegen.cli.options import (
+    command,
     datasets_argument,
-    examples,
     find_datasets,
     json_option,
     out_option,
@@ -23,7 +23,7 @@ from scenegen.model.commands.weights import Weights
 from scenegen.model.config import DEFAULT_NETWORK, split_own
 
 
-@click.command(epilog=examples("networks", "networks --json"))
+@command("networks", "networks --json")
 @json_option
 def networks(as_json: bool) -> None:
     """Print what the network's variants cost: parameters, multiply-accumulates, memory."""
@@ -42,7 +42,7 @@ def networks(as_json: bool) -> None:
         )
 
 
-@click.command(epilog=examples("export", "export runs/mine -o mine.onnx"))
+@command("export", "export runs/mine -o mine.onnx")
 @click.argument("weights", type=Weights(), default=DEFAULT_NETWORK)
 @out_option("File to write.  [default: <name>.onnx]", file=True)
 def export(weights: str, out: Path | None) -> None:
@@ -58,11 +58,7 @@ def export(weights: str, out: Path | None) -> None:
     say(f"written: {out}")
 
 
-@click.command(
-    epilog=examples(
-        "calibrate columns data/pillar -o mine.safetensors", "calibrate runs/mine --trials 0"
-    )
-)
+@command("calibrate columns data/pillar -o mine.safetensors", "calibrate runs/mine --trials 0")
 @click.argument("weights", type=Weights())
 @datasets_argument
 @split_option("val", help="The split whose worlds are looked at; one that no training saw.")

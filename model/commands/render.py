@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import rich_click as click
 
 from scenegen.cli.options import (
-    examples,
+    command,
     group,
     open_dataset,
     out_option,
@@ -47,14 +47,12 @@ def _width(ctx: Any, parameter: Any, value: str | None) -> float | None:
     return wide / 25.4
 
 
-@click.command(
-    epilog=examples(
-        "render data/pillar --index 3 -o sample.png",
-        "render data/pillar --index 3 --weights columns --paper two -o figure.pdf",
-        "render data/pillar --index 3 --flight -o flight.gif",
-        "render data/pillar --split test --sheet 12 --weights columns -o sheet.pdf",
-        "render room.xml --flight -o room.png",
-    )
+@command(
+    "render data/pillar --index 3 -o sample.png",
+    "render data/pillar --index 3 --weights columns --paper two -o figure.pdf",
+    "render data/pillar --index 3 --flight -o flight.gif",
+    "render data/pillar --split test --sheet 12 --weights columns -o sheet.pdf",
+    "render room.xml --flight -o room.png",
 )
 @click.argument("source", type=DatasetPath())
 @split_option("train", help="The split to draw samples of.")

@@ -12,8 +12,8 @@ import rich_click as click
 
 from scenegen.cli import stops
 from scenegen.cli.options import (
+    command,
     device_option,
-    examples,
     find_datasets,
     options_of,
     out_option,
@@ -71,12 +71,10 @@ class Weighted(click.ParamType):
         return self.of.shell_complete(ctx, param, incomplete)
 
 
-@click.command(
-    epilog=examples(
-        "train data/geometric data/pillar --variant occ --epochs 50 -o runs/occ",
-        "train --stream pillar --stream geometric --maps 200000",
-        "train data/mine --weights columns --lr 1e-4 --maps 5000 -o runs/mine",
-    )
+@command(
+    "train data/geometric data/pillar --variant occ --epochs 50 -o runs/occ",
+    "train --stream pillar --stream geometric --maps 200000",
+    "train data/mine --weights columns --lr 1e-4 --maps 5000 -o runs/mine",
 )
 @click.argument(
     "datasets", nargs=-1, type=Weighted(DatasetPath(), unsaid=None), metavar="[DATASET[=WEIGHT]]..."

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import rich_click as click
 
 from scenegen.cli.options import (
+    command,
     dataset_argument,
-    examples,
     quiet_option,
     split_option,
     was_given,
@@ -36,12 +36,10 @@ def _address(ctx: Any, parameter: Any, value: str) -> str:
         ) from None
 
 
-@click.command(
-    epilog=examples(
-        "view data/pillar",
-        "view data/pillar --split test --weights columns --weights proposed",
-        "view data/pillar --index 3 --index 7 --html samples.html",
-    )
+@command(
+    "view data/pillar",
+    "view data/pillar --split test --weights columns --weights proposed",
+    "view data/pillar --index 3 --index 7 --html samples.html",
 )
 @dataset_argument
 @split_option("train", help="The split to show samples of.")

@@ -7,27 +7,26 @@ from typing import Any
 import rich_click as click
 
 from scenegen.cli.options import (
-    examples,
+    command,
     group,
     options_of,
     out_option,
     printing,
 )
 from scenegen.cli.show import Progress, show_table
+from scenegen.cli.types import FILE
 from scenegen.logs import Fusing
 
 
-@click.command(
-    epilog=examples(
-        "ingest dataset/sequences/07 -o data/kitti-07",
-        "ingest drive.mcap --deskew -o data/drive",
-        "ingest clouds --poses poses.tum -o data/walk",
-    )
+@command(
+    "ingest dataset/sequences/07 -o data/kitti-07",
+    "ingest drive.mcap --deskew -o data/drive",
+    "ingest clouds --poses poses.tum -o data/walk",
 )
-@click.argument("log", type=click.Path(path_type=Path))
+@click.argument("log", type=FILE)
 @click.option(
     "--poses",
-    type=click.Path(path_type=Path),
+    type=FILE,
     help="The poses of a folder of clouds: KITTI's matrices, TUM's lines, or CSV.",
 )
 @click.option("--topic", help="The clouds of an .mcap file that has several.")

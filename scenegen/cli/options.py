@@ -52,9 +52,9 @@ def together(*options: Decorator[Any]) -> Decorator[Any]:
     return lambda function: reduce(lambda made, option: option(made), reversed(options), function)
 
 
-def examples(*commands: str) -> str:
-    """Commands for the end of a help page."""
-    return "\n\n".join(["Examples:", *(f"scenegen {command}" for command in commands)])
+def command(*examples: str) -> Any:
+    """Makes a function a command, with `examples` of what to type at the end of its help page."""
+    return click.command(epilog="\n\n".join(["Examples:", *(f"scenegen {it}" for it in examples)]))
 
 
 def _cores() -> int:

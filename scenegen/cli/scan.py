@@ -14,8 +14,8 @@ from lidarsim.engines import ENGINES
 from lidarsim.parameters import MOST_LENGTH_M, Bounds
 from lidarsim.sensors import CATALOGUE, RASTER, SENSORS
 from scenegen.cli.options import (
+    command,
     engine_option,
-    examples,
     group,
     json_option,
     lidar_option,
@@ -28,7 +28,7 @@ from scenegen.cli.options import (
     was_given,
 )
 from scenegen.cli.show import Progress, say, show_figures, show_table, show_written
-from scenegen.cli.types import Named, Number, Numbers
+from scenegen.cli.types import FILE, Named, Number, Numbers
 from scenegen.display.exchange import Choices
 from scenegen.limits import LEAST_DRAWN_M
 from scenegen.logs import Cruise
@@ -51,7 +51,7 @@ HEADS = {
 """The columns of the list."""
 
 
-@click.command(epilog=examples("sensors", "sensors ouster-os1-128 my_lidar.toml -o patterns.png"))
+@command("sensors", "sensors ouster-os1-128 my_lidar.toml -o patterns.png")
 @click.argument(
     "names", nargs=-1, metavar="[NAME|FILE.toml|MODULE:CLASS]…", type=Named(SENSORS, file=".toml")
 )
@@ -121,15 +121,13 @@ def _cell(value: Any) -> str:
     return (" … " if isinstance(value[0], float) else " × ").join(f"{one:g}" for one in value)
 
 
-@click.command(
-    epilog=examples(
-        "scan room.xml --pose 1,2,0.5,30 -o scan.ply",
-        "scan room.xml --flight --every 0.5 --lidar livox-avia --noise datasheet -o walk.npz",
-        "scan campus.bt --pose 10,5,1.2,90 --frame world -o campus.ply",
-        "scan pillar --seed 3 --flight --sequence --lidar ouster-os1-64 -o log.mcap",
-    )
+@command(
+    "scan room.xml --pose 1,2,0.5,30 -o scan.ply",
+    "scan room.xml --flight --every 0.5 --lidar livox-avia --noise datasheet -o walk.npz",
+    "scan campus.bt --pose 10,5,1.2,90 --frame world -o campus.ply",
+    "scan pillar --seed 3 --flight --sequence --lidar ouster-os1-64 -o log.mcap",
 )
-@click.argument("world", type=click.Path(path_type=Path))
+@click.argument("world", type=FILE)
 @click.option(
     "--pose", type=Numbers("X,Y,Z,YAW", 4), help="Where the body is, metres, and its yaw, degrees."
 )

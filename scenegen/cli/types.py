@@ -16,6 +16,10 @@ MOST_REPEATED = 60
 """Characters of a value that an error repeats."""
 
 
+FILE = click.Path(path_type=Path)
+"""A file or a folder to read."""
+
+
 class Named(click.ParamType):
     """The name of something in a registry, or a user's own as module:Object.
 
