@@ -186,18 +186,22 @@ def run_bench(
         out / "report.json", (json.dumps(report, indent=1, allow_nan=False) + "\n").encode()
     )
     write_result(out / "report.md", to_markdown(report).encode())
-    pairs = zip(results, tables, strict=True)
-    pictures = {result.kind: _failures(result, dataset, methods) for result, (dataset, _) in pairs}
+    pictures = {
+        result.kind: _pictures(report, result, dataset, methods)
+        for result, (dataset, _) in zip(results, tables, strict=True)
+    }
     write_result(out / "report.html", to_html(report, pictures).encode())
     return report
 
 
-def _failures(result: Any, dataset: Any, methods: "Sequence[Method]") -> list[tuple[str, bytes]]:
-    """Pictures of failures; none without matplotlib."""
-    from scenegen.model.evaluation.shown import draw_failures
+def _pictures(
+    report: dict[str, Any], result: Any, dataset: Any, methods: "Sequence[Method]"
+) -> list[tuple[str, bytes]]:
+    """Charts, and pictures of failures; none without matplotlib."""
+    from scenegen.model.evaluation.shown import draw_charts, draw_failures
 
     try:
-        return draw_failures(result, dataset, methods)
+        return draw_charts(report, result.kind) + draw_failures(result, dataset, methods)
     except ImportError:
         return []
 

@@ -102,7 +102,7 @@ def surveyed(folder, scans, how):
     w, x, y, z = turn
     rows = {
         "places": places,
-        "tum": [[0, *place, x, y, z, w] for place in places],
+        "tum": [[time, *place, x, y, z, w] for time, place in enumerate(places)],
         "kitti": [
             np.concatenate([rotate(turn, np.eye(3)).T, place[:, None]], axis=1).reshape(-1)
             for place in places
@@ -205,7 +205,7 @@ def test_a_dataset_of_a_cloud_passes_every_check(tmp_path):
         ("a.xyz", b"0 0 0\n", ["--poses", "none.txt"], "none.txt"),
         ("a.xyz", b"0 0 0\n", ["--poses", "two.txt"], "2 poses, expected 1"),
         ("a.xyz", b"0 0 0\n", ["--poses", "flat.txt"], "line 1: expected a rotation"),
-        ("a.xyz", b"0 0 0\n", ["--poses", "a.bt"], "without t"),
+        ("a.xyz", b"0 0 0\n", ["--poses", "a.bt"], "holds no numbers"),
         ("a.bt", b"words\n", ["--assume-free"], "expected one of .ply"),
         ("a.las", b"LASF" + bytes(400), ["--assume-free"], "cannot be read as .las"),
         ("a.laz", b"", ["--assume-free"], "cannot be read as .laz"),
