@@ -6,7 +6,6 @@ flight and its samples.
 
 import dataclasses
 import functools
-import hashlib
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from scenegen import SPLITS
+from scenegen.dataset.archive import world_digest
 from scenegen.errors import BrokenError, RecipeError, SceneError, printable
 from scenegen.files import real_path
 from scenegen.limits import MOST_ARCHIVE_BYTES, MOST_GEOMS, MOST_MEMBERS, SCENE_BYTES, SCENE_SECONDS
@@ -107,7 +107,10 @@ class SceneWorlds:
     def describe(self) -> dict[str, Any]:
         """The files and their digests, by split."""
         return {
-            split: [{"file": scene.name, "sha256": _content_digest(scene)} for scene in scenes]
+            split: [
+                {"file": scene.name, "sha256": world_digest(scene.mjcf, scene.assets).hex()}
+                for scene in scenes
+            ]
             for split, scenes in self.scenes.items()
             if scenes
         }
@@ -154,13 +157,6 @@ def named_world(name: str, seed: int, difficulty: str | None = None) -> World | 
 @functools.lru_cache(maxsize=8)
 def _compiled(name: str, mjcf: bytes, assets: tuple[tuple[str, bytes], ...]) -> World | Place:
     return archived_world(mjcf, dict(assets), name=name)
-
-
-def _content_digest(scene: Scene) -> str:
-    digest = hashlib.sha256(scene.mjcf)
-    for name, content in sorted(scene.assets.items()):
-        digest.update(name.encode() + hashlib.sha256(content).digest())
-    return digest.hexdigest()
 
 
 def read_scenes(

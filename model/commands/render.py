@@ -130,9 +130,8 @@ def render(
     if importlib.util.find_spec("matplotlib") is None:  # before the samples are read
         raise ModuleNotFoundError("matplotlib", name="matplotlib")
     from scenegen.display.panels import PAPER_DPI, for_paper, to_bytes
-    from scenegen.files import check_ours, write_result
+    from scenegen.files import write_result
 
-    check_ours(out)
     notes: list[str] = []
     made = _draw_file(source, seed if flight else None) if isinstance(source, Path) else None
     if made is None:

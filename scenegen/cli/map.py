@@ -79,12 +79,11 @@ def map(
     if out.suffix != ".npz":
         raise click.UsageError(f"{out}: expected a name that ends in .npz")
     from scenegen.display.inspect import map_facts
-    from scenegen.files import check_ours, write_result
+    from scenegen.files import write_result
     from scenegen.worlds.cloud import map_clouds
     from scenegen.worlds.place import encode_npz
     from scenegen.worlds.plan import read_plan
 
-    check_ours(out)
     survey = Survey(**options)
     if plan:
         made = read_plan(clouds[0], survey.height_m)

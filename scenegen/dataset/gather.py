@@ -1,7 +1,6 @@
 """Datasets made of samples that are there: which may be one, what the new one is to hold, and its
 shards."""
 
-import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 
 from scenegen import SPLITS
 from scenegen.dataset import manifest
-from scenegen.dataset.archive import open_archive
+from scenegen.dataset.archive import open_archive, world_digest
 from scenegen.dataset.choose import Choice, Chosen, choose
 from scenegen.dataset.layout import DIGEST, Layout, ShardFile, check_sum, open_file, open_shard
 from scenegen.dataset.read import Dataset
@@ -73,11 +72,7 @@ def _look(
             own = open_shard(file, path, entry.samples, layout).column(DIGEST)
         with open_file(there / archive) as file, open_archive(file, archive) as members:
             for name in sorted(name for name in members if name.endswith(".xml")):
-                document, others = members.world(name)
-                digest = hashlib.sha256(document)
-                for other, content in sorted(others.items()):
-                    digest.update(other.encode() + hashlib.sha256(content).digest())
-                worlds += digest.digest()[:KEPT]
+                worlds += world_digest(*members.world(name))[:KEPT]
     except BrokenError as error:
         raise DatasetError(f"{there}/{error}; verify the dataset, or copy it again") from None
     return (

@@ -114,7 +114,9 @@ def plan_generation(
         RecipeError, SceneError, DatasetError: What is asked for cannot be.
     """
     if kind is None and scene is None and recipe is None:
-        raise RecipeError("no worlds are named; give a kind, such as pillar, a scene or a recipe")
+        raise RecipeError(
+            "no worlds are named; give a kind, such as --kind pillar, a --scene or a --recipe"
+        )
     if kind is not None and scene is not None:
         raise RecipeError("a kind draws worlds and a scene has them; give one of the two")
     named, path = ("scene", Path(scene)) if scene is not None else (kind, None)

@@ -154,20 +154,16 @@ def assemble(
     given: Mapping[str, Any], reports: Sequence["ShardReport"], *, complete: bool
 ) -> dict[str, Any]:
     """The manifest of the shards reported, in order."""
-    worlds: Counter[str] = Counter()
-    viewpoints: Counter[str] = Counter()
-    for report in reports:
-        worlds.update(report.rejected.worlds)
-        viewpoints.update(report.rejected.viewpoints)
+    rejected = {
+        what: sum((getattr(report.rejected, what) for report in reports), Counter[str]())
+        for what in ("worlds", "viewpoints")
+    }
     digest = hashlib.sha256(b"".join(report.digests for report in reports)).hexdigest()
     return {
         **given,
         "complete": complete,
         "shards": [report.entry() for report in reports],
-        "rejected": {
-            "worlds": dict(sorted(worlds.items())),
-            "viewpoints": dict(sorted(viewpoints.items())),
-        },
+        "rejected": {what: dict(sorted(counts.items())) for what, counts in rejected.items()},
         "digest": digest if complete else None,
     }
 

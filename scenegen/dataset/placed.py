@@ -4,7 +4,7 @@ store."""
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -67,9 +67,11 @@ def write_placed(spec: ShardTask) -> ShardReport:
     return report
 
 
-def look(folder: Path, tasks: Sequence[tuple[ShardTask, Entry | None]]) -> list[ShardReport]:
-    """Reports of those shards, each with what the manifest lists of it, that are at the place
-    `folder` as they should.
+def look(
+    folder: Path, tasks: Sequence[tuple[ShardTask, Entry | None]]
+) -> Generator[ShardReport | None, None, None]:
+    """The reports of shards, each with what the manifest lists of it, at the place `folder`; None
+    for one that is not as it should be.
 
     Objects that are those which a report beside them was written for are taken as they are: stores
     keep what they took. Any other shard is read, and removed where it is damaged. Raises
@@ -96,7 +98,7 @@ def look(folder: Path, tasks: Sequence[tuple[ShardTask, Entry | None]]) -> list[
     from concurrent.futures import ThreadPoolExecutor  # importing it takes time
 
     with ThreadPoolExecutor(AT_A_TIME) as pool:
-        return [report for report in pool.map(one, tasks) if report is not None]
+        yield from pool.map(one, tasks)
 
 
 SUMS = ("sha256", "worlds_sha256")

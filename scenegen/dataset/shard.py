@@ -204,12 +204,11 @@ def put(
             DIGEST, data=np.frombuffer(own, np.uint8).reshape(-1, 32), chunks=(1, 32)
         )
         worlds = zip_reproducibly(documents.items())
-        counted = {"worlds": rejected.worlds, "viewpoints": rejected.viewpoints}
         file.attrs["split"] = spec.split
         file.attrs["first_world"] = min(spec.numbers)
         file.attrs["worlds_sha256"] = file_digest(worlds)
         file.attrs["parameters"] = spec.parameters
-        file.attrs["rejected"] = json.dumps(counted, sort_keys=True)
+        file.attrs["rejected"] = json.dumps(vars(rejected), sort_keys=True)
         file.flush()
         content = with_index(file.id.get_file_image(), file, spec.samples)
     write_whole(spec.worlds_file, worlds)

@@ -161,21 +161,15 @@ class State:
         unknown = [
             shard for shard in shards if shard.file not in self.reports and shard.file.name in there
         ]
-        listed = self._listed
-        if isinstance(self.plan.folder, StorePath):
-            tasks = [(shard, listed.get(shard.file.name)) for shard in unknown]
-            self.reports |= {
-                self.plan.folder / report.file: report
-                for report in placed.look(self.plan.folder, tasks)
-            }
-            return
-        noted = read_notes(self.plan.folder, manifest.fingerprint(self.plan.parameters))
-        listed = {**noted, **listed}
+        folder, stored = self.plan.folder, isinstance(self.plan.folder, StorePath)
+        noted = {} if stored else read_notes(folder, manifest.fingerprint(self.plan.parameters))
+        listed = {**noted, **self._listed}
         tasks = [(shard, listed.get(shard.file.name)) for shard in unknown]
-        with closing(run(_report, tasks, workers if len(tasks) >= MANY else 1)) as reports:
-            self.reports |= {
-                self.plan.folder / report.file: report for report in reports if report is not None
-            }
+        several = workers if len(tasks) >= MANY else 1
+        with closing(
+            placed.look(folder, tasks) if stored else run(_report, tasks, several)
+        ) as found:
+            self.reports |= {folder / report.file: report for report in found if report is not None}
 
     def open(self) -> None:
         """Make the folder ready for shards, and touch nothing but the dataset that `force`

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 
 from scenegen.dataset import manifest
+from scenegen.dataset.archive import world_digest
 from scenegen.dataset.trust import Manifest
 from scenegen.verification.report import Page
 from scenegen.verification.stages import Check, Shard, SignedFile, Worlds
@@ -104,12 +105,9 @@ def _expected_worlds(worlds: Worlds, page: Page) -> None:
         return
     listed = task.contract.scenes[task.entry.split]
     for number in worlds.documents:
-        document, assets = worlds.source(number)
-        digest = hashlib.sha256(document)
-        for name, content in sorted(assets.items()):
-            digest.update(name.encode() + hashlib.sha256(content).digest())
         page.expect(
-            digest.hexdigest() == (listed[number].get("sha256") if number < len(listed) else None),
+            world_digest(*worlds.source(number)).hex()
+            == (listed[number].get("sha256") if number < len(listed) else None),
             f"{task.entry.worlds}: {number:06d}.xml is not the world that the manifest's "
             f"recipe.scenes names",
         )
