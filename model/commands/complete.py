@@ -55,7 +55,6 @@ if TYPE_CHECKING:
     "--batch",
     type=click.IntRange(1, MOST_BATCH),
     default=8,
-    show_default=True,
     help="Maps at once.",
 )
 @workers_option

@@ -51,7 +51,6 @@ SAVED = 10
 @click.option(
     "--robot",
     default="optimistic",
-    show_default=True,
     help=f"{', '.join(MAPPING)}, which map and plan; {REACTIVE}; MODULE:CLASS, or a command in "
     "quotes, which run in a process of their own.",
 )
@@ -73,14 +72,12 @@ SAVED = 10
     "--flights",
     type=click.IntRange(1, MOST_FLIGHTS),
     default=10,
-    show_default=True,
     help="Starts and goals.",
 )
 @click.option(
     "--worlds",
     type=click.IntRange(1, MOST_FLIGHTS),
     default=1,
-    show_default=True,
     help="Worlds of a kind, drawn by the seed and those after it; each has its share of the "
     "flights.",
 )

@@ -67,7 +67,6 @@ def export(weights: str, out: Path | None) -> None:
     "--trials",
     type=click.IntRange(0, 100),
     default=4,
-    show_default=True,
     help="Paths planned on each map at every risk; 0 leaves the risk of paths out.",
 )
 @seed_option("Decides the goals.")

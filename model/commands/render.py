@@ -91,7 +91,6 @@ def _width(ctx: Any, parameter: Any, value: str | None) -> float | None:
     "--font-size",
     type=click.FloatRange(4, 20),
     default=7.0,
-    show_default=True,
     help="With --paper: the size of its letters, points.",
 )
 @seed_option("What the flight is drawn by.")

@@ -84,7 +84,6 @@ class Weighted(click.ParamType):
     panel="Network",
     type=Named(NETWORKS),
     default=NetworkConfig.variant,
-    show_default=True,
     metavar="VARIANT",
     help=f"The network: {', '.join(NETWORKS.known)}, or MODULE:CLASS; docs/own-network.md.",
 )
@@ -94,7 +93,6 @@ class Weighted(click.ParamType):
     panel="Loss",
     type=Named(LOSSES),
     default=LossConfig.objective,
-    show_default=True,
     metavar="LOSS",
     help="What it learns by: coupled, the paper's, whose weights are options, or MODULE:OBJECT.",
 )
@@ -103,7 +101,6 @@ class Weighted(click.ParamType):
     panel="Training",
     type=Choice(list(PROTOCOLS)),
     default=next(iter(PROTOCOLS)),
-    show_default=True,
     help="What options stand at unless they are given; docs/training.md says how the two differ.",
 )
 @options_of(
@@ -127,7 +124,6 @@ class Weighted(click.ParamType):
     type=Named(INPUTS),
     multiple=True,
     default=NetworkConfig.inputs,
-    show_default=True,
     metavar="INPUT",
     help=f"A channel that it takes: {', '.join(INPUTS.known)}, or MODULE:FUNCTION; repeatable.",
 )
@@ -180,7 +176,6 @@ class Weighted(click.ParamType):
     panel="Stream",
     type=click.IntRange(0, MOST_SEED),
     default=0,
-    show_default=True,
     help="Its seed.",
 )
 @click.option(

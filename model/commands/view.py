@@ -58,21 +58,18 @@ def _address(ctx: Any, parameter: Any, value: str) -> str:
     *("--n", "count"),
     type=click.IntRange(1, MOST_SHOWN),
     default=24,
-    show_default=True,
     help="In a file: how many samples, evenly spread, where no --index is given.",
 )
 @click.option(
     *("--host", "host"),
     callback=_address,
     default="127.0.0.1",
-    show_default=True,
     help="Address to serve on; with 0.0.0.0 all who reach this machine can look.",
 )
 @click.option(
     *("--port", "port"),
     type=click.IntRange(0, 65535),
     default=8000,
-    show_default=True,
     help="0 for any.",
 )
 @quiet_option

@@ -69,7 +69,6 @@ shown_options = together(
         "--trial",
         type=click.IntRange(0, MOST_TRIAL),
         default=0,
-        show_default=True,
         panel=PREDICTED,
         help="Which of the bench's goals in the sample paths lead to.",
     ),

@@ -53,7 +53,7 @@ NETWORK_EDGE = 8
 """The bundled networks' three halvings need edges of maps that are multiples of this."""
 of_worlds, of_size = (partial(click.option, panel=panel) for panel in ("Worlds", "Size and files"))
 """Options by their groups on the help page."""
-count = partial(of_size, type=click.IntRange(min=1), show_default=True)
+count = partial(of_size, type=click.IntRange(min=1))
 
 
 @command(

@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     "--licence",
     "--license",
     default=USUAL,
-    show_default=True,
     help="SPDX name of the data's licence.",
 )
 @out_option("Where the folder goes.  [default: publish/<name>]")
