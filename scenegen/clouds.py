@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarsim.sensors.table import read_npy
 from scenegen.errors import DatasetError, needs, printable
 from scenegen.files import read_bounded
 from scenegen.limits import (
@@ -32,7 +33,6 @@ PLY_TYPES = {
 }
 MOST_SCANS = 100_000
 """The most scans of a folder."""
-MOST_NPY_HEADER_BYTES = 10_000
 PLY_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 SENSOR_FIELDS = ("vp_", "viewpoint_", "sensor_", "origin_")
 """What the names of fields begin with that say where a point was seen from, before x, y and z: the
@@ -105,13 +105,6 @@ def _fields(names: Collection[str]) -> list[str]:
         if set(sensor) <= set(names):
             return [*"xyz", *sensor]
     return [*"xyz"]
-
-
-def _read_npy(content: bytes) -> NDArray[np.generic]:
-    found = np.lib.format.read_array(
-        io.BytesIO(content), allow_pickle=False, max_header_size=MOST_NPY_HEADER_BYTES
-    )
-    return np.asarray(found)
 
 
 def _read_xyz(content: bytes) -> NDArray[np.generic]:
@@ -285,7 +278,7 @@ def read_npz(content: bytes, *names: str, most_bytes: int) -> list[NDArray[Any]]
                 raise ValueError(
                     f"{name} of {about.file_size} bytes, expected {most_bytes} at most"
                 )
-            found.append(_read_npy(members.read(about)))
+            found.append(read_npy(members.read(about)))
     return found
 
 
@@ -300,7 +293,7 @@ PCD_TYPES = {
 """numpy's names of a PCD's types, by TYPE and SIZE."""
 READERS = {
     **{".ply": _read_ply, ".pcd": _read_pcd, ".bin": _read_bin, ".npz": _read_npz},
-    **{".xyz": _read_xyz, ".npy": _read_npy, ".las": _read_las, ".laz": _read_las},
+    **{".xyz": _read_xyz, ".npy": read_npy, ".las": _read_las, ".laz": _read_las},
 }
 """File types of scans."""
 NAMED = (".ply", ".pcd", ".las", ".laz")

@@ -17,7 +17,7 @@ from scenegen.cli.options import (
     split_option,
     workers_option,
 )
-from scenegen.cli.show import Progress, announce_compilation, say
+from scenegen.cli.show import Progress, announce_compilation, say, show_figures
 from scenegen.limits import MOST_SAMPLES
 from scenegen.model.commands.weights import Weights
 from scenegen.model.config import DEFAULT_NETWORK, split_own
@@ -33,13 +33,15 @@ def networks(as_json: bool) -> None:
     if as_json:
         print(json.dumps(found))
         return
-    say(f"{'variant':<10}{'stem stride':>12}{'parameters':>12}{'GMACs':>8}{'activations':>13}")
-    for row in found:
-        say(
-            f"{row['variant']:<10}{row['stem_stride']:>12}{row['parameters']:>12,}"
-            f"{row['macs'] / 1e9:>8.2f}"
-            f"{row['activation_bytes'] / 1e6:>10.1f} MB"
+    rows = {
+        f"{row['variant']}, stem stride {row['stem_stride']}": (
+            f"{row['parameters']:,}",
+            f"{row['macs'] / 1e9:.2f}",
+            f"{row['activation_bytes'] / 1e6:.1f} MB",
         )
+        for row in found
+    }
+    show_figures(rows, ("parameters", "GMACs", "activations"))
 
 
 @command("export", "export runs/mine -o mine.onnx")

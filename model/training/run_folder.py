@@ -104,7 +104,7 @@ class RunFolder:
         except OSError as error:
             raise disk_error(self.path, error) from None
         remove_drafts(self.path)
-        config = self.path / CONFIG
+        config, grows = self.path / CONFIG, False
         if config.exists():
             there, asked = self.settings(), json.loads(json.dumps(settings["settings"]))
             if grows := _grows(there, asked):
@@ -115,17 +115,15 @@ class RunFolder:
                     f"({printable('; '.join(unlike))[:1000]}); give those, "
                     "or another --out"
                 )
-            if grows:
-                if (self.path / LEVEL).exists():  # where the learning rate began to fall
-                    if (self.path / BEST).exists():
-                        (self.path / BEST).replace(
-                            self.path / f"{datetime.now():best-%Y-%m-%d-%H%M%S}.safetensors"
-                        )
-                    (self.path / LEVEL).replace(self.path / LAST)
-                write_whole(config, (json.dumps(settings, indent=1) + "\n").encode())
+            if grows and (self.path / LEVEL).exists():  # where the learning rate began to fall
+                if (self.path / BEST).exists():
+                    (self.path / BEST).replace(
+                        self.path / f"{datetime.now():best-%Y-%m-%d-%H%M%S}.safetensors"
+                    )
+                (self.path / LEVEL).replace(self.path / LAST)
         elif odd := next((name for name in FILES if (self.path / name).exists()), None):
             raise DatasetError(f"{self.path}: holds {odd} but no {CONFIG}; choose another --out")
-        else:
+        if not config.exists() or grows:
             write_whole(config, (json.dumps(settings, indent=1) + "\n").encode())
         self._lock = open(config)  # noqa: SIM115 (held until `close`)
         try:

@@ -218,7 +218,8 @@ def scan(
         return
     found = named_world(str(world), seed)
     poses = _poses(found, pose, every, seed)
-    files = [out] if every is None else [_numbered(out, number) for number in range(len(poses))]
+    numbered = [out.with_stem(f"{out.stem}-{number:03d}") for number in range(len(poses))]
+    files = [out] if every is None else numbered
     for file in files:
         check_ours(file)
     rows = []
@@ -281,10 +282,6 @@ def _counted(scans: "Iterable[LogScan]", progress: Progress) -> "Iterator[LogSca
     for scan in scans:
         yield scan
         progress.count(1)
-
-
-def _numbered(out: Path, number: int) -> Path:
-    return out.with_name(f"{out.stem}-{number:03d}{out.suffix}")
 
 
 def _poses(

@@ -48,9 +48,6 @@ class Mapper(Fusion):
     """Where the map's middle lies from the sensor: forward along its heading, to its left, and up,
     metres."""
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-
     @property
     def plain(self) -> bool:
         """Whether samples are those of a recipe without [mapping]."""

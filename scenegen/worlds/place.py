@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from lidarsim import GridSpec, Scan
 from lidarsim.engines.voxels import FREE, OCCUPIED, VoxelEngine, VoxelMap
 from lidarsim.jit import kernel
-from scenegen.clouds import MOST_NPY_HEADER_BYTES, read_npz
+from lidarsim.sensors.table import MOST_HEADER_BYTES
+from scenegen.clouds import read_npz
 from scenegen.errors import SceneError, printable
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_ASSET_BYTES, MOST_PLACE_VOXELS
@@ -160,7 +161,7 @@ def parse_npz(content: bytes, name: str) -> VoxelMap:
     """The map in an .npz file's arrays `states` (uint8, 0 unknown, 1 free, 2 occupied), `voxel_m`
     and `origin`. Raises SceneError, naming `name`."""
     try:
-        found = read_npz(content, *PARTS, most_bytes=MOST_PLACE_VOXELS + MOST_NPY_HEADER_BYTES)
+        found = read_npz(content, *PARTS, most_bytes=MOST_PLACE_VOXELS + MOST_HEADER_BYTES)
     except Exception as error:  # zipfile's, zlib's, and what else a crafted file may bring forth
         raise SceneError(
             f"{name}: not an .npz map ({printable(error)[:100]}); expected arrays "
