@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from lidarsim.parameters import Checked, check, number
 from lidarsim.registry import Registry
-from scenegen.errors import ScenegenError, short
+from scenegen.errors import ScenegenError, raised_as, short
 from scenegen.limits import (
     MOST_BATCH,
     MOST_EPOCHS,
@@ -95,10 +95,8 @@ def is_own(name: str) -> bool:
 
 def named(registry: Registry, name: str) -> Any:
     """What `name` is in `registry`, imported now. Raises ScenegenError, in one line, for none."""
-    try:
+    with raised_as(ScenegenError):
         return registry.find(name)
-    except ValueError as error:
-        raise ScenegenError(str(error)) from None
 
 
 def split_own(weights: str | Path) -> tuple[frozenset[str], str]:

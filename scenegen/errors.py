@@ -1,6 +1,9 @@
 """What can be wrong with what a user gave. Every message is one line: what, where, what was
 expected, how to fix it."""
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
 from lidarsim.registry import own_line
 
 MOST_TOLD = 60
@@ -62,6 +65,22 @@ def told(error: Exception) -> Exception:
     """`error`, or an OwnCodeError in its place where it came through code of the user's own."""
     line = "" if isinstance(error, ScenegenError) else own_line(error)
     return OwnCodeError(f"{line}: {type(error).__name__}: {error}") if line else error
+
+
+@contextmanager
+def raised_as(
+    kind: Callable[[str], Exception],
+    begin: str = "",
+    end: str = "",
+    *,
+    of: type[Exception] = ValueError,
+) -> Iterator[None]:
+    """What the block raises as an error `of` some sort comes out as one of another `kind`, its line
+    between `begin` and `end`."""
+    try:
+        yield
+    except of as error:
+        raise kind(f"{begin}{printable(error)}{end}") from None
 
 
 def is_out_of_memory(error: BaseException) -> bool:

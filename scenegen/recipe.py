@@ -14,7 +14,7 @@ import numpy as np
 from lidarsim import BeamTable, GridSpec, Lidar, Sensor
 from lidarsim.noise.chain import Noise
 from lidarsim.parameters import Checked, number
-from scenegen.errors import RecipeError, printable, short
+from scenegen.errors import RecipeError, printable, raised_as, short
 from scenegen.limits import (
     MOST_CANDIDATES,
     MOST_DRAWS,
@@ -285,10 +285,8 @@ def make_recipe(
     at, tables = f"{where}: " if where else "", dict(tables)
     level = tables.pop("difficulty", "medium")
     if kind != "scene":
-        try:
+        with raised_as(RecipeError, at):
             parts["world"] = found = find_kind(kind)
-        except ValueError as error:
-            raise RecipeError(f"{at}{error}") from None
         defaults = {"flight": dict(found.flight_defaults), "accept": dict(found.accept_defaults)}
         defaults["world"] = _graded(found, level, at)
     elif level != "medium":
@@ -317,13 +315,8 @@ def make_recipe(
     built["noise"] = named_noise(
         built["noise"].stages or None, built["lidar"], at and f"{at}[noise]"
     )
-    try:
+    odd = f"{at}[world] of kind {kind}: a parameter cannot stand in a manifest: "
+    with raised_as(RecipeError, at), raised_as(RecipeError, odd, of=TypeError):
         recipe = Recipe(kind=kind, **built)
         json.dumps(recipe.resolved())
-    except TypeError as error:
-        raise RecipeError(
-            f"{at}[world] of kind {kind}: a parameter cannot stand in a manifest: {error}"
-        ) from None
-    except ValueError as error:
-        raise RecipeError(f"{at}{error}") from None
     return recipe

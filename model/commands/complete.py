@@ -84,7 +84,7 @@ def complete(
     from scenegen.dataset.manifest import NAME
     from scenegen.dataset.read import Dataset
     from scenegen.errors import DatasetError
-    from scenegen.files import make_parent, real_path, remove_drafts
+    from scenegen.files import make_way, real_path
     from scenegen.model.completion.completer import Completer
     from scenegen.model.completion.predictions import predict_scan, predict_split
     from scenegen.model.config import Thresholds
@@ -107,8 +107,7 @@ def complete(
         _complete_all(completer, found, scans, out, sensor, quiet)
         return
     out = out or (Path("predictions.h5") if found.is_dir() else found.with_suffix(".completed.h5"))
-    make_parent(out)
-    remove_drafts(out.parent, out.name)
+    make_way(out)
     there = out.exists()
     if found.is_dir():
         with Progress("complete", shown=not quiet) as progress:

@@ -23,6 +23,7 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import Progress, curve, say
 from scenegen.cli.types import Choice, DatasetPath, Named
+from scenegen.errors import raised_as
 from scenegen.limits import MOST_SAMPLES, MOST_SEED
 from scenegen.model.commands.weights import Weights
 from scenegen.model.config import (
@@ -217,7 +218,7 @@ def train(
     weights = options["weights"]
     if weights is not None:
         _take_settings(weights, options)
-    try:
+    with raised_as(click.UsageError):
         options |= {
             name: value for name, value in PROTOCOLS[protocol].items() if not was_given(name)
         }
@@ -226,8 +227,6 @@ def train(
             loss=LossConfig(**taken(LossConfig, options)),
             **taken(TrainConfig, options),
         )
-    except ValueError as error:
-        raise click.UsageError(str(error)) from None
     out = options["out"] or Path("runs") / config.network.variant.rpartition(":")[2]
     begin = time.monotonic()
     # the loop looks for a stop between two steps

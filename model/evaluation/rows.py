@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lidarsim.registry import Registry
-from scenegen.errors import ScenegenError, needs
+from scenegen.errors import ScenegenError, raised_as
 
 if TYPE_CHECKING:  # whoever asks for the names alone loads no torch and no HDF5
     from scenegen.dataset.read import Dataset
@@ -36,16 +36,11 @@ def find_method(name: str) -> "Method":
     """
     from scenegen.model.evaluation.methods import Completed
 
-    try:
+    with raised_as(ScenegenError, "--method: "):
         found = METHODS.find(name)
-    except ValueError as error:
-        raise ScenegenError(f"--method: {error}") from None
-    try:
+    odd = f"--method {name}: cannot be made by calling it without arguments: "
+    with raised_as(ScenegenError, odd, of=TypeError):
         made = found()
-    except TypeError as error:
-        raise ScenegenError(
-            f"--method {name}: cannot be made by calling it without arguments: {error}"
-        ) from None
     if name in METHODS.known and hasattr(made, "completion"):  # a row itself, not a completer
         return made
     return Completed(made)
@@ -78,8 +73,6 @@ def check_rows(rows: "Sequence[Method]", datasets: "Sequence[Dataset]", split: s
 
 def network_row(weights: str) -> "Method":
     """A network's row; what it needs is imported here, so that the other rows need no torch."""
-    try:
-        from scenegen.model.completion.completer import Completer
-    except ImportError:
-        raise ScenegenError(f"--weights {weights}: {needs('torch', 'train')}") from None
+    from scenegen.model.completion.completer import Completer
+
     return Completer.from_pretrained(weights, threads=1)

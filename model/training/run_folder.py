@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from lidarsim import GridSpec
 from scenegen.dataset.manifest import differences
 from scenegen.errors import DatasetError, printable
-from scenegen.files import disk_error, read_bounded, remove_drafts, write_whole
+from scenegen.files import disk_told, read_bounded, remove_drafts, write_whole
 from scenegen.limits import MOST_HEADER_BYTES
 from scenegen.model.checkpoint import CheckpointError, load_tensors, save_network, save_tensors
 from scenegen.model.config import LossConfig, NetworkConfig
@@ -99,10 +99,8 @@ class RunFolder:
         Raises DatasetError where the folder holds a run with other settings, or one that another
         process works on.
         """
-        try:
+        with disk_told(self.path):
             self.path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise disk_error(self.path, error) from None
         remove_drafts(self.path)
         config, grows = self.path / CONFIG, False
         if config.exists():

@@ -15,6 +15,7 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import Progress, show_table
 from scenegen.cli.types import FILE
+from scenegen.errors import raised_as
 from scenegen.logs import Fusing
 
 
@@ -65,10 +66,8 @@ def ingest(
     from scenegen.logs.read import read_log
 
     target = out or Path(f"{log.stem}-maps")
-    try:
+    with raised_as(click.UsageError):
         how = Fusing(**options)
-    except ValueError as error:
-        raise click.UsageError(str(error)) from None
     check_free(target)
     found = read_log(log, poses=poses, topic=topic)
     with Progress("ingest", shown=talk) as progress:

@@ -30,6 +30,7 @@ from scenegen.cli.options import (
 from scenegen.cli.show import Progress, say, show_figures, show_table, show_written
 from scenegen.cli.types import FILE, Named, Number, Numbers
 from scenegen.display.exchange import Choices
+from scenegen.errors import raised_as
 from scenegen.limits import LEAST_DRAWN_M
 from scenegen.logs import Cruise
 from scenegen.worlds import CLOUDS, MAPS
@@ -68,10 +69,8 @@ def sensors(names: tuple[str, ...], out: Path | None, as_json: bool) -> None:
 
     found = {name: named_lidar(name) for name in names or (RASTER, *CATALOGUE)}
     for name in names:
-        try:
+        with raised_as(click.ClickException, f"{name}: "):
             beam_table(found[name])
-        except ValueError as error:
-            raise click.ClickException(f"{name}: {error}") from None
     rows = {name: _facts(sensor) for name, sensor in found.items()}
     if out is not None:
         from scenegen.display.panels import to_bytes

@@ -15,7 +15,7 @@ from lidarsim.noise import STAGES
 from lidarsim.parameters import MOST_RAYS
 from lidarsim.sensors.table import MOST_AXES, MOST_MADE_BY, most_bytes, read_npy
 from scenegen.dataset.rules import DIGEST, Rule, check, made, text
-from scenegen.errors import BrokenError, DatasetError, printable, short
+from scenegen.errors import BrokenError, DatasetError, printable, raised_as, short
 from scenegen.files import read_bounded, write_whole
 from scenegen.limits import MOST_CLASSES, MOST_RAYS_IN_SAMPLE, MOST_VOXELS
 from scenegen.sample import Schema
@@ -208,10 +208,8 @@ def noise_of(entry: Mapping[str, Any] | None, max_range_m: float) -> "Noise":
 
     if entry is None:
         return Noise()
-    try:
+    with raised_as(BrokenError, f"noise.stages = {short(entry['stages'])}: "):
         found = Noise.parse(entry["stages"])
-    except ValueError as error:
-        raise BrokenError(f"noise.stages = {short(entry['stages'])}: {printable(error)}") from None
     again = noise_entry(found, max_range_m)
     if again and again["bound_m"] != entry["bound_m"]:
         raise BrokenError(
@@ -241,10 +239,8 @@ def _read_mapping(entry: Any, before: Mapping[str, Any]) -> Mapper:
     shape, reach = sensor.get("shape"), sensor.get("max_range_m")
     if "sensor" not in sensor:
         shape, reach = (raster := Lidar(**sensor)).shape, raster.max_range_m
-    try:
+    with raised_as(BrokenError):
         mapping.check_reach(before["grid"], reach, math.prod(shape), MOST_RAYS_IN_SAMPLE)
-    except ValueError as error:
-        raise BrokenError(str(error)) from None
     return mapping
 
 

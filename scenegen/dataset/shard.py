@@ -24,7 +24,7 @@ from scenegen.dataset.hdf5 import tells, with_index
 from scenegen.dataset.layout import DIGEST, Layout, open_file, open_shard
 from scenegen.dataset.trust import Entry
 from scenegen.draw import Rejections, Unit, compile_truth, draw_unit
-from scenegen.errors import BrokenError, DatasetError, printable
+from scenegen.errors import BrokenError, DatasetError, raised_as
 from scenegen.files import write_whole
 from scenegen.recipe import Recipe
 from scenegen.run.workers import START, Worker
@@ -40,10 +40,8 @@ _FIRST = 4
 
 def find_engine(name: str) -> EngineFactory:
     """What makes the engine called `name`. Raises DatasetError for one that is not to be had."""
-    try:
+    with raised_as(DatasetError):
         engine = ENGINES.find(name)
-    except ValueError as error:
-        raise DatasetError(printable(error)) from None
     if missing := getattr(engine, "missing", str)():  # what some engines say before the work begins
         raise DatasetError(f"the engine {name} {missing}")
     found: EngineFactory = engine.of

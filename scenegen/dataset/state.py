@@ -21,7 +21,7 @@ from scenegen.dataset.parts import tables_of, write_rays
 from scenegen.dataset.placed import read_notes, remove_notes, write_note
 from scenegen.dataset.shard import ARCHIVE, ShardReport, ShardTask, read_report, relabel
 from scenegen.errors import BrokenError, DatasetError
-from scenegen.files import disk_error, names_in, open_bounded, remove_drafts
+from scenegen.files import disk_told, names_in, open_bounded, remove_drafts
 from scenegen.run.workers import run
 from scenegen.stores import StorePath
 
@@ -85,11 +85,9 @@ class State:
     def _read(self) -> Mapping[str, trust.Entry] | None:
         """The shards that the manifest of this dataset lists, by file; None where there is none."""
         folder = self.plan.folder
-        try:
+        with disk_told(folder):
             if not folder.exists():
                 return None
-        except OSError as error:
-            raise disk_error(folder, error) from None
         if not folder.is_dir():
             raise DatasetError(
                 f"{folder}: is a file, expected a folder; choose another one with --out"
@@ -178,16 +176,13 @@ class State:
         Raises DatasetError where a file stands in the way that is of neither.
         """
         folder = self.plan.folder
-        try:
+        with disk_told(folder):
             folder.mkdir(parents=True, exist_ok=True)
-            there = names_in(
-                folder
-            )  # listed first: what comes later is another job's, and this dataset's
+            # listed first: what comes later is another job's, and this dataset's
+            there = names_in(folder)
             self._listed = self._read()
             remove_drafts(folder)
             former = [] if self.begun else _former(folder, there)
-        except OSError as error:
-            raise disk_error(folder, error) from None
         if not self.begun:
             planned = {
                 path.name for shard in self.plan.shards for path in (shard.file, shard.worlds_file)

@@ -23,7 +23,7 @@ from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.pose import rotate
 from lidarsim.voxelize import sort_points, unknown_grid
 from scenegen.errors import DatasetError
-from scenegen.files import check_free, disk_error, make_parent
+from scenegen.files import check_free, disk_told, make_parent
 from scenegen.limits import MOST_ASSET_BYTES, MOST_PLACE_VOXELS
 from scenegen.logs import Fusing, LogScan
 from scenegen.logs.read import Log
@@ -89,20 +89,19 @@ def ingest(
     make_parent(out)
     unfinished = out.with_name(f"{out.name}.part")
     state = _State.begun(unfinished, log, how)
-    try:
-        on_scan(state.scan)
-        counts = _write(log, unfinished, how, state, on_scan)
-        for path in unfinished.glob(f"{PROGRESS}*"):
-            path.unlink()
-        check_free(out)
-        unfinished.rename(out)
-    except _UnreadableError:
-        raise
-    except DatasetError:
-        shutil.rmtree(unfinished)
-        raise
-    except OSError as error:
-        raise disk_error(out, error) from None
+    with disk_told(out):
+        try:
+            on_scan(state.scan)
+            counts = _write(log, unfinished, how, state, on_scan)
+            for path in unfinished.glob(f"{PROGRESS}*"):
+                path.unlink()
+            check_free(out)
+            unfinished.rename(out)
+        except _UnreadableError:
+            raise
+        except DatasetError:
+            shutil.rmtree(unfinished)
+            raise
     return counts
 
 

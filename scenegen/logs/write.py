@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lidarsim import Pose
 from scenegen.display.exchange.files import encode_points
-from scenegen.files import check_free, make_parent, remove_drafts, whole, whole_folder
+from scenegen.files import check_free, make_way, whole, whole_folder
 from scenegen.logs import LogScan
 
 FRAME, SENSOR = "map", "lidar"
@@ -38,8 +38,7 @@ def write_log(out: Path, scans: Iterable[LogScan]) -> dict[str, int]:
         with whole_folder(out) as folder:
             return _write_kitti(folder, scans)
     check_free(out)
-    make_parent(out)
-    remove_drafts(out.parent, out.name)
+    make_way(out)
     with whole(out) as draft, open(draft, "r+b") as file:
         return _write_mcap(file, scans)
 

@@ -8,7 +8,7 @@ from typing import Any
 from scenegen import SPLITS
 from scenegen.dataset import manifest, trust
 from scenegen.dataset.trust import Entry, GatheredEntry, Manifest
-from scenegen.errors import DatasetError, printable, short
+from scenegen.errors import DatasetError, printable, raised_as, short
 from scenegen.recipes import find_kind
 from scenegen.verification.report import BrokenError, Ledger, Page
 
@@ -49,15 +49,13 @@ def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Mani
     contract = None
     with ledger.checking("manifest") as page:
         page.count(files=1)
-        try:
+        with raised_as(BrokenError, f"{manifest.NAME}: ", of=BrokenError):
             found = trust.parse(given, folder, kind)
             for home in found.homes:
                 if home.kind == "scene" and home.scenes is None:
                     raise BrokenError("recipe.scenes = None: expected the worlds of each split")
                 # spelled out now, so that what is wrong with it is found here
                 home.recipe  # noqa: B018
-        except BrokenError as error:
-            raise BrokenError(f"{manifest.NAME}: {error}") from None
         _check_shards(found, page)
         contract = found
     return contract
@@ -69,10 +67,8 @@ def _check_named(kind: str, there: Any) -> None:
         raise DatasetError(
             f"--kind {kind}: the dataset's kind is {short(there)}; leave --kind out, or give that"
         )
-    try:
+    with raised_as(DatasetError, "--kind: "):
         find_kind(kind)
-    except ValueError as error:
-        raise DatasetError(f"--kind: {error}") from None
 
 
 def _check_shards(contract: Manifest, page: Page) -> None:

@@ -18,7 +18,7 @@ from scenegen.dataset.layout import DIGEST, most_bytes, open_file, open_shard
 from scenegen.dataset.locate import locate
 from scenegen.dataset.trust import Manifest
 from scenegen.draw import draw_unit
-from scenegen.errors import DatasetError, told
+from scenegen.errors import DatasetError, raised_as, told
 from scenegen.recipe import make_recipe
 from scenegen.run import Executor
 from scenegen.run.workers import Limited, Local
@@ -197,10 +197,8 @@ def verify(
     if contract is None:
         outcomes = ledger.outcomes(check.name for check in CHECKS)
         return Report(folder=str(folder), quick=quick, seed=seed, samples=0, checks=outcomes)
-    try:
+    with raised_as(DatasetError, "--check: "):
         checks = chosen_checks(contract, quick=quick, own=own)
-    except ValueError as error:
-        raise DatasetError(f"--check: {error}") from None
     whole = [replace(task, own=tuple(own)) for task in _tasks(contract, quick=quick, seed=seed)]
     tasks = execute.mine(whole)
     samples = sum(task.entry.samples for task in tasks)

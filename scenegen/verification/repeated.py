@@ -18,7 +18,7 @@ from scenegen.dataset.manifest import differences
 from scenegen.dataset.rescan import scan_again
 from scenegen.dataset.trust import Manifest
 from scenegen.draw import Unit, draw_unit, scans_from, with_noise
-from scenegen.errors import GenerationError, RecipeError, SceneError
+from scenegen.errors import GenerationError, RecipeError, SceneError, raised_as
 from scenegen.recipe import Recipe
 from scenegen.run.software import software
 from scenegen.sample import FIELDS
@@ -242,7 +242,7 @@ def _compare_flight(shard: Shard, unit: int, views: Sequence[tuple[int, int]], p
     assert shard.worlds is not None
 
     def poses() -> list[list[Pose]]:
-        try:
+        with raised_as(BrokenError, f"{task.entry.file}: "):
             return [
                 [
                     Pose(*pose)
@@ -252,8 +252,6 @@ def _compare_flight(shard: Shard, unit: int, views: Sequence[tuple[int, int]], p
                 ]
                 for row, _ in views
             ]
-        except ValueError as error:
-            raise BrokenError(f"{task.entry.file}: {error}") from None
 
     again = regenerate(task.contract, shard.worlds, task.entry.split, unit, poses)
     page.count(worlds=1)

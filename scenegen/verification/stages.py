@@ -19,7 +19,7 @@ from lidarsim.solids.shapes import Solids
 from scenegen.dataset.archive import open_archive, referred
 from scenegen.dataset.layout import ShardFile
 from scenegen.dataset.trust import Entry, GatheredEntry, Manifest
-from scenegen.errors import SceneError
+from scenegen.errors import SceneError, raised_as
 from scenegen.verification.contract import of_scans
 from scenegen.verification.rays import MapAuditor, as_rounded
 from scenegen.verification.report import BrokenError, Page
@@ -174,10 +174,8 @@ class Worlds:
     def world(self, number: int) -> World | Place:
         """A world, compiled. Raises BrokenError."""
         name = f"{self.task.entry.worlds}: {number:06d}.xml"
-        try:
+        with raised_as(BrokenError, of=SceneError):
             return archived_world(*self.source(number), name=name)
-        except SceneError as error:
-            raise BrokenError(str(error)) from None
 
     @functools.lru_cache(maxsize=1)  # noqa: B019
     def engine(self, number: int) -> Caster:
@@ -281,10 +279,8 @@ class Sample:
         ):
             # a range that is no number is a fault of `laws`; here it counts as no return
             clean = np.where(np.isfinite(ranges), ranges, np.float32(np.inf))
-            try:
+            with raised_as(BrokenError, f"{self.where}: "):
                 found.append(Scan(clean, Pose(*pose), self.contract.lidar))
-            except ValueError as error:
-                raise BrokenError(f"{self.where}: {error}") from None
         return found
 
     @functools.cached_property
