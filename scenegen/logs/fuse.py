@@ -22,13 +22,14 @@ from lidarsim.jit import kernel
 from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.pose import rotate
 from lidarsim.voxelize import sort_points, unknown_grid
-from scenegen.errors import DatasetError
-from scenegen.files import check_free, disk_told, make_parent
-from scenegen.limits import MOST_ASSET_BYTES, MOST_PLACE_VOXELS
+from scenegen.errors import DatasetError, SceneError
+from scenegen.files import check_free, disk_told, make_parent, write_whole
+from scenegen.limits import MOST_PLACE_VOXELS
 from scenegen.logs import Fusing, LogScan
 from scenegen.logs.read import Log
 from scenegen.poses import between
 from scenegen.truth.voxels import resample
+from scenegen.worlds.place import box_of, encode_npz
 
 THREADS = 2
 """Threads that follow rays, each in a window of the map; a third adds the windows up."""
@@ -82,8 +83,9 @@ def ingest(
         What was found, counted.
 
     Raises:
-        DatasetError: A cloud cannot be read, the log says nothing, a map's file is too large, the
-            disk refuses, there is something at `out`, or another log's work goes on there.
+        DatasetError: A cloud cannot be read, the log says nothing, the disk refuses, there is
+            something at `out`, or another log's work goes on there.
+        SceneError: A map's file is too large.
     """
     check_free(out)
     make_parent(out)
@@ -99,7 +101,7 @@ def ingest(
             unfinished.rename(out)
         except _UnreadableError:
             raise
-        except DatasetError:
+        except (DatasetError, SceneError):
             shutil.rmtree(unfinished)
             raise
     return counts
@@ -171,16 +173,8 @@ def _write(
             continue
         kept = {n: out / "observations" / f"{n:06d}.npz" for n in part[:: how.every]}
         place = _fused(log, scans, part, how, state, kept, on_scan)
-        path = out / f"place-{number:03d}.npz"
-        _put(
-            path,
-            np.savez_compressed,
-            states=place.states,
-            voxel_m=np.float64(place.voxel_m),
-            origin=place.origin,
-        )
-        if path.stat().st_size > MOST_ASSET_BYTES:
-            raise DatasetError(f"{path.name}: a map of too many bytes for a file; raise --voxel")
+        name = f"place-{number:03d}.npz"
+        write_whole(out / name, encode_npz(place, name))
         for observation in kept.values():
             _observe(observation, place)
         counts["maps"] += 1
@@ -251,11 +245,10 @@ def _fused(
         if time.monotonic() - state.saved_s > SAVE_EVERY_S and n + 1 < part.stop:
             state.save()
     state.told = NOTHING
-    moved, box = _settle(hits, misses, how.moved_share)
-    counts["moved_voxels"] += int(moved)
-    if not box[1].all():
+    counts["moved_voxels"] += int(_settle(hits, misses, how.moved_share))
+    (i, j, k), (a, b, c) = box = box_of(hits != UNKNOWN)
+    if not a:
         raise DatasetError("no scan of the log has a return that its maps reach")
-    (i, j, k), (a, b, c) = box
     states = np.ascontiguousarray(hits[i:a, j:b, k:c])
     return VoxelMap(states, how.voxel_m, (first + box[0]) * how.voxel_m)
 
@@ -355,11 +348,9 @@ def _count(hits, misses, least, observed, free):
 
 @kernel
 def _settle(hits, misses, moved_share):
-    """Write each voxel's state into `hits`. Gives how many voxels something has moved out of, and
-    the box of what is known, (2, 3)."""
+    """Write each voxel's state into `hits`. Gives how many voxels something has moved out of."""
     nx, ny, nz = hits.shape
-    moved, box = 0, np.zeros((2, 3), np.int64)
-    box[0] = nx, ny, nz
+    moved = 0
     for i in range(nx):
         for j in range(ny):
             for k in range(nz):
@@ -370,10 +361,7 @@ def _settle(hits, misses, moved_share):
                 gone = hit > 0 and hit < moved_share * (hit + miss)
                 moved += gone
                 hits[i, j, k] = FREE if gone or hit == 0 else OCCUPIED
-                for axis, at in enumerate((i, j, k)):
-                    box[0, axis] = min(box[0, axis], at)
-                    box[1, axis] = max(box[1, axis], at + 1)
-    return moved, box
+    return moved
 
 
 def _observe(path: Path, place: VoxelMap) -> None:

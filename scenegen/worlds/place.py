@@ -70,7 +70,7 @@ class Place:
     def flight_bounds(self) -> NDArray[np.float64]:
         """(2, 3): least and greatest corner of the box around the free voxels, metres."""
         voxels = self.voxels
-        return np.asarray(voxels.origin + _free_box(voxels.states) * voxels.voxel_m)
+        return np.asarray(voxels.origin + box_of(voxels.states == FREE) * voxels.voxel_m)
 
     @property
     def clearance(self) -> "PlaceClearance":
@@ -115,7 +115,7 @@ def place_of(content: bytes, suffix: str, where: str) -> Place:
     name = f"{hashlib.sha256(content).hexdigest()[:16]}{suffix}"
     found = Place(DOCUMENT.format(name).encode(), {name: content})
     try:
-        nothing = _free_box(found.voxels.states)[1, 0] == 0
+        nothing = not (found.voxels.states == FREE).any()
     except SceneError as error:
         raise SceneError(str(error).replace(name, where, 1)) from None
     if nothing:
@@ -202,21 +202,14 @@ def encode_npz(voxels: VoxelMap, where: str, **more: NDArray[Any]) -> bytes:
     return content
 
 
-@kernel
-def _free_box(states):
-    """The first of the free voxels along each axis, and one more than the last, (2, 3); zeros where
-    none is free."""
-    nx, ny, nz = states.shape
-    box = np.zeros((2, 3), np.int64)
-    box[0] = nx, ny, nz
-    for i in range(nx):
-        for j in range(ny):
-            for k in range(nz):
-                if states[i, j, k] == FREE:
-                    for axis, at in enumerate((i, j, k)):
-                        box[0, axis] = min(box[0, axis], at)
-                        box[1, axis] = max(box[1, axis], at + 1)
-    return box if box[1, 0] > 0 else np.zeros((2, 3), np.int64)
+def box_of(cells: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """The first of the true cells along each axis, and one more than the last, (2, axes); zeros
+    where none is true."""
+    box = np.zeros((2, cells.ndim), np.int64)
+    for axis in range(cells.ndim) if cells.any() else ():
+        others = tuple(other for other in range(cells.ndim) if other != axis)
+        box[:, axis] = np.flatnonzero(cells.any(axis=others))[[0, -1]] + [0, 1]
+    return box
 
 
 class PlaceClearance:
