@@ -146,8 +146,11 @@ def sensor_of(entry: Mapping[str, Any], folder: Path, name: str = RAYS) -> Senso
         if hashlib.sha256(content).hexdigest() != entry["sha256"]:
             raise ValueError("is not the file whose sha256 the manifest's lidar names")
         rays = read_npy(content)
-        if rays.shape != expected:
-            raise ValueError(f"has shape {rays.shape}, the manifest's lidar names {expected}")
+        if rays.shape != expected or rays.dtype.str != "<f8":
+            raise ValueError(
+                f"has shape {rays.shape} of {rays.dtype}, the manifest's lidar names {expected} of "
+                "float64"
+            )
         return BeamTable(rays=rays, max_range_m=entry["max_range_m"], made_by=entry["made_by"])
     except FileNotFoundError:
         raise BrokenError(

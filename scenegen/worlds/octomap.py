@@ -95,11 +95,11 @@ def _fill(data, states_alone, bounds, states):
         x, y, z, size = waiting[left, 0], waiting[left, 1], waiting[left, 2], waiting[left, 3]
         if at + length > len(data):
             return 1
-        bits = int(data[at]) | int(data[at + 1]) << 8
+        bits = np.int64(data[at]) | np.int64(data[at + 1]) << 8
         if not states_alone:
-            bits = 0
+            bits = np.int64(0)
             for child in range(8):
-                bits |= (int(data[at + 4]) >> child & 1) * 3 << 2 * child
+                bits |= (np.int64(data[at + 4]) >> child & 1) * 3 << 2 * child
             odds = data[at : at + 4].view(np.float32)[0]
             if bits == 0 and np.isnan(odds):
                 return 4
