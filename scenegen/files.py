@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from functools import cache, partial
 from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from scenegen.errors import DatasetError
 from scenegen.run import undone_if_stopped
@@ -70,6 +70,17 @@ def read_bounded(path: Path, most_bytes: int) -> bytes:
     if len(content) > most_bytes:
         raise DatasetError(f"{path}: more than {most_bytes} bytes; give a smaller file")
     return content
+
+
+def sha256_of(content: bytes) -> str:
+    """The SHA-256 of some bytes, in hexadecimal."""
+    return hashlib.sha256(content).hexdigest()
+
+
+def sha256_in(file: Any) -> str:
+    """The SHA-256 of what an open file holds, in hexadecimal."""
+    file.seek(0)
+    return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def real_path(path: Path) -> Path:
@@ -292,4 +303,4 @@ def _machine() -> str:
 
 
 def _digest(text: str) -> str:
-    return hashlib.sha256(os.fsencode(text)).hexdigest()[:12]
+    return sha256_of(os.fsencode(text))[:12]

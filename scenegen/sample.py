@@ -309,6 +309,12 @@ def derive_free(
     return fuse(scans[::-1], grid, origin, fusion).free
 
 
+def rng_of(seed: int, *key: int) -> np.random.Generator:
+    """The random numbers that `seed` gives the part `key` of some work, whatever is drawn for
+    others."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
+
+
 def derive_tudf(occupancy: NDArray[np.bool_], *, grid: GridSpec) -> NDArray[np.float32]:
     """The `tudf` of a sample from its occupancy, bit for bit."""
 

@@ -204,7 +204,7 @@ def read_scenes(
             "add worlds, or set --val and --test to 0 and measure on the training samples (bench "
             "--split train)"
         )
-    order = np.random.default_rng(np.random.SeedSequence(seed)).permutation(len(scenes))
+    order = np.random.default_rng(seed).permutation(len(scenes))
     whole = sum(SHARES[split] for split in wanted)
     share = {split: max(1, len(scenes) * SHARES[split] // whole) for split in wanted}
     share[wanted[0]] = len(scenes) - sum(share[split] for split in wanted[1:])

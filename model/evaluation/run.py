@@ -40,7 +40,7 @@ from scenegen.model.evaluation.visibility import (
 )
 from scenegen.run import Executor, check_together
 from scenegen.run.workers import Local
-from scenegen.sample import Sample
+from scenegen.sample import Sample, rng_of
 from scenegen.truth import distance_field
 
 CHUNK = 10
@@ -297,7 +297,7 @@ def planner_maps(
 
 def trials_of(sample: Sample, index: int, split: Split, config: BenchConfig, count: int) -> Trials:
     """The first `count` trials of `sample`, which is number `index` of its `split`."""
-    rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(index,)))
+    rng = rng_of(config.seed, index)
     world = split.home(index).tables.get("world")  # worlds from MJCF files have no box
     bounds = None if world is None else np.array([[0.0, 0.0, 0.0], world["size_m"]]) - sample.origin
     grid = split.dataset.grid

@@ -2,7 +2,6 @@
 on."""
 
 import dataclasses
-import hashlib
 import math
 import platform
 import time
@@ -20,6 +19,7 @@ from lidarsim import GridSpec
 from scenegen.dataset.manifest import differences
 from scenegen.dataset.parts import mapping_entry, sensor_entry
 from scenegen.errors import DatasetError, StoppedError, empty_split, is_out_of_memory, raised_as
+from scenegen.files import sha256_of
 from scenegen.model.checkpoint import CheckpointError
 from scenegen.model.completion.completer import locate, open_network
 from scenegen.model.config import VARIANTS, TrainConfig, is_own
@@ -341,4 +341,4 @@ def begin_from(weights: str | Path, network: Any) -> str:
         unlike = "; ".join(differences(there, asked))
         raise CheckpointError(f"{weights}: another network than the one to train: {unlike}")
     network.load_state_dict(found.state_dict())
-    return hashlib.sha256(locate(weights).read_bytes()).hexdigest()
+    return sha256_of(locate(weights).read_bytes())

@@ -3,7 +3,6 @@ Hugging Face Hub, or a place, ``s3://bucket/folder``, of which files are copied 
 read."""
 
 import contextlib
-import hashlib
 import os
 import re
 from collections.abc import Iterator
@@ -13,7 +12,7 @@ from pathlib import Path
 from scenegen.dataset import manifest, trust
 from scenegen.dataset.read import Dataset, Split
 from scenegen.errors import DatasetError, StoreError, needs, printable
-from scenegen.files import read_bounded
+from scenegen.files import read_bounded, sha256_in
 from scenegen.limits import MOST_MANIFEST_BYTES
 from scenegen.stores import LOCATED, folder_of, is_remote
 
@@ -196,7 +195,7 @@ def check_files(folder: Path, files: dict[str, str], name: str) -> None:
 def file_sha256(path: Path) -> str:
     """SHA-256 of a file, in hexadecimal."""
     with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+        return sha256_in(file)
 
 
 def reason(error: BaseException) -> str:

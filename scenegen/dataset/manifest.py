@@ -1,7 +1,6 @@
 """The manifest, `dataset.json`, as it stands in the file: written, read, and compared. `trust`
 checks its values."""
 
-import hashlib
 import json
 import re
 from collections import Counter
@@ -13,7 +12,7 @@ from lidarsim.engines import DEFAULT, MUJOCO
 from scenegen import GENERATOR, SPLITS, __version__
 from scenegen.dataset.parts import NAMES, PARTS, entries, plain, schema_of
 from scenegen.errors import MOST_TOLD, DatasetError, StoreError, printable, short
-from scenegen.files import read_bounded, write_whole
+from scenegen.files import read_bounded, sha256_of, write_whole
 from scenegen.limits import MOST_DEPTH, MOST_MANIFEST_BYTES
 from scenegen.run.software import software
 from scenegen.stores import TRIES, ConflictError
@@ -122,7 +121,7 @@ def completed(document: Mapping[str, Any]) -> dict[str, Any]:
 
 def fingerprint(given: Mapping[str, Any]) -> str:
     """A digest of `parameters`, the same for the same dataset."""
-    return hashlib.sha256(json.dumps(given, sort_keys=True).encode()).hexdigest()
+    return sha256_of(json.dumps(given, sort_keys=True).encode())
 
 
 def differing(given: Mapping[str, Any], others: Iterable[Mapping[str, Any]]) -> list[str]:
@@ -158,7 +157,7 @@ def assemble(
         what: sum((getattr(report.rejected, what) for report in reports), Counter[str]())
         for what in ("worlds", "viewpoints")
     }
-    digest = hashlib.sha256(b"".join(report.digests for report in reports)).hexdigest()
+    digest = sha256_of(b"".join(report.digests for report in reports))
     return {
         **given,
         "complete": complete,

@@ -2,7 +2,6 @@
 readers and checks walk."""
 
 import dataclasses
-import hashlib
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping
@@ -16,7 +15,7 @@ from lidarsim.parameters import MOST_RAYS
 from lidarsim.sensors.table import MOST_AXES, MOST_MADE_BY, most_bytes, read_npy
 from scenegen.dataset.rules import DIGEST, Rule, check, made, text
 from scenegen.errors import BrokenError, DatasetError, printable, raised_as, short
-from scenegen.files import read_bounded, write_whole
+from scenegen.files import read_bounded, sha256_of, write_whole
 from scenegen.limits import MOST_CLASSES, MOST_RAYS_IN_SAMPLE, MOST_VOXELS
 from scenegen.sample import Schema
 from scenegen.worlds.mapping import Known, Mapper
@@ -143,7 +142,7 @@ def sensor_of(entry: Mapping[str, Any], folder: Path, name: str = RAYS) -> Senso
     expected = (*entry["shape"], 4)
     try:
         content = read_bounded(folder / name, most_bytes(math.prod(entry["shape"])))
-        if hashlib.sha256(content).hexdigest() != entry["sha256"]:
+        if sha256_of(content) != entry["sha256"]:
             raise ValueError("is not the file whose sha256 the manifest's lidar names")
         rays = read_npy(content)
         if rays.shape != expected or rays.dtype.str != "<f8":

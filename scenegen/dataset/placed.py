@@ -1,7 +1,6 @@
 """Shards that are written elsewhere: what a job notes of its own, and what lies beside each in a
 store."""
 
-import hashlib
 import json
 from collections import Counter
 from collections.abc import Generator, Iterable, Sequence
@@ -14,7 +13,7 @@ from scenegen.dataset.shard import ShardReport, ShardTask, read_report, write_sh
 from scenegen.dataset.trust import Entry
 from scenegen.draw import Rejections
 from scenegen.errors import BrokenError, DatasetError
-from scenegen.files import read_bounded, write_whole
+from scenegen.files import read_bounded, sha256_of, write_whole
 from scenegen.limits import MOST_MANIFEST_BYTES, MOST_SAMPLES_IN_SHARD
 from scenegen.stores import Object, StorePath
 
@@ -27,7 +26,7 @@ def write_note(
 ) -> None:
     """Write down the `reports` of a job that sees to the shards `part`, of the dataset whose
     parameters have the digest `parameters`."""
-    name = hashlib.sha256("\n".join(path.name for path in part).encode()).hexdigest()[:12]
+    name = sha256_of("\n".join(path.name for path in part).encode())[:12]
     shards = [report.entry() for report in reports]
     content = json.dumps({"parameters": parameters, "shards": shards}, indent=1) + "\n"
     write_whole(folder / f"dataset.part-{name}.json", content.encode())

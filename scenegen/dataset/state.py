@@ -3,7 +3,6 @@ manifest says of it."""
 
 import contextlib
 import fnmatch
-import hashlib
 import json
 import math
 import re
@@ -21,7 +20,7 @@ from scenegen.dataset.parts import tables_of, write_rays
 from scenegen.dataset.placed import read_notes, remove_notes, write_note
 from scenegen.dataset.shard import ARCHIVE, ShardReport, ShardTask, read_report, relabel
 from scenegen.errors import BrokenError, DatasetError
-from scenegen.files import disk_told, names_in, open_bounded, remove_drafts
+from scenegen.files import disk_told, names_in, open_bounded, remove_drafts, sha256_of
 from scenegen.run.workers import run
 from scenegen.stores import StorePath
 
@@ -303,14 +302,12 @@ def _former(folder: Path, names: set[str]) -> list[str]:
         if name == samples:
             known = any(owner in content for owner in owners)
         elif samples in names:
-            known = samples in found and hashlib.sha256(content).hexdigest().encode() in _content(
-                folder / samples
-            )
+            known = samples in found and sha256_of(content).encode() in _content(folder / samples)
         else:  # whose writer was killed before it put the samples beside them
             known = content.startswith(ARCHIVE)
         found |= {name} if known else set()
     for name in fnmatch.filter(names, "rays*.npy"):
-        found |= {name} if hashlib.sha256(_content(folder / name)).hexdigest() in said else set()
+        found |= {name} if sha256_of(_content(folder / name)) in said else set()
     return sorted(found, reverse=True)
 
 

@@ -1,7 +1,6 @@
 """Maps of a log, made by following every ray of every scan; and some of its scans beside the truth
 that all of them tell."""
 
-import hashlib
 import json
 import math
 import shutil
@@ -23,7 +22,7 @@ from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.pose import rotate
 from lidarsim.voxelize import sort_points, unknown_grid
 from scenegen.errors import DatasetError, SceneError
-from scenegen.files import check_free, disk_told, make_parent, write_whole
+from scenegen.files import check_free, disk_told, make_parent, sha256_of, write_whole
 from scenegen.limits import MOST_PLACE_VOXELS
 from scenegen.logs import Fusing, LogScan
 from scenegen.logs.read import Log
@@ -130,7 +129,7 @@ class _State:
         """What was saved in `folder`, or a beginning, for which it is made. Raises DatasetError
         where it is not of this log."""
         poses = [[*pose.position, *pose.quaternion] for pose in log.poses]
-        key = hashlib.sha256(f"{how} {log.times_s.tolist()} {poses}".encode()).hexdigest()
+        key = sha256_of(f"{how} {log.times_s.tolist()} {poses}".encode())
         file, counts = folder / PROGRESS, Counter(scans_without_pose=log.without_pose)
         state = cls(file, key, 0, counts, NOTHING, time.monotonic())
         if not file.exists():

@@ -5,7 +5,6 @@ A folder of copies is of one store and one manifest, and beside it lies a note o
 kernels', it serves only where nobody but this user may write.
 """
 
-import hashlib
 import json
 import os
 import stat
@@ -19,6 +18,7 @@ from typing import IO, NamedTuple
 
 from lidarsim.jit import cache_root, folder_trouble, is_ours
 from scenegen.errors import StoreError, printable
+from scenegen.files import sha256_in, sha256_of
 from scenegen.stores import note_file, store_of
 
 AT_A_TIME = 8
@@ -41,7 +41,7 @@ def keep(store: str, name: str, manifest: bytes) -> Path:
 
     Raises StoreError, also where others may write to the folder.
     """
-    folder = _root() / _digest(store.encode())[:16] / _digest(manifest)[:16]
+    folder = _root() / sha256_of(store.encode())[:16] / sha256_of(manifest)[:16]
     _check(folder)
     _put(folder / name, store, manifest)
     for draft in folder.glob(".*.tmp"):
@@ -97,8 +97,7 @@ def fetch(path: Path) -> bool:
     try:
         with _draft(path, about.store) as file:
             store_of(about.store).read(path.name, file, 1 << 62)
-            file.seek(0)
-            if _sum(file) != about.files[path.name]:
+            if sha256_in(file) != about.files[path.name]:
                 raise StoreError(
                     f"{about.store}/{path.name}: is not the file that the manifest lists; if a run "
                     "goes on there, wait for its end and give the same command again; else "
@@ -120,7 +119,7 @@ def _is_whole(path: Path, digest: str) -> bool:
         if found.st_mtime_ns == found.st_size:
             return True
         with open(path, "rb") as file:
-            if _sum(file) != digest:
+            if sha256_in(file) != digest:
                 return False
             _stamp(file.fileno())
     except OSError:
@@ -133,10 +132,6 @@ def _stamp(handle: int) -> None:
     until it changes."""
     with suppress(OSError):  # a root's copy, that this user may only read
         os.utime(handle, ns=(time.time_ns(), os.fstat(handle).st_size))
-
-
-def _sum(file: IO[bytes]) -> str:
-    return hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
 
 
 def fetch_all(folder: Path, names: Iterable[str]) -> None:
@@ -201,7 +196,3 @@ def _put(path: Path, store: str, content: bytes) -> None:
     if not (path.is_file() and path.read_bytes() == content):
         with _draft(path, store) as file:
             file.write(content)
-
-
-def _digest(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()

@@ -1,13 +1,13 @@
 """Checks of the manifest, and of files as a whole: can they be read, and are they what the manifest
 lists?"""
 
-import hashlib
 from collections import Counter
 from collections.abc import Sequence
 
 from scenegen.dataset import manifest
 from scenegen.dataset.archive import world_digest
 from scenegen.dataset.trust import Manifest
+from scenegen.files import sha256_in
 from scenegen.verification.report import Page
 from scenegen.verification.stages import Check, Shard, SignedFile, Worlds
 
@@ -56,8 +56,7 @@ EXAMINED = Check(
 
 
 def _same_sum(signed: SignedFile, page: Page) -> None:
-    signed.file.seek(0)
-    found = hashlib.file_digest(signed.file, "sha256").hexdigest()
+    found = sha256_in(signed.file)
     page.count(files=1)
     page.expect(
         found == signed.sha256,

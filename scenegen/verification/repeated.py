@@ -21,7 +21,7 @@ from scenegen.draw import Unit, draw_unit, scans_from, with_noise
 from scenegen.errors import GenerationError, RecipeError, SceneError, raised_as
 from scenegen.recipe import Recipe
 from scenegen.run.software import software
-from scenegen.sample import FIELDS
+from scenegen.sample import FIELDS, rng_of
 from scenegen.source import DrawnWorlds, SceneWorlds
 from scenegen.verification.contract import of_scans
 from scenegen.verification.rays import audit, disagrees
@@ -203,7 +203,7 @@ def _fly_again(shard: Shard, page: Page) -> None:
     ):
         page.skipped = task.not_comparable
         return
-    rng = np.random.default_rng(np.random.SeedSequence(task.seed, spawn_key=(task.number, 1)))
+    rng = rng_of(task.seed, task.number, 1)
     try:
         flights = _flights(shard)
         if not flights:

@@ -20,6 +20,7 @@ from scenegen.dataset.archive import open_archive, referred
 from scenegen.dataset.layout import ShardFile
 from scenegen.dataset.trust import Entry, GatheredEntry, Manifest
 from scenegen.errors import SceneError, raised_as
+from scenegen.sample import rng_of
 from scenegen.verification.contract import of_scans
 from scenegen.verification.rays import MapAuditor, as_rounded
 from scenegen.verification.report import BrokenError, Page
@@ -203,9 +204,7 @@ class Shard:
     @functools.cached_property
     def rng(self) -> np.random.Generator:
         """What is chosen at random in this shard comes from here, in the order of its samples."""
-        return np.random.default_rng(
-            np.random.SeedSequence(self.task.seed, spawn_key=(self.task.number,))
-        )
+        return rng_of(self.task.seed, self.task.number)
 
     @functools.cached_property
     def places(self) -> Sequence[int]:

@@ -14,6 +14,7 @@ from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.trust import Manifest
 from scenegen.errors import BrokenError, raised_as
+from scenegen.files import sha256_of
 from scenegen.sample import GROUPS, derive_tudf
 from scenegen.truth import rasterize
 from scenegen.truth.voxels import resample
@@ -63,7 +64,7 @@ def _own_digest(sample: Sample, page: Page) -> None:
 
 
 def _whole_digest(contract: Manifest, page: Page) -> None:
-    found = hashlib.sha256(b"".join(digests for _, digests in page.kept)).hexdigest()
+    found = sha256_of(b"".join(digests for _, digests in page.kept))
     page.expect(
         contract.digest in (None, found),
         f"{manifest.NAME}: digest {str(contract.digest)[:16]}…, the samples' is {found[:16]}…",

@@ -22,7 +22,7 @@ from lidarsim.jit import kernel
 from lidarsim.sensors.table import MOST_HEADER_BYTES
 from scenegen.clouds import read_npz
 from scenegen.errors import SceneError, printable
-from scenegen.files import read_bounded
+from scenegen.files import read_bounded, sha256_of
 from scenegen.limits import MOST_ASSET_BYTES, MOST_PLACE_VOXELS
 from scenegen.truth.voxels import resample
 from scenegen.worlds.clearance import CAP_M, STEP_M
@@ -112,7 +112,7 @@ def read_place(path: str | Path) -> Place:
 
 def place_of(content: bytes, suffix: str, where: str) -> Place:
     """The place of a map file's content. Raises as `read_place`, naming `where`."""
-    name = f"{hashlib.sha256(content).hexdigest()[:16]}{suffix}"
+    name = f"{sha256_of(content)[:16]}{suffix}"
     found = Place(DOCUMENT.format(name).encode(), {name: content})
     try:
         nothing = not (found.voxels.states == FREE).any()
