@@ -4,10 +4,11 @@ expected, how to fix it."""
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from lidarsim.parameters import shown
 from lidarsim.registry import own_line
 
-MOST_TOLD = 60
-"""Characters of a stranger's value that an error repeats."""
+short = shown
+"""A stranger's value for an error's line."""
 
 
 class ScenegenError(Exception):
@@ -117,12 +118,3 @@ def printable(text: object) -> str:
     own.
     """
     return escaped(" ".join(str(text).split()))
-
-
-def short(value: object) -> str:
-    """A stranger's value for an error's line: escaped, and cut where it is long."""
-    try:
-        said = ascii(value)
-    except (ValueError, RecursionError):  # a number of thousands of digits, or nested without end
-        return f"a value of type {type(value).__name__}"
-    return said if len(said) <= MOST_TOLD else f"{said[: MOST_TOLD - 3]}..."

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lidarsim.engines import DEFAULT, MUJOCO
+from lidarsim.parameters import MOST_SHOWN
 from scenegen import GENERATOR, SPLITS, __version__
 from scenegen.dataset.parts import NAMES, PARTS, entries, plain, schema_of
-from scenegen.errors import MOST_TOLD, DatasetError, StoreError, printable, short
+from scenegen.errors import DatasetError, StoreError, printable, short
 from scenegen.files import read_bounded, sha256_of, write_whole
 from scenegen.limits import MOST_DEPTH, MOST_MANIFEST_BYTES
 from scenegen.run.software import software
@@ -146,7 +147,7 @@ def differences(there: Mapping[str, Any], asked: Mapping[str, Any], prefix: str 
 def _said(value: Any) -> str:
     """A parameter as JSON writes it, cut where it is long."""
     text = json.dumps(value)
-    return text if len(text) <= MOST_TOLD else f"{text[: MOST_TOLD - 3]}..."
+    return text if len(text) <= MOST_SHOWN else f"{text[: MOST_SHOWN - 3]}..."
 
 
 def assemble(
