@@ -10,7 +10,7 @@ import shutil
 import socket
 import stat
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache, partial
 from io import BufferedReader
@@ -81,6 +81,14 @@ def sha256_in(file: Any) -> str:
     """The SHA-256 of what an open file holds, in hexadecimal."""
     file.seek(0)
     return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def world_digest(document: bytes, files: Mapping[str, bytes]) -> bytes:
+    """SHA-256 of a world's document and of the files that it refers to."""
+    digest = hashlib.sha256(document)
+    for name, content in sorted(files.items()):
+        digest.update(name.encode() + hashlib.sha256(content).digest())
+    return digest.digest()
 
 
 def real_path(path: Path) -> Path:

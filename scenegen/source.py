@@ -15,9 +15,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from scenegen import SPLITS
-from scenegen.dataset.archive import world_digest
 from scenegen.errors import BrokenError, RecipeError, SceneError, printable
-from scenegen.files import real_path
+from scenegen.files import real_path, world_digest
 from scenegen.limits import MOST_ARCHIVE_BYTES, MOST_GEOMS, MOST_MEMBERS, SCENE_BYTES, SCENE_SECONDS
 from scenegen.recipe import Recipe, preset
 from scenegen.run.workers import Limited, run

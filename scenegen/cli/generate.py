@@ -142,6 +142,11 @@ def generate(
     if named is not None and options["kind"] is not None:
         raise click.UsageError("the kind is given twice; leave out --kind, or the word without it")
     options["kind"] = named or options["kind"]
+    given = [name for name in ("kind", "scene", "recipe") if options[name] is not None]
+    if not given:
+        raise click.UsageError("give --kind, --scene or --recipe, for instance --kind pillar")
+    if {"kind", "scene"} <= set(given):
+        raise click.UsageError("--kind draws worlds and --scene reads them; give one of the two")
     shards, force = options.pop("split_range"), options.pop("force")
     if talk:
         announce_compilation()

@@ -1,7 +1,6 @@
 """A shard's archive of worlds: a zip from anywhere, of which no more is unpacked than its directory
 may say; and a world out of it as files that MuJoCo opens."""
 
-import hashlib
 import os
 import re
 import struct
@@ -72,14 +71,6 @@ class Members:
         """The document `name`, and the files that it refers to."""
         document = self.read(name)
         return document, {other: self.read(other) for other in referred(document, self)}
-
-
-def world_digest(document: bytes, files: Mapping[str, bytes]) -> bytes:
-    """SHA-256 of a world's document and of the files that it refers to."""
-    digest = hashlib.sha256(document)
-    for name, content in sorted(files.items()):
-        digest.update(name.encode() + hashlib.sha256(content).digest())
-    return digest.digest()
 
 
 def referred(document: bytes, names: Iterable[str]) -> list[str]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from scenegen import SPLITS
 from scenegen.dataset import manifest
-from scenegen.dataset.archive import open_archive, world_digest
+from scenegen.dataset.archive import open_archive
 from scenegen.dataset.choose import Choice, Chosen, choose
 from scenegen.dataset.layout import DIGEST, Layout, ShardFile, check_sum, open_file, open_shard
 from scenegen.dataset.read import Dataset, advised
@@ -23,7 +23,7 @@ from scenegen.dataset.state import Plan
 from scenegen.dataset.trust import Entry, GatheredEntry, Manifest
 from scenegen.draw import Rejections
 from scenegen.errors import BrokenError, DatasetError, short
-from scenegen.files import real_path, write_whole
+from scenegen.files import real_path, world_digest, write_whole
 from scenegen.limits import MOST_SHARDS, MOST_SOURCES
 from scenegen.run.workers import run
 

@@ -5,9 +5,8 @@ from collections import Counter
 from collections.abc import Sequence
 
 from scenegen.dataset import manifest
-from scenegen.dataset.archive import world_digest
 from scenegen.dataset.trust import Manifest
-from scenegen.files import sha256_in
+from scenegen.files import sha256_in, world_digest
 from scenegen.verification.report import Page
 from scenegen.verification.stages import Check, Shard, SignedFile, Worlds
 

@@ -160,7 +160,7 @@ def test_bad_use_ends_in_one_line(here, capsys):
         (("train", "--val-maps", 8), 2, "name one, such as --stream pillar"),
         (("train", "data/pillar", "--stream", "pillar", "--maps", 8), 1, "seed 0: its grid is"),
         (("complete", "data/pillar", "-o", "pickle.pt"), 2, "is there already"),
-        (("complete", "pickle.pt", "-o", "pickle.pt"), 1, "ends in .h5 or .ply"),
+        (("complete", "pickle.pt", "-o", "new.pt"), 1, "ends in .h5 or .ply"),
         (("export", "-o", "foo.pt"), 1, "ends in .onnx"),
         (("train", "--lr", "nan"), 2, "nan is not a finite number"),
         (("complete", "data/pillar", "-o", "/dev/null"), 2, "/dev/null: is not a regular file"),
