@@ -53,7 +53,7 @@ STAGES: dict[str, tuple[Any, str]] = {
     "distance": (draw_module, "distance_field"),
     "compress": (shard_module, "compress"),
     "sample digest": (Sample, "sha256"),
-    "file digest": (shard_module, "file_digest"),
+    "file digest": (shard_module, "sha256_of"),
     "write and sync": (shard_module, "write_whole"),
 }
 

@@ -24,9 +24,9 @@ from scipy.spatial.transform import Rotation
 
 from lidarsim import GridSpec, Pose
 from scenegen.logs import LogScan
-from scenegen.logs.poses import pose_of_matrix
 from scenegen.logs.write import write_log
 from scenegen.model.inputs import PointScan
+from scenegen.poses import pose_of_matrix
 
 STRIDE = 4
 """Of so many pixels in a row and in a column, one is taken."""

@@ -126,6 +126,13 @@ def check(
             object.__setattr__(parameters, item.name, value)
 
 
+class Checked:
+    """The base of a dataclass whose values are held against their bounds when it is made."""
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
 def _radians(value: float) -> int:
     """The multiple of 15 degrees that `value` is in radians, to a thousandth; 0 for none up to a
     turn."""

@@ -61,6 +61,10 @@ class Pose:
         w, z = (large, small) if x >= 0.0 else (abs(small), math.copysign(large, y))
         return cls(np.asarray(position, dtype=np.float64), np.array([w, 0.0, 0.0, z]))
 
+    def to_body(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points (..., 3) of the world, metres, in the body's frame."""
+        return rotate(self.quaternion * (1.0, -1.0, -1.0, -1.0), points - self.position)
+
 
 def rotate(quaternion: ArrayLike, vectors: ArrayLike) -> NDArray[np.float64]:
     """`vectors` (..., 3) turned by the unit `quaternion` (4,), w x y z."""

@@ -13,7 +13,7 @@ from scenegen.model.config import LossConfig, NetworkConfig, TrainConfig
 from scenegen.model.evaluation.config import BenchConfig
 from scenegen.model.evaluation.methods import Completed, Method
 from scenegen.model.evaluation.report import build_report
-from scenegen.model.evaluation.rows import choose_methods
+from scenegen.model.evaluation.rows import find_method
 from scenegen.model.evaluation.run import bench as measure
 from scenegen.model.training.data import Samples, opened
 from scenegen.model.training.loop import Watcher
@@ -110,7 +110,7 @@ def bench(
     rows: list[Method] = []
     for method in methods:
         if isinstance(method, str):
-            rows += choose_methods([method])
+            rows.append(find_method(method))
         else:
             rows.append(method if isinstance(method, Completer) else Completed(method))
     results = [

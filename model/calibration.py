@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim import GridSpec
+from lidarsim.parameters import check, number
 from scenegen.errors import ScenegenError, short
-from scenegen.limits import MOST_MARGINS
 
 KEY = "calibration"
 """Its name in what is said about a network."""
@@ -53,20 +53,20 @@ class Uncertainty(Protocol):
 class Calibration:
     """A network's calibration. Raises ValueError for numbers that cannot be one."""
 
-    worlds: int
+    worlds: int = number(least=1)
     """Validation worlds that it was computed from."""
-    class_weight: float
+    class_weight: float = number(above=0)
     """The weight of occupied voxels in the loss by which the network was trained."""
-    temperature: float | None
+    temperature: float | None = number(above=0)
     """What the logits are divided by, after the class weight was inverted; None where no
     probability is predicted."""
-    step_m: float
+    step_m: float = number(above=0)
     """Width of the bins of predicted distance, metres; the last one holds what is at the
     truncation."""
-    chances: tuple[float, ...]
+    chances: tuple[float, ...] = number(above=0, below=1)
     """Edges between the bins of probability, its class weight inverted, rising; () where none is
     predicted."""
-    risks: tuple[float, ...]
+    risks: tuple[float, ...] = number(above=0, below=1)
     """The risks of the rows of `margins`, falling."""
     margins: tuple[tuple[float, ...], ...]
     """(risks, distance bins x probability bins): what is taken from a predicted distance,
@@ -78,34 +78,13 @@ class Calibration:
     """Digests of the datasets whose validation worlds these are."""
 
     def __post_init__(self) -> None:
-        numbers = [
-            self.worlds,
-            self.class_weight,
-            self.step_m,
-            *self.chances,
-            *self.risks,
-            *self.path_risks,
-        ]
-        numbers += [] if self.temperature is None else [self.temperature]
-        numbers += [margin for row in self.margins for margin in row]
-        if not all(isinstance(one, int | float) and math.isfinite(one) for one in numbers):
-            raise ValueError("holds what is no finite number")
-        positive = [
-            self.worlds,
-            self.class_weight,
-            self.step_m,
-            *([] if self.temperature is None else [self.temperature]),
-        ]
-        if min(positive) <= 0 or not all(0 < one < 1 for one in (*self.risks, *self.chances)):
-            raise ValueError(
-                "holds a weight, temperature, step, risk or probability out of its range"
-            )
+        check(self)
         if sorted(self.risks, reverse=True) != list(self.risks) or sorted(self.chances) != list(
             self.chances
         ):
             raise ValueError("its risks must fall, and its probabilities rise")
-        if len({len(row) for row in self.margins}) > 1 or len(self.margins) != len(self.risks):
-            raise ValueError("its margins are no table of a row a risk")
+        if len(self.margins) != len(self.risks):
+            raise ValueError("its margins are not a row a risk")
         if len(self.path_risks) not in (0, len(self.risks)):
             raise ValueError("its path_risks must be as many as its risks")
 
@@ -116,16 +95,13 @@ class Calibration:
         if KEY not in about:
             return None
         try:
-            held = {name: _tuples(value) for name, value in dict(about[KEY]).items()}
-            found = cls(**held)
+            found = cls(**about[KEY])
         except (TypeError, ValueError, RecursionError) as error:
             raise ValueError(
                 f"its calibration is damaged ({short(error)}); calibrate it again"
             ) from None
-        if len(found.margins[0] if found.margins else ()) not in (
-            0,
-            bin_count(grid, found.step_m, found.chances),
-        ):
+        width = distance_bins(grid, found.step_m) * (len(found.chances) + 1)
+        if any(len(row) != width for row in found.margins):
             raise ValueError("its calibration is of another grid; calibrate it again")
         return found
 
@@ -182,15 +158,6 @@ class Calibration:
         return np.asarray(np.maximum(distance - margins[found], 0), dtype=np.float32)
 
 
-def _tuples(value: Any) -> Any:
-    """JSON's lists as tuples. Raises ValueError for longer ones than any calibration has."""
-    if not isinstance(value, list):
-        return value
-    if len(value) > MOST_MARGINS:
-        raise ValueError(f"a list of {len(value)}, expected {MOST_MARGINS} at most")
-    return tuple(map(_tuples, value))
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Given:
     """What somebody else says of one map: a calibrated probability, or a bound of one risk, or
@@ -240,11 +207,6 @@ def corrected_logit(probability: NDArray[np.float32], class_weight: float) -> ND
 def distance_bins(grid: GridSpec, step_m: float) -> int:
     """Bins of predicted distance on `grid`: the last holds the truncation alone."""
     return math.ceil(grid.truncation_m / step_m - CLOSE) + 1
-
-
-def bin_count(grid: GridSpec, step_m: float, chances: tuple[float, ...]) -> int:
-    """Bins of a calibration's margins."""
-    return distance_bins(grid, step_m) * (len(chances) + 1)
 
 
 def bins(

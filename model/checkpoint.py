@@ -16,7 +16,7 @@ from safetensors.torch import load, save
 from torch import Tensor
 
 from lidarsim import GridSpec
-from scenegen.errors import DatasetError, ScenegenError, printable
+from scenegen.errors import DatasetError, ScenegenError, printable, raised_as
 from scenegen.files import read_bounded, write_whole
 from scenegen.limits import MOST_HEADER_BYTES, MOST_WEIGHTS_BYTES
 from scenegen.model.config import NetworkConfig, is_own
@@ -45,13 +45,12 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """What `save_tensors` wrote: tensors and header. Raises CheckpointError for anything else, and
     for tensors that hold NaN or infinity."""
     try:
-        content = read_bounded(path, MOST_WEIGHTS_BYTES)
+        with raised_as(CheckpointError, of=DatasetError):
+            content = read_bounded(path, MOST_WEIGHTS_BYTES)
     except FileNotFoundError:
         raise CheckpointError(
             f"{path}: no such file; give a .safetensors file that `scenegen train` wrote"
         ) from None
-    except DatasetError as error:
-        raise CheckpointError(str(error)) from None
     length = int.from_bytes(content[:8], "little")
     try:
         if length > MOST_HEADER_BYTES:

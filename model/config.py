@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from lidarsim.parameters import check, number
+from lidarsim.parameters import Checked, check, number
 from lidarsim.registry import Registry
-from scenegen.errors import ScenegenError, short
+from scenegen.errors import ScenegenError, raised_as, short
 from scenegen.limits import (
     MOST_BATCH,
     MOST_EPOCHS,
@@ -95,10 +95,8 @@ def is_own(name: str) -> bool:
 
 def named(registry: Registry, name: str) -> Any:
     """What `name` is in `registry`, imported now. Raises ScenegenError, in one line, for none."""
-    try:
+    with raised_as(ScenegenError):
         return registry.find(name)
-    except ValueError as error:
-        raise ScenegenError(str(error)) from None
 
 
 def split_own(weights: str | Path) -> tuple[frozenset[str], str]:
@@ -266,16 +264,13 @@ PROTOCOLS: dict[str, dict[str, Any]] = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Thresholds:
+class Thresholds(Checked):
     """Where a prediction becomes an obstacle. The paper's, section "Implementation Details"."""
 
     probability: float = number(0.85, least=0, most=1)
     """A voxel is occupied above this probability."""
     distance_m: float = number(0.2, least=0)
     """A voxel is occupied below this distance, where no probability is predicted, metres."""
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 def bundled() -> list[str]:

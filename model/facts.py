@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.nn.attention import SDPBackend, sdpa_kernel
 from torch.utils.flop_counter import FlopCounterMode
 
+from lidarsim import GridSpec
 from scenegen.clouds import read_points
 from scenegen.dataset.hdf5 import read_guarded
 from scenegen.errors import DatasetError, printable
@@ -49,10 +50,10 @@ def cost(config: NetworkConfig, shape: tuple[int, int, int]) -> dict[str, Any]:
     }
 
 
-def costs(shape: tuple[int, int, int] = (80, 80, 40)) -> list[dict[str, Any]]:
-    """The costs of all variants with both stems."""
+def costs() -> list[dict[str, Any]]:
+    """The costs of all variants with both stems, for maps of the usual grid."""
     return [
-        cost(NetworkConfig(variant=variant, stem_stride=stride), shape)
+        cost(NetworkConfig(variant=variant, stem_stride=stride), GridSpec().shape)
         for stride in (2, 1)
         for variant in VARIANTS
     ]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from lidarsim import GridSpec
-from scenegen.errors import GuardError, needs, printable
+from scenegen.errors import GuardError, needs, printable, raised_as
 from scenegen.files import read_bounded
 from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_WEIGHTS_BYTES
 from scenegen.model.checkpoint import CheckpointError, check_own, network_from
@@ -85,11 +85,10 @@ def examine(path: Path, runtime: Runtime | None = None) -> tuple[bytes, Examined
     """
     try:
         content = read_bounded(path, MOST_WEIGHTS_BYTES)
-        return content, _examined(content, runtime)
     except FileNotFoundError:
         raise CheckpointError(f"{path}: no such file; write one with `scenegen export`") from None
-    except CheckpointError as error:
-        raise CheckpointError(f"{path}: {error}") from None
+    with raised_as(CheckpointError, f"{path}: ", of=CheckpointError):
+        return content, _examined(content, runtime)
 
 
 @cache  # processes that are forked from here have no need, and no leave, to start others

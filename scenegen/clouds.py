@@ -8,10 +8,12 @@ import zipfile
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarsim.sensors.table import read_npy
 from scenegen.errors import DatasetError, needs, printable
 from scenegen.files import read_bounded
 from scenegen.limits import (
@@ -31,7 +33,6 @@ PLY_TYPES = {
 }
 MOST_SCANS = 100_000
 """The most scans of a folder."""
-MOST_NPY_HEADER_BYTES = 10_000
 PLY_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 SENSOR_FIELDS = ("vp_", "viewpoint_", "sensor_", "origin_")
 """What the names of fields begin with that say where a point was seen from, before x, y and z: the
@@ -106,13 +107,6 @@ def _fields(names: Collection[str]) -> list[str]:
     return [*"xyz"]
 
 
-def _read_npy(content: bytes) -> NDArray[np.generic]:
-    found = np.lib.format.read_array(
-        io.BytesIO(content), allow_pickle=False, max_header_size=MOST_NPY_HEADER_BYTES
-    )
-    return np.asarray(found)
-
-
 def _read_xyz(content: bytes) -> NDArray[np.generic]:
     return _numbers(content.replace(b",", b" "), (0, 1, 2), MOST_POINTS + 1)
 
@@ -126,22 +120,37 @@ def _read_ply(content: bytes) -> NDArray[np.generic]:
         raise ValueError("its header has no end")
     try:
         order, count, properties = _ply_header(head)
-        fields = _fields(properties)
-        columns = [list(properties).index(name) for name in fields]
     except (ValueError, KeyError, IndexError):
         raise ValueError(
             "expected a header of `format`, then `element vertex`, with x, y and z among its "
             "properties, and no lists"
         ) from None
+    layout = [(name, order + kind, 1) for name, kind in properties.items()]
+    fields = _fields(properties)
+    return _points(memoryview(content)[start:], layout, fields, count, text=not order)
+
+
+def _points(
+    content: memoryview,
+    layout: Sequence[tuple[str, str, int]],
+    fields: Sequence[str],
+    count: int,
+    *,
+    text: bool,
+) -> NDArray[np.float64]:
+    """The first numbers of `fields` of `count` points. `layout` names what each point has, its
+    type, and how many numbers it is of: a line of `text` a point, or point after point. Raises
+    ValueError for too many points, or fewer than that."""
     if not 0 <= count <= MOST_POINTS:
         raise ValueError(f"promises {count} points, expected {MOST_POINTS} at most")
-    if order:
-        dtype = np.dtype([(name, order + kind) for name, kind in properties.items()])
-        held = (len(content) - start) // dtype.itemsize
-        rows = np.frombuffer(content, dtype, count=min(count, held), offset=start)
-        points = np.stack([rows[name].astype(np.float64) for name in fields], axis=1)
+    if text:
+        names, _, many = zip(*layout, strict=True)
+        starts = dict(zip(names, np.cumsum([0, *many]).tolist(), strict=False))
+        points = _numbers(content, [starts[name] for name in fields], count)
     else:
-        points = _numbers(content[start:], columns, count)
+        dtype = np.dtype([(name, kind, (many,)) for name, kind, many in layout])
+        rows = np.frombuffer(content, dtype, min(count, len(content) // dtype.itemsize))
+        points = np.stack([rows[name][:, 0].astype(np.float64) for name in fields], axis=1)
     if len(points) != count:
         raise ValueError(f"promises {count} points and holds {len(points)}")
     return points
@@ -154,16 +163,15 @@ def _ply_header(head: bytes) -> tuple[str, int, dict[str, str]]:
     (_, form, _), (element, vertex, count), *lines = [
         line for line in rest if line and line[0] not in ("comment", "obj_info")
     ]
-    if (magic, element, vertex) != (["ply"], "element", "vertex"):
-        raise ValueError("no vertices")
     own = list(itertools.takewhile(lambda line: line[0] == "property", lines))
     properties = {name: PLY_TYPES[kind] for _, kind, name in own}
-    if len(properties) < len(own):
-        raise ValueError("a property is there twice")
+    is_ply = (magic, element, vertex) == (["ply"], "element", "vertex")
+    if not is_ply or len(properties) < len(own) or not properties.keys() >= set("xyz"):
+        raise ValueError("no vertices, or a property is there twice or missing")
     return PLY_ORDERS[form], int(count), properties
 
 
-def _numbers(text: bytes, columns: Sequence[int], most: int) -> NDArray[np.float64]:
+def _numbers(text: bytes | memoryview, columns: Sequence[int], most: int) -> NDArray[np.float64]:
     """`columns` of the first `most` lines. Raises ValueError where a line holds far more than a
     point."""
     ends = np.flatnonzero(np.frombuffer(text, np.uint8) == ord("\n"))
@@ -192,38 +200,17 @@ def _read_pcd(content: bytes) -> NDArray[np.generic]:
         raise ValueError(
             f"DATA is {printable(form.decode('latin-1'))[:30]!r}, expected ascii or binary"
         )
-    names, count = said["FIELDS"], int(said["POINTS"][0])
-    if (
-        not 0 <= count <= MOST_POINTS
-        or not {"x", "y", "z"} <= set(names)
-        or len(set(names) - {"_"}) + names.count("_") < len(names)
-    ):
-        raise ValueError(
-            f"promises {count} points of {' '.join(names)[:60]}, expected x, y and z once each"
-        )
-    repeats = list(map(int, said.get("COUNT", ["1"] * len(names))))
-    parts = [PCD_TYPES[kind + size] for kind, size in zip(said["TYPE"], said["SIZE"], strict=True)]
-    columns = [names.index(name) for name in _fields(names)]
-    if form == b"ascii":
-        starts = np.cumsum([0, *repeats])
-        points = _numbers(content[start:], [int(starts[column]) for column in columns], count)
-    else:
-        dtype = np.dtype(
-            [
-                (f"{n}", f"<{part}", (many,))
-                for n, (part, many) in enumerate(zip(parts, repeats, strict=True))
-            ]
-        )
-        rows = np.frombuffer(
-            content, dtype, count=min(count, (len(content) - start) // dtype.itemsize), offset=start
-        )
-        points = np.stack(
-            [rows[str(column)][:, 0].astype(np.float64) for column in columns], axis=1
-        )
-    if len(points) != count:
-        raise ValueError(f"promises {count} points and holds {len(points)}")
+    # what only fills a gap is called "_", as often as there are gaps
+    names = [f"_{n}" if name == "_" else name for n, name in enumerate(said["FIELDS"])]
+    if not set("xyz") <= set(names) or len(set(names)) < len(names):
+        raise ValueError(f"has points of {' '.join(names)[:60]}, expected x, y and z once each")
+    repeats = map(int, said.get("COUNT", ["1"] * len(names)))
+    types = [PCD_TYPES[kind] + size for kind, size in zip(said["TYPE"], said["SIZE"], strict=True)]
+    layout, fields = list(zip(names, types, repeats, strict=True)), _fields(names)
+    count = int(said["POINTS"][0])
+    points = _points(memoryview(content)[start:], layout, fields, count, text=form == b"ascii")
     stood = list(map(float, said.get("VIEWPOINT", NOWHERE)))
-    if len(columns) == 3 and stood != NOWHERE:
+    if len(fields) == 3 and stood != NOWHERE:
         return np.concatenate([points, np.broadcast_to(stood[:3], points.shape)], axis=1)
     return points
 
@@ -269,28 +256,30 @@ def _read_bin(content: bytes) -> NDArray[np.generic]:
 
 def _read_npz(content: bytes) -> NDArray[np.generic]:
     """The array `points` of NumPy's archive."""
+    (points,) = read_npz(content, "points", most_bytes=MOST_SCAN_BYTES)
+    return points
+
+
+def read_npz(content: bytes, *names: str, most_bytes: int) -> list[NDArray[Any]]:
+    """The arrays `names` of NumPy's archive, of at most `most_bytes` bytes each. Raises whatever a
+    crafted file leads to."""
+    found = list[NDArray[Any]]()
     with zipfile.ZipFile(io.BytesIO(content)) as members:
-        about = members.getinfo("points.npy")
-        if about.file_size > MOST_SCAN_BYTES:
-            raise ValueError(
-                f"points of {about.file_size} bytes, expected {MOST_SCAN_BYTES} at most"
-            )
-        with members.open(about) as member:
-            return _read_npy(member.read(MOST_SCAN_BYTES))
+        for name in names:
+            about = members.getinfo(f"{name}.npy")
+            if about.file_size > most_bytes:
+                raise ValueError(
+                    f"{name} of {about.file_size} bytes, expected {most_bytes} at most"
+                )
+            found.append(read_npy(members.read(about)))
+    return found
 
 
-PCD_TYPES = {
-    **{
-        f"{kind}{size}": f"{name}{size}"
-        for kind, name in (("I", "i"), ("U", "u"))
-        for size in (1, 2, 4, 8)
-    },
-    **{"F4": "f4", "F8": "f8"},
-}
-"""numpy's names of a PCD's types, by TYPE and SIZE."""
+PCD_TYPES = {"I": "<i", "U": "<u", "F": "<f"}
+"""How numpy's names of a PCD's types begin, by TYPE; its SIZE ends them."""
 READERS = {
     **{".ply": _read_ply, ".pcd": _read_pcd, ".bin": _read_bin, ".npz": _read_npz},
-    **{".xyz": _read_xyz, ".npy": _read_npy, ".las": _read_las, ".laz": _read_las},
+    **{".xyz": _read_xyz, ".npy": read_npy, ".las": _read_las, ".laz": _read_las},
 }
 """File types of scans."""
 NAMED = (".ply", ".pcd", ".las", ".laz")

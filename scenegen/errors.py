@@ -1,10 +1,14 @@
 """What can be wrong with what a user gave. Every message is one line: what, where, what was
 expected, how to fix it."""
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from lidarsim.parameters import shown
 from lidarsim.registry import own_line
 
-MOST_TOLD = 60
-"""Characters of a stranger's value that an error repeats."""
+short = shown
+"""A stranger's value for an error's line."""
 
 
 class ScenegenError(Exception):
@@ -64,6 +68,22 @@ def told(error: Exception) -> Exception:
     return OwnCodeError(f"{line}: {type(error).__name__}: {error}") if line else error
 
 
+@contextmanager
+def raised_as(
+    kind: Callable[[str], Exception],
+    begin: str = "",
+    end: str = "",
+    *,
+    of: type[Exception] = ValueError,
+) -> Iterator[None]:
+    """What the block raises as an error `of` some sort comes out as one of another `kind`, its line
+    between `begin` and `end`."""
+    try:
+        yield
+    except of as error:
+        raise kind(f"{begin}{printable(error)}{end}") from None
+
+
 def is_out_of_memory(error: BaseException) -> bool:
     """Whether an error of Python's, or of torch's, means that memory ran out."""
     known = ("not enough memory", "can't allocate memory", "out of memory")
@@ -98,12 +118,3 @@ def printable(text: object) -> str:
     own.
     """
     return escaped(" ".join(str(text).split()))
-
-
-def short(value: object) -> str:
-    """A stranger's value for an error's line: escaped, and cut where it is long."""
-    try:
-        said = ascii(value)
-    except (ValueError, RecursionError):  # a number of thousands of digits, or nested without end
-        return f"a value of type {type(value).__name__}"
-    return said if len(said) <= MOST_TOLD else f"{said[: MOST_TOLD - 3]}..."

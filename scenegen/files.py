@@ -10,12 +10,12 @@ import shutil
 import socket
 import stat
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from functools import cache
+from functools import cache, partial
 from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from scenegen.errors import DatasetError
 from scenegen.run import undone_if_stopped
@@ -72,6 +72,25 @@ def read_bounded(path: Path, most_bytes: int) -> bytes:
     return content
 
 
+def sha256_of(content: bytes) -> str:
+    """The SHA-256 of some bytes, in hexadecimal."""
+    return hashlib.sha256(content).hexdigest()
+
+
+def sha256_in(file: Any) -> str:
+    """The SHA-256 of what an open file holds, in hexadecimal."""
+    file.seek(0)
+    return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def world_digest(document: bytes, files: Mapping[str, bytes]) -> bytes:
+    """SHA-256 of a world's document and of the files that it refers to."""
+    digest = hashlib.sha256(document)
+    for name, content in sorted(files.items()):
+        digest.update(name.encode() + hashlib.sha256(content).digest())
+    return digest.digest()
+
+
 def real_path(path: Path) -> Path:
     """`path` without links. Links that lead in a circle stay: `Path.resolve` would raise
     RuntimeError, where who opens the path finds that nothing is there."""
@@ -81,13 +100,10 @@ def real_path(path: Path) -> Path:
 def check_target(path: Path) -> None:
     """Raise DatasetError unless `path` is free or a regular file: no device, pipe, folder or link
     is ever replaced."""
-    try:
+    with disk_told(path), suppress(FileNotFoundError):
         mode = path.lstat().st_mode
-    except FileNotFoundError:
-        return
-    except OSError as error:
-        raise disk_error(path, error) from None
-    if not stat.S_ISREG(mode):
+        if stat.S_ISREG(mode):
+            return
         what = "a symbolic link" if stat.S_ISLNK(mode) else "not a regular file"
         raise DatasetError(f"{path}: is {what}, and only files are replaced; give another name")
 
@@ -113,10 +129,14 @@ def _is_marked(path: Path) -> bool:
 
 def make_parent(path: Path) -> None:
     """Make the folder that `path` is to stand in. Raises DatasetError where that cannot be."""
-    try:
+    with disk_told(path.parent):
         path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise disk_error(path.parent, error) from None
+
+
+def make_way(path: Path) -> None:
+    """`make_parent`, and delete the drafts of `path` there that were left behind."""
+    make_parent(path)
+    remove_drafts(path.parent, path.name)
 
 
 def write_whole(path: Path, content: bytes, *, sync: bool = True) -> None:
@@ -132,8 +152,7 @@ def write_whole(path: Path, content: bytes, *, sync: bool = True) -> None:
 def write_result(path: Path, content: bytes) -> None:
     """Put at `path` what a user gave that name for. Raises as `check_ours` and `whole`."""
     check_ours(path)
-    make_parent(path)
-    remove_drafts(path.parent, path.name)
+    make_way(path)
     write_whole(path, content)
 
 
@@ -153,19 +172,17 @@ def whole_folder(path: Path) -> Iterator[Path]:
     """A new folder to write to: when the block ends, it stands at `path`; if it fails, nowhere.
     Raises DatasetError where there is something already, or where the disk refuses."""
     check_free(path)
-    make_parent(path)
-    remove_drafts(path.parent, path.name)
+    make_way(path)
     draft = draft_of(path)
-    with undone_if_stopped(lambda: shutil.rmtree(draft, ignore_errors=True)):
+    clear = partial(shutil.rmtree, draft, ignore_errors=True)
+    with undone_if_stopped(clear), disk_told(path):
         try:
             draft.mkdir()
             yield draft
             check_free(path)
             draft.rename(path)
-        except OSError as error:
-            raise disk_error(path, error) from None
         finally:
-            shutil.rmtree(draft, ignore_errors=True)
+            clear()
 
 
 def check_free(path: Path) -> None:
@@ -179,7 +196,7 @@ def _draft(path: Path, sync: bool = True) -> Iterator[tuple[Path, BinaryIO]]:
     """What `whole` gives, and the same file opened for writing."""
     check_target(path)
     draft = draft_of(path)
-    try:
+    with disk_told(path):
         with undone_if_stopped(lambda: draft.unlink(missing_ok=True)):
             handle = os.open(
                 draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666
@@ -202,8 +219,6 @@ def _draft(path: Path, sync: bool = True) -> Iterator[tuple[Path, BinaryIO]]:
                 raise
         if sync:
             sync_folder(path.parent)
-    except OSError as error:
-        raise disk_error(path, error) from None
 
 
 def sync_folder(folder: Path) -> None:
@@ -215,15 +230,20 @@ def sync_folder(folder: Path) -> None:
         os.close(handle)
 
 
-def disk_error(path: Path, error: OSError) -> DatasetError:
-    """What a user can do about an operating system's refusal."""
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        advice = "the disk is full: free some space, then give the same command again to go on"
-    elif error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
-        advice = "no permission to write there: choose another place"
-    else:
-        advice = f"{error.strerror or error}: choose another place"
-    return DatasetError(f"{path}: {advice}")
+@contextmanager
+def disk_told(path: Path) -> Iterator[None]:
+    """An operating system's refusal in the block comes out as a DatasetError about `path`, with
+    what a user can do about it."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            advice = "the disk is full: free some space, then give the same command again to go on"
+        elif error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
+            advice = "no permission to write there: choose another place"
+        else:
+            advice = f"{error.strerror or error}: choose another place"
+        raise DatasetError(f"{path}: {advice}") from None
 
 
 def draft_of(path: Path) -> Path:
@@ -291,4 +311,4 @@ def _machine() -> str:
 
 
 def _digest(text: str) -> str:
-    return hashlib.sha256(os.fsencode(text)).hexdigest()[:12]
+    return sha256_of(os.fsencode(text))[:12]

@@ -135,9 +135,6 @@ MOST_LINE_BYTES = 4096
 """The most bytes of a line in a text file that lists points."""
 MOST_HEADER_BYTES = 16 << 20
 """The most bytes of a .safetensors file's header, a run's settings, or a point cloud's header."""
-MOST_MARGINS = 20_000
-"""The most numbers in a row of a network's calibration: bins of distance times bins of
-probability."""
 MOST_SCAN_BYTES = 256 << 20
 """The most bytes of a scan's file."""
 MOST_CLOUD_BYTES = 1 << 30

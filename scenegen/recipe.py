@@ -13,8 +13,8 @@ import numpy as np
 
 from lidarsim import BeamTable, GridSpec, Lidar, Sensor
 from lidarsim.noise.chain import Noise
-from lidarsim.parameters import check, number
-from scenegen.errors import RecipeError, printable, short
+from lidarsim.parameters import Checked, number
+from scenegen.errors import RecipeError, printable, raised_as, short
 from scenegen.limits import (
     MOST_CANDIDATES,
     MOST_DRAWS,
@@ -40,7 +40,7 @@ from scenegen.worlds.mapping import Known, Mapper
 
 
 @dataclass(frozen=True, kw_only=True)
-class Acceptance:
+class Acceptance(Checked):
     """Which worlds and viewpoints are worth keeping: the paper removes "scenes with insufficient
     geometric complexity".
 
@@ -57,20 +57,14 @@ class Acceptance:
     max_draws: int = number(50, least=1, most=MOST_DRAWS)
     """Draws of one world after which generation gives up."""
 
-    def __post_init__(self) -> None:
-        check(self)
-
 
 @dataclass(frozen=True, kw_only=True)
-class Faults:
+class Faults(Checked):
     """A recipe's [noise]."""
 
     stages: str = ""
     """Stages of noise, as the option --noise takes them: ``range:0.02,dropout:0.05``; none for
     clean ranges."""
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,18 +185,11 @@ def preset(
     Raises:
         RecipeError: One of them cannot be; an unknown kind's nearest name is suggested.
     """
-    return make_recipe(kind, beside_file("", {}, lidar, noise, mapping, difficulty), sensor=lidar)
+    given = beside_file("", {}, noise=noise, mapping=mapping, difficulty=difficulty)
+    return make_recipe(kind, given, sensor=lidar)
 
 
-def read_recipe(
-    path: Path,
-    kind: str | None = None,
-    *,
-    lidar: Sensor | None = None,
-    noise: str | None = None,
-    mapping: Mapping[str, Any] | None = None,
-    difficulty: str | None = None,
-) -> Recipe:
+def read_recipe(path: Path, kind: str | None = None, **given: Any) -> Recipe:
     """A recipe from a TOML file: `kind`, `difficulty`, and tables [world], [flight], [accept],
     [lidar], [noise], [mapping], [known] and [grid] of what differs from the preset.
 
@@ -212,7 +199,7 @@ def read_recipe(
     Args:
         path: The file.
         kind: Stands in for the file's, which may be missing then.
-        lidar, noise, mapping, difficulty: As in `preset`; a file that has the same is refused.
+        given: As for `preset`; a file that has the same is refused.
 
     Raises:
         RecipeError: The file, the table and the parameter are named.
@@ -231,23 +218,23 @@ def read_recipe(
         )
     if not isinstance(named, str):
         raise RecipeError(f'{where}: kind = {short(named)}: expected a name, such as "pillar"')
-    given = beside_file(where, tables, lidar, noise, mapping, difficulty)
-    return make_recipe(named, tables | given, where=where, folder=path.parent, sensor=lidar)
+    more, sensor = beside_file(where, tables, **given), given.get("lidar")
+    return make_recipe(named, tables | more, where=where, folder=path.parent, sensor=sensor)
 
 
 def beside_file(
     where: str,
     tables: Mapping[str, Any],
-    lidar: Sensor | None,
-    noise: str | None,
-    mapping: Mapping[str, Any] | None,
+    *,
+    lidar: Sensor | None = None,
+    noise: str | None = None,
+    mapping: Mapping[str, Any] | None = None,
     difficulty: str | None = None,
 ) -> dict[str, Any]:
-    """What is given beside the tables of a file. Raises RecipeError where the file has one of them,
-    too."""
+    """What is given beside the tables of a file, see `preset`, as tables; the sensor is none.
+    Raises RecipeError where the file has one of them, too."""
     options = {"lidar": lidar, "noise": noise, "mapping": mapping or None}
-    options["difficulty"] = difficulty
-    for name, value in options.items():
+    for name, value in (options | {"difficulty": difficulty}).items():
         if value is not None and name in tables:
             named = ", ".join(mapping or ()) if name == "mapping" else f"--{name}"
             what = name if name == "difficulty" else f"a table [{name}]"
@@ -298,10 +285,8 @@ def make_recipe(
     at, tables = f"{where}: " if where else "", dict(tables)
     level = tables.pop("difficulty", "medium")
     if kind != "scene":
-        try:
+        with raised_as(RecipeError, at):
             parts["world"] = found = find_kind(kind)
-        except ValueError as error:
-            raise RecipeError(f"{at}{error}") from None
         defaults = {"flight": dict(found.flight_defaults), "accept": dict(found.accept_defaults)}
         defaults["world"] = _graded(found, level, at)
     elif level != "medium":
@@ -330,13 +315,8 @@ def make_recipe(
     built["noise"] = named_noise(
         built["noise"].stages or None, built["lidar"], at and f"{at}[noise]"
     )
-    try:
+    odd = f"{at}[world] of kind {kind}: a parameter cannot stand in a manifest: "
+    with raised_as(RecipeError, at), raised_as(RecipeError, odd, of=TypeError):
         recipe = Recipe(kind=kind, **built)
         json.dumps(recipe.resolved())
-    except TypeError as error:
-        raise RecipeError(
-            f"{at}[world] of kind {kind}: a parameter cannot stand in a manifest: {error}"
-        ) from None
-    except ValueError as error:
-        raise RecipeError(f"{at}{error}") from None
     return recipe

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim import Fusion, GridSpec, Pose, Scan, Sensor, fuse
-from lidarsim.pose import rotate
 from scenegen.truth import distance_field
 
 
@@ -171,11 +170,9 @@ class Sample:
         own, *earlier = self.scans(lidar)
         if frame == "world":
             return np.concatenate([scan.points() for scan in (own, *earlier)])
-        hit, back = np.isfinite(self.ranges), self.quaternion * (1.0, -1.0, -1.0, -1.0)
+        hit = np.isfinite(self.ranges)
         first = self.ranges[hit].astype(np.float64)[:, None] * own.lidar.directions_body[hit]
-        return np.concatenate(
-            [first, *(rotate(back, scan.points() - self.position) for scan in earlier)]
-        )
+        return np.concatenate([first, *(own.pose.to_body(scan.points()) for scan in earlier)])
 
     def scans(self, lidar: Sensor | None = None) -> list[Scan]:
         """The scans that its map is made of: its own, and then those before it, the last made
@@ -310,6 +307,12 @@ def derive_free(
     """The `free` of a sample from its stored `scans`, see `Sample.scans`, and its origin (3,), bit
     for bit."""
     return fuse(scans[::-1], grid, origin, fusion).free
+
+
+def rng_of(seed: int, *key: int) -> np.random.Generator:
+    """The random numbers that `seed` gives the part `key` of some work, whatever is drawn for
+    others."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 
 
 def derive_tudf(occupancy: NDArray[np.bool_], *, grid: GridSpec) -> NDArray[np.float32]:

@@ -6,7 +6,6 @@ flight and its samples.
 
 import dataclasses
 import functools
-import hashlib
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ import numpy as np
 
 from scenegen import SPLITS
 from scenegen.errors import BrokenError, RecipeError, SceneError, printable
-from scenegen.files import real_path
+from scenegen.files import real_path, world_digest
 from scenegen.limits import MOST_ARCHIVE_BYTES, MOST_GEOMS, MOST_MEMBERS, SCENE_BYTES, SCENE_SECONDS
 from scenegen.recipe import Recipe, preset
 from scenegen.run.workers import Limited, run
@@ -107,7 +106,10 @@ class SceneWorlds:
     def describe(self) -> dict[str, Any]:
         """The files and their digests, by split."""
         return {
-            split: [{"file": scene.name, "sha256": _content_digest(scene)} for scene in scenes]
+            split: [
+                {"file": scene.name, "sha256": world_digest(scene.mjcf, scene.assets).hex()}
+                for scene in scenes
+            ]
             for split, scenes in self.scenes.items()
             if scenes
         }
@@ -156,13 +158,6 @@ def _compiled(name: str, mjcf: bytes, assets: tuple[tuple[str, bytes], ...]) -> 
     return archived_world(mjcf, dict(assets), name=name)
 
 
-def _content_digest(scene: Scene) -> str:
-    digest = hashlib.sha256(scene.mjcf)
-    for name, content in sorted(scene.assets.items()):
-        digest.update(name.encode() + hashlib.sha256(content).digest())
-    return digest.hexdigest()
-
-
 def read_scenes(
     path: Path,
     counts: Mapping[str, int | None],
@@ -208,7 +203,7 @@ def read_scenes(
             "add worlds, or set --val and --test to 0 and measure on the training samples (bench "
             "--split train)"
         )
-    order = np.random.default_rng(np.random.SeedSequence(seed)).permutation(len(scenes))
+    order = np.random.default_rng(seed).permutation(len(scenes))
     whole = sum(SHARES[split] for split in wanted)
     share = {split: max(1, len(scenes) * SHARES[split] // whole) for split in wanted}
     share[wanted[0]] = len(scenes) - sum(share[split] for split in wanted[1:])

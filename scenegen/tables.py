@@ -12,7 +12,7 @@ from typing import Any
 from lidarsim import BeamTable, Sensor
 from lidarsim.noise.chain import Noise
 from lidarsim.sensors import CATALOGUE, FAMILIES, RASTER, SENSORS
-from scenegen.errors import DatasetError, RecipeError, printable, short
+from scenegen.errors import DatasetError, RecipeError, printable, raised_as, short
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_DEPTH, MOST_RECIPE_BYTES
 
@@ -98,10 +98,8 @@ def named_lidar(word: str) -> Sensor:
 def named_noise(text: str | None, sensor: Sensor, where: str = "") -> Noise:
     """The chain that `text` describes, see `Noise.parse`; none for None. Raises RecipeError, which
     begins with `where`."""
-    try:
+    with raised_as(RecipeError, where and f"{where} "):
         return Noise() if text is None else Noise.parse(text, sensor)
-    except ValueError as error:
-        raise RecipeError(f"{where} {printable(error)}" if where else printable(error)) from None
 
 
 def sensor_of(table: Mapping[str, Any], where: str, folder: Path) -> Sensor:
@@ -109,10 +107,8 @@ def sensor_of(table: Mapping[str, Any], where: str, folder: Path) -> Sensor:
     Paths in it are relative to `folder`. Raises RecipeError, which begins with `where`."""
     given = dict(table)
     name = given.pop("sensor", RASTER)
-    try:
+    with raised_as(RecipeError, f"{where} "):
         found = SENSORS.find(name if isinstance(name, str) else short(name))
-    except ValueError as error:
-        raise RecipeError(f"{where} {printable(error)}") from None
     if not dataclasses.is_dataclass(found):
         raise RecipeError(
             f"{where} sensor = {short(name)}: expected a dataclass, whose fields a recipe sets"
@@ -137,10 +133,8 @@ def sensor_of(table: Mapping[str, Any], where: str, folder: Path) -> Sensor:
             )
     made = from_table(found, given, where, folder)
     if isinstance(own := getattr(made, "noise", None), str) and own:
-        try:
+        with raised_as(RecipeError, f"{where} "):
             Noise.parse(own)
-        except ValueError as error:
-            raise RecipeError(f"{where} {printable(error)}") from None
     return made
 
 

@@ -3,35 +3,21 @@ shutter."""
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.elementary import sin_cos
-from lidarsim.noise.returns import Returns, View, normal
-from lidarsim.parameters import check, number
+from lidarsim.noise.returns import Fault, Returns, View, normal
+from lidarsim.parameters import number
 from lidarsim.pose import rotate
 
 TEN_PERCENT = 0.1
 """The reflectivity for which data sheets give a range."""
 
 
-class Loss:
-    """A stage that takes returns away and moves none."""
-
-    order: ClassVar[int] = 2
-
-    def __post_init__(self) -> None:
-        check(self)
-
-    def bound_m(self, max_range_m: float) -> float:
-        """See `Stage.bound_m`."""
-        return 0.0
-
-
 @dataclass(frozen=True, kw_only=True)
-class Dropout(Loss):
+class Dropout(Fault):
     """Every return is lost with the same probability."""
 
     share: float = number(0.05, least=0, most=1)
@@ -43,7 +29,7 @@ class Dropout(Loss):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Far(Loss):
+class Far(Fault):
     """A return at range r is lost with probability ``share · (r / max_range_m)^power``."""
 
     share: float = number(0.5, least=0, most=1)
@@ -58,7 +44,7 @@ class Far(Loss):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Grazing(Loss):
+class Grazing(Fault):
     """Returns of surfaces met at a flat angle are lost: none up to `from_deg` off the normal, all
     at 90°, and with a probability that grows evenly between."""
 
@@ -74,7 +60,7 @@ class Grazing(Loss):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Faint(Loss):
+class Faint(Fault):
     """Returns too weak to be found: light falls with the square of the range, and grows with albedo
     × cosine.
 
@@ -97,16 +83,12 @@ class Faint(Loss):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Spurious:
+class Spurious(Fault):
     """Returns of dust, rain or glare: with probability `share` a ray returns from anywhere before
     what it would have met, evenly along its way."""
 
-    order: ClassVar[int] = 2
     share: float = number(0.001, least=0, most=1)
     """The probability, of every ray."""
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def apply(self, returns: Returns, view: View, *, rng: np.random.Generator) -> Returns:
         """See `Stage.apply`."""
@@ -130,7 +112,7 @@ def _lost(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Motion:
+class Motion(Fault):
     """The sensor moves on at an even pace, and turns about the body's z axis through itself, from
     the scan's begin; every ray is cast from where the sensor is at the ray's time.
 
@@ -138,7 +120,7 @@ class Motion:
     walls bend. One that `corrected` its scan places every return where it was.
     """
 
-    order: ClassVar[int] = 0
+    order = 0
     forward_mps: float = number(1.0, least=-1000, most=1000)
     """Speed along the body's x axis, metres a second."""
     left_mps: float = number(0.0, least=-1000, most=1000)
@@ -151,9 +133,6 @@ class Motion:
     """Whether the sensor knows where each ray was cast."""
     poses: int = number(100, least=1, most=10_000)
     """Poses that the scan is divided into: rays between two are cast from one in their middle."""
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def apply(self, returns: Returns, view: View, *, rng: np.random.Generator) -> Returns:
         """See `Stage.apply`."""

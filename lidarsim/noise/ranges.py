@@ -3,14 +3,14 @@ several surfaces."""
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.elementary import sin_cos
-from lidarsim.noise.returns import Returns, View, normal
-from lidarsim.parameters import check, number
+from lidarsim.noise.returns import Fault, Returns, View, normal
+from lidarsim.parameters import number
 
 SIGMAS = 4.0
 """Normal noise is cut here, so that it has a bound; the standard deviation is 0.05 % less for
@@ -18,20 +18,16 @@ it."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Range:
+class Range(Fault):
     """Normal noise along the ray, of standard deviation ``sigma_m + share · r + quadratic_per_m ·
     r²``."""
 
-    order: ClassVar[int] = 2
     sigma_m: float = number(0.02, least=0, most=1)
     """The constant part, metres."""
     share: float = number(0.0, least=0, most=1)
     """The part that grows with the range, metres a metre."""
     quadratic_per_m: float = number(0.0, least=0, most=1)
     """The part that grows with its square, 1/metres."""
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def apply(self, returns: Returns, view: View, *, rng: np.random.Generator) -> Returns:
         """See `Stage.apply`."""
@@ -45,7 +41,7 @@ class Range:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Depth:
+class Depth(Fault):
     """Noise of a stereo camera: that of disparity is even, so that of depth z grows as
     ``quadratic_per_m · z²``.
 
@@ -53,12 +49,8 @@ class Depth:
     moves along its ray.
     """
 
-    order: ClassVar[int] = 2
     quadratic_per_m: float = number(0.01, least=0, most=1)
     """Standard deviation of depth over its square, 1/metres: 0.005 is 2 % at 4 m."""
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def apply(self, returns: Returns, view: View, *, rng: np.random.Generator) -> Returns:
         """See `Stage.apply`."""
@@ -77,15 +69,11 @@ class Depth:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Quantise:
+class Quantise(Fault):
     """Ranges in whole steps."""
 
-    order: ClassVar[int] = 2
     step_m: float = number(0.01, above=0, most=1)
     """The step, metres."""
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def apply(self, returns: Returns, view: View, *, rng: np.random.Generator) -> Returns:
         """See `Stage.apply`."""
@@ -97,25 +85,17 @@ class Quantise:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Near:
+class Near(Fault):
     """Nothing returns from nearer than the sensor can see."""
 
-    order: ClassVar[int] = 2
     min_range_m: float = number(0.3, least=0, most=1000)
     """The least range, metres."""
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def apply(self, returns: Returns, view: View, *, rng: np.random.Generator) -> Returns:
         """See `Stage.apply`."""
         return returns.but(
             ranges=np.where(returns.ranges < self.min_range_m, np.inf, returns.ranges)
         )
-
-    def bound_m(self, max_range_m: float) -> float:
-        """See `Stage.bound_m`."""
-        return 0.0
 
 
 def _sigma(ranges: NDArray[np.float64], of: Range) -> NDArray[np.float64]:
@@ -136,7 +116,7 @@ GOLDEN = math.pi * (3.0 - math.sqrt(5.0))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Divergence:
+class Divergence(Fault):
     """Every beam becomes `rays` rays of equal light, spread evenly over its cone, turned by chance
     about its axis.
 
@@ -145,7 +125,7 @@ class Divergence:
     own.
     """
 
-    order: ClassVar[int] = 1
+    order = 1
     mrad: float = number(3.0, above=0, most=100)
     """Full angle of the cone, thousandths of a radian."""
     returns: Literal["strongest", "first", "last", "dual"] = "strongest"
@@ -155,9 +135,6 @@ class Divergence:
     """Rays a beam."""
     resolution_m: float = number(0.3, least=0, most=100)
     """How far apart two surfaces must be to be told apart, metres: half the length of the pulse."""
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def apply(self, returns: Returns, view: View, *, rng: np.random.Generator) -> Returns:
         """See `Stage.apply`."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lidarsim.elementary import log, sin_cos
 from lidarsim.engines import Caster
-from lidarsim.parameters import check, number
+from lidarsim.parameters import Checked, number
 from lidarsim.pose import Pose
 from lidarsim.scan import Scan
 from lidarsim.sensors import Sensor
@@ -139,24 +139,26 @@ def _by_origin(origins: NDArray[np.float64]) -> list[tuple[NDArray[np.bool_], ND
     return [(which == n, place) for n, place in enumerate(places)]
 
 
+class Fault(Checked):
+    """What most stages are: one that changes returns, and moves none."""
+
+    order: ClassVar[int] = 2
+
+    def bound_m(self, max_range_m: float) -> float:
+        """See `Stage.bound_m`."""
+        return 0.0
+
+
 @dataclass(frozen=True, kw_only=True)
-class Intensity:
+class Intensity(Fault):
     """Intensity as albedo × cosine of the angle of incidence (Lambert), freed of the range as
     sensors' own is, with normal noise of `sigma`, from 0 to 1."""
 
-    order: ClassVar[int] = 2
     sigma: float = number(0.0, least=0, most=1)
     """Standard deviation of the noise."""
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def apply(self, returns: Returns, view: View, *, rng: np.random.Generator) -> Returns:
         """See `Stage.apply`."""
         cosine, albedo = view.surfaces(returns)
         noise = self.sigma * normal(returns.ranges.shape, rng=rng)
         return returns.but(intensity=np.clip(albedo * cosine + noise, 0.0, 1.0))
-
-    def bound_m(self, max_range_m: float) -> float:
-        """See `Stage.bound_m`."""
-        return 0.0

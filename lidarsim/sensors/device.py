@@ -81,10 +81,7 @@ class Device:
     @cached_property
     def directions_body(self) -> NDArray[np.float64]:
         """`directions_sensor` turned nose down by `pitch_deg`; the same bits on every processor."""
-        sin_half, cos_half = sin_cos(np.radians(self.pitch_deg) / 2)
-        directions = rotate([float(cos_half), 0.0, float(sin_half), 0.0], self.directions_sensor)
-        directions.setflags(write=False)
-        return directions
+        return nose_down(self.directions_sensor, self.pitch_deg)
 
     @property
     def made_by(self) -> str:
@@ -104,6 +101,14 @@ class Device:
         rays = " × ".join(map(str, self.shape))
         name = self.name or type(self).__name__.lower()
         return f"{rays} rays of {name}{tilt}, up to {self.max_range_m:g} m"
+
+
+def nose_down(directions: NDArray[np.float64], pitch_deg: float) -> NDArray[np.float64]:
+    """Unit vectors (..., 3) turned nose down, as an array that nobody writes to."""
+    sin_half, cos_half = sin_cos(np.radians(pitch_deg) / 2)
+    turned = rotate([float(cos_half), 0.0, float(sin_half), 0.0], directions)
+    turned.setflags(write=False)
+    return turned
 
 
 def pointing(

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from lidarsim.elementary import sin_cos
 from lidarsim.parameters import LEAST_RANGE_M, MOST_RANGE_M, MOST_RAYS, check, number
-from lidarsim.pose import rotate
-from lidarsim.sensors.device import Device
+from lidarsim.sensors.device import Device, nose_down, pointing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,14 +70,8 @@ class Lidar:
         )
         if self.mount == "band":
             elevation = elevation - self.pitch_deg
-        sin_e, cos_e = sin_cos(np.radians(elevation)[:, None])
-        sin_a, cos_a = sin_cos(np.radians(azimuth))
-        directions = np.stack(np.broadcast_arrays(cos_e * cos_a, cos_e * sin_a, sin_e), axis=-1)
-        if self.mount == "tilt":
-            sin_half, cos_half = sin_cos(np.radians(self.pitch_deg) / 2)
-            directions = rotate([float(cos_half), 0.0, float(sin_half), 0.0], directions)
-        directions.setflags(write=False)
-        return directions
+        directions = pointing(elevation[:, None], azimuth)
+        return nose_down(directions, self.pitch_deg if self.mount == "tilt" else 0.0)
 
     @property
     def times_s(self) -> NDArray[np.float64]:

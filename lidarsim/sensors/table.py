@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lidarsim.parameters import LEAST_RANGE_M, MOST_RANGE_M, MOST_RAYS, check, number, shown
+from lidarsim.parameters import LEAST_RANGE_M, MOST_RANGE_M, MOST_RAYS, Checked, number, shown
 from lidarsim.sensors import Sensor
 
 MOST_AXES = 4
@@ -143,7 +143,7 @@ class BeamTable:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BeamFile:
+class BeamFile(Checked):
     """A table in a file, for a recipe's ``[lidar] sensor = "table"``: a `Sensor`."""
 
     rays: Path
@@ -154,9 +154,6 @@ class BeamFile:
     """The SHA-256 of the file, in hexadecimal; empty where any file will do."""
     made_by: str = ""
     """What the table was made by, for people to read."""
-
-    def __post_init__(self) -> None:
-        check(self)
 
     @cached_property
     def _table(self) -> BeamTable:
@@ -186,27 +183,16 @@ def most_bytes(rays: int) -> int:
     return 32 * rays + MOST_HEADER_BYTES
 
 
-def read_npy(content: bytes) -> NDArray[np.float64]:
-    """The rays in an .npy file, in no more memory than it has bytes. Raises ValueError where it is
-    none of rays."""
-    file = io.BytesIO(content)
+def read_npy(content: bytes) -> NDArray[Any]:
+    """The array in an .npy file. Raises ValueError where it holds none, or one of objects."""
     try:
-        version = np.lib.format.read_magic(file)
-        readers = {
-            (1, 0): np.lib.format.read_array_header_1_0,
-            (2, 0): np.lib.format.read_array_header_2_0,
-        }
-        if version not in readers:
-            raise ValueError(f"version {version}")
-        shape, fortran, dtype = readers[version](file)
-    except (ValueError, EOFError, SyntaxError, RecursionError) as error:
-        raise ValueError(f"no .npy file of rays ({str(error).splitlines()[0][:100]})") from None
-    data = content[file.tell() :]
-    if dtype != np.dtype("<f8") or fortran or len(data) != 8 * math.prod(shape):
-        raise ValueError(
-            f"an .npy file of {dtype} {shown(shape)}: expected float64 (*shape, 4), in C order"
+        return np.asarray(
+            np.lib.format.read_array(
+                io.BytesIO(content), allow_pickle=False, max_header_size=MOST_HEADER_BYTES
+            )
         )
-    return np.frombuffer(data, np.dtype("<f8")).reshape(shape)
+    except Exception as error:  # NumPy's, and what else a crafted file brings
+        raise ValueError(f"no .npy file of numbers ({str(error).splitlines()[0][:100]})") from None
 
 
 def _maker(sensor: Sensor) -> str:

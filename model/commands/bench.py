@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import rich_click as click
 
 from scenegen.cli.options import (
+    command,
     datasets_argument,
-    examples,
     find_datasets,
     group,
     on_option,
@@ -23,7 +23,7 @@ from scenegen.cli.options import (
     workers_option,
 )
 from scenegen.cli.show import Progress, announce_compilation, note, say, show_figures
-from scenegen.cli.types import Named
+from scenegen.cli.types import FILE, Named
 from scenegen.errors import DatasetError
 from scenegen.model.commands.weights import Weights
 from scenegen.model.evaluation.config import BenchConfig, PlanConfig
@@ -38,12 +38,10 @@ QUICK_SAMPLES, QUICK_TRIALS = 50, 200
 """What `--quick` measures of every dataset."""
 
 
-@click.command(
-    epilog=examples(
-        "bench data/pillar --quick",
-        "bench data/pillar --weights columns --weights runs/mine -o bench/mine",
-        "bench data/pillar --method my_methods:Grown --method extrude",
-    )
+@command(
+    "bench data/pillar --quick",
+    "bench data/pillar --weights columns --weights runs/mine -o bench/mine",
+    "bench data/pillar --method my_methods:Grown --method extrude",
 )
 @datasets_argument
 @click.option(
@@ -63,7 +61,7 @@ QUICK_SAMPLES, QUICK_TRIALS = 50, 200
 )
 @click.option(
     "--predictions",
-    type=click.Path(path_type=Path),
+    type=FILE,
     help="HDF5 file of somebody's predictions: one more row.",
 )
 @out_option("Folder of the report.", default=Path("bench"))
@@ -140,7 +138,7 @@ def run_bench(
     from scenegen.model.evaluation.page import to_html
     from scenegen.model.evaluation.report import build_report, to_markdown
     from scenegen.model.evaluation.run import bench as measure
-    from scenegen.model.evaluation.run import kinds_of
+    from scenegen.model.evaluation.run import numbers_by_kind
     from scenegen.run.software import commit
 
     for name in REPORTS:
@@ -155,7 +153,7 @@ def run_bench(
         (dataset, kind)
         for dataset in datasets
         # one without samples is refused when it is measured
-        for kind in kinds_of(dataset, config.split) or (dataset.manifest.kind,)
+        for kind in numbers_by_kind(dataset.split(config.split)) or (dataset.manifest.kind,)
     ]
     kinds = [kind for _, kind in tables]
     if len(set(kinds)) < len(kinds):
@@ -188,18 +186,22 @@ def run_bench(
         out / "report.json", (json.dumps(report, indent=1, allow_nan=False) + "\n").encode()
     )
     write_result(out / "report.md", to_markdown(report).encode())
-    pairs = zip(results, tables, strict=True)
-    pictures = {result.kind: _failures(result, dataset, methods) for result, (dataset, _) in pairs}
+    pictures = {
+        result.kind: _pictures(report, result, dataset, methods)
+        for result, (dataset, _) in zip(results, tables, strict=True)
+    }
     write_result(out / "report.html", to_html(report, pictures).encode())
     return report
 
 
-def _failures(result: Any, dataset: Any, methods: "Sequence[Method]") -> list[tuple[str, bytes]]:
-    """Pictures of failures; none without matplotlib."""
-    from scenegen.model.evaluation.shown import draw_failures
+def _pictures(
+    report: dict[str, Any], result: Any, dataset: Any, methods: "Sequence[Method]"
+) -> list[tuple[str, bytes]]:
+    """Charts, and pictures of failures; none without matplotlib."""
+    from scenegen.model.evaluation.shown import draw_charts, draw_failures
 
     try:
-        return draw_failures(result, dataset, methods)
+        return draw_charts(report, result.kind) + draw_failures(result, dataset, methods)
     except ImportError:
         return []
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import rich_click as click
 
 from scenegen.cli.options import (
+    command,
     device_option,
-    examples,
     on_option,
     quiet_option,
     split_option,
@@ -25,12 +25,10 @@ if TYPE_CHECKING:
     from scenegen.model.completion.completer import Completer
 
 
-@click.command(
-    epilog=examples(
-        "complete data/pillar --weights columns --split test -o predictions.h5",
-        "complete scan.ply --sensor 0 0 1.2",
-        "complete kitti/sequences/00/velodyne -o completed",
-    )
+@command(
+    "complete data/pillar --weights columns --split test -o predictions.h5",
+    "complete scan.ply --sensor 0 0 1.2",
+    "complete kitti/sequences/00/velodyne -o completed",
 )
 @click.argument("source", type=DatasetPath())
 @click.option(
@@ -57,7 +55,6 @@ if TYPE_CHECKING:
     "--batch",
     type=click.IntRange(1, MOST_BATCH),
     default=8,
-    show_default=True,
     help="Maps at once.",
 )
 @workers_option
@@ -87,7 +84,7 @@ def complete(
     from scenegen.dataset.manifest import NAME
     from scenegen.dataset.read import Dataset
     from scenegen.errors import DatasetError
-    from scenegen.files import check_target, make_parent, real_path, remove_drafts
+    from scenegen.files import make_way, real_path
     from scenegen.model.completion.completer import Completer
     from scenegen.model.completion.predictions import predict_scan, predict_split
     from scenegen.model.config import Thresholds
@@ -110,9 +107,7 @@ def complete(
         _complete_all(completer, found, scans, out, sensor, quiet)
         return
     out = out or (Path("predictions.h5") if found.is_dir() else found.with_suffix(".completed.h5"))
-    check_target(out)
-    make_parent(out)
-    remove_drafts(out.parent, out.name)
+    make_way(out)
     there = out.exists()
     if found.is_dir():
         with Progress("complete", shown=not quiet) as progress:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import rich_click as click
 
 from scenegen.cli.options import (
-    examples,
+    command,
     group,
     lidar_option,
     noise_option,
@@ -24,7 +24,7 @@ from scenegen.cli.options import (
     workers_option,
 )
 from scenegen.cli.show import Progress, announce_compilation, say, show_table
-from scenegen.cli.types import Choice, OutputFile
+from scenegen.cli.types import FILE, Choice, OutputFile
 from scenegen.errors import ScenegenError
 from scenegen.files import write_result
 from scenegen.fly import SUITES, Rules, Vehicle
@@ -41,20 +41,17 @@ SAVED = 10
 """Courses of a suite after which its entry is written."""
 
 
-@click.command(
-    epilog=examples(
-        "fly pillar --weights columns --flights 20",
-        "fly room.xml --robot my_robot:Robot -o flights.json --picture flights.png",
-        "fly --suite aerial-1 --robot my_robot:Robot -o entry.json",
-        "fly --replay entry.json",
-        "fly --leaderboard entries -o page.html",
-    )
+@command(
+    "fly pillar --weights columns --flights 20",
+    "fly room.xml --robot my_robot:Robot -o flights.json --picture flights.png",
+    "fly --suite aerial-1 --robot my_robot:Robot -o entry.json",
+    "fly --replay entry.json",
+    "fly --leaderboard entries -o page.html",
 )
 @click.argument("world", required=False)
 @click.option(
     "--robot",
     default="optimistic",
-    show_default=True,
     help=f"{', '.join(MAPPING)}, which map and plan; {REACTIVE}; MODULE:CLASS, or a command in "
     "quotes, which run in a process of their own.",
 )
@@ -82,14 +79,12 @@ SAVED = 10
     "--flights",
     type=click.IntRange(1, MOST_FLIGHTS),
     default=10,
-    show_default=True,
     help="Starts and goals.",
 )
 @click.option(
     "--worlds",
     type=click.IntRange(1, MOST_FLIGHTS),
     default=1,
-    show_default=True,
     help="Worlds of a kind, drawn by the seed and those after it; each has its share of the "
     "flights.",
 )
@@ -112,7 +107,7 @@ SAVED = 10
 @click.option(
     "--replay",
     "recorded",
-    type=click.Path(path_type=Path),
+    type=FILE,
     help="Fly what -o wrote again, in place of all else, and compare every bit. With --robot or "
     "--weights, that robot flies every sixteenth course anew, too.",
 )

@@ -7,8 +7,8 @@ from typing import Any
 import rich_click as click
 
 from scenegen.cli.options import (
+    command,
     dataset_argument,
-    examples,
     json_option,
     open_dataset,
     workers_option,
@@ -18,7 +18,7 @@ from scenegen.worlds import MESHES, is_map
 from scenegen.worlds.mapping import Mapper
 
 
-@click.command(epilog=examples("inspect data/pillar", "inspect scenes/forest.xml --json"))
+@command("inspect data/pillar", "inspect scenes/forest.xml --json")
 @dataset_argument
 @click.option("--all", "every", is_flag=True, help="Measure all samples, not 200 of each split.")
 @click.option(

@@ -7,8 +7,8 @@ from pathlib import Path
 import rich_click as click
 
 from scenegen.cli.options import (
+    command,
     datasets_argument,
-    examples,
     find_datasets,
     json_option,
     out_option,
@@ -17,13 +17,13 @@ from scenegen.cli.options import (
     split_option,
     workers_option,
 )
-from scenegen.cli.show import Progress, announce_compilation, say
+from scenegen.cli.show import Progress, announce_compilation, say, show_figures
 from scenegen.limits import MOST_SAMPLES
 from scenegen.model.commands.weights import Weights
 from scenegen.model.config import DEFAULT_NETWORK, split_own
 
 
-@click.command(epilog=examples("networks", "networks --json"))
+@command("networks", "networks --json")
 @json_option
 def networks(as_json: bool) -> None:
     """Print what the network's variants cost: parameters, multiply-accumulates, memory."""
@@ -33,36 +33,32 @@ def networks(as_json: bool) -> None:
     if as_json:
         print(json.dumps(found))
         return
-    say(f"{'variant':<10}{'stem stride':>12}{'parameters':>12}{'GMACs':>8}{'activations':>13}")
-    for row in found:
-        say(
-            f"{row['variant']:<10}{row['stem_stride']:>12}{row['parameters']:>12,}"
-            f"{row['macs'] / 1e9:>8.2f}"
-            f"{row['activation_bytes'] / 1e6:>10.1f} MB"
+    rows = {
+        f"{row['variant']}, stem stride {row['stem_stride']}": (
+            f"{row['parameters']:,}",
+            f"{row['macs'] / 1e9:.2f}",
+            f"{row['activation_bytes'] / 1e6:.1f} MB",
         )
+        for row in found
+    }
+    show_figures(rows, ("parameters", "GMACs", "activations"))
 
 
-@click.command(epilog=examples("export", "export runs/mine -o mine.onnx"))
+@command("export", "export runs/mine -o mine.onnx")
 @click.argument("weights", type=Weights(), default=DEFAULT_NETWORK)
 @out_option("File to write.  [default: <name>.onnx]", file=True)
 def export(weights: str, out: Path | None) -> None:
     """Write a network as ONNX, for the runtimes that are fastest on CPUs."""
-    from scenegen.files import check_ours
     from scenegen.model.completion.completer import open_network
     from scenegen.model.export import export_onnx
 
     network, grid, about = open_network(weights)
     out = out or Path(f"{Path(split_own(weights)[1]).stem}.onnx")
-    check_ours(out)
     export_onnx(network, grid, out, about=about)
     say(f"written: {out}")
 
 
-@click.command(
-    epilog=examples(
-        "calibrate columns data/pillar -o mine.safetensors", "calibrate runs/mine --trials 0"
-    )
-)
+@command("calibrate columns data/pillar -o mine.safetensors", "calibrate runs/mine --trials 0")
 @click.argument("weights", type=Weights())
 @datasets_argument
 @split_option("val", help="The split whose worlds are looked at; one that no training saw.")
@@ -73,7 +69,6 @@ def export(weights: str, out: Path | None) -> None:
     "--trials",
     type=click.IntRange(0, 100),
     default=4,
-    show_default=True,
     help="Paths planned on each map at every risk; 0 leaves the risk of paths out.",
 )
 @seed_option("Decides the goals.")

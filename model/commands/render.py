@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import rich_click as click
 
 from scenegen.cli.options import (
-    examples,
+    command,
     group,
     open_dataset,
     out_option,
@@ -47,14 +47,12 @@ def _width(ctx: Any, parameter: Any, value: str | None) -> float | None:
     return wide / 25.4
 
 
-@click.command(
-    epilog=examples(
-        "render data/pillar --index 3 -o sample.png",
-        "render data/pillar --index 3 --weights columns --paper two -o figure.pdf",
-        "render data/pillar --index 3 --flight -o flight.gif",
-        "render data/pillar --split test --sheet 12 --weights columns -o sheet.pdf",
-        "render room.xml --flight -o room.png",
-    )
+@command(
+    "render data/pillar --index 3 -o sample.png",
+    "render data/pillar --index 3 --weights columns --paper two -o figure.pdf",
+    "render data/pillar --index 3 --flight -o flight.gif",
+    "render data/pillar --split test --sheet 12 --weights columns -o sheet.pdf",
+    "render room.xml --flight -o room.png",
 )
 @click.argument("source", type=DatasetPath())
 @split_option("train", help="The split to draw samples of.")
@@ -93,7 +91,6 @@ def _width(ctx: Any, parameter: Any, value: str | None) -> float | None:
     "--font-size",
     type=click.FloatRange(4, 20),
     default=7.0,
-    show_default=True,
     help="With --paper: the size of its letters, points.",
 )
 @seed_option("What the flight is drawn by.")
@@ -132,9 +129,8 @@ def render(
     if importlib.util.find_spec("matplotlib") is None:  # before the samples are read
         raise ModuleNotFoundError("matplotlib", name="matplotlib")
     from scenegen.display.panels import for_paper, to_bytes
-    from scenegen.files import check_ours, write_result
+    from scenegen.files import write_result
 
-    check_ours(out)
     notes: list[str] = []
     made = _draw_file(source, seed if flight else None) if isinstance(source, Path) else None
     if made is None:

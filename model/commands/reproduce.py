@@ -8,21 +8,20 @@ from typing import Any
 import rich_click as click
 
 from scenegen.cli.options import (
+    command,
     device_option,
-    examples,
     options_of,
     out_option,
     printing,
     workers_option,
 )
 from scenegen.cli.show import Progress, announce_compilation, say, show_table
+from scenegen.cli.types import FILE
 from scenegen.errors import DatasetError
 from scenegen.model.study.runs import KINDS, TRIALS, ReproduceConfig, chosen
 
 
-@click.command(
-    epilog=examples("reproduce --scale 0.02", "reproduce --from study/study.json --json")
-)
+@command("reproduce --scale 0.02", "reproduce --from study/study.json --json")
 @options_of(
     ReproduceConfig,
     scale="Share of all samples, maps and trials; 0.02 takes some ten minutes on two cores.",
@@ -40,7 +39,7 @@ from scenegen.model.study.runs import KINDS, TRIALS, ReproduceConfig, chosen
 @click.option(
     "--from",
     "given",
-    type=click.Path(path_type=Path),
+    type=FILE,
     metavar="STUDY",
     help="Judge the claims again from the figures of a study.json, and do nothing else; all of it "
     "with --json.",

@@ -12,8 +12,8 @@ import rich_click as click
 
 from scenegen.cli import stops
 from scenegen.cli.options import (
+    command,
     device_option,
-    examples,
     find_datasets,
     options_of,
     out_option,
@@ -23,6 +23,7 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import Progress, curve, say
 from scenegen.cli.types import Choice, DatasetPath, Named
+from scenegen.errors import raised_as
 from scenegen.limits import MOST_SAMPLES, MOST_SEED
 from scenegen.model.commands.weights import Weights
 from scenegen.model.config import (
@@ -71,12 +72,10 @@ class Weighted(click.ParamType):
         return self.of.shell_complete(ctx, param, incomplete)
 
 
-@click.command(
-    epilog=examples(
-        "train data/geometric data/pillar --variant occ --epochs 50 -o runs/occ",
-        "train --stream pillar --stream geometric --maps 200000",
-        "train data/mine --weights columns --lr 1e-4 --maps 5000 -o runs/mine",
-    )
+@command(
+    "train data/geometric data/pillar --variant occ --epochs 50 -o runs/occ",
+    "train --stream pillar --stream geometric --maps 200000",
+    "train data/mine --weights columns --lr 1e-4 --maps 5000 -o runs/mine",
 )
 @click.argument(
     "datasets", nargs=-1, type=Weighted(DatasetPath(), unsaid=None), metavar="[DATASET[=WEIGHT]]..."
@@ -86,7 +85,6 @@ class Weighted(click.ParamType):
     panel="Network",
     type=Named(NETWORKS),
     default=NetworkConfig.variant,
-    show_default=True,
     metavar="VARIANT",
     help=f"The network: {', '.join(NETWORKS.known)}, or MODULE:CLASS; docs/own-network.md.",
 )
@@ -96,7 +94,6 @@ class Weighted(click.ParamType):
     panel="Loss",
     type=Named(LOSSES),
     default=LossConfig.objective,
-    show_default=True,
     metavar="LOSS",
     help="What it learns by: coupled, the paper's, whose weights are options, or MODULE:OBJECT.",
 )
@@ -105,7 +102,6 @@ class Weighted(click.ParamType):
     panel="Training",
     type=Choice(list(PROTOCOLS)),
     default=next(iter(PROTOCOLS)),
-    show_default=True,
     help="What options stand at unless they are given; docs/training.md says how the two differ.",
 )
 @options_of(
@@ -129,7 +125,6 @@ class Weighted(click.ParamType):
     type=Named(INPUTS),
     multiple=True,
     default=NetworkConfig.inputs,
-    show_default=True,
     metavar="INPUT",
     help=f"A channel that it takes: {', '.join(INPUTS.known)}, or MODULE:FUNCTION; repeatable.",
 )
@@ -182,7 +177,6 @@ class Weighted(click.ParamType):
     panel="Stream",
     type=click.IntRange(0, MOST_SEED),
     default=0,
-    show_default=True,
     help="Its seed.",
 )
 @click.option(
@@ -224,7 +218,7 @@ def train(
     weights = options["weights"]
     if weights is not None:
         _take_settings(weights, options)
-    try:
+    with raised_as(click.UsageError):
         options |= {
             name: value for name, value in PROTOCOLS[protocol].items() if not was_given(name)
         }
@@ -233,8 +227,6 @@ def train(
             loss=LossConfig(**taken(LossConfig, options)),
             **taken(TrainConfig, options),
         )
-    except ValueError as error:
-        raise click.UsageError(str(error)) from None
     out = options["out"] or Path("runs") / config.network.variant.rpartition(":")[2]
     begin = time.monotonic()
     # the loop looks for a stop between two steps

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import rich_click as click
 
 from scenegen.cli.options import (
+    command,
     dataset_argument,
-    examples,
     quiet_option,
     split_option,
     was_given,
@@ -36,12 +36,10 @@ def _address(ctx: Any, parameter: Any, value: str) -> str:
         ) from None
 
 
-@click.command(
-    epilog=examples(
-        "view data/pillar",
-        "view data/pillar --split test --weights columns --weights proposed",
-        "view data/pillar --index 3 --index 7 --html samples.html",
-    )
+@command(
+    "view data/pillar",
+    "view data/pillar --split test --weights columns --weights proposed",
+    "view data/pillar --index 3 --index 7 --html samples.html",
 )
 @dataset_argument
 @split_option("train", help="The split to show samples of.")
@@ -60,21 +58,18 @@ def _address(ctx: Any, parameter: Any, value: str) -> str:
     *("--n", "count"),
     type=click.IntRange(1, MOST_SHOWN),
     default=24,
-    show_default=True,
     help="In a file: how many samples, evenly spread, where no --index is given.",
 )
 @click.option(
     *("--host", "host"),
     callback=_address,
     default="127.0.0.1",
-    show_default=True,
     help="Address to serve on; with 0.0.0.0 all who reach this machine can look.",
 )
 @click.option(
     *("--port", "port"),
     type=click.IntRange(0, 65535),
     default=8000,
-    show_default=True,
     help="0 for any.",
 )
 @quiet_option

@@ -10,6 +10,7 @@ from click.shell_completion import CompletionItem
 
 from lidarsim.registry import suggestion
 from scenegen.cli.options import together
+from scenegen.cli.types import FILE
 from scenegen.model.config import bundled, split_own
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ PREDICTED = "Predictions"
 shown_options = together(
     click.option(
         "--predictions",
-        type=click.Path(path_type=Path),
+        type=FILE,
         panel=PREDICTED,
         help="An HDF5 file of predictions of the split, as `complete` writes: shown beside the "
         "truth.",
@@ -68,7 +69,6 @@ shown_options = together(
         "--trial",
         type=click.IntRange(0, MOST_TRIAL),
         default=0,
-        show_default=True,
         panel=PREDICTED,
         help="Which of the bench's goals in the sample paths lead to.",
     ),

@@ -22,7 +22,7 @@ from scenegen.dataset.locate import client_output, without_tokens
 from scenegen.dataset.manifest import differences
 from scenegen.dataset.parts import described, sensor_entry
 from scenegen.dataset.read import Split
-from scenegen.errors import DatasetError, needs, printable
+from scenegen.errors import DatasetError, needs, printable, raised_as
 from scenegen.files import real_path
 from scenegen.model.calibration import Calibration
 from scenegen.model.checkpoint import CheckpointError, load_network
@@ -66,11 +66,9 @@ class Completer:
         """What it has to be shown of a map: names of `scenegen.model.inputs`."""
         self.about = dict(about or {})
         """What is known of its training: settings, versions, validation figures."""
-        try:
+        with raised_as(CheckpointError, f"{name}: "):
             self.calibration = Calibration.of(self.about, grid)
             """What tells how sure a prediction is; None for a network that was not calibrated."""
-        except ValueError as error:
-            raise CheckpointError(f"{name}: {error}") from None
         self._forward = forward
         self._batch = batch
         self.opened: tuple[str, str, int] | None = None
@@ -172,11 +170,9 @@ class Completer:
         """
         torch.set_num_threads(1)
         grid = split.dataset.grid
-        try:
+        with raised_as(DatasetError):
             self.check_grid(grid)
             return self(channels(self.inputs, sample, grid, sample.lidar))
-        except ValueError as error:
-            raise DatasetError(str(error)) from None
 
     def complete(
         self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec

@@ -20,7 +20,7 @@ from scenegen.dataset.read import Dataset, Rows, Split
 from scenegen.dataset.shard import compress
 from scenegen.display.look import Look
 from scenegen.errors import DatasetError, empty_split
-from scenegen.files import whole, write_whole
+from scenegen.files import check_ours, whole, write_whole
 from scenegen.limits import MOST_SCAN_BYTES, MOST_VOXELS
 from scenegen.model.calibration import RISK
 from scenegen.model.completion.completer import Completer, opened_once
@@ -56,7 +56,7 @@ def predict_split(
     Raises DatasetError for another grid, an empty split, a disk that refuses, where `out` is
     something else already, and where `execute` leaves samples to others.
     """
-    check_output(out)
+    check_ours(out)
     dataset = Dataset(folder)
     if dataset.grid != completer.grid:
         raise DatasetError(
@@ -185,7 +185,7 @@ def predict_scan(
     """
     if out.suffix not in (".h5", ".ply"):
         raise DatasetError(f"{out}: expected a name that ends in .h5 or .ply")
-    check_output(out)
+    check_ours(out)
     place = np.asarray(sensor, dtype=np.float64)
     if not (np.abs(place) <= MOST_LENGTH_M).all():
         raise DatasetError(
@@ -276,31 +276,3 @@ def _completion(path: Path) -> Look:
         )
     except Exception:  # h5py's errors share no base
         raise DatasetError(f"{path}: holds no completion of a scan; {advice}") from None
-
-
-def check_output(out: Path) -> None:
-    """Raise DatasetError where something is at `out` that no completion wrote: it might be dear to
-    somebody."""
-    if out.exists() and not _is_completion(out):
-        raise DatasetError(
-            f"{out}: is there already, and no completion of scenegen's; give another -o, or "
-            f"remove it"
-        )
-
-
-def _is_completion(path: Path) -> bool:
-    try:
-        return bool(read_guarded(_names_a_method, path, 1 << 62))
-    except DatasetError:
-        return False
-
-
-def _names_a_method(path: Path) -> bool:
-    with path.open("rb") as head:
-        if head.read(len(PLY_HEAD)) == PLY_HEAD:
-            return True
-    try:
-        with h5py.File(path, "r") as file:
-            return "method" in file.attrs and ("origin" in file.attrs or "split" in file.attrs)
-    except (OSError, RuntimeError):
-        return False

@@ -34,7 +34,7 @@ from scenegen.model.evaluation.planning.measure import draw_trials, plan_careful
 from scenegen.model.evaluation.run import check_middle, check_whole, spread
 from scenegen.model.evaluation.visibility import UNOBSERVED, classify, scored_voxels
 from scenegen.run.workers import run as run_workers
-from scenegen.sample import Sample
+from scenegen.sample import Sample, rng_of
 
 RISKS = (0.5, 0.4, 0.3, 0.2, 0.15, 0.1, 0.07, 0.05, 0.03, 0.02, 0.01, 0.005, 0.002, 0.001)
 """Risks that bounds are made for, as far down as the worlds allow."""
@@ -304,8 +304,7 @@ def _collisions(
     index: int,
 ) -> tuple[NDArray[np.float64], int]:
     """How many of a map's trials collide at each risk, and how many there are."""
-    key = (int(sample.world), int(sample.viewpoint))
-    rng, plan = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key)), PlanConfig()
+    rng, plan = rng_of(seed, int(sample.world), int(sample.viewpoint)), PlanConfig()
     goals = draw_trials(sample.occupancy, grid, plan, count=trials, rng=rng).goals
     collided = np.zeros(len(found.risks))
     distance = said.distance(Thresholds(), grid)

@@ -4,7 +4,7 @@ options here."""
 from dataclasses import dataclass, field
 from typing import Literal
 
-from lidarsim.parameters import check, number
+from lidarsim.parameters import Checked, number
 from scenegen.model.config import Thresholds
 
 NEAR_M = 1.0
@@ -12,7 +12,7 @@ NEAR_M = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlanConfig:
+class PlanConfig(Checked):
     """How paths are searched, refined and judged.
 
     "Paper" is the paper's section "Implementation Details" or "Planning Evaluation"; "ours" is what
@@ -20,16 +20,13 @@ class PlanConfig:
     """
 
     planner: Literal["paper", "careful"] = "paper"
-    """`paper`: the shortest path through free nodes, refined. `careful`: edges must be free, too;
-    ways are weighed by their risk; where the refined path is riskier than that of A*, A*'s stands
-    (ours)."""
+    """`paper`: the shortest path through free nodes, refined. `careful`: edges must be free, too,
+    and the start's own voxel is, since a hovering robot is there; ways are weighed by their risk;
+    where the refined path is riskier than that of A*, A*'s stands (ours)."""
     step_voxels: int = number(3, least=1)
     """Lattice step of A*, voxels: 0.6 m at 0.2 m a voxel (paper)."""
     edge_check: bool = False
     """Whether A* also asks that the voxels between two nodes be free, or the nodes' own alone
-    (ours)."""
-    free_start: bool = False
-    """Whether the start's own voxel is free whatever the map says, since a hovering robot is there
     (ours)."""
     careful_probability: float = number(0.95, above=0, below=1)
     """The careful planner holds a voxel occupied whose probability is greater than this (ours)."""
@@ -50,27 +47,13 @@ class PlanConfig:
     transform of its occupancy (ours)."""
     iterations: int = number(50, least=0)
     """Steps of gradient descent (paper)."""
-    first_step: float = number(1.0, above=0)
-    """Length of the first step tried, in gradients; later ones begin at the last accepted one,
-    lengthened (ours)."""
-    shrink: float = number(0.5, above=0, below=1)
-    """Factor by which a step that is not accepted is shortened, and by whose inverse the next is
-    lengthened (ours)."""
-    armijo: float = number(0.1, above=0, below=1)
-    """Share of the decrease promised by the gradient that a step must bring; small ones let steps
-    overshoot (ours)."""
-    sample_m: float = number(0.05, above=0)
-    """Longest gap between the points at which a path is judged, metres (ours)."""
     goal_faces: Literal["lateral", "box"] = "box"
     """Where goals lie: in the outermost layer of nodes in x or y, or in z, too (ours: "near the map
     boundary")."""
 
-    def __post_init__(self) -> None:
-        check(self)
-
 
 @dataclass(frozen=True, kw_only=True)
-class BenchConfig:
+class BenchConfig(Checked):
     """What is measured, and how much of it."""
 
     split: Literal["train", "val", "test"] = "test"
@@ -84,9 +67,4 @@ class BenchConfig:
     study: bool = False
     """Whether the report has a study beside its tables, of probabilities, bounds and risks."""
     thresholds: Thresholds = field(default_factory=Thresholds)
-    near_m: float = number(NEAR_M, least=0)
-    """Voxels whose true distance is at most this are near an obstacle, metres."""
     plan: PlanConfig = field(default_factory=PlanConfig)
-
-    def __post_init__(self) -> None:
-        check(self)

@@ -141,14 +141,13 @@ def measure(
     *,
     classes: NDArray[np.uint8],
     class_count: int,
-    near_m: float = NEAR_M,
     union: Sequence[int] = (),
     certain: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.float64]:
     """The metrics of one map, (2 + class_count, len(METRICS)): over the voxels of all classes, over
     those of the classes in `union`, and over each class.
 
-    All grids have the same shape. Voxels are near an obstacle at `near_m` metres or less. `classes`
+    All grids have the same shape. Voxels are near an obstacle at `NEAR_M` metres or less. `classes`
     holds numbers below `class_count`; a voxel with another number, such as `visibility.UNSCORED`,
     is left out everywhere. Distances count where they are `certain` (*grid.shape), everywhere by
     default. A map in which nothing is occupied and nothing predicted scores 1 in all four occupancy
@@ -157,7 +156,7 @@ def measure(
     sums = np.zeros((class_count, len(Sums._fields)))
     sure = np.ones(classes.shape, np.bool_) if certain is None else certain
     grids: Any = (occupied, distance, true_occupancy, true_distance, classes, sure)
-    _accumulate(*(*(grid.reshape(-1) for grid in grids), np.float32(near_m), sums))
+    _accumulate(*(*(grid.reshape(-1) for grid in grids), sums))
     rows = [Sums(*row.tolist()) for row in (sums.sum(axis=0), sums[list(union)].sum(axis=0), *sums)]
     return np.array(
         [[metric.of(row) for metric in METRICS.values()] for row in rows], dtype=np.float64
@@ -187,7 +186,7 @@ def measure_whole(
 
 
 @kernel
-def _accumulate(occupied, distance, true_occupancy, true_distance, classes, certain, near, sums):
+def _accumulate(occupied, distance, true_occupancy, true_distance, classes, certain, sums):
     """Add up, by class, what `Sums` names, in its order."""
     for v in range(len(classes)):
         if classes[v] >= len(sums):
@@ -199,7 +198,7 @@ def _accumulate(occupied, distance, true_occupancy, true_distance, classes, cert
             row[1] += error
             row[2] += abs(error)
             row[3] += error * error
-        if certain[v] and true_distance[v] <= near:
+        if certain[v] and true_distance[v] <= NEAR_M:
             row[4] += 1.0
             row[5] += error
             row[6] += abs(error)

@@ -47,13 +47,13 @@ REGIONS = ("map", "unobserved")
 
 
 def build_report(
-    results: Sequence[DatasetResult], *, seed: int, about: Mapping[str, Any], tests: bool = True
+    results: Sequence[DatasetResult], *, seed: int, about: Mapping[str, Any]
 ) -> dict[str, Any]:
     """All figures: ``reconstruction[kind][method][metric]`` and ``planning[kind][method][metric]``,
     each {mean, std, low, high, n}, at the paper's thresholds; variants under their own keys beside
     them; `about` as it is. Where there is one world, low and high are None; where nothing was
     measured, mean and std are, too. No number is NaN or infinite, which JSON has no words for:
-    those are None. Every two methods are compared where `tests` asks for it."""
+    those are None."""
     report: dict[str, Any] = {
         **about,
         "reconstruction": {},
@@ -77,7 +77,7 @@ def build_report(
         report["planning"][result.kind] = {
             name: _planning(found, result) for name, found in methods
         }
-        report["tests"][result.kind] = _tests(result, rng) if tests else []
+        report["tests"][result.kind] = _tests(result, rng)
         if result.config.study:
             report.setdefault("study", {})[result.kind] = {
                 name: study_of(found.studies, found.careful, result.worlds, result.trial_worlds)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lidarsim.registry import Registry
-from scenegen.errors import ScenegenError, needs
+from scenegen.errors import ScenegenError, raised_as
 
 if TYPE_CHECKING:  # whoever asks for the names alone loads no torch and no HDF5
     from scenegen.dataset.read import Dataset
@@ -28,28 +28,19 @@ USUAL = tuple(name for name in METHODS.known if name != "seen")
 """The rows without any named: `seen` compiles every world, and is measured when it is asked for."""
 
 
-def choose_methods(names: Sequence[str]) -> "list[Method]":
-    """Rows by name: a known one, or ``module:Class`` of a completer; the usual ones for none.
+def find_method(name: str) -> "Method":
+    """The row called `name`: a known one, or ``module:Class`` of a completer.
 
     Raises ScenegenError for a name that leads to none, and for a completer that does not keep the
     protocol.
     """
-    return [_method(name) for name in names or USUAL]
-
-
-def _method(name: str) -> "Method":
     from scenegen.model.evaluation.methods import Completed
 
-    try:
+    with raised_as(ScenegenError, "--method: "):
         found = METHODS.find(name)
-    except ValueError as error:
-        raise ScenegenError(f"--method: {error}") from None
-    try:
+    odd = f"--method {name}: cannot be made by calling it without arguments: "
+    with raised_as(ScenegenError, odd, of=TypeError):
         made = found()
-    except TypeError as error:
-        raise ScenegenError(
-            f"--method {name}: cannot be made by calling it without arguments: {error}"
-        ) from None
     if name in METHODS.known and hasattr(made, "completion"):  # a row itself, not a completer
         return made
     return Completed(made)
@@ -62,7 +53,7 @@ def rows_of(
     ScenegenError where two have one name, and where a row cannot be."""
     from scenegen.model.evaluation.methods import Predicted
 
-    rows: list[Method] = [*map(_method, names), *map(network_row, weights)]
+    rows: list[Method] = [*map(find_method, names), *map(network_row, weights)]
     if predictions is not None:
         rows.append(Predicted(predictions))
     named = [row.name for row in rows]
@@ -82,8 +73,6 @@ def check_rows(rows: "Sequence[Method]", datasets: "Sequence[Dataset]", split: s
 
 def network_row(weights: str) -> "Method":
     """A network's row; what it needs is imported here, so that the other rows need no torch."""
-    try:
-        from scenegen.model.completion.completer import Completer
-    except ImportError:
-        raise ScenegenError(f"--weights {weights}: {needs('torch', 'train')}") from None
+    from scenegen.model.completion.completer import Completer
+
     return Completer.from_pretrained(weights, threads=1)

@@ -4,7 +4,7 @@ cores."""
 import dataclasses
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
@@ -40,7 +40,7 @@ from scenegen.model.evaluation.visibility import (
 )
 from scenegen.run import Executor, check_together
 from scenegen.run.workers import Local
-from scenegen.sample import Sample
+from scenegen.sample import Sample, rng_of
 from scenegen.truth import distance_field
 
 CHUNK = 10
@@ -157,8 +157,8 @@ def bench(
     if config.study:
         check_whole(dataset, "leave --study out")
     kind = kind or dataset.manifest.kind
-    ours = [n for one, n in _by_shard(split) if one == kind]
-    if not ours:
+    ours = numbers_by_kind(split).get(kind)
+    if ours is None:
         raise DatasetError(f"{dataset.folder}: holds no {kind} in its {config.split} split")
     indices = [ours[n] for n in spread(len(ours), config.samples or len(ours))]
     tasks = [Rows(config.split, indices[n : n + CHUNK]) for n in range(0, len(indices), CHUNK)]
@@ -201,17 +201,14 @@ def bench(
     )
 
 
-def kinds_of(dataset: Dataset, split: str) -> tuple[str, ...]:
-    """The kinds of worlds that samples of a split are of."""
-    return tuple(dict.fromkeys(kind for kind, _ in _by_shard(dataset.split(split))))
-
-
-def _by_shard(split: Split) -> Iterator[tuple[str, int]]:
-    """The kind and the number of every sample."""
+def numbers_by_kind(split: Split) -> dict[str, list[int]]:
+    """The numbers of a split's samples by the kind of their worlds."""
+    found: dict[str, list[int]] = {}
     for number, entry in enumerate(split.shards):
-        kind = split.dataset.manifest.home(entry).kind
-        for n in range(split.first(number), split.first(number) + entry.samples):
-            yield kind, n
+        first = split.first(number)
+        ours = found.setdefault(split.dataset.manifest.home(entry).kind, [])
+        ours += range(first, first + entry.samples)
+    return found
 
 
 def _work(
@@ -255,7 +252,6 @@ def _work(
                     *truth,
                     classes=classes,
                     class_count=len(CLASSES),
-                    near_m=config.near_m,
                     union=UNOBSERVED,
                     certain=certain,
                 )
@@ -301,7 +297,7 @@ def planner_maps(
 
 def trials_of(sample: Sample, index: int, split: Split, config: BenchConfig, count: int) -> Trials:
     """The first `count` trials of `sample`, which is number `index` of its `split`."""
-    rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(index,)))
+    rng = rng_of(config.seed, index)
     world = split.home(index).tables.get("world")  # worlds from MJCF files have no box
     bounds = None if world is None else np.array([[0.0, 0.0, 0.0], world["size_m"]]) - sample.origin
     grid = split.dataset.grid

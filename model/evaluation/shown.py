@@ -1,10 +1,11 @@
 """What methods say of a sample, and the paths that the bench plans on it, as they are shown;
-pictures of trials that failed."""
+pictures of trials that failed, and charts."""
 
 import dataclasses
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +18,13 @@ from scenegen.model.evaluation.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Method
 from scenegen.model.evaluation.planning.astar import Lattice
 from scenegen.model.evaluation.planning.measure import judge, plan_trial
-from scenegen.model.evaluation.report import CAUSES
+from scenegen.model.evaluation.report import CAUSES, tables
 from scenegen.model.evaluation.run import DatasetResult, planner_maps, trials_of
 from scenegen.model.evaluation.visibility import walled
 from scenegen.sample import Sample
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def guesses_of(methods: Sequence[Method], config: BenchConfig, trial: int | None = 0) -> Guesses:
@@ -71,7 +75,7 @@ def route_to(
     truth; see `scenegen.model.evaluation.planning.measure.run_trial`."""
     plan, refined = plan_trial(occupied, tudf, risk, goal, grid, config)
     truth = walled(sample.occupancy, sample.tudf, sample.known, grid)
-    measured = judge(plan, refined, *truth, grid, config)
+    measured = judge(plan, refined, *truth, grid)
     lattice = Lattice(grid, config.step_voxels)
     told = f"{measured.length_m:.1f} m, clearance {measured.min_clearance_m:.2f} m"
     if measured.cause is not None:
@@ -93,7 +97,7 @@ WIDE = 900
 """Pixels of a picture."""
 
 
-def failing(result: DatasetResult, most: int = MOST) -> tuple[str, list[int]]:
+def failing(result: DatasetResult) -> tuple[str, list[int]]:
     """The learned method that succeeds most often, and trials of different worlds in which its path
     meets an obstacle.
 
@@ -107,7 +111,7 @@ def failing(result: DatasetResult, most: int = MOST) -> tuple[str, list[int]]:
     for n, trial in enumerate(learned[name].trials):
         if trial.hit is not None:
             worlds.setdefault(int(result.trial_worlds[n]), n)
-    return name, list(worlds.values())[:most]
+    return name, list(worlds.values())[:MOST]
 
 
 def draw_failures(
@@ -115,10 +119,7 @@ def draw_failures(
 ) -> list[tuple[str, bytes]]:
     """What each picture shows, and the picture, WebP. Raises ImportError where matplotlib is not
     installed."""
-    from PIL import Image
-
     from scenegen.display.figures import draw_paths
-    from scenegen.display.panels import to_bytes
 
     shown = [
         method
@@ -134,11 +135,47 @@ def draw_failures(
         )
         told = f"{name} fails: {look.name}, goal {turn}"
         figure = draw_paths([dataclasses.replace(look, name=f"{look.name}, goal {turn}")], title="")
-        image = Image.open(io.BytesIO(to_bytes(figure, ".png"))).convert("RGB")
-        image = image.resize(
-            (WIDE, round(image.height * WIDE / image.width)), Image.Resampling.LANCZOS
-        )
-        memory = io.BytesIO()
-        image.save(memory, "WEBP", quality=70)
-        found.append((told, memory.getvalue()))
+        found.append((told, _webp(figure)))
     return found
+
+
+CHARTS = {"reconstruction": ("iou", "near_rmse"), "planning": ("success", "min_clearance")}
+"""Metrics that are drawn, by table."""
+
+
+def draw_charts(report: Mapping[str, Any], kind: str) -> list[tuple[str, bytes]]:
+    """What each chart shows, and the chart, WebP: a dot for each method with its interval, and a
+    ring for each of the paper's. Raises ImportError where matplotlib is not installed."""
+    from matplotlib.figure import Figure
+
+    from scenegen.display.panels import MAP, SOFT, plain
+
+    found = []
+    for table, metrics, rows, reference in tables(report, kind):
+        for name in CHARTS[table]:
+            dots = {method: row[name] for method, row in rows.items() if row[name]["n"]}
+            papers = {f"{method} (paper)": row[name][0] for method, row in reference.items()}
+            figure = Figure(figsize=(5.8, 0.6 + 0.26 * len([*dots, *papers])), layout="constrained")
+            axes = figure.subplots()
+            for method, one in dots.items():
+                ends = None if one["low"] is None else [one["low"], one["high"]]
+                axes.plot(ends or [one["mean"]] * 2, [plain(method)[:24]] * 2, "-", color=MAP)
+                axes.plot(one["mean"], plain(method)[:24], "o", color=MAP)
+            axes.plot(list(papers.values()), list(papers), "o", color=SOFT, fillstyle="none")
+            axes.invert_yaxis()
+            axes.grid(axis="x")
+            found.append((metrics[name].label, _webp(figure)))
+    return found
+
+
+def _webp(figure: "Figure") -> bytes:
+    """A figure as a picture of the report."""
+    from PIL import Image
+
+    from scenegen.display.panels import to_bytes
+
+    image = Image.open(io.BytesIO(to_bytes(figure, ".png"))).convert("RGB")
+    size = WIDE, round(image.height * WIDE / image.width)
+    memory = io.BytesIO()
+    image.resize(size, Image.Resampling.LANCZOS).save(memory, "WEBP", quality=70)
+    return memory.getvalue()

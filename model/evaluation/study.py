@@ -99,7 +99,6 @@ def study_map(
         distance,
         sample.tudf,
         distance_field(seen, grid),
-        near_m=config.near_m,
         truncation_m=grid.truncation_m,
     )
     readings = [] if probability is None else [probability, corrected(probability, CLASS_WEIGHT)]
@@ -144,7 +143,7 @@ def run_settings(
         blocked, field = _maps(setting, said, grid)
         for g, goal in enumerate(goals):
             done = plan_carefully(blocked, field, goal, grid, plan)
-            trial = judge(done.plan, done.path, *truth, grid, plan)
+            trial = judge(done.plan, done.path, *truth, grid)
             planned = done.path is not None
             found[g, s, : len(TOLD)] = (
                 trial.success,

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lidarsim.jit import kernel
 from scenegen.model.calibration import RISK
 from scenegen.model.completion.protocol import Prediction
+from scenegen.model.evaluation.config import NEAR_M
 from scenegen.model.evaluation.statistics import estimate, figure
 
 BINS = 20
@@ -36,14 +37,13 @@ def regions(
     true: NDArray[np.float32],
     seen: NDArray[np.float32],
     *,
-    near_m: float,
     truncation_m: float,
 ) -> NDArray[np.bool_]:
     """The voxels of each of `REGIONS`, (regions, *shape): none that is not `scored`, and otherwise
     from predicted and true distances and those to the obstacles that returned something; the grids
     have one shape."""
     met = unknown & (true < truncation_m - 1e-6)
-    parts = (unknown & (true <= near_m), unknown & (distance < near_m), met & (seen <= true))
+    parts = (unknown & (true <= NEAR_M), unknown & (distance < NEAR_M), met & (seen <= true))
     return np.stack([scored, unknown, *parts, met & (seen > true)])
 
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from lidarsim.parameters import check, number
+from lidarsim.parameters import Checked, number
 from scenegen.errors import DatasetError, printable
 from scenegen.limits import MOST_MAPS, MOST_SEED
 
@@ -51,7 +51,7 @@ RUNS = tuple(
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReproduceConfig:
+class ReproduceConfig(Checked):
     """The size of a study. At scale 1 it is the paper's in samples and trials."""
 
     scale: float = number(1.0, above=0, most=1)
@@ -60,9 +60,6 @@ class ReproduceConfig:
     """Maps that every network sees, at scale 1."""
     seed: int = number(0, least=0, most=MOST_SEED)
     """Seed of the datasets, the goals and the intervals."""
-
-    def __post_init__(self) -> None:
-        check(self)
 
     def scaled(self, count: int) -> int:
         """`count` at this scale, at least 1."""

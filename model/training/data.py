@@ -21,7 +21,7 @@ from scenegen.dataset.generation import fraction
 from scenegen.dataset.read import Dataset as SampleDataset
 from scenegen.errors import DatasetError, ScenegenError, short
 from scenegen.model.inputs import SYMMETRIES, channels, points_of, turned
-from scenegen.sample import Sample
+from scenegen.sample import Sample, rng_of
 from scenegen.streams.batches import Batches
 from scenegen.streams.mixture import parts_of
 from scenegen.streams.stream import Stream
@@ -271,7 +271,7 @@ def epoch_batches(
 
     A last batch that is not full is left out, unless it is the only one.
     """
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(epoch,)))
+    rng = rng_of(seed, epoch)
     order = rng.permutation(len(maps))
     if maps.shares is not None:
         order = np.concatenate(_weighted(maps, seed=seed, epoch=epoch))[order]
@@ -289,9 +289,7 @@ def _weighted(maps: Maps, *, seed: int, epoch: int) -> list[NDArray[np.int64]]:
         begin, end = epoch * count, (epoch + 1) * count
         size, drawn = len(maps.sources[number]), [np.empty(0, np.int64)]
         for turn in range(begin // size, -(-end // size)):
-            order = np.random.default_rng(
-                np.random.SeedSequence(seed, spawn_key=(number, turn, 0))
-            ).permutation(size)
+            order = rng_of(seed, number, turn, 0).permutation(size)
             drawn.append(order[max(begin - turn * size, 0) : end - turn * size])
         found.append(maps.starts[number] + np.concatenate(drawn))
     return found
@@ -302,7 +300,7 @@ def stream_batch(
 ) -> list[tuple[int, int]]:
     """Batch `number` of a stream's order: keys of `maps`, whose views depend on `seed` and
     `number` alone."""
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, 0)))
+    rng = rng_of(seed, number, 0)
     return views.of(order[number], maps, rng=rng)
 
 

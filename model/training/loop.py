@@ -2,7 +2,6 @@
 on."""
 
 import dataclasses
-import hashlib
 import math
 import platform
 import time
@@ -19,7 +18,8 @@ from torch.nn.parallel import DistributedDataParallel
 from lidarsim import GridSpec
 from scenegen.dataset.manifest import differences
 from scenegen.dataset.parts import mapping_entry, sensor_entry
-from scenegen.errors import DatasetError, StoppedError, empty_split, is_out_of_memory
+from scenegen.errors import DatasetError, StoppedError, empty_split, is_out_of_memory, raised_as
+from scenegen.files import sha256_of
 from scenegen.model.checkpoint import CheckpointError
 from scenegen.model.completion.completer import locate, open_network
 from scenegen.model.config import VARIANTS, TrainConfig, is_own
@@ -251,10 +251,8 @@ def check_maps(maps: Maps, checks: Maps, config: TrainConfig, processes: int) ->
         if not len(split):
             names = ", ".join(source.name for source in split.sources)
             raise DatasetError(f"{names}: {empty_split(split.split)}")
-    try:
+    with raised_as(DatasetError, f"{maps.sources[0].name}: "):
         config.network.check_map(maps.grid.shape)
-    except ValueError as error:
-        raise DatasetError(f"{maps.sources[0].name}: {error}") from None
     check_alike([checks.sources[0], maps.sources[0]])
     batch = min(config.batch, len(maps))
     if batch % processes:
@@ -343,4 +341,4 @@ def begin_from(weights: str | Path, network: Any) -> str:
         unlike = "; ".join(differences(there, asked))
         raise CheckpointError(f"{weights}: another network than the one to train: {unlike}")
     network.load_state_dict(found.state_dict())
-    return hashlib.sha256(locate(weights).read_bytes()).hexdigest()
+    return sha256_of(locate(weights).read_bytes())

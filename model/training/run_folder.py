@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from lidarsim import GridSpec
 from scenegen.dataset.manifest import differences
 from scenegen.errors import DatasetError, printable
-from scenegen.files import disk_error, read_bounded, remove_drafts, write_whole
+from scenegen.files import disk_told, read_bounded, remove_drafts, write_whole
 from scenegen.limits import MOST_HEADER_BYTES
 from scenegen.model.checkpoint import CheckpointError, load_tensors, save_network, save_tensors
 from scenegen.model.config import LossConfig, NetworkConfig
@@ -99,12 +99,10 @@ class RunFolder:
         Raises DatasetError where the folder holds a run with other settings, or one that another
         process works on.
         """
-        try:
+        with disk_told(self.path):
             self.path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise disk_error(self.path, error) from None
         remove_drafts(self.path)
-        config = self.path / CONFIG
+        config, grows = self.path / CONFIG, False
         if config.exists():
             there, asked = self.settings(), json.loads(json.dumps(settings["settings"]))
             if grows := _grows(there, asked):
@@ -115,17 +113,15 @@ class RunFolder:
                     f"({printable('; '.join(unlike))[:1000]}); give those, "
                     "or another --out"
                 )
-            if grows:
-                if (self.path / LEVEL).exists():  # where the learning rate began to fall
-                    if (self.path / BEST).exists():
-                        (self.path / BEST).replace(
-                            self.path / f"{datetime.now():best-%Y-%m-%d-%H%M%S}.safetensors"
-                        )
-                    (self.path / LEVEL).replace(self.path / LAST)
-                write_whole(config, (json.dumps(settings, indent=1) + "\n").encode())
+            if grows and (self.path / LEVEL).exists():  # where the learning rate began to fall
+                if (self.path / BEST).exists():
+                    (self.path / BEST).replace(
+                        self.path / f"{datetime.now():best-%Y-%m-%d-%H%M%S}.safetensors"
+                    )
+                (self.path / LEVEL).replace(self.path / LAST)
         elif odd := next((name for name in FILES if (self.path / name).exists()), None):
             raise DatasetError(f"{self.path}: holds {odd} but no {CONFIG}; choose another --out")
-        else:
+        if not config.exists() or grows:
             write_whole(config, (json.dumps(settings, indent=1) + "\n").encode())
         self._lock = open(config)  # noqa: SIM115 (held until `close`)
         try:

@@ -16,7 +16,15 @@ import rich_click as click
 
 from lidarsim.registry import Registry
 from scenegen.cli import stops
-from scenegen.errors import ScenegenError, StoppedError, is_out_of_memory, needs, printable, told
+from scenegen.errors import (
+    ScenegenError,
+    StoppedError,
+    is_out_of_memory,
+    needs,
+    printable,
+    raised_as,
+    told,
+)
 
 EXTRAS = {
     "torch": "train",
@@ -53,10 +61,8 @@ class Commands(click.RichGroup):
 
     def find(self, name: str) -> Any:
         """The command itself. Raises UsageError where there is none."""
-        try:
+        with raised_as(click.UsageError):
             return self.registry.find(name)
-        except ValueError as error:
-            raise click.UsageError(str(error)) from None
 
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
         """The command that `args` begins with, and the rest; none while a shell completes a name

@@ -8,8 +8,8 @@ import rich_click as click
 
 from scenegen import SPLITS
 from scenegen.cli.options import (
+    command,
     dataset_argument,
-    examples,
     on_option,
     open_dataset,
     options_of,
@@ -25,9 +25,7 @@ from scenegen.cli.types import Named
 from scenegen.display.exchange import FORMATS, Choices
 
 
-@click.command(
-    epilog=examples("convert data/pillar --to ply", "convert data/pillar --to mcap --split val")
-)
+@command("convert data/pillar --to ply", "convert data/pillar --to mcap --split val")
 @dataset_argument
 @click.option(
     "--to",
@@ -91,9 +89,7 @@ def convert(
         say(f"{target}: {done.written} samples written, {done.there} were there{others}")
 
 
-@click.command(
-    epilog=examples("world data/pillar 3 -o world.xml", "world scenes/forest.xml -o forest.glb")
-)
+@command("world data/pillar 3 -o world.xml", "world scenes/forest.xml -o forest.glb")
 @dataset_argument
 @click.argument("number", type=click.IntRange(min=0), required=False)
 @split_option("train", help="The split that the world belongs to.")

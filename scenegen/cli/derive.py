@@ -10,10 +10,10 @@ import rich_click as click
 from scenegen import SPLITS
 from scenegen.cli.generate import make
 from scenegen.cli.options import (
+    command,
     dataset_argument,
     datasets_argument,
     engine_option,
-    examples,
     force_option,
     group,
     lidar_option,
@@ -38,11 +38,9 @@ making = together(force_option, workers_option, on_option, printing)
 """Options of all that make a dataset of others."""
 
 
-@click.command(
-    epilog=examples(
-        "rescan data/pillar --lidar livox-mid-360 -o data/livox",
-        "rescan data/pillar --noise datasheet --scans 5 -o data/noisy",
-    )
+@command(
+    "rescan data/pillar --lidar livox-mid-360 -o data/livox",
+    "rescan data/pillar --noise datasheet --scans 5 -o data/noisy",
 )
 @dataset_argument
 @lidar_option("the dataset's")
@@ -79,11 +77,9 @@ def rescan(
     make(plan, begin=begin, talk=talk, **without(Mapper, options))
 
 
-@click.command(
-    epilog=examples(
-        "take data/mixed --kind rooms --n 500 -o data/rooms",
-        "take data/pillar --split train --where occupied>=0.05 -o data/dense",
-    )
+@command(
+    "take data/mixed --kind rooms --n 500 -o data/rooms",
+    "take data/pillar --split train --where occupied>=0.05 -o data/dense",
 )
 @dataset_argument
 @splits_option("Samples of this split")
@@ -138,7 +134,7 @@ def take(
     make(plan_take(source, out, choice, workers=options["workers"]), begin=begin, **options)
 
 
-@click.command(epilog=examples("merge data/pillar data/geometric -o data/both"))
+@command("merge data/pillar data/geometric -o data/both")
 @datasets_argument
 @out_option("Folder of the new dataset, or s3://bucket/folder.", stores=True, required=True)
 @making

@@ -12,7 +12,7 @@ from typing import Any
 import rich_click as click
 from click.shell_completion import get_completion_class
 
-from scenegen.cli.options import examples, json_option
+from scenegen.cli.options import command, json_option
 from scenegen.cli.show import announce_compilation, flat, say, show_table
 from scenegen.cli.types import Choice
 from scenegen.errors import ScenegenError, needs
@@ -25,7 +25,7 @@ GENERATED = 3250
 """Samples that `generate` makes by default, of all splits together."""
 
 
-@click.command(epilog=examples("doctor", "doctor --json"))
+@command("doctor", "doctor --json")
 @json_option
 def doctor(as_json: bool) -> None:
     """Check this machine: versions, extras, cores, disk, GPU, cache, pace, and a two-second
@@ -146,7 +146,7 @@ def _gpu() -> str:
     return torch.cuda.get_device_name(0) if torch.cuda.is_available() else "none"
 
 
-@click.command(epilog=examples("completion bash", "completion zsh"))
+@command("completion bash", "completion zsh")
 @click.argument("shell", type=Choice(["bash", "zsh", "fish"]))
 @click.pass_context
 def completion(ctx: click.Context, shell: str) -> None:

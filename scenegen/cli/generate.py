@@ -12,8 +12,8 @@ import rich_click as click
 from lidarsim.engines import DEFAULT, ENGINES
 from scenegen.cli.options import (
     SENSING,
+    command,
     engine_option,
-    examples,
     force_option,
     lidar_option,
     mapping_given,
@@ -37,7 +37,7 @@ from scenegen.cli.show import (
     say,
     show_table,
 )
-from scenegen.cli.types import Choice, Named, Written, read_range
+from scenegen.cli.types import FILE, Choice, Named, Written, read_range
 from scenegen.limits import USUAL_IN_SHARD
 from scenegen.recipes import KINDS
 from scenegen.worlds import WORLD_FILES
@@ -53,15 +53,13 @@ NETWORK_EDGE = 8
 """The bundled networks' three halvings need edges of maps that are multiples of this."""
 of_worlds, of_size = (partial(click.option, panel=panel) for panel in ("Worlds", "Size and files"))
 """Options by their groups on the help page."""
-count = partial(of_size, type=click.IntRange(min=1), show_default=True)
+count = partial(of_size, type=click.IntRange(min=1))
 
 
-@click.command(
-    epilog=examples(
-        "generate --kind pillar -n 100",
-        "generate --scene room.xml --lidar ouster-os1-128 --noise datasheet -o data/room",
-        "generate --kind geometric --seed 7 --dry-run",
-    )
+@command(
+    "generate --kind pillar -n 100",
+    "generate --scene room.xml --lidar ouster-os1-128 --noise datasheet -o data/room",
+    "generate --kind geometric --seed 7 --dry-run",
 )
 @click.argument("named", metavar="[KIND]", type=KIND, required=False)
 @of_worlds(
@@ -76,12 +74,12 @@ count = partial(of_size, type=click.IntRange(min=1), show_default=True)
 )
 @of_worlds(
     "--scene",
-    type=click.Path(path_type=Path),
+    type=FILE,
     help="An MJCF file, a mesh or a map of your own world, or a folder of them.",
 )
 @of_worlds(
     "--recipe",
-    type=click.Path(path_type=Path),
+    type=FILE,
     help="TOML file with what differs from the preset.",
 )
 @of_worlds(
@@ -273,7 +271,7 @@ def make(
     )
 
 
-@click.command(epilog=examples("recipe pillar", "recipe rooms -o rooms.toml"))
+@command("recipe pillar", "recipe rooms -o rooms.toml")
 @click.argument("kind", type=Named(KINDS))
 @lidar_option("the kind's")
 @out_option("The file to write.  [default: standard output]", file=True)

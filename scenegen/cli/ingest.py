@@ -7,27 +7,27 @@ from typing import Any
 import rich_click as click
 
 from scenegen.cli.options import (
-    examples,
+    command,
     group,
     options_of,
     out_option,
     printing,
 )
 from scenegen.cli.show import Progress, show_table
+from scenegen.cli.types import FILE
+from scenegen.errors import raised_as
 from scenegen.logs import Fusing
 
 
-@click.command(
-    epilog=examples(
-        "ingest dataset/sequences/07 -o data/kitti-07",
-        "ingest drive.mcap --deskew -o data/drive",
-        "ingest clouds --poses poses.tum -o data/walk",
-    )
+@command(
+    "ingest dataset/sequences/07 -o data/kitti-07",
+    "ingest drive.mcap --deskew -o data/drive",
+    "ingest clouds --poses poses.tum -o data/walk",
 )
-@click.argument("log", type=click.Path(path_type=Path))
+@click.argument("log", type=FILE)
 @click.option(
     "--poses",
-    type=click.Path(path_type=Path),
+    type=FILE,
     help="The poses of a folder of clouds: KITTI's matrices, TUM's lines, or CSV.",
 )
 @click.option("--topic", help="The clouds of an .mcap file that has several.")
@@ -66,10 +66,8 @@ def ingest(
     from scenegen.logs.read import read_log
 
     target = out or Path(f"{log.stem}-maps")
-    try:
+    with raised_as(click.UsageError):
         how = Fusing(**options)
-    except ValueError as error:
-        raise click.UsageError(str(error)) from None
     check_free(target)
     found = read_log(log, poses=poses, topic=topic)
     with Progress("ingest", shown=talk) as progress:

@@ -7,7 +7,7 @@ from typing import Any
 import rich_click as click
 
 from scenegen.cli.options import (
-    examples,
+    command,
     group,
     options_of,
     out_option,
@@ -15,23 +15,21 @@ from scenegen.cli.options import (
     was_given,
 )
 from scenegen.cli.show import show_table
-from scenegen.cli.types import Number
+from scenegen.cli.types import FILE, Number
 from scenegen.worlds.cloud import Survey
 
 
-@click.command(
-    epilog=examples(
-        "map hall.pcd -o hall.npz",
-        "map drive/*.ply --poses poses.txt --voxel 0.1 -o drive.npz",
-        "map tile.laz --assume-free --voxel 0.5 -o tile.npz",
-        "map lab.yaml --height 2.5 -o lab.npz",
-    )
+@command(
+    "map hall.pcd -o hall.npz",
+    "map drive/*.ply --poses poses.txt --voxel 0.1 -o drive.npz",
+    "map tile.laz --assume-free --voxel 0.5 -o tile.npz",
+    "map lab.yaml --height 2.5 -o lab.npz",
 )
-@click.argument("clouds", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("clouds", nargs=-1, required=True, type=FILE)
 @click.option("--sensor", type=(Number(),) * 3, help="Where the clouds' sensor was: X Y Z.")
 @click.option(
     "--poses",
-    type=click.Path(path_type=Path),
+    type=FILE,
     help="A text file with a line for each cloud: x y z of its sensor; or, for clouds in their "
     "sensor's frame, its pose as TUM or KITTI write it.",
 )
@@ -81,12 +79,11 @@ def map(
     if out.suffix != ".npz":
         raise click.UsageError(f"{out}: expected a name that ends in .npz")
     from scenegen.display.inspect import map_facts
-    from scenegen.files import check_ours, write_result
+    from scenegen.files import write_result
     from scenegen.worlds.cloud import map_clouds
     from scenegen.worlds.place import encode_npz
     from scenegen.worlds.plan import read_plan
 
-    check_ours(out)
     survey = Survey(**options)
     if plan:
         made = read_plan(clouds[0], survey.height_m)

@@ -52,9 +52,10 @@ def together(*options: Decorator[Any]) -> Decorator[Any]:
     return lambda function: reduce(lambda made, option: option(made), reversed(options), function)
 
 
-def examples(*commands: str) -> str:
-    """Commands for the end of a help page."""
-    return "\n\n".join(["Examples:", *(f"scenegen {command}" for command in commands)])
+def command(*examples: str) -> Any:
+    """Makes a function a command whose help page shows defaults, and ends with `examples`."""
+    lines = "\n\n".join(["Examples:", *(f"scenegen {example}" for example in examples)])
+    return click.command(context_settings={"show_default": True}, epilog=lines)
 
 
 def _cores() -> int:
@@ -77,7 +78,6 @@ on_option = click.option(
     "--on",
     type=Named(EXECUTORS, address=True),
     default=LOCAL,
-    show_default=True,
     metavar="PLACE",
     panel=RUNNING,
     help=f"Where the work is done: {', '.join(EXECUTORS.known)}, or MODULE:CLASS, each with "
@@ -91,7 +91,6 @@ quiet_option = click.option("--quiet", is_flag=True, panel=RUNNING, help="Print 
 device_option = click.option(
     "--device",
     default="auto",
-    show_default=True,
     panel=RUNNING,
     help="Where to compute: cpu, cuda, cuda:1 …",
 )
@@ -118,9 +117,7 @@ def printing(function: Function) -> Function:
 
 def split_option(default: str, help: str) -> Decorator[Any]:
     """--split, one of a dataset's."""
-    return click.option(
-        "--split", type=Choice(SPLITS), default=default, show_default=True, help=help
-    )
+    return click.option("--split", type=Choice(SPLITS), default=default, help=help)
 
 
 def splits_option(help: str) -> Decorator[Any]:
@@ -136,9 +133,7 @@ def splits_option(help: str) -> Decorator[Any]:
 
 def seed_option(help: str) -> Decorator[Any]:
     """--seed of what is drawn."""
-    return click.option(
-        "--seed", type=click.IntRange(min=0), default=0, show_default=True, help=help
-    )
+    return click.option("--seed", type=click.IntRange(min=0), default=0, help=help)
 
 
 def out_option(
@@ -148,7 +143,7 @@ def out_option(
     parameter is `out`."""
     kind = OutputFile() if file else OutputFolder(stores=stores)
     names = ("--output", "--out") if file else ("--out", "--output")
-    return click.option("-o", *names, "out", type=kind, show_default=True, help=help, **more)
+    return click.option("-o", *names, "out", type=kind, help=help, **more)
 
 
 def lidar_option(default: str) -> Decorator[Any]:
@@ -165,9 +160,7 @@ def lidar_option(default: str) -> Decorator[Any]:
 
 def engine_option(help: str, **more: Any) -> Decorator[Any]:
     """--engine, by name or as MODULE:CLASS."""
-    return click.option(
-        "--engine", type=Named(ENGINES), panel=SENSING, show_default=True, help=help, **more
-    )
+    return click.option("--engine", type=Named(ENGINES), panel=SENSING, help=help, **more)
 
 
 def _noise(given: str) -> str:
@@ -238,7 +231,7 @@ def options_of(
     for name, text in helps.items():
         flag = "--" + prefix + UNITS.sub("", name).replace("_", "-")
         more = _settings(kinds[name], fields[name], flag)
-        more["show_default"] = default or more.get("show_default", True)
+        more |= {"show_default": default} if default else {}
         options.append(click.option(more.pop("flag", flag), name, help=text, panel=panel, **more))
     return together(*options)
 
@@ -247,7 +240,7 @@ def _settings(kind: Any, field: Any, flag: str) -> dict[str, Any]:
     """What click is told of an option that is a dataclass's field."""
     default = field.default
     if kind is bool:
-        both = {"flag": f"{flag}/--no-{flag[2:]}"} if default else {"show_default": False}
+        both = {"flag": f"{flag}/--no-{flag[2:]}"} if default else {}
         return {**both, "is_flag": True, "default": default}
     if typing.get_origin(kind) is Literal:
         words = {str(choice): choice for choice in typing.get_args(kind)}

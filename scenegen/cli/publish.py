@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import rich_click as click
 
 from scenegen.cli.options import (
+    command,
     dataset_argument,
-    examples,
     group,
     kind_option,
     out_option,
@@ -23,11 +23,9 @@ if TYPE_CHECKING:
     from scenegen.share.stage import Staged
 
 
-@click.command(
-    epilog=examples(
-        "publish data/pillar --repo user/pillar --dry-run",
-        "publish data/pillar --repo user/pillar --tag v1 --licence CC-BY-4.0",
-    )
+@command(
+    "publish data/pillar --repo user/pillar --dry-run",
+    "publish data/pillar --repo user/pillar --tag v1 --licence CC-BY-4.0",
 )
 @dataset_argument
 @click.option(
@@ -38,7 +36,6 @@ if TYPE_CHECKING:
     "--licence",
     "--license",
     default=USUAL,
-    show_default=True,
     help="SPDX name of the data's licence.",
 )
 @out_option("Where the folder goes.  [default: publish/<name>]")

@@ -14,8 +14,8 @@ from lidarsim.engines import ENGINES
 from lidarsim.parameters import MOST_LENGTH_M, Bounds
 from lidarsim.sensors import CATALOGUE, RASTER, SENSORS
 from scenegen.cli.options import (
+    command,
     engine_option,
-    examples,
     group,
     json_option,
     lidar_option,
@@ -28,8 +28,9 @@ from scenegen.cli.options import (
     was_given,
 )
 from scenegen.cli.show import Progress, say, show_figures, show_table, show_written
-from scenegen.cli.types import Named, Number, Numbers
+from scenegen.cli.types import FILE, Named, Number, Numbers
 from scenegen.display.exchange import Choices
+from scenegen.errors import raised_as
 from scenegen.limits import LEAST_DRAWN_M
 from scenegen.logs import Cruise
 from scenegen.worlds import CLOUDS, MAPS
@@ -51,7 +52,7 @@ HEADS = {
 """The columns of the list."""
 
 
-@click.command(epilog=examples("sensors", "sensors ouster-os1-128 my_lidar.toml -o patterns.png"))
+@command("sensors", "sensors ouster-os1-128 my_lidar.toml -o patterns.png")
 @click.argument(
     "names", nargs=-1, metavar="[NAME|FILE.toml|MODULE:CLASS]…", type=Named(SENSORS, file=".toml")
 )
@@ -68,10 +69,8 @@ def sensors(names: tuple[str, ...], out: Path | None, as_json: bool) -> None:
 
     found = {name: named_lidar(name) for name in names or (RASTER, *CATALOGUE)}
     for name in names:
-        try:
+        with raised_as(click.ClickException, f"{name}: "):
             beam_table(found[name])
-        except ValueError as error:
-            raise click.ClickException(f"{name}: {error}") from None
     rows = {name: _facts(sensor) for name, sensor in found.items()}
     if out is not None:
         from scenegen.display.panels import to_bytes
@@ -121,15 +120,13 @@ def _cell(value: Any) -> str:
     return (" … " if isinstance(value[0], float) else " × ").join(f"{one:g}" for one in value)
 
 
-@click.command(
-    epilog=examples(
-        "scan room.xml --pose 1,2,0.5,30 -o scan.ply",
-        "scan room.xml --flight --every 0.5 --lidar livox-avia --noise datasheet -o walk.npz",
-        "scan campus.bt --pose 10,5,1.2,90 --frame world -o campus.ply",
-        "scan pillar --seed 3 --flight --sequence --lidar ouster-os1-64 -o log.mcap",
-    )
+@command(
+    "scan room.xml --pose 1,2,0.5,30 -o scan.ply",
+    "scan room.xml --flight --every 0.5 --lidar livox-avia --noise datasheet -o walk.npz",
+    "scan campus.bt --pose 10,5,1.2,90 --frame world -o campus.ply",
+    "scan pillar --seed 3 --flight --sequence --lidar ouster-os1-64 -o log.mcap",
 )
-@click.argument("world", type=click.Path(path_type=Path))
+@click.argument("world", type=FILE)
 @click.option(
     "--pose", type=Numbers("X,Y,Z,YAW", 4), help="Where the body is, metres, and its yaw, degrees."
 )
@@ -220,7 +217,8 @@ def scan(
         return
     found = named_world(str(world), seed)
     poses = _poses(found, pose, every, seed)
-    files = [out] if every is None else [_numbered(out, number) for number in range(len(poses))]
+    numbered = [out.with_stem(f"{out.stem}-{number:03d}") for number in range(len(poses))]
+    files = [out] if every is None else numbered
     for file in files:
         check_ours(file)
     rows = []
@@ -285,10 +283,6 @@ def _counted(scans: "Iterable[LogScan]", progress: Progress) -> "Iterator[LogSca
         progress.count(1)
 
 
-def _numbered(out: Path, number: int) -> Path:
-    return out.with_name(f"{out.stem}-{number:03d}{out.suffix}")
-
-
 def _poses(
     world: "World | Place", pose: tuple[float, ...] | None, every: float | None, seed: int
 ) -> "list[Pose]":
@@ -317,7 +311,6 @@ def _write_scan(
     import numpy as np
 
     from lidarsim import cast
-    from lidarsim.pose import rotate
     from scenegen.display.exchange.files import write_points
     from scenegen.draw import scan_world
     from scenegen.worlds.mapping import Known
@@ -326,7 +319,7 @@ def _write_scan(
     seen = scan_world(world, sensor, at, chain, seed=seed, engine=ENGINES.find(engine).of)
     points = np.concatenate([seen.points(echo) for echo in range(len(seen.ranges))])
     if frame == "body":
-        points = rotate(at.quaternion * (1.0, -1.0, -1.0, -1.0), points - at.position)
+        points = at.to_body(points)
     intensity = None if seen.intensity is None else seen.intensity[np.isfinite(seen.ranges)]
     about = {
         "ranges": seen.ranges,

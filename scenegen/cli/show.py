@@ -18,6 +18,8 @@ ENDLESS = 1 << 30
 """Columns of what is no terminal."""
 BARS = "▁▂▃▄▅▆▇█"
 """From low to high."""
+MOST_BARS = 60
+"""Bars of a curve."""
 SHOW_CURSOR = b"\x1b[?25h\n"
 """Undoes what a progress bar does to a terminal."""
 
@@ -75,11 +77,11 @@ def show_figures(rows: Mapping[str, Sequence[str]], heads: Sequence[str], title:
         begin = end
 
 
-def curve(values: Sequence[float], *, most: int = 60) -> str:
-    """Numbers as a line of bars, the least the lowest; of more than `most` as many, evenly
-    spread."""
-    if len(values) > most:
-        values = [values[n * (len(values) - 1) // max(most - 1, 1)] for n in range(most)]
+def curve(values: Sequence[float]) -> str:
+    """Numbers as a line of bars, the least the lowest; of more than `MOST_BARS` as many,
+    evenly spread."""
+    if len(values) > MOST_BARS:
+        values = [values[n * (len(values) - 1) // (MOST_BARS - 1)] for n in range(MOST_BARS)]
     least, height = min(values), max(values) - min(values)
     step = (len(BARS) - 1) / (height or 1)
     return "".join(BARS[round((value - least) * step)] for value in values)

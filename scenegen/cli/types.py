@@ -16,6 +16,10 @@ MOST_REPEATED = 60
 """Characters of a value that an error repeats."""
 
 
+FILE = click.Path(path_type=Path)
+"""A file or a folder to read."""
+
+
 class Named(click.ParamType):
     """The name of something in a registry, or a user's own as module:Object.
 
@@ -110,7 +114,7 @@ class OutputFolder(click.Path):
 
 class OutputFile(OutputFolder):
     """A file to write: a new one, or one as scenegen wrote it; with `folders`, also a folder that
-    is there, or any file, of which the command says whether it is replaced."""
+    is there."""
 
     def __init__(self, *, folders: bool = False) -> None:
         super().__init__()
@@ -119,13 +123,13 @@ class OutputFile(OutputFolder):
     def convert(self, value: Any, param: Any, ctx: Any) -> Path:
         """The path, if a file may be written there."""
         from scenegen.errors import DatasetError
-        from scenegen.files import check_ours, check_target
+        from scenegen.files import check_ours
 
         path = super().convert(value, param, ctx)
         if self.folders and path.is_dir():
             return path
         try:
-            (check_target if self.folders else check_ours)(path)
+            check_ours(path)
         except DatasetError as error:
             self.fail(str(error), param, ctx)
         return path

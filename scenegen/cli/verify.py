@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import rich_click as click
 
 from scenegen.cli.options import (
+    command,
     dataset_argument,
-    examples,
     kind_option,
     on_option,
     printing,
@@ -23,9 +23,7 @@ if TYPE_CHECKING:
     from scenegen.verification import Report
 
 
-@click.command(
-    epilog=examples("verify data/pillar", "verify hf://user/name --quick", "verify data/d --json")
-)
+@command("verify data/pillar", "verify hf://user/name --quick", "verify data/d --json")
 @dataset_argument
 @click.option(
     "--quick", is_flag=True, help="The cheap half: files, digests, numbers, laws, splits."

@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 from scenegen.errors import BrokenError, DatasetError, printable, short
 from scenegen.files import (
     check_ours,
-    disk_error,
+    disk_told,
     make_parent,
     read_bounded,
     write_result,
@@ -199,10 +199,8 @@ def _referring(document: bytes, folder: str, output: Path) -> bytes:
 
 def _add(files: Mapping[str, bytes], folder: Path) -> None:
     """Put `files` into `folder`, where they may be already."""
-    try:
+    with disk_told(folder):
         folder.mkdir(exist_ok=True)
-    except OSError as error:
-        raise disk_error(folder, error) from None
     absent = {}
     for name, content in files.items():
         try:

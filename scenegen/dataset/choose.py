@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarsim.sensors.table import MOST_HEADER_BYTES, read_npy
 from scenegen import SPLITS
 from scenegen.dataset.read import Dataset, Split
 from scenegen.dataset.trust import Entry
@@ -83,14 +84,8 @@ def figures_file(dataset: Dataset) -> Path:
 
 def encode_figures(table: NDArray[np.float64]) -> bytes:
     """The content of that file, from the `FIGURES` (samples, figures) of all splits in order."""
-    return _head(len(table)) + table.astype("<f8").tobytes()
-
-
-def _head(samples: int) -> bytes:
-    """What numpy writes before the values of so many samples."""
     file = io.BytesIO()
-    about = {"descr": ROW.descr, "fortran_order": False, "shape": (samples,)}
-    np.lib.format.write_array_header_1_0(file, about)
+    np.save(file, np.ascontiguousarray(table, "<f8").view(ROW)[:, 0])
     return file.getvalue()
 
 
@@ -98,15 +93,14 @@ def kept_figures(dataset: Dataset) -> dict[str, NDArray[np.float64]]:
     """What that file holds, (samples, figures) by split; {} where there is none, or it is not as
     this version writes it."""
     counts = [len(dataset.split(name)) for name in SPLITS]
-    head = _head(sum(counts))
-    size = len(head) + sum(counts) * ROW.itemsize
     try:
-        content = read_bounded(figures_file(dataset), size)
-    except (OSError, ScenegenError):
+        most = sum(counts) * ROW.itemsize + MOST_HEADER_BYTES
+        table = read_npy(read_bounded(figures_file(dataset), most))
+    except (OSError, ValueError, ScenegenError):
         return {}
-    if len(content) != size or not content.startswith(head):
+    if table.dtype != ROW or table.shape != (sum(counts),):
         return {}
-    table = np.frombuffer(content, "<f8", offset=len(head)).reshape(-1, len(COLUMNS))
+    table = table.view("<f8").reshape(-1, len(COLUMNS))
     return dict(zip(SPLITS, np.split(table, np.cumsum(counts)[:-1]), strict=True))
 
 
@@ -121,13 +115,11 @@ class Condition:
     @classmethod
     def of(cls, text: str) -> "Condition":
         """The condition that is written like ``occupied>=0.05``. Raises ValueError."""
-        match = re.fullmatch(r"\s*(\w+)\s*(<=|>=|<|>|=)\s*([-+.0-9eE]+)\s*", text)
+        number = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+        match = re.fullmatch(rf"\s*(\w+)\s*(<=|>=|<|>|=)\s*({number})\s*", text, re.ASCII)
         known = (*NUMBERS, *FIGURES)
-        try:
-            if match and match[1] in known:
-                return cls(match[1], match[2], float(match[3]))
-        except ValueError:
-            pass
+        if match and match[1] in known:
+            return cls(match[1], match[2], float(match[3]))
         raise ValueError(
             f"{short(text)}: expected a name, a sign and a number, such as occupied>=0.05; names "
             f"are {', '.join(known)}, signs {' '.join(SIGNS)}"

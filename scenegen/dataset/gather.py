@@ -1,7 +1,6 @@
 """Datasets made of samples that are there: which may be one, what the new one is to hold, and its
 shards."""
 
-import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -18,13 +17,13 @@ from scenegen.dataset import manifest
 from scenegen.dataset.archive import open_archive
 from scenegen.dataset.choose import Choice, Chosen, choose
 from scenegen.dataset.layout import DIGEST, Layout, ShardFile, check_sum, open_file, open_shard
-from scenegen.dataset.read import Dataset
+from scenegen.dataset.read import Dataset, advised
 from scenegen.dataset.shard import ShardReport, ShardTask, put, read_report
 from scenegen.dataset.state import Plan
 from scenegen.dataset.trust import Entry, GatheredEntry, Manifest
 from scenegen.draw import Rejections
 from scenegen.errors import BrokenError, DatasetError, short
-from scenegen.files import real_path, write_whole
+from scenegen.files import real_path, world_digest, write_whole
 from scenegen.limits import MOST_SHARDS, MOST_SOURCES
 from scenegen.run.workers import run
 
@@ -68,18 +67,12 @@ def _look(
     """A shard's number, and the first bytes of the digests of its samples and of its worlds."""
     number, there, entry, layout = task
     path, archive, worlds = there / entry.file, entry.worlds, b""
-    try:
+    with advised(there):
         with open_file(path) as file:
             own = open_shard(file, path, entry.samples, layout).column(DIGEST)
         with open_file(there / archive) as file, open_archive(file, archive) as members:
             for name in sorted(name for name in members if name.endswith(".xml")):
-                document, others = members.world(name)
-                digest = hashlib.sha256(document)
-                for other, content in sorted(others.items()):
-                    digest.update(other.encode() + hashlib.sha256(content).digest())
-                worlds += digest.digest()[:KEPT]
-    except BrokenError as error:
-        raise DatasetError(f"{there}/{error}; verify the dataset, or copy it again") from None
+                worlds += world_digest(*members.world(name))[:KEPT]
     return (
         number,
         np.ascontiguousarray(own[:, :KEPT]).view(np.uint64)[:, 0],
@@ -111,30 +104,26 @@ class Part(ShardTask):
         """See `ShardTask`. Raises DatasetError where the shard there is no longer what its manifest
         lists, or a sample that is taken has not its digest."""
         path = self.there / self.entry.file
-        try:
-            with (
-                open_file(self.there / self.entry.worlds) as worlds,
-                open_file(path) as file,
-            ):
-                check_sum(worlds, self.entry.worlds, self.entry.worlds_sha256)
-                check_sum(file, self.entry.file, self.entry.sha256)
-                shard = open_shard(file, path, self.entry.samples, self.layout)
-                shard.check_origin(
-                    split=self.split,
-                    worlds_sha256=self.entry.worlds_sha256,
-                    parameters=self.parameters,
-                )
-                for row in range(self.entry.samples) if self.rows is None else self.rows:
-                    shard.check(row)
-                return (
-                    self._copy(worlds, file)
-                    if self.rows is None
-                    else self._repack(worlds, shard, self.rows)
-                )
-        except BrokenError as error:
-            raise DatasetError(
-                f"{self.there}/{error}; verify the dataset, or copy it again"
-            ) from None
+        with (
+            advised(self.there),
+            open_file(self.there / self.entry.worlds) as worlds,
+            open_file(path) as file,
+        ):
+            check_sum(worlds, self.entry.worlds, self.entry.worlds_sha256)
+            check_sum(file, self.entry.file, self.entry.sha256)
+            shard = open_shard(file, path, self.entry.samples, self.layout)
+            shard.check_origin(
+                split=self.split,
+                worlds_sha256=self.entry.worlds_sha256,
+                parameters=self.parameters,
+            )
+            for row in range(self.entry.samples) if self.rows is None else self.rows:
+                shard.check(row)
+            return (
+                self._copy(worlds, file)
+                if self.rows is None
+                else self._repack(worlds, shard, self.rows)
+            )
 
     def _copy(self, *files: BufferedReader) -> ShardReport:
         """The same files under other names: the worlds first, then the samples, which commit

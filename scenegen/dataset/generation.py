@@ -114,13 +114,15 @@ def plan_generation(
         RecipeError, SceneError, DatasetError: What is asked for cannot be.
     """
     if kind is None and scene is None and recipe is None:
-        raise RecipeError("no worlds are named; give a kind, such as pillar, a scene or a recipe")
+        raise RecipeError(
+            "no worlds are named; give a kind, such as --kind pillar, a --scene or a --recipe"
+        )
     if kind is not None and scene is not None:
         raise RecipeError("a kind draws worlds and a scene has them; give one of the two")
     named, path = ("scene", Path(scene)) if scene is not None else (kind, None)
     sensor = named_lidar(lidar) if isinstance(lidar, str) else lidar
     given: dict[str, Any] = {"lidar": sensor, "noise": noise, "mapping": mapping}
-    given["difficulty"] = difficulty
+    given |= {"difficulty": difficulty}
     if named == MIXED or (recipe is not None and is_mixed(Path(recipe))):
         if named not in (None, MIXED):
             raise RecipeError(f"{recipe}: is of several kinds, not of {named}; leave --kind out")
@@ -194,14 +196,7 @@ def is_mixed(path: Path) -> bool:
     return tables.get("kind") == MIXED or bool({"component", "domain"} & set(tables))
 
 
-def read_components(
-    path: Path | None = None,
-    *,
-    lidar: Sensor | None = None,
-    noise: str | None = None,
-    mapping: Mapping[str, Any] | None = None,
-    difficulty: str | None = None,
-) -> list[Component]:
+def read_components(path: Path | None = None, **given: Any) -> list[Component]:
     """The components of a mixture.
 
     Args:
@@ -211,10 +206,7 @@ def read_components(
             with scenegen has the same weight. A table ``[domain.TABLE]`` beside them gives
             parameters of that table lists of values: a component is then as many, one for every
             combination, which share its weight.
-        lidar: The sensor of all.
-        noise: The stages of noise of all.
-        mapping: Parameters of how all maps are made.
-        difficulty: That of all.
+        given: What all have in common, as for `scenegen.preset`.
 
     Raises:
         RecipeError: A component is none, or only some have weights.
@@ -229,7 +221,7 @@ def read_components(
             f"kind"
         )
     weighed = [isinstance(one, dict) and "weight" in one for one in listed]
-    given = beside_file(where, common, lidar, noise, mapping, difficulty)
+    beside, lidar = beside_file(where, common, **given), given.get("lidar")
     found = []
     for n, one in enumerate(listed, start=1):
         at = f"{where}: component {n}" if where else f"component {n}"
@@ -250,7 +242,7 @@ def read_components(
         each = _combinations(tables.pop("domain", {}), at)
         for values in each:
             chosen = {name: {**(tables.get(name) or {}), **one} for name, one in values.items()}
-            every_table = tables | chosen | given
+            every_table = tables | chosen | beside
             made = make_recipe(kind, every_table, where=at, folder=folder, sensor=lidar)
             found.append((made, share / len(each)))
     return found

@@ -2,7 +2,6 @@
 each into no more bytes than it may have. Reading, resuming, verifying and training all go through
 here."""
 
-import hashlib
 import json
 import math
 import os
@@ -22,7 +21,7 @@ from numpy.typing import NDArray
 
 from scenegen.dataset.hdf5 import Hdf5Error, Stored, read_index
 from scenegen.errors import BrokenError, DatasetError, printable, short
-from scenegen.files import open_bounded
+from scenegen.files import open_bounded, sha256_in
 from scenegen.sample import DERIVED, FIELDS, Sample, Schema
 
 DIGEST = "sha256"
@@ -222,8 +221,7 @@ def open_file(path: Path) -> BufferedReader:
 
 def check_sum(file: BufferedReader, name: str, sha256: str) -> None:
     """Raise BrokenError unless the file called `name` has the SHA-256 that the manifest lists."""
-    file.seek(0)
-    if hashlib.file_digest(file, "sha256").hexdigest() != sha256:
+    if sha256_in(file) != sha256:
         raise BrokenError(f"{name}: is not the file that the manifest lists")
 
 

@@ -3,7 +3,6 @@ Hugging Face Hub, or a place, ``s3://bucket/folder``, of which files are copied 
 read."""
 
 import contextlib
-import hashlib
 import os
 import re
 from collections.abc import Iterator
@@ -13,7 +12,7 @@ from pathlib import Path
 from scenegen.dataset import manifest, trust
 from scenegen.dataset.read import Dataset, Split
 from scenegen.errors import DatasetError, StoreError, needs, printable
-from scenegen.files import read_bounded
+from scenegen.files import read_bounded, sha256_in
 from scenegen.limits import MOST_MANIFEST_BYTES
 from scenegen.stores import LOCATED, folder_of, is_remote
 
@@ -179,32 +178,24 @@ def check_files(folder: Path, files: dict[str, str], name: str) -> None:
     """Hold `files` (name to SHA-256) against what is in `folder`. Raises DatasetError naming the
     first that differs."""
 
-    def check(item: tuple[str, str]) -> str:
-        path = folder / item[0]
-        if not path.is_file():
-            return f"{item[0]} is missing"
-        return (
-            ""
-            if file_sha256(path) == item[1]
-            else f"{item[0]} is not the file that {manifest.NAME} lists"
-        )
+    from concurrent.futures import ThreadPoolExecutor  # for the Hub alone; importing it takes time
 
-    from concurrent.futures import (
-        ThreadPoolExecutor,
-    )  # for what the Hub sends alone; importing it takes time
+    def differs(name: str) -> bool:
+        return not (folder / name).is_file() or file_sha256(folder / name) != files[name]
 
     with ThreadPoolExecutor() as pool:  # hashing lets other threads run
-        for wrong in pool.map(check, sorted(files.items())):
+        for file, wrong in zip(files, pool.map(differs, files), strict=True):
             if wrong:
                 raise DatasetError(
-                    f"{name}: {wrong}; delete {folder} to download it anew, or ask its publisher"
+                    f"{name}: {file} is not the file that {manifest.NAME} lists; delete {folder} "
+                    "to download it anew, or ask its publisher"
                 )
 
 
 def file_sha256(path: Path) -> str:
     """SHA-256 of a file, in hexadecimal."""
     with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+        return sha256_in(file)
 
 
 def reason(error: BaseException) -> str:

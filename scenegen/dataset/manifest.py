@@ -1,7 +1,6 @@
 """The manifest, `dataset.json`, as it stands in the file: written, read, and compared. `trust`
 checks its values."""
 
-import hashlib
 import json
 import re
 from collections import Counter
@@ -10,10 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lidarsim.engines import DEFAULT, MUJOCO
+from lidarsim.parameters import MOST_SHOWN
 from scenegen import GENERATOR, SPLITS, __version__
 from scenegen.dataset.parts import NAMES, PARTS, entries, plain, schema_of
-from scenegen.errors import MOST_TOLD, DatasetError, StoreError, printable, short
-from scenegen.files import read_bounded, write_whole
+from scenegen.errors import DatasetError, StoreError, printable, short
+from scenegen.files import read_bounded, sha256_of, write_whole
 from scenegen.limits import MOST_DEPTH, MOST_MANIFEST_BYTES
 from scenegen.run.software import software
 from scenegen.stores import TRIES, ConflictError
@@ -122,7 +122,7 @@ def completed(document: Mapping[str, Any]) -> dict[str, Any]:
 
 def fingerprint(given: Mapping[str, Any]) -> str:
     """A digest of `parameters`, the same for the same dataset."""
-    return hashlib.sha256(json.dumps(given, sort_keys=True).encode()).hexdigest()
+    return sha256_of(json.dumps(given, sort_keys=True).encode())
 
 
 def differing(given: Mapping[str, Any], others: Iterable[Mapping[str, Any]]) -> list[str]:
@@ -147,27 +147,23 @@ def differences(there: Mapping[str, Any], asked: Mapping[str, Any], prefix: str 
 def _said(value: Any) -> str:
     """A parameter as JSON writes it, cut where it is long."""
     text = json.dumps(value)
-    return text if len(text) <= MOST_TOLD else f"{text[: MOST_TOLD - 3]}..."
+    return text if len(text) <= MOST_SHOWN else f"{text[: MOST_SHOWN - 3]}..."
 
 
 def assemble(
     given: Mapping[str, Any], reports: Sequence["ShardReport"], *, complete: bool
 ) -> dict[str, Any]:
     """The manifest of the shards reported, in order."""
-    worlds: Counter[str] = Counter()
-    viewpoints: Counter[str] = Counter()
-    for report in reports:
-        worlds.update(report.rejected.worlds)
-        viewpoints.update(report.rejected.viewpoints)
-    digest = hashlib.sha256(b"".join(report.digests for report in reports)).hexdigest()
+    rejected = {
+        what: sum((getattr(report.rejected, what) for report in reports), Counter[str]())
+        for what in ("worlds", "viewpoints")
+    }
+    digest = sha256_of(b"".join(report.digests for report in reports))
     return {
         **given,
         "complete": complete,
         "shards": [report.entry() for report in reports],
-        "rejected": {
-            "worlds": dict(sorted(worlds.items())),
-            "viewpoints": dict(sorted(viewpoints.items())),
-        },
+        "rejected": {what: dict(sorted(counts.items())) for what, counts in rejected.items()},
         "digest": digest if complete else None,
     }
 

@@ -2,7 +2,6 @@
 readers and checks walk."""
 
 import dataclasses
-import hashlib
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping
@@ -15,8 +14,8 @@ from lidarsim.noise import STAGES
 from lidarsim.parameters import MOST_RAYS
 from lidarsim.sensors.table import MOST_AXES, MOST_MADE_BY, most_bytes, read_npy
 from scenegen.dataset.rules import DIGEST, Rule, check, made, text
-from scenegen.errors import BrokenError, DatasetError, printable, short
-from scenegen.files import read_bounded, write_whole
+from scenegen.errors import BrokenError, DatasetError, printable, raised_as, short
+from scenegen.files import read_bounded, sha256_of, write_whole
 from scenegen.limits import MOST_CLASSES, MOST_RAYS_IN_SAMPLE, MOST_VOXELS
 from scenegen.sample import Schema
 from scenegen.worlds.mapping import Known, Mapper
@@ -143,11 +142,14 @@ def sensor_of(entry: Mapping[str, Any], folder: Path, name: str = RAYS) -> Senso
     expected = (*entry["shape"], 4)
     try:
         content = read_bounded(folder / name, most_bytes(math.prod(entry["shape"])))
-        if hashlib.sha256(content).hexdigest() != entry["sha256"]:
+        if sha256_of(content) != entry["sha256"]:
             raise ValueError("is not the file whose sha256 the manifest's lidar names")
         rays = read_npy(content)
-        if rays.shape != expected:
-            raise ValueError(f"has shape {rays.shape}, the manifest's lidar names {expected}")
+        if rays.shape != expected or rays.dtype.str != "<f8":
+            raise ValueError(
+                f"has shape {rays.shape} of {rays.dtype}, the manifest's lidar names {expected} of "
+                "float64"
+            )
         return BeamTable(rays=rays, max_range_m=entry["max_range_m"], made_by=entry["made_by"])
     except FileNotFoundError:
         raise BrokenError(
@@ -208,10 +210,8 @@ def noise_of(entry: Mapping[str, Any] | None, max_range_m: float) -> "Noise":
 
     if entry is None:
         return Noise()
-    try:
+    with raised_as(BrokenError, f"noise.stages = {short(entry['stages'])}: "):
         found = Noise.parse(entry["stages"])
-    except ValueError as error:
-        raise BrokenError(f"noise.stages = {short(entry['stages'])}: {printable(error)}") from None
     again = noise_entry(found, max_range_m)
     if again and again["bound_m"] != entry["bound_m"]:
         raise BrokenError(
@@ -241,10 +241,8 @@ def _read_mapping(entry: Any, before: Mapping[str, Any]) -> Mapper:
     shape, reach = sensor.get("shape"), sensor.get("max_range_m")
     if "sensor" not in sensor:
         shape, reach = (raster := Lidar(**sensor)).shape, raster.max_range_m
-    try:
+    with raised_as(BrokenError):
         mapping.check_reach(before["grid"], reach, math.prod(shape), MOST_RAYS_IN_SAMPLE)
-    except ValueError as error:
-        raise BrokenError(str(error)) from None
     return mapping
 
 

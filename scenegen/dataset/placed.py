@@ -1,10 +1,9 @@
 """Shards that are written elsewhere: what a job notes of its own, and what lies beside each in a
 store."""
 
-import hashlib
 import json
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from scenegen.dataset.shard import ShardReport, ShardTask, read_report, write_sh
 from scenegen.dataset.trust import Entry
 from scenegen.draw import Rejections
 from scenegen.errors import BrokenError, DatasetError
-from scenegen.files import read_bounded, write_whole
+from scenegen.files import read_bounded, sha256_of, write_whole
 from scenegen.limits import MOST_MANIFEST_BYTES, MOST_SAMPLES_IN_SHARD
 from scenegen.stores import Object, StorePath
 
@@ -27,7 +26,7 @@ def write_note(
 ) -> None:
     """Write down the `reports` of a job that sees to the shards `part`, of the dataset whose
     parameters have the digest `parameters`."""
-    name = hashlib.sha256("\n".join(path.name for path in part).encode()).hexdigest()[:12]
+    name = sha256_of("\n".join(path.name for path in part).encode())[:12]
     shards = [report.entry() for report in reports]
     content = json.dumps({"parameters": parameters, "shards": shards}, indent=1) + "\n"
     write_whole(folder / f"dataset.part-{name}.json", content.encode())
@@ -67,9 +66,11 @@ def write_placed(spec: ShardTask) -> ShardReport:
     return report
 
 
-def look(folder: Path, tasks: Sequence[tuple[ShardTask, Entry | None]]) -> list[ShardReport]:
-    """Reports of those shards, each with what the manifest lists of it, that are at the place
-    `folder` as they should.
+def look(
+    folder: Path, tasks: Sequence[tuple[ShardTask, Entry | None]]
+) -> Generator[ShardReport | None, None, None]:
+    """The reports of shards, each with what the manifest lists of it, at the place `folder`; None
+    for one that is not as it should be.
 
     Objects that are those which a report beside them was written for are taken as they are: stores
     keep what they took. Any other shard is read, and removed where it is damaged. Raises
@@ -96,7 +97,7 @@ def look(folder: Path, tasks: Sequence[tuple[ShardTask, Entry | None]]) -> list[
     from concurrent.futures import ThreadPoolExecutor  # importing it takes time
 
     with ThreadPoolExecutor(AT_A_TIME) as pool:
-        return [report for report in pool.map(one, tasks) if report is not None]
+        yield from pool.map(one, tasks)
 
 
 SUMS = ("sha256", "worlds_sha256")

@@ -3,7 +3,7 @@ come from."""
 
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from functools import cached_property, partial
 from io import BufferedReader
 from pathlib import Path
@@ -16,7 +16,7 @@ from scenegen import SPLITS
 from scenegen.dataset import trust
 from scenegen.dataset.archive import DOCUMENT, open_archive
 from scenegen.dataset.layout import ShardFile, check_sum, open_file, open_shard
-from scenegen.errors import BrokenError, DatasetError, SceneError, short
+from scenegen.errors import BrokenError, DatasetError, SceneError, raised_as, short
 from scenegen.sample import Sample, derive_free, derive_tudf, html_table
 
 if TYPE_CHECKING:  # which imports MuJoCo
@@ -26,6 +26,12 @@ if TYPE_CHECKING:  # which imports MuJoCo
 MOST_OPEN = 64
 """Shards that a reader keeps open in one process; a large dataset has more than a process may
 open."""
+
+
+def advised(folder: Path) -> AbstractContextManager[None]:
+    """Say of a broken file of the dataset in `folder` where it is, and what to do about it."""
+    advice = "; copy the dataset again, or generate it"
+    return raised_as(DatasetError, f"{folder}/", advice, of=BrokenError)
 
 
 class Rows(NamedTuple):
@@ -52,7 +58,7 @@ class Dataset:
         self.checked = checked
         self._sound: set[str] = set()
         self.manifest = trust.load(self.folder)
-        with self._advice():
+        with advised(self.folder):
             self.grid, self.lidar = self.manifest.grid, self.manifest.lidar
             self.settings = self.manifest.settings
             """Sensor, mapping and noise of each of the datasets that its samples were made for;
@@ -92,7 +98,7 @@ class Dataset:
         for shard, own in self._shards_before(split, number):
             member = f"{own:06d}.xml"
             with (
-                self._advice(),
+                advised(self.folder),
                 self._open(shard.worlds, shard.worlds_sha256) as file,
                 open_archive(file, shard.worlds) as members,
             ):
@@ -149,7 +155,7 @@ class Dataset:
         """An open shard, of this dataset by its own word."""
         path = self.folder / entry.file
         home = self.manifest.home(entry)
-        with self._advice():
+        with advised(self.folder):
             file = self._open(entry.file, entry.sha256)
             shard = open_shard(file, path, entry.samples, home.layout)
             shard.check_origin(
@@ -171,16 +177,6 @@ class Dataset:
                 raise
             self._sound.add(name)
         return file
-
-    @contextmanager
-    def _advice(self) -> Iterator[None]:
-        """Say of a broken file where it is, and what to do about it."""
-        try:
-            yield
-        except BrokenError as error:
-            raise DatasetError(
-                f"{self.folder}/{error}; copy the dataset again, or generate it"
-            ) from None
 
 
 class Split(Sequence[Sample]):
@@ -217,7 +213,7 @@ class Split(Sequence[Sample]):
         """Raise DatasetError unless sample `index` has the digest that stands beside it; `free` and
         `tudf` have no part in that."""
         number, row = self._place(index)
-        with self.dataset._advice():
+        with advised(self.dataset.folder):
             self._shard(number).check(row)
 
     def __iter__(self) -> Iterator[Sample]:
@@ -265,7 +261,7 @@ class Split(Sequence[Sample]):
         fields. Raises DatasetError."""
         it, shard = self.dataset, self._shard(number)
         home = it.manifest.home(self.shards[number])
-        with it._advice():
+        with advised(it.folder):
             if name in home.fields:
                 value = shard.value(name, row)
                 return value + self.first_worlds[number] if name == "world" else value
@@ -274,10 +270,8 @@ class Split(Sequence[Sample]):
             ranges = [getattr(sample, one) for one in sample.names if one.endswith("ranges")]
             if not np.isfinite(sample.origin).all() or not all((it >= 0).all() for it in ranges):
                 raise BrokenError(f"{shard.name}: sample {row}: origin or ranges are no lengths")
-            try:
+            with raised_as(BrokenError, f"{shard.name}: sample {row}: "):
                 return derive_free(sample.scans(), sample.origin, grid=it.grid, fusion=home.mapping)
-            except ValueError as error:
-                raise BrokenError(f"{shard.name}: sample {row}: {error}") from None
 
     @cached_property
     def first_worlds(self) -> list[int]:
@@ -297,7 +291,7 @@ class Split(Sequence[Sample]):
             start = entry.start
             if entry.cut:
                 shard = self._shard(number)
-                with self.dataset._advice():
+                with advised(self.dataset.folder):
                     numbering = self.dataset.manifest.home(entry).numbering(self.name)
                     places: NDArray[np.int64] = numbering.place(
                         shard.column("world"), shard.column("viewpoint")
@@ -310,7 +304,7 @@ class Split(Sequence[Sample]):
         between others. Raises DatasetError."""
         found = [np.empty(0, np.int64)]
         for number, entry in enumerate(self.shards):
-            with self.dataset._advice():
+            with advised(self.dataset.folder):
                 numbering = self.dataset.manifest.home(entry).numbering(self.name)
             found.append(
                 np.unique(numbering.name(self.places(number))[0]) + self.first_worlds[number]
@@ -327,7 +321,7 @@ class Split(Sequence[Sample]):
         found = []
         for number in range(len(self.shards)):
             shard = self._shard(number)
-            with self.dataset._advice():
+            with advised(self.dataset.folder):
                 worlds = (shard.column("world") + self.first_worlds[number]).tolist()
                 viewpoints = shard.column("viewpoint").tolist()
             found += [

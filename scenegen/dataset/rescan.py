@@ -28,7 +28,7 @@ from scenegen.draw import (
     scans_from,
     truth_of,
 )
-from scenegen.errors import DatasetError, GenerationError, printable, short
+from scenegen.errors import DatasetError, GenerationError, raised_as, short
 from scenegen.files import real_path
 from scenegen.recipe import Recipe
 from scenegen.run.software import software
@@ -148,12 +148,8 @@ class Archived:
         """Poses of the sensor, by the samples' places in their split: of each its own, and those
         before it, the last one first. Raises DatasetError."""
         found = self.dataset.split(split)
-        try:
+        with raised_as(DatasetError, f"{self.folder}: {split} sample: ", "; verify the dataset"):
             return [[scan.pose for scan in found[place].scans()] for place in samples]
-        except ValueError as error:
-            raise DatasetError(
-                f"{self.folder}: {split} sample: {printable(error)}; verify the dataset"
-            ) from None
 
 
 @dataclass(frozen=True)
@@ -216,13 +212,11 @@ def plan_rescan(
         )
     engine = engine or found.engine
     find_engine(engine)
-    try:
+    with raised_as(DatasetError):
         mapper = replace(found.mapping, **(mapping or {}))
         recipe: Recipe = replace(
             found.recipe, lidar=lidar or found.lidar, noise=chain or Noise(), mapping=mapper
         )
-    except ValueError as error:
-        raise DatasetError(printable(error)) from None
     if real_path(folder) == real_path(dataset.folder):
         raise DatasetError(f"{folder}: is the dataset itself; choose another folder with --out")
     left = {name: it for name, it in found.parameters.items() if name not in (*NAMES, "engine")}

@@ -1,7 +1,6 @@
 """A shard: the unit of work, of writing and of recovery. One file of samples and one archive of
 their worlds."""
 
-import hashlib
 import io
 import json
 import os
@@ -24,8 +23,8 @@ from scenegen.dataset.hdf5 import tells, with_index
 from scenegen.dataset.layout import DIGEST, Layout, open_file, open_shard
 from scenegen.dataset.trust import Entry
 from scenegen.draw import Rejections, Unit, compile_truth, draw_unit
-from scenegen.errors import BrokenError, DatasetError, printable
-from scenegen.files import write_whole
+from scenegen.errors import BrokenError, DatasetError, raised_as
+from scenegen.files import sha256_in, sha256_of, write_whole
 from scenegen.recipe import Recipe
 from scenegen.run.workers import START, Worker
 from scenegen.sample import DERIVED, FIELDS
@@ -40,10 +39,8 @@ _FIRST = 4
 
 def find_engine(name: str) -> EngineFactory:
     """What makes the engine called `name`. Raises DatasetError for one that is not to be had."""
-    try:
+    with raised_as(DatasetError):
         engine = ENGINES.find(name)
-    except ValueError as error:
-        raise DatasetError(printable(error)) from None
     if missing := getattr(engine, "missing", str)():  # what some engines say before the work begins
         raise DatasetError(f"the engine {name} {missing}")
     found: EngineFactory = engine.of
@@ -204,17 +201,16 @@ def put(
             DIGEST, data=np.frombuffer(own, np.uint8).reshape(-1, 32), chunks=(1, 32)
         )
         worlds = zip_reproducibly(documents.items())
-        counted = {"worlds": rejected.worlds, "viewpoints": rejected.viewpoints}
         file.attrs["split"] = spec.split
         file.attrs["first_world"] = min(spec.numbers)
-        file.attrs["worlds_sha256"] = file_digest(worlds)
+        file.attrs["worlds_sha256"] = sha256_of(worlds)
         file.attrs["parameters"] = spec.parameters
-        file.attrs["rejected"] = json.dumps(counted, sort_keys=True)
+        file.attrs["rejected"] = json.dumps(vars(rejected), sort_keys=True)
         file.flush()
         content = with_index(file.id.get_file_image(), file, spec.samples)
     write_whole(spec.worlds_file, worlds)
     write_whole(spec.file, content)
-    sums = file_digest(content), file_digest(worlds)
+    sums = sha256_of(content), sha256_of(worlds)
     return _report(spec, sums, len(content) + len(worlds), rejected, own)
 
 
@@ -264,11 +260,6 @@ def compress(values: NDArray[Any]) -> bytes:
     return first + stream.compress(raw[_FIRST:]) + stream.flush()
 
 
-def file_digest(content: bytes) -> str:
-    """SHA-256 of a whole file, in hexadecimal."""
-    return hashlib.sha256(content).hexdigest()
-
-
 def read_report(
     spec: ShardTask, listed: Entry | None = None, *, verify: bool = False
 ) -> ShardReport | None:
@@ -285,10 +276,7 @@ def read_report(
             if not tells(file.fileno()):  # nothing is lost, but it is not the file that was written
                 return None
             size = sum(os.fstat(each.fileno()).st_size for each in (file, worlds))
-            sums = (
-                hashlib.file_digest(file, "sha256").hexdigest(),
-                hashlib.file_digest(worlds, "sha256").hexdigest(),
-            )
+            sums = sha256_in(file), sha256_in(worlds)
             shard.check_origin(
                 split=spec.split,
                 first_world=min(spec.numbers),
@@ -317,7 +305,7 @@ def relabel(spec: ShardTask, old: str, listed: Entry) -> None:
             content = file.read()
     except (BrokenError, OSError):
         return
-    if file_digest(content) == listed.sha256 and content.count(old.encode()) == 2:
+    if sha256_of(content) == listed.sha256 and content.count(old.encode()) == 2:
         write_whole(spec.file, content.replace(old.encode(), spec.parameters.encode()))
 
 

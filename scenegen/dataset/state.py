@@ -3,7 +3,6 @@ manifest says of it."""
 
 import contextlib
 import fnmatch
-import hashlib
 import json
 import math
 import re
@@ -21,7 +20,7 @@ from scenegen.dataset.parts import tables_of, write_rays
 from scenegen.dataset.placed import read_notes, remove_notes, write_note
 from scenegen.dataset.shard import ARCHIVE, ShardReport, ShardTask, read_report, relabel
 from scenegen.errors import BrokenError, DatasetError
-from scenegen.files import disk_error, names_in, open_bounded, remove_drafts
+from scenegen.files import disk_told, names_in, open_bounded, remove_drafts, sha256_of
 from scenegen.run.workers import run
 from scenegen.stores import StorePath
 
@@ -85,11 +84,9 @@ class State:
     def _read(self) -> Mapping[str, trust.Entry] | None:
         """The shards that the manifest of this dataset lists, by file; None where there is none."""
         folder = self.plan.folder
-        try:
+        with disk_told(folder):
             if not folder.exists():
                 return None
-        except OSError as error:
-            raise disk_error(folder, error) from None
         if not folder.is_dir():
             raise DatasetError(
                 f"{folder}: is a file, expected a folder; choose another one with --out"
@@ -161,21 +158,15 @@ class State:
         unknown = [
             shard for shard in shards if shard.file not in self.reports and shard.file.name in there
         ]
-        listed = self._listed
-        if isinstance(self.plan.folder, StorePath):
-            tasks = [(shard, listed.get(shard.file.name)) for shard in unknown]
-            self.reports |= {
-                self.plan.folder / report.file: report
-                for report in placed.look(self.plan.folder, tasks)
-            }
-            return
-        noted = read_notes(self.plan.folder, manifest.fingerprint(self.plan.parameters))
-        listed = {**noted, **listed}
+        folder, stored = self.plan.folder, isinstance(self.plan.folder, StorePath)
+        noted = {} if stored else read_notes(folder, manifest.fingerprint(self.plan.parameters))
+        listed = {**noted, **self._listed}
         tasks = [(shard, listed.get(shard.file.name)) for shard in unknown]
-        with closing(run(_report, tasks, workers if len(tasks) >= MANY else 1)) as reports:
-            self.reports |= {
-                self.plan.folder / report.file: report for report in reports if report is not None
-            }
+        several = workers if len(tasks) >= MANY else 1
+        with closing(
+            placed.look(folder, tasks) if stored else run(_report, tasks, several)
+        ) as found:
+            self.reports |= {folder / report.file: report for report in found if report is not None}
 
     def open(self) -> None:
         """Make the folder ready for shards, and touch nothing but the dataset that `force`
@@ -184,16 +175,13 @@ class State:
         Raises DatasetError where a file stands in the way that is of neither.
         """
         folder = self.plan.folder
-        try:
+        with disk_told(folder):
             folder.mkdir(parents=True, exist_ok=True)
-            there = names_in(
-                folder
-            )  # listed first: what comes later is another job's, and this dataset's
+            # listed first: what comes later is another job's, and this dataset's
+            there = names_in(folder)
             self._listed = self._read()
             remove_drafts(folder)
             former = [] if self.begun else _former(folder, there)
-        except OSError as error:
-            raise disk_error(folder, error) from None
         if not self.begun:
             planned = {
                 path.name for shard in self.plan.shards for path in (shard.file, shard.worlds_file)
@@ -314,14 +302,12 @@ def _former(folder: Path, names: set[str]) -> list[str]:
         if name == samples:
             known = any(owner in content for owner in owners)
         elif samples in names:
-            known = samples in found and hashlib.sha256(content).hexdigest().encode() in _content(
-                folder / samples
-            )
+            known = samples in found and sha256_of(content).encode() in _content(folder / samples)
         else:  # whose writer was killed before it put the samples beside them
             known = content.startswith(ARCHIVE)
         found |= {name} if known else set()
     for name in fnmatch.filter(names, "rays*.npy"):
-        found |= {name} if hashlib.sha256(_content(folder / name)).hexdigest() in said else set()
+        found |= {name} if sha256_of(_content(folder / name)) in said else set()
     return sorted(found, reverse=True)
 
 

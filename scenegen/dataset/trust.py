@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 from lidarsim import GridSpec, Sensor
 from lidarsim.engines import MUJOCO
@@ -58,6 +58,8 @@ if TYPE_CHECKING:  # which imports what draws worlds
 
 MINOR = tuple(name for name, since in manifest.SINCE.items() if since != "1")
 """Entries that raise a manifest's version."""
+BEFORE: dict[str, Any] = {"generator": 1, "engine": MUJOCO, **dict.fromkeys(MINOR)}
+"""What a manifest says by not naming it."""
 _COUNT = whole(0, MOST_SAMPLES)
 _ABSENT = Rule(lambda value: value is None, "none")
 _SOURCE = {"digest": optional(DIGEST), "parameters": TABLE, "taken": LIST}
@@ -163,9 +165,9 @@ class Manifest:
         return sensor_of(entry, self.folder, self.rays.get(entry.get("sha256"), ""))
 
     @property
-    def homes(self) -> Sequence[Self]:
+    def homes(self) -> tuple["Manifest", ...]:
         """What its samples were made for: its `sources`, or this dataset."""
-        return [one for one in self.sources if isinstance(one, type(self))] or [self]
+        return self.sources or (self,)
 
     @property
     def settings(self) -> tuple[tuple[Sensor, Mapper, str], ...]:
@@ -265,9 +267,7 @@ def parse(document: Mapping[str, Any], folder: Path, named: str | None = None) -
 
     Raises BrokenError with what is wrong, where, and what was expected.
     """
-    found: dict[str, Any] = {"generator": 1, "engine": MUJOCO, **dict.fromkeys(MINOR)} | dict(
-        document
-    )
+    found = BEFORE | dict(document)
     plain = checked(Manifest, found, "")
     check(found, {"shards": LIST, "fields": LIST, "recipe": TABLE}, "")
     check(found, {"sources": optional(SOURCES_RULE)}, "")
@@ -341,7 +341,7 @@ def _sources(found: Mapping[str, Any], folder: Path) -> tuple[Manifest, ...]:
     for n, entry in enumerate(found["sources"] or ()):
         at = f"sources.{n}"
         check(entry, _SOURCE, at, _SOURCE)
-        given = {"generator": 1, "engine": MUJOCO, **dict.fromkeys(MINOR)} | entry["parameters"]
+        given = BEFORE | entry["parameters"]
         check(given, {"sources": _ABSENT}, f"{at}.parameters")
         every.append(given)
         for name in manifest.differing(found, [given]):

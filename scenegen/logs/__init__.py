@@ -1,14 +1,15 @@
 """Logs: the scans of one drive or flight, with the pose of the sensor at each.
 
 `cruise` flies through a world, `record` scans it, and `write` puts the log on disk. `read` reads
-logs, also of real sensors, from `clouds` and `poses`, and `fuse` makes maps of them.
+logs, also of real sensors, by `scenegen.clouds` and `scenegen.poses`, and `fuse` makes maps of
+them.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from lidarsim.parameters import check, number
+from lidarsim.parameters import Checked, check, number
 from scenegen.limits import MOST_PLACE_VOXELS
 
 if TYPE_CHECKING:  # commands take their options from here, and none of these
@@ -34,7 +35,7 @@ class LogScan:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cruise:
+class Cruise(Checked):
     """How a sensor flies while it records a log."""
 
     length_m: float = number(100.0, above=0, most=1e5)
@@ -47,9 +48,6 @@ class Cruise:
     yaw_rate_deg_s: float = number(60.0, above=0, most=360)
     """The most that the body turns, degrees a second. It looks along the flight as far as this lets
     it."""
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,17 +22,10 @@ ROUNDS = 3
 """How often corners are cut: every time, new points halve the way from one corner to the next."""
 
 
-def cruise_poses(
-    world: World | Place,
-    cruise: Cruise,
-    period_s: float,
-    *,
-    seed: int,
-    flight: Flight | None = None,
-) -> list[Pose]:
+def cruise_poses(world: World | Place, cruise: Cruise, period_s: float, *, seed: int) -> list[Pose]:
     """Level poses, `period_s` seconds apart, along a long random flight through a world.
 
-    The flight joins paths of RRT whose corners are cut by B-spline subdivision where `flight`'s
+    The flight joins paths of RRT whose corners are cut by B-spline subdivision where a `Flight`'s
     clearance allows (OMPL's `PathSimplifier`). It is then averaged over two radii of the robot, by
     a triangle, which moves no point by more than two thirds of the radius: a third of the clearance
     is kept.
@@ -40,7 +33,7 @@ def cruise_poses(
     Raises:
         GenerationError: No flight fits.
     """
-    flight, rng = flight or Flight(), np.random.default_rng(seed)
+    flight, rng = Flight(), np.random.default_rng(seed)
     path = _tour(world, flight, cruise.length_m, rng=rng)
     ends = np.append(0.0, np.cumsum(np.sqrt((np.diff(path, axis=0) ** 2).sum(axis=1))))
     flown = np.arange(0.0, cruise.length_m, FINE_M)

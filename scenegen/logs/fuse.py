@@ -1,7 +1,6 @@
 """Maps of a log, made by following every ray of every scan; and some of its scans beside the truth
 that all of them tell."""
 
-import hashlib
 import json
 import math
 import shutil
@@ -22,13 +21,14 @@ from lidarsim.jit import kernel
 from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.pose import rotate
 from lidarsim.voxelize import sort_points, unknown_grid
-from scenegen.errors import DatasetError
-from scenegen.files import check_free, disk_error, make_parent
-from scenegen.limits import MOST_ASSET_BYTES, MOST_PLACE_VOXELS
+from scenegen.errors import DatasetError, SceneError
+from scenegen.files import check_free, disk_told, make_parent, sha256_of, write_whole
+from scenegen.limits import MOST_PLACE_VOXELS
 from scenegen.logs import Fusing, LogScan
-from scenegen.logs.poses import between
 from scenegen.logs.read import Log
+from scenegen.poses import between
 from scenegen.truth.voxels import resample
+from scenegen.worlds.place import box_of, encode_npz
 
 THREADS = 2
 """Threads that follow rays, each in a window of the map; a third adds the windows up."""
@@ -82,27 +82,27 @@ def ingest(
         What was found, counted.
 
     Raises:
-        DatasetError: A cloud cannot be read, the log says nothing, a map's file is too large, the
-            disk refuses, there is something at `out`, or another log's work goes on there.
+        DatasetError: A cloud cannot be read, the log says nothing, the disk refuses, there is
+            something at `out`, or another log's work goes on there.
+        SceneError: A map's file is too large.
     """
     check_free(out)
     make_parent(out)
     unfinished = out.with_name(f"{out.name}.part")
     state = _State.begun(unfinished, log, how)
-    try:
-        on_scan(state.scan)
-        counts = _write(log, unfinished, how, state, on_scan)
-        for path in unfinished.glob(f"{PROGRESS}*"):
-            path.unlink()
-        check_free(out)
-        unfinished.rename(out)
-    except _UnreadableError:
-        raise
-    except DatasetError:
-        shutil.rmtree(unfinished)
-        raise
-    except OSError as error:
-        raise disk_error(out, error) from None
+    with disk_told(out):
+        try:
+            on_scan(state.scan)
+            counts = _write(log, unfinished, how, state, on_scan)
+            for path in unfinished.glob(f"{PROGRESS}*"):
+                path.unlink()
+            check_free(out)
+            unfinished.rename(out)
+        except _UnreadableError:
+            raise
+        except (DatasetError, SceneError):
+            shutil.rmtree(unfinished)
+            raise
     return counts
 
 
@@ -129,7 +129,7 @@ class _State:
         """What was saved in `folder`, or a beginning, for which it is made. Raises DatasetError
         where it is not of this log."""
         poses = [[*pose.position, *pose.quaternion] for pose in log.poses]
-        key = hashlib.sha256(f"{how} {log.times_s.tolist()} {poses}".encode()).hexdigest()
+        key = sha256_of(f"{how} {log.times_s.tolist()} {poses}".encode())
         file, counts = folder / PROGRESS, Counter(scans_without_pose=log.without_pose)
         state = cls(file, key, 0, counts, NOTHING, time.monotonic())
         if not file.exists():
@@ -172,16 +172,8 @@ def _write(
             continue
         kept = {n: out / "observations" / f"{n:06d}.npz" for n in part[:: how.every]}
         place = _fused(log, scans, part, how, state, kept, on_scan)
-        path = out / f"place-{number:03d}.npz"
-        _put(
-            path,
-            np.savez_compressed,
-            states=place.states,
-            voxel_m=np.float64(place.voxel_m),
-            origin=place.origin,
-        )
-        if path.stat().st_size > MOST_ASSET_BYTES:
-            raise DatasetError(f"{path.name}: a map of too many bytes for a file; raise --voxel")
+        name = f"place-{number:03d}.npz"
+        write_whole(out / name, encode_npz(place, name))
         for observation in kept.values():
             _observe(observation, place)
         counts["maps"] += 1
@@ -252,11 +244,10 @@ def _fused(
         if time.monotonic() - state.saved_s > SAVE_EVERY_S and n + 1 < part.stop:
             state.save()
     state.told = NOTHING
-    moved, box = _settle(hits, misses, how.moved_share)
-    counts["moved_voxels"] += int(moved)
-    if not box[1].all():
+    counts["moved_voxels"] += int(_settle(hits, misses, how.moved_share))
+    (i, j, k), (a, b, c) = box = box_of(hits != UNKNOWN)
+    if not a:
         raise DatasetError("no scan of the log has a return that its maps reach")
-    (i, j, k), (a, b, c) = box
     states = np.ascontiguousarray(hits[i:a, j:b, k:c])
     return VoxelMap(states, how.voxel_m, (first + box[0]) * how.voxel_m)
 
@@ -356,11 +347,9 @@ def _count(hits, misses, least, observed, free):
 
 @kernel
 def _settle(hits, misses, moved_share):
-    """Write each voxel's state into `hits`. Gives how many voxels something has moved out of, and
-    the box of what is known, (2, 3)."""
+    """Write each voxel's state into `hits`. Gives how many voxels something has moved out of."""
     nx, ny, nz = hits.shape
-    moved, box = 0, np.zeros((2, 3), np.int64)
-    box[0] = nx, ny, nz
+    moved = 0
     for i in range(nx):
         for j in range(ny):
             for k in range(nz):
@@ -371,10 +360,7 @@ def _settle(hits, misses, moved_share):
                 gone = hit > 0 and hit < moved_share * (hit + miss)
                 moved += gone
                 hits[i, j, k] = FREE if gone or hit == 0 else OCCUPIED
-                for axis, at in enumerate((i, j, k)):
-                    box[0, axis] = min(box[0, axis], at)
-                    box[1, axis] = max(box[1, axis], at + 1)
-    return moved, box
+    return moved
 
 
 def _observe(path: Path, place: VoxelMap) -> None:

@@ -22,7 +22,7 @@ from scenegen.errors import DatasetError, printable
 from scenegen.files import open_bounded, read_bounded
 from scenegen.limits import MOST_HEADER_BYTES, MOST_LOG_BYTES
 from scenegen.logs import LogScan
-from scenegen.logs.poses import Track, chained, inverse, pose_of_matrix, read_numbers, read_poses
+from scenegen.poses import Track, chained, inverse, pose_of_matrix, read_numbers, read_poses
 
 USUAL_S = 0.1
 """From scan to scan, where no times are known."""

@@ -73,8 +73,7 @@ def record(
             more["intensity"] = seen.intensity[hit].astype(np.float32)
         if len(sensor.shape) == 2:
             more["ring"] = np.broadcast_to(rings, hit.shape)[hit].astype(np.uint16)
-        back = at.quaternion * (1.0, -1.0, -1.0, -1.0)
-        yield LogScan(number * every, at, rotate(back, points - at.position), more)
+        yield LogScan(number * every, at, at.to_body(points), more)
 
 
 def _pace(here: Pose, there: Pose, every_s: float, corrected: bool) -> Any:

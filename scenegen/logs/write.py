@@ -1,6 +1,6 @@
 """Logs on disk: in the layout of KITTI's odometry benchmark, or as MCAP with ROS 2 messages."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lidarsim import Pose
 from scenegen.display.exchange.files import encode_points
-from scenegen.files import check_free, make_parent, remove_drafts, whole, whole_folder
+from scenegen.files import check_free, make_way, whole, whole_folder
 from scenegen.logs import LogScan
 
 FRAME, SENSOR = "map", "lidar"
@@ -34,18 +34,26 @@ def write_log(out: Path, scans: Iterable[LogScan]) -> dict[str, int]:
     Raises:
         DatasetError: There is something at `out` already, or the disk refuses.
     """
+    counts = {"scans": 0, "returns": 0}
+
+    def counted() -> Iterator[LogScan]:
+        for scan in scans:
+            yield scan
+            counts["scans"] += 1
+            counts["returns"] += len(scan.points)
+
     if out.suffix != ".mcap":
         with whole_folder(out) as folder:
-            return _write_kitti(folder, scans)
-    check_free(out)
-    make_parent(out)
-    remove_drafts(out.parent, out.name)
-    with whole(out) as draft, open(draft, "r+b") as file:
-        return _write_mcap(file, scans)
+            _write_kitti(folder, counted())
+    else:
+        check_free(out)
+        make_way(out)
+        with whole(out) as draft, open(draft, "r+b") as file:
+            _write_mcap(file, counted())
+    return counts
 
 
-def _write_kitti(folder: Path, scans: Iterable[LogScan]) -> dict[str, int]:
-    counts = {"scans": 0, "returns": 0}
+def _write_kitti(folder: Path, scans: Iterable[LogScan]) -> None:
     lines = dict[str, list[str]](times=[], poses=[], tum=[])
     (folder / "velodyne").mkdir()
     (folder / "calib.txt").write_text(CALIBRATION)
@@ -56,10 +64,8 @@ def _write_kitti(folder: Path, scans: Iterable[LogScan]) -> dict[str, int]:
         lines["times"].append(_line([scan.time_s]))
         lines["poses"].append(_line(matrix_of(scan.pose)[:3].reshape(-1)))
         lines["tum"].append(_line([scan.time_s, *scan.pose.position, *vector, w]))
-        counts = {"scans": number + 1, "returns": counts["returns"] + len(scan.points)}
     for name, file in zip(lines, ("times.txt", "poses.txt", "poses.tum"), strict=True):
         (folder / file).write_text("".join(lines[name]))
-    return counts
 
 
 def _line(numbers: Iterable[float]) -> str:
@@ -74,12 +80,11 @@ def matrix_of(pose: Pose) -> NDArray[np.float64]:
     return matrix
 
 
-def _write_mcap(file: Any, scans: Iterable[LogScan]) -> dict[str, int]:
+def _write_mcap(file: Any, scans: Iterable[LogScan]) -> None:
     from mcap_ros2.writer import Writer
 
     from scenegen.display.exchange.recordings import CLOUD, DEFINITIONS, TRANSFORMS, cloud_message
 
-    counts = {"scans": 0, "returns": 0}
     writer = Writer(file)
     kinds = {name: writer.register_msgdef(name, DEFINITIONS[name]) for name in (TRANSFORMS, CLOUD)}
     for number, scan in enumerate(scans):
@@ -101,6 +106,4 @@ def _write_mcap(file: Any, scans: Iterable[LogScan]) -> dict[str, int]:
         }
         for topic, (kind, message) in messages.items():
             writer.write_message(topic, kinds[kind], message, log_time=when, sequence=number)
-        counts = {"scans": number + 1, "returns": counts["returns"] + len(scan.points)}
     writer.finish()
-    return counts

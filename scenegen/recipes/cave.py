@@ -2,7 +2,6 @@
 rocks."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +24,8 @@ class Cave(WorldKind):
     they are drawn, each to the nearest before it, and a few more tunnels close loops or end dead,
     as in the worlds of the DARPA Subterranean Challenge, whose tunnels are 2 to 6 m wide."""
 
-    version: ClassVar[int] = 1
-    graded: ClassVar[dict[str, dict[str, object]]] = {
+    version = 1
+    graded = {
         "easy": {
             "height_m": (4.5, 6.5),
             "rough_m": (0.1, 0.4),
@@ -43,9 +42,9 @@ class Cave(WorldKind):
             "rock_density": (0.06, 0.15),
         },
     }
-    crowded_by: ClassVar[tuple[str, ...]] = ("dripstone_density", "rock_density")
-    classes: ClassVar[tuple[str, ...]] = CLASSES
-    flight_defaults: ClassVar[dict[str, object]] = {
+    crowded_by = ("dripstone_density", "rock_density")
+    classes = CLASSES
+    flight_defaults = {
         "altitude_m": (0.9, 2.4),
         "min_distance_m": 6.0,
         "flights_per_world": 6,

@@ -1,7 +1,6 @@
 """Clouds of shapes of all sizes, thin to large, as dense as a fractal noise has it."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -22,8 +21,8 @@ class Clutter(WorldKind):
     suites do (ego-planner's by complexity, fill and fractal), so that there are thickets and
     clearings; sizes are scale-free between two bounds."""
 
-    version: ClassVar[int] = 1
-    graded: ClassVar[dict[str, dict[str, object]]] = {
+    version = 1
+    graded = {
         "easy": {
             "density": (0.02, 0.08),
         },
@@ -31,9 +30,9 @@ class Clutter(WorldKind):
             "density": (0.5, 1.5),
         },
     }
-    crowded_by: ClassVar[tuple[str, ...]] = ("density",)
-    classes: ClassVar[tuple[str, ...]] = CLASSES
-    flight_defaults: ClassVar[dict[str, object]] = {"altitude_m": (1.5, 6.0)}
+    crowded_by = ("density",)
+    classes = CLASSES
+    flight_defaults = {"altitude_m": (1.5, 6.0)}
 
     size_m: tuple[float, float, float] = (40.0, 40.0, 8.0)
     """Extent of the world along x, y and z, metres."""

@@ -1,7 +1,6 @@
 """A forest on uneven ground: trunks that lean and fork, crowns, bushes and fallen trunks."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -18,8 +17,8 @@ class Forest(WorldKind):
     """Trees scattered over hilly ground. Planners' suites have 0.06 trees a square metre (trees 4 m
     apart in YOPO's) to 0.2 (ETH's forest_gen); most worlds here lie between."""
 
-    version: ClassVar[int] = 1
-    graded: ClassVar[dict[str, dict[str, object]]] = {
+    version = 1
+    graded = {
         "easy": {
             "density": (0.01, 0.04),
             "bush_density": (0.0, 0.02),
@@ -31,9 +30,9 @@ class Forest(WorldKind):
             "fallen_density": (0.01, 0.03),
         },
     }
-    crowded_by: ClassVar[tuple[str, ...]] = ("density", "bush_density")
-    classes: ClassVar[tuple[str, ...]] = CLASSES
-    flight_defaults: ClassVar[dict[str, object]] = {"altitude_m": (2.0, 4.5)}
+    crowded_by = ("density", "bush_density")
+    classes = CLASSES
+    flight_defaults = {"altitude_m": (2.0, 4.5)}
 
     size_m: tuple[float, float, float] = (40.0, 40.0, 12.0)
     """Extent of the world along x, y and z, metres."""

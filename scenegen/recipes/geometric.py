@@ -2,7 +2,6 @@
 clutter between them."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -26,8 +25,8 @@ class Geometric(WorldKind):
     it gives no figures, so these are calibrated: docs/results/calibration.md.
     """
 
-    version: ClassVar[int] = 2
-    graded: ClassVar[dict[str, dict[str, object]]] = {
+    version = 2
+    graded = {
         "easy": {
             "density": (0.002, 0.05),
             "wall_density": (0.0, 0.01),
@@ -39,14 +38,14 @@ class Geometric(WorldKind):
             "clutter_density": (0.002, 0.006),
         },
     }
-    crowded_by: ClassVar[tuple[str, ...]] = (
+    crowded_by = (
         "density",
         "wall_density",
         "clutter_density",
         "clutter_count",
     )
-    accept_defaults: ClassVar[dict[str, object]] = {"min_solids": 2.0}
-    flight_defaults: ClassVar[dict[str, object]] = {"altitude_m": (1.5, 4.0)}
+    accept_defaults = {"min_solids": 2.0}
+    flight_defaults = {"altitude_m": (1.5, 4.0)}
 
     size_m: tuple[float, float, float] = (40.0, 40.0, 5.0)
     """Extent of the world along x, y and z, metres; z is how high floating solids may have their

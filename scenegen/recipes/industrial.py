@@ -1,7 +1,6 @@
 """A machine hall or plant: pipes, tanks, machines, catwalks with gratings, stairs and scaffolds."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -21,8 +20,8 @@ class Industrial(WorldKind):
     tubes 48 mm and bays of 2.0 by 0.7 by 2.0 m (EN 12810), catwalks railings of 1.1 m and stairs
     steps of 0.2 by 0.25 m (ISO 14122)."""
 
-    version: ClassVar[int] = 1
-    graded: ClassVar[dict[str, dict[str, object]]] = {
+    version = 1
+    graded = {
         "easy": {
             "bundles": (1.0, 3.0),
             "machine_density": (0.002, 0.008),
@@ -38,9 +37,9 @@ class Industrial(WorldKind):
             "catwalks": (4.0, 8.0),
         },
     }
-    crowded_by: ClassVar[tuple[str, ...]] = ("machine_density", "scaffold_density", "tank_density")
-    classes: ClassVar[tuple[str, ...]] = CLASSES
-    flight_defaults: ClassVar[dict[str, object]] = {"altitude_m": (0.8, 6.0)}
+    crowded_by = ("machine_density", "scaffold_density", "tank_density")
+    classes = CLASSES
+    flight_defaults = {"altitude_m": (0.8, 6.0)}
 
     size_m: tuple[float, float, float] = (40.0, 40.0, 9.0)
     """Extent of the hall along x, y and z, metres."""

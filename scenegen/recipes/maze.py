@@ -2,7 +2,6 @@
 through."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -21,8 +20,8 @@ class Maze(WorldKind):
     wall between joined cells is left out, or has a window or a slit; shelves stand out of some of
     the others. Narrow passages by design: windows are 2 to 4 times as wide as the robot."""
 
-    version: ClassVar[int] = 2
-    graded: ClassVar[dict[str, dict[str, object]]] = {
+    version = 2
+    graded = {
         "easy": {
             "cell_m": (5.5, 7.5),
             "window_m": (1.8, 3.0),
@@ -38,9 +37,9 @@ class Maze(WorldKind):
             "shelf_share": 0.4,
         },
     }
-    crowded_by: ClassVar[tuple[str, ...]] = ("shelf_share",)
-    classes: ClassVar[tuple[str, ...]] = CLASSES
-    flight_defaults: ClassVar[dict[str, object]] = {
+    crowded_by = ("shelf_share",)
+    classes = CLASSES
+    flight_defaults = {
         "altitude_m": (0.6, 6.2),
         "min_distance_m": 4.0,
         "flights_per_world": 6,

@@ -1,7 +1,6 @@
 """Dense upright pillars of varied radius and section, with narrow passages between some of them."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -21,8 +20,8 @@ class Pillar(WorldKind):
     (section "Experiments"); it gives no figures, so these are ours.
     """
 
-    version: ClassVar[int] = 2
-    graded: ClassVar[dict[str, dict[str, object]]] = {
+    version = 2
+    graded = {
         "easy": {
             "density": (0.02, 0.05),
         },
@@ -31,9 +30,9 @@ class Pillar(WorldKind):
             "passage_share": 0.2,
         },
     }
-    crowded_by: ClassVar[tuple[str, ...]] = ("density",)
-    accept_defaults: ClassVar[dict[str, object]] = {"min_solids": 4.0}
-    flight_defaults: ClassVar[dict[str, object]] = {"altitude_m": (3.0, 6.0)}
+    crowded_by = ("density",)
+    accept_defaults = {"min_solids": 4.0}
+    flight_defaults = {"altitude_m": (3.0, 6.0)}
 
     density: Range = (0.05, 0.10)
     """Pillars per square metre; one value a world."""

@@ -1,7 +1,6 @@
 """A storey of a building: rooms and corridors with doors, windows, ceilings and furniture."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -19,8 +18,8 @@ class Rooms(WorldKind):
     a door. Measures are those that building codes and furniture makers use (doors .9 m wide and
     2.0 m high, tables .72 to .78 m, seats .45 m, steps of .17 m)."""
 
-    version: ClassVar[int] = 2
-    graded: ClassVar[dict[str, dict[str, object]]] = {
+    version = 2
+    graded = {
         "easy": {
             "room_m": (5.0, 14.0),
             "door_width_m": (1.2, 1.8),
@@ -35,9 +34,9 @@ class Rooms(WorldKind):
             "furniture_density": (0.12, 0.28),
         },
     }
-    crowded_by: ClassVar[tuple[str, ...]] = ("furniture_density",)
-    classes: ClassVar[tuple[str, ...]] = CLASSES
-    flight_defaults: ClassVar[dict[str, object]] = {
+    crowded_by = ("furniture_density",)
+    classes = CLASSES
+    flight_defaults = {
         "altitude_m": (0.5, 2.2),
         "min_distance_m": 4.0,
         "flights_per_world": 8,

@@ -1,7 +1,6 @@
 """A street: two rows of houses with relief, and what stands, hangs and parks between them."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -21,8 +20,8 @@ class Street(WorldKind):
     gables; widths of lanes and pavements are those of road design manuals (lanes 3.0 to 3.5 m,
     parking 2 m, pavements 2 to 4 m), lamp posts stand 10 to 15 m apart."""
 
-    version: ClassVar[int] = 1
-    graded: ClassVar[dict[str, dict[str, object]]] = {
+    version = 1
+    graded = {
         "easy": {
             "road_m": (9.0, 14.0),
             "tree_density": (0.0, 0.01),
@@ -39,9 +38,9 @@ class Street(WorldKind):
             "car_share": 0.9,
         },
     }
-    crowded_by: ClassVar[tuple[str, ...]] = ("tree_density", "bush_density")
-    classes: ClassVar[tuple[str, ...]] = CLASSES
-    flight_defaults: ClassVar[dict[str, object]] = {"altitude_m": (0.8, 8.0)}
+    crowded_by = ("tree_density", "bush_density")
+    classes = CLASSES
+    flight_defaults = {"altitude_m": (0.8, 8.0)}
 
     size_m: tuple[float, float, float] = (40.0, 40.0, 12.0)
     """Extent of the world along x, y and z, metres."""

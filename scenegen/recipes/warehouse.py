@@ -1,7 +1,6 @@
 """A warehouse: aisles between racks of pallets, conveyors, columns and trusses under the roof."""
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -20,8 +19,8 @@ class Warehouse(WorldKind):
     """Rows of double racks along y with aisles between them and a cross aisle. Aisles are 2.4 to
     3.6 m wide, as forklifts and reach trucks need them."""
 
-    version: ClassVar[int] = 1
-    graded: ClassVar[dict[str, dict[str, object]]] = {
+    version = 1
+    graded = {
         "easy": {
             "aisle_m": (3.6, 5.0),
             "empty_share": 0.5,
@@ -35,9 +34,9 @@ class Warehouse(WorldKind):
             "levels": (3.0, 5.0),
         },
     }
-    crowded_by: ClassVar[tuple[str, ...]] = ("goods_density", "fill_share")
-    classes: ClassVar[tuple[str, ...]] = CLASSES
-    flight_defaults: ClassVar[dict[str, object]] = {"altitude_m": (0.8, 6.5)}
+    crowded_by = ("goods_density", "fill_share")
+    classes = CLASSES
+    flight_defaults = {"altitude_m": (0.8, 6.5)}
 
     size_m: tuple[float, float, float] = (40.0, 40.0, 9.0)
     """Extent of the hall along x, y and z, metres."""

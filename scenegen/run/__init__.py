@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from typing import Any, Protocol
 
 from lidarsim.registry import Registry
-from scenegen.errors import ScenegenError
+from scenegen.errors import ScenegenError, raised_as
 
 
 class Executor(Protocol):
@@ -68,10 +68,8 @@ def executor(place: str, workers: int) -> Executor:
     Raises ScenegenError for a name that leads to none, and what making it raises.
     """
     name, _, address = place.partition("://")
-    try:
+    with raised_as(ScenegenError, "--on: "):
         return EXECUTORS.find(name)(address, workers)
-    except ValueError as error:
-        raise ScenegenError(f"--on: {error}") from None
 
 
 def check_together(execute: Executor, what: str) -> None:

@@ -22,7 +22,7 @@ from scenegen.display.inspect import inspect
 from scenegen.display.look import looks, spread
 from scenegen.display.page import page
 from scenegen.errors import DatasetError, PublishError
-from scenegen.files import disk_error, draft_of, real_path, remove_drafts, sync_folder, write_whole
+from scenegen.files import disk_told, draft_of, make_way, real_path, sync_folder, write_whole
 from scenegen.run import undone_if_stopped
 from scenegen.share import USUAL, find_licence
 from scenegen.share.card import card, croissant, facts
@@ -239,10 +239,9 @@ def drafted(out: Path) -> Iterator[Path]:
         for stale in (draft, former):
             shutil.rmtree(stale, ignore_errors=True)
 
-    with undone_if_stopped(clear):
+    make_way(out)
+    with undone_if_stopped(clear), disk_told(out):
         try:
-            out.parent.mkdir(parents=True, exist_ok=True)
-            remove_drafts(out.parent, out.name)
             draft.mkdir()
             yield draft
             sync_folder(draft)
@@ -251,8 +250,6 @@ def drafted(out: Path) -> Iterator[Path]:
                 out.rename(former)
             draft.rename(out)
             sync_folder(out.parent)
-        except OSError as error:
-            raise disk_error(Path(error.filename or out), error) from None
         finally:
             clear()
 

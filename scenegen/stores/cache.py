@@ -41,7 +41,8 @@ def keep(store: str, name: str, manifest: bytes) -> Path:
 
     Raises StoreError, also where others may write to the folder.
     """
-    folder = _root() / _digest(store.encode())[:16] / _digest(manifest)[:16]
+    parts = (hashlib.sha256(one).hexdigest()[:16] for one in (store.encode(), manifest))
+    folder = _root().joinpath(*parts)
     _check(folder)
     _put(folder / name, store, manifest)
     for draft in folder.glob(".*.tmp"):
@@ -128,15 +129,15 @@ def _is_whole(path: Path, digest: str) -> bool:
     return True
 
 
+def _sum(file: IO[bytes]) -> str:
+    return hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
+
+
 def _stamp(handle: int) -> None:
     """Note that a file is the one listed: its time of change becomes its size, in nanoseconds,
     until it changes."""
     with suppress(OSError):  # a root's copy, that this user may only read
         os.utime(handle, ns=(time.time_ns(), os.fstat(handle).st_size))
-
-
-def _sum(file: IO[bytes]) -> str:
-    return hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
 
 
 def fetch_all(folder: Path, names: Iterable[str]) -> None:
@@ -201,7 +202,3 @@ def _put(path: Path, store: str, content: bytes) -> None:
     if not (path.is_file() and path.read_bytes() == content):
         with _draft(path, store) as file:
             file.write(content)
-
-
-def _digest(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()

@@ -8,6 +8,7 @@ import numpy as np
 
 from scenegen.errors import DatasetError, short
 from scenegen.limits import MOST_BATCH, MOST_WORKERS
+from scenegen.sample import rng_of
 
 
 def whole(name: str, value: Any, least: int, most: int) -> int:
@@ -112,7 +113,7 @@ class Batches(Place, Iterator[list[int]]):
         turn, rest = divmod(number, self._row * self._loaders)
         view, within = divmod(rest, self._loaders)
         block = turn * self._loaders + within
-        rng = np.random.default_rng(np.random.SeedSequence(self._stream.seed, spawn_key=(block,)))
+        rng = rng_of(self._stream.seed, block)
         rows = block * self._size + rng.permutation(self._size)[self._mine]
         return (rows * self._row + view).tolist()
 

@@ -1,7 +1,6 @@
 """A dataset without a disk and without an end: sample i is drawn when it is asked for, or ahead of
 that."""
 
-import hashlib
 import json
 import multiprocessing
 import operator
@@ -16,6 +15,7 @@ import numpy as np
 from scenegen.dataset.generation import MIXED, fraction, is_mixed, read_components
 from scenegen.dataset.parts import schema_of
 from scenegen.errors import DatasetError, short
+from scenegen.files import sha256_of
 from scenegen.limits import MOST_SAMPLES, MOST_SEED, MOST_WORKERS
 from scenegen.sample import Sample, html_table
 from scenegen.streams.ahead import Ahead, Cache, pack, record_type, unpack
@@ -62,7 +62,7 @@ class Stream(Sequence[Sample]):
             {"drawn": part.described(software=False), "units": units}
             for part, units in zip(mixture.components, mixture.units, strict=True)
         ]
-        self.digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+        self.digest = sha256_of(json.dumps(parts, sort_keys=True).encode())
         """What tells this stream from all others that give other samples, or in another order."""
         first = mixture.components[0].recipe
         self.grid, self.lidar, self.known = first.grid, first.lidar, first.known

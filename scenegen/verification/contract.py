@@ -8,42 +8,35 @@ from typing import Any
 from scenegen import SPLITS
 from scenegen.dataset import manifest, trust
 from scenegen.dataset.trust import Entry, GatheredEntry, Manifest
-from scenegen.errors import DatasetError, printable, short
+from scenegen.errors import DatasetError, printable, raised_as, short
 from scenegen.recipes import find_kind
 from scenegen.verification.report import BrokenError, Ledger, Page
 
 
-class Contract(Manifest):
-    """What the manifest promises."""
-
-    @property
-    def viewpoints(self) -> int:
-        """Samples of one flight."""
-        return self.recipe.flight.viewpoints
-
-    @property
-    def starts(self) -> tuple[int, ...]:
-        """Place of every shard's first sample within the split of the dataset that it was made
-        for."""
-        total = dict.fromkeys(SPLITS, 0)
-        found = []
-        for entry in self.shards:
-            found.append(entry.start if isinstance(entry, GatheredEntry) else total[entry.split])
-            total[entry.split] += entry.samples
-        return tuple(found)
-
-    def of_scans(self, stored: Callable[[str], Any], *names: str) -> Iterable[tuple[Any, ...]]:
-        """The fields `names` of each scan of a sample whose fields are `stored`: its own, and those
-        before it."""
-        columns = [[stored(name)] for name in names]
-        if self.mapping.scans > 1:
-            columns = [
-                [*own, *stored(f"earlier_{name}")] for own, name in zip(columns, names, strict=True)
-            ]
-        return zip(*columns, strict=True)
+def starts_of(contract: Manifest) -> list[int]:
+    """Place of every shard's first sample within the split of the dataset that it was made for."""
+    total = dict.fromkeys(SPLITS, 0)
+    found = []
+    for entry in contract.shards:
+        found.append(entry.start if isinstance(entry, GatheredEntry) else total[entry.split])
+        total[entry.split] += entry.samples
+    return found
 
 
-def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Contract | None:
+def of_scans(
+    contract: Manifest, stored: Callable[[str], Any], *names: str
+) -> Iterable[tuple[Any, ...]]:
+    """The fields `names` of each scan of a sample whose fields are `stored`: its own, and those
+    before it."""
+    columns = [[stored(name)] for name in names]
+    if contract.mapping.scans > 1:
+        columns = [
+            [*own, *stored(f"earlier_{name}")] for own, name in zip(columns, names, strict=True)
+        ]
+    return zip(*columns, strict=True)
+
+
+def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Manifest | None:
     """The contract of the dataset in `folder`; faults go to the ledger's `manifest`, None where it
     cannot be read on.
 
@@ -56,17 +49,13 @@ def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Cont
     contract = None
     with ledger.checking("manifest") as page:
         page.count(files=1)
-        try:
-            parsed = trust.parse(given, folder, kind)
-            sources = tuple(Contract(**vars(one)) for one in parsed.sources)
-            found = Contract(**{**vars(parsed), "sources": sources})
+        with raised_as(BrokenError, f"{manifest.NAME}: ", of=BrokenError):
+            found = trust.parse(given, folder, kind)
             for home in found.homes:
                 if home.kind == "scene" and home.scenes is None:
                     raise BrokenError("recipe.scenes = None: expected the worlds of each split")
                 # spelled out now, so that what is wrong with it is found here
                 home.recipe  # noqa: B018
-        except BrokenError as error:
-            raise BrokenError(f"{manifest.NAME}: {error}") from None
         _check_shards(found, page)
         contract = found
     return contract
@@ -78,13 +67,11 @@ def _check_named(kind: str, there: Any) -> None:
         raise DatasetError(
             f"--kind {kind}: the dataset's kind is {short(there)}; leave --kind out, or give that"
         )
-    try:
+    with raised_as(DatasetError, "--kind: "):
         find_kind(kind)
-    except ValueError as error:
-        raise DatasetError(f"--kind: {error}") from None
 
 
-def _check_shards(contract: Contract, page: Page) -> None:
+def _check_shards(contract: Manifest, page: Page) -> None:
     """Whether the shards listed are those that the counts ask for, in order, and no other lies in
     the folder."""
     where = manifest.NAME
@@ -116,7 +103,7 @@ def _check_shards(contract: Contract, page: Page) -> None:
             full = (
                 bool(contract.sources)
                 or number == len(entries) - 1
-                or entry.samples % contract.viewpoints == 0
+                or entry.samples % contract.recipe.flight.viewpoints == 0
             )
             page.expect(
                 full, f"{where}: {entry.file} holds {entry.samples} samples: a flight is cut"

@@ -1,12 +1,12 @@
 """Checks of the manifest, and of files as a whole: can they be read, and are they what the manifest
 lists?"""
 
-import hashlib
 from collections import Counter
 from collections.abc import Sequence
 
 from scenegen.dataset import manifest
-from scenegen.verification.contract import Contract
+from scenegen.dataset.trust import Manifest
+from scenegen.files import sha256_in, world_digest
 from scenegen.verification.report import Page
 from scenegen.verification.stages import Check, Shard, SignedFile, Worlds
 
@@ -20,7 +20,7 @@ def _written_for_these_parameters(shard: Shard, page: Page) -> None:
     )
 
 
-def _rejections_add_up(contract: Contract, page: Page) -> None:
+def _rejections_add_up(contract: Manifest, page: Page) -> None:
     if len(page.kept) < len(contract.shards):
         return  # a shard could not be read: a fault of another check
     for what in ("worlds", "viewpoints"):
@@ -55,8 +55,7 @@ EXAMINED = Check(
 
 
 def _same_sum(signed: SignedFile, page: Page) -> None:
-    signed.file.seek(0)
-    found = hashlib.file_digest(signed.file, "sha256").hexdigest()
+    found = sha256_in(signed.file)
     page.count(files=1)
     page.expect(
         found == signed.sha256,
@@ -104,12 +103,9 @@ def _expected_worlds(worlds: Worlds, page: Page) -> None:
         return
     listed = task.contract.scenes[task.entry.split]
     for number in worlds.documents:
-        document, assets = worlds.source(number)
-        digest = hashlib.sha256(document)
-        for name, content in sorted(assets.items()):
-            digest.update(name.encode() + hashlib.sha256(content).digest())
         page.expect(
-            digest.hexdigest() == (listed[number].get("sha256") if number < len(listed) else None),
+            world_digest(*worlds.source(number)).hex()
+            == (listed[number].get("sha256") if number < len(listed) else None),
             f"{task.entry.worlds}: {number:06d}.xml is not the world that the manifest's "
             f"recipe.scenes names",
         )

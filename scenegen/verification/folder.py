@@ -16,15 +16,16 @@ from lidarsim import AnalyticEngine, GridSpec, Lidar
 from scenegen.dataset.hdf5 import library_index, read_index
 from scenegen.dataset.layout import DIGEST, most_bytes, open_file, open_shard
 from scenegen.dataset.locate import locate
+from scenegen.dataset.trust import Manifest
 from scenegen.draw import draw_unit
-from scenegen.errors import DatasetError, told
+from scenegen.errors import DatasetError, raised_as, told
 from scenegen.recipe import make_recipe
 from scenegen.run import Executor
 from scenegen.run.workers import Limited, Local
 from scenegen.sample import FIELDS
 from scenegen.source import DrawnWorlds
 from scenegen.stores.cache import fetch_all, note_of
-from scenegen.verification.contract import Contract, read_contract
+from scenegen.verification.contract import read_contract, starts_of
 from scenegen.verification.files import ARCHIVES, EXAMINED, LAYOUT
 from scenegen.verification.files import CHECKS as OF_FILES
 from scenegen.verification.repeated import CHECKS as REPEATED
@@ -53,7 +54,7 @@ CHECKS: tuple[Check, ...] = tuple(
 """All checks in the order of the report: those that `--quick` makes come first."""
 
 
-def chosen_checks(contract: Contract, *, quick: bool, own: Iterable[str]) -> list[Check]:
+def chosen_checks(contract: Manifest, *, quick: bool, own: Iterable[str]) -> list[Check]:
     """The checks that are made of a dataset: those of ours that apply, then a user's `own`, always.
     Raises ValueError for a name that leads to no check."""
     fields = {"", *(name for home in contract.homes for name in home.fields)}
@@ -196,10 +197,8 @@ def verify(
     if contract is None:
         outcomes = ledger.outcomes(check.name for check in CHECKS)
         return Report(folder=str(folder), quick=quick, seed=seed, samples=0, checks=outcomes)
-    try:
+    with raised_as(DatasetError, "--check: "):
         checks = chosen_checks(contract, quick=quick, own=own)
-    except ValueError as error:
-        raise DatasetError(f"--check: {error}") from None
     whole = [replace(task, own=tuple(own)) for task in _tasks(contract, quick=quick, seed=seed)]
     tasks = execute.mine(whole)
     samples = sum(task.entry.samples for task in tasks)
@@ -243,7 +242,7 @@ class _Examination(Limited[Task, Findings]):
         return super().__call__(task)
 
 
-def _tasks(contract: Contract, *, quick: bool, seed: int) -> list[Task]:
+def _tasks(contract: Manifest, *, quick: bool, seed: int) -> list[Task]:
     """One a shard; none carries the list of all shards, which would make their sum grow as its
     square."""
     homes: list[dict[str, Any]] = []
@@ -263,7 +262,9 @@ def _tasks(contract: Contract, *, quick: bool, seed: int) -> list[Task]:
             twins_of=every,
             **homes[getattr(entry, "source", 0)],
         )
-        for number, (entry, start) in enumerate(zip(contract.shards, contract.starts, strict=True))
+        for number, (entry, start) in enumerate(
+            zip(contract.shards, starts_of(contract), strict=True)
+        )
     ]
 
 

@@ -16,13 +16,14 @@ from lidarsim.solids.shapes import Solids
 from scenegen import GENERATOR
 from scenegen.dataset.manifest import differences
 from scenegen.dataset.rescan import scan_again
+from scenegen.dataset.trust import Manifest
 from scenegen.draw import Unit, draw_unit, scans_from, with_noise
-from scenegen.errors import GenerationError, RecipeError, SceneError
+from scenegen.errors import GenerationError, RecipeError, SceneError, raised_as
 from scenegen.recipe import Recipe
 from scenegen.run.software import software
-from scenegen.sample import FIELDS
+from scenegen.sample import FIELDS, rng_of
 from scenegen.source import DrawnWorlds, SceneWorlds
-from scenegen.verification.contract import Contract
+from scenegen.verification.contract import of_scans
 from scenegen.verification.rays import audit, disagrees
 from scenegen.verification.report import BrokenError, Page
 from scenegen.verification.stages import Check, Sample, Shard, Worlds
@@ -42,7 +43,7 @@ class ArchivedWorlds(SceneWorlds):
 
 
 def regenerate(
-    contract: Contract,
+    contract: Manifest,
     worlds: Worlds,
     split: str,
     unit: int,
@@ -60,7 +61,7 @@ def regenerate(
     engine = ENGINES.find(contract.engine).of
     try:
         if contract.rescan is not None:
-            names = contract.numbering(split).name(unit * contract.viewpoints)
+            names = contract.numbering(split).name(unit * contract.recipe.flight.viewpoints)
             world, seed = worlds.world(names[0]), contract.seed
             return scan_again(
                 world,
@@ -82,7 +83,7 @@ def regenerate(
         raise BrokenError(f"{split} flight {unit} cannot be made again: {error}") from None
 
 
-def why_not_comparable(contract: Contract) -> str:
+def why_not_comparable(contract: Manifest) -> str:
     """Why samples made here need not have the dataset's bits; empty where they must."""
     if not contract.drawn and contract.scenes is None and contract.rescan is None:
         advice = "; if it is yours, give --kind with its name" if ":" in contract.kind else ""
@@ -93,7 +94,7 @@ def why_not_comparable(contract: Contract) -> str:
     return why_not_scanned(contract)
 
 
-def why_not_scanned(contract: Contract) -> str:
+def why_not_scanned(contract: Manifest) -> str:
     """Why scans made here of the archived worlds need not have the dataset's bits; empty where they
     must."""
     if not contract.noise_is_ours:
@@ -165,7 +166,7 @@ def _scanned_again(sample: Sample, worlds: Worlds, page: Page) -> list[Scan]:
     stored ones. Raises BrokenError."""
     task, contract = sample.shard.task, sample.contract
     world, engine = worlds.world(sample.world), worlds.engine(sample.world)
-    unit, view = divmod(sample.shard.places[sample.row], contract.viewpoints)
+    unit, view = divmod(sample.shard.places[sample.row], contract.recipe.flight.viewpoints)
     try:
         clean = scans_from([scan.pose for scan in sample.scans], engine, contract.lidar)
         seen = with_noise(
@@ -202,7 +203,7 @@ def _fly_again(shard: Shard, page: Page) -> None:
     ):
         page.skipped = task.not_comparable
         return
-    rng = np.random.default_rng(np.random.SeedSequence(task.seed, spawn_key=(task.number, 1)))
+    rng = rng_of(task.seed, task.number, 1)
     try:
         flights = _flights(shard)
         if not flights:
@@ -224,7 +225,7 @@ def _flights(shard: Shard) -> list[tuple[int, list[tuple[int, int]]]]:
     task = shard.task
     found: dict[int, list[tuple[int, int]]] = {}
     for row, place in enumerate(shard.places):
-        unit, view = divmod(place, task.contract.viewpoints)
+        unit, view = divmod(place, task.contract.recipe.flight.viewpoints)
         found.setdefault(unit, []).append((row, view))
     again = task.contract.rescan is not None
     return [
@@ -241,18 +242,16 @@ def _compare_flight(shard: Shard, unit: int, views: Sequence[tuple[int, int]], p
     assert shard.worlds is not None
 
     def poses() -> list[list[Pose]]:
-        try:
+        with raised_as(BrokenError, f"{task.entry.file}: "):
             return [
                 [
                     Pose(*pose)
-                    for pose in task.contract.of_scans(
-                        partial(shard.file.value, row=row), "position", "quaternion"
+                    for pose in of_scans(
+                        task.contract, partial(shard.file.value, row=row), "position", "quaternion"
                     )
                 ]
                 for row, _ in views
             ]
-        except ValueError as error:
-            raise BrokenError(f"{task.entry.file}: {error}") from None
 
     again = regenerate(task.contract, shard.worlds, task.entry.split, unit, poses)
     page.count(worlds=1)

@@ -12,7 +12,7 @@ from lidarsim.jit import kernel
 from lidarsim.solids.shapes import Solids
 from scenegen import SPLITS
 from scenegen.dataset.layout import ShardFile, open_file, open_shard
-from scenegen.verification.contract import Contract
+from scenegen.dataset.trust import Manifest
 from scenegen.verification.report import BrokenError, Page
 from scenegen.verification.stages import Check, Sample, Worlds
 from scenegen.worlds.place import map_digest
@@ -197,7 +197,7 @@ def _solids_digest(solids: Solids | VoxelMap) -> bytes:
     return map_digest(solids) if isinstance(solids, VoxelMap) else geometry_digest(solids)
 
 
-def _shared(contract: Contract, page: Page) -> list[tuple[int, bytes, int]]:
+def _shared(contract: Manifest, page: Page) -> list[tuple[int, bytes, int]]:
     """(shard, digest, number) of all worlds whose digest is in more than one split, in the order of
     shards."""
     digests = np.frombuffer(b"".join(some for _, some, _ in page.kept), f"S{DIGEST_BYTES}")
@@ -212,7 +212,7 @@ def _shared(contract: Contract, page: Page) -> list[tuple[int, bytes, int]]:
     ]
 
 
-def _in_one_split(contract: Contract, page: Page) -> None:
+def _in_one_split(contract: Manifest, page: Page) -> None:
     owner: dict[bytes, tuple[str, int]] = {}
     found = _shared(contract, page) if page.kept else []
     first = {
@@ -238,7 +238,7 @@ def _keep_signature(sample: Sample, page: Page) -> None:
     page.kept.append(((sample.shard.task.number, sample.row), *signs))
 
 
-def _compare(contract: Contract, page: Page) -> None:
+def _compare(contract: Manifest, page: Page) -> None:
     if not page.kept:
         return
     places, signatures, folds, observed = zip(*page.kept, strict=True)

@@ -18,9 +18,10 @@ from lidarsim.registry import Registry
 from lidarsim.solids.shapes import Solids
 from scenegen.dataset.archive import open_archive, referred
 from scenegen.dataset.layout import ShardFile
-from scenegen.dataset.trust import Entry, GatheredEntry
-from scenegen.errors import SceneError
-from scenegen.verification.contract import Contract
+from scenegen.dataset.trust import Entry, GatheredEntry, Manifest
+from scenegen.errors import SceneError, raised_as
+from scenegen.sample import rng_of
+from scenegen.verification.contract import of_scans
 from scenegen.verification.rays import MapAuditor, as_rounded
 from scenegen.verification.report import BrokenError, Page
 from scenegen.worlds.place import Place
@@ -56,7 +57,7 @@ class Check:
     """Looks at a shard, whose file is open by then, before its samples."""
     sample: "Callable[[Sample, Page], None] | None" = None
     """Looks at one sample, whose fields are unpacked by then."""
-    folder: Callable[[Contract, Page], None] | None = None
+    folder: Callable[[Manifest, Page], None] | None = None
     """Looks at the whole folder in the end; the page holds what the stages before kept."""
 
 
@@ -68,7 +69,7 @@ OWN_CHECKS = Registry("check", {}, needs={"name": "its name", "proves": "a sente
 class Task:
     """All that examining one shard depends on."""
 
-    contract: Contract
+    contract: Manifest
     """What is promised of the dataset that the shard was made for, without its other shards."""
     entry: Entry
     """The shard, as the manifest lists it."""
@@ -174,10 +175,8 @@ class Worlds:
     def world(self, number: int) -> World | Place:
         """A world, compiled. Raises BrokenError."""
         name = f"{self.task.entry.worlds}: {number:06d}.xml"
-        try:
+        with raised_as(BrokenError, of=SceneError):
             return archived_world(*self.source(number), name=name)
-        except SceneError as error:
-            raise BrokenError(str(error)) from None
 
     @functools.lru_cache(maxsize=1)  # noqa: B019
     def engine(self, number: int) -> Caster:
@@ -205,9 +204,7 @@ class Shard:
     @functools.cached_property
     def rng(self) -> np.random.Generator:
         """What is chosen at random in this shard comes from here, in the order of its samples."""
-        return np.random.default_rng(
-            np.random.SeedSequence(self.task.seed, spawn_key=(self.task.number,))
-        )
+        return rng_of(self.task.seed, self.task.number)
 
     @functools.cached_property
     def places(self) -> Sequence[int]:
@@ -246,7 +243,7 @@ class Sample:
     own_digest: bytes
 
     @property
-    def contract(self) -> Contract:
+    def contract(self) -> Manifest:
         """What the manifest promises."""
         return self.shard.task.contract
 
@@ -276,15 +273,13 @@ class Sample:
         """The stored ranges and poses: its own scan, and those before it. Raises BrokenError for
         an invalid pose."""
         found = []
-        for ranges, *pose in self.contract.of_scans(
-            self.fields.__getitem__, "ranges", "position", "quaternion"
+        for ranges, *pose in of_scans(
+            self.contract, self.fields.__getitem__, "ranges", "position", "quaternion"
         ):
             # a range that is no number is a fault of `laws`; here it counts as no return
             clean = np.where(np.isfinite(ranges), ranges, np.float32(np.inf))
-            try:
+            with raised_as(BrokenError, f"{self.where}: "):
                 found.append(Scan(clean, Pose(*pose), self.contract.lidar))
-            except ValueError as error:
-                raise BrokenError(f"{self.where}: {error}") from None
         return found
 
     @functools.cached_property

@@ -13,12 +13,13 @@ from lidarsim.engines.voxels import VoxelEngine, VoxelMap
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.trust import Manifest
+from scenegen.errors import BrokenError, raised_as
+from scenegen.files import sha256_of
 from scenegen.sample import GROUPS, derive_tudf
 from scenegen.truth import rasterize
 from scenegen.truth.voxels import resample
-from scenegen.verification.contract import Contract
 from scenegen.verification.rays import count_strays
-from scenegen.verification.report import BrokenError, Page
+from scenegen.verification.report import Page
 from scenegen.verification.stages import Check, Sample
 from scenegen.worlds.labels import label_fields
 from scenegen.worlds.place import Place
@@ -62,8 +63,8 @@ def _own_digest(sample: Sample, page: Page) -> None:
     )
 
 
-def _whole_digest(contract: Contract, page: Page) -> None:
-    found = hashlib.sha256(b"".join(digests for _, digests in page.kept)).hexdigest()
+def _whole_digest(contract: Manifest, page: Page) -> None:
+    found = sha256_of(b"".join(digests for _, digests in page.kept))
     page.expect(
         contract.digest in (None, found),
         f"{manifest.NAME}: digest {str(contract.digest)[:16]}…, the samples' is {found[:16]}…",
@@ -75,7 +76,7 @@ def _whole_digest(contract: Contract, page: Page) -> None:
             _digest_of_source(contract, page, number, source)
 
 
-def _digest_of_source(contract: Contract, page: Page, number: int, source: Manifest) -> None:
+def _digest_of_source(contract: Manifest, page: Page, number: int, source: Manifest) -> None:
     """Hold the digest that the manifest names for a source against its samples', if all are
     there."""
     total, whole = hashlib.sha256(), True
@@ -140,14 +141,13 @@ def _centred(sample: Sample, page: Page) -> None:
         most = f"mapping.most_tilt_deg = {mapping.most_tilt_deg:g}"
         lawful = bool((upright >= math.cos(math.radians(mapping.most_tilt_deg)) - LEAN).all())
         page.expect(lawful, f"{sample.where}: a body leans by more than {most}")
-    try:  # the sensor's own place is enough where the map is about it
+    with raised_as(BrokenError, f"{sample.where}: "):
+        # the sensor's own place is enough where the map is about it
         here = (
             grid.origin_at(fields["position"])
             if mapping.centred
             else mapping.origin(grid, sample.scans[0].pose)
         )
-    except ValueError as error:
-        raise BrokenError(f"{sample.where}: {error}") from None
     off = float(np.abs(fields["origin"] - here).max())
     place = "position" if mapping.centred else "position, moved by mapping.map_ahead_m,"
     page.expect(

@@ -13,27 +13,23 @@ from numpy.typing import NDArray
 
 from lidarsim.engines.voxels import FREE, OCCUPIED, VoxelMap
 from lidarsim.jit import kernel
-from lidarsim.parameters import check, number
+from lidarsim.parameters import Checked, number
 from lidarsim.pose import rotate
 from lidarsim.voxelize import clear
 from scenegen.clouds import read_cloud
-from scenegen.errors import SceneError, printable
-from scenegen.files import read_bounded
-from scenegen.limits import MOST_CLOUD_BYTES, MOST_PLACE_VOXELS, MOST_SCAN_BYTES
+from scenegen.errors import SceneError
+from scenegen.limits import MOST_CLOUD_BYTES, MOST_PLACE_VOXELS
+from scenegen.poses import read_numbers, read_poses
 
 FAR_M, STEP_M = 1e4, 1e3
 """Coordinates beyond the first, as those of surveys are, become smaller by a multiple of the
 second."""
-POSES = {3: "x y z", 8: "time x y z qx qy qz qw, as TUM's", 12: "3 × 4 matrices, as KITTI's"}
-"""What a line of a file of poses may be, by how many numbers it has."""
 FARTHEST_M = 1e12
 """A point or a ray beyond this is not in any map."""
-MOST_SKEW = 1e-2
-"""How far a pose's axes may be from unit vectors at right angles."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Survey:
+class Survey(Checked):
     """How clouds are read, and what is made of them."""
 
     voxel_m: float = number(0.2, least=1e-3, most=1e3)
@@ -47,9 +43,6 @@ class Survey:
     assume_free: bool = False
     """Whether a voxel without a point is free that lies above the lowest one with a point in its
     column and was not seen otherwise."""
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,8 +74,8 @@ def map_clouds(
         files: What `scenegen.clouds.read_cloud` reads.
         survey: How it is read, and what is made of it.
         sensor: Where the sensor was, (3,), in the frame and the unit of the points.
-        poses: A file with a line for each of `files`: the sensor's position, or its pose, where the
-            points are in the sensor's own frame (`POSES`).
+        poses: A file with a line for each of `files`: the sensor's position; or its pose, as
+            `scenegen.poses.read_poses` has it, where the points are in the sensor's own frame.
         box: The least and the greatest corner of what is kept, (6,), as points have them; otherwise
             all points and sensors are.
 
@@ -150,31 +143,19 @@ def _read_poses(
     path: Path, count: int
 ) -> list[tuple[NDArray[np.float64] | None, NDArray[np.float64]]]:
     """Each file's axes as rows (3, 3), None where its points are in the world's frame, and where
-    its sensor was (1, 3). Raises SceneError."""
-    try:
-        text = read_bounded(path, MOST_SCAN_BYTES).decode("ascii", "replace").splitlines()
-        found = np.loadtxt(text, ndmin=2)
-    except (ValueError, FileNotFoundError) as error:
-        raise SceneError(f"{path}: not a file of poses: {printable(error)[:200]}") from None
-    if found.shape[1] not in POSES or len(found) != count or not np.isfinite(found).all():
-        raise SceneError(
-            f"{path}: {len(found)} lines of {found.shape[1]} numbers; expected {count}, one for "
-            f"each file of points, of finite {', or '.join(POSES.values())}"
-        )
-    if found.shape[1] == 3:
-        return [(None, row[None]) for row in found]
-    if found.shape[1] == 8:
-        turns = [rotate(row[[7, 4, 5, 6]], np.eye(3)) for row in found]
-        places = found[:, 1:4]
+    its sensor was (1, 3). Raises DatasetError and SceneError."""
+    names, rows = read_numbers(path)
+    found: list[tuple[NDArray[np.float64] | None, NDArray[np.float64]]]
+    if not names and rows.shape[1] == 3:
+        found = [(None, row[None]) for row in rows]
     else:
-        turns = [row.reshape(3, 4)[:, :3].T for row in found]
-        places = found[:, 3::4]
-    for line, axes in enumerate(turns, start=1):
-        if np.abs(axes @ axes.T - np.eye(3)).max() > MOST_SKEW or np.linalg.det(axes) < 0:
-            raise SceneError(
-                f"{path}: pose {line} is no rotation; expected {POSES[found.shape[1]]}"
-            )
-    return list(zip(turns, places[:, None], strict=True))
+        poses = read_poses(path).poses
+        found = [(rotate(one.quaternion, np.eye(3)), one.position[None]) for one in poses]
+    if len(found) != count:
+        raise SceneError(
+            f"{path}: {len(found)} poses, expected {count}, one for each file of points"
+        )
+    return found
 
 
 def _upright(points: NDArray[np.float64], survey: Survey) -> NDArray[np.float64]:

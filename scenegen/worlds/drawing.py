@@ -1,7 +1,6 @@
 """A world as MJCF: what a kind of world adds to, and a compiled model written as MJCF again."""
 
 import functools
-import hashlib
 import re
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lidarsim.solids.shapes import HFIELD, MESH, PLANE
+from scenegen.files import sha256_of
 from scenegen.worlds.classes import COLOURS
 from scenegen.worlds.screen import screen
 
@@ -363,7 +363,7 @@ def _add_bent(
     content = b"".join(part.tobytes() for part in (np.array(header, "<i4"), *parts))
     name = called or f"{tag}{number}"
     safe = re.sub(r"[^A-Za-z0-9_-]", "_", name)[:60]
-    file = f"{hashlib.sha256(content).hexdigest()[:12]}-{safe}.{ending}"
+    file = f"{sha256_of(content)[:12]}-{safe}.{ending}"
     files[file] = content
     ElementTree.SubElement(asset, tag, {"name": name, "file": file, **more})
     return name

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from lidarsim.fusion import Fusion
-from lidarsim.parameters import MOST_LENGTH_M, check, number
+from lidarsim.parameters import MOST_LENGTH_M, Checked, number
 from scenegen.limits import LEAST_DRAWN_M, MOST_DRAWN_M, MOST_SCANS
 
 if TYPE_CHECKING:  # commands take their options from here, and none of these
@@ -14,7 +14,7 @@ if TYPE_CHECKING:  # commands take their options from here, and none of these
 
 
 @dataclass(frozen=True, kw_only=True)
-class Known:
+class Known(Checked):
     """A recipe's [known]: how much of a map of a real place must be known where a sensor scans."""
 
     most_unknown_m: float = number(0.6, least=0, most=MOST_LENGTH_M)
@@ -23,9 +23,6 @@ class Known:
     """A viewpoint is rejected when a larger share of its rays is marked."""
     least_share: float = number(0.05, least=0, most=1)
     """A viewpoint is rejected when a smaller share of its map's voxels is known."""
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,9 +47,6 @@ class Mapper(Fusion):
     )
     """Where the map's middle lies from the sensor: forward along its heading, to its left, and up,
     metres."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
 
     @property
     def plain(self) -> bool:

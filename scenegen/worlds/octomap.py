@@ -1,15 +1,12 @@
 """OctoMap's files (Hornung et al. 2013): trees of occupied and free cubes, `.bt` with states alone,
 `.ot` with log-odds."""
 
-from pathlib import Path
-
 import numpy as np
 
 from lidarsim.engines.voxels import FREE, OCCUPIED, VoxelMap
 from lidarsim.jit import kernel
 from scenegen.errors import SceneError, printable
-from scenegen.files import read_bounded
-from scenegen.limits import MOST_ASSET_BYTES, MOST_PLACE_VOXELS
+from scenegen.limits import MOST_PLACE_VOXELS
 
 LEVELS = 16
 """Levels of a tree, as OctoMap has them."""
@@ -23,12 +20,6 @@ FAULTS = {
     3: "goes on behind its tree; copy it again",
     4: "has log-odds that are NaN; map the place again",
 }
-
-
-def read_octomap(path: str | Path) -> VoxelMap:
-    """The map in a `.bt` or `.ot` file, as large as what is known in it. Raises SceneError for a
-    file that holds none."""
-    return parse_octomap(read_bounded(Path(path), MOST_ASSET_BYTES), str(path))
 
 
 def parse_octomap(content: bytes, name: str) -> VoxelMap:
@@ -50,11 +41,10 @@ def parse_octomap(content: bytes, name: str) -> VoxelMap:
     except ValueError:
         voxel_m = float("nan")
     check_voxel(voxel_m, name)
-    fill = _fill_states if known[first.strip()] else _fill_log_odds
-    data = np.frombuffer(tree, np.uint8)
+    data, states_alone = np.frombuffer(tree, np.uint8), known[first.strip()]
     bounds = np.array([[2 * HALF] * 3, [0] * 3])
     nothing = np.empty((0, 0, 0), np.uint8)
-    fault = fill(data, bounds, nothing)
+    fault = _fill(data, states_alone, bounds, nothing)
     if fault:
         raise SceneError(f"{name}: {FAULTS[fault]}")
     shape = bounds[1] - bounds[0]
@@ -66,7 +56,7 @@ def parse_octomap(content: bytes, name: str) -> VoxelMap:
             f"{MOST_PLACE_VOXELS} at most; cut the map, or make it coarser"
         )
     states = np.zeros(shape, np.uint8)
-    fill(data, bounds, states)
+    _fill(data, states_alone, bounds, states)
     return VoxelMap(states, voxel_m, (bounds[0] - HALF) * voxel_m)
 
 
@@ -89,68 +79,44 @@ def _mark(x, y, z, size, state, bounds, states):
 
 
 @kernel
-def _fill_states(data, bounds, states):
-    """Read a `.bt` tree, depth first: 16 bits a node, two for each child, 0 unknown, 1 free, 2
-    occupied, 3 a node of its own. The number of a fault, 0 for none."""
+def _fill(data, states_alone, bounds, states):
+    """Read a tree, depth first, into `bounds` or `states`, see `_mark`. The number of a fault, 0
+    for none.
+
+    A node of a `.bt` file, of `states_alone`, is 16 bits, two for each child: 0 unknown, 1 free, 2
+    occupied, 3 a node of its own. One of an `.ot` file is its log-odds in four bytes, and one byte
+    that says which children it has; without any it is a leaf, occupied from log-odds of 0 on.
+    """
     waiting = np.empty((8 * LEVELS + 8, 4), np.int64)
     waiting[0] = (0, 0, 0, 2 * HALF)
-    left, at = 1, 0
-    while left > 0:
-        left -= 1
-        x, y, z, half = waiting[left, 0], waiting[left, 1], waiting[left, 2], waiting[left, 3] // 2
-        if at + 2 > len(data):
-            return 1
-        if half == 0:
-            return 2
-        bits = int(data[at]) | int(data[at + 1]) << 8
-        at += 2
-        for turn in range(8):
-            child = 7 - turn  # the first one is taken from the stack first
-            state = bits >> 2 * child & 3
-            if state > 0:
-                i, j, k = (
-                    x + half * (child & 1),
-                    y + half * (child >> 1 & 1),
-                    z + half * (child >> 2),
-                )
-                if state == 3:
-                    waiting[left, 0], waiting[left, 1], waiting[left, 2] = i, j, k
-                    waiting[left, 3] = half
-                    left += 1
-                else:
-                    _mark(i, j, k, half, state, bounds, states)
-    return 0 if at == len(data) else 3
-
-
-@kernel
-def _fill_log_odds(data, bounds, states):
-    """Read an `.ot` tree, depth first: a node's log-odds in four bytes, and one byte that says
-    which children it has; without any it is a leaf, occupied from log-odds of 0 on."""
-    waiting = np.empty((8 * LEVELS + 8, 4), np.int64)
-    waiting[0] = (0, 0, 0, 2 * HALF)
-    left, at = 1, 0
+    left, at, length = 1, 0, 2 if states_alone else 5
     while left > 0:
         left -= 1
         x, y, z, size = waiting[left, 0], waiting[left, 1], waiting[left, 2], waiting[left, 3]
-        if at + 5 > len(data):
+        if at + length > len(data):
             return 1
-        odds = data[at : at + 4].view(np.float32)[0]
-        children = int(data[at + 4])
-        at += 5
-        if children == 0:
-            if np.isnan(odds):
+        bits = np.int64(data[at]) | np.int64(data[at + 1]) << 8
+        if not states_alone:
+            bits = np.int64(0)
+            for child in range(8):
+                bits |= (np.int64(data[at + 4]) >> child & 1) * 3 << 2 * child
+            odds = data[at : at + 4].view(np.float32)[0]
+            if bits == 0 and np.isnan(odds):
                 return 4
-            _mark(x, y, z, size, OCCUPIED if odds >= 0.0 else FREE, bounds, states)
-            continue
+            if bits == 0:
+                _mark(x, y, z, size, OCCUPIED if odds >= 0.0 else FREE, bounds, states)
+        at += length
         half = size // 2
-        if half == 0:
+        if half == 0 and (states_alone or bits > 0):
             return 2
         for turn in range(8):
-            child = 7 - turn
-            if children >> child & 1:
-                waiting[left, 0] = x + half * (child & 1)
-                waiting[left, 1] = y + half * (child >> 1 & 1)
-                waiting[left, 2] = z + half * (child >> 2)
+            child = 7 - turn  # the first one is taken from the stack first
+            state = bits >> 2 * child & 3
+            i, j, k = x + half * (child & 1), y + half * (child >> 1 & 1), z + half * (child >> 2)
+            if state == 3:
+                waiting[left, 0], waiting[left, 1], waiting[left, 2] = i, j, k
                 waiting[left, 3] = half
                 left += 1
+            elif state > 0:
+                _mark(i, j, k, half, state, bounds, states)
     return 0 if at == len(data) else 3

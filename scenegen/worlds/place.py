@@ -19,8 +19,10 @@ from numpy.typing import NDArray
 from lidarsim import GridSpec, Scan
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelEngine, VoxelMap
 from lidarsim.jit import kernel
+from lidarsim.sensors.table import MOST_HEADER_BYTES
+from scenegen.clouds import read_npz
 from scenegen.errors import SceneError, printable
-from scenegen.files import read_bounded
+from scenegen.files import read_bounded, sha256_of
 from scenegen.limits import MOST_ASSET_BYTES, MOST_PLACE_VOXELS
 from scenegen.truth.voxels import resample
 from scenegen.worlds.clearance import CAP_M, STEP_M
@@ -70,7 +72,7 @@ class Place:
     def flight_bounds(self) -> NDArray[np.float64]:
         """(2, 3): least and greatest corner of the box around the free voxels, metres."""
         voxels = self.voxels
-        return np.asarray(voxels.origin + _free_box(voxels.states) * voxels.voxel_m)
+        return np.asarray(voxels.origin + box_of(voxels.states == FREE) * voxels.voxel_m)
 
     @property
     def clearance(self) -> "PlaceClearance":
@@ -114,10 +116,10 @@ def read_place(path: str | Path) -> Place:
 
 def place_of(content: bytes, suffix: str, where: str) -> Place:
     """The place of a map file's content. Raises as `read_place`, naming `where`."""
-    name = f"{hashlib.sha256(content).hexdigest()[:16]}{suffix}"
+    name = f"{sha256_of(content)[:16]}{suffix}"
     found = Place(DOCUMENT.format(name).encode(), {name: content})
     try:
-        nothing = _free_box(found.voxels.states)[1, 0] == 0
+        nothing = not (found.voxels.states == FREE).any()
     except SceneError as error:
         raise SceneError(str(error).replace(name, where, 1)) from None
     if nothing:
@@ -163,16 +165,19 @@ def parse_npz(content: bytes, name: str) -> VoxelMap:
     """The map in an .npz file's arrays `states` (uint8, 0 unknown, 1 free, 2 occupied), `voxel_m`
     and `origin`. Raises SceneError, naming `name`."""
     try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            found = {part: _member(archive, part) for part in PARTS}
-    except SceneError as error:
-        raise SceneError(f"{name}: {error}") from None
+        found = read_npz(content, *PARTS, most_bytes=MOST_PLACE_VOXELS + MOST_HEADER_BYTES)
     except Exception as error:  # zipfile's, zlib's, and what else a crafted file may bring forth
         raise SceneError(
             f"{name}: not an .npz map ({printable(error)[:100]}); expected arrays "
             f"{', '.join(PARTS)}"
         ) from None
-    states, voxel_m, origin = found["states"], float(found["voxel_m"]), found["origin"]
+    for array, (part, (dtype, dimensions)) in zip(found, PARTS.items(), strict=True):
+        if array.dtype != dtype or array.ndim != dimensions:
+            raise SceneError(
+                f"{name}: {part} is {array.dtype} {array.shape}, expected {dtype} of {dimensions} "
+                "axes"
+            )
+    states, voxel_m, origin = np.ascontiguousarray(found[0]), float(found[1]), found[2]
     check_voxel(voxel_m, name)
     if origin.shape != (3,) or not np.isfinite(origin).all() or states.max(initial=0) > OCCUPIED:
         raise SceneError(
@@ -201,38 +206,14 @@ def encode_npz(voxels: VoxelMap, where: str, **more: NDArray[Any]) -> bytes:
     return content
 
 
-def _member(archive: zipfile.ZipFile, part: str) -> NDArray[Any]:
-    """An array of an .npz file, in no more memory than a map may take."""
-    dtype, dimensions = PARTS[part]
-    with archive.open(f"{part}.npy") as file:
-        np.lib.format.read_magic(file)
-        shape, fortran, found = np.lib.format.read_array_header_1_0(file)
-        count = math.prod(shape)
-        if found != dtype or len(shape) != dimensions or fortran or count <= 0:
-            raise SceneError(f"{part} is {found} {shape}, expected {dtype} of {dimensions} axes")
-        if count > MOST_PLACE_VOXELS:
-            raise SceneError(f"{count} voxels, expected {MOST_PLACE_VOXELS} at most")
-        data = file.read(count * dtype.itemsize + 1)
-    if len(data) != count * dtype.itemsize:
-        raise SceneError(f"{part} holds {len(data)} bytes, expected {count * dtype.itemsize}")
-    return np.frombuffer(data, dtype).reshape(shape)
-
-
-@kernel
-def _free_box(states):
-    """The first of the free voxels along each axis, and one more than the last, (2, 3); zeros where
-    none is free."""
-    nx, ny, nz = states.shape
-    box = np.zeros((2, 3), np.int64)
-    box[0] = nx, ny, nz
-    for i in range(nx):
-        for j in range(ny):
-            for k in range(nz):
-                if states[i, j, k] == FREE:
-                    for axis, at in enumerate((i, j, k)):
-                        box[0, axis] = min(box[0, axis], at)
-                        box[1, axis] = max(box[1, axis], at + 1)
-    return box if box[1, 0] > 0 else np.zeros((2, 3), np.int64)
+def box_of(cells: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """The first of the true cells along each axis, and one more than the last, (2, axes); zeros
+    where none is true."""
+    box = np.zeros((2, cells.ndim), np.int64)
+    for axis in range(cells.ndim) if cells.any() else ():
+        others = tuple(other for other in range(cells.ndim) if other != axis)
+        box[:, axis] = np.flatnonzero(cells.any(axis=others))[[0, -1]] + [0, 1]
+    return box
 
 
 class PlaceClearance:

@@ -16,6 +16,7 @@ from scenegen.files import read_bounded
 from scenegen.limits import MOST_ASSET_BYTES, MOST_CELLS, MOST_PLACE_VOXELS, MOST_RECIPE_BYTES
 from scenegen.worlds.cloud import Survey, Surveyed
 from scenegen.worlds.octomap import check_voxel
+from scenegen.worlds.place import box_of
 
 ENTRY = re.compile(r"^(\w+):(.*(?:\n\s*-\s.*)*)", re.MULTILINE)
 """A key of the YAML file, and its value: a word, or a list in either style."""
@@ -61,10 +62,10 @@ def read_plan(path: Path, height_m: float = Survey.height_m) -> Surveyed:
     shares = np.arange(256) / 255 if negate else 1 - np.arange(256) / 255
     states = np.where(shares > occupied, OCCUPIED, np.where(shares < free, FREE, UNKNOWN))
     plan = states.astype(np.uint8)[_shades(image)][::-1].T  # the topmost row has the largest y
-    rows, columns = (np.flatnonzero(plan.any(axis=axis)) for axis in (1, 0))
-    if not len(rows):
+    (row, column), (end, last) = box_of(plan != UNKNOWN)
+    if not end:
         raise SceneError(f"{path}: an empty map; nothing in it is known")
-    plan = plan[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    plan = plan[row:end, column:last]
     layers = math.ceil(height_m / voxel_m) + 1
     if plan.size * layers > MOST_PLACE_VOXELS:
         raise SceneError(
@@ -73,7 +74,7 @@ def read_plan(path: Path, height_m: float = Survey.height_m) -> Surveyed:
         )
     columns_up = np.repeat(plan[:, :, None], layers, axis=2)
     columns_up[plan != UNKNOWN, 0] = OCCUPIED
-    corner = [x + rows[0] * voxel_m, y + columns[0] * voxel_m, -voxel_m]
+    corner = [x + row * voxel_m, y + column * voxel_m, -voxel_m]
     return Surveyed(
         VoxelMap(columns_up, voxel_m, np.array(corner)), np.zeros(3), int(np.count_nonzero(plan))
     )

@@ -11,7 +11,7 @@ import numpy as np
 
 from lidarsim.solids.model import solids_of, visible_geoms
 from lidarsim.solids.shapes import HFIELD, MESH, PLANE, Solids
-from scenegen.errors import BrokenError, DatasetError, SceneError, printable
+from scenegen.errors import BrokenError, DatasetError, SceneError, printable, raised_as
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_ASSET_BYTES, MOST_DOCUMENT_BYTES, MOST_GEOMS
 from scenegen.worlds import CLOUDS, MAPS, MESHES
@@ -115,15 +115,11 @@ def load_scene(path: Path, *, materials: bool = False) -> Scene:
             raise SceneError(f"{path}: has numbers that are NaN; give them values")
         data = mujoco.MjData(drawn)
         mujoco.mj_kinematics(drawn, data)
-        try:
+        with raised_as(SceneError, f"{path}: "):
             expected = solids_of(drawn, data)
-        except ValueError as error:
-            raise SceneError(f"{path}: {printable(error)}") from None
     mjcf, assets = flatten(drawn, data, materials=materials)
-    try:  # what whoever reads the dataset would refuse
+    with raised_as(SceneError, of=BrokenError):  # what whoever reads the dataset would refuse
         screen(mjcf, assets, str(path))
-    except BrokenError as error:
-        raise SceneError(str(error)) from None
     largest = max(map(len, assets.values()), default=0)
     if len(mjcf) > MOST_DOCUMENT_BYTES or largest > MOST_ASSET_BYTES:
         raise SceneError(

@@ -18,7 +18,7 @@ from lidarsim.noise.returns import albedo_of
 from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.solids.model import solids_of, visible_geoms
 from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE, Solids
-from scenegen.errors import SceneError, printable, short
+from scenegen.errors import SceneError, printable, raised_as, short
 from scenegen.truth import rasterize
 from scenegen.worlds.clearance import Clearance
 from scenegen.worlds.drawing import FLIGHT_BOUNDS, Drawing
@@ -140,10 +140,8 @@ def _world(model: mujoco.MjModel, mjcf: bytes, assets: Mapping[str, bytes], name
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
-    try:
+    with raised_as(SceneError, f"{name}: "):
         solids = solids_of(model, data)
-    except ValueError as error:
-        raise SceneError(f"{name}: {printable(error)}") from None
     return World(mjcf, assets, model, data, solids, _flight_bounds(model, solids, name), unseen)
 
 

@@ -90,7 +90,7 @@ def plan_path(
     `occupied` (*grid.shape) is the binary collision map. A node is free when its voxel is; every
     node has up to 26 neighbours, as far away as they are in space (the paper's section "Planning
     Evaluation", and `Lattice`). With `config.edge_check` the voxels that the segment between two
-    nodes meets with positive length must be free, too; with `config.free_start` the start's own
+    nodes meets with positive length must be free, too; for the careful planner the start's own
     voxel need not be. The answer is exact, and the same on every run: of two equally long ways to a
     node the first found stands, and of two nodes equally far by length and estimate the farther
     from the start, then the lower number, comes first.
@@ -103,7 +103,7 @@ def plan_path(
     occupied = checked(occupied, "occupied", grid, np.bool_)
     lattice = Lattice(grid, config.step_voxels)
     start, end = lattice.start, lattice.node_at(goal)
-    if occupied[tuple(lattice.voxels(start))] and not config.free_start:
+    if occupied[tuple(lattice.voxels(start))] and config.planner != "careful":
         return Plan(None, "start_blocked")
     if occupied[tuple(lattice.voxels(end))]:
         return Plan(None, "goal_blocked")

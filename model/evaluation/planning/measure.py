@@ -17,6 +17,9 @@ from scenegen.model.evaluation.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import Blocked, Lattice, Plan, checked, plan_path
 from scenegen.model.evaluation.planning.refine import field_at, refine
 
+SAMPLE_M = 0.05
+"""Longest gap between the points at which a path is judged, metres (ours)."""
+
 
 @dataclass(frozen=True, eq=False)
 class Trials:
@@ -88,7 +91,7 @@ class Measurement:
     """What a trial gave. Lengths and clearances are NaN where no path was found."""
 
     success: bool
-    """A path was found, and no point of it, sampled every `sample_m`, lies in an occupied voxel of
+    """A path was found, and no point of it, sampled every `SAMPLE_M`, lies in an occupied voxel of
     the truth."""
     length_m: float = math.nan
     """Length of the refined path, metres."""
@@ -121,7 +124,7 @@ def run_trial(
     (*grid.shape); judge in the truth (*grid.shape). Distances are metres. The paper's section
     "Planning with Predicted Distance Fields"; `plan_trial` says what `risk` is."""
     planned = plan_trial(occupied_pred, tudf_pred, risk, goal, grid, config)
-    return judge(*planned, occupancy_truth, tudf_truth, grid, config)
+    return judge(*planned, occupancy_truth, tudf_truth, grid)
 
 
 def plan_trial(
@@ -148,7 +151,6 @@ def judge(
     occupancy_truth: NDArray[np.bool_],
     tudf_truth: NDArray[np.floating],
     grid: GridSpec,
-    config: PlanConfig,
 ) -> Measurement:
     """Judge in the truth the path `refined` (n, 3) that was made of what `plan_path` gave; see
     `run_trial`."""
@@ -157,10 +159,10 @@ def judge(
         return Measurement(success=False, cause=reason)
     truth = checked(occupancy_truth, "occupancy_truth", grid, np.bool_)
     distance = checked(tudf_truth, "tudf_truth", grid, np.float32)
-    hit, length_m, min_m, mean_m = _walk(refined, truth, distance, grid.voxel_m, config.sample_m)
+    hit, length_m, min_m, mean_m = _walk(refined, truth, distance, grid.voxel_m)
     cause: Cause | None = None
     if hit >= 0:
-        initial_hit = _walk(initial, truth, distance, grid.voxel_m, config.sample_m)[0]
+        initial_hit = _walk(initial, truth, distance, grid.voxel_m)[0]
         cause = "refined_into_obstacle" if initial_hit < 0 else "initial_collides"
     return Measurement(
         success=hit < 0,
@@ -172,13 +174,11 @@ def judge(
     )
 
 
-def met(path: NDArray[np.float64], grid: GridSpec, config: PlanConfig) -> NDArray[np.int64]:
+def met(path: NDArray[np.float64], grid: GridSpec) -> NDArray[np.int64]:
     """The voxels, counted in C order, each once, that hold the points at which a path (n, 3) is
     judged."""
     legs = np.diff(path, axis=0)
-    pieces = np.maximum(np.ceil(np.linalg.norm(legs, axis=1) / config.sample_m - 1e-9), 1).astype(
-        np.int64
-    )
+    pieces = np.maximum(np.ceil(np.linalg.norm(legs, axis=1) / SAMPLE_M - 1e-9), 1).astype(np.int64)
     parts = [
         path[n] + legs[n] * (np.arange(1, count + 1) / count)[:, None]
         for n, count in enumerate(pieces)
@@ -188,9 +188,9 @@ def met(path: NDArray[np.float64], grid: GridSpec, config: PlanConfig) -> NDArra
 
 
 @kernel
-def _walk(path, occupancy, tudf, voxel_m, sample_m):
+def _walk(path, occupancy, tudf, voxel_m):
     """Judge `path` (n, 3) at its waypoints and, between two, at equally spaced points at most
-    `sample_m` apart.
+    `SAMPLE_M` apart.
 
     Returns the number of the first occupied voxel that holds one, -1 for none; the path's length;
     the least and the mean of `tudf` along it.
@@ -202,7 +202,7 @@ def _walk(path, occupancy, tudf, voxel_m, sample_m):
     for n in range(len(path) - 1):
         leg = path[n + 1] - path[n]
         reach = math.sqrt(leg[0] * leg[0] + leg[1] * leg[1] + leg[2] * leg[2])
-        pieces = max(math.ceil(reach / sample_m - 1e-9), 1)
+        pieces = max(math.ceil(reach / SAMPLE_M - 1e-9), 1)
         for piece in range(1, pieces + 1):
             for axis in range(3):
                 point[axis] = path[n, axis] + leg[axis] * (piece / pieces)
@@ -262,7 +262,7 @@ def plan_carefully(
     if plan.waypoints is None:
         return Careful(plan, None, np.empty(0, np.int64))
     path = refine(plan.waypoints, field, grid, config)
-    voxels, allowed = met(path, grid, config), met(plan.waypoints, grid, config)
+    voxels, allowed = met(path, grid), met(plan.waypoints, grid)
     avoided = blocked if risk is None else blocked | (risk > RATHER)
     if avoided.reshape(-1)[np.setdiff1d(voxels, allowed, assume_unique=True)].any():
         return Careful(plan, plan.waypoints, allowed)
@@ -285,4 +285,4 @@ def risk_of(
 
 def careful(config: PlanConfig) -> PlanConfig:
     """`config` as the careful planner takes it: edges must be free, and the start is."""
-    return dataclasses.replace(config, edge_check=True, free_start=True)
+    return dataclasses.replace(config, planner="careful", edge_check=True)

@@ -9,6 +9,15 @@ from lidarsim.jit import kernel
 from scenegen.model.evaluation.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import checked
 
+FIRST_STEP = 1.0
+"""Length of the first step tried, in gradients; later ones begin at the last accepted one,
+lengthened."""
+SHRINK = 0.5
+"""Factor by which a step that is not accepted is shortened, and by whose inverse the next is
+lengthened."""
+ARMIJO = 0.1
+"""Share of the decrease promised by the gradient that a step must bring; small ones let steps
+overshoot."""
 SHORTEST_STEP = 1e-12
 """Steps shorter than this, in gradients, are not tried: the path stands at a minimum or on a kink
 of the field."""
@@ -47,9 +56,6 @@ def refine(
         config.safety_m,
         config.clearance_weight,
         config.iterations,
-        config.first_step,
-        config.shrink,
-        config.armijo,
     )
 
 
@@ -124,16 +130,16 @@ def _gradient(path, tudf, voxel_m, safety_m, weight, slope):
 
 
 @kernel
-def _descend(path, tudf, voxel_m, safety_m, weight, iterations, first_step, shrink, armijo):
-    """Projected gradient descent (Bertsekas 1976): a step t to p' must bring armijo / t * |p' -
+def _descend(path, tudf, voxel_m, safety_m, weight, iterations):
+    """Projected gradient descent (Bertsekas 1976): a step t to p' must bring ARMIJO / t * |p' -
     p|^2 at least."""
     path = path.copy()
     slope, trial = np.empty_like(path), path.copy()
     here = _cost(path, tudf, voxel_m, safety_m, weight)
-    step = first_step * shrink
+    step = FIRST_STEP * SHRINK
     for _ in range(iterations):
         _gradient(path, tudf, voxel_m, safety_m, weight, slope)
-        step /= shrink
+        step /= SHRINK
         while True:
             moved = 0.0
             for i in range(1, len(path) - 1):
@@ -146,9 +152,9 @@ def _descend(path, tudf, voxel_m, safety_m, weight, iterations, first_step, shri
             if moved == 0.0:
                 return path
             there = _cost(trial, tudf, voxel_m, safety_m, weight)
-            if there <= here - armijo / step * moved:
+            if there <= here - ARMIJO / step * moved:
                 break
-            step *= shrink
+            step *= SHRINK
             if step < SHORTEST_STEP:
                 return path
         path, trial = trial, path

@@ -24,7 +24,7 @@ from scenegen.model.evaluation.methods import Completed, Predicted, Truth
 from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.evaluation.page import to_html
 from scenegen.model.evaluation.report import build_report, to_markdown
-from scenegen.model.evaluation.rows import METHODS, choose_methods
+from scenegen.model.evaluation.rows import METHODS, find_method
 from scenegen.model.evaluation.run import bench
 from scenegen.run.workers import Local
 from scenegen.source import DrawnWorlds
@@ -245,9 +245,7 @@ def test_trials_in_which_all_succeed_are_told_by_what_may_have_learned(dataset):
     )
     rows = [reference["truth"][chosen]["length"] for chosen in ("all_succeed", "successes")]
     assert rows[0]["n"] == rows[1]["n"] > 0
-    assert [choose_methods([name])[0].learned for name in METHODS.known] == [False] * len(
-        METHODS.known
-    )
+    assert [find_method(name).learned for name in METHODS.known] == [False] * len(METHODS.known)
 
 
 class Nameless:
@@ -304,8 +302,8 @@ def test_one_world_gives_no_interval(tmp_path):
 
 def test_unknown_methods_and_empty_splits_are_refused(dataset, tmp_path):
     with pytest.raises(ScenegenError, match="did you mean 'returns'"):
-        choose_methods(["retruns"])
-    assert choose_methods(["tests.model.evaluation.test_bench:Nothing"])[0].name == "nothing"
+        find_method("retruns")
+    assert find_method("tests.model.evaluation.test_bench:Nothing").name == "nothing"
     recipe = small_recipe()
     build(
         plan_dataset(

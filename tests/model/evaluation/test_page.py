@@ -17,7 +17,7 @@ from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
 from scenegen.model.evaluation.page import to_html
 from scenegen.model.evaluation.report import best, build_report
 from scenegen.model.evaluation.run import bench
-from scenegen.model.evaluation.shown import draw_failures, failing
+from scenegen.model.evaluation.shown import draw_charts, draw_failures, failing
 from scenegen.source import DrawnWorlds
 from tests.conftest import small_recipe
 
@@ -69,8 +69,11 @@ def test_the_page_holds_both_tables_the_paper_s_and_pictures_and_runs_nothing(
     assert 0 < len({result.trial_worlds[n] for n in trials}) == len(trials) <= 3
     pictures = draw_failures(result, dataset, methods)
     assert len(pictures) == len(trials)
-    assert all(image.startswith(b"RIFF") for _, image in pictures)
     report = build_report([result], seed=0, about={"command": HOSTILE})
+    charts = draw_charts(report, result.kind)
+    assert [label for label, _ in charts][:2] == ["IoU", "Near-RMSE, m"]
+    pictures += charts
+    assert all(image.startswith(b"RIFF") for _, image in pictures)
     seen = Elements(to_html(report, {result.kind: pictures}))
     assert not {tag for tag, _ in seen.found} & {"script", "iframe", "object", "embed", "link", "a"}
     assert not any(

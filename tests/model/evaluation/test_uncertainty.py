@@ -77,7 +77,7 @@ def test_regions_are_told_by_the_nearest_obstacle():
     unknown = np.array([True, True, True, True, False])
     true, seen = np.array([[0.4, 0.4, 1.5, 2.0, 0.4], [0.4, 1.0, 1.5, 2.0, 0.4]], np.float32)
     said = np.array([0.9, 1.5, 0.5, 0.5, 0.5], np.float32)
-    inside = regions(np.ones(5, bool), unknown, said, true, seen, near_m=1.0, truncation_m=2.0)
+    inside = regions(np.ones(5, bool), unknown, said, true, seen, truncation_m=2.0)
     assert dict(zip(REGIONS, inside.tolist(), strict=True)) == {
         "map": [True] * 5,
         "unobserved": [True, True, True, True, False],
@@ -87,9 +87,7 @@ def test_regions_are_told_by_the_nearest_obstacle():
         "unseen": [False, True, False, False, False],
     }
     nowhere = np.zeros(5, bool)
-    assert not regions(
-        nowhere, nowhere, said, true, seen[0] * 0, near_m=1.0, truncation_m=2.0
-    ).any()
+    assert not regions(nowhere, nowhere, said, true, seen[0] * 0, truncation_m=2.0).any()
 
 
 def test_sparsification():

@@ -29,7 +29,7 @@ from scenegen.errors import DatasetError
 from scenegen.recipe import preset
 from scenegen.sample import Sample
 from scenegen.source import DrawnWorlds, read_world
-from scenegen.worlds.octomap import read_octomap
+from scenegen.worlds.octomap import parse_octomap
 from tests.command_line import run
 from tests.test_silence import environment, noted, shim  # noqa: F401 (shim is a fixture)
 
@@ -165,7 +165,7 @@ def test_octomap(made: Path, tmp_path: Path) -> None:
     out = converted(made, tmp_path / "out", "octomap")
     voxel_m = Dataset(made).grid.voxel_m
     for number, sample in samples_of(made):
-        found = read_octomap(out / "val" / f"{number}.bt")
+        found = parse_octomap((out / "val" / f"{number}.bt").read_bytes(), "")
         assert found.voxel_m == voxel_m
         for state, mask in ((OCCUPIED, sample.observed), (FREE, sample.free & ~sample.observed)):
             there = np.argwhere(found.states == state) * voxel_m + found.bounds[0]

@@ -24,9 +24,9 @@ from scenegen.limits import MOST_PLACE_VOXELS
 from scenegen.logs import Cruise, Fusing, LogScan
 from scenegen.logs.cruise import cruise_poses
 from scenegen.logs.fuse import ingest
-from scenegen.logs.poses import chained, read_poses
 from scenegen.logs.read import LIVOX, ODOMETRY, Log, _Links, read_log
 from scenegen.logs.write import matrix_of, write_log
+from scenegen.poses import chained, read_poses
 from scenegen.source import read_world
 from scenegen.worlds.place import read_place
 from tests.command_line import run

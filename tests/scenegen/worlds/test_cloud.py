@@ -102,7 +102,7 @@ def surveyed(folder, scans, how):
     w, x, y, z = turn
     rows = {
         "places": places,
-        "tum": [[0, *place, x, y, z, w] for place in places],
+        "tum": [[time, *place, x, y, z, w] for time, place in enumerate(places)],
         "kitti": [
             np.concatenate([rotate(turn, np.eye(3)).T, place[:, None]], axis=1).reshape(-1)
             for place in places
@@ -203,9 +203,9 @@ def test_a_dataset_of_a_cloud_passes_every_check(tmp_path):
         ("a.xyz", b"0 0 0\n1e300 0 0\n", ["--sensor", "0", "0", "0"], "give a larger --voxel"),
         ("a.xyz", b"0 0 0\n", ["--assume-free", "--box", *"555666"], "lies in the box"),
         ("a.xyz", b"0 0 0\n", ["--poses", "none.txt"], "none.txt"),
-        ("a.xyz", b"0 0 0\n", ["--poses", "two.txt"], "2 lines of 3 numbers; expected 1"),
-        ("a.xyz", b"0 0 0\n", ["--poses", "flat.txt"], "pose 1 is no rotation"),
-        ("a.xyz", b"0 0 0\n", ["--poses", "a.bt"], "not a file of poses"),
+        ("a.xyz", b"0 0 0\n", ["--poses", "two.txt"], "2 poses, expected 1"),
+        ("a.xyz", b"0 0 0\n", ["--poses", "flat.txt"], "line 1: expected a rotation"),
+        ("a.xyz", b"0 0 0\n", ["--poses", "a.bt"], "holds no numbers"),
         ("a.bt", b"words\n", ["--assume-free"], "expected one of .ply"),
         ("a.las", b"LASF" + bytes(400), ["--assume-free"], "cannot be read as .las"),
         ("a.laz", b"", ["--assume-free"], "cannot be read as .laz"),

@@ -24,7 +24,7 @@ PLAN = PlanConfig()
 
 def test_what_is_met_is_what_the_judge_looks_at():
     path = np.array([[4.1, 4.1, 2.1], [7.7, 4.1, 2.1]])
-    voxels = np.unravel_index(met(path, GRID, PLAN), GRID.shape)
+    voxels = np.unravel_index(met(path, GRID), GRID.shape)
     assert voxels[0].tolist() == list(range(20, 39))
     assert set(voxels[1]) == {20}
 
@@ -40,7 +40,7 @@ def test_it_never_enters_what_its_map_holds_occupied():
             done = plan_carefully(occupied, field, goal, GRID, PLAN)
             found += done.path is not None
             assert not occupied.reshape(-1)[done.voxels].any()
-            assert judge(done.plan, done.path, occupied, field, GRID, PLAN).success == (
+            assert judge(done.plan, done.path, occupied, field, GRID).success == (
                 done.path is not None
             )
     assert found > 60
@@ -50,7 +50,7 @@ def test_it_abstains_where_it_knows_no_way():
     wall = filled((30,))
     done = plan_carefully(wall, distance_field(wall, GRID), EAST, GRID, PLAN)
     assert (done.path, len(done.voxels), done.plan.reason) == (None, 0, "no_path")
-    assert not judge(done.plan, done.path, FREE, FAR, GRID, PLAN).success
+    assert not judge(done.plan, done.path, FREE, FAR, GRID).success
     assert plan_carefully(FREE, FAR, EAST, GRID, PLAN).path is not None
 
 
@@ -71,7 +71,7 @@ def test_it_goes_round_what_is_likely_occupied():
     shortest, _ = plan_path(FREE, EAST, GRID, PLAN)
     done = plan_carefully(FREE, FAR, EAST, GRID, PLAN, risk)
     assert shortest is not None
-    assert risk.reshape(-1)[met(shortest, GRID, PLAN)].max() > 0.5
+    assert risk.reshape(-1)[met(shortest, GRID)].max() > 0.5
     assert risk.reshape(-1)[done.voxels].max() <= 0.5
 
 

@@ -105,7 +105,7 @@ def read_numbers(path: Path) -> tuple[tuple[str, ...], NDArray[np.float64]]:
     try:
         text = read_bounded(path, MOST_ASSET_BYTES).decode("latin-1")
     except FileNotFoundError:
-        raise DatasetError(f"{path}: no such file; expected the log's poses") from None
+        raise DatasetError(f"{path}: no such file; expected poses") from None
     rows, names = list[list[float]](), tuple[str, ...]()
     for number, line in enumerate(text.replace(",", " ").splitlines(), start=1):
         words = line.partition("#")[0].split()
