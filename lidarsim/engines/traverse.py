@@ -88,7 +88,7 @@ def traverse(
         while start < len(turn):
             end = min(start + most, len(turn))
             count, u, v, w, u0, u1, v0, v1, slowest, fastest = _pack(
-                directions[p], turn, start, end, ray, lanes
+                directions[p], turn[start:end], ray, lanes
             )
             if count > 1 and not (slowest >= STEEP and max(u1 - u0, v1 - v0) <= SPREAD):
                 most, patience = most // 2, 0
@@ -220,8 +220,8 @@ def traverse(
 
 
 @kernel
-def _pack(directions, turn, start, end, ray, lanes):
-    """Put unit vectors of the rays turn[start:end] in the columns of `ray` (6, lanes), and their
+def _pack(directions, turn, ray, lanes):
+    """Put unit vectors of the rays `turn` in the columns of `ray` (6, lanes), and their
     numbers in `lanes`; those of other lengths are left out.
 
     Returns how many there are; the axes u, v and w, along which they run fastest; their least and
@@ -229,8 +229,7 @@ def _pack(directions, turn, start, end, ray, lanes):
     along w for a metre of their own.
     """
     count, x, y, z = np.uint64(0), 0.0, 0.0, 0.0
-    for q in range(start, end):
-        n = turn[q]
+    for n in turn:
         dx, dy, dz = directions[n, 0], directions[n, 1], directions[n, 2]
         length2 = dx * dx + dy * dy + dz * dz
         if not abs(length2 - 1.0) <= ROUNDED:
