@@ -14,7 +14,7 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 297_800, "benchmarks": 29_800, "tests": 277_000}
+TOKENS = {"product": 299_300, "benchmarks": 29_800, "tests": 277_000}
 FILES = 247
 LINES = 400
 """The longest file of product code."""
