@@ -230,7 +230,9 @@ def measure(
     casters: dict[str, Callable[[Rays, Rays], Any]] = {
         "mj_multiRay": raw(model),
         "mujoco": lambda o, d: ours.cast(o, d, MAX_RANGE_M),
-        "analytic": lambda o, d: analytic.cast(o, d, MAX_RANGE_M),
+        "analytic": lambda o, d: analytic.cast(
+            o, d.reshape(len(o), *lidar.shape, 3), MAX_RANGE_M
+        ).reshape(d.shape[:2]),
     }
     exact = len(casters)
     casters |= peers(model, solids, lidar)

@@ -1,9 +1,10 @@
 """Rays by closed forms, through a hierarchy of boxes, with nothing of MuJoCo's ray caster in it."""
 
+import math
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lidarsim.engines.forms import squared_reaches
 from lidarsim.engines.hierarchy import Hierarchy
-from lidarsim.engines.traverse import normals_of, traverse
+from lidarsim.engines.traverse import LANES, TILE, normals_of, traverse
 from lidarsim.solids.shapes import PLANE, Solids
 
 if TYPE_CHECKING:
@@ -91,7 +92,8 @@ class AnalyticEngine:
         self, origins: ArrayLike, directions: ArrayLike, max_range_m: float
     ) -> NDArray[np.float64]:
         """See `lidarsim.engines.Engine.cast`."""
-        return self.nearest(origins, directions, max_range_m)[0]
+        starts, rays, shape = _laid_out(origins, directions)
+        return self._nearest(starts, rays, max_range_m, None, shape)[0].reshape(shape)
 
     def nearest(
         self,
@@ -104,7 +106,7 @@ class AnalyticEngine:
         """Ranges (P, *shape) as `cast` gives them, and the numbers (P, *shape) of the geoms met, or
         -1; `through` as for `hits`."""
         starts, rays, shape = _laid_out(origins, directions)
-        ranges, items = self._nearest(starts, rays, max_range_m, through)
+        ranges, items = self._nearest(starts, rays, max_range_m, through, shape)
         return ranges.reshape(shape), self._owners[items].reshape(shape)
 
     def hits(
@@ -122,7 +124,7 @@ class AnalyticEngine:
         them: primitives by their numbers, then meshes and height fields by theirs.
         """
         starts, rays, shape = _laid_out(origins, directions)
-        ranges, items = self._nearest(starts, rays, max_range_m, through)
+        ranges, items = self._nearest(starts, rays, max_range_m, through, shape)
         points = starts[:, None] + np.where(items >= 0, ranges, np.nan)[..., None] * rays
         solids = self._solids
         normals = normals_of(
@@ -147,13 +149,14 @@ class AnalyticEngine:
         rays: NDArray[np.float64],
         max_range_m: float,
         through: ArrayLike | None,
+        shape: tuple[int, ...],
     ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Ranges (P, n), and which item was met: a primitive's number, beyond those a triangle's,
         or -1."""
         solids, tree = self._solids, self._hierarchy
         ranges, items = np.full(rays.shape[:2], np.inf), np.full(rays.shape[:2], -1)
         reach = min(float(max_range_m), np.finfo(np.float64).max)  # what is missed lies at infinity
-        own = np.full(len(rays), -1)
+        own, turn = np.full(len(rays), -1), _neighbours(shape[1:])
         if through is not None and len(self._part):
             own[:] = through
 
@@ -162,6 +165,7 @@ class AnalyticEngine:
                 starts[poses],
                 rays[poses],
                 reach,
+                turn,
                 solids.shape,
                 solids.size,
                 solids.position,
@@ -219,6 +223,17 @@ class AnalyticEngine:
         )[inside]
 
 
+@lru_cache(maxsize=2)
+def _neighbours(shape: tuple[int, ...]) -> NDArray[np.uint64]:
+    """The numbers of the rays (*shape) of a pose, tile by tile of the last two axes; rays in a row
+    make tiles of one row."""
+    *_, rows, columns = 1, 1, *shape
+    number = np.arange(math.prod(shape))
+    row, column = number // columns, number % columns
+    tall, broad = (TILE, TILE) if rows > 1 else (1, LANES)
+    return np.lexsort((column // broad, row // tall)).astype(np.uint64)
+
+
 def _by_item(solids: Solids, values: NDArray[np.int64]) -> NDArray[np.int64]:
     """Values (n + m,) of solids as values (n + T,) of primitives and triangles."""
     plain = len(solids.shape)
@@ -233,4 +248,4 @@ def _laid_out(
     starts = np.array(origins, dtype=np.float64, order="C")
     vectors = np.array(directions, dtype=np.float64, order="C")
     shape = vectors.shape[:-1]
-    return starts, vectors.reshape(len(starts), int(np.prod(shape[1:])), 3), shape
+    return starts, vectors.reshape(len(starts), math.prod(shape[1:]), 3), shape

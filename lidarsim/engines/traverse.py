@@ -1,6 +1,10 @@
-"""The walk of a ray through the hierarchy: nearest boxes first, closed forms in its leaves.
+"""The walk of rays through the hierarchy: neighbours together, nearest boxes first, closed forms in
+its leaves.
 
-A GPU walks otherwise, one thread a ray, with what stands below `traverse` (`lidarsim.gpu.rays`).
+Rays of a pose that run nearly the same way are walked as one packet (Wald et al. 2001). A box or a
+solid is left out where it lies beside the pyramid around them all (Reshetov et al. 2005); what is
+left, each ray meets by itself, so that a packet changes no bit. A GPU walks otherwise, one thread a
+ray, with what stands from `passes` on (`lidarsim.gpu.rays`).
 """
 
 import math
@@ -19,6 +23,22 @@ ROUNDED = 1e-11
 stay. Beyond, it is made a unit vector."""
 FARTHER = 1.0 - 2.0 * ROUNDED
 """What of a squared distance is left, at least, however it and the vector were rounded."""
+NEGLIGIBLE = 1e-20
+"""What is added to a ball's squared radius, in shares of its squared distance, so that rounding
+loses none."""
+TILE = 4
+"""Rows and columns of rays that are walked together."""
+LANES = TILE * TILE
+"""The most rays of a packet."""
+STEEP = 0.3
+"""Rays of a packet run at least so far along its axis for a metre of their own, metres."""
+SPREAD = 1.5
+"""How wide a packet is at most after a metre along its axis, metres."""
+WORTH = 16
+"""A packet that takes more steps than this for each of its rays gains nothing: among small
+triangles, rays go alone."""
+PATIENCE = 8
+"""So many packets must succeed before larger ones are tried."""
 
 
 @kernel
@@ -26,6 +46,7 @@ def traverse(
     origins,
     directions,
     max_range_m,
+    turn,
     shape,
     size,
     position,
@@ -45,103 +66,214 @@ def traverse(
     """Fill ranges (P, n) and items (P, n) for directions (P, n, 3) from origins (P, 3); see
     `AnalyticEngine`.
 
-    The rays of pose p pass through the items whose `part` is `through[p]`, unless that is -1.
+    The numbers of rays, neighbours one after the other, are `turn` (n,). The rays of pose p pass
+    through the items whose `part` is `through[p]`, unless that is -1.
 
-    Numbers of nodes and items are unsigned: for signed ones numba allows for negative indices, a
-    tenth of the time.
+    Numbers of nodes, items and lanes are unsigned: for signed ones numba allows for negative
+    indices, a tenth of the time. Tests over children and over lanes are free of branches, which
+    cannot be foreseen here and would cost more than what they save.
     """
     plain, none = np.uint64(len(shape)), np.uint64(len(shape) + len(triangles))
-    waiting, closes = (
-        np.empty(WAITING, np.uint64),
-        np.empty(WAITING, np.uint64),
-    )  # a node and 0, or items of a leaf
-    begins = np.empty(WAITING)
-    # nodes as they are from this pose, made where its first ray visits them; `met` says from which
-    # pose they are
-    near, met, kids = (
-        np.empty_like(boxes),
-        np.zeros(len(boxes), np.uint32),
-        np.empty((len(boxes), WIDTH), np.uint64),
-    )
-    count = np.empty(len(boxes), np.uint64)
+    wide, root = np.uint64(WIDTH), np.uint64(WIDTH * len(boxes))
+    # of every lane: its ray and the inverse of that, its number, the nearest item and how far it is
+    ray, lanes = np.empty((6, LANES)), np.empty(LANES, np.uint64)
+    best, item, missed = np.empty(LANES), np.empty(LANES, np.uint64), np.empty(LANES, np.bool_)
+    waiting, begins, near = np.empty(WAITING, np.uint64), np.empty(WAITING), np.empty(WIDTH)
     for p in range(len(origins)):
-        ox, oy, oz, own = origins[p, 0], origins[p, 1], origins[p, 2], through[p]
+        origin, own = origins[p], through[p]
+        ox, oy, oz = origin[0], origin[1], origin[2]
         if not abs(ox) + abs(oy) + abs(oz) < math.inf:
             continue
-        for n in range(directions.shape[1]):
-            x, y, z = directions[p, n, 0], directions[p, n, 1], directions[p, n, 2]
-            length2 = x * x + y * y + z * z
-            if not abs(length2 - 1.0) <= ROUNDED:
-                if not abs(length2 - 1.0) <= SPARE_LENGTH2:
-                    continue
-                length = math.sqrt(length2)
-                x, y, z = x / length, y / length, z / length
-                directions[p, n, 0], directions[p, n, 1], directions[p, n, 2] = x, y, z
-            ix, iy, iz = inverse(x), inverse(y), inverse(z)
-            # the rows of a node's boxes where the ray comes in, and where it goes out
-            ax = np.uint64(0 if ix > 0.0 else 3)
-            ay = np.uint64(1 if iy > 0.0 else 4)
-            az = np.uint64(2 if iz > 0.0 else 5)
-            bx, by, bz = np.uint64(3) - ax, np.uint64(5) - ay, np.uint64(7) - az
-            if plain < none:
-                frame = upright(origins[p], directions[p, n])
-            best, item = max_range_m, none
-            for plane in planes:
-                t = meet_plane(size[plane], position[plane], rotation[plane], ox, oy, oz, x, y, z)
-                if (t < best or (t == best and plane < item)) and (own < 0 or part[plane] != own):
-                    best, item = t, plane
-            left = min(len(boxes), 1)
-            waiting[0], closes[0], begins[0] = 0, 0, 0.0
+        start, most, patience = 0, LANES, 0
+        while start < len(turn):
+            end = min(start + most, len(turn))
+            count, u, v, w, u0, u1, v0, v1, slowest, fastest = _pack(
+                directions[p], turn[start:end], ray, lanes
+            )
+            if count > 1 and not (slowest >= STEEP and max(u1 - u0, v1 - v0) <= SPREAD):
+                most, patience = most // 2, 0
+                continue
+            for i in range(count):
+                best[i], item[i] = max_range_m, none
+                for g in planes:
+                    if own >= 0 and part[g] == own:
+                        continue
+                    x, y, z = ray[0, i], ray[1, i], ray[2, i]
+                    t = meet_plane(size[g], position[g], rotation[g], ox, oy, oz, x, y, z)
+                    if _nearer(t, g, best[i], item[i]):
+                        best[i], item[i] = t, g
+                if plain < none:
+                    for a in range(3):
+                        ray[3 + a, i] = inverse(ray[a, i])
+            worst = best[0]
+            for i in range(1, count):
+                worst = max(worst, best[i])
+            # seen along w, the pyramid spreads along u and v: where it comes into boxes, where out
+            sign, pace = 1.0 if ray[w, 0] > 0.0 else -1.0, 1.0 / fastest
+            ou, ov, ow = origin[u], origin[v], origin[w]
+            aw, _, bw, _, _ = _sides(w, sign, sign)
+            au, fu, bu, gu, both_u = _sides(u, u0, u1)
+            av, fv, bv, gv, both_v = _sides(v, v0, v1)
+            long_u0, long_u1 = math.sqrt(1.0 + u0 * u0), math.sqrt(1.0 + u1 * u1)
+            long_v0, long_v1 = math.sqrt(1.0 + v0 * v0), math.sqrt(1.0 + v1 * v1)
+            left, steps = min(len(boxes), 1), WORTH * np.int64(count)
+            waiting[0], begins[0] = root, 0.0
             while left > 0:
                 left -= 1
-                if begins[left] > best:
+                if begins[left] > worst:
                     continue
-                node, close = waiting[left], closes[left]
+                steps -= 1
+                if steps < 0 and count > 1:
+                    break
+                # the child `kid` of the node `above`: a node, or the items of a leaf up to `close`
+                above, kid = waiting[left] // wide, waiting[left] % wide
+                node, close = np.uint64(0), np.uint64(0)
+                if waiting[left] < root:
+                    node, close = links[above, kid], ends[above, kid]
                 if close > 0:
                     for q in range(node, close):
                         g = order[q]
-                        if g >= plain:
-                            t = meet_triangle(triangles, g - plain, frame)
-                        else:
-                            sx, sy = ox - position[g, 0], oy - position[g, 1]
-                            sz = oz - position[g, 2]
-                            if passes(reach2[g], sx, sy, sz, x, y, z):
+                        if g >= plain or (own >= 0 and part[g] == own):
+                            continue
+                        sx, sy, sz = ox - position[g, 0], oy - position[g, 1], oz - position[g, 2]
+                        apart2 = sx * sx + sy * sy + sz * sz
+                        radius = math.sqrt(reach2[g] + NEGLIGIBLE * apart2)
+                        cu, cv = position[g, u] - ou, position[g, v] - ov
+                        cw = sign * (position[g, w] - ow)
+                        if (
+                            (cu - u1 * cw > radius * long_u1)
+                            | (u0 * cw - cu > radius * long_u0)
+                            | (cv - v1 * cw > radius * long_v1)
+                            | (v0 * cw - cv > radius * long_v0)
+                            | (cw < -radius)
+                            | (apart2 > (worst + radius) * (worst + radius))
+                        ):
+                            continue
+                        for i in range(count):
+                            beyond = best[i] + radius
+                            missed[i] = (apart2 > beyond * beyond) | passes(
+                                reach2[g], sx, sy, sz, ray[0, i], ray[1, i], ray[2, i]
+                            )
+                        for i in range(count):
+                            if missed[i]:
                                 continue
+                            x, y, z = ray[0, i], ray[1, i], ray[2, i]
                             t = meet_solid(g, shape, size, rotation, sx, sy, sz, x, y, z)
-                        if (t < best or (t == best and g < item)) and (own < 0 or part[g] != own):
-                            best, item = t, g
+                            if _nearer(t, g, best[i], item[i]):
+                                best[i], item[i] = t, g
+                    if plain < none:
+                        x0, x1 = boxes[above, 0, kid] - ox, boxes[above, 3, kid] - ox
+                        y0, y1 = boxes[above, 1, kid] - oy, boxes[above, 4, kid] - oy
+                        z0, z1 = boxes[above, 2, kid] - oz, boxes[above, 5, kid] - oz
+                        for i in range(count):
+                            a0, a1 = x0 * ray[3, i], x1 * ray[3, i]
+                            b0, b1 = y0 * ray[4, i], y1 * ray[4, i]
+                            c0, c1 = z0 * ray[5, i], z1 * ray[5, i]
+                            enter = max(max(min(a0, a1), min(b0, b1)), max(min(c0, c1), 0.0))
+                            leave = min(min(max(a0, a1), max(b0, b1)), min(max(c0, c1), best[i]))
+                            missed[i] = enter > leave
+                        for i in range(count):
+                            if missed[i]:
+                                continue
+                            frame = upright(origin, ray[:3, i])
+                            for q in range(node, close):
+                                g = order[q]
+                                if g < plain or (own >= 0 and part[g] == own):
+                                    continue
+                                t = meet_triangle(triangles, g - plain, frame)
+                                if _nearer(t, g, best[i], item[i]):
+                                    best[i], item[i] = t, g
+                    worst = best[0]
+                    for i in range(1, count):
+                        worst = max(worst, best[i])
                     continue
-                if met[node] != p + 1:
-                    met[node] = p + 1
-                    count[node] = _approach(
-                        boxes[node], ox, oy, oz, max_range_m, near[node], kids[node]
-                    )
-                first = left
-                for child in range(count[node]):
+                for child in range(WIDTH):
                     k = np.uint64(child)
-                    # slabs (Kay and Kajiya 1986)
-                    x0, x1 = near[node, ax, k] * ix, near[node, bx, k] * ix
-                    y0, y1 = near[node, ay, k] * iy, near[node, by, k] * iy
-                    z0, z1 = near[node, az, k] * iz, near[node, bz, k] * iz
-                    begin = max(max(x0, y0), max(z0, 0.0))
-                    if begin > min(min(x1, y1), min(z1, best)):
+                    # slabs (Kay and Kajiya 1986) of all slopes at once
+                    c0, c1 = (boxes[node, aw, k] - ow) * sign, (boxes[node, bw, k] - ow) * sign
+                    a0, a1 = (boxes[node, au, k] - ou) * fu, (boxes[node, bu, k] - ou) * gu
+                    b0, b1 = (boxes[node, av, k] - ov) * fv, (boxes[node, bv, k] - ov) * gv
+                    enter = max(max(c0, 0.0), max(a0, b0))
+                    enter = max(enter, max(a1 if both_u else 0.0, b1 if both_v else 0.0))
+                    leave = min(c1, min(math.inf if both_u else a1, math.inf if both_v else b1))
+                    near[k] = math.inf if enter > leave else enter * pace
+                first = left
+                for child in range(WIDTH):
+                    k = np.uint64(child)
+                    if near[k] > worst:
                         continue
                     j = left
-                    while j > first and begins[j - 1] < begin:
-                        waiting[j], closes[j], begins[j] = (
-                            waiting[j - 1],
-                            closes[j - 1],
-                            begins[j - 1],
-                        )
+                    while j > first and begins[j - 1] < near[k]:
+                        waiting[j], begins[j] = waiting[j - 1], begins[j - 1]
                         j -= 1
-                    waiting[j], closes[j], begins[j] = (
-                        links[node, kids[node, k]],
-                        ends[node, kids[node, k]],
-                        begin,
-                    )
+                    waiting[j], begins[j] = node * wide + k, near[k]
                     left += 1
-            if item < none:
-                ranges[p, n], items[p, n] = best, item
+            if steps < 0 and count > 1:
+                most, patience = most // 2, 0
+                continue
+            for i in range(count):
+                if item[i] < none:
+                    ranges[p, lanes[i]], items[p, lanes[i]] = best[i], item[i]
+            start, patience = end, patience + 1
+            if patience == PATIENCE:
+                most, patience = min(2 * most, LANES), 0
+
+
+@kernel
+def _pack(directions, turn, ray, lanes):
+    """Put unit vectors of the rays `turn` in the columns of `ray` (6, lanes), and their
+    numbers in `lanes`; those of other lengths are left out.
+
+    Returns how many there are; the axes u, v and w, along which they run fastest; their least and
+    greatest slopes along u and v for a metre along w; and how far the slowest and the fastest run
+    along w for a metre of their own.
+    """
+    count, x, y, z = np.uint64(0), 0.0, 0.0, 0.0
+    for n in turn:
+        dx, dy, dz = directions[n, 0], directions[n, 1], directions[n, 2]
+        length2 = dx * dx + dy * dy + dz * dz
+        if not abs(length2 - 1.0) <= ROUNDED:
+            if not abs(length2 - 1.0) <= SPARE_LENGTH2:
+                continue
+            length = math.sqrt(length2)
+            dx, dy, dz = dx / length, dy / length, dz / length
+            directions[n, 0], directions[n, 1], directions[n, 2] = dx, dy, dz
+        ray[0, count], ray[1, count], ray[2, count], lanes[count] = dx, dy, dz, n
+        x, y, z, count = x + dx, y + dy, z + dz, count + np.uint64(1)
+    w = np.uint64(1 if abs(y) > abs(x) else 0)
+    w = np.uint64(2) if abs(z) > max(abs(x), abs(y)) else w
+    u, v = (w + np.uint64(1)) % np.uint64(3), (w + np.uint64(2)) % np.uint64(3)
+    sign = 1.0 if ray[w, 0] > 0.0 else -1.0
+    u0, u1, v0, v1, slowest, fastest = math.inf, -math.inf, math.inf, -math.inf, math.inf, 0.0
+    for i in range(count):
+        d = sign * ray[w, i]
+        a, b = ray[u, i] / d, ray[v, i] / d
+        u0, u1, v0, v1 = min(u0, a), max(u1, a), min(v0, b), max(v1, b)
+        slowest, fastest = min(slowest, d), max(fastest, d)
+    return count, u, v, w, u0, u1, v0, v1, slowest, fastest
+
+
+@kernel
+def _sides(axis, least, most):
+    """Where a pyramid whose slopes along an axis go from `least` to `most` comes into a box.
+
+    Returns the row of a node's boxes that it meets first and the inverse of the steepest slope
+    towards it; the other row and the inverse of the other slope; and whether slopes have both
+    signs: then it comes in at either side, and goes out at none.
+    """
+    above = axis + np.uint64(3)
+    if least >= 0.0:
+        return axis, inverse(most), above, inverse(least), False
+    if most <= 0.0:
+        return above, inverse(least), axis, -inverse(-most), False
+    return axis, inverse(most), above, -inverse(-least), True
+
+
+@kernel
+def _nearer(t, g, best, item):
+    """Whether item g at distance t comes before `item` at `best`: of two at one place, the first
+    does."""
+    return t < best or (t == best and g < item)
 
 
 @kernel
@@ -165,25 +297,6 @@ def meet_solid(g, shape, size, rotation, sx, sy, sz, x, y, z):
     dy = rotation[g, 0, 1] * x + rotation[g, 1, 1] * y + rotation[g, 2, 1] * z
     dz = rotation[g, 0, 2] * x + rotation[g, 1, 2] * y + rotation[g, 2, 2] * z
     return meet(shape[g], size[g, 0], size[g, 1], size[g, 2], px, py, pz, dx, dy, dz)
-
-
-@kernel
-def _approach(box, ox, oy, oz, reach, near, kids):
-    """Fill `near` (6, 4) with the children's boxes (6, 4) relative to an origin, and `kids` (4,)
-    with their places, but for those out of reach; how many there are."""
-    count, far = np.uint64(0), reach * (1.0 + ROUNDED)  # a direction may be that much too long
-    for child in range(WIDTH):
-        k = np.uint64(child)
-        x0, y0, z0 = box[0, k] - ox, box[1, k] - oy, box[2, k] - oz
-        x1, y1, z1 = box[3, k] - ox, box[4, k] - oy, box[5, k] - oz
-        if (
-            max(max(max(x0, -x1), max(y0, -y1)), max(z0, -z1)) <= far and x0 <= x1
-        ):  # else out of reach, or not there
-            near[0, count], near[1, count], near[2, count] = x0, y0, z0
-            near[3, count], near[4, count], near[5, count] = x1, y1, z1
-            kids[count] = k
-            count += np.uint64(1)
-    return count
 
 
 @kernel

@@ -44,6 +44,7 @@ class VoxelEngine:
 
     def __init__(self, voxels: VoxelMap):
         self._voxels = voxels
+        self._last: tuple[NDArray[np.float64], ...] = ()
 
     def cast(
         self, origins: ArrayLike, directions: ArrayLike, max_range_m: float
@@ -56,10 +57,14 @@ class VoxelEngine:
         self, origins: ArrayLike, directions: ArrayLike, max_range_m: float
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Ranges as `cast` gives them, and the metres of unknown space that each ray crosses before
-        it returns, or within `max_range_m`; both (P, *shape)."""
+        it returns, or within `max_range_m`; both (P, *shape). Who asks after `cast` for the same
+        rays pays nothing: one walk gives both."""
         starts = np.array(origins, dtype=np.float64, order="C")
         rays = np.array(directions, dtype=np.float64, order="C")
-        shape = rays.shape[:-1]
+        shape, asked = rays.shape[:-1], (starts, rays, np.array(max_range_m))
+        last = self._last
+        if last and all(map(np.array_equal, last, asked)):
+            return last[-2].copy(), last[-1].copy()
         ranges, unknown = np.full(shape, np.inf), np.zeros(shape)
         count = int(np.prod(shape[1:]))
         _cast(
@@ -72,7 +77,8 @@ class VoxelEngine:
             ranges.reshape(len(starts), count),
             unknown.reshape(len(starts), count),
         )
-        return ranges, unknown
+        self._last = *asked, ranges, unknown
+        return ranges.copy(), unknown.copy()
 
 
 @kernel

@@ -93,7 +93,8 @@ class Place:
 
     def caster(self, engine: object) -> VoxelEngine:
         """What casts rays: a `VoxelEngine`, whatever `engine` others are cast by."""
-        return VoxelEngine(self.voxels)
+        ((name, content),) = self.assets.items()
+        return _engine(content, name)
 
     def truth(self, grid: GridSpec, origin: NDArray[np.float64]) -> dict[str, NDArray[np.bool_]]:
         """The fields of a sample that say what is there: `occupancy`, and `known` where what is
@@ -103,8 +104,8 @@ class Place:
 
     def unknown_m(self, scan: Scan) -> NDArray[np.float64]:
         """Metres of unknown space that each ray of a scan crosses before it returns, (*rays)."""
-        engine, reach = VoxelEngine(self.voxels), scan.lidar.max_range_m
-        return engine.cross(scan.pose.position[None], scan.directions[None], reach)[1][0]
+        start, rays, reach = scan.pose.position[None], scan.directions[None], scan.lidar.max_range_m
+        return self.caster(None).cross(start, rays, reach)[1][0]
 
 
 def read_place(path: str | Path) -> Place:
@@ -154,6 +155,11 @@ def map_digest(voxels: VoxelMap) -> bytes:
 @functools.lru_cache(maxsize=2)  # a large one takes 200 MB
 def _parsed(content: bytes, name: str) -> VoxelMap:
     return parse_map(content, name[name.rindex(".") :], name)
+
+
+@functools.lru_cache(maxsize=2)
+def _engine(content: bytes, name: str) -> VoxelEngine:
+    return VoxelEngine(_parsed(content, name))
 
 
 def parse_map(content: bytes, suffix: str, name: str) -> VoxelMap:
