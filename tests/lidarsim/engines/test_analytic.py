@@ -93,6 +93,31 @@ def counted(shapes):
     return [(int(shape), int((shapes[:n] == shape).sum())) for n, shape in enumerate(shapes)]
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_rays_in_packets_meet_what_each_meets_alone(seed):
+    """To the bit: neighbours in a sensor's shape, in a row, apart, and along the axes."""
+    rng = np.random.default_rng(seed)
+    engine = AnalyticEngine.of(random_model(rng))
+    origins, _ = random_rays(rng, 2, 1)
+    yaw, pitch = np.meshgrid(np.linspace(-np.pi, np.pi, 121)[:-1], np.linspace(-0.5, 0.5, 17))
+    level = np.cos(pitch)
+    rays = np.stack([level * np.cos(yaw), level * np.sin(yaw), np.sin(pitch)], axis=-1)
+    rays[8] = rays[8].round(9)  # some of its slopes are 0
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    for shape in (rays.shape, (-1, 3)):
+        for order in (np.arange(rays.size // 3), rng.permutation(rays.size // 3)):
+            shown = rays.reshape(-1, 3)[order]
+            both = np.broadcast_to(shown.reshape(shape), (2, *shown.reshape(shape).shape))
+            together = engine.hits(origins, both, 30.0)
+            for p in range(2):
+                starts = np.broadcast_to(origins[p], shown.shape)
+                alone = engine.hits(starts, shown[:, None], 30.0)
+                for name in ("ranges", "geoms", "points", "normals"):
+                    found, expected = getattr(together, name)[p], getattr(alone, name)
+                    np.testing.assert_array_equal(found.reshape(expected.shape), expected)
+    assert np.isfinite(together.ranges).mean() > 0.2
+
+
 def test_threads_share_poses_and_change_nothing(monkeypatch):
     rng = np.random.default_rng(9)
     solids = solids_of(random_model(rng))
