@@ -26,7 +26,7 @@ from scenegen.cli.options import (
 from scenegen.cli.show import Progress, announce_compilation, say, show_table
 from scenegen.cli.types import FILE, Choice, OutputFile
 from scenegen.errors import ScenegenError
-from scenegen.files import write_result
+from scenegen.files import check_free, write_result
 from scenegen.fly import SUITES, Rules, Vehicle
 from scenegen.model.commands.weights import Weights
 from scenegen.model.robots import MAPPING, NAMES, REACTIVE, fly_course, leaderboard, summary
@@ -182,6 +182,10 @@ def fly(
         raise click.UsageError("--hidden and --maps choose other courses; give one of them")
     if film and recorded:
         raise click.UsageError("--film is taken while a robot flies; leave out --replay")
+    if film and film.suffix != ".gif":
+        raise click.UsageError(f"--film {film}: expected a name that ends in .gif")
+    if log is not None:  # before anything is flown
+        check_free(log)
     from scenegen.fly.course import Recording
     from scenegen.fly.suite import QUICK, chosen_courses
 

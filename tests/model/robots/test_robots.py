@@ -114,6 +114,9 @@ def test_the_command_flies_records_and_flies_again(
     again = json.loads(out)
     assert [one["digest"] for one in again["flights"]] == [one["digest"] for one in told["flights"]]
     assert again["anew, equal to the bit"] == "1 of 1 flights"
+    assert run(capsys, *words, "--film", "flight.mp4")[0] == 2
+    code, _, complaint = run(capsys, *words, "--log", log)
+    assert (code, str(log) in complaint) == (1, True)  # and nothing is flown in vain
 
 
 def test_a_film_shows_what_the_robot_takes_for_occupied() -> None:
