@@ -90,6 +90,9 @@ def traverse(
             count, u, v, w, u0, u1, v0, v1, slowest, fastest = _pack(
                 directions[p], turn[start:end], ray, lanes
             )
+            if count == 0:  # none of them is a unit vector
+                start = end
+                continue
             if count > 1 and not (slowest >= STEEP and max(u1 - u0, v1 - v0) <= SPREAD):
                 most, patience = most // 2, 0
                 continue

@@ -180,12 +180,7 @@ def fly(
         )
     if hidden is not None and maps:
         raise click.UsageError("--hidden and --maps choose other courses; give one of them")
-    if film and recorded:
-        raise click.UsageError("--film is taken while a robot flies; leave out --replay")
-    if film and film.suffix != ".gif":
-        raise click.UsageError(f"--film {film}: expected a name that ends in .gif")
-    if log is not None:  # before anything is flown
-        check_free(log)
+    _check_results(film, log, recorded)
     from scenegen.fly.course import Recording
     from scenegen.fly.suite import QUICK, chosen_courses
 
@@ -222,12 +217,7 @@ def fly(
     row = summary(name, [one for _, flown in found for one in flown])
     row |= {"anew, equal to the bit": anew} if anew else {}
     if as_json:
-        rows = [
-            one.row() | {"seed": course.seed, "difficulty": grade._asdict()}
-            for course, flown in found
-            for one, grade in zip(flown, course.graded(), strict=False)
-        ]
-        print(json.dumps(row | {"flights": rows}))
+        print(json.dumps(row | {"flights": _rows(found)}))
     elif talk:
         show_table(row)
         for end in sorted({one.trouble for _, flown in found for one in flown} - {""}):
@@ -238,6 +228,25 @@ def fly(
             say("every flight is as it was recorded")
     if trouble:
         raise ScenegenError(trouble)
+
+
+def _check_results(film: Path | None, log: Path | None, recorded: Path | None) -> None:
+    """Raise, before anything is flown, for results that cannot be written."""
+    if film and recorded:
+        raise click.UsageError("--film is taken while a robot flies; leave out --replay")
+    if film and film.suffix != ".gif":
+        raise click.UsageError(f"--film {film}: expected a name that ends in .gif")
+    if log is not None:
+        check_free(log)
+
+
+def _rows(found: "Sequence[tuple[Course, Sequence[Flown]]]") -> list[dict[str, Any]]:
+    """What `--json` tells of each flight."""
+    return [
+        one.row() | {"seed": course.seed, "difficulty": grade._asdict()}
+        for course, flown in found
+        for one, grade in zip(flown, course.graded(), strict=False)
+    ]
 
 
 def _replayed(recording: "Recording") -> "tuple[list[tuple[Course, Sequence[Flown]]], bool]":

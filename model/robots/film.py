@@ -40,7 +40,7 @@ class _Watched:
         at = observation["position"]
         self.way.append(at)
         if len(self.way) % EVERY == 1 and len(self.frames) < MOST:
-            taken = self._robot.taken(at[2])[0] if hasattr(self._robot, "taken") else None
+            taken = self._robot.taken(at[2]) if hasattr(self._robot, "taken") else None
             self.frames.append((at, taken, getattr(self._robot, "path", None)))
         return answer
 

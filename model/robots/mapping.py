@@ -94,12 +94,11 @@ class MappingRobot:
             return no_way(self._about)
         return follow(path, observation, self._about, self._room)
 
-    def taken(self, height_m: float) -> tuple[NDArray[np.bool_], GridSpec, NDArray[np.float64]]:
-        """What it takes for occupied at a height in the world: (nx, ny), and the grid and the
-        origin (3,) of the voxels within the bounds."""
-        level = int((height_m - self._start[2]) / self.grid.voxel_m)
-        level = min(max(level, 0), self._fence.shape[2] - 1)
-        return self._distance[:, :, level] == 0, self._fence, self._start
+    def taken(self, height_m: float) -> NDArray[np.bool_]:
+        """What it takes for occupied at a height in the world: (nx, ny), of the voxels that lie
+        wholly within the bounds."""
+        *_, (level,) = self._voxels(np.array([[0.0, 0.0, height_m]]))
+        return self._distance[:, :, level] == 0
 
     def _room(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """How far points (n, 3), world metres, are from what is taken for occupied, (n,) metres."""

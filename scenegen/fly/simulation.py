@@ -111,8 +111,8 @@ class Simulation:
             GenerationError: The noise does not suit the world.
         """
         pose, chain = pose_of(self.state, self.vehicle), self.noise
-        back = pose.quaternion * (1.0, -1.0, -1.0, -1.0)
         if self._moving:
+            back = pose.quaternion * (1.0, -1.0, -1.0, -1.0)
             forward, left, up = rotate(back, self.state[None, VELOCITY])[0].tolist()
             turning = math.degrees(self._turning)
             pace: Any = Motion(
@@ -126,7 +126,7 @@ class Simulation:
         self._seen = ranges.tobytes()
         hit = np.isfinite(ranges)
         points = np.zeros((*ranges.shape, 3))
-        points[hit] = rotate(back, seen.points() - pose.position)
+        points[hit] = pose.to_body(seen.points())
         return {
             "ranges": ranges,
             "points": points.astype(np.float32),

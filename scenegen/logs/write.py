@@ -99,10 +99,7 @@ def _write_mcap(file: Any, scans: Iterable[LogScan]) -> None:
         columns = dict(zip("xyz", scan.points.T.astype(np.float32), strict=True), **scan.more)
         messages = {
             "/tf": (TRANSFORMS, {"transforms": [link]}),
-            "/points": (
-                CLOUD,
-                cloud_message(columns | dict(scan.more), {"stamp": stamp, "frame_id": SENSOR}),
-            ),
+            "/points": (CLOUD, cloud_message(columns, {"stamp": stamp, "frame_id": SENSOR})),
         }
         for topic, (kind, message) in messages.items():
             writer.write_message(topic, kinds[kind], message, log_time=when, sequence=number)
