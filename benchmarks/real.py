@@ -128,9 +128,8 @@ def main() -> None:
             for name in LOGS
             for world in ([name] if name in KINDS else (given.maps or folder).rglob(f"{name}.bt"))
         }
-        for log in sorted((given.recordings or folder).glob("*/poses.txt")):
-            if given.recordings:
-                logs[f"recording `{log.parent.name}`"] = observed(log.parent, folder)
+        for log in sorted(given.recordings.glob("*/poses.txt") if given.recordings else ()):
+            logs[f"recording `{log.parent.name}`"] = observed(log.parent, folder)
         methods: list[Method] = [Completed(Extrude()), *networks]
         tables = scored(places, logs, methods, given.trials, pictures)
     print("\n".join(tables))

@@ -193,8 +193,8 @@ def fly(
         if weights is not None or was_given("robot"):
             _check(robot, weights)
             some = recording.courses[::QUICK]
-            told = [_flown_anew(one, robot, weights) for one in some]
-            anew = f"{sum(told)} of {sum(len(flown) for _, flown in some)} flights"
+            same_count = sum(_flown_anew(one, robot, weights) for one in some)
+            anew = f"{same_count} of {sum(len(flown) for _, flown in some)} flights"
     else:
         if talk:
             announce_compilation()
@@ -253,13 +253,13 @@ def _replayed(recording: "Recording") -> "tuple[list[tuple[Course, Sequence[Flow
     """The flights of a recording, flown again, and whether all are as they were."""
     from scenegen.fly.course import replay
 
-    found, all_same = list[tuple[Any, list[Any]]](), True
+    found, all_same = list[Any](), True
     for course, flown, same in replay(recording):
         all_same &= same
         if not found or found[-1][0] is not course:
             found.append((course, []))
         found[-1][1].append(flown)
-    return list(found), all_same
+    return found, all_same
 
 
 def _flown_anew(recorded: "tuple[Course, Sequence[Flown]]", robot: str, weights: str | None) -> int:

@@ -81,7 +81,7 @@ def map(
     from scenegen.display.inspect import map_facts
     from scenegen.files import write_result
     from scenegen.worlds.cloud import map_clouds
-    from scenegen.worlds.place import encode_npz
+    from scenegen.worlds.place import encode_map
     from scenegen.worlds.plan import read_plan
 
     survey = Survey(**options)
@@ -89,7 +89,7 @@ def map(
         made = read_plan(clouds[0], survey.height_m)
     else:
         made = map_clouds(clouds, survey, sensor=sensor, poses=poses, box=box)
-    write_result(out, encode_npz(made.voxels, str(clouds[0]), offset=made.offset))
+    write_result(out, encode_map(made.voxels, str(clouds[0]), offset=made.offset))
     about = {"file": str(out), "points": made.points, "taken_off_m": made.offset.tolist()}
     row = about | map_facts(made.voxels)
     if as_json:

@@ -59,7 +59,7 @@ def map_courses(folder: Path) -> list[Course]:
     one that is missing; for another map than was meant, `Course` does."""
     found = []
     for (name, document), seed in product(MAPS.items(), range(MAP_COURSES)):
-        file = next(iter(sorted(folder.rglob(name))), None)
+        file = min(folder.rglob(name), default=None)
         if file is None:
             raise GenerationError(
                 f"{folder}: {name} is not there; expected {', '.join(MAPS)}, whose sources the "

@@ -28,7 +28,7 @@ from scenegen.logs import Fusing, LogScan
 from scenegen.logs.read import Log
 from scenegen.poses import between
 from scenegen.truth.voxels import resample
-from scenegen.worlds.place import box_of, encode_npz
+from scenegen.worlds.place import box_of, encode_map
 
 THREADS = 2
 """Threads that follow rays, each in a window of the map; a third adds the windows up."""
@@ -173,7 +173,7 @@ def _write(
         kept = {n: out / "observations" / f"{n:06d}.npz" for n in part[:: how.every]}
         place = _fused(log, scans, part, how, state, kept, on_scan)
         name = f"place-{number:03d}.npz"
-        write_whole(out / name, encode_npz(place, name))
+        write_whole(out / name, encode_map(place, name))
         for observation in kept.values():
             _observe(observation, place)
         counts["maps"] += 1
@@ -245,7 +245,7 @@ def _fused(
             state.save()
     state.told = NOTHING
     counts["moved_voxels"] += int(_settle(hits, misses, how.moved_share))
-    (i, j, k), (a, b, c) = box = box_of(hits != UNKNOWN)
+    (i, j, k), (a, b, c) = box = box_of(hits, lambda layer: layer != UNKNOWN)
     if not a:
         raise DatasetError("no scan of the log has a return that its maps reach")
     states = np.ascontiguousarray(hits[i:a, j:b, k:c])

@@ -113,13 +113,16 @@ def way_difficulty(
     """
     step = max(round(STEP_M / voxel_m), 1)
     stops = way[::step]
-    around = np.mean([_around(occupancy, stop, voxel_m) for stop in stops], axis=0)
+    around = [_around(occupancy, stop, voxel_m) for stop in stops]
+    visibility, dispersion, passage = np.mean(around, axis=0).tolist()
     level = DIRECTIONS[DIRECTIONS[:, 2] == 0]
     free_m, gap = _mean_ways(occupancy, way[0], step, level)
     length = np.sqrt((np.diff(way, axis=0) ** 2).sum(axis=1)).sum()
     return Difficulty(
         clearance_m=float(tudf[tuple(stops.T)].mean()),
-        **dict(zip(("visibility_m", "dispersion", "passage_m"), around.tolist(), strict=True)),
+        visibility_m=visibility,
+        dispersion=dispersion,
+        passage_m=passage,
         tortuosity=float(length / np.sqrt(((way[-1] - way[0]) ** 2).sum())),
         traversability=float(free_m) * voxel_m / BODY_M,
         gap=float(gap) * voxel_m / BODY_M,

@@ -3,11 +3,9 @@ through what is free there."""
 
 import functools
 import hashlib
-import io
 import math
 import re
-import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -20,7 +18,7 @@ from lidarsim import GridSpec, Scan
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelEngine, VoxelMap
 from lidarsim.jit import kernel
 from lidarsim.sensors.table import MOST_HEADER_BYTES
-from scenegen.clouds import read_npz
+from scenegen.clouds import encode_npz, read_npz
 from scenegen.errors import SceneError, printable
 from scenegen.files import read_bounded, sha256_of
 from scenegen.limits import MOST_ASSET_BYTES, MOST_PLACE_VOXELS
@@ -72,7 +70,8 @@ class Place:
     def flight_bounds(self) -> NDArray[np.float64]:
         """(2, 3): least and greatest corner of the box around the free voxels, metres."""
         voxels = self.voxels
-        return np.asarray(voxels.origin + box_of(voxels.states == FREE) * voxels.voxel_m)
+        box = box_of(voxels.states, lambda layer: layer == FREE)
+        return np.asarray(voxels.origin + box * voxels.voxel_m)
 
     @property
     def clearance(self) -> "PlaceClearance":
@@ -120,10 +119,10 @@ def place_of(content: bytes, suffix: str, where: str) -> Place:
     name = f"{sha256_of(content)[:16]}{suffix}"
     found = Place(DOCUMENT.format(name).encode(), {name: content})
     try:
-        nothing = not (found.voxels.states == FREE).any()
+        bounds = found.flight_bounds
     except SceneError as error:
         raise SceneError(str(error).replace(name, where, 1)) from None
-    if nothing:
+    if (bounds[0] == bounds[1]).all():
         raise SceneError(f"{where}: nothing in it is free, so that no sensor can be there")
     return found
 
@@ -192,18 +191,11 @@ def parse_npz(content: bytes, name: str) -> VoxelMap:
     return VoxelMap(states, voxel_m, origin)
 
 
-def encode_npz(voxels: VoxelMap, where: str, **more: NDArray[Any]) -> bytes:
+def encode_map(voxels: VoxelMap, where: str, **more: NDArray[Any]) -> bytes:
     """The content of an .npz map, with `more` arrays by name: the same for the same map. Raises
     SceneError, naming `where`, for more than a map's file may hold."""
     arrays = dict(zip(PARTS, (voxels.states, voxels.voxel_m, voxels.origin), strict=True))
-    memory = io.BytesIO()
-    with zipfile.ZipFile(memory, "w") as archive:
-        for part, array in (arrays | more).items():
-            file = io.BytesIO()
-            np.lib.format.write_array(file, np.asarray(array))
-            # a ZipInfo's date is always the same
-            archive.writestr(zipfile.ZipInfo(f"{part}.npy"), file.getvalue(), zipfile.ZIP_DEFLATED)
-    content = memory.getvalue()
+    content = encode_npz(arrays | more, level=6)
     if len(content) > MOST_ASSET_BYTES:
         raise SceneError(
             f"{where}: its map takes {len(content)} bytes, expected {MOST_ASSET_BYTES} at most; "
@@ -212,13 +204,21 @@ def encode_npz(voxels: VoxelMap, where: str, **more: NDArray[Any]) -> bytes:
     return content
 
 
-def box_of(cells: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """The first of the true cells along each axis, and one more than the last, (2, axes); zeros
-    where none is true."""
+def box_of(
+    cells: NDArray[Any], wanted: Callable[[NDArray[Any]], NDArray[np.bool_]]
+) -> NDArray[np.int64]:
+    """The first of the cells that are `wanted` along each axis, and one more than the last,
+    (2, axes); zeros where none is. It goes layer by layer: a map is too large for a copy."""
+    rows, seen = np.zeros(len(cells), np.bool_), np.zeros(cells.shape[1:], np.bool_)
+    for n, layer in enumerate(cells):
+        here = wanted(layer)
+        rows[n] = here.any()
+        seen |= here
     box = np.zeros((2, cells.ndim), np.int64)
-    for axis in range(cells.ndim) if cells.any() else ():
-        others = tuple(other for other in range(cells.ndim) if other != axis)
-        box[:, axis] = np.flatnonzero(cells.any(axis=others))[[0, -1]] + [0, 1]
+    for axis in range(cells.ndim) if rows.any() else ():
+        others = tuple(other for other in range(seen.ndim) if other != axis - 1)
+        line = seen.any(axis=others) if axis else rows
+        box[:, axis] = np.flatnonzero(line)[[0, -1]] + [0, 1]
     return box
 
 

@@ -62,7 +62,7 @@ def read_plan(path: Path, height_m: float = Survey.height_m) -> Surveyed:
     shares = np.arange(256) / 255 if negate else 1 - np.arange(256) / 255
     states = np.where(shares > occupied, OCCUPIED, np.where(shares < free, FREE, UNKNOWN))
     plan = states.astype(np.uint8)[_shades(image)][::-1].T  # the topmost row has the largest y
-    (row, column), (end, last) = box_of(plan != UNKNOWN)
+    (row, column), (end, last) = box_of(plan, lambda row: row != UNKNOWN)
     if not end:
         raise SceneError(f"{path}: an empty map; nothing in it is known")
     plan = plan[row:end, column:last]

@@ -18,7 +18,7 @@ from scenegen.worlds import CLOUDS, MAPS, MESHES
 from scenegen.worlds.cloud import Survey, map_clouds
 from scenegen.worlds.drawing import flatten, least_memory
 from scenegen.worlds.mesh import mesh_spec
-from scenegen.worlds.place import encode_npz, map_digest, named_map, place_of, read_place
+from scenegen.worlds.place import encode_map, map_digest, named_map, place_of, read_place
 from scenegen.worlds.plan import read_plan
 from scenegen.worlds.screen import screen
 from scenegen.worlds.world import compile_world, geometry_digest, quiet_mujoco
@@ -87,7 +87,7 @@ def load_map(path: Path) -> Scene:
         if path.suffix in CLOUDS:
             plan = path.suffix == ".yaml"
             made = read_plan(path) if plan else map_clouds([path])
-            place = place_of(encode_npz(made.voxels, str(path)), ".npz", str(path))
+            place = place_of(encode_map(made.voxels, str(path)), ".npz", str(path))
             told = f"walls are taken for {Survey.height_m:g} m high (map --height changes that)"
             if not plan:
                 told = f"{made.points} points become voxels of {made.voxels.voxel_m:g} m"

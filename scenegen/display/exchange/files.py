@@ -7,7 +7,6 @@ KITTI).
 import io
 import json
 import tarfile
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim import GridSpec, Sensor
+from scenegen.clouds import encode_npz
 from scenegen.display.exchange import Choices
 from scenegen.errors import DatasetError
 from scenegen.files import write_result
@@ -93,18 +93,6 @@ def encode_points(
         about_fields["stood"] = " ".join(map(repr, about["position"].tolist()))
     head = HEADS[suffix].format(count=len(points), **about_fields)
     return head.encode() + np.concatenate(columns, axis=1).astype("<f4").tobytes()
-
-
-def encode_npz(fields: Mapping[str, Any]) -> bytes:
-    """A compressed NumPy archive of arrays and texts by name, the same bytes whenever it is
-    made."""
-    file = io.BytesIO()
-    # not numpy.savez_compressed: it knows no level, and level 1 is several times as fast
-    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as members:
-        for name, values in fields.items():
-            with members.open(f"{name}.npy", "w") as member:
-                np.lib.format.write_array(member, np.asanyarray(values), allow_pickle=False)
-    return file.getvalue()
 
 
 class OneEach:

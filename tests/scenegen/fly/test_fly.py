@@ -22,7 +22,7 @@ from scenegen.fly.motion import STEP_S, advance, most_pull, pose_of
 from scenegen.fly.pipe import PipeRobot
 from scenegen.fly.simulation import Simulation, bounded
 from scenegen.fly.suite import chosen_courses
-from scenegen.worlds.place import encode_npz
+from scenegen.worlds.place import encode_map
 from scenegen.worlds.world import World, compile_world
 
 VEHICLE = Vehicle()
@@ -322,7 +322,7 @@ def test_what_is_unknown_of_a_map_is_flown_through_and_never_flown_to(tmp_path: 
     states = np.full((60, 60, 15), FREE, np.uint8)
     states[25:30], states[45], states[45, 20:40, 4:12] = UNKNOWN, OCCUPIED, FREE
     voxels = VoxelMap(states, 0.2, np.zeros(3))
-    (tmp_path / "hall.npz").write_bytes(encode_npz(voxels, "hall"))
+    (tmp_path / "hall.npz").write_bytes(encode_map(voxels, "hall"))
     course = Course(world=str(tmp_path / "hall.npz"), rules=Rules(apart_m=6.0), flights=8)
     parts = [{end[0] > 5 for end in (one.start, one.goal)} for one in course.missions]
     assert {len(part) for part in parts} == {1}, "a way leads through what is unknown"
@@ -343,7 +343,7 @@ def test_the_real_track_is_of_these_maps_alone(
     with pytest.raises(GenerationError, match=r"geb079\.bt is not there"):
         chosen_courses("aerial-1", None, tmp_path, quick=False)
     states = np.full((60, 60, 15), FREE, np.uint8)
-    content = encode_npz(VoxelMap(states, 0.2, np.zeros(3)), "hall")
+    content = encode_map(VoxelMap(states, 0.2, np.zeros(3)), "hall")
     (tmp_path / "hall.npz").write_bytes(content)
     monkeypatch.setattr(suite, "MAPS", {"hall.npz": "0" * 16})
     courses = chosen_courses("aerial-1", None, tmp_path, quick=False)
