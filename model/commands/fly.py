@@ -126,7 +126,8 @@ SAVED = 10
 @click.option(
     "--film",
     type=OutputFile(),
-    help="A film (.gif) of the first flight from above, and what the robot takes for occupied.",
+    help="A film of the first flight, and what the robot takes for occupied: .gif from above, or "
+    ".html, a page that plays it in three dimensions.",
 )
 @click.option(
     "--log",
@@ -211,7 +212,7 @@ def fly(
     if picture is not None:
         _draw(picture, *found[0], name)
     if film is not None:
-        _film(film, found[0][0], robot, weights)
+        _film(film, found[0][0], robot, weights, name)
     if log is not None:
         _log(log, *found[0])
     row = summary(name, [one for _, flown in found for one in flown])
@@ -234,8 +235,8 @@ def _check_results(film: Path | None, log: Path | None, recorded: Path | None) -
     """Raise, before anything is flown, for results that cannot be written."""
     if film and recorded:
         raise click.UsageError("--film is taken while a robot flies; leave out --replay")
-    if film and film.suffix != ".gif":
-        raise click.UsageError(f"--film {film}: expected a name that ends in .gif")
+    if film and film.suffix not in (".gif", ".html"):
+        raise click.UsageError(f"--film {film}: expected a name that ends in .gif or .html")
     if log is not None:
         check_free(log)
 
@@ -355,13 +356,16 @@ def _draw(picture: Path, course: "Course", flown: "Sequence[Flown]", name: str) 
     write_result(picture, to_bytes(figure, ".png"))
 
 
-def _film(path: Path, course: "Course", robot: str, weights: str | None) -> None:
+def _film(path: Path, course: "Course", robot: str, weights: str | None, name: str) -> None:
     from scenegen.model.robots import robot_maker
-    from scenegen.model.robots.film import film
+    from scenegen.model.robots.film import film, flight_page
 
     made = robot_maker(robot, weights)(course)
     try:
-        write_result(path, film(course, 0, made))
+        taken = (
+            film(course, 0, made) if path.suffix == ".gif" else flight_page(course, 0, made, name)
+        )
+        write_result(path, taken)
     finally:
         getattr(made, "close", lambda: None)()
 

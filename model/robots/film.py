@@ -1,6 +1,8 @@
-"""A film of a flight, from above: what is there, what the robot takes for occupied, and its way."""
+"""Films of a flight: what is there, what the robot takes for occupied, and its way."""
 
 import io
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -8,10 +10,14 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from lidarsim import GridSpec
+from lidarsim.pose import rotate
 from scenegen.display.colours import GOAL, INVENTED, SENSOR
+from scenegen.display.look import Guess, Look, Route
+from scenegen.display.page import page
 from scenegen.fly.course import Course
-from scenegen.fly.loop import fly
-from scenegen.fly.simulation import Observation
+from scenegen.fly.loop import Flown, fly
+from scenegen.fly.simulation import Observation, Simulation
+from scenegen.model.robots.mapping import within
 
 EVERY = 3
 """Periods from picture to picture."""
@@ -24,12 +30,25 @@ FREE, UNHELD, RIGHT = (255, 255, 255), (190, 190, 190), (60, 90, 140)
 WAY, PLAN = (20, 20, 20), (0, 120, 70)
 
 
+@dataclass(frozen=True, eq=False)
+class _Moment:
+    """What was seen at a decision, and what the robot held then."""
+
+    seen: Observation
+    taken: NDArray[np.bool_] | None
+    """What it takes for occupied, of the scene's grid; None where it has no map."""
+    plan: NDArray[np.float64] | None
+    """The way ahead (n, 3), world metres."""
+    way: NDArray[np.float64]
+    """The way flown until then (n, 3), world metres."""
+
+
 class _Watched:
     """A robot, and what it held at every `EVERY`-th decision."""
 
     def __init__(self, robot: Any):
         self._robot = robot
-        self.frames: list[tuple[NDArray[np.float64], Any, Any]] = []
+        self.held: list[tuple[Observation, Any, Any]] = []
         self.way: list[NDArray[np.float64]] = []
 
     def reset(self, about: Observation) -> None:
@@ -37,57 +56,129 @@ class _Watched:
 
     def act(self, observation: Observation) -> Any:
         answer = self._robot.act(observation)
-        at = observation["position"]
-        self.way.append(at)
-        if len(self.way) % EVERY == 1 and len(self.frames) < MOST:
-            taken = self._robot.taken(at[2]) if hasattr(self._robot, "taken") else None
-            self.frames.append((at, taken, getattr(self._robot, "path", None)))
+        self.way.append(observation["position"])
+        if len(self.way) % EVERY == 1 and len(self.held) < MOST:
+            # bits, since a film's worth of voxels would take a gigabyte
+            taken = np.packbits(self._robot.taken()) if hasattr(self._robot, "taken") else None
+            self.held.append((observation, taken, getattr(self._robot, "path", None)))
         return answer
+
+
+@dataclass(frozen=True, eq=False)
+class _Scene:
+    """A flight, and the voxels that lie wholly within its bounds."""
+
+    simulation: Simulation
+    flown: Flown
+    watched: _Watched
+    grid: GridSpec
+    first: NDArray[np.int64]
+    """The least voxel (3,), counted from the world's origin."""
+    truth: NDArray[np.bool_]
+    """What is occupied, of the grid's shape."""
+
+    @classmethod
+    def of(cls, course: Course, number: int, robot: Any) -> "_Scene":
+        """Mission `number`, flown by `robot`."""
+        watched, simulation = _Watched(robot), course.simulation(number)
+        flown = fly(simulation, watched)
+        grid, first = within(simulation.mission.bounds, getattr(robot, "grid", GridSpec()))
+        truth = course.simulated.truth(grid, first * np.float64(grid.voxel_m))["occupancy"]
+        return cls(simulation, flown, watched, grid, first, truth)
+
+    def moments(self) -> Iterator[_Moment]:
+        """What was held on the way; at the end, what was held last."""
+        held, way = self.watched.held, np.array(self.watched.way)
+        last = held[-1][0] | {"position": self.flown.path[-1]}
+        for n, (seen, bits, plan) in enumerate([*held, (last, *held[-1][1:])]):
+            taken = bits
+            if bits is not None:
+                taken = np.unpackbits(bits, count=self.truth.size).reshape(self.truth.shape) > 0
+            passed = np.concatenate([way[: n * EVERY + 1], seen["position"][None]])
+            yield _Moment(seen, taken, plan, passed)
 
 
 def film(course: Course, number: int, robot: Any) -> bytes:
     """A GIF of mission `number`, flown by `robot`: the level of the vehicle's height, five pictures
     a second, 1.5 times as fast as it was flown."""
-    watched = _Watched(robot)
-    simulation = course.simulation(number)
-    flown = fly(simulation, watched)
-    low, high = np.array(simulation.mission.bounds)
-    voxel_m = GridSpec().voxel_m
-    start = np.floor(low / voxel_m).astype(np.int64) + 1
-    count = np.maximum(np.floor(high / voxel_m).astype(np.int64) - start, 1)
-    x, y, z = count.tolist()
-    grid = GridSpec(shape=(x, y, z), voxel_m=voxel_m)
-    truth = course.simulated.truth(grid, start * voxel_m)["occupancy"]
+    scene = _Scene.of(course, number, robot)
+    start, voxel_m, (x, y, z) = scene.first, scene.grid.voxel_m, scene.grid.shape
     scale = max(WIDTH // max(x, y), 1)
 
     def pixels(points: Any) -> list[tuple[float, float]]:
         across, along = (np.atleast_2d(points)[:, :2] / voxel_m - start[:2]).T * scale
         return list(zip(across.tolist(), (y * scale - along).tolist(), strict=True))
 
-    moments = [*watched.frames, (flown.path[-1], *watched.frames[-1][1:])]
     pictures = []
-    for n, (at, taken, plan) in enumerate(moments):
-        there = truth[:, :, min(max(int(at[2] / voxel_m - start[2]), 0), z - 1)]
+    for moment in scene.moments():
+        at = moment.seen["position"]
+        level = min(max(int(at[2] / voxel_m - start[2]), 0), z - 1)
+        there = scene.truth[:, :, level]
         colours = np.full((x, y, 3), FREE, np.uint8)
         colours[there] = UNHELD
-        if taken is not None:
+        if moment.taken is not None:
+            taken = moment.taken[:, :, level]
             colours[there & taken], colours[taken & ~there] = RIGHT, INVENTED
         from_above = colours[:, ::-1].transpose(1, 0, 2)
         picture = Image.fromarray(from_above.repeat(scale, axis=0).repeat(scale, axis=1))
         draw = ImageDraw.Draw(picture)
-        if plan is not None and len(plan) > 1:
-            draw.line(pixels(plan), fill=PLAN, width=2)
-        draw.line(pixels([*watched.way[: n * EVERY + 1], at]), fill=WAY, width=2)
+        if moment.plan is not None and len(moment.plan) > 1:
+            draw.line(pixels(moment.plan), fill=PLAN, width=2)
+        draw.line(pixels(moment.way), fill=WAY, width=2)
         discs = (
-            (simulation.mission.goal, course.rules.reach_m, GOAL),
+            (scene.simulation.mission.goal, course.rules.reach_m, GOAL),
             (at, course.vehicle.radius_m, SENSOR),
         )
         for point, radius_m, fill in discs:
             ((u, v),), r = pixels(point), radius_m / voxel_m * scale
             draw.ellipse([u - r, v - r, u + r, v + r], fill=fill)
         pictures.append(picture.quantize(16))
-    file, shown_ms = io.BytesIO(), [200] * len(watched.frames) + [1500]
+    file, shown_ms = io.BytesIO(), [200] * (len(pictures) - 1) + [1500]
     pictures[0].save(
         file, "GIF", save_all=True, append_images=pictures[1:], duration=shown_ms, loop=0
     )
     return file.getvalue()
+
+
+def flight_page(course: Course, number: int, robot: Any, name: str) -> bytes:
+    """A page (HTML) that plays mission `number`, flown by `robot`, called `name`, in three
+    dimensions: what is there, what the robot takes for occupied, its scans, and its way, first
+    flown and then planned.
+
+    Raises DatasetError where no browser takes the voxels within the flight's bounds.
+    """
+    scene = _Scene.of(course, number, robot)
+    start, goal = map(np.array, (scene.simulation.mission.start, scene.simulation.mission.goal))
+    moments, looks = list(scene.moments()), []
+    for moment in moments:
+        seen = moment.seen
+        at, hits = seen["position"], seen["points"][np.isfinite(seen["ranges"])]
+        returns = at + rotate(seen["quaternion"], hits.astype(np.float64))
+        observed = np.zeros_like(scene.truth)
+        met = np.floor(returns / scene.grid.voxel_m).astype(np.int64) - scene.first
+        observed[tuple(met[((met >= 0) & (met < scene.grid.shape)).all(axis=1)].T)] = True
+        ahead = np.empty((0, 3)) if moment.plan is None else moment.plan[1:]
+        told = "under way" if moment is not moments[-1] else scene.flown.outcome
+        route = Route(
+            start=start,
+            goal=goal,
+            points=np.concatenate([moment.way, ahead]),
+            told=f"{told}, {len(moment.way)} of {len(scene.watched.way)} periods flown",
+            fails=told not in ("success", "under way"),
+            hit=at if told == "collision" else None,
+        )
+        held = observed if moment.taken is None else moment.taken
+        looks.append(
+            Look(
+                name=f"{seen['time_s'][0]:.1f} s",
+                grid=scene.grid,
+                origin=scene.first * np.float64(scene.grid.voxel_m),
+                position=at,
+                quaternion=seen["quaternion"],
+                masks={"occupancy": scene.truth, "observed": observed},
+                scans=[returns],
+                rays=seen["ranges"].size,
+                guesses=(Guess(name=name, occupied=held, tudf=None, route=route),),
+            )
+        )
+    return page(looks, title=f"{name} in {course.world}").encode()

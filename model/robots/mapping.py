@@ -29,6 +29,14 @@ RIM = 5
 PLAN = PlanConfig(step_voxels=2, iterations=20)
 
 
+def within(bounds: ArrayLike, grid: GridSpec) -> tuple[GridSpec, NDArray[np.int64]]:
+    """The voxels of a grid, counted from the world's origin, that lie wholly within `bounds`
+    (2, 3), metres, at least one along each axis: how many, and the first (3,)."""
+    low, high = np.floor(np.asarray(bounds) / grid.voxel_m).astype(np.int64)
+    x, y, z = np.maximum(high - low - 1, 1).tolist()
+    return replace(grid, shape=(x, y, z)), low + 1
+
+
 @dataclass(frozen=True, eq=False)
 class _Rays:
     """What of a sensor its robot is told."""
@@ -62,15 +70,12 @@ class MappingRobot:
         )
         self.path: NDArray[np.float64] | None = None
         """The way that it follows, (n, 3) world metres, the goal last."""
-        edges = np.floor(about["bounds"] / self.grid.voxel_m).astype(np.int64)
-        self._low, count = edges[0] + 1, np.maximum(edges[1] - edges[0] - 1, 1)
-        x, y, z = count.tolist()
-        self._fence = replace(self.grid, shape=(x, y, z))
-        """The voxels within the bounds, in which ways are planned; `_low` is the first."""
+        self._fence, self._low = within(about["bounds"], self.grid)
+        """The voxels in which ways are planned, and the first of them."""
         self._forget()
         window = np.array(self.grid.shape)
         self._least = self._low - window // 2 - 2
-        self._known = np.zeros((2, *(count + window + 4)), np.bool_)
+        self._known = np.zeros((2, *(window + self._fence.shape + 4)), np.bool_)
         """What was observed, and what is free, wherever the window may come; `_least` is the
         first voxel."""
 
@@ -94,11 +99,9 @@ class MappingRobot:
             return no_way(self._about)
         return follow(path, observation, self._about, self._room)
 
-    def taken(self, height_m: float) -> NDArray[np.bool_]:
-        """What it takes for occupied at a height in the world: (nx, ny), of the voxels that lie
-        wholly within the bounds."""
-        *_, (level,) = self._voxels(np.array([[0.0, 0.0, height_m]]))
-        return self._distance[:, :, level] == 0
+    def taken(self) -> NDArray[np.bool_]:
+        """What it takes for occupied, of the voxels `within` the bounds."""
+        return self._distance == 0
 
     def _room(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """How far points (n, 3), world metres, are from what is taken for occupied, (n,) metres."""

@@ -41,8 +41,8 @@ class Guess:
     name: str
     occupied: NDArray[np.bool_]
     """Voxels, of the grid's shape."""
-    tudf: NDArray[np.float32]
-    """Distances, of the grid's shape, metres."""
+    tudf: NDArray[np.float32] | None
+    """Distances, of the grid's shape, metres; None where none are predicted."""
     route: Route | None = None
     """The path that was planned on these maps."""
 

@@ -464,7 +464,7 @@
     if (next.tudf) found.tudf.truth = await unpack(next.tudf);
     for (const { name, mask, tudf } of next.guesses) {
       const bits = found.masks[name] = await unpack(mask);
-      found.tudf[name] = await unpack(tudf);
+      if (tudf) found.tudf[name] = await unpack(tudf);
       if (!occupancy) continue;
       found.masks[`${name}: missed`] = occupancy.map((byte, n) => byte & ~bits[n]);
       found.masks[`${name}: invented`] = bits.map((byte, n) => byte & ~occupancy[n]);
@@ -553,13 +553,28 @@
     find("split").onchange = () => show(0);
     offer(told.get("split") ?? live.split);
   }
+  // Samples follow one another, five a second where the browser can, as a flight's moments do.
+  let playing = false;
+  async function play() {
+    playing = !playing;
+    find("play").textContent = playing ? "❚❚" : "▶▶";
+    if (playing && current >= count() - 1) await show(0);
+    while (playing && current < count() - 1) {
+      const due = performance.now() + 200, at = current;
+      await show(current + 1);
+      if (current === at) break; // another sample was asked for meanwhile
+      await new Promise((done) => setTimeout(done, Math.max(due - performance.now(), 20)));
+    }
+    if (playing) await play();
+  }
+  find("play").onclick = play;
   find("before").onclick = () => show(current - 1);
   find("next").onclick = () => show(current + 1);
   find("axis").onchange = () => { middle(); step(0); };
   find("level").oninput = () => step(0);
   const keys = {
     ArrowLeft: () => show(current - 1), ArrowRight: () => show(current + 1),
-    Home: () => show(0), End: () => show(count() - 1),
+    " ": play, Home: () => show(0), End: () => show(count() - 1),
     ArrowUp: () => step(1), ArrowDown: () => step(-1), v: () => beside((views() % 3) + 1), r: () => view(false), t: () => view(true),
   };
   addEventListener("keydown", (event) => {

@@ -164,11 +164,9 @@ def _packed_guess(guess: Guess, look: Look) -> dict[str, Any]:
     def local(points: NDArray[np.float64] | None) -> Any:
         return None if points is None else np.round(points - look.origin, 4).tolist()
 
-    found: dict[str, Any] = {
-        "name": guess.name,
-        "mask": _bits(guess.occupied),
-        "tudf": _distances(guess.tudf, look.grid),
-    }
+    found: dict[str, Any] = {"name": guess.name, "mask": _bits(guess.occupied)}
+    if guess.tudf is not None:
+        found["tudf"] = _distances(guess.tudf, look.grid)
     if (route := guess.route) is not None:
         ends = {"start": local(route.start), "goal": local(route.goal), "hit": local(route.hit)}
         found["route"] = {**ends, "points": local(route.points) or []}

@@ -19,9 +19,10 @@ from scenegen.fly.simulation import Simulation
 from scenegen.logs.read import read_log
 from scenegen.model.completion.unlearned import Returns
 from scenegen.model.robots import NAMES, robot_maker
-from scenegen.model.robots.film import RIGHT, UNHELD, film
+from scenegen.model.robots.film import RIGHT, UNHELD, film, flight_page
 from scenegen.model.robots.mapping import MappingRobot
 from tests.command_line import run
+from tests.scenegen.display.test_page import Seen, unpacked
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -126,6 +127,24 @@ def test_a_film_shows_what_the_robot_takes_for_occupied() -> None:
             film_.seek(film_.n_frames - 1)
             colours = {colour for _, colour in film_.convert("RGB").getcolors()}
         assert shown <= colours
+
+
+def test_a_page_plays_a_flight_to_its_end() -> None:
+    course = Course(world="pillar", difficulty="easy", flights=1, seed=1)
+    robot = robot_maker("truth", None)(course)
+    moments = Seen(flight_page(course, 0, robot, "truth").decode()).data()["samples"]
+    assert moments[0]["guesses"][0]["route"]["points"][0] == pytest.approx(
+        np.subtract(course.missions[0].start, moments[0]["origin"]), abs=1e-3
+    )
+    for moment in moments[:-1]:
+        assert moment["figures"]["truth: path"].startswith("under way")
+    assert moments[-1]["figures"]["truth: path"].startswith("success")
+    reach = np.subtract(moments[-1]["position"], course.missions[0].goal)
+    assert np.linalg.norm(reach) <= course.rules.reach_m
+    there = [moments[-1]["masks"]["occupancy"], moments[-1]["guesses"][0]["mask"]]
+    occupied, taken = (np.frombuffer(unpacked(one), np.uint8) for one in there)
+    assert occupied.any()
+    assert not (taken & ~occupied).any(), "the truth's robot invents nothing"
 
 
 def test_an_entry_to_a_suite_goes_on_and_is_not_lost(

@@ -199,3 +199,15 @@ def test_views_side_by_side_have_one_camera(browser: Any, made: Path) -> None:
         assert "free" in state(tab, "layers")
         tab.get_by_role("button", name="truth").click()
         assert (state(tab, "views"), told) == ("1", [])
+
+
+def test_samples_play_one_after_the_other(browser: Any, made: Path) -> None:
+    with served(made) as server:
+        tab, told = reached(browser, server.address)
+        tab.keyboard.press(" ")
+        tab.wait_for_function("document.body.dataset.sample > 2")
+        tab.keyboard.press(" ")
+        tab.wait_for_timeout(1000)
+        rests = state(tab, "sample")
+        tab.wait_for_timeout(1000)
+        assert (state(tab, "sample"), told) == (rests, [])
