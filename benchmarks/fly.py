@@ -12,6 +12,7 @@ robot's is a network, with which a robot maps. Decisions are timed in this proce
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -55,11 +56,15 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=10, help="one of so many courses")
     parser.add_argument("--maps", type=Path, help="folder of the real maps, to fly these")
     parser.add_argument("--robots", nargs="*", default=list(ROBOTS))
+    parser.add_argument("--dynamics", default="kinematic", help="of the vehicle")
     parser.add_argument("--page", type=Path)
     small = {"every": 300, "robots": ["reactive", "optimistic"], "page": Path("/dev/null")}
     given = measuring.parse(parser, **small)
     with tempfile.TemporaryDirectory() as spare:
         courses = map_courses(given.maps) if given.maps else courses_of("aerial-1")[:: given.every]
+        courses = [
+            replace(one, vehicle=replace(one.vehicle, dynamics=given.dynamics)) for one in courses
+        ]
         found = {
             name: flown(name, courses, (given.entries or Path(spare)) / f"{Path(name).stem}.json")
             for name in given.robots

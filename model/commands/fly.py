@@ -98,6 +98,8 @@ SAVED = 10
     radius_m="Radius of the vehicle, metres.",
     speed_mps="Metres a second, at most.",
     acceleration_mps2="Metres a second squared, at most.",
+    dynamics="How the vehicle moves: as its bounds say, or as a quadrotor of MuJoCo's that tracks "
+    "that, with inertia, rotors and drag.",
 )
 @options_of(Rules, apart_m="Least distance from start to goal, metres.")
 @lidar_option("raster")
@@ -138,7 +140,7 @@ SAVED = 10
 @workers_option
 @on_option
 @printing
-@group("Robot", "robot weights radius speed acceleration")
+@group("Robot", "robot weights radius speed acceleration dynamics")
 @group("Courses", "suite hidden maps quick flights worlds difficulty apart moving replay")
 def fly(
     world: str | None,

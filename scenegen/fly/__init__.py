@@ -6,6 +6,7 @@ collisions, `loop` lets a robot fly and scores it. A robot may be a process of i
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 from lidarsim.parameters import check, number
 
@@ -32,6 +33,9 @@ class Vehicle:
     gravity, by which it leans less."""
     yaw_rate_deg_s: float = number(90.0, above=0, most=360)
     """The most that it turns, degrees a second."""
+    dynamics: Literal["kinematic", "mujoco"] = "kinematic"
+    """Whether it moves as these bounds say, or as a quadrotor of MuJoCo's that tracks such a
+    motion: with inertia, rotors' lag and drag, and bits that are those of one machine."""
 
     def __post_init__(self) -> None:
         check(self)

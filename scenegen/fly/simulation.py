@@ -2,7 +2,7 @@
 
 import hashlib
 import math
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,9 @@ from scenegen.fly.motion import (
 )
 from scenegen.worlds.place import Place
 from scenegen.worlds.world import World
+
+if TYPE_CHECKING:
+    from scenegen.fly.dynamics import Quadrotor
 
 Outcome = Literal["success", "collision", "left", "timeout", "crashed", "hung", "flooded"]
 """How a flight ended: at its goal; at a solid; beyond the flight bounds; out of time; or because
@@ -76,6 +79,7 @@ class Simulation:
         self._digest = hashlib.sha256()
         self._seen = b""
         self._turning = 0.0
+        self._body = _quadrotor(self.state, vehicle) if vehicle.dynamics == "mujoco" else None
 
     @property
     def digest(self) -> str:
@@ -84,8 +88,7 @@ class Simulation:
 
     def about(self) -> Observation:
         """What a robot is told before it flies: the mission, the vehicle and the sensor."""
-        told = {name: getattr(self.vehicle, name) for name in vars(self.vehicle)}
-        told |= {
+        told = vars(self.vehicle) | {
             "goal": self.mission.goal,
             "bounds": self.mission.bounds,
             "reach_m": self.rules.reach_m,
@@ -96,6 +99,7 @@ class Simulation:
             "times_s": self.sensor.times_s,
             "lever_arm_m": getattr(self.sensor, "lever_arm_m", ()) or (0.0, 0.0, 0.0),
         }
+        del told["dynamics"]  # it is no number, and nothing that a robot would be told
         return {name: np.asarray(value, dtype=np.float64) for name, value in told.items()}
 
     def observe(self) -> Observation:
@@ -110,7 +114,8 @@ class Simulation:
         Raises:
             GenerationError: The noise does not suit the world.
         """
-        pose, chain = pose_of(self.state, self.vehicle), self.noise
+        pose = self._body.pose if self._body else pose_of(self.state, self.vehicle)
+        chain = self.noise
         if self._moving:
             back = pose.quaternion * (1.0, -1.0, -1.0, -1.0)
             forward, left, up = rotate(back, self.state[None, VELOCITY])[0].tolist()
@@ -145,8 +150,11 @@ class Simulation:
         from its chord by its acceleration times the square of its time over eight at most.
         """
         vehicle, low_high = self.vehicle, np.array(self.mission.bounds)
-        states = advance(self.state, command, vehicle)
-        stray = most_pull(vehicle) * STEP_S * STEP_S / 8
+        if self._body:
+            states, pull = self._body.advance(command), self._body.most_pull
+        else:
+            states, pull = advance(self.state, command, vehicle), most_pull(vehicle)
+        stray = pull * STEP_S * STEP_S / 8
         radius, self._turning = vehicle.radius_m + stray, float(command[3])
         before, free, flown = self.state, self.clearances_m[-1], len(states)
         for number, state in enumerate(states):
@@ -186,6 +194,12 @@ class Simulation:
             "mean_clearance_m": float(np.mean(self.clearances_m)),
             "jerk_mps3": math.sqrt(float((jerk * jerk).sum() / max(len(jerk), 1))),
         }
+
+
+def _quadrotor(state: NDArray[np.float64], vehicle: Vehicle) -> "Quadrotor":
+    from scenegen.fly.dynamics import Quadrotor
+
+    return Quadrotor(state, vehicle)
 
 
 def bounded(action: Any, vehicle: Vehicle) -> tuple[NDArray[np.float32] | None, bool]:

@@ -13,9 +13,11 @@ from hypothesis import strategies as st
 
 from lidarsim import AnalyticEngine, GridSpec, Lidar
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelMap
+from lidarsim.pose import rotate
 from scenegen.errors import DatasetError, GenerationError
 from scenegen.fly import Rules, Vehicle, suite
 from scenegen.fly.course import Course, Recording, replay
+from scenegen.fly.dynamics import Quadrotor
 from scenegen.fly.loop import fly
 from scenegen.fly.missions import VOXEL_M, Mission, draw_missions
 from scenegen.fly.motion import STEP_S, advance, most_pull, pose_of
@@ -369,3 +371,32 @@ def test_gymnasium_takes_it() -> None:
     assert not over
     assert 0.0 < reward < 0.2
     assert set(about["about"]) >= {"goal", "bounds", "radius_m"}
+
+
+def test_a_quadrotor_of_mujocos_tracks_the_kinematic_motion_and_leans_as_its_thrust_takes() -> None:
+    """It lags by decimetres and comes to rest where that does."""
+    vehicle = Vehicle(dynamics="mujoco", tilt_deg=60)
+    lead = np.array([0.0, 0.0, 1.5, *[0.0] * 6, 0.6, 0.8])
+    quadrotor = Quadrotor(lead, vehicle)
+    commands = [[2.0, 0.0, 0.0, 0.5]] * 15 + [[0.0, -1.9, 0.5, -1.0]] * 15 + [[0.0] * 4] * 30
+    lags, lean = [], []
+    for command in commands:
+        states = quadrotor.advance(np.float32(command))
+        lead = advance(lead, np.float32(command), vehicle)[-1]
+        lags.append(math.dist(states[-1, :3], lead[:3]))
+        told, pose = pose_of(states[-1], vehicle), quadrotor.pose
+        one, other = (rotate(its.quaternion, np.eye(3)[2:])[0] for its in (told, pose))
+        lean.append(float(one @ other))
+    assert 0.02 < max(lags) < 0.2
+    assert lags[-1] < 0.01
+    np.testing.assert_allclose(lead[9:], states[-1, 9:], atol=0.01)
+    assert min(lean) > 1 - 1e-9
+
+
+def test_a_flight_with_mujocos_dynamics_ends_and_is_the_same_again() -> None:
+    options = {"vehicle": Vehicle(dynamics="mujoco")}
+    one, same = (fly(simulation(balls(), **options), Scripted(straight(0.5))) for _ in range(2))
+    kinematic = fly(simulation(balls()), Scripted(straight(0.5)))
+    assert one.digest == same.digest != kinematic.digest
+    assert one.outcome == kinematic.outcome
+    assert np.abs(one.path[:20] - kinematic.path[:20]).max() < 0.2
