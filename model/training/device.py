@@ -129,12 +129,6 @@ class Group:
         if problem is not None:
             raise problem
 
-    def share_statistics(self, network: nn.Module) -> None:
-        """Give every process the first one's batch statistics, which each updates by itself."""
-        if self.size > 1:
-            for buffer in network.buffers():
-                dist.broadcast(buffer, 0)
-
     def any(self, mine: bool) -> bool:
         """Whether any process says so."""
         return self.mean({"": float(mine)})[""] > 0
@@ -161,3 +155,50 @@ class Group:
         if self.size > 1:
             dist.all_gather_object(found, mine)
         return found
+
+
+class _Total(torch.autograd.Function):
+    """The sum of all processes' tensors."""
+
+    @staticmethod
+    def forward(ctx: Any, mine: Tensor) -> Tensor:
+        dist.all_reduce(total := mine.clone())
+        return total
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> Tensor:
+        dist.all_reduce(total := gradients[0].clone())
+        return total
+
+
+class SharedNorm(nn.BatchNorm3d):
+    """A batch norm in two or three dimensions, whose statistics are those of all processes' maps:
+    torch's own (`nn.SyncBatchNorm`) is for GPUs alone."""
+
+    @classmethod
+    def within(cls, module: nn.Module) -> None:
+        """Put one, with the same parameters, in the place of every batch norm of a module."""
+        for name, child in module.named_children():
+            if isinstance(child, nn.BatchNorm2d | nn.BatchNorm3d):
+                shared = cls(child.num_features, child.eps, child.momentum)
+                shared.load_state_dict(child.state_dict())
+                shared.weight, shared.bias = child.weight, child.bias
+                module.add_module(name, shared.train(child.training))
+            cls.within(child)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """See `nn.BatchNorm3d`."""
+        if not self.training:
+            return nn.functional.batch_norm(
+                x, self.running_mean, self.running_var, self.weight, self.bias, eps=self.eps
+            )
+        axes, wide = [0, *range(2, x.ndim)], [1, -1, *[1] * (x.ndim - 2)]
+        count = x.numel() // x.shape[1] * dist.get_world_size()
+        centred = x.float() - (mean := _Total.apply(x.float().sum(axes)) / count).view(wide)
+        variance = _Total.apply(centred.square().sum(axes)) / count
+        with torch.no_grad():
+            self.running_mean.lerp_(mean, self.momentum)
+            self.running_var.lerp_(variance * (count / max(count - 1, 1)), self.momentum)
+            self.num_batches_tracked += 1
+        scale = self.weight * torch.rsqrt(variance + self.eps)
+        return (centred * scale.view(wide) + self.bias.view(wide)).to(x.dtype)

@@ -38,6 +38,7 @@ from scenegen.model.training.data import (
 )
 from scenegen.model.training.device import (
     Group,
+    SharedNorm,
     TrainingError,
     autocast,
     choose_device,
@@ -129,7 +130,6 @@ def train(
             if stop or progress.step < len(steps):
                 folder.save(progress)
                 raise StoppedError(f"stopped; the same command goes on with {out}")
-            group.share_statistics(network)
             found = validate(
                 network, checks, config.loss, config.batch, where, precision, group, workers
             )
@@ -185,6 +185,8 @@ class Step:
         if self.group.size > 1:
             if self.device.type == "cuda":
                 model = nn.SyncBatchNorm.convert_sync_batchnorm(model)
+            else:
+                SharedNorm.within(model)
             model = DistributedDataParallel(model)
         self._model = torch.compile(model) if self.config.compile else model
 

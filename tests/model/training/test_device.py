@@ -27,7 +27,7 @@ def take_a_step(folders, out, environment):
         maps = Maps(opened(folders, "train"), "train")
         torch.manual_seed(0)
         config = dataclasses.replace(SMALL, loss=LossConfig(eikonal=1.0, lovasz=1.0))
-        network = Network(config.network).eval()  # or each process has statistics of its own
+        network = Network(config.network)
         optimizer = torch.optim.SGD(network.parameters(), lr=1.0)
         learn = Step(network, optimizer, config, maps.grid, device, torch.float32, group)
         batch = {name: torch.stack([maps[n][name] for n in range(4)]) for name in maps[0]}
@@ -59,7 +59,8 @@ def free_port():
 
 
 def test_two_processes_take_the_step_that_one_takes(folders, tmp_path):
-    """Gradients and losses are the whole batch's, the Eikonal term among them, whose voxels are not
+    """Gradients, losses and the statistics of batch norms are the whole batch's, and so is the
+    Eikonal term, whose voxels are not
     shared evenly."""
     torchrun = {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free_port())}
     ranks = [
