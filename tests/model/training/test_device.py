@@ -60,8 +60,7 @@ def free_port():
 
 def test_two_processes_take_the_step_that_one_takes(folders, tmp_path):
     """Gradients, losses and the statistics of batch norms are the whole batch's, and so is the
-    Eikonal term, whose voxels are not
-    shared evenly."""
+    Eikonal term, whose voxels are not shared evenly."""
     torchrun = {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free_port())}
     ranks = [
         elsewhere(take_a_step, folders, tmp_path, torchrun | {"RANK": str(rank)})
