@@ -70,6 +70,9 @@ class MappingRobot:
         )
         self.path: NDArray[np.float64] | None = None
         """The way that it follows, (n, 3) world metres, the goal last."""
+        self._least_m = 0.0
+        """What that way kept from all that was taken for occupied when it was planned, as far as it
+        was wanted."""
         self._fence, self._low = within(about["bounds"], self.grid)
         """The voxels in which ways are planned, and the first of them."""
         self._forget()
@@ -94,6 +97,8 @@ class MappingRobot:
         path = self._kept(observation)
         if path is None:
             path = self._plan(observation)
+            if path is not None:
+                self._least_m = min(self._narrowest_m(path), self._about["radius_m"] + SPARES_M[0])
         self.path = path
         if path is None:
             return no_way(self._about)
@@ -153,8 +158,8 @@ class MappingRobot:
         self._risk[there] = risk[here]
 
     def _kept(self, observation: Observation) -> NDArray[np.float64] | None:
-        """What is left of the last path, (n, 3) world metres, while it is free: else one way out
-        and the next could take turns."""
+        """What is left of the last path, (n, 3) world metres, while nothing that has been seen since
+        makes it narrower: else one way out and the next could take turns."""
         if self.path is None:
             return None
         position = observation["position"]
@@ -163,9 +168,12 @@ class MappingRobot:
         along = np.clip((way * legs).sum(axis=1) / lengths, 0, 1)
         away = ((way - along[:, None] * legs) ** 2).sum(axis=1)
         path = np.concatenate([position[None], self.path[int(np.argmin(away)) + 1 :]])
+        return path if self._narrowest_m(path) >= self._least_m else None
+
+    def _narrowest_m(self, path: NDArray[np.float64]) -> float:
+        """How near a path (n, 3) from the vehicle comes to what is taken for occupied."""
         between = np.concatenate([path[1:], 0.5 * (path[1:] + path[:-1])])
-        free = self._distance[self._voxels(between)] >= self._about["radius_m"]
-        return path if free.all() else None
+        return float(self._distance[self._voxels(between)].min())
 
     def _voxels(self, points: NDArray[np.float64]) -> tuple[NDArray[np.int64], ...]:
         """The fence's voxels that hold `points` (n, 3), world metres, or are next to them."""
