@@ -1,6 +1,7 @@
 """A robot that maps: scans are fused in a grid that moves along, completed, and planned through,
 ten times a second."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -98,7 +99,8 @@ class MappingRobot:
         if path is None:
             path = self._plan(observation)
             if path is not None:
-                self._least_m = min(self._narrowest_m(path), self._about["radius_m"] + SPARES_M[0])
+                wanted = float(self._about["radius_m"]) + SPARES_M[0]
+                self._least_m = min(self._narrowest_m(path), wanted)
         self.path = path
         if path is None:
             return no_way(self._about)
@@ -158,11 +160,12 @@ class MappingRobot:
         self._risk[there] = risk[here]
 
     def _kept(self, observation: Observation) -> NDArray[np.float64] | None:
-        """What is left of the last path, (n, 3) world metres, while nothing that has been seen since
-        makes it narrower: else one way out and the next could take turns."""
-        if self.path is None:
-            return None
+        """What is left of the last path, (n, 3) world metres, until the frontier is reached that it
+        led to, and while nothing that was seen since makes it narrower: else one way out and the
+        next could take turns."""
         position = observation["position"]
+        if self.path is None or math.dist(position, self.path[-1]) < self._about["reach_m"]:
+            return None
         legs, way = np.diff(self.path, axis=0), position - self.path[:-1]
         lengths = np.maximum((legs * legs).sum(axis=1), 1e-12)
         along = np.clip((way * legs).sum(axis=1) / lengths, 0, 1)
