@@ -33,7 +33,7 @@ from scenegen.model.robots import MAPPING, NAMES, REACTIVE, fly_course, leaderbo
 from scenegen.run import Executor, executor
 
 if TYPE_CHECKING:
-    from scenegen.fly.course import Course, Recording
+    from scenegen.fly.course import Course
     from scenegen.fly.loop import Flown
 
 MOST_FLIGHTS = 10_000
@@ -171,11 +171,7 @@ def fly(
     if sum(one is not None for one in (world, recorded, suite, entries)) != 1:
         raise click.UsageError("give a WORLD, --suite, --replay FILE, or --leaderboard FOLDER")
     if entries is not None:
-        if out is None:
-            raise click.UsageError("--leaderboard: say where to write the page with -o, .html")
-        write_result(out, leaderboard(entries).encode())
-        if talk:
-            say(f"written: {out}")
+        _write_board(entries, out, talk)
         return
     if suite is None and (quick or hidden is not None or maps):
         raise click.UsageError(
@@ -184,24 +180,14 @@ def fly(
     if hidden is not None and maps:
         raise click.UsageError("--hidden and --maps choose other courses; give one of them")
     _check_results(film, log, recorded)
-    from scenegen.fly.course import Recording
-    from scenegen.fly.suite import QUICK, chosen_courses
+    from scenegen.fly.suite import chosen_courses
 
-    trouble = anew = ""
     if recorded is not None:
-        recording = Recording.read(recorded)
-        name = recording.robot
-        found, same = _replayed(recording)
-        trouble = "" if same else f"{recorded}: a flight is not as it was recorded"
-        if weights is not None or was_given("robot"):
-            _check(robot, weights)
-            some = recording.courses[::QUICK]
-            same_count = sum(_flown_anew(one, robot, weights) for one in some)
-            anew = f"{same_count} of {sum(len(flown) for _, flown in some)} flights"
+        name, found, more = _fly_again(recorded, robot, weights)
     else:
         if talk:
             announce_compilation()
-        name = weights or robot
+        name, more = weights or robot, {}
         _check(robot, weights)
         courses = (
             _courses(str(world), flights, worlds, options)
@@ -217,8 +203,7 @@ def fly(
         _film(film, found[0][0], robot, weights, name)
     if log is not None:
         _log(log, *found[0])
-    row = summary(name, [one for _, flown in found for one in flown])
-    row |= {"anew, equal to the bit": anew} if anew else {}
+    row = summary(name, [one for _, flown in found for one in flown]) | more
     if as_json:
         print(json.dumps(row | {"flights": _rows(found)}))
     elif talk:
@@ -227,10 +212,15 @@ def fly(
             say(f"robot: {end}")
         for path in filter(None, (out, picture, film, log)):
             say(f"written: {path}")
-        if recorded and not trouble:
-            say("every flight is as it was recorded")
-    if trouble:
-        raise ScenegenError(trouble)
+
+
+def _write_board(entries: Path, out: Path | None, talk: bool) -> None:
+    """Write the page of all entries in a folder."""
+    if out is None:
+        raise click.UsageError("--leaderboard: say where to write the page with -o, .html")
+    write_result(out, leaderboard(entries).encode())
+    if talk:
+        say(f"written: {out}")
 
 
 def _check_results(film: Path | None, log: Path | None, recorded: Path | None) -> None:
@@ -252,17 +242,32 @@ def _rows(found: "Sequence[tuple[Course, Sequence[Flown]]]") -> list[dict[str, A
     ]
 
 
-def _replayed(recording: "Recording") -> "tuple[list[tuple[Course, Sequence[Flown]]], bool]":
-    """The flights of a recording, flown again, and whether all are as they were."""
-    from scenegen.fly.course import replay
+def _fly_again(
+    recorded: Path, robot: str, weights: str | None
+) -> "tuple[str, list[tuple[Course, Sequence[Flown]]], dict[str, str]]":
+    """The robot of a recording, its flights, flown again, and how many of them are as they were.
 
-    found, all_same = list[Any](), True
+    Raises ScenegenError where one is not. A robot that was given flies a part anew.
+    """
+    from scenegen.fly.course import Recording, replay
+    from scenegen.fly.suite import QUICK
+
+    recording, found, told = Recording.read(recorded), list[Any](), {}
     for course, flown, same in replay(recording):
-        all_same &= same
+        if not same:
+            flight = f"a flight through {course.world}, seed {course.seed},"
+            raise ScenegenError(f"{recorded}: {flight} is not as it was recorded")
         if not found or found[-1][0] is not course:
             found.append((course, []))
         found[-1][1].append(flown)
-    return found, all_same
+    told["as recorded, to the bit"] = f"{sum(len(flown) for _, flown in found)} flights"
+    if weights is not None or was_given("robot"):
+        _check(robot, weights)
+        some = recording.courses[::QUICK]
+        same_count = sum(_flown_anew(one, robot, weights) for one in some)
+        count = sum(len(flown) for _, flown in some)
+        told["anew, equal to the bit"] = f"{same_count} of {count} flights"
+    return recording.robot, found, told
 
 
 def _flown_anew(recorded: "tuple[Course, Sequence[Flown]]", robot: str, weights: str | None) -> int:
