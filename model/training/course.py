@@ -12,7 +12,7 @@ from scenegen.model.config import LossConfig, TrainConfig
 from scenegen.model.evaluation.metrics import METRICS, measure_whole
 from scenegen.model.losses import loss_of
 from scenegen.model.network import Output
-from scenegen.model.training.data import Maps, TudfOf, Views, epoch_batches, load, stream_batch
+from scenegen.model.training.data import Maps, Views, epoch_batches, load, stream_batch
 from scenegen.model.training.device import Group, autocast
 from scenegen.model.training.run_folder import Progress
 
@@ -36,31 +36,34 @@ def validate(
     is ever occupied.
     """
     network.eval()
-    grid, tudf_of, loss_in = maps.grid, TudfOf(maps.grid), loss_of(loss, maps.grid)
+    loss_in = loss_of(loss, maps.grid)
     batches = [list(range(n, min(n + batch, len(maps)))) for n in range(0, len(maps), batch)]
     sums, counts, largest = defaultdict[str, float](float), Counter[str](), 0.0
     for read in load(maps, batches[group.rank :: group.size], workers=workers, pinned=False):
-        true, there = read["occupancy"], {name: values.to(device) for name, values in read.items()}
-        tudf_of.complete(there)
+        there = {name: values.to(device) for name, values in read.items()}
         with autocast(device, precision):
             output = Output(*network(there))
         for name, value in loss_in(output, there).items():
-            sums[name] += value.item() * len(true)
-            counts[name] += len(true)
+            sums[name] += value.item() * len(read["tudf"])
+            counts[name] += len(read["tudf"])
         probability = (
             None if output.logits is None else output.logits.float().sigmoid().cpu().numpy()
         )
         distance = None if output.tudf is None else output.tudf.float().cpu().numpy()
         largest = max(largest, 0.0 if probability is None else float(probability.max()))
-        sure = [
-            there[name].cpu().numpy() if name in there else None for name in ("known", "certain")
-        ]
-        for n, true_distance in enumerate(there["tudf"].cpu().numpy()):
+        for n in range(len(read["tudf"])):
             said = Prediction(
                 *(None if part is None else part[n] for part in (probability, distance))
             )
-            known, certain = (None if part is None else part[n] for part in sure)
-            measured = measure_whole(said, true[n].numpy(), true_distance, grid, known, certain)
+            true = {name: values[n].numpy() for name, values in read.items()}
+            measured = measure_whole(
+                said,
+                true["occupancy"],
+                true["tudf"],
+                maps.grid,
+                true.get("known"),
+                true.get("certain"),
+            )
             for name, value in zip(METRICS, measured.tolist(), strict=True):
                 if math.isfinite(value):  # a map without such voxels says nothing of them
                     sums[name] += value

@@ -1,8 +1,6 @@
-"""Samples as torch sees them: named maps by number, batches in a seeded order, distances derived
-where the batch is."""
+"""Samples as torch sees them: named maps by number, and batches in a seeded order."""
 
 import itertools
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -36,8 +34,9 @@ SAME_RAY = 1e-6
 """How far two rays of one direction may be apart, as unit vectors: what rounding takes."""
 
 Batch = dict[str, Tensor]
-"""A named batch: the network's inputs and the true ``occupancy``, (B, *grid.shape) each; where maps
-of real places are among them, what is ``known``."""
+"""A named batch, (B, *grid.shape) each: the network's inputs, and the true ``occupancy`` and
+``tudf``; where maps of real places are among them, what is ``known``, and which distances are
+``certain``: nothing unknown is nearer than what is known to be occupied."""
 
 
 class LoaderError(DatasetError):
@@ -107,7 +106,7 @@ def opened(folders: Any, split: str) -> list[Samples]:
 
 class Maps(Dataset):
     """One or more sources of samples, one after the other: ``maps[n]`` holds the `inputs`,
-    (*grid.shape) each, and the true ``occupancy``, by name.
+    (*grid.shape) each, and the truth, by name.
 
     ``maps[n, v]`` is the same turned by symmetry `v` % 8, and from 8 on shown as points alone, as
     `complete` sees a scan of points. `split` is what the samples are called in
@@ -161,9 +160,12 @@ class Maps(Dataset):
         seen = sample if view < SYMMETRIES else points_of(sample, source.grid, sensor) or sample
         maps = channels(self.inputs, seen, source.grid, sensor)
         maps["occupancy"] = sample.occupancy
+        # of these voxels, so that of a dataset that stores distances no more is read
+        maps["tudf"] = distance_field(sample.occupancy, source.grid)
         if self.partly_known:
             known = getattr(sample, "known", None)
             maps["known"] = np.ones(source.grid.shape, np.bool_) if known is None else known
+            maps["certain"] = maps["tudf"] <= distance_field(~maps["known"], source.grid)
         turn = view % SYMMETRIES
         return {name: torch.from_numpy(turned(one, turn)) for name, one in maps.items()}
 
@@ -327,53 +329,3 @@ def load(
             f"a loader process died ({str(error).splitlines()[0]}); give --workers 0, or more "
             f"shared memory"
         ) from None
-
-
-class TudfOf:
-    """Occupancy → TUDF, for a batch, wherever it is.
-
-    On the CPU by `scenegen.truth.distance_field`, map by map; elsewhere by the same three passes of
-    minima in torch. Both give the values that the dataset's contract demands, bit for bit.
-    """
-
-    def __init__(self, grid: GridSpec):
-        self.grid = grid
-        reach = grid.truncation_m / grid.voxel_m
-        self._reach = math.ceil(reach)
-        squares = np.arange(3 * (self._reach + 1) ** 2 + 1, dtype=np.float64)
-        metres = np.minimum(grid.voxel_m * np.sqrt(squares), grid.truncation_m)
-        self._table = torch.from_numpy(metres.astype(np.float32))
-
-    def __call__(self, occupancy: Tensor) -> Tensor:
-        """(B, *grid.shape) bool → float32, metres."""
-        if occupancy.device.type == "cpu":
-            fields = [distance_field(one, self.grid) for one in occupancy.numpy()]
-            return torch.from_numpy(np.stack(fields))
-        return self.by_minima(occupancy)
-
-    def complete(self, batch: Batch) -> None:
-        """Add the true ``tudf`` to a batch on its device, and which of it is ``certain`` where not
-        all is known: nothing unknown is nearer than what is known to be occupied."""
-        batch["tudf"] = self(batch["occupancy"])
-        if "known" in batch:
-            batch["certain"] = batch["tudf"] <= self(~batch["known"])
-
-    def by_minima(self, occupancy: Tensor) -> Tensor:
-        """The same on any device: squared distances in voxels, lowered along one axis after the
-        other."""
-        cap = (self._reach + 1) ** 2
-        squares = torch.where(occupancy, 0, cap).to(torch.int16 if 2 * cap < 2**15 else torch.int32)
-        for axis in (1, 2, 3):
-            length = squares.shape[axis]
-            lowest = squares.clone()
-            for offset in range(1, min(self._reach, length - 1) + 1):
-                near, far = (
-                    lowest.narrow(axis, 0, length - offset),
-                    lowest.narrow(axis, offset, length - offset),
-                )
-                torch.minimum(
-                    near, squares.narrow(axis, offset, length - offset) + offset**2, out=near
-                )
-                torch.minimum(far, squares.narrow(axis, 0, length - offset) + offset**2, out=far)
-            squares = lowest
-        return self._table.to(occupancy.device)[squares.long()]

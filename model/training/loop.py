@@ -32,7 +32,6 @@ from scenegen.model.training.data import (
     LoaderError,
     Maps,
     Samples,
-    TudfOf,
     check_alike,
     load,
 )
@@ -179,7 +178,6 @@ class Step:
     group: Group
 
     def __post_init__(self) -> None:
-        self._tudf_of = TudfOf(self.grid)
         self._loss = loss_of(self.config.loss, self.grid, self.group.divisor)
         model = self.network
         if self.group.size > 1:
@@ -205,7 +203,6 @@ class Step:
 
     def _learn(self, batch: Batch) -> dict[str, float]:
         batch = {name: values.to(self.device, non_blocking=True) for name, values in batch.items()}
-        self._tudf_of.complete(batch)
         self.optimizer.zero_grad(set_to_none=True)
         with autocast(self.device, self.precision):
             output = Output(*self._model(batch))
@@ -307,7 +304,6 @@ def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device
     if not (is_own(variant) or is_own(objective)):
         return
     batch = {name: values[None].to(device) for name, values in maps[0].items()}
-    TudfOf(maps.grid).complete(batch)
     with torch.no_grad():
         output = network.eval()(batch)
         parts = output if isinstance(output, tuple) else (output,)
