@@ -34,24 +34,11 @@ def refine(
     is interpolated and never extrapolated, and shortened until it brings Armijo's decrease, so that
     the cost never rises. Ends early where no step does.
 
-    `tudf` (*grid.shape) is the predicted distance, metres. Raises ValueError where a waypoint lies
-    outside that box.
+    `tudf` (*grid.shape) is the predicted distance, metres.
     """
-    path = np.ascontiguousarray(waypoints, dtype=np.float64)
-    if path.ndim != 2 or path.shape[1] != 3 or not np.isfinite(path).all():
-        raise ValueError(
-            f"waypoints: expected finite metres of shape (n, 3), got shape {path.shape}"
-        )
-    tudf = checked(tudf, "tudf", grid, np.float32)
-    low, high = 0.5 * grid.voxel_m, (np.array(grid.shape) - 0.5) * grid.voxel_m
-    if (path < low - 1e-9).any() or (path > high + 1e-9).any():
-        raise ValueError(
-            f"waypoints: must lie between {low:g} and {high.tolist()} metres, the outermost voxel "
-            f"centres"
-        )
     return _descend(
-        path,
-        tudf,
+        np.ascontiguousarray(waypoints, dtype=np.float64),
+        checked(tudf, "tudf", grid, np.float32),
         grid.voxel_m,
         config.safety_m,
         config.clearance_weight,
