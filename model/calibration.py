@@ -5,7 +5,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,28 +25,6 @@ CLOSE = 1e-9
 
 class UncertaintyError(ScenegenError):
     """Bounds or probabilities are asked for that nobody can give."""
-
-
-class Uncertainty(Protocol):
-    """Whatever tells how sure a prediction is."""
-
-    @property
-    def risks(self) -> tuple[float, ...]:
-        """The risks that bounds were made for, the greatest first; () for none."""
-        ...
-
-    def chance(self, probability: NDArray[np.float32] | None) -> NDArray[np.float32] | None:
-        """Calibrated probabilities, of the shape of the predicted ones; None where there are
-        none."""
-        ...
-
-    def low(
-        self, distance: NDArray[np.float32], probability: NDArray[np.float32] | None, risk: float
-    ) -> NDArray[np.float32]:
-        """Distances that the truth falls below in a share `risk` of unknown voxels at most, of the
-        shape of the predicted `distance`, metres. Raises UncertaintyError for a risk that is too
-        small."""
-        ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,7 +88,8 @@ class Calibration:
         return dataclasses.asdict(self)
 
     def chance(self, probability: NDArray[np.float32] | None) -> NDArray[np.float32] | None:
-        """See `Uncertainty.chance`: with l the logit of p, the probability of (l - log w) / T."""
+        """Calibrated probabilities, of the shape of the predicted ones, None where there are none:
+        with l the logit of p, the probability of (l - log w) / T."""
         if probability is None or self.temperature is None:
             return None
         logit = corrected_logit(probability, self.class_weight) / np.float32(self.temperature)
@@ -149,8 +128,9 @@ class Calibration:
     def low(
         self, distance: NDArray[np.float32], probability: NDArray[np.float32] | None, risk: float
     ) -> NDArray[np.float32]:
-        """See `Uncertainty.low`: the bound of the greatest risk in the table that is no greater
-        than `risk`."""
+        """Distances that the truth falls below in a share `risk` of unknown voxels at most, of the
+        shape of the predicted `distance`, metres: the bound of the greatest risk in the table that
+        is no greater than `risk`. Raises UncertaintyError for a risk that is too small."""
         margins = np.asarray(self.margins[self.row(risk)], dtype=np.float32)
         count = len(margins) // (len(self.chances) + 1)
         chance = None if probability is None else corrected(probability, self.class_weight)
@@ -170,17 +150,17 @@ class Given:
 
     @property
     def risks(self) -> tuple[float, ...]:
-        """See `Uncertainty.risks`."""
+        """The risks that there are bounds of."""
         return () if self.tudf_low is None else (self.risk,)
 
     def chance(self, probability: NDArray[np.float32] | None) -> NDArray[np.float32] | None:
-        """See `Uncertainty.chance`."""
+        """See `Calibration.chance`."""
         return self.probability
 
     def low(
         self, distance: NDArray[np.float32], probability: NDArray[np.float32] | None, risk: float
     ) -> NDArray[np.float32]:
-        """See `Uncertainty.low`."""
+        """See `Calibration.low`."""
         if self.tudf_low is None or risk < self.risk - CLOSE:
             held = "none" if self.tudf_low is None else f"those of a risk of {self.risk:g}"
             raise UncertaintyError(f"risk = {risk:g}: of bounds, the predictions hold {held}")

@@ -140,8 +140,7 @@ def check_own(path: str | Path, own: Collection[str], *names: str) -> None:
 def network_from(header: Mapping[str, Any]) -> tuple[NetworkConfig, GridSpec]:
     """The network and the grid that a header names; nothing is imported for it. Raises KeyError,
     TypeError or ValueError where it names none, or one that is too large."""
-    settings = dict(header["network"])  # of earlier commits they lack inputs, and take the default
-    config = NetworkConfig(**settings)
+    config = NetworkConfig(**header["network"])
     grid = GridSpec(**{**header["grid"], "shape": tuple(header["grid"]["shape"])})
     config.check_map(grid.shape)
     return config, grid

@@ -87,7 +87,6 @@ def complete(
     from scenegen.files import make_way, real_path
     from scenegen.model.completion.completer import Completer
     from scenegen.model.completion.predictions import predict_scan, predict_split
-    from scenegen.model.config import Thresholds
     from scenegen.model.training.device import choose_device
     from scenegen.run import executor
 
@@ -125,7 +124,7 @@ def complete(
         for warning in () if quiet else sorted(filter(None, met)):
             note(f"note: {warning}")
     else:
-        used = predict_scan(completer, found, out, sensor=sensor, thresholds=Thresholds())
+        used = predict_scan(completer, found, out, sensor=sensor)
         if not quiet:
             say(f"{found}: {used}; completed by {completer.name}")
     if not quiet:
@@ -149,7 +148,6 @@ def _complete_all(
     from scenegen.errors import DatasetError, printable
     from scenegen.files import make_parent, remove_drafts
     from scenegen.model.completion.predictions import predict_scan
-    from scenegen.model.config import Thresholds
 
     broken = 0
     targets = {scan: (out / scan.relative_to(folder)).with_suffix(".h5") for scan in scans}
@@ -161,7 +159,7 @@ def _complete_all(
             if not target.exists():
                 make_parent(target)
                 try:
-                    predict_scan(completer, scan, target, sensor=sensor, thresholds=Thresholds())
+                    predict_scan(completer, scan, target, sensor=sensor)
                 except DatasetError as error:
                     broken += 1
                     note(printable(error))

@@ -147,7 +147,6 @@ class Completer:
             None if part[0] is None else torch.cat(part).reshape(shape)
             for part in zip(*parts, strict=True)
         ]
-        check_prediction(Prediction(*joined), shape, self.name)
         first = batch[self.inputs[0]] if isinstance(maps, Sample | Mapping) else maps
         probability, tudf = (
             part
@@ -157,7 +156,8 @@ class Completer:
             else part.numpy(force=True)
             for part in joined
         )
-        return Prediction(probability, tudf, self.calibration, self.grid)
+        found = Prediction(probability, tudf, self.calibration, self.grid)
+        return check_prediction(found, shape, self.name)
 
     def __reduce__(self) -> Any:
         return opened_once, self.opened

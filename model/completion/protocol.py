@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lidarsim import GridSpec
 from scenegen.errors import ScenegenError
-from scenegen.model.calibration import CLOSE, RISK, Given, Uncertainty, UncertaintyError
+from scenegen.model.calibration import CLOSE, RISK, Calibration, Given, UncertaintyError
 from scenegen.model.config import Thresholds
 from scenegen.sample import html_table
 from scenegen.truth import distance_field
@@ -28,7 +28,7 @@ class Prediction:
     """float32 (*shape), numpy or torch: the probability of being occupied, from 0 to 1."""
     tudf: Any = None
     """float32 (*shape), numpy or torch: distance to the nearest occupied voxel's centre, metres."""
-    uncertainty: Uncertainty | None = None
+    uncertainty: Calibration | Given | None = None
     """What tells how sure the method is; None where nothing does, as of a network that was not
     calibrated."""
     grid: GridSpec | None = None

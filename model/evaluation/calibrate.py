@@ -16,6 +16,7 @@ from scipy.optimize import minimize_scalar
 
 from lidarsim import GridSpec
 from scenegen.dataset.read import Dataset, Split
+from scenegen.display.look import evenly
 from scenegen.errors import DatasetError, empty_split
 from scenegen.model.calibration import (
     KEY,
@@ -31,7 +32,7 @@ from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.config import PlanConfig
 from scenegen.model.evaluation.planning.measure import draw_trials, plan_carefully
-from scenegen.model.evaluation.run import check_middle, check_whole, spread
+from scenegen.model.evaluation.run import check_middle, check_whole
 from scenegen.model.evaluation.visibility import UNOBSERVED, classify, scored_voxels
 from scenegen.run.workers import run as run_workers
 from scenegen.sample import Sample, rng_of
@@ -223,7 +224,7 @@ def calibrate(
             )
         if trials:
             check_middle(dataset, "give --trials 0")
-        chosen = spread(len(part), samples or len(part))
+        chosen = evenly(len(part), samples or len(part))
         worlds |= {(number, part.names[n][1]) for n in chosen}
         parts = (chosen[n : n + CHUNK] for n in range(0, len(chosen), CHUNK))
         tasks += [(number, dataset.folder, one) for one in parts]

@@ -15,16 +15,14 @@ from scenegen.model.evaluation import paper
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS, Metric
 from scenegen.model.evaluation.run import DatasetResult, MethodResult
 from scenegen.model.evaluation.statistics import (
-    Scale,
     caution,
     cell,
     figure,
-    head,
     holm,
     interval,
-    line,
     paired_p,
     spread,
+    table,
 )
 from scenegen.model.evaluation.study import study_of, study_tables
 from scenegen.model.evaluation.visibility import CLASSES
@@ -118,7 +116,7 @@ def _planning(found: MethodResult, result: DatasetResult) -> dict[str, Any]:
     def figures(metrics: Mapping[str, Metric], chosen: Any) -> dict[str, Any]:
         return {
             name: figure(
-                np.where(chosen, _of_trials(metric, found), np.nan),
+                np.where(chosen, found.values(name), np.nan),
                 result.trial_worlds,
                 metric.scale,
             )
@@ -136,36 +134,30 @@ def _planning(found: MethodResult, result: DatasetResult) -> dict[str, Any]:
     }
 
 
-def _of_trials(metric: Metric, found: MethodResult) -> np.ndarray:
-    """A planning metric of every trial, (trials,)."""
-    return np.array([metric.of(trial) for trial in found.trials], dtype=np.float64)
-
-
 def _tests(result: DatasetResult, rng: np.random.Generator) -> list[dict[str, Any]]:
     """Every pair of methods on every tested metric: the mean difference with its 95 % interval, and
     its p-value, corrected over all of them."""
-    rows: list[tuple[str, str, str, Scale, np.ndarray, np.ndarray, np.ndarray]] = []
-    for (first, one), (second, other) in combinations(result.methods.items(), 2):
-        for row, region in enumerate(REGIONS):
-            for m, (name, metric) in enumerate(METRICS.items()):
-                if region in metric.tested:
-                    a, b = one.reconstruction[:, row, m], other.reconstruction[:, row, m]
-                    title = name if region == "map" else f"{region}_{name}"
-                    rows.append((first, second, title, "amount", a, b, result.worlds))
-        for name, metric in PLAN_METRICS.items():
-            if metric.tested:
-                a, b = _of_trials(metric, one), _of_trials(metric, other)
-                rows.append((first, second, name, "gain", a, b, result.trial_worlds))
-    paired = [figure(a - b, worlds, scale) for *_, scale, a, b, worlds in rows]
-    raw = [paired_p(a, b, worlds, rng=rng) for *_, a, b, worlds in rows]
-    return [
-        {"first": first, "second": second, "metric": metric}
-        | {"difference": found["mean"], "low": found["low"], "high": found["high"]}
-        | {"p": p, "p_holm": float(corrected)}
-        for (first, second, metric, *_), found, p, corrected in zip(
-            rows, paired, raw, holm(raw), strict=True
-        )
+    tested = [
+        (region, name)
+        for region, metrics in (("map", METRICS), ("unobserved", METRICS), ("map", PLAN_METRICS))
+        for name, metric in metrics.items()
+        if region in metric.tested
     ]
+    found = []
+    for (first, one), (second, other) in combinations(result.methods.items(), 2):
+        for region, name in tested:
+            a, b = (of.values(name, REGIONS.index(region)) for of in (one, other))
+            worlds = result.worlds_of(name)
+            gained = figure(a - b, worlds, "gain" if name in PLAN_METRICS else "amount")
+            title = name if region == "map" else f"{region}_{name}"
+            found.append(
+                {"first": first, "second": second, "metric": title}
+                | {"difference": gained["mean"], "low": gained["low"], "high": gained["high"]}
+                | {"p": paired_p(a, b, worlds, rng=rng)}
+            )
+    for row, corrected in zip(found, holm([row["p"] for row in found]).tolist(), strict=True):
+        row["p_holm"] = corrected
+    return found
 
 
 def tables(
@@ -268,16 +260,17 @@ def best(rows: Mapping[str, Any], name: str, metric: Metric) -> set[str]:
 
 def to_markdown(report: Mapping[str, Any]) -> str:
     """The report as Markdown."""
-    lines = ["# Bench", ""]
-    lines += [f"- {name}: {value}" for name, value in report.items() if isinstance(value, str)]
+    about = [f"- {name}: {value}" for name, value in report.items() if isinstance(value, str)]
+    blocks = ["# Bench", "\n".join(about)]
     for kind in report["datasets"]:
-        lines += ["", f"## {kind}"]
+        blocks.append(f"## {kind}")
         for block in shown(report, kind):
             if isinstance(block, str):
-                lines += ["", block]
+                blocks.append(block)
                 continue
-            lines += ["", f"### {block.title}", "", *head(block.heads)]
-            lines += [line(name, cells) for name, cells in block.rows]
-            for name, cells in block.paper:
-                lines.append(line(f"*{name}*", (f"*{c}*" if c != "–" else c for c in cells)))
-    return "\n".join(lines) + "\n"
+            theirs = [
+                (f"*{name}*", [f"*{c}*" if c != "–" else c for c in cells])
+                for name, cells in block.paper
+            ]
+            blocks += [f"### {block.title}", table(block.heads, [*block.rows, *theirs])]
+    return "\n\n".join(blocks) + "\n"

@@ -2,7 +2,6 @@
 pictures of trials that failed, and charts."""
 
 import dataclasses
-import io
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -121,11 +120,7 @@ def draw_failures(
     installed."""
     from scenegen.display.figures import draw_paths
 
-    shown = [
-        method
-        for method in methods
-        if method.name in result.methods and result.methods[method.name].learned
-    ]
+    shown = [method for method in methods if method.learned]
     name, trials = failing(result)
     found = []
     for n in trials:
@@ -170,12 +165,7 @@ def draw_charts(report: Mapping[str, Any], kind: str) -> list[tuple[str, bytes]]
 
 def _webp(figure: "Figure") -> bytes:
     """A figure as a picture of the report."""
-    from PIL import Image
-
     from scenegen.display.panels import to_bytes
 
-    image = Image.open(io.BytesIO(to_bytes(figure, ".png"))).convert("RGB")
-    size = WIDE, round(image.height * WIDE / image.width)
-    memory = io.BytesIO()
-    image.resize(size, Image.Resampling.LANCZOS).save(memory, "WEBP", quality=70)
-    return memory.getvalue()
+    figure.set_dpi(WIDE / figure.get_figwidth())
+    return to_bytes(figure, ".webp")

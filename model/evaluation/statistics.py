@@ -169,6 +169,11 @@ def line(name: str, cells: Iterable[str]) -> str:
     return f"| {name} | {' | '.join(cells)} |"
 
 
+def table(heads: Collection[str], rows: Iterable[tuple[str, Iterable[str]]]) -> str:
+    """A table of rows by name, as Markdown."""
+    return "\n".join([*head(heads), *(line(name, cells) for name, cells in rows)])
+
+
 def cell(figure: Mapping[str, Any]) -> str:
     """A figure with its spread and interval, and its threshold; a dash where nothing was
     measured."""

@@ -78,17 +78,10 @@ class Measured:
         return cls(
             kind=result.kind,
             rows={
-                name: {
-                    **dict(zip(METRICS, found.reconstruction[:, 0].T, strict=True)),
-                    **{
-                        metric: np.array([one.of(trial) for trial in found.trials], np.float64)
-                        for metric, one in PLAN_METRICS.items()
-                    },
-                }
+                name: {metric: found.values(metric) for metric in ALL}
                 for name, found in result.methods.items()
             },
-            worlds=dict.fromkeys(METRICS, result.worlds)
-            | dict.fromkeys(PLAN_METRICS, result.trial_worlds),
+            worlds={metric: result.worlds_of(metric) for metric in ALL},
         )
 
     def means(self) -> dict[str, dict[str, Any]]:

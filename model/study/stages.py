@@ -20,13 +20,10 @@ from scenegen.files import make_parent, read_bounded, write_whole
 from scenegen.limits import MOST_MANIFEST_BYTES
 from scenegen.model.api import train
 from scenegen.model.checkpoint import CheckpointError
-from scenegen.model.completion.completer import Completer
-from scenegen.model.completion.unlearned import Extrude, Returns
 from scenegen.model.evaluation.config import BenchConfig
-from scenegen.model.evaluation.methods import Completed, Method, Truth
 from scenegen.model.evaluation.report import finite
+from scenegen.model.evaluation.rows import rows_of
 from scenegen.model.evaluation.run import bench
-from scenegen.model.evaluation.visibility import Seen
 from scenegen.model.study.claims import Measured, asked, judged
 from scenegen.model.study.report import to_markdown
 from scenegen.model.study.runs import KINDS, RUNS, TRIALS, ReproduceConfig, Run
@@ -66,8 +63,8 @@ def reproduce(
         start = partial(shown.start, maps * len(runs))
         for _ in run_workers(work, runs, 1 if where.type == "cuda" else workers, start):
             shown.count(maps)
-    methods: list[Method] = [Completed(Returns()), Completed(Extrude()), Truth(), Seen()]
-    methods += [Completer.from_pretrained(out / "runs" / run.name, threads=1) for run in runs]
+    networks = [str(out / "runs" / run.name) for run in runs]
+    methods = rows_of(("returns", "extrude", "truth", "seen"), networks, None)
     usual, measured = BenchConfig(trials=config.scaled(TRIALS), seed=config.seed), []
     for folder in folders:
         with progress(f"bench, {folder.name}") as shown:

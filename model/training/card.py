@@ -72,9 +72,7 @@ GIVES = {"occupancy": "the probability of occupancy", "tudf": "the truncated dis
 def card(name: str, about: Mapping[str, Any]) -> str:
     """The card of a network, as Markdown, from what its file's header says `about` it."""
     settings, figures, command = about["settings"], about["figures"], about["command"]
-    network = {"inputs": ["observed"]} | settings[
-        "network"
-    ]  # which networks of earlier commits do not name
+    network = settings["network"]
     known = VARIANTS.get(network["variant"])  # of a user's own nobody says what it gives
     tasks = [what for task, what in GIVES.items() if known and task in known.tasks]
     gives = " and gives " * bool(tasks) + " and ".join(tasks)

@@ -12,9 +12,10 @@ from scenegen.model.config import LossConfig, TrainConfig
 from scenegen.model.evaluation.metrics import METRICS, measure_whole
 from scenegen.model.losses import loss_of
 from scenegen.model.network import Output
-from scenegen.model.training.data import Maps, Views, epoch_batches, load, stream_batch
+from scenegen.model.training.data import Maps, Views, epoch_batches, load
 from scenegen.model.training.device import Group, autocast
 from scenegen.model.training.run_folder import Progress
+from scenegen.sample import rng_of
 
 
 @torch.inference_mode()
@@ -155,21 +156,16 @@ class Course:
         """The keys of `Maps` that steps `first`, `first` + 1, … see, `count` batches: one pass
         after the other, or a stream's own, in which no map comes twice."""
         found: list[list[tuple[int, int]]] = []
-        config = self._config
+        config, maps, views = self._config, self._maps, self._views
         if self._order is not None:
-            numbers = range(first, first + count)
             return [
-                stream_batch(self._order, self._maps, n, seed=config.seed, views=self._views)
-                for n in numbers
+                views.of(self._order[n], maps, rng=rng_of(config.seed, n, 0))
+                for n in range(first, first + count)
             ]
         while len(found) < count:
             epoch, step = divmod(first + len(found), self._pass)
             keys = epoch_batches(
-                self._maps,
-                batch=config.batch,
-                seed=config.seed,
-                epoch=epoch,
-                views=self._views,
+                maps, batch=config.batch, seed=config.seed, epoch=epoch, views=views
             )
             found += keys[step : step + count - len(found)]
         return found

@@ -21,7 +21,6 @@ from scenegen.errors import DatasetError, ScenegenError, short
 from scenegen.model.inputs import SYMMETRIES, channels, points_of, turned
 from scenegen.sample import Sample, rng_of
 from scenegen.streams.batches import Batches
-from scenegen.streams.mixture import parts_of
 from scenegen.streams.stream import Stream
 from scenegen.truth import distance_field
 from scenegen.worlds.mapping import Mapper
@@ -93,7 +92,7 @@ def opened(folders: Any, split: str) -> list[Samples]:
     training, however many each dataset holds; without any, each sample comes once a pass.
     """
     if isinstance(folders, Mapping):
-        folders = parts_of(folders)
+        folders = folders.items()
     parts = [one if isinstance(one, tuple) else (one, None) for one in folders]
     datasets = [SampleDataset(folder) for folder, _ in parts]
     if len(datasets) > 1 and any("sources" in dataset.manifest.parameters for dataset in datasets):
@@ -295,15 +294,6 @@ def _weighted(maps: Maps, *, seed: int, epoch: int) -> list[NDArray[np.int64]]:
             drawn.append(order[max(begin - turn * size, 0) : end - turn * size])
         found.append(maps.starts[number] + np.concatenate(drawn))
     return found
-
-
-def stream_batch(
-    order: Batches, maps: Maps, number: int, *, seed: int, views: Views
-) -> list[tuple[int, int]]:
-    """Batch `number` of a stream's order: keys of `maps`, whose views depend on `seed` and
-    `number` alone."""
-    rng = rng_of(seed, number, 0)
-    return views.of(order[number], maps, rng=rng)
 
 
 def load(

@@ -21,7 +21,6 @@ from scenegen.errors import DatasetError, printable
 from scenegen.files import disk_told, read_bounded, remove_drafts, write_whole
 from scenegen.limits import MOST_HEADER_BYTES
 from scenegen.model.checkpoint import CheckpointError, load_tensors, save_network, save_tensors
-from scenegen.model.config import LossConfig, NetworkConfig
 from scenegen.model.training.card import card, draw
 
 CONFIG, ROWS, CURVE, CARD = "config.json", "metrics.csv", "curve.png", "card.md"
@@ -146,15 +145,7 @@ class RunFolder:
     def settings(self) -> dict[str, Any]:
         """What the run was begun with. Raises DatasetError where there is none."""
         try:
-            settings = dict(
-                json.loads(read_bounded(self.path / CONFIG, MOST_HEADER_BYTES))["settings"]
-            )
-            for part, usual in (("network", NetworkConfig()), ("loss", LossConfig())):
-                if part in settings:  # runs of earlier commits name fewer
-                    settings[part] = (
-                        json.loads(json.dumps(dataclasses.asdict(usual))) | settings[part]
-                    )
-            return settings
+            return dict(json.loads(read_bounded(self.path / CONFIG, MOST_HEADER_BYTES))["settings"])
         except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
             raise DatasetError(
                 f"{self.path / CONFIG}: cannot be read ({printable(error)[:200]}); choose another "
@@ -217,9 +208,7 @@ class RunFolder:
     def write_rows(self, rows: list[dict[str, float]]) -> None:
         """Write the figures of all epochs."""
         text = io.StringIO()
-        names = dict.fromkeys(
-            name for row in rows for name in row
-        )  # a later version may know more metrics
+        names = dict.fromkeys(name for row in rows for name in row)  # they may grow on the way
         writer = csv.DictWriter(text, list(names), lineterminator="\n")
         writer.writeheader()
         writer.writerows({name: f"{value:.6g}" for name, value in row.items()} for row in rows)
@@ -248,12 +237,11 @@ def draw_curve(rows: list[dict[str, float]]) -> bytes | None:
     """The curve of `scenegen.model.training.card` as PNG; None where matplotlib is not
     installed."""
     try:
-        figure = draw(rows)
+        from scenegen.display.panels import to_bytes
+
+        return to_bytes(draw(rows), ".png")
     except ImportError:
         return None
-    memory = io.BytesIO()
-    figure.savefig(memory, format="png", dpi=100)
-    return memory.getvalue()
 
 
 def _grows(there: dict[str, Any], asked: dict[str, Any]) -> bool:

@@ -83,16 +83,15 @@ def inspect(
     for split in splits if not tables else ():
         chosen = spread(dataset, split.name, (not keep and most) or len(split))
         tasks += [(split.name, chosen[n : n + AT_ONCE]) for n in range(0, len(chosen), AT_ONCE)]
-    measured: dict[int, NDArray[np.float64]] = {}
+    measured: dict[tuple[str, int], NDArray[np.float64]] = {}
     begun = partial(on_start, sum(len(part) for _, part in tasks))
-    with closing(run(partial(_measure, dataset), enumerate(tasks), workers, begun)) as results:
-        for number, rows in results:
-            measured[number] = rows
+    with closing(run(partial(_measure, dataset), tasks, workers, begun)) as results:
+        for place, rows in results:
+            measured[place] = rows
             on_done(len(rows))
     for split in splits if tasks else ():
-        tables[split.name] = np.concatenate(
-            [measured[n] for n, (name, _) in enumerate(tasks) if name == split.name]
-        )
+        ours = [rows for (name, _), rows in sorted(measured.items()) if name == split.name]
+        tables[split.name] = np.concatenate(ours)
     if keep and tasks:
         write_whole(figures_file(dataset), encode_figures(np.concatenate(list(tables.values()))))
     told = {}
@@ -112,13 +111,13 @@ def inspect(
     return found | {"splits": told}
 
 
-def _measure(dataset: Dataset, task: tuple[int, tuple[str, list[int]]]) -> tuple[int, Any]:
-    """The number of a task, and the figures of its samples, a row each; NaN where a sample lacks
-    one."""
-    number, (split, chosen) = task
+def _measure(dataset: Dataset, task: tuple[str, list[int]]) -> tuple[tuple[str, int], Any]:
+    """The split and the first sample of a task, and the figures of its samples, a row each; NaN
+    where a sample lacks one."""
+    split, chosen = task
     samples = (dataset.split(split)[index] for index in chosen)
     rows = [[figure(sample) for figure in FIGURES.values()] for sample in samples]
-    return number, np.array(rows, dtype=np.float64)
+    return (split, chosen[0]), np.array(rows, dtype=np.float64)
 
 
 def _summary(values: NDArray[np.float64]) -> dict[str, float | None]:

@@ -229,6 +229,9 @@ def incomplete(dataset: Dataset, split: str) -> list[str]:
 
 def spread(dataset: Dataset, split: str, most: int) -> list[int]:
     """Indices of at most `most` samples of a split, evenly spread."""
-    count = len(dataset.split(split))
-    chosen = np.linspace(0, count - 1, min(most, count)).astype(int)
-    return np.unique(chosen).tolist() if count else []
+    return evenly(len(dataset.split(split)), most)
+
+
+def evenly(count: int, most: int) -> list[int]:
+    """At most `most` of the numbers below `count`, evenly spread."""
+    return np.unique(np.linspace(0, count - 1, min(most, count)).astype(int)).tolist()

@@ -65,25 +65,17 @@ def visible_faces(
         Corners (F, 4, 3) in voxels, each face's voxel (F, 3), and its brightness (F,), in an order
         in which later ones hide earlier ones.
     """
-    corners, voxels, light, order = [], [], [], []
-    padded = np.pad(mask, 1)
-    sides = np.where(view.eye > 0, 1, -1)
-    for axis in range(3):
-        open_side = ~np.roll(padded, -sides[axis], axis=axis)[1:-1, 1:-1, 1:-1]
-        places = np.argwhere(mask & open_side)
-        shape = np.insert(CORNERS, axis, int(sides[axis] > 0), axis=1)
-        corners.append(places[:, None, :] + shape)
-        voxels.append(places)
-        light.append(np.full(len(places), SHADES[axis]))
-        # rows of cubes, from the farthest to the nearest
-        x, y, z = np.where(sides > 0, places, np.array(mask.shape) - 1 - places).T
-        order.append(3 * ((x * mask.shape[1] + y) * mask.shape[2] + z) + axis)
-    nearest_last = np.argsort(np.concatenate(order), kind="stable")
-    return (
-        np.concatenate(corners)[nearest_last],
-        np.concatenate(voxels)[nearest_last],
-        np.concatenate(light)[nearest_last],
-    )
+    padded, towards = np.pad(mask, 1), view.eye > 0
+    sides = np.where(towards, 1, -1)
+    exposed = [
+        mask & ~np.roll(padded, -side, axis)[1:-1, 1:-1, 1:-1] for axis, side in enumerate(sides)
+    ]
+    axes, *places = np.nonzero(exposed)
+    voxels = np.stack(places, axis=1)
+    order = np.argsort(voxels @ view.eye, kind="stable")  # of cubes, the nearest hides the others
+    axes, voxels = axes[order], voxels[order]
+    faces = [np.insert(CORNERS, axis, side, axis=1) for axis, side in enumerate(towards)]
+    return voxels[:, None] + np.stack(faces)[axes], voxels, np.array(SHADES)[axes]
 
 
 def box_edges(
