@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lidarsim import GridSpec
+from lidarsim.grid import Field, GridSpec, Ints
 from lidarsim.parameters import check, number
 from scenegen.errors import ScenegenError, short
 
@@ -87,7 +86,7 @@ class Calibration:
         """Itself as JSON holds it."""
         return dataclasses.asdict(self)
 
-    def chance(self, probability: NDArray[np.float32] | None) -> NDArray[np.float32] | None:
+    def chance(self, probability: Field | None) -> Field | None:
         """Calibrated probabilities, of the shape of the predicted ones, None where there are none:
         with l the logit of p, the probability of (l - log w) / T."""
         if probability is None or self.temperature is None:
@@ -125,9 +124,7 @@ class Calibration:
         )
         raise UncertaintyError(f"risk of paths = {risk:g}: the calibration promises {least}")
 
-    def low(
-        self, distance: NDArray[np.float32], probability: NDArray[np.float32] | None, risk: float
-    ) -> NDArray[np.float32]:
+    def low(self, distance: Field, probability: Field | None, risk: float) -> Field:
         """Distances that the truth falls below in a share `risk` of unknown voxels at most, of the
         shape of the predicted `distance`, metres: the bound of the greatest risk in the table that
         is no greater than `risk`. Raises UncertaintyError for a risk that is too small."""
@@ -143,8 +140,8 @@ class Given:
     """What somebody else says of one map: a calibrated probability, or a bound of one risk, or
     both."""
 
-    probability: NDArray[np.float32] | None = None
-    tudf_low: NDArray[np.float32] | None = None
+    probability: Field | None = None
+    tudf_low: Field | None = None
     """Distances, metres."""
     risk: float = RISK
 
@@ -153,13 +150,11 @@ class Given:
         """The risks that there are bounds of."""
         return () if self.tudf_low is None else (self.risk,)
 
-    def chance(self, probability: NDArray[np.float32] | None) -> NDArray[np.float32] | None:
+    def chance(self, probability: Field | None) -> Field | None:
         """See `Calibration.chance`."""
         return self.probability
 
-    def low(
-        self, distance: NDArray[np.float32], probability: NDArray[np.float32] | None, risk: float
-    ) -> NDArray[np.float32]:
+    def low(self, distance: Field, probability: Field | None, risk: float) -> Field:
         """See `Calibration.low`."""
         if self.tudf_low is None or risk < self.risk - CLOSE:
             held = "none" if self.tudf_low is None else f"those of a risk of {self.risk:g}"
@@ -167,7 +162,7 @@ class Given:
         return self.tudf_low
 
 
-def corrected(probability: NDArray[np.float32], class_weight: float) -> NDArray[np.float32]:
+def corrected(probability: Field, class_weight: float) -> Field:
     """Probabilities whose class weight w is inverted: q = p / (p + w (1 - p)).
 
     A network trained with w on occupied voxels, where a free one has 1, minimises its loss by
@@ -177,7 +172,7 @@ def corrected(probability: NDArray[np.float32], class_weight: float) -> NDArray[
     return np.asarray(p / (p + np.float32(class_weight) * (1 - p)), dtype=np.float32)
 
 
-def corrected_logit(probability: NDArray[np.float32], class_weight: float) -> NDArray[np.float32]:
+def corrected_logit(probability: Field, class_weight: float) -> Field:
     """The logits of `corrected` probabilities: those of p less log w. 0 and 1 count as the nearest
     numbers that float32 tells from them."""
     p = np.clip(np.asarray(probability, dtype=np.float32), np.float32(1e-7), np.float32(1 - 1e-7))
@@ -190,12 +185,12 @@ def distance_bins(grid: GridSpec, step_m: float) -> int:
 
 
 def bins(
-    distance: NDArray[np.float32],
-    chance: NDArray[np.float32] | None,
+    distance: Field,
+    chance: Field | None,
     step_m: float,
     chances: tuple[float, ...],
     count: int,
-) -> NDArray[np.int64]:
+) -> Ints:
     """The bin of every voxel: of its predicted distance, one of `count`, then of its `corrected`
     probability."""
     found = np.minimum(

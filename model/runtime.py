@@ -13,10 +13,9 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
-from lidarsim import GridSpec
+from lidarsim.grid import Field, GridSpec
 from scenegen.errors import GuardError, needs, printable, raised_as
 from scenegen.files import read_bounded
 from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_WEIGHTS_BYTES
@@ -36,7 +35,7 @@ BYTES_A_FEATURE = 100
 Runtime = Literal["openvino", "onnxruntime"]
 RUNTIMES: tuple[Runtime, ...] = ("openvino", "onnxruntime")
 """Fastest first (docs/training.md)."""
-Run = Callable[[Mapping[str, NDArray[np.float32]]], Sequence[Any]]
+Run = Callable[[Mapping[str, Field]], Sequence[Any]]
 """From a named batch to the outputs, in their order."""
 
 
@@ -203,7 +202,7 @@ def _open(content: bytes, found: Examined, threads: int) -> Run:
 
     one_at_a_time = Lock()  # a compiled network holds the values of its last run
 
-    def run(batch: Mapping[str, NDArray[np.float32]]) -> Sequence[Any]:
+    def run(batch: Mapping[str, Field]) -> Sequence[Any]:
         with one_at_a_time:
             values = compiled(len(next(iter(batch.values()))) == 1)(dict(batch))
             return [np.array(values[name]) for name in found.outputs]

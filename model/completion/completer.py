@@ -17,7 +17,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from lidarsim import GridSpec, Lidar
+from lidarsim import Lidar
+from lidarsim.grid import GridSpec, Mask
 from scenegen.dataset.locate import client_output, without_tokens
 from scenegen.dataset.manifest import differences
 from scenegen.dataset.parts import described, sensor_entry
@@ -174,9 +175,7 @@ class Completer:
             self.check_grid(grid)
             return self(channels(self.inputs, sample, grid, sample.lidar))
 
-    def complete(
-        self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec
-    ) -> Prediction:
+    def complete(self, observed: Mask, free: Mask, *, grid: GridSpec) -> Prediction:
         """See `MapCompleter.complete`. Raises ValueError for another grid, and where the network
         takes other inputs."""
         self.check_grid(grid)

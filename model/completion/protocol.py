@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lidarsim import GridSpec
+from lidarsim.grid import Field, GridSpec, Mask
 from scenegen.errors import ScenegenError
 from scenegen.model.calibration import CLOSE, RISK, Calibration, Given, UncertaintyError
 from scenegen.model.config import Thresholds
@@ -51,7 +50,7 @@ class Prediction:
                 rows.append((name, what, *(f"{figure:.3g}" for figure in figures)))
         return html_table(rows, self)
 
-    def occupied(self, thresholds: Thresholds | None = None) -> NDArray[np.bool_]:
+    def occupied(self, thresholds: Thresholds | None = None) -> Mask:
         """The binary map, (*shape), at `thresholds`, by default the paper's: where the probability
         is greater than its threshold ("greater than" in the paper's section "Implementation
         Details"), or, without one, the distance less than its own."""
@@ -61,7 +60,7 @@ class Prediction:
         assert self.tudf is not None
         return self.tudf < np.float32(thresholds.distance_m)
 
-    def distance(self, thresholds: Thresholds | None, grid: GridSpec) -> NDArray[np.float32]:
+    def distance(self, thresholds: Thresholds | None, grid: GridSpec) -> Field:
         """The distance field, (*shape), metres, at most the truncation."""
         if self.tudf is not None:
             return np.minimum(self.tudf, np.float32(grid.truncation_m))
@@ -99,7 +98,7 @@ class Prediction:
             tudf = np.stack(derived).reshape(probability.shape)
         return self._as_given(self.uncertainty.low(tudf, probability, risk))
 
-    def _as_given(self, values: NDArray[np.float32] | None) -> Any:
+    def _as_given(self, values: Field | None) -> Any:
         """As torch, on their device, where the predictions are."""
         given = self.occupancy_probability if self.tudf is None else self.tudf
         return (
@@ -168,8 +167,6 @@ class MapCompleter(Protocol):
     name: str
     """How the method is called in tables."""
 
-    def complete(
-        self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec
-    ) -> Prediction:
+    def complete(self, observed: Mask, free: Mask, *, grid: GridSpec) -> Prediction:
         """Complete one map from its observed and free voxels, (*grid.shape) each."""
         ...

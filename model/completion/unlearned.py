@@ -1,10 +1,9 @@
 """The methods that need no learning: what a network has to beat."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
-from lidarsim import GridSpec
+from lidarsim.grid import GridSpec, Mask
 from scenegen.model.completion.protocol import Prediction
 
 UPRIGHT = np.zeros((3, 3, 3), np.bool_)
@@ -19,9 +18,7 @@ class Returns:
     name = "returns"
     learned = False
 
-    def complete(
-        self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec
-    ) -> Prediction:
+    def complete(self, observed: Mask, free: Mask, *, grid: GridSpec) -> Prediction:
         """See `MapCompleter.complete`."""
         return Prediction(occupancy_probability=observed.astype(np.float32))
 
@@ -32,9 +29,7 @@ class Conservative:
     name = "conservative"
     learned = False
 
-    def complete(
-        self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec
-    ) -> Prediction:
+    def complete(self, observed: Mask, free: Mask, *, grid: GridSpec) -> Prediction:
         """See `MapCompleter.complete`."""
         return Prediction(occupancy_probability=(~free).astype(np.float32))
 
@@ -46,9 +41,7 @@ class Extrude:
     name = "extrude"
     learned = False
 
-    def complete(
-        self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec
-    ) -> Prediction:
+    def complete(self, observed: Mask, free: Mask, *, grid: GridSpec) -> Prediction:
         """See `MapCompleter.complete`."""
         runs, count = ndimage.label(~free, UPRIGHT)
         met = np.zeros(count + 1, np.float32)

@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lidarsim import GridSpec
+from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
 from scenegen.dataset.read import Dataset, Rows, Split
 from scenegen.display.look import evenly
 from scenegen.errors import DatasetError, empty_split
@@ -57,10 +56,10 @@ DISTANCES_M = np.arange(0.05, 0.85, 0.05)
 class MethodResult:
     """One method on one dataset, sample by sample and trial by trial."""
 
-    reconstruction: NDArray[np.float64]
+    reconstruction: Floats
     """(N, 2 + classes, metrics): over the whole map, over its unknown voxels, then by class of
     voxels."""
-    tuned: NDArray[np.float64]
+    tuned: Floats
     """(N, metrics): over the whole map, at the tuned thresholds."""
     thresholds: Thresholds
     """The tuned ones."""
@@ -69,10 +68,10 @@ class MethodResult:
     """Whether the method was trained, or may have been: see `Method.learned`."""
     studies: tuple[Study, ...]
     """By sample; () unless asked for."""
-    careful: list[NDArray[np.float64]]
+    careful: list[Floats]
     """(settings, figures) of each trial that was studied."""
 
-    def values(self, metric: str, region: int = 0) -> NDArray[np.float64]:
+    def values(self, metric: str, region: int = 0) -> Floats:
         """A metric by its name: of every map, (N,), over a region of `reconstruction`, or of every
         trial, (trials,)."""
         if metric in PLAN_METRICS:
@@ -88,9 +87,9 @@ class DatasetResult:
     digest: str
     grid: GridSpec
     config: BenchConfig
-    worlds: NDArray[np.int64]
+    worlds: Ints
     """(N,): the samples' worlds."""
-    trial_worlds: NDArray[np.int64]
+    trial_worlds: Ints
     """(trials,): the trials' worlds."""
     trial_places: tuple[tuple[int, int], ...]
     """Each trial's sample by its number in the split, and the trial's own number within the
@@ -99,7 +98,7 @@ class DatasetResult:
     """Drawn trials that are not valid, by reason."""
     methods: dict[str, MethodResult]
 
-    def worlds_of(self, metric: str) -> NDArray[np.int64]:
+    def worlds_of(self, metric: str) -> Ints:
         """The worlds of what `MethodResult.values` gives."""
         return self.trial_worlds if metric in PLAN_METRICS else self.worlds
 
@@ -107,8 +106,8 @@ class DatasetResult:
 class _OfMap(NamedTuple):
     """What one method gave on one sample; see `MethodResult`."""
 
-    reconstruction: NDArray[np.float64]
-    tuned: NDArray[np.float64]
+    reconstruction: Floats
+    tuned: Floats
     trials: list[Measurement]
     study: Study | None
     """None unless asked for."""
@@ -292,7 +291,7 @@ def _work(
 
 def planner_maps(
     said: Prediction, sample: Sample, grid: GridSpec, config: BenchConfig
-) -> tuple[NDArray[np.bool_], NDArray[np.float32], NDArray[np.float32] | None]:
+) -> tuple[Mask, Field, Field | None]:
     """What the planner of `config` is given of a prediction: a collision map, distances, metres,
     and for the careful planner the risk of every voxel, (*grid.shape) each."""
     at, plan, careful = config.thresholds, config.plan, config.plan.planner == "careful"

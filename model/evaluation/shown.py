@@ -6,10 +6,7 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from lidarsim import GridSpec
+from lidarsim.grid import Field, Floats, GridSpec, Mask
 from scenegen.dataset.read import Dataset, Split
 from scenegen.display.look import Guess, Guesses, Route, look_into
 from scenegen.errors import DatasetError
@@ -51,9 +48,7 @@ def _guesses(
     return found
 
 
-def _goal(
-    sample: Sample, split: Split, config: BenchConfig, trial: int
-) -> NDArray[np.float64] | None:
+def _goal(sample: Sample, split: Split, config: BenchConfig, trial: int) -> Floats | None:
     """The goal (3,) of a trial as the bench draws it, map frame, metres; None where the sample has
     fewer."""
     index = split.names.index((split.name, int(sample.world), int(sample.viewpoint)))
@@ -62,10 +57,10 @@ def _goal(
 
 
 def route_to(
-    goal: NDArray[np.float64],
-    occupied: NDArray[np.bool_],
-    tudf: NDArray[np.float32],
-    risk: NDArray[np.float32] | None,
+    goal: Floats,
+    occupied: Mask,
+    tudf: Field,
+    risk: Field | None,
     sample: Sample,
     grid: GridSpec,
     config: PlanConfig,

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import expit, logit, stdtr, stdtrit
+
+from lidarsim.grid import Floats
 
 Scale = Literal["amount", "share", "outcome", "gain"]
 """What values are: any numbers; shares of something, in [0, 1]; successes and failures, 1 and 0; or
@@ -58,9 +60,7 @@ class Estimate:
         )
 
 
-def estimate(
-    sums: ArrayLike, worlds: ArrayLike, of: Callable[[NDArray[np.float64]], NDArray[np.float64]]
-) -> Estimate:
+def estimate(sums: ArrayLike, worlds: ArrayLike, of: Callable[[Floats], Floats]) -> Estimate:
     """What `of` makes of sums (draws, k) over all samples, as (draws,), with its error over worlds.
 
     `sums` (N, k) are those of each sample, of `worlds` (N,). The error is the jackknife's, which
@@ -144,7 +144,7 @@ def paired_p(
     return float((1 + (flipped >= observed * (1 - 1e-12)).sum()) / (1 + FLIPS))
 
 
-def holm(p_values: ArrayLike) -> NDArray[np.float64]:
+def holm(p_values: ArrayLike) -> Floats:
     """P-values (m,) corrected for their number (Holm 1979)."""
     given = np.asarray(p_values, dtype=np.float64)
     order = np.argsort(given)
@@ -154,7 +154,7 @@ def holm(p_values: ArrayLike) -> NDArray[np.float64]:
     return corrected
 
 
-def _mean(sums: NDArray[np.float64]) -> NDArray[np.float64]:
+def _mean(sums: Floats) -> Floats:
     """Means (draws,) of sums and counts (draws, 2)."""
     return np.asarray(sums[:, 0] / sums[:, 1])
 

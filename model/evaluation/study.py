@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim import GridSpec
+from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
 from scenegen.model.calibration import corrected
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import LossConfig, Thresholds
@@ -67,26 +67,26 @@ class Setting:
 class Study:
     """What was found out about one method on one map."""
 
-    counts: NDArray[np.float64]
+    counts: Floats
     """See `scenegen.model.evaluation.uncertainty.count`."""
-    bounds: NDArray[np.float64]
+    bounds: Floats
     """(risks, PARTS, JUDGED): see `judge_bounds`."""
     ause: float
     """The bounds'; NaN without any."""
     settings: tuple[Setting, ...]
     """What the careful planner goes by, the risks of the bounds first."""
-    careful: NDArray[np.float64]
+    careful: Floats
     """(goals, settings, figures): see `run_settings`."""
 
 
 def study_map(
     said: Prediction,
-    distance: NDArray[np.float32],
+    distance: Field,
     sample: Sample,
     *,
     classes: NDArray[np.uint8],
-    seen: NDArray[np.bool_],
-    goals: NDArray[np.float64],
+    seen: Mask,
+    goals: Floats,
     grid: GridSpec,
     config: BenchConfig,
 ) -> Study:
@@ -130,11 +130,11 @@ def settings_of(said: Prediction) -> tuple[Setting, ...]:
 def run_settings(
     chosen: Sequence[Setting],
     said: Prediction,
-    truth: tuple[NDArray[np.bool_], NDArray[np.float32]],
-    goals: NDArray[np.float64],
+    truth: tuple[Mask, Field],
+    goals: Floats,
     grid: GridSpec,
     plan: PlanConfig,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Every trial of one map at each setting, (goals, settings, TOLD and then CHANCES); NaN for
     what a trial without a path, or a method without calibrated probabilities, lacks."""
     found = np.full((len(goals), len(chosen), len(TOLD) + len(CHANCES)), np.nan)
@@ -159,9 +159,7 @@ def run_settings(
     return found
 
 
-def _maps(
-    setting: Setting, said: Prediction, grid: GridSpec
-) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+def _maps(setting: Setting, said: Prediction, grid: GridSpec) -> tuple[Mask, Field]:
     """The collision map and the field that a setting makes of a prediction."""
     if setting.by == "risk":
         low = said.low(setting.value)
@@ -173,9 +171,9 @@ def _maps(
 
 def study_of(
     studies: Sequence[Study],
-    careful: Sequence[NDArray[np.float64]],
-    worlds: NDArray[np.int64],
-    trial_worlds: NDArray[np.int64],
+    careful: Sequence[Floats],
+    worlds: Ints,
+    trial_worlds: Ints,
 ) -> dict[str, Any]:
     """What was studied of one method, as JSON: its ``reliability`` and ``bounds``, None where it
     has none, from the `studies` of N maps of `worlds` (N,); and the careful planner's ``risk`` from
@@ -197,9 +195,7 @@ def study_of(
     }
 
 
-def risk_of(
-    trials: NDArray[np.float64], chosen: Sequence[Setting], worlds: NDArray[np.int64]
-) -> dict[str, Any]:
+def risk_of(trials: Floats, chosen: Sequence[Setting], worlds: Ints) -> dict[str, Any]:
     """The report of all trials (trials, settings, ...): a row a setting, and, by how likely paths
     were said to collide, how many did, over all settings."""
     rows = [

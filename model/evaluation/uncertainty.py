@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarsim.grid import Field, Floats, Ints, Mask
 from lidarsim.jit import kernel
 from scenegen.model.calibration import RISK
 from scenegen.model.completion.protocol import Prediction
@@ -31,14 +32,14 @@ SMALLEST = 1e-7
 
 
 def regions(
-    scored: NDArray[np.bool_],
-    unknown: NDArray[np.bool_],
-    distance: NDArray[np.float32],
-    true: NDArray[np.float32],
-    seen: NDArray[np.float32],
+    scored: Mask,
+    unknown: Mask,
+    distance: Field,
+    true: Field,
+    seen: Field,
     *,
     truncation_m: float,
-) -> NDArray[np.bool_]:
+) -> Mask:
     """The voxels of each of `REGIONS`, (regions, *shape): none that is not `scored`, and otherwise
     from predicted and true distances and those to the obstacles that returned something; the grids
     have one shape."""
@@ -48,10 +49,10 @@ def regions(
 
 
 def count(
-    readings: Sequence[NDArray[np.float32]],
-    occupancy: NDArray[np.bool_],
-    inside: NDArray[np.bool_],
-) -> NDArray[np.float64]:
+    readings: Sequence[Field],
+    occupancy: Mask,
+    inside: Mask,
+) -> Floats:
     """The counts of one map, (regions, READINGS, BINS, COUNTS), from the probabilities of the first
     so many `READINGS`; the grids have one shape, and `inside` tells the `regions`."""
     counts = np.zeros((len(REGIONS), len(READINGS), BINS, len(COUNTS)))
@@ -78,7 +79,7 @@ def _count(probability, occupancy, inside, counts):
                 counts[region, b, 4] += brier
 
 
-def reliability(counts: NDArray[np.float64], worlds: NDArray[np.int64]) -> dict[str, Any]:
+def reliability(counts: Floats, worlds: Ints) -> dict[str, Any]:
     """The reliability of N maps of `worlds` (N,): by region and reading, the bins that hold voxels;
     and over all voxels
     the negative log-likelihood, the Brier score, and the expected calibration error, which is the
@@ -124,7 +125,7 @@ def reliability(counts: NDArray[np.float64], worlds: NDArray[np.int64]) -> dict[
     return found
 
 
-def _score(name: str, sums: NDArray[np.float64]) -> NDArray[np.float64]:
+def _score(name: str, sums: Floats) -> Floats:
     """One of `SCORES` (k,) of sums (k, BINS * counts): expected calibration errors, or means over
     voxels; NaN of no voxels."""
     counts = sums.reshape(len(sums), BINS, len(COUNTS))
@@ -147,10 +148,10 @@ SHARES = np.arange(1, 21) / 20
 
 def judge_bounds(
     said: Prediction,
-    distance: NDArray[np.float32],
-    true: NDArray[np.float32],
-    inside: NDArray[np.bool_],
-) -> tuple[NDArray[np.float64], float]:
+    distance: Field,
+    true: Field,
+    inside: Mask,
+) -> tuple[Floats, float]:
     """By risk, region of `inside` and figure, (risks, PARTS, JUDGED), what the bounds of a
     prediction whose distances are `distance` are worth on one map; and its area under the
     sparsification error, of the bounds nearest to `RISK`. NaN over no voxels, and without
@@ -189,10 +190,10 @@ def ause(error: NDArray[np.floating], doubt: NDArray[np.floating]) -> float:
 
 
 def bounds_of(
-    judged: NDArray[np.float64],
-    sparse: NDArray[np.float64],
+    judged: Floats,
+    sparse: Floats,
     risks: tuple[float, ...],
-    worlds: NDArray[np.int64],
+    worlds: Ints,
 ) -> dict[str, Any]:
     """The report of N maps' bounds, from (N, risks, PARTS, JUDGED) and (N,): ``ause``, and a row a
     risk."""

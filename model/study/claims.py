@@ -17,8 +17,8 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lidarsim.grid import Floats, Ints
 from scenegen.model.config import TrainConfig
 from scenegen.model.evaluation import paper
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
@@ -66,10 +66,10 @@ class Measured:
     """All rows on the worlds of one kind."""
 
     kind: str
-    rows: Mapping[str, Mapping[str, NDArray[np.float64]]]
+    rows: Mapping[str, Mapping[str, Floats]]
     """By name and metric, the value of every map, or of every trial; NaN where there is no
     path."""
-    worlds: Mapping[str, NDArray[np.int64]]
+    worlds: Mapping[str, Ints]
     """By metric, the worlds of those values."""
 
     @classmethod
@@ -302,7 +302,7 @@ def gain(
         held &= held.all(axis=1, keepdims=True)
     sums = np.stack([np.where(held, values, 0.0), held]).reshape(-1, values.shape[-1]).T
 
-    def of(sums: NDArray[np.float64]) -> NDArray[np.float64]:
+    def of(sums: Floats) -> Floats:
         total, count = np.moveaxis(sums.reshape(len(sums), 2, len(pairs), 2), 1, 0)
         with np.errstate(invalid="ignore"):  # worlds without a path say nothing
             lost = _loss(metric, total / count)

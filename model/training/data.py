@@ -8,12 +8,12 @@ from typing import Any, Protocol
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
-from lidarsim import GridSpec, Sensor
+from lidarsim import Sensor
+from lidarsim.grid import GridSpec, Ints
 from scenegen.dataset.gather import check_disjoint
 from scenegen.dataset.generation import fraction
 from scenegen.dataset.read import Dataset as SampleDataset
@@ -281,7 +281,7 @@ def epoch_batches(
     return [keys[n * batch : (n + 1) * batch] for n in range(count)]
 
 
-def _weighted(maps: Maps, *, seed: int, epoch: int) -> list[NDArray[np.int64]]:
+def _weighted(maps: Maps, *, seed: int, epoch: int) -> list[Ints]:
     """The maps of a pass by source. Each source's come in an order of its own, which goes on from
     pass to pass and is drawn anew when it ends, so that none comes twice before all others of the
     source have come."""

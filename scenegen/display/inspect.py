@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lidarsim import GridSpec, Sensor
+from lidarsim import Sensor
 from lidarsim.engines.voxels import VoxelMap
+from lidarsim.grid import Floats, GridSpec
 from scenegen import SPLITS
 from scenegen.dataset.choose import FIGURES, encode_figures, figures_file, kept_figures
 from scenegen.dataset.manifest import NAME
@@ -83,7 +83,7 @@ def inspect(
     for split in splits if not tables else ():
         chosen = spread(dataset, split.name, (not keep and most) or len(split))
         tasks += [(split.name, chosen[n : n + AT_ONCE]) for n in range(0, len(chosen), AT_ONCE)]
-    measured: dict[tuple[str, int], NDArray[np.float64]] = {}
+    measured: dict[tuple[str, int], Floats] = {}
     begun = partial(on_start, sum(len(part) for _, part in tasks))
     with closing(run(partial(_measure, dataset), tasks, workers, begun)) as results:
         for place, rows in results:
@@ -120,7 +120,7 @@ def _measure(dataset: Dataset, task: tuple[str, list[int]]) -> tuple[tuple[str, 
     return (split, chosen[0]), np.array(rows, dtype=np.float64)
 
 
-def _summary(values: NDArray[np.float64]) -> dict[str, float | None]:
+def _summary(values: Floats) -> dict[str, float | None]:
     """How numbers spread."""
     return {
         name: float(getattr(values, name)()) if len(values) else None

@@ -12,9 +12,8 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lidarsim import GridSpec
+from lidarsim.grid import Field, Floats, GridSpec, Mask
 from scenegen.display.colours import (
     DEEP,
     DISTANCES,
@@ -148,7 +147,7 @@ def packed(look: Look) -> dict[str, Any]:
     }
 
 
-def packed_world(surfaces: Sequence[Any], origin: NDArray[np.float64]) -> dict[str, Any]:
+def packed_world(surfaces: Sequence[Any], origin: Floats) -> dict[str, Any]:
     """A world's surfaces, meshes with (n, 3, 3) `triangles` in metres, as the page's script reads
     them: the corners of all triangles, one after the other, in the frame of the map at `origin`
     (3,)."""
@@ -161,7 +160,7 @@ def packed_world(surfaces: Sequence[Any], origin: NDArray[np.float64]) -> dict[s
 def _packed_guess(guess: Guess, look: Look) -> dict[str, Any]:
     """What is predicted, as the page's script reads it; positions in the map's frame."""
 
-    def local(points: NDArray[np.float64] | None) -> Any:
+    def local(points: Floats | None) -> Any:
         return None if points is None else np.round(points - look.origin, 4).tolist()
 
     found: dict[str, Any] = {
@@ -175,11 +174,11 @@ def _packed_guess(guess: Guess, look: Look) -> dict[str, Any]:
     return found
 
 
-def _bits(mask: NDArray[np.bool_]) -> str:
+def _bits(mask: Mask) -> str:
     return _gzip64(np.packbits(mask).tobytes())
 
 
-def _distances(tudf: NDArray[np.float32], grid: GridSpec) -> str:
+def _distances(tudf: Field, grid: GridSpec) -> str:
     shares = np.nan_to_num(tudf / grid.truncation_m, nan=1.0)
     return _gzip64(np.rint(255 * np.clip(shares, 0, 1)).astype(np.uint8).tobytes())
 

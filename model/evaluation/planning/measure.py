@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import map_coordinates
 
-from lidarsim.grid import GridSpec
+from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.evaluation.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import Blocked, Lattice, Plan, checked, plan_path
@@ -25,14 +25,14 @@ SAMPLE_M = 0.05
 class Trials:
     """The valid trials of one map, and how many draws were not."""
 
-    goals: NDArray[np.float64]
+    goals: Floats
     """(m, 3): points of lattice nodes, map frame, metres."""
     excluded: Counter[Blocked] = field(default_factory=Counter)
     """Goals drawn and not kept, by reason. A blocked start excludes as many as were asked for."""
 
 
 def draw_trials(
-    occupancy_truth: NDArray[np.bool_],
+    occupancy_truth: Mask,
     grid: GridSpec,
     config: PlanConfig,
     *,
@@ -58,7 +58,7 @@ def draw_trials(
     if bounds is not None:
         low, high = np.asarray(bounds, dtype=np.float64)
         candidates = candidates[((candidates >= low) & (candidates <= high)).all(axis=1)]
-    goals: list[NDArray[np.float64]] = []
+    goals: list[Floats] = []
     excluded: Counter[Blocked] = Counter()
     for goal in candidates[rng.permutation(len(candidates))]:
         if len(goals) == count:
@@ -71,7 +71,7 @@ def draw_trials(
     return Trials(np.array(goals).reshape(-1, 3), excluded)
 
 
-def boundary_nodes(lattice: Lattice, faces: str) -> NDArray[np.int64]:
+def boundary_nodes(lattice: Lattice, faces: str) -> Ints:
     """Nodes (n, 3) of the outermost layer in x or y ("lateral"), or in z, too ("box"), in order;
     never the start."""
     nodes = np.indices(lattice.shape).reshape(3, -1).T
@@ -111,9 +111,9 @@ class Measurement:
 
 
 def run_trial(
-    occupied_pred: NDArray[np.bool_],
+    occupied_pred: Mask,
     tudf_pred: NDArray[np.floating],
-    occupancy_truth: NDArray[np.bool_],
+    occupancy_truth: Mask,
     tudf_truth: NDArray[np.floating],
     goal: ArrayLike,
     grid: GridSpec,
@@ -128,13 +128,13 @@ def run_trial(
 
 
 def plan_trial(
-    occupied: NDArray[np.bool_],
+    occupied: Mask,
     tudf: NDArray[np.floating],
     risk: NDArray[np.floating] | None,
     goal: ArrayLike,
     grid: GridSpec,
     config: PlanConfig,
-) -> tuple[Plan, NDArray[np.float64] | None]:
+) -> tuple[Plan, Floats | None]:
     """What A* finds and the path (n, 3) that is made of it, by `config.planner`, on a collision
     map, distances `tudf`, metres, and, for the careful planner, the `risk` (*grid.shape) of
     meeting something."""
@@ -147,8 +147,8 @@ def plan_trial(
 
 def judge(
     plan: Plan,
-    refined: NDArray[np.float64] | None,
-    occupancy_truth: NDArray[np.bool_],
+    refined: Floats | None,
+    occupancy_truth: Mask,
     tudf_truth: NDArray[np.floating],
     grid: GridSpec,
 ) -> Measurement:
@@ -178,7 +178,7 @@ def judge(
     )
 
 
-def stations(path: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def stations(path: Floats) -> tuple[Floats, Floats]:
     """The points (m, 3) at which a path (n, 3) is judged: its waypoints and, between two, equally
     spaced ones at most `SAMPLE_M` apart; and the gaps (m - 1,) between them, metres."""
     legs = np.diff(path, axis=0)
@@ -191,14 +191,14 @@ def stations(path: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np
     return np.concatenate([path[:1], *parts]), np.repeat(reach / pieces, pieces)
 
 
-def voxels_of(points: NDArray[np.float64], grid: GridSpec) -> NDArray[np.int64]:
+def voxels_of(points: Floats, grid: GridSpec) -> Ints:
     """The voxels (m,) that hold points (m, 3) of the map, counted in C order. The map's last faces
     belong to its last voxels."""
     index = np.floor(points / grid.voxel_m).astype(np.int64)
     return np.ravel_multi_index(tuple(index.T), grid.shape, mode="clip")
 
 
-def met(path: NDArray[np.float64], grid: GridSpec) -> NDArray[np.int64]:
+def met(path: Floats, grid: GridSpec) -> Ints:
     """The voxels, counted in C order, each once, that hold the points at which a path (n, 3) is
     judged."""
     return np.unique(voxels_of(stations(path)[0], grid))
@@ -209,14 +209,14 @@ class Careful(NamedTuple):
 
     plan: Plan
     """What A* found; no path where the planner abstains."""
-    path: NDArray[np.float64] | None
+    path: Floats | None
     """(n, 3): refined, map frame, metres."""
-    voxels: NDArray[np.int64]
+    voxels: Ints
     """Those that it meets, counted in C order, each once."""
 
 
 def plan_carefully(
-    blocked: NDArray[np.bool_],
+    blocked: Mask,
     field: NDArray[np.floating],
     goal: ArrayLike,
     grid: GridSpec,
@@ -248,10 +248,10 @@ def plan_carefully(
 
 def risk_of(
     said: Prediction,
-    occupied: NDArray[np.bool_],
-    seen: NDArray[np.bool_],
+    occupied: Mask,
+    seen: Mask,
     config: PlanConfig,
-) -> NDArray[np.float32]:
+) -> Field:
     """The risk of meeting something in every voxel (*grid.shape), a probability: 1 where it is held
     `occupied`, else what is `said`, and no less than `config.unseen_risk` where it was not
     `seen`."""

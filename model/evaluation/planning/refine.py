@@ -4,7 +4,7 @@ field."""
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lidarsim.grid import GridSpec
+from lidarsim.grid import Floats, GridSpec
 from lidarsim.jit import kernel
 from scenegen.model.evaluation.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import checked
@@ -25,7 +25,7 @@ of the field."""
 
 def refine(
     waypoints: ArrayLike, tudf: NDArray[np.floating], grid: GridSpec, config: PlanConfig
-) -> NDArray[np.float64]:
+) -> Floats:
     """The path (n, 3) after gradient descent on `_cost` from `waypoints` (n, 3), map frame, metres;
     ends stay.
 
