@@ -11,8 +11,8 @@ import measuring
 import torch
 
 from scenegen.model.config import VARIANTS, NetworkConfig, TrainConfig
-from scenegen.model.network import build, placed
-from scenegen.model.training.data import Batch, Maps, epoch_batches, load, opened
+from scenegen.model.network import Batch, build, placed
+from scenegen.model.training.data import Maps, epoch_batches, load, opened
 from scenegen.model.training.device import Group, choose_device
 from scenegen.model.training.loop import Step
 

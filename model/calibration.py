@@ -3,15 +3,14 @@ file."""
 
 import dataclasses
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from lidarsim.grid import Field, GridSpec, Ints
 from lidarsim.parameters import check, number
 from scenegen.errors import ScenegenError, short
+from scenegen.files import Json
 
 KEY = "calibration"
 """Its name in what is said about a network."""
@@ -66,7 +65,7 @@ class Calibration:
             raise ValueError("its path_risks must be as many as its risks")
 
     @classmethod
-    def of(cls, about: Mapping[str, Any], grid: GridSpec) -> "Calibration | None":
+    def of(cls, about: Json, grid: GridSpec) -> "Calibration | None":
         """The calibration among what is said `about` a network for maps on `grid`; None where there
         is none. Raises ValueError where it is damaged."""
         if KEY not in about:
@@ -82,7 +81,7 @@ class Calibration:
             raise ValueError("its calibration is of another grid; calibrate it again")
         return found
 
-    def said(self) -> dict[str, Any]:
+    def said(self) -> Json:
         """Itself as JSON holds it."""
         return dataclasses.asdict(self)
 
@@ -92,7 +91,7 @@ class Calibration:
         if probability is None or self.temperature is None:
             return None
         logit = corrected_logit(probability, self.class_weight) / np.float32(self.temperature)
-        return np.asarray(1 / (1 + np.exp(-logit)), dtype=np.float32)
+        return 1 / (1 + np.exp(-logit))
 
     def row(self, risk: float) -> int:
         """Which of `risks` serves `risk`: the greatest that is no greater. Raises UncertaintyError
@@ -132,7 +131,7 @@ class Calibration:
         count = len(margins) // (len(self.chances) + 1)
         chance = None if probability is None else corrected(probability, self.class_weight)
         found = bins(distance, chance, self.step_m, self.chances, count)
-        return np.asarray(np.maximum(distance - margins[found], 0), dtype=np.float32)
+        return np.maximum(distance - margins[found], 0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -168,15 +167,15 @@ def corrected(probability: Field, class_weight: float) -> Field:
     A network trained with w on occupied voxels, where a free one has 1, minimises its loss by
     saying p = w q / (w q + 1 - q) of a voxel that is occupied with probability q.
     """
-    p = np.asarray(probability, dtype=np.float32)
+    p = probability.astype(np.float32)
     return np.asarray(p / (p + np.float32(class_weight) * (1 - p)), dtype=np.float32)
 
 
 def corrected_logit(probability: Field, class_weight: float) -> Field:
     """The logits of `corrected` probabilities: those of p less log w. 0 and 1 count as the nearest
     numbers that float32 tells from them."""
-    p = np.clip(np.asarray(probability, dtype=np.float32), np.float32(1e-7), np.float32(1 - 1e-7))
-    return np.asarray(np.log(p / (1 - p)) - np.float32(math.log(class_weight)), dtype=np.float32)
+    p = np.clip(probability.astype(np.float32), np.float32(1e-7), np.float32(1 - 1e-7))
+    return np.log(p / (1 - p)) - np.float32(math.log(class_weight))
 
 
 def distance_bins(grid: GridSpec, step_m: float) -> int:

@@ -17,6 +17,7 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import Progress, note, say
 from scenegen.cli.types import DatasetPath, Number, OutputFile
+from scenegen.errors import DatasetError, printable
 from scenegen.limits import MOST_BATCH
 from scenegen.model.commands.weights import Weights
 from scenegen.model.config import DEFAULT_NETWORK, POINTS_NETWORK
@@ -39,7 +40,10 @@ if TYPE_CHECKING:
 )
 @split_option("test", help="The split of a dataset that is completed.")
 @click.option(
-    *("-o", "--output", "--out", "out"),
+    "-o",
+    "--output",
+    "--out",
+    "out",
     type=OutputFile(folders=True),
     help="File to write; of a folder of scans, a folder.  [default: predictions.h5, or "
     "<scan>.completed.h5]",
@@ -83,7 +87,6 @@ def complete(
     from scenegen.dataset.locate import locate
     from scenegen.dataset.manifest import NAME
     from scenegen.dataset.read import Dataset
-    from scenegen.errors import DatasetError
     from scenegen.files import make_way, real_path
     from scenegen.model.completion.completer import Completer
     from scenegen.model.completion.predictions import predict_scan, predict_split
@@ -120,8 +123,7 @@ def complete(
                 on_start=progress.start,
                 on_done=progress.count,
             )
-        met = {completer.unlike(*one) for one in Dataset(found).settings}
-        for warning in () if quiet else sorted(filter(None, met)):
+        for warning in () if quiet else completer.unlike(Dataset(found).settings):
             note(f"note: {warning}")
     else:
         used = predict_scan(completer, found, out, sensor=sensor)
@@ -145,7 +147,6 @@ def _complete_all(
     Those that are there already are passed over. Raises DatasetError at the end where some could
     not be completed.
     """
-    from scenegen.errors import DatasetError, printable
     from scenegen.files import make_parent, remove_drafts
     from scenegen.model.completion.predictions import predict_scan
 

@@ -117,6 +117,10 @@ class Weighted(click.ParamType):
     patience="Looks at validation without a lower loss after which it has stalled.",
     choose="Which network of the run is kept.",
     seed="Decides the first weights and the order of samples.",
+    augment="Turn maps about the sensor at random, and mirror them where its rays allow it.",
+    points_share="Share of maps shown as points alone: rays without a return free nothing.",
+    precision="Arithmetic of the network; auto takes bfloat16 where the device has it.",
+    compile="Run the network through torch.compile.",
 )
 @click.option(
     "--input",
@@ -154,14 +158,6 @@ class Weighted(click.ParamType):
     occupied_weight="Weight of an occupied voxel; a free one has 1.",
     lovasz="Weight of the IoU's Lovász hinge beside the cross-entropy.",
     beta_m="Where the Smooth-L1 loss turns from a parabola into a line, metres.",
-)
-@options_of(
-    TrainConfig,
-    panel="Training",
-    augment="Turn maps about the sensor at random, and mirror them where its rays allow it.",
-    points_share="Share of maps shown as points alone: rays without a return free nothing.",
-    precision="Arithmetic of the network; auto takes bfloat16 where the device has it.",
-    compile="Run the network through torch.compile.",
 )
 @click.option(
     "--stream",

@@ -243,11 +243,7 @@ def _completion(path: Path) -> Look:
             origin, voxel_m = np.array(file.attrs["origin"], np.float64), float(file.attrs["voxel"])
             names = [name for name in ("observed", *PARTS) if name in file]
             shape = file[names[0]].shape
-            if (
-                len(shape) != 3
-                or not 0 < math.prod(shape) <= MOST_VOXELS
-                or not np.isfinite(origin).all()
-            ):
+            if math.prod(shape) > MOST_VOXELS or not np.isfinite(origin).all():
                 raise ValueError("no map")
             grid = GridSpec(shape=shape, voxel_m=voxel_m)
             maps = {name: np.asarray(file[name]) for name in names}

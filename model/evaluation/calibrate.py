@@ -208,7 +208,7 @@ def calibrate(
             raise CheckpointError(
                 f"{weights}: tells of no class weight above 0 of its loss; train it again"
             ) from None
-    method = Completer.from_pretrained(weights, threads=1)
+    method = Completer.from_pretrained(weights)
     datasets, tasks, worlds = [Dataset(folder) for folder in folders], [], set()
     for number, dataset in enumerate(datasets):
         part = dataset.split(split)

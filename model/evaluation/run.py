@@ -57,10 +57,8 @@ class MethodResult:
     """One method on one dataset, sample by sample and trial by trial."""
 
     reconstruction: Floats
-    """(N, 2 + classes, metrics): over the whole map, over its unknown voxels, then by class of
-    voxels."""
-    tuned: Floats
-    """(N, metrics): over the whole map, at the tuned thresholds."""
+    """(N, 3 + classes, metrics): over the whole map, over its unknown voxels, then by class of
+    voxels; and last over the whole map again, at the tuned thresholds."""
     thresholds: Thresholds
     """The tuned ones."""
     trials: tuple[Measurement, ...]
@@ -107,7 +105,6 @@ class _OfMap(NamedTuple):
     """What one method gave on one sample; see `MethodResult`."""
 
     reconstruction: Floats
-    tuned: Floats
     trials: list[Measurement]
     study: Study | None
     """None unless asked for."""
@@ -201,7 +198,6 @@ def bench(
         studies = tuple(one.study for one in given if one.study is not None)
         return MethodResult(
             reconstruction=np.array([one.reconstruction for one in given]),
-            tuned=np.array([one.tuned for one in given]),
             thresholds=tuned[m],
             trials=tuple(given[n].trials[turn] for turn, n in turns),
             learned=methods[m].learned,
@@ -284,7 +280,7 @@ def _work(
                     grid=grid,
                     config=config,
                 )
-            given.append(_OfMap(figures[usual], figures[best][0], trials, study))
+            given.append(_OfMap(np.vstack([figures[usual], figures[best][:1]]), trials, study))
         found.append(_Found(index, int(sample.world), Counter(drawn.excluded), given))
     return found
 

@@ -2,14 +2,15 @@
 pictures of trials that failed, and charts."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from lidarsim.grid import Field, Floats, GridSpec, Mask
 from scenegen.dataset.read import Dataset, Split
 from scenegen.display.look import Guess, Guesses, Route, look_into
 from scenegen.errors import DatasetError
+from scenegen.files import Json
 from scenegen.model.evaluation.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Method
 from scenegen.model.evaluation.planning.astar import Lattice
@@ -133,7 +134,7 @@ CHARTS = {"reconstruction": ("iou", "near_rmse"), "planning": ("success", "min_c
 """Metrics that are drawn, by table."""
 
 
-def draw_charts(report: Mapping[str, Any], kind: str) -> list[tuple[str, bytes]]:
+def draw_charts(report: Json, kind: str) -> list[tuple[str, bytes]]:
     """What each chart shows, and the chart, WebP: a dot for each method with its interval, and a
     ring for each of the paper's. Raises ImportError where matplotlib is not installed."""
     from matplotlib.figure import Figure

@@ -2,7 +2,7 @@
 what a planner makes of it that asks for a risk."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
+from scenegen.files import Json
 from scenegen.model.calibration import corrected
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import LossConfig, Thresholds
@@ -174,7 +175,7 @@ def study_of(
     careful: Sequence[Floats],
     worlds: Ints,
     trial_worlds: Ints,
-) -> dict[str, Any]:
+) -> Json:
     """What was studied of one method, as JSON: its ``reliability`` and ``bounds``, None where it
     has none, from the `studies` of N maps of `worlds` (N,); and the careful planner's ``risk`` from
     the `careful` rows of all trials. Figures are {mean, std, low, high, n}, as in the tables."""
@@ -187,7 +188,7 @@ def study_of(
     return {
         "reliability": {"class_weight": CLASS_WEIGHT, **found} if found else None,
         "bounds": bounds_of(bounds, sparse, risks, worlds) if risks else None,
-        "risk": risk_of(
+        "risk": careful_figures(
             np.array(careful).reshape(len(careful), len(settings), len(TOLD) + len(CHANCES)),
             settings,
             trial_worlds,
@@ -195,7 +196,7 @@ def study_of(
     }
 
 
-def risk_of(trials: Floats, chosen: Sequence[Setting], worlds: Ints) -> dict[str, Any]:
+def careful_figures(trials: Floats, chosen: Sequence[Setting], worlds: Ints) -> Json:
     """The report of all trials (trials, settings, ...): a row a setting, and, by how likely paths
     were said to collide, how many did, over all settings."""
     rows = [
@@ -208,7 +209,7 @@ def risk_of(trials: Floats, chosen: Sequence[Setting], worlds: Ints) -> dict[str
     ]
     collided = trials[:, :, TOLD.index("collided")].reshape(-1)
     repeated = np.repeat(worlds, len(chosen))
-    paths: dict[str, list[dict[str, Any]]] = {name: [] for name in CHANCES}
+    paths: dict[str, list[Json]] = {name: [] for name in CHANCES}
     for n, name in enumerate(CHANCES, start=len(TOLD)):
         said = trials[:, :, n].reshape(-1)
         for low, high in pairwise(EDGES):
@@ -220,7 +221,7 @@ def risk_of(trials: Floats, chosen: Sequence[Setting], worlds: Ints) -> dict[str
     return {"settings": rows, "paths": paths}
 
 
-def study_tables(study: Mapping[str, Any]) -> list[tuple[Any, ...]]:
+def study_tables(study: Json) -> list[tuple[Any, ...]]:
     """What `study_of` gave of every method, for people: tables by title, heads and rows; none where
     nothing was studied."""
     names = ("promised", *TOLD, *CHANCES)

@@ -3,13 +3,12 @@
 import math
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarsim.grid import Field, Floats, Ints, Mask
 from lidarsim.jit import kernel
+from scenegen.files import Json
 from scenegen.model.calibration import RISK
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.evaluation.config import NEAR_M
@@ -79,7 +78,7 @@ def _count(probability, occupancy, inside, counts):
                 counts[region, b, 4] += brier
 
 
-def reliability(counts: Floats, worlds: Ints) -> dict[str, Any]:
+def reliability(counts: Floats, worlds: Ints) -> Json:
     """The reliability of N maps of `worlds` (N,): by region and reading, the bins that hold voxels;
     and over all voxels
     the negative log-likelihood, the Brier score, and the expected calibration error, which is the
@@ -89,7 +88,7 @@ def reliability(counts: Floats, worlds: Ints) -> dict[str, Any]:
 
     `counts` (N, regions, readings, BINS, counts) are those of `count`.
     """
-    found: dict[str, Any] = {}
+    found: Json = {}
     for r, region in enumerate(REGIONS):
         for n, reading in enumerate(READINGS):
             maps = counts[:, r, n]
@@ -171,7 +170,7 @@ def judge_bounds(
     return found, sparse
 
 
-def ause(error: NDArray[np.floating], doubt: NDArray[np.floating]) -> float:
+def ause(error: Field, doubt: Field) -> float:
     """The area under the sparsification error (Ilg et al. 2018): by how much the mean `error` (n,)
     of the surest voxels by `doubt` (n,) exceeds that of the voxels with the least errors, over all
     shares of voxels, in mean errors. 0 where doubt orders voxels as errors do; voxels of equal
@@ -194,7 +193,7 @@ def bounds_of(
     sparse: Floats,
     risks: tuple[float, ...],
     worlds: Ints,
-) -> dict[str, Any]:
+) -> Json:
     """The report of N maps' bounds, from (N, risks, PARTS, JUDGED) and (N,): ``ause``, and a row a
     risk."""
     rows = [

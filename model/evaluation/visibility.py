@@ -50,7 +50,7 @@ def scored_voxels(sample: Sample, grid: GridSpec, tables: Mapping[str, Any]) -> 
     # a layer that ends at the underside does not count, however it is rounded
     layers = tops > bottom + 1e-6
     known = np.ones(grid.shape, np.bool_) if sample.known is None else sample.known
-    return np.asarray(known & layers)
+    return known & layers
 
 
 def certain_distances(sample: Sample, grid: GridSpec) -> Mask | None:
@@ -58,7 +58,7 @@ def certain_distances(sample: Sample, grid: GridSpec) -> Mask | None:
     what is known to be occupied. None where all is known."""
     if sample.known is None:
         return None
-    return np.asarray(sample.tudf <= distance_field(~sample.known, grid))
+    return sample.tudf <= distance_field(~sample.known, grid)
 
 
 def walled(

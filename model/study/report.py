@@ -1,8 +1,8 @@
 """The study for people: what it found, from what ``study.json`` holds and nothing else."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
+from scenegen.files import Json
 from scenegen.model.evaluation.statistics import brief, caution, interval, table
 from scenegen.model.study.claims import ALL, PATIENCE
 
@@ -18,7 +18,7 @@ as the paper's early stopping asks, can refute a claim; others can contradict it
 """.strip().replace("\n", " ")
 
 
-def to_markdown(study: Mapping[str, Any]) -> str:
+def to_markdown(study: Json) -> str:
     """Verdicts, then the figures behind them."""
     settings, runs = study["settings"], study["runs"]
     devices = ", ".join(sorted({run["device"] for run in runs.values()}))
@@ -48,7 +48,7 @@ def to_markdown(study: Mapping[str, Any]) -> str:
     return "\n\n".join(blocks) + "\n"
 
 
-def _of_kind(study: Mapping[str, Any], kind: str) -> list[str]:
+def _of_kind(study: Json, kind: str) -> list[str]:
     blocks = [f"## {kind}"]
     if few := caution(study["worlds"][kind]):
         blocks.append(f"**{few}.**")
@@ -75,7 +75,7 @@ def _of_kind(study: Mapping[str, Any], kind: str) -> list[str]:
     ]
 
 
-def _judged(claim: Mapping[str, Any]) -> tuple[str, Sequence[str]]:
+def _judged(claim: Json) -> tuple[str, Sequence[str]]:
     """A claim's row."""
     name = f"{ALL[claim['metric']].label}: {claim['best']} before {claim['other']}"
     chance = "" if claim["holm"] is None else f"{claim['holm']:.4f}"
@@ -84,5 +84,5 @@ def _judged(claim: Mapping[str, Any]) -> tuple[str, Sequence[str]]:
     return name, (claim["verdict"], chance, better, pairs)
 
 
-def _signed(found: Mapping[str, Any]) -> str:
+def _signed(found: Json) -> str:
     return "–" if found["difference"] is None else f"{found['difference']:+.3f}"

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 
@@ -16,7 +16,7 @@ from scenegen.dataset.locate import file_sha256
 from scenegen.dataset.manifest import differences
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
-from scenegen.files import make_parent, read_bounded, write_whole
+from scenegen.files import Json, make_parent, read_bounded, write_whole
 from scenegen.limits import MOST_MANIFEST_BYTES
 from scenegen.model.api import train
 from scenegen.model.checkpoint import CheckpointError
@@ -49,7 +49,7 @@ def reproduce(
     device: str = "auto",
     workers: int = 1,
     progress: Callable[[str], "Progress"],
-) -> dict[str, Any]:
+) -> Json:
     """Make the study of `runs` in the folder `out`, or go on with it, and return what
     ``study.json`` holds. On a CPU, `workers` networks are trained side by side, one thread each.
 
@@ -114,7 +114,7 @@ def begin(out: Path, config: ReproduceConfig) -> None:
     write_whole(out / SETTINGS, (json.dumps(asdict(config), indent=1) + "\n").encode())
 
 
-def read_json(path: Path) -> dict[str, Any] | None:
+def read_json(path: Path) -> Json | None:
     """A JSON object; None where there is none, or it is damaged."""
     try:
         found = json.loads(read_bounded(path, MOST_MANIFEST_BYTES))
@@ -152,7 +152,7 @@ def _train(folder: Path, datasets: Sequence[Path], maps: int, device: str, run: 
         train(datasets, out=out, device=device, **settings)
 
 
-def _told(folder: Path, run: Run) -> dict[str, Any]:
+def _told(folder: Path, run: Run) -> Json:
     """What is told of a finished run: what it is for, its settings, hardware, time and curve, its
     network's digest."""
     held = read_json(folder / CONFIG) or {}

@@ -1,11 +1,13 @@
 """How a run goes: its steps, its pauses, and its looks at validation."""
 
 import math
-from collections import Counter, defaultdict
+from collections import defaultdict
 
+import numpy as np
 import torch
 from torch import nn
 
+from lidarsim.grid import Floats
 from scenegen.errors import DatasetError
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import LossConfig, TrainConfig
@@ -39,20 +41,19 @@ def validate(
     network.eval()
     loss_in = loss_of(loss, maps.grid)
     batches = [list(range(n, min(n + batch, len(maps)))) for n in range(0, len(maps), batch)]
-    sums, counts, largest = defaultdict[str, float](float), Counter[str](), 0.0
+    totals, largest = defaultdict[str, Floats](lambda: np.zeros(2)), 0.0  # sums and counts
     for read in load(maps, batches[group.rank :: group.size], workers=workers, pinned=False):
-        there = {name: values.to(device) for name, values in read.items()}
+        there, count = {name: one.to(device) for name, one in read.items()}, len(read["tudf"])
         with autocast(device, precision):
             output = Output(*network(there))
         for name, value in loss_in(output, there).items():
-            sums[name] += value.item() * len(read["tudf"])
-            counts[name] += len(read["tudf"])
+            totals[name] += np.array([value.item() * count, count])
         probability = (
             None if output.logits is None else output.logits.float().sigmoid().cpu().numpy()
         )
         distance = None if output.tudf is None else output.tudf.float().cpu().numpy()
         largest = max(largest, 0.0 if probability is None else float(probability.max()))
-        for n in range(len(read["tudf"])):
+        for n in range(count):
             said = Prediction(
                 *(None if part is None else part[n] for part in (probability, distance))
             )
@@ -67,19 +68,13 @@ def validate(
             )
             for name, value in zip(METRICS, measured.tolist(), strict=True):
                 if math.isfinite(value):  # a map without such voxels says nothing of them
-                    sums[name] += value
-                    counts[name] += 1
-    everywhere = group.gather((dict(sums), counts, largest))
-    counted = sum((theirs for _, theirs, _ in everywhere), start=Counter[str]())
-    means = {
-        name: sum(theirs.get(name, 0.0) for theirs, _, _ in everywhere) / n
-        for name, n in counted.items()
-    }
-    return {
-        **dict.fromkeys(METRICS, math.nan),
-        **means,
-        "largest": max(top for _, _, top in everywhere),
-    }
+                    totals[name] += (value, 1)
+    everywhere = group.gather((dict(totals), largest))
+    means = dict.fromkeys(METRICS, math.nan)
+    for name in [name for theirs, _ in everywhere for name in theirs]:
+        total, number = sum(theirs.get(name, np.zeros(2)) for theirs, _ in everywhere)
+        means[name] = float(total / number)
+    return {**means, "largest": max(top for _, top in everywhere)}
 
 
 STREAM_INTERVAL = 5000
@@ -126,7 +121,7 @@ class Course:
         says.
         """
         first = progress.epoch * self.round
-        if progress.epoch - progress.best_epoch > self._config.patience:
+        if progress.waited >= self._config.patience:
             if self._cosine:
                 return range(0)
             if progress.decay is None and first < self.latest_decay:

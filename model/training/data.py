@@ -9,7 +9,6 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 from scipy.spatial import KDTree
-from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from lidarsim import Sensor
@@ -19,6 +18,7 @@ from scenegen.dataset.generation import fraction
 from scenegen.dataset.read import Dataset as SampleDataset
 from scenegen.errors import DatasetError, ScenegenError, short
 from scenegen.model.inputs import SYMMETRIES, channels, points_of, turned
+from scenegen.model.network import Batch
 from scenegen.sample import Sample, rng_of
 from scenegen.streams.batches import Batches
 from scenegen.streams.stream import Stream
@@ -31,11 +31,6 @@ that each flight is drawn once. The order of batches is the same for any number.
 
 SAME_RAY = 1e-6
 """How far two rays of one direction may be apart, as unit vectors: what rounding takes."""
-
-Batch = dict[str, Tensor]
-"""A named batch, (B, *grid.shape) each: the network's inputs, and the true ``occupancy`` and
-``tudf``; where maps of real places are among them, what is ``known``, and which distances are
-``certain``: nothing unknown is nearer than what is known to be occupied."""
 
 
 class LoaderError(DatasetError):

@@ -19,16 +19,15 @@ from lidarsim import GridSpec
 from scenegen.dataset.manifest import differences
 from scenegen.dataset.parts import mapping_entry, sensor_entry
 from scenegen.errors import DatasetError, StoppedError, empty_split, is_out_of_memory, raised_as
-from scenegen.files import sha256_of
+from scenegen.files import Json, sha256_of
 from scenegen.model.checkpoint import CheckpointError
 from scenegen.model.completion.completer import locate, open_network
 from scenegen.model.config import VARIANTS, TrainConfig, is_own
 from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.losses import loss_of
-from scenegen.model.network import Output, build, placed
+from scenegen.model.network import Batch, Output, build, placed
 from scenegen.model.training.course import Course, validate
 from scenegen.model.training.data import (
-    Batch,
     LoaderError,
     Maps,
     Samples,
@@ -259,7 +258,7 @@ def check_maps(maps: Maps, checks: Maps, config: TrainConfig, processes: int) ->
         )
 
 
-def describe(maps: Maps, config: TrainConfig, precision: torch.dtype) -> dict[str, Any]:
+def describe(maps: Maps, config: TrainConfig, precision: torch.dtype) -> Json:
     """What decides a run: a run with another description is another run."""
     return {
         "datasets": [source.digest for source in maps.sources],
@@ -279,11 +278,11 @@ def fitted(config: TrainConfig, grid: GridSpec) -> TrainConfig:
     return replace(config, network=replace(config.network, height=grid.shape[2]))
 
 
-def origin(maps: Maps, command: str, device: torch.device) -> dict[str, Any]:
+def origin(maps: Maps, command: str, device: torch.device) -> Json:
     """What a network remembers of where it comes from, besides its settings."""
     versions = software() | {"python": platform.python_version()}
     versions |= {name: installed(name) for name in PACKAGES}
-    about: dict[str, Any] = {"command": command, "commit": commit(), "versions": versions}
+    about: Json = {"command": command, "commit": commit(), "versions": versions}
     about["device"] = device_name(device)
     ways: dict[tuple[Any, Any], set[str]] = {}
     for lidar, mapping, noise in maps.settings:

@@ -19,7 +19,7 @@ from scenegen.dataset.read import Dataset
 from scenegen.dataset.trust import Entry, load
 from scenegen.display.look import spread
 from scenegen.errors import DatasetError, printable
-from scenegen.files import write_whole
+from scenegen.files import Json, write_whole
 from scenegen.run.workers import run
 from scenegen.stores.cache import bytes_in
 
@@ -42,7 +42,7 @@ def inspect(
     workers: int = 1,
     on_start: Callable[[int], None] = lambda samples: None,
     on_done: Callable[[int], None] = lambda samples: None,
-) -> dict[str, Any]:
+) -> Json:
     """Sums a dataset up.
 
     Args:
@@ -136,12 +136,12 @@ def _counts(shards: Iterable[Entry]) -> dict[str, int]:
     return counts
 
 
-def inspect_all(folder: Path) -> list[dict[str, Any]]:
+def inspect_all(folder: Path) -> list[Json]:
     """A line for each dataset in a folder's folders: its `folder`, and its kind, samples and
     digest, or its `fault`."""
     found = []
     for path in sorted(folder.glob(f"*/{NAME}"))[:MOST_LISTED]:
-        row: dict[str, Any] = {"folder": str(path.parent)}
+        row: Json = {"folder": str(path.parent)}
         try:
             it = load(path.parent)
             row |= {name: getattr(it, name) for name in ("kind", "complete", "digest")}
@@ -152,7 +152,7 @@ def inspect_all(folder: Path) -> list[dict[str, Any]]:
     return found
 
 
-def inspect_world(path: Path) -> dict[str, Any]:
+def inspect_world(path: Path) -> Json:
     """What stands in the world of an MJCF file, or what a map of a real place knows of it. Raises
     SceneError for a file that cannot serve."""
     from scenegen.source import read_world  # which loads what compiles worlds
@@ -176,7 +176,7 @@ def inspect_world(path: Path) -> dict[str, Any]:
     }
 
 
-def map_facts(voxels: VoxelMap) -> dict[str, Any]:
+def map_facts(voxels: VoxelMap) -> Json:
     """How large a map of a real place is, and which shares of its voxels are known."""
     states = np.bincount(voxels.states.reshape(-1), minlength=3) / voxels.states.size
     return {

@@ -28,6 +28,7 @@ from scenegen.display.colours import (
 )
 from scenegen.display.look import MASKS, Guess, Look
 from scenegen.errors import DatasetError
+from scenegen.files import Json
 
 MOST_VOXELS = 1 << 22
 """The most voxels of a grid on a page: a browser turns this many into cubes in seconds."""
@@ -56,7 +57,7 @@ def page(looks: Sequence[Look], *, title: str, notes: Sequence[str] = ()) -> str
     sample's own scan; all of it gzip in base64. Raises DatasetError for grids that no browser
     takes.
     """
-    samples: list[dict[str, Any]] = []
+    samples: list[Json] = []
     notes, size = list(notes), 0
     for look in looks:
         check_grid(look.grid)
@@ -93,7 +94,7 @@ def live_page(
     return _filled(about, methods, "; connect-src 'self'")
 
 
-def _filled(about: Mapping[str, Any], methods: Sequence[str], policy: str = "") -> str:
+def _filled(about: Json, methods: Sequence[str], policy: str = "") -> str:
     """The page with what its script reads, and what its policy allows besides."""
     colours = list(zip(methods, path_colours(methods), strict=True))
     # JSON all the same, and no tag can end the element that holds it
@@ -121,7 +122,7 @@ def check_grid(grid: GridSpec) -> None:
         )
 
 
-def packed(look: Look) -> dict[str, Any]:
+def packed(look: Look) -> Json:
     """A sample as the page's script reads it; see `page`."""
     grid, more = look.grid, dict[str, Any]()
     if look.tudf is not None:
@@ -147,7 +148,7 @@ def packed(look: Look) -> dict[str, Any]:
     }
 
 
-def packed_world(surfaces: Sequence[Any], origin: Floats) -> dict[str, Any]:
+def packed_world(surfaces: Sequence[Any], origin: Floats) -> Json:
     """A world's surfaces, meshes with (n, 3, 3) `triangles` in metres, as the page's script reads
     them: the corners of all triangles, one after the other, in the frame of the map at `origin`
     (3,)."""
@@ -157,13 +158,13 @@ def packed_world(surfaces: Sequence[Any], origin: Floats) -> dict[str, Any]:
     return {"triangles": _gzip64(corners.astype("<f4").tobytes())}
 
 
-def _packed_guess(guess: Guess, look: Look) -> dict[str, Any]:
+def _packed_guess(guess: Guess, look: Look) -> Json:
     """What is predicted, as the page's script reads it; positions in the map's frame."""
 
     def local(points: Floats | None) -> Any:
         return None if points is None else np.round(points - look.origin, 4).tolist()
 
-    found: dict[str, Any] = {
+    found: Json = {
         "name": guess.name,
         "mask": _bits(guess.occupied),
         "tudf": _distances(guess.tudf, look.grid),

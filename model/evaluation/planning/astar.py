@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lidarsim.grid import Floats, GridSpec, Ints, Mask
+from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
 from scenegen.model.evaluation.config import PlanConfig
 from scenegen.worlds.search import NO_RISK, search
 
@@ -82,7 +82,7 @@ def plan_path(
     goal: ArrayLike,
     grid: GridSpec,
     config: PlanConfig,
-    risk: NDArray[np.floating] | None = None,
+    risk: Field | None = None,
 ) -> Plan:
     """The shortest path through free nodes from the map's middle to `goal` (3,), a node's point,
     map frame, metres.

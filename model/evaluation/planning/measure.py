@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.ndimage import map_coordinates
 
 from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
@@ -112,13 +112,13 @@ class Measurement:
 
 def run_trial(
     occupied_pred: Mask,
-    tudf_pred: NDArray[np.floating],
+    tudf_pred: Field,
     occupancy_truth: Mask,
-    tudf_truth: NDArray[np.floating],
+    tudf_truth: Field,
     goal: ArrayLike,
     grid: GridSpec,
     config: PlanConfig,
-    risk: NDArray[np.floating] | None = None,
+    risk: Field | None = None,
 ) -> Measurement:
     """Plan to `goal` (3,), a lattice node's point, map frame, metres, on the predicted maps
     (*grid.shape); judge in the truth (*grid.shape). Distances are metres. The paper's section
@@ -129,8 +129,8 @@ def run_trial(
 
 def plan_trial(
     occupied: Mask,
-    tudf: NDArray[np.floating],
-    risk: NDArray[np.floating] | None,
+    tudf: Field,
+    risk: Field | None,
     goal: ArrayLike,
     grid: GridSpec,
     config: PlanConfig,
@@ -149,7 +149,7 @@ def judge(
     plan: Plan,
     refined: Floats | None,
     occupancy_truth: Mask,
-    tudf_truth: NDArray[np.floating],
+    tudf_truth: Field,
     grid: GridSpec,
 ) -> Measurement:
     """Judge in the truth the path `refined` (n, 3) that was made of what `plan_path` gave; see
@@ -217,11 +217,11 @@ class Careful(NamedTuple):
 
 def plan_carefully(
     blocked: Mask,
-    field: NDArray[np.floating],
+    field: Field,
     goal: ArrayLike,
     grid: GridSpec,
     config: PlanConfig,
-    risk: NDArray[np.floating] | None = None,
+    risk: Field | None = None,
 ) -> Careful:
     """Plan to `goal` (3,), a node's point, through voxels that are not `blocked` (*grid.shape), and
     refine on `field` (*grid.shape), metres.

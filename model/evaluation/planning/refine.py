@@ -2,9 +2,9 @@
 field."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from lidarsim.grid import Floats, GridSpec
+from lidarsim.grid import Field, Floats, GridSpec
 from lidarsim.jit import kernel
 from scenegen.model.evaluation.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import checked
@@ -23,9 +23,7 @@ SHORTEST_STEP = 1e-12
 of the field."""
 
 
-def refine(
-    waypoints: ArrayLike, tudf: NDArray[np.floating], grid: GridSpec, config: PlanConfig
-) -> Floats:
+def refine(waypoints: ArrayLike, tudf: Field, grid: GridSpec, config: PlanConfig) -> Floats:
     """The path (n, 3) after gradient descent on `_cost` from `waypoints` (n, 3), map frame, metres;
     ends stay.
 

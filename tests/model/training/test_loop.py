@@ -213,7 +213,7 @@ def test_divergence_names_the_batch_and_keeps_the_last_good_state(folders, tmp_p
     ) as caught:
         train(folders, SMALL, out, device="cpu")
     assert "\n" not in str(caught.value)
-    assert load_tensors(out / "last.safetensors")[1]["epoch"] == 1
+    assert len(load_tensors(out / "last.safetensors")[1]["rows"]) == 1
     assert all(
         torch.isfinite(tensor).all() for tensor in weights(out / "best.safetensors").values()
     )
