@@ -11,8 +11,8 @@ import measuring
 import torch
 
 from scenegen.model.config import VARIANTS, NetworkConfig, TrainConfig
-from scenegen.model.network import build, placed
-from scenegen.model.training.data import Batch, Maps, TudfOf, epoch_batches, load, opened
+from scenegen.model.network import Batch, build, placed
+from scenegen.model.training.data import Maps, epoch_batches, load, opened
 from scenegen.model.training.device import Group, choose_device
 from scenegen.model.training.loop import Step
 
@@ -62,19 +62,17 @@ def main() -> None:
 
 
 def loader(maps: Maps, batch: int) -> None:
-    """Print samples a second in one process, with and without the distances."""
+    """Print samples a second in one process."""
     batches = epoch_batches(maps, batch=batch, seed=0, epoch=0)[:60]
-    for name, tudf_of in (("observed, occupancy", None), ("and distances", TudfOf(maps.grid))):
-        begin, cpu = time.perf_counter(), time.process_time()
-        for read in load(maps, batches, workers=0, pinned=False):
-            if tudf_of is not None:
-                tudf_of(read["occupancy"])
-        count = len(batches) * batch
-        wall, cpu = time.perf_counter() - begin, time.process_time() - cpu
-        print(
-            f"loader, one process, {name}: {count / wall:.0f} samples/s, {count / cpu:.0f} per "
-            f"second of CPU time"
-        )
+    begin, cpu = time.perf_counter(), time.process_time()
+    for _ in load(maps, batches, workers=0, pinned=False):
+        pass
+    count = len(batches) * batch
+    wall, cpu = time.perf_counter() - begin, time.process_time() - cpu
+    print(
+        f"loader, one process: {count / wall:.0f} samples/s, {count / cpu:.0f} per second of CPU "
+        f"time"
+    )
 
 
 def step(learn: Step, batch: Batch, rounds: int) -> str:

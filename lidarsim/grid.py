@@ -7,6 +7,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from lidarsim.parameters import check, number
 
+Mask = NDArray[np.bool_]
+"""Which voxels of a grid, or which of anything."""
+Field = NDArray[np.float32]
+"""A number for every voxel of a grid: distances, probabilities."""
+Floats = NDArray[np.float64]
+"""Positions, directions, lengths, figures."""
+Ints = NDArray[np.int64]
+"""Indices and counts."""
 MOST_EDGE = 8192
 """Voxels along an axis: distances are computed on rows of whole slices, padded by the
 truncation."""

@@ -1,7 +1,6 @@
 """Training and the bench in one call each: `scenegen.train` and `scenegen.bench`."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +8,7 @@ from scenegen.dataset.locate import locate
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
 from scenegen.model.completion.completer import Completer
-from scenegen.model.config import LossConfig, NetworkConfig, TrainConfig
+from scenegen.model.config import TrainConfig
 from scenegen.model.evaluation.config import BenchConfig
 from scenegen.model.evaluation.methods import Completed, Method
 from scenegen.model.evaluation.report import build_report
@@ -58,10 +57,7 @@ def train(
         TypeError: There is no such setting.
         DatasetError, TrainingError: Samples that do not go together, or a run that cannot go on.
     """
-    network, objective = _taken(NetworkConfig, settings), _taken(LossConfig, settings)
-    config = TrainConfig(
-        network=NetworkConfig(**network), loss=LossConfig(objective=loss, **objective), **settings
-    )
+    config = TrainConfig.of({"objective": loss, **settings})
     folder = Path("runs", config.network.variant.rpartition(":")[2]) if out is None else Path(out)
     learned = _samples(training, "train")
     checked = _samples(training if validation is None else validation, "val")
@@ -117,12 +113,6 @@ def bench(
         measure(Dataset(locate(name)), rows, config, workers=workers or cores()) for name in named
     ]
     return build_report(results, seed=config.seed, about={"split": config.split})
-
-
-def _taken(config: type, settings: dict[str, Any]) -> dict[str, Any]:
-    """The fields of `config` among `settings`, which lose them."""
-    names = [item.name for item in fields(config) if item.name in settings]
-    return {name: settings.pop(name) for name in names}
 
 
 def _samples(given: Any, split: str) -> list[Samples]:

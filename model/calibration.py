@@ -3,16 +3,14 @@ file."""
 
 import dataclasses
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lidarsim import GridSpec
+from lidarsim.grid import Field, GridSpec, Ints
 from lidarsim.parameters import check, number
 from scenegen.errors import ScenegenError, short
+from scenegen.files import Json
 
 KEY = "calibration"
 """Its name in what is said about a network."""
@@ -25,28 +23,6 @@ CLOSE = 1e-9
 
 class UncertaintyError(ScenegenError):
     """Bounds or probabilities are asked for that nobody can give."""
-
-
-class Uncertainty(Protocol):
-    """Whatever tells how sure a prediction is."""
-
-    @property
-    def risks(self) -> tuple[float, ...]:
-        """The risks that bounds were made for, the greatest first; () for none."""
-        ...
-
-    def chance(self, probability: NDArray[np.float32] | None) -> NDArray[np.float32] | None:
-        """Calibrated probabilities, of the shape of the predicted ones; None where there are
-        none."""
-        ...
-
-    def low(
-        self, distance: NDArray[np.float32], probability: NDArray[np.float32] | None, risk: float
-    ) -> NDArray[np.float32]:
-        """Distances that the truth falls below in a share `risk` of unknown voxels at most, of the
-        shape of the predicted `distance`, metres. Raises UncertaintyError for a risk that is too
-        small."""
-        ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +65,7 @@ class Calibration:
             raise ValueError("its path_risks must be as many as its risks")
 
     @classmethod
-    def of(cls, about: Mapping[str, Any], grid: GridSpec) -> "Calibration | None":
+    def of(cls, about: Json, grid: GridSpec) -> "Calibration | None":
         """The calibration among what is said `about` a network for maps on `grid`; None where there
         is none. Raises ValueError where it is damaged."""
         if KEY not in about:
@@ -105,16 +81,17 @@ class Calibration:
             raise ValueError("its calibration is of another grid; calibrate it again")
         return found
 
-    def said(self) -> dict[str, Any]:
+    def said(self) -> Json:
         """Itself as JSON holds it."""
         return dataclasses.asdict(self)
 
-    def chance(self, probability: NDArray[np.float32] | None) -> NDArray[np.float32] | None:
-        """See `Uncertainty.chance`: with l the logit of p, the probability of (l - log w) / T."""
+    def chance(self, probability: Field | None) -> Field | None:
+        """Calibrated probabilities, of the shape of the predicted ones, None where there are none:
+        with l the logit of p, the probability of (l - log w) / T."""
         if probability is None or self.temperature is None:
             return None
         logit = corrected_logit(probability, self.class_weight) / np.float32(self.temperature)
-        return np.asarray(1 / (1 + np.exp(-logit)), dtype=np.float32)
+        return 1 / (1 + np.exp(-logit))
 
     def row(self, risk: float) -> int:
         """Which of `risks` serves `risk`: the greatest that is no greater. Raises UncertaintyError
@@ -146,16 +123,15 @@ class Calibration:
         )
         raise UncertaintyError(f"risk of paths = {risk:g}: the calibration promises {least}")
 
-    def low(
-        self, distance: NDArray[np.float32], probability: NDArray[np.float32] | None, risk: float
-    ) -> NDArray[np.float32]:
-        """See `Uncertainty.low`: the bound of the greatest risk in the table that is no greater
-        than `risk`."""
+    def low(self, distance: Field, probability: Field | None, risk: float) -> Field:
+        """Distances that the truth falls below in a share `risk` of unknown voxels at most, of the
+        shape of the predicted `distance`, metres: the bound of the greatest risk in the table that
+        is no greater than `risk`. Raises UncertaintyError for a risk that is too small."""
         margins = np.asarray(self.margins[self.row(risk)], dtype=np.float32)
         count = len(margins) // (len(self.chances) + 1)
         chance = None if probability is None else corrected(probability, self.class_weight)
         found = bins(distance, chance, self.step_m, self.chances, count)
-        return np.asarray(np.maximum(distance - margins[found], 0), dtype=np.float32)
+        return np.maximum(distance - margins[found], 0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -163,45 +139,43 @@ class Given:
     """What somebody else says of one map: a calibrated probability, or a bound of one risk, or
     both."""
 
-    probability: NDArray[np.float32] | None = None
-    tudf_low: NDArray[np.float32] | None = None
+    probability: Field | None = None
+    tudf_low: Field | None = None
     """Distances, metres."""
     risk: float = RISK
 
     @property
     def risks(self) -> tuple[float, ...]:
-        """See `Uncertainty.risks`."""
+        """The risks that there are bounds of."""
         return () if self.tudf_low is None else (self.risk,)
 
-    def chance(self, probability: NDArray[np.float32] | None) -> NDArray[np.float32] | None:
-        """See `Uncertainty.chance`."""
+    def chance(self, probability: Field | None) -> Field | None:
+        """See `Calibration.chance`."""
         return self.probability
 
-    def low(
-        self, distance: NDArray[np.float32], probability: NDArray[np.float32] | None, risk: float
-    ) -> NDArray[np.float32]:
-        """See `Uncertainty.low`."""
+    def low(self, distance: Field, probability: Field | None, risk: float) -> Field:
+        """See `Calibration.low`."""
         if self.tudf_low is None or risk < self.risk - CLOSE:
             held = "none" if self.tudf_low is None else f"those of a risk of {self.risk:g}"
             raise UncertaintyError(f"risk = {risk:g}: of bounds, the predictions hold {held}")
         return self.tudf_low
 
 
-def corrected(probability: NDArray[np.float32], class_weight: float) -> NDArray[np.float32]:
+def corrected(probability: Field, class_weight: float) -> Field:
     """Probabilities whose class weight w is inverted: q = p / (p + w (1 - p)).
 
     A network trained with w on occupied voxels, where a free one has 1, minimises its loss by
     saying p = w q / (w q + 1 - q) of a voxel that is occupied with probability q.
     """
-    p = np.asarray(probability, dtype=np.float32)
+    p = probability.astype(np.float32)
     return np.asarray(p / (p + np.float32(class_weight) * (1 - p)), dtype=np.float32)
 
 
-def corrected_logit(probability: NDArray[np.float32], class_weight: float) -> NDArray[np.float32]:
+def corrected_logit(probability: Field, class_weight: float) -> Field:
     """The logits of `corrected` probabilities: those of p less log w. 0 and 1 count as the nearest
     numbers that float32 tells from them."""
-    p = np.clip(np.asarray(probability, dtype=np.float32), np.float32(1e-7), np.float32(1 - 1e-7))
-    return np.asarray(np.log(p / (1 - p)) - np.float32(math.log(class_weight)), dtype=np.float32)
+    p = np.clip(probability.astype(np.float32), np.float32(1e-7), np.float32(1 - 1e-7))
+    return np.log(p / (1 - p)) - np.float32(math.log(class_weight))
 
 
 def distance_bins(grid: GridSpec, step_m: float) -> int:
@@ -210,12 +184,12 @@ def distance_bins(grid: GridSpec, step_m: float) -> int:
 
 
 def bins(
-    distance: NDArray[np.float32],
-    chance: NDArray[np.float32] | None,
+    distance: Field,
+    chance: Field | None,
     step_m: float,
     chances: tuple[float, ...],
     count: int,
-) -> NDArray[np.int64]:
+) -> Ints:
     """The bin of every voxel: of its predicted distance, one of `count`, then of its `corrected`
     probability."""
     found = np.minimum(

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from lidarsim import GridSpec
 from scenegen.errors import DatasetError, ScenegenError, printable, raised_as
-from scenegen.files import read_bounded, write_whole
+from scenegen.files import Json, read_bounded, write_whole
 from scenegen.limits import MOST_HEADER_BYTES, MOST_WEIGHTS_BYTES
 from scenegen.model.config import NetworkConfig, is_own
 from scenegen.model.network import build
@@ -34,23 +34,18 @@ class CheckpointError(ScenegenError):
     """A file does not hold the network that it should."""
 
 
-def save_tensors(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str, Any]) -> None:
+def save_tensors(path: Path, tensors: Mapping[str, Tensor], header: Json) -> None:
     """Write `tensors` and a JSON `header`, whole or not at all. Raises DatasetError where the disk
     refuses."""
     plain = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     write_whole(path, save(plain, {"header": json.dumps(header)}))
 
 
-def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+def load_tensors(path: Path) -> tuple[dict[str, Tensor], Json]:
     """What `save_tensors` wrote: tensors and header. Raises CheckpointError for anything else, and
     for tensors that hold NaN or infinity."""
-    try:
-        with raised_as(CheckpointError, of=DatasetError):
-            content = read_bounded(path, MOST_WEIGHTS_BYTES)
-    except FileNotFoundError:
-        raise CheckpointError(
-            f"{path}: no such file; give a .safetensors file that `scenegen train` wrote"
-        ) from None
+    with raised_as(CheckpointError, of=DatasetError):
+        content = read_bounded(path, MOST_WEIGHTS_BYTES)
     length = int.from_bytes(content[:8], "little")
     try:
         if length > MOST_HEADER_BYTES:
@@ -76,7 +71,7 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     return tensors, header
 
 
-def save_network(path: Path, network: Any, grid: GridSpec, about: Mapping[str, Any]) -> None:
+def save_network(path: Path, network: Any, grid: GridSpec, about: Json) -> None:
     """Write a network for maps on `grid`, with whatever else `about` says of it."""
     header = {
         "format": FORMAT,
@@ -88,12 +83,12 @@ def save_network(path: Path, network: Any, grid: GridSpec, about: Mapping[str, A
     save_tensors(path, network.state_dict(), header)
 
 
-def load_network(path: Path, own: Collection[str] = ()) -> tuple[Any, GridSpec, dict[str, Any]]:
+def load_network(path: Path, own: Collection[str] = ()) -> tuple[Any, GridSpec, Json]:
     """A network ready to complete maps, their grid, and what is said of it.
 
     Of the code of users' own that the header names, only what is in `own`, module:Object each, is
-    imported. Raises CheckpointError for a file that is missing, damaged, a pickle, of another
-    network, or of own code that is not in `own`.
+    imported. Raises CheckpointError for a file that is damaged, a pickle, of another network, or
+    of own code that is not in `own`.
     """
     tensors, header = load_tensors(path)
     if (found := [header.get(name) for name in ("format", "version")]) != [FORMAT, VERSION]:
@@ -137,11 +132,10 @@ def check_own(path: str | Path, own: Collection[str], *names: str) -> None:
         )
 
 
-def network_from(header: Mapping[str, Any]) -> tuple[NetworkConfig, GridSpec]:
+def network_from(header: Json) -> tuple[NetworkConfig, GridSpec]:
     """The network and the grid that a header names; nothing is imported for it. Raises KeyError,
     TypeError or ValueError where it names none, or one that is too large."""
-    settings = dict(header["network"])  # of earlier commits they lack inputs, and take the default
-    config = NetworkConfig(**settings)
+    config = NetworkConfig(**header["network"])
     grid = GridSpec(**{**header["grid"], "shape": tuple(header["grid"]["shape"])})
     config.check_map(grid.shape)
     return config, grid

@@ -6,7 +6,8 @@ Nothing heavy is imported here, so that the command line can read its options fr
 
 import math
 import re
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
 
@@ -254,6 +255,18 @@ class TrainConfig:
             raise ValueError(
                 f"choose = 'occupancy': the variant {self.network.variant!r} does not predict it"
             )
+
+    @classmethod
+    def of(cls, settings: Mapping[str, Any]) -> "TrainConfig":
+        """From fields of itself, of `NetworkConfig` and of `LossConfig`, which have no name in
+        common. Raises TypeError for a setting that there is not, ValueError for one out of its
+        bounds."""
+        left = dict(settings)
+        network, loss = (
+            {item.name: left.pop(item.name) for item in fields(part) if item.name in left}
+            for part in (NetworkConfig, LossConfig)
+        )
+        return cls(network=NetworkConfig(**network), loss=LossConfig(**loss), **left)
 
 
 PROTOCOLS: dict[str, dict[str, Any]] = {

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from lidarsim import GridSpec
 from scenegen.errors import needs, printable
-from scenegen.files import write_result
+from scenegen.files import Json, write_result
 from scenegen.model.checkpoint import CheckpointError
 from scenegen.model.network import FinalUp, Network, Output
 from scenegen.model.runtime import HEADER, NAMES
@@ -59,7 +59,7 @@ def _joined(network: Network) -> FinalUp:
     return whole
 
 
-def export_onnx(network: Any, grid: GridSpec, path: Path, *, about: dict[str, Any]) -> None:
+def export_onnx(network: Any, grid: GridSpec, path: Path, *, about: Json) -> None:
     """Write `network` as ONNX: its inputs by name, float32 (B, *grid.shape) each → ``logits``
     and/or ``tudf``, the same shape.
 

@@ -1,7 +1,6 @@
 """What a scan, a file of predictions, a run, or a network is, in a few figures."""
 
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -14,12 +13,13 @@ from lidarsim import GridSpec
 from scenegen.clouds import read_points
 from scenegen.dataset.hdf5 import read_guarded
 from scenegen.errors import DatasetError, printable
+from scenegen.files import Json
 from scenegen.model.completion.protocol import PARTS, SURE
 from scenegen.model.config import VARIANTS, NetworkConfig
 from scenegen.model.network import Network
 
 
-def cost(config: NetworkConfig, shape: tuple[int, int, int]) -> dict[str, Any]:
+def cost(config: NetworkConfig, shape: tuple[int, int, int]) -> Json:
     """What a network costs for one map of `shape`, counted by running it once.
 
     `macs` are multiply-accumulates of a forward pass: convolutions, linear layers, attention;
@@ -50,7 +50,7 @@ def cost(config: NetworkConfig, shape: tuple[int, int, int]) -> dict[str, Any]:
     }
 
 
-def costs() -> list[dict[str, Any]]:
+def costs() -> list[Json]:
     """The costs of all variants with both stems, for maps of the usual grid."""
     return [
         cost(NetworkConfig(variant=variant, stem_stride=stride), GridSpec().shape)
@@ -59,12 +59,12 @@ def costs() -> list[dict[str, Any]]:
     ]
 
 
-def scan_facts(path: Path) -> dict[str, Any]:
+def scan_facts(path: Path) -> Json:
     """A file of points: how many, how far they reach, and how far away they are from its origin.
     Raises DatasetError."""
     points = read_points(path)
     returned = points[np.isfinite(points).all(axis=1)]
-    found: dict[str, Any] = {"scan": str(path), "points": len(points), "returns": len(returned)}
+    found: Json = {"scan": str(path), "points": len(points), "returns": len(returned)}
     if len(returned):
         ranges = np.linalg.norm(returned, axis=1)
         found |= {
@@ -75,13 +75,13 @@ def scan_facts(path: Path) -> dict[str, Any]:
     return found
 
 
-def prediction_facts(path: Path) -> dict[str, Any]:
+def prediction_facts(path: Path) -> Json:
     """An HDF5 file of predictions, of a split or of one scan: who made them, and what is in it.
     Raises DatasetError."""
     return read_guarded(_facts, path, 1 << 62)
 
 
-def _facts(path: Path) -> dict[str, Any]:
+def _facts(path: Path) -> Json:
     try:
         with h5py.File(path, "r") as file:
             about = {
@@ -108,22 +108,22 @@ def _facts(path: Path) -> dict[str, Any]:
     }
 
 
-def run_facts(folder: Path) -> dict[str, Any]:
+def run_facts(folder: Path) -> Json:
     """A training run's folder: what was trained on what, and how far it came. Raises
     DatasetError."""
     from scenegen.model.training.card import read_rows
-    from scenegen.model.training.run_folder import ROWS, RunFolder
+    from scenegen.model.training.run_folder import ROWS, RunFolder, kept
 
     settings = RunFolder(folder).settings()
     rows = read_rows(folder / ROWS)
-    best = min(rows, key=lambda row: row["val_loss"])
+    best = kept(rows, "loss")
     network = settings["network"]
     return {
         "run": str(folder),
         "network": network["variant"],
         "inputs": network["inputs"],
-        "kinds": settings.get("kinds"),
-        "samples": settings.get("samples"),
+        "kinds": settings["kinds"],
+        "samples": settings["samples"],
         "epochs": len(rows),
         "best": {name: best[name] for name in ("epoch", "val_loss", "val_iou", "val_near_mae")},
     }

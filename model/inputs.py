@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim.grid import GridSpec
+from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
 from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.pose import rotate
 from lidarsim.scan import Scan
@@ -35,19 +35,19 @@ class PointScan:
     `observed`, `free`, `origin` and `position` are named as a sample's.
     """
 
-    points: NDArray[np.float64]
+    points: Floats
     """(N, 3): finite returns, metres, in a level frame."""
-    position: NDArray[np.float64]
+    position: Floats
     """(3,): where the sensor is in that frame, metres."""
     grid: GridSpec
 
     @cached_property
-    def origin(self) -> NDArray[np.float64]:
+    def origin(self) -> Floats:
         """The map's least corner (3,) in the scan's frame, metres."""
         return self.grid.origin_at(self.position)
 
     @cached_property
-    def voxels(self) -> NDArray[np.int64]:
+    def voxels(self) -> Ints:
         """(M, 3): the voxel of every point that lies in the map."""
         # points farther away have no whole numbers
         near = self.points[(np.abs(self.points) <= 2 * MOST_LENGTH_M).all(axis=1)]
@@ -55,19 +55,19 @@ class PointScan:
         return index[((index >= 0) & (index < self.grid.shape)).all(axis=1)]
 
     @cached_property
-    def observed(self) -> NDArray[np.bool_]:
+    def observed(self) -> Mask:
         """(*grid.shape): the voxels of the points."""
         observed = np.zeros(self.grid.shape, dtype=np.bool_)
         observed[tuple(self.voxels.T)] = True
         return observed
 
     @cached_property
-    def free(self) -> NDArray[np.bool_]:
+    def free(self) -> Mask:
         """(*grid.shape): what rays that returned something crossed; of others points say
         nothing."""
         return crossed(self.position, self.points, self.grid, self.origin) & ~self.observed
 
-    def behind(self) -> NDArray[np.bool_]:
+    def behind(self) -> Mask:
         """(*grid.shape): what lies beyond every return, to the map's end."""
         rays = self.points - self.position
         lengths = np.sqrt((rays * rays).sum(axis=1))
@@ -91,7 +91,7 @@ class Input:
     """What points alone do not tell of it, and what it then holds instead, for people."""
 
 
-def within_view(sample: Sample, grid: GridSpec, sensor: Any) -> NDArray[np.bool_]:
+def within_view(sample: Sample, grid: GridSpec, sensor: Any) -> Mask:
     """The voxels, (*grid.shape), that the sample's rays would cross if nothing returned."""
     endless = [
         Scan(np.full_like(scan.ranges, np.inf), scan.pose, scan.lidar)
@@ -100,13 +100,13 @@ def within_view(sample: Sample, grid: GridSpec, sensor: Any) -> NDArray[np.bool_
     return fuse(endless, grid, sample.origin).free
 
 
-def _occluded(seen: Any, grid: GridSpec, sensor: Any) -> NDArray[np.bool_]:
+def _occluded(seen: Any, grid: GridSpec, sensor: Any) -> Mask:
     if isinstance(seen, PointScan):
         return seen.behind()
     return within_view(seen, grid, sensor) & ~seen.free & ~seen.observed
 
 
-def _ahead(seen: Any, grid: GridSpec, sensor: Any) -> NDArray[np.float32]:
+def _ahead(seen: Any, grid: GridSpec, sensor: Any) -> Field:
     if isinstance(seen, PointScan):
         return np.zeros(grid.shape, np.float32)
     starts = seen.origin - seen.position
@@ -147,7 +147,7 @@ def input_called(name: str) -> Input:
     if isinstance(found, Input):
         return found
 
-    def checked(seen: Any, grid: GridSpec, sensor: Any) -> NDArray[np.float32]:
+    def checked(seen: Any, grid: GridSpec, sensor: Any) -> Field:
         try:
             values = np.asarray(found(seen, grid, sensor), np.float32)
         except Exception as error:  # a loader process hands over no traceback
@@ -177,7 +177,7 @@ def points_of(sample: Sample, grid: GridSpec, sensor: Any) -> PointScan | None:
     return scan if alone else None
 
 
-def centres(observed: NDArray[np.bool_], grid: GridSpec) -> PointScan:
+def centres(observed: Mask, grid: GridSpec) -> PointScan:
     """A scan that observes just the voxels `observed` (*grid.shape): a point at the centre of each,
     metres from the map's centre, where the sensor is."""
     middle = np.zeros(3)

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from lidarsim import GridSpec
 from scenegen.model.config import LOSSES, LossConfig, Thresholds, is_own, named
-from scenegen.model.network import Output
+from scenegen.model.network import Batch, Output
 
 ROOT_EPSILON = 1e-8
 """Under the root of the gradient's length, so that a flat field has a finite derivative."""
@@ -22,7 +22,7 @@ ROOT_EPSILON = 1e-8
 THRESHOLD = Thresholds().probability
 """Where `lovasz_loss` looks for an edge."""
 
-Loss = Callable[[Output, Mapping[str, Tensor]], dict[str, Tensor]]
+Loss = Callable[[Output, Batch], dict[str, Tensor]]
 """From what a network says of a batch, and the batch itself (its inputs, and the true ``occupancy``
 and ``tudf``), to scalars: what is minimised, as ``loss``, and its terms by name. A batch with maps
 of real places has ``known``, too, the voxels whose occupancy counts, and ``certain``, those whose
@@ -47,7 +47,7 @@ def loss_of(
     found = named(LOSSES, config.objective)
     own = found(config, grid) if isinstance(found, type) else found
 
-    def loss(output: Output, batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def loss(output: Output, batch: Batch) -> dict[str, Tensor]:
         terms = own(output, batch)
         if not isinstance(terms, Mapping):
             return {"loss": terms}
@@ -64,7 +64,7 @@ class Coupled:
     grid: GridSpec
     divisor: Callable[[Tensor], Tensor] = at_least_one
 
-    def __call__(self, output: Output, batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def __call__(self, output: Output, batch: Batch) -> dict[str, Tensor]:
         """Scalars; see `Loss`."""
         config, occupancy, tudf, parts = self.config, batch["occupancy"], batch["tudf"], {}
         known, certain = batch.get("known"), batch.get("certain")

@@ -13,7 +13,7 @@ one's own is a class like `Network`: docs/own-network.md.
 """
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -23,6 +23,11 @@ from torch import Tensor, nn
 
 from scenegen.errors import ScenegenError
 from scenegen.model.config import LEVELS, NETWORKS, TASKS, VARIANTS, NetworkConfig, named
+
+Batch = dict[str, Tensor]
+"""A named batch, (B, *grid.shape) each: a network's inputs. In training, the true ``occupancy`` and
+``tudf``, too; and where maps of real places are among them, what is ``known``, and which distances
+are ``certain``: nothing unknown is nearer than what is known to be occupied."""
 
 
 class Output(NamedTuple):
@@ -34,7 +39,7 @@ class Output(NamedTuple):
     """(B, X, Y, Z): metres, not negative, not truncated."""
 
     @classmethod
-    def of(cls, found: Mapping[str, Tensor]) -> "Output":
+    def of(cls, found: dict[str, Tensor]) -> "Output":
         """From what the heads give, by task."""
         return cls(found.get("occupancy"), F.softplus(found["tudf"]) if "tudf" in found else None)
 
@@ -93,7 +98,7 @@ class Network(nn.Module):
             features = finest if alone else 2 * finest
         self.head = nn.ModuleDict({task: FinalUp(features, finest) for task in variant.tasks})
 
-    def forward(self, batch: Mapping[str, Tensor]) -> Output:
+    def forward(self, batch: Batch) -> Output:
         """What the heads make of the features (eq. 6)."""
         features = self.features(batch)
         return Output.of(
@@ -103,7 +108,7 @@ class Network(nn.Module):
             }
         )
 
-    def features(self, batch: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def features(self, batch: Batch) -> dict[str, Tensor]:
         """What the heads read, by decoder or under ``shared``: (B, features, X/2, Y/2, Z/2)."""
         given = torch.stack([batch[name].float() for name in self.config.inputs], dim=1)
         if self.columns is not None and not self.decoder:

@@ -13,16 +13,14 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
-from torch import Tensor
 
-from lidarsim import GridSpec
+from lidarsim.grid import Field, GridSpec
 from scenegen.errors import GuardError, needs, printable, raised_as
-from scenegen.files import read_bounded
+from scenegen.files import Json, read_bounded
 from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_WEIGHTS_BYTES
 from scenegen.model.checkpoint import CheckpointError, check_own, network_from
 from scenegen.model.config import VARIANTS, NetworkConfig
-from scenegen.model.network import Output
+from scenegen.model.network import Batch, Output
 from scenegen.run.workers import guarded
 
 NAMES = {"occupancy": "logits", "tudf": "tudf"}
@@ -36,13 +34,13 @@ BYTES_A_FEATURE = 100
 Runtime = Literal["openvino", "onnxruntime"]
 RUNTIMES: tuple[Runtime, ...] = ("openvino", "onnxruntime")
 """Fastest first (docs/training.md)."""
-Run = Callable[[Mapping[str, NDArray[np.float32]]], Sequence[Any]]
+Run = Callable[[Mapping[str, Field]], Sequence[Any]]
 """From a named batch to the outputs, in their order."""
 
 
 def load_onnx(
     path: Path, *, runtime: Runtime | None = None, threads: int = 0, own: Collection[str] = ()
-) -> tuple[Callable[[Mapping[str, Tensor]], Output], "Examined"]:
+) -> tuple[Callable[[Batch], Output], "Examined"]:
     """A function from a named batch, (B, *grid.shape) each, to its `Output`, and what the file
     holds.
 
@@ -55,7 +53,7 @@ def load_onnx(
     check_own(path, own, *found.config.inputs)
     run = _open(content, found, threads)
 
-    def forward(batch: Mapping[str, Tensor]) -> Output:
+    def forward(batch: Batch) -> Output:
         values = run({name: batch[name].float().numpy(force=True) for name in found.config.inputs})
         said = dict(zip(found.outputs, map(torch.from_numpy, values), strict=True))
         return Output(*map(said.get, NAMES.values()))
@@ -70,7 +68,7 @@ class Examined:
     runtime: Runtime
     config: NetworkConfig
     grid: GridSpec
-    about: dict[str, Any]
+    about: Json
     outputs: tuple[str, ...]
     """Names of the file's outputs."""
 
@@ -83,10 +81,7 @@ def examine(path: Path, runtime: Runtime | None = None) -> tuple[bytes, Examined
     CheckpointError for a file that `export_onnx` did not write, that says NaN, or that no installed
     runtime runs within the limits.
     """
-    try:
-        content = read_bounded(path, MOST_WEIGHTS_BYTES)
-    except FileNotFoundError:
-        raise CheckpointError(f"{path}: no such file; write one with `scenegen export`") from None
+    content = read_bounded(path, MOST_WEIGHTS_BYTES)
     with raised_as(CheckpointError, f"{path}: ", of=CheckpointError):
         return content, _examined(content, runtime)
 
@@ -114,7 +109,7 @@ def _examined(content: bytes, runtime: Runtime | None) -> Examined:
     return found
 
 
-def read_graph(content: bytes) -> dict[str, Any]:
+def read_graph(content: bytes) -> Json:
     """The header of an ONNX file, and its ``outputs``.
 
     Raises CheckpointError where it has none, loops, or is not whole.
@@ -203,7 +198,7 @@ def _open(content: bytes, found: Examined, threads: int) -> Run:
 
     one_at_a_time = Lock()  # a compiled network holds the values of its last run
 
-    def run(batch: Mapping[str, NDArray[np.float32]]) -> Sequence[Any]:
+    def run(batch: Mapping[str, Field]) -> Sequence[Any]:
         with one_at_a_time:
             values = compiled(len(next(iter(batch.values()))) == 1)(dict(batch))
             return [np.array(values[name]) for name in found.outputs]

@@ -25,6 +25,8 @@ STALE_S = 24 * 3600.0
 """Age after which a draft of another machine counts as left behind, seconds."""
 MARK = "user.scenegen"
 """The attribute of every file written whole, which holds when that was: see `check_ours`."""
+Json = dict[str, Any]
+"""What a file of JSON holds: values of Python's own types, by name."""
 DRAFT = re.compile(r"\.scenegen-(\w{12})-(\w{12})-(\d{1,10})-(\d{1,20})-\w{16}\.tmp", re.ASCII)
 """What drafts are called: for which name, on which machine and by which process, when that began,
 and a secret."""

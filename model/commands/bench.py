@@ -25,6 +25,7 @@ from scenegen.cli.options import (
 from scenegen.cli.show import Progress, announce_compilation, note, say, show_figures
 from scenegen.cli.types import FILE, Named
 from scenegen.errors import DatasetError
+from scenegen.files import Json
 from scenegen.model.commands.weights import Weights
 from scenegen.model.evaluation.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.rows import METHODS, USUAL, check_rows, rows_of
@@ -125,7 +126,7 @@ def run_bench(
     execute: Executor,
     talk: bool = False,
     **given: Any,
-) -> dict[str, Any]:
+) -> Json:
     """Measure as the `BenchConfig` of what is `given` says, write ``report.json``, ``report.md``
     and ``report.html`` into `out`, and return the report. With `talk`, progress is shown, and
     networks that meet another sensor than in training are named.
@@ -162,8 +163,7 @@ def run_bench(
             f"of each"
         )
     for dataset, method in product(datasets if talk else (), methods):
-        unlike = getattr(method, "unlike", lambda *met: "")
-        for warning in sorted(filter(None, {unlike(*one) for one in dataset.settings})):
+        for warning in getattr(method, "unlike", lambda settings: [])(dataset.settings):
             note(f"note: {dataset.folder}: {warning}")
     results = []
     for dataset, kind in tables:
@@ -195,7 +195,7 @@ def run_bench(
 
 
 def _pictures(
-    report: dict[str, Any], result: Any, dataset: Any, methods: "Sequence[Method]"
+    report: Json, result: Any, dataset: Any, methods: "Sequence[Method]"
 ) -> list[tuple[str, bytes]]:
     """Charts, and pictures of failures; none without matplotlib."""
     from scenegen.model.evaluation.shown import draw_charts, draw_failures
@@ -206,7 +206,7 @@ def _pictures(
         return []
 
 
-def show_tables(report: dict[str, Any]) -> None:
+def show_tables(report: Json) -> None:
     """Both tables: means, at the paper's thresholds."""
     from scenegen.model.evaluation.report import tables
     from scenegen.model.evaluation.statistics import caution, threshold

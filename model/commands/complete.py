@@ -17,6 +17,7 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import Progress, note, say
 from scenegen.cli.types import DatasetPath, Number, OutputFile
+from scenegen.errors import DatasetError, printable
 from scenegen.limits import MOST_BATCH
 from scenegen.model.commands.weights import Weights
 from scenegen.model.config import DEFAULT_NETWORK, POINTS_NETWORK
@@ -39,7 +40,10 @@ if TYPE_CHECKING:
 )
 @split_option("test", help="The split of a dataset that is completed.")
 @click.option(
-    *("-o", "--output", "--out", "out"),
+    "-o",
+    "--output",
+    "--out",
+    "out",
     type=OutputFile(folders=True),
     help="File to write; of a folder of scans, a folder.  [default: predictions.h5, or "
     "<scan>.completed.h5]",
@@ -83,11 +87,9 @@ def complete(
     from scenegen.dataset.locate import locate
     from scenegen.dataset.manifest import NAME
     from scenegen.dataset.read import Dataset
-    from scenegen.errors import DatasetError
     from scenegen.files import make_way, real_path
     from scenegen.model.completion.completer import Completer
     from scenegen.model.completion.predictions import predict_scan, predict_split
-    from scenegen.model.config import Thresholds
     from scenegen.model.training.device import choose_device
     from scenegen.run import executor
 
@@ -121,11 +123,10 @@ def complete(
                 on_start=progress.start,
                 on_done=progress.count,
             )
-        met = {completer.unlike(*one) for one in Dataset(found).settings}
-        for warning in () if quiet else sorted(filter(None, met)):
+        for warning in () if quiet else completer.unlike(Dataset(found).settings):
             note(f"note: {warning}")
     else:
-        used = predict_scan(completer, found, out, sensor=sensor, thresholds=Thresholds())
+        used = predict_scan(completer, found, out, sensor=sensor)
         if not quiet:
             say(f"{found}: {used}; completed by {completer.name}")
     if not quiet:
@@ -146,10 +147,8 @@ def _complete_all(
     Those that are there already are passed over. Raises DatasetError at the end where some could
     not be completed.
     """
-    from scenegen.errors import DatasetError, printable
     from scenegen.files import make_parent, remove_drafts
     from scenegen.model.completion.predictions import predict_scan
-    from scenegen.model.config import Thresholds
 
     broken = 0
     targets = {scan: (out / scan.relative_to(folder)).with_suffix(".h5") for scan in scans}
@@ -161,7 +160,7 @@ def _complete_all(
             if not target.exists():
                 make_parent(target)
                 try:
-                    predict_scan(completer, scan, target, sensor=sensor, thresholds=Thresholds())
+                    predict_scan(completer, scan, target, sensor=sensor)
                 except DatasetError as error:
                     broken += 1
                     note(printable(error))

@@ -14,6 +14,7 @@ from scenegen.cli.options import (
     workers_option,
 )
 from scenegen.cli.show import Progress, flat, note, per_split, rejections, show_table
+from scenegen.files import Json
 from scenegen.worlds import MESHES, is_map
 from scenegen.worlds.mapping import Mapper
 
@@ -51,7 +52,7 @@ def inspect(dataset: Path | str, every: bool, keep: bool, workers: int, as_json:
         show_table({name: _plain(value) for name, value in flat(facts).items()})
 
 
-def _facts(path: Path) -> dict[str, Any] | None:
+def _facts(path: Path) -> Json | None:
     """What is to be said of a world, a scan, predictions, or a run; None for anything else."""
     from scenegen.clouds import READERS
 
@@ -106,7 +107,7 @@ def _plain(value: Any) -> Any:
     return f"{value:.4g}" if isinstance(value, float) else value
 
 
-def _show_all(rows: list[dict[str, Any]], as_json: bool) -> None:
+def _show_all(rows: list[Json], as_json: bool) -> None:
     """Prints a line for each dataset."""
     if as_json:
         print(json.dumps(rows))
@@ -119,7 +120,7 @@ def _show_all(rows: list[dict[str, Any]], as_json: bool) -> None:
         show_table({row["folder"]: told})
 
 
-def _show(dataset: Path | str, found: dict[str, Any]) -> None:
+def _show(dataset: Path | str, found: Json) -> None:
     """Prints the summary of a dataset, and a table of each split."""
     from scenegen.dataset.manifest import SEVERAL
     from scenegen.display.inspect import LABELS
@@ -156,7 +157,7 @@ def _show(dataset: Path | str, found: dict[str, Any]) -> None:
         show_table(rows, f"{name}: {counts} ({split['sampled']} measured)")
 
 
-def _source(source: dict[str, Any]) -> str:
+def _source(source: Json) -> str:
     """A dataset that samples were taken from, in words."""
     how = f", {' or '.join(ways)}" if (ways := [way for way in source["taken"] if way]) else ""
     digest = f", digest {source['digest'][:8]}" if source["digest"] else ""

@@ -57,13 +57,16 @@ def _width(ctx: Any, parameter: Any, value: str | None) -> float | None:
 @click.argument("source", type=DatasetPath())
 @split_option("train", help="The split to draw samples of.")
 @click.option(
-    *("--index", "indices"),
+    "--index",
+    "indices",
     multiple=True,
     type=click.IntRange(min=0),
     help="A sample's number; repeatable.",
 )
 @click.option(
-    *("--sheet", "--n", "count"),
+    "--sheet",
+    "--n",
+    "count",
     type=click.IntRange(1, MOST_SHOWN),
     help="So many samples on one sheet, evenly spread.",
 )

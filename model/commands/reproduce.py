@@ -18,6 +18,7 @@ from scenegen.cli.options import (
 from scenegen.cli.show import Progress, announce_compilation, say, show_table
 from scenegen.cli.types import FILE
 from scenegen.errors import DatasetError
+from scenegen.files import Json
 from scenegen.model.study.runs import KINDS, TRIALS, ReproduceConfig, chosen
 
 
@@ -96,7 +97,7 @@ def reproduce(
         say(f"written: {out / stages.TEXT}, {out / stages.STUDY}")
 
 
-def _judged_again(path: Path) -> dict[str, Any]:
+def _judged_again(path: Path) -> Json:
     from scenegen.model.study.claims import judged
     from scenegen.model.study.stages import read_json
 
@@ -108,7 +109,7 @@ def _judged_again(path: Path) -> dict[str, Any]:
         ) from None
 
 
-def _show_verdicts(study: dict[str, Any]) -> None:
+def _show_verdicts(study: Json) -> None:
     """The questions' answers, and how many claims have which verdict."""
     counts = Counter(claim["verdict"] for claim in study["claims"])
     told = ", ".join(f"{count} {verdict}" for verdict, count in sorted(counts.items()))

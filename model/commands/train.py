@@ -117,6 +117,10 @@ class Weighted(click.ParamType):
     patience="Looks at validation without a lower loss after which it has stalled.",
     choose="Which network of the run is kept.",
     seed="Decides the first weights and the order of samples.",
+    augment="Turn maps about the sensor at random, and mirror them where its rays allow it.",
+    points_share="Share of maps shown as points alone: rays without a return free nothing.",
+    precision="Arithmetic of the network; auto takes bfloat16 where the device has it.",
+    compile="Run the network through torch.compile.",
 )
 @click.option(
     "--input",
@@ -155,14 +159,6 @@ class Weighted(click.ParamType):
     lovasz="Weight of the IoU's Lovász hinge beside the cross-entropy.",
     beta_m="Where the Smooth-L1 loss turns from a parabola into a line, metres.",
 )
-@options_of(
-    TrainConfig,
-    panel="Training",
-    augment="Turn maps about the sensor at random, and mirror them where its rays allow it.",
-    points_share="Share of maps shown as points alone: rays without a return free nothing.",
-    precision="Arithmetic of the network; auto takes bfloat16 where the device has it.",
-    compile="Run the network through torch.compile.",
-)
 @click.option(
     "--stream",
     "streams",
@@ -195,7 +191,12 @@ class Weighted(click.ParamType):
 @printing
 def train(
     datasets: tuple[tuple[Path | str, float | None], ...],
+    streams: tuple[tuple[str, float], ...],
+    stream_seed: int,
+    val_maps: int | None,
     protocol: str,
+    weights: str | None,
+    out: Path | None,
     device: str,
     workers: int | None,
     as_json: bool,
@@ -215,23 +216,18 @@ def train(
 
     first = int(os.environ.get("RANK", "0")) == 0
     talk = first and talk
-    weights = options["weights"]
     if weights is not None:
         _take_settings(weights, options)
     with raised_as(click.UsageError):
         options |= {
             name: value for name, value in PROTOCOLS[protocol].items() if not was_given(name)
         }
-        config = TrainConfig(
-            network=NetworkConfig(**taken(NetworkConfig, options)),
-            loss=LossConfig(**taken(LossConfig, options)),
-            **taken(TrainConfig, options),
-        )
-    out = options["out"] or Path("runs") / config.network.variant.rpartition(":")[2]
+        config = TrainConfig.of(options)
+    out = out or Path("runs") / config.network.variant.rpartition(":")[2]
     begin = time.monotonic()
     # the loop looks for a stop between two steps
     with Progress(config.network.variant, shown=talk) as progress, stops.noted() as stop:
-        training, checking = _samples(datasets, config, options, talk)
+        training, checking = _samples(datasets, streams, stream_seed, val_maps, config, talk)
         chosen = choose_device(device)
         if workers is None:
             workers = (
@@ -272,17 +268,19 @@ def train(
 
 def _samples(
     datasets: tuple[tuple[Path | str, float | None], ...],
+    streams: tuple[tuple[str, float], ...],
+    seed: int,
+    count: int | None,
     config: TrainConfig,
-    options: dict[str, Any],
     talk: bool,
 ) -> tuple[list["Samples"], list["Samples"]]:
-    """What is trained on, and what validates."""
+    """What is trained on, and what validates: `datasets`, or `streams` of a `seed`, and `count`
+    maps of theirs."""
     from scenegen.model.training.data import opened
     from scenegen.streams.stream import stream
 
     names = tuple(name for name, _ in datasets)
-    parts, seed, count = options["streams"], options["stream_seed"], options["val_maps"]
-    if not parts:
+    if not streams:
         if count is not None or was_given("stream_seed"):
             raise click.UsageError(
                 "--stream-seed and --val-maps are a stream's; name one, such as --stream pillar"
@@ -298,14 +296,14 @@ def _samples(
         raise click.UsageError(
             "--val-maps validates on the stream, and datasets are named; leave one of the two out"
         )
-    training: list[Samples] = [stream(parts, seed=seed)]
+    training: list[Samples] = [stream(streams, seed=seed)]
     if datasets:
         if any(weight is not None for _, weight in datasets):
             raise click.UsageError(
                 "with --stream, datasets validate, and have no weights; give those of --stream"
             )
         return training, opened(find_datasets(names, shown=talk), "val")
-    return training, [stream(parts, seed=seed, split="val", samples=count or VAL_MAPS)]
+    return training, [stream(streams, seed=seed, split="val", samples=count or VAL_MAPS)]
 
 
 def _take_settings(weights: str, options: dict[str, Any]) -> None:

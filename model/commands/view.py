@@ -44,30 +44,38 @@ def _address(ctx: Any, parameter: Any, value: str) -> str:
 @dataset_argument
 @split_option("train", help="The split to show samples of.")
 @click.option(
-    *("-o", "--html", "--output", "--out", "out"),
+    "-o",
+    "--html",
+    "--output",
+    "--out",
+    "out",
     type=OutputFile(),
     help="Write one file that shows samples without a network.  [default: serve all of them]",
 )
 @click.option(
-    *("--index", "indices"),
+    "--index",
+    "indices",
     multiple=True,
     type=click.IntRange(0),
     help="A number of a sample; in a file, repeatable.",
 )
 @click.option(
-    *("--n", "count"),
+    "--n",
+    "count",
     type=click.IntRange(1, MOST_SHOWN),
     default=24,
     help="In a file: how many samples, evenly spread, where no --index is given.",
 )
 @click.option(
-    *("--host", "host"),
+    "--host",
+    "host",
     callback=_address,
     default="127.0.0.1",
     help="Address to serve on; with 0.0.0.0 all who reach this machine can look.",
 )
 @click.option(
-    *("--port", "port"),
+    "--port",
+    "port",
     type=click.IntRange(0, 65535),
     default=8000,
     help="0 for any.",

@@ -7,7 +7,7 @@ prediction.occupancy_probability, prediction.tudf  # the same shape, float32; me
 
 import re
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -17,19 +17,20 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from lidarsim import GridSpec, Lidar
+from lidarsim import Lidar, Sensor
+from lidarsim.grid import GridSpec, Mask
 from scenegen.dataset.locate import client_output, without_tokens
 from scenegen.dataset.manifest import differences
 from scenegen.dataset.parts import described, sensor_entry
 from scenegen.dataset.read import Split
 from scenegen.errors import DatasetError, needs, printable, raised_as
-from scenegen.files import real_path
+from scenegen.files import Json, real_path
 from scenegen.model.calibration import Calibration
 from scenegen.model.checkpoint import CheckpointError, load_network
 from scenegen.model.completion.protocol import Prediction, check_prediction
 from scenegen.model.config import BUNDLED, DEFAULT_NETWORK, bundled, split_own
 from scenegen.model.inputs import centres, channels, input_called
-from scenegen.model.network import Output, placed
+from scenegen.model.network import Batch, Output, placed
 from scenegen.model.runtime import load_onnx
 from scenegen.sample import Sample
 from scenegen.worlds.mapping import Mapper
@@ -51,12 +52,12 @@ class Completer:
 
     def __init__(
         self,
-        forward: Callable[[Mapping[str, Tensor]], Output],
+        forward: Callable[[Batch], Output],
         grid: GridSpec,
         *,
         name: str,
         inputs: Sequence[str] = ("observed",),
-        about: Mapping[str, Any] | None = None,
+        about: Json | None = None,
         batch: int = 8,
     ):
         self.grid = grid
@@ -102,7 +103,7 @@ class Completer:
             inputs = network.config.inputs
             placed(network, device)
 
-            def run(maps: Mapping[str, Tensor]) -> Output:
+            def run(maps: Batch) -> Output:
                 return Output(*network({name: values.to(device) for name, values in maps.items()}))
 
         said = printable(called(name, path))
@@ -147,7 +148,6 @@ class Completer:
             None if part[0] is None else torch.cat(part).reshape(shape)
             for part in zip(*parts, strict=True)
         ]
-        check_prediction(Prediction(*joined), shape, self.name)
         first = batch[self.inputs[0]] if isinstance(maps, Sample | Mapping) else maps
         probability, tudf = (
             part
@@ -157,7 +157,8 @@ class Completer:
             else part.numpy(force=True)
             for part in joined
         )
-        return Prediction(probability, tudf, self.calibration, self.grid)
+        found = Prediction(probability, tudf, self.calibration, self.grid)
+        return check_prediction(found, shape, self.name)
 
     def __reduce__(self) -> Any:
         return opened_once, self.opened
@@ -174,9 +175,7 @@ class Completer:
             self.check_grid(grid)
             return self(channels(self.inputs, sample, grid, sample.lidar))
 
-    def complete(
-        self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec
-    ) -> Prediction:
+    def complete(self, observed: Mask, free: Mask, *, grid: GridSpec) -> Prediction:
         """See `MapCompleter.complete`. Raises ValueError for another grid, and where the network
         takes other inputs."""
         self.check_grid(grid)
@@ -187,9 +186,10 @@ class Completer:
         if grid != self.grid:
             raise ValueError(f"{self.name} completes maps on {self.grid}, these are on {grid}")
 
-    def unlike(self, *met: Any) -> str:
-        """`unlike`, of this network."""
-        return unlike(self.name, self.about, *met)
+    def unlike(self, settings: Iterable[tuple[Sensor, Mapper, str]]) -> list[str]:
+        """A line for each sensor, mapping and noise of a dataset's `settings` that the network did
+        not learn from; see the function `unlike`."""
+        return sorted(filter(None, {unlike(self.name, self.about, *one) for one in settings}))
 
     def _derived(self, observed: Maps) -> dict[str, Maps]:
         """All inputs of maps of which the observed voxels alone are known."""
@@ -238,7 +238,7 @@ class Completer:
         return given
 
     @torch.inference_mode()
-    def _complete(self, maps: Mapping[str, Tensor]) -> tuple[Tensor | None, Tensor | None]:
+    def _complete(self, maps: Batch) -> tuple[Tensor | None, Tensor | None]:
         output = self._forward(maps)
         probability = None if output.logits is None else output.logits.sigmoid()
         tudf = None if output.tudf is None else output.tudf.clamp(max=self.grid.truncation_m)
@@ -254,7 +254,7 @@ def opened_once(name: str, device: str, batch: int) -> Completer:
 
 
 def unlike(
-    name: str, about: Mapping[str, Any], lidar: Any, mapping: Mapper | None = None, noise: str = ""
+    name: str, about: Json, lidar: Any, mapping: Mapper | None = None, noise: str = ""
 ) -> str:
     """How the sensor `lidar`, its `noise` (stages as a manifest spells them), and maps made by
     `mapping`, differ from those that the network called `name` learned from, as `about` tells, in
@@ -267,9 +267,7 @@ def unlike(
     return said[0] if all(said) else ""
 
 
-def _unlike(
-    name: str, about: Mapping[str, Any], lidar: Any, mapping: Mapper | None, noise: str
-) -> str:
+def _unlike(name: str, about: Json, lidar: Any, mapping: Mapper | None, noise: str) -> str:
     usual = described(Mapper())
     there = about.get("lidar") or sensor_entry(Lidar())
     here, known = sensor_entry(lidar), about.get("noise") or [""]
@@ -290,7 +288,7 @@ def _unlike(
     return f"{name} was trained on {what}, so expect worse completions: {said}"
 
 
-def _titled(entry: Mapping[str, Any]) -> str:
+def _titled(entry: Json) -> str:
     """The sensor of a manifest's entry in words."""
     rays = " × ".join(map(str, entry.get("shape") or [entry.get("rows"), entry.get("columns")]))
     return f"{entry.get('made_by') or entry.get('sensor', 'a raster')} of {rays} rays"
@@ -304,7 +302,7 @@ def called(name: str | Path, path: Path) -> str:
     return real_path(path).parent.name if path.name in NAMES_IN_FOLDER else path.stem
 
 
-def open_network(name: str | Path) -> tuple[Any, GridSpec, dict[str, Any]]:
+def open_network(name: str | Path) -> tuple[Any, GridSpec, Json]:
     """The network called `name`, as `load_network` gives it; see `Completer.from_pretrained`."""
     return load_network(locate(name), split_own(name)[0])
 

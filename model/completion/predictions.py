@@ -18,6 +18,7 @@ from scenegen.clouds import read_points
 from scenegen.dataset.hdf5 import read_guarded
 from scenegen.dataset.read import Dataset, Rows, Split
 from scenegen.dataset.shard import compress
+from scenegen.display.exchange.files import encode_points
 from scenegen.display.look import Look
 from scenegen.errors import DatasetError, empty_split
 from scenegen.files import check_ours, whole, write_whole
@@ -29,8 +30,6 @@ from scenegen.model.config import Thresholds
 from scenegen.model.inputs import PointScan, channels, input_called
 from scenegen.run import Executor, check_together
 
-PLY_HEAD = b"ply\nformat binary_little_endian 1.0\ncomment scenegen complete\n"
-"""How the point clouds begin that are written here."""
 PART = 40
 """Samples of a part, about, where an executor has a split completed."""
 Chunks: TypeAlias = dict[str, list[bytes]]
@@ -174,13 +173,14 @@ def predict_scan(
     out: Path,
     *,
     sensor: ArrayLike = (0.0, 0.0, 0.0),
-    thresholds: Thresholds,
+    thresholds: Thresholds | None = None,
 ) -> str:
     """Complete one scan: points in metres, z up, in a level frame where the sensor is at `sensor`
     (3,). Returns in words how many points came into its map.
 
     `out` is HDF5 (``.h5``: the network's inputs, what is predicted, and the grid) or a point cloud
-    (``.ply``: the centres of the voxels that are occupied at `thresholds`, in the scan's frame).
+    (``.ply``: the centres of the voxels that are occupied at `thresholds`, by default the paper's,
+    in the scan's frame).
     Raises DatasetError for files that are not such, and where `out` is something else already.
     """
     if out.suffix not in (".h5", ".ply"):
@@ -197,7 +197,7 @@ def predict_scan(
     inside = len(seen.voxels)
     used = (
         f"{inside} of {len(points)} points used, {len(points) - len(returned)} without a return, "
-        + (f"{len(returned) - inside} outside the map")
+        f"{len(returned) - inside} outside the map"
     )
     if not inside:
         extent = " × ".join(f"{metres:g}" for metres in completer.grid.extent_m)
@@ -211,12 +211,7 @@ def predict_scan(
     prediction = completer(maps)
     if out.suffix == ".ply":
         centres = seen.grid.centres(seen.origin)[prediction.occupied(thresholds)]
-        header = f"element vertex {len(centres)}\n" + "".join(
-            f"property float {axis}\n" for axis in "xyz"
-        )
-        write_whole(
-            out, PLY_HEAD + header.encode() + b"end_header\n" + centres.astype("<f4").tobytes()
-        )
+        write_whole(out, encode_points(".ply", centres))
         return used
     with new_hdf5(out) as file:
         file.attrs.update(
@@ -248,31 +243,20 @@ def _completion(path: Path) -> Look:
             origin, voxel_m = np.array(file.attrs["origin"], np.float64), float(file.attrs["voxel"])
             names = [name for name in ("observed", *PARTS) if name in file]
             shape = file[names[0]].shape
-            if (
-                len(shape) != 3
-                or not 0 < math.prod(shape) <= MOST_VOXELS
-                or not np.isfinite(origin).all()
-            ):
+            if math.prod(shape) > MOST_VOXELS or not np.isfinite(origin).all():
                 raise ValueError("no map")
             grid = GridSpec(shape=shape, voxel_m=voxel_m)
             maps = {name: np.asarray(file[name]) for name in names}
         parts: Any = {name: maps[name].astype(np.float32) for name in PARTS if name in maps}
         said = check_prediction(Prediction(**parts), shape, str(path))
-        place = origin + np.array(grid.extent_m) / 2
-        masks = {
-            "observed": maps["observed"].astype(bool),
-            "predicted": said.occupied(Thresholds()),
-        }
-        tudf = said.distance(Thresholds(), grid)
-        level = np.array([1.0, 0.0, 0.0, 0.0])
         return Look(
             name=path.name,
             grid=grid,
             origin=origin,
-            position=place,
-            quaternion=level,
-            masks=masks,
-            tudf=tudf,
+            position=origin + grid.extent_m / 2,
+            quaternion=np.array([1.0, 0.0, 0.0, 0.0]),
+            masks={"observed": maps["observed"].astype(bool), "predicted": said.occupied()},
+            tudf=said.distance(None, grid),
         )
     except Exception:  # h5py's errors share no base
         raise DatasetError(f"{path}: holds no completion of a scan; {advice}") from None

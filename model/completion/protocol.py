@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lidarsim import GridSpec
+from lidarsim.grid import Field, GridSpec, Mask
 from scenegen.errors import ScenegenError
-from scenegen.model.calibration import CLOSE, RISK, Given, Uncertainty, UncertaintyError
+from scenegen.model.calibration import CLOSE, RISK, Calibration, Given, UncertaintyError
 from scenegen.model.config import Thresholds
 from scenegen.sample import html_table
 from scenegen.truth import distance_field
@@ -28,7 +27,7 @@ class Prediction:
     """float32 (*shape), numpy or torch: the probability of being occupied, from 0 to 1."""
     tudf: Any = None
     """float32 (*shape), numpy or torch: distance to the nearest occupied voxel's centre, metres."""
-    uncertainty: Uncertainty | None = None
+    uncertainty: Calibration | Given | None = None
     """What tells how sure the method is; None where nothing does, as of a network that was not
     calibrated."""
     grid: GridSpec | None = None
@@ -51,7 +50,7 @@ class Prediction:
                 rows.append((name, what, *(f"{figure:.3g}" for figure in figures)))
         return html_table(rows, self)
 
-    def occupied(self, thresholds: Thresholds | None = None) -> NDArray[np.bool_]:
+    def occupied(self, thresholds: Thresholds | None = None) -> Mask:
         """The binary map, (*shape), at `thresholds`, by default the paper's: where the probability
         is greater than its threshold ("greater than" in the paper's section "Implementation
         Details"), or, without one, the distance less than its own."""
@@ -61,7 +60,7 @@ class Prediction:
         assert self.tudf is not None
         return self.tudf < np.float32(thresholds.distance_m)
 
-    def distance(self, thresholds: Thresholds | None, grid: GridSpec) -> NDArray[np.float32]:
+    def distance(self, thresholds: Thresholds | None, grid: GridSpec) -> Field:
         """The distance field, (*shape), metres, at most the truncation."""
         if self.tudf is not None:
             return np.minimum(self.tudf, np.float32(grid.truncation_m))
@@ -99,7 +98,7 @@ class Prediction:
             tudf = np.stack(derived).reshape(probability.shape)
         return self._as_given(self.uncertainty.low(tudf, probability, risk))
 
-    def _as_given(self, values: NDArray[np.float32] | None) -> Any:
+    def _as_given(self, values: Field | None) -> Any:
         """As torch, on their device, where the predictions are."""
         given = self.occupancy_probability if self.tudf is None else self.tudf
         return (
@@ -168,8 +167,6 @@ class MapCompleter(Protocol):
     name: str
     """How the method is called in tables."""
 
-    def complete(
-        self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec
-    ) -> Prediction:
+    def complete(self, observed: Mask, free: Mask, *, grid: GridSpec) -> Prediction:
         """Complete one map from its observed and free voxels, (*grid.shape) each."""
         ...

@@ -1,11 +1,14 @@
 """The methods that need no learning: what a network has to beat."""
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy import ndimage
 
-from lidarsim import GridSpec
-from lidarsim.jit import kernel
+from lidarsim.grid import GridSpec, Mask
 from scenegen.model.completion.protocol import Prediction
+
+UPRIGHT = np.zeros((3, 3, 3), np.bool_)
+UPRIGHT[1, 1] = True
+"""A voxel's neighbours in its column."""
 
 
 class Returns:
@@ -15,9 +18,7 @@ class Returns:
     name = "returns"
     learned = False
 
-    def complete(
-        self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec
-    ) -> Prediction:
+    def complete(self, observed: Mask, free: Mask, *, grid: GridSpec) -> Prediction:
         """See `MapCompleter.complete`."""
         return Prediction(occupancy_probability=observed.astype(np.float32))
 
@@ -28,9 +29,7 @@ class Conservative:
     name = "conservative"
     learned = False
 
-    def complete(
-        self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec
-    ) -> Prediction:
+    def complete(self, observed: Mask, free: Mask, *, grid: GridSpec) -> Prediction:
         """See `MapCompleter.complete`."""
         return Prediction(occupancy_probability=(~free).astype(np.float32))
 
@@ -42,27 +41,9 @@ class Extrude:
     name = "extrude"
     learned = False
 
-    def complete(
-        self, observed: NDArray[np.bool_], free: NDArray[np.bool_], *, grid: GridSpec
-    ) -> Prediction:
+    def complete(self, observed: Mask, free: Mask, *, grid: GridSpec) -> Prediction:
         """See `MapCompleter.complete`."""
-        extended = np.zeros(observed.shape, dtype=np.float32)
-        _extend(observed, free, extended)
-        return Prediction(occupancy_probability=extended)
-
-
-@kernel
-def _extend(observed, free, extended):
-    """Set to 1 every run of voxels along z that holds no free one and at least one observed."""
-    nx, ny, nz = observed.shape
-    for i in range(nx):
-        for j in range(ny):
-            start = 0
-            seen = False
-            for k in range(nz + 1):
-                if k == nz or free[i, j, k]:
-                    if seen:
-                        extended[i, j, start:k] = 1.0
-                    start, seen = k + 1, False
-                elif observed[i, j, k]:
-                    seen = True
+        runs, count = ndimage.label(~free, UPRIGHT)
+        met = np.zeros(count + 1, np.float32)
+        met[runs[observed & ~free]] = 1.0
+        return Prediction(occupancy_probability=met[runs])

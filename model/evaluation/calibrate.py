@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from lidarsim import GridSpec
+from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
 from scenegen.dataset.read import Dataset, Split
+from scenegen.display.look import evenly
 from scenegen.errors import DatasetError, empty_split
 from scenegen.model.calibration import (
     KEY,
@@ -31,7 +31,7 @@ from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.config import PlanConfig
 from scenegen.model.evaluation.planning.measure import draw_trials, plan_carefully
-from scenegen.model.evaluation.run import check_middle, check_whole, spread
+from scenegen.model.evaluation.run import check_middle, check_whole
 from scenegen.model.evaluation.visibility import UNOBSERVED, classify, scored_voxels
 from scenegen.run.workers import run as run_workers
 from scenegen.sample import Sample, rng_of
@@ -52,11 +52,11 @@ FOLDS = 5
 
 
 def count_logits(
-    probability: NDArray[np.float32],
-    occupied: NDArray[np.bool_],
-    unknown: NDArray[np.bool_],
+    probability: Field,
+    occupied: Mask,
+    unknown: Mask,
     class_weight: float,
-) -> NDArray[np.int64]:
+) -> Ints:
     """How many of a map's `unknown` voxels have which logit, the class weight inverted: (logits,
     2), free and occupied ones apart. The arrays have one shape."""
     steps = (corrected_logit(probability[unknown], class_weight) + MOST_LOGIT) / LOGIT
@@ -64,7 +64,7 @@ def count_logits(
     return np.bincount(2 * at + occupied[unknown], minlength=2 * len(_logits())).reshape(-1, 2)
 
 
-def fit_temperature(counts: NDArray[np.int64]) -> float:
+def fit_temperature(counts: Ints) -> float:
     """The temperature (Guo et al. 2017) at which counted logits (logits, 2) have the least negative
     log-likelihood."""
 
@@ -78,12 +78,12 @@ def fit_temperature(counts: NDArray[np.int64]) -> float:
 
 
 def count_scores(
-    distance: NDArray[np.float32],
-    chance: NDArray[np.float32] | None,
-    true: NDArray[np.float32],
-    unknown: NDArray[np.bool_],
+    distance: Field,
+    chance: Field | None,
+    true: Field,
+    unknown: Mask,
     grid: GridSpec,
-) -> NDArray[np.int64]:
+) -> Ints:
     """How many of a map's `unknown` voxels have which score: (bins, steps), from minus the
     truncation up. The arrays have one shape: predicted distances, `corrected` probabilities where
     there are some, and true distances."""
@@ -100,7 +100,7 @@ def count_scores(
 
 
 def fit_margins(
-    counts: NDArray[np.int64], near: NDArray[np.bool_], risks: tuple[float, ...] = RISKS
+    counts: Ints, near: Mask, risks: tuple[float, ...] = RISKS
 ) -> tuple[tuple[float, ...], tuple[tuple[float, ...], ...]]:
     """Risks, and the margins for each (risks, bins), metres, from the scores (worlds, bins, steps)
     of `count_scores`, summed over the maps of a world. `near` (bins,) tells the bins of near
@@ -119,7 +119,7 @@ def fit_margins(
     return kept, tuple(map(tuple, np.round(SCORE_M * (steps - middle), 6).tolist()))
 
 
-def shape(counts: NDArray[np.int64], risk: float) -> NDArray[np.int64]:
+def shape(counts: Ints, risk: float) -> Ints:
     """By bin, the least score (bins,), in steps, that a share 1 - `risk` of the scores (bins,
     steps) do not exceed; the greatest there is where a bin is empty."""
     summed, last = counts.cumsum(axis=1), counts.shape[1] - 1
@@ -127,9 +127,7 @@ def shape(counts: NDArray[np.int64], risk: float) -> NDArray[np.int64]:
     return np.where(summed[:, -1] > 0, enough.argmax(axis=1), last)
 
 
-def _added(
-    summed: NDArray[np.int64], shapes: NDArray[np.int64], groups: NDArray[np.float64], risk: float
-) -> int:
+def _added(summed: Ints, shapes: Ints, groups: Floats, risk: float) -> int:
     """The fewest steps which, added to each world's `shapes` (worlds, bins), cover enough of all
     `groups` (groups, bins); `summed` (worlds, bins, steps) are sums of scores up to each."""
     last = summed.shape[2] - 1
@@ -145,7 +143,7 @@ def _added(
     return last
 
 
-def path_risks(collided: NDArray[np.float64]) -> tuple[float, ...]:
+def path_risks(collided: Floats) -> tuple[float, ...]:
     """What share of paths collides at most, by risk of the bounds that they were planned on, from
     the shares (worlds, risks) of every world's trials in which one did; risks fall.
 
@@ -156,7 +154,7 @@ def path_risks(collided: NDArray[np.float64]) -> tuple[float, ...]:
     return tuple(((monotone.sum(axis=0) + 1) / (len(collided) + 1)).tolist())
 
 
-def near_bins(grid: GridSpec, chances: tuple[float, ...]) -> NDArray[np.bool_]:
+def near_bins(grid: GridSpec, chances: tuple[float, ...]) -> Mask:
     """Which bins of the margins hold voxels that are predicted to be near an obstacle."""
     edges = np.arange(distance_bins(grid, STEP_M)) * STEP_M
     return np.repeat(edges < NEAR_M - 1e-9, len(chances) + 1)
@@ -166,7 +164,7 @@ def _steps(grid: GridSpec) -> int:
     return 2 * math.ceil(grid.truncation_m / SCORE_M) + 1
 
 
-def _logits() -> NDArray[np.float64]:
+def _logits() -> Floats:
     """The middles of the bins of logits."""
     return np.arange(-MOST_LOGIT + 0.5 * LOGIT, MOST_LOGIT, LOGIT)
 
@@ -210,7 +208,7 @@ def calibrate(
             raise CheckpointError(
                 f"{weights}: tells of no class weight above 0 of its loss; train it again"
             ) from None
-    method = Completer.from_pretrained(weights, threads=1)
+    method = Completer.from_pretrained(weights)
     datasets, tasks, worlds = [Dataset(folder) for folder in folders], [], set()
     for number, dataset in enumerate(datasets):
         part = dataset.split(split)
@@ -223,7 +221,7 @@ def calibrate(
             )
         if trials:
             check_middle(dataset, "give --trials 0")
-        chosen = spread(len(part), samples or len(part))
+        chosen = evenly(len(part), samples or len(part))
         worlds |= {(number, part.names[n][1]) for n in chosen}
         parts = (chosen[n : n + CHUNK] for n in range(0, len(chosen), CHUNK))
         tasks += [(number, dataset.folder, one) for one in parts]
@@ -280,7 +278,7 @@ def _work(
 
 def _count(
     weight: float, grid: GridSpec, said: Prediction, sample: Sample, split: Split, index: int
-) -> tuple[NDArray[np.int64], Any]:
+) -> tuple[Ints, Any]:
     """Scores of a map's unknown voxels, and their logits where there are some."""
     scored = scored_voxels(sample, grid, split.home(index).tables)
     classes = classify(sample, grid=grid, scored=scored)
@@ -302,7 +300,7 @@ def _collisions(
     sample: Sample,
     split: Split,
     index: int,
-) -> tuple[NDArray[np.float64], int]:
+) -> tuple[Floats, int]:
     """How many of a map's trials collide at each risk, and how many there are."""
     rng, plan = rng_of(seed, int(sample.world), int(sample.viewpoint)), PlanConfig()
     goals = draw_trials(sample.occupancy, grid, plan, count=trials, rng=rng).goals

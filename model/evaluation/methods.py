@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import h5py
 import isal.isal_zlib
@@ -183,37 +183,21 @@ def _check_arrays(
     file: h5py.File, split: str, names: list[tuple[int, int]], shape: tuple[int, ...]
 ) -> None:
     links = {name: file.get(name, getlink=True) for name in (*WHO, *PARTS, *SURE)}
-    held = [name for name, link in links.items() if isinstance(link, h5py.HardLink)]
-    if (
-        not set(WHO) <= set(held)
-        or not set(PARTS) & set(held)
-        or any(link is not None for name, link in links.items() if name not in held)
-    ):
+    held = [name for name, link in links.items() if link is not None]
+    if not set(WHO) <= set(held) or not set(PARTS) & set(held):
         raise DatasetError(
-            f"expected world, viewpoint, and at least one of {', '.join(PARTS)}, none of them a "
-            f"link; found {held}"
+            f"expected world, viewpoint, and at least one of {', '.join(PARTS)}; found {held}"
         )
     for name in held:
-        maps = () if name in WHO else shape
-        kinds = "iu" if name in WHO else "fiub"
-        data = file[name]
-        if (
-            not isinstance(data, h5py.Dataset)
-            or data.is_virtual
-            or data.external
-            or data.dtype.kind not in kinds
-        ):
-            raise DatasetError(
-                f"{name} is no array of {'whole numbers' if name in WHO else 'float32'} in this "
-                f"file"
-            )
-        if data.ndim < 1 or data.shape[1:] != maps:
-            raise DatasetError(f"{name} holds maps of {data.shape[1:]}, expected {maps}")
-        if data.shape[0] != file["world"].shape[0]:
-            raise DatasetError(
-                f"{name} has {data.shape[0]} rows, expected {file['world'].shape[0]}, as many as "
-                f"world"
-            )
+        kinds, what, maps = (
+            ("iu", "whole numbers", ()) if name in WHO else ("fiub", "float32", shape)
+        )
+        data: Any = file[name] if isinstance(links[name], h5py.HardLink) else None
+        own = isinstance(data, h5py.Dataset) and not data.is_virtual and not data.external
+        if not own or data.dtype.kind not in kinds:
+            raise DatasetError(f"{name} is no array of {what} in this file")
+        if data.shape != (expected := (*file["world"].shape[:1], *maps)):
+            raise DatasetError(f"{name} has shape {data.shape}, expected {expected}")
         if data.chunks:
             _check_chunks(name, data)
     if file["world"].shape[0] > len(names):

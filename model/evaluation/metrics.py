@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim import GridSpec
+from lidarsim.grid import Field, Floats, GridSpec, Mask
 from lidarsim.jit import kernel
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import Thresholds
@@ -134,16 +134,16 @@ PLAN_METRICS: dict[str, Metric] = {
 
 
 def measure(
-    occupied: NDArray[np.bool_],
-    distance: NDArray[np.float32],
-    true_occupancy: NDArray[np.bool_],
-    true_distance: NDArray[np.float32],
+    occupied: Mask,
+    distance: Field,
+    true_occupancy: Mask,
+    true_distance: Field,
     *,
     classes: NDArray[np.uint8],
     class_count: int,
     union: Sequence[int] = (),
-    certain: NDArray[np.bool_] | None = None,
-) -> NDArray[np.float64]:
+    certain: Mask | None = None,
+) -> Floats:
     """The metrics of one map, (2 + class_count, len(METRICS)): over the voxels of all classes, over
     those of the classes in `union`, and over each class.
 
@@ -165,12 +165,12 @@ def measure(
 
 def measure_whole(
     said: Prediction,
-    true_occupancy: NDArray[np.bool_],
-    true_distance: NDArray[np.float32],
+    true_occupancy: Mask,
+    true_distance: Field,
     grid: GridSpec,
-    known: NDArray[np.bool_] | None = None,
-    certain: NDArray[np.bool_] | None = None,
-) -> NDArray[np.float64]:
+    known: Mask | None = None,
+    certain: Mask | None = None,
+) -> Floats:
     """The metrics of one map over all its voxels, or the `known` ones, and over all distances or
     the `certain` ones, (len(METRICS),), at the paper's thresholds."""
     at = Thresholds()

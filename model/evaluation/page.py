@@ -7,8 +7,8 @@ It has no script and fetches nothing; texts and names are shown as text alone.
 import base64
 import html
 from collections.abc import Mapping, Sequence
-from typing import Any
 
+from scenegen.files import Json
 from scenegen.model.evaluation.report import Table, shown
 
 STYLE = """
@@ -40,9 +40,7 @@ HEAD = """<!doctype html>
 """
 
 
-def to_html(
-    report: Mapping[str, Any], pictures: Mapping[str, Sequence[tuple[str, bytes]]] | None = None
-) -> str:
+def to_html(report: Json, pictures: Mapping[str, Sequence[tuple[str, bytes]]] | None = None) -> str:
     """The page of what `build_report` gives; `pictures` are charts and failures by kind: what each
     shows, and a WebP image."""
     about = "".join(

@@ -10,21 +10,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from scenegen.files import Json
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation import paper
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS, Metric
 from scenegen.model.evaluation.run import DatasetResult, MethodResult
 from scenegen.model.evaluation.statistics import (
-    Scale,
     caution,
     cell,
     figure,
-    head,
     holm,
     interval,
-    line,
     paired_p,
-    spread,
+    table,
+    with_std,
 )
 from scenegen.model.evaluation.study import study_of, study_tables
 from scenegen.model.evaluation.visibility import CLASSES
@@ -46,15 +45,13 @@ REGIONS = ("map", "unobserved")
 """Rows of a sample's reconstruction before those of the classes of voxels."""
 
 
-def build_report(
-    results: Sequence[DatasetResult], *, seed: int, about: Mapping[str, Any]
-) -> dict[str, Any]:
+def build_report(results: Sequence[DatasetResult], *, seed: int, about: Json) -> Json:
     """All figures: ``reconstruction[kind][method][metric]`` and ``planning[kind][method][metric]``,
     each {mean, std, low, high, n}, at the paper's thresholds; variants under their own keys beside
     them; `about` as it is. Where there is one world, low and high are None; where nothing was
     measured, mean and std are, too. No number is NaN or infinite, which JSON has no words for:
     those are None."""
-    report: dict[str, Any] = {
+    report: Json = {
         **about,
         "reconstruction": {},
         "planning": {},
@@ -95,82 +92,76 @@ def finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _reconstruction(found: MethodResult, result: DatasetResult) -> dict[str, Any]:
-    def figures(values: np.ndarray) -> dict[str, Any]:
-        return {
-            name: figure(values[:, m], result.worlds, metric.scale)
-            for m, (name, metric) in enumerate(METRICS.items())
-        }
-
+def _figures(
+    found: MethodResult,
+    result: DatasetResult,
+    metrics: Mapping[str, Metric],
+    region: int = 0,
+    chosen: Any = True,
+) -> Json:
+    """The figures of what `MethodResult.values` gives, of the `chosen` trials alone."""
     return {
-        **figures(found.reconstruction[:, 0]),
-        "tuned": {**figures(found.tuned), "thresholds": dataclasses.asdict(found.thresholds)},
-        "unobserved": figures(found.reconstruction[:, 1]),
-        "by_class": {
-            name: figures(found.reconstruction[:, 2 + c]) for c, name in enumerate(CLASSES)
-        },
+        name: figure(
+            np.where(chosen, found.values(name, region), np.nan),
+            result.worlds_of(name),
+            metric.scale,
+        )
+        for name, metric in metrics.items()
     }
 
 
-def _planning(found: MethodResult, result: DatasetResult) -> dict[str, Any]:
+def _reconstruction(found: MethodResult, result: DatasetResult) -> Json:
+    whole, unobserved, *by_class, tuned = (
+        _figures(found, result, METRICS, region) for region in range(len(CLASSES) + 3)
+    )
+    return {
+        **whole,
+        "tuned": {**tuned, "thresholds": dataclasses.asdict(found.thresholds)},
+        "unobserved": unobserved,
+        "by_class": dict(zip(CLASSES, by_class, strict=True)),
+    }
+
+
+def _planning(found: MethodResult, result: DatasetResult) -> Json:
     on_paths = {name: one for name, one in PLAN_METRICS.items() if one.needs == "path"}
-
-    def figures(metrics: Mapping[str, Metric], chosen: Any) -> dict[str, Any]:
-        return {
-            name: figure(
-                np.where(chosen, _of_trials(metric, found), np.nan),
-                result.trial_worlds,
-                metric.scale,
-            )
-            for name, metric in metrics.items()
-        }
-
     rows = result.methods.values()
     learned = [other for other in rows if other.learned] or rows
-    succeeded = [[trial.success for trial in other.trials] for other in (found, *learned)]
+    ours, *theirs = ([trial.success for trial in one.trials] for one in (found, *learned))
     return {
-        **figures(PLAN_METRICS, True),
-        "successes": figures(on_paths, succeeded[0]),
-        "all_succeed": figures(on_paths, np.all(succeeded[1:], axis=0)),
+        **_figures(found, result, PLAN_METRICS),
+        "successes": _figures(found, result, on_paths, chosen=ours),
+        "all_succeed": _figures(found, result, on_paths, chosen=np.all(theirs, axis=0)),
         "failures": dict(Counter(trial.cause for trial in found.trials if trial.cause is not None)),
     }
 
 
-def _of_trials(metric: Metric, found: MethodResult) -> np.ndarray:
-    """A planning metric of every trial, (trials,)."""
-    return np.array([metric.of(trial) for trial in found.trials], dtype=np.float64)
-
-
-def _tests(result: DatasetResult, rng: np.random.Generator) -> list[dict[str, Any]]:
+def _tests(result: DatasetResult, rng: np.random.Generator) -> list[Json]:
     """Every pair of methods on every tested metric: the mean difference with its 95 % interval, and
     its p-value, corrected over all of them."""
-    rows: list[tuple[str, str, str, Scale, np.ndarray, np.ndarray, np.ndarray]] = []
-    for (first, one), (second, other) in combinations(result.methods.items(), 2):
-        for row, region in enumerate(REGIONS):
-            for m, (name, metric) in enumerate(METRICS.items()):
-                if region in metric.tested:
-                    a, b = one.reconstruction[:, row, m], other.reconstruction[:, row, m]
-                    title = name if region == "map" else f"{region}_{name}"
-                    rows.append((first, second, title, "amount", a, b, result.worlds))
-        for name, metric in PLAN_METRICS.items():
-            if metric.tested:
-                a, b = _of_trials(metric, one), _of_trials(metric, other)
-                rows.append((first, second, name, "gain", a, b, result.trial_worlds))
-    paired = [figure(a - b, worlds, scale) for *_, scale, a, b, worlds in rows]
-    raw = [paired_p(a, b, worlds, rng=rng) for *_, a, b, worlds in rows]
-    return [
-        {"first": first, "second": second, "metric": metric}
-        | {"difference": found["mean"], "low": found["low"], "high": found["high"]}
-        | {"p": p, "p_holm": float(corrected)}
-        for (first, second, metric, *_), found, p, corrected in zip(
-            rows, paired, raw, holm(raw), strict=True
-        )
+    tested = [
+        (region, name)
+        for region, metrics in (("map", METRICS), ("unobserved", METRICS), ("map", PLAN_METRICS))
+        for name, metric in metrics.items()
+        if region in metric.tested
     ]
+    found = []
+    for (first, one), (second, other) in combinations(result.methods.items(), 2):
+        for region, name in tested:
+            a, b = (of.values(name, REGIONS.index(region)) for of in (one, other))
+            worlds = result.worlds_of(name)
+            gained = figure(a - b, worlds, "gain" if name in PLAN_METRICS else "amount")
+            title = name if region == "map" else f"{region}_{name}"
+            found.append(
+                {"first": first, "second": second, "metric": title}
+                | {"difference": gained["mean"], "low": gained["low"], "high": gained["high"]}
+                | {"p": paired_p(a, b, worlds, rng=rng)}
+            )
+    for row, corrected in zip(found, holm([row["p"] for row in found]).tolist(), strict=True):
+        row["p_holm"] = corrected
+    return found
 
 
-def tables(
-    report: Mapping[str, Any], kind: str
-) -> Iterator[tuple[str, Mapping[str, Metric], Mapping[str, Any], Mapping[str, Any]]]:
+def tables(report: Json, kind: str) -> Iterator[tuple[str, Mapping[str, Metric], Json, Json]]:
     """Both tables of a kind: their name in the report, metrics, rows, and the paper's rows.
 
     Beside IoU stands IoU at the row's best threshold. Where that is not the paper's, the figure
@@ -206,7 +197,7 @@ class Table(NamedTuple):
     """The best cells: rows' names and columns."""
 
 
-def shown(report: Mapping[str, Any], kind: str) -> Iterator[str | Table]:
+def shown(report: Json, kind: str) -> Iterator[str | Table]:
     """What people are shown of one kind: sentences and tables."""
     about = report["datasets"][kind]
     excluded = ", ".join(f"{cause} {count}" for cause, count in about["excluded"].items())
@@ -222,7 +213,7 @@ def shown(report: Mapping[str, Any], kind: str) -> Iterator[str | Table]:
     for title, metrics, rows, reference in tables(report, kind):
         ours = [(name, [cell(row[m]) for m in metrics]) for name, row in rows.items()]
         theirs = [
-            (name, [spread(*row[m]) if one.paper else "–" for m, one in metrics.items()])
+            (name, [with_std(*row[m]) if one.paper else "–" for m, one in metrics.items()])
             for name, row in reference.items()
         ]
         heads = [f"{metric.label}{ARROWS[metric.better]}" for metric in metrics.values()]
@@ -253,7 +244,7 @@ def shown(report: Mapping[str, Any], kind: str) -> Iterator[str | Table]:
     yield Table("Paired tests, by world, Holm-corrected", ("metric", "difference", "p"), compared)
 
 
-def best(rows: Mapping[str, Any], name: str, metric: Metric) -> set[str]:
+def best(rows: Json, name: str, metric: Metric) -> set[str]:
     """The methods with the best mean of a metric, as it is printed; none of the references."""
     means = {
         method: round(row[name]["mean"], 3)
@@ -266,18 +257,19 @@ def best(rows: Mapping[str, Any], name: str, metric: Metric) -> set[str]:
     return {method for method, mean in means.items() if worth(mean) == first}
 
 
-def to_markdown(report: Mapping[str, Any]) -> str:
+def to_markdown(report: Json) -> str:
     """The report as Markdown."""
-    lines = ["# Bench", ""]
-    lines += [f"- {name}: {value}" for name, value in report.items() if isinstance(value, str)]
+    about = [f"- {name}: {value}" for name, value in report.items() if isinstance(value, str)]
+    blocks = ["# Bench", "\n".join(about)]
     for kind in report["datasets"]:
-        lines += ["", f"## {kind}"]
+        blocks.append(f"## {kind}")
         for block in shown(report, kind):
             if isinstance(block, str):
-                lines += ["", block]
+                blocks.append(block)
                 continue
-            lines += ["", f"### {block.title}", "", *head(block.heads)]
-            lines += [line(name, cells) for name, cells in block.rows]
-            for name, cells in block.paper:
-                lines.append(line(f"*{name}*", (f"*{c}*" if c != "–" else c for c in cells)))
-    return "\n".join(lines) + "\n"
+            theirs = [
+                (f"*{name}*", [f"*{c}*" if c != "–" else c for c in cells])
+                for name, cells in block.paper
+            ]
+            blocks += [f"### {block.title}", table(block.heads, [*block.rows, *theirs])]
+    return "\n\n".join(blocks) + "\n"

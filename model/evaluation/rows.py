@@ -53,7 +53,11 @@ def rows_of(
     ScenegenError where two have one name, and where a row cannot be."""
     from scenegen.model.evaluation.methods import Predicted
 
-    rows: list[Method] = [*map(find_method, names), *map(network_row, weights)]
+    rows: list[Method] = [*map(find_method, names)]
+    if weights:
+        from scenegen.model.completion.completer import Completer  # the other rows need no torch
+
+        rows += [Completer.from_pretrained(name, threads=1) for name in weights]
     if predictions is not None:
         rows.append(Predicted(predictions))
     named = [row.name for row in rows]
@@ -69,10 +73,3 @@ def check_rows(rows: "Sequence[Method]", datasets: "Sequence[Dataset]", split: s
     for row, dataset in product(rows, datasets):
         if (check := getattr(row, "check", None)) is not None:
             check(dataset, split)
-
-
-def network_row(weights: str) -> "Method":
-    """A network's row; what it needs is imported here, so that the other rows need no torch."""
-    from scenegen.model.completion.completer import Completer
-
-    return Completer.from_pretrained(weights, threads=1)

@@ -9,18 +9,19 @@ from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lidarsim import GridSpec
+from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
 from scenegen.dataset.read import Dataset, Rows, Split
+from scenegen.display.look import evenly
 from scenegen.errors import DatasetError, empty_split
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.config import BenchConfig
 from scenegen.model.evaluation.methods import Method
-from scenegen.model.evaluation.metrics import measure
+from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS, measure
 from scenegen.model.evaluation.planning.measure import (
     Measurement,
     Trials,
@@ -55,11 +56,9 @@ DISTANCES_M = np.arange(0.05, 0.85, 0.05)
 class MethodResult:
     """One method on one dataset, sample by sample and trial by trial."""
 
-    reconstruction: NDArray[np.float64]
-    """(N, 2 + classes, metrics): over the whole map, over its unknown voxels, then by class of
-    voxels."""
-    tuned: NDArray[np.float64]
-    """(N, metrics): over the whole map, at the tuned thresholds."""
+    reconstruction: Floats
+    """(N, 3 + classes, metrics): over the whole map, over its unknown voxels, then by class of
+    voxels; and last over the whole map again, at the tuned thresholds."""
     thresholds: Thresholds
     """The tuned ones."""
     trials: tuple[Measurement, ...]
@@ -67,8 +66,15 @@ class MethodResult:
     """Whether the method was trained, or may have been: see `Method.learned`."""
     studies: tuple[Study, ...]
     """By sample; () unless asked for."""
-    careful: list[NDArray[np.float64]]
+    careful: list[Floats]
     """(settings, figures) of each trial that was studied."""
+
+    def values(self, metric: str, region: int = 0) -> Floats:
+        """A metric by its name: of every map, (N,), over a region of `reconstruction`, or of every
+        trial, (trials,)."""
+        if metric in PLAN_METRICS:
+            return np.array([PLAN_METRICS[metric].of(trial) for trial in self.trials], np.float64)
+        return self.reconstruction[:, region, [*METRICS].index(metric)]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -79,9 +85,9 @@ class DatasetResult:
     digest: str
     grid: GridSpec
     config: BenchConfig
-    worlds: NDArray[np.int64]
+    worlds: Ints
     """(N,): the samples' worlds."""
-    trial_worlds: NDArray[np.int64]
+    trial_worlds: Ints
     """(trials,): the trials' worlds."""
     trial_places: tuple[tuple[int, int], ...]
     """Each trial's sample by its number in the split, and the trial's own number within the
@@ -90,19 +96,27 @@ class DatasetResult:
     """Drawn trials that are not valid, by reason."""
     methods: dict[str, MethodResult]
 
+    def worlds_of(self, metric: str) -> Ints:
+        """The worlds of what `MethodResult.values` gives."""
+        return self.trial_worlds if metric in PLAN_METRICS else self.worlds
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class _Found:
-    """What one sample gave; the last four by method, in order."""
 
-    index: int
+class _OfMap(NamedTuple):
+    """What one method gave on one sample; see `MethodResult`."""
+
+    reconstruction: Floats
+    trials: list[Measurement]
+    study: Study | None
+    """None unless asked for."""
+
+
+class _Found(NamedTuple):
+    """What one sample gave."""
+
+    number: int
     world: int
     excluded: Counter[str]
-    reconstruction: list[NDArray[np.float64]]
-    tuned: list[NDArray[np.float64]]
-    trials: list[list[Measurement]]
-    studies: list[Study]
-    """Empty unless asked for."""
+    methods: list[_OfMap]
 
 
 def check_middle(
@@ -160,7 +174,7 @@ def bench(
     ours = numbers_by_kind(split).get(kind)
     if ours is None:
         raise DatasetError(f"{dataset.folder}: holds no {kind} in its {config.split} split")
-    indices = [ours[n] for n in spread(len(ours), config.samples or len(ours))]
+    indices = [ours[n] for n in evenly(len(ours), config.samples or len(ours))]
     tasks = [Rows(config.split, indices[n : n + CHUNK]) for n in range(0, len(indices), CHUNK)]
     check_together(execute, "a report takes")
     tuned = [tune(method, dataset, config.thresholds) for method in methods]
@@ -172,11 +186,25 @@ def bench(
         for several in results:
             found += several
             on_done(len(several))
-    found.sort(key=lambda one: one.index)
+    found.sort(key=lambda one: one.number)
     # of the trials, the first of every sample first, cut to the number asked for
-    turns = sorted((turn, n) for n, one in enumerate(found) for turn in range(len(one.trials[0])))[
-        : config.trials
-    ]
+    counts = [len(one.methods[0].trials) for one in found]
+    turns = sorted((turn, n) for n, count in enumerate(counts) for turn in range(count))
+    turns = turns[: config.trials]
+
+    def of_method(m: int) -> MethodResult:
+        """What all samples gave of one method."""
+        given = [one.methods[m] for one in found]
+        studies = tuple(one.study for one in given if one.study is not None)
+        return MethodResult(
+            reconstruction=np.array([one.reconstruction for one in given]),
+            thresholds=tuned[m],
+            trials=tuple(given[n].trials[turn] for turn, n in turns),
+            learned=methods[m].learned,
+            studies=studies,
+            careful=[studies[n].careful[turn] for turn, n in turns if studies],
+        )
+
     return DatasetResult(
         kind=kind,
         digest=str(dataset.manifest.digest),
@@ -184,20 +212,9 @@ def bench(
         config=config,
         worlds=np.array([one.world for one in found]),
         trial_worlds=np.array([found[n].world for _, n in turns], dtype=np.int64),
-        trial_places=tuple((found[n].index, turn) for turn, n in turns),
+        trial_places=tuple((found[n].number, turn) for turn, n in turns),
         excluded=sum((one.excluded for one in found), start=Counter()),
-        methods={
-            method.name: MethodResult(
-                reconstruction=np.array([one.reconstruction[m] for one in found]),
-                tuned=np.array([one.tuned[m] for one in found]),
-                thresholds=tuned[m],
-                trials=tuple(found[n].trials[m][turn] for turn, n in turns),
-                learned=method.learned,
-                studies=tuple(one.studies[m] for one in found if config.study),
-                careful=[found[n].studies[m].careful[turn] for turn, n in turns if config.study],
-            )
-            for m, method in enumerate(methods)
-        },
+        methods={method.name: of_method(m) for m, method in enumerate(methods)},
     )
 
 
@@ -234,15 +251,7 @@ def _work(
             run_trial, occupancy_truth=solid, tudf_truth=gap, grid=grid, config=config.plan
         )
         seen = seen_occupancy(sample, split) if config.study else None
-        one = _Found(
-            index=index,
-            world=int(sample.world),
-            excluded=Counter(drawn.excluded),
-            reconstruction=[],
-            tuned=[],
-            trials=[],
-            studies=[],
-        )
+        given = []
         for method, best in zip(methods, tuned, strict=True):
             said = method.completion(sample, split)
             maps = {at: (said.occupied(at), said.distance(at, grid)) for at in {usual, best}}
@@ -257,14 +266,11 @@ def _work(
                 )
                 for at in maps
             }
-            one.reconstruction.append(figures[usual])
-            one.tuned.append(figures[best][0])
             occupied, distance, risk = planner_maps(said, sample, grid, config)
-            one.trials.append(
-                [trial(occupied, distance, goal=goal, risk=risk) for goal in drawn.goals]
-            )
+            trials = [trial(occupied, distance, goal=goal, risk=risk) for goal in drawn.goals]
+            study = None
             if seen is not None:
-                studied = study_map(
+                study = study_map(
                     said,
                     maps[usual][1],
                     sample,
@@ -274,14 +280,14 @@ def _work(
                     grid=grid,
                     config=config,
                 )
-                one.studies.append(studied)
-        found.append(one)
+            given.append(_OfMap(np.vstack([figures[usual], figures[best][:1]]), trials, study))
+        found.append(_Found(index, int(sample.world), Counter(drawn.excluded), given))
     return found
 
 
 def planner_maps(
     said: Prediction, sample: Sample, grid: GridSpec, config: BenchConfig
-) -> tuple[NDArray[np.bool_], NDArray[np.float32], NDArray[np.float32] | None]:
+) -> tuple[Mask, Field, Field | None]:
     """What the planner of `config` is given of a prediction: a collision map, distances, metres,
     and for the careful planner the risk of every voxel, (*grid.shape) each."""
     at, plan, careful = config.thresholds, config.plan, config.plan.planner == "careful"
@@ -305,11 +311,6 @@ def trials_of(sample: Sample, index: int, split: Split, config: BenchConfig, cou
     return draw_trials(solid, grid, config.plan, count=count, rng=rng, bounds=bounds)
 
 
-def spread(count: int, most: int) -> list[int]:
-    """At most `most` of the numbers below `count`, evenly spread."""
-    return np.unique(np.linspace(0, count - 1, min(most, count)).astype(int)).tolist()
-
-
 def tune(method: Method, dataset: Dataset, thresholds: Thresholds) -> Thresholds:
     """The thresholds at which `method` has the largest mean IoU on at most `TUNED` validation
     samples, evenly spread: the same rule for every method.
@@ -322,7 +323,7 @@ def tune(method: Method, dataset: Dataset, thresholds: Thresholds) -> Thresholds
         return thresholds
     scores: list[list[float]] = []
     name, candidates = "probability", PROBABILITIES
-    for index in spread(len(split), TUNED):
+    for index in evenly(len(split), TUNED):
         sample = split[index]
         scored = scored_voxels(sample, dataset.grid, split.home(index).tables)
         truth = sample.occupancy[scored]

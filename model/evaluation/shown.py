@@ -2,18 +2,15 @@
 pictures of trials that failed, and charts."""
 
 import dataclasses
-import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
-from lidarsim import GridSpec
+from lidarsim.grid import Field, Floats, GridSpec, Mask
 from scenegen.dataset.read import Dataset, Split
 from scenegen.display.look import Guess, Guesses, Route, look_into
 from scenegen.errors import DatasetError
+from scenegen.files import Json
 from scenegen.model.evaluation.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Method
 from scenegen.model.evaluation.planning.astar import Lattice
@@ -52,9 +49,7 @@ def _guesses(
     return found
 
 
-def _goal(
-    sample: Sample, split: Split, config: BenchConfig, trial: int
-) -> NDArray[np.float64] | None:
+def _goal(sample: Sample, split: Split, config: BenchConfig, trial: int) -> Floats | None:
     """The goal (3,) of a trial as the bench draws it, map frame, metres; None where the sample has
     fewer."""
     index = split.names.index((split.name, int(sample.world), int(sample.viewpoint)))
@@ -63,10 +58,10 @@ def _goal(
 
 
 def route_to(
-    goal: NDArray[np.float64],
-    occupied: NDArray[np.bool_],
-    tudf: NDArray[np.float32],
-    risk: NDArray[np.float32] | None,
+    goal: Floats,
+    occupied: Mask,
+    tudf: Field,
+    risk: Field | None,
     sample: Sample,
     grid: GridSpec,
     config: PlanConfig,
@@ -121,11 +116,7 @@ def draw_failures(
     installed."""
     from scenegen.display.figures import draw_paths
 
-    shown = [
-        method
-        for method in methods
-        if method.name in result.methods and result.methods[method.name].learned
-    ]
+    shown = [method for method in methods if method.learned]
     name, trials = failing(result)
     found = []
     for n in trials:
@@ -143,7 +134,7 @@ CHARTS = {"reconstruction": ("iou", "near_rmse"), "planning": ("success", "min_c
 """Metrics that are drawn, by table."""
 
 
-def draw_charts(report: Mapping[str, Any], kind: str) -> list[tuple[str, bytes]]:
+def draw_charts(report: Json, kind: str) -> list[tuple[str, bytes]]:
     """What each chart shows, and the chart, WebP: a dot for each method with its interval, and a
     ring for each of the paper's. Raises ImportError where matplotlib is not installed."""
     from matplotlib.figure import Figure
@@ -170,12 +161,7 @@ def draw_charts(report: Mapping[str, Any], kind: str) -> list[tuple[str, bytes]]
 
 def _webp(figure: "Figure") -> bytes:
     """A figure as a picture of the report."""
-    from PIL import Image
-
     from scenegen.display.panels import to_bytes
 
-    image = Image.open(io.BytesIO(to_bytes(figure, ".png"))).convert("RGB")
-    size = WIDE, round(image.height * WIDE / image.width)
-    memory = io.BytesIO()
-    image.resize(size, Image.Resampling.LANCZOS).save(memory, "WEBP", quality=70)
-    return memory.getvalue()
+    figure.set_dpi(WIDE / figure.get_figwidth())
+    return to_bytes(figure, ".webp")

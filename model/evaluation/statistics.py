@@ -2,13 +2,16 @@
 are left out in turn."""
 
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import expit, logit, stdtr, stdtrit
+
+from lidarsim.grid import Floats
+from scenegen.files import Json
 
 Scale = Literal["amount", "share", "outcome", "gain"]
 """What values are: any numbers; shares of something, in [0, 1]; successes and failures, 1 and 0; or
@@ -58,9 +61,7 @@ class Estimate:
         )
 
 
-def estimate(
-    sums: ArrayLike, worlds: ArrayLike, of: Callable[[NDArray[np.float64]], NDArray[np.float64]]
-) -> Estimate:
+def estimate(sums: ArrayLike, worlds: ArrayLike, of: Callable[[Floats], Floats]) -> Estimate:
     """What `of` makes of sums (draws, k) over all samples, as (draws,), with its error over worlds.
 
     `sums` (N, k) are those of each sample, of `worlds` (N,). The error is the jackknife's, which
@@ -82,7 +83,7 @@ def estimate(
     return Estimate(value=value, error=error, freedom=count - 1)
 
 
-def figure(values: ArrayLike, worlds: ArrayLike, scale: Scale = "amount") -> dict[str, Any]:
+def figure(values: ArrayLike, worlds: ArrayLike, scale: Scale = "amount") -> Json:
     """A figure as JSON holds it, from `values` (N,) of samples from `worlds` (N,); NaN values are
     left out.
 
@@ -144,7 +145,7 @@ def paired_p(
     return float((1 + (flipped >= observed * (1 - 1e-12)).sum()) / (1 + FLIPS))
 
 
-def holm(p_values: ArrayLike) -> NDArray[np.float64]:
+def holm(p_values: ArrayLike) -> Floats:
     """P-values (m,) corrected for their number (Holm 1979)."""
     given = np.asarray(p_values, dtype=np.float64)
     order = np.argsort(given)
@@ -154,9 +155,9 @@ def holm(p_values: ArrayLike) -> NDArray[np.float64]:
     return corrected
 
 
-def _mean(sums: NDArray[np.float64]) -> NDArray[np.float64]:
+def _mean(sums: Floats) -> Floats:
     """Means (draws,) of sums and counts (draws, 2)."""
-    return np.asarray(sums[:, 0] / sums[:, 1])
+    return sums[:, 0] / sums[:, 1]
 
 
 def head(names: Collection[str]) -> list[str]:
@@ -169,29 +170,34 @@ def line(name: str, cells: Iterable[str]) -> str:
     return f"| {name} | {' | '.join(cells)} |"
 
 
-def cell(figure: Mapping[str, Any]) -> str:
+def table(heads: Collection[str], rows: Iterable[tuple[str, Iterable[str]]]) -> str:
+    """A table of rows by name, as Markdown."""
+    return "\n".join([*head(heads), *(line(name, cells) for name, cells in rows)])
+
+
+def cell(figure: Json) -> str:
     """A figure with its spread and interval, and its threshold; a dash where nothing was
     measured."""
     if not figure["n"]:
         return "–"
-    return f"{spread(figure['mean'], figure['std'])} {interval(figure, '.3f')}{threshold(figure)}"
+    return f"{with_std(figure['mean'], figure['std'])} {interval(figure, '.3f')}{threshold(figure)}"
 
 
-def brief(figure: Mapping[str, Any]) -> str:
+def brief(figure: Json) -> str:
     """A mean and its interval; a dash where nothing was measured."""
     return f"{figure['mean']:.3f} {interval(figure, '.3f')}" if figure["n"] else "–"
 
 
-def threshold(figure: Mapping[str, Any]) -> str:
+def threshold(figure: Json) -> str:
     """At which threshold a figure stands, where that is its own."""
     return f" at {figure['at']}" if figure.get("at") else ""
 
 
-def interval(figure: Mapping[str, Any], form: str) -> str:
+def interval(figure: Json, form: str) -> str:
     """[low, high], or a dash where one world gives none."""
     return "[–]" if figure["low"] is None else f"[{figure['low']:{form}}, {figure['high']:{form}}]"
 
 
-def spread(mean: float, std: float | None) -> str:
+def with_std(mean: float, std: float | None) -> str:
     """A mean with its standard deviation, where there is one."""
     return f"{mean:.3f}" if std is None else f"{mean:.3f} ± {std:.3f}"

@@ -2,7 +2,7 @@
 what a planner makes of it that asks for a risk."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim import GridSpec
+from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
+from scenegen.files import Json
 from scenegen.model.calibration import corrected
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import LossConfig, Thresholds
@@ -67,26 +68,26 @@ class Setting:
 class Study:
     """What was found out about one method on one map."""
 
-    counts: NDArray[np.float64]
+    counts: Floats
     """See `scenegen.model.evaluation.uncertainty.count`."""
-    bounds: NDArray[np.float64]
+    bounds: Floats
     """(risks, PARTS, JUDGED): see `judge_bounds`."""
     ause: float
     """The bounds'; NaN without any."""
     settings: tuple[Setting, ...]
     """What the careful planner goes by, the risks of the bounds first."""
-    careful: NDArray[np.float64]
+    careful: Floats
     """(goals, settings, figures): see `run_settings`."""
 
 
 def study_map(
     said: Prediction,
-    distance: NDArray[np.float32],
+    distance: Field,
     sample: Sample,
     *,
     classes: NDArray[np.uint8],
-    seen: NDArray[np.bool_],
-    goals: NDArray[np.float64],
+    seen: Mask,
+    goals: Floats,
     grid: GridSpec,
     config: BenchConfig,
 ) -> Study:
@@ -130,11 +131,11 @@ def settings_of(said: Prediction) -> tuple[Setting, ...]:
 def run_settings(
     chosen: Sequence[Setting],
     said: Prediction,
-    truth: tuple[NDArray[np.bool_], NDArray[np.float32]],
-    goals: NDArray[np.float64],
+    truth: tuple[Mask, Field],
+    goals: Floats,
     grid: GridSpec,
     plan: PlanConfig,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Every trial of one map at each setting, (goals, settings, TOLD and then CHANCES); NaN for
     what a trial without a path, or a method without calibrated probabilities, lacks."""
     found = np.full((len(goals), len(chosen), len(TOLD) + len(CHANCES)), np.nan)
@@ -159,9 +160,7 @@ def run_settings(
     return found
 
 
-def _maps(
-    setting: Setting, said: Prediction, grid: GridSpec
-) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+def _maps(setting: Setting, said: Prediction, grid: GridSpec) -> tuple[Mask, Field]:
     """The collision map and the field that a setting makes of a prediction."""
     if setting.by == "risk":
         low = said.low(setting.value)
@@ -173,10 +172,10 @@ def _maps(
 
 def study_of(
     studies: Sequence[Study],
-    careful: Sequence[NDArray[np.float64]],
-    worlds: NDArray[np.int64],
-    trial_worlds: NDArray[np.int64],
-) -> dict[str, Any]:
+    careful: Sequence[Floats],
+    worlds: Ints,
+    trial_worlds: Ints,
+) -> Json:
     """What was studied of one method, as JSON: its ``reliability`` and ``bounds``, None where it
     has none, from the `studies` of N maps of `worlds` (N,); and the careful planner's ``risk`` from
     the `careful` rows of all trials. Figures are {mean, std, low, high, n}, as in the tables."""
@@ -189,7 +188,7 @@ def study_of(
     return {
         "reliability": {"class_weight": CLASS_WEIGHT, **found} if found else None,
         "bounds": bounds_of(bounds, sparse, risks, worlds) if risks else None,
-        "risk": risk_of(
+        "risk": careful_figures(
             np.array(careful).reshape(len(careful), len(settings), len(TOLD) + len(CHANCES)),
             settings,
             trial_worlds,
@@ -197,9 +196,7 @@ def study_of(
     }
 
 
-def risk_of(
-    trials: NDArray[np.float64], chosen: Sequence[Setting], worlds: NDArray[np.int64]
-) -> dict[str, Any]:
+def careful_figures(trials: Floats, chosen: Sequence[Setting], worlds: Ints) -> Json:
     """The report of all trials (trials, settings, ...): a row a setting, and, by how likely paths
     were said to collide, how many did, over all settings."""
     rows = [
@@ -212,7 +209,7 @@ def risk_of(
     ]
     collided = trials[:, :, TOLD.index("collided")].reshape(-1)
     repeated = np.repeat(worlds, len(chosen))
-    paths: dict[str, list[dict[str, Any]]] = {name: [] for name in CHANCES}
+    paths: dict[str, list[Json]] = {name: [] for name in CHANCES}
     for n, name in enumerate(CHANCES, start=len(TOLD)):
         said = trials[:, :, n].reshape(-1)
         for low, high in pairwise(EDGES):
@@ -224,7 +221,7 @@ def risk_of(
     return {"settings": rows, "paths": paths}
 
 
-def study_tables(study: Mapping[str, Any]) -> list[tuple[Any, ...]]:
+def study_tables(study: Json) -> list[tuple[Any, ...]]:
     """What `study_of` gave of every method, for people: tables by title, heads and rows; none where
     nothing was studied."""
     names = ("promised", *TOLD, *CHANCES)

@@ -3,12 +3,12 @@
 import math
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lidarsim.grid import Field, Floats, Ints, Mask
 from lidarsim.jit import kernel
+from scenegen.files import Json
 from scenegen.model.calibration import RISK
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.evaluation.config import NEAR_M
@@ -31,14 +31,14 @@ SMALLEST = 1e-7
 
 
 def regions(
-    scored: NDArray[np.bool_],
-    unknown: NDArray[np.bool_],
-    distance: NDArray[np.float32],
-    true: NDArray[np.float32],
-    seen: NDArray[np.float32],
+    scored: Mask,
+    unknown: Mask,
+    distance: Field,
+    true: Field,
+    seen: Field,
     *,
     truncation_m: float,
-) -> NDArray[np.bool_]:
+) -> Mask:
     """The voxels of each of `REGIONS`, (regions, *shape): none that is not `scored`, and otherwise
     from predicted and true distances and those to the obstacles that returned something; the grids
     have one shape."""
@@ -48,10 +48,10 @@ def regions(
 
 
 def count(
-    readings: Sequence[NDArray[np.float32]],
-    occupancy: NDArray[np.bool_],
-    inside: NDArray[np.bool_],
-) -> NDArray[np.float64]:
+    readings: Sequence[Field],
+    occupancy: Mask,
+    inside: Mask,
+) -> Floats:
     """The counts of one map, (regions, READINGS, BINS, COUNTS), from the probabilities of the first
     so many `READINGS`; the grids have one shape, and `inside` tells the `regions`."""
     counts = np.zeros((len(REGIONS), len(READINGS), BINS, len(COUNTS)))
@@ -78,7 +78,7 @@ def _count(probability, occupancy, inside, counts):
                 counts[region, b, 4] += brier
 
 
-def reliability(counts: NDArray[np.float64], worlds: NDArray[np.int64]) -> dict[str, Any]:
+def reliability(counts: Floats, worlds: Ints) -> Json:
     """The reliability of N maps of `worlds` (N,): by region and reading, the bins that hold voxels;
     and over all voxels
     the negative log-likelihood, the Brier score, and the expected calibration error, which is the
@@ -88,7 +88,7 @@ def reliability(counts: NDArray[np.float64], worlds: NDArray[np.int64]) -> dict[
 
     `counts` (N, regions, readings, BINS, counts) are those of `count`.
     """
-    found: dict[str, Any] = {}
+    found: Json = {}
     for r, region in enumerate(REGIONS):
         for n, reading in enumerate(READINGS):
             maps = counts[:, r, n]
@@ -124,7 +124,7 @@ def reliability(counts: NDArray[np.float64], worlds: NDArray[np.int64]) -> dict[
     return found
 
 
-def _score(name: str, sums: NDArray[np.float64]) -> NDArray[np.float64]:
+def _score(name: str, sums: Floats) -> Floats:
     """One of `SCORES` (k,) of sums (k, BINS * counts): expected calibration errors, or means over
     voxels; NaN of no voxels."""
     counts = sums.reshape(len(sums), BINS, len(COUNTS))
@@ -147,10 +147,10 @@ SHARES = np.arange(1, 21) / 20
 
 def judge_bounds(
     said: Prediction,
-    distance: NDArray[np.float32],
-    true: NDArray[np.float32],
-    inside: NDArray[np.bool_],
-) -> tuple[NDArray[np.float64], float]:
+    distance: Field,
+    true: Field,
+    inside: Mask,
+) -> tuple[Floats, float]:
     """By risk, region of `inside` and figure, (risks, PARTS, JUDGED), what the bounds of a
     prediction whose distances are `distance` are worth on one map; and its area under the
     sparsification error, of the bounds nearest to `RISK`. NaN over no voxels, and without
@@ -170,7 +170,7 @@ def judge_bounds(
     return found, sparse
 
 
-def ause(error: NDArray[np.floating], doubt: NDArray[np.floating]) -> float:
+def ause(error: Field, doubt: Field) -> float:
     """The area under the sparsification error (Ilg et al. 2018): by how much the mean `error` (n,)
     of the surest voxels by `doubt` (n,) exceeds that of the voxels with the least errors, over all
     shares of voxels, in mean errors. 0 where doubt orders voxels as errors do; voxels of equal
@@ -189,11 +189,11 @@ def ause(error: NDArray[np.floating], doubt: NDArray[np.floating]) -> float:
 
 
 def bounds_of(
-    judged: NDArray[np.float64],
-    sparse: NDArray[np.float64],
+    judged: Floats,
+    sparse: Floats,
     risks: tuple[float, ...],
-    worlds: NDArray[np.int64],
-) -> dict[str, Any]:
+    worlds: Ints,
+) -> Json:
     """The report of N maps' bounds, from (N, risks, PARTS, JUDGED) and (N,): ``ause``, and a row a
     risk."""
     rows = [

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from lidarsim import AnalyticEngine, GridSpec, Sensor
+from lidarsim import AnalyticEngine, Sensor
+from lidarsim.grid import Field, GridSpec, Mask
 from lidarsim.solids.shapes import Solids
 from scenegen.dataset.read import Dataset, Split
 from scenegen.model.completion.protocol import Prediction
@@ -32,7 +33,7 @@ UNSCORED = 255
 there: no score counts it."""
 
 
-def scored_voxels(sample: Sample, grid: GridSpec, tables: Mapping[str, Any]) -> NDArray[np.bool_]:
+def scored_voxels(sample: Sample, grid: GridSpec, tables: Mapping[str, Any]) -> Mask:
     """Which voxels of a map, (*grid.shape), scores count: those that reach above the underside of
     the ground slab, all where the world has none; and in a map of a real place those that are
     known. `tables` are those of the sample's recipe.
@@ -49,23 +50,23 @@ def scored_voxels(sample: Sample, grid: GridSpec, tables: Mapping[str, Any]) -> 
     # a layer that ends at the underside does not count, however it is rounded
     layers = tops > bottom + 1e-6
     known = np.ones(grid.shape, np.bool_) if sample.known is None else sample.known
-    return np.asarray(known & layers)
+    return known & layers
 
 
-def certain_distances(sample: Sample, grid: GridSpec) -> NDArray[np.bool_] | None:
+def certain_distances(sample: Sample, grid: GridSpec) -> Mask | None:
     """The voxels (*grid.shape) whose true distance is sure: nothing that is unknown is nearer than
     what is known to be occupied. None where all is known."""
     if sample.known is None:
         return None
-    return np.asarray(sample.tudf <= distance_field(~sample.known, grid))
+    return sample.tudf <= distance_field(~sample.known, grid)
 
 
 def walled(
-    occupied: NDArray[np.bool_],
-    distance: NDArray[np.float32],
-    known: NDArray[np.bool_] | None,
+    occupied: Mask,
+    distance: Field,
+    known: Mask | None,
     grid: GridSpec,
-) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+) -> tuple[Mask, Field]:
     """A collision map and a field (*grid.shape each) for plans that keep to `known` space: what is
     not known is as solid as what is occupied."""
     if known is None:
@@ -77,7 +78,7 @@ def classify(
     sample: Sample,
     *,
     grid: GridSpec,
-    scored: NDArray[np.bool_] | None = None,
+    scored: Mask | None = None,
     lidar: Sensor | None = None,
 ) -> NDArray[np.uint8]:
     """The class of every voxel of a sample, (*grid.shape), as an index into `CLASSES`; `UNSCORED`
@@ -112,7 +113,7 @@ class Seen:
         return Prediction(occupancy_probability=seen_occupancy(sample, split).astype(np.float32))
 
 
-def seen_occupancy(sample: Sample, split: Split) -> NDArray[np.bool_]:
+def seen_occupancy(sample: Sample, split: Split) -> Mask:
     """The voxels (*grid.shape) that touch an obstacle, a geom of the world, that returned at least
     one of the sample's rays, wherever it did so.
 

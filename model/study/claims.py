@@ -17,8 +17,9 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lidarsim.grid import Floats, Ints
+from scenegen.files import Json
 from scenegen.model.config import TrainConfig
 from scenegen.model.evaluation import paper
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
@@ -66,10 +67,10 @@ class Measured:
     """All rows on the worlds of one kind."""
 
     kind: str
-    rows: Mapping[str, Mapping[str, NDArray[np.float64]]]
+    rows: Mapping[str, Mapping[str, Floats]]
     """By name and metric, the value of every map, or of every trial; NaN where there is no
     path."""
-    worlds: Mapping[str, NDArray[np.int64]]
+    worlds: Mapping[str, Ints]
     """By metric, the worlds of those values."""
 
     @classmethod
@@ -78,20 +79,13 @@ class Measured:
         return cls(
             kind=result.kind,
             rows={
-                name: {
-                    **dict(zip(METRICS, found.reconstruction[:, 0].T, strict=True)),
-                    **{
-                        metric: np.array([one.of(trial) for trial in found.trials], np.float64)
-                        for metric, one in PLAN_METRICS.items()
-                    },
-                }
+                name: {metric: found.values(metric) for metric in ALL}
                 for name, found in result.methods.items()
             },
-            worlds=dict.fromkeys(METRICS, result.worlds)
-            | dict.fromkeys(PLAN_METRICS, result.trial_worlds),
+            worlds={metric: result.worlds_of(metric) for metric in ALL},
         )
 
-    def means(self) -> dict[str, dict[str, Any]]:
+    def means(self) -> dict[str, Json]:
         """Every metric of every row, {mean, std, low, high, n}."""
         return {
             name: {
@@ -134,7 +128,7 @@ def claims() -> tuple[Claim, ...]:
     )
 
 
-def asked(measured: Sequence[Measured]) -> dict[str, list[dict[str, Any]]]:
+def asked(measured: Sequence[Measured]) -> dict[str, list[Json]]:
     """What is known of all claims, as `compared` tells it: the paper's ``claims``; what the study
     asks ``beside`` them; and ``paths``, those about paths again. The tables answer these by the
     paths that each method has, so that a method that has none in the tight trials has the better
@@ -156,11 +150,11 @@ def asked(measured: Sequence[Measured]) -> dict[str, list[dict[str, Any]]]:
     }
 
 
-def judged(study: Mapping[str, Any]) -> dict[str, Any]:
+def judged(study: Json) -> Json:
     """`study`, what ``study.json`` holds or will hold, with all verdicts, and the answers to the
     questions: from its ``runs``, its ``means``, and what `asked` found."""
     spreads = {
-        (kind, metric): spread(losses(rows, metric))
+        (kind, metric): seed_variance(losses(rows, metric))
         for kind, rows in study["means"].items()
         for metric in ALL
     }
@@ -169,7 +163,7 @@ def judged(study: Mapping[str, Any]) -> dict[str, Any]:
     return {**study, "verdicts": answers(parts["claims"]), **parts}
 
 
-def compared(claim: Claim, measured: Measured, *, common: bool = False) -> dict[str, Any]:
+def compared(claim: Claim, measured: Measured, *, common: bool = False) -> Json:
     """What is known of a claim, as JSON: what it says and its question; the difference of every
     pair of networks, rows named ``occ-s0``, one of each method, and of all of them, positive where
     the claim has it so; and the error of that over worlds, with its degrees of freedom. Means are
@@ -200,10 +194,10 @@ def compared(claim: Claim, measured: Measured, *, common: bool = False) -> dict[
 
 
 def decided(
-    found: Sequence[dict[str, Any]],
+    found: Sequence[Json],
     spreads: Mapping[tuple[str, str], tuple[float, int]],
     long: Collection[str],
-) -> list[dict[str, Any]]:
+) -> list[Json]:
     """What `compared` found, each with its interval over worlds and seeds, its probability by Holm,
     and its verdict.
 
@@ -232,7 +226,7 @@ def decided(
     return told
 
 
-def _over_seeds(one: Mapping[str, Any], variance: float, freedom: int) -> Estimate | None:
+def _over_seeds(one: Json, variance: float, freedom: int) -> Estimate | None:
     """The difference with its error over worlds and seeds; None where that is unknown."""
     counts = [len({pair[side] for pair in one["pairs"]}) for side in ("best_seed", "other_seed")]
     if min(counts) < 2 or not freedom or None in (one["difference"], one["worlds_error"]):
@@ -246,7 +240,7 @@ def _over_seeds(one: Mapping[str, Any], variance: float, freedom: int) -> Estima
     return Estimate(value=one["difference"], error=total**0.5, freedom=joined)
 
 
-def losses(means: Mapping[str, Mapping[str, Any]], metric: str) -> dict[str, float]:
+def losses(means: Mapping[str, Json], metric: str) -> dict[str, float]:
     """The mean of every network that has a seed, as something to be small, from `Measured.means`
     or what a file holds of them."""
     return {
@@ -256,7 +250,7 @@ def losses(means: Mapping[str, Mapping[str, Any]], metric: str) -> dict[str, flo
     }
 
 
-def spread(found: Mapping[str, float]) -> tuple[float, int]:
+def seed_variance(found: Mapping[str, float]) -> tuple[float, int]:
     """The variance of a figure over training seeds, pooled over methods, and its degrees of
     freedom; `found` are the figures of rows named ``occ-s0``."""
     by_method: dict[str, list[float]] = {}
@@ -267,7 +261,7 @@ def spread(found: Mapping[str, float]) -> tuple[float, int]:
     return (squares / freedom if freedom else math.nan), freedom
 
 
-def waited(run: Mapping[str, Any]) -> float:
+def waited(run: Json) -> float:
     """For how many epochs a run went on after the lowest loss in validation."""
     best = min(run["curve"], key=lambda row: row["val_loss"])
     return float((run["curve"][-1]["maps"] - best["maps"]) / run["samples"])
@@ -280,7 +274,7 @@ def seeded(row: str) -> tuple[str, int | None]:
     return (name, int(seed)) if name and seed.isdecimal() else (row, None)
 
 
-def answers(found: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+def answers(found: Sequence[Json]) -> dict[str, Json]:
     """What `judged` claims, of all kinds, say to each question: how many are confirmed, refuted and
     undecided, and the verdict on which all of them agree, or else "undecided"."""
     answered = {}
@@ -309,10 +303,10 @@ def gain(
         held &= held.all(axis=1, keepdims=True)
     sums = np.stack([np.where(held, values, 0.0), held]).reshape(-1, values.shape[-1]).T
 
-    def of(sums: NDArray[np.float64]) -> NDArray[np.float64]:
+    def of(sums: Floats) -> Floats:
         total, count = np.moveaxis(sums.reshape(len(sums), 2, len(pairs), 2), 1, 0)
         with np.errstate(invalid="ignore"):  # worlds without a path say nothing
             lost = _loss(metric, total / count)
-        return np.asarray((lost[..., 1] - lost[..., 0]).mean(axis=1))
+        return (lost[..., 1] - lost[..., 0]).mean(axis=1)
 
     return estimate(sums, measured.worlds[metric], of)

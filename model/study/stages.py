@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 
@@ -16,17 +16,14 @@ from scenegen.dataset.locate import file_sha256
 from scenegen.dataset.manifest import differences
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
-from scenegen.files import make_parent, read_bounded, write_whole
+from scenegen.files import Json, make_parent, read_bounded, write_whole
 from scenegen.limits import MOST_MANIFEST_BYTES
 from scenegen.model.api import train
 from scenegen.model.checkpoint import CheckpointError
-from scenegen.model.completion.completer import Completer
-from scenegen.model.completion.unlearned import Extrude, Returns
 from scenegen.model.evaluation.config import BenchConfig
-from scenegen.model.evaluation.methods import Completed, Method, Truth
 from scenegen.model.evaluation.report import finite
+from scenegen.model.evaluation.rows import rows_of
 from scenegen.model.evaluation.run import bench
-from scenegen.model.evaluation.visibility import Seen
 from scenegen.model.study.claims import Measured, asked, judged
 from scenegen.model.study.report import to_markdown
 from scenegen.model.study.runs import KINDS, RUNS, TRIALS, ReproduceConfig, Run
@@ -52,7 +49,7 @@ def reproduce(
     device: str = "auto",
     workers: int = 1,
     progress: Callable[[str], "Progress"],
-) -> dict[str, Any]:
+) -> Json:
     """Make the study of `runs` in the folder `out`, or go on with it, and return what
     ``study.json`` holds. On a CPU, `workers` networks are trained side by side, one thread each.
 
@@ -66,8 +63,8 @@ def reproduce(
         start = partial(shown.start, maps * len(runs))
         for _ in run_workers(work, runs, 1 if where.type == "cuda" else workers, start):
             shown.count(maps)
-    methods: list[Method] = [Completed(Returns()), Completed(Extrude()), Truth(), Seen()]
-    methods += [Completer.from_pretrained(out / "runs" / run.name, threads=1) for run in runs]
+    networks = [str(out / "runs" / run.name) for run in runs]
+    methods = rows_of(("returns", "extrude", "truth", "seen"), networks, None)
     usual, measured = BenchConfig(trials=config.scaled(TRIALS), seed=config.seed), []
     for folder in folders:
         with progress(f"bench, {folder.name}") as shown:
@@ -117,7 +114,7 @@ def begin(out: Path, config: ReproduceConfig) -> None:
     write_whole(out / SETTINGS, (json.dumps(asdict(config), indent=1) + "\n").encode())
 
 
-def read_json(path: Path) -> dict[str, Any] | None:
+def read_json(path: Path) -> Json | None:
     """A JSON object; None where there is none, or it is damaged."""
     try:
         found = json.loads(read_bounded(path, MOST_MANIFEST_BYTES))
@@ -155,7 +152,7 @@ def _train(folder: Path, datasets: Sequence[Path], maps: int, device: str, run: 
         train(datasets, out=out, device=device, **settings)
 
 
-def _told(folder: Path, run: Run) -> dict[str, Any]:
+def _told(folder: Path, run: Run) -> Json:
     """What is told of a finished run: what it is for, its settings, hardware, time and curve, its
     network's digest."""
     held = read_json(folder / CONFIG) or {}

@@ -4,12 +4,11 @@ import csv
 import io
 import math
 import re
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from scenegen.errors import DatasetError
-from scenegen.files import read_bounded
+from scenegen.files import Json, read_bounded
 from scenegen.limits import MOST_EPOCHS, MOST_LINE_BYTES
 from scenegen.model.config import VARIANTS
 from scenegen.model.evaluation.metrics import METRICS
@@ -69,12 +68,10 @@ GIVES = {"occupancy": "the probability of occupancy", "tudf": "the truncated dis
 """What a network predicts, by task."""
 
 
-def card(name: str, about: Mapping[str, Any]) -> str:
+def card(name: str, about: Json) -> str:
     """The card of a network, as Markdown, from what its file's header says `about` it."""
     settings, figures, command = about["settings"], about["figures"], about["command"]
-    network = {"inputs": ["observed"]} | settings[
-        "network"
-    ]  # which networks of earlier commits do not name
+    network = settings["network"]
     known = VARIANTS.get(network["variant"])  # of a user's own nobody says what it gives
     tasks = [what for task, what in GIVES.items() if known and task in known.tasks]
     gives = " and gives " * bool(tasks) + " and ".join(tasks)
@@ -94,9 +91,7 @@ def card(name: str, about: Mapping[str, Any]) -> str:
         if samples is None
         else f"{samples} samples: datasets"
     )
-    length = f"{figures['epoch']:.0f} epochs to the best of {epochs} at most"
-    if "maps" in figures:
-        length = f"{figures['maps']:.0f} maps seen"
+    length = f"{figures['maps']:.0f} maps seen"
     if epochs < FULL_EPOCHS and settings.get("maps") is None:
         whole = re.sub(f" --epochs[ =]{epochs}(?![0-9])", "", command)
         full = f"""This is not the full protocol, which trains for up to {FULL_EPOCHS} epochs and \
@@ -130,7 +125,7 @@ in training. {_sure(about)}
 """
 
 
-def _sure(about: Mapping[str, Any]) -> str:
+def _sure(about: Json) -> str:
     """What its probabilities are worth."""
     loss = about["settings"]["loss"]
     learned = f"with occupied voxels {loss['occupied_weight']:g} times as heavy as free ones"

@@ -1,20 +1,23 @@
 """How a run goes: its steps, its pauses, and its looks at validation."""
 
 import math
-from collections import Counter, defaultdict
+from collections import defaultdict
 
+import numpy as np
 import torch
 from torch import nn
 
+from lidarsim.grid import Floats
 from scenegen.errors import DatasetError
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import LossConfig, TrainConfig
 from scenegen.model.evaluation.metrics import METRICS, measure_whole
 from scenegen.model.losses import loss_of
 from scenegen.model.network import Output
-from scenegen.model.training.data import Maps, TudfOf, Views, epoch_batches, load, stream_batch
+from scenegen.model.training.data import Maps, Views, epoch_batches, load
 from scenegen.model.training.device import Group, autocast
 from scenegen.model.training.run_folder import Progress
+from scenegen.sample import rng_of
 
 
 @torch.inference_mode()
@@ -36,46 +39,42 @@ def validate(
     is ever occupied.
     """
     network.eval()
-    grid, tudf_of, loss_in = maps.grid, TudfOf(maps.grid), loss_of(loss, maps.grid)
+    loss_in = loss_of(loss, maps.grid)
     batches = [list(range(n, min(n + batch, len(maps)))) for n in range(0, len(maps), batch)]
-    sums, counts, largest = defaultdict[str, float](float), Counter[str](), 0.0
+    totals, largest = defaultdict[str, Floats](lambda: np.zeros(2)), 0.0  # sums and counts
     for read in load(maps, batches[group.rank :: group.size], workers=workers, pinned=False):
-        true, there = read["occupancy"], {name: values.to(device) for name, values in read.items()}
-        tudf_of.complete(there)
+        there, count = {name: one.to(device) for name, one in read.items()}, len(read["tudf"])
         with autocast(device, precision):
             output = Output(*network(there))
         for name, value in loss_in(output, there).items():
-            sums[name] += value.item() * len(true)
-            counts[name] += len(true)
+            totals[name] += np.array([value.item() * count, count])
         probability = (
             None if output.logits is None else output.logits.float().sigmoid().cpu().numpy()
         )
         distance = None if output.tudf is None else output.tudf.float().cpu().numpy()
         largest = max(largest, 0.0 if probability is None else float(probability.max()))
-        sure = [
-            there[name].cpu().numpy() if name in there else None for name in ("known", "certain")
-        ]
-        for n, true_distance in enumerate(there["tudf"].cpu().numpy()):
+        for n in range(count):
             said = Prediction(
                 *(None if part is None else part[n] for part in (probability, distance))
             )
-            known, certain = (None if part is None else part[n] for part in sure)
-            measured = measure_whole(said, true[n].numpy(), true_distance, grid, known, certain)
+            true = {name: values[n].numpy() for name, values in read.items()}
+            measured = measure_whole(
+                said,
+                true["occupancy"],
+                true["tudf"],
+                maps.grid,
+                true.get("known"),
+                true.get("certain"),
+            )
             for name, value in zip(METRICS, measured.tolist(), strict=True):
                 if math.isfinite(value):  # a map without such voxels says nothing of them
-                    sums[name] += value
-                    counts[name] += 1
-    everywhere = group.gather((dict(sums), counts, largest))
-    counted = sum((theirs for _, theirs, _ in everywhere), start=Counter[str]())
-    means = {
-        name: sum(theirs.get(name, 0.0) for theirs, _, _ in everywhere) / n
-        for name, n in counted.items()
-    }
-    return {
-        **dict.fromkeys(METRICS, math.nan),
-        **means,
-        "largest": max(top for _, _, top in everywhere),
-    }
+                    totals[name] += (value, 1)
+    everywhere = group.gather((dict(totals), largest))
+    means = dict.fromkeys(METRICS, math.nan)
+    for name in [name for theirs, _ in everywhere for name in theirs]:
+        total, number = sum(theirs.get(name, np.zeros(2)) for theirs, _ in everywhere)
+        means[name] = float(total / number)
+    return {**means, "largest": max(top for _, top in everywhere)}
 
 
 STREAM_INTERVAL = 5000
@@ -122,7 +121,7 @@ class Course:
         says.
         """
         first = progress.epoch * self.round
-        if progress.epoch - progress.best_epoch > self._config.patience:
+        if progress.waited >= self._config.patience:
             if self._cosine:
                 return range(0)
             if progress.decay is None and first < self.latest_decay:
@@ -152,21 +151,16 @@ class Course:
         """The keys of `Maps` that steps `first`, `first` + 1, … see, `count` batches: one pass
         after the other, or a stream's own, in which no map comes twice."""
         found: list[list[tuple[int, int]]] = []
-        config = self._config
+        config, maps, views = self._config, self._maps, self._views
         if self._order is not None:
-            numbers = range(first, first + count)
             return [
-                stream_batch(self._order, self._maps, n, seed=config.seed, views=self._views)
-                for n in numbers
+                views.of(self._order[n], maps, rng=rng_of(config.seed, n, 0))
+                for n in range(first, first + count)
             ]
         while len(found) < count:
             epoch, step = divmod(first + len(found), self._pass)
             keys = epoch_batches(
-                self._maps,
-                batch=config.batch,
-                seed=config.seed,
-                epoch=epoch,
-                views=self._views,
+                maps, batch=config.batch, seed=config.seed, epoch=epoch, views=views
             )
             found += keys[step : step + count - len(found)]
         return found

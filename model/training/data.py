@@ -1,8 +1,6 @@
-"""Samples as torch sees them: named maps by number, batches in a seeded order, distances derived
-where the batch is."""
+"""Samples as torch sees them: named maps by number, and batches in a seeded order."""
 
 import itertools
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -10,20 +8,19 @@ from typing import Any, Protocol
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
-from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
-from lidarsim import GridSpec, Sensor
+from lidarsim import Sensor
+from lidarsim.grid import GridSpec, Ints
 from scenegen.dataset.gather import check_disjoint
 from scenegen.dataset.generation import fraction
 from scenegen.dataset.read import Dataset as SampleDataset
 from scenegen.errors import DatasetError, ScenegenError, short
 from scenegen.model.inputs import SYMMETRIES, channels, points_of, turned
+from scenegen.model.network import Batch
 from scenegen.sample import Sample, rng_of
 from scenegen.streams.batches import Batches
-from scenegen.streams.mixture import parts_of
 from scenegen.streams.stream import Stream
 from scenegen.truth import distance_field
 from scenegen.worlds.mapping import Mapper
@@ -34,10 +31,6 @@ that each flight is drawn once. The order of batches is the same for any number.
 
 SAME_RAY = 1e-6
 """How far two rays of one direction may be apart, as unit vectors: what rounding takes."""
-
-Batch = dict[str, Tensor]
-"""A named batch: the network's inputs and the true ``occupancy``, (B, *grid.shape) each; where maps
-of real places are among them, what is ``known``."""
 
 
 class LoaderError(DatasetError):
@@ -94,7 +87,7 @@ def opened(folders: Any, split: str) -> list[Samples]:
     training, however many each dataset holds; without any, each sample comes once a pass.
     """
     if isinstance(folders, Mapping):
-        folders = parts_of(folders)
+        folders = folders.items()
     parts = [one if isinstance(one, tuple) else (one, None) for one in folders]
     datasets = [SampleDataset(folder) for folder, _ in parts]
     if len(datasets) > 1 and any("sources" in dataset.manifest.parameters for dataset in datasets):
@@ -107,7 +100,7 @@ def opened(folders: Any, split: str) -> list[Samples]:
 
 class Maps(Dataset):
     """One or more sources of samples, one after the other: ``maps[n]`` holds the `inputs`,
-    (*grid.shape) each, and the true ``occupancy``, by name.
+    (*grid.shape) each, and the truth, by name.
 
     ``maps[n, v]`` is the same turned by symmetry `v` % 8, and from 8 on shown as points alone, as
     `complete` sees a scan of points. `split` is what the samples are called in
@@ -161,9 +154,12 @@ class Maps(Dataset):
         seen = sample if view < SYMMETRIES else points_of(sample, source.grid, sensor) or sample
         maps = channels(self.inputs, seen, source.grid, sensor)
         maps["occupancy"] = sample.occupancy
+        # of these voxels, so that of a dataset that stores distances no more is read
+        maps["tudf"] = distance_field(sample.occupancy, source.grid)
         if self.partly_known:
             known = getattr(sample, "known", None)
             maps["known"] = np.ones(source.grid.shape, np.bool_) if known is None else known
+            maps["certain"] = maps["tudf"] <= distance_field(~maps["known"], source.grid)
         turn = view % SYMMETRIES
         return {name: torch.from_numpy(turned(one, turn)) for name, one in maps.items()}
 
@@ -280,7 +276,7 @@ def epoch_batches(
     return [keys[n * batch : (n + 1) * batch] for n in range(count)]
 
 
-def _weighted(maps: Maps, *, seed: int, epoch: int) -> list[NDArray[np.int64]]:
+def _weighted(maps: Maps, *, seed: int, epoch: int) -> list[Ints]:
     """The maps of a pass by source. Each source's come in an order of its own, which goes on from
     pass to pass and is drawn anew when it ends, so that none comes twice before all others of the
     source have come."""
@@ -293,15 +289,6 @@ def _weighted(maps: Maps, *, seed: int, epoch: int) -> list[NDArray[np.int64]]:
             drawn.append(order[max(begin - turn * size, 0) : end - turn * size])
         found.append(maps.starts[number] + np.concatenate(drawn))
     return found
-
-
-def stream_batch(
-    order: Batches, maps: Maps, number: int, *, seed: int, views: Views
-) -> list[tuple[int, int]]:
-    """Batch `number` of a stream's order: keys of `maps`, whose views depend on `seed` and
-    `number` alone."""
-    rng = rng_of(seed, number, 0)
-    return views.of(order[number], maps, rng=rng)
 
 
 def load(
@@ -327,53 +314,3 @@ def load(
             f"a loader process died ({str(error).splitlines()[0]}); give --workers 0, or more "
             f"shared memory"
         ) from None
-
-
-class TudfOf:
-    """Occupancy → TUDF, for a batch, wherever it is.
-
-    On the CPU by `scenegen.truth.distance_field`, map by map; elsewhere by the same three passes of
-    minima in torch. Both give the values that the dataset's contract demands, bit for bit.
-    """
-
-    def __init__(self, grid: GridSpec):
-        self.grid = grid
-        reach = grid.truncation_m / grid.voxel_m
-        self._reach = math.ceil(reach)
-        squares = np.arange(3 * (self._reach + 1) ** 2 + 1, dtype=np.float64)
-        metres = np.minimum(grid.voxel_m * np.sqrt(squares), grid.truncation_m)
-        self._table = torch.from_numpy(metres.astype(np.float32))
-
-    def __call__(self, occupancy: Tensor) -> Tensor:
-        """(B, *grid.shape) bool → float32, metres."""
-        if occupancy.device.type == "cpu":
-            fields = [distance_field(one, self.grid) for one in occupancy.numpy()]
-            return torch.from_numpy(np.stack(fields))
-        return self.by_minima(occupancy)
-
-    def complete(self, batch: Batch) -> None:
-        """Add the true ``tudf`` to a batch on its device, and which of it is ``certain`` where not
-        all is known: nothing unknown is nearer than what is known to be occupied."""
-        batch["tudf"] = self(batch["occupancy"])
-        if "known" in batch:
-            batch["certain"] = batch["tudf"] <= self(~batch["known"])
-
-    def by_minima(self, occupancy: Tensor) -> Tensor:
-        """The same on any device: squared distances in voxels, lowered along one axis after the
-        other."""
-        cap = (self._reach + 1) ** 2
-        squares = torch.where(occupancy, 0, cap).to(torch.int16 if 2 * cap < 2**15 else torch.int32)
-        for axis in (1, 2, 3):
-            length = squares.shape[axis]
-            lowest = squares.clone()
-            for offset in range(1, min(self._reach, length - 1) + 1):
-                near, far = (
-                    lowest.narrow(axis, 0, length - offset),
-                    lowest.narrow(axis, offset, length - offset),
-                )
-                torch.minimum(
-                    near, squares.narrow(axis, offset, length - offset) + offset**2, out=near
-                )
-                torch.minimum(far, squares.narrow(axis, 0, length - offset) + offset**2, out=far)
-            squares = lowest
-        return self._table.to(occupancy.device)[squares.long()]

@@ -19,20 +19,18 @@ from lidarsim import GridSpec
 from scenegen.dataset.manifest import differences
 from scenegen.dataset.parts import mapping_entry, sensor_entry
 from scenegen.errors import DatasetError, StoppedError, empty_split, is_out_of_memory, raised_as
-from scenegen.files import sha256_of
+from scenegen.files import Json, sha256_of
 from scenegen.model.checkpoint import CheckpointError
 from scenegen.model.completion.completer import locate, open_network
 from scenegen.model.config import VARIANTS, TrainConfig, is_own
 from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.losses import loss_of
-from scenegen.model.network import Output, build, placed
+from scenegen.model.network import Batch, Output, build, placed
 from scenegen.model.training.course import Course, validate
 from scenegen.model.training.data import (
-    Batch,
     LoaderError,
     Maps,
     Samples,
-    TudfOf,
     check_alike,
     load,
 )
@@ -179,7 +177,6 @@ class Step:
     group: Group
 
     def __post_init__(self) -> None:
-        self._tudf_of = TudfOf(self.grid)
         self._loss = loss_of(self.config.loss, self.grid, self.group.divisor)
         model = self.network
         if self.group.size > 1:
@@ -207,7 +204,6 @@ class Step:
 
     def _learn(self, batch: Batch) -> dict[str, float]:
         batch = {name: values.to(self.device, non_blocking=True) for name, values in batch.items()}
-        self._tudf_of.complete(batch)
         self.optimizer.zero_grad(set_to_none=True)
         with autocast(self.device, self.precision):
             output = Output(*self._model(batch))
@@ -264,7 +260,7 @@ def check_maps(maps: Maps, checks: Maps, config: TrainConfig, processes: int) ->
         )
 
 
-def describe(maps: Maps, config: TrainConfig, precision: torch.dtype) -> dict[str, Any]:
+def describe(maps: Maps, config: TrainConfig, precision: torch.dtype) -> Json:
     """What decides a run: a run with another description is another run."""
     return {
         "datasets": [source.digest for source in maps.sources],
@@ -284,11 +280,11 @@ def fitted(config: TrainConfig, grid: GridSpec) -> TrainConfig:
     return replace(config, network=replace(config.network, height=grid.shape[2]))
 
 
-def origin(maps: Maps, command: str, device: torch.device) -> dict[str, Any]:
+def origin(maps: Maps, command: str, device: torch.device) -> Json:
     """What a network remembers of where it comes from, besides its settings."""
     versions = software() | {"python": platform.python_version()}
     versions |= {name: installed(name) for name in PACKAGES}
-    about: dict[str, Any] = {"command": command, "commit": commit(), "versions": versions}
+    about: Json = {"command": command, "commit": commit(), "versions": versions}
     about["device"] = device_name(device)
     ways: dict[tuple[Any, Any], set[str]] = {}
     for lidar, mapping, noise in maps.settings:
@@ -309,7 +305,6 @@ def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device
     if not (is_own(variant) or is_own(objective)):
         return
     batch = {name: values[None].to(device) for name, values in maps[0].items()}
-    TudfOf(maps.grid).complete(batch)
     with torch.no_grad():
         output = network.eval()(batch)
         parts = output if isinstance(output, tuple) else (output,)

@@ -10,7 +10,7 @@ import time
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import torch
 from torch import Tensor, nn
@@ -18,10 +18,9 @@ from torch import Tensor, nn
 from lidarsim import GridSpec
 from scenegen.dataset.manifest import differences
 from scenegen.errors import DatasetError, printable
-from scenegen.files import disk_told, read_bounded, remove_drafts, write_whole
+from scenegen.files import Json, disk_told, read_bounded, remove_drafts, write_whole
 from scenegen.limits import MOST_HEADER_BYTES
 from scenegen.model.checkpoint import CheckpointError, load_tensors, save_network, save_tensors
-from scenegen.model.config import LossConfig, NetworkConfig
 from scenegen.model.training.card import card, draw
 
 CONFIG, ROWS, CURVE, CARD = "config.json", "metrics.csv", "curve.png", "card.md"
@@ -39,13 +38,8 @@ class Progress:
     """How far a run has come; with the weights and the optimiser's moments, all that the rest of it
     depends on."""
 
-    epoch: int = 0
-    """Epochs that are finished."""
     step: int = 0
     """Steps of the next epoch that are done."""
-    best_epoch: int = -1
-    """The epoch of the best validation loss; -1 for none yet."""
-    best_loss: float = float("inf")
     decay: int | None = None
     """The step at which validation stalled and the learning rate began to fall; None while it has
     not."""
@@ -55,6 +49,16 @@ class Progress:
     """How long the epoch has taken so far."""
     rows: list[dict[str, float]] = field(default_factory=list)
     """One a finished epoch: see docs/training.md."""
+
+    @property
+    def epoch(self) -> int:
+        """How many epochs are finished."""
+        return len(self.rows)
+
+    @property
+    def waited(self) -> int:
+        """How many epochs are finished since the one of the lowest validation loss."""
+        return self.epoch - round(kept(self.rows, "loss")["epoch"]) if self.rows else 0
 
     def add(self, losses: dict[str, float], *, seconds: float) -> None:
         """Count a step, after which the round has taken so many `seconds`."""
@@ -67,9 +71,7 @@ class Progress:
         row |= {f"train_{name}": value / self.step for name, value in self.sums.items()}
         row |= {f"val_{name}": value for name, value in validated.items()}
         self.rows.append(row)
-        if row["val_loss"] < self.best_loss:
-            self.best_loss, self.best_epoch = row["val_loss"], self.epoch
-        self.epoch, self.step, self.sums, self.seconds = self.epoch + 1, 0, {}, 0.0
+        self.step, self.sums, self.seconds = 0, {}, 0.0
         return row
 
 
@@ -91,7 +93,7 @@ class RunFolder:
         self._saved = self._drawn = time.monotonic()
         self._learns: tuple[nn.Module, torch.optim.Optimizer] | None = None
 
-    def open(self, settings: dict[str, Any]) -> None:
+    def open(self, settings: Json) -> None:
         """Begin a run with `settings`, or go on with the one that was begun with them, or with a
         smaller budget: where its learning rate had begun to fall, it goes on from there, and its
         best network is kept under another name.
@@ -143,18 +145,10 @@ class RunFolder:
         if self._lock is not None:
             self._lock.close()
 
-    def settings(self) -> dict[str, Any]:
+    def settings(self) -> Json:
         """What the run was begun with. Raises DatasetError where there is none."""
         try:
-            settings = dict(
-                json.loads(read_bounded(self.path / CONFIG, MOST_HEADER_BYTES))["settings"]
-            )
-            for part, usual in (("network", NetworkConfig()), ("loss", LossConfig())):
-                if part in settings:  # runs of earlier commits name fewer
-                    settings[part] = (
-                        json.loads(json.dumps(dataclasses.asdict(usual))) | settings[part]
-                    )
-            return settings
+            return dict(json.loads(read_bounded(self.path / CONFIG, MOST_HEADER_BYTES))["settings"])
         except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
             raise DatasetError(
                 f"{self.path / CONFIG}: cannot be read ({printable(error)[:200]}); choose another "
@@ -177,7 +171,7 @@ class RunFolder:
         progress: Progress,
         network: nn.Module,
         grid: GridSpec,
-        about: dict[str, Any],
+        about: Json,
         choose: str,
     ) -> None:
         """Write what a finished round leaves, and its network if it is the one to keep so far."""
@@ -209,7 +203,7 @@ class RunFolder:
                 f"stays until then"
             ) from None
 
-    def save_best(self, network: nn.Module, grid: GridSpec, about: dict[str, Any]) -> None:
+    def save_best(self, network: nn.Module, grid: GridSpec, about: Json) -> None:
         """Write the best network so far, and its card."""
         save_network(self.path / BEST, network, grid, about)
         write_whole(self.path / CARD, card(self.path.name, about).encode())
@@ -217,9 +211,7 @@ class RunFolder:
     def write_rows(self, rows: list[dict[str, float]]) -> None:
         """Write the figures of all epochs."""
         text = io.StringIO()
-        names = dict.fromkeys(
-            name for row in rows for name in row
-        )  # a later version may know more metrics
+        names = dict.fromkeys(name for row in rows for name in row)  # they may grow on the way
         writer = csv.DictWriter(text, list(names), lineterminator="\n")
         writer.writeheader()
         writer.writerows({name: f"{value:.6g}" for name, value in row.items()} for row in rows)
@@ -248,15 +240,14 @@ def draw_curve(rows: list[dict[str, float]]) -> bytes | None:
     """The curve of `scenegen.model.training.card` as PNG; None where matplotlib is not
     installed."""
     try:
-        figure = draw(rows)
+        from scenegen.display.panels import to_bytes
+
+        return to_bytes(draw(rows), ".png")
     except ImportError:
         return None
-    memory = io.BytesIO()
-    figure.savefig(memory, format="png", dpi=100)
-    return memory.getvalue()
 
 
-def _grows(there: dict[str, Any], asked: dict[str, Any]) -> bool:
+def _grows(there: Json, asked: Json) -> bool:
     """Whether `asked` is a larger budget of the settings `there`, of a run that can grow."""
     of = there["maps"], asked["maps"]
     old, new = (there["epochs"], asked["epochs"]) if of == (None, None) else of

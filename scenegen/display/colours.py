@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarsim.grid import Floats, Ints, Mask
+
 Rgb = tuple[int, int, int]
 Anchors = tuple[Rgb, ...]
 """A scale: colours at equal steps, linear between them."""
@@ -46,7 +48,7 @@ def path_colours(names: Sequence[str]) -> list[Rgb]:
     return [PATHS.get(name) or next(others) for name in names]
 
 
-def colour(shares: NDArray[Any], anchors: Anchors) -> NDArray[np.float64]:
+def colour(shares: NDArray[Any], anchors: Anchors) -> Floats:
     """Colours of values from 0 to 1: any shape to that shape by 3, each channel from 0 to 1."""
     at = np.linspace(0, 1, len(anchors))
     channels = np.array(anchors).T / 255
@@ -58,9 +60,7 @@ def rgb(colour: Rgb) -> tuple[float, ...]:
     return tuple(value / 255 for value in colour)
 
 
-def error_colours(
-    deep: Rgb, right: NDArray[np.bool_], places: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def error_colours(deep: Rgb, right: Mask, places: Ints) -> Floats:
     """Colours (n, 3) of errors at voxels `places` (n, 3), the paler the nearer to voxels that are
     `right`: a surface that is a voxel off is no failure."""
     from scipy.ndimage import distance_transform_edt

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lidarsim import GridSpec, Sensor
+from lidarsim import Sensor
 from lidarsim.engines.voxels import VoxelMap
+from lidarsim.grid import Floats, GridSpec
 from scenegen import SPLITS
 from scenegen.dataset.choose import FIGURES, encode_figures, figures_file, kept_figures
 from scenegen.dataset.manifest import NAME
@@ -19,7 +19,7 @@ from scenegen.dataset.read import Dataset
 from scenegen.dataset.trust import Entry, load
 from scenegen.display.look import spread
 from scenegen.errors import DatasetError, printable
-from scenegen.files import write_whole
+from scenegen.files import Json, write_whole
 from scenegen.run.workers import run
 from scenegen.stores.cache import bytes_in
 
@@ -42,7 +42,7 @@ def inspect(
     workers: int = 1,
     on_start: Callable[[int], None] = lambda samples: None,
     on_done: Callable[[int], None] = lambda samples: None,
-) -> dict[str, Any]:
+) -> Json:
     """Sums a dataset up.
 
     Args:
@@ -83,16 +83,15 @@ def inspect(
     for split in splits if not tables else ():
         chosen = spread(dataset, split.name, (not keep and most) or len(split))
         tasks += [(split.name, chosen[n : n + AT_ONCE]) for n in range(0, len(chosen), AT_ONCE)]
-    measured: dict[int, NDArray[np.float64]] = {}
+    measured: dict[tuple[str, int], Floats] = {}
     begun = partial(on_start, sum(len(part) for _, part in tasks))
-    with closing(run(partial(_measure, dataset), enumerate(tasks), workers, begun)) as results:
-        for number, rows in results:
-            measured[number] = rows
+    with closing(run(partial(_measure, dataset), tasks, workers, begun)) as results:
+        for place, rows in results:
+            measured[place] = rows
             on_done(len(rows))
     for split in splits if tasks else ():
-        tables[split.name] = np.concatenate(
-            [measured[n] for n, (name, _) in enumerate(tasks) if name == split.name]
-        )
+        ours = [rows for (name, _), rows in sorted(measured.items()) if name == split.name]
+        tables[split.name] = np.concatenate(ours)
     if keep and tasks:
         write_whole(figures_file(dataset), encode_figures(np.concatenate(list(tables.values()))))
     told = {}
@@ -112,16 +111,16 @@ def inspect(
     return found | {"splits": told}
 
 
-def _measure(dataset: Dataset, task: tuple[int, tuple[str, list[int]]]) -> tuple[int, Any]:
-    """The number of a task, and the figures of its samples, a row each; NaN where a sample lacks
-    one."""
-    number, (split, chosen) = task
+def _measure(dataset: Dataset, task: tuple[str, list[int]]) -> tuple[tuple[str, int], Any]:
+    """The split and the first sample of a task, and the figures of its samples, a row each; NaN
+    where a sample lacks one."""
+    split, chosen = task
     samples = (dataset.split(split)[index] for index in chosen)
     rows = [[figure(sample) for figure in FIGURES.values()] for sample in samples]
-    return number, np.array(rows, dtype=np.float64)
+    return (split, chosen[0]), np.array(rows, dtype=np.float64)
 
 
-def _summary(values: NDArray[np.float64]) -> dict[str, float | None]:
+def _summary(values: Floats) -> dict[str, float | None]:
     """How numbers spread."""
     return {
         name: float(getattr(values, name)()) if len(values) else None
@@ -137,12 +136,12 @@ def _counts(shards: Iterable[Entry]) -> dict[str, int]:
     return counts
 
 
-def inspect_all(folder: Path) -> list[dict[str, Any]]:
+def inspect_all(folder: Path) -> list[Json]:
     """A line for each dataset in a folder's folders: its `folder`, and its kind, samples and
     digest, or its `fault`."""
     found = []
     for path in sorted(folder.glob(f"*/{NAME}"))[:MOST_LISTED]:
-        row: dict[str, Any] = {"folder": str(path.parent)}
+        row: Json = {"folder": str(path.parent)}
         try:
             it = load(path.parent)
             row |= {name: getattr(it, name) for name in ("kind", "complete", "digest")}
@@ -153,7 +152,7 @@ def inspect_all(folder: Path) -> list[dict[str, Any]]:
     return found
 
 
-def inspect_world(path: Path) -> dict[str, Any]:
+def inspect_world(path: Path) -> Json:
     """What stands in the world of an MJCF file, or what a map of a real place knows of it. Raises
     SceneError for a file that cannot serve."""
     from scenegen.source import read_world  # which loads what compiles worlds
@@ -177,7 +176,7 @@ def inspect_world(path: Path) -> dict[str, Any]:
     }
 
 
-def map_facts(voxels: VoxelMap) -> dict[str, Any]:
+def map_facts(voxels: VoxelMap) -> Json:
     """How large a map of a real place is, and which shares of its voxels are known."""
     states = np.bincount(voxels.states.reshape(-1), minlength=3) / voxels.states.size
     return {

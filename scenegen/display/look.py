@@ -6,9 +6,9 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lidarsim import GridSpec, Sensor
+from lidarsim import Sensor
+from lidarsim.grid import Field, Floats, GridSpec, Mask
 from scenegen.dataset.read import Dataset, Split
 from scenegen.errors import DatasetError, ScenegenError, printable
 from scenegen.sample import Sample
@@ -20,17 +20,17 @@ MASKS = ("observed", "free", "occupancy")
 class Route:
     """A path that somebody planned, to be shown. Positions are metres in the world."""
 
-    start: NDArray[np.float64]
+    start: Floats
     """Where it begins (3,)."""
-    goal: NDArray[np.float64]
+    goal: Floats
     """Where it is to lead (3,)."""
-    points: NDArray[np.float64] | None
+    points: Floats | None
     """The path (n, 3); None where none was found."""
     told: str
     """What came of it, in a few words."""
     fails: bool
     """Whether no path was found, or one that meets an obstacle."""
-    hit: NDArray[np.float64] | None = None
+    hit: Floats | None = None
     """The centre of the first voxel in which it does (3,)."""
 
 
@@ -39,9 +39,9 @@ class Guess:
     """What somebody predicts of a sample's map, to be shown beside the truth."""
 
     name: str
-    occupied: NDArray[np.bool_]
+    occupied: Mask
     """Voxels, of the grid's shape."""
-    tudf: NDArray[np.float32] | None
+    tudf: Field | None
     """Distances, of the grid's shape, metres; None where none are predicted."""
     route: Route | None = None
     """The path that was planned on these maps."""
@@ -54,18 +54,18 @@ class Look:
 
     name: str
     grid: GridSpec
-    origin: NDArray[np.float64]
+    origin: Floats
     """The grid's least corner (3,)."""
-    position: NDArray[np.float64]
+    position: Floats
     """Where the sensor is (3,)."""
-    quaternion: NDArray[np.float64]
+    quaternion: Floats
     """The body's attitude (4,), w, x, y, z."""
-    masks: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
+    masks: Mapping[str, Mask] = field(default_factory=dict)
     """Voxels to be shown by name, each of the grid's shape: observed, free, occupancy; a caller's
     own beside them."""
-    tudf: NDArray[np.float32] | None = None
+    tudf: Field | None = None
     """Distances, of the grid's shape."""
-    scans: Sequence[NDArray[np.float64]] = ()
+    scans: Sequence[Floats] = ()
     """Returns (M, 3) of each scan, its own first; none where they could not be read."""
     rays: int = 0
     """How many rays they have."""
@@ -75,12 +75,12 @@ class Look:
     """A line for each thing that could not be read."""
 
     @property
-    def corners(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def corners(self) -> tuple[Floats, Floats]:
         """Least and greatest corner of the grid (3,)."""
         return self.origin, self.origin + self.grid.extent_m
 
     @property
-    def points(self) -> NDArray[np.float64] | None:
+    def points(self) -> Floats | None:
         """Returns (M, 3) of all scans."""
         return np.concatenate(self.scans) if self.scans else None
 
@@ -136,7 +136,7 @@ def look_at(sample: Sample, grid: GridSpec, lidar: Sensor, name: str) -> Look:
             missing.append(f"{name}: {what} is not shown: {printable(error)}")
             return None
 
-    def scan() -> list[NDArray[np.float64]]:
+    def scan() -> list[Floats]:
         found = sample.scans(lidar)
         if not all((each.ranges >= 0).all() for each in found):
             raise ValueError("ranges are no lengths")
@@ -229,6 +229,9 @@ def incomplete(dataset: Dataset, split: str) -> list[str]:
 
 def spread(dataset: Dataset, split: str, most: int) -> list[int]:
     """Indices of at most `most` samples of a split, evenly spread."""
-    count = len(dataset.split(split))
-    chosen = np.linspace(0, count - 1, min(most, count)).astype(int)
-    return np.unique(chosen).tolist() if count else []
+    return evenly(len(dataset.split(split)), most)
+
+
+def evenly(count: int, most: int) -> list[int]:
+    """At most `most` of the numbers below `count`, evenly spread."""
+    return np.unique(np.linspace(0, count - 1, min(most, count)).astype(int)).tolist()

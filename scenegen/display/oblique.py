@@ -9,7 +9,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from lidarsim.grid import Floats, Ints, Mask
 
 CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
 """A face's, along the two axes that it spans."""
@@ -27,23 +28,23 @@ class View:
     elevation: float = math.radians(32)
 
     @cached_property
-    def eye(self) -> NDArray[np.float64]:
+    def eye(self) -> Floats:
         """Unit vector towards the eye (3,)."""
         level = math.cos(self.elevation)
         x, y = level * math.cos(self.azimuth), level * math.sin(self.azimuth)
         return np.array([x, y, math.sin(self.elevation)])
 
     @cached_property
-    def right(self) -> NDArray[np.float64]:
+    def right(self) -> Floats:
         """Unit vector to the right on the paper (3,)."""
         return np.array([-math.sin(self.azimuth), math.cos(self.azimuth), 0.0])
 
     @cached_property
-    def up(self) -> NDArray[np.float64]:
+    def up(self) -> Floats:
         """Unit vector upwards on the paper (3,)."""
         return np.cross(self.eye, self.right)
 
-    def project(self, points: Any) -> NDArray[np.float64]:
+    def project(self, points: Any) -> Floats:
         """Points (…, 3) of the world as (…, 2) on the paper, rightward and upward; lengths across
         the view are kept."""
         return np.asarray(points, dtype=np.float64) @ np.stack([self.right, self.up], axis=1)
@@ -52,9 +53,7 @@ class View:
 VIEW = View()
 
 
-def visible_faces(
-    mask: NDArray[np.bool_], view: View = VIEW
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+def visible_faces(mask: Mask, view: View = VIEW) -> tuple[Ints, Ints, Floats]:
     """Faces of voxels that look towards the eye and touch no other voxel.
 
     Args:
@@ -65,30 +64,20 @@ def visible_faces(
         Corners (F, 4, 3) in voxels, each face's voxel (F, 3), and its brightness (F,), in an order
         in which later ones hide earlier ones.
     """
-    corners, voxels, light, order = [], [], [], []
-    padded = np.pad(mask, 1)
-    sides = np.where(view.eye > 0, 1, -1)
-    for axis in range(3):
-        open_side = ~np.roll(padded, -sides[axis], axis=axis)[1:-1, 1:-1, 1:-1]
-        places = np.argwhere(mask & open_side)
-        shape = np.insert(CORNERS, axis, int(sides[axis] > 0), axis=1)
-        corners.append(places[:, None, :] + shape)
-        voxels.append(places)
-        light.append(np.full(len(places), SHADES[axis]))
-        # rows of cubes, from the farthest to the nearest
-        x, y, z = np.where(sides > 0, places, np.array(mask.shape) - 1 - places).T
-        order.append(3 * ((x * mask.shape[1] + y) * mask.shape[2] + z) + axis)
-    nearest_last = np.argsort(np.concatenate(order), kind="stable")
-    return (
-        np.concatenate(corners)[nearest_last],
-        np.concatenate(voxels)[nearest_last],
-        np.concatenate(light)[nearest_last],
-    )
+    padded, towards = np.pad(mask, 1), view.eye > 0
+    sides = np.where(towards, 1, -1)
+    exposed = [
+        mask & ~np.roll(padded, -side, axis)[1:-1, 1:-1, 1:-1] for axis, side in enumerate(sides)
+    ]
+    axes, *places = np.nonzero(exposed)
+    voxels = np.stack(places, axis=1)
+    order = np.argsort(voxels @ view.eye, kind="stable")  # of cubes, the nearest hides the others
+    axes, voxels = axes[order], voxels[order]
+    faces = [np.insert(CORNERS, axis, side, axis=1) for axis, side in enumerate(towards)]
+    return voxels[:, None] + np.stack(faces)[axes], voxels, np.array(SHADES)[axes]
 
 
-def box_edges(
-    low: Any, high: Any, view: View = VIEW
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def box_edges(low: Any, high: Any, view: View = VIEW) -> tuple[Floats, Floats]:
     """The edges of a box as pairs of ends: (3, 2, 3) that it hides itself, and (9, 2, 3) before
     it."""
     corners = list(itertools.product((0, 1), repeat=3))

@@ -12,9 +12,8 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lidarsim import GridSpec
+from lidarsim.grid import Field, Floats, GridSpec, Mask
 from scenegen.display.colours import (
     DEEP,
     DISTANCES,
@@ -29,6 +28,7 @@ from scenegen.display.colours import (
 )
 from scenegen.display.look import MASKS, Guess, Look
 from scenegen.errors import DatasetError
+from scenegen.files import Json
 
 MOST_VOXELS = 1 << 22
 """The most voxels of a grid on a page: a browser turns this many into cubes in seconds."""
@@ -57,7 +57,7 @@ def page(looks: Sequence[Look], *, title: str, notes: Sequence[str] = ()) -> str
     sample's own scan; all of it gzip in base64. Raises DatasetError for grids that no browser
     takes.
     """
-    samples: list[dict[str, Any]] = []
+    samples: list[Json] = []
     notes, size = list(notes), 0
     for look in looks:
         check_grid(look.grid)
@@ -94,7 +94,7 @@ def live_page(
     return _filled(about, methods, "; connect-src 'self'")
 
 
-def _filled(about: Mapping[str, Any], methods: Sequence[str], policy: str = "") -> str:
+def _filled(about: Json, methods: Sequence[str], policy: str = "") -> str:
     """The page with what its script reads, and what its policy allows besides."""
     colours = list(zip(methods, path_colours(methods), strict=True))
     # JSON all the same, and no tag can end the element that holds it
@@ -122,7 +122,7 @@ def check_grid(grid: GridSpec) -> None:
         )
 
 
-def packed(look: Look) -> dict[str, Any]:
+def packed(look: Look) -> Json:
     """A sample as the page's script reads it; see `page`."""
     grid, more = look.grid, dict[str, Any]()
     if look.tudf is not None:
@@ -148,7 +148,7 @@ def packed(look: Look) -> dict[str, Any]:
     }
 
 
-def packed_world(surfaces: Sequence[Any], origin: NDArray[np.float64]) -> dict[str, Any]:
+def packed_world(surfaces: Sequence[Any], origin: Floats) -> Json:
     """A world's surfaces, meshes with (n, 3, 3) `triangles` in metres, as the page's script reads
     them: the corners of all triangles, one after the other, in the frame of the map at `origin`
     (3,)."""
@@ -158,13 +158,13 @@ def packed_world(surfaces: Sequence[Any], origin: NDArray[np.float64]) -> dict[s
     return {"triangles": _gzip64(corners.astype("<f4").tobytes())}
 
 
-def _packed_guess(guess: Guess, look: Look) -> dict[str, Any]:
+def _packed_guess(guess: Guess, look: Look) -> Json:
     """What is predicted, as the page's script reads it; positions in the map's frame."""
 
-    def local(points: NDArray[np.float64] | None) -> Any:
+    def local(points: Floats | None) -> Any:
         return None if points is None else np.round(points - look.origin, 4).tolist()
 
-    found: dict[str, Any] = {"name": guess.name, "mask": _bits(guess.occupied)}
+    found: Json = {"name": guess.name, "mask": _bits(guess.occupied)}
     if guess.tudf is not None:
         found["tudf"] = _distances(guess.tudf, look.grid)
     if (route := guess.route) is not None:
@@ -173,11 +173,11 @@ def _packed_guess(guess: Guess, look: Look) -> dict[str, Any]:
     return found
 
 
-def _bits(mask: NDArray[np.bool_]) -> str:
+def _bits(mask: Mask) -> str:
     return _gzip64(np.packbits(mask).tobytes())
 
 
-def _distances(tudf: NDArray[np.float32], grid: GridSpec) -> str:
+def _distances(tudf: Field, grid: GridSpec) -> str:
     shares = np.nan_to_num(tudf / grid.truncation_m, nan=1.0)
     return _gzip64(np.rint(255 * np.clip(shares, 0, 1)).astype(np.uint8).tobytes())
 

@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
+from lidarsim.grid import Floats, Mask
 from scenegen.display.colours import (
     DISTANCES,
     HEIGHTS,
@@ -102,7 +102,7 @@ def put_ball(
 
 
 def put_points(
-    panel: Any, points: NDArray[np.float64], low: float, high: float, size: float, view: View = VIEW
+    panel: Any, points: Floats, low: float, high: float, size: float, view: View = VIEW
 ) -> None:
     """Points (n, 3), coloured by height from `low` to `high`, metres; near ones hide far ones."""
     points = points[np.argsort(points @ view.eye)]
@@ -142,9 +142,9 @@ def draw_panel(
 def draw_voxels(
     panel: Any,
     look: Look,
-    mask: NDArray[np.bool_],
+    mask: Mask,
     *,
-    truth: NDArray[np.bool_] | None = None,
+    truth: Mask | None = None,
     view: View = VIEW,
 ) -> None:
     """Draws cubes where `mask` is set, coloured by height.
@@ -176,8 +176,8 @@ def say_unread(panel: Any) -> None:
 
 def frame_box(
     panel: Any,
-    low: NDArray[np.float64],
-    high: NDArray[np.float64],
+    low: Floats,
+    high: Floats,
     *,
     ticks: bool = True,
     view: View = VIEW,

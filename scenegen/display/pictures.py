@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
-from lidarsim import GridSpec, Sensor
+from lidarsim import Sensor
+from lidarsim.grid import Floats, GridSpec
 from lidarsim.sensors.device import angles_deg
 from scenegen.display.colours import HEIGHTS, colour
 from scenegen.display.look import Look
@@ -138,9 +138,7 @@ def _with_returns(panel: Any, look: Look, view: View, size: float, title: str) -
         panel.scatter(*places, s=size, color=INK, linewidths=0, zorder=6)
 
 
-def _landscape(
-    title: str, low: NDArray[np.float64], high: NDArray[np.float64]
-) -> tuple[Figure, Any]:
+def _landscape(title: str, low: Floats, high: Floats) -> tuple[Figure, Any]:
     """A figure with one wide panel, a box in it, and a bar of heights."""
     figure = blank(9, 6.6, title)
     panel = figure.add_axes((0.01, 0.05, 0.86, 0.88))
@@ -149,7 +147,7 @@ def _landscape(
     return figure, panel
 
 
-def draw_cloud(points: NDArray[np.float64], *, title: str) -> Figure:
+def draw_cloud(points: Floats, *, title: str) -> Figure:
     """Draws a scan that belongs to no dataset, with the usual map's box around the sensor.
 
     Args:
@@ -196,9 +194,9 @@ def draw_world(
     world: "World",
     *,
     title: str,
-    places: NDArray[np.float64] | None = None,
+    places: Floats | None = None,
     joined: bool = False,
-    box: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
+    box: tuple[Floats, Floats] | None = None,
 ) -> Figure:
     """Draws what stands in the box in which the sensor flies, and below it, seen from above and
     aside, in metres.
@@ -234,8 +232,8 @@ def draw_world(
 
 
 def see(
-    world: "World", low: NDArray[np.float64], high: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], tuple[float, float, float, float]]:
+    world: "World", low: Floats, high: Floats
+) -> tuple[Floats, tuple[float, float, float, float]]:
     """Looks at a world with our own rays, so that what is drawn is what the sensor would meet.
 
     Args:
@@ -264,9 +262,7 @@ def see(
     return image.reshape(*across.shape, 3), (left, right, down, up)
 
 
-def _shades(
-    world: "World", starts: NDArray[np.float64], reach: float, low: float, high: float
-) -> NDArray[np.float64]:
+def _shades(world: "World", starts: Floats, reach: float, low: float, high: float) -> Floats:
     """Colours (n, 3) of what rays from `starts` (n, 3) away from the eye meet."""
     from lidarsim import AnalyticEngine  # compiles; a picture of samples casts no rays
     from lidarsim.solids.shapes import PLANE

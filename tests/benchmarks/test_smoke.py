@@ -64,7 +64,10 @@ SCRIPTS: dict[str, tuple[tuple[object, ...], tuple[str, ...]]] = {
     "study": ((STUDY, "--out", "out"), (r"out/(c)laims\.png", r"out/(l)earning\.png")),
     "training": (
         (DATA,),
-        (r"and distances: N samples/s", r"float32 +N ms a map, N of processor; +bfloat16 +N ms"),
+        (
+            r"loader, one process: N samples/s",
+            r"float32 +N ms a map, N of processor; +bfloat16 +N ms",
+        ),
     ),
     "verify": (
         (DATA,),

@@ -22,7 +22,7 @@ from scenegen.model.study.claims import (
     gain,
     judged,
     losses,
-    spread,
+    seed_variance,
     waited,
 )
 from tests.command_line import run as command
@@ -98,12 +98,12 @@ def test_paths_are_compared_where_both_have_one():
 
 
 def test_the_variance_of_seeds_is_pooled_over_methods():
-    variance, freedom = spread(
+    variance, freedom = seed_variance(
         {"occ-s0": 1.0, "occ-s1": 3.0, "tudf-s0": 0.0, "tudf-s1": 0.0, "tudf-s2": 3.0, "a-s0": 9}
     )
     assert freedom == 3
     assert variance == pytest.approx((2.0 + 6.0) / 3)
-    assert spread({"occ-s0": 1.0})[1] == 0
+    assert seed_variance({"occ-s0": 1.0})[1] == 0
 
 
 def study(rng, ours, theirs, *, seeds=2, training=0.0):
@@ -120,7 +120,7 @@ def study(rng, ours, theirs, *, seeds=2, training=0.0):
 
 
 def found(one, long=()):
-    spreads = {("pillar", "iou"): spread(losses(one.means(), "iou"))}
+    spreads = {("pillar", "iou"): seed_variance(losses(one.means(), "iou"))}
     return decided([compared(CLAIM, one)], spreads, long)[0]
 
 

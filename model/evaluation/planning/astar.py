@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lidarsim.grid import GridSpec
+from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
 from scenegen.model.evaluation.config import PlanConfig
 from scenegen.worlds.search import NO_RISK, search
 
@@ -16,7 +16,7 @@ Blocked = Literal["start_blocked", "goal_blocked", "no_path"]
 class Plan(NamedTuple):
     """What a search gave: a path, or why there is none."""
 
-    waypoints: NDArray[np.float64] | None
+    waypoints: Floats | None
     """(n, 3): from the start to the goal, a node each, map frame, metres."""
     reason: Blocked | None
     """None where there is a path."""
@@ -36,7 +36,7 @@ class Lattice:
     """Voxels from node to node."""
 
     @property
-    def first(self) -> NDArray[np.int64]:
+    def first(self) -> Ints:
         """Voxel (3,) of node (0, 0, 0)."""
         return np.array([n // 2 % self.step for n in self.grid.shape])
 
@@ -47,20 +47,20 @@ class Lattice:
         return nx, ny, nz
 
     @property
-    def start(self) -> NDArray[np.int64]:
+    def start(self) -> Ints:
         """The start's node (3,): its voxel is shape // 2, whose least corner is the middle of an
         even grid."""
         return np.array([n // 2 // self.step for n in self.grid.shape])
 
-    def voxels(self, nodes: ArrayLike) -> NDArray[np.int64]:
+    def voxels(self, nodes: ArrayLike) -> Ints:
         """Voxels (..., 3) of `nodes` (..., 3)."""
         return self.first + self.step * np.asarray(nodes, dtype=np.int64)
 
-    def centres(self, nodes: ArrayLike) -> NDArray[np.float64]:
+    def centres(self, nodes: ArrayLike) -> Floats:
         """Points (..., 3) of `nodes` (..., 3): their voxels' centres, map frame, metres."""
         return np.asarray((self.voxels(nodes) + 0.5) * self.grid.voxel_m)
 
-    def node_at(self, point: ArrayLike) -> NDArray[np.int64]:
+    def node_at(self, point: ArrayLike) -> Ints:
         """The node (3,) whose point is `point` (3,). Raises ValueError where there is none within
         1e-6 m."""
         point = np.asarray(point, dtype=np.float64)
@@ -78,11 +78,11 @@ class Lattice:
 
 
 def plan_path(
-    occupied: NDArray[np.bool_],
+    occupied: Mask,
     goal: ArrayLike,
     grid: GridSpec,
     config: PlanConfig,
-    risk: NDArray[np.floating] | None = None,
+    risk: Field | None = None,
 ) -> Plan:
     """The shortest path through free nodes from the map's middle to `goal` (3,), a node's point,
     map frame, metres.

@@ -8,14 +8,14 @@ from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+from scipy.ndimage import map_coordinates
 
-from lidarsim.grid import GridSpec
-from lidarsim.jit import kernel
+from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.evaluation.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import Blocked, Lattice, Plan, checked, plan_path
-from scenegen.model.evaluation.planning.refine import field_at, refine
+from scenegen.model.evaluation.planning.refine import refine
 
 SAMPLE_M = 0.05
 """Longest gap between the points at which a path is judged, metres (ours)."""
@@ -25,14 +25,14 @@ SAMPLE_M = 0.05
 class Trials:
     """The valid trials of one map, and how many draws were not."""
 
-    goals: NDArray[np.float64]
+    goals: Floats
     """(m, 3): points of lattice nodes, map frame, metres."""
     excluded: Counter[Blocked] = field(default_factory=Counter)
     """Goals drawn and not kept, by reason. A blocked start excludes as many as were asked for."""
 
 
 def draw_trials(
-    occupancy_truth: NDArray[np.bool_],
+    occupancy_truth: Mask,
     grid: GridSpec,
     config: PlanConfig,
     *,
@@ -58,7 +58,7 @@ def draw_trials(
     if bounds is not None:
         low, high = np.asarray(bounds, dtype=np.float64)
         candidates = candidates[((candidates >= low) & (candidates <= high)).all(axis=1)]
-    goals: list[NDArray[np.float64]] = []
+    goals: list[Floats] = []
     excluded: Counter[Blocked] = Counter()
     for goal in candidates[rng.permutation(len(candidates))]:
         if len(goals) == count:
@@ -71,7 +71,7 @@ def draw_trials(
     return Trials(np.array(goals).reshape(-1, 3), excluded)
 
 
-def boundary_nodes(lattice: Lattice, faces: str) -> NDArray[np.int64]:
+def boundary_nodes(lattice: Lattice, faces: str) -> Ints:
     """Nodes (n, 3) of the outermost layer in x or y ("lateral"), or in z, too ("box"), in order;
     never the start."""
     nodes = np.indices(lattice.shape).reshape(3, -1).T
@@ -111,14 +111,14 @@ class Measurement:
 
 
 def run_trial(
-    occupied_pred: NDArray[np.bool_],
-    tudf_pred: NDArray[np.floating],
-    occupancy_truth: NDArray[np.bool_],
-    tudf_truth: NDArray[np.floating],
+    occupied_pred: Mask,
+    tudf_pred: Field,
+    occupancy_truth: Mask,
+    tudf_truth: Field,
     goal: ArrayLike,
     grid: GridSpec,
     config: PlanConfig,
-    risk: NDArray[np.floating] | None = None,
+    risk: Field | None = None,
 ) -> Measurement:
     """Plan to `goal` (3,), a lattice node's point, map frame, metres, on the predicted maps
     (*grid.shape); judge in the truth (*grid.shape). Distances are metres. The paper's section
@@ -128,13 +128,13 @@ def run_trial(
 
 
 def plan_trial(
-    occupied: NDArray[np.bool_],
-    tudf: NDArray[np.floating],
-    risk: NDArray[np.floating] | None,
+    occupied: Mask,
+    tudf: Field,
+    risk: Field | None,
     goal: ArrayLike,
     grid: GridSpec,
     config: PlanConfig,
-) -> tuple[Plan, NDArray[np.float64] | None]:
+) -> tuple[Plan, Floats | None]:
     """What A* finds and the path (n, 3) that is made of it, by `config.planner`, on a collision
     map, distances `tudf`, metres, and, for the careful planner, the `risk` (*grid.shape) of
     meeting something."""
@@ -147,9 +147,9 @@ def plan_trial(
 
 def judge(
     plan: Plan,
-    refined: NDArray[np.float64] | None,
-    occupancy_truth: NDArray[np.bool_],
-    tudf_truth: NDArray[np.floating],
+    refined: Floats | None,
+    occupancy_truth: Mask,
+    tudf_truth: Field,
     grid: GridSpec,
 ) -> Measurement:
     """Judge in the truth the path `refined` (n, 3) that was made of what `plan_path` gave; see
@@ -159,72 +159,49 @@ def judge(
         return Measurement(success=False, cause=reason)
     truth = checked(occupancy_truth, "occupancy_truth", grid, np.bool_)
     distance = checked(tudf_truth, "tudf_truth", grid, np.float32)
-    hit, length_m, min_m, mean_m = _walk(refined, truth, distance, grid.voxel_m)
+    points, gaps = stations(refined)
+    voxels = voxels_of(points, grid)
+    met_m = map_coordinates(distance, points.T / grid.voxel_m - 0.5, np.float64, 1, mode="nearest")
+    length_m = float(gaps.sum())
+    hits = np.flatnonzero(truth.reshape(-1)[voxels])
     cause: Cause | None = None
-    if hit >= 0:
-        initial_hit = _walk(initial, truth, distance, grid.voxel_m)[0]
-        cause = "refined_into_obstacle" if initial_hit < 0 else "initial_collides"
+    if len(hits):
+        collides = truth.reshape(-1)[met(initial, grid)].any()
+        cause = "initial_collides" if collides else "refined_into_obstacle"
     return Measurement(
-        success=hit < 0,
+        success=cause is None,
         length_m=length_m,
-        min_clearance_m=min_m,
-        mean_clearance_m=mean_m,
+        min_clearance_m=float(met_m.min()),
+        mean_clearance_m=float(gaps @ (met_m[1:] + met_m[:-1]) / 2 / length_m),
         cause=cause,
-        hit=None if hit < 0 else hit,
+        hit=int(voxels[hits[0]]) if len(hits) else None,
     )
 
 
-def met(path: NDArray[np.float64], grid: GridSpec) -> NDArray[np.int64]:
-    """The voxels, counted in C order, each once, that hold the points at which a path (n, 3) is
-    judged."""
+def stations(path: Floats) -> tuple[Floats, Floats]:
+    """The points (m, 3) at which a path (n, 3) is judged: its waypoints and, between two, equally
+    spaced ones at most `SAMPLE_M` apart; and the gaps (m - 1,) between them, metres."""
     legs = np.diff(path, axis=0)
-    pieces = np.maximum(np.ceil(np.linalg.norm(legs, axis=1) / SAMPLE_M - 1e-9), 1).astype(np.int64)
+    reach = np.linalg.norm(legs, axis=1)
+    pieces = np.maximum(np.ceil(reach / SAMPLE_M - 1e-9), 1).astype(np.int64)
     parts = [
         path[n] + legs[n] * (np.arange(1, count + 1) / count)[:, None]
         for n, count in enumerate(pieces)
     ]
-    index = np.floor(np.concatenate([path[:1], *parts]) / grid.voxel_m).astype(np.int64)
-    return np.unique(np.ravel_multi_index(tuple(index.T), grid.shape, mode="clip"))
+    return np.concatenate([path[:1], *parts]), np.repeat(reach / pieces, pieces)
 
 
-@kernel
-def _walk(path, occupancy, tudf, voxel_m):
-    """Judge `path` (n, 3) at its waypoints and, between two, at equally spaced points at most
-    `SAMPLE_M` apart.
-
-    Returns the number of the first occupied voxel that holds one, -1 for none; the path's length;
-    the least and the mean of `tudf` along it.
-    """
-    hit = _hit(occupancy, path[0], voxel_m)
-    before = field_at(tudf, path[0, 0], path[0, 1], path[0, 2], voxel_m)[0]
-    length, least, total = 0.0, before, 0.0
-    point = np.empty(3)
-    for n in range(len(path) - 1):
-        leg = path[n + 1] - path[n]
-        reach = math.sqrt(leg[0] * leg[0] + leg[1] * leg[1] + leg[2] * leg[2])
-        pieces = max(math.ceil(reach / SAMPLE_M - 1e-9), 1)
-        for piece in range(1, pieces + 1):
-            for axis in range(3):
-                point[axis] = path[n, axis] + leg[axis] * (piece / pieces)
-            if hit < 0:
-                hit = _hit(occupancy, point, voxel_m)
-            here = field_at(tudf, point[0], point[1], point[2], voxel_m)[0]
-            least = min(least, here)
-            total += 0.5 * (before + here) * reach / pieces
-            before = here
-        length += reach
-    return hit, length, least, total / length if length > 0.0 else before
+def voxels_of(points: Floats, grid: GridSpec) -> Ints:
+    """The voxels (m,) that hold points (m, 3) of the map, counted in C order. The map's last faces
+    belong to its last voxels."""
+    index = np.floor(points / grid.voxel_m).astype(np.int64)
+    return np.ravel_multi_index(tuple(index.T), grid.shape, mode="clip")
 
 
-@kernel
-def _hit(occupancy, point, voxel_m):
-    """The number of the voxel that holds a point of the map, in C order, where it is occupied; -1
-    where it is not. The map's last faces belong to its last voxels."""
-    nx, ny, nz = occupancy.shape
-    i = min(max(math.floor(point[0] / voxel_m), 0), nx - 1)
-    j = min(max(math.floor(point[1] / voxel_m), 0), ny - 1)
-    k = min(max(math.floor(point[2] / voxel_m), 0), nz - 1)
-    return (i * ny + j) * nz + k if occupancy[i, j, k] else -1
+def met(path: Floats, grid: GridSpec) -> Ints:
+    """The voxels, counted in C order, each once, that hold the points at which a path (n, 3) is
+    judged."""
+    return np.unique(voxels_of(stations(path)[0], grid))
 
 
 class Careful(NamedTuple):
@@ -232,19 +209,19 @@ class Careful(NamedTuple):
 
     plan: Plan
     """What A* found; no path where the planner abstains."""
-    path: NDArray[np.float64] | None
+    path: Floats | None
     """(n, 3): refined, map frame, metres."""
-    voxels: NDArray[np.int64]
+    voxels: Ints
     """Those that it meets, counted in C order, each once."""
 
 
 def plan_carefully(
-    blocked: NDArray[np.bool_],
-    field: NDArray[np.floating],
+    blocked: Mask,
+    field: Field,
     goal: ArrayLike,
     grid: GridSpec,
     config: PlanConfig,
-    risk: NDArray[np.floating] | None = None,
+    risk: Field | None = None,
 ) -> Careful:
     """Plan to `goal` (3,), a node's point, through voxels that are not `blocked` (*grid.shape), and
     refine on `field` (*grid.shape), metres.
@@ -271,10 +248,10 @@ def plan_carefully(
 
 def risk_of(
     said: Prediction,
-    occupied: NDArray[np.bool_],
-    seen: NDArray[np.bool_],
+    occupied: Mask,
+    seen: Mask,
     config: PlanConfig,
-) -> NDArray[np.float32]:
+) -> Field:
     """The risk of meeting something in every voxel (*grid.shape), a probability: 1 where it is held
     `occupied`, else what is `said`, and no less than `config.unseen_risk` where it was not
     `seen`."""

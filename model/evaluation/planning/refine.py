@@ -2,9 +2,9 @@
 field."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from lidarsim.grid import GridSpec
+from lidarsim.grid import Field, Floats, GridSpec
 from lidarsim.jit import kernel
 from scenegen.model.evaluation.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import checked
@@ -23,9 +23,7 @@ SHORTEST_STEP = 1e-12
 of the field."""
 
 
-def refine(
-    waypoints: ArrayLike, tudf: NDArray[np.floating], grid: GridSpec, config: PlanConfig
-) -> NDArray[np.float64]:
+def refine(waypoints: ArrayLike, tudf: Field, grid: GridSpec, config: PlanConfig) -> Floats:
     """The path (n, 3) after gradient descent on `_cost` from `waypoints` (n, 3), map frame, metres;
     ends stay.
 
@@ -34,24 +32,11 @@ def refine(
     is interpolated and never extrapolated, and shortened until it brings Armijo's decrease, so that
     the cost never rises. Ends early where no step does.
 
-    `tudf` (*grid.shape) is the predicted distance, metres. Raises ValueError where a waypoint lies
-    outside that box.
+    `tudf` (*grid.shape) is the predicted distance, metres.
     """
-    path = np.ascontiguousarray(waypoints, dtype=np.float64)
-    if path.ndim != 2 or path.shape[1] != 3 or not np.isfinite(path).all():
-        raise ValueError(
-            f"waypoints: expected finite metres of shape (n, 3), got shape {path.shape}"
-        )
-    tudf = checked(tudf, "tudf", grid, np.float32)
-    low, high = 0.5 * grid.voxel_m, (np.array(grid.shape) - 0.5) * grid.voxel_m
-    if (path < low - 1e-9).any() or (path > high + 1e-9).any():
-        raise ValueError(
-            f"waypoints: must lie between {low:g} and {high.tolist()} metres, the outermost voxel "
-            f"centres"
-        )
     return _descend(
-        path,
-        tudf,
+        np.ascontiguousarray(waypoints, dtype=np.float64),
+        checked(tudf, "tudf", grid, np.float32),
         grid.voxel_m,
         config.safety_m,
         config.clearance_weight,

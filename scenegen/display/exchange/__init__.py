@@ -7,7 +7,7 @@ writes a whole dataset in one of them. A user's own format is a class as `MODULE
 from dataclasses import dataclass
 from typing import Literal
 
-from lidarsim.parameters import check, number
+from lidarsim.parameters import Checked, number
 from lidarsim.registry import Registry
 
 FILES, RECORDINGS = "scenegen.display.exchange.files", "scenegen.display.exchange.recordings"
@@ -37,7 +37,7 @@ A format with a number `together` puts that many samples into one file; its `enc
 
 
 @dataclass(frozen=True, kw_only=True)
-class Choices:
+class Choices(Checked):
     """How samples are converted. Each format takes what concerns it."""
 
     unseen_invalid: bool = False
@@ -48,6 +48,3 @@ class Choices:
     classes keeps; its "other" labels count as empty there."""
     frame: Literal["body", "world"] = "body"
     """Frame of points: the body, or the world."""
-
-    def __post_init__(self) -> None:
-        check(self)

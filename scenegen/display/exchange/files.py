@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lidarsim import GridSpec, Sensor
+from lidarsim import Sensor
+from lidarsim.grid import Floats, GridSpec, Ints
 from scenegen.clouds import encode_npz
 from scenegen.display.exchange import Choices
 from scenegen.errors import DatasetError
@@ -46,8 +46,8 @@ SUFFIXES = (*HEADS, ".npz")
 
 def write_points(
     path: Path,
-    points: NDArray[np.float64],
-    intensity: NDArray[np.float64] | None = None,
+    points: Floats,
+    intensity: Floats | None = None,
     about: Mapping[str, Any] | None = None,
 ) -> None:
     """Writes points in the kind of file that the name says.
@@ -69,8 +69,8 @@ def write_points(
 
 def encode_points(
     suffix: str,
-    points: NDArray[np.float64],
-    intensity: NDArray[np.float64] | None = None,
+    points: Floats,
+    intensity: Floats | None = None,
     about: Mapping[str, Any] | None = None,
 ) -> bytes:
     """What a file of the kind `suffix` holds; for the arguments see `write_points`."""
@@ -272,7 +272,7 @@ class OctoMap(OneEach):
         return "\n".join(head).encode() + tree
 
 
-def _tree(keys: NDArray[np.int64], state: NDArray[np.int64]) -> tuple[int, bytes]:
+def _tree(keys: Ints, state: Ints) -> tuple[int, bytes]:
     """Builds a tree from its leaves upwards.
 
     Args:

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
+from lidarsim.grid import Floats
 from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE
 from scenegen.worlds.world import World
 
@@ -47,7 +47,7 @@ def surfaces(world: World) -> list[Any]:
     return meshes
 
 
-def _surface(shape: int, size: NDArray[np.float64], reach: float) -> Any:
+def _surface(shape: int, size: Floats, reach: float) -> Any:
     """A solid around its middle, from MuJoCo's sizes."""
     make = trimesh.creation
     if shape == PLANE:

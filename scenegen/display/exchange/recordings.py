@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim import GridSpec, Sensor
+from lidarsim import Sensor
+from lidarsim.grid import Floats, GridSpec
 from scenegen.display.colours import HEIGHTS, MISSED, SENSOR, colour
 from scenegen.display.exchange.files import Together
 from scenegen.display.look import MASKS
@@ -98,7 +99,7 @@ class Mcap(Together):
         return memory.getvalue()
 
 
-def points_message(points: NDArray[np.float64], header: Any) -> dict[str, Any]:
+def points_message(points: Floats, header: Any) -> dict[str, Any]:
     """The values of a PointCloud2 of points (n, 3), as float32, by the names of its fields."""
     return cloud_message(dict(zip("xyz", points.T.astype(np.float32), strict=True)), header)
 
@@ -123,7 +124,7 @@ def cloud_message(columns: Mapping[str, NDArray[Any]], header: Any) -> dict[str,
     }
 
 
-def _pose(position: NDArray[np.float64], quaternion: Any) -> dict[str, Any]:
+def _pose(position: Floats, quaternion: Any) -> dict[str, Any]:
     """A Pose at a position (3,), turned by a quaternion w, x, y, z."""
     return {
         "position": dict(zip("xyz", position, strict=True)),

@@ -101,7 +101,7 @@ def test_a_perfect_prediction_scores_perfectly_and_plans_like_the_truth(dataset,
     assert copied.reconstruction[:, 0, list(METRICS).index("iou")].max() == 0, (
         "0.6 is below the paper's threshold"
     )
-    np.testing.assert_array_equal(copied.tuned[:, list(METRICS).index("iou")], 1)
+    np.testing.assert_array_equal(copied.values("iou", region=-1), 1)
 
 
 def test_tables_show_iou_at_the_best_threshold_and_where_it_is(dataset, capsys):

@@ -20,7 +20,6 @@ from scenegen.model.inputs import SYMMETRIES
 from scenegen.model.training.data import (
     LoaderError,
     Maps,
-    TudfOf,
     Views,
     epoch_batches,
     load,
@@ -39,7 +38,7 @@ def test_maps_are_the_samples_of_all_datasets_in_order(folders):
         assert observed.dtype == occupancy.dtype == torch.bool
         assert np.array_equal(observed, sample.observed)
         assert np.array_equal(occupancy, sample.occupancy)
-        assert np.array_equal(TudfOf(maps.grid)(occupancy[None])[0], sample.tudf)
+        assert np.array_equal(maps[number]["tudf"], sample.tudf)
     assert maps.name(COUNTS["train"] + 2) == f"{folders[1]}, train sample 2"
     with pytest.raises(IndexError):
         maps[len(samples)]
@@ -51,7 +50,7 @@ def test_loader_workers_read_the_same_after_their_parent_has_read(folders):
     here = list(load(maps, batches, workers=0, pinned=False))
     forked = list(load(maps, batches, workers=3, pinned=False))
     for one, other in zip(here, forked, strict=True):
-        assert one.keys() == other.keys() == {"observed", "occupancy"}
+        assert one.keys() == other.keys() == {"observed", "occupancy", "tudf"}
         assert all(torch.equal(one[name], other[name]) for name in one)
 
 

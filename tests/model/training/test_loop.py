@@ -8,6 +8,7 @@ import os
 import shutil
 import signal
 
+import numpy as np
 import pytest
 import torch
 
@@ -19,9 +20,10 @@ from scenegen.model.config import LossConfig, NetworkConfig, TrainConfig
 from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.losses import Coupled
 from scenegen.model.network import Network
-from scenegen.model.training.data import Maps, TudfOf, opened
+from scenegen.model.training.data import Maps, opened
 from scenegen.model.training.device import TrainingError
 from scenegen.model.training.loop import Watcher
+from scenegen.truth import distance_field
 from tests.model.conftest import make_dataset
 from tests.model.training.runs import SMALL, elsewhere, train
 
@@ -33,7 +35,8 @@ def test_one_batch_is_learned_by_heart(folders):
     batch = {name: torch.stack([maps[0][name], maps[12][name]])[:, 4:20, 4:20] for name in maps[0]}
     occupancy = batch["occupancy"]
     grid = GridSpec(shape=(16, 16, 16))
-    batch["tudf"] = tudf = TudfOf(grid)(occupancy)
+    fields = [distance_field(one, grid) for one in occupancy.numpy()]
+    batch["tudf"] = tudf = torch.from_numpy(np.stack(fields))
     torch.manual_seed(0)
     network = Network(NetworkConfig())
     optimizer = torch.optim.AdamW(network.parameters(), 1e-2)
@@ -210,7 +213,7 @@ def test_divergence_names_the_batch_and_keeps_the_last_good_state(folders, tmp_p
     ) as caught:
         train(folders, SMALL, out, device="cpu")
     assert "\n" not in str(caught.value)
-    assert load_tensors(out / "last.safetensors")[1]["epoch"] == 1
+    assert len(load_tensors(out / "last.safetensors")[1]["rows"]) == 1
     assert all(
         torch.isfinite(tensor).all() for tensor in weights(out / "best.safetensors").values()
     )

@@ -1,7 +1,6 @@
 """What a run leaves on disk outlives failures, and is looked at before it is believed."""
 
 import dataclasses
-import json
 import shutil
 
 import pytest
@@ -12,7 +11,6 @@ from scenegen.errors import DatasetError
 from scenegen.model.checkpoint import CheckpointError, load_tensors, save_tensors
 from scenegen.model.network import Network
 from scenegen.model.training.data import Maps, opened
-from scenegen.model.training.loop import Watcher
 from scenegen.model.training.run_folder import Progress, RunFolder
 from tests.model.training.runs import SMALL, train
 
@@ -78,19 +76,6 @@ def test_a_full_disk_ends_the_run_and_leaves_the_last_state(folders, begun, tmp_
         RunFolder(out).save_best(network, grid, {})
     monkeypatch.undo()
     assert before == {path.name: path.read_bytes() for path in out.glob("*.safetensors")}
-
-
-def test_a_run_that_an_earlier_commit_began_goes_on(folders, begun, tmp_path):
-    """Its settings name no inputs, nor the weight of the Lovász hinge."""
-    out = shutil.copytree(begun, tmp_path / "run")
-    held = json.loads((out / "config.json").read_text())
-    assert held["settings"]["network"].pop("inputs") == ["observed"]
-    assert held["settings"]["loss"].pop("lovasz") == 0
-    (out / "config.json").write_text(json.dumps(held))
-    told = []
-    watcher = Watcher(on_step=lambda maps, loss: told.append(maps))
-    rows = train(folders, dataclasses.replace(SMALL, epochs=1), out, device="cpu", watcher=watcher)
-    assert (len(rows), told) == (1, [])
 
 
 def test_rows_may_gain_metrics_on_the_way(tmp_path):

@@ -7,28 +7,17 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 import pytest
-from scipy import ndimage
 
 torch = pytest.importorskip("torch")
 
 from lidarsim import GridSpec, Lidar, MujocoEngine, Pose, cast, voxelize  # noqa: E402
 from lidarsim.sensors import SENSORS  # noqa: E402
 from scenegen.model.inputs import turned  # noqa: E402
-from scenegen.model.training.data import TudfOf, Views, epoch_batches, is_mirrored  # noqa: E402
+from scenegen.model.training.data import Views, epoch_batches, is_mirrored  # noqa: E402
+from scenegen.truth import distance_field  # noqa: E402
 
 ALL = range(8)
 SQUARE = GridSpec(shape=(8, 8, 4))
-DEVICES = ["cpu", "cuda"] if torch.cuda.is_available() else ["cpu"]
-GRIDS = [
-    GridSpec(shape=(16, 16, 8)),
-    GridSpec(shape=(9, 7, 5)),
-    GridSpec(shape=(5, 23, 11), voxel_m=0.13, truncation_m=0.9),
-    GridSpec(shape=(1, 6, 17), voxel_m=0.25, truncation_m=3.4),
-    GridSpec(shape=(13, 1, 4), voxel_m=0.1, truncation_m=40.0),  # farther than the map is wide
-    GridSpec(shape=(8, 9, 10), voxel_m=0.3, truncation_m=0.2),  # less than a voxel
-    GridSpec(shape=(12, 11, 10), voxel_m=1 / 3, truncation_m=4 / 3),
-    GridSpec(shape=(1, 1, 1)),
-]
 
 
 def numbered(*shape):
@@ -110,49 +99,6 @@ def test_a_map_of_any_kind_is_turned_and_left_alone(symmetry):
 # The distance field.
 
 
-def true_field(occupancy, grid):
-    """float32(min(voxel * sqrt(k), truncation)), k the whole squared distance in voxels that scipy
-    found."""
-    if not occupancy.any():
-        return np.full(occupancy.shape, grid.truncation_m, np.float32)
-    k = np.rint(ndimage.distance_transform_edt(~occupancy) ** 2)
-    return np.minimum(grid.voxel_m * np.sqrt(k), grid.truncation_m).astype(np.float32)
-
-
-def maps_of(grid):
-    """A batch from empty to full, one with a voxel at a corner."""
-    rng = np.random.default_rng(7)
-    densities = (0.0, 0.002, 1.0, 0.02, 0.2, 0.0, 0.9)
-    batch = np.stack([rng.random(grid.shape) < density for density in densities])
-    batch[5, 0, -1, 0] = True
-    return batch
-
-
-@pytest.mark.parametrize("grid", GRIDS)
-@pytest.mark.parametrize("device", DEVICES)
-def test_the_field_is_scipys_to_the_last_bit_either_way(grid, device):
-    occupancy = maps_of(grid)
-    wanted = np.stack([true_field(one, grid) for one in occupancy])
-    tudf_of, batch = TudfOf(grid), torch.from_numpy(occupancy).to(device)
-    for found in (tudf_of(batch), tudf_of.by_minima(batch)):
-        assert found.dtype == torch.float32
-        assert found.device == batch.device
-        np.testing.assert_array_equal(found.cpu().numpy(), wanted)
-    np.testing.assert_array_equal(batch.cpu().numpy(), occupancy)
-
-
-def test_the_papers_map_comes_out_the_same_either_way():
-    """At full size: dense on one side, on the other with voxels farther apart than the truncation
-    reaches."""
-    grid = GridSpec()
-    density = np.geomspace(0.2, 1e-5, grid.shape[0])[:, None, None]
-    occupancy = np.random.default_rng(1).random(grid.shape) < density
-    wanted = true_field(occupancy, grid)
-    assert (wanted == np.float32(2.0)).any()
-    for of in (TudfOf(grid), TudfOf(grid).by_minima):
-        np.testing.assert_array_equal(of(torch.from_numpy(occupancy)[None])[0].numpy(), wanted)
-
-
 @pytest.mark.parametrize("symmetry", ALL)
 def test_the_field_of_a_turned_map_is_the_turned_field(symmetry):
     for grid in (GridSpec(shape=(11, 11, 6)), GridSpec(shape=(10, 7, 6), voxel_m=0.13)):
@@ -160,12 +106,9 @@ def test_the_field_of_a_turned_map_is_the_turned_field(symmetry):
             continue
         occupancy = np.random.default_rng(symmetry).random(grid.shape) < 0.01
         occupancy[1, 2, 3] = True
-        for of in (TudfOf(grid), TudfOf(grid).by_minima):
-            field, turned_field = (
-                of(torch.from_numpy(np.ascontiguousarray(one))[None])[0].numpy()
-                for one in (occupancy, turned(occupancy, symmetry))
-            )
-            np.testing.assert_array_equal(turned_field, turned(field, symmetry))
+        field = distance_field(occupancy, grid)
+        of_turned = distance_field(turned(occupancy, symmetry), grid)
+        np.testing.assert_array_equal(of_turned, turned(field, symmetry))
 
 
 # The epochs.

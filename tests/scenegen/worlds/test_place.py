@@ -18,7 +18,7 @@ from scenegen.errors import SceneError
 from scenegen.model.config import LossConfig, NetworkConfig, TrainConfig
 from scenegen.model.losses import Coupled
 from scenegen.model.network import Output
-from scenegen.model.training.data import Maps, TudfOf, load, opened
+from scenegen.model.training.data import Maps, load, opened
 from scenegen.model.training.loop import train
 from scenegen.share.stage import Request, stage
 from scenegen.verification import verify
@@ -177,7 +177,6 @@ def test_bench_scores_what_is_known(dataset, tmp_path, capsys):
 def test_networks_learn_from_what_is_known(dataset, tmp_path):
     maps = Maps(opened([dataset], "train"), "train")
     batch = next(load(maps, [[0, 1]], workers=0, pinned=False))
-    TudfOf(maps.grid).complete(batch)
     known, certain = batch["known"], batch["certain"]
     assert known.float().mean() < 0.9
     assert (certain & known).any()
