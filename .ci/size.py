@@ -14,8 +14,8 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 298_630, "benchmarks": 31_300, "tests": 279_100}
-FILES = 248
+TOKENS = {"product": 296_140, "benchmarks": 31_300, "tests": 279_100}
+FILES = 247
 LINES = 400
 """The longest file of product code."""
 WIDTH = 100

@@ -18,7 +18,7 @@ from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.manifest import NAME
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.rescan import plan_rescan, scan_again
-from scenegen.draw import draw_unit
+from scenegen.draw import UnitKey, draw_unit
 from scenegen.errors import DatasetError, GenerationError, RecipeError
 from scenegen.limits import MOST_SCANS
 from scenegen.recipe import make_recipe, read_recipe
@@ -231,9 +231,7 @@ def test_a_map_that_lies_ahead_is_a_shifted_window_of_the_same_truth(turns, shif
         world,
         [[pose]],
         recipe,
-        seed=0,
-        split="train",
-        unit=0,
+        UnitKey(0, "train", 0),
         names=(0, 0),
         engine=AnalyticEngine.of,
     ).samples
