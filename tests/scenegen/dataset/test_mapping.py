@@ -304,7 +304,7 @@ def test_a_strangers_word_is_not_trusted(several, tmp_path, entries, told):
             {"map_ahead_m": [60.0, 0.0, 0.0]},
             "[mapping] map_ahead_m = [60.0, 0.0, 0.0]: lies beyond the sensor's range",
         ),
-        ({"scan": 2}, "[mapping]: unknown parameter 'scan'; did you mean 'scans'?"),
+        ({"scan": 2}, "[mapping]: unknown parameter 'scan'; did you mean 'scans' or"),
     ],
 )
 def test_bad_values_end_in_one_line(table, told):
