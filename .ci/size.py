@@ -14,7 +14,7 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 296_140, "benchmarks": 31_300, "tests": 279_100}
+TOKENS = {"product": 296_170, "benchmarks": 31_300, "tests": 279_100}
 FILES = 247
 LINES = 400
 """The longest file of product code."""

@@ -5,6 +5,7 @@ A folder of copies is of one store and one manifest, and beside it lies a note o
 kernels', it serves only where nobody but this user may write.
 """
 
+import hashlib
 import json
 import os
 import stat
@@ -18,7 +19,6 @@ from typing import IO, NamedTuple
 
 from lidarsim.jit import cache_root, folder_trouble, is_ours
 from scenegen.errors import StoreError, printable
-from scenegen.files import sha256_in, sha256_of
 from scenegen.stores import note_file, store_of
 
 AT_A_TIME = 8
@@ -41,7 +41,7 @@ def keep(store: str, name: str, manifest: bytes) -> Path:
 
     Raises StoreError, also where others may write to the folder.
     """
-    parts = (sha256_of(one)[:16] for one in (store.encode(), manifest))
+    parts = (hashlib.sha256(one).hexdigest()[:16] for one in (store.encode(), manifest))
     folder = _root().joinpath(*parts)
     _check(folder)
     _put(folder / name, store, manifest)
@@ -98,7 +98,8 @@ def fetch(path: Path) -> bool:
     try:
         with _draft(path, about.store) as file:
             store_of(about.store).read(path.name, file, 1 << 62)
-            if sha256_in(file) != about.files[path.name]:
+            file.seek(0)
+            if _sum(file) != about.files[path.name]:
                 raise StoreError(
                     f"{about.store}/{path.name}: is not the file that the manifest lists; if a run "
                     "goes on there, wait for its end and give the same command again; else "
@@ -120,12 +121,16 @@ def _is_whole(path: Path, digest: str) -> bool:
         if found.st_mtime_ns == found.st_size:
             return True
         with open(path, "rb") as file:
-            if sha256_in(file) != digest:
+            if _sum(file) != digest:
                 return False
             _stamp(file.fileno())
     except OSError:
         return False
     return True
+
+
+def _sum(file: IO[bytes]) -> str:
+    return hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
 
 
 def _stamp(handle: int) -> None:
