@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from lidarsim.engines import Caster, EngineFactory
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.returns import Returns
 from scenegen import SPLITS
-from scenegen.errors import GenerationError
+from scenegen.errors import GenerationError, raised_as
 from scenegen.recipe import Recipe
 from scenegen.sample import Sample, earlier_fields
 from scenegen.source import Source
@@ -29,8 +29,8 @@ from scenegen.worlds.world import World
 View = tuple[Sequence[Scan], dict[str, np.ndarray]]
 """What one viewpoint gave: its own clean scan, those before it, the last one first, and the truth
 of its map by the names of fields."""
-STREAM = 2
-"""The streams of a draw are its world's, 0, and its flight's, 1; this one is the noise's."""
+WORLD, FLIGHT, NOISE = 0, 1, 2
+"""The streams of random numbers of a unit."""
 ADVICE = {
     "no_flight": "no flight fits between the solids: lower {crowded} or flight.robot_radius_m",
     "few_solids": "worlds are too empty: raise {crowded}, or lower accept.min_solids",
@@ -39,6 +39,29 @@ ADVICE = {
     "known.least_share, or raise known.most_marked_share",
 }
 """What to change where no draw is kept, by the reason."""
+
+
+class UnitKey(NamedTuple):
+    """Which unit: all that its random numbers depend on."""
+
+    seed: int
+    """The seed of the dataset."""
+    split: str
+    """ "train", "val" or "test"."""
+    unit: int
+    """Its number in the split."""
+
+    def rng(self, stream: int, attempt: int) -> np.random.Generator:
+        """What the world of a draw, or its flights, come from."""
+        key = SPLITS.index(self.split), self.unit, attempt
+        spawned = np.random.SeedSequence(self.seed, spawn_key=key).spawn(2)
+        return np.random.default_rng(spawned[stream])
+
+    def noise_rng(self, view: int, before: int) -> np.random.Generator:
+        """What the noise of a view's own scan, 0, and those `before` it comes from. It does not
+        depend on which draw was kept."""
+        key = SPLITS.index(self.split), self.unit, 0, NOISE, view, *([before] if before else [])
+        return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,17 +109,15 @@ def draw_unit(
     Raises:
         GenerationError: None of `recipe.accept.max_draws` draws was kept.
     """
-    rejected = Rejections()
+    rejected, key = Rejections(), UnitKey(seed, split, unit)
     number, turn = source.number(split, unit)
     for attempt in range(recipe.accept.max_draws):
-        world = source.world(split, number, rng=_stream(0, seed, split, unit, attempt))
+        world = source.world(split, number, rng=key.rng(WORLD, attempt))
         caster = engine_of(engine, world)
-        views = _fly(world, caster, recipe, rejected, rng=flight_rng(seed, split, unit, attempt))
+        views = _fly(world, caster, recipe, rejected, rng=key.rng(FLIGHT, attempt))
         if views:
-            first = turn * recipe.flight.viewpoints
-            samples = samples_of(
-                views, recipe, world, caster, seed, split, unit, (number, first), derived
-            )
+            names = number, turn * recipe.flight.viewpoints
+            samples = samples_of(views, recipe, world, caster, key, names, derived)
             return Unit(number, world, samples, rejected)
     counted = ", ".join(f"{count} {reason}" for reason, count in rejected.worlds.items())
     named = [] if recipe.world is None else [f"world.{name}" for name in recipe.world.crowded_by]
@@ -116,17 +137,6 @@ def compile_truth(source: Source, recipe: Recipe, split: str) -> None:
     truth = truth_of(world, scan, recipe)
     distance_field(truth["occupancy"], recipe.grid)
     fuse([scan], recipe.grid, recipe.mapping.origin(recipe.grid, pose), recipe.mapping)
-
-
-def flight_rng(seed: int, split: str, unit: int, attempt: int) -> np.random.Generator:
-    """What the flights of a draw of a unit are planned by."""
-    return _stream(1, seed, split, unit, attempt)
-
-
-def _stream(number: int, seed: int, split: str, unit: int, attempt: int) -> np.random.Generator:
-    """One of the two streams of a draw: the world's, 0, and the flight's, 1."""
-    spawned = np.random.SeedSequence(seed, spawn_key=(SPLITS.index(split), unit, attempt)).spawn(2)
-    return np.random.default_rng(spawned[number])
 
 
 def engine_of(engine: EngineFactory, world: World | Place) -> Caster:
@@ -251,9 +261,7 @@ def samples_of(
     recipe: Recipe,
     world: World | Place,
     engine: Caster,
-    seed: int,
-    split: str,
-    unit: int,
+    key: UnitKey,
     names: tuple[int, int],
     derived: bool,
 ) -> tuple[Sample, ...]:
@@ -262,9 +270,7 @@ def samples_of(
     number, first = names
     found = []
     for view, (clean, truth) in enumerate(views):
-        scans = with_noise(
-            clean, recipe.noise, world, engine, seed=seed, split=split, unit=unit, view=view
-        )
+        scans = with_noise(clean, recipe.noise, world, engine, key, view)
         own, *earlier = scans
         origin = recipe.mapping.origin(recipe.grid, own.pose)
         seen = fuse(scans[::-1], recipe.grid, origin, recipe.mapping)
@@ -319,10 +325,8 @@ def scan_world(
 
 def scans_from(poses: Sequence[Pose], engine: Caster, lidar: Sensor) -> list[Scan]:
     """The clean scans of `lidar` from `poses`. Raises GenerationError where the engine fails."""
-    try:
+    with raised_as(GenerationError, "the engine fails: "):
         return [cast(engine, lidar, pose) for pose in poses]
-    except ValueError as error:
-        raise GenerationError(f"the engine fails: {error}") from None
 
 
 def with_noise(
@@ -330,28 +334,22 @@ def with_noise(
     noise: Noise,
     world: World | Place,
     engine: Caster,
-    *,
-    seed: int,
-    split: str,
-    unit: int,
+    key: UnitKey,
     view: int,
 ) -> list[Scan]:
     """The scans of view `view` of a unit as the sensor has them: the view's own, and those before
     it, the last one first.
 
-    The noise is drawn by the sample's own place and the seed alone, not by the draw that was kept:
-    what is scanned again from the same pose has the same noise. Without stages, the scans are
-    `scans` themselves. Raises GenerationError where a stage fails, or gives what a dataset's
-    `ranges` cannot hold: several echoes, intensities, or returns told to lie elsewhere than along
-    the rays.
+    What is scanned again from the same pose has the same noise, see `UnitKey.noise_rng`. Without
+    stages, the scans are `scans` themselves. Raises GenerationError where a stage fails, or gives
+    what a dataset's `ranges` cannot hold: several echoes, intensities, or returns told to lie
+    elsewhere than along the rays.
     """
     if not noise.stages:
         return list(scans)
     found = []
     for before, scan in enumerate(scans):
-        key = (SPLITS.index(split), unit, 0, STREAM, view, *([before] if before else []))
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
-        seen = observed(scan, noise, world.albedo, engine, rng)
+        seen = observed(scan, noise, world.albedo, engine, key.noise_rng(view, before))
         if len(seen.ranges) > 1 or seen.intensity is not None:
             raise GenerationError(
                 f"noise {noise}: a dataset holds one range a ray and nothing else; leave intensity "
@@ -372,7 +370,5 @@ def observed(
 ) -> Returns:
     """What `noise` makes of a clean scan, see `Noise.observe`. Raises GenerationError where it
     cannot."""
-    try:
+    with raised_as(GenerationError):
         return noise.observe(scan, engine, rng=rng, albedo=albedo)
-    except ValueError as error:
-        raise GenerationError(str(error)) from None

@@ -9,6 +9,8 @@ from lidarsim.registry import own_line
 
 short = shown
 """A stranger's value for an error's line."""
+MOST_REPEATED = 1000
+"""Characters that an error's line repeats of another's, which may hold a stranger's text."""
 
 
 class ScenegenError(Exception):
@@ -18,6 +20,10 @@ class ScenegenError(Exception):
 
 class RecipeError(ScenegenError):
     """A recipe names an unknown parameter, or one that no world can have."""
+
+
+class AskedError(RecipeError):
+    """What was asked for does not go together."""
 
 
 class SceneError(ScenegenError):
@@ -74,14 +80,14 @@ def raised_as(
     begin: str = "",
     end: str = "",
     *,
-    of: type[Exception] = ValueError,
+    of: type[Exception] | tuple[type[Exception], ...] = ValueError,
 ) -> Iterator[None]:
-    """What the block raises as an error `of` some sort comes out as one of another `kind`, its line
-    between `begin` and `end`."""
+    """What the block raises as an error `of` some sorts comes out as one of another `kind`, its
+    line between `begin` and `end`."""
     try:
         yield
     except of as error:
-        raise kind(f"{begin}{printable(error)}{end}") from None
+        raise kind(f"{begin}{printable(error)[:MOST_REPEATED]}{end}") from None
 
 
 def is_out_of_memory(error: BaseException) -> bool:

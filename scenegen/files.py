@@ -10,9 +10,9 @@ import shutil
 import socket
 import stat
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from functools import cache, partial
+from functools import cache
 from io import BufferedReader
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -125,7 +125,7 @@ def check_ours(path: Path) -> None:
 def _is_marked(path: Path) -> bool:
     try:
         return int(os.getxattr(path, MARK)) == path.stat().st_mtime_ns
-    except (AttributeError, OSError, ValueError):  # AttributeError elsewhere than on Linux
+    except (OSError, ValueError):
         return False
 
 
@@ -169,28 +169,42 @@ def whole(path: Path) -> Iterator[Path]:
         yield draft
 
 
-@contextmanager
-def whole_folder(path: Path) -> Iterator[Path]:
-    """A new folder to write to: when the block ends, it stands at `path`; if it fails, nowhere.
-    Raises DatasetError where there is something already, or where the disk refuses."""
-    check_free(path)
-    make_way(path)
-    draft = draft_of(path)
-    clear = partial(shutil.rmtree, draft, ignore_errors=True)
-    with undone_if_stopped(clear), disk_told(path):
-        try:
-            draft.mkdir()
-            yield draft
-            check_free(path)
-            draft.rename(path)
-        finally:
-            clear()
-
-
 def check_free(path: Path) -> None:
     """Raise DatasetError where there is something at `path`."""
     if path.exists() or path.is_symlink():
         raise DatasetError(f"{path}: is there already; give another name, or remove it")
+
+
+@contextmanager
+def whole_folder(path: Path, check: Callable[[Path], None] = check_free) -> Iterator[Path]:
+    """A folder to write to: when the block ends, it stands at `path`, on disk, in place of what was
+    there; if it fails, all is as it was. Before it begins and in the end, `check` raises an error
+    where something stands there that must not be replaced.
+
+    Raises DatasetError where the disk refuses.
+    """
+    check(path)
+    make_way(path)
+    draft, former = draft_of(path), draft_of(path)
+
+    def clear() -> None:
+        if former.exists() and not path.exists():
+            former.rename(path)
+        for stale in (draft, former):
+            shutil.rmtree(stale, ignore_errors=True)
+
+    with undone_if_stopped(clear), disk_told(path):
+        try:
+            draft.mkdir()
+            yield draft
+            sync_folder(draft)
+            check(path)
+            if path.exists():
+                path.rename(former)
+            draft.rename(path)
+            sync_folder(path.parent)
+        finally:
+            clear()
 
 
 @contextmanager
@@ -208,7 +222,7 @@ def _draft(path: Path, sync: bool = True) -> Iterator[tuple[Path, BinaryIO]]:
                     yield draft, file
                     file.flush()
                     there = os.fstat(file.fileno())
-                    with suppress(AttributeError, OSError):
+                    with suppress(OSError):
                         os.setxattr(file.fileno(), MARK, str(there.st_mtime_ns).encode())
                     if sync:
                         os.fsync(file.fileno())
@@ -287,14 +301,14 @@ def remove_drafts(folder: Path, target: str | None = None) -> None:
 def _is_gone(said: re.Match[str], modified_s: float) -> bool:
     """Whether the process that a draft's name tells of has ended."""
     _, machine, pid, start = said.groups()
-    if machine == _machine() and _start_of(os.getpid()):
+    if machine == _machine():
         return _start_of(int(pid)) != int(start)
     return time.time() - modified_s > STALE_S
 
 
 def _start_of(pid: int) -> int:
     """When a process began, in clock ticks since the machine did: numbers of processes are used
-    again. 0 for one that is not there, and where nothing tells."""
+    again. 0 for one that is not there."""
     try:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     except OSError:
@@ -305,11 +319,7 @@ def _start_of(pid: int) -> int:
 @cache
 def _machine() -> str:
     """This machine, or container: where a process's number means that process."""
-    try:
-        space = str(Path("/proc/self/ns/pid").readlink())
-    except OSError:
-        space = ""
-    return _digest(f"{socket.gethostname()} {space}")
+    return _digest(f"{socket.gethostname()} {Path('/proc/self/ns/pid').readlink()}")
 
 
 def _digest(text: str) -> str:

@@ -233,17 +233,17 @@ def beside_file(
 ) -> dict[str, Any]:
     """What is given beside the tables of a file, see `preset`, as tables; the sensor is none.
     Raises RecipeError where the file has one of them, too."""
-    options = {"lidar": lidar, "noise": noise, "mapping": mapping or None}
-    for name, value in (options | {"difficulty": difficulty}).items():
-        if value is not None and name in tables:
-            named = ", ".join(mapping or ()) if name == "mapping" else f"--{name}"
-            what = name if name == "difficulty" else f"a table [{name}]"
-            raise RecipeError(
-                f"{where}: has {what}, and {named} is given beside it; leave one of the two out"
-            )
-    found: dict[str, Any] = {} if noise is None else {"noise": {"stages": noise}}
-    found |= {"mapping": dict(mapping)} if mapping else {}
-    return found | ({} if difficulty is None else {"difficulty": difficulty})
+    stages = None if noise is None else {"stages": noise}
+    found = {"lidar": lidar, "noise": stages, "mapping": mapping or None, "difficulty": difficulty}
+    found = {name: value for name, value in found.items() if value is not None}
+    for name in found.keys() & tables.keys():
+        named = ", ".join(mapping or ()) if name == "mapping" else f"--{name}"
+        what = name if name == "difficulty" else f"a table [{name}]"
+        raise RecipeError(
+            f"{where}: has {what}, and {named} is given beside it; leave one of the two out"
+        )
+    found.pop("lidar", None)
+    return found
 
 
 def _graded(kind: type[WorldKind], level: Any, at: str) -> dict[str, Any]:
@@ -271,14 +271,14 @@ def make_recipe(
     place of the table [lidar], which is then not looked at. Raises RecipeError naming the table and
     the parameter.
     """
-    parts: dict[str, type] = {
+    parts: dict[str, Any] = {
         "flight": Flight,
         "accept": Acceptance,
         "lidar": Lidar,
         "grid": GridSpec,
         "noise": Faults,
+        "mapping": Mapper,
     }
-    parts["mapping"] = Mapper
     if "known" in tables:
         parts["known"] = Known
     defaults: dict[str, dict[str, Any]] = {}

@@ -3,15 +3,15 @@ rest."""
 
 import hashlib
 import html
+from abc import abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal
+from typing import Any, Literal, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim import Fusion, GridSpec, Pose, Scan, Sensor, fuse
-from scenegen.truth import distance_field
+from lidarsim import GridSpec, Pose, Scan, Sensor
 
 
 def _stored(
@@ -301,21 +301,38 @@ def earlier_fields(scans: Sequence[Scan]) -> dict[str, NDArray[Any]]:
     return {name: np.array(value) for name, value in zip(GROUPS["earlier"], values, strict=True)}
 
 
-def derive_free(
-    scans: Sequence[Scan], origin: NDArray[np.float64], *, grid: GridSpec, fusion: Fusion
-) -> NDArray[np.bool_]:
-    """The `free` of a sample from its stored `scans`, see `Sample.scans`, and its origin (3,), bit
-    for bit."""
-    return fuse(scans[::-1], grid, origin, fusion).free
-
-
 def rng_of(seed: int, *key: int) -> np.random.Generator:
     """The random numbers that `seed` gives the part `key` of some work, whatever is drawn for
     others."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 
 
-def derive_tudf(occupancy: NDArray[np.bool_], *, grid: GridSpec) -> NDArray[np.float32]:
-    """The `tudf` of a sample from its occupancy, bit for bit."""
+class Samples(Sequence[Sample]):
+    """Samples by number: what a dataset's split and a stream have in common."""
 
-    return distance_field(occupancy, grid)
+    @property
+    @abstractmethod
+    def schema(self) -> Schema:
+        """Which fields they have."""
+
+    @abstractmethod
+    def __getitems__(self, indices: Sequence[int]) -> list[Sample]:
+        """Several of them."""
+
+    @overload
+    def __getitem__(self, index: int) -> Sample: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Sample]: ...
+    def __getitem__(self, index: int | slice) -> Sample | list[Sample]:
+        if isinstance(index, slice):
+            return self.__getitems__(range(*index.indices(len(self))))
+        return self.__getitems__([index])[0]
+
+    def describe(self) -> dict[str, dict[str, Any]]:
+        """What a sample holds: name of each field to its `dtype`, `shape`, `unit` and `meaning`."""
+        return self.schema.describe()
+
+    def _repr_html_(self) -> str:
+        """For notebooks: what they are, and what each holds."""
+        rows = ((name, *about.values()) for name, about in self.describe().items())
+        return html_table(rows, self)

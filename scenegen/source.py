@@ -15,7 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from scenegen import SPLITS
-from scenegen.errors import BrokenError, RecipeError, SceneError, printable
+from scenegen.errors import BrokenError, RecipeError, SceneError, printable, raised_as
 from scenegen.files import real_path, world_digest
 from scenegen.limits import MOST_ARCHIVE_BYTES, MOST_GEOMS, MOST_MEMBERS, SCENE_BYTES, SCENE_SECONDS
 from scenegen.recipe import Recipe, preset
@@ -67,12 +67,9 @@ class DrawnWorlds:
                 'kind "scene" draws no worlds; give the MJCF file or folder with --scene'
             )
         bounds = self.recipe.flight.bounds(kind.size_m)
-        try:
+        odd = f"[world] of kind {self.recipe.kind!r} draws what cannot be: "
+        with raised_as(RecipeError, odd, of=(ValueError, BrokenError)):
             return write_world(lambda spec: kind.add_to(spec, rng=rng), flight_bounds=bounds)
-        except (ValueError, BrokenError) as error:
-            raise RecipeError(
-                f"[world] of kind {self.recipe.kind!r} draws what cannot be: {error}"
-            ) from None
 
     def describe(self) -> dict[str, Any]:
         """Nothing: the recipe says all."""

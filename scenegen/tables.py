@@ -2,7 +2,6 @@
 the parameter; the table [lidar] as a user gives it."""
 
 import dataclasses
-import difflib
 import re
 import tomllib
 from collections.abc import Mapping
@@ -11,6 +10,7 @@ from typing import Any
 
 from lidarsim import BeamTable, Sensor
 from lidarsim.noise.chain import Noise
+from lidarsim.registry import suggestion
 from lidarsim.sensors import CATALOGUE, FAMILIES, RASTER, SENSORS
 from scenegen.errors import DatasetError, RecipeError, printable, raised_as, short
 from scenegen.files import read_bounded
@@ -75,8 +75,7 @@ def field_names(part: Any) -> set[str]:
 def check_name(name: Any, known: tuple[str, ...], what: str, where: str) -> None:
     """Raise RecipeError, with the nearest of the `known` names, for one that is none of them."""
     if name not in known:
-        near = difflib.get_close_matches(str(name)[:100], known, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"
+        hint = suggestion(str(name), known)
         raise RecipeError(f"{where}{': ' if where else ''}unknown {what} {short(name)}; {hint}")
 
 
@@ -143,9 +142,5 @@ def beam_table(sensor: Sensor) -> BeamTable:
     try:
         return BeamTable.of(sensor)
     except Exception as error:
-        said = (
-            printable(error)
-            if isinstance(error, ValueError)
-            else f"it fails: {printable(repr(error))}"
-        )
-        raise ValueError(f"[lidar] sensor {type(sensor).__name__}: {said}") from None
+        said = error if isinstance(error, ValueError) else f"it fails: {error!r}"
+        raise ValueError(f"[lidar] sensor {type(sensor).__name__}: {printable(said)}") from None

@@ -12,8 +12,8 @@ import h5py
 import isal.isal_zlib
 import numpy as np
 
-from scenegen.dataset.hdf5 import read_guarded
-from scenegen.dataset.layout import FILTERS, Column, unpack
+from scenegen.dataset.hdf5 import Stored, read_guarded
+from scenegen.dataset.layout import FILTERS, unpack
 from scenegen.dataset.read import Dataset, Split
 from scenegen.errors import DatasetError, printable, short
 from scenegen.limits import GUARD_S, MOST_CHUNK_BYTES
@@ -228,7 +228,7 @@ def _check_chunks(name: str, data: h5py.Dataset) -> None:
     filters = tuple(plan.get_filter(n)[0] for n in range(plan.get_nfilters()))
     if not set(filters) <= FILTERS:
         raise DatasetError(f"{name} has filters {filters}; store it plain or with gzip")
-    column = Column(name, data.dtype, data.chunks, filters, np.empty((0, 4), np.int64))
+    column = Stored(data.dtype, (0, *data.chunks), None, filters, np.empty((0, 4), np.int64))
     places: list[tuple[int, ...]] = []
     data.id.chunk_iter(lambda chunk: places.append(chunk.chunk_offset))
     for place in places:

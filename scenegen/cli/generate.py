@@ -38,6 +38,7 @@ from scenegen.cli.show import (
     show_table,
 )
 from scenegen.cli.types import FILE, Choice, Named, Written, read_range
+from scenegen.errors import AskedError, raised_as
 from scenegen.limits import USUAL_IN_SHARD
 from scenegen.recipes import KINDS
 from scenegen.worlds import WORLD_FILES
@@ -142,11 +143,6 @@ def generate(
     if named is not None and options["kind"] is not None:
         raise click.UsageError("the kind is given twice; leave out --kind, or the word without it")
     options["kind"] = named or options["kind"]
-    given = [name for name in ("kind", "scene", "recipe") if options[name] is not None]
-    if not given:
-        raise click.UsageError("give --kind, --scene or --recipe, for instance --kind pillar")
-    if {"kind", "scene"} <= set(given):
-        raise click.UsageError("--kind draws worlds and --scene reads them; give one of the two")
     shards, force = options.pop("split_range"), options.pop("force")
     if talk:
         announce_compilation()
@@ -155,11 +151,12 @@ def generate(
     from scenegen.run.workers import keep_memory
 
     keep_memory()
-    plan = plan_generation(
-        mapping=mapping_given(options),
-        tell=note if talk else lambda line: None,
-        **without(Mapper, options),
-    )
+    with raised_as(click.UsageError, of=AskedError):
+        plan = plan_generation(
+            mapping=mapping_given(options),
+            tell=note if talk else lambda line: None,
+            **without(Mapper, options),
+        )
     if shards and shards[1] > len(plan.shards):
         raise click.UsageError(
             f"--split-range {shards[0]}:{shards[1]}: there are {len(plan.shards)} shards"

@@ -3,7 +3,6 @@ world."""
 
 import json
 import math
-from collections.abc import Iterable, Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -38,7 +37,6 @@ from scenegen.worlds import CLOUDS, MAPS
 if TYPE_CHECKING:
     from lidarsim import Pose, Sensor
     from lidarsim.noise.chain import Noise
-    from scenegen.logs import LogScan
     from scenegen.worlds.place import Place
     from scenegen.worlds.world import World
 
@@ -265,7 +263,7 @@ def _write_sequence(
     )
     with Progress("scan", shown=talk) as progress:
         progress.start(len(poses))
-        counts = write_log(out, _counted(scans, progress))
+        counts = write_log(out, scans, progress.count)
     flown = sum(math.dist(a.position, b.position) for a, b in pairwise(poses))
     return {
         "file": str(out),
@@ -275,12 +273,6 @@ def _write_sequence(
         "metres": round(flown, 3),
         **counts,
     }
-
-
-def _counted(scans: "Iterable[LogScan]", progress: Progress) -> "Iterator[LogScan]":
-    for scan in scans:
-        yield scan
-        progress.count(1)
 
 
 def _poses(

@@ -47,14 +47,12 @@ def answer_hanging() -> None:
     """
     import ctypes
 
-    with suppress(AttributeError, OSError):  # where the C library is another one
-        library = ctypes.CDLL(None, use_errno=True)
-        library.sysv_signal.argtypes = (ctypes.c_int, ctypes.c_void_p)
-        library.sysv_signal.restype = ctypes.c_void_p
-        for number in STOPS:
-            action = ctypes.create_string_buffer(256)  # begins with the handler
-            if library.sigaction(int(number), None, action) == 0:
-                library.sysv_signal(int(number), ctypes.c_void_p.from_buffer(action))
+    library = ctypes.CDLL(None)
+    library.sysv_signal.argtypes = (ctypes.c_int, ctypes.c_void_p)
+    for number in STOPS:
+        action = ctypes.create_string_buffer(256)  # begins with the handler
+        library.sigaction(int(number), None, action)
+        library.sysv_signal(int(number), ctypes.c_void_p.from_buffer(action))
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from io import BufferedReader
 from pathlib import Path
 from xml.etree import ElementTree
 
-from scenegen.errors import BrokenError, DatasetError, printable, short
+from scenegen.errors import BrokenError, DatasetError, printable, raised_as, short
 from scenegen.files import (
     check_ours,
     disk_told,
@@ -31,6 +31,8 @@ from scenegen.limits import (
 
 MEMBER = re.compile(r"([0-9]{6}|[1-9][0-9]{6,8})\.xml")
 """What a world's document is called in an archive."""
+PLAIN = re.compile(r"""(?![.])[^\x00-\x1f\x7f-\U0010ffff/\\:*?"<>|]{1,200}""")
+"""What members are called: no path, and nothing that a file system could mistake."""
 DOCUMENT = "world.xml"
 """What `Dataset.world` calls it."""
 
@@ -126,13 +128,7 @@ def _check_members(members: list[zipfile.ZipInfo]) -> None:
     total = 0
     for member in members:
         name = member.filename
-        plain = (
-            name.isascii()
-            and name.isprintable()
-            and not set(name) & set('/\\:*?"<>|')
-            and not name.startswith(".")
-        )
-        if not plain or len(name) > 200 or member.orig_filename != name:
+        if not PLAIN.fullmatch(name) or member.orig_filename != name:
             raise BrokenError(
                 f"member {short(name)}: expected a plain file name, of a file beside the others"
             )
@@ -153,11 +149,9 @@ def _check_members(members: list[zipfile.ZipInfo]) -> None:
         total += member.file_size
     if total > MOST_ARCHIVE_BYTES:
         raise BrokenError(f"{total} bytes unpacked, expected {MOST_ARCHIVE_BYTES} at most")
-    twice = [
-        name for name, count in Counter(member.filename for member in members).items() if count > 1
-    ]
-    if twice:
-        raise BrokenError(f"member {twice[0]}: is there twice")
+    for name, count in Counter(member.filename for member in members).most_common(1):
+        if count > 1:
+            raise BrokenError(f"member {name}: is there twice")
 
 
 FOLDERS = ("assetdir", "meshdir", "texturedir")
@@ -183,12 +177,10 @@ def write_extracted(files: Mapping[str, bytes], output: Path) -> None:
 
 def _referring(document: bytes, folder: str, output: Path) -> bytes:
     """`document` with its files in `folder`."""
-    try:
+    odd = f"{output}: the archived world is no XML: "
+    failed = (ElementTree.ParseError, ValueError, RecursionError)
+    with raised_as(DatasetError, odd, "; verify the dataset", of=failed):
         root = ElementTree.fromstring(document)
-    except (ElementTree.ParseError, ValueError, RecursionError) as error:
-        raise DatasetError(
-            f"{output}: the archived world is no XML ({error}); verify the dataset"
-        ) from None
     for compiler in root.iter("compiler"):
         for name in FOLDERS:
             compiler.attrib.pop(name, None)
@@ -201,14 +193,9 @@ def _add(files: Mapping[str, bytes], folder: Path) -> None:
     """Put `files` into `folder`, where they may be already."""
     with disk_told(folder):
         folder.mkdir(exist_ok=True)
-    absent = {}
-    for name, content in files.items():
-        try:
-            there = read_bounded(folder / name, MOST_ASSET_BYTES)
-        except FileNotFoundError:
-            absent[name] = content
-            continue
-        if there != content:
+    absent = {name: content for name, content in files.items() if not (folder / name).exists()}
+    for name in files.keys() - absent.keys():
+        if read_bounded(folder / name, MOST_ASSET_BYTES) != files[name]:
             raise DatasetError(f"{folder / name}: is there and another file; give another -o")
     for name, content in absent.items():
         write_whole(folder / name, content)

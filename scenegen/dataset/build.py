@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim.engines import DEFAULT
+from lidarsim.engines import DEFAULT, MUJOCO
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.layout import layout_of
@@ -39,9 +39,8 @@ from scenegen.source import Source
 from scenegen.stores import StorePath
 
 NOTE_S = 30.0
-"""Seconds after which a run writes down what is finished."""
-NOTE_SHARE = 50
-"""And no sooner than after so many times what writing it down took."""
+"""Seconds after which a run writes down what is finished; of the most shards that there can be,
+that takes some seconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +91,7 @@ def plan_dataset(
         shard_samples=shard_samples,
         engine=engine,
     )
-    return divide(folder, given, recipe, source, compact=compact, engine=engine)
+    return divide(folder, given, recipe, source)
 
 
 def divide(
@@ -100,19 +99,14 @@ def divide(
     given: Mapping[str, Any],
     recipe: Recipe,
     source: Source,
-    *,
-    compact: bool,
-    engine: str,
     kind: type[ShardSpec] = ShardSpec,
 ) -> Plan:
-    """Divide the samples that the manifest's parameters `given` ask for into shards. Raises
-    DatasetError."""
-    counts, shard_samples = given["counts"], given["shard_samples"]
-    fingerprint = manifest.fingerprint(given)
+    """Divide the samples that the manifest's parameters `given` ask for into shards of a `kind`.
+    Raises DatasetError."""
+    counts, fingerprint = given["counts"], manifest.fingerprint(given)
     each = recipe.flight.viewpoints
-    step = max(shard_samples // each, 1)
-    schema = schema_of(recipe)
-    layout = layout_of(schema.stored(compact=compact), schema)
+    step = max(given["shard_samples"] // each, 1)
+    layout = layout_of(given["fields"], schema_of(recipe))
     shards = []
     if sum(counts.values()) > MOST_SHARDS * step * each:
         raise DatasetError(
@@ -138,7 +132,7 @@ def divide(
                     parameters=fingerprint,
                     recipe=recipe,
                     source=source,
-                    engine=engine,
+                    engine=given.get("engine", MUJOCO),
                 )
             )
     return Plan(folder=folder, parameters=dict(given), shards=tuple(shards), lidars=(recipe.lidar,))
@@ -191,7 +185,7 @@ def build(
     for report in state.reports.values():
         on_shard(report, False)
     write = write_placed if isinstance(plan.folder, StorePath) else write_shard
-    written, noted, wait = 0, time.monotonic(), NOTE_S
+    written, noted = 0, time.monotonic()
     with undone_if_stopped(lambda: remove_drafts(plan.folder)):
         try:
             with closing(execute(write, missing, on_start)) as results:
@@ -199,11 +193,9 @@ def build(
                     state.reports[plan.folder / report.file] = report
                     written += report.samples
                     on_shard(report, True)
-                    if time.monotonic() - noted > wait:
-                        begin = time.monotonic()
+                    if time.monotonic() - noted > NOTE_S:
                         state.note(mine)
                         noted = time.monotonic()
-                        wait = max(NOTE_S, NOTE_SHARE * (noted - begin))
         finally:
             remove_drafts(plan.folder)
     if written and len(mine) < len(plan.shards):

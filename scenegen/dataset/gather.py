@@ -20,7 +20,7 @@ from scenegen.dataset.layout import DIGEST, Layout, ShardFile, check_sum, open_f
 from scenegen.dataset.read import Dataset, advised
 from scenegen.dataset.shard import ShardReport, ShardTask, put, read_report
 from scenegen.dataset.state import Plan
-from scenegen.dataset.trust import Entry, GatheredEntry, Manifest
+from scenegen.dataset.trust import Entry, Manifest
 from scenegen.draw import Rejections
 from scenegen.errors import BrokenError, DatasetError, short
 from scenegen.files import real_path, world_digest, write_whole
@@ -172,9 +172,7 @@ def plan_take(dataset: Dataset, folder: Path, choice: Choice, *, workers: int = 
     DatasetError."""
     pieces = ((dataset, one) for one in choose(dataset, choice, workers=workers))
     nothing = (
-        f"{dataset.folder}: no sample is as asked for ({choice}); ask for others"
-        if str(choice)
-        else (f"{dataset.folder}: holds no sample; take of another dataset")
+        f"{dataset.folder}: no sample is as asked for ({str(choice) or 'any'}); ask for others"
     )
     return _plan(folder, pieces, taken=str(choice), nothing=nothing)
 
@@ -186,8 +184,13 @@ def plan_merge(datasets: Sequence[Dataset], folder: Path, *, workers: int = 1) -
     Raises DatasetError for datasets that do not go together: of other grids or labels; ones that
     have a sample in common; ones that share a world, unless both have it in the same split.
     """
+    first = datasets[0]
     for other in datasets[1:]:
-        _check_alike(datasets[0], other)
+        if said := unlike(first.manifest.parameters, other.manifest.parameters):
+            raise DatasetError(
+                f"{other.folder}: {said[0]} is {said[2]} there, and {said[1]} in {first.folder}; "
+                "merge datasets that share it"
+            )
     check_disjoint(datasets, workers=workers)
     pieces = (
         (dataset, one)
@@ -196,14 +199,6 @@ def plan_merge(datasets: Sequence[Dataset], folder: Path, *, workers: int = 1) -
         for one in choose(dataset, Choice(splits=(split,)))
     )
     return _plan(folder, pieces, taken="", nothing="the datasets hold no sample; merge others")
-
-
-def _check_alike(first: Dataset, other: Dataset) -> None:
-    if said := unlike(first.manifest.parameters, other.manifest.parameters):
-        raise DatasetError(
-            f"{other.folder}: {said[0]} is {said[2]} there, and {said[1]} in {first.folder}; merge "
-            "datasets that share it"
-        )
 
 
 def unlike(first: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[str, str, str] | None:
@@ -285,7 +280,7 @@ def _source(
     manifest; noted there with the ways in which samples were taken. Raises DatasetError."""
     it = dataset.manifest
     home, before = it.home(chosen.entry), [""]
-    if isinstance(chosen.entry, GatheredEntry):
+    if it.sources:
         before = it.parameters["sources"][chosen.entry.source]["taken"] or before
     key = home.fingerprint, str(home.digest)
     ways = found.setdefault(key, (home, []))[1]

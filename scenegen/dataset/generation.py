@@ -4,8 +4,8 @@ and how many samples."""
 import dataclasses
 import itertools
 import math
-import numbers
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from scenegen.dataset.locate import locate
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.shard import ShardTask
 from scenegen.dataset.state import Plan
-from scenegen.errors import RecipeError, SceneError, printable, short
+from scenegen.errors import AskedError, RecipeError, SceneError, printable, short
 from scenegen.limits import MOST_SOURCES, MOST_WEIGHT
 from scenegen.recipe import Recipe, beside_file, make_recipe, preset, read_recipe
 from scenegen.recipes import kind_names
@@ -114,11 +114,11 @@ def plan_generation(
         RecipeError, SceneError, DatasetError: What is asked for cannot be.
     """
     if kind is None and scene is None and recipe is None:
-        raise RecipeError(
+        raise AskedError(
             "no worlds are named; give a kind, such as --kind pillar, a --scene or a --recipe"
         )
     if kind is not None and scene is not None:
-        raise RecipeError("a kind draws worlds and a scene has them; give one of the two")
+        raise AskedError("a kind draws worlds and a scene has them; give one of the two")
     named, path = ("scene", Path(scene)) if scene is not None else (kind, None)
     sensor = named_lidar(lidar) if isinstance(lidar, str) else lidar
     given: dict[str, Any] = {"lidar": sensor, "noise": noise, "mapping": mapping}
@@ -279,15 +279,14 @@ def _combinations(domain: Any, at: str) -> list[dict[str, dict[str, Any]]]:
 
 def fraction(weight: Any, label: str, what: str = "stream") -> Fraction:
     """A weight, exactly as it is written. Raises RecipeError, which says of `what` it is."""
-    number = isinstance(weight, numbers.Real) and not isinstance(weight, bool)
-    if not number or not 0 < weight <= MOST_WEIGHT:  # which NaN is not
-        raise RecipeError(
-            f"{what}: weight of {label} = {short(weight)}: expected a number above 0, up to "
-            f"{MOST_WEIGHT}"
-        )
-    if isinstance(weight, int | Fraction):
-        return Fraction(weight)
-    return Fraction(str(float(weight)))
+    with suppress(ValueError, ZeroDivisionError):
+        exact = Fraction("" if isinstance(weight, str) else str(weight))
+        if 0 < exact <= MOST_WEIGHT:
+            return exact
+    raise RecipeError(
+        f"{what}: weight of {label} = {short(weight)}: expected a number above 0, up to "
+        f"{MOST_WEIGHT}"
+    )
 
 
 def plan_mixed(

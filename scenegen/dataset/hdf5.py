@@ -5,6 +5,7 @@ it; on hostile bytes it hangs, crashes or takes all memory, so it runs in a proc
 """
 
 import json
+import math
 import os
 import signal
 import socket
@@ -20,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scenegen.errors import DatasetError, GuardError, printable
+from scenegen.errors import DatasetError, GuardError, printable, raised_as
 from scenegen.files import open_bounded
 from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_OBJECTS, MOST_TEXT_BYTES
 
@@ -42,9 +43,9 @@ class Hdf5Error(ValueError):
 class Stored(NamedTuple):
     """A dataset, as its file describes it."""
 
-    dtype: str
-    """As NumPy spells types."""
+    dtype: np.dtype
     shape: tuple[int, ...]
+    """That of one row last, after how many there are."""
     chunk: tuple[int, ...] | None
     """Shape of a chunk; None where the data are not stored in chunks."""
     filters: tuple[int, ...]
@@ -60,12 +61,19 @@ class Stored(NamedTuple):
             and np.array_equal(self.places, other.places)
         )
 
+    @property
+    def row_bytes(self) -> int:
+        """The bytes of one row, unpacked."""
+        return int(self.dtype.itemsize * math.prod(self.shape[1:]))
+
 
 class Index(NamedTuple):
     """What a file's root group holds."""
 
-    objects: Mapping[str, Stored | str]
-    """Every name's dataset, or why there is none."""
+    objects: Mapping[str, Stored]
+    """The datasets."""
+    others: Mapping[str, str]
+    """Names of what is no dataset, each with what it is."""
     attributes: Mapping[str, int | str | None]
     """Single whole numbers and texts; None for other values."""
 
@@ -96,7 +104,8 @@ class _Library:
         if answer.endswith(b"\n"):
             return answer
         late = self._process.wait() == -signal.SIGALRM
-        raise Hdf5Error("took too long" if late else "crashed, or took too much memory")
+        what = "took too long" if late else "crashed, or took too much memory"
+        raise Hdf5Error(f"the HDF5 library {what}")
 
 
 def _end(process: "subprocess.Popen[bytes]", owner: int) -> None:
@@ -107,34 +116,18 @@ def _end(process: "subprocess.Popen[bytes]", owner: int) -> None:
 
 _LIBRARIES: dict[int, _Library] = {}
 """That of each process, by its number: a forked one has none yet."""
-_KNOWN: dict[tuple[int, ...], Index] = {}
-"""Files that were indexed before, for readers that open more shards than they keep open."""
-MOST_KNOWN, MOST_CHUNKS = 1000, 2_000_000
-"""How many these are at most, and how many chunks they have together, which take 64 MB."""
 
 
 def with_index(content: bytes, file: Any, most_chunks: int) -> bytes:
     """The image of a file that is open in h5py, with its index behind it."""
-    import h5py
-
-    text = json.dumps(_index(h5py, file, most_chunks), sort_keys=True).encode()
+    text = json.dumps(_index(file, most_chunks), sort_keys=True).encode()
     return b"".join([content, text, len(text).to_bytes(8, "little"), MARK])
 
 
 def read_index(handle: int, most_chunks: int) -> Index:
     """The index of an open HDF5 file whose datasets have at most `most_chunks` chunks each: its
-    own, or the library's. Next to no time is taken where a file was indexed before and has not
-    changed since. Raises Hdf5Error."""
-    file = os.fstat(handle)
-    key = (file.st_dev, file.st_ino, file.st_size, file.st_mtime_ns, file.st_ctime_ns, most_chunks)
-    known = _KNOWN.pop(key, None)
-    found = known or _own(handle, most_chunks) or library_index(handle, most_chunks)
-    _KNOWN[key] = found  # last in line: the one used longest ago stands first
-    # as if all were as large as this one, which shards of a dataset are
-    chunks = sum(len(one[-1]) for one in found.objects.values())
-    for old in list(_KNOWN)[: -max(min(MOST_KNOWN, MOST_CHUNKS // max(chunks, 1)), 1)]:
-        _KNOWN.pop(old, None)
-    return found
+    own, or the library's. Raises Hdf5Error."""
+    return _own(handle, most_chunks) or library_index(handle, most_chunks)
 
 
 def tells(handle: int) -> bool:
@@ -152,30 +145,19 @@ def _own(handle: int, most_chunks: int) -> Index | None:
     most = MOST_INDEX_BYTES + INDEX_BYTES_A_CHUNK * most_chunks
     if length > min(most, size - ending):
         raise Hdf5Error(f"its index has {length} bytes")
-    try:
+    failed = (ValueError, TypeError, LookupError, AttributeError, RecursionError, zlib.error)
+    with raised_as(Hdf5Error, "its index is damaged: ", of=failed):
         return _parsed(os.pread(handle, length, size - ending - length), most_chunks)
-    except (
-        ValueError,
-        TypeError,
-        LookupError,
-        AttributeError,
-        RecursionError,
-        zlib.error,
-    ) as error:
-        raise Hdf5Error(f"its index is damaged: {printable(error)[:100]}") from None
 
 
 def library_index(handle: int, most_chunks: int) -> Index:
     """What the HDF5 library says of an open file. The first call of a process takes 0.2 s, to begin
     the library's; others some 5 ms a shard. Raises Hdf5Error."""
     try:
-        try:
-            answer = _LIBRARIES[os.getpid()].ask(handle, most_chunks)
-        except (KeyError, BrokenPipeError, ConnectionResetError):  # none yet, or somebody ended it
-            library = _LIBRARIES[os.getpid()] = _Library()
-            answer = library.ask(handle, most_chunks)
-    except Hdf5Error as error:
-        raise Hdf5Error(f"the HDF5 library {error}") from None
+        answer = _LIBRARIES[os.getpid()].ask(handle, most_chunks)
+    except (KeyError, BrokenPipeError, ConnectionResetError):  # none yet, or somebody ended it
+        library = _LIBRARIES[os.getpid()] = _Library()
+        answer = library.ask(handle, most_chunks)
     if answer.startswith(b'"'):
         raise Hdf5Error(f"the HDF5 library does not read it: {json.loads(answer)}")
     return _parsed(answer, most_chunks)
@@ -186,18 +168,18 @@ def _parsed(text: bytes, most_chunks: int) -> Index:
     found = json.loads(text)
     if not all(value is None or type(value) in (int, str) for value in found["more"].values()):
         raise ValueError("attributes are neither whole numbers nor texts")
-    objects = {name: _stored(said, most_chunks) for name, said in found["objects"].items()}
-    return Index(objects, found["more"])
+    said = found["objects"].items()
+    objects = {name: _stored(one, most_chunks) for name, one in said if not isinstance(one, str)}
+    others = {name: one for name, one in said if isinstance(one, str)}
+    return Index(objects, others, found["more"])
 
 
-def _stored(said: Any, most_chunks: int) -> Stored | str:
-    if isinstance(said, str):
-        return said
+def _stored(said: Any, most_chunks: int) -> Stored:
     dtype, shape, chunk, filters, places = said
     raw = zlib.decompressobj().decompress(bytes.fromhex(places), 32 * most_chunks + 1)
     rows = np.frombuffer(raw, "<i8").reshape(-1, 4).cumsum(axis=0)
     shape, chunk, filters = (tuple(map(int, part or ())) for part in (shape, chunk, filters))
-    return Stored(np.dtype(str(dtype)).str, shape, chunk or None, filters, rows)
+    return Stored(np.dtype(str(dtype)), shape, chunk or None, filters, rows)
 
 
 def serve() -> None:
@@ -216,7 +198,7 @@ def serve() -> None:
             try:
                 # HDF5 itself opens no file without a name, such as a copy of a store's
                 with open(f"/dev/fd/{handles[0]}", "rb") as own, h5py.File(own, "r") as file:
-                    answer = _index(h5py, file, int(asked[0]))
+                    answer = _index(file, int(asked[0]))
             except Exception as error:  # h5py's are of many kinds
                 answer = printable(error)[:200] or type(error).__name__
             signal.alarm(0)
@@ -225,16 +207,18 @@ def serve() -> None:
     os._exit(0)  # at once: nobody waits for it
 
 
-def _index(h5py: Any, file: Any, most_chunks: int) -> Any:
+def _index(file: Any, most_chunks: int) -> Any:
     if max(len(file), len(file.attrs)) > MOST_OBJECTS:
         return f"more than {MOST_OBJECTS} objects or attributes"
     return {
-        "objects": {name: _object(h5py, file, name, most_chunks) for name in file},
+        "objects": {name: _object(file, name, most_chunks) for name in file},
         "more": {name: _attribute(file.attrs, name) for name in file.attrs},
     }
 
 
-def _object(h5py: Any, file: Any, name: str, most_chunks: int) -> Any:
+def _object(file: Any, name: str, most_chunks: int) -> Any:
+    import h5py  # which readers of our own files do without
+
     if file.id.links.get_info(name.encode()).type != h5py.h5l.TYPE_HARD:
         return "is a link to elsewhere"
     dataset = h5py.h5o.open(file.id, name.encode())

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenegen.dataset.hdf5 import Hdf5Error, Stored, read_index
-from scenegen.errors import BrokenError, DatasetError, printable, short
+from scenegen.errors import BrokenError, DatasetError, raised_as, short
 from scenegen.files import open_bounded, sha256_in
 from scenegen.sample import DERIVED, FIELDS, Sample, Schema
 
@@ -49,33 +49,13 @@ def most_bytes(layout: Layout, samples: int) -> int:
 
 
 @dataclass(frozen=True, eq=False)
-class Column:
-    """One dataset of a shard: N chunks, one a sample."""
-
-    name: str
-    dtype: np.dtype
-    shape: tuple[int, ...]
-    """The shape of one sample."""
-    filters: tuple[int, ...]
-    """In the order of writing."""
-    places: NDArray[np.int64]
-    """(N, 4): a sample's row, where its chunk begins in the file, bytes, and which filters were
-    left out (a bit each).
-    """
-
-    @property
-    def bytes(self) -> int:
-        """The bytes of one sample, unpacked."""
-        return int(self.dtype.itemsize * math.prod(self.shape))
-
-
-@dataclass(frozen=True, eq=False)
 class ShardFile:
     """An open shard whose layout is as the format says. Any number of threads may read from it."""
 
     file: BufferedReader
     name: str
-    columns: Mapping[str, Column]
+    columns: Mapping[str, Stored]
+    """Its datasets: N chunks each, one a sample."""
     attributes: Mapping[str, int | str | None]
     _read: dict[str, NDArray[Any]] = field(default_factory=dict)
     """Whole columns, as far as they have been read."""
@@ -87,8 +67,8 @@ class ShardFile:
         Raises BrokenError for a chunk that does not unpack to just what it should.
         """
         column = self.columns[name]
-        if column.filters or column.bytes > SMALL_BYTES:
-            return self._chunk(column, row, read_only)
+        if column.filters or column.row_bytes > SMALL_BYTES:
+            return self._chunk(name, row, read_only)
         return self.column(name)[row].copy()
 
     def column(self, name: str) -> NDArray[Any]:
@@ -96,11 +76,9 @@ class ShardFile:
         BrokenError."""
         column = self.columns[name]
         if name not in self._read:
-            count, size = len(column.places), column.bytes
+            count, size = len(column.places), column.row_bytes
             if column.filters or (column.places[:, 2] != size).any():
-                self._read[name] = np.stack(
-                    [self._chunk(column, row, True) for row in range(count)]
-                )
+                self._read[name] = np.stack([self._chunk(name, row, True) for row in range(count)])
             else:
                 begins = column.places[:, 1].tolist()
                 breaks = np.flatnonzero(np.diff(column.places[:, 1]) != size) + 1
@@ -109,18 +87,16 @@ class ShardFile:
                     raw += os.pread(self.file.fileno(), (end - row) * size, begins[row])
                 if len(raw) != count * size:
                     raise BrokenError(f"{self.name}: {name}: the file ends within it")
-                shape, where = (count, *column.shape), f"{self.name}: {name}"
-                self._read[name] = _array(raw, column, shape, where)
+                self._read[name] = _array(raw, column, column.shape, f"{self.name}: {name}")
         return self._read[name]
 
-    def _chunk(self, column: Column, row: int, read_only: bool) -> NDArray[Any]:
-        where = f"{self.name}: sample {row}: {column.name}"
+    def _chunk(self, name: str, row: int, read_only: bool) -> NDArray[Any]:
+        column, where = self.columns[name], f"{self.name}: sample {row}: {name}"
         _, begin, size, left_out = column.places[row].tolist()
-        try:
+        failed = (isal.isal_zlib.error, EOFError, ValueError, OSError)
+        with raised_as(BrokenError, f"{where} cannot be unpacked: ", of=failed):
             raw = unpack(os.pread(self.file.fileno(), size, begin), column, left_out)
-        except (isal.isal_zlib.error, EOFError, ValueError, OSError) as error:
-            raise BrokenError(f"{where} cannot be unpacked ({error})") from None
-        return _array(raw if read_only else bytearray(raw), column, column.shape, where)
+        return _array(raw if read_only else bytearray(raw), column, column.shape[1:], where)
 
     def check(self, row: int) -> None:
         """Raise BrokenError unless a sample has the digest that stands beside it; fields that
@@ -172,7 +148,7 @@ class ShardFile:
 
 
 def _array(
-    raw: bytes | bytearray, column: Column, shape: tuple[int, ...], where: str
+    raw: bytes | bytearray, column: Stored, shape: tuple[int, ...], where: str
 ) -> NDArray[Any]:
     """Bytes as an array of a column's type."""
     values = np.frombuffer(raw, dtype=np.uint8 if column.dtype == np.bool_ else column.dtype)
@@ -183,10 +159,10 @@ def _array(
     return values.reshape(shape)
 
 
-def unpack(packed: bytes, column: Column, left_out: int) -> bytes:
+def unpack(packed: bytes, column: Stored, left_out: int) -> bytes:
     """A chunk's bytes with the filters undone, last first. Raises ValueError unless as many come
     out as there must."""
-    data = packed
+    data, size = packed, column.row_bytes
     if left_out >> len(column.filters):
         raise ValueError(f"it leaves out filters that it does not have: {left_out:#b}")
     for place in reversed(range(len(column.filters))):
@@ -196,16 +172,16 @@ def unpack(packed: bytes, column: Column, left_out: int) -> bytes:
         if number == FLETCHER32:
             data = data[:-4]  # its checksum is not looked at: the samples' digests are better ones
         elif number == SHUFFLE:
-            if len(data) != column.bytes:
-                raise ValueError(f"{len(data)} bytes, expected {column.bytes}")
+            if len(data) != size:
+                raise ValueError(f"{len(data)} bytes, expected {size}")
             data = np.frombuffer(data, np.uint8).reshape(column.dtype.itemsize, -1).T.tobytes()
         elif number == DEFLATE:
             unpacking = isal.isal_zlib.decompressobj()
-            data = unpacking.decompress(data, column.bytes + 8)
+            data = unpacking.decompress(data, size + 8)
             if not unpacking.eof:
                 raise ValueError("more or fewer bytes than it should")
-    if len(data) != column.bytes:
-        raise ValueError(f"{len(data)} bytes, expected {column.bytes}")
+    if len(data) != size:
+        raise ValueError(f"{len(data)} bytes, expected {size}")
     return data
 
 
@@ -239,20 +215,17 @@ def open_shard(file: BufferedReader, path: Path, samples: int, layout: Layout) -
 
 def _checked(
     file: BufferedReader, path: Path, samples: int, layout: Layout
-) -> tuple[dict[str, Column], Mapping[str, int | str | None]]:
+) -> tuple[dict[str, Stored], Mapping[str, int | str | None]]:
     """The columns and attributes of a shard."""
     size, most = os.fstat(file.fileno()).st_size, most_bytes(layout, samples)
     if size > most:
         raise BrokenError(f"{path.name}: {size} bytes, {samples} samples take {most} at most")
-    try:
+    with raised_as(BrokenError, f"{path.name}: is damaged: ", of=Hdf5Error):
         index = read_index(file.fileno(), samples)
-    except Hdf5Error as error:
-        raise BrokenError(f"{path.name}: is damaged: {printable(error)}") from None
-    for name, stored in index.objects.items():
-        if isinstance(stored, str):
-            raise BrokenError(
-                f"{path.name}: {short(name)[1:-1]} {stored}; only data of its own may be in a shard"
-            )
+    for name, why_none in index.others.items():
+        raise BrokenError(
+            f"{path.name}: {short(name)[1:-1]} {why_none}; only data of its own may be in a shard"
+        )
     if odd := sorted(set(index.objects) ^ set(layout)):
         named = ", ".join(short(name)[1:-1] for name in odd)
         raise BrokenError(
@@ -260,28 +233,21 @@ def _checked(
         )
     columns = {}
     for name, (dtype, shape) in layout.items():
-        stored = index.objects[name]
-        assert isinstance(stored, Stored)
-        columns[name] = _column(f"{path.name}: {name}", name, stored, samples, dtype, shape, size)
+        stored = columns[name] = index.objects[name]
+        if stored.dtype != dtype or stored.shape != (samples, *shape):
+            raise BrokenError(
+                f"{path.name}: {name} is {stored.dtype} {stored.shape[:4]}, expected {dtype} "
+                f"{(samples, *shape)}: as many samples as the manifest lists, of the grid's or the "
+                "sensor's shape"
+            )
+        _check_chunks(stored, size, f"{path.name}: {name}")
     return columns, index.attributes
 
 
-def _column(
-    where: str,
-    name: str,
-    stored: Stored,
-    samples: int,
-    dtype: np.dtype,
-    shape: tuple[int, ...],
-    size: int,
-) -> Column:
-    """The dataset `name`, checked. Raises BrokenError."""
-    if stored.dtype != dtype.str or stored.shape != (samples, *shape):
-        raise BrokenError(
-            f"{where} is {np.dtype(stored.dtype)} {stored.shape[:4]}, expected {dtype} "
-            f"{(samples, *shape)}: as many samples as the manifest lists, of the grid's or the "
-            "sensor's shape"
-        )
+def _check_chunks(stored: Stored, size: int, where: str) -> None:
+    """Raise BrokenError unless each sample has a chunk that can be its own, of a file of `size`
+    bytes."""
+    samples, *shape = stored.shape
     if stored.chunk != (1, *shape):
         raise BrokenError(f"{where} has other chunks than one a sample, {(1, *shape)}")
     odd = set(stored.filters) - FILTERS
@@ -290,13 +256,13 @@ def _column(
             f"{where} has filters {stored.filters}, expected only gzip (1), shuffle (2) and "
             f"fletcher32 (3)"
         )
-    places = stored.places[np.argsort(stored.places[:, 0], kind="stable")]
-    if not np.array_equal(places[:, 0], np.arange(len(places))) or len(places) != samples:
+    places = stored.places
+    if not np.array_equal(places[:, 0], np.arange(samples)):
         raise BrokenError(
-            f"{where}: {len(np.unique(places[:, 0]))} of {samples} samples are stored"
+            f"{where}: {len(np.unique(places[:, 0]))} of {samples} samples are stored, or in "
+            "another order"
         )
-    raw = int(dtype.itemsize * math.prod(shape))
-    most = raw + raw // 100 + 1000
+    most = stored.row_bytes + stored.row_bytes // 100 + 1000
     wrong = (places[:, 1:3] < 0).any(axis=1) | (
         places[:, 2] > np.minimum(most, size - places[:, 1])
     )
@@ -305,4 +271,3 @@ def _column(
         raise BrokenError(
             f"{where}: sample {row}: {length} bytes at byte {begin} cannot be its own"
         )
-    return Column(name, dtype, shape, stored.filters, places)

@@ -16,7 +16,7 @@ from scenegen.errors import DatasetError, StoreError, printable, short
 from scenegen.files import read_bounded, sha256_of, write_whole
 from scenegen.limits import MOST_DEPTH, MOST_MANIFEST_BYTES
 from scenegen.run.software import software
-from scenegen.stores import TRIES, ConflictError
+from scenegen.stores import ConflictError
 
 if TYPE_CHECKING:  # these draw worlds, and import what that takes
     from scenegen.dataset.shard import ShardReport
@@ -27,15 +27,22 @@ NAME = "dataset.json"
 FORMAT = "scenegen-dataset"
 VERSION = 1
 """The major version of the format."""
-SINCE: Mapping[str, str] = {
+VERSIONS = (VERSION, 1.2, 1.3, 1.4, "1.5", "1.6")
+"""All of the format, as they stand in the file, in order; from 1.5 on as text, for 1.10 is no
+1.1."""
+SINCE: Mapping[str, int | float | str] = {
     **{part.name: part.since for part in PARTS},
-    **{"rescan": "1.2", "sources": "1.4", "differ": "1.6"},
+    **{"rescan": 1.2, "sources": 1.4, "differ": "1.6"},
 }
 """Entries, and the first version of the format that has them: a manifest is of the latest one that
 any of its entries asks for, and readers of earlier versions refuse it. Whatever they would refuse
 is to raise the version."""
-LAST_NUMBER = (1, 4)
-"""Versions up to this one stand in the file as numbers, later ones as text: 1.10 is no 1.1."""
+
+MINOR = tuple(name for name, since in SINCE.items() if since != VERSION)
+"""Entries that raise a manifest's version."""
+UNNAMED: Mapping[str, Any] = {"generator": 1, "engine": MUJOCO}
+BEFORE: dict[str, Any] = {**UNNAMED, **dict.fromkeys(MINOR)}
+"""What a manifest says by not naming it."""
 OF_SHARDS = ("complete", "shards", "rejected", "digest")
 """What a manifest says besides the dataset's parameters."""
 ALIKE = ("format", "generator", "fields", *NAMES)
@@ -81,15 +88,7 @@ def parameters(
 def version_of(given: Mapping[str, Any]) -> int | float | str:
     """The version of a manifest that has the entries `given`, as it stands in the file."""
     asked = [since for name, since in SINCE.items() if given.get(name) is not None]
-    return _written(max((str(VERSION), *asked), key=_pair))
-
-
-def _written(version: str) -> int | float | str:
-    """A version as it stands in the file."""
-    major, minor = _pair(version)
-    if not minor:
-        return major
-    return float(version) if (major, minor) <= LAST_NUMBER else version
+    return max((VERSION, *asked), key=VERSIONS.index)
 
 
 def is_later(document: Mapping[str, Any]) -> bool:
@@ -117,7 +116,7 @@ def parameters_of(document: Mapping[str, Any]) -> dict[str, Any]:
 def completed(document: Mapping[str, Any]) -> dict[str, Any]:
     """The `parameters` of a manifest, with the generator and the engine, where it does not name
     them."""
-    return {"generator": 1, "engine": MUJOCO} | parameters_of(document)
+    return {**UNNAMED, **parameters_of(document)}
 
 
 def fingerprint(given: Mapping[str, Any]) -> str:
@@ -176,7 +175,7 @@ def write(folder: Path, manifest: Mapping[str, Any]) -> None:
     another dataset.
     """
     content = (json.dumps(manifest, indent=1) + "\n").encode()
-    for _ in range(TRIES):
+    while True:  # until no other run puts one between
         try:
             write_whole(folder / NAME, content)
             return
@@ -194,9 +193,6 @@ def write(folder: Path, manifest: Mapping[str, Any]) -> None:
             )
         if there["complete"]:
             return
-    raise StoreError(
-        f"{folder}: other runs put manifests all the time; give the same command again to go on"
-    )
 
 
 def read(folder: Path) -> dict[str, Any]:
@@ -207,7 +203,8 @@ def read(folder: Path) -> dict[str, Any]:
     path = folder / NAME
     try:
         manifest = json.loads(read_bounded(path, MOST_MANIFEST_BYTES).decode())
-        _check_depth(manifest)
+        if _depth(manifest) > MOST_DEPTH:
+            raise ValueError(f"it nests deeper than {MOST_DEPTH} levels, which no manifest does")
     except FileNotFoundError:
         lacks = f"it has no {NAME}" if folder.is_dir() else "there is no such folder"
         raise DatasetError(
@@ -224,30 +221,21 @@ def read(folder: Path) -> dict[str, Any]:
         or "shards" not in manifest
     ):
         raise DatasetError(f'{path}: not a scenegen dataset, expected "format": "{FORMAT}"')
-    there, last = manifest.get("version"), max(SINCE.values(), key=_pair)
-    if there not in [_written(since) for since in SINCE.values()]:
-        newer = _pair(there) > _pair(last)
+    if (there := manifest.get("version")) not in VERSIONS:
+        newer = _pair(there) > _pair(VERSIONS[-1])
         more = (
             "a newer scenegen wrote it; read it with that one"
             if newer
             else "copy the dataset again"
         )
         raise DatasetError(
-            f"{path}: format version {short(there)}, this scenegen reads up to {last}; {more}"
+            f"{path}: format version {short(there)}, this scenegen reads up to {VERSIONS[-1]}; "
+            f"{more}"
         )
     return manifest
 
 
-def _check_depth(found: Any) -> None:
-    """Raise ValueError where a JSON value nests without end."""
-    level = [found]
-    for _ in range(MOST_DEPTH):
-        holders = [value for value in level if isinstance(value, dict | list)]
-        level = [
-            inner
-            for value in holders
-            for inner in (value.values() if isinstance(value, dict) else value)
-        ]
-        if not level:
-            return
-    raise ValueError(f"it nests deeper than {MOST_DEPTH} levels, which no manifest does")
+def _depth(value: Any) -> int:
+    """How deep a JSON value nests. Raises RecursionError where that is without end."""
+    inner = value.values() if isinstance(value, dict) else value
+    return 1 + max(map(_depth, inner), default=0) if isinstance(value, dict | list) else 0

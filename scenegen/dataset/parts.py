@@ -5,6 +5,7 @@ import dataclasses
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -169,9 +170,10 @@ def tables_of(sensors: Iterable[Sensor]) -> dict[str, BeamTable]:
 def write_rays(sensors: Iterable[Sensor], folder: Path) -> None:
     """Put the tables of `sensors` into the dataset's folder, unless they are there."""
     for name, table in tables_of(sensors).items():
-        path = folder / name
-        if not path.is_file() or path.read_bytes() != table.npy:
-            write_whole(path, table.npy)
+        with suppress(FileNotFoundError):
+            if (folder / name).read_bytes() == table.npy:
+                continue
+        write_whole(folder / name, table.npy)
 
 
 def noise_entry(noise: "Noise", max_range_m: float) -> dict[str, Any] | None:
@@ -257,7 +259,7 @@ class Part:
 
     name: str
     """Its name, in manifests, recipes and `Manifest`."""
-    since: str
+    since: int | float | str
     """The first version of the format in which manifests may have the entry."""
     entry: Callable[["Recipe"], Any]
     """The entry that a recipe has in the manifest; None for none."""
@@ -273,33 +275,32 @@ class Part:
 PARTS = (
     Part(
         name="grid",
-        since="1",
+        since=1,
         entry=lambda recipe: plain(grid_entry(recipe.grid)),
         read=_read_grid,
     ),
     Part(
         name="lidar",
-        since="1",
+        since=1,
         entry=lambda recipe: sensor_entry(recipe.lidar),
         read=read_sensor,
     ),
     Part(
         name="noise",
-        since="1.2",
+        since=1.2,
         entry=lambda recipe: noise_entry(recipe.noise, recipe.lidar.max_range_m),
         read=_read_plain("noise", _NOISE),
     ),
     Part(
         name="labels",
-        since="1.2",
+        since=1.2,
         entry=lambda recipe: recipe.labels and plain(dataclasses.asdict(recipe.labels)),
         read=_read_plain("labels", _LABELS),
         group="labels",
-        brings=lambda labels: labels is not None,
     ),
     Part(
         name="mapping",
-        since="1.3",
+        since=1.3,
         entry=lambda recipe: mapping_entry(recipe.mapping),
         read=_read_mapping,
         group="earlier",
@@ -311,7 +312,6 @@ PARTS = (
         entry=lambda recipe: recipe.known and plain(dataclasses.asdict(recipe.known)),
         read=lambda entry, before: None if entry is None else made(Known, entry, "known"),
         group="known",
-        brings=lambda known: known is not None,
     ),
 )
 """In the order in which they stand in the file and are read."""

@@ -47,8 +47,8 @@ def read_notes(folder: Path, parameters: str) -> dict[str, Entry]:
 
 
 def remove_notes(folder: Path) -> None:
-    """Delete them: the manifest lists everything."""
-    for path in folder.glob(NOTES):
+    """Delete them: the manifest lists everything. A store has none."""
+    for path in () if isinstance(folder, StorePath) else folder.glob(NOTES):
         path.unlink(missing_ok=True)
 
 

@@ -2,36 +2,39 @@
 come from."""
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from functools import cached_property, partial
 from io import BufferedReader
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, overload
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarsim import fuse
 from scenegen import SPLITS
 from scenegen.dataset import trust
 from scenegen.dataset.archive import DOCUMENT, open_archive
 from scenegen.dataset.layout import ShardFile, check_sum, open_file, open_shard
 from scenegen.errors import BrokenError, DatasetError, SceneError, raised_as, short
-from scenegen.sample import Sample, derive_free, derive_tudf, html_table
+from scenegen.sample import Sample, Samples, Schema, html_table
+from scenegen.truth import distance_field
 
 if TYPE_CHECKING:  # which imports MuJoCo
     from scenegen.worlds.place import Place
     from scenegen.worlds.world import World
 
-MOST_OPEN = 64
+MOST_OPEN = 256
 """Shards that a reader keeps open in one process; a large dataset has more than a process may
 open."""
 
 
-def advised(folder: Path) -> AbstractContextManager[None]:
-    """Say of a broken file of the dataset in `folder` where it is, and what to do about it."""
-    advice = "; copy the dataset again, or generate it"
-    return raised_as(DatasetError, f"{folder}/", advice, of=BrokenError)
+def advised(folder: Path, mark: str = "/", of: Any = BrokenError) -> AbstractContextManager[None]:
+    """Say of what is broken in the dataset in `folder` where it is, and what to do about it."""
+    return raised_as(
+        DatasetError, f"{folder}{mark}", "; copy the dataset again, or generate it", of=of
+    )
 
 
 class Rows(NamedTuple):
@@ -115,19 +118,16 @@ class Dataset:
 
         files = self.world(split, number)
         document, name = files.pop(DOCUMENT), f"{split} world {number}"
-        try:
+        with advised(self.folder, ": ", of=(BrokenError, SceneError)):
             screen(document, files, name)
             return archived_world(document, files, name=name)
-        except (BrokenError, SceneError) as error:
-            raise DatasetError(
-                f"{self.folder}: {error}; copy the dataset again, or generate it"
-            ) from None
 
     def _shards_before(self, split: str, number: int) -> list[tuple[trust.Entry, int]]:
         """The shards of a split that may hold its world `number`, the likeliest first, and the
         number that it bears there."""
+        first = self.manifest.first_worlds
         found = [
-            (entry, number - self._first_world(entry))
+            (entry, number - first[split, entry.source])
             for entry in self.manifest.shards
             if entry.split == split
         ]
@@ -135,21 +135,6 @@ class Dataset:
             ((entry, own) for entry, own in found if entry.first_world <= own),
             key=lambda one: -one[0].first_world,
         )
-
-    def _first_world(self, entry: trust.Entry) -> int:
-        """See `trust.Manifest.first_world`."""
-        return (
-            self._first.get((entry.split, entry.source), 0)
-            if isinstance(entry, trust.GatheredEntry)
-            else 0
-        )
-
-    @cached_property
-    def _first(self) -> dict[tuple[str, int], int]:
-        it = self.manifest
-        return {
-            (split, n): it.first_world(split, n) for split in SPLITS for n in range(len(it.sources))
-        }
 
     def _shard(self, entry: trust.Entry) -> ShardFile:
         """An open shard, of this dataset by its own word."""
@@ -179,7 +164,7 @@ class Dataset:
         return file
 
 
-class Split(Sequence[Sample]):
+class Split(Samples):
     """The samples of one split, in order. Files are opened when first read, and anew in every
     process that reads."""
 
@@ -195,13 +180,11 @@ class Split(Sequence[Sample]):
     def __len__(self) -> int:
         return int(self._start[-1])
 
-    @overload
-    def __getitem__(self, index: int) -> Sample: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[Sample]: ...
-    def __getitem__(self, index: int | slice) -> Sample | list[Sample]:
-        if isinstance(index, slice):
-            return [self[n] for n in range(*index.indices(len(self)))]
+    def __getitems__(self, indices: Sequence[int]) -> list[Sample]:
+        """Several samples, as torch asks for a batch."""
+        return list(map(self._sample, indices))
+
+    def _sample(self, index: int) -> Sample:
         number, row = self._place(index)
         self._shard(number)  # which says at once if the file is missing or not this dataset's
         if self.dataset.checked:
@@ -216,24 +199,16 @@ class Split(Sequence[Sample]):
         with advised(self.dataset.folder):
             self._shard(number).check(row)
 
-    def __iter__(self) -> Iterator[Sample]:
-        return (self[n] for n in range(len(self)))
-
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_open": {}}
 
     def __repr__(self) -> str:
         return f"<Split: {len(self)} samples of {self.dataset.folder}, {self.name}>"
 
-    def _repr_html_(self) -> str:
-        """For notebooks: what the split is, and what its samples hold."""
-        rows = ((name, *about.values()) for name, about in self.describe().items())
-        return html_table(rows, self)
-
-    def describe(self) -> dict[str, dict[str, Any]]:
-        """What a sample holds, of the first source where these differ: name of each field to its
-        `dtype`, `shape`, `unit` and `meaning`."""
-        return self.dataset.manifest.schema.describe()
+    @property
+    def schema(self) -> Schema:
+        """That of the first source, where these differ."""
+        return self.dataset.manifest.schema
 
     def _place(self, index: int) -> tuple[int, int]:
         """Shard, and row in it, of sample `index`."""
@@ -266,17 +241,18 @@ class Split(Sequence[Sample]):
                 value = shard.value(name, row)
                 return value + self.first_worlds[number] if name == "world" else value
             if name == "tudf":
-                return derive_tudf(sample.occupancy, grid=it.grid)
+                return distance_field(sample.occupancy, it.grid)
             ranges = [getattr(sample, one) for one in sample.names if one.endswith("ranges")]
             if not np.isfinite(sample.origin).all() or not all((it >= 0).all() for it in ranges):
                 raise BrokenError(f"{shard.name}: sample {row}: origin or ranges are no lengths")
             with raised_as(BrokenError, f"{shard.name}: sample {row}: "):
-                return derive_free(sample.scans(), sample.origin, grid=it.grid, fusion=home.mapping)
+                return fuse(sample.scans()[::-1], it.grid, sample.origin, home.mapping).free
 
     @cached_property
     def first_worlds(self) -> list[int]:
         """What is added to the numbers of worlds that a shard holds, by shard."""
-        return [self.dataset._first_world(entry) for entry in self.shards]
+        first = self.dataset.manifest.first_worlds
+        return [first[self.name, entry.source] for entry in self.shards]
 
     def first(self, number: int) -> int:
         """The number of a shard's first sample."""
@@ -286,18 +262,15 @@ class Split(Sequence[Sample]):
         """Where a shard's samples, (N,), stand in the split of the dataset that they were made for.
         Raises DatasetError."""
         entry = self.shards[number]
-        start = self.first(number)
-        if isinstance(entry, trust.GatheredEntry):
-            start = entry.start
-            if entry.cut:
-                shard = self._shard(number)
-                with advised(self.dataset.folder):
-                    numbering = self.dataset.manifest.home(entry).numbering(self.name)
-                    places: NDArray[np.int64] = numbering.place(
-                        shard.column("world"), shard.column("viewpoint")
-                    )
-                    return places
-        return np.arange(start, start + entry.samples)
+        if not entry.cut:
+            return np.arange(entry.start, entry.stop)
+        shard = self._shard(number)
+        with advised(self.dataset.folder):
+            numbering = self.dataset.manifest.home(entry).numbering(self.name)
+            places: NDArray[np.int64] = numbering.place(
+                shard.column("world"), shard.column("viewpoint")
+            )
+            return places
 
     def count_worlds(self) -> int:
         """How many worlds its samples are of; files are opened only where samples were left out

@@ -2,7 +2,8 @@
 with other noise."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +20,11 @@ from scenegen.dataset.read import Dataset
 from scenegen.dataset.shard import ShardSpec, find_engine
 from scenegen.dataset.state import Plan
 from scenegen.draw import (
+    FLIGHT,
     Rejections,
     Unit,
+    UnitKey,
     engine_of,
-    flight_rng,
     rays_known,
     samples_of,
     scans_from,
@@ -38,7 +40,7 @@ from scenegen.worlds.world import World
 
 
 def fly_again(
-    world: World | Place, poses: Sequence[Pose], recipe: Recipe, *, seed: int, split: str, unit: int
+    world: World | Place, poses: Sequence[Pose], recipe: Recipe, key: UnitKey
 ) -> list[list[Pose]]:
     """The poses of the scans that the recipe's mapping asks for of samples with these `poses`, each
     its own first: the unit's flight is planned again, and known by its passing all of them, to the
@@ -47,7 +49,7 @@ def fly_again(
     Raises GenerationError where no draw's flight does.
     """
     for attempt in range(recipe.accept.max_draws):
-        rng = flight_rng(seed, split, unit, attempt)
+        rng = key.rng(FLIGHT, attempt)
         for _ in range(recipe.flight.flights_per_world):
             path = fly(world, recipe.flight, rng=rng)
             if path is None:
@@ -62,9 +64,9 @@ def fly_again(
                     for pose, place in zip(poses, places, strict=True)
                 ]
     raise GenerationError(
-        f"{split} flight {unit} comes out otherwise here, so that nobody knows where earlier "
-        f"scans were made; generate "
-        "the dataset with --scans, or scan it again with the software that made it"
+        f"{key.split} flight {key.unit} comes out otherwise here, so that nobody knows where "
+        "earlier scans were made; generate the dataset with --scans, or scan it again with the "
+        "software that made it"
     )
 
 
@@ -72,10 +74,8 @@ def scan_again(
     world: World | Place,
     poses: Sequence[Sequence[Pose]],
     recipe: Recipe,
+    key: UnitKey,
     *,
-    seed: int,
-    split: str,
-    unit: int,
     names: tuple[int, int],
     derived: bool = True,
     engine: EngineFactory,
@@ -95,7 +95,7 @@ def scan_again(
         if recipe.known is not None:
             truth["ray_known"] = rays_known(world, scans[0], recipe.known)
         views.append((scans, truth))
-    samples = samples_of(views, recipe, world, caster, seed, split, unit, names, derived)
+    samples = samples_of(views, recipe, world, caster, key, names, derived)
     return Unit(names[0], world, samples, Rejections())
 
 
@@ -103,7 +103,7 @@ MOST_WORLDS = 8
 """Worlds that a process keeps compiled: those from MJCF files come again and again."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Archived:
     """The worlds of a dataset, as a `Source`: read from its archives, and never drawn."""
 
@@ -111,34 +111,29 @@ class Archived:
     scenes: Mapping[str, int] | None
     """Worlds of each split, where MJCF files were visited in turn; None where each flight has a
     world of its own."""
-    _open: list[Dataset] = field(default_factory=list, compare=False)
-    _worlds: dict[tuple[str, int], World | Place] = field(default_factory=dict, compare=False)
 
-    @property
+    @cached_property
     def dataset(self) -> Dataset:
         """The dataset, opened once a process, and checked: what comes of it would hide its
         faults."""
-        if not self._open:
-            self._open.append(Dataset(self.folder, checked=True))
-        return self._open[0]
+        return Dataset(self.folder, checked=True)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_open": [], "_worlds": {}}
+        return {"folder": self.folder, "scenes": self.scenes}
 
     def number(self, split: str, unit: int) -> tuple[int, int]:
         """See `Source.number`."""
         if self.scenes is None:
             return unit, 0
-        turn, number = divmod(unit, self.scenes[split])
-        return number, turn
+        return unit % self.scenes[split], unit // self.scenes[split]
 
     def world(self, split: str, number: int, *, rng: np.random.Generator) -> World | Place:
         """See `Source.world`; nothing is drawn."""
-        if (split, number) not in self._worlds:
-            self._worlds[split, number] = self.dataset.compile(split, number)
-            for old in list(self._worlds)[:-MOST_WORLDS]:
-                del self._worlds[old]
-        return self._worlds[split, number]
+        return self._world(split, number)
+
+    @lru_cache(maxsize=MOST_WORLDS)  # noqa: B019
+    def _world(self, split: str, number: int) -> World | Place:
+        return self.dataset.compile(split, number)
 
     def describe(self) -> dict[str, Any]:
         """See `Source.describe`."""
@@ -165,18 +160,17 @@ class RescanSpec(ShardSpec):
         places = range(begin, min(begin + each, len(source.dataset.split(self.split))))
         number, turn = source.number(self.split, unit)
         world = source.world(self.split, number, rng=np.random.default_rng(0))
+        key = UnitKey(self.seed, self.split, unit)
         mapping, there = self.recipe.mapping, source.dataset.manifest.mapping
         poses = [stored[: mapping.scans] for stored in source.poses(self.split, places)]
         if mapping.scans > there.scans or mapping.scan_spacing_m != there.scan_spacing_m:
             own = [stored[0] for stored in poses]
-            poses = fly_again(world, own, self.recipe, seed=self.seed, split=self.split, unit=unit)
+            poses = fly_again(world, own, self.recipe, key)
         return scan_again(
             world,
             poses,
             self.recipe,
-            seed=self.seed,
-            split=self.split,
-            unit=unit,
+            key,
             names=(number, turn * each),
             derived=self.derived,
             engine=find_engine(self.engine),
@@ -220,10 +214,9 @@ def plan_rescan(
     if real_path(folder) == real_path(dataset.folder):
         raise DatasetError(f"{folder}: is the dataset itself; choose another folder with --out")
     left = {name: it for name, it in found.parameters.items() if name not in (*NAMES, "engine")}
-    compact = "tudf" not in found.fields
     given = left | {
         "generator": GENERATOR,
-        "fields": list(schema_of(recipe).stored(compact=compact)),
+        "fields": list(schema_of(recipe).stored(compact="tudf" not in found.fields)),
         **entries(recipe),
         "rescan": {"digest": found.digest},
         "engine": engine,
@@ -235,4 +228,4 @@ def plan_rescan(
         dataset.folder,
         None if scenes is None else {name: len(scenes.get(name, ())) for name in SPLITS},
     )
-    return divide(folder, given, recipe, source, compact=compact, engine=engine, kind=RescanSpec)
+    return divide(folder, given, recipe, source, RescanSpec)

@@ -117,13 +117,14 @@ def ruled(rule: Rule) -> Any:
 def checked(kind: type, found: Any, at: str) -> dict[str, Any]:
     """The values in the table `found` of those fields of the dataclass `kind` that have a rule.
     Raises BrokenError."""
-    rules = _rules_of(kind)
+    rules = rules_of(kind)
     check(found, rules, at)
     return {name: found[name] for name in rules}
 
 
 @cache  # a manifest lists up to a hundred thousand shards
-def _rules_of(kind: type) -> Mapping[str, Rule]:
+def rules_of(kind: type) -> Mapping[str, Rule]:
+    """The rules of a dataclass's fields, by their names."""
     return {item.name: item.metadata["rule"] for item in fields(kind) if "rule" in item.metadata}
 
 

@@ -7,7 +7,7 @@ import os
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,12 +21,13 @@ from lidarsim.engines import DEFAULT, ENGINES, EngineFactory
 from lidarsim.jit import cache_trouble, no_kernels
 from scenegen.dataset.hdf5 import tells, with_index
 from scenegen.dataset.layout import DIGEST, Layout, open_file, open_shard
+from scenegen.dataset.rules import rules_of
 from scenegen.dataset.trust import Entry
 from scenegen.draw import Rejections, Unit, compile_truth, draw_unit
 from scenegen.errors import BrokenError, DatasetError, raised_as
 from scenegen.files import sha256_in, sha256_of, write_whole
 from scenegen.recipe import Recipe
-from scenegen.run.workers import START, Worker
+from scenegen.run.workers import Worker
 from scenegen.sample import DERIVED, FIELDS
 from scenegen.source import Source
 
@@ -121,7 +122,7 @@ class ShardSpec(ShardTask):
         """See `ShardTask`: kernels are compiled, and hopeless parameters end here."""
         with ExitStack() as stack:
             if workers > 1 and no_kernels("scenegen") and not cache_trouble("scenegen"):
-                other = Worker(partial(compile_truth, self.source, self.recipe), START)
+                other = Worker(partial(compile_truth, self.source, self.recipe))
                 stack.callback(other.end)
                 other.give(self.split)
             self.draw(self.first_unit)
@@ -159,7 +160,7 @@ class ShardReport(Entry):
 
     def entry(self) -> dict[str, Any]:
         """The shard's entry in the manifest."""
-        return {item.name: getattr(self, item.name) for item in fields(Entry)} | dict(self.more)
+        return {name: getattr(self, name) for name in rules_of(Entry)} | dict(self.more)
 
 
 def write_shard(spec: ShardTask) -> ShardReport:

@@ -5,7 +5,6 @@ import contextlib
 import fnmatch
 import json
 import math
-import re
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import closing
@@ -18,14 +17,13 @@ from scenegen import SPLITS
 from scenegen.dataset import manifest, placed, trust
 from scenegen.dataset.parts import tables_of, write_rays
 from scenegen.dataset.placed import read_notes, remove_notes, write_note
+from scenegen.dataset.rules import FILE_RULE
 from scenegen.dataset.shard import ARCHIVE, ShardReport, ShardTask, read_report, relabel
 from scenegen.errors import BrokenError, DatasetError
 from scenegen.files import disk_told, names_in, open_bounded, remove_drafts, sha256_of
 from scenegen.run.workers import run
 from scenegen.stores import StorePath
 
-SHARD = re.compile(rf"({'|'.join(SPLITS)})-[0-9]{{5}}(\.h5|\.worlds\.zip)", re.ASCII)
-"""What the files of a shard are called."""
 MANY = 8
 """Shards from which on several processes read what is there."""
 FULL_BYTES, COMPACT_BYTES = 80_000, 10_000
@@ -85,17 +83,17 @@ class State:
         """The shards that the manifest of this dataset lists, by file; None where there is none."""
         folder = self.plan.folder
         with disk_told(folder):
-            if not folder.exists():
+            try:
+                others = sorted(name for name in names_in(folder) if not name.endswith(".tmp"))
+            except FileNotFoundError:
                 return None
-        if not folder.is_dir():
-            raise DatasetError(
-                f"{folder}: is a file, expected a folder; choose another one with --out"
-            )
-        # listed first: what another job begins meanwhile, it begins with a manifest
-        others = [item.name for item in folder.iterdir() if not item.name.endswith(".tmp")]
-        if not (folder / manifest.NAME).exists():
-            if not others:
-                return None
+            except NotADirectoryError:
+                raise DatasetError(
+                    f"{folder}: is a file, expected a folder; choose another one with --out"
+                ) from None
+        if not others:
+            return None
+        if manifest.NAME not in others:
             if any(read_report(shard) for shard in self.plan.shards if shard.file.name in others):
                 return {}  # the manifest alone was lost
             raise DatasetError(
@@ -106,18 +104,18 @@ class State:
         differing = manifest.differences(
             manifest.completed(there), manifest.completed(self.plan.parameters)
         )
+        found: trust.Manifest | None = None
+        with contextlib.suppress(BrokenError):
+            found = trust.parse(there, folder)
         if not differing:
-            try:
-                return {entry.file: entry for entry in trust.parse(there, folder).shards}
-            except (
-                BrokenError
-            ):  # what it says of its shards is damaged: they are held against their own digests
+            # if what it says of its shards is damaged, they are held against their own digests
+            return {} if found is None else {entry.file: entry for entry in found.shards}
+        if found is not None and all(line.startswith("counts.") for line in differing):
+            asked = self.plan.parameters["counts"]
+            if all(found.counts[split] <= asked[split] for split in SPLITS):
+                self._smaller = found
                 return {}
-        if _grows(there, self.plan.parameters, differing):
-            with contextlib.suppress(BrokenError):
-                self._smaller = trust.parse(there, folder)
-                return {}
-        if not self._force and any(map(SHARD.fullmatch, others)):
+        if not self._force and any(map(FILE_RULE.fits, others)):
             more = f" (and {len(differing) - 3} more)" if len(differing) > 3 else ""
             raise DatasetError(
                 f"{folder}: holds another dataset: {'; '.join(differing[:3])}{more}; choose "
@@ -195,7 +193,7 @@ class State:
             for name in former:  # before the manifest that says whose they are
                 (folder / name).unlink(missing_ok=True)
             remove_notes(folder)
-        if not self.begun or not (folder / manifest.NAME).exists():
+        if not self.begun or manifest.NAME not in there:
             manifest.write(folder, manifest.assemble(self.plan.parameters, [], complete=False))
             self._listed = self._listed or {}
         write_rays(self.plan.lidars, folder)
@@ -207,12 +205,14 @@ class State:
         if mine is not None and len(mine) < len(self.plan.shards):
             if isinstance(self.plan.folder, StorePath):
                 return  # a report lies beside each shard
-            reports = [self.reports[shard.file] for shard in mine if shard.file in self.reports]
             parameters = manifest.fingerprint(self.plan.parameters)
-            write_note(self.plan.folder, parameters, [shard.file for shard in mine], reports)
+            write_note(
+                self.plan.folder, parameters, [shard.file for shard in mine], self._known(mine)
+            )
             return
+        known = self._known(self.plan.shards)
         manifest.write(
-            self.plan.folder, manifest.assemble(self.plan.parameters, self._known(), complete=False)
+            self.plan.folder, manifest.assemble(self.plan.parameters, known, complete=False)
         )
 
     def sign(self, *, workers: int = 1) -> dict[str, Any]:
@@ -231,7 +231,7 @@ class State:
                 self.look(self.plan.shards, workers=workers)
             final = manifest.assemble(
                 self.plan.parameters,
-                self._known(),
+                self._known(self.plan.shards),
                 complete=len(self.reports) == len(self.plan.shards),
             )
             if manifest.read(self.plan.folder) != final:
@@ -261,24 +261,8 @@ class State:
             if shard.file not in self.reports and shard.file.name not in there
         ]
 
-    def _known(self) -> list[ShardReport]:
-        return [
-            self.reports[shard.file] for shard in self.plan.shards if shard.file in self.reports
-        ]
-
-
-def _grows(there: Mapping[str, Any], asked: Mapping[str, Any], differing: Sequence[str]) -> bool:
-    """Whether the dataset `asked` for is that of the manifest `there` with more samples of its
-    splits."""
-    counts = there.get("counts")
-    return (
-        isinstance(counts, dict)
-        and all(line.startswith("counts.") for line in differing)
-        and all(
-            isinstance(counts.get(split), int) and counts[split] <= asked["counts"][split]
-            for split in SPLITS
-        )
-    )
+    def _known(self, shards: Sequence[ShardTask]) -> list[ShardReport]:
+        return [self.reports[shard.file] for shard in shards if shard.file in self.reports]
 
 
 def _report(task: tuple[ShardTask, trust.Entry | None]) -> ShardReport | None:
@@ -296,13 +280,13 @@ def _former(folder: Path, names: set[str]) -> list[str]:
     said, owners = json.dumps(there), [manifest.fingerprint(manifest.parameters_of(there)).encode()]
     with contextlib.suppress(BrokenError):
         owners += [source.fingerprint.encode() for source in trust.parse(there, folder).sources]
-    found = {name for name in names if SHARD.fullmatch(name) and f'"{name}"' in said}
-    for name in filter(SHARD.fullmatch, sorted(names - found)):
+    found = {name for name in names if FILE_RULE.fits(name) and f'"{name}"' in said}
+    for name in filter(FILE_RULE.fits, sorted(names - found)):
         content, samples = _content(folder / name), name.replace(".worlds.zip", ".h5")
         if name == samples:
             known = any(owner in content for owner in owners)
         elif samples in names:
-            known = samples in found and sha256_of(content).encode() in _content(folder / samples)
+            known = samples in found
         else:  # whose writer was killed before it put the samples beside them
             known = content.startswith(ARCHIVE)
         found |= {name} if known else set()

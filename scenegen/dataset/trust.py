@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lidarsim import GridSpec, Sensor
-from lidarsim.engines import MUJOCO
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.layout import Layout, layout_of
@@ -41,13 +40,20 @@ from scenegen.dataset.rules import (
     text,
     whole,
 )
-from scenegen.errors import BrokenError, DatasetError, NewerError, RecipeError, printable, short
+from scenegen.errors import (
+    BrokenError,
+    DatasetError,
+    NewerError,
+    RecipeError,
+    printable,
+    raised_as,
+    short,
+)
 from scenegen.limits import (
     MOST_KIND_NAME,
     MOST_SAMPLES,
     MOST_SAMPLES_IN_SHARD,
     MOST_SEED,
-    MOST_SOURCES,
     MOST_VIEWPOINTS,
 )
 from scenegen.sample import DERIVED, FIELDS, GROUPS, Schema
@@ -56,10 +62,6 @@ from scenegen.worlds.mapping import Known, Mapper
 if TYPE_CHECKING:  # which imports what draws worlds
     from scenegen.recipe import Recipe
 
-MINOR = tuple(name for name, since in manifest.SINCE.items() if since != "1")
-"""Entries that raise a manifest's version."""
-BEFORE: dict[str, Any] = {"generator": 1, "engine": MUJOCO, **dict.fromkeys(MINOR)}
-"""What a manifest says by not naming it."""
 _COUNT = whole(0, MOST_SAMPLES)
 _ABSENT = Rule(lambda value: value is None, "none")
 _SOURCE = {"digest": optional(DIGEST), "parameters": TABLE, "taken": LIST}
@@ -77,17 +79,11 @@ class Entry:
     first_world: int = ruled(_COUNT)
     sha256: str = ruled(DIGEST)
     worlds_sha256: str = ruled(DIGEST)
-
-
-@dataclass(frozen=True, kw_only=True)
-class GatheredEntry(Entry):
-    """A shard whose samples were made for another dataset, in their order there."""
-
-    source: int = ruled(whole(0, MOST_SOURCES - 1))
-    """Which of the manifest's `sources` that is."""
-    start: int = ruled(_COUNT)
+    source: int = 0
+    """Which of the manifest's `homes` its samples were made for."""
+    start: int = 0
     """Place of its first sample in that dataset's split."""
-    stop: int = ruled(_COUNT)
+    stop: int = 0
     """One more than that of its last."""
 
     @property
@@ -191,7 +187,7 @@ class Manifest:
 
     def home(self, entry: Entry) -> "Manifest":
         """What a shard's samples were made for: one of the `sources`, or this dataset."""
-        return self.sources[entry.source] if isinstance(entry, GatheredEntry) else self
+        return self.homes[entry.source]
 
     @property
     def scenes(self) -> Mapping[str, Sequence[Mapping[str, str]]] | None:
@@ -205,11 +201,17 @@ class Manifest:
         scenes = None if self.scenes is None else max(len(self.scenes.get(split, ())), 1)
         return Numbering(viewpoints=flight["viewpoints"], scenes=scenes)
 
-    def first_world(self, split: str, source: int) -> int:
-        """What readers add to the number of a world that a sample of `sources` number `source`
-        bears, so that worlds of a split have numbers of their own."""
-        counted = [(one.numbering(split), one.counts[split]) for one in self.sources[:source]]
-        return sum(len(numbering.worlds(0, samples)) for numbering, samples in counted if samples)
+    @cached_property
+    def first_worlds(self) -> dict[tuple[str, int], int]:
+        """What readers add to the number of a world that a sample bears, by its split and which of
+        the `homes` it was made for, so that worlds of a split have numbers of their own."""
+        found = {(split, 0): 0 for split in SPLITS}
+        for n, source in enumerate(self.sources[:-1]):
+            for split in SPLITS:
+                samples = source.counts[split]
+                worlds = source.numbering(split).worlds(0, samples) if samples else ()
+                found[split, n + 1] = found[split, n] + len(worlds)
+        return found
 
     @property
     def noise_stages(self) -> str:
@@ -246,20 +248,14 @@ class Manifest:
         for name in (name for name in NAMES if name in self.tables):
             raise BrokenError(f"recipe.{name}: is there, expected {name} beside recipe")
         noise = noise_of(self.noise if self.noise_is_ours else None, self.lidar.max_range_m)
-        try:
-            found = make_recipe(
-                self.kind if self.drawn else "scene", tables, where=manifest.NAME, sensor=self.lidar
-            )
-            labels = (
-                None
-                if self.labels is None
-                else Labels(by=self.labels["by"], classes=tuple(self.labels["classes"]))
-            )
+        with raised_as(BrokenError, of=(RecipeError, ValueError)):
+            kind = self.kind if self.drawn else "scene"
+            found = make_recipe(kind, tables, sensor=self.lidar)
+            said = self.labels and {**self.labels, "classes": tuple(self.labels["classes"])}
+            labels = Labels(**said) if said else None
             return dataclasses.replace(
                 found, noise=noise, labels=labels, mapping=self.mapping, known=self.known
             )
-        except (RecipeError, ValueError) as error:
-            raise BrokenError(str(error).removeprefix(f"{manifest.NAME}: ")) from None
 
 
 def parse(document: Mapping[str, Any], folder: Path, named: str | None = None) -> Manifest:
@@ -267,7 +263,7 @@ def parse(document: Mapping[str, Any], folder: Path, named: str | None = None) -
 
     Raises BrokenError with what is wrong, where, and what was expected.
     """
-    found = BEFORE | dict(document)
+    found = manifest.BEFORE | dict(document)
     plain = checked(Manifest, found, "")
     check(found, {"shards": LIST, "fields": LIST, "recipe": TABLE}, "")
     check(found, {"sources": optional(SOURCES_RULE)}, "")
@@ -276,25 +272,18 @@ def parse(document: Mapping[str, Any], folder: Path, named: str | None = None) -
     check(_RECIPE | found["recipe"], RECIPE_RULES, "recipe")
     parts: dict[str, Any] = {}
     for part in PARTS:
-        if part.since == "1":
+        if part.since == manifest.VERSION:
             check(found, {part.name: TABLE}, "")
         parts[part.name] = part.read(found[part.name], parts)
     if found["rescan"] is not None:
         check(found["rescan"], {"digest": DIGEST}, "rescan", ("digest",))
     if found["version"] != (expected := manifest.version_of(found)):
-        named = (
-            ", ".join(name for name in MINOR if found[name] is not None)
-            or "nothing of a minor version"
-        )
+        there = ", ".join(name for name in manifest.MINOR if found[name] is not None)
+        named = there or "nothing of a minor version"
         raise BrokenError(f"version = {short(found['version'])}: expected {expected} with {named}")
     _check_fields(found["fields"], parts)
     sources = _sources(found, folder)
-    kind = GatheredEntry if sources else Entry
-    shards = tuple(
-        kind(**checked(kind, entry, f"shards.{n}")) for n, entry in enumerate(found["shards"])
-    )
-    for n, entry in enumerate(shards):
-        _check_place(entry, sources, f"shards.{n}")
+    shards = _entries(found["shards"], sources)
     for name, count in Counter(
         name for entry in shards for name in (entry.file, entry.worlds)
     ).most_common(1):
@@ -341,18 +330,16 @@ def _sources(found: Mapping[str, Any], folder: Path) -> tuple[Manifest, ...]:
     for n, entry in enumerate(found["sources"] or ()):
         at = f"sources.{n}"
         check(entry, _SOURCE, at, _SOURCE)
-        given = BEFORE | entry["parameters"]
+        given = manifest.BEFORE | entry["parameters"]
         check(given, {"sources": _ABSENT}, f"{at}.parameters")
         every.append(given)
         for name in manifest.differing(found, [given]):
             if name not in manifest.MAY_DIFFER:
                 raise BrokenError(f"{at}.parameters.{name}: expected what the manifest itself says")
         whole_of = {"complete": True, "shards": [], "rejected": {"worlds": {}, "viewpoints": {}}}
-        try:
+        with raised_as(BrokenError, f"{at}.parameters: ", of=(BrokenError, KeyError)):
             source = parse({**entry["parameters"], **whole_of, "digest": entry["digest"]}, folder)
             source.numbering("train")
-        except (BrokenError, KeyError) as error:
-            raise BrokenError(f"{at}.parameters: {printable(error)}") from None
         sources.append(source)
     if (differ := manifest.differing(found, every) or None) != found["differ"]:
         raise BrokenError(f"differ = {short(found['differ'])}: expected {differ}, as sources say")
@@ -360,20 +347,33 @@ def _sources(found: Mapping[str, Any], folder: Path) -> tuple[Manifest, ...]:
     return tuple(dataclasses.replace(source, rays=rays) for source in sources)
 
 
-def _check_place(entry: Entry, sources: Sequence[Manifest], at: str) -> None:
-    """Raise BrokenError where a shard cannot be of what it says it was made for."""
-    if not isinstance(entry, GatheredEntry):
-        return
-    if entry.source >= len(sources):
-        raise BrokenError(
-            f"{at}.source = {entry.source}: expected less than the {len(sources)} of `sources`"
-        )
-    most = sources[entry.source].counts[entry.split]
-    if not entry.samples <= entry.stop - entry.start or entry.stop > most:
-        raise BrokenError(
-            f"{at}: {entry.samples} samples from {entry.start} to {entry.stop}: expected as many "
-            f"places, up to {most}"
-        )
+def _entries(listed: Sequence[Any], sources: Sequence[Manifest]) -> tuple[Entry, ...]:
+    """The shards that a manifest lists. Without `sources`, each begins where the one before it in
+    its split ended. Raises BrokenError where one cannot be of the source that it names."""
+    entries, ends = list[Entry](), dict.fromkeys(SPLITS, 0)
+    of_source = {"source": whole(0, len(sources) - 1), "start": _COUNT, "stop": _COUNT}
+    for n, given in enumerate(listed):
+        at = f"shards.{n}"
+        entry = checked(Entry, given, at)
+        split, samples = entry["split"], entry["samples"]
+        if not sources:
+            entry |= {"start": ends[split], "stop": ends[split] + samples}
+            ends[split] += samples
+        else:
+            check(given, of_source, at)
+            entry |= {name: given[name] for name in of_source}
+            start, stop, most = (
+                entry["start"],
+                entry["stop"],
+                sources[entry["source"]].counts[split],
+            )
+            if not samples <= stop - start or stop > most:
+                raise BrokenError(
+                    f"{at}: {samples} samples from {start} to {stop}: expected as many places, up "
+                    f"to {most}"
+                )
+        entries.append(Entry(**entry))
+    return tuple(entries)
 
 
 def load(folder: Path, name: str = "") -> Manifest:

@@ -45,10 +45,6 @@ MOST_TOLD = 255
 """Scans that are counted of a voxel: beyond, both of its counts are halved."""
 
 
-class _UnreadableError(DatasetError):
-    """A scan of a log cannot be read; what was fused before it is kept."""
-
-
 @dataclass(frozen=True, eq=False)
 class _Window:
     """What one scan says of the voxels around it."""
@@ -82,76 +78,167 @@ def ingest(
         What was found, counted.
 
     Raises:
-        DatasetError: A cloud cannot be read, the log says nothing, the disk refuses, there is
-            something at `out`, or another log's work goes on there.
-        SceneError: A map's file is too large.
+        DatasetError: A cloud cannot be read, the disk refuses, there is something at `out`, or
+            another log's work goes on there.
+        SceneError: The log says nothing, or a map's file is too large.
     """
     check_free(out)
     make_parent(out)
     unfinished = out.with_name(f"{out.name}.part")
-    state = _State.begun(unfinished, log, how)
     with disk_told(out):
+        run = _Run(log, how, unfinished, on_scan)
         try:
-            on_scan(state.scan)
-            counts = _write(log, unfinished, how, state, on_scan)
-            for path in unfinished.glob(f"{PROGRESS}*"):
-                path.unlink()
-            check_free(out)
-            unfinished.rename(out)
-        except _UnreadableError:
-            raise
-        except (DatasetError, SceneError):
+            run.write()
+        except SceneError:
             shutil.rmtree(unfinished)
             raise
-    return counts
+        for path in unfinished.glob(f"{PROGRESS}*"):
+            path.unlink()
+        check_free(out)
+        unfinished.rename(out)
+    return run.counts
 
 
-@dataclass(eq=False)
-class _State:
-    """How far a log is fused: what a run that goes on needs."""
+class _Run:
+    """A log that becomes maps in a folder, which holds what a run that goes on needs."""
 
-    file: Path
-    """Where it is kept."""
-    key: str
-    """What tells the log and how it is fused from others."""
-    scan: int
-    """The next one."""
-    counts: Counter[str]
-    """What was found so far."""
-    told: NDArray[np.uint8]
-    """(2, *shape): how many scans observed each voxel of the current map, and found it free; empty
-    where no scan of it was counted."""
-    saved_s: float
-    """When it was kept last, by the process's clock, seconds."""
-
-    @classmethod
-    def begun(cls, folder: Path, log: Log, how: Fusing) -> "_State":
-        """What was saved in `folder`, or a beginning, for which it is made. Raises DatasetError
-        where it is not of this log."""
+    def __init__(self, log: Log, how: Fusing, folder: Path, on_scan: Callable[[int], None]):
+        """Begins, or goes on from what was saved in `folder`. Raises DatasetError where that is not
+        of this log."""
+        self._log, self._how, self._folder, self._on_scan = log, how, folder, on_scan
         poses = [[*pose.position, *pose.quaternion] for pose in log.poses]
-        key = sha256_of(f"{how} {log.times_s.tolist()} {poses}".encode())
-        file, counts = folder / PROGRESS, Counter(scans_without_pose=log.without_pose)
-        state = cls(file, key, 0, counts, NOTHING, time.monotonic())
-        if not file.exists():
+        self._key = sha256_of(f"{how} {log.times_s.tolist()} {poses}".encode())
+        """What tells the log and how it is fused from others."""
+        self._scan = 0
+        """The next one."""
+        self.counts = Counter(scans_without_pose=log.without_pose)
+        """What was found so far."""
+        self._told = NOTHING
+        """(2, *shape): how many scans observed each voxel of the current map, and found it free;
+        empty where no scan of it was counted."""
+        if (folder / PROGRESS).exists():
+            self._resume()
+        else:
             check_free(folder)
             (folder / "observations").mkdir(parents=True)
-            state.save()
-            return state
-        with np.load(file) as saved:
-            if str(saved["key"]) != key:
-                raise DatasetError(
-                    f"{folder}: holds another log's unfinished maps, or with other options; remove "
-                    "it, or give another name"
-                )
-            state.scan, state.told = int(saved["scan"]), saved["told"]
-            state.counts = Counter(json.loads(str(saved["counts"])))
-        return state
+            self._save()
+        self._saved_s = time.monotonic()
+        self._scans = log.scans(self._scan)
+        on_scan(self._scan)
 
-    def save(self) -> None:
-        """Write it where a run that goes on finds it."""
-        said = json.dumps(self.counts)
-        _put(self.file, np.savez, key=self.key, scan=self.scan, told=self.told, counts=said)
-        self.saved_s = time.monotonic()
+    def _resume(self) -> None:
+        with np.load(self._folder / PROGRESS) as saved:
+            if str(saved["key"]) != self._key:
+                raise DatasetError(
+                    f"{self._folder}: holds another log's unfinished maps, or with other options; "
+                    "remove it, or give another name"
+                )
+            self._scan, self._told = int(saved["scan"]), saved["told"]
+            self.counts = Counter(json.loads(str(saved["counts"])))
+
+    def _save(self) -> None:
+        about = {"key": self._key, "scan": self._scan, "counts": json.dumps(self.counts)}
+        _put(self._folder / PROGRESS, np.savez, told=self._told, **about)
+        self._saved_s = time.monotonic()
+
+    def write(self) -> None:
+        """See `ingest`."""
+        for number, part in enumerate(self._parts()):
+            if self._scan >= part.stop:
+                continue
+            kept = {
+                n: self._folder / "observations" / f"{n:06d}.npz" for n in part[:: self._how.every]
+            }
+            place = self._fused(part, kept)
+            name = f"place-{number:03d}.npz"
+            write_whole(self._folder / name, encode_map(place, name))
+            for observation in kept.values():
+                _observe(observation, place)
+            self.counts["maps"] += 1
+            self.counts["observations"] += len(kept)
+            self.counts["occupied_voxels"] += int(np.count_nonzero(place.states == OCCUPIED))
+            self.counts["free_voxels"] += int(np.count_nonzero(place.states == FREE))
+            self._save()
+
+    def _parts(self) -> Iterator[range]:
+        """The numbers of the scans of each map."""
+        poses = self._log.poses
+        begin, low, high = 0, poses[0].position, poses[0].position
+        for n, pose in enumerate(poses):
+            low, high = np.minimum(low, pose.position), np.maximum(high, pose.position)
+            if math.prod(self._box(low, high)[1]) > MOST_PLACE_VOXELS:
+                yield range(begin, n)
+                begin, low, high = n, pose.position, pose.position
+        yield range(begin, len(poses))
+
+    def _box(
+        self, low: NDArray[np.float64], high: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], tuple[int, ...]]:
+        """The first voxel, counted from the world's origin, and the shape of a map of scans from
+        positions between `low` and `high` (3,)."""
+        how = self._how
+        reach = np.array([how.reach_m, how.reach_m, how.rise_m])
+        least = np.floor((low - reach) / how.voxel_m).astype(np.int64) - 1
+        most = np.ceil((high + reach) / how.voxel_m).astype(np.int64) + 1
+        return least, tuple((most - least).tolist())
+
+    def _fused(self, part: range, kept: Mapping[int, Path]) -> VoxelMap:
+        """The map of some scans, which come next; those that are to be `kept` are written there."""
+        positions = np.array([self._log.poses[n].position for n in part])
+        first, shape = self._box(positions.min(axis=0), positions.max(axis=0))
+        if not self._told.size:
+            self._told = np.zeros((2, *shape), np.uint8)
+        (hits, misses), counts, rest = self._told, self.counts, range(self._scan, part.stop)
+        for n, (scan, window) in zip(rest, self._windows(rest), strict=True):
+            met, observed = _count(hits, misses, window.least - first, window.observed, window.free)
+            counts["scans"] += 1
+            counts["returns"] += len(window.points)
+            counts["returns_left_out"] += window.dropped
+            counts["scans_without_overlap"] += int(n > part[0] and met < LEAST_SHARED * observed)
+            if n in kept:
+                _put(
+                    kept[n],
+                    np.savez,
+                    points=window.points.astype(np.float32),
+                    position=scan.pose.position,
+                    quaternion=scan.pose.quaternion,
+                    time_s=np.float64(scan.time_s),
+                )
+            self._scan = n + 1
+            self._on_scan(1)
+            if time.monotonic() - self._saved_s > SAVE_EVERY_S and n + 1 < part.stop:
+                self._save()
+        self._told = NOTHING
+        counts["moved_voxels"] += int(_settle(hits, misses, self._how.moved_share))
+        (i, j, k), (a, b, c) = box = box_of(hits, lambda layer: layer != UNKNOWN)
+        if not a:
+            raise SceneError("no scan of the log has a return that its maps reach")
+        states, voxel_m = np.ascontiguousarray(hits[i:a, j:b, k:c]), self._how.voxel_m
+        return VoxelMap(states, voxel_m, (first + box[0]) * voxel_m)
+
+    def _windows(self, part: range) -> Iterator[tuple[LogScan, _Window]]:
+        """Scans, each with what it says, in order; some are worked on ahead. What was counted is
+        saved where one cannot be read."""
+        waiting, broken = deque[tuple[LogScan, Future[_Window]]](), None
+        with ThreadPoolExecutor(THREADS) as pool:
+            for n in part:
+                try:
+                    scan = next(self._scans)
+                except DatasetError as error:
+                    broken = error
+                    break
+                waiting.append((scan, pool.submit(_window, scan, _pace(self._log, n), self._how)))
+                if len(waiting) > 2 * THREADS:
+                    ready, window = waiting.popleft()
+                    yield ready, window.result()
+            for ready, window in waiting:
+                yield ready, window.result()
+        if broken is not None:
+            self._save()
+            raise DatasetError(
+                f"{broken}; mend it and give the same command again, which goes on from scan "
+                f"{self._scan} of {len(self._log.poses)}"
+            )
 
 
 def _put(path: Path, write: Callable[..., None], **arrays: Any) -> None:
@@ -160,123 +247,6 @@ def _put(path: Path, write: Callable[..., None], **arrays: Any) -> None:
     with draft.open("wb") as file:
         write(file, **arrays)
     draft.replace(path)
-
-
-def _write(
-    log: Log, out: Path, how: Fusing, state: _State, on_scan: Callable[[int], None]
-) -> Counter[str]:
-    """See `ingest`: into the folder `out`, from `state` on."""
-    counts, scans = state.counts, log.scans(state.scan)
-    for number, part in enumerate(_parts(log, how)):
-        if state.scan >= part.stop:
-            continue
-        kept = {n: out / "observations" / f"{n:06d}.npz" for n in part[:: how.every]}
-        place = _fused(log, scans, part, how, state, kept, on_scan)
-        name = f"place-{number:03d}.npz"
-        write_whole(out / name, encode_map(place, name))
-        for observation in kept.values():
-            _observe(observation, place)
-        counts["maps"] += 1
-        counts["observations"] += len(kept)
-        counts["occupied_voxels"] += int(np.count_nonzero(place.states == OCCUPIED))
-        counts["free_voxels"] += int(np.count_nonzero(place.states == FREE))
-        state.save()
-    return counts
-
-
-def _parts(log: Log, how: Fusing) -> Iterator[range]:
-    """The numbers of the scans of each map."""
-    begin, low = 0, log.poses[0].position
-    high = low
-    for n, pose in enumerate(log.poses):
-        low, high = np.minimum(low, pose.position), np.maximum(high, pose.position)
-        if math.prod(_box(low, high, how)[1]) > MOST_PLACE_VOXELS:
-            yield range(begin, n)
-            begin, low, high = n, pose.position, pose.position
-    yield range(begin, len(log.poses))
-
-
-def _box(
-    low: NDArray[np.float64], high: NDArray[np.float64], how: Fusing
-) -> tuple[NDArray[np.int64], tuple[int, int, int]]:
-    """The first voxel, counted from the world's origin, and the shape of a map of scans from
-    positions between `low` and `high` (3,)."""
-    reach = np.array([how.reach_m, how.reach_m, how.rise_m])
-    least = np.floor((low - reach) / how.voxel_m).astype(np.int64) - 1
-    most = np.ceil((high + reach) / how.voxel_m).astype(np.int64) + 1
-    x, y, z = (most - least).tolist()
-    return least, (x, y, z)
-
-
-def _fused(
-    log: Log,
-    scans: Iterator[LogScan],
-    part: range,
-    how: Fusing,
-    state: _State,
-    kept: Mapping[int, Path],
-    on_scan: Callable[[int], None],
-) -> VoxelMap:
-    """The map of some scans, which come next in `scans`; those that are to be `kept` are written
-    there."""
-    positions = np.array([log.poses[n].position for n in part])
-    first, shape = _box(positions.min(axis=0), positions.max(axis=0), how)
-    if not state.told.size:
-        state.told = np.zeros((2, *shape), np.uint8)
-    (hits, misses), counts, rest = state.told, state.counts, range(state.scan, part.stop)
-    for n, (scan, window) in zip(rest, _windows(log, scans, rest, how, state), strict=True):
-        met, observed = _count(hits, misses, window.least - first, window.observed, window.free)
-        counts["scans"] += 1
-        counts["returns"] += len(window.points)
-        counts["returns_left_out"] += window.dropped
-        counts["scans_without_overlap"] += int(n > part[0] and met < LEAST_SHARED * observed)
-        if n in kept:
-            _put(
-                kept[n],
-                np.savez,
-                points=window.points.astype(np.float32),
-                position=scan.pose.position,
-                quaternion=scan.pose.quaternion,
-                time_s=np.float64(scan.time_s),
-            )
-        state.scan = n + 1
-        on_scan(1)
-        if time.monotonic() - state.saved_s > SAVE_EVERY_S and n + 1 < part.stop:
-            state.save()
-    state.told = NOTHING
-    counts["moved_voxels"] += int(_settle(hits, misses, how.moved_share))
-    (i, j, k), (a, b, c) = box = box_of(hits, lambda layer: layer != UNKNOWN)
-    if not a:
-        raise DatasetError("no scan of the log has a return that its maps reach")
-    states = np.ascontiguousarray(hits[i:a, j:b, k:c])
-    return VoxelMap(states, how.voxel_m, (first + box[0]) * how.voxel_m)
-
-
-def _windows(
-    log: Log, scans: Iterator[LogScan], part: range, how: Fusing, state: _State
-) -> Iterator[tuple[LogScan, _Window]]:
-    """Scans, each with what it says, in order; some are worked on ahead. Keeps the state where one
-    cannot be read."""
-    waiting, broken = deque[tuple[LogScan, Future[_Window]]](), None
-    with ThreadPoolExecutor(THREADS) as pool:
-        for n in part:
-            try:
-                scan = next(scans)
-            except DatasetError as error:
-                broken = error
-                break
-            waiting.append((scan, pool.submit(_window, scan, _pace(log, n), how)))
-            if len(waiting) > 2 * THREADS:
-                ready, window = waiting.popleft()
-                yield ready, window.result()
-        for ready, window in waiting:
-            yield ready, window.result()
-    if broken is not None:
-        state.save()
-        raise _UnreadableError(
-            f"{broken}; mend it and give the same command again, which goes on from scan "
-            f"{state.scan} of {len(log.poses)}"
-        )
 
 
 def _pace(log: Log, n: int) -> tuple[Pose, float]:

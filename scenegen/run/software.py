@@ -22,6 +22,7 @@ def software() -> dict[str, str]:
     return found | {package: installed(package) for package in PACKAGES}
 
 
+@cache
 def installed(package: str) -> str:
     """The installed version of a package, or ``absent``."""
     from importlib.metadata import (

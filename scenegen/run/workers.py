@@ -11,9 +11,8 @@ import math
 import multiprocessing
 import multiprocessing.connection
 import os
+import resource
 import signal
-import sys
-import threading
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -31,9 +30,6 @@ MOST_REPLACED = 5
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
 """The C library's names for the most free memory that it keeps, and the least that it takes from
 the system apart."""
-START = "fork" if sys.platform == "linux" else "spawn"
-"""How workers begin: forked ones share the compiled kernels and the imports; elsewhere than on
-Linux forking is not safe."""
 SAFE_PATH = "PYTHONSAFEPATH"
 """Where this is set, Python looks for no modules in the working folder unless it is told to."""
 RANKS = (
@@ -105,7 +101,7 @@ def rank_of(environment: Mapping[str, str]) -> tuple[int, int]:
 
 def cores() -> int:
     """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return len(os.sched_getaffinity(0))
 
 
 def keep_memory() -> None:
@@ -114,10 +110,9 @@ def keep_memory() -> None:
     (docs/log.md). For programs, not libraries."""
     import ctypes
 
-    with contextlib.suppress(AttributeError, OSError):  # other C libraries than glibc
-        library = ctypes.CDLL(None)
-        library.mallopt(M_MMAP_THRESHOLD, 32 << 20)
-        library.mallopt(M_TRIM_THRESHOLD, 64 << 20)
+    library = ctypes.CDLL(None)
+    library.mallopt(M_MMAP_THRESHOLD, 32 << 20)
+    library.mallopt(M_TRIM_THRESHOLD, 64 << 20)
 
 
 @dataclass(frozen=True)
@@ -170,7 +165,7 @@ def run(
     with undone_if_stopped(lambda: _kill(busy)):
         try:
             for task in itertools.islice(waiting, workers):
-                busy.append(Worker(function, START))
+                busy.append(Worker(function))
                 busy[-1].give(task)
             on_start()
             while busy:
@@ -229,9 +224,10 @@ def _outcome(function: Callable[[Task], Result], task: Task) -> tuple[Result] | 
 
 
 class Worker:
-    """One process, the task that it has, and how long it may still take."""
+    """One process, the task that it has, and how long it may still take. A forked one shares the
+    compiled kernels and the imports; one that is spawned may begin while threads run here."""
 
-    def __init__(self, function: Callable[[Any], Any], start: str):
+    def __init__(self, function: Callable[[Any], Any], start: str = "fork"):
         context: Any = multiprocessing.get_context(start)
         self.pipe, theirs = context.Pipe()
         self._limits = limits = function if isinstance(function, Limited) else None
@@ -327,12 +323,10 @@ def _ready(busy: list[Worker]) -> list[Worker]:
 
 
 def limit_memory(more_bytes: int) -> None:
-    """Let this process grow by so much and no further, where the system can see to that."""
-    with contextlib.suppress(ImportError, OSError, ValueError):
-        import resource
-
-        pages = int(Path("/proc/self/statm").read_text().split()[0])
-        most = pages * os.sysconf("SC_PAGE_SIZE") + more_bytes
+    """Let this process grow by so much and no further."""
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    most = pages * os.sysconf("SC_PAGE_SIZE") + more_bytes
+    with contextlib.suppress(ValueError):  # the user's own limit is lower
         resource.setrlimit(resource.RLIMIT_AS, (most, resource.getrlimit(resource.RLIMIT_AS)[1]))
 
 
@@ -346,7 +340,8 @@ def _serve(
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
     die_with_parent()
-    threading.Thread(target=_watch, args=(parent_id,), daemon=True).start()
+    if os.getppid() != parent_id:  # it has ended already
+        return
     while True:
         try:
             answer = True, function(parent.recv())
@@ -362,11 +357,4 @@ def die_with_parent() -> None:
     library then."""
     import ctypes
 
-    with contextlib.suppress(AttributeError, OSError):  # elsewhere than on Linux, `_watch` must do
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)
-
-
-def _watch(parent_id: int) -> None:
-    while os.getppid() == parent_id:
-        time.sleep(0.2)
-    os._exit(1)
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)

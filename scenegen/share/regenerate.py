@@ -259,16 +259,13 @@ def environment_lock(made_with: Mapping[str, str], commit: str = "unknown") -> s
 def closure(package: str) -> dict[str, str]:
     """Name to version of every installed distribution that `package` needs, without extras, and
     without itself."""
-    found, waiting = dict[str, str](), [package]
-    while waiting:
-        name = waiting.pop()
+    found, needed = dict[str, str](), [package]
+    for name in needed:  # which grows meanwhile
         with suppress(PackageNotFoundError):  # for another platform or Python
             found[name] = version(name)
-            for line in requires(name) or ():
-                wanted, _, marker = line.partition(";")
-                short_name = re.split(r"[^\w.-]", wanted, maxsplit=1)[0]
-                needed = re.sub(r"[-_.]+", "-", short_name).lower()
-                if "extra" not in marker and needed not in found:
-                    waiting.append(needed)
+            lines = [line for line in requires(name) or () if "extra" not in line.partition(";")[2]]
+            others = [re.split(r"[^\w.-]", line, maxsplit=1)[0] for line in lines]
+            plain = [re.sub(r"[-_.]+", "-", other).lower() for other in others]
+            needed += [other for other in plain if other not in needed]
     del found[package]
     return found

@@ -7,9 +7,10 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -22,8 +23,7 @@ from scenegen.display.inspect import inspect
 from scenegen.display.look import looks, spread
 from scenegen.display.page import page
 from scenegen.errors import DatasetError, PublishError
-from scenegen.files import disk_told, draft_of, make_way, real_path, sync_folder, write_whole
-from scenegen.run import undone_if_stopped
+from scenegen.files import real_path, whole_folder, write_whole
 from scenegen.share import USUAL, find_licence
 from scenegen.share.card import card, croissant, facts
 from scenegen.share.regenerate import check_kind, check_source, environment_lock, source_file
@@ -137,7 +137,7 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
     found, digest = dataset.manifest, str(dataset.manifest.digest)
     content = (request.dataset / manifest.NAME).read_bytes()
     tag = request.tag or f"v{manifest.VERSION}-{digest[:8]}"
-    with drafted(request.out) as draft:
+    with whole_folder(request.out, partial(check_out, request.dataset)) as draft:
         take(request.dataset, draft, found.files)
         write_whole(draft / manifest.NAME, content)
         if kept_figures(dataset):
@@ -196,62 +196,29 @@ def _draw(dataset: Dataset, draft: Path) -> str:
 
 
 def check_out(dataset: Path, out: Path) -> None:
-    """Raise PublishError where `out` cannot take the folder: it is the dataset, or holds what
-    publish did not make."""
+    """Raise PublishError where `out` cannot take the folder: it is the dataset, or holds what its
+    own list, of a former run, does not name."""
     if out.exists() and not out.is_dir():
         raise PublishError(f"--out {out}: is there, and not a folder; give another name")
     there, here = real_path(out), real_path(dataset)
     if there.is_relative_to(here) or here.is_relative_to(there):
         raise PublishError(f"--out {out}: overlaps the dataset; choose a place beside it")
-    _check_foreign(out)
-
-
-def _check_foreign(out: Path) -> None:
-    """Raise PublishError where `out` holds what its own list, of a former run, does not name."""
-    there = {
-        str(path.relative_to(out))
-        for path in out.rglob("*")
-        if path.is_symlink() or not path.is_dir()
-    }
+    files = (path for path in out.rglob("*") if path.is_symlink() or not path.is_dir())
+    foreign = {str(path.relative_to(out)) for path in files}
     with contextlib.suppress(DatasetError, OSError, UnicodeDecodeError):
         manifest.read(out)
-        listed = (out / SUMS).read_text(encoding="utf-8").splitlines()
-        there -= {SUMS, *(line.partition("  ")[2] for line in listed)}
-    if there:
+        foreign -= {SUMS, *read_sums(out)}
+    if foreign:
         raise PublishError(
-            f"--out {out}: holds {min(there)}, which publish did not put there; choose another "
+            f"--out {out}: holds {min(foreign)}, which publish did not put there; choose another "
             "folder"
         )
 
 
-@contextlib.contextmanager
-def drafted(out: Path) -> Iterator[Path]:
-    """A folder to fill, which takes the place of `out` once all went well, and vanishes otherwise.
-
-    Raises DatasetError where the disk refuses, PublishError where something foreign came into `out`
-    meanwhile.
-    """
-    draft, former = draft_of(out), draft_of(out)
-
-    def clear() -> None:
-        if former.exists() and not out.exists():
-            former.rename(out)
-        for stale in (draft, former):
-            shutil.rmtree(stale, ignore_errors=True)
-
-    make_way(out)
-    with undone_if_stopped(clear), disk_told(out):
-        try:
-            draft.mkdir()
-            yield draft
-            sync_folder(draft)
-            _check_foreign(out)
-            if out.exists():
-                out.rename(former)
-            draft.rename(out)
-            sync_folder(out.parent)
-        finally:
-            clear()
+def read_sums(folder: Path) -> dict[str, str]:
+    """The digests that `SUMS` lists, by the files' names."""
+    lines = (folder / SUMS).read_text(encoding="utf-8").splitlines()
+    return {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
 
 
 def take(source: Path, draft: Path, names: Mapping[str, str]) -> None:

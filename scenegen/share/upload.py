@@ -10,7 +10,7 @@ from typing import Any
 from scenegen import __version__
 from scenegen.dataset.locate import client_output, reason
 from scenegen.errors import PublishError, ScenegenError, needs
-from scenegen.share.stage import SUMS, Request, Staged, examine, stage
+from scenegen.share.stage import Request, Staged, examine, read_sums, stage
 
 OURS = re.compile(
     r"(train|val|test)-\d{5}(\.h5|\.worlds\.zip)|pictures/(train|val|test)-\d+\.png|look\.html",
@@ -100,11 +100,7 @@ def differences(api: Any, staged: Staged, revision: str) -> list[str]:
         staged.repository, repo_type="dataset", recursive=True, revision=revision
     )
     there = {entry.path: entry for entry in tree if hasattr(entry, "blob_id")}
-    sums = {}
-    for line in (staged.folder / SUMS).read_text(encoding="utf-8").splitlines():
-        digest, _, name = line.partition("  ")
-        sums[name] = digest
-    found = []
+    sums, found = read_sums(staged.folder), []
     for name in staged.files:
         entry = there.get(name)
         if entry is None:

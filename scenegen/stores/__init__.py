@@ -10,8 +10,8 @@ import io
 import os
 import re
 import tempfile
-from collections.abc import Generator, Iterator
-from fnmatch import fnmatchcase
+from collections.abc import Iterator
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
 from typing import IO, TYPE_CHECKING, Any, NamedTuple, Protocol
@@ -29,8 +29,6 @@ ANY: Version = "*"
 REMOTE = re.compile(r"(?P<scheme>[a-z][a-z0-9+.-]*)://(?P<rest>.*)", re.ASCII | re.DOTALL)
 ONE_SLASH = re.compile(r"(hf|s3|gs|az|https?):/(?!/)")
 """What was meant for a store, and would be a folder of an odd name."""
-TRIES = 5
-"""How often an object is put that comes and goes meanwhile."""
 
 
 def note_file(folder: Path) -> Path:
@@ -166,31 +164,9 @@ class StorePath(_Path):
     def _home(self) -> Store:
         return store_of(str(self.parent))
 
-    def iterdir(self) -> Generator["StorePath", None, None]:
-        """The objects in it."""
-        return (self / item.name for item in self.store.list())
-
-    def glob(self, pattern: str) -> Generator["StorePath", None, None]:
-        """The objects in it whose names are like `pattern`."""
-        return (item for item in self.iterdir() if fnmatchcase(item.name, pattern))
-
     def is_dir(self) -> bool:
         """Whether there is an object in it."""
         return next(self.store.list(), None) is not None
-
-    def is_file(self) -> bool:
-        """Whether it is an object."""
-        try:
-            self._home().read(self.name, io.BytesIO(), 0)
-        except FileNotFoundError:
-            return False
-        except DatasetError:  # larger than nothing
-            pass
-        return True
-
-    def exists(self) -> bool:
-        """Whether it is an object, or a store that holds any."""
-        return (len(self.parts) > 2 and self.is_file()) or self.is_dir()
 
     def mkdir(self, mode: int = 0o777, parents: bool = False, exist_ok: bool = False) -> None:
         """Nothing: there are no folders."""
@@ -222,20 +198,14 @@ class StorePath(_Path):
     def put(self, content: bytes) -> None:
         """Put `content` there, unless somebody else put something else: that raises
         ConflictError."""
-        for _ in range(TRIES):
-            try:
-                _seen[str(self)] = self._home().put(self.name, content, _seen.get(str(self)))
+        mine = self.version
+        with suppress(ConflictError):
+            _seen[str(self)] = self._home().put(self.name, content, mine)
+            return
+        with suppress(FileNotFoundError):
+            if self.read_bytes() == content:
                 return
-            except ConflictError:
-                mine = _seen.pop(str(self), None)
-                try:
-                    there = self.read_bytes()
-                except FileNotFoundError:
-                    continue
-                if there == content:
-                    return
-                _seen[str(self)] = mine
-                break
+        _seen[str(self)] = mine
         raise ConflictError(
             f"{self}: somebody else has put other bytes there; end other runs that write there, "
             "remove the object if there are none, and give the same command again to go on"

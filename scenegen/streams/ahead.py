@@ -2,12 +2,10 @@
 a folder."""
 
 import contextlib
-import functools
 import hashlib
 import multiprocessing.connection
 import os
 import struct
-import sys
 import weakref
 from collections import deque
 from collections.abc import Callable
@@ -19,10 +17,11 @@ import isal.isal_zlib
 import numpy as np
 from numpy.typing import NDArray
 
-from scenegen.errors import DatasetError, GenerationError
-from scenegen.files import make_parent, read_bounded, remove_drafts, write_whole
+from scenegen.errors import DatasetError, GenerationError, raised_as
+from scenegen.files import make_way, read_bounded, write_whole
 from scenegen.run.workers import MOST_REPLACED, Result, Task, Worker
-from scenegen.sample import FIELDS, Sample, Schema, derive_tudf
+from scenegen.sample import FIELDS, Sample, Schema
+from scenegen.truth import distance_field
 
 LEVEL = 1
 """The level of compression, as in shards."""
@@ -55,17 +54,15 @@ def pack(sample: Sample, kind: np.dtype) -> bytes:
 def unpack(packed: bytes, kind: np.dtype, schema: Schema) -> Sample:
     """The sample of a record; arrays of its own, which may be written to. Raises ValueError for
     bytes that are none."""
-    try:
+    with raised_as(ValueError, "cannot be unpacked: ", of=isal.isal_zlib.error):
         content = isal.isal_zlib.decompressobj().decompress(packed, kind.itemsize + 1)
-    except isal.isal_zlib.error as error:
-        raise ValueError(f"cannot be unpacked: {error}") from None
     if len(content) != kind.itemsize:
         raise ValueError(f"{len(content)} bytes, expected {kind.itemsize}")
     record, grid = np.frombuffer(content, kind)[0], schema.grid
 
     def find(sample: Sample, name: str) -> Any:
         if name == "tudf":
-            return derive_tudf(sample.occupancy, grid=grid)
+            return distance_field(sample.occupancy, grid)
         value: NDArray[Any] = record[name]
         if FIELDS[name]["axes"] == "grid":
             count = int(np.prod(grid.shape))
@@ -106,8 +103,7 @@ class Cache:
         with contextlib.suppress(FileNotFoundError, ValueError, DatasetError):
             return self._parse(read_bounded(path, self.most_bytes), number)
         records = make()
-        make_parent(path)
-        _tidy(path.parent)
+        make_way(path)
         body = b"".join(struct.pack("<I", len(record)) + record for record in records)
         write_whole(path, HEAD + self._sum(body, number) + body)
         return records
@@ -134,12 +130,6 @@ class Cache:
         return hashlib.sha256(f"{self.owner} {self.split} {number} ".encode() + body).digest()
 
 
-@functools.lru_cache(maxsize=64)
-def _tidy(folder: Path) -> None:
-    """Delete, once a process, what writers that were killed left behind."""
-    remove_drafts(folder)
-
-
 class Ahead(Generic[Task, Result]):
     """`workers` processes that work off tasks in the order in which they are given. They end with
     this object, and with this process whatever ends it; one that dies is replaced, and its tasks
@@ -147,8 +137,7 @@ class Ahead(Generic[Task, Result]):
 
     def __init__(self, function: Callable[[Task], Result], workers: int):
         self._function, self._count, self._died = function, workers, 0
-        self._start = "fork" if sys.platform == "linux" else "spawn"
-        self._workers = [Worker(function, self._start) for _ in range(workers)]
+        self._workers = [Worker(function) for _ in range(workers)]
         self._given: list[deque[Task]] = [deque() for _ in range(workers)]
         self._done: dict[Task, tuple[bool, Any]] = {}
         # unlike a `__del__`, it runs at exit before the modules that it needs are gone
@@ -168,7 +157,8 @@ class Ahead(Generic[Task, Result]):
         if task not in self:
             worker = min(range(self._count), key=lambda n: len(self._given[n]))
             self._given[worker].append(task)
-            self._send(worker, task)
+            with contextlib.suppress(OSError):  # it died, which `collect` notices
+                self._workers[worker].pipe.send(task)
 
     def take(self, task: Task) -> Result:
         """The result of a task, as soon as it is there. Raises what the function raises, and
@@ -194,12 +184,6 @@ class Ahead(Generic[Task, Result]):
                 continue
             self._done[self._given[number].popleft()] = answer
 
-    def _send(self, number: int, task: Task) -> None:
-        try:
-            self._workers[number].pipe.send(task)
-        except OSError:
-            self._replace(number)
-
     def _replace(self, number: int) -> None:
         """Another process in the place of one that died."""
         self._died += 1
@@ -209,7 +193,7 @@ class Ahead(Generic[Task, Result]):
                 f"fewer than {self._count}"
             )
         self._workers[number].end()
-        self._workers[number] = Worker(self._function, self._start)
+        self._workers[number] = Worker(self._function)
         for task in self._given[number]:
             self._workers[number].pipe.send(task)
 

@@ -8,7 +8,7 @@ import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from scenegen.dataset.parts import schema_of
 from scenegen.errors import DatasetError, short
 from scenegen.files import sha256_of
 from scenegen.limits import MOST_SAMPLES, MOST_SEED, MOST_WORKERS
-from scenegen.sample import Sample, html_table
+from scenegen.sample import Sample, Samples, Schema
 from scenegen.streams.ahead import Ahead, Cache, pack, record_type, unpack
 from scenegen.streams.batches import Batches, Place, whole
 from scenegen.streams.mixture import Component, Mixture, component_of, parts_of
@@ -32,7 +32,7 @@ Unit = tuple[bytes, ...]
 """The records of a unit's samples."""
 
 
-class Stream(Sequence[Sample]):
+class Stream(Samples):
     """Samples by number. `stream[i]` depends on what is drawn, the seed, the split and i alone.
 
     The first n samples of a stream of one part are those of the dataset with its seed and split,
@@ -43,6 +43,9 @@ class Stream(Sequence[Sample]):
     or spawned, that it is handed to draws for itself. In one process, one thread at a time may use
     it.
     """
+
+    _ahead: Ahead[int, Unit] | None
+    _coming: Iterator[int]
 
     def __init__(
         self,
@@ -77,31 +80,13 @@ class Stream(Sequence[Sample]):
         self.mapping = first.mapping
         self._schemas = [schema_of(part.recipe) for part in mixture.components]
         self._records = [record_type(schema) for schema in self._schemas]
-        caches = (
-            ()
-            if cache is None
-            else tuple(
-                self._cache(Path(cache), part, record)
-                for part, record in zip(mixture.components, self._records, strict=True)
-            )
-        )
+        kept = zip(mixture.components, self._records, strict=True) if cache is not None else ()
+        caches = tuple(self._cache(Path(str(cache)), part, record) for part, record in kept)
         self._make = Maker(mixture, caches, self._records)
-        self._units: dict[int, Unit] = {}
-        self._coming: Iterator[int] | None = None
-        self._ahead: Ahead[int, Unit] | None = None
         self._forget()
 
     def __len__(self) -> int:
         return self._samples
-
-    @overload
-    def __getitem__(self, index: int) -> Sample: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[Sample]: ...
-    def __getitem__(self, index: int | slice) -> Sample | list[Sample]:
-        if isinstance(index, slice):
-            return self.__getitems__(range(*index.indices(len(self))))
-        return self.__getitems__([index])[0]
 
     def __getitems__(self, indices: Sequence[int]) -> list[Sample]:
         """Several samples, as torch asks for a batch: their units are made by all workers at
@@ -118,14 +103,8 @@ class Stream(Sequence[Sample]):
     def __repr__(self) -> str:
         return f"<Stream: {len(self)} samples, {self.name}, {self.split}>"
 
-    def _repr_html_(self) -> str:
-        """For notebooks: what the stream is, and what its samples hold."""
-        return html_table(
-            ((name, *about.values()) for name, about in self.describe().items()), self
-        )
-
     def __iter__(self) -> "Reader":
-        return Reader(self)
+        return iter(Reader(self))
 
     def batches(self, size: int, *, rank: int = 0, ranks: int = 1, loaders: int = 1) -> Batches:
         """Which samples each of many batches takes: see `Batches`. Raises DatasetError."""
@@ -138,10 +117,10 @@ class Stream(Sequence[Sample]):
         part, unit = self.mixture.unit(slot)
         return part, unit * self.mixture.components[part].viewpoints + view
 
-    def describe(self) -> dict[str, dict[str, Any]]:
-        """What a sample of the first part holds: name of each field to its `dtype`, `shape`, `unit`
-        and `meaning`."""
-        return self._schemas[0].describe()
+    @property
+    def schema(self) -> Schema:
+        """That of the first part."""
+        return self._schemas[0]
 
     def expect(self, indices: Iterable[int]) -> None:
         """Say which samples will be asked for next, in this order: workers then make these ahead of
@@ -155,7 +134,7 @@ class Stream(Sequence[Sample]):
         self._ahead = None
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_units": {}, "_ahead": None, "_coming": None}
+        return {**self.__dict__, "_units": {}, "_ahead": None, "_coming": iter(())}
 
     def _cache(self, folder: Path, part: Component, record: np.dtype) -> Cache:
         """Where a part's units are kept. Raises DatasetError where that cannot be."""
@@ -180,8 +159,9 @@ class Stream(Sequence[Sample]):
 
     def _forget(self) -> None:
         """Begin anew, as a process of its own."""
-        self._units, self._coming, self._ahead = {}, None, None
-        self._bytes, self._last = 0, -1
+        self._units, self._bytes = dict[int, Unit](), 0
+        self._coming = iter(())
+        self._ahead = None
         self._process = os.getpid()
 
     def _prepare(self, slots: Iterable[int]) -> None:
@@ -198,27 +178,14 @@ class Stream(Sequence[Sample]):
         if self._ahead is None:
             self._ahead = Ahead(self._make, self.workers)
         self._ahead.collect()
-        asked = list(slots)
-        missing = [slot for slot in asked if slot not in self._units]
+        missing = [slot for slot in slots if slot not in self._units]
         for slot in missing:
             self._ahead.give(slot)
         room = AHEAD * self.workers + 2 * len(missing) - self._ahead.under_way
-        coming = self._following(asked)
-        while room > 0 and (later := next(coming, None)) is not None:
+        while room > 0 and (later := next(self._coming, None)) is not None:
             if later not in self._units and later not in self._ahead:
                 self._ahead.give(later)
                 room -= 1
-
-    def _following(self, asked: Sequence[int]) -> Iterator[int]:
-        """Slots that will be asked for after `asked`: those said to come, else, where all are in
-        order, the next."""
-        in_order = 0 <= min(asked, default=0) - self._last <= 1
-        self._last = max(asked, default=self._last)
-        if self._coming is not None:
-            return self._coming
-        return iter(
-            range(self._last + 1, self.mixture.place(len(self) - 1)[0] + 1) if in_order else ()
-        )
 
     def _unit(self, slot: int) -> Unit:
         """A unit's records, which are then those asked for last."""
@@ -262,6 +229,10 @@ class Reader(Place, Iterator[Sample]):
     def __init__(self, stream: Stream):
         super().__init__({"stream": stream.digest[:16]}, "samples", len(stream))
         self._stream = stream
+
+    def __iter__(self) -> "Reader":
+        self._stream.expect(range(self._done, self._most))
+        return self
 
     def __next__(self) -> Sample:
         if self._done >= self._most:

@@ -4,6 +4,8 @@ lists?"""
 from collections import Counter
 from collections.abc import Sequence
 
+import numpy as np
+
 from scenegen.dataset import manifest
 from scenegen.dataset.trust import Manifest
 from scenegen.files import sha256_in, world_digest
@@ -85,42 +87,39 @@ examination."""
 
 def _expected_worlds(worlds: Worlds, page: Page) -> None:
     task, there = worlds.task, sorted(worlds.documents)
-    expected = list(
-        task.contract.numbering(task.entry.split).worlds(task.start, task.stop - task.start)
-    )
-    if task.cut:  # the shard's samples say which, see below
+    entry = task.entry
+    numbering = task.contract.numbering(entry.split)
+    expected = list(numbering.worlds(entry.start, entry.stop - entry.start))
+    if entry.cut:  # the shard's samples say which, see below
         expected = [number for number in there if number in set(expected)] or expected
     page.expect(
         there == expected,
-        f"{task.entry.worlds}: holds worlds {_spans(there)}, its samples are of {_spans(expected)}",
+        f"{entry.worlds}: holds worlds {_spans(there)}, its samples are of {_spans(expected)}",
     )
     page.expect(
-        task.entry.first_world == expected[0],
-        f"{task.entry.file}: first_world = {task.entry.first_world}, its samples begin with "
-        f"{expected[0]}",
+        entry.first_world == expected[0],
+        f"{entry.file}: first_world = {entry.first_world}, its samples begin with {expected[0]}",
     )
     if task.contract.scenes is None:
         return
-    listed = task.contract.scenes[task.entry.split]
+    listed = task.contract.scenes[entry.split]
     for number in worlds.documents:
         page.expect(
             world_digest(*worlds.source(number)).hex()
             == (listed[number].get("sha256") if number < len(listed) else None),
-            f"{task.entry.worlds}: {number:06d}.xml is not the world that the manifest's "
+            f"{entry.worlds}: {number:06d}.xml is not the world that the manifest's "
             f"recipe.scenes names",
         )
 
 
 def _worlds_of_samples(shard: Shard, page: Page) -> None:
-    if not shard.task.cut or shard.worlds is None:
+    entry = shard.task.entry
+    if not entry.cut or shard.worlds is None:
         return
-    there, found = (
-        sorted(shard.worlds.documents),
-        sorted(set(shard.file.column("world").tolist())),
-    )
-    name = shard.task.entry.worlds
+    there, found = sorted(shard.worlds.documents), np.unique(shard.file.column("world")).tolist()
     page.expect(
-        there == found, f"{name}: holds worlds {_spans(there)}, its samples are of {_spans(found)}"
+        there == found,
+        f"{entry.worlds}: holds worlds {_spans(there)}, its samples are of {_spans(found)}",
     )
 
 

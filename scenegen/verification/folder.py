@@ -3,7 +3,6 @@ own, then the whole is."""
 
 import functools
 import os
-from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
@@ -12,24 +11,23 @@ from typing import Any
 
 import numpy as np
 
-from lidarsim import AnalyticEngine, GridSpec, Lidar
+from lidarsim import AnalyticEngine
 from scenegen.dataset.hdf5 import library_index, read_index
 from scenegen.dataset.layout import DIGEST, most_bytes, open_file, open_shard
 from scenegen.dataset.locate import locate
 from scenegen.dataset.trust import Manifest
 from scenegen.draw import draw_unit
 from scenegen.errors import DatasetError, raised_as, told
-from scenegen.recipe import make_recipe
+from scenegen.recipe import preset
 from scenegen.run import Executor
 from scenegen.run.workers import Limited, Local
 from scenegen.sample import FIELDS
 from scenegen.source import DrawnWorlds
 from scenegen.stores.cache import fetch_all, note_of
-from scenegen.verification.contract import read_contract, starts_of
+from scenegen.verification.contract import read_contract
 from scenegen.verification.files import ARCHIVES, EXAMINED, LAYOUT
 from scenegen.verification.files import CHECKS as OF_FILES
 from scenegen.verification.repeated import CHECKS as REPEATED
-from scenegen.verification.repeated import why_not_comparable, why_not_scanned
 from scenegen.verification.report import BrokenError, Ledger, Report
 from scenegen.verification.splits import CHECKS as BETWEEN_SPLITS
 from scenegen.verification.splits import MOST_TWINS, candidates, fold, signature
@@ -64,23 +62,14 @@ def chosen_checks(contract: Manifest, *, quick: bool, own: Iterable[str]) -> lis
 
 @functools.cache
 def warm_up() -> None:
-    """Run every kernel that verification needs, on next to nothing: tens of milliseconds once they
-    are compiled."""
+    """Run every kernel that verification needs: a tenth of a second once they are compiled."""
     field = '<hfield name="h" nrow="2" ncol="2" size="1 1 1 1"/>'
     geoms = '<geom type="box" size="1 1 1"/><geom type="hfield" hfield="h"/>'
     both = f"<mujoco><asset>{field}</asset><worldbody>{geoms}</worldbody></mujoco>"
     solids = compile_world(both.encode()).solids
-    grid, lidar = GridSpec(shape=(24, 24, 16)), Lidar(rows=4, columns=8)
-    tables = {
-        "flight": {"viewpoints": 1, "margin_m": 2.0, "min_distance_m": 4.0},
-        "world": {"size_m": (16.0, 16.0, 8.0)},
-        "accept": {"min_solids": 0.0, "min_occupied_share": 0.0, "min_returned_share": 0.0},
-        "grid": {"shape": grid.shape},
-        "lidar": {"rows": lidar.rows, "columns": lidar.columns},
-    }
-    recipe = make_recipe("pillar", tables, where="warm-up")
+    recipe = preset("pillar")
     sample = draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="train", unit=0).samples[0]
-    AnalyticEngine(solids).cast([[0.0, 0.0, 5.0]], lidar.directions_body[None], 10.0)
+    AnalyticEngine(solids).cast([[0.0, 0.0, 5.0]], recipe.lidar.directions_body[None], 10.0)
     blocks = signature(sample.occupancy)
     folds = np.stack([fold(sample.observed)] * 2)
     candidates(np.stack([blocks, blocks]), folds, np.array([1, 1]), np.array([0, 1]))
@@ -199,21 +188,20 @@ def verify(
         return Report(folder=str(folder), quick=quick, seed=seed, samples=0, checks=outcomes)
     with raised_as(DatasetError, "--check: "):
         checks = chosen_checks(contract, quick=quick, own=own)
-    whole = [replace(task, own=tuple(own)) for task in _tasks(contract, quick=quick, seed=seed)]
+    whole = _tasks(contract, quick=quick, seed=seed, own=own)
     tasks = execute.mine(whole)
     samples = sum(task.entry.samples for task in tasks)
-    order, waiting = deque(task.number for task in tasks), dict[int, Findings]()
+    findings = list[Findings]()
     if tasks and not quick:
         warm_up()
     guarded = _Examination(examine, _seconds, MEMORY_BYTES, _given_up)
     with closing(execute(guarded, tasks, lambda: on_start(samples))) as results:
         for found in results:
-            waiting[found.number] = found
-            # in the order of shards, and no more of them kept than are early
-            while order and order[0] in waiting:
-                ledger.add(waiting.pop(order.popleft()).ledger)
-                ledger.page(EXAMINED.name).count(shards=1)
+            findings.append(found)
             on_done(found.samples)
+    for found in sorted(findings, key=lambda found: found.number):
+        ledger.add(found.ledger)
+        ledger.page(EXAMINED.name).count(shards=1)
     for check in checks:
         with ledger.checking(check.name) as page:
             if check.folder is not None and len(tasks) == len(whole):
@@ -242,29 +230,24 @@ class _Examination(Limited[Task, Findings]):
         return super().__call__(task)
 
 
-def _tasks(contract: Manifest, *, quick: bool, seed: int) -> list[Task]:
+def _tasks(contract: Manifest, *, quick: bool, seed: int, own: Iterable[str]) -> list[Task]:
     """One a shard; none carries the list of all shards, which would make their sum grow as its
     square."""
-    homes: list[dict[str, Any]] = []
+    homes = [replace(home, shards=()) for home in contract.homes]
+    for home in homes:
+        home.recipe, home.fingerprint  # noqa: B018 (worked out once, and carried along)
     every = -(-sum(entry.samples for entry in contract.shards) // MOST_TWINS) or 1
-    for home in contract.homes:
-        lean = replace(home, shards=())
-        lean.recipe, lean.fingerprint  # noqa: B018 (worked out once, and carried along)
-        reasons = {"not_comparable": why_not_comparable(home), "not_scanned": why_not_scanned(home)}
-        homes.append({"contract": lean, **reasons})
     return [
         Task(
+            contract=homes[entry.source],
             entry=entry,
             number=number,
-            start=start,
             quick=quick,
             seed=seed,
             twins_of=every,
-            **homes[getattr(entry, "source", 0)],
+            own=tuple(own),
         )
-        for number, (entry, start) in enumerate(
-            zip(contract.shards, starts_of(contract), strict=True)
-        )
+        for number, entry in enumerate(contract.shards)
     ]
 
 

@@ -1,42 +1,15 @@
-"""A second opinion on stored ranges: rays cast anew by another engine, how far noise may move
-returns, and what rounding decides."""
+"""A second opinion on stored ranges: rays cast anew by another engine, and how far noise may move
+returns."""
 
 import itertools
 import math
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lidarsim import GridSpec, Lidar, ObservedGrid, Pose, Scan, Sensor, voxelize
+from lidarsim import GridSpec, Lidar, Sensor
 from lidarsim.engines import Caster
 from lidarsim.engines.voxels import LEAST_CHORD_M, OCCUPIED, VoxelMap
-
-NUDGE_M = 1e-13
-"""More than the last bits of a direction move a point of a ray of some ten metres."""
-
-
-def as_rounded(
-    seen: ObservedGrid, scan: Scan, grid: GridSpec, stored: Mapping[str, NDArray[Any]]
-) -> ObservedGrid:
-    """`seen`, which is what `scan` gives, with the `stored` value of every voxel of `observed` and
-    `free` that changes when all rays move by `NUDGE_M` along some diagonal of the grid."""
-    observed, free = stored["observed"], stored.get("free", seen.free)
-    if np.array_equal(observed, seen.observed) and np.array_equal(free, seen.free):
-        return seen
-    open_observed, open_free = np.zeros(grid.shape, np.bool_), np.zeros(grid.shape, np.bool_)
-    for signs in itertools.product((-NUDGE_M, NUDGE_M), repeat=3):
-        pose = Pose(scan.pose.position + signs, scan.pose.quaternion)
-        moved = voxelize(Scan(scan.ranges, pose, scan.lidar), grid, seen.origin)
-        open_observed |= moved.observed != seen.observed
-        open_free |= moved.free != seen.free
-    return ObservedGrid(
-        np.where(open_observed, observed, seen.observed),
-        np.where(open_free, free, seen.free),
-        seen.origin,
-    )
-
 
 SLACK_M = 2e-6
 """What float32 ranges and the slack of `occupancy` add to a bound."""

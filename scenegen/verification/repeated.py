@@ -17,7 +17,7 @@ from scenegen import GENERATOR
 from scenegen.dataset.manifest import differences
 from scenegen.dataset.rescan import scan_again
 from scenegen.dataset.trust import Manifest
-from scenegen.draw import Unit, draw_unit, scans_from, with_noise
+from scenegen.draw import Unit, UnitKey, draw_unit, scans_from, with_noise
 from scenegen.errors import GenerationError, RecipeError, SceneError, raised_as
 from scenegen.recipe import Recipe
 from scenegen.run.software import software
@@ -49,42 +49,26 @@ def regenerate(
     unit: int,
     poses: Callable[[], list[list[Pose]]],
 ) -> Unit:
-    """One flight of a dataset whose engine and noise are ours, flown again; or, where the dataset
+    """One flight of a dataset that `why_not_made` lets be made, flown again; or, where the dataset
     is one that was scanned again, scanned so from its stored `poses`. Raises BrokenError where
     nothing comes of it."""
-    if lacking := _lacking(contract.engine):
-        raise BrokenError(
-            f"{split} flight {unit} cannot be made again: the engine {contract.engine} {lacking}"
-        )
     recipe: Recipe = contract.recipe
     scenes: Any = contract.scenes
-    engine = ENGINES.find(contract.engine).of
-    try:
+    key, engine = UnitKey(contract.seed, split, unit), ENGINES.find(contract.engine).of
+    failed = (GenerationError, RecipeError, SceneError)
+    with raised_as(BrokenError, f"{split} flight {unit} cannot be made again: ", of=failed):
         if contract.rescan is not None:
-            names = contract.numbering(split).name(unit * contract.recipe.flight.viewpoints)
-            world, seed = worlds.world(names[0]), contract.seed
-            return scan_again(
-                world,
-                poses(),
-                recipe,
-                seed=seed,
-                split=split,
-                unit=unit,
-                names=names,
-                engine=engine,
-            )
+            names = contract.numbering(split).name(unit * recipe.flight.viewpoints)
+            world = worlds.world(names[0])
+            return scan_again(world, poses(), recipe, key, names=names, engine=engine)
         source = (
             DrawnWorlds(recipe) if scenes is None else ArchivedWorlds(scenes=scenes, worlds=worlds)
         )
-        return draw_unit(
-            source, recipe, seed=contract.seed, split=split, unit=unit, derived=True, engine=engine
-        )
-    except (GenerationError, RecipeError, SceneError) as error:
-        raise BrokenError(f"{split} flight {unit} cannot be made again: {error}") from None
+        return draw_unit(source, recipe, **key._asdict(), engine=engine)
 
 
-def why_not_comparable(contract: Manifest) -> str:
-    """Why samples made here need not have the dataset's bits; empty where they must."""
+def why_not_made(contract: Manifest) -> str:
+    """Why flights cannot be made again here; empty where they can."""
     if not contract.drawn and contract.scenes is None and contract.rescan is None:
         advice = "; if it is yours, give --kind with its name" if ":" in contract.kind else ""
         return (
@@ -95,8 +79,7 @@ def why_not_comparable(contract: Manifest) -> str:
 
 
 def why_not_scanned(contract: Manifest) -> str:
-    """Why scans made here of the archived worlds need not have the dataset's bits; empty where they
-    must."""
+    """Why archived worlds cannot be scanned again here; empty where they can."""
     if not contract.noise_is_ours:
         return "made with noise that is not scenegen's own, so it is not imported"
     if contract.engine not in ENGINES.known:
@@ -104,19 +87,17 @@ def why_not_scanned(contract: Manifest) -> str:
             f"made with the engine {contract.engine!r}, which is not scenegen's own, so it is not "
             "imported"
         )
-    if lacking := _lacking(contract.engine):
-        return f"made with the engine {contract.engine!r}, which {lacking}"
+    lacking = getattr(ENGINES.find(contract.engine), "missing", str)()
+    return f"made with the engine {contract.engine!r}, which {lacking}" if lacking else ""
+
+
+def why_other(contract: Manifest) -> str:
+    """Why what is made again here need not have the dataset's bits; empty where it must."""
     if contract.generator != GENERATOR:
         return f"made by generator {contract.generator}, here is generator {GENERATOR}"
     differing = differences(contract.software, software())
     named = ", ".join(line.replace(" asked for", " here") for line in differing)
     return f"made with other software: {named}" if differing else ""
-
-
-def _lacking(engine: str) -> str:
-    """What this machine lacks to run an engine of ours, as the end of a sentence; mostly
-    nothing."""
-    return getattr(ENGINES.find(engine), "missing", str)()
 
 
 def _cast_again(sample: Sample, page: Page) -> None:
@@ -125,8 +106,8 @@ def _cast_again(sample: Sample, page: Page) -> None:
         return
     lidar, scans = sample.contract.lidar, sample.scans
     if sample.contract.noise is not None:
-        if sample.shard.task.not_scanned:
-            page.skipped = f"the noise cannot be made again, {sample.shard.task.not_scanned}"
+        if why := why_not_scanned(sample.contract) or why_other(sample.contract):
+            page.skipped = f"the noise cannot be made again, {why}"
             return
         scans = _scanned_again(sample, worlds, page)
     page.count(samples=1)
@@ -167,20 +148,11 @@ def _scanned_again(sample: Sample, worlds: Worlds, page: Page) -> list[Scan]:
     task, contract = sample.shard.task, sample.contract
     world, engine = worlds.world(sample.world), worlds.engine(sample.world)
     unit, view = divmod(sample.shard.places[sample.row], contract.recipe.flight.viewpoints)
-    try:
+    failed = (GenerationError, ValueError)
+    with raised_as(BrokenError, f"{sample.where}: cannot be scanned again: ", of=failed):
         clean = scans_from([scan.pose for scan in sample.scans], engine, contract.lidar)
-        seen = with_noise(
-            clean,
-            contract.recipe.noise,
-            world,
-            engine,
-            seed=contract.seed,
-            split=task.entry.split,
-            unit=unit,
-            view=view,
-        )
-    except (GenerationError, ValueError) as error:
-        raise BrokenError(f"{sample.where}: cannot be scanned again: {error}") from None
+        key = UnitKey(contract.seed, task.entry.split, unit)
+        seen = with_noise(clean, contract.recipe.noise, world, engine, key, view)
     wrong = sum(
         np.count_nonzero(again.ranges.view("<u4") != stored.ranges.view("<u4"))
         for again, stored in zip(seen, sample.scans, strict=True)
@@ -196,12 +168,8 @@ def _fly_again(shard: Shard, page: Page) -> None:
     task = shard.task
     if shard.worlds is None:
         return
-    contract = task.contract
-    foreign = contract.engine not in ENGINES.known or not contract.noise_is_ours
-    if foreign or not (
-        contract.drawn or contract.scenes is not None or contract.rescan is not None
-    ):
-        page.skipped = task.not_comparable
+    if why := why_not_made(task.contract):
+        page.skipped = why
         return
     rng = rng_of(task.seed, task.number, 1)
     try:
@@ -212,10 +180,8 @@ def _fly_again(shard: Shard, page: Page) -> None:
         _compare_flight(shard, *flights[int(rng.permutation(len(flights))[0])], page)
     except BrokenError as error:
         page.fault(str(error))
-    if task.not_comparable:
-        page.excuse(
-            f"not comparable, {task.not_comparable}: what comes out otherwise here is no fault"
-        )
+    if why := why_other(task.contract):
+        page.excuse(f"not comparable, {why}: what comes out otherwise here is no fault")
 
 
 def _flights(shard: Shard) -> list[tuple[int, list[tuple[int, int]]]]:

@@ -42,23 +42,13 @@ _BITS = 13
 
 def signature(occupancy: NDArray[np.bool_]) -> NDArray[np.uint32]:
     """Count the occupied voxels in each of 8 x 8 x 5 blocks of a map, flat (320,)."""
-    blocks = np.zeros(320, dtype=np.uint32)
-    _count(occupancy.view(np.uint8), blocks)
-    return blocks
-
-
-@kernel
-def _count(occupied, blocks):
-    nx, ny, nz = occupied.shape
-    a, b, c = -(-nx // 8), -(-ny // 8), -(-nz // 5)
-    for i in range(nx):
-        for j in range(ny):
-            row = ((i // a) * 8 + j // b) * 5
-            for block in range(-(-nz // c)):
-                total = np.uint32(0)
-                for value in occupied[i, j, block * c : min((block + 1) * c, nz)]:
-                    total += value
-                blocks[row + block] += total
+    sums, blocks = occupancy, np.zeros((8, 8, 5), np.uint32)
+    for axis in (2, 1, 0):  # along the rows in memory first
+        count, parts = occupancy.shape[axis], blocks.shape[axis]
+        begins = range(0, count, -(-count // parts))
+        sums = np.add.reduceat(sums, begins, axis=axis, dtype=np.uint32)
+    blocks[tuple(map(slice, sums.shape))] = sums
+    return blocks.reshape(-1)
 
 
 def fold(observed: NDArray[np.bool_]) -> NDArray[np.uint64]:

@@ -18,11 +18,11 @@ from lidarsim.registry import Registry
 from lidarsim.solids.shapes import Solids
 from scenegen.dataset.archive import open_archive, referred
 from scenegen.dataset.layout import ShardFile
-from scenegen.dataset.trust import Entry, GatheredEntry, Manifest
+from scenegen.dataset.trust import Entry, Manifest
 from scenegen.errors import SceneError, raised_as
 from scenegen.sample import rng_of
 from scenegen.verification.contract import of_scans
-from scenegen.verification.rays import MapAuditor, as_rounded
+from scenegen.verification.rays import MapAuditor
 from scenegen.verification.report import BrokenError, Page
 from scenegen.worlds.place import Place
 from scenegen.worlds.screen import screen
@@ -75,29 +75,12 @@ class Task:
     """The shard, as the manifest lists it."""
     number: int
     """Its position in the manifest."""
-    start: int
-    """Position of its first sample in the split of the dataset that it was made for."""
     quick: bool
     seed: int
     twins_of: int
     """One of so many samples is compared with those of other splits."""
-    not_comparable: str
-    """Why samples made here need not have the dataset's bits; empty where they must."""
-    not_scanned: str = ""
-    """Why scans made here of its archived worlds need not have its bits; empty where they must."""
     own: tuple[str, ...] = ()
     """The user's own checks, as ``module:Object``."""
-
-    @property
-    def stop(self) -> int:
-        """One more than the position of its last sample."""
-        entry = self.entry
-        return entry.stop if isinstance(entry, GatheredEntry) else self.start + entry.samples
-
-    @property
-    def cut(self) -> bool:
-        """Whether some of the samples between were left out."""
-        return isinstance(self.entry, GatheredEntry) and self.entry.cut
 
     @property
     def file(self) -> str:
@@ -210,18 +193,18 @@ class Shard:
     def places(self) -> Sequence[int]:
         """Positions of its samples in their split; where the shard is cut, as their names tell.
         Raises BrokenError."""
-        task = self.task
-        if not task.cut:
-            return range(task.start, task.stop)
+        entry = self.task.entry
+        if not entry.cut:
+            return range(entry.start, entry.stop)
         found: list[int] = (
-            task.contract.numbering(task.entry.split)
+            self.task.contract.numbering(entry.split)
             .place(self.file.column("world"), self.file.column("viewpoint"))
             .tolist()
         )
-        if (min(found), max(found)) != (task.start, task.stop - 1):
+        if (min(found), max(found)) != (entry.start, entry.stop - 1):
             raise BrokenError(
-                f"{task.entry.file}: its samples stood from {min(found)} to {max(found)} in their "
-                f"split, the manifest says {task.start} to {task.stop - 1}"
+                f"{entry.file}: its samples stood from {min(found)} to {max(found)} in their "
+                f"split, the manifest says {entry.start} to {entry.stop - 1}"
             )
         return found
 
@@ -286,8 +269,5 @@ class Sample:
     def seen(self) -> ObservedGrid:
         """The map that follows from the stored ranges and poses. Raises BrokenError for an invalid
         pose."""
-        grid = self.contract.grid
-        seen = fuse(self.scans[::-1], grid, self.fields["origin"], self.contract.mapping)
-        if self.contract.generator == 1:  # its last bits depended on the processor
-            return as_rounded(seen, self.scans[0], grid, self.fields)
-        return seen
+        contract = self.contract
+        return fuse(self.scans[::-1], contract.grid, self.fields["origin"], contract.mapping)

@@ -15,8 +15,8 @@ from scenegen.dataset import manifest
 from scenegen.dataset.trust import Manifest
 from scenegen.errors import BrokenError, raised_as
 from scenegen.files import sha256_of
-from scenegen.sample import GROUPS, derive_tudf
-from scenegen.truth import rasterize
+from scenegen.sample import GROUPS
+from scenegen.truth import distance_field, rasterize
 from scenegen.truth.voxels import resample
 from scenegen.verification.rays import count_strays
 from scenegen.verification.report import Page
@@ -84,7 +84,7 @@ def _digest_of_source(contract: Manifest, page: Page, number: int, source: Manif
         kept = [
             one
             for one, entry in zip(page.kept, contract.shards, strict=True)
-            if (entry.split, getattr(entry, "source", 0)) == (split, number)
+            if (entry.split, entry.source) == (split, number)
         ]
         places = np.concatenate([np.empty(0, np.int64), *(np.array(places) for places, _ in kept)])
         digests = np.frombuffer(b"".join(own for _, own in kept), np.uint8).reshape(-1, 32)
@@ -112,17 +112,18 @@ def _digest_of_source(contract: Manifest, page: Page, number: int, source: Manif
 
 def _numbered(sample: Sample, page: Page) -> None:
     page.count(samples=1)
-    task, found = sample.shard.task, (sample.world, int(sample.fields["viewpoint"]))
+    entry, found = sample.shard.task.entry, (sample.world, int(sample.fields["viewpoint"]))
     places, row = sample.shard.places, sample.row
-    expected = sample.contract.numbering(task.entry.split).name(places[row])
+    expected = sample.contract.numbering(entry.split).name(places[row])
     page.expect(
         found == expected,
         f"{sample.where}: is world {found[0]}, viewpoint {found[1]}, expected {expected}",
     )
-    least = places[row - 1] + 1 if row else task.start
+    least = places[row - 1] + 1 if row else entry.start
     page.expect(
-        least <= places[row] < task.stop,
-        f"{sample.where}: stood at {places[row]} in its split, expected {least} to {task.stop - 1}",
+        least <= places[row] < entry.stop,
+        f"{sample.where}: stood at {places[row]} in its split, expected {least} to "
+        f"{entry.stop - 1}",
     )
 
 
@@ -224,7 +225,7 @@ def _same(sample: Sample, name: str, again: NDArray[Any], source: str, page: Pag
 
 def _tudf(sample: Sample, page: Page) -> None:
     page.count(samples=1)
-    again = derive_tudf(sample.fields["occupancy"], grid=sample.contract.grid)
+    again = distance_field(sample.fields["occupancy"], sample.contract.grid)
     _same(sample, "tudf", again, "occupancy", page)
 
 

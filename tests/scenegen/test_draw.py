@@ -6,12 +6,12 @@ import pytest
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
-from lidarsim import GridSpec, Lidar, MujocoEngine, Pose, cast, voxelize
+from lidarsim import GridSpec, Lidar, MujocoEngine, Pose, cast, fuse, voxelize
 from lidarsim.solids.model import solids_of
 from scenegen.draw import draw_unit
 from scenegen.errors import GenerationError
 from scenegen.recipe import Recipe, preset
-from scenegen.sample import GROUPS, derive_free, derive_tudf
+from scenegen.sample import GROUPS
 from scenegen.source import DrawnWorlds
 from scenegen.truth import distance_field, rasterize
 from scenegen.worlds.world import compile_world
@@ -60,11 +60,11 @@ def test_distances_equal_an_independent_transform(drawn):
 def test_what_is_derived_follows_from_what_is_stored(drawn):
     recipe, _ = drawn
     for sample in draw(drawn).samples:
-        free = derive_free(
-            sample.scans(recipe.lidar), sample.origin, grid=recipe.grid, fusion=recipe.mapping
-        )
-        np.testing.assert_array_equal(sample.free, free)
-        np.testing.assert_array_equal(sample.tudf, derive_tudf(sample.occupancy, grid=recipe.grid))
+        scans = sample.scans(recipe.lidar)[::-1]
+        again = fuse(scans, recipe.grid, sample.origin, recipe.mapping)
+        np.testing.assert_array_equal(sample.free, again.free)
+        distances = distance_field(sample.occupancy, recipe.grid)
+        np.testing.assert_array_equal(sample.tudf, distances)
 
 
 def test_the_archived_document_alone_gives_the_same_scan_and_truth(drawn):

@@ -78,7 +78,7 @@ BAD_USE = {
     "an unknown kind": ("--kind piller", "did you mean 'pillar'?"),
     "a scene without its option": ("room.xml", "give it as --scene room.xml"),
     "a kind given twice": ("pillar --kind pillar", "the kind is given twice"),
-    "no kind": ("", "give --kind, --scene or --recipe"),
+    "no kind": ("", "no worlds are named; give a kind, such as --kind pillar"),
     "no workers": ("--kind pillar --workers 0", "--workers"),
     "kind and scene": ("--kind pillar --scene x.xml", "give one of the two"),
     "a backward range": ("--kind pillar --split-range 5:2", "FIRST:STOP"),

@@ -231,7 +231,6 @@ def test_what_is_finished_is_written_down_on_the_way(
     """A run that is killed has listed its shards, and the next one does not hash their samples
     again."""
     monkeypatch.setattr(module, "NOTE_S", 0.0)
-    monkeypatch.setattr(module, "NOTE_SHARE", 0)
 
     def stop(report: ShardReport, fresh: bool) -> None:
         if report.file.startswith("val"):

@@ -224,7 +224,6 @@ def end_it():
     process = hdf5._LIBRARIES[os.getpid()]._process
     process.kill()
     process.wait()
-    hdf5._KNOWN.clear()
 
 
 def test_a_process_that_somebody_ended_is_no_fault_of_the_file(made):

@@ -18,7 +18,7 @@ from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.manifest import NAME
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.rescan import plan_rescan, scan_again
-from scenegen.draw import draw_unit
+from scenegen.draw import UnitKey, draw_unit
 from scenegen.errors import DatasetError, GenerationError, RecipeError
 from scenegen.limits import MOST_SCANS
 from scenegen.recipe import make_recipe, read_recipe
@@ -231,9 +231,7 @@ def test_a_map_that_lies_ahead_is_a_shifted_window_of_the_same_truth(turns, shif
         world,
         [[pose]],
         recipe,
-        seed=0,
-        split="train",
-        unit=0,
+        UnitKey(0, "train", 0),
         names=(0, 0),
         engine=AnalyticEngine.of,
     ).samples
@@ -306,7 +304,7 @@ def test_a_strangers_word_is_not_trusted(several, tmp_path, entries, told):
             {"map_ahead_m": [60.0, 0.0, 0.0]},
             "[mapping] map_ahead_m = [60.0, 0.0, 0.0]: lies beyond the sensor's range",
         ),
-        ({"scan": 2}, "[mapping]: unknown parameter 'scan'; did you mean 'scans'?"),
+        ({"scan": 2}, "[mapping]: unknown parameter 'scan'; did you mean 'scans' or"),
     ],
 )
 def test_bad_values_end_in_one_line(table, told):

@@ -8,6 +8,7 @@ import re
 import shlex
 import subprocess
 import sys
+from functools import partial
 
 import datasets
 import h5py
@@ -20,6 +21,7 @@ from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.display.inspect import inspect
 from scenegen.errors import PublishError
+from scenegen.files import whole_folder
 from scenegen.recipe import read_recipe
 from scenegen.share import stage as folder_module
 from scenegen.share.stage import Request, stage
@@ -309,7 +311,10 @@ def test_a_folder_with_checksums_of_somebody_elses_is_let_be(asked):
 
 def test_what_comes_into_the_folder_meanwhile_stays(asked):
     stage(asked, CHECKS)
-    with pytest.raises(PublishError, match=r"holds notes\.md"), folder_module.drafted(asked.out):
+    with (
+        pytest.raises(PublishError, match=r"holds notes\.md"),
+        whole_folder(asked.out, partial(folder_module.check_out, asked.dataset)),
+    ):
         (asked.out / "notes.md").write_text("mine")
     assert (asked.out / "notes.md").read_text() == "mine"
     assert [path.name for path in asked.out.parent.iterdir()] == [asked.out.name]

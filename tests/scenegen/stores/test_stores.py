@@ -218,6 +218,7 @@ def test_two_drivers_of_different_datasets_never_mix(store, made):
     with pytest.raises(DatasetError, match="holds another dataset: seed is 3 there, 4 asked for"):
         build(plan(folder_of(NAME), seed=4))
     shutil.rmtree(store / "lab" / "pillar")
+    forget()
     home = stores.store_of(NAME)
     begin, theirs = (
         home.put,
