@@ -231,7 +231,7 @@ class PlaceClearance:
 
     def at(self, x: float, y: float, z: float) -> float:
         """Distance in metres from a point to the nearest such voxel, at most `CAP_M`; 0 in one."""
-        return float(_clearance(x, y, z, *self._arguments))
+        return float(_clearance(x, y, z, CAP_M, 0.0, *self._arguments))
 
     def motion_is_free(
         self, p: tuple[float, float, float], q: tuple[float, float, float], radius_m: float
@@ -241,14 +241,15 @@ class PlaceClearance:
 
 
 @kernel
-def _clearance(x, y, z, states, voxel_m, origin, opened):
+def _clearance(x, y, z, cap_m, enough_m, states, voxel_m, origin, opened):
+    """Distances up to `cap_m`; one below `enough_m` may be of another voxel than the nearest."""
     nx, ny, nz = states.shape
     sx, sy, sz = (x - origin[0]) / voxel_m, (y - origin[1]) / voxel_m, (z - origin[2]) / voxel_m
-    nearest = CAP_M / voxel_m
+    nearest, enough = cap_m / voxel_m, enough_m / voxel_m
     i, j, k = math.floor(sx), math.floor(sy), math.floor(sz)
     # shells of voxels around the point's own, until the next one is farther than what was found
     for shell in range(math.ceil(nearest) + 1):
-        if shell - 1 >= nearest:
+        if shell - 1 >= nearest or nearest < enough:
             break
         for a in range(i - shell, i + shell + 1):
             for b in range(j - shell, j + shell + 1):
@@ -270,11 +271,18 @@ def _clearance(x, y, z, states, voxel_m, origin, opened):
 def _motion_is_free(p, q, radius, states, voxel_m, origin, opened):
     dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
+    # the walk below cannot pass a point that is closer than asked by two of its steps, and most
+    # motions that it would refuse have one here
+    least = radius - 2 * STEP_M
+    for s in (1.0, 0.5, 0.25, 0.75):
+        x, y, z = p[0] + s * dx, p[1] + s * dy, p[2] + s * dz
+        if _clearance(x, y, z, radius, least, states, voxel_m, origin, opened) < least:
+            return False
     t = 0.0
     while True:
         s = min(t / length, 1.0) if length > 0.0 else 1.0
         x, y, z = p[0] + s * dx, p[1] + s * dy, p[2] + s * dz
-        free = _clearance(x, y, z, states, voxel_m, origin, opened) - radius
+        free = _clearance(x, y, z, CAP_M, 0.0, states, voxel_m, origin, opened) - radius
         if free < 0.0:
             return False
         if s >= 1.0:
