@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim import GridSpec, Scan
+from lidarsim import GridSpec, Pose, Scan, Sensor
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelEngine, VoxelMap
 from lidarsim.jit import kernel
+from lidarsim.pose import rotate
 from lidarsim.sensors.table import MOST_HEADER_BYTES
 from scenegen.clouds import encode_npz, read_npz
 from scenegen.errors import SceneError, printable
@@ -24,6 +25,7 @@ from scenegen.files import read_bounded, sha256_of
 from scenegen.limits import MOST_ASSET_BYTES, MOST_PLACE_VOXELS
 from scenegen.truth.voxels import resample
 from scenegen.worlds.clearance import CAP_M, STEP_M
+from scenegen.worlds.mapping import Known
 from scenegen.worlds.octomap import check_voxel, parse_octomap
 
 DOCUMENT = (
@@ -100,6 +102,12 @@ class Place:
         unknown does not count as free."""
         occupancy, known = resample(self.voxels, grid, origin)
         return {"occupancy": occupancy} | ({} if self.opened else {"known": known})
+
+    def is_known(self, pose: Pose, lidar: Sensor, known: Known) -> bool:
+        """Whether so few rays of a sensor cross unknown space that a scan of it may be kept."""
+        rays = rotate(pose.quaternion, lidar.directions_body)[None]
+        limits = known.most_unknown_m, known.most_marked_share
+        return self.caster(None).known(pose.position[None], rays, lidar.max_range_m, *limits)
 
     def unknown_m(self, scan: Scan) -> NDArray[np.float64]:
         """Metres of unknown space that each ray of a scan crosses before it returns, (*rays)."""
