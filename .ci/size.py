@@ -14,7 +14,7 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 299_200, "benchmarks": 31_300, "tests": 279_160}
+TOKENS = {"product": 299_600, "benchmarks": 31_300, "tests": 279_160}
 FILES = 248
 LINES = 400
 """The longest file of product code."""
