@@ -192,25 +192,26 @@ def _look(
 ) -> tuple[Scan, dict[str, np.ndarray]] | None:
     """The scan and the truth at a viewpoint; None, with the reason counted, where there is next to
     nothing, or too little is known."""
-    accept = recipe.accept
+    accept, known = recipe.accept, recipe.known
+    if (  # first, for most fail here
+        known is not None
+        and isinstance(world, Place)
+        and not world.is_known(pose, recipe.lidar, known)
+    ):
+        rejected.viewpoints["rays_unknown"] += 1
+        return None
     (scan,) = scans_from([pose], engine, recipe.lidar)
     returned = np.count_nonzero(np.isfinite(scan.ranges))
     if returned < scan.ranges.size * accept.min_returned_share:
         rejected.viewpoints["few_returns"] += 1
         return None
-    known = recipe.known
-    if known is not None:  # first, for it costs least
-        rays = rays_known(world, scan, known)
-        if (~rays).mean() > known.most_marked_share:
-            rejected.viewpoints["rays_unknown"] += 1
-            return None
     truth = truth_of(world, scan, recipe)
     occupied = truth["occupancy"]
     if np.count_nonzero(occupied) / occupied.size < accept.min_occupied_share:
         rejected.viewpoints["few_occupied"] += 1
         return None
     if known is not None:
-        truth["ray_known"] = rays
+        truth["ray_known"] = rays_known(world, scan, known)
         if truth["known"].mean() < known.least_share:
             rejected.viewpoints["few_known"] += 1
             return None

@@ -59,52 +59,92 @@ class VoxelEngine:
         """Ranges as `cast` gives them, and the metres of unknown space that each ray crosses before
         it returns, or within `max_range_m`; both (P, *shape). Who asks after `cast` for the same
         rays pays nothing: one walk gives both."""
+        self.known(origins, directions, max_range_m)
+        return self._last[-2].copy(), self._last[-1].copy()
+
+    def known(
+        self,
+        origins: ArrayLike,
+        directions: ArrayLike,
+        max_range_m: float,
+        most_unknown_m: float = math.inf,
+        most_share: float = 1.0,
+    ) -> bool:
+        """Whether a share of the rays of `most_share` at most crosses more metres of unknown space
+        than `most_unknown_m`. It walks no farther than it must to say no; after a yes, `cross` has
+        nothing to do."""
         starts = np.array(origins, dtype=np.float64, order="C")
         rays = np.array(directions, dtype=np.float64, order="C")
         shape, asked = rays.shape[:-1], (starts, rays, np.array(max_range_m))
-        last = self._last
-        if last and all(map(np.array_equal, last, asked)):
-            return last[-2].copy(), last[-1].copy()
-        ranges, unknown = np.full(shape, np.inf), np.zeros(shape)
-        count = int(np.prod(shape[1:]))
-        _cast(
-            starts,
-            rays.reshape(len(starts), count, 3),
-            float(max_range_m),
-            self._voxels.states,
-            self._voxels.voxel_m,
-            self._voxels.origin,
-            ranges.reshape(len(starts), count),
-            unknown.reshape(len(starts), count),
-        )
-        self._last = *asked, ranges, unknown
-        return ranges.copy(), unknown.copy()
+        if not (self._last and all(map(np.array_equal, self._last, asked))):
+            ranges, unknown = np.full(shape, np.inf), np.zeros(shape)
+            count = int(np.prod(shape[1:]))
+            if not _cast(
+                starts,
+                rays.reshape(len(starts), count, 3),
+                float(max_range_m),
+                self._voxels.states,
+                self._voxels.voxel_m,
+                self._voxels.origin,
+                ranges.reshape(len(starts), count),
+                unknown.reshape(len(starts), count),
+                float(most_unknown_m),
+                float(most_share),
+            ):
+                return False
+            self._last = *asked, ranges, unknown
+        return bool((self._last[-1] > most_unknown_m).mean() <= most_share)
 
 
 @kernel
-def _cast(origins, directions, max_range_m, states, voxel_m, origin, ranges, unknown):
-    """Fill ranges (P, n) and metres of unknown space (P, n) for directions (P, n, 3)."""
-    for p in range(len(origins)):
-        if not abs(origins[p, 0]) + abs(origins[p, 1]) + abs(origins[p, 2]) < math.inf:
-            continue
-        for n in range(directions.shape[1]):
-            x, y, z = directions[p, n, 0], directions[p, n, 1], directions[p, n, 2]
-            length2 = x * x + y * y + z * z
-            if abs(length2 - 1.0) <= 2e-6:  # as `Engine.cast` has it; not where it is NaN
-                length = math.sqrt(length2)
-                ranges[p, n], unknown[p, n] = _first(
-                    origins[p],
-                    (x / length, y / length, z / length),
-                    max_range_m,
-                    states,
-                    voxel_m,
-                    origin,
-                )
+def _cast(
+    origins,
+    directions,
+    max_range_m,
+    states,
+    voxel_m,
+    origin,
+    ranges,
+    unknown,
+    most_unknown_m,
+    most_share,
+):
+    """Fill ranges (P, n) and metres of unknown space (P, n) for directions (P, n, 3), unless more
+    than `most_share` of the rays cross more than `most_unknown_m`: False. Rays that do so are
+    walked to their ends only when that is decided, and the last of a scan, which look up, first."""
+    marked = 0
+    for again in (False, True):
+        limit = math.inf if again else most_unknown_m
+        for p in range(len(origins)):
+            if not abs(origins[p, 0]) + abs(origins[p, 1]) + abs(origins[p, 2]) < math.inf:
+                continue
+            for n in range(directions.shape[1] - 1, -1, -1):
+                if again and not unknown[p, n] > most_unknown_m:
+                    continue
+                x, y, z = directions[p, n, 0], directions[p, n, 1], directions[p, n, 2]
+                length2 = x * x + y * y + z * z
+                if abs(length2 - 1.0) <= 2e-6:  # as `Engine.cast` has it; not where it is NaN
+                    length = math.sqrt(length2)
+                    ranges[p, n], unknown[p, n] = _first(
+                        origins[p],
+                        (x / length, y / length, z / length),
+                        max_range_m,
+                        states,
+                        voxel_m,
+                        origin,
+                        limit,
+                    )
+                if unknown[p, n] > limit:
+                    marked += 1
+                    if marked / ranges.size > most_share:
+                        return False
+    return True
 
 
 @kernel
-def _first(position, direction, max_range_m, states, voxel_m, origin):
-    """The range of one ray, and the metres of unknown space on its way."""
+def _first(position, direction, max_range_m, states, voxel_m, origin, most_unknown_m):
+    """The range of one ray, and the metres of unknown space on its way; only that these are more
+    than `most_unknown_m`, where they are."""
     nx, ny, nz = states.shape
     sx = (position[0] - origin[0]) / voxel_m
     sy = (position[1] - origin[1]) / voxel_m
@@ -131,6 +171,8 @@ def _first(position, direction, max_range_m, states, voxel_m, origin):
                 return (middle if middle <= max_range_m else math.inf), unknown
             if state == UNKNOWN:
                 unknown += min(at, max_range_m) - t
+                if unknown > most_unknown_m:
+                    break
             t = at
         if at >= leave or t >= max_range_m:
             break

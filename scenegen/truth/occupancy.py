@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lidarsim.grid import GridSpec
 from lidarsim.jit import kernel
-from lidarsim.solids.shapes import BOX, CYLINDER, Solids
+from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, Solids
 from scenegen.truth.shapes import distance, local, touches, within
 from scenegen.truth.triangles import (
     inside_columns,
@@ -165,24 +165,64 @@ def fill_column(shape, size, axes, dx, dy, dz, voxel_m, column, first, end):
 
     A cube holds the ball of its half edge and lies in the ball of its half diagonal, so the
     distance of its centre settles all but the cubes right at the surface; and since that distance
-    cannot fall faster than one walks, far ones are skipped.
+    cannot fall faster than one walks, far ones are skipped. Shapes are convex: the column is walked
+    from its foot to the first cube that touches, from its top to the last, and filled between. The
+    centres of cubes that touch an ellipsoid lie in a larger one, and those in a smaller one's do.
     """
     half = 0.5 * voxel_m
     outer = half * math.sqrt(3.0) + SLACK_M
     x = axes[0, 0] * dx + axes[1, 0] * dy
     y = axes[0, 1] * dx + axes[1, 1] * dy
     z = axes[0, 2] * dx + axes[1, 2] * dy
-    k = 0
-    while first + k < end:
-        h = dz + float(k) * voxel_m
-        px, py, pz = x + axes[2, 0] * h, y + axes[2, 1] * h, z + axes[2, 2] * h
-        gap = distance(shape, size, px, py, pz)
-        if gap > outer:
-            k += max(int(min((gap - outer) / voxel_m, float(end))), 1)
-            continue
-        if gap <= half or touches(shape, size, axes, px, py, pz, half, SLACK_M):
-            column[first + k] = True
-        k += 1
+    h0, h1, sure0, sure1 = -math.inf, math.inf, math.inf, -math.inf
+    if shape == ELLIPSOID:
+        a, b, c = size[0], size[1], size[2]
+        grown = 1.0 + (outer + SLACK_M) / min(min(a, b), c)
+        h0, h1 = _chord(a * grown, b * grown, c * grown, axes, x, y, z)
+        grown = 1.0 + (half - SLACK_M) / max(max(a, b), c)
+        sure0, sure1 = _chord(a * grown, b * grown, c * grown, axes, x, y, z)
+    elif shape == CYLINDER or shape == CAPSULE:  # noqa: SIM109 (Warp has no `in`)
+        radius = size[0] + outer + SLACK_M
+        h0, h1 = _chord(radius, radius, math.inf, axes, x, y, z)
+    count = float(end - first)
+    lowest = math.ceil(min(max((h0 - dz) / voxel_m, 0.0), count))
+    highest = math.floor(min(max((h1 - dz) / voxel_m + 1.0, 0.0), count))
+    low, high, found = int(lowest), int(highest), 0
+    while low + found < high:
+        at = low if found == 0 else high - 1
+        h = dz + float(at) * voxel_m
+        step = 1
+        touched = h >= sure0 and h <= sure1
+        if not touched:
+            px, py, pz = x + axes[2, 0] * h, y + axes[2, 1] * h, z + axes[2, 2] * h
+            gap = distance(shape, size, px, py, pz)
+            if gap > outer:
+                step = max(int(min((gap - outer) / voxel_m, count)), 1)
+            else:
+                touched = gap <= half or touches(shape, size, axes, px, py, pz, half, SLACK_M)
+        if touched:
+            if found == 1:
+                break
+            found, step = 1, 0
+        if found == 0:
+            low += step
+        else:
+            high = max(high - step, low + 1)
+    for k in range(low, high):
+        column[first + k] = True
+
+
+@kernel
+def _chord(a, b, c, axes, x, y, z):
+    """Between which heights the vertical line through (x, y, z) lies in the ellipsoid of semi-axes
+    a, b and c; none where it passes by."""
+    p, q, r = x / a, y / b, z / c
+    u, v, w = axes[2, 0] / a, axes[2, 1] / b, axes[2, 2] / c
+    square, both = max(u * u + v * v + w * w, 1e-16), u * p + v * q + w * r
+    left = both * both - square * (p * p + q * q + r * r - 1.0)
+    if left < 0.0:
+        return math.inf, -math.inf
+    return (-both - math.sqrt(left)) / square, (-both + math.sqrt(left)) / square
 
 
 @kernel

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lidarsim.engines.voxels import FREE, OCCUPIED, VoxelMap
+from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelMap
 from lidarsim.grid import GridSpec
 from lidarsim.jit import kernel
 
@@ -61,7 +61,8 @@ def _shares(spans, first, edge):
 
 @kernel
 def _resample(states, first, edge, voxel_m, occupancy, known):
-    """Layer by layer along x: columns of the map are summed along z and x first, then along y."""
+    """Bits of states are joined over the map's columns that a column of voxels overlaps; volumes
+    are summed where these do not tell."""
     nx, ny, nz = occupancy.shape
     xs = _axis(first[0], edge, voxel_m, nx, states.shape[0])
     ys = _axis(first[1], edge, voxel_m, ny, states.shape[1])
@@ -71,25 +72,33 @@ def _resample(states, first, edge, voxel_m, occupancy, known):
         _shares(ys, first[1], edge),
         _shares(zs, first[2], edge),
     )
-    low, high = ys[0, 0], ys[ny - 1, 1]
-    occupied, free = np.empty((high - low, nz), np.bool_), np.empty((high - low, nz))
+    low, high = zs[0, 0], zs[nz - 1, 1]
+    any_of, all_of = np.empty(high - low, np.uint8), np.empty(high - low, np.uint8)
     for i in range(nx):
-        occupied[:], free[:] = False, 0.0
-        for a in range(xs[i, 0], xs[i, 1]):
-            share = in_x[i, a - xs[i, 0]]
-            for b in range(low, high):
-                for k in range(nz):
-                    for c in range(zs[k, 0], zs[k, 1]):
-                        state = states[a, b, c]
-                        if state == OCCUPIED:
-                            occupied[b - low, k] = True
-                        elif state == FREE:
-                            free[b - low, k] += share * in_z[k, c - zs[k, 0]]
         for j in range(ny):
-            for k in range(nz):
-                solid, part = False, 0.0
+            any_of[:], all_of[:] = UNKNOWN, FREE
+            for a in range(xs[i, 0], xs[i, 1]):
                 for b in range(ys[j, 0], ys[j, 1]):
-                    solid |= occupied[b - low, k]
-                    part += in_y[j, b - ys[j, 0]] * free[b - low, k]
-                occupancy[i, j, k] = solid
-                known[i, j, k] = solid or part >= LEAST_KNOWN - 1e-9
+                    column = states[a, b, low:high]
+                    for c in range(high - low):
+                        any_of[c] |= column[c]
+                        all_of[c] &= column[c]
+            inside = in_x[i].sum() * in_y[j].sum()
+            for k in range(nz):
+                found, free = UNKNOWN, FREE
+                for c in range(zs[k, 0] - low, zs[k, 1] - low):
+                    found |= any_of[c]
+                    free &= all_of[c]
+                occupancy[i, j, k] = found >= OCCUPIED
+                known[i, j, k] = found != UNKNOWN
+                if found == FREE and not (free and inside * in_z[k].sum() > LEAST_KNOWN):
+                    part = 0.0
+                    for b in range(ys[j, 0], ys[j, 1]):
+                        of_row = 0.0
+                        for a in range(xs[i, 0], xs[i, 1]):
+                            share = in_x[i, a - xs[i, 0]]
+                            for c in range(zs[k, 0], zs[k, 1]):
+                                in_free = in_z[k, c - zs[k, 0]] * (states[a, b, c] == FREE)
+                                of_row += share * in_free
+                        part += in_y[j, b - ys[j, 0]] * of_row
+                    known[i, j, k] = part >= LEAST_KNOWN - 1e-9

@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim import GridSpec, Scan
+from lidarsim import GridSpec, Pose, Scan, Sensor
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelEngine, VoxelMap
 from lidarsim.jit import kernel
+from lidarsim.pose import rotate
 from lidarsim.sensors.table import MOST_HEADER_BYTES
 from scenegen.clouds import encode_npz, read_npz
 from scenegen.errors import SceneError, printable
@@ -24,6 +25,7 @@ from scenegen.files import read_bounded, sha256_of
 from scenegen.limits import MOST_ASSET_BYTES, MOST_PLACE_VOXELS
 from scenegen.truth.voxels import resample
 from scenegen.worlds.clearance import CAP_M, STEP_M
+from scenegen.worlds.mapping import Known
 from scenegen.worlds.octomap import check_voxel, parse_octomap
 
 DOCUMENT = (
@@ -100,6 +102,12 @@ class Place:
         unknown does not count as free."""
         occupancy, known = resample(self.voxels, grid, origin)
         return {"occupancy": occupancy} | ({} if self.opened else {"known": known})
+
+    def is_known(self, pose: Pose, lidar: Sensor, known: Known) -> bool:
+        """Whether so few rays of a sensor cross unknown space that a scan of it may be kept."""
+        rays = rotate(pose.quaternion, lidar.directions_body)[None]
+        limits = known.most_unknown_m, known.most_marked_share
+        return self.caster(None).known(pose.position[None], rays, lidar.max_range_m, *limits)
 
     def unknown_m(self, scan: Scan) -> NDArray[np.float64]:
         """Metres of unknown space that each ray of a scan crosses before it returns, (*rays)."""
@@ -231,7 +239,7 @@ class PlaceClearance:
 
     def at(self, x: float, y: float, z: float) -> float:
         """Distance in metres from a point to the nearest such voxel, at most `CAP_M`; 0 in one."""
-        return float(_clearance(x, y, z, *self._arguments))
+        return float(_clearance(x, y, z, CAP_M, 0.0, *self._arguments))
 
     def motion_is_free(
         self, p: tuple[float, float, float], q: tuple[float, float, float], radius_m: float
@@ -241,14 +249,15 @@ class PlaceClearance:
 
 
 @kernel
-def _clearance(x, y, z, states, voxel_m, origin, opened):
+def _clearance(x, y, z, cap_m, enough_m, states, voxel_m, origin, opened):
+    """Distances up to `cap_m`; one below `enough_m` may be of another voxel than the nearest."""
     nx, ny, nz = states.shape
     sx, sy, sz = (x - origin[0]) / voxel_m, (y - origin[1]) / voxel_m, (z - origin[2]) / voxel_m
-    nearest = CAP_M / voxel_m
+    nearest, enough = cap_m / voxel_m, enough_m / voxel_m
     i, j, k = math.floor(sx), math.floor(sy), math.floor(sz)
     # shells of voxels around the point's own, until the next one is farther than what was found
     for shell in range(math.ceil(nearest) + 1):
-        if shell - 1 >= nearest:
+        if shell - 1 >= nearest or nearest < enough:
             break
         for a in range(i - shell, i + shell + 1):
             for b in range(j - shell, j + shell + 1):
@@ -270,11 +279,18 @@ def _clearance(x, y, z, states, voxel_m, origin, opened):
 def _motion_is_free(p, q, radius, states, voxel_m, origin, opened):
     dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
+    # the walk below cannot pass a point that is closer than asked by two of its steps, and most
+    # motions that it would refuse have one here
+    least = radius - 2 * STEP_M
+    for s in (1.0, 0.5, 0.25, 0.75):
+        x, y, z = p[0] + s * dx, p[1] + s * dy, p[2] + s * dz
+        if _clearance(x, y, z, radius, least, states, voxel_m, origin, opened) < least:
+            return False
     t = 0.0
     while True:
         s = min(t / length, 1.0) if length > 0.0 else 1.0
         x, y, z = p[0] + s * dx, p[1] + s * dy, p[2] + s * dz
-        free = _clearance(x, y, z, states, voxel_m, origin, opened) - radius
+        free = _clearance(x, y, z, CAP_M, 0.0, states, voxel_m, origin, opened) - radius
         if free < 0.0:
             return False
         if s >= 1.0:

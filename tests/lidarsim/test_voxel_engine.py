@@ -1,5 +1,7 @@
 """Rays through maps of voxels, against points sampled along them."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -32,7 +34,12 @@ def test_rays_meet_what_points_along_them_do(seed):
     rays = rng.normal(size=(40, 3))
     rays[:6] = np.repeat(np.eye(3), 2, axis=0) * np.tile([1, -1], 3)[:, None]
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    ranges, unknown = VoxelEngine(voxels).cross(starts, rays[:, None], far_m)
+    asked = starts, rays[:, None], far_m
+    ranges, unknown = VoxelEngine(voxels).cross(*asked)
+    for limits in itertools.product((0.0, 0.6, 2.0), (0.2, 0.5, 0.9)):  # what says yes walks all
+        engine = VoxelEngine(voxels)
+        assert engine.known(*asked, *limits) == ((unknown > limits[0]).mean() <= limits[1])
+        assert np.array_equal(engine.cross(*asked), (ranges, unknown))
     missed = 0
     for start, ray, range_m, unknown_m in zip(
         starts, rays, ranges[:, 0], unknown[:, 0], strict=True
