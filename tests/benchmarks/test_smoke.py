@@ -1,5 +1,6 @@
 """Every benchmark runs, as small as it can be, and its figures are there, and are numbers."""
 
+import importlib
 import re
 import runpy
 import sys
@@ -8,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from scenegen import __main__ as cli
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.recipe import preset
 from scenegen.source import DrawnWorlds
@@ -74,7 +76,7 @@ SCRIPTS: dict[str, tuple[tuple[object, ...], tuple[str, ...]]] = {
 """Of every benchmark: what it is given, and figures that it prints; N stands for one."""
 LEARNED = {"elsewhere", "generalisation", "ensemble", "inference", "anywhere", "real", "training"}
 """These import torch, which takes seconds: they run in this process, which has done so for other
-tests."""
+tests, and so do the commands that they run."""
 
 
 def test_every_benchmark_is_here() -> None:
@@ -90,6 +92,16 @@ def data(once: Once) -> Path:
         build(plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=0, counts=counts))
 
     return once("benchmarked", fill)
+
+
+def in_this_process(*words: object) -> None:
+    """Run the command of scenegen that a benchmark measures."""
+    assert words[:2] == ("-m", "scenegen")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", [*map(str, words[1:])])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+    assert not ended.value.code
 
 
 @pytest.mark.parametrize("name", SCRIPTS)
@@ -109,6 +121,7 @@ def test_a_benchmark_runs_and_prints_its_figures(
         monkeypatch.setattr(sys, "argv", [script, *given])
         monkeypatch.syspath_prepend(BENCHMARKS)
         monkeypatch.setenv("OMP_WAIT_POLICY", "passive")  # which they set
+        monkeypatch.setattr(importlib.import_module("measuring"), "run", in_this_process)
         runpy.run_path(script, run_name="__main__")
         said = capsys.readouterr().out
     else:

@@ -127,7 +127,7 @@ def found(one, long=()):
 def test_intervals_hold_the_difference_of_methods_whatever_seeds_and_worlds_are_drawn():
     """Seeds differ by more than worlds let means differ: without them the interval would be far too
     narrow."""
-    rng, repeats = np.random.default_rng(1), 400
+    rng, repeats = np.random.default_rng(1), 150
     every = [found(study(rng, 0.05, 0.02, training=0.02)) for _ in range(repeats)]
     held = np.mean([one["low"] <= 0.03 <= one["high"] for one in every])
     assert 0.93 <= held <= 0.985

@@ -18,7 +18,7 @@ from scenegen.source import DrawnWorlds
 from tests.command_line import run
 from tests.conftest import small_recipe
 
-COUNTS = {"train": 6, "val": 4, "test": 7}
+COUNTS = {"train": 4, "val": 2, "test": 4}
 SAMPLES = sum(COUNTS.values())
 COMPLETE = ("complete", "d", "--weights", "n.safetensors", "--batch", 2, "--device", "cpu")
 BENCH = (
@@ -44,7 +44,7 @@ COMMANDS: tuple[tuple[object, ...], ...] = (
 
 
 def make(folder: Path) -> None:
-    """`d`, a dataset of seven shards, and `n.safetensors`, a network for it."""
+    """`d`, a dataset of five shards, and `n.safetensors`, a network for it."""
     recipe = small_recipe()
     build(
         plan_dataset(
