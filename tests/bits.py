@@ -25,8 +25,6 @@ from scenegen.source import DrawnWorlds, Source, read_scenes
 from scenegen.worlds.flight import viewpoints
 
 SCENES = Path(__file__).parent.parent / "scenes"
-UNITS = 2
-"""Flights of each preset."""
 
 
 def digest(arrays: Iterable[ArrayLike]) -> str:
@@ -71,8 +69,7 @@ def of_datasets() -> dict[str, str]:
         "mesh": digest([_mesh(rng)]),
     }
     for kind in kind_names():
-        units = UNITS if kind in ("pillar", "geometric") else 1
-        found[kind] = _flights(DrawnWorlds(preset(kind)), kind, units)
+        found[kind] = _flights(DrawnWorlds(preset(kind)), kind, 1)
     scenes = read_scenes(SCENES, {"train": 1, "val": 0, "test": 0}, seed=0)
     found["scenes"] = _flights(scenes, "scene", len(scenes.scenes["train"]))
     return found

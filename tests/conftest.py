@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # processes share the cores, whatever they import
+
 from scenegen.recipe import make_recipe
 from scenegen.source import DrawnWorlds
 from tests.command_line import SMALL as SMALL_FILE

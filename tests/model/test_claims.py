@@ -194,14 +194,14 @@ def test_verdicts_follow_from_the_file(tmp_path, capsys):
     agreeing = [claim | {"verdict": "refuted"} for claim in first["claims"]]
     assert {one["verdict"] for one in answers(agreeing).values()} == {"refuted"}
     file.write_text(json.dumps(whole()))
-    code, out, _ = command(capsys, "reproduce", "--from", file, "--json")
+    code, out, _ = command(capsys, f"reproduce --from {file} --json")
     assert (code, json.loads(out)) == (0, json.loads(json.dumps(first)))
-    code, out, _ = command(capsys, "reproduce", "--from", file)
+    code, out, _ = command(capsys, f"reproduce --from {file}")
     assert code == 0
     assert "confirmed" in out
     content = file.read_bytes()
     for damage in (b"", content[:300], b"{}", content.replace(b'"iou"', b'"uoi"')):
         file.write_bytes(damage)
-        code, out, error = command(capsys, "reproduce", "--from", file)
+        code, out, error = command(capsys, f"reproduce --from {file}")
         assert (code, out, error.count("\n")) == (1, "", 1)
         assert "is no study" in error

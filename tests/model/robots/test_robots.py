@@ -109,7 +109,7 @@ def test_the_command_flies_records_and_flies_again(
         within = points[((points > low) & (points < high)).all(axis=1)]
         assert len(within) > 20
         assert max(course.drawn.clearance.at(*point) for point in within) < 1e-4
-    code, out, _ = run(capsys, "fly", "--replay", file, "--robot", "reactive", "--json")
+    code, out, _ = run(capsys, f"fly --replay {file} --robot reactive --json")
     assert code == 0
     again = json.loads(out)
     assert [one["digest"] for one in again["flights"]] == [one["digest"] for one in told["flights"]]
@@ -150,7 +150,7 @@ def test_an_entry_to_a_suite_goes_on_and_is_not_lost(
     assert (code, "other courses" in complaint) == (1, True)
     assert file.read_bytes() == kept
     page = tmp_path / "page.html"
-    assert run(capsys, "fly", "--leaderboard", tmp_path, "-o", page)[0] == 0
+    assert run(capsys, f"fly --leaderboard {tmp_path} -o {page}")[0] == 0
     assert f"aerial-1: {len(chosen)} worlds" in page.read_text()
 
 
@@ -171,9 +171,7 @@ def test_ones_own_robot_flies_in_a_process_of_its_own(
 ) -> None:
     (tmp_path / "my_robot.py").write_text(OWN)
     monkeypatch.chdir(tmp_path)
-    code, out, _ = run(
-        capsys, "fly", "pillar", "--robot", "my_robot:Robot", "--flights", 1, "--json"
-    )
+    code, out, _ = run(capsys, "fly pillar --robot my_robot:Robot --flights 1 --json")
     (flown,) = json.loads(out)["flights"]
     assert code == 0
     assert flown["outcome"] in ("success", "collision")

@@ -245,35 +245,34 @@ def test_the_paper_s_figures_show_methods_errors_and_paths(
     monkeypatch.setattr("scenegen.display.colours.PALE", 1.0)  # errors in full, however near
     look, _ = predicted(made)
 
-    def share(shown: Look, colour: tuple[int, ...], near: float = 6) -> float:
-        image = imread(
-            io.BytesIO(to_bytes(FIGURES[name]([shown], title=""), ".png")), format="png"
-        )[:-40, :-60, :3]
+    def drawn(shown: Look) -> np.ndarray:
+        page = to_bytes(FIGURES[name]([shown], title=""), ".png")
+        return imread(io.BytesIO(page), format="png")[:-40, :-60, :3]
+
+    def share(image: np.ndarray, colour: tuple[int, ...], near: float = 6) -> float:
         shades = [np.array(colour) * light for light in SHADES]  # which sides of cubes have
         far = np.min([np.abs(image * 255 - one).max(axis=2) for one in shades], axis=0)
         return float((far < near).mean())
 
-    right = replace(
-        look, guesses=tuple(replace(one, occupied=look.masks["occupancy"]) for one in look.guesses)
-    )
+    shown = drawn(look)
     if name == "completions":
-        assert share(look, MISSED) > share(right, MISSED) + 0.002
-        assert share(look, INVENTED, 40) > share(right, INVENTED, 40)
-    if name in ("paths", "example"):
-        bare = replace(
-            look,
-            guesses=tuple(
-                replace(one, route=replace(one.route, points=None)) for one in look.guesses
-            ),
+        truth = look.masks["occupancy"]
+        right = drawn(
+            replace(look, guesses=tuple(replace(one, occupied=truth) for one in look.guesses))
         )
+        assert share(shown, MISSED) > share(right, MISSED) + 0.002
+        assert share(shown, INVENTED, 40) > share(right, INVENTED, 40)
+    if name in ("paths", "example"):
+        ends = [replace(one, route=replace(one.route, points=None)) for one in look.guesses]
+        bare = drawn(replace(look, guesses=tuple(ends)))
         for colour in path_colours(["occ", "$own^$"]):
-            assert share(look, colour) > share(bare, colour)
+            assert share(shown, colour) > share(bare, colour)
         with pytest.raises(DatasetError, match="no path"):
             FIGURES[name](
                 [replace(look, guesses=tuple(replace(one, route=None) for one in look.guesses))],
                 title="",
             )
     if name == "distances":
-        assert share(look, DISTANCES[0]) > 0.1  # a prediction of 0 everywhere
+        assert share(shown, DISTANCES[0]) > 0.1  # a prediction of 0 everywhere
     with pytest.raises(DatasetError, match="--weights"):
         FIGURES[name]([replace(look, guesses=())], title="")

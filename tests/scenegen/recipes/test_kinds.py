@@ -19,6 +19,7 @@ from scenegen.truth.difficulty import difficulty
 from scenegen.worlds.classes import CLASSES
 from scenegen.worlds.labels import class_names, labels_by
 from scenegen.worlds.world import compile_world, write_world
+from tests.conftest import quarter
 from tests.scenegen.recipes import Geom, draw
 
 KINDS = pytest.mark.parametrize("kind", [find_kind(name) for name in kind_names()])
@@ -56,13 +57,14 @@ def test_a_world_of_a_preset_is_flown_through_and_is_the_one_that_its_version_pr
 
 
 @pytest.mark.parametrize("name", kind_names())
-def test_easy_medium_and_hard_are_so(name: str) -> None:
+@quarter(8)
+def test_easy_medium_and_hard_are_so(name: str, count: int) -> None:
     visible = []
     for level in ("easy", "medium", "hard"):
         recipe = preset(name, difficulty=level)
         assert (recipe.world == preset(name).world) == (level == "medium")
         source, found = DrawnWorlds(recipe), []
-        for unit in range(5):
+        for unit in range(count):
             drawn = draw_unit(source, recipe, seed=1, split="val", unit=unit)
             found += [
                 difficulty(one.occupancy, one.tudf, recipe.grid.voxel_m).visibility_m

@@ -171,7 +171,7 @@ def test_bench_scores_what_is_known(dataset, tmp_path, capsys):
     assert report["planning"]["scene"]["truth"]["success"]["mean"] > 0.9
     assert report["reconstruction"]["scene"]["truth"]["iou"]["mean"] == 1.0
     assert report["reconstruction"]["scene"]["extrude"]["iou"]["mean"] < 1.0
-    assert run(capsys, "bench", dataset, "--study", "-o", out)[0] == 1
+    assert run(capsys, f"bench {dataset} --study -o {out}")[0] == 1
 
 
 def test_networks_learn_from_what_is_known(dataset, tmp_path):
