@@ -14,7 +14,7 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 298_630, "benchmarks": 31_300, "tests": 278_000}
+TOKENS = {"product": 298_630, "benchmarks": 31_300, "tests": 273_100}
 FILES = 248
 LINES = 400
 """The longest file of product code."""

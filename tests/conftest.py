@@ -5,8 +5,6 @@ import fcntl
 import gc
 import os
 import shutil
-from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 
@@ -92,9 +90,6 @@ def quarter(count):
     return pytest.mark.parametrize(
         "count", [count // 4, pytest.param(count, marks=pytest.mark.slow)]
     )
-
-
-Once = Callable[[str, Callable[[Path], object]], Path]
 
 
 @pytest.fixture(scope="session")

@@ -13,8 +13,6 @@ from scenegen import __main__ as cli
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.recipe import preset
 from scenegen.source import DrawnWorlds
-from tests.conftest import Once
-from tests.shell import Shell
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 SHARED = {"bars", "measuring", "recordings"}
@@ -79,22 +77,22 @@ LEARNED = {"elsewhere", "generalisation", "ensemble", "inference", "anywhere", "
 tests, and so do the commands that they run."""
 
 
-def test_every_benchmark_is_here() -> None:
+def test_every_benchmark_is_here():
     assert {path.stem for path in BENCHMARKS.glob("*.py")} == SCRIPTS.keys() | SHARED
 
 
 @pytest.fixture(scope="session")
-def data(once: Once) -> Path:
+def data(once):
     """Maps of the size that the bundled networks take, of one world a split."""
 
-    def fill(folder: Path) -> None:
+    def fill(folder):
         recipe, counts = preset("pillar"), {"train": 2, "val": 1, "test": 2}
         build(plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=0, counts=counts))
 
     return once("benchmarked", fill)
 
 
-def in_this_process(*words: object) -> None:
+def in_this_process(*words):
     """Run the command of scenegen that a benchmark measures."""
     assert words[:2] == ("-m", "scenegen")
     with pytest.MonkeyPatch.context() as patch:
@@ -106,13 +104,13 @@ def in_this_process(*words: object) -> None:
 
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_a_benchmark_runs_and_prints_its_figures(
-    name: str,
-    data: Path,
-    tmp_path: Path,
-    shell: Shell,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    name,
+    data,
+    tmp_path,
+    shell,
+    monkeypatch,
+    capsys,
+):
     words, figures = SCRIPTS[name]
     script = str(BENCHMARKS / f"{name}.py")
     given = [*(str(data if word == DATA else word) for word in words), "--smoke"]

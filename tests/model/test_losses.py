@@ -295,7 +295,7 @@ def test_a_voxel_takes_part_when_its_own_distance_is_strictly_within_reach(
                 assert (value(found) != 0) == (inside and max(where) < 2)
 
 
-def test_a_loss_over_what_is_known_is_that_of_the_map_without_the_rest() -> None:
+def test_a_loss_over_what_is_known_is_that_of_the_map_without_the_rest():
     rng = np.random.default_rng(8)
     occupancy = torch.from_numpy(rng.random(SHAPE) < 0.3)
     logits, predicted, tudf = (

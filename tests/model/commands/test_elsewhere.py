@@ -12,7 +12,6 @@ AWAY = ("--on", "tests.scenegen.run.backwards:Backwards")
 CUT_OFF = (*AWAY[:1], f"{AWAY[1]}://1")
 """The second task is lost."""
 RANKS = 3
-Shell = pytest.CaptureFixture[str]
 
 
 @pytest.fixture

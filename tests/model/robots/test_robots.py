@@ -2,7 +2,6 @@
 
 import io
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,7 +24,7 @@ from tests.command_line import run
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_robot_reaches_its_goal(name: str) -> None:
+def test_a_robot_reaches_its_goal(name):
     course = Course(world="pillar", difficulty="easy", flights=1, seed=1)
     flown = fly(course.simulation(0), robot_maker(name, None)(course))
     assert flown.outcome == "success", flown.trouble
@@ -33,7 +32,7 @@ def test_a_robot_reaches_its_goal(name: str) -> None:
     assert flown.invalid == flown.speeding == 0
 
 
-def test_a_map_that_moves_along_is_that_of_one_grid() -> None:
+def test_a_map_that_moves_along_is_that_of_one_grid():
     """What was seen from several places is what lies there, wherever the map is by now."""
     course = Course(world="pillar", flights=1)
     flying, robot = course.simulation(0), MappingRobot(Returns())
@@ -60,7 +59,7 @@ DEAD_END = """<mujoco>
 </worldbody></mujoco>"""
 
 
-def test_a_dead_end_deeper_than_the_window_is_left(tmp_path: Path) -> None:
+def test_a_dead_end_deeper_than_the_window_is_left(tmp_path):
     """At its mouth, its end is 12 m behind: farther than the window reaches."""
     (tmp_path / "dead.xml").write_text(DEAD_END)
     course = Course(world=str(tmp_path / "dead.xml"), vehicle=Vehicle(speed_mps=4.0))
@@ -84,9 +83,7 @@ def test_a_dead_end_deeper_than_the_window_is_left(tmp_path: Path) -> None:
     assert flown.path[:, 0].min() < 0, "around the walls"
 
 
-def test_the_command_flies_records_and_flies_again(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_the_command_flies_records_and_flies_again(capsys, tmp_path):
     file, picture = tmp_path / "flights.json", tmp_path / "flights.png"
     film, log = tmp_path / "flight.gif", tmp_path / "log"
     words = ("fly", "pillar", "--robot", "reactive", "--flights", 2, "--worlds", 2, "--workers", 1)
@@ -119,7 +116,7 @@ def test_the_command_flies_records_and_flies_again(
     assert (code, str(log) in complaint) == (1, True)  # and nothing is flown in vain
 
 
-def test_a_film_shows_what_the_robot_takes_for_occupied() -> None:
+def test_a_film_shows_what_the_robot_takes_for_occupied():
     course = Course(world="pillar", difficulty="easy", flights=1, seed=1)
     for name, shown in (("truth", {RIGHT}), ("optimistic", {RIGHT, UNHELD})):
         with Image.open(io.BytesIO(film(course, 0, robot_maker(name, None)(course)))) as film_:
@@ -128,9 +125,7 @@ def test_a_film_shows_what_the_robot_takes_for_occupied() -> None:
         assert shown <= colours
 
 
-def test_an_entry_to_a_suite_goes_on_and_is_not_lost(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_entry_to_a_suite_goes_on_and_is_not_lost(capsys, tmp_path, monkeypatch):
     """What it holds is not flown again; a command for fewer, or other, courses leaves it alone."""
     monkeypatch.setattr(suite, "FLIGHTS", 1)
     courses = suite.courses_of("aerial-1")
@@ -166,9 +161,7 @@ class Robot:
 """
 
 
-def test_ones_own_robot_flies_in_a_process_of_its_own(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ones_own_robot_flies_in_a_process_of_its_own(capsys, tmp_path, monkeypatch):
     (tmp_path / "my_robot.py").write_text(OWN)
     monkeypatch.chdir(tmp_path)
     code, out, _ = run(capsys, "fly pillar --robot my_robot:Robot --flights 1 --json")
@@ -189,9 +182,7 @@ def test_ones_own_robot_flies_in_a_process_of_its_own(
         ("fly pillar --robot no_such:Robot --flights 1", 1, "never begins"),
     ],
 )
-def test_bad_use_ends_in_a_line(
-    words: str, code: int, said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_use_ends_in_a_line(words, code, said, capsys):
     ended, _, error = run(capsys, words)
     assert ended == code
     assert said in error

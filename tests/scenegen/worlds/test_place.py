@@ -123,7 +123,7 @@ def test_a_dataset_of_maps_passes_every_check(dataset):
     assert counts["rays"]["rays"] == counts["known"]["samples"] * 1920 > 0
 
 
-def test_a_dataset_of_maps_is_published(dataset, tmp_path):
+def test_a_dataset_of_maps_is_published(undrawn, dataset, tmp_path):
     """Its recipe says how much must be known, and makes the same parameters again."""
     staged = stage(Request(dataset=dataset, repository="ada/hall", out=tmp_path / "out"), ())
     assert staged.digest == str(Dataset(dataset).manifest.digest)
