@@ -84,17 +84,8 @@ def measure(place: str, words: list[str], workers: int) -> tuple[float, float, f
     dataset's digest."""
     size = workers if place == "rank" else 1
     each = 1 if place == "rank" else workers
-    command = [
-        sys.executable,
-        "-m",
-        "scenegen",
-        *words,
-        "--json",
-        "--on",
-        place,
-        "--workers",
-        str(each),
-    ]
+    more = f"--json --on {place} --workers {each}".split()
+    command = [sys.executable, "-m", "scenegen", *words, *more]
     with Meter() as meter:
         environment = os.environ | {MARK: meter.mark, "SCENEGEN_WORLD_SIZE": str(size)}
         begin = time.perf_counter()
@@ -141,38 +132,19 @@ def main() -> None:
     parser.add_argument("--on", action="append", help="an executor; repeatable  [default: all]")
     options = measuring.parse(parser, samples=5, rounds=1, workers=1, on=["rank", "ray"])
     places = options.on or ["local", "rank", "ray", "slurm"]
-    for place in [place for place in places if absent(place)]:
+    for place in filter(absent, [*places]):
         places.remove(place)
         print(f"{place}: not measured, for it is not here")
     found: dict[str, list[tuple[float, float, float]]] = defaultdict(list)
     digests = set()
     with tempfile.TemporaryDirectory() as folder:
-        small = [
-            "generate",
-            options.kind,
-            "--n",
-            "2",
-            "--val",
-            "0",
-            "--test",
-            "0",
-            "--out",
-            f"{folder}/first",
-        ]
+        generate = f"generate {options.kind} --val 0 --test 0 --n".split()
+        small = [*generate, "2", "--out", f"{folder}/first"]
         measure("local", small, 1)  # kernels compile
         for _ in range(options.rounds):
             for place in places:
                 out = Path(folder) / "d"
-                words = [
-                    "generate",
-                    options.kind,
-                    "--n",
-                    str(options.samples),
-                    "--val",
-                    "0",
-                    "--test",
-                    "0",
-                ]
+                words = [*generate, str(options.samples)]
                 *spent, digest = measure(place, [*words, "--out", str(out)], options.workers)
                 found[place].append((spent[0], spent[1], spent[2]))
                 digests.add(digest)

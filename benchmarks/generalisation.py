@@ -63,7 +63,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path, help="folder of datasets and runs")
     parser.add_argument("--real", type=Path, help="folder of maps of real places")
     parser.add_argument("--out", type=Path, default=RESULTS)
-    given = measuring.parse(parser, maps=8, tests=5, trials=5, held=["maze"])
+    given = measuring.parse(parser, maps=2, tests=2, trials=2, held=["maze"])
     with tempfile.TemporaryDirectory() as spare:
         folder = given.data or Path(spare)
         kinds = ("maze", "pillar") if given.smoke else kind_names()

@@ -40,16 +40,16 @@ ROOMS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 TIMEOUT_S = 600
 
 
-def drawn(count: int, seed: int) -> list[dict[str, Any]]:
+def drawn(count: int, seed: int, rooms: list[str]) -> list[dict[str, Any]]:
     """`count` mutants, as many of every room."""
     from cosmic_ray.commands.init import _all_work_items
 
     rng, found = random.Random(seed), list[dict[str, Any]]()
-    for number, (room, (patterns, _)) in enumerate(ROOMS.items()):
-        files = sorted(path for pattern in patterns for path in ROOT.glob(pattern))
+    for number, room in enumerate(rooms):
+        files = sorted(path for pattern in ROOMS[room][0] for path in ROOT.glob(pattern))
         pool = [item.mutations[0] for item in _all_work_items(files, {})]
         pool = [one for one in pool if _counts(one)]
-        share = count // len(ROOMS) + (number < count % len(ROOMS))
+        share = count // len(rooms) + (number < count % len(rooms))
         for one in rng.sample(pool, min(share, len(pool))):
             found.append(
                 {
@@ -126,9 +126,11 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("mutants.json"))
     parser.add_argument("--whole", action="store_true")
     parser.add_argument("--rooms", nargs="*", default=list(ROOMS))
-    given = measuring.parse(parser, count=len(ROOMS), rooms=["losses"])
+    given = measuring.parse(parser, count=1, rooms=["losses"])
     held = (
-        json.loads(given.out.read_text()) if given.out.exists() else drawn(given.count, given.seed)
+        json.loads(given.out.read_text())
+        if given.out.exists()
+        else drawn(given.count, given.seed, given.rooms)
     )
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         copy = Path(folder).resolve() / "copy"

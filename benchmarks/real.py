@@ -115,10 +115,13 @@ def main() -> None:
     parser.add_argument("--network", action="append", help="a bundled one's name, or a run")
     parser.add_argument("--data", type=Path, help="folder for the datasets")
     parser.add_argument("--page", type=Path, default=PAGE)
-    given = measuring.parse(parser, poses=2, trials=4, length=3, network=["columns"])
+    given = measuring.parse(parser, poses=2, trials=2, length=1, network=["columns"])
     with tempfile.TemporaryDirectory() as spare:
         folder = given.data or Path(spare)
-        places = {f"`{kind}`": drawn(kind, folder / kind, given.poses) for kind in KINDS}
+        places = {
+            f"`{kind}`": drawn(kind, folder / kind, given.poses)
+            for kind in KINDS[: 1 if given.smoke else None]
+        }
         places |= real_places(given.maps, folder, given.poses)
         networks = [Completer.from_pretrained(one, threads=1) for one in given.network or NETWORKS]
         pictures = folder if given.smoke else PICTURES

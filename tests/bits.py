@@ -8,12 +8,10 @@ them as JSON.
 import hashlib
 import json
 import math
-from collections.abc import Iterable
 from pathlib import Path
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike
 
 from lidarsim import Lidar
 from lidarsim.solids.model import solids_of
@@ -21,22 +19,20 @@ from scenegen.draw import draw_unit
 from scenegen.recipe import preset
 from scenegen.recipes import kind_names
 from scenegen.recipes.kind import attitudes, log_uniform, normal
-from scenegen.source import DrawnWorlds, Source, read_scenes
+from scenegen.source import DrawnWorlds, read_scenes
 from scenegen.worlds.flight import viewpoints
 
 SCENES = Path(__file__).parent.parent / "scenes"
-UNITS = 2
-"""Flights of each preset."""
 
 
-def digest(arrays: Iterable[ArrayLike]) -> str:
+def digest(arrays):
     """SHA-256 of the arrays' bytes, one after the other."""
     return hashlib.sha256(
         b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)
     ).hexdigest()
 
 
-def of_processor() -> dict[str, str]:
+def of_processor():
     """What may differ: the mathematical library, numpy's own functions, a product of matrices."""
     x = np.linspace(-9.0, 9.0, 20_001)
     random = np.random.default_rng(0).random((60, 3))
@@ -47,7 +43,7 @@ def of_processor() -> dict[str, str]:
     }
 
 
-def of_datasets() -> dict[str, str]:
+def of_datasets():
     """What must not differ: draws, directions, poses, meshes, and samples and worlds of the presets
     and the scenes."""
     rng = np.random.default_rng(0)
@@ -71,14 +67,13 @@ def of_datasets() -> dict[str, str]:
         "mesh": digest([_mesh(rng)]),
     }
     for kind in kind_names():
-        units = UNITS if kind in ("pillar", "geometric") else 1
-        found[kind] = _flights(DrawnWorlds(preset(kind)), kind, units)
+        found[kind] = _flights(DrawnWorlds(preset(kind)), kind, 1)
     scenes = read_scenes(SCENES, {"train": 1, "val": 0, "test": 0}, seed=0)
     found["scenes"] = _flights(scenes, "scene", len(scenes.scenes["train"]))
     return found
 
 
-def _flights(source: Source, kind: str, units: int) -> str:
+def _flights(source, kind, units):
     total = hashlib.sha256()
     for unit in range(units):
         drawn = draw_unit(source, preset(kind), seed=0, split="train", unit=unit)
@@ -88,7 +83,7 @@ def _flights(source: Source, kind: str, units: int) -> str:
     return total.hexdigest()
 
 
-def _mesh(rng: np.random.Generator) -> ArrayLike:
+def _mesh(rng):
     """Corners of turned meshes in the world."""
     spec = mujoco.MjSpec()
     spec.add_mesh(name="m", uservert=rng.uniform(-1.0, 1.0, 300).tolist())

@@ -27,7 +27,7 @@ shape = [24, 24, 16]
 """
 
 
-def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
+def run(capsys, *words):
     """Exit code, standard output and standard error of a command: its words, or one line as a user
     types it."""
     if len(words) == 1:

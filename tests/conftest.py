@@ -5,10 +5,10 @@ import fcntl
 import gc
 import os
 import shutil
-from collections.abc import Callable
-from pathlib import Path
 
 import pytest
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # processes share the cores, whatever they import
 
 from scenegen.recipe import make_recipe
 from scenegen.source import DrawnWorlds
@@ -90,9 +90,6 @@ def quarter(count):
     return pytest.mark.parametrize(
         "count", [count // 4, pytest.param(count, marks=pytest.mark.slow)]
     )
-
-
-Once = Callable[[str, Callable[[Path], object]], Path]
 
 
 @pytest.fixture(scope="session")

@@ -6,8 +6,6 @@ import fcntl
 import hashlib
 import os
 from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -19,7 +17,7 @@ STAMP = f"compiled-for-the-tests-{hashlib.sha256(__file__.encode()).hexdigest()[
 one nothing."""
 
 
-def share(worker: int, workers: int, meeting: Path) -> None:
+def share(worker, workers, meeting):
     """Compile what no other worker has begun on, starting at this one's part; return when all is in
     the cache.
 
@@ -49,14 +47,14 @@ def share(worker: int, workers: int, meeting: Path) -> None:
     stamp.touch()
 
 
-def _rasterize() -> None:
+def _rasterize():
     from scenegen.truth import rasterize
 
     rasterize(_nothing(), _grid(), np.zeros(3))
     rasterize(_nothing(), dataclasses.replace(_grid(), hollow=True), np.zeros(3))
 
 
-def _meshes() -> None:
+def _meshes():
     from scenegen.truth.occupancy import _fill_surface
     from scenegen.truth.triangles import inside_columns
 
@@ -66,14 +64,14 @@ def _meshes() -> None:
     inside_columns(triangles, *into)
 
 
-def _clearance() -> None:
+def _clearance():
     from scenegen.worlds.clearance import Clearance
 
     clearance = Clearance(_nothing(), np.array([[0.0, 0, 0], [1, 1, 1]]))
     clearance.motion_is_free((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 0.1)
 
 
-def _cast() -> None:
+def _cast():
     from lidarsim import AnalyticEngine
 
     engine = AnalyticEngine(_nothing())
@@ -81,7 +79,7 @@ def _cast() -> None:
     engine.move(_nothing())
 
 
-def _voxelize() -> None:
+def _voxelize():
     import mujoco
 
     from lidarsim import Lidar, MujocoEngine, Pose, cast
@@ -94,20 +92,20 @@ def _voxelize() -> None:
     crossed(np.zeros(3), np.ones((1, 3)), _grid(), np.zeros(3))
 
 
-def _distances() -> None:
+def _distances():
     from scenegen.truth import distance_field
 
     for truncation_m in (1.0, 3.0, 40.0):  # squares in one byte, in two, in four
         distance_field(np.zeros((4, 4, 4), np.bool_), _grid(truncation_m=truncation_m))
 
 
-def _chance() -> None:
+def _chance():
     from lidarsim.elementary import exp, log
 
     exp(log(1.0))
 
 
-def _twins() -> None:
+def _twins():
     from scenegen.verification import splits as between_splits
 
     maps = np.ones((2, 16, 16, 10), np.bool_)
@@ -118,7 +116,7 @@ def _twins() -> None:
     between_splits.candidates(signatures, folds, maps.sum(axis=(1, 2, 3)), np.arange(2))
 
 
-def _plans() -> None:
+def _plans():
     from scenegen.model.evaluation.config import PlanConfig
     from scenegen.model.evaluation.planning.measure import run_trial
 
@@ -127,7 +125,7 @@ def _plans() -> None:
     run_trial(free, far, free, far, np.full(3, 9.5 * 0.2), grid, PlanConfig())
 
 
-def _maps() -> None:
+def _maps():
     from scenegen.model.completion.unlearned import Extrude
     from scenegen.model.evaluation.metrics import measure
     from scenegen.model.evaluation.uncertainty import count
@@ -146,7 +144,7 @@ def _maps() -> None:
     count([np.zeros(grid.shape, np.float32)], free, np.zeros((6, *grid.shape), np.bool_))
 
 
-def _reference() -> None:
+def _reference():
     from tests.scenegen.truth import reference
 
     shape = reference.Shape("box", (0.1, 0.1, 0.1))
@@ -155,7 +153,7 @@ def _reference() -> None:
     reference.points_inside(shape, np.zeros((1, 3)))
 
 
-def _nothing() -> Any:
+def _nothing():
     """The solids of an empty world: which kernels are compiled does not depend on what stands in
     it."""
     import mujoco
@@ -165,7 +163,7 @@ def _nothing() -> Any:
     return solids_of(mujoco.MjSpec().compile())
 
 
-def _grid(shape: tuple[int, int, int] = (4, 4, 4), truncation_m: float = 2.0) -> Any:
+def _grid(shape=(4, 4, 4), truncation_m=2.0):
     from lidarsim import GridSpec
 
     return GridSpec(shape=shape, voxel_m=0.2, truncation_m=truncation_m)

@@ -20,7 +20,6 @@ import tempfile
 import traceback
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
 
 COMMON = (
     *(f"scenegen.cli.{name}" for name in ("generate", "derive", "publish", "verify", "convert")),
@@ -56,7 +55,7 @@ class Ended:
 class Shell:
     """Runs files and commands in any folder."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         words = [sys.executable, "-c", "from tests.shell import serve; serve()"]
         root = Path(__file__).parents[1]
         self._server = subprocess.Popen(
@@ -66,7 +65,7 @@ class Shell:
         assert script, "install scenegen first: pip install -e ."
         self._script = script
 
-    def python(self, file: Path | str, *words: object, here: Path) -> Ended:
+    def python(self, file, *words, here):
         """How ``python file words`` ends in the folder `here`."""
         assert self._server.stdin
         assert self._server.stdout
@@ -77,23 +76,23 @@ class Shell:
         )
         return Ended(*json.loads(self._server.stdout.readline()))
 
-    def scenegen(self, *words: object, here: Path) -> Ended:
+    def scenegen(self, *words, here):
         """How the installed script ends in the folder `here`."""
         return self.python(self._script, *words, here=here)
 
-    def done(self, *words: object, here: Path) -> str:
+    def done(self, *words, here):
         """What the installed script prints; it must end well."""
         ended = self.scenegen(*words, here=here)
         assert ended.code == 0, ended.err
         return ended.out
 
-    def close(self) -> None:
+    def close(self):
         """End the process."""
         self._server.communicate()
         assert self._server.returncode == 0
 
 
-def serve() -> None:
+def serve():
     """For every line on standard input, a folder, a file and its arguments, run the file in a copy
     of this process."""
     for name in COMMON:
@@ -113,7 +112,7 @@ def serve() -> None:
     os._exit(0)
 
 
-def _become(here: str, file: str, *words: str, streams: tuple[int, int]) -> NoReturn:
+def _become(here, file, *words, streams):
     """Run the file in this process, and end it."""
     nothing = os.open(os.devnull, os.O_RDONLY)
     for number, handle in enumerate((nothing, *streams)):

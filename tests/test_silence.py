@@ -107,7 +107,10 @@ COMMANDS = {
         "d --weights n.onnx -o o.h5",
     ],
     "bench": ["d --weights run --predictions p.h5 --quick --workers 1"],
-    "fly": ["pillar --weights columns --flights 1 -o f.json --picture f.png", "--replay f.json"],
+    "fly": [
+        "w.xml --weights columns --flights 1 --apart 4 --speed 4 -o f.json --picture f.png",
+        "--replay f.json",
+    ],
     "publish": ["d --repo ada/d --dry-run --quick --workers 1"],
     "doctor": [""],
     "completion": ["bash"],
@@ -169,7 +172,7 @@ def environment(shim, folder):
     are."""
     kept = {
         name: os.environ[name]
-        for name in ("PATH", "LD_LIBRARY_PATH", "VIRTUAL_ENV")
+        for name in ("PATH", "LD_LIBRARY_PATH", "VIRTUAL_ENV", "OMP_NUM_THREADS")
         if name in os.environ
     }
     for name in ("home", "temporary", "here"):

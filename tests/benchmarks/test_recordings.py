@@ -4,7 +4,6 @@ import runpy
 from pathlib import Path
 
 import numpy as np
-import pytest
 from PIL import Image
 
 from lidarsim.pose import rotate
@@ -13,7 +12,7 @@ from scenegen.logs.read import read_log
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "recordings.py"
 
 
-def written(recording: str, source: Path, out: Path, monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
+def written(recording, source, out, monkeypatch):
     """The points of all scans in the log's world, (n, 3)."""
     monkeypatch.syspath_prepend(SCRIPT.parent)
     monkeypatch.setattr("sys.argv", [str(SCRIPT), recording, str(source), str(out)])

@@ -1,5 +1,6 @@
 """Every benchmark runs, as small as it can be, and its figures are there, and are numbers."""
 
+import importlib
 import re
 import runpy
 import sys
@@ -8,11 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from scenegen import __main__ as cli
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.recipe import preset
 from scenegen.source import DrawnWorlds
-from tests.conftest import Once
-from tests.shell import Shell
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 SHARED = {"bars", "measuring", "recordings"}
@@ -77,33 +77,43 @@ SCRIPTS: dict[str, tuple[tuple[object, ...], tuple[str, ...]]] = {
 """Of every benchmark: what it is given, and figures that it prints; N stands for one."""
 LEARNED = {"elsewhere", "generalisation", "ensemble", "inference", "anywhere", "real", "training"}
 """These import torch, which takes seconds: they run in this process, which has done so for other
-tests."""
+tests, and so do the commands that they run."""
 
 
-def test_every_benchmark_is_here() -> None:
+def test_every_benchmark_is_here():
     assert {path.stem for path in BENCHMARKS.glob("*.py")} == SCRIPTS.keys() | SHARED
 
 
 @pytest.fixture(scope="session")
-def data(once: Once) -> Path:
+def data(once):
     """Maps of the size that the bundled networks take, of one world a split."""
 
-    def fill(folder: Path) -> None:
+    def fill(folder):
         recipe, counts = preset("pillar"), {"train": 2, "val": 1, "test": 2}
         build(plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=0, counts=counts))
 
     return once("benchmarked", fill)
 
 
+def in_this_process(*words):
+    """Run the command of scenegen that a benchmark measures."""
+    assert words[:2] == ("-m", "scenegen")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", [*map(str, words[1:])])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+    assert not ended.value.code
+
+
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_a_benchmark_runs_and_prints_its_figures(
-    name: str,
-    data: Path,
-    tmp_path: Path,
-    shell: Shell,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    name,
+    data,
+    tmp_path,
+    shell,
+    monkeypatch,
+    capsys,
+):
     words, figures = SCRIPTS[name]
     script = str(BENCHMARKS / f"{name}.py")
     given = [*(str(data if word == DATA else word) for word in words), "--smoke"]
@@ -112,6 +122,7 @@ def test_a_benchmark_runs_and_prints_its_figures(
         monkeypatch.setattr(sys, "argv", [script, *given])
         monkeypatch.syspath_prepend(BENCHMARKS)
         monkeypatch.setenv("OMP_WAIT_POLICY", "passive")  # which they set
+        monkeypatch.setattr(importlib.import_module("measuring"), "run", in_this_process)
         runpy.run_path(script, run_name="__main__")
         said = capsys.readouterr().out
     else:

@@ -1,17 +1,15 @@
 """Recorded maps of a user's own are trained on as the page says."""
 
 import re
-from pathlib import Path
 
 import numpy as np
-import pytest
 
 from lidarsim import GridSpec
 from scenegen.model.checkpoint import load_network
 from tests.command_line import ROOT
 
 
-def test_the_documented_maps_train(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_documented_maps_train(tmp_path, monkeypatch):
     """With a smaller grid and network."""
     monkeypatch.chdir(tmp_path)
     rng = np.random.default_rng(0)

@@ -13,9 +13,7 @@ from tests.model.conftest import make_dataset
 PAGE = Path(__file__).parents[2] / "docs" / "bench.md"
 
 
-def test_the_example_judges_as_the_bench_does(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_example_judges_as_the_bench_does(tmp_path, monkeypatch):
     (text,) = re.findall(r"## Your own planner.*?```python\n(.*?)```", PAGE.read_text(), re.S)
     make_dataset(tmp_path / "data" / "pillar")
     monkeypatch.chdir(tmp_path)

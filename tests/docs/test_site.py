@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("site")
     built = subprocess.run(
         [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", folder],
@@ -30,7 +30,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("package", [lidarsim, scenegen])
-def test_the_reference_has_every_public_name(site: Path, package: object) -> None:
+def test_the_reference_has_every_public_name(site, package):
     name = package.__name__
     page = (site / "api" / name / "index.html").read_text()
     public = package.__all__
@@ -40,6 +40,6 @@ def test_the_reference_has_every_public_name(site: Path, package: object) -> Non
     assert missing == []
 
 
-def test_the_record_of_work_is_not_on_the_site(site: Path) -> None:
+def test_the_record_of_work_is_not_on_the_site(site):
     assert (site / "glossary" / "index.html").exists()
     assert not (site / "log").exists()

@@ -3,7 +3,6 @@
 import json
 import re
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -14,15 +13,15 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 
 @pytest.fixture(scope="module")
-def study() -> Any:
+def study():
     return json.loads((DOCS / "results" / "study.json").read_text(encoding="utf-8"))
 
 
-def test_the_page_is_made_of_the_figures(study: Any) -> None:
+def test_the_page_is_made_of_the_figures(study):
     assert (DOCS / "results" / "study.md").read_text(encoding="utf-8") == to_markdown(study)
 
 
-def test_every_claim_has_what_its_verdict_rests_on(study: Any) -> None:
+def test_every_claim_has_what_its_verdict_rests_on(study):
     """What is decided has two seeds of each method; what is refuted, networks that trained long
     enough; and each network says how it was made."""
     long = {name for name, run in study["runs"].items() if waited(run) >= PATIENCE}
@@ -41,7 +40,7 @@ def test_every_claim_has_what_its_verdict_rests_on(study: Any) -> None:
         assert re.fullmatch(r"[0-9a-f]{64}", run["sha256"])
 
 
-def test_verdicts_follow_from_the_figures_of_the_file(study: Any) -> None:
+def test_verdicts_follow_from_the_figures_of_the_file(study):
     again = judged(study)
     assert again["verdicts"] == study["verdicts"]
     for part in ("claims", "beside", "paths"):

@@ -24,13 +24,13 @@ spec.loader.exec_module(tables)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_the_tables_of_parameters_are_those_of_the_code(page: Path) -> None:
+def test_the_tables_of_parameters_are_those_of_the_code(page):
     text = page.read_text()
     assert text.count("<!-- parameters of") == len(tables.ASKED.findall(text))
     assert tables.filled(text) == text, "run python docs/tables.py"
 
 
-def test_no_table_hangs_on_the_last_bit_of_an_arctangent(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_table_hangs_on_the_last_bit_of_an_arctangent(monkeypatch):
     """As without AVX-512, where the README's second command once failed."""
     told, true = tables.sensors(), np.arctan2
     for way in (-np.inf, np.inf):
@@ -38,7 +38,7 @@ def test_no_table_hangs_on_the_last_bit_of_an_arctangent(monkeypatch: pytest.Mon
         assert tables.sensors() == told
 
 
-def test_the_recipes_page_lists_every_table_of_a_recipe() -> None:
+def test_the_recipes_page_lists_every_table_of_a_recipe():
     asked = {
         name for _, _, name, _ in tables.ASKED.findall((ROOT / "docs" / "recipes.md").read_text())
     }

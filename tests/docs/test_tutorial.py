@@ -24,14 +24,14 @@ STAGES = ["generate", "view", "train", "complete", "render", "bench", "publish"]
 
 
 @pytest.mark.parametrize("words", tutorial.commands(PAGE), ids=shlex.join)
-def test_every_command_line_parses(words: list[str]) -> None:
+def test_every_command_line_parses(words):
     program, name, *rest = words
     assert program == "scenegen"
     command = app.find(name)
     assert command.make_context(name, list(rest)).params
 
 
-def test_the_page_goes_through_the_stages_in_order() -> None:
+def test_the_page_goes_through_the_stages_in_order():
     names = [words[1] for words in tutorial.commands(PAGE)]
     places = [
         names.index(stage, 0 if stage != "render" else names.index("complete")) for stage in STAGES
@@ -39,21 +39,21 @@ def test_the_page_goes_through_the_stages_in_order() -> None:
     assert places == sorted(places)
 
 
-def test_every_picture_is_there_and_is_shown() -> None:
+def test_every_picture_is_there_and_is_shown():
     shown = tutorial.PICTURE.findall(PAGE)
     made = {word for words in tutorial.commands(PAGE) for word in words}
     assert sorted(shown) == sorted(path.name for path in (DOCS / tutorial.PICTURES).iterdir())
     assert set(shown) <= made
 
 
-def test_the_python_of_the_page_compiles() -> None:
+def test_the_python_of_the_page_compiles():
     blocks = [text for kind, text in tutorial.BLOCK.findall(PAGE) if kind == "python"]
     assert len(blocks) >= 3
     for text in blocks:
         compile(text, "tutorial.md", "exec")
 
 
-def test_the_notebook_is_what_the_script_makes_of_the_page() -> None:
+def test_the_notebook_is_what_the_script_makes_of_the_page():
     held = tutorial.NOTEBOOK.read_text(encoding="utf-8")
     assert held == tutorial.written(PAGE), "run python docs/tutorial.py"
     assert len(held.encode()) < MOST_BYTES
@@ -68,14 +68,14 @@ def test_the_notebook_is_what_the_script_makes_of_the_page() -> None:
     assert not any(word in held for word in ("<iframe", "<script", "\\u001b"))
 
 
-def shell_cells(cells: list[dict]) -> list[dict]:
+def shell_cells(cells):
     """Cells of commands that print."""
     return [c for c in cells if c["source"][0] == tutorial.SHELL and "inspect" in str(c["source"])]
 
 
 def test_blocks_run_in_order_in_the_folder_and_their_outputs_stand_in_the_page(
-    tmp_path: Path,
-) -> None:
+    tmp_path,
+):
     blocks = {
         "sh": "echo 3 > n",
         "python": "n = int(open('n').read())\n\nprint(2 * n)",
@@ -88,7 +88,7 @@ def test_blocks_run_in_order_in_the_folder_and_their_outputs_stand_in_the_page(
 
 
 @pytest.mark.slow
-def test_the_whole_page_runs_in_an_empty_folder(tmp_path: Path) -> None:
+def test_the_whole_page_runs_in_an_empty_folder(tmp_path):
     """Five minutes of two cores."""
     said, outputs = tutorial.run(PAGE, tmp_path)
     assert tutorial.commands(said) == tutorial.commands(PAGE)

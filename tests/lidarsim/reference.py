@@ -18,17 +18,13 @@ form that is affordable:
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import product
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 Voxel = tuple[int, int, int]
 
 TOUCH_M = 1e-9
@@ -40,25 +36,25 @@ way."""
 # layout
 
 
-def rotation(quaternion_wxyz: ArrayLike) -> Rotation:
+def rotation(quaternion_wxyz):
     """The rotation of a (w, x, y, z) quaternion; scipy orders it (x, y, z, w)."""
     w, x, y, z = np.asarray(quaternion_wxyz, dtype=np.float64)
     return Rotation.from_quat([x, y, z, w])
 
 
-def random_quaternion(rng: np.random.Generator) -> Floats:
+def random_quaternion(rng):
     """A uniformly random attitude as (w, x, y, z): four normal numbers, normalized."""
     q = rng.normal(size=4)
     return q / np.linalg.norm(q)
 
 
-def level_quaternion(yaw_rad: float) -> Floats:
+def level_quaternion(yaw_rad):
     """The attitude of a level body that looks along `yaw_rad` (w, x, y, z): half-angle formula
     about z."""
     return np.array([np.cos(yaw_rad / 2), 0.0, 0.0, np.sin(yaw_rad / 2)])
 
 
-def sensor_direction(elevation_deg: float, azimuth_deg: float) -> Floats:
+def sensor_direction(elevation_deg, azimuth_deg):
     """A ray of the sensor frame, built from x forward by two turns: up by the elevation, left by
     the azimuth.
 
@@ -70,14 +66,14 @@ def sensor_direction(elevation_deg: float, azimuth_deg: float) -> Floats:
 
 
 def lidar_directions(
-    quaternion: ArrayLike,
+    quaternion,
     *,
-    rows: int = 16,
-    columns: int = 120,
-    vertical_fov_deg: float = 60.0,
-    pitch_deg: float = 30.0,
-    mount: str = "tilt",
-) -> Floats:
+    rows=16,
+    columns=120,
+    vertical_fov_deg=60.0,
+    pitch_deg=30.0,
+    mount="tilt",
+):
     """World directions of a full-circle lidar, ray by ray, from the specification's angles.
 
     Row r has elevation -fov/2 + r * fov / (rows - 1) and column c has azimuth -180 + c * 360 /
@@ -109,7 +105,7 @@ class Geom:
     quaternion: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)
     attributes: str = ""
 
-    def xml(self) -> str:
+    def xml(self):
         """The geom as MJCF; 17 digits carry every float64 exactly."""
         return (
             f'<geom type="{self.kind}" size="{numbers(self.size)}" pos="{numbers(self.position)}" '
@@ -126,25 +122,25 @@ class Body:
     quaternion: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)
     inner: str = ""
 
-    def xml(self) -> str:
+    def xml(self):
         """The body as MJCF."""
         inside = self.inner + "".join(geom.xml() for geom in self.geoms)
         pose = f'pos="{numbers(self.position)}" quat="{numbers(self.quaternion)}"'
         return f"<body {pose}>{inside}</body>"
 
 
-def numbers(values: Iterable[float]) -> str:
+def numbers(values):
     """Floats for an MJCF attribute, exactly."""
     return " ".join(f"{float(value):.17g}" for value in values)
 
 
-def world_xml(geoms: Sequence[Geom] = (), bodies: Sequence[Body] = (), assets: str = "") -> str:
+def world_xml(geoms=(), bodies=(), assets=""):
     """An MJCF world with geoms of the world body and bodies beside them."""
     inside = "".join(geom.xml() for geom in geoms) + "".join(body.xml() for body in bodies)
     return f"<mujoco><asset>{assets}</asset><worldbody>{inside}</worldbody></mujoco>"
 
 
-def _slab(start: Floats, along: Floats, half: float | Floats) -> tuple[Floats, Floats]:
+def _slab(start, along, half):
     """Distances at which a line's coordinate enters and leaves [-half, half]; (inf, -inf) for
     never."""
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -157,7 +153,7 @@ def _slab(start: Floats, along: Floats, half: float | Floats) -> tuple[Floats, F
     return near, far
 
 
-def _ball(start: Floats, along: Floats, radius: float | Floats) -> tuple[Floats, Floats]:
+def _ball(start, along, radius):
     """Distances at which lines enter and leave a ball (in 3-D) or a disc (in 2-D) about the origin.
 
     By closest approach: the foot of the centre on the line, and half the chord through it. `along`
@@ -175,9 +171,7 @@ def _ball(start: Floats, along: Floats, radius: float | Floats) -> tuple[Floats,
     return np.where(hit, foot - half, np.inf), np.where(hit, foot + half, -np.inf)
 
 
-def interval(
-    kind: str, size: Sequence[float | Floats], start: Floats, along: Floats
-) -> tuple[Floats, Floats]:
+def interval(kind, size, start, along):
     """Distances at which lines of a solid's own frame enter and leave it; (inf, -inf) where they
     miss.
 
@@ -212,7 +206,7 @@ def interval(
     return np.where(hit, near, np.inf), np.where(hit, far, -np.inf)
 
 
-def _first_hit(geom: Geom, start: Floats, along: Floats) -> Floats:
+def _first_hit(geom, start, along):
     """Distance to the surface in the geom's own frame: where the ray enters or, from inside, where
     it leaves.
 
@@ -231,19 +225,19 @@ def _first_hit(geom: Geom, start: Floats, along: Floats) -> Floats:
     return np.where(near >= 0, near, np.where(far >= 0, far, np.inf))
 
 
-def _seen_from(geom: Geom, position: Floats, directions: Floats) -> Floats:
+def _seen_from(geom, position, directions):
     turn = rotation(geom.quaternion).inv()
     start = np.broadcast_to(turn.apply(position - np.asarray(geom.position)), directions.shape)
     return _first_hit(geom, start, turn.apply(directions))
 
 
 def ranges(
-    geoms: Sequence[Geom],
-    bodies: Sequence[Body],
-    position: ArrayLike,
-    directions: Floats,
-    max_range_m: float,
-) -> Floats:
+    geoms,
+    bodies,
+    position,
+    directions,
+    max_range_m,
+):
     """Distance along each ray to the nearest surface of the world, inf beyond `max_range_m`.
 
     The rays are taken into each body's frame, then into each geom's, by scipy rotations.
@@ -262,9 +256,7 @@ def ranges(
     return nearest.reshape(np.shape(directions)[:-1])
 
 
-def random_geom(
-    rng: np.random.Generator, kinds: Sequence[str], spread: float, largest: float = 2.5
-) -> Geom:
+def random_geom(rng, kinds, spread, largest=2.5):
     """A random primitive: log-uniform sizes, a place in a cube of half side `spread`, any
     attitude."""
     kind = str(rng.choice(list(kinds)))
@@ -282,13 +274,13 @@ def random_geom(
 
 
 def observed(
-    origin: ArrayLike,
-    voxel_m: float,
-    shape: Voxel,
-    position: ArrayLike,
-    directions: Floats,
-    ranges32: NDArray[np.float32],
-) -> Bools:
+    origin,
+    voxel_m,
+    shape,
+    position,
+    directions,
+    ranges32,
+):
     """Voxels holding a return: the specification's floor formula, return by return, in Python
     floats."""
     out = np.zeros(shape, dtype=bool)
@@ -306,7 +298,7 @@ def observed(
     return out
 
 
-def lengths(ranges32: NDArray[np.float32], max_range_m: float) -> Floats:
+def lengths(ranges32, max_range_m):
     """How far each ray is known to run: to its return, or to the maximum range where nothing
     returned."""
     reach = np.asarray(ranges32).astype(np.float64)
@@ -314,14 +306,14 @@ def lengths(ranges32: NDArray[np.float32], max_range_m: float) -> Floats:
 
 
 def swept(
-    origin: ArrayLike,
-    voxel_m: float,
-    shape: Voxel,
-    position: ArrayLike,
-    directions: Floats,
-    reach: Floats,
-    margin_m: float,
-) -> Bools:
+    origin,
+    voxel_m,
+    shape,
+    position,
+    directions,
+    reach,
+    margin_m,
+):
     """Voxels that some segment meets with positive length, each voxel grown by `margin_m` on every
     side.
 
@@ -363,15 +355,15 @@ def swept(
 
 
 def free_bounds(
-    origin: ArrayLike,
-    voxel_m: float,
-    shape: Voxel,
-    position: ArrayLike,
-    directions: Floats,
-    ranges32: NDArray[np.float32],
-    max_range_m: float,
-    margin_m: float = TOUCH_M,
-) -> tuple[Bools, Bools]:
+    origin,
+    voxel_m,
+    shape,
+    position,
+    directions,
+    ranges32,
+    max_range_m,
+    margin_m=TOUCH_M,
+):
     """The voxels that must be free and those that may be: they differ only in touched voxels."""
     seen = observed(origin, voxel_m, shape, position, directions, ranges32)
     reach = lengths(ranges32, max_range_m)
@@ -383,13 +375,13 @@ def free_bounds(
 
 
 def exact_overlaps(
-    origin: ArrayLike,
-    voxel_m: float,
-    shape: Voxel,
-    position: ArrayLike,
-    direction: ArrayLike,
-    reach: float,
-) -> dict[Voxel, Fraction]:
+    origin,
+    voxel_m,
+    shape,
+    position,
+    direction,
+    reach,
+):
     """Every voxel that one segment meets with positive length, and that length, in rational
     arithmetic.
 
@@ -428,14 +420,14 @@ def exact_overlaps(
 
 
 def exact_swept(
-    origin: ArrayLike,
-    voxel_m: float,
-    shape: Voxel,
-    position: ArrayLike,
-    directions: Floats,
-    reach: Floats,
-    at_least: float = 0.0,
-) -> Bools:
+    origin,
+    voxel_m,
+    shape,
+    position,
+    directions,
+    reach,
+    at_least=0.0,
+):
     """Voxels that some segment meets with positive length of at least `at_least`, in rational
     arithmetic."""
     out = np.zeros(shape, dtype=bool)

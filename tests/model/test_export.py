@@ -95,17 +95,6 @@ def test_a_network_of_one_input_takes_any_number_of_maps(tmp_path):
     read_graph((tmp_path / "flat.onnx").read_bytes())
 
 
-def test_an_onnx_file_is_a_completer(exported):
-    path, network = exported
-    maps = seen(1)
-    found = Completer.from_pretrained(path)(maps)
-    with torch.no_grad():
-        expected = network(maps)
-    torch.testing.assert_close(
-        found.occupancy_probability, expected.logits.sigmoid(), atol=2e-2, rtol=0
-    )
-
-
 def test_other_files_are_refused(tmp_path):
     import onnx
 

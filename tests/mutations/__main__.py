@@ -13,10 +13,10 @@ from pathlib import Path
 from tests.mutations import __doc__ as about
 from tests.mutations.families import FAMILIES
 from tests.mutations.valid import make_valid
-from tests.mutations.warm import Ended, campaign
+from tests.mutations.warm import campaign
 
 
-def main() -> int:
+def main():
     """Print what went wrong, and a table; end with 1 where anything did."""
     asked = argparse.ArgumentParser(
         prog="tests.mutations", description=about, formatter_class=argparse.RawTextHelpFormatter
@@ -38,7 +38,7 @@ def main() -> int:
     return print_table(ends)
 
 
-def run(names: list[str], *, seed: int, jobs: int, base: Path) -> list[Ended]:
+def run(names, *, seed, jobs, base):
     """The cases called `names`, run in this process's own copies; what went wrong is printed as it
     comes."""
     (base / "valid").mkdir(parents=True)
@@ -59,7 +59,7 @@ def run(names: list[str], *, seed: int, jobs: int, base: Path) -> list[Ended]:
     return ends
 
 
-def print_table(ends: list[Ended]) -> int:
+def print_table(ends):
     """Families, cases, how many ended with a result or in an error, how many went wrong, and the
     slowest."""
     families = collections.defaultdict(list)
@@ -79,7 +79,7 @@ def print_table(ends: list[Ended]) -> int:
     return int(any(ended.wrong for ended in ends))
 
 
-def _print_whole(ended: Ended) -> None:
+def _print_whole(ended):
     result = ended.result
     print(f"damage:  {ended.attempt.damage}\ncommand: scenegen {shlex.join(ended.attempt.words)}")
     print(f"folder:  {result.folder}")

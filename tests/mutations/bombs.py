@@ -7,7 +7,7 @@ from functools import cache
 BLOCK = 1 << 20
 
 
-def deflated(size_mb: int) -> bytes:
+def deflated(size_mb):
     """Raw deflate of so many megabytes of zeros."""
     packer = zlib.compressobj(9, zlib.DEFLATED, -15)
     block = packer.compress(bytes(BLOCK)) + packer.flush(
@@ -16,14 +16,14 @@ def deflated(size_mb: int) -> bytes:
     return block * size_mb + packer.flush()
 
 
-def zlibbed(size_mb: int) -> bytes:
+def zlibbed(size_mb):
     """The same as a zlib stream; of zeros, Adler-32 counts the length alone."""
     checksum = (size_mb * BLOCK % 65521) << 16 | 1
     return b"\x78\xda" + deflated(size_mb) + struct.pack(">L", checksum)
 
 
 @cache
-def checksum(size_mb: int) -> int:
+def checksum(size_mb):
     """CRC-32 of so many megabytes of zeros."""
     found, block = 0, bytes(BLOCK)
     for _ in range(size_mb):

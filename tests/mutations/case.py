@@ -54,7 +54,7 @@ class Attempt:
     """Whether "out of memory" is a good end: the user asked for much, no stranger did."""
 
 
-def words(line: str) -> tuple[str, ...]:
+def words(line):
     """A command line's words."""
     return tuple(line.split())
 
@@ -64,20 +64,20 @@ Family = Callable[[Random, Any, Path], Attempt]
 run."""
 
 
-def random_of(seed: int, name: str) -> Random:
+def random_of(seed, name):
     """The random numbers of the case `name`, family/number."""
     return Random(f"{seed} {name}")
 
 
-def refuses(damage: str) -> Callable[[Result], str]:
+def refuses(damage):
     """For damage that must not go unnoticed."""
     return lambda result: f"was taken, in spite of: {damage}"
 
 
-def equals(expected: Any) -> Callable[[Result], str]:
+def equals(expected):
     """For results that the damage must not change: what `after` found is `expected`."""
 
-    def holds(result: Result) -> str:
+    def holds(result):
         if result.after == expected:
             return NOTHING
         return (
@@ -87,6 +87,6 @@ def equals(expected: Any) -> Callable[[Result], str]:
     return holds
 
 
-def checksum(content: bytes) -> int:
+def checksum(content):
     """A short name for bytes."""
     return zlib.crc32(content)

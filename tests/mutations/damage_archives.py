@@ -4,17 +4,14 @@ else."""
 import io
 import struct
 import zipfile
-from pathlib import Path
-from random import Random
 
 from tests.mutations import bombs
-from tests.mutations.case import VALID, Attempt
+from tests.mutations.case import VALID
 from tests.mutations.damage_bytes import damage
 from tests.mutations.damage_scenes import hostile
 from tests.mutations.dataset_commands import read_dataset
 from tests.mutations.datasets import sign
 from tests.mutations.nasty import ESCAPES
-from tests.mutations.valid import Valid
 
 COMMANDS = ("world", "world", "world", "quick", "verify", "verify", "resume")
 NAMES = (
@@ -40,7 +37,7 @@ NAMES = (
 )
 
 
-def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
+def attempt(random, valid, here):
     """A shard's archive, made anew of the same worlds and something else; mostly signed again."""
     name = random.choice("dc")
     folder = valid.put(name, here)
@@ -60,7 +57,7 @@ def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
     return read_dataset(random, valid, here, name, said, VALID, COMMANDS)
 
 
-def _zipped(members: list[tuple[str, bytes]], method: int = zipfile.ZIP_DEFLATED) -> bytes:
+def _zipped(members, method=zipfile.ZIP_DEFLATED):
     import warnings
 
     memory = io.BytesIO()
@@ -71,7 +68,7 @@ def _zipped(members: list[tuple[str, bytes]], method: int = zipfile.ZIP_DEFLATED
     return memory.getvalue()
 
 
-def _more(members: list[tuple[str, bytes]], random: Random) -> tuple[bytes, str]:
+def _more(members, random):
     """A member of an odd name, that the first world refers to."""
     odd = random.choice(NAMES)
     if random.random() < 0.6:
@@ -84,7 +81,7 @@ def _more(members: list[tuple[str, bytes]], random: Random) -> tuple[bytes, str]
     ), f"{times} members more, {ascii(odd)[:60]}"
 
 
-def _bomb(members: list[tuple[str, bytes]], random: Random) -> tuple[bytes, str]:
+def _bomb(members, random):
     """Members that unpack to far more, and say so or not."""
     first, document = members[0]
     kind = random.randrange(3)
@@ -105,7 +102,7 @@ def _bomb(members: list[tuple[str, bytes]], random: Random) -> tuple[bytes, str]
     ), f"12 members of {size_mb} MB that say {said} bytes"
 
 
-def _with_raw(archive: bytes, names: list[str], packed: bytes, checksum: int, size: int) -> bytes:
+def _with_raw(archive, names, packed, checksum, size):
     """An archive with more members, all of the same packed bytes, whose headers say what we
     like."""
     end = archive.rindex(b"PK\x05\x06")
@@ -129,7 +126,7 @@ def _with_raw(archive: bytes, names: list[str], packed: bytes, checksum: int, si
     )
 
 
-def _headers(members: list[tuple[str, bytes]], random: Random) -> tuple[bytes, str]:
+def _headers(members, random):
     """Fields of the headers that say something else: flags, methods, sizes, checksums, offsets."""
     data = bytearray(_zipped(members))
     places = {
@@ -163,7 +160,7 @@ def _headers(members: list[tuple[str, bytes]], random: Random) -> tuple[bytes, s
     return bytes(data), f"{field} = {value} in the first member's headers"
 
 
-def _documents(members: list[tuple[str, bytes]], random: Random) -> tuple[bytes, str]:
+def _documents(members, random):
     """Worlds that are hostile, or none."""
     document, said, _ = hostile(random)
     which = random.randrange(len(members))
@@ -173,7 +170,7 @@ def _documents(members: list[tuple[str, bytes]], random: Random) -> tuple[bytes,
     ), f"{members[which][0]} is a world with {said}"
 
 
-def _whole(members: list[tuple[str, bytes]], random: Random) -> tuple[bytes, str]:
+def _whole(members, random):
     """The archive as a whole."""
     content = _zipped(members)
     match random.randrange(6):

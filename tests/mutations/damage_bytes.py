@@ -1,15 +1,11 @@
 """Family ``bytes``: flips, zeroed and random runs, truncation, splices, anywhere in a file."""
 
-from pathlib import Path
-from random import Random
-
-from tests.mutations.case import SAME, VALID, Attempt
+from tests.mutations.case import SAME, VALID
 from tests.mutations.dataset_commands import read_dataset
 from tests.mutations.datasets import sign
-from tests.mutations.valid import Valid
 
 
-def damage(content: bytes, random: Random) -> tuple[bytes, str]:
+def damage(content, random):
     """Damaged bytes, and what was done to them."""
     size = len(content)
     at = random.randrange(size)
@@ -48,7 +44,7 @@ def damage(content: bytes, random: Random) -> tuple[bytes, str]:
             return content[:at] + piece + content[at:], f"{len(piece)} bytes at {at} doubled"
 
 
-def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
+def attempt(random, valid, here):
     """A file of a dataset, damaged; sometimes signed again, so that its digest in the manifest
     holds."""
     name = random.choice("ddc")

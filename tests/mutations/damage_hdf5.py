@@ -1,14 +1,13 @@
 """Family ``hdf5``: shards that are well-formed HDF5, and not what the format says."""
 
 from collections.abc import Callable
-from pathlib import Path
 from random import Random
 from typing import Any
 
 import h5py
 import numpy as np
 
-from tests.mutations.case import REFUSED, SAME, VALID, Attempt
+from tests.mutations.case import REFUSED, SAME, VALID
 from tests.mutations.dataset_commands import read_dataset
 from tests.mutations.datasets import sign
 from tests.mutations.hdf5_chunks import (
@@ -18,21 +17,20 @@ from tests.mutations.hdf5_chunks import (
     unknown_filter,
 )
 from tests.mutations.nasty import ESCAPES
-from tests.mutations.valid import Valid
 
 PACKED = ("observed", "occupancy", "ranges", "free", "tudf")
 Damage = Callable[[h5py.File, str, Random], tuple[str, str]]
 """Damages the dataset of that name in a file; says how, and what exit code 0 may mean."""
 
 
-def _remade(file: h5py.File, name: str, values: Any = None, **options: Any) -> h5py.Dataset:
+def _remade(file, name, values=None, **options):
     """The dataset anew, with `values` and creation options in place of its own."""
     old = file[name][()]
     del file[name]
     return file.create_dataset(name, data=old if values is None else values, **options)
 
 
-def virtual(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
+def virtual(file, name, random):
     old = file[name]
     shape, dtype = old.shape, old.dtype
     file.move(name, "elsewhere")
@@ -44,7 +42,7 @@ def virtual(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
     return "virtual", REFUSED
 
 
-def external(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
+def external(file, name, random):
     old = file[name]
     shape, dtype = old.shape, old.dtype
     del file[name]
@@ -53,7 +51,7 @@ def external(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
     return f"stored in {other}", REFUSED
 
 
-def link(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
+def link(file, name, random):
     del file[name]
     link = random.choice(
         (h5py.SoftLink("/sha256"), h5py.SoftLink(f"/{name}"), h5py.ExternalLink("/dev/zero", name))
@@ -62,7 +60,7 @@ def link(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
     return f"{type(link).__name__} to {link.path}", REFUSED
 
 
-def other_type(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
+def other_type(file, name, random):
     shape = file[name].shape
     kinds: tuple[Any, ...] = (
         "f2",
@@ -85,7 +83,7 @@ def other_type(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
     return f"of type {np.dtype(kind)}", REFUSED
 
 
-def other_shape(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
+def other_shape(file, name, random):
     values = file[name][()]
     many, dtype = (1 << 40, *values.shape[1:]), values.dtype
     kind = random.randrange(6)
@@ -110,7 +108,7 @@ def other_shape(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
     return f"of shape {others[kind].shape}", REFUSED
 
 
-def other_chunks(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
+def other_chunks(file, name, random):
     shape = file[name].shape
     options = random.choice(
         (
@@ -126,7 +124,7 @@ def other_chunks(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
     return f"laid out by {options}", SAME
 
 
-def other_filter(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
+def other_filter(file, name, random):
     shape = file[name].shape
     options = random.choice(
         (
@@ -142,7 +140,7 @@ def other_filter(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
     return f"filtered by {options}", SAME
 
 
-def number(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
+def number(file, name, random):
     """Other numbers, in place."""
     data = file[name]
     if data.dtype == np.bool_:
@@ -156,7 +154,7 @@ def number(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
     return "holds another number", VALID
 
 
-def attribute(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
+def attribute(file, name, random):
     key = random.choice(("parameters", "rejected", "worlds_sha256", "first_world", "split"))
     values: tuple[Any, ...] = (
         None,
@@ -179,7 +177,7 @@ def attribute(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
     return f"attribute {key} = {ascii(value)[:60]}", SAME if key != "parameters" else VALID
 
 
-def more(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
+def more(file, name, random):
     """Things that nobody asked for."""
     match random.randrange(4):
         case 0:
@@ -195,7 +193,7 @@ def more(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
     return "with something more beside it", VALID
 
 
-def aliased(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
+def aliased(file, name, random):
     other = "occupancy" if name == "observed" else "observed"
     del file[name]
     file[name] = file[other]
@@ -222,7 +220,7 @@ STRUCTURAL: tuple[Damage, ...] = (
 DAMAGES: tuple[Damage, ...] = (*STRUCTURAL, number, number, attribute, attribute, aliased)
 
 
-def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
+def attempt(random, valid, here):
     """A shard of a dataset, damaged; mostly signed again."""
     name = random.choice("ddc")
     folder = valid.put(name, here)
@@ -245,7 +243,7 @@ def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
     return read_dataset(random, valid, here, name, said, expected)
 
 
-def _rewrite(path: Path) -> None:
+def _rewrite(path):
     """The same content, in HDF5's newest layout."""
     newer = path.with_suffix(".new")
     with h5py.File(path, "r") as old, h5py.File(newer, "w", libver="latest") as new:

@@ -1,20 +1,18 @@
 """Family ``logs``: a file of a log damaged anywhere, and poses that are numbers of all sorts."""
 
 from pathlib import Path
-from random import Random
-from typing import Any
 
 import numpy as np
 
-from tests.mutations.case import Attempt, Result, words
+from tests.mutations.case import Attempt, words
 from tests.mutations.damage_bytes import damage
 from tests.mutations.nasty import ESCAPES, REAL
-from tests.mutations.valid import INGEST, Valid
+from tests.mutations.valid import INGEST
 
 LOGS = ("log", "log", "log.mcap", "livox.mcap")
 
 
-def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
+def attempt(random, valid, here):
     """A damaged log, ingested."""
     name = random.choice([one for one in LOGS if (valid.folder / one).exists()])
     path = valid.put(name, here)
@@ -37,12 +35,12 @@ def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
     )
 
 
-def _states() -> Any:
+def _states():
     from scenegen.worlds.place import read_place
 
     found = [read_place(path).voxels.states for path in sorted(Path("out").glob("place*"))]
     return [np.bincount(states.ravel(), minlength=3).tolist() for states in found]
 
 
-def _holds(result: Result) -> str:
+def _holds(result):
     return "" if result.after and all(map(any, result.after)) else "made a map of nothing"

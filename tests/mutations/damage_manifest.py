@@ -1,20 +1,16 @@
 """Family ``manifest``: JSON that says other things, or things twice, or without end."""
 
 import json
-from pathlib import Path
-from random import Random
-from typing import Any
 
 from tests.mutations.case import SAME, VALID, Attempt
 from tests.mutations.dataset_commands import read_dataset
 from tests.mutations.nasty import ESCAPES, nasty, places, spoil
-from tests.mutations.valid import Valid
 
 DEEP = 100_000
 """Levels of what nests without end."""
 
 
-def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
+def attempt(random, valid, here):
     """The manifest, damaged."""
     name = random.choice("dc")
     folder = valid.put(name, here)
@@ -26,13 +22,13 @@ def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
     return _read(random, valid, here, name, f"{name}/dataset.json: {done}", content)
 
 
-def _read(random: Random, valid: Valid, here: Path, name: str, done: str, content: str) -> Attempt:
+def _read(random, valid, here, name, done, content):
     attempt = read_dataset(random, valid, here, name, done, VALID if "shuffled" in done else SAME)
     if attempt.words[0] != "verify":
         return attempt
     original = json.loads((valid.folder / name / "dataset.json").read_text())
 
-    def unchanged(result: Any) -> str:
+    def unchanged(result):
         found = json.loads(content)  # keys that nobody knows say nothing
         return (
             ""
@@ -43,12 +39,12 @@ def _read(random: Random, valid: Valid, here: Path, name: str, done: str, conten
     return Attempt(words=attempt.words, damage=done, makes=attempt.makes, holds=unchanged)
 
 
-def _values(tree: Any, random: Random) -> tuple[str, str]:
+def _values(tree, random):
     done = [spoil(tree, random) for _ in range(random.choice((1, 1, 1, 2, 5)))]
     return json.dumps(tree), "; ".join(done)
 
 
-def _entries(tree: Any, random: Random) -> tuple[str, str]:
+def _entries(tree, random):
     """Shards listed twice, not at all, in another order, or as other things."""
     shards = tree["shards"]
     match random.randrange(7):
@@ -92,7 +88,7 @@ def _entries(tree: Any, random: Random) -> tuple[str, str]:
     return json.dumps(tree), done
 
 
-def _text(tree: Any, random: Random) -> tuple[str, str]:
+def _text(tree, random):
     """What only the text of JSON can say."""
     whole = json.dumps(tree)
     match random.randrange(7):

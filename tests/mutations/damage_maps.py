@@ -1,15 +1,11 @@
 """Family ``maps``: OctoMaps with bytes damaged anywhere, and with headers that say otherwise; and
 ROS's plans, the picture or the YAML."""
 
-from pathlib import Path
-from random import Random
-
 import numpy as np
 
 from tests.mutations.case import Attempt, refuses, words
 from tests.mutations.damage_bytes import damage
 from tests.mutations.nasty import ESCAPES, REAL
-from tests.mutations.valid import Valid
 from tests.scenegen.worlds.test_octomap import written
 from tests.scenegen.worlds.test_plan import write
 
@@ -23,7 +19,7 @@ LINES = {
 COMMANDS = ("inspect map{} --json", "scan map{} --pose 0.2,0.2,0.2,0 --quiet -o a.ply")
 
 
-def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
+def attempt(random, valid, here):
     """A damaged map, looked at or scanned."""
     suffix, must_fail = random.choice((".bt", ".ot", ".yaml")), False
     if suffix == ".yaml":
@@ -48,7 +44,7 @@ def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
     return Attempt(words=command, damage=said, makes=makes)
 
 
-def _plan(random: Random, here: Path) -> Attempt:
+def _plan(random, here):
     """A damaged plan, scanned or made a map of."""
     write(here)
     if random.random() < 0.5:

@@ -4,13 +4,11 @@ expects."""
 import glob
 import os
 from pathlib import Path
-from random import Random
 
 import click
 
 from tests.mutations.case import Attempt, words
 from tests.mutations.nasty import number, text
-from tests.mutations.valid import Valid
 
 MADE = {
     "generate": "--recipe recipe.toml --n 1 --val 0 --test 0 --workers 1 --quiet --out out",
@@ -44,7 +42,7 @@ KEPT = ("pipe", "loop")
 """Neither files nor folders: nothing replaces them, even where it is asked to."""
 
 
-def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
+def attempt(random, valid, here):
     """A command with one or two options that say something odd."""
     from scenegen.__main__ import app
 
@@ -91,7 +89,7 @@ def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
     )
 
 
-def _values(parameter: click.Parameter, random: Random) -> list[str]:
+def _values(parameter, random):
     """A value of the option, as words; none for a switch."""
     if getattr(parameter, "is_flag", False):
         return []

@@ -5,7 +5,6 @@ import os
 import pickle
 import struct
 from pathlib import Path
-from random import Random
 
 import numpy as np
 
@@ -15,7 +14,6 @@ from tests.mutations.damage_bytes import damage
 from tests.mutations.damage_weights import _holds, _Owned
 from tests.mutations.datasets import finite_prediction
 from tests.mutations.nasty import ESCAPES
-from tests.mutations.valid import Valid
 
 POINTS = np.random.default_rng(1).uniform(-1.5, 1.5, (20, 3))
 
@@ -23,7 +21,7 @@ WRITTEN = (".pcd", ".bin", ".npz")
 """Files as `scenegen scan` writes them, damaged anywhere."""
 
 
-def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
+def attempt(random, valid, here):
     """A damaged scan, completed."""
     suffix = random.choice((".ply", ".ply", ".npy", ".xyz", *WRITTEN))
     path = here / f"scan{suffix}"
@@ -54,14 +52,14 @@ def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
     )
 
 
-def _head(count: object, kind: str = "ascii", more: str = "", properties: str | None = None) -> str:
+def _head(count, kind="ascii", more="", properties=None):
     said = (
         "".join(f"property float {axis}\n" for axis in "xyz") if properties is None else properties
     )
     return f"ply\nformat {kind} 1.0\nelement vertex {count}\n{said}{more}end_header\n"
 
 
-def _ply(random: Random) -> tuple[bytes, str, bool]:
+def _ply(random):
     text = "\n".join(" ".join(f"{x:.3f}" for x in point) for point in POINTS)
     binary = POINTS.astype("<f4").tobytes()
     match random.randrange(10):
@@ -121,7 +119,7 @@ def _ply(random: Random) -> tuple[bytes, str, bool]:
             return (_head(20, more=more * 50) + text).encode(), "50 elements more", False
 
 
-def _npy(random: Random) -> tuple[bytes, str, bool]:
+def _npy(random):
     memory = io.BytesIO()
     match random.randrange(8):
         case 0:
@@ -172,7 +170,7 @@ def _npy(random: Random) -> tuple[bytes, str, bool]:
             return memory.getvalue(), "an archive of arrays", True
 
 
-def _xyz(random: Random) -> tuple[bytes, str, bool]:
+def _xyz(random):
     text = "\n".join(" ".join(f"{x:.3f}" for x in point) for point in POINTS)
     match random.randrange(6):
         case 0:

@@ -1,23 +1,22 @@
 """Family ``predictions``: HDF5 files of other numbers, names, rows, types and attributes."""
 
 from collections.abc import Callable
-from pathlib import Path
 from random import Random
 
 import h5py
 import numpy as np
 
 from tests.mutations import damage_hdf5
-from tests.mutations.case import REFUSED, SAME, VALID, Attempt, Result, refuses, words
+from tests.mutations.case import REFUSED, SAME, VALID, Attempt, refuses, words
 from tests.mutations.damage_bytes import damage
 from tests.mutations.nasty import ESCAPES
-from tests.mutations.valid import Valid, scores
+from tests.mutations.valid import scores
 
 FIELDS = ("occupancy_probability", "tudf")
 Damage = Callable[[h5py.File, Random], tuple[str, str]]
 
 
-def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
+def attempt(random, valid, here):
     """A file of predictions, damaged, in a row of the bench."""
     valid.put("d", here)
     path = valid.put("predictions.h5", here)
@@ -35,7 +34,7 @@ def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
             )
             said, expected = change(file, random)
 
-    def same(result: Result) -> str:
+    def same(result):
         if expected == SAME and scores(result.folder / "bench") != valid.scored:
             return "other scores than without the damage"
         return ""
@@ -51,7 +50,7 @@ def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
     )
 
 
-def _numbers(file: h5py.File, random: Random) -> tuple[str, str]:
+def _numbers(file, random):
     name = random.choice(FIELDS)
     value = random.choice((7.0, -3.0, -0.5, 1e38, np.nan, np.inf, -np.inf, 1.0001, 2.5))
     values = file[name][()]
@@ -64,7 +63,7 @@ def _numbers(file: h5py.File, random: Random) -> tuple[str, str]:
     return f"{name} holds {value}", VALID if fits or (name == "tudf" and value > 2) else REFUSED
 
 
-def _rows(file: h5py.File, random: Random) -> tuple[str, str]:
+def _rows(file, random):
     match random.randrange(5):
         case 0:
             file["viewpoint"][:] = file["viewpoint"][0]
@@ -101,7 +100,7 @@ def _rows(file: h5py.File, random: Random) -> tuple[str, str]:
             return f"{name} = {value.tolist()}", REFUSED
 
 
-def _attributes(file: h5py.File, random: Random) -> tuple[str, str]:
+def _attributes(file, random):
     key = random.choice(("dataset", "split", "method"))
     texts = (ESCAPES.replace("\x00", ""), "", "x" * 60_000)
     value = random.choice(
@@ -114,7 +113,7 @@ def _attributes(file: h5py.File, random: Random) -> tuple[str, str]:
     return f"attribute {key} = {ascii(value)[:60]}", SAME if key == "method" else REFUSED
 
 
-def _names(file: h5py.File, random: Random) -> tuple[str, str]:
+def _names(file, random):
     match random.randrange(4):
         case 0:
             name = random.choice((*FIELDS, "world", "viewpoint"))
@@ -133,7 +132,7 @@ def _names(file: h5py.File, random: Random) -> tuple[str, str]:
             return "nothing", REFUSED
 
 
-def _structure(file: h5py.File, random: Random) -> tuple[str, str]:
+def _structure(file, random):
     """What the family ``hdf5`` does to shards."""
     name = random.choice((*FIELDS, "world", "viewpoint"))
     change = random.choice(damage_hdf5.STRUCTURAL)

@@ -1,24 +1,20 @@
 """Family ``recipes``: TOML of other values, types, names and depths."""
 
 import copy
-from pathlib import Path
-from random import Random
-from typing import Any
 
-from tests.mutations.case import Attempt
 from tests.mutations.generated import generated
 from tests.mutations.nasty import ESCAPES, nasty, number, spoil
-from tests.mutations.valid import RECIPE, Valid, to_toml
+from tests.mutations.valid import RECIPE, to_toml
 
 
-def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
+def attempt(random, valid, here):
     """A recipe, damaged, and a sample made by it."""
     content, done = random.choice((_numbers, _numbers, _numbers, _values, _text))(random)
     (here / "r.toml").write_bytes(content.encode(errors="surrogateescape"))
     return generated(("--recipe", "r.toml"), f"r.toml: {done}")
 
 
-def _full() -> dict[str, Any]:
+def _full():
     """Every parameter of the recipe, by table."""
     import dataclasses
     import json
@@ -36,7 +32,7 @@ def _full() -> dict[str, Any]:
     return {"kind": "pillar", **json.loads(json.dumps(parts))}
 
 
-def _numbers(random: Random) -> tuple[str, str]:
+def _numbers(random):
     """Numbers in place of numbers."""
     tree = _full()
     tables = {name: table for name, table in tree.items() if isinstance(table, dict)}
@@ -47,13 +43,13 @@ def _numbers(random: Random) -> tuple[str, str]:
     return to_toml(tree), "; ".join(done)
 
 
-def _values(random: Random) -> tuple[str, str]:
+def _values(random):
     tree = _full()
     done = spoil(tree, random, nasty)
     return to_toml(tree), done
 
 
-def _text(random: Random) -> tuple[str, str]:
+def _text(random):
     """What only the text of TOML can say."""
     whole = to_toml(RECIPE)
     match random.randrange(8):

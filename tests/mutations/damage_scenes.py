@@ -4,14 +4,11 @@ that are not there."""
 import os
 import re
 import struct
-from pathlib import Path
-from random import Random
 
-from tests.mutations.case import Attempt
 from tests.mutations.damage_bytes import damage
 from tests.mutations.generated import generated
 from tests.mutations.nasty import ESCAPES
-from tests.mutations.valid import SCENE, Valid
+from tests.mutations.valid import SCENE
 
 NUMBERS = (
     "nan",
@@ -97,7 +94,7 @@ ADDED = {
 }
 
 
-def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
+def attempt(random, valid, here):
     """A world's MJCF file, damaged, alone or in a folder, and a sample made of it."""
     document, said, beside = hostile(random)
     (here / "scene.toml").write_text((valid.folder / "scene.toml").read_text())
@@ -115,7 +112,7 @@ def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
     return generated(words, f"scene.xml: {said}")
 
 
-def hostile(random: Random) -> tuple[bytes, str, dict[str, bytes]]:
+def hostile(random):
     """A document, what is wrong with it, and files beside it."""
     beside = {
         "liar.stl": bytes(80)
@@ -133,7 +130,7 @@ def hostile(random: Random) -> tuple[bytes, str, dict[str, bytes]]:
     return document, said, beside
 
 
-def _number(random: Random) -> tuple[bytes, str]:
+def _number(random):
     """Other numbers in an attribute of numbers."""
     places = list(re.finditer(r'(\w+)="([^"a-z]+)"', SCENE))
     place = random.choice(places)
@@ -147,7 +144,7 @@ def _number(random: Random) -> tuple[bytes, str]:
     return changed.encode(), changed.splitlines()[line][:150]
 
 
-def _added(random: Random) -> tuple[bytes, str]:
+def _added(random):
     """Something more in one of the sections."""
     section = random.choice(list(ADDED))
     more = random.choice(ADDED[section])
@@ -166,7 +163,7 @@ def _added(random: Random) -> tuple[bytes, str]:
     ).encode(), f"{more[:100]} in <{section}>"
 
 
-def _text(random: Random) -> tuple[bytes, str]:
+def _text(random):
     """Something else as a whole."""
     bombs = "".join(f'<!ENTITY a{n} "{f"&a{n - 1};" * 10}">' for n in range(1, 10))
     match random.randrange(7):

@@ -5,19 +5,18 @@ import os
 import pickle
 import struct
 from pathlib import Path
-from random import Random
 from typing import Any
 
 import numpy as np
 
-from tests.mutations.case import NOTHING, Attempt, Result, refuses, words
+from tests.mutations.case import NOTHING, Attempt, refuses, words
 from tests.mutations.damage_bytes import damage
 from tests.mutations.datasets import finite_prediction
 from tests.mutations.nasty import nasty, number, spoil
-from tests.mutations.valid import EDGE, Valid
+from tests.mutations.valid import EDGE
 
 
-def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
+def attempt(random, valid, here):
     """A damaged network, and a scan completed by it."""
     valid.put("scan.npy", here)
     make = random.choice((_header, _header, _tensors, _tensors, _layout, _other, _onnx, _onnx))
@@ -37,26 +36,26 @@ def attempt(random: Random, valid: Valid, here: Path) -> Attempt:
     )
 
 
-def _holds(result: Result) -> str:
+def _holds(result):
     fine = result.after and all(
         shape == [EDGE] * 3 and fits for shape, fits, _ in result.after.values()
     )
     return NOTHING if fine else f"completed to what cannot be: {result.after}"
 
 
-def _split(valid: Valid) -> tuple[dict[str, Any], bytes]:
+def _split(valid):
     """Header and data of the valid network's file."""
     content = (valid.folder / "n.safetensors").read_bytes()
     (length,) = struct.unpack("<Q", content[:8])
     return json.loads(content[8 : 8 + length]), content[8 + length :]
 
 
-def _join(header: Any, data: bytes) -> bytes:
+def _join(header, data):
     text = header if isinstance(header, bytes) else json.dumps(header).encode(errors="replace")
     return struct.pack("<Q", len(text)) + text + data
 
 
-def _header(random: Random, valid: Valid, here: Path) -> tuple[str, str, bool]:
+def _header(random, valid, here):
     """Other values in scenegen's own header."""
     header, data = _split(valid)
     said = json.loads(header["__metadata__"]["header"])
@@ -85,7 +84,7 @@ def _header(random: Random, valid: Valid, here: Path) -> tuple[str, str, bool]:
     return "n.safetensors", done, False
 
 
-def _tensors(random: Random, valid: Valid, here: Path) -> tuple[str, str, bool]:
+def _tensors(random, valid, here):
     """Other numbers, types, names and shapes of tensors."""
     from safetensors.numpy import load, save
 
@@ -124,7 +123,7 @@ def _tensors(random: Random, valid: Valid, here: Path) -> tuple[str, str, bool]:
     return "n.safetensors", done, must_fail
 
 
-def _layout(random: Random, valid: Valid, here: Path) -> tuple[str, str, bool]:
+def _layout(random, valid, here):
     """Other offsets and lengths in the file's own header, and other bytes."""
     header, data = _split(valid)
     path = here / "n.safetensors"
@@ -153,11 +152,11 @@ def _layout(random: Random, valid: Valid, here: Path) -> tuple[str, str, bool]:
 class _Owned:
     """A pickle of this makes a file."""
 
-    def __reduce__(self) -> Any:
+    def __reduce__(self):
         return os.system, ("touch owned",)
 
 
-def _other(random: Random, valid: Valid, here: Path) -> tuple[str, str, bool]:
+def _other(random, valid, here):
     """What is no network's file at all."""
     name = random.choice(("n.safetensors", "n.pt", "best.ckpt"))
     path = here / name
@@ -192,7 +191,7 @@ def _other(random: Random, valid: Valid, here: Path) -> tuple[str, str, bool]:
             return name, "other bytes", True
 
 
-def _onnx(random: Random, valid: Valid, here: Path) -> tuple[str, str, bool]:
+def _onnx(random, valid, here):
     """ONNX of other outputs, constants, headers and operators."""
     from onnx import TensorProto, helper, numpy_helper
 

@@ -2,19 +2,16 @@
 
 import json
 from pathlib import Path
-from random import Random
 from typing import Any
 
 from tests.mutations import datasets
-from tests.mutations.case import REFUSED, SAME, Attempt, Result, equals, refuses, words
-from tests.mutations.valid import GENERATE, Valid
+from tests.mutations.case import REFUSED, SAME, Attempt, equals, refuses, words
+from tests.mutations.valid import GENERATE
 
 ALL = words("load load inspect quick verify resume complete world")
 
 
-def read_dataset(
-    random: Random, valid: Valid, here: Path, name: str, damage: str, expected: str, among=ALL
-) -> Attempt:
+def read_dataset(random, valid, here, name, damage, expected, among=ALL):
     """A command at random on the dataset `name` in `here`, damaged in the way that `damage` says.
 
     `expected` is what exit code 0 may mean to readers; `verify` may pass nothing but unchanged
@@ -23,27 +20,23 @@ def read_dataset(
     return _COMMANDS[random.choice(among)](random, valid, here, name, damage, expected)
 
 
-def _holds(expected: str, same: Any, damage: str) -> Any:
+def _holds(expected, same, damage):
     if expected == REFUSED:
         return refuses(damage)
     return same if expected == SAME else lambda result: ""
 
 
-def _load(
-    random: Random, valid: Valid, here: Path, name: str, damage: str, expected: str
-) -> Attempt:
-    def same(result: Result) -> str:
+def _load(random, valid, here, name, damage, expected):
+    def same(result):
         return "" if result.stdout.strip() == valid.loaded[name] else "load gave other samples"
 
     return Attempt(words=("load", name), damage=damage, holds=_holds(expected, same, damage))
 
 
-def _inspect(
-    random: Random, valid: Valid, here: Path, name: str, damage: str, expected: str
-) -> Attempt:
+def _inspect(random, valid, here, name, damage, expected):
     as_json = random.random() < 0.7
 
-    def same(result: Result) -> str:
+    def same(result):
         if not as_json:
             return ""
         found = json.loads(result.stdout)
@@ -57,10 +50,8 @@ def _inspect(
     return Attempt(words=words, damage=damage, holds=_holds(expected, same, damage))
 
 
-def _verify(quick: bool) -> Any:
-    def attempt(
-        random: Random, valid: Valid, here: Path, name: str, damage: str, expected: str
-    ) -> Attempt:
+def _verify(quick):
+    def attempt(random, valid, here, name, damage, expected):
         truth = datasets.stored(valid.folder / name, derived=not quick)
         return Attempt(
             words=("verify", name, "--workers", "1", "--quiet", *(["--quick"] if quick else [])),
@@ -72,12 +63,10 @@ def _verify(quick: bool) -> Any:
     return attempt
 
 
-def _resume(
-    random: Random, valid: Valid, here: Path, name: str, damage: str, expected: str
-) -> Attempt:
+def _resume(random, valid, here, name, damage, expected):
     valid.put("recipe.toml", here)
 
-    def same(result: Result) -> str:
+    def same(result):
         if "signed again" in damage:
             return ""  # the manifest vouches for it
         changed = [
@@ -94,13 +83,11 @@ def _resume(
     )
 
 
-def _complete(
-    random: Random, valid: Valid, here: Path, name: str, damage: str, expected: str
-) -> Attempt:
+def _complete(random, valid, here, name, damage, expected):
     valid.put("n.safetensors", here)
     test = {field: [*found[:2]] for field, found in valid.completed.items()}
 
-    def same(result: Result) -> str:
+    def same(result):
         if expected == SAME and result.after != json.loads(json.dumps(valid.completed)):
             return "other completions than without the damage"
         return (
@@ -124,9 +111,7 @@ def _complete(
     )
 
 
-def _world(
-    random: Random, valid: Valid, here: Path, name: str, damage: str, expected: str
-) -> Attempt:
+def _world(random, valid, here, name, damage, expected):
     (here / "notes.py").write_text("# the user's own\n")
     return Attempt(
         words=("world", name, str(random.choice((0, 0, 1, 7))), "-o", "w.xml"),

@@ -3,7 +3,6 @@
 import hashlib
 import json
 import sys
-from pathlib import Path
 from typing import Any
 
 import h5py
@@ -26,7 +25,7 @@ COVERED = (
 DERIVED = ("free", "tudf")
 
 
-def print_load(folder: str) -> int:
+def print_load(folder):
     """What `scenegen.load` gives for every split, as a digest; the exit code of a command that did
     this."""
     import scenegen
@@ -44,14 +43,14 @@ def print_load(folder: str) -> int:
     return 0
 
 
-def _add(digest: Any, name: str, values: np.ndarray) -> None:
+def _add(digest, name, values):
     """Also the bytes of bools, since 2 is not one."""
     if values.dtype == np.bool_ and values.view(np.uint8).max(initial=0) > 1:
         raise AssertionError(f"{name} holds bools other than 0 and 1")
     digest.update(f"{name} {values.dtype.str} {values.shape}".encode() + values.tobytes())
 
 
-def stored(folder: Path, *, derived: bool) -> dict[str, str]:
+def stored(folder, *, derived):
     """A digest of every shard's fields as HDF5 gives them, `derived` ones too."""
     found = {}
     for path in sorted(folder.glob("*.h5")):
@@ -64,7 +63,7 @@ def stored(folder: Path, *, derived: bool) -> dict[str, str]:
     return found
 
 
-def files_of(folder: Path) -> dict[str, str]:
+def files_of(folder):
     """SHA-256 of every file that a dataset consists of; JSON counts by what it says, since
     `generate` leaves a manifest alone that says the same in other bytes."""
     found = {}
@@ -77,7 +76,7 @@ def files_of(folder: Path) -> dict[str, str]:
     return found
 
 
-def sign(folder: Path) -> None:
+def sign(folder):
     """Put the files' digests as they are now into the manifest, as a forger would."""
     path = folder / "dataset.json"
     manifest = json.loads(path.read_text())
@@ -93,7 +92,7 @@ def sign(folder: Path) -> None:
     path.write_text(json.dumps(manifest, indent=1) + "\n")
 
 
-def finite_prediction(path: Path) -> dict[str, Any]:
+def finite_prediction(path):
     """What a file of predictions holds: shapes, and whether its numbers can be such."""
     with h5py.File(path, "r") as file:
         found: dict[str, Any] = {}

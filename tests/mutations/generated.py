@@ -5,15 +5,14 @@ import io
 import json
 import sys
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
 
-from tests.mutations.case import Attempt, Result, words
+from tests.mutations.case import Attempt, words
 
 
-def generated(asked: tuple[str, ...], damage: str, *, samples: int = 1) -> Attempt:
+def generated(asked, damage, *, samples=1):
     """A dataset made by the words `asked`; where that succeeds, `verify --quick` passes it and its
     numbers can be such."""
     return Attempt(
@@ -31,7 +30,7 @@ def generated(asked: tuple[str, ...], damage: str, *, samples: int = 1) -> Attem
     )
 
 
-def _examine() -> dict[str, Any]:
+def _examine():
     """What the dataset in ``out`` holds, and what `verify` says of it; in a process that may have
     crashed by it."""
     from scenegen import __main__ as cli
@@ -52,7 +51,7 @@ def _examine() -> dict[str, Any]:
     return {"finite": bool(finite), "code": code, "said": said.getvalue()}
 
 
-def _holds(result: Result) -> str:
+def _holds(result):
     found = result.after
     if not found["finite"]:
         return "wrote numbers that are none"

@@ -1,7 +1,6 @@
 """Damage to a shard's chunks: written past HDF5, with contents, masks and filters of our own."""
 
 import zlib
-from random import Random
 
 import h5py
 import numpy as np
@@ -10,7 +9,7 @@ from tests.mutations import bombs
 from tests.mutations.case import REFUSED, SAME, VALID
 
 
-def unknown_filter(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
+def unknown_filter(file, name, random):
     values = file[name][()]
     made = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     made.set_chunk((1, *values.shape[1:]))
@@ -33,7 +32,7 @@ def unknown_filter(file: h5py.File, name: str, random: Random) -> tuple[str, str
     return f"filter {number}, {'optional' if flag else 'mandatory'}", REFUSED
 
 
-def chunk_missing(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
+def chunk_missing(file, name, random):
     values = file[name][()]
     del file[name]
     fill = random.choice((None, 1))
@@ -50,7 +49,7 @@ def chunk_missing(file: h5py.File, name: str, random: Random) -> tuple[str, str]
     return "first chunk never written", REFUSED
 
 
-def chunk_of_our_own(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
+def chunk_of_our_own(file, name, random):
     """Chunks written past HDF5, with masks and contents of our own."""
     data = file[name]
     raw = data[0].tobytes()
@@ -89,7 +88,7 @@ def chunk_of_our_own(file: h5py.File, name: str, random: Random) -> tuple[str, s
     return f"first chunk {said}", expected
 
 
-def shuffled_bomb(file: h5py.File, name: str, random: Random) -> tuple[str, str]:
+def shuffled_bomb(file, name, random):
     data = file[name]
     shape, dtype = data.shape, data.dtype
     del file[name]

@@ -1,6 +1,5 @@
 """Values that nobody expects."""
 
-from random import Random
 from typing import Any
 
 ESCAPES = (
@@ -55,22 +54,22 @@ OTHER: tuple[Any, ...] = (
 )
 
 
-def nasty(random: Random) -> Any:
+def nasty(random):
     """A value of any type that JSON knows."""
     return random.choice(random.choice((WHOLE, REAL, TEXT, OTHER)))
 
 
-def number(random: Random) -> int | float:
+def number(random):
     """A number, near or far."""
     return random.choice(random.choice((WHOLE, REAL)))
 
 
-def text(random: Random) -> str:
+def text(random):
     """A string that an operating system takes as a file's name or an option's value."""
     return random.choice(TEXT).replace("\x00", "").replace("\ud800", "\udcff")
 
 
-def places(tree: Any, at: tuple = ()) -> list[tuple]:
+def places(tree, at=()):
     """The path of everything in nested tables and lists."""
     found = [at] if at else []
     items = (
@@ -85,14 +84,14 @@ def places(tree: Any, at: tuple = ()) -> list[tuple]:
     return found
 
 
-def parent_of(tree: Any, at: tuple) -> Any:
+def parent_of(tree, at):
     """What holds the thing at `at`."""
     for step in at[:-1]:
         tree = tree[step]
     return tree
 
 
-def spoil(tree: Any, random: Random, values: Any = nasty) -> str:
+def spoil(tree, random, values=nasty):
     """Change something in nested tables and lists, and say what."""
     at = random.choice(places(tree))
     holder, step, how = parent_of(tree, at), at[-1], random.random()

@@ -1,8 +1,6 @@
 """ONNX files as `scenegen export` lays them out, made without its exporter, which takes seconds."""
 
 import json
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import onnx
@@ -15,14 +13,14 @@ NETWORK = {"variant": "proposed", "width": 1, "stem_stride": 2, "heads": 4}
 
 def build_onnx(
     *,
-    factors: tuple[float, ...] = (4.0, -1.5),
-    shifts: tuple[float, ...] = (-2.0, 1.5),
-    outputs: tuple[str, ...] = ("logits", "tudf"),
-    kind: int = TensorProto.FLOAT,
-    header: Any = None,
-    extra: tuple[Any, ...] = (),
-    constants: tuple[Any, ...] = (),
-) -> onnx.ModelProto:
+    factors=(4.0, -1.5),
+    shifts=(-2.0, 1.5),
+    outputs=("logits", "tudf"),
+    kind=TensorProto.FLOAT,
+    header=None,
+    extra=(),
+    constants=(),
+):
     """A model of as many outputs as named, each a line over the observed voxels."""
     nodes, values, made = [], [], []
     for number, (name, factor, shift) in enumerate(zip(outputs, factors, shifts, strict=False)):
@@ -51,6 +49,6 @@ def build_onnx(
     return model
 
 
-def write_onnx(path: Path, **changes: Any) -> None:
+def write_onnx(path, **changes):
     """Such a model as a file."""
     path.write_bytes(build_onnx(**changes).SerializeToString())

@@ -82,14 +82,14 @@ class Valid:
     scored: dict[str, Any]
     """What `bench --predictions` reports of predictions.h5."""
 
-    def put(self, name: str, here: Path) -> Path:
+    def put(self, name, here):
         """A copy of the file or folder `name`, to damage."""
         source = self.folder / name
         copy = shutil.copytree if source.is_dir() else shutil.copyfile
         return Path(copy(source, here / name))
 
 
-def make_valid(folder: Path) -> Valid:
+def make_valid(folder):
     """Make them in `folder`, an empty one, which becomes the current folder."""
     import os
 
@@ -135,7 +135,7 @@ def make_valid(folder: Path) -> Valid:
     )
 
 
-def _write_logs(folder: Path) -> None:
+def _write_logs(folder):
     from importlib.util import find_spec
 
     from tests.scenegen.logs.test_logs import write_livox, written
@@ -152,7 +152,7 @@ def _write_logs(folder: Path) -> None:
         shutil.rmtree("out")
 
 
-def run(*words: str) -> str:
+def run(*words):
     """A command in this process that must succeed; what it prints."""
     said = io.StringIO()
     before, sys.argv = sys.argv, ["scenegen", *words]
@@ -167,7 +167,7 @@ def run(*words: str) -> str:
     return said.getvalue()
 
 
-def scores(folder: Path) -> dict[str, Any]:
+def scores(folder):
     """What a report says of the row of ``predictions.h5``."""
     report = json.loads((folder / "report.json").read_text())
     return {
@@ -175,7 +175,7 @@ def scores(folder: Path) -> dict[str, Any]:
     }
 
 
-def to_toml(tables: dict[str, Any]) -> str:
+def to_toml(tables):
     """A recipe as TOML; values that TOML cannot say become strings."""
     top = {name: value for name, value in tables.items() if not isinstance(value, dict)}
     text = "".join(f"{_key(name)} = {_value(value)}\n" for name, value in top.items())
@@ -187,11 +187,11 @@ def to_toml(tables: dict[str, Any]) -> str:
     return text
 
 
-def _key(name: str) -> str:
+def _key(name):
     return name if name.isidentifier() and name.isascii() else json.dumps(name)
 
 
-def _value(value: Any) -> str:
+def _value(value):
     if isinstance(value, float):
         return repr(value)
     if isinstance(value, bool | int):
@@ -211,14 +211,14 @@ def _value(value: Any) -> str:
     return json.dumps(value).replace("\\ud800", "\ufffd")
 
 
-def _loaded(name: str) -> str:
+def _loaded(name):
     said = io.StringIO()
     with contextlib.redirect_stdout(said):
         assert datasets.print_load(name) == 0
     return said.getvalue().strip()
 
 
-def _write_networks(folder: Path) -> None:
+def _write_networks(folder):
     import torch
 
     from scenegen.model.checkpoint import save_network

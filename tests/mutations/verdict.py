@@ -4,8 +4,6 @@ import fnmatch
 import re
 import signal
 
-from tests.mutations.case import Attempt, Result
-
 SECONDS = 60.0
 """A case may take so long, by the clock; most take a tenth of a second, but others may be at
 work."""
@@ -19,7 +17,7 @@ MOST_CHARACTERS = 2000
 """In an error's line."""
 
 
-def verdict(attempt: Attempt, result: Result) -> str:
+def verdict(attempt, result):
     """What is wrong with how `attempt` ended: a sentence, or an empty one."""
     if result.timed_out:
         return f"had not ended after {SECONDS:.0f} s"
@@ -35,7 +33,7 @@ def verdict(attempt: Attempt, result: Result) -> str:
     return wrong or ("" if result.code else attempt.holds(result))
 
 
-def _said_well(attempt: Attempt, result: Result) -> str:
+def _said_well(attempt, result):
     """Errors say one line, successes say nothing on standard error, and neither talks to the
     terminal."""
     if not all(character.isprintable() or character == "\n" for character in result.stdout):
@@ -58,7 +56,7 @@ def _said_well(attempt: Attempt, result: Result) -> str:
     return ""
 
 
-def _left_well(attempt: Attempt, result: Result) -> str:
+def _left_well(attempt, result):
     """Nothing beside the command's own output was made, changed or removed."""
     strange = [
         name

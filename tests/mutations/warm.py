@@ -13,7 +13,6 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -45,9 +44,7 @@ class Ended:
     wrong: str
 
 
-def campaign(
-    names: list[str], families: dict[str, Any], valid: Any, *, seed: int, jobs: int, base: Path
-) -> Iterator[Ended]:
+def campaign(names, families, valid, *, seed, jobs, base):
     """Run the cases called `names`, `jobs` at a time. Each has a folder under `base`, kept where it
     went wrong or was alone."""
     gc.collect()
@@ -67,7 +64,7 @@ def campaign(
         time.sleep(0.001)
 
 
-def _start(name: str, families: dict[str, Any], valid: Any, seed: int, base: Path) -> _Running:
+def _start(name, families, valid, seed, base):
     folder = Path(tempfile.mkdtemp(prefix=name.replace("/", "-") + "-", dir=base))
     here = folder / "here"
     here.mkdir()
@@ -83,7 +80,7 @@ def _start(name: str, families: dict[str, Any], valid: Any, seed: int, base: Pat
     return _Running(name, attempt, folder, before, process, begin)
 
 
-def _run(attempt: Attempt, folder: Path) -> None:
+def _run(attempt, folder):
     """The case itself, in a process of its own; does not return."""
     code = 70
     try:
@@ -117,7 +114,7 @@ def _run(attempt: Attempt, folder: Path) -> None:
         os._exit(code)
 
 
-def _command(words: tuple[str, ...]) -> int:
+def _command(words):
     if words[0] == "load":
         from tests.mutations.datasets import print_load
 
@@ -131,7 +128,7 @@ def _command(words: tuple[str, ...]) -> int:
         return ended.code if isinstance(ended.code, int) else int(ended.code is not None)
 
 
-def _ended(case: _Running, *, keep: bool) -> Ended | None:
+def _ended(case, *, keep):
     seconds = time.monotonic() - case.begin
     process, status, usage = os.wait4(case.process, os.WNOHANG)
     timed_out = process == 0 and seconds > SECONDS
@@ -162,7 +159,7 @@ def _ended(case: _Running, *, keep: bool) -> Ended | None:
     return Ended(case.name, case.attempt, result, wrong)
 
 
-def _end_group(leader: int) -> bool:
+def _end_group(leader):
     """Kill what is left of a case; whether anything besides its leader was."""
     for attempt in range(20):  # guarded processes notice within 0.2 s that their parent has gone
         try:
@@ -176,18 +173,18 @@ def _end_group(leader: int) -> bool:
     return True
 
 
-def _is_running(process: int) -> bool:
+def _is_running(process):
     try:
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
     except OSError:
         return False
 
 
-def _resident() -> int:
+def _resident():
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
-def _read(path: Path) -> str:
+def _read(path):
     try:
         with open(path, "rb") as file:
             return file.read(1 << 20).decode(errors="surrogateescape")
@@ -195,7 +192,7 @@ def _read(path: Path) -> str:
         return ""
 
 
-def _look(folder: Path) -> dict[str, Any]:
+def _look(folder):
     """Everything in `folder`: kind, and content where it is a file."""
     found: dict[str, Any] = {}
     for root, folders, files in os.walk(folder):

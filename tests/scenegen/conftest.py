@@ -46,7 +46,7 @@ def dataset(made, tmp_path):
 
 
 @pytest.fixture
-def asked(dataset, tmp_path):
+def asked(undrawn, dataset, tmp_path):
     """To publish it."""
     return Request(
         dataset=dataset, repository="ada/small-pillars", out=tmp_path / "publish" / "small-pillars"
@@ -68,12 +68,18 @@ def verified(monkeypatch):
 
 
 @pytest.fixture
-def hub(tmp_path, monkeypatch):
+def undrawn(monkeypatch):
+    """No picture is drawn for a published folder: that of test_stage.py has them."""
+    monkeypatch.setattr("scenegen.share.stage.SHOWN", 1)
+    monkeypatch.setattr("scenegen.display.pictures.draw_sample", lambda look: None)
+    monkeypatch.setattr("scenegen.display.panels.to_bytes", lambda figure, ending: b"\x89PNG")
+
+
+@pytest.fixture
+def hub(undrawn, tmp_path, monkeypatch):
     """The stand-in, with the client's addresses, cache and token turned to it."""
     from huggingface_hub import constants
 
-    monkeypatch.setattr("scenegen.share.stage.SHOWN", 1)  # pictures have their own tests
-    monkeypatch.setattr("scenegen.display.panels.DPI", 20)
     server = Hub()
     monkeypatch.setattr(constants, "ENDPOINT", server.url)
     monkeypatch.setattr(constants, "HF_HUB_DISABLE_XET", True)

@@ -23,12 +23,12 @@ class Repository:
     head: str = ""
     tags: dict[str, str] = field(default_factory=dict)
 
-    def files(self, revision: str) -> dict[str, bytes] | None:
+    def files(self, revision):
         if revision == "main":
             return self.commits[self.head]
         return self.commits.get(self.tags.get(revision, revision))
 
-    def commit(self, files: dict[str, bytes]) -> str:
+    def commit(self, files):
         listing = {path: hashlib.sha256(content).hexdigest() for path, content in files.items()}
         self.head = hashlib.sha1(
             json.dumps([self.head, sorted(listing.items())]).encode()
@@ -41,7 +41,7 @@ class Hub:
     """The server. `log` holds "METHOD path" of every request, `puts` the content that arrived, in
     order."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.repositories: dict[str, Repository] = {}
         self.blobs: dict[str, bytes] = {}
         self.log: list[str] = []
@@ -63,7 +63,7 @@ class Hub:
         )
         self._thread.start()
 
-    def close(self) -> None:
+    def close(self):
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()
@@ -73,10 +73,10 @@ class _Handler(BaseHTTPRequestHandler):
     server_hub: Hub
     protocol_version = "HTTP/1.1"
 
-    def log_message(self, *args: Any) -> None:
+    def log_message(self, *args):
         pass
 
-    def _body(self) -> bytes:
+    def _body(self):
         if self.headers.get("Transfer-Encoding") == "chunked":
             parts = []
             while size := int(self.rfile.readline(), 16):
@@ -86,7 +86,7 @@ class _Handler(BaseHTTPRequestHandler):
             return b"".join(parts)
         return self.rfile.read(int(self.headers.get("Content-Length") or 0))
 
-    def _answer(self, content: Any, status: int = 200, **headers: str) -> None:
+    def _answer(self, content, status=200, **headers):
         sent = content if isinstance(content, bytes) else json.dumps(content).encode()
         self.send_response(status)
         for name, value in {"Content-Type": "application/json", **headers}.items():
@@ -96,14 +96,14 @@ class _Handler(BaseHTTPRequestHandler):
         if self.command != "HEAD":
             self.wfile.write(sent)
 
-    def _refuse(self, status: int, said: str, code: str = "") -> None:
+    def _refuse(self, status, said, code=""):
         self._answer(
             {"error": said},
             status,
             **({"X_Error_Code": code, "X_Error_Message": said} if code else {}),
         )
 
-    def _handle(self) -> None:
+    def _handle(self):
         hub, path = self.server_hub, unquote(urlsplit(self.path).path)
         body = self._body()
         hub.log.append(f"{self.command} {path}")
@@ -121,7 +121,7 @@ class _Handler(BaseHTTPRequestHandler):
     do_GET = do_POST = do_PUT = do_HEAD = _handle  # noqa: N815
 
 
-def create(page: _Handler, hub: Hub, body: bytes) -> None:
+def create(page, hub, body):
     asked = json.loads(body)
     name = f"{asked['organization']}/{asked['name']}"
     there = name in hub.repositories
@@ -133,7 +133,7 @@ def create(page: _Handler, hub: Hub, body: bytes) -> None:
     page._answer({"url": f"{hub.url}/datasets/{name}", "id": name}, 409 if there else 200)
 
 
-def _known(page: _Handler, hub: Hub, name: str, revision: str = "main") -> dict[str, bytes] | None:
+def _known(page, hub, name, revision="main"):
     if name not in hub.repositories:
         page._refuse(404, "Repository not found", "RepoNotFound")
         return None
@@ -143,7 +143,7 @@ def _known(page: _Handler, hub: Hub, name: str, revision: str = "main") -> dict[
     return files
 
 
-def _entry(path: str, content: bytes) -> dict[str, Any]:
+def _entry(path, content):
     blob = hashlib.sha1(b"blob %d\0" % len(content) + content).hexdigest()
     entry: dict[str, Any] = {"type": "file", "path": path, "size": len(content), "oid": blob}
     if path.endswith(LARGE):
@@ -155,7 +155,7 @@ def _entry(path: str, content: bytes) -> dict[str, Any]:
     return entry
 
 
-def info(page: _Handler, hub: Hub, body: bytes, name: str, revision: str | None = None) -> None:
+def info(page, hub, body, name, revision=None):
     files = _known(page, hub, name, revision or "main")
     if files is None:
         return
@@ -171,13 +171,13 @@ def info(page: _Handler, hub: Hub, body: bytes, name: str, revision: str | None 
     )
 
 
-def tree(page: _Handler, hub: Hub, body: bytes, name: str, revision: str) -> None:
+def tree(page, hub, body, name, revision):
     files = _known(page, hub, name, revision)
     if files is not None:
         page._answer([_entry(path, content) for path, content in files.items()])
 
 
-def refs(page: _Handler, hub: Hub, body: bytes, name: str) -> None:
+def refs(page, hub, body, name):
     if _known(page, hub, name) is not None:
         found = hub.repositories[name]
         tags = [
@@ -188,7 +188,7 @@ def refs(page: _Handler, hub: Hub, body: bytes, name: str) -> None:
         page._answer({"branches": [main], "converts": [], "tags": tags})
 
 
-def preupload(page: _Handler, hub: Hub, body: bytes, name: str, revision: str) -> None:
+def preupload(page, hub, body, name, revision):
     there = _known(page, hub, name, revision)
     if there is None:
         return
@@ -202,7 +202,7 @@ def preupload(page: _Handler, hub: Hub, body: bytes, name: str, revision: str) -
     page._answer({"files": found})
 
 
-def batch(page: _Handler, hub: Hub, body: bytes, name: str) -> None:
+def batch(page, hub, body, name):
     objects = []
     for asked in json.loads(body)["objects"]:
         if asked["oid"] not in hub.blobs:
@@ -211,7 +211,7 @@ def batch(page: _Handler, hub: Hub, body: bytes, name: str) -> None:
     page._answer({"transfer": "basic", "objects": objects})
 
 
-def put(page: _Handler, hub: Hub, body: bytes, oid: str) -> None:
+def put(page, hub, body, oid):
     if hub.refuse_after is not None and len(hub.puts) >= hub.refuse_after:
         return page._refuse(400, "the connection broke")
     assert hashlib.sha256(body).hexdigest() == oid
@@ -220,7 +220,7 @@ def put(page: _Handler, hub: Hub, body: bytes, oid: str) -> None:
     page._answer({})
 
 
-def commit(page: _Handler, hub: Hub, body: bytes, name: str, revision: str) -> None:
+def commit(page, hub, body, name, revision):
     files = dict(_known(page, hub, name, revision) or {})
     for line in body.splitlines():
         entry = json.loads(line)
@@ -238,7 +238,7 @@ def commit(page: _Handler, hub: Hub, body: bytes, name: str, revision: str) -> N
     )
 
 
-def tag(page: _Handler, hub: Hub, body: bytes, name: str, revision: str) -> None:
+def tag(page, hub, body, name, revision):
     repository = hub.repositories[name]
     asked = json.loads(body)["tag"]
     if asked in repository.tags:
@@ -247,7 +247,7 @@ def tag(page: _Handler, hub: Hub, body: bytes, name: str, revision: str) -> None
     page._answer({})
 
 
-def resolve(page: _Handler, hub: Hub, body: bytes, name: str, revision: str, path: str) -> None:
+def resolve(page, hub, body, name, revision, path):
     files = _known(page, hub, name, revision)
     if files is None:
         return
@@ -262,7 +262,7 @@ def resolve(page: _Handler, hub: Hub, body: bytes, name: str, revision: str, pat
     )
 
 
-def validate_yaml(page: _Handler, hub: Hub, body: bytes) -> None:
+def validate_yaml(page, hub, body):
     assert json.loads(body)["content"].startswith("---\n")
     page._answer({"errors": [], "warnings": []})
 

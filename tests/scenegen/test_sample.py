@@ -65,5 +65,5 @@ def test_a_preset_as_a_file_is_the_preset(kind, tmp_path, capsys):
     assert code == 0
     (tmp_path / "mine.toml").write_text(said)
     assert read_recipe(tmp_path / "mine.toml") == preset(kind)
-    code, _, said = run(capsys, "recipe", kind, "--lidar", "livox-mid-360")
+    code, _, said = run(capsys, f"recipe {kind} --lidar livox-mid-360")
     assert (code, said.count("\n")) == (1, 1)

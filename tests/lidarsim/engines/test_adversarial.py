@@ -32,9 +32,6 @@ SLIPS = {("mujoco", kind): 0.02 for kind in ("capsule", "cylinder", "box", "many
 """The share of rays that may be wrong, where it is not 0. In MuJoCo, some rays slip through the
 edges, rims and seams that they aim at: they meet what is behind, or from inside nothing."""
 Floats = NDArray[Any]
-Bools = NDArray[np.bool_]
-Rays = tuple[Floats, Floats]
-"""Origins (n, 3) and unit vectors (n, 3)."""
 
 
 def tolerance_m(name, size, distance_m):

@@ -41,9 +41,7 @@ def test_without_arguments_it_takes_what_is_under_data(here, capsys):
     assert report["command"] == "scenegen bench --quick --workers 1"
     assert report["reconstruction"]["pillar"]["truth"]["iou"]["mean"] == 1.0
     assert (here / "bench" / "report.md").read_text().startswith("# Bench")
-    code, said, _ = run(
-        capsys, "bench", "--method", "returns", "--quick", "--workers", 1, "--json", "-o", "other"
-    )
+    code, said, _ = run(capsys, "bench --method returns --quick --workers 1 --json -o other")
     assert (code, json.loads(said)) == (0, json.loads((here / "other" / "report.json").read_text()))
 
 

@@ -12,7 +12,6 @@ AWAY = ("--on", "tests.scenegen.run.backwards:Backwards")
 CUT_OFF = (*AWAY[:1], f"{AWAY[1]}://1")
 """The second task is lost."""
 RANKS = 3
-Shell = pytest.CaptureFixture[str]
 
 
 @pytest.fixture
@@ -60,7 +59,7 @@ def test_verify(here, capsys, monkeypatch):
                     what,
                 )
         if parts[0][name]["skipped"]:
-            assert "compares all 7 shards" in parts[0][name]["detail"]
+            assert "compares all 5 shards" in parts[0][name]["detail"]
     assert parts[0]["splits"]["skipped"]
     assert not parts[0]["checksums"]["skipped"]
 
@@ -71,8 +70,8 @@ def test_verify_names_the_file_that_crashes_its_process(here, capsys, monkeypatc
     monkeypatch.setattr("scenegen.verification.folder.examine", die_of_one)
     code, said, _ = run(capsys, "verify", "d", "--json", "--quick", *AWAY)
     examined = checks(said)["examined"]
-    assert (code, examined["faults"], examined["counts"]) == (1, 1, {"shards": 7})
-    assert "val-00001.h5" in examined["detail"]
+    assert (code, examined["faults"], examined["counts"]) == (1, 1, {"shards": 5})
+    assert "test-00001.h5" in examined["detail"]
     assert "ended its process: it crashed" in examined["detail"]
 
 

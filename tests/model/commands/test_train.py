@@ -62,13 +62,9 @@ def test_train_complete_and_bench_work_together(here, capsys):
     assert (code, LossConfig(**tuned)) == (0, LossConfig(occupancy=0.7, beta_m=2, near_m=0.9)), (
         "the network's own, but for what is given"
     )
-    code, said, _ = run(
-        capsys, "complete", "data/pillar", "--weights", "runs/proposed", "--device", "cpu"
-    )
+    code, said, _ = run(capsys, "complete data/pillar --weights runs/proposed --device cpu")
     assert (code, said) == (0, "written: predictions.h5\n")
-    code, said, _ = run(
-        capsys, "complete", "data/pillar", "--weights", "runs/proposed", "--device", "cpu"
-    )
+    code, said, _ = run(capsys, "complete data/pillar --weights runs/proposed --device cpu")
     assert (code, said) == (0, "replaced: predictions.h5\n")
     with h5py.File("predictions.h5") as file:
         assert set(file) == {"occupancy_probability", "tudf", "world", "viewpoint"}

@@ -2,7 +2,6 @@
 
 import io
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,7 +25,7 @@ from tests.scenegen.display.test_page import Seen, unpacked
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_robot_reaches_its_goal(name: str) -> None:
+def test_a_robot_reaches_its_goal(name):
     course = Course(world="pillar", difficulty="easy", flights=1, seed=1)
     flown = fly(course.simulation(0), robot_maker(name, None)(course))
     assert flown.outcome == "success", flown.trouble
@@ -34,7 +33,7 @@ def test_a_robot_reaches_its_goal(name: str) -> None:
     assert flown.invalid == flown.speeding == 0
 
 
-def test_a_map_that_moves_along_is_that_of_one_grid() -> None:
+def test_a_map_that_moves_along_is_that_of_one_grid():
     """What was seen from several places is what lies there, wherever the map is by now."""
     course = Course(world="pillar", flights=1)
     flying, robot = course.simulation(0), MappingRobot(Returns())
@@ -61,7 +60,7 @@ DEAD_END = """<mujoco>
 </worldbody></mujoco>"""
 
 
-def test_a_dead_end_deeper_than_the_window_is_left(tmp_path: Path) -> None:
+def test_a_dead_end_deeper_than_the_window_is_left(tmp_path):
     """At its mouth, its end is 12 m behind: farther than the window reaches."""
     (tmp_path / "dead.xml").write_text(DEAD_END)
     course = Course(world=str(tmp_path / "dead.xml"), vehicle=Vehicle(speed_mps=4.0))
@@ -85,9 +84,7 @@ def test_a_dead_end_deeper_than_the_window_is_left(tmp_path: Path) -> None:
     assert flown.path[:, 0].min() < 0, "around the walls"
 
 
-def test_the_command_flies_records_and_flies_again(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_the_command_flies_records_and_flies_again(capsys, tmp_path):
     file, picture = tmp_path / "flights.json", tmp_path / "flights.png"
     film, log = tmp_path / "flight.gif", tmp_path / "log"
     words = ("fly", "pillar", "--robot", "reactive", "--flights", 2, "--worlds", 2, "--workers", 1)
@@ -110,7 +107,7 @@ def test_the_command_flies_records_and_flies_again(
         within = points[((points > low) & (points < high)).all(axis=1)]
         assert len(within) > 20
         assert max(course.drawn.clearance.at(*point) for point in within) < 1e-4
-    code, out, _ = run(capsys, "fly", "--replay", file, "--robot", "reactive", "--json")
+    code, out, _ = run(capsys, f"fly --replay {file} --robot reactive --json")
     assert code == 0
     again = json.loads(out)
     assert [one["digest"] for one in again["flights"]] == [one["digest"] for one in told["flights"]]
@@ -120,7 +117,7 @@ def test_the_command_flies_records_and_flies_again(
     assert (code, str(log) in complaint) == (1, True)  # and nothing is flown in vain
 
 
-def test_a_film_shows_what_the_robot_takes_for_occupied() -> None:
+def test_a_film_shows_what_the_robot_takes_for_occupied():
     course = Course(world="pillar", difficulty="easy", flights=1, seed=1)
     for name, shown in (("truth", {RIGHT}), ("optimistic", {RIGHT, UNHELD})):
         with Image.open(io.BytesIO(film(course, 0, robot_maker(name, None)(course)))) as film_:
@@ -129,7 +126,7 @@ def test_a_film_shows_what_the_robot_takes_for_occupied() -> None:
         assert shown <= colours
 
 
-def test_a_page_plays_a_flight_to_its_end() -> None:
+def test_a_page_plays_a_flight_to_its_end():
     course = Course(world="pillar", difficulty="easy", flights=1, seed=1)
     robot = robot_maker("truth", None)(course)
     moments = Seen(flight_page(course, 0, robot, "truth").decode()).data()["samples"]
@@ -147,9 +144,7 @@ def test_a_page_plays_a_flight_to_its_end() -> None:
     assert not (taken & ~occupied).any(), "the truth's robot invents nothing"
 
 
-def test_an_entry_to_a_suite_goes_on_and_is_not_lost(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_entry_to_a_suite_goes_on_and_is_not_lost(capsys, tmp_path, monkeypatch):
     """What it holds is not flown again; a command for fewer, or other, courses leaves it alone."""
     monkeypatch.setattr(suite, "FLIGHTS", 1)
     courses = suite.courses_of("aerial-1")
@@ -169,7 +164,7 @@ def test_an_entry_to_a_suite_goes_on_and_is_not_lost(
     assert (code, "other courses" in complaint) == (1, True)
     assert file.read_bytes() == kept
     page = tmp_path / "page.html"
-    assert run(capsys, "fly", "--leaderboard", tmp_path, "-o", page)[0] == 0
+    assert run(capsys, f"fly --leaderboard {tmp_path} -o {page}")[0] == 0
     assert f"aerial-1: {len(chosen)} worlds" in page.read_text()
 
 
@@ -185,14 +180,10 @@ class Robot:
 """
 
 
-def test_ones_own_robot_flies_in_a_process_of_its_own(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ones_own_robot_flies_in_a_process_of_its_own(capsys, tmp_path, monkeypatch):
     (tmp_path / "my_robot.py").write_text(OWN)
     monkeypatch.chdir(tmp_path)
-    code, out, _ = run(
-        capsys, "fly", "pillar", "--robot", "my_robot:Robot", "--flights", 1, "--json"
-    )
+    code, out, _ = run(capsys, "fly pillar --robot my_robot:Robot --flights 1 --json")
     (flown,) = json.loads(out)["flights"]
     assert code == 0
     assert flown["outcome"] in ("success", "collision")
@@ -210,9 +201,7 @@ def test_ones_own_robot_flies_in_a_process_of_its_own(
         ("fly pillar --robot no_such:Robot --flights 1", 1, "never begins"),
     ],
 )
-def test_bad_use_ends_in_a_line(
-    words: str, code: int, said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_use_ends_in_a_line(words, code, said, capsys):
     ended, _, error = run(capsys, words)
     assert ended == code
     assert said in error

@@ -1,8 +1,6 @@
 """A small run, and processes for more of them."""
 
 import multiprocessing
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -14,16 +12,14 @@ from scenegen.model.training.data import opened
 SMALL = TrainConfig(network=NetworkConfig(width=4), epochs=3, batch=4, precision="float32")
 
 
-def train(
-    folders: list[Path], config: TrainConfig, out: Path, **more: Any
-) -> list[dict[str, float]]:
+def train(folders, config, out, **more):
     """Train on datasets, as the command does."""
     return scenegen.model.training.loop.train(
         opened(folders, "train"), opened(folders, "val"), config, out, **more
     )
 
 
-def elsewhere(function: Callable[..., None], *given: Any) -> Any:
+def elsewhere(function, *given):
     """A process that has torch already, and runs `function`.
 
     Without a GPU it is a copy of this one. Autograd has threads where there is a GPU, and they are

@@ -26,18 +26,18 @@ def test_generate_inspect_and_world_work_together(small, tmp_path, capsys):
     digest = Dataset(out).manifest.digest
     assert digest in said
     assert f"scenegen inspect {out}" in said
-    code, said, _ = run(capsys, "inspect", out, "--json")
+    code, said, _ = run(capsys, f"inspect {out} --json")
     found = json.loads(said)
     assert [split["samples"] for split in found["splits"].values()] == [12, 1, 2]
     assert found["digest"] == digest
     assert 0 < found["splits"]["train"]["statistics"]["occupied"]["mean"] < 0.5
-    code, _, error = run(capsys, "world", out, 3, "-o", tmp_path)
+    code, _, error = run(capsys, f"world {out} 3 -o {tmp_path}")
     assert code == 2
     assert "is not a regular file" in error
     code, said, _ = run(capsys, "inspect", out)
     assert code == 0
     assert "12 samples of 4 worlds" in said
-    code, _, _ = run(capsys, "world", out, 3, "--split", "train", "-o", tmp_path / "world.xml")
+    code, _, _ = run(capsys, f"world {out} 3 --split train -o {tmp_path}/world.xml")
     assert code == 0
     assert mujoco.MjModel.from_xml_path(str(tmp_path / "world.xml")).ngeom > 0
 
@@ -170,7 +170,7 @@ def test_a_world_of_ones_own_as_the_docs_show_it(tmp_path, capsys):
 
 def test_folders_under_data_without_samples_are_left_out(small, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert run(capsys, "generate", "--recipe", small, "--n", 3, "--workers", 1, "--quiet")[0] == 0
+    assert run(capsys, f"generate --recipe {small} --n 3 --workers 1 --quiet")[0] == 0
     empty = manifest.read(Path("data/pillar"))
     Path("data/begun").mkdir()
     manifest.write(Path("data/begun"), {**empty, "shards": [], "complete": False, "digest": None})

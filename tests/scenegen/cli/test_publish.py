@@ -15,7 +15,7 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.usefixtures("verified")
+@pytest.mark.usefixtures("verified", "undrawn")
 def test_a_rehearsal_lists_what_would_go(here, made, capsys):
     command = f"publish {made} --repo ada/pillars --dry-run"
     code, said, _ = run(capsys, f"{command} --workers 1")
@@ -32,14 +32,14 @@ def test_a_rehearsal_lists_what_would_go(here, made, capsys):
 
 @pytest.mark.usefixtures("verified")
 def test_published_and_read_back_by_name(here, made, hub, capfd):
-    code, said, error = run(capfd, "publish", made, "--repo", "ada/pillars", "--tag", "v1")
+    code, said, error = run(capfd, f"publish {made} --repo ada/pillars --tag v1")
     assert code == 0
     assert "hf://ada/pillars@v1" in said
     assert TOKEN not in said + error
-    code, said, _ = run(capfd, "inspect", "hf://ada/pillars@v1", "--json")
+    code, said, _ = run(capfd, "inspect hf://ada/pillars@v1 --json")
     assert code == 0
     assert json.loads(said)["samples"] == 17
-    code, said, _ = run(capfd, "world", "hf://ada/pillars@v1", 2)
+    code, said, _ = run(capfd, "world hf://ada/pillars@v1 2")
     assert code == 0
     assert said.startswith("<mujoco")
 

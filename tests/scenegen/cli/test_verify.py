@@ -14,14 +14,14 @@ def test_verify_prints_a_table_and_ends_with_one_where_a_check_fails(tmp_path, c
     assert "3 samples in" in said
     assert "all 17 checks passed" in said
     assert "scenegen:" not in complaint
-    code, said, _ = run(capsys, "verify", folder, "--quick", "--json")
+    code, said, _ = run(capsys, f"verify {folder} --quick --json")
     report = json.loads(said)
     assert (code, report["ok"], report["quick"], len(report["checks"])) == (0, True, True, 10)
     (folder / "train-00000.h5").write_bytes((folder / "train-00000.h5").read_bytes()[:-9_000])
-    code, said, complaint = run(capsys, "verify", folder, "--quick", "--quiet")
+    code, said, complaint = run(capsys, f"verify {folder} --quick --quiet")
     assert (code, said) == (1, "")
     assert complaint == "scenegen: verify: 3 of 10 checks failed: checksums, layout, digest\n"
-    code, said, complaint = run(capsys, "verify", folder, "--json", "--quick")
+    code, said, complaint = run(capsys, f"verify {folder} --json --quick")
     assert (code, json.loads(said)["failed"]) == (1, ["checksums", "layout", "digest"])
     left = {
         check["name"]: check["detail"] for check in json.loads(said)["checks"] if check["skipped"]

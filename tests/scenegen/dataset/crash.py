@@ -11,13 +11,12 @@ import json
 import os
 import signal
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from scenegen import files
 from scenegen.dataset import manifest, shard
-from scenegen.dataset.build import Plan, build, plan_dataset
+from scenegen.dataset.build import build, plan_dataset
 from scenegen.source import DrawnWorlds
 from tests.conftest import picky_recipe
 
@@ -26,7 +25,7 @@ SEED = 6
 """One at which every shard rejects at least one world and one viewpoint, and few more."""
 
 
-def plan_at(folder: Path) -> Plan:
+def plan_at(folder):
     recipe = picky_recipe()
     return plan_dataset(
         folder, recipe, DrawnWorlds(recipe), seed=SEED, counts=COUNTS, shard_samples=12
@@ -37,23 +36,23 @@ class Killer:
     """Counts file operations, and kills the process before the one numbered `at`; every write is
     two operations."""
 
-    def __init__(self, at: int):
+    def __init__(self, at):
         self.at = at
         self.count = 0
 
-    def tick(self) -> None:
+    def tick(self):
         self.count += 1
         if self.count == self.at:
             os.kill(os.getpid(), signal.SIGKILL)
 
-    def before(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        def ticking(*args: Any, **kwargs: Any) -> Any:
+    def before(self, function):
+        def ticking(*args, **kwargs):
             self.tick()
             return function(*args, **kwargs)
 
         return ticking
 
-    def open(self, path: Any, mode: str = "r") -> Any:
+    def open(self, path, mode="r"):
         self.tick()
         file = builtins.open(path, mode)  # noqa: SIM115 (handed on open)
         return HalvingFile(file, self) if "w" in mode else file
@@ -62,29 +61,29 @@ class Killer:
 class HalvingFile:
     """A file whose writes reach the disk half by half."""
 
-    def __init__(self, file: Any, killer: Killer):
+    def __init__(self, file, killer):
         self._file, self._killer = file, killer
 
-    def __enter__(self) -> "HalvingFile":
+    def __enter__(self):
         return self
 
-    def __exit__(self, *error: object) -> None:
+    def __exit__(self, *error):
         self._file.close()
 
-    def write(self, content: bytes) -> None:
+    def write(self, content):
         for half in (content[: len(content) // 2], content[len(content) // 2 :]):
             self._killer.tick()
             self._file.write(half)
             self._file.flush()
 
-    def flush(self) -> None:
+    def flush(self):
         self._file.flush()
 
-    def fileno(self) -> int:
+    def fileno(self):
         return int(self._file.fileno())
 
 
-def run_killed(folder: Path, at: int) -> int | None:
+def run_killed(folder, at):
     """Build in a forked process, killed before its operation `at`. None if killed, else the
     count."""
     read, write = os.pipe()
@@ -108,12 +107,12 @@ def run_killed(folder: Path, at: int) -> int | None:
     return int(said)
 
 
-def remember_draws() -> None:
+def remember_draws():
     """Draw every unit once for all runs: what a flight gives depends on its arguments alone, which
     others test."""
     draw, drawn = shard.draw_unit, {}
 
-    def remembered(*given: Any, split: str, unit: int, **more: Any) -> Any:
+    def remembered(*given, split, unit, **more):
         if (split, unit) not in drawn:
             drawn[split, unit] = draw(*given, split=split, unit=unit, **more)
         return drawn[split, unit]
@@ -121,7 +120,7 @@ def remember_draws() -> None:
     shard.draw_unit = remembered
 
 
-def main(root: Path) -> None:
+def main(root):
     remember_draws()
     whole = build(plan_at(root / "whole"))
     rejected = [report.rejected for report in map(read, plan_at(root / "whole").shards)]
@@ -153,11 +152,11 @@ def main(root: Path) -> None:
     print(json.dumps(result))
 
 
-def read(spec: Any) -> Any:
+def read(spec):
     return shard.read_report(spec)
 
 
-def readable(path: Path) -> bool:
+def readable(path):
     import h5py
 
     with h5py.File(path) as file:

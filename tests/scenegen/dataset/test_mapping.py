@@ -369,19 +369,7 @@ def test_the_command_line_takes_it_and_refuses_the_impossible_in_one_line(small,
     mapping = Dataset(tmp_path / "d").manifest.mapping
     expected = {"scans": 3, "scan_spacing_m": 0.2, "fusion": "log-odds", "tilt_mps": 2.0}
     assert mapping == Mapper(**expected, map_ahead_m=(1.0, 0.0, -0.5))
-    assert (
-        run(
-            capsys,
-            "rescan",
-            tmp_path / "d",
-            "--fusion",
-            "visibility",
-            "-o",
-            tmp_path / "e",
-            "--quiet",
-        )[0]
-        == 0
-    )
+    assert run(capsys, f"rescan {tmp_path}/d --fusion visibility -o {tmp_path}/e --quiet")[0] == 0
     assert Dataset(tmp_path / "e").manifest.mapping == dataclasses.replace(
         mapping, fusion="visibility"
     )

@@ -147,12 +147,11 @@ def test_the_recipe_that_a_manifest_spells_out_plans_the_same(tmp_path, weights,
     assert again.parameters == plan.parameters
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_one_dataset_holds_several_sensors_noises_and_scan_counts(tmp_path, capsys):
     (tmp_path / "r.toml").write_text(DIFFERENT)
-    for name in ("a", "b"):
-        scenegen.generate(recipe=tmp_path / "r.toml", out=tmp_path / name, workers=1, **COUNTS)
+    scenegen.generate(recipe=tmp_path / "r.toml", out=tmp_path / "a", workers=1, **COUNTS)
     found = Dataset(tmp_path / "a", checked=True)
-    assert manifest.read(tmp_path / "a") == manifest.read(tmp_path / "b")
     assert found.manifest.parameters["version"] == "1.6"
     assert sorted(found.manifest.parameters["differ"]) == ["fields", "lidar", "mapping", "noise"]
     tables = {path.name for path in tmp_path.glob("a/rays*.npy")}

@@ -100,6 +100,7 @@ def test_another_sensor_sees_the_same_worlds_from_the_same_poses(made, tmp_path)
         plan_rescan(Dataset(made), made)
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(("name", "noise"), [("raster", ""), ("table", "quantise:0.1")])
 def test_what_was_scanned_again_is_published_with_the_command_that_does_so(
     made, tmp_path, name, noise

@@ -1,10 +1,7 @@
 """The page in a real browser: needs Chromium and playwright, which is in none of our extras."""
 
 import shutil
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +26,7 @@ SOFTWARE = [
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
+def browser():
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     if CHROMIUM is None:
         pytest.skip("no Chromium on this machine")
@@ -39,7 +36,7 @@ def browser() -> Iterator[Any]:
         opened.close()
 
 
-def reached(browser: Any, address: str, first: int = 0) -> tuple[Any, list[str]]:
+def reached(browser, address, first=0):
     """The page at an address once its first sample shows, and the list of what its console says
     against it, and of requests to other places."""
     told: list[str] = []
@@ -56,14 +53,12 @@ def reached(browser: Any, address: str, first: int = 0) -> tuple[Any, list[str]]
     return tab, told
 
 
-def state(tab: Any, name: str) -> str:
+def state(tab, name):
     """What a page says of itself."""
     return tab.evaluate(f"document.body.dataset.{name}")
 
 
-def test_a_hostile_dataset_runs_no_script_in_a_browser(
-    browser: Any, made: Path, tmp_path: Path
-) -> None:
+def test_a_hostile_dataset_runs_no_script_in_a_browser(browser, made, tmp_path):
     (look,), _ = looks(Dataset(made), "train", [0])
     bad = replace(look, name=HOSTILE, masks={HOSTILE: look.masks["occupancy"]})
     path = tmp_path / "page.html"
@@ -82,8 +77,8 @@ https:; connect-src https:; child-src https: data:">"""
 
 
 def test_a_notebook_shows_the_page_and_a_picture_where_there_are_no_scripts(
-    browser: Any, made: Path, tmp_path: Path
-) -> None:
+    browser, made, tmp_path
+):
     sample = Dataset(made).split("train")[0]
     path = np.linspace(sample.origin, sample.position, 3)
     shown = scenegen.show(sample, sample.observed, path, out=tmp_path / "page.html")
@@ -103,9 +98,7 @@ def test_a_notebook_shows_the_page_and_a_picture_where_there_are_no_scripts(
     assert tab.locator("img").bounding_box()["width"] > 300
 
 
-def test_the_address_keeps_what_is_shown_and_a_click_tells_of_a_voxel(
-    browser: Any, made: Path
-) -> None:
+def test_the_address_keeps_what_is_shown_and_a_click_tells_of_a_voxel(browser, made):
     with served(made) as server:
         place = f"{server.address}#sample=2&split=train&layers=occupancy~free"
         tab, told = reached(browser, place, first=2)
@@ -127,11 +120,11 @@ def test_the_address_keeps_what_is_shown_and_a_click_tells_of_a_voxel(
 
 
 def test_the_viewer_steps_through_datasets_and_splits_and_tells_what_is_damaged(
-    browser: Any, made: Path, dataset: Path
-) -> None:
+    browser, made, dataset
+):
     (dataset / "train-00001.h5").unlink()  # samples 3 to 5
 
-    def guesses(sample: Any, samples: Any) -> list[Guess]:
+    def guesses(sample, samples):
         ends = sample.origin + np.array([[1.0, 1.0, 1.0], [3.0, 3.0, 2.0]])
         route = Route(start=ends[0], goal=ends[1], points=ends, told="2.9 m", fails=False)
         return [Guess(name=HOSTILE, occupied=sample.observed, tudf=sample.tudf, route=route)]
@@ -177,7 +170,7 @@ PIXELS = """() => {
 }"""
 
 
-def test_views_side_by_side_have_one_camera(browser: Any, made: Path) -> None:
+def test_views_side_by_side_have_one_camera(browser, made):
     """Views of the same layer are the same picture, however it is turned; the address keeps
     them."""
     with served(made) as server:

@@ -7,9 +7,7 @@ import os
 import runpy
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -22,12 +20,11 @@ from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.display.exchange import Choices
-from scenegen.display.exchange.convert import STATE, Converted, convert
+from scenegen.display.exchange.convert import STATE, convert
 from scenegen.display.exchange.files import SemanticKitti
 from scenegen.display.exchange.recordings import rerun as import_rerun
 from scenegen.errors import DatasetError
 from scenegen.recipe import preset
-from scenegen.sample import Sample
 from scenegen.source import DrawnWorlds, read_world
 from scenegen.worlds.octomap import parse_octomap
 from tests.command_line import run
@@ -36,19 +33,19 @@ from tests.test_silence import environment, noted, shim  # noqa: F401 (shim is a
 MASKS = ("observed", "free", "occupancy")
 
 
-def converted(made: Path, out: Path, to: str, **choices: Any) -> Path:
+def converted(made, out, to, **choices):
     convert(Dataset(made), out, to=to, choices=Choices(**choices), splits=("val",))
     return out
 
 
-def samples_of(made: Path) -> Iterator[tuple[str, Sample]]:
+def samples_of(made):
     """The samples that `converted` writes, each with its number in names of files."""
     for number, sample in enumerate(Dataset(made).split("val")):
         yield f"{number:06d}", sample
 
 
 @pytest.mark.parametrize("unseen", [False, True])
-def test_semantickitti(made: Path, tmp_path: Path, unseen: bool) -> None:
+def test_semantickitti(made, tmp_path, unseen):
     """Bits as the development kit unpacks them: the first voxel is the highest."""
     out = converted(made, tmp_path / "out", "semantickitti", unseen_invalid=unseen)
     for number, sample in samples_of(made):
@@ -65,7 +62,7 @@ def test_semantickitti(made: Path, tmp_path: Path, unseen: bool) -> None:
         np.testing.assert_array_equal(occluded.reshape(shape), unknown)
 
 
-def test_semantickitti_s_splits_are_dealt_to_all_of_their_sequences() -> None:
+def test_semantickitti_s_splits_are_dealt_to_all_of_their_sequences():
     """In its own lists, 08 is for validation, those before and up to 10 for training."""
     form = SemanticKitti(Choices())
     for split, expected in (
@@ -78,7 +75,7 @@ def test_semantickitti_s_splits_are_dealt_to_all_of_their_sequences() -> None:
         assert len({stem[3] for stem in stems}) == 22
 
 
-def test_what_is_not_known_of_a_place_is_invalid(made: Path) -> None:
+def test_what_is_not_known_of_a_place_is_invalid(made):
     dataset = Dataset(made)
     sample = dataset.split("val")[0]
     known = np.arange(sample.occupancy.size).reshape(sample.occupancy.shape) % 3 > 0
@@ -88,7 +85,7 @@ def test_what_is_not_known_of_a_place_is_invalid(made: Path) -> None:
     np.testing.assert_array_equal(bits.reshape(known.shape), ~known)
 
 
-def test_occ3d(made: Path, tmp_path: Path) -> None:
+def test_occ3d(made, tmp_path):
     """Arrays as the loaders of Occ3D-nuScenes take them from `labels.npz`: free voxels are 17."""
     out = converted(made, tmp_path / "out", "occ3d")
     for number, sample in samples_of(made):
@@ -109,7 +106,7 @@ KIT_SHA256 = "c4862db715878773ccfb53af74b0edac3891386aa5d4b79d2a35e795a0d99e13"
     reason="SCENEGEN_SEMANTIC_KITTI_API names no clone of github.com/PRBonn/semantic-kitti-api, "
     "checked out at a9c749e8",
 )
-def test_semantickitti_s_own_loader_reads_it(tmp_path: Path) -> None:
+def test_semantickitti_s_own_loader_reads_it(tmp_path):
     assert hashlib.sha256(KIT.read_bytes()).hexdigest() == KIT_SHA256, "expected commit a9c749e8"
     grid, counts = GridSpec(shape=(256, 256, 32)), {"train": 12, "val": 1, "test": 11}
     recipe = dataclasses.replace(preset("pillar"), grid=grid)
@@ -131,7 +128,7 @@ def test_semantickitti_s_own_loader_reads_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("frame", ["body", "world"])
-def test_clouds(made: Path, tmp_path: Path, frame: str) -> None:
+def test_clouds(made, tmp_path, frame):
     for to in ("ply", "pcd", "npz"):
         converted(made, tmp_path / to, to, frame=frame)
     for number, sample in samples_of(made):
@@ -149,7 +146,7 @@ def test_clouds(made: Path, tmp_path: Path, frame: str) -> None:
                 np.testing.assert_array_equal(found[name], getattr(sample, name))
 
 
-def read_pcd(path: Path) -> np.ndarray:
+def read_pcd(path):
     """Points of a binary PCD, by its own header."""
     head, _, body = path.read_bytes().partition(b"DATA binary\n")
     said = {words[0]: words[1:] for words in (line.split() for line in head.decode().splitlines())}
@@ -160,7 +157,7 @@ def read_pcd(path: Path) -> np.ndarray:
     return np.stack([table[name] for name in "xyz"], axis=1)
 
 
-def test_octomap(made: Path, tmp_path: Path) -> None:
+def test_octomap(made, tmp_path):
     """Cells are multiples of the voxel: a map moves by up to half a voxel."""
     out = converted(made, tmp_path / "out", "octomap")
     voxel_m = Dataset(made).grid.voxel_m
@@ -174,16 +171,14 @@ def test_octomap(made: Path, tmp_path: Path) -> None:
             assert np.abs(moved).max() <= voxel_m / 2 + 1e-6
 
 
-def test_a_stopped_conversion_goes_on(
-    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stopped_conversion_goes_on(made, tmp_path, monkeypatch):
     monkeypatch.setattr("scenegen.display.exchange.convert.CHUNK", 1)
     to, out = "semantickitti", tmp_path / "out"
 
-    def go_on(**more: Any) -> Converted:
+    def go_on(**more):
         return convert(Dataset(made), out, to=to, choices=Choices(), splits=("val",), **more)
 
-    def stop(count: int) -> None:
+    def stop(count):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -202,16 +197,14 @@ def test_a_stopped_conversion_goes_on(
             converted(made, out, other, **choices)
 
 
-def test_a_folder_of_others_is_let_be(made: Path, tmp_path: Path, capsys: Any) -> None:
+def test_a_folder_of_others_is_let_be(made, tmp_path, capsys):
     (tmp_path / "thesis.txt").write_text("mine")
     code, _, said = run(capsys, f"convert {made} --to ply -o {tmp_path}")
     assert (code, said.count("\n")) == (1, 1)
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
 
 
-def test_what_cannot_be_read_is_named_and_the_rest_is_written(
-    dataset: Path, tmp_path: Path, capsys: Any
-) -> None:
+def test_what_cannot_be_read_is_named_and_the_rest_is_written(dataset, tmp_path, capsys):
     (dataset / "train-00001.h5").unlink()
     with h5py.File(dataset / "train-00000.h5", "r+") as shard:
         shard["position"][1] += 0.05
@@ -225,9 +218,7 @@ def test_what_cannot_be_read_is_named_and_the_rest_is_written(
     assert json.loads((out / STATE).read_text())["format"] == "pcd"
 
 
-def test_a_format_of_ones_own(
-    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
-) -> None:
+def test_a_format_of_ones_own(made, tmp_path, monkeypatch, capsys):
     (tmp_path / "my_format_of_tests.py").write_text(
         "class Counts:\n    def __init__(self, choices): pass\n    def names(self, split, "
         "number): return (f'{split}-{number}.txt',)\n    def encode(self, sample, grid, lidar): "
@@ -240,9 +231,7 @@ def test_a_format_of_ones_own(
         assert int((tmp_path / "out" / f"test-{number}.txt").read_text()) == sample.occupancy.sum()
 
 
-def test_webdataset_s_own_loader_finds_every_sample(
-    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_webdataset_s_own_loader_finds_every_sample(made, tmp_path, monkeypatch):
     webdataset = pytest.importorskip("webdataset", reason="webdataset is not installed")
     monkeypatch.setattr("scenegen.display.exchange.files.WebDataset.together", 2)
     out, again = (converted(made, tmp_path / name, "webdataset") for name in ("out", "again"))
@@ -259,7 +248,7 @@ def test_webdataset_s_own_loader_finds_every_sample(
         assert (again / path.name).read_bytes() == path.read_bytes()
 
 
-def test_mcap_s_own_reader_and_ros_s_decoder_find_every_message(made: Path, tmp_path: Path) -> None:
+def test_mcap_s_own_reader_and_ros_s_decoder_find_every_message(made, tmp_path):
     reader = pytest.importorskip("mcap.reader", reason="mcap is not installed")
     ros2 = pytest.importorskip("mcap_ros2.decoder", reason="mcap-ros2-support is not installed")
     out = converted(made, tmp_path / "out", "mcap")
@@ -294,14 +283,14 @@ def test_mcap_s_own_reader_and_ros_s_decoder_find_every_message(made: Path, tmp_
     }
 
 
-def shown(sample: Sample, name: str, grid: GridSpec) -> np.ndarray:
+def shown(sample, name, grid):
     """The scan, or the centres of a mask's voxels."""
     centres = grid.centres(sample.origin)
     found = sample.points() if name == "scan" else centres[getattr(sample, name)]
     return found.astype(np.float32)
 
 
-def check_as_foxglove_reads_it(found: Any, sample: Sample, grid: GridSpec) -> None:
+def check_as_foxglove_reads_it(found, sample, grid):
     """Where the cell of a byte lies is as https://docs.foxglove.dev/docs/sdk/schemas/voxel-grid
     says."""
     data = np.frombuffer(bytes(found.data), np.uint8)
@@ -340,11 +329,11 @@ main()
 
 
 def test_rerun_s_own_reader_finds_every_sample_and_nothing_is_reported(
-    made: Path,
-    tmp_path: Path,
-    shim: Path,  # noqa: F811
-    monkeypatch: Any,
-) -> None:
+    made,
+    tmp_path,
+    shim,  # noqa: F811
+    monkeypatch,
+):
     pytest.importorskip("rerun_bindings", reason="rerun-sdk is not installed")
     given = environment(shim, tmp_path)
     words = [sys.executable, "-c", RERUN, made, tmp_path / "out"]
@@ -385,9 +374,7 @@ SHAPES = """<mujoco><custom><numeric name='flight_bounds' data='0 0 0 10 8 4'/><
 VOLUMES = {SPHERE: 4.18879, BOX: 1.68, CYLINDER: 1.5708, CAPSULE: 1.07233, ELLIPSOID: 1.60850}
 
 
-def test_a_world_s_surfaces_are_where_its_solids_are(
-    made: Path, tmp_path: Path, capsys: Any
-) -> None:
+def test_a_world_s_surfaces_are_where_its_solids_are(made, tmp_path, capsys):
     """Of every shape, against another reader of meshes' volumes and bounds; y is up there."""
     document, surfaces = tmp_path / "w.xml", tmp_path / "w.glb"
     document.write_text(SHAPES)

@@ -2,8 +2,6 @@
 
 import json
 import shutil
-from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -22,7 +20,7 @@ COUNTS = {"train": 11, "val": 0, "test": 4}
 KEYS = {"occupied", "observed", "free", "returned", "range_m", "tudf_m", *Difficulty._fields}
 
 
-def make(folder: Path, *, compact: bool = False, shards: tuple[int, int] | None = None) -> Path:
+def make(folder, *, compact=False, shards=None):
     recipe = picky_recipe()
     plan = plan_dataset(
         folder, recipe, DrawnWorlds(recipe), seed=0, counts=COUNTS, shard_samples=3, compact=compact
@@ -31,7 +29,7 @@ def make(folder: Path, *, compact: bool = False, shards: tuple[int, int] | None 
     return folder
 
 
-def fields(folder: Path, split: str) -> dict[str, np.ndarray]:
+def fields(folder, split):
     """All samples of a split, as its files hold them."""
     files = sorted(folder.glob(f"{split}-*.h5"))
     opened = [h5py.File(file, "r") for file in files]
@@ -41,7 +39,7 @@ def fields(folder: Path, split: str) -> dict[str, np.ndarray]:
     return found
 
 
-def recomputed(stored: dict[str, np.ndarray], chosen: np.ndarray) -> dict[str, list[float]]:
+def recomputed(stored, chosen):
     """Each figure of each chosen sample, loop by loop."""
     rows: dict[str, list[float]] = {key: [] for key in KEYS}
     for n in chosen:
@@ -60,7 +58,7 @@ def recomputed(stored: dict[str, np.ndarray], chosen: np.ndarray) -> dict[str, l
     return rows
 
 
-def check(statistics: dict[str, dict[str, Any]], rows: dict[str, list[float]]) -> None:
+def check(statistics, rows):
     assert set(statistics) == KEYS
     for key, values in rows.items():
         mean = sum(values) / len(values)
@@ -76,11 +74,11 @@ def check(statistics: dict[str, dict[str, Any]], rows: dict[str, list[float]]) -
 
 
 @pytest.fixture(scope="module")
-def full(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def full(tmp_path_factory):
     return make(tmp_path_factory.mktemp("inspect") / "full")
 
 
-def test_statistics_are_those_of_the_files(full: Path) -> None:
+def test_statistics_are_those_of_the_files(full):
     found = inspect(full)
     assert list(found["splits"]) == ["train", "test"]
     for name, split in found["splits"].items():
@@ -91,7 +89,7 @@ def test_statistics_are_those_of_the_files(full: Path) -> None:
         assert all(split["statistics"][key]["std"] > 0 for key in KEYS - set(Difficulty._fields))
 
 
-def test_counts_sizes_and_origin_are_those_of_the_folder(full: Path) -> None:
+def test_counts_sizes_and_origin_are_those_of_the_folder(full):
     found = inspect(full)
     manifest = json.loads(next(full.glob("*.json")).read_text())
     assert found["samples"] == sum(COUNTS.values())
@@ -102,7 +100,7 @@ def test_counts_sizes_and_origin_are_those_of_the_folder(full: Path) -> None:
     assert found["complete"] is True
 
 
-def test_a_compact_dataset_says_the_same(full: Path, tmp_path: Path) -> None:
+def test_a_compact_dataset_says_the_same(full, tmp_path):
     """Free space and distances are derived."""
     compact = inspect(make(tmp_path / "compact", compact=True))
     whole = inspect(full)
@@ -111,7 +109,7 @@ def test_a_compact_dataset_says_the_same(full: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("most", [1, 4, 200])
-def test_at_most_so_many_samples_are_measured_evenly_spread(full: Path, most: int) -> None:
+def test_at_most_so_many_samples_are_measured_evenly_spread(full, most):
     split = inspect(full, most=most)["splits"]["train"]
     count = min(most, COUNTS["train"])
     assert split["sampled"] == count
@@ -122,9 +120,7 @@ def test_at_most_so_many_samples_are_measured_evenly_spread(full: Path, most: in
     check(split["statistics"], recomputed(fields(full, "train"), np.array(chosen)))
 
 
-def test_many_samples_are_measured_by_several_processes_some_at_a_time(
-    full: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_many_samples_are_measured_by_several_processes_some_at_a_time(full, monkeypatch):
     monkeypatch.setattr("scenegen.display.inspect.AT_ONCE", 4)
     few, told = inspect(full, most=None, workers=2), list[int]()
     assert few == inspect(full, most=None, workers=1, on_done=told.append)
@@ -134,9 +130,7 @@ def test_many_samples_are_measured_by_several_processes_some_at_a_time(
         check(split["statistics"], recomputed(fields(full, name), np.arange(COUNTS[name])))
 
 
-def test_figures_that_are_kept_are_read_and_no_others(
-    full: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_figures_that_are_kept_are_read_and_no_others(full, tmp_path, monkeypatch, capsys):
     """A table for another dataset has another name; a cut one is measured anew."""
     folder = shutil.copytree(full, tmp_path / "kept")
     words = f"take {folder} --where visibility_m>2.2 -o {tmp_path}"
@@ -156,9 +150,7 @@ def test_figures_that_are_kept_are_read_and_no_others(
         assert inspect(folder, most=1)["splits"]["train"]["sampled"] == 1
 
 
-def test_a_split_without_returns_gives_valid_json(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_split_without_returns_gives_valid_json(tmp_path, capsys):
     folder = make(tmp_path / "d")
     for file in sorted(folder.glob("test-*.h5")):
         with h5py.File(file, "r+") as opened:
@@ -175,9 +167,7 @@ def test_a_split_without_returns_gives_valid_json(
         assert "nan" not in said.lower()
 
 
-def test_a_folder_of_datasets_is_listed(
-    full: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_of_datasets_is_listed(full, tmp_path, capsys):
     shutil.copytree(full, tmp_path / "good")
     (tmp_path / "bad").mkdir()
     (tmp_path / "bad" / "dataset.json").write_text("{")
@@ -192,7 +182,7 @@ def test_a_folder_of_datasets_is_listed(
     assert (code, said.count("\n")) == (0, 2)
 
 
-def test_what_does_not_fit_is_told(full: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_does_not_fit_is_told(full, capsys):
     """Shares of the map against a count of random places."""
     rng = np.random.default_rng(0)
     for shape, reach in (((80, 80, 40), 10.0), ((255, 255, 64), 10.0), ((80, 80, 80), 6.0)):
@@ -207,7 +197,7 @@ def test_what_does_not_fit_is_told(full: Path, capsys: pytest.CaptureFixture[str
     assert (code, noted) == (0, "")
 
 
-def test_a_world_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_world_is_told(tmp_path, capsys):
     (tmp_path / "w.xml").write_text(
         "<mujoco><worldbody><geom size='1' pos='0 0 5'/><geom type='box' size='1 1 1'/>"
         "<geom type='box' size='9 9 .1'/></worldbody></mujoco>"

@@ -4,7 +4,6 @@ import io
 import re
 import sys
 from dataclasses import make_dataclass
-from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
@@ -23,7 +22,7 @@ SCENE = """<mujoco><worldbody>
 </worldbody></mujoco>"""
 
 
-def test_sparse_batches_hold_every_observed_voxel(made: Path) -> None:
+def test_sparse_batches_hold_every_observed_voxel(made):
     pytest.importorskip("torch")
     names: dict[str, Any] = {}
     exec(SPARSE + BATCHES, names)
@@ -39,7 +38,7 @@ def test_sparse_batches_hold_every_observed_voxel(made: Path) -> None:
     np.testing.assert_array_equal(dense[0][0], observed)
 
 
-def test_rerun_s_recordings_hold_predictions_and_flights(made: Path, tmp_path: Path) -> None:
+def test_rerun_s_recordings_hold_predictions_and_flights(made, tmp_path):
     pytest.importorskip("rerun_bindings", reason="rerun-sdk is not installed")
     names: dict[str, Any] = {}
     exec(RERUN, names)
@@ -55,9 +54,7 @@ def test_rerun_s_recordings_hold_predictions_and_flights(made: Path, tmp_path: P
     assert all(reader.blueprints() for reader in readers)
 
 
-def test_the_ros_node_publishes_what_the_definitions_say(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_ros_node_publishes_what_the_definitions_say(tmp_path, monkeypatch):
     pytest.importorskip("mcap_ros2")
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory

@@ -7,10 +7,8 @@ import http.client
 import json
 import socket
 import threading
-from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +25,7 @@ from tests.scenegen.display.test_page import HOSTILE, Seen
 
 
 @contextmanager
-def served(folder: Path | list[Path], **more: Any) -> Iterator[Live]:
+def served(folder, **more):
     folders = [folder] if isinstance(folder, Path) else folder
     server = Live([Dataset(one, partial=True) for one in folders], **{"split": "train", **more})
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
@@ -40,7 +38,7 @@ def served(folder: Path | list[Path], **more: Any) -> Iterator[Live]:
         server.server_close()
 
 
-def ask(server: Live, path: str, *, method: str = "GET", **headers: str) -> tuple[int, Any, str]:
+def ask(server, path, *, method="GET", **headers):
     """Status, headers and content of an answer."""
     link = http.client.HTTPConnection("127.0.0.1", server.server_address[1], timeout=10)
     try:
@@ -51,11 +49,11 @@ def ask(server: Live, path: str, *, method: str = "GET", **headers: str) -> tupl
         link.close()
 
 
-def guessed(sample: Any, samples: Any) -> list[Guess]:
+def guessed(sample, samples):
     return [Guess(name=HOSTILE, occupied=sample.observed, tudf=sample.tudf)]
 
 
-def test_samples_are_served_as_they_are_by_split_and_number(made: Path) -> None:
+def test_samples_are_served_as_they_are_by_split_and_number(made):
     dataset, more = Dataset(made), {"guesses": guessed, "methods": (HOSTILE,)}
     with served(made, split="test", index=2, **more) as server:
         assert server.server_address[0] == "127.0.0.1"
@@ -78,7 +76,7 @@ def test_samples_are_served_as_they_are_by_split_and_number(made: Path) -> None:
         assert ask(server, "/", method="POST")[0] == 501
 
 
-def test_the_world_of_a_sample_is_served_in_its_maps_frame(made: Path) -> None:
+def test_the_world_of_a_sample_is_served_in_its_maps_frame(made):
     """Each solid fills its own bounds; what is not there is said."""
     dataset = Dataset(made)
     sample = dataset.split("test")[2]
@@ -104,7 +102,7 @@ def test_the_world_of_a_sample_is_served_in_its_maps_frame(made: Path) -> None:
             assert json.loads(text)["error"].startswith(told)
 
 
-def test_a_stranger_s_name_is_refused(made: Path) -> None:
+def test_a_stranger_s_name_is_refused(made):
     with served(made) as server:
         port = server.server_address[1]
         own = (f"127.0.0.1:{port}", f"localhost:{port}", "localhost:9000", "[::1]:9000")  # by SSH
@@ -116,7 +114,7 @@ def test_a_stranger_s_name_is_refused(made: Path) -> None:
         assert not server.allows(socket.gethostname())  # it is served on the loopback alone
 
 
-def test_what_is_damaged_is_told_and_the_rest_is_served(dataset: Path) -> None:
+def test_what_is_damaged_is_told_and_the_rest_is_served(dataset):
     (dataset / "train-00001.h5").unlink()  # samples 3 to 5
     manifest = json.loads((dataset / "dataset.json").read_text())
     (dataset / "dataset.json").write_text(
@@ -131,7 +129,7 @@ def test_what_is_damaged_is_told_and_the_rest_is_served(dataset: Path) -> None:
         assert "incomplete" in json.loads(text)["notes"][0]
 
 
-def test_an_address_that_cannot_be_had_is_an_error(made: Path, capsys: Any, tmp_path: Path) -> None:
+def test_an_address_that_cannot_be_had_is_an_error(made, capsys, tmp_path):
     with served(made) as server:
         port = server.server_address[1]
         with pytest.raises(ScenegenError, match="another --port"):

@@ -7,7 +7,6 @@ import hashlib
 import json
 from dataclasses import replace
 from html.parser import HTMLParser
-from pathlib import Path
 from typing import Any
 
 import h5py
@@ -27,33 +26,33 @@ HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>--><b>%
 class Seen(HTMLParser):
     """Elements of a page: tag, attributes and text."""
 
-    def __init__(self, text: str):
+    def __init__(self, text):
         super().__init__()
         self.found: list[list[Any]] = []
         self.feed(text)
         self.close()
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+    def handle_starttag(self, tag, attrs):
         self.found.append([tag, dict(attrs), ""])
 
-    def handle_data(self, data: str) -> None:
+    def handle_data(self, data):
         if self.found:
             self.found[-1][2] += data
 
-    def data(self) -> Any:
+    def data(self):
         (text,) = [text for _, attributes, text in self.found if attributes.get("id") == "data"]
         return json.loads(text)
 
-    def policy(self) -> str:
+    def policy(self):
         (found,) = [names["content"] for _, names, _ in self.found if "http-equiv" in names]
         return found
 
 
-def unpacked(text: str) -> bytes:
+def unpacked(text):
     return gzip.decompress(base64.b64decode(text))
 
 
-def test_a_page_holds_what_its_samples_hold(made: Path) -> None:
+def test_a_page_holds_what_its_samples_hold(made):
     dataset = Dataset(made)
     shown, notes = looks(dataset, "train", [0, 7])
     data = Seen(page(shown, title="small")).data()
@@ -75,7 +74,7 @@ def test_a_page_holds_what_its_samples_hold(made: Path) -> None:
         assert packed["figures"]["returns"] == f"{len(points)} of {sample.ranges.size} rays"
 
 
-def test_a_hostile_dataset_runs_no_script(made: Path) -> None:
+def test_a_hostile_dataset_runs_no_script(made):
     (look,), _ = looks(Dataset(made), "train", [0])
     hostile = replace(look, name=HOSTILE, masks={HOSTILE: look.masks["free"]})
     good, bad = (
@@ -97,7 +96,7 @@ def test_a_hostile_dataset_runs_no_script(made: Path) -> None:
         assert word not in script
 
 
-def test_the_renderer_is_unmodified_and_its_licence_is_in_the_page(made: Path) -> None:
+def test_the_renderer_is_unmodified_and_its_licence_is_in_the_page(made):
     listed = HERE.joinpath("three", "README.md").read_text(encoding="utf-8")
     for name in ("three.module.min.js", "OrbitControls.js", "LICENSE"):
         digest = hashlib.sha256(HERE.joinpath("three", name).read_bytes()).hexdigest()
@@ -109,9 +108,7 @@ def test_the_renderer_is_unmodified_and_its_licence_is_in_the_page(made: Path) -
     assert "three.js authors" in text
 
 
-def test_a_damaged_dataset_is_shown_as_far_as_it_is_sound(
-    dataset: Path, tmp_path: Path, capsys: Any
-) -> None:
+def test_a_damaged_dataset_is_shown_as_far_as_it_is_sound(dataset, tmp_path, capsys):
     (dataset / "train-00001.h5").unlink()  # samples 3 to 5
     with h5py.File(dataset / "train-00000.h5", "r") as file:
         place = file["tudf"].id.get_chunk_info(1)
@@ -133,7 +130,7 @@ def test_a_damaged_dataset_is_shown_as_far_as_it_is_sound(
     assert not (tmp_path / "no.html").exists()
 
 
-def test_what_cannot_be_shown_is_an_error(made: Path) -> None:
+def test_what_cannot_be_shown_is_an_error(made):
     """A grid that no browser takes, and a pose that is none."""
     dataset = Dataset(made)
     (look,), _ = looks(dataset, "train", [0])
@@ -145,9 +142,7 @@ def test_what_cannot_be_shown_is_an_error(made: Path) -> None:
         look_at(sample, dataset.grid, dataset.lidar, "train 0")
 
 
-def test_a_page_too_large_to_mail_holds_fewer_samples_and_says_so(
-    made: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_page_too_large_to_mail_holds_fewer_samples_and_says_so(made, monkeypatch):
     shown, _ = looks(Dataset(made), "train", [0, 1, 2])
     whole = Seen(page(shown, title="")).data()["samples"]
     most = sum(len(json.dumps(one)) for one in whole[:2]) + 10

@@ -3,7 +3,6 @@
 import io
 from dataclasses import replace
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,13 +22,12 @@ from scenegen.display.colours import (
     PATHS,
     SENSOR,
     START,
-    Anchors,
     colour,
     error_colours,
     path_colours,
 )
 from scenegen.display.figures import FIGURES
-from scenegen.display.look import Guess, Look, Route, looks
+from scenegen.display.look import Guess, Route, looks
 from scenegen.display.oblique import SHADES, VIEW, View, visible_faces
 from scenegen.display.panels import to_bytes
 from scenegen.display.pictures import CUT, draw_sample, draw_turn, see
@@ -39,18 +37,18 @@ from tests.command_line import ROOT, run
 
 
 @pytest.mark.parametrize(("anchors", "name"), [(HEIGHTS, "viridis"), (DISTANCES, "cividis")])
-def test_scales_are_even_to_the_eye(anchors: Anchors, name: str) -> None:
+def test_scales_are_even_to_the_eye(anchors, name):
     at = np.linspace(0, 1, 501)
     assert np.abs(colour(at, anchors) - colormaps[name](at)[:, :3]).max() < 0.08
 
 
-def test_no_colour_means_two_things() -> None:
+def test_no_colour_means_two_things():
     single = [SENSOR, START, GOAL, MISSED, INVENTED, *PATHS.values(), *OTHER_PATHS]
     far = [np.abs(np.subtract(a, b)).max() for a, b in combinations(single, 2)]
     assert min(far) > 30
 
 
-def test_an_error_is_the_paler_the_nearer_it_is_to_what_is_right() -> None:
+def test_an_error_is_the_paler_the_nearer_it_is_to_what_is_right():
     right = np.zeros((8, 1, 1), bool)
     right[0] = True
     shades = error_colours(MISSED, right, np.argwhere(~right))[:, 1]
@@ -61,7 +59,7 @@ def test_an_error_is_the_paler_the_nearer_it_is_to_what_is_right() -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_face_painted_last_is_the_one_that_the_eye_meets_first(seed: int) -> None:
+def test_the_face_painted_last_is_the_one_that_the_eye_meets_first(seed):
     """Against rays that step through the voxels from the eye."""
     rng = np.random.default_rng(seed)
     mask = rng.random((5, 4, 3)) < 0.4
@@ -87,13 +85,13 @@ def test_the_face_painted_last_is_the_one_that_the_eye_meets_first(seed: int) ->
     assert met > 30
 
 
-def _is_in(quad: np.ndarray, spot: np.ndarray) -> bool:
+def _is_in(quad, spot):
     edges, ways = np.roll(quad, -1, axis=0) - quad, spot - quad
     sides = edges[:, 0] * ways[:, 1] - edges[:, 1] * ways[:, 0]
     return bool((sides > 0).all() or (sides < 0).all())
 
 
-def test_a_world_is_what_another_engine_meets() -> None:
+def test_a_world_is_what_another_engine_meets():
     """A ball, a pillar through the box's lid, and a floor: where the picture is white, MuJoCo's
     rays meet nothing."""
     world = compile_world(
@@ -136,9 +134,7 @@ def test_a_world_is_what_another_engine_meets() -> None:
     assert 0 < (image == CUT).all(axis=2).mean() < 0.2
 
 
-def test_a_sample_becomes_a_picture_with_its_sensor(
-    made: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_sample_becomes_a_picture_with_its_sensor(made, monkeypatch):
     monkeypatch.setattr("scenegen.display.panels.DPI", 60)
     (look,), _ = looks(Dataset(made), "train", [1])
     image = imread(io.BytesIO(to_bytes(draw_sample(look), ".png")), format="png")
@@ -150,9 +146,7 @@ def test_a_sample_becomes_a_picture_with_its_sensor(
     assert (poorer[:, :, :3] == 1).all(axis=2).mean() > (image[:, :, :3] == 1).all(axis=2).mean()
 
 
-def test_the_command_draws_samples_sheets_and_worlds(
-    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command_draws_samples_sheets_and_worlds(made, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("scenegen.display.pictures.PIXELS", 200)
     monkeypatch.setattr("scenegen.display.panels.DPI", 50)
     room = ROOT / "scenes" / "room_with_gap.xml"
@@ -180,9 +174,7 @@ def test_the_command_draws_samples_sheets_and_worlds(
     assert not list(tmp_path.glob("x.*"))
 
 
-def test_a_figure_for_a_paper_is_as_wide_and_its_letters_are_letters(
-    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_figure_for_a_paper_is_as_wide_and_its_letters_are_letters(made, tmp_path, capsys):
     picture = tmp_path / "x.svg"
     assert run(capsys, f"render {made} --paper one --font-size 6 -o {picture} --quiet")[0] == 0
     text = picture.read_text(encoding="utf-8")
@@ -192,9 +184,7 @@ def test_a_figure_for_a_paper_is_as_wide_and_its_letters_are_letters(
     assert "small" not in text  # a caption's part
 
 
-def test_a_flight_is_a_film_of_its_samples(
-    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_flight_is_a_film_of_its_samples(made, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("scenegen.display.pictures.TURN_DPI", 40)
     assert run(capsys, f"render {made} --index 1 --flight -o {tmp_path}/x.gif --quiet")[0] == 0
     worlds = [world for _, world, _ in Dataset(made).split("train").names]
@@ -202,7 +192,7 @@ def test_a_flight_is_a_film_of_its_samples(
         assert (film.format, film.n_frames) == ("GIF", worlds.count(worlds[1]))
 
 
-def test_a_turntable_turns_once_around(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_turntable_turns_once_around(made, monkeypatch):
     monkeypatch.setattr("scenegen.display.pictures.TURN_DPI", 40)
     (look,), _ = looks(Dataset(made), "train", [1])
     with Image.open(io.BytesIO(draw_turn(look, title="small", frames=4))) as film:
@@ -216,7 +206,7 @@ def test_a_turntable_turns_once_around(made: Path, monkeypatch: pytest.MonkeyPat
     assert min(differ[1:]) > 0.02
 
 
-def predicted(made: Path) -> tuple[Look, np.ndarray]:
+def predicted(made):
     """A sample of which the upper half is missed, and a block is invented, with a path through the
     map."""
     (look,), _ = looks(Dataset(made), "train", [1])
@@ -238,42 +228,39 @@ def predicted(made: Path) -> tuple[Look, np.ndarray]:
 
 
 @pytest.mark.parametrize("name", list(FIGURES))
-def test_the_paper_s_figures_show_methods_errors_and_paths(
-    made: Path, name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_paper_s_figures_show_methods_errors_and_paths(made, name, monkeypatch):
     monkeypatch.setattr("scenegen.display.panels.DPI", 60)
     monkeypatch.setattr("scenegen.display.colours.PALE", 1.0)  # errors in full, however near
     look, _ = predicted(made)
 
-    def share(shown: Look, colour: tuple[int, ...], near: float = 6) -> float:
-        image = imread(
-            io.BytesIO(to_bytes(FIGURES[name]([shown], title=""), ".png")), format="png"
-        )[:-40, :-60, :3]
+    def drawn(shown):
+        page = to_bytes(FIGURES[name]([shown], title=""), ".png")
+        return imread(io.BytesIO(page), format="png")[:-40, :-60, :3]
+
+    def share(image, colour, near=6):
         shades = [np.array(colour) * light for light in SHADES]  # which sides of cubes have
         far = np.min([np.abs(image * 255 - one).max(axis=2) for one in shades], axis=0)
         return float((far < near).mean())
 
-    right = replace(
-        look, guesses=tuple(replace(one, occupied=look.masks["occupancy"]) for one in look.guesses)
-    )
+    shown = drawn(look)
     if name == "completions":
-        assert share(look, MISSED) > share(right, MISSED) + 0.002
-        assert share(look, INVENTED, 40) > share(right, INVENTED, 40)
-    if name in ("paths", "example"):
-        bare = replace(
-            look,
-            guesses=tuple(
-                replace(one, route=replace(one.route, points=None)) for one in look.guesses
-            ),
+        truth = look.masks["occupancy"]
+        right = drawn(
+            replace(look, guesses=tuple(replace(one, occupied=truth) for one in look.guesses))
         )
+        assert share(shown, MISSED) > share(right, MISSED) + 0.002
+        assert share(shown, INVENTED, 40) > share(right, INVENTED, 40)
+    if name in ("paths", "example"):
+        ends = [replace(one, route=replace(one.route, points=None)) for one in look.guesses]
+        bare = drawn(replace(look, guesses=tuple(ends)))
         for colour in path_colours(["occ", "$own^$"]):
-            assert share(look, colour) > share(bare, colour)
+            assert share(shown, colour) > share(bare, colour)
         with pytest.raises(DatasetError, match="no path"):
             FIGURES[name](
                 [replace(look, guesses=tuple(replace(one, route=None) for one in look.guesses))],
                 title="",
             )
     if name == "distances":
-        assert share(look, DISTANCES[0]) > 0.1  # a prediction of 0 everywhere
+        assert share(shown, DISTANCES[0]) > 0.1  # a prediction of 0 everywhere
     with pytest.raises(DatasetError, match="--weights"):
         FIGURES[name]([replace(look, guesses=())], title="")

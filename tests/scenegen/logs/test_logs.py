@@ -334,7 +334,7 @@ def test_damaged_logs_end_in_one_line_and_leave_nothing(tmp_path, capsys, name):
     damage, expected = DAMAGE[name]
     written(tmp_path / "log")
     damage(tmp_path / "log")
-    code, _, err = run(capsys, "ingest", tmp_path / "log", "-o", tmp_path / "out", "--quiet")
+    code, _, err = run(capsys, f"ingest {tmp_path}/log -o {tmp_path}/out --quiet")
     assert (code, err.count("\n")) == (1, 1), err
     assert expected in err
     assert [path.name for path in tmp_path.iterdir() if path.name != "log"] == []
@@ -404,7 +404,7 @@ def test_cut_recordings_end_in_one_line(tmp_path, capsys, cut):
     written(tmp_path / "log.mcap")
     content = (tmp_path / "log.mcap").read_bytes()
     (tmp_path / "cut.mcap").write_bytes(content[:cut])
-    code, _, err = run(capsys, "ingest", tmp_path / "cut.mcap", "-o", tmp_path / "out", "--quiet")
+    code, _, err = run(capsys, f"ingest {tmp_path}/cut.mcap -o {tmp_path}/out --quiet")
     assert (code, err.count("\n")) == (1, 1), err
     assert "cut.mcap: cannot be read as MCAP" in err
     assert not (tmp_path / "out").exists()

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from scenegen.recipes.kind import WorldKind
 from scenegen.worlds.drawing import Drawing
 
 Geom = mujoco.mjtGeom
@@ -26,21 +25,21 @@ class Solid:
     quaternion: NDArray[np.float64]
 
     @cached_property
-    def rotation(self) -> NDArray[np.float64]:
+    def rotation(self):
         return Rotation.from_quat(self.quaternion, scalar_first=True).as_matrix()
 
     @property
-    def upright(self) -> bool:
+    def upright(self):
         """Whether its own vertical is the world's."""
         return bool(self.rotation[2, 2] > 1 - 1e-12)
 
     @property
-    def yaw(self) -> float:
+    def yaw(self):
         """How far it is turned about the vertical, from 0 to 2 pi."""
         return float(np.arctan2(self.rotation[1, 0], self.rotation[0, 0]) % (2 * np.pi))
 
     @cached_property
-    def span(self) -> tuple[float, float]:
+    def span(self):
         """Its lowest and highest z, by its corners, or by many points around its rims."""
         if self.shape == Geom.mjGEOM_SPHERE:
             return self.position[2] - self.size[0], self.position[2] + self.size[0]
@@ -58,14 +57,14 @@ class Solid:
         return float(heights.min()), float(heights.max())
 
 
-def draw(kind: WorldKind, seed: int = 0) -> list[Solid]:
+def draw(kind, seed=0):
     """The solids of one world, in the order in which they are added."""
     spec = Drawing(np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]))
     kind.add_to(spec, rng=np.random.default_rng(seed))
     return [Solid(g.type, np.array(g.size), np.array(g.pos), np.array(g.quat)) for g in spec.geoms]
 
 
-def looks_uniform(values: object, low: float, high: float) -> bool:
+def looks_uniform(values, low, high):
     """Whether values lie between the bounds and are spread evenly there (Kolmogorov and
     Smirnov)."""
     values = np.asarray(values, dtype=np.float64)
@@ -73,6 +72,6 @@ def looks_uniform(values: object, low: float, high: float) -> bool:
     return bool(within and stats.kstest(values, stats.uniform(low, high - low).cdf).pvalue > 1e-3)
 
 
-def looks_like_share(count: int, of: int, share: float) -> bool:
+def looks_like_share(count, of, share):
     """Whether `count` of `of` is as a share drawn one by one would have it."""
     return bool(stats.binomtest(count, of, share).pvalue > 1e-3)

@@ -9,7 +9,7 @@ from lidarsim.pose import rotate
 from scenegen.recipes.kind import attitudes, log_uniform, normal
 
 
-def distance(values: np.ndarray, distribution: np.ndarray) -> float:
+def distance(values, distribution):
     """Kolmogorov's, between the sample and its distribution function at the sorted sample, times
     the root of n."""
     n = len(values)
@@ -20,11 +20,11 @@ def distance(values: np.ndarray, distribution: np.ndarray) -> float:
 
 
 @pytest.fixture
-def rng() -> np.random.Generator:
+def rng():
     return np.random.default_rng(7)
 
 
-def test_normal_numbers_are_normal_in_their_tails_too(rng: np.random.Generator) -> None:
+def test_normal_numbers_are_normal_in_their_tails_too(rng):
     drawn = normal((40_000, 3), rng=rng)
     flat = np.sort(drawn.ravel())
     assert distance(flat, np.array([0.5 * math.erfc(-x / math.sqrt(2.0)) for x in flat])) < 1.8
@@ -37,7 +37,7 @@ def test_normal_numbers_are_normal_in_their_tails_too(rng: np.random.Generator) 
     assert normal((0, 3), rng=rng).shape == (0, 3)
 
 
-def test_attitudes_are_uniform_or_upright(rng: np.random.Generator) -> None:
+def test_attitudes_are_uniform_or_upright(rng):
     drawn = attitudes(40_000, 1.0, rng=rng)
     np.testing.assert_allclose((drawn * drawn).sum(axis=1), 1.0, rtol=0, atol=1e-14)
     # Archimedes: each coordinate of a turned unit vector is uniform
@@ -59,7 +59,7 @@ def test_attitudes_are_uniform_or_upright(rng: np.random.Generator) -> None:
     assert abs(share - 0.3) < 0.02
 
 
-def test_logarithms_are_uniform(rng: np.random.Generator) -> None:
+def test_logarithms_are_uniform(rng):
     drawn = np.sort([log_uniform(0.002, 0.4, rng=rng) for _ in range(5000)])
     assert (drawn >= 0.002 * (1 - 1e-15)).all()
     assert (drawn <= 0.4 * (1 + 1e-15)).all()

@@ -1,13 +1,11 @@
 """Every parameter of geometric worlds does what it says."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from scipy import stats
 
 from scenegen.recipes.geometric import Geometric
-from tests.scenegen.recipes import Geom, Solid, draw, looks_like_share, looks_uniform
+from tests.scenegen.recipes import Geom, draw, looks_like_share, looks_uniform
 
 AREA = {"size_m": (60.0, 40.0, 9.0), "ground": False}
 NOTHING = {"density": (1e-9, 1e-9), "wall_density": (0.0, 0.0), "clutter_density": (0.0, 0.0)}
@@ -16,19 +14,19 @@ SHAPES = {Geom.mjGEOM_SPHERE: 1, Geom.mjGEOM_CYLINDER: 2, Geom.mjGEOM_BOX: 3}
 """How many sizes a shape has."""
 
 
-def solids(seed: int = 0, count: int = 600, **parameters: Any) -> list[Solid]:
+def solids(seed=0, count=600, **parameters):
     """Nothing but the scattered solids of a world."""
     share = count / 2400.0
     return draw(Geometric(**AREA, **NOTHING | {"density": (share, share)} | parameters), seed)
 
 
-def walls(seed: int = 0, count: int = 300, **parameters: Any) -> list[Solid]:
+def walls(seed=0, count=300, **parameters):
     """Nothing but walls."""
     share = count / 2400.0
     return draw(Geometric(**AREA, **NOTHING | {"wall_density": (share, share)} | parameters), seed)
 
 
-def heaps(seed: int = 0, count: int = 1, **parameters: Any) -> list[Solid]:
+def heaps(seed=0, count=1, **parameters):
     """Nothing but clutter."""
     share = count / 2400.0
     return draw(
@@ -36,12 +34,12 @@ def heaps(seed: int = 0, count: int = 1, **parameters: Any) -> list[Solid]:
     )
 
 
-def used_sizes(found: list[Solid]) -> np.ndarray:
+def used_sizes(found):
     """The sizes that matter, of all solids."""
     return np.concatenate([solid.size[: SHAPES[solid.shape]] for solid in found])
 
 
-def roles(found: list[Solid]) -> list[str]:
+def roles(found):
     """Whether each solid stands, is stacked right on the middle of an earlier one, or floats."""
     low, high = np.array([solid.span for solid in found]).T
     plan = np.array([solid.position[:2] for solid in found])
@@ -52,7 +50,7 @@ def roles(found: list[Solid]) -> list[str]:
     return said
 
 
-def test_the_logarithm_of_the_density_is_uniform() -> None:
+def test_the_logarithm_of_the_density_is_uniform():
     counts = [len(solids(seed, density=(0.01, 0.15))) for seed in range(120)]
     assert looks_uniform(
         np.log(np.array(counts) / 2400.0), np.log(0.01) - 0.02, np.log(0.15) + 0.02
@@ -60,7 +58,7 @@ def test_the_logarithm_of_the_density_is_uniform() -> None:
     assert {len(solids(seed, count=70)) for seed in range(5)} == {70}
 
 
-def test_shapes_come_in_thirds_and_spread_over_the_plan() -> None:
+def test_shapes_come_in_thirds_and_spread_over_the_plan():
     found = solids(stacked_share=0.0)
     for shape in SHAPES:
         assert looks_like_share(sum(solid.shape == shape for solid in found), len(found), 1 / 3)
@@ -69,14 +67,14 @@ def test_shapes_come_in_thirds_and_spread_over_the_plan() -> None:
     assert looks_uniform(plan[:, 1], 0.0, 40.0)
 
 
-def test_sizes_are_drawn_axis_by_axis_between_their_bounds() -> None:
+def test_sizes_are_drawn_axis_by_axis_between_their_bounds():
     found = solids(half_size_m=(0.2, 1.7), scale=(1.0, 1.0))
     assert looks_uniform(used_sizes(found), 0.2, 1.7)
     boxes = np.array([solid.size for solid in found if solid.shape == Geom.mjGEOM_BOX])
     assert np.abs(np.corrcoef(boxes.T) - np.eye(3)).max() < 0.25
 
 
-def test_the_scale_is_a_factor_on_half_sizes_drawn_once_a_world() -> None:
+def test_the_scale_is_a_factor_on_half_sizes_drawn_once_a_world():
     factors = []
     for seed in range(100):
         sizes = used_sizes(solids(seed, count=12, half_size_m=(0.5, 0.5), scale=(0.6, 1.8)))
@@ -85,7 +83,7 @@ def test_the_scale_is_a_factor_on_half_sizes_drawn_once_a_world() -> None:
     assert looks_uniform(factors, 0.6, 1.8)
 
 
-def test_the_scale_leaves_walls_and_clutter_alone() -> None:
+def test_the_scale_leaves_walls_and_clutter_alone():
     small, large = ((0.1, 0.1), (9.0, 9.0))
     for some in (walls, heaps):
         assert np.array_equal(*(used_sizes(some(scale=scale)) for scale in (small, large)))
@@ -95,9 +93,7 @@ def test_the_scale_leaves_walls_and_clutter_alone() -> None:
     ("standing", "stacked"), [(0.5, 0.2), (0.1, 0.8), (1.0, 0.0), (0.0, 0.0), (0.0, 1.0)]
 )
 @pytest.mark.parametrize("tilted", [0.0, 1.0])
-def test_solids_stand_are_stacked_or_float_in_their_shares(
-    standing: float, stacked: float, tilted: float
-) -> None:
+def test_solids_stand_are_stacked_or_float_in_their_shares(standing, stacked, tilted):
     found = solids(standing_share=standing, stacked_share=stacked, tilted_share=tilted, count=400)
     said = roles(found)
     if stacked == 1.0:
@@ -111,27 +107,27 @@ def test_solids_stand_are_stacked_or_float_in_their_shares(
         assert looks_like_share(said.count(name), len(said), share), (name, said.count(name))
 
 
-def test_solids_are_stacked_on_any_earlier_one() -> None:
+def test_solids_are_stacked_on_any_earlier_one():
     found = solids(standing_share=0.0, stacked_share=1.0, count=400)
     tops = np.array([solid.span[1] for solid in found])
     under = [int(np.abs(tops[:n] - found[n].span[0]).argmin()) for n in range(400)[1:]]
     assert looks_uniform(np.array(under[20:]) / np.arange(21, 400), 0.0, 1.0)
 
 
-def test_standing_solids_touch_the_ground_whatever_their_attitude() -> None:
+def test_standing_solids_touch_the_ground_whatever_their_attitude():
     for tilted in (0.0, 1.0):
         found = solids(standing_share=1.0, stacked_share=0.0, tilted_share=tilted)
         np.testing.assert_allclose([solid.span[0] for solid in found], 0.0, rtol=0, atol=1e-5)
         assert len({solid.shape for solid in found}) == 3
 
 
-def test_floating_solids_have_their_centres_at_any_height() -> None:
+def test_floating_solids_have_their_centres_at_any_height():
     found = solids(standing_share=0.0, stacked_share=0.0)
     assert looks_uniform([solid.position[2] for solid in found], 0.0, 9.0)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
-def test_tilted_solids_come_in_their_share_and_at_any_attitude(share: float) -> None:
+def test_tilted_solids_come_in_their_share_and_at_any_attitude(share):
     found = solids(tilted_share=share)
     tilted = [solid for solid in found if not solid.upright]
     assert looks_like_share(len(tilted), len(found), share)
@@ -145,13 +141,13 @@ def test_tilted_solids_come_in_their_share_and_at_any_attitude(share: float) -> 
         assert looks_uniform([solid.yaw for solid in found if solid.upright], 0.0, 2 * np.pi)
 
 
-def test_the_wall_density_is_drawn_once_a_world_between_its_bounds() -> None:
+def test_the_wall_density_is_drawn_once_a_world_between_its_bounds():
     counts = [len(walls(seed, wall_density=(0.01, 0.06))) for seed in range(80)]
     assert looks_uniform(np.array(counts) / 2400.0, 0.01 - 3e-4, 0.06 + 3e-4)
     assert {len(walls(seed, count=33)) for seed in range(5)} == {33}
 
 
-def test_walls_are_upright_slabs_on_the_ground_within_their_ranges() -> None:
+def test_walls_are_upright_slabs_on_the_ground_within_their_ranges():
     ranges = {
         "wall_length_m": (3.0, 6.5),
         "wall_height_m": (1.0, 4.0),
@@ -168,7 +164,7 @@ def test_walls_are_upright_slabs_on_the_ground_within_their_ranges() -> None:
     assert looks_uniform(high, *ranges["wall_height_m"])
 
 
-def test_walls_are_turned_at_will_and_spread_over_the_plan() -> None:
+def test_walls_are_turned_at_will_and_spread_over_the_plan():
     found = walls()
     assert looks_uniform([solid.yaw for solid in found], 0.0, np.pi)
     plan = np.array([solid.position for solid in found])
@@ -176,7 +172,7 @@ def test_walls_are_turned_at_will_and_spread_over_the_plan() -> None:
     assert looks_uniform(plan[:, 1], 0.0, 40.0)
 
 
-def test_the_clutter_density_is_drawn_once_a_world_between_its_bounds() -> None:
+def test_the_clutter_density_is_drawn_once_a_world_between_its_bounds():
     counts = [
         len(heaps(seed, clutter_density=(0.005, 0.03), clutter_count=(1, 1))) for seed in range(80)
     ]
@@ -184,7 +180,7 @@ def test_the_clutter_density_is_drawn_once_a_world_between_its_bounds() -> None:
     assert {len(heaps(seed, count=21, clutter_count=(3, 3))) for seed in range(5)} == {63}
 
 
-def test_a_heap_has_a_count_of_solids_with_both_bounds_included() -> None:
+def test_a_heap_has_a_count_of_solids_with_both_bounds_included():
     counts = np.bincount(
         [len(heaps(seed, clutter_count=(4, 8))) for seed in range(250)], minlength=10
     )
@@ -192,7 +188,7 @@ def test_a_heap_has_a_count_of_solids_with_both_bounds_included() -> None:
     assert stats.chisquare(counts[4:9]).pvalue > 1e-3
 
 
-def test_a_heap_is_small_tilted_solids_on_the_ground_about_its_place() -> None:
+def test_a_heap_is_small_tilted_solids_on_the_ground_about_its_place():
     found = heaps(clutter_count=(900, 900), clutter_spread_m=0.8, clutter_half_size_m=(0.05, 0.45))
     assert looks_uniform(used_sizes(found), 0.05, 0.45)
     for shape in SHAPES:
@@ -209,7 +205,7 @@ def test_a_heap_is_small_tilted_solids_on_the_ground_about_its_place() -> None:
     assert stats.kstest(lift, stats.halfnorm(scale=0.8).cdf).pvalue > 1e-3
 
 
-def test_heaps_spread_over_the_plan() -> None:
+def test_heaps_spread_over_the_plan():
     plan = np.array(
         [solid.position for solid in heaps(count=300, clutter_count=(1, 1), clutter_spread_m=1e-6)]
     )

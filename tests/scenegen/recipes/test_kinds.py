@@ -12,13 +12,13 @@ from scenegen.draw import draw_unit
 from scenegen.recipe import preset
 from scenegen.recipes import find_kind, kind_names
 from scenegen.recipes.geometric import Geometric
-from scenegen.recipes.kind import WorldKind
 from scenegen.recipes.pillar import Pillar
 from scenegen.source import DrawnWorlds
 from scenegen.truth.difficulty import difficulty
 from scenegen.worlds.classes import CLASSES
 from scenegen.worlds.labels import class_names, labels_by
 from scenegen.worlds.world import compile_world, write_world
+from tests.conftest import quarter
 from tests.scenegen.recipes import Geom, draw
 
 KINDS = pytest.mark.parametrize("kind", [find_kind(name) for name in kind_names()])
@@ -41,8 +41,8 @@ version of the kind."""
 
 @pytest.mark.parametrize("name", kind_names())
 def test_a_world_of_a_preset_is_flown_through_and_is_the_one_that_its_version_promises(
-    name: str,
-) -> None:
+    name,
+):
     recipe = preset(name)
     assert recipe.world is not None
     unit = draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="train", unit=0)
@@ -56,13 +56,14 @@ def test_a_world_of_a_preset_is_flown_through_and_is_the_one_that_its_version_pr
 
 
 @pytest.mark.parametrize("name", kind_names())
-def test_easy_medium_and_hard_are_so(name: str) -> None:
+@quarter(8)
+def test_easy_medium_and_hard_are_so(name, count):
     visible = []
     for level in ("easy", "medium", "hard"):
         recipe = preset(name, difficulty=level)
         assert (recipe.world == preset(name).world) == (level == "medium")
         source, found = DrawnWorlds(recipe), []
-        for unit in range(5):
+        for unit in range(count):
             drawn = draw_unit(source, recipe, seed=1, split="val", unit=unit)
             found += [
                 difficulty(one.occupancy, one.tudf, recipe.grid.voxel_m).visibility_m
@@ -73,7 +74,7 @@ def test_easy_medium_and_hard_are_so(name: str) -> None:
 
 
 @KINDS
-def test_solids_are_within_what_the_kind_says(kind: type[WorldKind]) -> None:
+def test_solids_are_within_what_the_kind_says(kind):
     for seed in range(3):
         solids = draw(kind(), seed)
         assert len(solids) <= kind().most_solids() + 1
@@ -98,7 +99,7 @@ def test_solids_are_within_what_the_kind_says(kind: type[WorldKind]) -> None:
         ("maze", {"cell_m": (1.0, 1.0)}),
     ],
 )
-def test_what_would_take_too_much_memory_is_refused(name: str, given: dict[str, Any]) -> None:
+def test_what_would_take_too_much_memory_is_refused(name, given):
     more = {"rock_density": (0.0, 0.0)} if name == "cave" else {}
     more |= {"bush_density": (0.0, 0.0), "fallen_density": (0.0, 0.0)} if name == "forest" else {}
     with pytest.raises(ValueError, match=r"expected [0-9]+ at most"):
@@ -106,7 +107,7 @@ def test_what_would_take_too_much_memory_is_refused(name: str, given: dict[str, 
 
 
 @pytest.mark.parametrize("name", sorted(set(kind_names()) - {"pillar", "geometric"}))
-def test_every_solid_is_of_a_class(name: str) -> None:
+def test_every_solid_is_of_a_class(name):
     kind = find_kind(name)()
     world = write_world(
         lambda spec: kind.add_to(spec, rng=np.random.default_rng(3)),
@@ -122,7 +123,7 @@ def test_every_solid_is_of_a_class(name: str) -> None:
 
 
 @KINDS
-def test_a_world_depends_on_the_state_of_the_generator_alone(kind: type[WorldKind]) -> None:
+def test_a_world_depends_on_the_state_of_the_generator_alone(kind):
     first, again, other = (draw(kind(), seed) for seed in (5, 5, 6))
     values = [
         [np.concatenate([it.size, it.position, it.quaternion]) for it in found[1:]]
@@ -133,7 +134,7 @@ def test_a_world_depends_on_the_state_of_the_generator_alone(kind: type[WorldKin
 
 
 @SLABS
-def test_the_floor_is_a_slab_over_the_plan_with_its_top_at_0(kind: type[WorldKind]) -> None:
+def test_the_floor_is_a_slab_over_the_plan_with_its_top_at_0(kind):
     size: Any = {"size_m": (12.0, 30.0, 5.0)}
     floor, *others = draw(kind(**size, ground=True, ground_m=0.6))
     assert floor.shape == Geom.mjGEOM_BOX
@@ -143,7 +144,7 @@ def test_the_floor_is_a_slab_over_the_plan_with_its_top_at_0(kind: type[WorldKin
     assert len(draw(kind(**size, ground=False))) == len(others)
 
 
-def wrong(value: Any) -> list[Any]:
+def wrong(value):
     """Values that no parameter like this one can have."""
     if isinstance(value, tuple):
         pair = [(value[1] + 1, value[0])] if len(value) == 2 else []
@@ -152,7 +153,7 @@ def wrong(value: Any) -> list[Any]:
 
 
 @KINDS
-def test_bad_values_are_named(kind: type[WorldKind]) -> None:
+def test_bad_values_are_named(kind):
     for field in dataclasses.fields(kind):
         for value in wrong(field.default) if field.name != "ground" else ["yes"]:
             with pytest.raises(ValueError, match=field.name):
@@ -173,15 +174,13 @@ def test_bad_values_are_named(kind: type[WorldKind]) -> None:
         (Geometric, {"clutter_spread_m": 0.0}),
     ],
 )
-def test_bounds_that_a_name_does_not_tell_are_kept(
-    kind: type[WorldKind], given: dict[str, Any]
-) -> None:
+def test_bounds_that_a_name_does_not_tell_are_kept(kind, given):
     with pytest.raises(ValueError, match=next(iter(given))):
         kind(**given)
 
 
 @KINDS
-def test_the_truth_of_a_turned_world_is_the_turned_truth(kind: type[WorldKind]) -> None:
+def test_the_truth_of_a_turned_world_is_the_turned_truth(kind):
     """Solids of whatever class, attitude and shape; flat ground and height fields among them."""
     world = write_world(
         lambda spec: kind().add_to(spec, rng=np.random.default_rng(1)),

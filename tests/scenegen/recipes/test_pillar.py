@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from scenegen.recipes.pillar import Pillar
-from tests.scenegen.recipes import Geom, Solid, draw, looks_like_share, looks_uniform
+from tests.scenegen.recipes import Geom, draw, looks_like_share, looks_uniform
 
 MANY = {"size_m": (100.0, 60.0, 10.0), "density": (0.1, 0.1)}
 """600 pillars."""
@@ -12,7 +12,7 @@ PAIR = {"size_m": (20.0, 10.0, 10.0), "density": (0.01, 0.01), "passage_share": 
 """Two pillars, of which the second is set beside the first."""
 
 
-def hull(pillar: Solid) -> float:
+def hull(pillar):
     """Radius of the least upright cylinder around a pillar."""
     return (
         pillar.size[0]
@@ -21,7 +21,7 @@ def hull(pillar: Solid) -> float:
     )
 
 
-def gaps(pillars: list[Solid]) -> np.ndarray:
+def gaps(pillars):
     """(n, n): metres between the round hulls, seen from above; inf where the other one is no
     earlier one."""
     plan, hulls = np.array([p.position[:2] for p in pillars]), np.array([hull(p) for p in pillars])
@@ -30,24 +30,24 @@ def gaps(pillars: list[Solid]) -> np.ndarray:
     return apart
 
 
-def test_the_density_is_drawn_once_a_world_between_its_bounds() -> None:
+def test_the_density_is_drawn_once_a_world_between_its_bounds():
     kind = Pillar(size_m=(50.0, 80.0, 10.0), density=(0.01, 0.05))
     counts = [len(draw(kind, seed)) for seed in range(80)]
     assert looks_uniform(np.array(counts) / 4000.0, 0.01, 0.05)
     assert {len(draw(Pillar(**MANY), seed)) for seed in range(5)} == {600}
 
 
-def test_a_world_too_small_for_its_density_has_one_pillar() -> None:
+def test_a_world_too_small_for_its_density_has_one_pillar():
     assert len(draw(Pillar(size_m=(1.0, 1.0, 1.0), density=(0.0, 0.01)))) == 1
 
 
-def test_pillars_spread_over_the_plan() -> None:
+def test_pillars_spread_over_the_plan():
     plan = np.array([p.position for p in draw(Pillar(**MANY, passage_share=0.0))])
     assert looks_uniform(plan[:, 0], 0.0, 100.0)
     assert looks_uniform(plan[:, 1], 0.0, 60.0)
 
 
-def test_half_widths_are_drawn_between_their_bounds() -> None:
+def test_half_widths_are_drawn_between_their_bounds():
     for round_share in (0.0, 1.0):
         pillars = draw(
             Pillar(**MANY, half_width_m=(0.15, 0.9), round_share=round_share, oblong_share=0.0)
@@ -58,7 +58,7 @@ def test_half_widths_are_drawn_between_their_bounds() -> None:
 @pytest.mark.parametrize(
     ("round_share", "oblong_share"), [(0.7, 0.1), (0.2, 0.5), (0.0, 1.0), (1.0, 0.0), (0.0, 0.0)]
 )
-def test_sections_come_in_their_shares(round_share: float, oblong_share: float) -> None:
+def test_sections_come_in_their_shares(round_share, oblong_share):
     pillars = draw(Pillar(**MANY, round_share=round_share, oblong_share=oblong_share))
     counted = {"round": 0, "square": 0, "oblong": 0}
     for pillar in pillars:
@@ -76,7 +76,7 @@ def test_sections_come_in_their_shares(round_share: float, oblong_share: float) 
 
 
 @pytest.mark.parametrize("ratio", [1.5, 4.0])
-def test_oblong_pillars_are_up_to_the_ratio_as_long_as_wide(ratio: float) -> None:
+def test_oblong_pillars_are_up_to_the_ratio_as_long_as_wide(ratio):
     kind = Pillar(
         **MANY, round_share=0.0, oblong_share=1.0, oblong_ratio=ratio, half_width_m=(0.2, 0.4)
     )
@@ -86,7 +86,7 @@ def test_oblong_pillars_are_up_to_the_ratio_as_long_as_wide(ratio: float) -> Non
 
 
 @pytest.mark.parametrize("round_share", [0.0, 1.0])
-def test_pillars_stand_upright_on_the_ground_as_tall_as_they_are_drawn(round_share: float) -> None:
+def test_pillars_stand_upright_on_the_ground_as_tall_as_they_are_drawn(round_share):
     pillars = draw(Pillar(**MANY, round_share=round_share, oblong_share=0.0, height_m=(2.0, 7.0)))
     low, high = np.array([p.span for p in pillars]).T
     np.testing.assert_allclose(low, 0.0, rtol=0, atol=1e-9)
@@ -94,7 +94,7 @@ def test_pillars_stand_upright_on_the_ground_as_tall_as_they_are_drawn(round_sha
     assert all(p.upright for p in pillars)
 
 
-def test_square_and_oblong_pillars_are_turned_about_the_vertical_at_will() -> None:
+def test_square_and_oblong_pillars_are_turned_about_the_vertical_at_will():
     pillars = draw(Pillar(**MANY, round_share=0.0, oblong_share=0.5))
     assert all(p.upright for p in pillars)
     assert looks_uniform([p.yaw for p in pillars], 0.0, np.pi)
@@ -102,8 +102,8 @@ def test_square_and_oblong_pillars_are_turned_about_the_vertical_at_will() -> No
 
 @pytest.mark.parametrize("sections", [(1.0, 0.0), (0.4, 0.3)])
 def test_pillars_of_a_passage_stand_its_width_from_an_earlier_ones_hull(
-    sections: tuple[float, float],
-) -> None:
+    sections,
+):
     """Set beside one that is itself set beside another, and so on, each passage is exactly as wide
     as asked for."""
     round_share, oblong_share = sections
@@ -123,13 +123,13 @@ def test_pillars_of_a_passage_stand_its_width_from_an_earlier_ones_hull(
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.6])
-def test_passages_come_in_their_share(share: float) -> None:
+def test_passages_come_in_their_share(share):
     kind = Pillar(**MANY, passage_share=share, passage_m=(0.77, 0.77))
     beside = (np.abs(gaps(draw(kind)) - 0.77) < 1e-9).any(axis=1)
     assert looks_like_share(int(beside[1:].sum()), len(beside) - 1, share)
 
 
-def test_passages_are_drawn_between_their_bounds_in_every_direction() -> None:
+def test_passages_are_drawn_between_their_bounds_in_every_direction():
     widths, angles = [], []
     for seed in range(200):
         first, second = draw(Pillar(**PAIR, passage_m=(0.3, 1.9)), seed)

@@ -3,10 +3,7 @@ leave."""
 
 import json
 import shutil
-from pathlib import Path
-from typing import Any
 
-import pytest
 import torch
 
 from scenegen.dataset.build import build, plan_dataset
@@ -18,7 +15,7 @@ from scenegen.source import DrawnWorlds
 from tests.command_line import run
 from tests.conftest import small_recipe
 
-COUNTS = {"train": 6, "val": 4, "test": 7}
+COUNTS = {"train": 4, "val": 2, "test": 4}
 SAMPLES = sum(COUNTS.values())
 COMPLETE = ("complete", "d", "--weights", "n.safetensors", "--batch", 2, "--device", "cpu")
 BENCH = (
@@ -43,8 +40,8 @@ COMMANDS: tuple[tuple[object, ...], ...] = (
 )
 
 
-def make(folder: Path) -> None:
-    """`d`, a dataset of seven shards, and `n.safetensors`, a network for it."""
+def make(folder):
+    """`d`, a dataset of five shards, and `n.safetensors`, a network for it."""
     recipe = small_recipe()
     build(
         plan_dataset(
@@ -58,7 +55,7 @@ def make(folder: Path) -> None:
     )
 
 
-def stand(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def stand(folder, monkeypatch):
     """Stand in `folder`, with tasks of two samples."""
     monkeypatch.chdir(folder)
     torch.set_num_threads(1)
@@ -68,12 +65,12 @@ def stand(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def outcome(
-    capsys: pytest.CaptureFixture[str],
-    here: Path,
-    words: tuple[object, ...],
-    out: str,
-    *more: object,
-) -> dict[str, Any]:
+    capsys,
+    here,
+    words,
+    out,
+    *more,
+):
     """What the command leaves at `out`, or says; without times, and without its own words."""
     writes = () if words[0] == "verify" else ("-o", out)
     code, said, complaint = run(capsys, *words, *writes, *more)
@@ -89,12 +86,12 @@ def outcome(
     return found
 
 
-def checks(said: str) -> dict[str, Any]:
+def checks(said):
     """A report's checks by name, without their time."""
     return {check.pop("name"): check | {"seconds": 0} for check in json.loads(said)["checks"]}
 
 
-def contents(place: Path) -> dict[str, Any]:
+def contents(place):
     """A file, or all files below a folder."""
     files = [place] if place.is_file() else [path for path in place.rglob("*") if path.is_file()]
     return {str(path.relative_to(place)): path.read_bytes() for path in files}

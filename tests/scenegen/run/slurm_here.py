@@ -12,7 +12,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -49,14 +48,14 @@ NODE = (
 WAIT_S = 60
 
 
-def free_port() -> int:
+def free_port():
     with socket.socket() as found:
         found.bind(("127.0.0.1", 0))
         return int(found.getsockname()[1])
 
 
 @contextmanager
-def slurm(folder: Path, nodes: int = 1) -> Iterator[dict[str, int]]:
+def slurm(folder, nodes=1):
     """A cluster of this machine's cores, `nodes` times; files lie in `folder`. The process number
     of every node's daemon, by the node's name."""
     for above in (
@@ -101,7 +100,7 @@ def slurm(folder: Path, nodes: int = 1) -> Iterator[dict[str, int]]:
             os.environ["SLURM_CONF"] = before
 
 
-def _wait(folder: Path, nodes: int) -> None:
+def _wait(folder, nodes):
     for _ in range(WAIT_S):
         told = subprocess.run(
             ["sinfo", "-h", "-N", "-o", "%T"], capture_output=True, text=True, check=False

@@ -33,13 +33,6 @@ from tests.scenegen.display.test_page import Seen
 CHECKS = (("files", "14 files hold"),)
 
 
-@pytest.fixture(autouse=True)
-def few(monkeypatch):
-    """Pictures have their own tests."""
-    monkeypatch.setattr("scenegen.share.stage.SHOWN", 1)
-    monkeypatch.setattr("scenegen.display.panels.DPI", 20)
-
-
 @pytest.fixture(scope="module")
 def out(made, tmp_path_factory):
     """A published folder; not to be changed."""
@@ -203,7 +196,7 @@ def test_a_dataset_of_another_generator_is_not_published_as_one_that_can_be_made
     assert not asked.out.exists()
 
 
-def test_compact_datasets_and_absent_splits_publish_as_well(tmp_path):
+def test_compact_datasets_and_absent_splits_publish_as_well(undrawn, tmp_path):
     recipe = small_recipe("geometric")
     counts = {"train": 4, "val": 0, "test": 1}
     made = tmp_path / "made"

@@ -14,8 +14,6 @@ import subprocess
 import time
 import uuid
 from contextlib import suppress
-from pathlib import Path
-from types import TracebackType
 
 NEEDED = ("ceph", "ceph-mon", "ceph-osd", "radosgw", "radosgw-admin", "monmaptool", "ceph-authtool")
 GET = "apt-get install --no-install-recommends ceph-mon ceph-osd radosgw"
@@ -54,13 +52,13 @@ rgw user quota bucket sync interval = 1
 """
 
 
-def missing() -> str:
+def missing():
     """What to install, where something is not there; empty otherwise."""
     absent = [name for name in NEEDED if shutil.which(name) is None]
     return f"needs {absent[0]}: {GET}" if absent else ""
 
 
-def free_port() -> int:
+def free_port():
     with socket.socket() as one:
         one.bind(("127.0.0.1", 0))
         return int(one.getsockname()[1])
@@ -69,14 +67,14 @@ def free_port() -> int:
 class Ceph:
     """The server, while the block lasts."""
 
-    def __init__(self, home: Path):
+    def __init__(self, home):
         self.home = home
         self.port = free_port()
         self.url = f"http://127.0.0.1:{self.port}"
         self._running: dict[str, subprocess.Popen] = {}
 
     @property
-    def environment(self) -> dict[str, str]:
+    def environment(self):
         """What a client's environment has to say."""
         return {
             "AWS_ENDPOINT_URL": self.url,
@@ -84,7 +82,7 @@ class Ceph:
             "AWS_SECRET_ACCESS_KEY": SECRET,
         }
 
-    def __enter__(self) -> "Ceph":
+    def __enter__(self):
         try:
             self._begin()
         except BaseException:
@@ -94,16 +92,16 @@ class Ceph:
 
     def __exit__(
         self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+        kind,
+        error,
+        trace,
+    ):
         for one in reversed(self._running.values()):
             with suppress(ProcessLookupError):
                 os.killpg(one.pid, signal.SIGKILL)
             one.wait()
 
-    def _begin(self) -> None:
+    def _begin(self):
         fsid, mon = str(uuid.uuid4()), free_port()
         told = CONF.format(home=self.home, fsid=fsid, mon=mon, gateway=self.port, bytes=STORE_BYTES)
         (self.home / "ceph.conf").write_text(told)
@@ -128,7 +126,7 @@ class Ceph:
         self._run("radosgw-admin", *f"user create --uid {USER} --display-name Ada {keys}".split())
         self.begin()
 
-    def begin(self) -> None:
+    def begin(self):
         """Begin the gateway, and wait until it answers."""
         self._start("radosgw", "-n", "client.admin")
         for _ in range(300):
@@ -137,23 +135,23 @@ class Ceph:
             time.sleep(0.1)
         raise TimeoutError(f"no gateway at {self.url}")
 
-    def kill(self) -> None:
+    def kill(self):
         """Kill the gateway, as a crash would."""
         one = self._running.pop("radosgw")
         os.killpg(one.pid, signal.SIGKILL)
         one.wait()
 
-    def _ceph(self, *words: str) -> str:
+    def _ceph(self, *words):
         return self._run("ceph", "--connect-timeout", "20", *words)
 
-    def _run(self, *words: str) -> str:
+    def _run(self, *words):
         """Run one of Ceph's commands to its end."""
         command = [words[0], *self._conf(words[0]), *words[1:]]
         done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
         assert done.returncode == 0, f"{' '.join(words[:3])}: {done.stderr[-500:]}"
         return done.stdout
 
-    def _start(self, *words: str) -> None:
+    def _start(self, *words):
         out = (self.home / f"{words[0]}.out").open("ab")
         command = [words[0], *self._conf(words[0]), *words[1:], "-f"]
         self._running[words[0]] = subprocess.Popen(
@@ -161,7 +159,7 @@ class Ceph:
         )
         out.close()
 
-    def _conf(self, program: str) -> tuple[str, ...]:
+    def _conf(self, program):
         return (
             ()
             if program in ("ceph-authtool", "monmaptool")

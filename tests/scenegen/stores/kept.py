@@ -4,13 +4,11 @@ at a time."""
 import fcntl
 import hashlib
 import os
-from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
 
 from scenegen.errors import DatasetError, StoreError
-from scenegen.stores import ANY, ConflictError, Object, Store, Version
+from scenegen.stores import ANY, ConflictError, Object, Store
 
 HOME = "TESTS_KEPT"
 """Where the environment says that objects are kept."""
@@ -25,25 +23,25 @@ class Kept(Store):
     log: list[str]
     """What this process asked for."""
 
-    def __init__(self, name: str):
+    def __init__(self, name):
         self.name = name
         self.home = Path(os.environ[HOME], name.partition("://")[2])
         self.log = []
 
     @contextmanager
-    def _alone(self, what: str) -> Iterator[None]:
+    def _alone(self, what):
         self.log.append(what)
         with (Path(os.environ[HOME]) / ".lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             yield
 
-    def list(self) -> Iterator[Object]:
+    def list(self):
         with self._alone("list"):
             there = [path for path in self.home.glob("*") if path.is_file()]
             found = [Object(path.name, path.stat().st_size, self._version(path)) for path in there]
         return iter(found)
 
-    def read(self, name: str, file: IO[bytes], most_bytes: int) -> Version:
+    def read(self, name, file, most_bytes):
         with self._alone(f"read {name}"):
             path = self.home / name
             if not path.is_file():
@@ -53,17 +51,17 @@ class Kept(Store):
             file.write(path.read_bytes())
             return self._version(path)
 
-    def put(self, name: str, content: bytes, version: Version = ANY) -> Version:
+    def put(self, name, content, version=ANY):
         with self._alone(f"put {name}"):
             if version not in (ANY, self._version(self.home / name)):
                 raise ConflictError(f"{self.name}/{name}: somebody else has put it")
             return self._put(name, content)
 
-    def remove(self, name: str) -> None:
+    def remove(self, name):
         with self._alone(f"remove {name}"):
             (self.home / name).unlink(missing_ok=True)
 
-    def _put(self, name: str, content: bytes) -> Version:
+    def _put(self, name, content):
         if room := os.environ.get(ROOM):
             left = int(Path(room).read_text())
             if left == 0:
@@ -74,5 +72,5 @@ class Kept(Store):
         return self._version(self.home / name)
 
     @staticmethod
-    def _version(path: Path) -> Version:
+    def _version(path):
         return hashlib.md5(path.read_bytes()).hexdigest() if path.is_file() else None

@@ -16,7 +16,6 @@ from tests.scenegen.stores.kept import Kept
 
 NAME = "s3://lab/d"
 BARE = ("--on", "bare")
-Shell = pytest.CaptureFixture[str]
 
 
 @pytest.fixture

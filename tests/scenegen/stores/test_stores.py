@@ -384,7 +384,7 @@ def test_commands_take_a_place_and_refuse_it_where_they_cannot(
     monkeypatch.chdir(tmp_path)
     shutil.copytree(made, store / "lab" / "pillar")
     forget()
-    code, said, _ = run(capsys, "inspect", NAME, "--json")
+    code, said, _ = run(capsys, f"inspect {NAME} --json")
     assert code == 0
     assert json.loads(said)["bytes"] == sum(path.stat().st_size for path in made.iterdir())
     for words in (
@@ -403,7 +403,7 @@ def test_commands_take_a_place_and_refuse_it_where_they_cannot(
         code, _, wrong = run(capsys, *words)
         assert code == 2
         assert "s3://… is not written to" in wrong
-    code, _, wrong = run(capsys, "generate", "pillar", "--out", "gs://lab/x")
+    code, _, wrong = run(capsys, "generate pillar --out gs://lab/x")
     assert code == 2
     assert "gs://… is not written to" in wrong
     code, _, wrong = run(capsys, "inspect", "s3://lab/none")

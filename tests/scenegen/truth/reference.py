@@ -20,14 +20,13 @@ not zero; a height field is one prism per triangle of MuJoCo's own triangulation
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import mujoco
 import numba
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 NEAR = 0.5e-6
 FAR = 3e-6
@@ -47,7 +46,7 @@ KINDS: dict[str, int] = {
 Floats = NDArray[np.float64]
 
 
-def rotation(quat: ArrayLike) -> Floats:
+def rotation(quat):
     """The matrix of a quaternion w, x, y, z (normalised here), from its textbook expansion."""
     w, x, y, z = np.asarray(quat, float) / np.linalg.norm(quat)
     return np.array(
@@ -69,15 +68,13 @@ class Shape:
     quat: Floats = field(default_factory=lambda: np.array([1.0, 0, 0, 0]))
 
     @cached_property
-    def rot(self) -> Floats:
+    def rot(self):
         return rotation(self.quat)
 
-    def at(self, pos: ArrayLike) -> Shape:
+    def at(self, pos):
         return Shape(self.kind, self.size, np.asarray(pos, float), self.quat)
 
-    def add_to(
-        self, body: mujoco.MjsBody, rgba: Sequence[float] = (0.5, 0.5, 0.5, 1)
-    ) -> mujoco.MjsGeom:
+    def add_to(self, body, rgba=(0.5, 0.5, 0.5, 1)):
         return body.add_geom(
             type=getattr(mujoco.mjtGeom, f"mjGEOM_{self.kind.upper()}"),
             size=list(self.size),
@@ -87,7 +84,7 @@ class Shape:
         )
 
 
-def world_of(*shapes: Shape) -> mujoco.MjModel:
+def world_of(*shapes):
     """A compiled model whose world body holds these shapes and nothing else."""
     spec = mujoco.MjSpec()
     for shape in shapes:
@@ -464,21 +461,21 @@ class Judged:
     boundary: NDArray[np.bool_]
 
     @staticmethod
-    def of_nothing(shape: tuple[int, int, int]) -> Judged:
+    def of_nothing(shape):
         return Judged(np.full(shape, FREE, np.uint8), np.zeros(shape, bool))
 
-    def __or__(self, other: Judged) -> Judged:
+    def __or__(self, other):
         """The union of two solids: occupied wherever either is, free only where both are."""
         rank = np.array([0, 3, 1, 2], np.uint8)  # FREE < EITHER < UNDECIDED < OCCUPIED
         a, b = self.verdict, other.verdict
         return Judged(np.where(rank[a] >= rank[b], a, b), self.boundary | other.boundary)
 
     @property
-    def undecided(self) -> int:
+    def undecided(self):
         return int((self.verdict == UNDECIDED).sum())
 
 
-def disagreements(answer: NDArray[np.bool_], truth: Judged) -> NDArray[np.intp]:
+def disagreements(answer, truth):
     """The indices of the voxels at which an occupancy map contradicts the reference."""
     if answer.shape != truth.verdict.shape or answer.dtype != np.bool_:
         raise AssertionError(
@@ -491,14 +488,12 @@ def disagreements(answer: NDArray[np.bool_], truth: Judged) -> NDArray[np.intp]:
 _NO_HULL = np.zeros((1, 3))
 
 
-def _core(shape: Shape) -> tuple[int, float]:
+def _core(shape):
     kind = KINDS[shape.kind]
     return kind, (shape.size[0] if kind in (SPHERE, CAPSULE) else 0.0)
 
 
-def judge(
-    shape: Shape, grid_shape: tuple[int, int, int], voxel: float, origin: ArrayLike
-) -> Judged:
+def judge(shape, grid_shape, voxel, origin):
     """The truth about one primitive, for every voxel of a map."""
     kind, margin = _core(shape)
     result = Judged.of_nothing(grid_shape)
@@ -520,7 +515,7 @@ def judge(
     return result
 
 
-def support_point(shape: Shape, direction: ArrayLike) -> Floats:
+def support_point(shape, direction):
     """The point of a primitive (margin included) farthest along a unit direction."""
     kind, margin = _core(shape)
     if kind == PLANE:
@@ -531,7 +526,7 @@ def support_point(shape: Shape, direction: ArrayLike) -> Floats:
     return np.array(core) + margin * d
 
 
-def points_inside(shape: Shape, points: Floats) -> NDArray[np.bool_]:
+def points_inside(shape, points):
     """Whether world points (..., 3) satisfy the inequality that defines a primitive."""
     local = (points - shape.pos) @ shape.rot
     x, y, z = np.moveaxis(local, -1, 0)
@@ -552,7 +547,7 @@ def points_inside(shape: Shape, points: Floats) -> NDArray[np.bool_]:
     raise ValueError(shape.kind)
 
 
-def voxel_centres(grid_shape: tuple[int, int, int], voxel: float, origin: ArrayLike) -> Floats:
+def voxel_centres(grid_shape, voxel, origin):
     """The centres of the voxels, (nx, ny, nz, 3)."""
     axes = [
         o + (np.arange(n) + 0.5) * voxel
@@ -618,9 +613,7 @@ def _sweep_hulls(hulls, shape, voxel, origin, near, far, verdict):
                         verdict[i, j, k] = found
 
 
-def judge_hulls(
-    hulls: Floats, grid_shape: tuple[int, int, int], voxel: float, origin: ArrayLike
-) -> Judged:
+def judge_hulls(hulls, grid_shape, voxel, origin):
     """The truth about a union of convex hulls of equally many points, (n, points, 3) in the world.
 
     Every occupied voxel counts as boundary, and so do its neighbours.
@@ -642,7 +635,7 @@ def judge_hulls(
     return Judged(result.verdict, near)
 
 
-def winding_number(triangles: Floats, points: Floats) -> Floats:
+def winding_number(triangles, points):
     """How often a closed surface (f, 3, 3) winds around each point (n, 3): the sum of solid
     angles."""
     total = np.zeros(len(points))
@@ -661,13 +654,13 @@ def winding_number(triangles: Floats, points: Floats) -> Floats:
 
 
 def judge_mesh(
-    triangles: Floats,
-    grid_shape: tuple[int, int, int],
-    voxel: float,
-    origin: ArrayLike,
+    triangles,
+    grid_shape,
+    voxel,
+    origin,
     *,
-    filled: bool,
-) -> Judged:
+    filled,
+):
     """The truth about a triangle mesh given in the world: its surface, and what it encloses if
     ``filled``.
 
@@ -687,9 +680,7 @@ def judge_mesh(
     return Judged(verdict, surface.boundary)
 
 
-def hfield_prisms(
-    heights: Floats, size: Sequence[float], pos: ArrayLike, quat: ArrayLike
-) -> Floats:
+def hfield_prisms(heights, size, pos, quat):
     """A height field as prisms (n, 6, 3) in the world, from its surface down to z = -size[3].
 
     ``heights`` (rows along y, columns along x) are metres above the geom's frame. Each cell is cut
@@ -709,7 +700,7 @@ def hfield_prisms(
     return np.asarray(prisms) @ rotation(quat).T + np.asarray(pos, float)
 
 
-def union(judged: Iterable[Judged], grid_shape: tuple[int, int, int]) -> Judged:
+def union(judged, grid_shape):
     """The truth about several solids together."""
     total = Judged.of_nothing(grid_shape)
     for one in judged:

@@ -526,12 +526,12 @@ def mesh_triangles(mesh, pos, quat):
     "count", [3, pytest.param(6, marks=pytest.mark.slow)]
 )  # one of each voxel, at least
 def test_closed_meshes_are_filled_and_open_ones_are_their_surface(name, count):
-    """At random attitudes; hollows and holes stay free, unlike in the convex hull."""
+    """At random attitudes; hollows and holes stay free."""
     rng = np.random.default_rng(22)
     closed = name in WATERTIGHT
     mesh = (WATERTIGHT | OPEN)[name]()
     grid_shape = (20, 20, 20)
-    enclosed = beyond = 0
+    enclosed = 0
     for k in range(count):
         voxel = (0.1, 0.2, 0.25)[k % 3] if name != "ring" else 0.2
         quat = rng.normal(size=4) if k else np.array([1.0, 0, 0, 0])
@@ -547,16 +547,7 @@ def test_closed_meshes_are_filled_and_open_ones_are_their_surface(name, count):
             f"{len(wrong)} voxels, first {wrong[0]}, {name} pos {pos} quat {quat} voxel {voxel}"
         )
         enclosed += int((truth.verdict != shell.verdict).sum())
-        # The hull would have been another answer.
-        hull = trimesh.Trimesh(
-            triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3)
-        ).convex_hull
-        convex = reference.judge_mesh(
-            np.asarray(hull.triangles), grid_shape, voxel, origin, filled=True
-        )
-        beyond += len(disagreements(answer, convex))
     assert (enclosed > 8 * count) == closed
-    assert beyond > 10 * count
 
 
 @pytest.mark.parametrize("name", [*WATERTIGHT, *OPEN])
@@ -584,36 +575,28 @@ def test_a_map_that_cuts_or_lies_within_a_mesh_is_filled_alike(name, count):
     assert (solid_maps > 0) == closed
 
 
-@pytest.mark.parametrize("scale", [(1, 1, 1), (0.5, 1.3, 0.8), (1, -1, 1), (-0.7, -0.7, -0.7)])
-def test_scaled_and_mirrored_meshes_are_filled(scale):
+@pytest.mark.parametrize(
+    ("scale", "listed"),
+    [
+        *[((0.5, 1.3, 0.8), "whole"), ((1, -1, 1), "whole"), ((-0.7, -0.7, -0.7), "whole")],
+        *[((1, 1, 1), "apart"), ((1, 1, 1), "inward"), ((1, 1, 1), "mixed")],
+    ],
+)
+def test_a_watertight_mesh_is_filled_however_it_is_scaled_mirrored_and_listed(scale, listed):
+    """Vertices not shared between faces, or faces wound the wrong way round, enclose the same
+    space."""
     vertices, faces = bracket_shape()
     quat, pos = np.array([0.3, 0.5, -0.2, 0.7]), np.array([2.0, 2.1, 1.9])
     triangles = mesh_triangles((vertices * scale, faces), pos, quat)
     truth = reference.judge_mesh(triangles, (20, 20, 20), 0.2, np.zeros(3), filled=True)
-    answer = occupied(
-        mesh_model((vertices, faces), pos, quat, scale=scale), (20, 20, 20), 0.2, np.zeros(3)
-    )
-    assert truth.undecided == 0
-    assert not len(disagreements(answer, truth))
-
-
-@pytest.mark.parametrize(
-    "faults", ["three vertices a face", "all faces inward", "some faces inward"]
-)
-def test_a_watertight_mesh_is_filled_however_its_faces_are_listed(faults):
-    """Vertices not shared between faces, or faces wound the wrong way round, enclose the same
-    space."""
-    vertices, faces = bracket_shape()
-    quat, pos = np.array([1, 0.2, 0.3, 0.4]), np.full(3, 2.0)
-    triangles = mesh_triangles((vertices, faces), pos, quat)
-    truth = reference.judge_mesh(triangles, (20, 20, 20), 0.2, np.zeros(3), filled=True)
-    if faults == "three vertices a face":
-        mesh = vertices[faces].reshape(-1, 3), np.arange(faces.size).reshape(-1, 3)
-    elif faults == "all faces inward":
-        mesh = vertices, faces[:, ::-1]
-    else:
-        mesh = vertices, np.where((np.arange(len(faces)) % 3 == 0)[:, None], faces[:, ::-1], faces)
-    answer = occupied(mesh_model(mesh, pos, quat), (20, 20, 20), 0.2, np.zeros(3))
+    some = (np.arange(len(faces)) % 3 == 0)[:, None]
+    mesh = {
+        "whole": (vertices, faces),
+        "apart": (vertices[faces].reshape(-1, 3), np.arange(faces.size).reshape(-1, 3)),
+        "inward": (vertices, faces[:, ::-1]),
+        "mixed": (vertices, np.where(some, faces[:, ::-1], faces)),
+    }[listed]
+    answer = occupied(mesh_model(mesh, pos, quat, scale=scale), (20, 20, 20), 0.2, np.zeros(3))
     assert truth.undecided == 0
     assert not len(disagreements(answer, truth))
 

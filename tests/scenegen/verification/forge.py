@@ -5,9 +5,6 @@ import hashlib
 import json
 import shutil
 import zipfile
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -23,9 +20,7 @@ DIGESTED = ("ranges", "position", "quaternion", "origin", "world", "viewpoint")
 Arrays = dict[str, np.ndarray]
 
 
-def make(
-    folder: Path, kind: str = "pillar", *, counts: dict[str, int] = COUNTS, compact: bool = False
-) -> Path:
+def make(folder, kind="pillar", *, counts=COUNTS, compact=False):
     recipe = small_recipe(kind)
     plan = plan_dataset(
         folder, recipe, DrawnWorlds(recipe), seed=0, counts=counts, compact=compact, shard_samples=6
@@ -34,25 +29,23 @@ def make(
     return folder
 
 
-def copy(folder: Path, to: Path) -> Path:
+def copy(folder, to):
     shutil.copytree(folder, to)
     return to
 
 
-def load(folder: Path, file: str) -> tuple[Arrays, dict[str, Any]]:
+def load(folder, file):
     with h5py.File(folder / file) as shard:
         return {name: shard[name][()] for name in shard}, dict(shard.attrs)
 
 
-def sample_digest(arrays: Arrays, row: int) -> bytes:
+def sample_digest(arrays, row):
     raw = b"".join(np.packbits(arrays[name][row]).tobytes() for name in ("observed", "occupancy"))
     raw += b"".join(np.asarray(arrays[name][row]).tobytes() for name in DIGESTED)
     return hashlib.sha256(raw).digest()
 
 
-def store(
-    folder: Path, file: str, arrays: Arrays, attributes: dict[str, Any], *, digests: bool = True
-) -> None:
+def store(folder, file, arrays, attributes, *, digests=True):
     """Write a shard, its samples' digests made to match, and sign the manifest again."""
     if digests:
         rows = [
@@ -68,14 +61,14 @@ def store(
     sign(folder)
 
 
-def edit(folder: Path, file: str, change: Callable[[Arrays], None]) -> None:
+def edit(folder, file, change):
     """Change a shard's arrays and leave nothing else inconsistent."""
     arrays, attributes = load(folder, file)
     change(arrays)
     store(folder, file, arrays, attributes)
 
 
-def sign(folder: Path, **changes: Any) -> None:
+def sign(folder, **changes):
     """Make the manifest's checksums and digest, and what shards say of themselves, those of the
     files."""
     given = {**manifest.read(folder), **changes}
@@ -98,13 +91,13 @@ def sign(folder: Path, **changes: Any) -> None:
     manifest.write(folder, given)
 
 
-def edit_manifest(folder: Path, **changes: Any) -> None:
+def edit_manifest(folder, **changes):
     """Change the manifest alone."""
     path = folder / manifest.NAME
     path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
 
 
-def rezip(path: Path, change: Callable[[dict[str, bytes]], None]) -> None:
+def rezip(path, change):
     """Change an archive's members."""
     with zipfile.ZipFile(path) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}

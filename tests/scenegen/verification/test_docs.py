@@ -32,7 +32,7 @@ def test_a_check_of_ones_own(folder, tmp_path, monkeypatch, capsys):
     high, low = report.checks[-2:]
     assert (high.name, high.ok, high.counts) == ("high", True, {"samples": 12})
     assert (low.ok, low.faults) == (False, 12)
-    assert run(capsys, "verify", folder, "--quick", "--check", "my_checks:high")[0] == 0
+    assert run(capsys, f"verify {folder} --quick --check my_checks:high")[0] == 0
     with pytest.raises(DatasetError, match=r"--check: .*none"):
         verify(folder, own=["my_checks:none"])
     bad = verify(folder, quick=True, own=["my_checks:bad"]).checks[-1]

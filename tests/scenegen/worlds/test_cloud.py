@@ -235,11 +235,9 @@ def test_what_is_no_map_ends_in_a_line(
 def test_the_command_says_what_it_made(scans, tmp_path, capsys):
     sensor, points = scans[0]
     write_points(tmp_path / "a.pcd", points, None, {"frame": "world", "position": sensor})
-    code, told, error = run(
-        capsys, "map", tmp_path / "a.pcd", "--voxel", 0.5, "-o", tmp_path / "b.npz", "--json"
-    )
+    code, told, error = run(capsys, f"map {tmp_path}/a.pcd --voxel 0.5 -o {tmp_path}/b.npz --json")
     assert code == 0, error
-    code, again, _ = run(capsys, "inspect", tmp_path / "b.npz", "--json")
+    code, again, _ = run(capsys, f"inspect {tmp_path}/b.npz --json")
     said, found = json.loads(told), json.loads(again)
     assert said["points"] == len(points)
     assert {key: said[key] for key in ("shape", "free", "voxel_m")} == {

@@ -8,7 +8,6 @@ import math
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from lidarsim.pose import rotate
 from lidarsim.solids.model import solids_of
@@ -16,7 +15,6 @@ from scenegen.errors import GenerationError
 from scenegen.worlds.clearance import Clearance
 from scenegen.worlds.flight import Flight, plan, viewpoints
 
-Floats = NDArray[np.float64]
 Geom = mujoco.mjtGeom
 BOUNDS = np.array([[1.0, 1.0, 0.5], [15.0, 13.0, 3.5]])
 FLIGHT = Flight(robot_radius_m=0.4, min_distance_m=5.0, step_m=2.0, iterations=1000)

@@ -107,17 +107,17 @@ def test_paths_are_as_short_as_dijkstras(step, density, edge_check):
 @pytest.mark.parametrize(("step", "weight"), [(1, 4.0), (3, 10.0), (3, 0.0)])
 def test_ways_are_weighed_by_their_risk(step, weight):
     """The path found is the cheapest of all, and no dearer than any other."""
-    rng = np.random.default_rng(step)
-    risk = rng.random(GRID.shape).astype(np.float32) ** 2
+    rng, grid = np.random.default_rng(step), GridSpec(shape=(14, 13, 9))
+    risk = rng.random(grid.shape).astype(np.float32) ** 2
     occupied = risk > 0.8
-    lattice = Lattice(GRID, step)
+    lattice = Lattice(grid, step)
     occupied[tuple(lattice.voxels(lattice.start))] = False
     config = PlanConfig(step_voxels=step, edge_check=True, risk_weight=weight)
     cost = weight * risk
-    expected = reference_lengths(occupied, GRID, step, edge_check=True, cost=cost)
+    expected = reference_lengths(occupied, grid, step, edge_check=True, cost=cost)
     reached = 0
     for node in rng.permutation(np.indices(lattice.shape).reshape(3, -1).T)[:200]:
-        path, _ = plan_path(occupied, lattice.centres(node), GRID, config, risk)
+        path, _ = plan_path(occupied, lattice.centres(node), grid, config, risk)
         voxel = tuple(lattice.voxels(node).tolist())
         assert (path is not None) == (voxel in expected)
         if path is None:
