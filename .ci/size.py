@@ -14,7 +14,7 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 295_240, "benchmarks": 31_260, "tests": 278_190}
+TOKENS = {"product": 296_060, "benchmarks": 31_310, "tests": 272_910}
 FILES = 248
 LINES = 400
 """The longest file of product code."""

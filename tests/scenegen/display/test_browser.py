@@ -194,7 +194,7 @@ def test_views_side_by_side_have_one_camera(browser, made):
         assert (state(tab, "views"), told) == ("1", [])
 
 
-def test_samples_play_one_after_the_other(browser: Any, made: Path) -> None:
+def test_samples_play_one_after_the_other(browser, made):
     with served(made) as server:
         tab, told = reached(browser, server.address)
         tab.keyboard.press(" ")
