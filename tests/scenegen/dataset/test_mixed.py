@@ -166,7 +166,7 @@ def test_one_dataset_holds_several_sensors_noises_and_scan_counts(tmp_path, caps
         clean = voxelized(sample, home.mapping)
         assert np.array_equal(sample.free, clean)
     maps = Maps([SplitSamples(found, "train")], "train", ("observed", "occluded"))
-    assert {len(maps[n]) for n in range(len(maps))} == {3}
+    assert {len(maps[n]) for n in range(len(maps))} == {4}  # two inputs, occupancy and distances
     assert len(set(maps.settings)) == 3
     code, said, _ = run(capsys, "verify", str(found.folder))
     assert (code, "failed" in said) == (0, False), said
