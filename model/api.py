@@ -14,6 +14,7 @@ from scenegen.model.evaluation.methods import Completed, Method
 from scenegen.model.evaluation.report import build_report
 from scenegen.model.evaluation.rows import find_method
 from scenegen.model.evaluation.run import bench as measure
+from scenegen.model.evaluation.run import tables_of
 from scenegen.model.training.data import Samples, opened
 from scenegen.model.training.loop import Watcher
 from scenegen.model.training.loop import train as run
@@ -110,7 +111,8 @@ def bench(
         else:
             rows.append(method if isinstance(method, Completer) else Completed(method))
     results = [
-        measure(Dataset(locate(name)), rows, config, workers=workers or cores()) for name in named
+        measure(dataset, rows, config, kind=kind, workers=workers or cores())
+        for dataset, kind in tables_of([Dataset(locate(name)) for name in named], config.split)
     ]
     return build_report(results, seed=config.seed, about={"split": config.split})
 

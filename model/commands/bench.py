@@ -24,7 +24,6 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import Progress, announce_compilation, note, say, show_figures
 from scenegen.cli.types import FILE, Named
-from scenegen.errors import DatasetError
 from scenegen.files import Json
 from scenegen.model.commands.weights import Weights
 from scenegen.model.evaluation.config import BenchConfig, PlanConfig
@@ -139,7 +138,7 @@ def run_bench(
     from scenegen.model.evaluation.page import to_html
     from scenegen.model.evaluation.report import build_report, to_markdown
     from scenegen.model.evaluation.run import bench as measure
-    from scenegen.model.evaluation.run import numbers_by_kind
+    from scenegen.model.evaluation.run import tables_of
     from scenegen.run.software import commit
 
     for name in REPORTS:
@@ -150,18 +149,7 @@ def run_bench(
         **given | ({"samples": QUICK_SAMPLES, "trials": QUICK_TRIALS} if quick else {})
     )
     check_rows(methods, datasets, config.split)
-    tables = [
-        (dataset, kind)
-        for dataset in datasets
-        # one without samples is refused when it is measured
-        for kind in numbers_by_kind(dataset.split(config.split)) or (dataset.manifest.kind,)
-    ]
-    kinds = [kind for _, kind in tables]
-    if len(set(kinds)) < len(kinds):
-        raise DatasetError(
-            f"two datasets of one kind ({', '.join(kinds)}): the tables hold one a kind; give one "
-            f"of each"
-        )
+    tables = tables_of(datasets, config.split)
     for dataset, method in product(datasets if talk else (), methods):
         for warning in getattr(method, "unlike", lambda settings: [])(dataset.settings):
             note(f"note: {dataset.folder}: {warning}")

@@ -228,6 +228,24 @@ def numbers_by_kind(split: Split) -> dict[str, list[int]]:
     return found
 
 
+def tables_of(datasets: Sequence[Dataset], split: str) -> list[tuple[Dataset, str]]:
+    """The datasets and the kinds that have a table each. Raises DatasetError where two datasets
+    have samples of one kind."""
+    found = [
+        (dataset, kind)
+        for dataset in datasets
+        # one without samples is refused when it is measured
+        for kind in numbers_by_kind(dataset.split(split)) or (dataset.manifest.kind,)
+    ]
+    kinds = [kind for _, kind in found]
+    if len(set(kinds)) < len(kinds):
+        raise DatasetError(
+            f"two datasets of one kind ({', '.join(kinds)}): the tables hold one a kind; give one "
+            f"of each"
+        )
+    return found
+
+
 def _work(
     folder: Path,
     methods: Sequence[Method],

@@ -122,6 +122,8 @@ def test_it_is_verified_inspected_measured_and_gathered(mixed, tmp_path, capsys)
     assert run(capsys, "bench", folder, *words)[0] == 0
     report = (tmp_path / "b" / "report.md").read_text()
     assert [f"## {kind}\n" in report for kind in ("pillar", "clutter", "maze")] == [True] * 3
+    told = scenegen.bench(folder, ["returns"], workers=1, samples=1, trials=3)
+    assert set(told["reconstruction"]) == {"pillar", "clutter", "maze"}
     words = ("--split", "train", "-o", str(tmp_path / "few"), "--quiet")
     assert run(capsys, "take", folder, *words)[0] == 0
     assert kinds(Dataset(tmp_path / "few"), "train") == kinds(mixed, "train")
