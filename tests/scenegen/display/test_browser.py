@@ -198,7 +198,8 @@ def test_samples_play_one_after_the_other(browser, made):
     with served(made) as server:
         tab, told = reached(browser, server.address)
         tab.keyboard.press(" ")
-        tab.wait_for_function("document.body.dataset.sample > 2")
+        later = "body:not([data-sample='0']):not([data-sample='1'])"
+        tab.wait_for_selector(later, state="attached")
         tab.keyboard.press(" ")
         tab.wait_for_timeout(1000)
         rests = state(tab, "sample")
