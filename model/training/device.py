@@ -129,6 +129,13 @@ class Group:
         if problem is not None:
             raise problem
 
+    def share_statistics(self, network: nn.Module) -> None:
+        """Give every process the first one's buffers: a user's own network may have some that each
+        updates by itself."""
+        if self.size > 1:
+            for buffer in network.buffers():
+                dist.broadcast(buffer, 0)
+
     def any(self, mine: bool) -> bool:
         """Whether any process says so."""
         return self.mean({"": float(mine)})[""] > 0
@@ -177,9 +184,11 @@ class SharedNorm(nn.BatchNorm3d):
 
     @classmethod
     def within(cls, module: nn.Module) -> None:
-        """Put one, with the same parameters, in the place of every batch norm of a module."""
+        """Put one, with the same parameters, in the place of every batch norm of a module that has
+        weights and keeps statistics, as those of `model/network.py` do."""
         for name, child in module.named_children():
-            if isinstance(child, nn.BatchNorm2d | nn.BatchNorm3d):
+            known = isinstance(child, nn.BatchNorm2d | nn.BatchNorm3d)
+            if known and child.affine and child.track_running_stats:
                 shared = cls(child.num_features, child.eps, child.momentum)
                 shared.load_state_dict(child.state_dict())
                 shared.weight, shared.bias = child.weight, child.bias
@@ -197,8 +206,9 @@ class SharedNorm(nn.BatchNorm3d):
         centred = x.float() - (mean := _Total.apply(x.float().sum(axes)) / count).view(wide)
         variance = _Total.apply(centred.square().sum(axes)) / count
         with torch.no_grad():
-            self.running_mean.lerp_(mean, self.momentum)
-            self.running_var.lerp_(variance * (count / max(count - 1, 1)), self.momentum)
             self.num_batches_tracked += 1
+            share = self.momentum or 1 / int(self.num_batches_tracked)  # without: their mean
+            self.running_mean.lerp_(mean, share)
+            self.running_var.lerp_(variance * (count / max(count - 1, 1)), share)
         scale = self.weight * torch.rsqrt(variance + self.eps)
         return (centred * scale.view(wide) + self.bias.view(wide)).to(x.dtype)

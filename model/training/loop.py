@@ -128,6 +128,7 @@ def train(
             if stop or progress.step < len(steps):
                 folder.save(progress)
                 raise StoppedError(f"stopped; the same command goes on with {out}")
+            group.share_statistics(network)
             found = validate(
                 network, checks, config.loss, config.batch, where, precision, group, workers
             )

@@ -579,6 +579,7 @@
   };
   addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || event.target.matches("select, #number")) return;
+    if (event.key === " " && event.target.matches("button, input")) return; // which it presses
     if (event.target.matches("input[type=range]") && event.key.length > 1) return; // arrows are the slider's own
     const act = keys[event.key.length === 1 ? event.key.toLowerCase() : event.key];
     if (act) act();

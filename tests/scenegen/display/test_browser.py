@@ -197,7 +197,7 @@ def test_views_side_by_side_have_one_camera(browser, made):
 def test_samples_play_one_after_the_other(browser, made):
     with served(made) as server:
         tab, told = reached(browser, server.address)
-        tab.keyboard.press(" ")
+        tab.click("#play")  # which has the focus then
         later = "body:not([data-sample='0']):not([data-sample='1'])"
         tab.wait_for_selector(later, state="attached")
         tab.keyboard.press(" ")
