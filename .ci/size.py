@@ -14,7 +14,7 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 296_180, "benchmarks": 31_310, "tests": 272_940}
+TOKENS = {"product": 296_260, "benchmarks": 31_310, "tests": 272_940}
 FILES = 248
 LINES = 400
 """The longest file of product code."""

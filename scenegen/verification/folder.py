@@ -3,6 +3,7 @@ own, then the whole is."""
 
 import functools
 import os
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
@@ -191,17 +192,18 @@ def verify(
     whole = _tasks(contract, quick=quick, seed=seed, own=own)
     tasks = execute.mine(whole)
     samples = sum(task.entry.samples for task in tasks)
-    findings = list[Findings]()
+    order, waiting = deque(task.number for task in tasks), dict[int, Findings]()
     if tasks and not quick:
         warm_up()
     guarded = _Examination(examine, _seconds, MEMORY_BYTES, _given_up)
     with closing(execute(guarded, tasks, lambda: on_start(samples))) as results:
         for found in results:
-            findings.append(found)
+            waiting[found.number] = found
+            # in the order of shards, and no more of them kept than are early
+            while order and order[0] in waiting:
+                ledger.add(waiting.pop(order.popleft()).ledger)
+                ledger.page(EXAMINED.name).count(shards=1)
             on_done(found.samples)
-    for found in sorted(findings, key=lambda found: found.number):
-        ledger.add(found.ledger)
-        ledger.page(EXAMINED.name).count(shards=1)
     for check in checks:
         with ledger.checking(check.name) as page:
             if check.folder is not None and len(tasks) == len(whole):
