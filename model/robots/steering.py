@@ -18,8 +18,9 @@ POINTS = 16
 """Of the way ahead, at which its room is measured."""
 LAG_S = 0.3
 """From a decision to brake until the vehicle brakes, seconds."""
-SIDE_S = 0.3
-"""The vehicle is so slow that it would take so many seconds to what is beside the way."""
+SIDE_S = 0.2
+"""The vehicle is so slow that it would take so many seconds to what is beside the way; half as many
+to the bounds."""
 SLOWEST_MPS = 0.5
 """What it flies in the narrowest places, metres a second."""
 TURN = 2.0
@@ -80,7 +81,8 @@ def follow(
     brakes = LAG_S * speed
     look = min(brakes + speed * speed / pull + 0.5, float(ends[-1]))
     points = next_points(look)
-    wide = np.minimum(room(points) - radius, np.minimum(points - low, high - points).min(axis=1))
+    edge = np.minimum(points - low, high - points).min(axis=1)
+    wide = np.minimum(room(points) - radius, 2 * edge)
     allowed = np.maximum(wide / SIDE_S, SLOWEST_MPS)
     way = np.maximum(np.linspace(-brakes, look - brakes, POINTS), 0)
     wanted = float(np.sqrt(allowed**2 + pull * way).min())
