@@ -182,7 +182,7 @@ def test_without_datasets_it_says_which_command_makes_one(tmp_path, monkeypatch,
 
 
 WITHOUT = (
-    "import sys; sys.modules |= dict.fromkeys(('torch', 'mcap', 'gymnasium'));"
+    "import sys; sys.modules |= dict.fromkeys(('torch', 'mcap', 'gymnasium', 'lerobot'));"
     "from scenegen.__main__ import main; main()"
 )
 
@@ -190,6 +190,7 @@ WITHOUT = (
 def test_without_an_extra_it_says_what_to_install(tmp_path, shell):
     (tmp_path / "without.py").write_text(WITHOUT)
     (tmp_path / "my_command.py").write_text("import scenegen\nscenegen.Flight")
+    (tmp_path / "none.json").write_text('{"format": 1, "robot": "", "suite": "", "courses": []}')
     for extra, *words in (
         ("train", "train", "anything"),
         ("train", "complete", "anything"),
@@ -197,6 +198,7 @@ def test_without_an_extra_it_says_what_to_install(tmp_path, shell):
         ("train", "bench", "data", "--weights", "proposed"),
         ("mcap", "ingest", "drive.mcap"),
         ("fly", "my_command:fly"),
+        ("lerobot", "convert", "none.json", "--to", "lerobot", "--quiet"),
     ):
         ended = shell.python("without.py", *words, here=tmp_path)
         assert (ended.out, "Traceback" in ended.err) == ("", False), ended.err
