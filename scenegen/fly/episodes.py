@@ -79,8 +79,8 @@ def _library() -> Any:
     try:
         from datasets import disable_progress_bars
         from lerobot.datasets.lerobot_dataset import LeRobotDataset
-    except ModuleNotFoundError as error:
-        raise DatasetError(f"--to {EPISODES}: {needs(str(error.name), EPISODES)}") from None
+    except ModuleNotFoundError:
+        raise DatasetError(f"--to {EPISODES}: {needs('lerobot', EPISODES)}") from None
     disable_progress_bars()
     return LeRobotDataset
 
