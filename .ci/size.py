@@ -14,7 +14,7 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 297_220, "benchmarks": 31_310, "tests": 273_540}
+TOKENS = {"product": 297_180, "benchmarks": 31_310, "tests": 273_680}
 FILES = 249
 LINES = 400
 """The longest file of product code."""

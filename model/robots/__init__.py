@@ -48,12 +48,12 @@ def robot_maker(name: str, weights: str | None) -> "Callable[[Course], Any]":
                 f"{weights}: takes {', '.join(network.inputs)}; robots give "
                 "observed and free voxels alone"
             )
-        return lambda course: MappingRobot(network)
+        return lambda course: MappingRobot(network, doubts=True)
     known: dict[str, Callable[[Course], Any]] = {
         "returns": lambda course: MappingRobot(Returns(), memory=False),
         "optimistic": lambda course: MappingRobot(Returns()),
         "pessimistic": lambda course: MappingRobot(Conservative(), frontier=True),
-        "extrude": lambda course: MappingRobot(Extrude()),
+        "extrude": lambda course: MappingRobot(Extrude(), doubts=True),
         "truth": lambda course: TruthRobot(course.simulated),
         REACTIVE: lambda course: ReactiveRobot(),
     }

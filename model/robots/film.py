@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from lidarsim import GridSpec
+from lidarsim.grid import Floats, Ints, Mask
 from lidarsim.pose import rotate
 from scenegen.display.colours import GOAL, INVENTED, SENSOR
 from scenegen.display.look import Guess, Look, Route
@@ -35,11 +35,11 @@ class _Moment:
     """What was seen at a decision, and what the robot held then."""
 
     seen: Observation
-    taken: NDArray[np.bool_] | None
+    taken: Mask | None
     """What it takes for occupied, of the scene's grid; None where it has no map."""
-    plan: NDArray[np.float64] | None
+    plan: Floats | None
     """The way ahead (n, 3), world metres."""
-    way: NDArray[np.float64]
+    way: Floats
     """The way flown until then (n, 3), world metres."""
 
 
@@ -49,7 +49,7 @@ class _Watched:
     def __init__(self, robot: Any):
         self._robot = robot
         self.held: list[tuple[Observation, Any, Any]] = []
-        self.way: list[NDArray[np.float64]] = []
+        self.way: list[Floats] = []
 
     def reset(self, about: Observation) -> None:
         self._robot.reset(about)
@@ -72,9 +72,9 @@ class _Scene:
     flown: Flown
     watched: _Watched
     grid: GridSpec
-    first: NDArray[np.int64]
+    first: Ints
     """The least voxel (3,), counted from the world's origin."""
-    truth: NDArray[np.bool_]
+    truth: Mask
     """What is occupied, of the grid's shape."""
 
     @classmethod

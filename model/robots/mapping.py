@@ -5,10 +5,11 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import ndimage
 
 from lidarsim import GridSpec, Pose, Scan, voxelize
+from lidarsim.grid import Field, Floats, Ints, Mask
 from lidarsim.pose import rotate
 from scenegen.fly.simulation import Observation
 from scenegen.model.completion.protocol import MapCompleter
@@ -30,7 +31,7 @@ RIM = 5
 PLAN = PlanConfig(step_voxels=2, iterations=20)
 
 
-def within(bounds: ArrayLike, grid: GridSpec) -> tuple[GridSpec, NDArray[np.int64]]:
+def within(bounds: ArrayLike, grid: GridSpec) -> tuple[GridSpec, Ints]:
     """The voxels of a grid, counted from the world's origin, that lie wholly within `bounds`
     (2, 3), metres, at least one along each axis: how many, and the first (3,)."""
     low, high = np.floor(np.asarray(bounds) / grid.voxel_m).astype(np.int64)
@@ -43,8 +44,8 @@ class _Rays:
     """What of a sensor its robot is told."""
 
     shape: tuple[int, ...]
-    directions_body: NDArray[np.float64]
-    times_s: NDArray[np.float64]
+    directions_body: Floats
+    times_s: Floats
     max_range_m: float
 
 
@@ -56,10 +57,20 @@ class MappingRobot:
     A* leads to the goal through all that lies within the bounds; its path is refined as the bench
     does, and followed. Without `memory`, a map is of one scan, and what it does not hold is free.
     With `frontier`, a robot that knows no way to the goal flies to where it comes nearest to it.
+    With `doubts`, a way is kept until what is seen makes it narrower, whatever is believed, and one
+    leads through what is believed where no other is left: beliefs change as the vehicle moves.
     """
 
-    def __init__(self, completer: MapCompleter, *, memory: bool = True, frontier: bool = False):
+    def __init__(
+        self,
+        completer: MapCompleter,
+        *,
+        memory: bool = True,
+        frontier: bool = False,
+        doubts: bool = False,
+    ):
         self._completer, self._memory, self._frontier = completer, memory, frontier
+        self._doubts = doubts
         self.grid: GridSpec = getattr(completer, "grid", GridSpec())
 
     def reset(self, about: Observation) -> None:
@@ -69,11 +80,11 @@ class MappingRobot:
         self._rays = _Rays(
             shape, about["directions_body"], about["times_s"], float(about["max_range_m"])
         )
-        self.path: NDArray[np.float64] | None = None
+        self.path: Floats | None = None
         """The way that it follows, (n, 3) world metres, the goal last."""
         self._least_m = 0.0
-        """What that way kept from all that was taken for occupied when it was planned, as far as it
-        was wanted."""
+        """What that way kept from all that had been seen when it was planned, as far as it was
+        wanted."""
         self._fence, self._low = within(about["bounds"], self.grid)
         """The voxels in which ways are planned, and the first of them."""
         self._forget()
@@ -87,8 +98,10 @@ class MappingRobot:
         """Hold for free, and without risk, all that the window does not show."""
         shape, far = self._fence.shape, self.grid.truncation_m
         self._distance, self._risk = np.full(shape, far, np.float32), np.zeros(shape, np.float32)
+        self._seen = self._distance.copy() if self._doubts else self._distance
+        """Distances from what is taken for occupied, and from what of it was seen."""
 
-    def act(self, observation: Observation) -> NDArray[np.float64]:
+    def act(self, observation: Observation) -> Floats:
         """See `Robot.act`."""
         position = observation["position"]
         self._corner = np.floor(position / self.grid.voxel_m).astype(np.int64)
@@ -97,7 +110,9 @@ class MappingRobot:
         self._believe()
         path = self._kept(observation)
         if path is None:
-            path = self._plan(observation)
+            path = self._plan(observation, self._distance)
+            if path is None and self._doubts:
+                path = self._plan(observation, self._seen)
             if path is not None:
                 wanted = float(self._about["radius_m"]) + SPARES_M[0]
                 self._least_m = min(self._narrowest_m(path), wanted)
@@ -106,22 +121,22 @@ class MappingRobot:
             return no_way(self._about)
         return follow(path, observation, self._about, self._room)
 
-    def taken(self) -> NDArray[np.bool_]:
+    def taken(self) -> Mask:
         """What it takes for occupied, of the voxels `within` the bounds."""
         return self._distance == 0
 
-    def _room(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _room(self, points: Floats) -> Floats:
         """How far points (n, 3), world metres, are from what is taken for occupied, (n,) metres."""
         field, voxel_m = self._distance, self.grid.voxel_m
         return np.array([field_at(field, x, y, z, voxel_m)[0] for x, y, z in points - self._start])
 
     @property
-    def origin(self) -> NDArray[np.float64]:
+    def origin(self) -> Floats:
         """The window's least corner (3,), world metres."""
         return self._corner * np.float64(self.grid.voxel_m)
 
     @property
-    def _start(self) -> NDArray[np.float64]:
+    def _start(self) -> Floats:
         """The fence's least corner (3,), world metres."""
         return self._low * np.float64(self.grid.voxel_m)
 
@@ -138,7 +153,7 @@ class MappingRobot:
             self.free = (self.free | free) & ~self.observed
             self._known[:, *window] = self.observed, self.free
 
-    def believed(self) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+    def believed(self) -> tuple[Mask, Field]:
         """What the robot takes for occupied, and the risk of meeting something, (*grid.shape)
         each."""
         found = self._completer.complete(self.observed, self.free, grid=self.grid)
@@ -157,9 +172,11 @@ class MappingRobot:
         count = np.maximum(np.minimum(corner + shape - RIM, self._low + self._fence.shape) - low, 0)
         there, here = _box(low - self._low, count), _box(low - corner, count)
         self._distance[there] = distance_field(occupied, self.grid)[here]
+        if self._doubts:
+            self._seen[there] = distance_field(self.observed, self.grid)[here]
         self._risk[there] = risk[here]
 
-    def _kept(self, observation: Observation) -> NDArray[np.float64] | None:
+    def _kept(self, observation: Observation) -> Floats | None:
         """What is left of the last path, (n, 3) world metres, until the frontier is reached that it
         led to, and while nothing that was seen since makes it narrower: else one way out and the
         next could take turns."""
@@ -173,25 +190,25 @@ class MappingRobot:
         path = np.concatenate([position[None], self.path[int(np.argmin(away)) + 1 :]])
         return path if self._narrowest_m(path) >= self._least_m else None
 
-    def _narrowest_m(self, path: NDArray[np.float64]) -> float:
-        """How near a path (n, 3) from the vehicle comes to what is taken for occupied."""
+    def _narrowest_m(self, path: Floats) -> float:
+        """How near a path (n, 3) from the vehicle comes to what was seen."""
         between = np.concatenate([path[1:], 0.5 * (path[1:] + path[:-1])])
-        return float(self._distance[self._voxels(between)].min())
+        return float(self._seen[self._voxels(between)].min())
 
-    def _voxels(self, points: NDArray[np.float64]) -> tuple[NDArray[np.int64], ...]:
+    def _voxels(self, points: Floats) -> tuple[Ints, ...]:
         """The fence's voxels that hold `points` (n, 3), world metres, or are next to them."""
         found = np.floor((points - self._start) / self.grid.voxel_m).astype(np.int64)
         return tuple(np.clip(found, 0, np.array(self._fence.shape) - 1).T)
 
-    def _plan(self, observation: Observation) -> NDArray[np.float64] | None:
-        """A path (n, 3) from the vehicle to the goal, world metres."""
+    def _plan(self, observation: Observation, distance: Field) -> Floats | None:
+        """A path (n, 3) from the vehicle to the goal, world metres, that keeps its `distance`."""
         step, voxel_m, goal = PLAN.step_voxels, self.grid.voxel_m, observation["goal"]
         ends = np.transpose(self._voxels(np.stack([observation["position"], goal])))
         first = ends[0] % step
         shape = (np.array(self._fence.shape) - 1 - first) // step + 1
         node = np.minimum(np.rint((ends[1] - first) / step).astype(np.int64), shape - 1)
         for spare in SPARES_M:
-            blocked = self._distance < float(self._about["radius_m"]) + spare
+            blocked = distance < float(self._about["radius_m"]) + spare
             blocked[tuple(first + step * node)] = False
             begin, weight = ends[0] // step, PLAN.risk_weight
             if self._frontier:
@@ -205,25 +222,23 @@ class MappingRobot:
         else:
             return None
         rough = (first + step * nodes + 0.5) * voxel_m
-        path = refine(rough, self._distance, self._fence, PLAN) if len(rough) > 2 else rough
+        path = refine(rough, distance, self._fence, PLAN) if len(rough) > 2 else rough
         met = self._voxels(path[1:] + self._start)
         path = (rough if (blocked | (self._risk > RATHER))[met].any() else path) + self._start
         return np.concatenate([observation["position"][None], path[1:], goal[None]])
 
 
-def _nearest(
-    blocked: NDArray[np.bool_], begin: NDArray[np.int64], goal: NDArray[np.int64]
-) -> NDArray[np.int64]:
+def _nearest(blocked: Mask, begin: Ints, goal: Ints) -> Ints:
     """The node (3,) nearest to the `goal` of those that can be reached from `begin` by steps along
     the axes, by which nodes are `blocked`."""
     free = ~blocked
     free[tuple(begin)] = True
     parts, _ = ndimage.label(free)
-    nodes: NDArray[np.int64] = np.argwhere(parts == parts[tuple(begin)])
+    nodes: Ints = np.argwhere(parts == parts[tuple(begin)])
     return nodes[np.argmin(((nodes - goal) ** 2).sum(axis=1))]
 
 
-def _box(low: NDArray[np.int64], count: ArrayLike) -> tuple[slice, ...]:
+def _box(low: Ints, count: ArrayLike) -> tuple[slice, ...]:
     """The voxels from `low` (3,) on, so many along each axis."""
     return tuple(map(slice, low, low + np.asarray(count)))
 
@@ -234,9 +249,9 @@ class TruthRobot(MappingRobot):
     def __init__(self, world: World | Place):
         self._world = world
         self.grid = GridSpec()
-        self._memory, self._frontier = True, False
+        self._memory, self._frontier, self._doubts = True, False, False
 
-    def believed(self) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+    def believed(self) -> tuple[Mask, Field]:
         """See `MappingRobot.believed`."""
         truth = self._world.truth(self.grid, self.origin)
         occupied = truth["occupancy"] | ~truth.get("known", np.bool_(True))

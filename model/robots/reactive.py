@@ -4,8 +4,8 @@ as can be, after the vector field histogram (Borenstein and Koren 1991), in thre
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lidarsim.grid import Floats
 from lidarsim.pose import rotate
 from scenegen.fly.simulation import Observation
 from scenegen.model.robots.steering import no_way, velocity_to
@@ -32,7 +32,7 @@ class ReactiveRobot:
         parts = [np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)]
         self._directions = np.concatenate(parts, axis=1)
 
-    def act(self, observation: Observation) -> NDArray[np.float64]:
+    def act(self, observation: Observation) -> Floats:
         """See `Robot.act`."""
         about, radius = self._about, float(self._about["radius_m"])
         to_goal = observation["goal"] - observation["position"]
@@ -52,9 +52,7 @@ class ReactiveRobot:
         speed = min(float(about["speed_mps"]), math.sqrt(2 * pull * room), math.sqrt(left) + 0.1)
         return velocity_to(ways[best], speed, observation, about)
 
-    def _free(
-        self, ways: NDArray[np.float64], observation: Observation, most: float
-    ) -> NDArray[np.float64]:
+    def _free(self, ways: Floats, observation: Observation, most: float) -> Floats:
         """How far each of the ways (n, 3) is free, (n,) metres, `most` at most."""
         there = observation["points"][np.isfinite(observation["ranges"])].astype(np.float64)
         points = rotate(observation["quaternion"], there)

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarsim import GridSpec
+from lidarsim.grid import Field, Floats, Ints, Mask
 from scenegen.errors import GenerationError
 from scenegen.fly import Rules, Vehicle
 from scenegen.truth import distance_field
@@ -81,21 +81,21 @@ def draw_missions(
 class _Room(NamedTuple):
     """Where missions are drawn."""
 
-    bounds: NDArray[np.float64]
+    bounds: Floats
     """See `Mission.bounds`, (2, 3)."""
     grid: GridSpec
     """Over the bounds, and `MARGIN` voxels around them."""
-    origin: NDArray[np.float64]
+    origin: Floats
     """Its least corner (3,), metres."""
-    blocked: NDArray[np.bool_]
+    blocked: Mask
     """(*grid.shape): where a ball's centre may not be."""
-    solid: NDArray[np.bool_]
+    solid: Mask
     """The same shape: what is not known to be free."""
-    tudf: NDArray[np.float32]
+    tudf: Field
     """The distances from it, metres."""
 
 
-def _room(world: World | Place, bounds: NDArray[np.float64], radius_m: float) -> _Room:
+def _room(world: World | Place, bounds: Floats, radius_m: float) -> _Room:
     shape = np.ceil((bounds[1] - bounds[0]) / VOXEL_M).astype(int) + 2 * MARGIN
     x, y, z = shape.tolist()
     grid = GridSpec(shape=(x, y, z), voxel_m=VOXEL_M)
@@ -111,12 +111,10 @@ def _room(world: World | Place, bounds: NDArray[np.float64], radius_m: float) ->
     return _Room(bounds, grid, origin, blocked, solid, tudf)
 
 
-def _way(blocked: NDArray[np.bool_], ends: NDArray[np.int64]) -> NDArray[np.int64]:
+def _way(blocked: Mask, ends: Ints) -> Ints:
     """The voxels (n, 3) of the shortest way between two (2, 3); (0, 3) where none is."""
     first, shape = np.zeros(3, int), np.array(blocked.shape)
-    nodes: NDArray[np.int64] = search(
-        blocked, first, shape, 1, ends[0], ends[1], False, NO_RISK, 0.0
-    )
+    nodes: Ints = search(blocked, first, shape, 1, ends[0], ends[1], False, NO_RISK, 0.0)
     return nodes
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lidarsim import Sensor, cast
 from lidarsim.engines import Caster
+from lidarsim.grid import Field, Floats
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.losses import Motion
 from lidarsim.pose import rotate
@@ -76,7 +77,7 @@ class Simulation:
         self.time_s, self.periods = 0.0, 0
         self.most_s = rules.patience * mission.shortest_m / vehicle.speed_mps
         self.outcome: Outcome | None = None
-        self.states: list[NDArray[np.float64]] = [self.state[None]]
+        self.states: list[Floats] = [self.state[None]]
         self.clearances_m = [self._clearance.at(*mission.start)]
         self._digest = hashlib.sha256()
         self._seen = b""
@@ -144,7 +145,7 @@ class Simulation:
             "time_s": np.array([self.time_s]),
         }
 
-    def step(self, command: NDArray[np.float32]) -> float:
+    def step(self, command: Field) -> float:
         """Fly one period by a `command` (4,) of `bounded`, or until the flight ends.
 
         The vehicle touches nothing, to a millimetre, between any two steps: where the way that it
@@ -208,13 +209,13 @@ class Simulation:
         }
 
 
-def _quadrotor(state: NDArray[np.float64], vehicle: Vehicle) -> "Quadrotor":
+def _quadrotor(state: Floats, vehicle: Vehicle) -> "Quadrotor":
     from scenegen.fly.dynamics import Quadrotor
 
     return Quadrotor(state, vehicle)
 
 
-def bounded(action: Any, vehicle: Vehicle) -> tuple[NDArray[np.float32] | None, bool]:
+def bounded(action: Any, vehicle: Vehicle) -> tuple[Field | None, bool]:
     """What a robot said, as commands.
 
     Args:

@@ -21,8 +21,10 @@ FLIGHTS = 5
 """Missions through each world."""
 APART_M = 10.0
 """Distance from start to goal at least, metres, where a pair so far apart is connected."""
-RADIUS_M = 0.2
-"""The vehicle's, metres: it passes through the doors of hard rooms."""
+VEHICLE = Vehicle(radius_m=0.2, speed_mps=6, acceleration_mps2=6, tilt_deg=45)
+"""So small that it passes through the doors of hard rooms; so fast that what is seen late tells."""
+PATIENCE = 20.0
+"""A flight ends after so many times the shortest way at full speed."""
 HIDDEN = 50
 """Worlds of a hidden track."""
 MAPS = {
@@ -110,8 +112,8 @@ def _course(kind: str, difficulty: str | None, seed: int, document: str) -> Cour
         world=kind,
         seed=seed,
         difficulty=difficulty,
-        vehicle=Vehicle(radius_m=RADIUS_M),
-        rules=Rules(apart_m=APART_M),
+        vehicle=VEHICLE,
+        rules=Rules(apart_m=APART_M, patience=PATIENCE),
         flights=FLIGHTS,
         document=document,
     )
