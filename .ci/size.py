@@ -14,8 +14,8 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 296_260, "benchmarks": 31_310, "tests": 272_940}
-FILES = 248
+TOKENS = {"product": 297_180, "benchmarks": 31_310, "tests": 273_680}
+FILES = 249
 LINES = 400
 """The longest file of product code."""
 WIDTH = 100

@@ -97,9 +97,17 @@ def __getattr__(name: str) -> Any:
     knows."""
     from importlib import import_module
 
+    from scenegen.errors import lacking
+
     for module, names in _MODULES.items():
         if name in names:
-            found = getattr(import_module(module), name)
+            try:
+                found = getattr(import_module(module), name)
+            except ModuleNotFoundError as error:
+                if said := lacking(error):
+                    text = f"scenegen.{name} {said}"
+                    raise ModuleNotFoundError(text, name=error.name) from None
+                raise
             globals()[name] = found
             return found
     raise AttributeError(f"module 'scenegen' has no attribute {name!r}")

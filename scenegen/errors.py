@@ -2,13 +2,24 @@
 expected, how to fix it."""
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 from lidarsim.parameters import shown
 from lidarsim.registry import own_line
 
 short = shown
 """A stranger's value for an error's line."""
+EXTRAS = {
+    "gymnasium": "fly",
+    "matplotlib": "view",
+    "mcap": "mcap",
+    "mcap_ros2": "mcap",
+    "PIL": "view",
+    "rerun": "rerun",
+    "safetensors": "train",
+    "torch": "train",
+}
+"""Packages that are needed beyond the core, and the extra that brings each."""
 MOST_REPEATED = 1000
 """Characters that an error's line repeats of another's, which may hold a stranger's text."""
 
@@ -103,8 +114,23 @@ def escaped(text: object) -> str:
 
 def needs(packages: str, extra: str) -> str:
     """What to say where `packages` of our optional dependencies `extra` are not installed, and how
-    to get them."""
+    to get them: of the file that scenegen was installed from, or in its checkout."""
+    import json
+    from importlib.metadata import PackageNotFoundError, distribution
+    from urllib.parse import unquote, urlsplit
+
+    with suppress(PackageNotFoundError):
+        origin = json.loads(distribution("scenegen-lidar").read_text("direct_url.json") or "{}")
+        if "archive_info" in origin:
+            path = unquote(urlsplit(origin["url"]).path)
+            return f"needs {packages}: pip install '{path}[{extra}]'"
     return f"needs {packages}; in scenegen's checkout: pip install -e '.[{extra}]'"
+
+
+def lacking(error: ModuleNotFoundError) -> str:
+    """What to say of a package that is missing, if one of `EXTRAS` brings it; "" else."""
+    package = str(error.name).partition(".")[0]
+    return needs(package, EXTRAS[package]) if package in EXTRAS else ""
 
 
 def empty_split(split: str) -> str:

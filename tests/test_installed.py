@@ -92,6 +92,8 @@ def test_the_wheel_works_in_an_empty_environment_beside_a_users_own_files(tmp_pa
     (tmp_path / "mine.py").write_text(SCRIPT)
     assert run(python, "mine.py", cwd=tmp_path).startswith("extrude")
     assert "Usage: scenegen" in run(python, "-m", "scenegen", "--help", cwd=tmp_path)
+    told = "from scenegen.errors import needs; print(needs('torch', 'train'))"
+    assert f"'{wheel}[train]'" in run(python, "-c", told, cwd=tmp_path)
     small = ("--n", 5, "--val", 0, "--test", 5, "--workers", 1, "--quiet")
     run(python, "-m", "scenegen", "generate", "--kind", "pillar", *small, cwd=tmp_path)
     bench = run(

@@ -20,21 +20,12 @@ from scenegen.errors import (
     ScenegenError,
     StoppedError,
     is_out_of_memory,
-    needs,
+    lacking,
     printable,
     raised_as,
     told,
 )
 
-EXTRAS = {
-    "torch": "train",
-    "safetensors": "train",
-    "matplotlib": "view",
-    "mcap_ros2": "mcap",
-    "rerun": "rerun",
-    "PIL": "view",
-}
-"""Packages that commands need beyond the core, and the extra that brings each."""
 MOST_REPEATED = 1000
 """Characters of a line about words that a user gave: it repeats them."""
 
@@ -135,8 +126,8 @@ def _end(error: BaseException) -> tuple[int, str]:
             return 1, error.format_message()
         case click.Abort() | KeyboardInterrupt() | StoppedError():
             return stops.CODE, str(error) if isinstance(error, StoppedError) else stops.STOPPED
-        case ModuleNotFoundError(name=str(name)) if name in EXTRAS:
-            return 1, f"this command {needs(name, EXTRAS[name])}"
+        case ModuleNotFoundError() if said := lacking(error):
+            return 1, f"this command {said}"
         case MemoryError() | RuntimeError() if is_out_of_memory(error):
             return 1, "out of memory; use smaller numbers (such as --batch), or a larger machine"
         case Exception() if isinstance(error := told(error), ScenegenError):

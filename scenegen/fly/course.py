@@ -12,6 +12,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidarsim import AnalyticEngine, Pose, Sensor
 from lidarsim.noise.chain import Noise
@@ -177,25 +178,28 @@ def replay(recording: Recording) -> Iterator[tuple[Course, Flown, bool]]:
     for course, flights in recording.courses:
         for number, flown in enumerate(flights[: len(course.missions)]):
             simulation = course.simulation(number)
-            count = sum(1 for _ in _seen_again(simulation, flown))
+            count = sum(1 for _ in flown_again(simulation, flown))
             simulation.outcome = simulation.outcome or flown.outcome
             again = scored(simulation, list(flown.commands[:count]), [], Counter(), "")
             same = (again.digest, again.outcome) == (flown.digest, flown.outcome)
             yield course, again, same
 
 
-def _seen_again(simulation: Simulation, flown: Flown) -> Iterator[Observation]:
-    """What was seen on a flight, while its commands are flown again."""
+def flown_again(
+    simulation: Simulation, flown: Flown
+) -> Iterator[tuple[Observation, NDArray[np.float32], float]]:
+    """What was seen on a flight, while its commands are flown again; with each command (4,), and
+    its reward."""
     for command in flown.commands:
         if simulation.outcome is not None or bounded(command, simulation.vehicle)[0] is None:
             return
-        yield simulation.observe()
-        simulation.step(command)
+        seen = simulation.observe()
+        yield seen, command, simulation.step(command)
 
 
 def log_of(course: Course, number: int, flown: Flown) -> Iterator[LogScan]:
     """The log of a flight: what its sensor saw ten times a second, from the body's pose."""
-    for seen in _seen_again(course.simulation(number), flown):
+    for seen, *_ in flown_again(course.simulation(number), flown):
         points = seen["points"][np.isfinite(seen["ranges"])]
         pose = Pose(seen["position"], seen["quaternion"])
         yield LogScan(float(seen["time_s"][0]), pose, points.astype(np.float64))

@@ -12,9 +12,6 @@ from numpy.typing import NDArray
 from scenegen.fly.course import Course
 from scenegen.fly.simulation import Observation, Simulation, bounded
 
-PRIZE = 10.0
-"""What reaching the goal is worth, and what any other end costs."""
-
 
 class Flight(gymnasium.Env[Observation, NDArray[np.float32]]):
     """A quadrotor with a LiDAR flies to a goal: `gymnasium.make("scenegen/Fly-v0")`.
@@ -64,16 +61,10 @@ class Flight(gymnasium.Env[Observation, NDArray[np.float32]]):
         """Fly a period. `info` has the `outcome` once there is one."""
         flying = self._flying
         assert flying is not None, "reset comes first"
-        before = self._left_m(flying)
         command, _ = bounded(action, flying.vehicle)
         if command is None:
             raise ValueError(f"action = {action!r}: expected four finite numbers")
-        flying.step(command[0])
+        reward = flying.step(command[0])
         ended = flying.outcome not in (None, "timeout")
-        prize = (PRIZE if flying.outcome == "success" else -PRIZE) * ended
-        reward = before - self._left_m(flying) + prize
         info = {"outcome": flying.outcome} if flying.outcome else {}
         return flying.observe(), reward, ended, flying.outcome == "timeout", info
-
-    def _left_m(self, flying: Simulation) -> float:
-        return math.dist(flying.state[:3], flying.mission.goal)

@@ -35,6 +35,8 @@ Outcome = Literal["success", "collision", "left", "timeout", "crashed", "hung", 
 """How a flight ended: at its goal; at a solid; beyond the flight bounds; out of time; or because
 its robot raised or died, did not answer, or said too much."""
 Observation = dict[str, NDArray[Any]]
+PRIZE = 10.0
+"""What reaching the goal is worth, and what any other end but that of time costs."""
 
 
 class Simulation:
@@ -143,13 +145,18 @@ class Simulation:
             "time_s": np.array([self.time_s]),
         }
 
-    def step(self, command: Field) -> None:
+    def step(self, command: Field) -> float:
         """Fly one period by a `command` (4,) of `bounded`, or until the flight ends.
 
         The vehicle touches nothing, to a millimetre, between any two steps: where the way that it
         flew is longer than what was free before, the whole motion is checked. A step's way strays
         from its chord by its acceleration times the square of its time over eight at most.
+
+        Returns:
+            The reward: by how many metres the goal is nearer, and `PRIZE` at the goal, its negative
+            at a collision or beyond the bounds.
         """
+        before_m = self._left_m()
         vehicle, low_high = self.vehicle, np.array(self.mission.bounds)
         if self._body:
             states, pull = self._body.advance(command), self._body.most_pull
@@ -178,8 +185,13 @@ class Simulation:
         self.state = states[flown - 1]
         self.periods += 1
         self.time_s = (self.periods - 1) * PERIOD_S + flown * STEP_S
+        prize = 0.0 if self.outcome is None else PRIZE if self.outcome == "success" else -PRIZE
         if self.outcome is None and self.time_s >= self.most_s:
             self.outcome = "timeout"
+        return before_m - self._left_m() + prize
+
+    def _left_m(self) -> float:
+        return math.dist(self.state[POSITION], self.mission.goal)
 
     def measured(self) -> dict[str, float]:
         """What was flown: `flown_m`, `speed_mps` on average, `min_clearance_m`,

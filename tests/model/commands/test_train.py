@@ -181,22 +181,28 @@ def test_without_datasets_it_says_which_command_makes_one(tmp_path, monkeypatch,
     assert "scenegen generate --kind pillar" in error
 
 
-WITHOUT_TORCH = (
-    "import sys; sys.modules['torch'] = None; from scenegen.__main__ import main; main()"
+WITHOUT = (
+    "import sys; sys.modules |= dict.fromkeys(('torch', 'mcap', 'gymnasium', 'lerobot'));"
+    "from scenegen.__main__ import main; main()"
 )
 
 
-def test_without_torch_it_says_what_to_install(tmp_path, shell):
-    (tmp_path / "without.py").write_text(WITHOUT_TORCH)
-    for words in (
-        ("train", "anything"),
-        ("complete", "anything"),
-        ("networks",),
-        ("bench", "data", "--weights", "proposed"),
+def test_without_an_extra_it_says_what_to_install(tmp_path, shell):
+    (tmp_path / "without.py").write_text(WITHOUT)
+    (tmp_path / "my_command.py").write_text("import scenegen\nscenegen.Flight")
+    (tmp_path / "none.json").write_text('{"format": 1, "robot": "", "suite": "", "courses": []}')
+    for extra, *words in (
+        ("train", "train", "anything"),
+        ("train", "complete", "anything"),
+        ("train", "networks"),
+        ("train", "bench", "data", "--weights", "proposed"),
+        ("mcap", "ingest", "drive.mcap"),
+        ("fly", "my_command:fly"),
+        ("lerobot", "convert", "none.json", "--to", "lerobot", "--quiet"),
     ):
         ended = shell.python("without.py", *words, here=tmp_path)
-        assert (ended.code, ended.out, ended.err.count("\n")) == (1, "", 1), ended.err
-        assert "pip install -e '.[train]'" in ended.err
+        assert (ended.out, "Traceback" in ended.err) == ("", False), ended.err
+        assert f"pip install -e '.[{extra}]'" in ended.err
 
 
 def train_until_stopped(error):
