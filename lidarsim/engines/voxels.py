@@ -77,19 +77,20 @@ class VoxelEngine:
         rays = np.array(directions, dtype=np.float64, order="C")
         shape, asked = rays.shape[:-1], (starts, rays, np.array(max_range_m))
         if not (self._last and all(map(np.array_equal, self._last, asked))):
-            ranges, unknown = np.full(shape, np.inf), np.zeros(shape)
+            ranges, unknown = np.full(shape, np.inf), np.empty(shape)
             count = int(np.prod(shape[1:]))
             if not _cast(
                 starts,
                 rays.reshape(len(starts), count, 3),
                 float(max_range_m),
-                self._voxels.states,
+                np.ascontiguousarray(self._voxels.states),
                 self._voxels.voxel_m,
                 self._voxels.origin,
                 ranges.reshape(len(starts), count),
                 unknown.reshape(len(starts), count),
                 float(most_unknown_m),
                 float(most_share),
+                shape[-1],
             ):
                 return False
             self._last = *asked, ranges, unknown
@@ -108,19 +109,28 @@ def _cast(
     unknown,
     most_unknown_m,
     most_share,
+    columns,
 ):
     """Fill ranges (P, n) and metres of unknown space (P, n) for directions (P, n, 3), unless more
     than `most_share` of the rays cross more than `most_unknown_m`: False. Rays that do so are
-    walked to their ends only when that is decided, and the last of a scan, which look up, first."""
-    marked = 0
-    for again in (False, True):
-        limit = math.inf if again else most_unknown_m
+    walked to their ends only when that is decided, in the third sweep. In the first, from the last
+    row of `columns` rays on, which looks up, are those above which one does so: most do, too."""
+    marked, unknown[:] = 0, -1.0
+    for sweep in range(3):
+        limit = math.inf if sweep == 2 else most_unknown_m
         for p in range(len(origins)):
             if not abs(origins[p, 0]) + abs(origins[p, 1]) + abs(origins[p, 2]) < math.inf:
+                unknown[p] = 0.0
                 continue
             for n in range(directions.shape[1] - 1, -1, -1):
-                if again and not unknown[p, n] > most_unknown_m:
+                above = n if sweep == 2 else n + columns
+                if sweep == 1:
+                    left_out = unknown[p, n] >= 0.0
+                else:
+                    left_out = above < len(unknown[p]) and not unknown[p, above] > most_unknown_m
+                if left_out:
                     continue
+                unknown[p, n] = 0.0
                 x, y, z = directions[p, n, 0], directions[p, n, 1], directions[p, n, 2]
                 length2 = x * x + y * y + z * z
                 if abs(length2 - 1.0) <= 2e-6:  # as `Engine.cast` has it; not where it is NaN
@@ -160,37 +170,35 @@ def _first(position, direction, max_range_m, states, voxel_m, origin, most_unkno
     i, bx, tx = enter(sx, t, px, nx)
     j, by, ty = enter(sy, t, py, ny)
     k, bz, tz = enter(sz, t, pz, nz)
-    ux, uy, uz = 1 if px > 0.0 else -1, 1 if py > 0.0 else -1, 1 if pz > 0.0 else -1
+    ux, uy, uz = 1.0 if px > 0.0 else -1.0, 1.0 if py > 0.0 else -1.0, 1.0 if pz > 0.0 else -1.0
+    dx, dy, dz = int(ux) * ny * nz, int(uy) * nz, int(uz)
+    cells, cell = states.reshape(-1), (i * ny + j) * nz + k
     while True:
-        at = min(min(tx, ty), min(tz, leave))
-        way = at - t
-        if way > 0.0:
-            state = states[i, j, k]
-            if state == OCCUPIED and way >= LEAST_CHORD_M:
-                middle = t + 0.5 * way
-                return (middle if middle <= max_range_m else math.inf), unknown
+        # each crossing is computed from its boundary's own number: errors do not add up
+        state, at = cells[np.uint64(cell)], min(leave, min(tx, min(ty, tz)))
+        if state != FREE and at > t:
             if state == UNKNOWN:
                 unknown += min(at, max_range_m) - t
                 if unknown > most_unknown_m:
                     break
-            t = at
+            elif at - t >= LEAST_CHORD_M:
+                middle = t + 0.5 * (at - t)
+                return (middle if middle <= max_range_m else math.inf), unknown
+        t = max(t, at)
         if at >= leave or t >= max_range_m:
             break
-        # each crossing is computed from its boundary's own number: errors do not add up
-        if tx <= ty and tx <= tz:
-            i += ux
+        if tx == at:
+            cell += dx
             bx += ux
             tx = (bx - sx) * px
-        elif ty <= tz:
-            j += uy
+        elif ty == at:
+            cell += dy
             by += uy
             ty = (by - sy) * py
         else:
-            k += uz
+            cell += dz
             bz += uz
             tz = (bz - sz) * pz
-        if not (0 <= i < nx and 0 <= j < ny and 0 <= k < nz):
-            break
     return math.inf, unknown + max(max_range_m - max(t, 0.0), 0.0)
 
 

@@ -10,15 +10,17 @@ from lidarsim.jit import kernel
 from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, Solids
 from scenegen.truth.shapes import distance, local, touches, within
 from scenegen.truth.triangles import (
+    bounds,
     inside_columns,
-    meets_square,
-    plane_slopes,
+    numbered,
     triangle_touches,
 )
 
 SLACK_M = 1e-6
 """A cube touches a solid within this distance, so that a return stored in float32 lies in an
 occupied voxel."""
+SPARE_M = 0.1 * SLACK_M
+"""What a quicker test decides by less than this, is decided by the exact one."""
 
 
 def rasterize(solids: Solids, grid: GridSpec, origin: ArrayLike) -> NDArray[np.bool_]:
@@ -229,34 +231,50 @@ def _chord(a, b, c, axes, x, y, z):
 def _fill_surface(triangles, origin, voxel_m, occupancy):
     """Mark the voxels that triangles (T, 3, 3) pass through.
 
-    Columns whose square the triangle misses are left out, and of the others all voxels that its
-    plane misses by more than one.
+    Each test of `triangle_touches` holds for an interval of a row of columns or of a column. Where
+    what remains does not settle whether a voxel lies in all of them, the test itself is made.
     """
-    half = 0.5 * voxel_m
+    half, slack, spare = 0.5 * voxel_m, SLACK_M / voxel_m, SPARE_M / voxel_m
+    corners = np.empty((3, 3))
+    across, up_x, up_y = np.empty((3, 4, max(occupancy.shape)))
     for n in range(len(triangles)):
         a, b, c = triangles[n, 0], triangles[n, 1], triangles[n, 2]
         low = (min(a[0], b[0], c[0]), min(a[1], b[1], c[1]), min(a[2], b[2], c[2]))
         high = (max(a[0], b[0], c[0]), max(a[1], b[1], c[1]), max(a[2], b[2], c[2]))
         i0, i1, j0, j1, k0, k1 = spans(low, high, origin, voxel_m, occupancy.shape)
-        if k0 >= k1:
+        if i0 >= i1 or j0 >= j1 or k0 >= k1:
             continue
-        slope_x, slope_y, upright = plane_slopes(a, b, c)
-        reach = half * (abs(slope_x) + abs(slope_y)) + half
+        size, noise = numbered(triangles[n], origin, voxel_m, corners)
+        bounds(corners, 0, 1, i0, i1, 0.5, slack, spare, noise, across)
+        bounds(corners, 0, 2, i0, i1, 0.5, slack, spare, noise, up_x)
+        bounds(corners, 1, 2, j0, j1, 0.5, slack, spare, noise, up_y)
+        ux, uy, uz = corners[1] - corners[0]
+        vx, vy, vz = corners[2] - corners[0]
+        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        if nz < 0.0:
+            nx, ny, nz = -nx, -ny, -nz
+        length, pace = math.sqrt(nx * nx + ny * ny + nz * nz), 1.0 / max(nz, 1e-300)
+        reach = 0.5 * (abs(nx) + abs(ny) + nz) + slack * length
+        doubt, bottom, top = spare * length + noise * size, float(k0), k1 - 1.0
         for i in range(i0, i1):
-            x = origin[0] + (i + 0.5) * voxel_m
             for j in range(j0, j1):
-                y = origin[1] + (j + 0.5) * voxel_m
-                u, v = (a[0] - x, b[0] - x, c[0] - x), (a[1] - y, b[1] - y, c[1] - y)
-                if not meets_square(u[0], v[0], u[1], v[1], u[2], v[2], half, SLACK_M):
+                if j < across[0, i] or j > across[3, i]:
                     continue
-                first, end = k0, k1
-                if not upright:
-                    height = a[2] + slope_x * (x - a[0]) + slope_y * (y - a[1])
-                    lowest, highest = height - reach, height + reach
-                    under, above = span(lowest, highest, origin[2], voxel_m, occupancy.shape[2])
-                    first, end = max(first, under - 1), min(end, above + 1)
-                for k in range(first, end):
-                    if not occupancy[i, j, k]:
-                        z = origin[2] + (k + 0.5) * voxel_m
-                        if triangle_touches(a, b, c, x, y, z, half, SLACK_M):
-                            occupancy[i, j, k] = True
+                level = nx * (corners[0, 0] - i) + ny * (corners[0, 1] - j) + nz * corners[0, 2]
+                least, most = level - reach, level + reach
+                may = max(max(up_x[0, i], up_y[0, j]), (least - doubt) * pace)
+                must = max(max(up_x[1, i], up_y[1, j]), (least + doubt) * pace)
+                must_not = min(min(up_x[2, i], up_y[2, j]), (most - doubt) * pace)
+                may_not = min(min(up_x[3, i], up_y[3, j]), (most + doubt) * pace)
+                first = math.ceil(min(max(may, bottom), top + 1.0))
+                last = math.floor(max(min(may_not, top), bottom - 1.0))
+                sure = across[1, i] <= j <= across[2, i]
+                if sure and must <= first and last <= must_not:
+                    for k in range(first, last + 1):
+                        occupancy[i, j, k] = True
+                    continue
+                x, y = origin[0] + (i + 0.5) * voxel_m, origin[1] + (j + 0.5) * voxel_m
+                for k in range(first, last + 1):
+                    z = origin[2] + (k + 0.5) * voxel_m
+                    if not occupancy[i, j, k] and triangle_touches(a, b, c, x, y, z, half, SLACK_M):
+                        occupancy[i, j, k] = True

@@ -7,9 +7,6 @@ import numpy as np
 
 from lidarsim.jit import kernel
 
-STEEP = 1e3
-"""Triangles that rise more than so many metres a metre count as upright."""
-
 
 @kernel
 def triangle_touches(a, b, c, x, y, z, half, slack):
@@ -66,15 +63,64 @@ def _apart(ax, ay, bx, by, cx, cy, half, slack):
 
 
 @kernel
-def plane_slopes(a, b, c):
-    """How the height of the plane through abc rises along x and along y, and whether it is too
-    steep to say."""
-    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    if abs(nz) * STEEP <= abs(nx) + abs(ny):
-        return 0.0, 0.0, True
-    return -nx / nz, -ny / nz, False
+def numbered(triangle, origin, voxel_m, corners):
+    """Fill `corners` (3, 3) with a triangle's, counted in voxels from the first one's centre.
+
+    Returns the triangle's greatest extent along an axis plus one, and what rounding may do to the
+    products that `bounds` compares; both in voxels.
+    """
+    size, far = 1.0, 0.0
+    for q in range(3):
+        for n in range(3):
+            corners[n, q] = (triangle[n, q] - origin[q]) / voxel_m - 0.5
+            far = max(far, abs(triangle[n, q]) + abs(origin[q]))
+        low, high = _extent(corners, q)
+        size = max(size, high - low + 1.0)
+    return size, 1e-14 * size * (far / voxel_m + 1.0)
+
+
+@kernel
+def _extent(corners, axis):
+    """Least and greatest coordinate along an axis."""
+    a, b, c = corners[0, axis], corners[1, axis], corners[2, axis]
+    return min(a, b, c), max(a, b, c)
+
+
+@kernel
+def bounds(corners, p, q, first, end, half, slack, spare, noise, found):
+    """Fill `found` (4, n): where along axis q a square of the plane p, q has its centre when its
+    place along p is a number from `first` to `end` and no edge, and no side of the bounding box,
+    has the triangle more than `slack` apart from it. All in voxels, see `numbered`.
+
+    Rows are the least place that may do so, the least and the greatest that surely do, and the
+    greatest that may: between them lie `spare`, and `noise` for rounding.
+    """
+    wide = half + slack
+    low, high = _extent(corners, p)
+    low_q, high_q = _extent(corners, q)
+    for n in range(first, end):
+        sure = low - wide + spare < n < high + wide - spare
+        found[0, n], found[3, n] = low_q - wide - spare, high_q + wide + spare
+        found[1, n] = low_q - wide + spare if sure else math.inf
+        found[2, n] = high_q + wide - spare if sure else -math.inf
+    for e in range(3):
+        a, b, c = e, (e + 1) % 3, (e + 2) % 3
+        d, h = corners[b, p] - corners[a, p], corners[b, q] - corners[a, q]
+        if d == 0.0 and h == 0.0:  # seen along itself, an edge is a point, and parts nothing
+            continue
+        if d < 0.0:  # walked the other way, the edge is the same
+            a, b, d, h = b, a, -d, -h
+        length, pace = math.sqrt(d * d + h * h), 1.0 / max(d, 1e-300)
+        reach, doubt = half * (d + abs(h)) + slack * length, spare * length + noise
+        edge_0 = corners[a, q] * d - corners[a, p] * h
+        corner_0 = corners[c, q] * d - corners[c, p] * h
+        below, above = min(edge_0, corner_0) - reach, max(edge_0, corner_0) + reach
+        for n in range(first, end):
+            least, most = below + n * h, above + n * h
+            found[0, n] = max(found[0, n], (least - doubt) * pace)
+            found[1, n] = max(found[1, n], (least + doubt) * pace)
+            found[2, n] = min(found[2, n], (most - doubt) * pace)
+            found[3, n] = min(found[3, n], (most + doubt) * pace)
 
 
 @kernel
@@ -112,7 +158,8 @@ def triangle_distance(a, b, c, x, y, z):
 
 @kernel
 def _side(a, b, x, y):
-    """On which side of the line ab, seen from above, (x, y) lies: +1 left, -1 right, never 0.
+    """On which side of the line ab, seen from above, (x, y) lies: +1 left, -1 right, 0 only where a
+    and b are one point.
 
     The two triangles at an edge must agree, so the ends are put in order first, and a point right
     on the line counts as moved by (e, e^2) with an infinitely small e > 0.
@@ -125,6 +172,8 @@ def _side(a, b, x, y):
     area = dx * (y - py) - dy * (x - px)
     if area == 0.0:
         area = -dy if dy != 0.0 else dx
+        if area == 0.0:
+            return 0
     left = area > 0.0
     return 1 if left != swap else -1
 
@@ -136,14 +185,20 @@ def crossing(a, b, c, x, y):
     s = _side(a, b, x, y)
     if s != _side(b, c, x, y) or s != _side(c, a, x, y):
         return 0, 0.0
+    return s, _height(a, b, c, x, y)
+
+
+@kernel
+def _height(a, b, c, x, y):
+    """Where the vertical line at (x, y), which crosses the triangle abc, does so."""
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     normal_z = ux * vy - uy * vx
     if normal_z == 0.0:
-        return s, max(a[2], b[2], c[2])
+        return max(a[2], b[2], c[2])
     slope_x, slope_y = (uy * vz - uz * vy) / normal_z, (uz * vx - ux * vz) / normal_z
     height = a[2] - slope_x * (x - a[0]) - slope_y * (y - a[1])
-    return s, min(max(height, min(a[2], b[2], c[2])), max(a[2], b[2], c[2]))
+    return min(max(height, min(a[2], b[2], c[2])), max(a[2], b[2], c[2]))
 
 
 @kernel
@@ -162,20 +217,28 @@ def inside_columns(triangles, origin, voxel_m, occupancy):
         return
     winding = np.zeros((i_high - i_low, j_high - j_low, nz), np.int32)
     first = np.full(winding.shape[:2], nz, np.int32)  # the lowest voxel of a column that changes
+    corners, across = np.empty((3, 3)), np.empty((4, nx))
     for n in range(len(triangles)):
         a, b, c = triangles[n, 0], triangles[n, 1], triangles[n, 2]
         i0 = _first_column(min(a[0], b[0], c[0]), origin[0], voxel_m)
         j0 = _first_column(min(a[1], b[1], c[1]), origin[1], voxel_m)
         i1 = min(_last_column(max(a[0], b[0], c[0]), origin[0], voxel_m), nx)
         j1 = min(_last_column(max(a[1], b[1], c[1]), origin[1], voxel_m), ny)
+        if i0 >= i1 or j0 >= j1:
+            continue
+        _, noise = numbered(triangles[n], origin, voxel_m, corners)
+        bounds(corners, 0, 1, i0, i1, 0.0, 0.0, noise, noise, across)
+        up = _side(a, b, c[0], c[1])
         for i in range(i0, i1):
             x = origin[0] + (i + 0.5) * voxel_m
             for j in range(j0, j1):
+                if j < across[0, i] or j > across[3, i]:
+                    continue
                 y = origin[1] + (j + 0.5) * voxel_m
-                u, v = (a[0] - x, b[0] - x, c[0] - x), (a[1] - y, b[1] - y, c[1] - y)
-                if not meets_square(u[0], v[0], u[1], v[1], u[2], v[2], 0.0, 0.0):
-                    continue  # most columns, by a cheaper test
-                sign, height = crossing(a, b, c, x, y)
+                if across[1, i] <= j <= across[2, i]:
+                    sign, height = up, _height(a, b, c, x, y)
+                else:
+                    sign, height = crossing(a, b, c, x, y)
                 if sign != 0:
                     k = max(math.ceil((height - origin[2]) / voxel_m - 0.5), 0)
                     if k < nz:

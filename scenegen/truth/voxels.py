@@ -83,8 +83,15 @@ def _resample(states, first, edge, voxel_m, occupancy, known):
                     for c in range(high - low):
                         any_of[c] |= column[c]
                         all_of[c] &= column[c]
+            begin, end = 0, high - low
+            while begin < end and any_of[begin] == UNKNOWN:
+                begin += 1
+            while begin < end and any_of[end - 1] == UNKNOWN:
+                end -= 1
             inside = in_x[i].sum() * in_y[j].sum()
             for k in range(nz):
+                if zs[k, 1] - low <= begin or zs[k, 0] - low >= end:
+                    continue
                 found, free = UNKNOWN, FREE
                 for c in range(zs[k, 0] - low, zs[k, 1] - low):
                     found |= any_of[c]
@@ -93,12 +100,9 @@ def _resample(states, first, edge, voxel_m, occupancy, known):
                 known[i, j, k] = found != UNKNOWN
                 if found == FREE and not (free and inside * in_z[k].sum() > LEAST_KNOWN):
                     part = 0.0
-                    for b in range(ys[j, 0], ys[j, 1]):
-                        of_row = 0.0
-                        for a in range(xs[i, 0], xs[i, 1]):
-                            share = in_x[i, a - xs[i, 0]]
+                    for a in range(xs[i, 0], xs[i, 1]):
+                        for b in range(ys[j, 0], ys[j, 1]):
+                            share = in_x[i, a - xs[i, 0]] * in_y[j, b - ys[j, 0]]
                             for c in range(zs[k, 0], zs[k, 1]):
-                                in_free = in_z[k, c - zs[k, 0]] * (states[a, b, c] == FREE)
-                                of_row += share * in_free
-                        part += in_y[j, b - ys[j, 0]] * of_row
+                                part += share * in_z[k, c - zs[k, 0]] * (states[a, b, c] == FREE)
                     known[i, j, k] = part >= LEAST_KNOWN - 1e-9

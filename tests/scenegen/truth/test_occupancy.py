@@ -17,6 +17,8 @@ from scipy.spatial.transform import Rotation
 from lidarsim import GridSpec
 from lidarsim.solids.model import solids_of
 from scenegen.truth import rasterize
+from scenegen.truth.occupancy import _fill_surface
+from scenegen.truth.triangles import inside_columns, triangle_touches
 from tests.conftest import quarter
 from tests.scenegen.truth import reference
 from tests.scenegen.truth.reference import (
@@ -658,6 +660,23 @@ def test_a_triangle_occupies_the_cubes_it_grazes(count):
         assert not len(disagreements(answer, truth)), (mesh, disagreements(answer, truth)[0])
         boundary += int(truth.boundary.sum())
     assert boundary > 133 * count
+
+
+@quarter(200)
+def test_a_triangle_on_the_voxels_own_lattice_touches_what_the_test_of_each_cube_says(count):
+    """Corners at voxels' corners and centres, or a slack off them; some are one point."""
+    rng, slack = np.random.default_rng(29), 1e-6
+    for _ in range(count):
+        triangle = rng.integers(-2, 14, (3, 3)) / 2 + rng.choice([0, 0, -1, 1.05], 3) * slack
+        triangle[2] = triangle[2 - rng.integers(3)]
+        found, expected = np.zeros((2, 6, 6, 6), np.bool_)
+        _fill_surface(triangle[None], np.zeros(3), 1.0, found)
+        for i in np.ndindex(found.shape):
+            expected[i] = triangle_touches(*triangle, *np.add(i, 0.5), 0.5, slack)
+        assert np.array_equal(found, expected)
+        triangle[:, :2] = triangle[0, :2]
+        inside_columns(triangle[None], np.zeros(3), 1.0, found)
+        assert np.array_equal(found, expected), "what is upright has no inside"
 
 
 # ------------------------------------------------------------------------------------------
