@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from scenegen.model.completion.completer import Completer
     from scenegen.model.completion.protocol import Prediction
     from scenegen.model.network import Output
+    from scenegen.model.training.data import collate
     from scenegen.recipe import Recipe, preset
     from scenegen.recipes.kind import WorldKind
     from scenegen.sample import Sample
@@ -57,6 +58,7 @@ __all__ = [
     "WorldKind",
     "__version__",
     "bench",
+    "collate",
     "generate",
     "load",
     "poses_in_flight",
@@ -79,6 +81,7 @@ _MODULES = {
     "scenegen.model.completion.completer": ("Completer",),
     "scenegen.model.completion.protocol": ("Prediction",),
     "scenegen.model.network": ("Output",),
+    "scenegen.model.training.data": ("collate",),
     "scenegen.recipe": ("Recipe", "preset"),
     "scenegen.recipes.kind": ("WorldKind",),
     "scenegen.sample": ("Sample",),

@@ -314,3 +314,21 @@ def load(
             f"a loader process died ({str(error).splitlines()[0]}); give --workers 0, or more "
             f"shared memory"
         ) from None
+
+
+def collate(samples: Sequence[Sample]) -> dict[str, torch.Tensor]:
+    """Samples as one batch of sparse voxels: the `collate_fn` of a loader for MinkowskiEngine,
+    spconv or PyTorch Geometric.
+
+    Returns:
+        `coordinates` (N, 4) int32: the number of the sample in the batch and the voxel, of all
+        observed voxels; `features` (N, 1) float32, ones; the truth, `occupancy` bool and `tudf`
+        float32, metres, (B, *grid.shape) each.
+    """
+    coordinates = np.argwhere(np.stack([sample.observed for sample in samples])).astype(np.int32)
+    truth = {
+        name: torch.from_numpy(np.stack([getattr(sample, name) for sample in samples]))
+        for name in ("occupancy", "tudf")
+    }
+    ones = torch.ones(len(coordinates), 1)
+    return {"coordinates": torch.from_numpy(coordinates), "features": ones, **truth}

@@ -15,7 +15,7 @@ from scenegen.dataset.read import Dataset
 from tests.command_line import ROOT
 
 PAGE = (ROOT / "docs" / "interop.md").read_text(encoding="utf-8")
-SPARSE, BATCHES, RERUN, NODE = re.findall(r"^```python\n(.*?)^```\n", PAGE, re.M | re.S)
+BATCHES, RERUN, NODE = re.findall(r"^```python\n(.*?)^```\n", PAGE, re.M | re.S)
 SCENE = """<mujoco><worldbody>
 <geom type="plane" size="9 9 1"/><geom type="box" size="1 1 9" pos="4 0 0"/>
 <body name="robot" pos="0 0 3"><freejoint/><geom type="sphere" size=".2"/></body>
@@ -25,9 +25,9 @@ SCENE = """<mujoco><worldbody>
 def test_sparse_batches_hold_every_observed_voxel(made):
     pytest.importorskip("torch")
     names: dict[str, Any] = {}
-    exec(SPARSE + BATCHES, names)
+    exec(BATCHES, names)
     samples = Dataset(made).split("train")
-    batch = names["sparse"](samples[:3])
+    batch = scenegen.collate(samples[:3])
     numbers, *cells = batch["coordinates"].numpy().T
     observed = np.zeros(batch["occupancy"].shape, bool)
     observed[numbers, *cells] = True
