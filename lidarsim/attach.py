@@ -8,9 +8,10 @@ from typing import Any, Literal, get_args
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lidarsim.engines.analytic import AnalyticEngine, Hits
+from lidarsim.grid import Floats, Ints
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.returns import Returns, albedo_of
 from lidarsim.pose import Pose, rotate
@@ -104,7 +105,7 @@ class Attached:
             found.append(Pose(position, attitude / np.sqrt((attitude**2).sum())))
         return tuple(found)
 
-    def cast(self, data: mujoco.MjData) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    def cast(self, data: mujoco.MjData) -> tuple[Floats, Ints]:
         """Metres (M, *shape), inf where nothing is within the sensor's range, and the numbers of
         the geoms met, -1 where none."""
         engine = self._follow(data)
@@ -156,7 +157,7 @@ class Attached:
             self._engine.move(solids)
         return self._engine
 
-    def _rays(self, poses: Sequence[Pose]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _rays(self, poses: Sequence[Pose]) -> tuple[Floats, Floats]:
         """Origins (M, 3) and directions (M, *shape, 3)."""
         rays = self.sensor.directions_body
         return np.array([pose.position for pose in poses]), np.array(
@@ -171,9 +172,7 @@ class _Past:
     engine: AnalyticEngine
     carrier: int
 
-    def cast(
-        self, origins: ArrayLike, directions: ArrayLike, max_range_m: float
-    ) -> NDArray[np.float64]:
+    def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> Floats:
         """See `Engine.cast`."""
         return self.hits(origins, directions, max_range_m).ranges
 

@@ -10,8 +10,9 @@ the true value but for one in some 10^12.
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lidarsim.grid import Floats
 from lidarsim.jit import kernel
 
 HALF_PI = (1.5707963267948966, 6.123233995736766e-17, -1.4973849048591833e-33)
@@ -22,7 +23,7 @@ TERMS = 28
 """Terms of every power series: more than enough for 2^-107."""
 
 
-def sin_cos(angle: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def sin_cos(angle: ArrayLike) -> tuple[Floats, Floats]:
     """Sine and cosine of angles (...) in radians, up to 10^9 in magnitude; NaN for what is not
     finite."""
     given = np.asarray(angle, dtype=np.float64)
@@ -31,7 +32,7 @@ def sin_cos(angle: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]
     return sine, cosine
 
 
-def exp(value: ArrayLike) -> NDArray[np.float64]:
+def exp(value: ArrayLike) -> Floats:
     """e to the power of `value` (...)."""
     given = np.asarray(value, dtype=np.float64)
     result = np.empty(given.shape)
@@ -39,7 +40,7 @@ def exp(value: ArrayLike) -> NDArray[np.float64]:
     return result
 
 
-def log(value: ArrayLike) -> NDArray[np.float64]:
+def log(value: ArrayLike) -> Floats:
     """The natural logarithm of `value` (...); -inf of 0, NaN of what is negative."""
     given = np.asarray(value, dtype=np.float64)
     result = np.empty(given.shape)

@@ -10,7 +10,7 @@ from lidarsim.parameters import check, number
 Mask = NDArray[np.bool_]
 """Which voxels of a grid, or which of anything."""
 Field = NDArray[np.float32]
-"""A number for every voxel of a grid: distances, probabilities."""
+"""A number for every voxel of a grid, or every ray of a scan: distances, probabilities, ranges."""
 Floats = NDArray[np.float64]
 """Positions, directions, lengths, figures."""
 Ints = NDArray[np.int64]

@@ -4,9 +4,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lidarsim.elementary import sin_cos
+from lidarsim.grid import Floats
 from lidarsim.jit import kernel
 
 
@@ -15,9 +16,9 @@ class Pose:
     """A body's position and attitude in the world frame, z up. Raises ValueError for a quaternion
     not of length 1."""
 
-    position: NDArray[np.float64]
+    position: Floats
     """(3,), metres."""
-    quaternion: NDArray[np.float64]
+    quaternion: Floats
     """(4,), w x y z, unit length, as MuJoCo writes it: takes body coordinates to world
     coordinates."""
 
@@ -61,12 +62,12 @@ class Pose:
         w, z = (large, small) if x >= 0.0 else (abs(small), math.copysign(large, y))
         return cls(np.asarray(position, dtype=np.float64), np.array([w, 0.0, 0.0, z]))
 
-    def to_body(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def to_body(self, points: Floats) -> Floats:
         """Points (..., 3) of the world, metres, in the body's frame."""
         return rotate(self.quaternion * (1.0, -1.0, -1.0, -1.0), points - self.position)
 
 
-def rotate(quaternion: ArrayLike, vectors: ArrayLike) -> NDArray[np.float64]:
+def rotate(quaternion: ArrayLike, vectors: ArrayLike) -> Floats:
     """`vectors` (..., 3) turned by the unit `quaternion` (4,), w x y z."""
     given = np.ascontiguousarray(vectors, dtype=np.float64).view()
     given.setflags(

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.engines import Caster
+from lidarsim.grid import Field, Floats
 from lidarsim.pose import Pose, rotate
 from lidarsim.sensors import Sensor
 
@@ -16,17 +17,17 @@ class Scan:
     """What a LiDAR at a pose returned. `ranges` alone is measured: everything else about the rays
     follows."""
 
-    ranges: NDArray[np.float32]
+    ranges: Field
     """(*lidar.shape), metres along each ray; ``inf`` where nothing returned."""
     pose: Pose
     lidar: Sensor
 
     @property
-    def directions(self) -> NDArray[np.float64]:
+    def directions(self) -> Floats:
         """Unit vectors of the rays, (*lidar.shape, 3), in the world."""
         return rotate(self.pose.quaternion, self.lidar.directions_body)
 
-    def points(self) -> NDArray[np.float64]:
+    def points(self) -> Floats:
         """The returns, (M, 3) in the world, in ray order."""
         hit = np.isfinite(self.ranges)
         return (

@@ -5,12 +5,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarsim.elementary import log
 from lidarsim.engines.voxels import enter, slab
 from lidarsim.fusion import Fusion
-from lidarsim.grid import GridSpec
+from lidarsim.grid import Floats, GridSpec, Mask
 from lidarsim.jit import kernel
 from lidarsim.scan import Scan
 
@@ -24,22 +23,22 @@ class ObservedGrid:
     """What one scan, or several, tell about a grid. A voxel neither free nor observed is
     unknown."""
 
-    observed: NDArray[np.bool_]
+    observed: Mask
     """(*shape): holds at least one return."""
-    free: NDArray[np.bool_]
+    free: Mask
     """(*shape): not observed, and some ray's segment, from the sensor to its return or to the
     sensor's range, meets it with positive length."""
-    origin: NDArray[np.float64]
+    origin: Floats
     """(3,): the grid's least corner in the world, metres."""
 
 
-def unknown_grid(grid: GridSpec, origin: NDArray[np.float64]) -> ObservedGrid:
+def unknown_grid(grid: GridSpec, origin: Floats) -> ObservedGrid:
     """A grid of which nothing is known yet."""
     observed, free = np.zeros((2, *grid.shape), dtype=np.bool_)
     return ObservedGrid(observed, free, origin)
 
 
-def voxelize(scan: Scan, grid: GridSpec, origin: NDArray[np.float64] | None = None) -> ObservedGrid:
+def voxelize(scan: Scan, grid: GridSpec, origin: Floats | None = None) -> ObservedGrid:
     """Sort a scan into `grid`, centred on the sensor unless its least corner `origin` (3,) is
     given.
 
@@ -65,7 +64,7 @@ def voxelize(scan: Scan, grid: GridSpec, origin: NDArray[np.float64] | None = No
 
 
 def fuse(
-    scans: Sequence[Scan], grid: GridSpec, origin: NDArray[np.float64], fusion: Fusion | None = None
+    scans: Sequence[Scan], grid: GridSpec, origin: Floats, fusion: Fusion | None = None
 ) -> ObservedGrid:
     """Sort several scans, in the order in which they were made, into the `grid` with least corner
     `origin` (3,).
@@ -111,20 +110,20 @@ def _weigh(observed, free, odds, hit, miss, least, most):
 
 
 def crossed(
-    sensor: NDArray[np.float64],
-    points: NDArray[np.float64],
+    sensor: Floats,
+    points: Floats,
     grid: GridSpec,
-    origin: NDArray[np.float64],
-) -> NDArray[np.bool_]:
+    origin: Floats,
+) -> Mask:
     """The free voxels (*shape) of rays known by their returns alone, see `sort_points`."""
     return sort_points(sensor, points, grid, origin).free
 
 
 def sort_points(
-    sensor: NDArray[np.float64],
-    points: NDArray[np.float64],
+    sensor: Floats,
+    points: Floats,
     grid: GridSpec,
-    origin: NDArray[np.float64],
+    origin: Floats,
     *,
     reach_m: float = math.inf,
     into: ObservedGrid | None = None,

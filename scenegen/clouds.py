@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarsim.grid import Floats
 from lidarsim.sensors.table import read_npy
 from scenegen.errors import DatasetError, needs, printable
 from scenegen.files import read_bounded
@@ -49,14 +50,14 @@ LAS_BYTES_IN_S = 1e6
 class Cloud:
     """Points, and where they were seen from."""
 
-    points: NDArray[np.float64]
+    points: Floats
     """(N, 3), metres; a point of NaN or infinity is a ray that returned nothing."""
-    sensors: NDArray[np.float64] | None = None
+    sensors: Floats | None = None
     """(N, 3) or, the same for all, (1, 3): where the sensor was, in the points' frame, metres. None
     where the file does not say."""
 
 
-def read_points(path: Path) -> NDArray[np.float64]:
+def read_points(path: Path) -> Floats:
     """The points of a scan, as `Cloud` has them. Raises as `read_cloud`."""
     return read_cloud(path).points
 
@@ -137,7 +138,7 @@ def _points(
     count: int,
     *,
     text: bool,
-) -> NDArray[np.float64]:
+) -> Floats:
     """The first numbers of `fields` of `count` points. `layout` names what each point has, its
     type, and how many numbers it is of: a line of `text` a point, or point after point. Raises
     ValueError for too many points, or fewer than that."""
@@ -171,7 +172,7 @@ def _ply_header(head: bytes) -> tuple[str, int, dict[str, str]]:
     return PLY_ORDERS[form], int(count), properties
 
 
-def _numbers(text: bytes | memoryview, columns: Sequence[int], most: int) -> NDArray[np.float64]:
+def _numbers(text: bytes | memoryview, columns: Sequence[int], most: int) -> Floats:
     """`columns` of the first `most` lines. Raises ValueError where a line holds far more than a
     point."""
     ends = np.flatnonzero(np.frombuffer(text, np.uint8) == ord("\n"))
@@ -226,7 +227,7 @@ def _read_las(content: bytes) -> NDArray[np.generic]:
     )
 
 
-def _unpack_las(content: bytes) -> NDArray[np.float64]:
+def _unpack_las(content: bytes) -> Floats:
     import laspy
 
     os.dup2(

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarsim import Pose
+from lidarsim.grid import Floats
 from lidarsim.pose import rotate
 from scenegen.errors import DatasetError, short
 from scenegen.files import read_bounded
@@ -28,7 +28,7 @@ TUM = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 class Track:
     """Poses over time."""
 
-    times_s: NDArray[np.float64]
+    times_s: Floats
     """(n,), seconds, rising; NaN where no time is known."""
     poses: Sequence[Pose]
     """As many."""
@@ -99,7 +99,7 @@ def read_poses(path: Path) -> Track:
     return Track(table[:, 0], [Pose(*pair) for pair in zip(table[:, 1:4], turned, strict=True)])
 
 
-def read_numbers(path: Path) -> tuple[tuple[str, ...], NDArray[np.float64]]:
+def read_numbers(path: Path) -> tuple[tuple[str, ...], Floats]:
     """A table of finite numbers, (rows, columns), and the names in its first line, if any; lines
     are passed over from # on. Raises DatasetError for anything else."""
     try:
@@ -128,7 +128,7 @@ def read_numbers(path: Path) -> tuple[tuple[str, ...], NDArray[np.float64]]:
     return names, np.array(rows)
 
 
-def pose_of_matrix(row: NDArray[np.float64], where: str) -> Pose:
+def pose_of_matrix(row: Floats, where: str) -> Pose:
     """The pose of a matrix of 3 × 4, row by row (12,). Raises DatasetError, naming `where`, for one
     that is no rotation."""
     matrix, turned = row.reshape(3, 4), np.empty(4)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim import GridSpec, Pose, Scan, Sensor
+from lidarsim.grid import Field, Floats, Mask
 
 
 def _stored(
@@ -48,16 +49,16 @@ class Sample:
     them.
     """
 
-    observed: NDArray[np.bool_] = _stored("bool", "grid", "voxels that hold at least one return")
-    free: NDArray[np.bool_] = _stored(
+    observed: Mask = _stored("bool", "grid", "voxels that hold at least one return")
+    free: Mask = _stored(
         "bool", "grid", "voxels, less the observed ones, that a ray met on its way", derived=True
     )
-    occupancy: NDArray[np.bool_] = _stored(
+    occupancy: Mask = _stored(
         "bool",
         "grid",
         "truth: voxels whose closed cube touches a solid, or its surface where the grid is hollow",
     )
-    tudf: NDArray[np.float32] = _stored(
+    tudf: Field = _stored(
         "<f4",
         "grid",
         "truth: distance from the voxel's centre to the nearest occupied voxel's centre in the "
@@ -65,27 +66,21 @@ class Sample:
         unit="m",
         derived=True,
     )
-    ranges: NDArray[np.float32] = _stored(
+    ranges: Field = _stored(
         "<f4", "rays", "distance along each ray; inf where nothing returned", unit="m"
     )
-    position: NDArray[np.float64] = _stored(
-        "<f8", "3", "of the sensor in the world: x, y, z", unit="m"
-    )
-    quaternion: NDArray[np.float64] = _stored(
-        "<f8", "4", "the body's attitude in the world: w, x, y, z"
-    )
-    origin: NDArray[np.float64] = _stored(
-        "<f8", "3", "the grid's least corner in the world: x, y, z", unit="m"
-    )
+    position: Floats = _stored("<f8", "3", "of the sensor in the world: x, y, z", unit="m")
+    quaternion: Floats = _stored("<f8", "4", "the body's attitude in the world: w, x, y, z")
+    origin: Floats = _stored("<f8", "3", "the grid's least corner in the world: x, y, z", unit="m")
     world: int = _stored("<i8", "", "the world's number within its split")
     viewpoint: int = _stored("<i8", "", "the sample's place among its world's accepted viewpoints")
-    earlier_ranges: NDArray[np.float32] | None = _stored(
+    earlier_ranges: Field | None = _stored(
         "<f4", "earlier rays", "as `ranges`, of the scans before", unit="m", group="earlier"
     )
-    earlier_position: NDArray[np.float64] | None = _stored(
+    earlier_position: Floats | None = _stored(
         "<f8", "earlier 3", "of the sensor at each: x, y, z", unit="m", group="earlier"
     )
-    earlier_quaternion: NDArray[np.float64] | None = _stored(
+    earlier_quaternion: Floats | None = _stored(
         "<f8", "earlier 4", "the body's attitude at each: w, x, y, z", group="earlier"
     )
     return_geom: NDArray[np.int32] | None = _stored(
@@ -103,14 +98,14 @@ class Sample:
     voxel_class: NDArray[np.uint16] | None = _stored(
         "<u2", "grid", "truth: its class; 0 where not occupied", group="labels"
     )
-    known: NDArray[np.bool_] | None = _stored(
+    known: Mask | None = _stored(
         "bool",
         "grid",
         "voxels of which the map of the place knows whether they are occupied; of the others the "
         "truth says nothing",
         group="known",
     )
-    ray_known: NDArray[np.bool_] | None = _stored(
+    ray_known: Mask | None = _stored(
         "bool",
         "rays",
         "rays that cross no more unknown space than `known.most_unknown_m` before they return",
@@ -153,7 +148,7 @@ class Sample:
 
     def points(
         self, lidar: Sensor | None = None, *, frame: Literal["world", "body"] = "world"
-    ) -> NDArray[np.float64]:
+    ) -> Floats:
         """The returns of all its scans.
 
         Args:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from lidarsim.engines.forms import squared_reaches
 from lidarsim.engines.hierarchy import Hierarchy
 from lidarsim.engines.traverse import LANES, TILE, normals_of, traverse
+from lidarsim.grid import Floats, Ints
 from lidarsim.solids.shapes import PLANE, Solids
 
 if TYPE_CHECKING:
@@ -26,13 +27,13 @@ RAYS_A_THREAD = 50_000
 class Hits:
     """What rays (P, *shape) met, all in the world frame."""
 
-    ranges: NDArray[np.float64]
+    ranges: Floats
     """(P, *shape), metres; ``inf`` where nothing was met."""
-    geoms: NDArray[np.int64]
+    geoms: Ints
     """(P, *shape): numbers of the model's geoms; -1 where nothing was met."""
-    points: NDArray[np.float64]
+    points: Floats
     """(P, *shape, 3), metres; NaN where nothing was met."""
-    normals: NDArray[np.float64]
+    normals: Floats
     """(P, *shape, 3): unit normals, outward also where a ray comes from inside; NaN where nothing
     was met. A triangle's is the side from which its corners turn left: outward for a closed
     mesh."""
@@ -88,9 +89,7 @@ class AnalyticEngine:
         self._take(solids)
         self._hierarchy.refit(*self._boxes())
 
-    def cast(
-        self, origins: ArrayLike, directions: ArrayLike, max_range_m: float
-    ) -> NDArray[np.float64]:
+    def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> Floats:
         """See `lidarsim.engines.Engine.cast`."""
         starts, rays, shape = _laid_out(origins, directions)
         return self._nearest(starts, rays, max_range_m, None, shape)[0].reshape(shape)
@@ -102,7 +101,7 @@ class AnalyticEngine:
         max_range_m: float,
         *,
         through: ArrayLike | None = None,
-    ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    ) -> tuple[Floats, Ints]:
         """Ranges (P, *shape) as `cast` gives them, and the numbers (P, *shape) of the geoms met, or
         -1; `through` as for `hits`."""
         starts, rays, shape = _laid_out(origins, directions)
@@ -145,12 +144,12 @@ class AnalyticEngine:
 
     def _nearest(
         self,
-        starts: NDArray[np.float64],
-        rays: NDArray[np.float64],
+        starts: Floats,
+        rays: Floats,
         max_range_m: float,
         through: ArrayLike | None,
         shape: tuple[int, ...],
-    ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    ) -> tuple[Floats, Ints]:
         """Ranges (P, n), and which item was met: a primitive's number, beyond those a triangle's,
         or -1."""
         solids, tree = self._solids, self._hierarchy
@@ -203,12 +202,12 @@ class AnalyticEngine:
         self._reach2 = squared_reaches(solids.shape, solids.size)
 
     @cached_property
-    def _owners(self) -> NDArray[np.int64]:
+    def _owners(self) -> Ints:
         """The geoms that items belong to, (n + T + 1,): the last one is -1, which the item -1
         finds."""
         return np.append(_by_item(self._solids, self._solids.geom), -1)
 
-    def _boxes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _boxes(self) -> tuple[Floats, Floats]:
         """Boxes of what the hierarchy holds: least corners (k, 3) and greatest corners (k, 3)."""
         solids, inside = self._solids, self._bounded
         if self._around[0] is not solids.triangles:
@@ -234,15 +233,13 @@ def _neighbours(shape: tuple[int, ...]) -> NDArray[np.uint64]:
     return np.lexsort((column // broad, row // tall)).astype(np.uint64)
 
 
-def _by_item(solids: Solids, values: NDArray[np.int64]) -> NDArray[np.int64]:
+def _by_item(solids: Solids, values: Ints) -> Ints:
     """Values (n + m,) of solids as values (n + T,) of primitives and triangles."""
     plain = len(solids.shape)
     return np.concatenate([values[:plain], np.repeat(values[plain:], np.diff(solids.mesh_start))])
 
 
-def _laid_out(
-    origins: ArrayLike, directions: ArrayLike
-) -> tuple[NDArray[np.float64], NDArray[np.float64], tuple[int, ...]]:
+def _laid_out(origins: ArrayLike, directions: ArrayLike) -> tuple[Floats, Floats, tuple[int, ...]]:
     """Origins (P, 3), directions (P, n, 3) and the shape (P, *shape) of what is asked for."""
     # copies, for the kernel is compiled for arrays that can be written
     starts = np.array(origins, dtype=np.float64, order="C")

@@ -11,6 +11,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarsim.grid import Floats
 from lidarsim.jit import kernel
 
 WIDTH = 4
@@ -35,7 +36,7 @@ class Hierarchy:
     """A tree over n items, with m nodes; node 0 is the root, and children have greater numbers than
     their parents."""
 
-    boxes: NDArray[np.float64]
+    boxes: Floats
     """(m, 6, 4): least and greatest corner of every child's box, metres. A child that is not there
     has no inside."""
     links: NDArray[np.uint64]
@@ -46,12 +47,12 @@ class Hierarchy:
     """(n,): the items, leaf by leaf."""
 
     @classmethod
-    def over(cls, lower: NDArray[np.float64], upper: NDArray[np.float64]) -> Self:
+    def over(cls, lower: Floats, upper: Floats) -> Self:
         """The tree over items with least corners `lower` (n, 3) and greatest corners `upper` (n,
         3), all finite."""
         return cls(*_build(lower, upper))
 
-    def refit(self, lower: NDArray[np.float64], upper: NDArray[np.float64]) -> None:
+    def refit(self, lower: Floats, upper: Floats) -> None:
         """Take the boxes of items that have moved: quicker than a new tree, and as good while
         neighbours stay such."""
         _refit(lower, upper, self.boxes, self.links, self.ends, self.order)

@@ -5,8 +5,9 @@ from typing import Self
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lidarsim.grid import Floats
 from lidarsim.solids.model import check_forwarded, visible_geoms
 
 NEAR_ALONE = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
@@ -46,9 +47,7 @@ class MujocoEngine:
             mujoco.mj_comPos(model, data)  # where the bodies' bounding volumes are
         return cls(model, data)
 
-    def cast(
-        self, origins: ArrayLike, directions: ArrayLike, max_range_m: float
-    ) -> NDArray[np.float64]:
+    def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> Floats:
         """See `lidarsim.engines.Engine.cast`. Raises ValueError where the data were never
         forwarded, or hold places that are no numbers."""
         starts = np.ascontiguousarray(origins, dtype=np.float64)
@@ -75,9 +74,7 @@ class MujocoEngine:
         ranges[odd] = np.inf
         return ranges
 
-    def _cast_near(
-        self, origin: NDArray[np.float64], vectors: NDArray[np.float64], max_range_m: float
-    ) -> NDArray[np.float64]:
+    def _cast_near(self, origin: Floats, vectors: Floats, max_range_m: float) -> Floats:
         """Ranges (*shape) from one origin (3,) along `vectors` (*shape, 3), among the geoms of
         group 0."""
         shape = vectors.shape[:-1]
@@ -102,9 +99,7 @@ class MujocoEngine:
         return np.where(missed, np.inf, distances).reshape(shape)
 
 
-def _boxes(
-    model: mujoco.MjModel, data: mujoco.MjData
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _boxes(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Floats, Floats]:
     """Least and greatest corners (ngeom, 3) of the geoms' boxes; planes have no bounds."""
     rotation = data.geom_xmat.reshape(-1, 3, 3)
     centre = data.geom_xpos + np.einsum("gab,gb->ga", rotation, model.geom_aabb[:, :3])

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lidarsim.grid import Floats
 from lidarsim.jit import kernel
 
 UNKNOWN, FREE, OCCUPIED = 0, 1, 2
@@ -24,11 +25,11 @@ class VoxelMap:
     """(nx, ny, nz): `UNKNOWN`, `FREE` or `OCCUPIED`; x y z in that order, z up."""
     voxel_m: float
     """Edge of a voxel, metres."""
-    origin: NDArray[np.float64]
+    origin: Floats
     """(3,): the map's least corner in the world, metres."""
 
     @property
-    def bounds(self) -> NDArray[np.float64]:
+    def bounds(self) -> Floats:
         """(2, 3): the map's least and greatest corner in the world, metres."""
         extent = np.array(self.states.shape, dtype=np.float64) * self.voxel_m
         return np.stack([self.origin, self.origin + extent])
@@ -44,18 +45,16 @@ class VoxelEngine:
 
     def __init__(self, voxels: VoxelMap):
         self._voxels = voxels
-        self._last: tuple[NDArray[np.float64], ...] = ()
+        self._last: tuple[Floats, ...] = ()
 
-    def cast(
-        self, origins: ArrayLike, directions: ArrayLike, max_range_m: float
-    ) -> NDArray[np.float64]:
+    def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> Floats:
         """See `lidarsim.engines.Engine.cast`, but for the rays from within a solid: they meet the
         voxel in which they begin."""
         return self.cross(origins, directions, max_range_m)[0]
 
     def cross(
         self, origins: ArrayLike, directions: ArrayLike, max_range_m: float
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    ) -> tuple[Floats, Floats]:
         """Ranges as `cast` gives them, and the metres of unknown space that each ray crosses before
         it returns, or within `max_range_m`; both (P, *shape). Who asks after `cast` for the same
         rays pays nothing: one walk gives both."""

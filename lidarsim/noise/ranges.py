@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarsim.elementary import sin_cos
+from lidarsim.grid import Floats, Ints
 from lidarsim.noise.returns import Fault, Returns, View, normal
 from lidarsim.parameters import number
 
@@ -98,15 +98,15 @@ class Near(Fault):
         )
 
 
-def _sigma(ranges: NDArray[np.float64], of: Range) -> NDArray[np.float64]:
+def _sigma(ranges: Floats, of: Range) -> Floats:
     return of.sigma_m + of.share * ranges + of.quadratic_per_m * ranges**2
 
 
-def _normal(shape: tuple[int, ...], rng: np.random.Generator) -> NDArray[np.float64]:
+def _normal(shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
     return np.clip(normal(shape, rng=rng), -SIGMAS, SIGMAS)
 
 
-def _kept(ranges: NDArray[np.float64], view: View) -> NDArray[np.float64]:
+def _kept(ranges: Floats, view: View) -> Floats:
     """Ranges of which those behind the sensor, or beyond its reach, are lost."""
     return np.where((ranges > 0) & (ranges <= view.sensor.max_range_m), ranges, np.inf)
 
@@ -169,9 +169,7 @@ class Divergence(Fault):
         return self.resolution_m + max_range_m * 5e-4 * self.mrad
 
 
-def _echoes(
-    hits: NDArray[np.float64], resolution_m: float
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _echoes(hits: Floats, resolution_m: float) -> tuple[Floats, Ints]:
     """Means (k, *shape) and counts of the echoes of rising `hits` (k, *shape), the nearest echo
     first; ``inf`` and 0 beyond the last."""
     means, weights = np.full(hits.shape, np.inf), np.zeros(hits.shape, np.int64)
@@ -196,7 +194,7 @@ def _echoes(
     return means, weights
 
 
-def _beside(along: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _beside(along: Floats) -> tuple[Floats, Floats]:
     """Two unit vectors (..., 3) at right angles to unit vectors (..., 3) and to each other."""
     helper = np.where(np.abs(along[..., 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
     across = np.cross(helper, along)

@@ -8,17 +8,17 @@ from typing import ClassVar
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarsim.elementary import log, sin_cos
 from lidarsim.engines import Caster
+from lidarsim.grid import Floats, Mask
 from lidarsim.parameters import Checked, number
 from lidarsim.pose import Pose
 from lidarsim.scan import Scan
 from lidarsim.sensors import Sensor
 
 
-def normal(shape: tuple[int, ...], *, rng: np.random.Generator) -> NDArray[np.float64]:
+def normal(shape: tuple[int, ...], *, rng: np.random.Generator) -> Floats:
     """Standard normal numbers of any shape, two of each pair of even ones (Box and Muller 1958)."""
     count = math.prod(shape)
     length, angle = rng.random((2, (count + 1) // 2))
@@ -35,17 +35,17 @@ GREY = 0.5
 class Returns:
     """The returns of one scan, one or two echoes a ray."""
 
-    ranges: NDArray[np.float64]
+    ranges: Floats
     """(echoes, *shape), metres; ``inf`` where nothing returned."""
-    origins: NDArray[np.float64]
+    origins: Floats
     """(*shape, 3): where every ray began, in the world."""
-    directions: NDArray[np.float64]
+    directions: Floats
     """(*shape, 3): where it went."""
-    told_origins: NDArray[np.float64]
+    told_origins: Floats
     """(*shape, 3): where the sensor takes it to have begun; `origins`, unless it moves unawares."""
-    told_directions: NDArray[np.float64]
+    told_directions: Floats
     """(*shape, 3): where the sensor takes it to have gone."""
-    intensity: NDArray[np.float64] | None = None
+    intensity: Floats | None = None
     """(echoes, *shape), from 0 to 1; None where no stage gives it."""
 
     @classmethod
@@ -55,13 +55,13 @@ class Returns:
         origins = np.broadcast_to(scan.pose.position, directions.shape)
         return cls(scan.ranges.astype(np.float64)[None], origins, directions, origins, directions)
 
-    def points(self, echo: int = 0) -> NDArray[np.float64]:
+    def points(self, echo: int = 0) -> Floats:
         """Where the sensor takes the returns of one echo to be, (M, 3) in the world, in ray
         order."""
         hit = np.isfinite(self.ranges[echo])
         return self.told_origins[hit] + self.ranges[echo][hit][:, None] * self.told_directions[hit]
 
-    def but(self, **changes: NDArray[np.float64]) -> "Returns":
+    def but(self, **changes: Floats) -> "Returns":
         """The same with other values; an intensity is 0 where nothing returns any more."""
         changed = dataclasses.replace(self, **changes)
         if changed.intensity is None:
@@ -78,13 +78,11 @@ class View:
     engine: Caster
     sensor: Sensor
     pose: Pose
-    albedo: NDArray[np.float64] | None = None
+    albedo: Floats | None = None
     """(geoms,): what share of light every geom of the model reflects, see `albedo_of`; `GREY` for
     all where None."""
 
-    def cast(
-        self, origins: NDArray[np.float64], directions: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def cast(self, origins: Floats, directions: Floats) -> Floats:
         """Clean ranges (*shape) of rays that begin at origins (*shape, 3); ``inf`` beyond the
         sensor's range."""
         ranges = np.empty(directions.shape[:-1])
@@ -94,7 +92,7 @@ class View:
             ).reshape(ranges[group].shape)
         return ranges
 
-    def surfaces(self, returns: Returns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def surfaces(self, returns: Returns) -> tuple[Floats, Floats]:
         """Cosine of the angle between ray and normal, and albedo, (*shape) each, of what the rays
         meet first; 0 where that is nothing. Raises ValueError for an engine that cannot tell."""
         hits = getattr(self.engine, "hits", None)
@@ -118,7 +116,7 @@ class View:
         return cosine, albedo
 
 
-def albedo_of(model: mujoco.MjModel) -> NDArray[np.float64]:
+def albedo_of(model: mujoco.MjModel) -> Floats:
     """What share of light every geom reflects, (ngeom,): the brightness of its material's colour,
     or of its own without one, by the weights of ITU-R BT.709. Textures are not looked at."""
     colour = model.geom_rgba[:, :3].astype(np.float64)
@@ -129,7 +127,7 @@ def albedo_of(model: mujoco.MjModel) -> NDArray[np.float64]:
     )
 
 
-def _by_origin(origins: NDArray[np.float64]) -> list[tuple[NDArray[np.bool_], NDArray[np.float64]]]:
+def _by_origin(origins: Floats) -> list[tuple[Mask, Floats]]:
     """The rays that share an origin, as a mask (*shape), and that origin (3,)."""
     flat = origins.reshape(-1, 3)
     if (flat == flat[0]).all():

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarsim.elementary import sin_cos
+from lidarsim.grid import Floats
 from lidarsim.parameters import LEAST_RANGE_M, MOST_RANGE_M, MOST_RAYS, check, number
 from lidarsim.pose import rotate
 from lidarsim.sensors import CATALOGUE, SENSORS
@@ -69,17 +69,17 @@ class Device:
         raise NotImplementedError
 
     @property
-    def directions_sensor(self) -> NDArray[np.float64]:
+    def directions_sensor(self) -> Floats:
         """Unit vectors (*shape, 3) in the sensor frame: x forward, y left, z up."""
         raise NotImplementedError
 
     @property
-    def times_s(self) -> NDArray[np.float64]:
+    def times_s(self) -> Floats:
         """When each ray is cast, (*shape), seconds after the scan begins."""
         raise NotImplementedError
 
     @cached_property
-    def directions_body(self) -> NDArray[np.float64]:
+    def directions_body(self) -> Floats:
         """`directions_sensor` turned nose down by `pitch_deg`; the same bits on every processor."""
         return nose_down(self.directions_sensor, self.pitch_deg)
 
@@ -103,7 +103,7 @@ class Device:
         return f"{rays} rays of {name}{tilt}, up to {self.max_range_m:g} m"
 
 
-def nose_down(directions: NDArray[np.float64], pitch_deg: float) -> NDArray[np.float64]:
+def nose_down(directions: Floats, pitch_deg: float) -> Floats:
     """Unit vectors (..., 3) turned nose down, as an array that nobody writes to."""
     sin_half, cos_half = sin_cos(np.radians(pitch_deg) / 2)
     turned = rotate([float(cos_half), 0.0, float(sin_half), 0.0], directions)
@@ -111,9 +111,7 @@ def nose_down(directions: NDArray[np.float64], pitch_deg: float) -> NDArray[np.f
     return turned
 
 
-def pointing(
-    elevation_deg: NDArray[np.float64], azimuth_deg: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def pointing(elevation_deg: Floats, azimuth_deg: Floats) -> Floats:
     """Unit vectors (..., 3) of angles (...) that broadcast: up from the horizon, and from x towards
     y."""
     sin_e, cos_e = sin_cos(np.radians(elevation_deg))
@@ -121,7 +119,7 @@ def pointing(
     return np.stack(np.broadcast_arrays(cos_e * cos_a, cos_e * sin_a, sin_e), axis=-1)
 
 
-def angles_deg(directions: NDArray[np.float64]) -> NDArray[np.float64]:
+def angles_deg(directions: Floats) -> Floats:
     """Elevation and azimuth (2, ...) of vectors (..., 3), degrees, the inverse of `pointing`.
 
     They are rounded to a billionth: NumPy's arctangent has other last bits on other processors, and

@@ -5,9 +5,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarsim.elementary import sin_cos
+from lidarsim.grid import Floats
 from lidarsim.parameters import number
 from lidarsim.sensors.device import Device, pointing
 
@@ -33,12 +33,12 @@ class Windowed(Device):
         return (math.floor(self.points_hz * self.window_s + 1e-6),)
 
     @property
-    def times_s(self) -> NDArray[np.float64]:
+    def times_s(self) -> Floats:
         """See `Sensor.times_s`."""
         return np.arange(self.shape[0]) / self.points_hz
 
     @property
-    def _turns_begun_s(self) -> NDArray[np.float64]:
+    def _turns_begun_s(self) -> Floats:
         """The pattern's own time at every point, seconds."""
         return np.random.default_rng(self.seed).random() * HOUR_S + self.times_s
 
@@ -64,7 +64,7 @@ class Rosette(Windowed):
     """How much of the deflection is the second prism's; with a half, petals reach the centre."""
 
     @property
-    def directions_sensor(self) -> NDArray[np.float64]:
+    def directions_sensor(self) -> Floats:
         """See `Device.directions_sensor`."""
         time = self._turns_begun_s
         left, up = np.zeros(time.shape), np.zeros(time.shape)
@@ -107,7 +107,7 @@ class Coil(Windowed):
             )
 
     @property
-    def directions_sensor(self) -> NDArray[np.float64]:
+    def directions_sensor(self) -> Floats:
         """See `Device.directions_sensor`."""
         time = self._turns_begun_s
         swing = np.remainder(self.swings_hz * time, 1.0)

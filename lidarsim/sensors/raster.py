@@ -7,9 +7,9 @@ from functools import cached_property
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarsim.elementary import sin_cos
+from lidarsim.grid import Floats
 from lidarsim.parameters import LEAST_RANGE_M, MOST_RANGE_M, MOST_RAYS, check, number
 from lidarsim.sensors.device import Device, nose_down, pointing
 
@@ -61,7 +61,7 @@ class Lidar:
         return self.rows, self.columns
 
     @cached_property
-    def directions_body(self) -> NDArray[np.float64]:
+    def directions_body(self) -> Floats:
         """Unit vectors (rows, columns, 3) in the body frame, with the same bits on every
         processor."""
         elevation = _spread(self.vertical_fov_deg, self.rows, closed=True)
@@ -74,7 +74,7 @@ class Lidar:
         return nose_down(directions, self.pitch_deg if self.mount == "tilt" else 0.0)
 
     @property
-    def times_s(self) -> NDArray[np.float64]:
+    def times_s(self) -> Floats:
         """Zeros (rows, columns): all rays are cast at once, and the body stands still meanwhile."""
         return np.zeros(self.shape)
 
@@ -87,7 +87,7 @@ class Lidar:
         )
 
 
-def _spread(fov_deg: float, count: int, *, closed: bool) -> NDArray[np.float64]:
+def _spread(fov_deg: float, count: int, *, closed: bool) -> Floats:
     """`count` angles over a field of view around zero, degrees; a single one looks straight
     ahead."""
     if count == 1:
@@ -128,12 +128,12 @@ class Pinhole(Device):
         return self.height, self.width
 
     @property
-    def times_s(self) -> NDArray[np.float64]:
+    def times_s(self) -> Floats:
         """Zeros (height, width)."""
         return np.zeros(self.shape)
 
     @property
-    def directions_sensor(self) -> NDArray[np.float64]:
+    def directions_sensor(self) -> Floats:
         """See `Device.directions_sensor`."""
         wide = _tangent(self.horizontal_fov_deg / 2)
         high = (

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lidarsim.grid import Floats
 from lidarsim.parameters import LEAST_RANGE_M, MOST_RANGE_M, MOST_RAYS, Checked, number, shown
 from lidarsim.sensors import Sensor
 
@@ -32,7 +33,7 @@ class BeamTable:
     Raises ValueError for rays that have no direction, or times and a range that no scan has.
     """
 
-    rays: NDArray[np.float64]
+    rays: Floats
     """(*shape, 4): x, y, z of each ray's unit vector in the body frame, and when it is cast,
     seconds after the scan begins."""
     max_range_m: float = 10.0
@@ -103,12 +104,12 @@ class BeamTable:
         return self.rays.shape[:-1]
 
     @cached_property
-    def directions_body(self) -> NDArray[np.float64]:
+    def directions_body(self) -> Floats:
         """Unit vectors (*shape, 3) in the body frame."""
         return np.ascontiguousarray(self.rays[..., :3])
 
     @property
-    def times_s(self) -> NDArray[np.float64]:
+    def times_s(self) -> Floats:
         """(*shape), seconds after the scan begins."""
         return self.rays[..., 3]
 
@@ -211,7 +212,7 @@ def _maker(sensor: Sensor) -> str:
     ]
 
 
-def _numbers(values: ArrayLike, what: str) -> NDArray[np.float64]:
+def _numbers(values: ArrayLike, what: str) -> Floats:
     try:
         return np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):

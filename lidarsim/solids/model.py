@@ -4,8 +4,8 @@ import functools
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from lidarsim.grid import Floats, Mask
 from lidarsim.parameters import MOST_LENGTH_M, MOST_TRIANGLES
 from lidarsim.solids.shapes import HFIELD, MESH, Solids, bounding_boxes
 from lidarsim.solids.surfaces import height_field, mesh_surface
@@ -110,7 +110,7 @@ def check_forwarded(model: mujoco.MjModel, data: mujoco.MjData) -> None:
         )
 
 
-def visible_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
+def visible_geoms(model: mujoco.MjModel) -> Mask:
     """Which geoms rays can see, (ngeom,): those whose material, or whose own colour without one,
     has alpha above 0."""
     alpha = model.geom_rgba[:, 3].copy()
@@ -119,15 +119,13 @@ def visible_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
     return alpha != 0
 
 
-def _check_places(model: mujoco.MjModel, data: mujoco.MjData, seen: NDArray[np.bool_]) -> None:
+def _check_places(model: mujoco.MjModel, data: mujoco.MjData, seen: Mask) -> None:
     """Raise ValueError for geoms that are nowhere, or too far away."""
     for what, values in (("pos", data.geom_xpos), ("axes", data.geom_xmat)):
         _check_numbers(model, what, values, seen)
 
 
-def _check_numbers(
-    model: mujoco.MjModel, what: str, values: NDArray[np.float64], seen: NDArray[np.bool_]
-) -> None:
+def _check_numbers(model: mujoco.MjModel, what: str, values: Floats, seen: Mask) -> None:
     """Raise ValueError for `values` (ngeom, n) of geoms that are not finite, or too large."""
     odd = seen & ~(np.abs(values) <= MOST_LENGTH_M).all(axis=1)  # a NaN is not
     if odd.any():
@@ -137,7 +135,7 @@ def _check_numbers(
         )
 
 
-def _check_shapes(model: mujoco.MjModel, seen: NDArray[np.bool_]) -> None:
+def _check_shapes(model: mujoco.MjModel, seen: Mask) -> None:
     """Raise ValueError for what no kernel may see. Kernels index by these numbers, unchecked."""
     odd = seen & (model.geom_type > MESH)
     if odd.any():
@@ -165,7 +163,7 @@ def _check_shapes(model: mujoco.MjModel, seen: NDArray[np.bool_]) -> None:
         )
 
 
-def _name(model: mujoco.MjModel, chosen: NDArray[np.bool_]) -> str:
+def _name(model: mujoco.MjModel, chosen: Mask) -> str:
     """The name of the first of the `chosen` geoms, or its number where it has none."""
     first = int(np.argmax(chosen))
     return model.geom(first).name or f"number {first}"

@@ -5,8 +5,8 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lidarsim.grid import Floats, Ints, Mask
 from lidarsim.jit import kernel
 
 PLANE, HFIELD, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, MESH = range(8)
@@ -21,29 +21,29 @@ class Solids:
     Height fields are meshes too: their surface closed by walls and a base.
     """
 
-    shape: NDArray[np.int64]
+    shape: Ints
     """(n,) codes, as above."""
-    size: NDArray[np.float64]
+    size: Floats
     """(n, 3) MuJoCo's sizes, metres."""
-    position: NDArray[np.float64]
+    position: Floats
     """(n, 3) centres, metres."""
-    rotation: NDArray[np.float64]
+    rotation: Floats
     """(n, 3, 3): takes the shape's coordinates to the world's."""
-    lower: NDArray[np.float64]
+    lower: Floats
     """(n, 3) least corners of the bounding boxes; -inf for planes."""
-    upper: NDArray[np.float64]
+    upper: Floats
     """(n, 3) greatest corners; +inf for planes."""
-    triangles: NDArray[np.float64]
+    triangles: Floats
     """(T, 3, 3): triangle, corner, coordinate."""
-    mesh_start: NDArray[np.int64]
+    mesh_start: Ints
     """(m + 1,): mesh q owns triangles mesh_start[q] to mesh_start[q + 1]."""
-    mesh_filled: NDArray[np.bool_]
+    mesh_filled: Mask
     """(m,): closed, so its inside is solid; otherwise it is a surface."""
-    geom: NDArray[np.int64]
+    geom: Ints
     """(n + m,): the numbers of primitives and meshes among the model's geoms."""
 
     @cached_property
-    def boxes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def boxes(self) -> tuple[Floats, Floats]:
         """Bounding boxes of all n + m solids: least corners (n + m, 3) and greatest corners (n + m,
         3)."""
         meshes = [self.triangles[a:b].reshape(-1, 3) for a, b in pairwise(self.mesh_start)]

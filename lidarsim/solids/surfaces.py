@@ -2,12 +2,11 @@
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+
+from lidarsim.grid import Floats, Ints
 
 
-def mesh_surface(
-    model: mujoco.MjModel, mesh: int
-) -> tuple[NDArray[np.float64], NDArray[np.int64], bool]:
+def mesh_surface(model: mujoco.MjModel, mesh: int) -> tuple[Floats, Ints, bool]:
     """Vertices, faces (outward where closed) and whether the mesh is closed."""
     import trimesh  # takes a second to load, and few worlds hold a mesh
 
@@ -22,7 +21,7 @@ def mesh_surface(
     return np.asarray(soup.vertices), np.asarray(soup.faces, dtype=np.int64), _is_closed(soup.faces)
 
 
-def _is_closed(faces: NDArray[np.int64]) -> bool:
+def _is_closed(faces: Ints) -> bool:
     """Whether every edge is walked as often one way as the other by the triangles (T, 3) around it.
 
     Then each point off the surface has a winding number, also where more than two triangles share
@@ -36,9 +35,7 @@ def _is_closed(faces: NDArray[np.int64]) -> bool:
     return bool(np.array_equal(np.sort(tail * count + head), np.sort(head * count + tail)))
 
 
-def height_field(
-    model: mujoco.MjModel, field: int
-) -> tuple[NDArray[np.float64], NDArray[np.int64], bool]:
+def height_field(model: mujoco.MjModel, field: int) -> tuple[Floats, Ints, bool]:
     """MuJoCo's surface (each cell cut along the diagonal from its least x and y to its greatest),
     walls, and base."""
     rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])

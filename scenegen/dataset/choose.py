@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lidarsim.grid import Field, Floats, Ints, Mask
 from lidarsim.sensors.table import MOST_HEADER_BYTES, read_npy
 from scenegen import SPLITS
 from scenegen.dataset.read import Dataset, Split
@@ -26,7 +26,7 @@ from scenegen.sample import Sample
 from scenegen.truth.difficulty import Difficulty, difficulty
 
 
-def _ranges(sample: Sample) -> NDArray[np.float32]:
+def _ranges(sample: Sample) -> Field:
     """Those of all its scans."""
     earlier = sample.earlier_ranges
     return np.array([sample.ranges, *(() if earlier is None else earlier)])
@@ -82,14 +82,14 @@ def figures_file(dataset: Dataset) -> Path:
     return dataset.folder / f"figures-{str(dataset.manifest.digest)[:16]}.npy"
 
 
-def encode_figures(table: NDArray[np.float64]) -> bytes:
+def encode_figures(table: Floats) -> bytes:
     """The content of that file, from the `FIGURES` (samples, figures) of all splits in order."""
     file = io.BytesIO()
     np.save(file, np.ascontiguousarray(table, "<f8").view(ROW)[:, 0])
     return file.getvalue()
 
 
-def kept_figures(dataset: Dataset) -> dict[str, NDArray[np.float64]]:
+def kept_figures(dataset: Dataset) -> dict[str, Floats]:
     """What that file holds, (samples, figures) by split; {} where there is none, or it is not as
     this version writes it."""
     counts = [len(dataset.split(name)) for name in SPLITS]
@@ -160,9 +160,9 @@ class Chosen:
     """What is taken of one shard."""
 
     entry: Entry
-    rows: NDArray[np.int64]
+    rows: Ints
     """Its samples that are taken, in order."""
-    places: NDArray[np.int64]
+    places: Ints
     """Where these stand in the split of the dataset that they were made for."""
 
     def but(self, kept: Any) -> "Chosen":
@@ -233,8 +233,8 @@ def _named(split: Split, number: int, choice: Choice) -> Chosen:
 
 
 def _measured(
-    split: Split, conditions: tuple[Condition, ...], task: tuple[int, NDArray[np.int64]]
-) -> tuple[int, NDArray[np.bool_]]:
+    split: Split, conditions: tuple[Condition, ...], task: tuple[int, Ints]
+) -> tuple[int, Mask]:
     """Which of the rows of a shard fulfil the conditions on what is measured."""
     number, rows = task
     samples = (split[split.first(number) + row] for row in rows.tolist())

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim import Pose
+from lidarsim.grid import Floats
 from lidarsim.pose import rotate
 from scenegen.fly import Vehicle
 from scenegen.fly.motion import ACCELERATION, HEADING, POSITION, STEP_S, STEPS, VELOCITY, advance
@@ -55,7 +56,7 @@ class Quadrotor:
     most_pull = (MOST_THRUST + 1) * GRAVITY
     """The most acceleration of thrust and weight, metres a second squared."""
 
-    def __init__(self, state: NDArray[np.float64], vehicle: Vehicle):
+    def __init__(self, state: Floats, vehicle: Vehicle):
         """At rest at a `state` (11,), see `scenegen.fly.motion`, and level."""
         self._leads, self._vehicle = state, vehicle
         self._model = _model()
@@ -72,7 +73,7 @@ class Quadrotor:
         """Of the body, now."""
         return Pose(self._data.qpos[:3].copy(), self._data.qpos[3:].copy())
 
-    def advance(self, command: NDArray[np.float32]) -> NDArray[np.float64]:
+    def advance(self, command: NDArray[np.float32]) -> Floats:
         """The states (STEPS, 11) after each step of one period; see `motion.advance`, whose states
         it tracks. The acceleration is that of thrust and weight."""
         leads = advance(self._leads, command, self._vehicle)
@@ -87,11 +88,11 @@ class Quadrotor:
         self._leads = leads[-1]
         return states
 
-    def _axes(self) -> NDArray[np.float64]:
+    def _axes(self) -> Floats:
         """Of the body in the world, a row each."""
         return rotate(self._data.qpos[3:].copy(), np.eye(3))
 
-    def _wanted(self, lead: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _wanted(self, lead: Floats) -> Floats:
         """Thrust (N) and torques (N m) that lead to a state (11,)."""
         pull = lead[ACCELERATION] + STIFF * (lead[POSITION] - self._data.qpos[:3])
         pull += DAMPED * (lead[VELOCITY] - self._data.qvel[:3]) + [0, 0, GRAVITY]

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarsim.grid import Floats
 from scenegen.errors import ScenegenError
 from scenegen.fly import PERIOD_S
 from scenegen.fly.simulation import Observation, Outcome, Simulation, bounded
@@ -80,7 +81,7 @@ class Flown:
     """What the robot died of."""
     commands: NDArray[np.float32] = field(repr=False)
     """(periods, 4): what was flown, m/s and rad/s."""
-    path: NDArray[np.float64] = field(repr=False)
+    path: Floats = field(repr=False)
     """(n, 3): the way, world metres, a point a period."""
 
     def row(self) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from lidarsim import Pose
 from lidarsim.elementary import sin_cos
+from lidarsim.grid import Floats
 from lidarsim.jit import kernel
 from scenegen.fly import PERIOD_S, Vehicle
 from scenegen.worlds.flight import GRAVITY, leaning
@@ -27,9 +28,7 @@ def most_pull(vehicle: Vehicle) -> float:
     return min(vehicle.acceleration_mps2, sine * GRAVITY)
 
 
-def advance(
-    state: NDArray[np.float64], command: NDArray[np.float32], vehicle: Vehicle
-) -> NDArray[np.float64]:
+def advance(state: Floats, command: NDArray[np.float32], vehicle: Vehicle) -> Floats:
     """The states (STEPS, 11) after each step of one period.
 
     A step's jerk is constant, so that it is integrated exactly. The velocity asked for is
@@ -50,7 +49,7 @@ def advance(
     return states
 
 
-def pose_of(state: NDArray[np.float64], vehicle: Vehicle) -> Pose:
+def pose_of(state: Floats, vehicle: Vehicle) -> Pose:
     """The body's pose, leaning as its acceleration takes."""
     level = Pose.facing(state[POSITION], state[HEADING])
     x, y, z = state[ACCELERATION].tolist()

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lidarsim import Sensor, cast
 from lidarsim.engines import Caster
-from lidarsim.grid import Field, Floats
+from lidarsim.grid import Floats
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.losses import Motion
 from lidarsim.pose import rotate
@@ -145,7 +145,7 @@ class Simulation:
             "time_s": np.array([self.time_s]),
         }
 
-    def step(self, command: Field) -> float:
+    def step(self, command: NDArray[np.float32]) -> float:
         """Fly one period by a `command` (4,) of `bounded`, or until the flight ends.
 
         The vehicle touches nothing, to a millimetre, between any two steps: where the way that it
@@ -215,7 +215,7 @@ def _quadrotor(state: Floats, vehicle: Vehicle) -> "Quadrotor":
     return Quadrotor(state, vehicle)
 
 
-def bounded(action: Any, vehicle: Vehicle) -> tuple[Field | None, bool]:
+def bounded(action: Any, vehicle: Vehicle) -> tuple[NDArray[np.float32] | None, bool]:
     """What a robot said, as commands.
 
     Args:

@@ -4,10 +4,10 @@ a bounded rate of turn."""
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from ompl import geometric as og
 
 from lidarsim import Pose
+from lidarsim.grid import Floats
 from scenegen.errors import GenerationError
 from scenegen.logs import Cruise
 from scenegen.worlds.flight import TRIES, Flight, connect, points_of
@@ -55,7 +55,7 @@ def cruise_poses(world: World | Place, cruise: Cruise, period_s: float, *, seed:
     return [Pose.level(positions[n], float(yaws[n])) for n in range(0, len(now), STEPS)]
 
 
-def _times(curve: NDArray[np.float64], cruise: Cruise) -> NDArray[np.float64]:
+def _times(curve: Floats, cruise: Cruise) -> Floats:
     """When each point (n, 3) of a curve, `FINE_M` apart, is passed, seconds (n,)."""
     bend = np.gradient(np.gradient(curve, FINE_M, axis=0), FINE_M, axis=0)
     pull = np.sqrt((bend**2).sum(axis=1))
@@ -69,11 +69,11 @@ def _times(curve: NDArray[np.float64], cruise: Cruise) -> NDArray[np.float64]:
 
 def _tour(
     world: World | Place, flight: Flight, length_m: float, *, rng: np.random.Generator
-) -> NDArray[np.float64]:
+) -> Floats:
     """A collision-free path (n, 3) of that length at least, from goal to goal."""
     bounds = world.room(flight.robot_radius_m, flight.min_distance_m, rng=rng)
     apart = min(flight.min_distance_m, math.dist(*bounds) / 3)
-    legs, flown, here, tries = list[NDArray[np.float64]](), 0.0, None, 0
+    legs, flown, here, tries = list[Floats](), 0.0, None, 0
     while flown < length_m:
         if (tries := tries + 1) > TRIES * (100 + len(legs)):
             raise GenerationError(f"no flight of {length_m:g} m fits between the solids")
@@ -99,7 +99,7 @@ def _tour(
     return np.concatenate(legs)
 
 
-def _followed(positions: NDArray[np.float64], most_rad: float) -> NDArray[np.float64]:
+def _followed(positions: Floats, most_rad: float) -> Floats:
     """Headings (n,), radians, that follow the course along positions (n, 3) by `most_rad` a step at
     most."""
     east, north = np.diff(positions[:, :2], axis=0, append=positions[-1:, :2]).T

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarsim import GridSpec, Pose
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelMap
+from lidarsim.grid import Floats, Ints, Mask
 from lidarsim.jit import kernel
 from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.pose import rotate
@@ -49,11 +49,11 @@ MOST_TOLD = 255
 class _Window:
     """What one scan says of the voxels around it."""
 
-    least: NDArray[np.int64]
+    least: Ints
     """(3,): its first voxel, counted from the world's origin."""
-    observed: NDArray[np.bool_]
-    free: NDArray[np.bool_]
-    points: NDArray[np.float64]
+    observed: Mask
+    free: Mask
+    points: Floats
     """(N, 3): the returns, from the sensor, along the world's axes, metres."""
     dropped: int
     """Points that are left out: not finite, or nearer than `Fusing.least_m`."""
@@ -171,9 +171,7 @@ class _Run:
                 begin, low, high = n, pose.position, pose.position
         yield range(begin, len(poses))
 
-    def _box(
-        self, low: NDArray[np.float64], high: NDArray[np.float64]
-    ) -> tuple[NDArray[np.int64], tuple[int, ...]]:
+    def _box(self, low: Floats, high: Floats) -> tuple[Ints, tuple[int, ...]]:
         """The first voxel, counted from the world's origin, and the shape of a map of scans from
         positions between `low` and `high` (3,)."""
         how = self._how
@@ -267,7 +265,7 @@ def _window(scan: LogScan, pace: tuple[Pose, float], how: Fusing) -> _Window:
     if how.deskew and "t" in scan.more and seconds > 0:
         shares = np.clip(scan.more["t"][good] / seconds, 0.0, 1.0)
         slices = np.minimum(shares * SLICES, SLICES - 1).astype(np.int64)
-    sensors = dict[int, NDArray[np.float64]]()
+    sensors = dict[int, Floats]()
     for number in np.unique(slices).tolist():
         now = slices == number
         pose = between(scan.pose, after, (number + 0.5) / SLICES) if slices.any() else scan.pose

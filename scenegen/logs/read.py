@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarsim import Pose
+from lidarsim.grid import Floats
 from lidarsim.parameters import MOST_LENGTH_M
 from scenegen.clouds import read_points, scans_in
 from scenegen.display.exchange.recordings import CLOUD, POINT_TYPES, TRANSFORMS
@@ -37,7 +37,7 @@ TIMES = ("t", "time", "timestamp", "time_stamp", "offset_time")
 class Log:
     """A log whose poses are known, and whose clouds are read one after the other."""
 
-    times_s: NDArray[np.float64]
+    times_s: Floats
     """(n,): when each scan began, seconds."""
     poses: tuple[Pose, ...]
     """The sensor's at each, as many."""
@@ -103,7 +103,7 @@ def read_log(path: Path, *, poses: Path | None = None, topic: str | None = None)
 
 def _log(
     path: Path,
-    times: NDArray[np.float64],
+    times: Floats,
     found: list[Pose | None],
     scans: Callable[..., Iterator[LogScan]],
 ) -> Log:
@@ -116,7 +116,7 @@ def _log(
     return Log(times[placed], poses, len(found) - len(placed), scans)
 
 
-def _times_beside(path: Path, count: int) -> NDArray[np.float64]:
+def _times_beside(path: Path, count: int) -> Floats:
     if not (path / "times.txt").exists():
         return np.full(count, np.nan)
     times = read_numbers(path / "times.txt")[1].reshape(-1)
@@ -278,7 +278,7 @@ def _seconds(stamp: Any) -> float:
     return float(stamp.sec + 1e-9 * stamp.nanosec)
 
 
-def _livox(cloud: Any) -> dict[str, NDArray[np.float64]]:
+def _livox(cloud: Any) -> dict[str, Floats]:
     """`x`, `y`, `z` and `t` of the points of a CustomMsg, (n,) each."""
     if cloud.point_num != len(cloud.points):
         raise ValueError(f"promises {cloud.point_num} points and holds {len(cloud.points)}")
@@ -286,7 +286,7 @@ def _livox(cloud: Any) -> dict[str, NDArray[np.float64]]:
     return dict(zip("xyzt", np.array(rows).reshape(-1, 4).T, strict=True))
 
 
-def _columns(cloud: Any) -> dict[str, NDArray[np.float64]]:
+def _columns(cloud: Any) -> dict[str, Floats]:
     """`x`, `y`, `z` and, where it is told, `t` of the points of a PointCloud2, (n,) each."""
     order = ">" if cloud.is_bigendian else "<"
     fields = {one.name: one for one in cloud.fields}

@@ -7,9 +7,10 @@ from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lidarsim.elementary import exp, log, sin_cos
+from lidarsim.grid import Floats
 from lidarsim.parameters import Bounds, check, shown
 from scenegen.limits import MOST_DRAWN_M, MOST_DRAWN_SOLIDS
 from scenegen.recipes.parts import Parts
@@ -99,7 +100,7 @@ def _bounds_by_name(name: str, value: Any) -> Bounds:
     return Bounds()
 
 
-def yaw_quaternion(yaw_rad: ArrayLike) -> NDArray[np.float64]:
+def yaw_quaternion(yaw_rad: ArrayLike) -> Floats:
     """Turns (...) about the vertical as quaternions (..., 4), w x y z."""
     sine, cosine = sin_cos(np.asarray(yaw_rad) / 2)
     still = np.zeros_like(sine)
@@ -111,7 +112,7 @@ def log_uniform(low: float, high: float, *, rng: np.random.Generator) -> float:
     return float(exp(rng.uniform(*log([low, high]))))
 
 
-def normal(shape: tuple[int, ...], *, rng: np.random.Generator) -> NDArray[np.float64]:
+def normal(shape: tuple[int, ...], *, rng: np.random.Generator) -> Floats:
     """Standard normal numbers of any shape, two from each point of a disc (Marsaglia's polar
     method)."""
     count = int(np.prod(shape))
@@ -121,7 +122,7 @@ def normal(shape: tuple[int, ...], *, rng: np.random.Generator) -> NDArray[np.fl
     )
 
 
-def attitudes(count: int, tilted_share: float, *, rng: np.random.Generator) -> NDArray[np.float64]:
+def attitudes(count: int, tilted_share: float, *, rng: np.random.Generator) -> Floats:
     """Unit quaternions (count, 4), w x y z: uniform over all attitudes for a share (Marsaglia
     1972), turned about the vertical alone for the rest."""
     tilted = rng.random(count) < tilted_share
@@ -132,9 +133,7 @@ def attitudes(count: int, tilted_share: float, *, rng: np.random.Generator) -> N
     return np.stack([turn[:, 0], tilt[:, 0], tilt[:, 1], turn[:, 1]], axis=1)
 
 
-def _disc(
-    count: int, *, rng: np.random.Generator
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _disc(count: int, *, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """Points (count, 2) uniform in the unit disc less its centre, and their squared distances
     (count,) from it."""
     points, square = np.zeros((count, 2)), np.zeros(count)

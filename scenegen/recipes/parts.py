@@ -6,9 +6,10 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lidarsim.elementary import sin_cos
+from lidarsim.grid import Floats, Ints
 from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID
 from scenegen.worlds.drawing import UPRIGHT, Drawing
 
@@ -195,9 +196,7 @@ def rim_edges(
                 yield axis, room[side], room[1 - axis], room[3 - axis]
 
 
-def noise_field(
-    points: NDArray[np.float64], cell_m: float, *, rng: np.random.Generator
-) -> NDArray[np.float64]:
+def noise_field(points: Floats, cell_m: float, *, rng: np.random.Generator) -> Floats:
     """Smooth noise from 0 to 1 at points (n, d), d at most 3, whose hills are some `cell_m` wide:
     random values at the corners of a lattice, interpolated (value noise)."""
     scaled = (points - points.min(axis=0)) / cell_m
@@ -217,7 +216,7 @@ def noise_field(
 
 def hilly(
     size_m: Sequence[float], step_m: float, cells_m: Sequence[float], *, rng: np.random.Generator
-) -> NDArray[np.float64]:
+) -> Floats:
     """Heights from 0 to 1 on a lattice of about `step_m` over a plan, (along y, along x): noise
     with hills of several widths, each of half the height of the one before."""
     _check_cells((size_m[0] / step_m + 1) * (size_m[1] / step_m + 1), "uneven ground")
@@ -244,7 +243,7 @@ def _check_cells(cells: float, what: str) -> None:
         )
 
 
-def height_at(heights: NDArray[np.float64], size_m: Sequence[float], x: float, y: float) -> float:
+def height_at(heights: Floats, size_m: Sequence[float], x: float, y: float) -> float:
     """The least height at the four points of a lattice (along y, along x) around a place of a
     plan."""
     rows, columns = heights.shape
@@ -264,9 +263,7 @@ def scattered(
     return found
 
 
-def half_height(
-    shape: NDArray[np.int64], size: NDArray[np.float64], quaternion: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def half_height(shape: Ints, size: Floats, quaternion: Floats) -> Floats:
     """How far solids (n,) reach above their centres, metres; shapes are 0 for a sphere, 1 for a
     box, 2 for a cylinder."""
     w, x, y, z = quaternion.T

@@ -14,8 +14,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lidarsim.grid import Field, Floats, Ints, Mask
 from lidarsim.jit import kernel
 from scenegen.truth.guides import hardness
 
@@ -63,9 +63,7 @@ class Difficulty(NamedTuple):
     """See there."""
 
 
-def difficulty(
-    occupancy: NDArray[np.bool_], tudf: NDArray[np.float32], voxel_m: float
-) -> Difficulty:
+def difficulty(occupancy: Mask, tudf: Field, voxel_m: float) -> Difficulty:
     """The figures of a map.
 
     Args:
@@ -96,9 +94,9 @@ def difficulty(
 
 
 def way_difficulty(
-    way: NDArray[np.int64],
-    occupancy: NDArray[np.bool_],
-    tudf: NDArray[np.float32],
+    way: Ints,
+    occupancy: Mask,
+    tudf: Field,
     voxel_m: float,
 ) -> Difficulty:
     """The figures of a way through a map: those that are of the map's middle otherwise are means
@@ -130,9 +128,7 @@ def way_difficulty(
     )
 
 
-def _around(
-    occupancy: NDArray[np.bool_], place: NDArray[np.int64], voxel_m: float
-) -> tuple[float, float, float]:
+def _around(occupancy: Mask, place: Ints, voxel_m: float) -> tuple[float, float, float]:
     """Visibility, dispersion and passage at a free voxel (3,), see `Difficulty`."""
     ways, blocked = _look(occupancy, place, DIRECTIONS)
     lengths = voxel_m * ways * np.sqrt((DIRECTIONS**2).sum(axis=1))
@@ -142,7 +138,7 @@ def _around(
 
 
 @functools.cache
-def _neighbours() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _neighbours() -> tuple[Ints, Ints]:
     """Pairs of directions that are at most 45 degrees apart."""
     length = np.sqrt((DIRECTIONS**2).sum(axis=1))
     products = (DIRECTIONS[:, None] * DIRECTIONS[None]).sum(axis=2)
@@ -150,7 +146,7 @@ def _neighbours() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return near[near < far], far[near < far]
 
 
-def _guides(length: NDArray[np.float64], before: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+def _guides(length: Floats, before: Ints) -> list[Ints]:
     """Nodes (n, 3) from the start to the nearest node of each lateral face that can be reached."""
     found = []
     for axis, side in itertools.product((0, 1), (0, -1)):

@@ -3,13 +3,12 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lidarsim.grid import GridSpec
+from lidarsim.grid import Field, GridSpec, Mask
 from lidarsim.jit import kernel
 
 
-def distance_field(occupancy: NDArray[np.bool_], grid: GridSpec) -> NDArray[np.float32]:
+def distance_field(occupancy: Mask, grid: GridSpec) -> Field:
     """The TUDF of `occupancy` (*grid.shape): metres from each voxel's centre to the nearest
     occupied voxel's centre.
 
@@ -27,7 +26,7 @@ def distance_field(occupancy: NDArray[np.bool_], grid: GridSpec) -> NDArray[np.f
     return _transform(np.ascontiguousarray(occupancy), dtype(cap), table)
 
 
-def lookup(grid: GridSpec) -> tuple[int, NDArray[np.float32]]:
+def lookup(grid: GridSpec) -> tuple[int, Field]:
     """The squared distance in voxels from which on all is truncated, and the metres (cap + 1,) of
     squares up to it."""
     reach = grid.truncation_m / grid.voxel_m

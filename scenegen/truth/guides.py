@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lidarsim.grid import Field, Floats, Ints, Mask
 from lidarsim.jit import kernel
 
 SENSING_M = 4.0
@@ -47,9 +47,9 @@ class Hardness(NamedTuple):
 
 
 def hardness(
-    paths: Sequence[NDArray[np.int64]],
-    occupancy: NDArray[np.bool_],
-    tudf: NDArray[np.float32],
+    paths: Sequence[Ints],
+    occupancy: Mask,
+    tudf: Field,
     voxel_m: float,
 ) -> Hardness:
     """Measures along `paths`.
@@ -64,10 +64,10 @@ def hardness(
     seen: list[float] = []
     turns, length = 0.0, 0.0
     for path in paths:
-        corners: NDArray[np.float64] = _shortened(path, occupancy) * np.float64(voxel_m)
+        corners: Floats = _shortened(path, occupancy) * np.float64(voxel_m)
         along = np.diff(corners, axis=0)
         steps = np.sqrt((along * along).sum(axis=1))
-        units: NDArray[np.float64] = along / steps[:, None]
+        units: Floats = along / steps[:, None]
         angles = np.arccos(np.clip((units[1:] * units[:-1]).sum(axis=1), -1.0, 1.0))
         turns += float((np.exp(2 * angles / np.pi) - 1).sum())
         length += float(steps.sum())
@@ -93,15 +93,13 @@ def hardness(
     )
 
 
-def _place(
-    at: float, corners: NDArray[np.float64], units: NDArray[np.float64], until: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _place(at: float, corners: Floats, units: Floats, until: Floats) -> tuple[Floats, Floats]:
     """The point (3,) of a path so many metres along it, and the direction (3,) there."""
     leg = min(int(np.searchsorted(until, at, side="right")), len(units) - 1)
     return corners[leg + 1] + (at - until[leg]) * units[leg], units[leg]
 
 
-def _shortened(path: NDArray[np.int64], occupancy: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _shortened(path: Ints, occupancy: Mask) -> Ints:
     """The corners of a path whose ends see each other: from each, the farthest that it sees."""
     kept = [0]
     while kept[-1] < len(path) - 1:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lidarsim.grid import GridSpec
+from lidarsim.grid import Floats, GridSpec, Mask
 from lidarsim.jit import kernel
 from lidarsim.solids.shapes import Solids
 from scenegen.truth.occupancy import SLACK_M, spans
@@ -16,9 +16,7 @@ NONE = -1
 """The owner of a voxel that is not occupied."""
 
 
-def owners(
-    solids: Solids, occupancy: NDArray[np.bool_], grid: GridSpec, origin: ArrayLike
-) -> NDArray[np.int32]:
+def owners(solids: Solids, occupancy: Mask, grid: GridSpec, origin: ArrayLike) -> NDArray[np.int32]:
     """The geom (*grid.shape) that every occupied voxel belongs to, `NONE` elsewhere; `origin` (3,)
     is the grid's least corner, world metres.
 
@@ -62,9 +60,9 @@ def owners(
 
 
 def _cells(
-    lower: NDArray[np.float64],
-    upper: NDArray[np.float64],
-    origin: NDArray[np.float64],
+    lower: Floats,
+    upper: Floats,
+    origin: Floats,
     grid: GridSpec,
 ) -> tuple[slice, ...] | None:
     """The voxels that touch a box; None where there are none."""
@@ -73,9 +71,7 @@ def _cells(
     return found if all(part.start < part.stop for part in found) else None
 
 
-def _claim(
-    here: NDArray[np.float64], geom: int, nearest: NDArray[np.float64], owner: NDArray[np.int32]
-) -> None:
+def _claim(here: Floats, geom: int, nearest: Floats, owner: NDArray[np.int32]) -> None:
     """Give `geom` the voxels to which it is nearer than their owner, or as near and of a lower
     number."""
     won = (here < nearest) | ((here == nearest) & np.isfinite(here) & (geom < owner))

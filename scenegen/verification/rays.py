@@ -5,21 +5,22 @@ import itertools
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lidarsim import GridSpec, Lidar, Sensor
 from lidarsim.engines import Caster
 from lidarsim.engines.voxels import LEAST_CHORD_M, OCCUPIED, VoxelMap
+from lidarsim.grid import Field, Floats, Ints, Mask
 
 SLACK_M = 2e-6
 """What float32 ranges and the slack of `occupancy` add to a bound."""
 
 
 def count_strays(
-    points: NDArray[np.float64],
-    occupancy: NDArray[np.bool_],
+    points: Floats,
+    occupancy: Mask,
     grid: GridSpec,
-    origin: NDArray[np.float64],
+    origin: Floats,
     bound_m: float,
 ) -> int:
     """How many of the returns `points` (M, 3), in the world, lie in the map and farther than
@@ -43,7 +44,7 @@ def count_strays(
     return len(left)
 
 
-def _shell(reach: int) -> NDArray[np.int64]:
+def _shell(reach: int) -> Ints:
     """The cells (n, 3) whose greatest coordinate is `reach`, whatever its sign."""
     cells = np.indices((2 * reach + 1,) * 3).reshape(3, -1).T - reach
     return np.asarray(cells[np.abs(cells).max(axis=1) == reach])
@@ -57,16 +58,12 @@ class MapAuditor:
     def __init__(self, voxels: VoxelMap):
         self._voxels = voxels
 
-    def cast(
-        self, origins: ArrayLike, directions: ArrayLike, max_range_m: float
-    ) -> NDArray[np.float64]:
+    def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> Floats:
         """See `lidarsim.engines.Caster.cast`."""
         pairs = zip(np.asarray(origins), np.asarray(directions), strict=True)
         return np.stack([self._from(start, rays, max_range_m) for start, rays in pairs])
 
-    def _from(
-        self, start: NDArray[np.float64], rays: NDArray[np.float64], max_range_m: float
-    ) -> NDArray[np.float64]:
+    def _from(self, start: Floats, rays: Floats, max_range_m: float) -> Floats:
         states, voxel_m = self._voxels.states, self._voxels.voxel_m
         begin = (start - self._voxels.origin) / voxel_m
         planes = np.arange(math.ceil(max_range_m / voxel_m) + 2)
@@ -101,7 +98,7 @@ MOST_PAIRS = 2_000_000_000
 audited."""
 
 
-def ray_directions(lidar: Sensor, quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
+def ray_directions(lidar: Sensor, quaternion: Floats) -> Floats:
     """Unit vectors (*lidar.shape, 3) in the world, those of a raster written from docs/sensor.md
     and not from `lidarsim`. A table of rays is as it was given: from it there is nothing to
     derive."""
@@ -111,7 +108,7 @@ def ray_directions(lidar: Sensor, quaternion: NDArray[np.float64]) -> NDArray[np
     return np.asarray(body + w * twice + np.cross(u, twice))
 
 
-def _raster(lidar: Lidar) -> NDArray[np.float64]:
+def _raster(lidar: Lidar) -> Floats:
     """Unit vectors (rows, columns, 3) in the body frame."""
     rows = _angles(lidar.rows, lidar.vertical_fov_deg, full_turn=False)[:, None]
     a = _angles(
@@ -127,7 +124,7 @@ def _raster(lidar: Lidar) -> NDArray[np.float64]:
     )
 
 
-def _angles(count: int, fov_deg: float, *, full_turn: bool) -> NDArray[np.float64]:
+def _angles(count: int, fov_deg: float, *, full_turn: bool) -> Floats:
     """Angles in radians, from minus half the field of view to plus half of it; a full turn leaves
     its end out."""
     if count == 1:
@@ -138,15 +135,15 @@ def _angles(count: int, fov_deg: float, *, full_turn: bool) -> NDArray[np.float6
 
 
 def audit(
-    ranges: NDArray[np.float32],
-    position: NDArray[np.float64],
-    quaternion: NDArray[np.float64],
+    ranges: Field,
+    position: Floats,
+    quaternion: Floats,
     engine: Caster,
     lidar: Sensor,
     *,
     solids: int,
     rng: np.random.Generator,
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Ints, Floats, Floats]:
     """Cast the rays of one sample anew by `engine`, whose world has so many `solids`.
 
     Returns their numbers in C order, (n,); the ranges found, (n,) metres, inf where none; how far
@@ -163,8 +160,6 @@ def audit(
     return chosen, found, np.abs(stored - np.minimum(found, lidar.max_range_m))
 
 
-def disagrees(
-    gap: NDArray[np.float64], found: NDArray[np.float64], max_range_m: float
-) -> NDArray[np.bool_]:
+def disagrees(gap: Floats, found: Floats, max_range_m: float) -> Mask:
     """Where the difference of two ranges is more than rounding makes, or is no number."""
     return ~(gap <= TOLERANCE_M + np.minimum(found, max_range_m) / 2**23)

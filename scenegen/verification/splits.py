@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.engines.voxels import VoxelMap
+from lidarsim.grid import Ints, Mask
 from lidarsim.jit import kernel
 from lidarsim.solids.shapes import Solids
 from scenegen import SPLITS
@@ -40,7 +41,7 @@ seen."""
 _BITS = 13
 
 
-def signature(occupancy: NDArray[np.bool_]) -> NDArray[np.uint32]:
+def signature(occupancy: Mask) -> NDArray[np.uint32]:
     """Count the occupied voxels in each of 8 x 8 x 5 blocks of a map, flat (320,)."""
     sums, blocks = occupancy, np.zeros((8, 8, 5), np.uint32)
     for axis in (2, 1, 0):  # along the rows in memory first
@@ -51,7 +52,7 @@ def signature(occupancy: NDArray[np.bool_]) -> NDArray[np.uint32]:
     return blocks.reshape(-1)
 
 
-def fold(observed: NDArray[np.bool_]) -> NDArray[np.uint64]:
+def fold(observed: Mask) -> NDArray[np.uint64]:
     """Scatter the observed voxels over 8192 bits by their number, (128,) words; two voxels may
     share a bit."""
     number = np.flatnonzero(observed).astype(np.uint32)
@@ -63,9 +64,9 @@ def fold(observed: NDArray[np.bool_]) -> NDArray[np.uint64]:
 def candidates(
     signatures: NDArray[np.uint32],
     folds: NDArray[np.uint64],
-    observed: NDArray[np.int64],
-    splits: NDArray[np.int64],
-) -> tuple[NDArray[np.int64], bool]:
+    observed: Ints,
+    splits: Ints,
+) -> tuple[Ints, bool]:
     """Find the pairs (P, 2) of the n samples that may be near-twins, and whether these are all:
     then none is missed.
 
@@ -144,12 +145,12 @@ def _beyond(a, b, most):
     return total
 
 
-def overlap(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
+def overlap(a: Mask, b: Mask) -> float:
     """Return the intersection over union of two maps; 0 where both are empty."""
     return float(np.count_nonzero(a & b)) / max(float(np.count_nonzero(a | b)), 1.0)
 
 
-def standing_overlap(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
+def standing_overlap(a: Mask, b: Mask) -> float:
     """Return `overlap` of two maps without the layers that are floor in both; 1 where nothing else
     is there."""
     floor = np.minimum(a.mean(axis=(0, 1)), b.mean(axis=(0, 1))) >= FLOOR_SHARE

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.engines.voxels import FREE, OCCUPIED, VoxelMap
+from lidarsim.grid import Floats
 from lidarsim.jit import kernel
 from lidarsim.parameters import Checked, number
 from lidarsim.pose import rotate
@@ -51,7 +52,7 @@ class Surveyed:
 
     voxels: VoxelMap
     """The map."""
-    offset: NDArray[np.float64]
+    offset: Floats
     """(3,): what was taken off the file's coordinates, metres."""
     points: int
     """How many points there are in the map, or cells in the plan that it is made of."""
@@ -87,7 +88,7 @@ def map_clouds(
     frames = None if poses is None else _read_poses(poses, len(files))
 
     @functools.lru_cache(maxsize=1)
-    def read(each: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def read(each: int) -> tuple[Floats, Floats]:
         """Points and sensors, in metres and z up."""
         cloud = read_cloud(files[each], MOST_CLOUD_BYTES)
         points, sensors = cloud.points, cloud.sensors
@@ -139,13 +140,11 @@ def map_clouds(
     return Surveyed(VoxelMap(states, survey.voxel_m, origin), offset, points)
 
 
-def _read_poses(
-    path: Path, count: int
-) -> list[tuple[NDArray[np.float64] | None, NDArray[np.float64]]]:
+def _read_poses(path: Path, count: int) -> list[tuple[Floats | None, Floats]]:
     """Each file's axes as rows (3, 3), None where its points are in the world's frame, and where
     its sensor was (1, 3). Raises DatasetError and SceneError."""
     names, rows = read_numbers(path)
-    found: list[tuple[NDArray[np.float64] | None, NDArray[np.float64]]]
+    found: list[tuple[Floats | None, Floats]]
     if not names and rows.shape[1] == 3:
         found = [(None, row[None]) for row in rows]
     else:
@@ -158,7 +157,7 @@ def _read_poses(
     return found
 
 
-def _upright(points: NDArray[np.float64], survey: Survey) -> NDArray[np.float64]:
+def _upright(points: Floats, survey: Survey) -> Floats:
     """`points` (N, 3) of a file in metres, z up."""
     if survey.up == "y":
         points = np.stack([points[:, 0], -points[:, 2], points[:, 1]], axis=1)
@@ -166,8 +165,8 @@ def _upright(points: NDArray[np.float64], survey: Survey) -> NDArray[np.float64]
 
 
 def _empty_map(
-    low: NDArray[np.float64], high: NDArray[np.float64], voxel_m: float, where: str
-) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+    low: Floats, high: Floats, voxel_m: float, where: str
+) -> tuple[NDArray[np.uint8], Floats]:
     """Unknown states that hold everything from `low` to `high`, and their least corner."""
     origin = np.floor(low / voxel_m) * voxel_m
     origin -= np.where(origin > low, voxel_m, 0.0)  # by rounding

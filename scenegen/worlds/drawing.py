@@ -8,8 +8,9 @@ from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lidarsim.grid import Floats
 from lidarsim.solids.shapes import HFIELD, MESH, PLANE
 from scenegen.files import sha256_of
 from scenegen.worlds.classes import COLOURS
@@ -43,7 +44,7 @@ class Solid(NamedTuple):
     """One solid."""
 
     shape: int
-    row: NDArray[np.float64]
+    row: Floats
     """Its numbers (14,), as `COLUMNS` says."""
     material: str = ""
     """Its class; nothing for none."""
@@ -58,7 +59,7 @@ class HeightField(NamedTuple):
     size: tuple[float, float, float, float]
     """Half its extents along x and y, the span of its heights, and how deep it is filled below the
     least of them, metres."""
-    heights: NDArray[np.float64]
+    heights: Floats
     """(along y, along x)."""
 
 
@@ -70,7 +71,7 @@ class Drawing:
     the solids so far in it, and from then on MuJoCo writes the document.
     """
 
-    def __init__(self, flight_bounds: NDArray[np.float64]):
+    def __init__(self, flight_bounds: Floats):
         self._bounds = tuple(np.asarray(flight_bounds, dtype=np.float64).reshape(-1).tolist())
         self._solids: list[Solid] = []
         self._classes: dict[str, None] = {}
@@ -121,7 +122,7 @@ class Drawing:
 
     def add_height_field(
         self,
-        heights: NDArray[np.float64],
+        heights: Floats,
         size_m: tuple[float, float],
         position: ArrayLike,
         *,

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 
 from lidarsim import Pose
 from lidarsim.elementary import sin_cos
+from lidarsim.grid import Floats
 from lidarsim.parameters import MOST_LENGTH_M, check, number
 from scenegen.errors import GenerationError
 from scenegen.limits import (
@@ -77,7 +77,7 @@ class Flight:
                 f"altitude_m = {list(self.altitude_m)}: expected [low, high] in metres, low < high"
             )
 
-    def bounds(self, size_m: tuple[float, float, float]) -> NDArray[np.float64]:
+    def bounds(self, size_m: tuple[float, float, float]) -> Floats:
         """The box (2, 3) in which flights through a drawn world of extent `size_m` keep.
 
         Raises ValueError where the margin leaves none.
@@ -92,17 +92,15 @@ class Flight:
         return box
 
 
-def fly(
-    world: World | Place, flight: Flight, *, rng: np.random.Generator
-) -> NDArray[np.float64] | None:
+def fly(world: World | Place, flight: Flight, *, rng: np.random.Generator) -> Floats | None:
     """A path through a world as `plan` gives it, or None."""
     room = world.room(flight.robot_radius_m, flight.min_distance_m, rng=rng)
     return plan(world.clearance, room, flight, rng=rng)
 
 
 def plan(
-    clearance: Obstacles, bounds: NDArray[np.float64], flight: Flight, *, rng: np.random.Generator
-) -> NDArray[np.float64] | None:
+    clearance: Obstacles, bounds: Floats, flight: Flight, *, rng: np.random.Generator
+) -> Floats | None:
     """One collision-free path (n, 3) in world metres between a random start and goal in `bounds`
     (2, 3), or None.
 
@@ -118,9 +116,9 @@ def plan(
 
 def connect(
     clearance: Obstacles,
-    bounds: NDArray[np.float64],
+    bounds: Floats,
     flight: Flight,
-    ends: tuple[NDArray[np.float64], NDArray[np.float64]],
+    ends: tuple[Floats, Floats],
     seed: int,
 ) -> tuple[ob.SpaceInformation, og.PathGeometric] | None:
     """RRT's path between two points (3,), as OMPL has it, with the space that checks its motions;
@@ -152,7 +150,7 @@ def connect(
     return information, problem.getSolutionPath()
 
 
-def points_of(path: og.PathGeometric) -> NDArray[np.float64]:
+def points_of(path: og.PathGeometric) -> Floats:
     """The points (n, 3) of a path of OMPL's."""
     return np.array([_place(state) for state in path.getStates()])
 
@@ -176,8 +174,8 @@ class _Motions(ob.MotionValidator):
 
 
 def _start_and_goal(
-    clearance: Obstacles, bounds: NDArray[np.float64], flight: Flight, *, rng: np.random.Generator
-) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    clearance: Obstacles, bounds: Floats, flight: Flight, *, rng: np.random.Generator
+) -> tuple[Floats, Floats] | None:
     """Two free points far enough apart, or None after a hundred draws."""
     apart = min(flight.min_distance_m, float(np.sqrt(((bounds[1] - bounds[0]) ** 2).sum())) / 3)
     start = None
@@ -194,7 +192,7 @@ def _start_and_goal(
 class Route:
     """A path of straight legs, (n, 3) world metres, by the metres flown along it."""
 
-    def __init__(self, path: NDArray[np.float64]):
+    def __init__(self, path: Floats):
         self.path, self.legs = path, np.diff(path, axis=0)
         self.lengths = np.sqrt((self.legs**2).sum(axis=1))
         self.ends = np.concatenate([[0.0], np.cumsum(self.lengths)])
@@ -207,7 +205,7 @@ class Route:
         """(n - 1, 2): where the body looks, x and y, of any length."""
 
     @cached_property
-    def turns(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def turns(self) -> tuple[Floats, Floats]:
         """How the direction of flight changes at each point, its begin and end included, (k, 3),
         and the metres flown there, (k,)."""
         there = self.lengths > 0.0
@@ -216,7 +214,7 @@ class Route:
         change = np.diff(np.concatenate([still, direction, still]), axis=0)
         return change, self.ends[np.append(there, True)]
 
-    def at(self, flown_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def at(self, flown_m: Floats) -> tuple[Floats, Floats]:
         """Positions (m, 3) and headings (m, 2) at `flown_m` (m,)."""
         leg = np.minimum(np.searchsorted(self.ends, flown_m, side="right") - 1, len(self.legs) - 1)
         along = (flown_m - self.ends[leg]) / self.lengths[leg]
@@ -240,14 +238,14 @@ class Viewpoints:
     them."""
 
     route: Route
-    flown_m: NDArray[np.float64]
+    flown_m: Floats
     """(m,): metres flown from the start."""
 
     def __len__(self) -> int:
         return len(self.flown_m)
 
     @cached_property
-    def positions(self) -> NDArray[np.float64]:
+    def positions(self) -> Floats:
         """(m, 3): world metres."""
         return self.route.at(self.flown_m)[0]
 
@@ -263,9 +261,7 @@ class Viewpoints:
         return [self.route.pose(max(flown - metres, 0.0), mapping) for metres in back]
 
 
-def viewpoints(
-    path: NDArray[np.float64], spacing_m: float, *, rng: np.random.Generator
-) -> Viewpoints:
+def viewpoints(path: Floats, spacing_m: float, *, rng: np.random.Generator) -> Viewpoints:
     """Candidate viewpoints on a path (n, 3), `spacing_m` apart along it, in random order.
 
     Raises GenerationError where there would be more than `MOST_CANDIDATES`.
@@ -315,8 +311,8 @@ def _flown(world: World | Place, flight: Flight, seed: int) -> Viewpoints:
 
 
 def acceleration(
-    turns: NDArray[np.float64],
-    ends_m: NDArray[np.float64],
+    turns: Floats,
+    ends_m: Floats,
     flown_m: float,
     *,
     speed_mps: float,

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from lidarsim import GridSpec, Pose, Scan, Sensor
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelEngine, VoxelMap
+from lidarsim.grid import Floats, Ints, Mask
 from lidarsim.jit import kernel
 from lidarsim.pose import rotate
 from lidarsim.sensors.table import MOST_HEADER_BYTES
@@ -69,7 +70,7 @@ class Place:
         return _parsed(content, name)
 
     @cached_property
-    def flight_bounds(self) -> NDArray[np.float64]:
+    def flight_bounds(self) -> Floats:
         """(2, 3): least and greatest corner of the box around the free voxels, metres."""
         voxels = self.voxels
         box = box_of(voxels.states, lambda layer: layer == FREE)
@@ -80,9 +81,7 @@ class Place:
         """The collision check."""
         return PlaceClearance(self.voxels, self.opened)
 
-    def room(
-        self, radius_m: float, length_m: float, *, rng: np.random.Generator
-    ) -> NDArray[np.float64]:
+    def room(self, radius_m: float, length_m: float, *, rng: np.random.Generator) -> Floats:
         """Where to plan the next flight, (2, 3) metres: about a random free point, as far as a
         flight of `length_m` may need."""
         bounds, clearance = self.flight_bounds, self.clearance
@@ -97,7 +96,7 @@ class Place:
         ((name, content),) = self.assets.items()
         return _engine(content, name)
 
-    def truth(self, grid: GridSpec, origin: NDArray[np.float64]) -> dict[str, NDArray[np.bool_]]:
+    def truth(self, grid: GridSpec, origin: Floats) -> dict[str, Mask]:
         """The fields of a sample that say what is there: `occupancy`, and `known` where what is
         unknown does not count as free."""
         occupancy, known = resample(self.voxels, grid, origin)
@@ -109,7 +108,7 @@ class Place:
         limits = known.most_unknown_m, known.most_marked_share
         return self.caster(None).known(pose.position[None], rays, lidar.max_range_m, *limits)
 
-    def unknown_m(self, scan: Scan) -> NDArray[np.float64]:
+    def unknown_m(self, scan: Scan) -> Floats:
         """Metres of unknown space that each ray of a scan crosses before it returns, (*rays)."""
         start, rays, reach = scan.pose.position[None], scan.directions[None], scan.lidar.max_range_m
         return self.caster(None).cross(start, rays, reach)[1][0]
@@ -212,9 +211,7 @@ def encode_map(voxels: VoxelMap, where: str, **more: NDArray[Any]) -> bytes:
     return content
 
 
-def box_of(
-    cells: NDArray[Any], wanted: Callable[[NDArray[Any]], NDArray[np.bool_]]
-) -> NDArray[np.int64]:
+def box_of(cells: NDArray[Any], wanted: Callable[[NDArray[Any]], Mask]) -> Ints:
     """The first of the cells that are `wanted` along each axis, and one more than the last,
     (2, axes); zeros where none is. It goes layer by layer: a map is too large for a copy."""
     rows, seen = np.zeros(len(cells), np.bool_), np.zeros(cells.shape[1:], np.bool_)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from lidarsim import Engine, GridSpec
 from lidarsim.engines import EngineFactory
+from lidarsim.grid import Floats, Mask
 from lidarsim.noise.returns import albedo_of
 from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.solids.model import solids_of, visible_geoms
@@ -57,7 +58,7 @@ class World:
     data: mujoco.MjData
     """The model's reference configuration, forwarded: where its geoms are. Not to be changed."""
     solids: Solids
-    flight_bounds: NDArray[np.float64]
+    flight_bounds: Floats
     """(2, 3): least and greatest corner of the box in which the sensor may fly, metres."""
     unseen: tuple[str, ...] = field(default=())
     """Geoms that rays cannot see, and that therefore are not in the truth either."""
@@ -67,14 +68,12 @@ class World:
         """The collision check within the flight bounds."""
         return Clearance(self.solids, self.flight_bounds)
 
-    def room(
-        self, radius_m: float, length_m: float, *, rng: np.random.Generator
-    ) -> NDArray[np.float64]:
+    def room(self, radius_m: float, length_m: float, *, rng: np.random.Generator) -> Floats:
         """Where to plan the next flight, (2, 3) metres: the flight bounds."""
         return self.flight_bounds
 
     @property
-    def albedo(self) -> NDArray[np.float64]:
+    def albedo(self) -> Floats:
         """What share of light every geom reflects, (ngeom,)."""
         return albedo_of(self.model)
 
@@ -82,7 +81,7 @@ class World:
         """What casts rays in it, made by `engine`."""
         return engine(self.model, self.data)
 
-    def truth(self, grid: GridSpec, origin: NDArray[np.float64]) -> dict[str, NDArray[np.bool_]]:
+    def truth(self, grid: GridSpec, origin: Floats) -> dict[str, Mask]:
         """The field of a sample that says what is there, `occupancy`."""
         return {"occupancy": rasterize(self.solids, grid, origin)}
 
@@ -118,7 +117,7 @@ def compile_world(
         return _world(model, mjcf, assets, name)
 
 
-def write_world(add_to: Callable[[Drawing], None], *, flight_bounds: NDArray[np.float64]) -> World:
+def write_world(add_to: Callable[[Drawing], None], *, flight_bounds: Floats) -> World:
     """Build a world by adding to an empty drawing, write it as MJCF, and compile what was
     written."""
     with quiet_mujoco():
@@ -145,7 +144,7 @@ def _world(model: mujoco.MjModel, mjcf: bytes, assets: Mapping[str, bytes], name
     return World(mjcf, assets, model, data, solids, _flight_bounds(model, solids, name), unseen)
 
 
-def _flight_bounds(model: mujoco.MjModel, solids: Solids, name: str) -> NDArray[np.float64]:
+def _flight_bounds(model: mujoco.MjModel, solids: Solids, name: str) -> Floats:
     """The document's own flight_bounds, or the box around all that is bounded in it."""
     if FLIGHT_BOUNDS in (model.numeric(n).name for n in range(model.nnumeric)):
         data = np.asarray(model.numeric(FLIGHT_BOUNDS).data, dtype=np.float64)
@@ -198,10 +197,10 @@ def geometry_digest(solids: Solids) -> bytes:
 
 def _form(
     shape: int,
-    size: NDArray[np.float64],
-    position: NDArray[np.float64],
-    rotation: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    size: Floats,
+    position: Floats,
+    rotation: Floats,
+) -> Floats:
     """Twelve numbers a solid that depend on the points it fills alone, (n, 12)."""
     form = np.zeros((len(size), 12))
     form[:, :3] = position
@@ -223,7 +222,7 @@ def _form(
     return form
 
 
-def _unsigned(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def _unsigned(vectors: Floats) -> Floats:
     """`vectors` (..., 3), each or its opposite: that whose first component other than 0, rounded,
     is positive."""
     rounded = np.rint(vectors / ROUND_M)
@@ -231,7 +230,7 @@ def _unsigned(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(first < 0, -vectors, vectors)
 
 
-def _ordered(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def _ordered(vectors: Floats) -> Floats:
     """Each three of `vectors` (n, 3, 3) in an order that depends on them alone: by a sum that tells
     rounded vectors apart."""
     rounded = np.rint(vectors / ROUND_M)
@@ -239,7 +238,7 @@ def _ordered(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.take_along_axis(vectors, np.argsort(key, axis=1)[:, :, None], axis=1)
 
 
-def _mesh_digest(triangles: NDArray[np.float64], filled: bool) -> bytes:
+def _mesh_digest(triangles: Floats, filled: bool) -> bytes:
     """A digest of a soup of triangles (T, 3, 3) that does not depend on the order of triangles or
     of their corners."""
     rounded = (np.rint(triangles / ROUND_M) + 0.0).astype(np.int64).view(np.uint64)
