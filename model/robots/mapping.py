@@ -26,6 +26,10 @@ from scenegen.worlds.world import World
 SPARES_M = (0.3, 0.2, 0.15, 0.1, 0.0)
 """How much farther than its radius the vehicle's path keeps from occupied voxels' centres, metres:
 the first with which there is a path."""
+AHEAD_S = 0.3
+"""A way begins where the vehicle will be by then, seconds: no sooner can it turn."""
+PASSED_M = 1.0
+"""A point of the way that is so near and no longer ahead is not flown back to, metres."""
 RIM = 5
 """Voxels of the window's rim, a metre, in which nothing is believed yet."""
 PLAN = PlanConfig(step_voxels=2, iterations=20)
@@ -187,7 +191,10 @@ class MappingRobot:
         lengths = np.maximum((legs * legs).sum(axis=1), 1e-12)
         along = np.clip((way * legs).sum(axis=1) / lengths, 0, 1)
         away = ((way - along[:, None] * legs) ** 2).sum(axis=1)
-        path = np.concatenate([position[None], self.path[int(np.argmin(away)) + 1 :]])
+        leg, far = int(np.argmin(away)), len(legs) - 1
+        while leg < far and way[leg + 1] @ legs[leg + 1] > 0 and abs(way[leg + 1]).max() < PASSED_M:
+            leg += 1
+        path = np.concatenate([position[None], self.path[leg + 1 :]])
         return path if self._narrowest_m(path) >= self._least_m else None
 
     def _narrowest_m(self, path: Floats) -> float:
@@ -203,12 +210,16 @@ class MappingRobot:
     def _plan(self, observation: Observation, distance: Field) -> Floats | None:
         """A path (n, 3) from the vehicle to the goal, world metres, that keeps its `distance`."""
         step, voxel_m, goal = PLAN.step_voxels, self.grid.voxel_m, observation["goal"]
-        ends = np.transpose(self._voxels(np.stack([observation["position"], goal])))
+        radius, position = float(self._about["radius_m"]), observation["position"]
+        start = position + AHEAD_S * observation["velocity"]
+        if distance[self._voxels(start[None])] < radius:
+            start = position
+        ends = np.transpose(self._voxels(np.stack([start, goal])))
         first = ends[0] % step
         shape = (np.array(self._fence.shape) - 1 - first) // step + 1
         node = np.minimum(np.rint((ends[1] - first) / step).astype(np.int64), shape - 1)
         for spare in SPARES_M:
-            blocked = distance < float(self._about["radius_m"]) + spare
+            blocked = distance < radius + spare
             blocked[tuple(first + step * node)] = False
             begin, weight = ends[0] // step, PLAN.risk_weight
             if self._frontier:
@@ -225,7 +236,7 @@ class MappingRobot:
         path = refine(rough, distance, self._fence, PLAN) if len(rough) > 2 else rough
         met = self._voxels(path[1:] + self._start)
         path = (rough if (blocked | (self._risk > RATHER))[met].any() else path) + self._start
-        return np.concatenate([observation["position"][None], path[1:], goal[None]])
+        return np.concatenate([[position, start], path[1:], goal[None]])
 
 
 def _nearest(blocked: Mask, begin: Ints, goal: Ints) -> Ints:

@@ -19,8 +19,7 @@ POINTS = 16
 LAG_S = 0.3
 """From a decision to brake until the vehicle brakes, seconds."""
 SIDE_S = 0.2
-"""The vehicle is so slow that it would take so many seconds to what is beside the way; half as many
-to the bounds."""
+"""The vehicle is so slow that it would take so many seconds to what is beside the way."""
 SLOWEST_MPS = 0.5
 """What it flies in the narrowest places, metres a second."""
 TURN = 2.0
@@ -81,8 +80,7 @@ def follow(
     brakes = LAG_S * speed
     look = min(brakes + speed * speed / pull + 0.5, float(ends[-1]))
     points = next_points(look)
-    edge = np.minimum(points - low, high - points).min(axis=1)
-    wide = np.minimum(room(points) - radius, 2 * edge)
+    wide = np.minimum(room(points) - radius, np.minimum(points - low, high - points).min(axis=1))
     allowed = np.maximum(wide / SIDE_S, SLOWEST_MPS)
     way = np.maximum(np.linspace(-brakes, look - brakes, POINTS), 0)
     wanted = float(np.sqrt(allowed**2 + pull * way).min())
