@@ -2,9 +2,11 @@
 and how many samples."""
 
 import dataclasses
+import hashlib
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
@@ -290,13 +292,18 @@ def fraction(weight: Any, label: str, what: str = "stream") -> Fraction:
 
 
 def plan_mixed(
-    folder: Path, components: Sequence[Component], *, counts: Mapping[str, int], **options: Any
+    folder: Path,
+    components: Sequence[Component],
+    *,
+    counts: Mapping[str, int],
+    seed: int,
+    **options: Any,
 ) -> Plan:
     """Divide `counts` (samples a split) among the components, and into shards of each.
 
     The component's samples are those of the dataset that it would be by itself, with as many
-    samples. `options` are those of `plan_dataset`. Raises DatasetError, and RecipeError where the
-    components differ in more than their worlds and flights.
+    samples and its own of the `seeds`. `options` are those of `plan_dataset`. Raises DatasetError,
+    and RecipeError where the components differ in more than their worlds and flights.
     """
     parts = {split: shares(counts[split], [weight for _, weight in components]) for split in SPLITS}
     plans = [
@@ -305,9 +312,12 @@ def plan_mixed(
             recipe,
             DrawnWorlds(recipe),
             counts={split: parts[split][n] for split in SPLITS},
+            seed=own,
             **options,
         )
-        for n, (recipe, _) in enumerate(components)
+        for n, ((recipe, _), own) in enumerate(
+            zip(components, seeds([recipe.kind for recipe, _ in components], seed), strict=True)
+        )
     ]
     for plan, (recipe, _) in zip(plans, components, strict=True):
         if said := unlike(plans[0].parameters, plan.parameters):
@@ -329,6 +339,18 @@ def plan_mixed(
     given = gathered(each, counts, plans[0].parameters["shard_samples"])
     lidars = tuple(recipe.lidar for recipe, _ in components)
     return Plan(folder=folder, parameters=given, shards=tuple(shards), lidars=lidars)
+
+
+def seeds(kinds: Iterable[str], seed: int) -> list[int]:
+    """The seeds of components of these kinds: `seed` for the first of a kind, others for those that
+    follow, so that no two draw the same worlds."""
+    before: Counter[str] = Counter()
+    found = []
+    for kind in kinds:
+        digest = hashlib.sha256(f"{kind} {before[kind]} {seed}".encode()).digest()
+        found.append(int.from_bytes(digest[:4]) if before[kind] else seed)
+        before[kind] += 1
+    return found
 
 
 def shares(count: int, weights: Sequence[Fraction]) -> list[int]:

@@ -95,7 +95,7 @@ def facts(
         "sentence": f"{told['samples']} pairs of a simulated LiDAR scan and the exact truth around "
         f"it, in {worlds}, as {' × '.join(map(str, shape))} voxel maps of {voxel_m:g} m{maps}",
         "version": f"{VERSION}.{made.tables.get('version', 0)}.0",
-        "seed": made.seed,
+        "seed": made.homes[0].seed,
         "lidar": " or ".join(map(str, lidars)),
         "digest": made.digest,
         "versions": ", ".join(f"{name} {number}" for name, number in made.software.items()),

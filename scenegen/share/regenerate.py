@@ -72,7 +72,7 @@ def command(found: Manifest, out: str) -> str:
             "scene": "SCENES" if found.kind == "scene" else None,
             "n": found.counts["train"],
             **{split: found.counts[split] for split in SPLITS[1:]},
-            "seed": found.seed,
+            "seed": found.homes[0].seed,
             "shard-samples": found.shard_samples,
             "labels": found.labels and found.labels["by"],
             "engine": None if found.engine == DEFAULT else found.engine,
@@ -197,7 +197,7 @@ def _read_again(found: Manifest, path: Path) -> Mapping[str, Any]:
     read = read_components(path) if found.sources else [(read_recipe(path), Fraction(1))]
     parts = [(dataclasses.replace(recipe, labels=labels), weight) for recipe, weight in read]
     asked: dict[str, Any] = {
-        "seed": found.seed,
+        "seed": found.homes[0].seed,
         "counts": found.counts,
         "compact": "tudf" not in found.fields,
         "shard_samples": found.shard_samples,

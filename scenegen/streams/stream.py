@@ -6,18 +6,19 @@ import multiprocessing
 import operator
 import os
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from scenegen.dataset.generation import MIXED, fraction, is_mixed, read_components
+from scenegen.dataset.generation import MIXED, fraction, is_mixed, read_components, seeds
 from scenegen.dataset.parts import schema_of
 from scenegen.errors import DatasetError, short
 from scenegen.files import sha256_of
 from scenegen.limits import MOST_SAMPLES, MOST_SEED, MOST_WORKERS
 from scenegen.sample import Sample, Samples, Schema
+from scenegen.source import DrawnWorlds
 from scenegen.streams.ahead import Ahead, Cache, pack, record_type, unpack
 from scenegen.streams.batches import Batches, Place, whole
 from scenegen.streams.mixture import Component, Mixture, component_of, parts_of
@@ -274,6 +275,14 @@ def stream(
     seed = whole("seed", seed, 0, MOST_SEED)
     parts = [part for what, weight in parts_of(worlds) for part in _unmixed(what, weight)]
     components = [component_of(what, seed=seed, split=split, engine=engine) for what, _ in parts]
+    drawn = [
+        n
+        for n, (one, (what, _)) in enumerate(zip(components, parts, strict=True))
+        if isinstance(one.source, DrawnWorlds) and not isinstance(what, Component)
+    ]
+    own = seeds([components[n].recipe.kind for n in drawn], seed)
+    for n, its in zip(drawn, own, strict=True):
+        components[n] = replace(components[n], seed=its)
     mixture = Mixture(components, [weight for _, weight in parts])
     return Stream(mixture, seed=seed, split=split, samples=samples, workers=workers, cache=cache)
 

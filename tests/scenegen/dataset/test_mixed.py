@@ -269,3 +269,10 @@ def test_a_domain_of_one_kind_needs_no_component(tmp_path):
     heights = [sample.position[2] for sample in dataset.split("train")]
     assert sum(height <= 1.0 for height in heights) == 10
     assert sum(2.0 <= height <= 4.0 for height in heights) == 10
+    count = dataset.split("train").count_worlds()
+    assert len({str(dataset.world("train", n)) for n in range(count)}) == count, "all differ"
+    stream = scenegen.stream(str(tmp_path / "r.toml"), samples=20)
+    drawn, stored = (
+        {one.ranges.tobytes() for one in them} for them in (stream, dataset.split("train"))
+    )
+    assert drawn == stored

@@ -243,7 +243,7 @@ def test_a_cache_gives_the_same_bits_and_makes_again_what_is_damaged(tmp_path, m
         ({"pillar": float("nan")}, {}, "weight of pillar = nan"),
         ({"pillar": "2"}, {}, "weight of pillar = '2'"),
         ({"pillar": 1e-9, "geometric": 1}, {}, "come round after 1000000001 flights"),
-        (["pillar", "pillar"], {}, "is there twice"),
+        ([SCENES / "forest.xml"] * 2, {}, "is there twice"),
         (["pillar", small_recipe()], {}, "one grid"),
         ("pillar", {"seed": -1}, "seed = -1: expected a whole number"),
         ("pillar", {"split": "training"}, "has no split 'training'"),
