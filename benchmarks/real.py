@@ -26,12 +26,14 @@ from numpy.typing import NDArray
 from PIL import Image
 from recordings import GRID, Observed, observed
 from scipy import ndimage
+from scipy.stats import mannwhitneyu
 
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.display.figures import draw_completions
 from scenegen.display.look import Guess, look_into
 from scenegen.display.panels import to_bytes
+from scenegen.model.calibration import denial
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.unlearned import Extrude
 from scenegen.model.evaluation.config import BenchConfig, PlanConfig
@@ -226,6 +228,17 @@ def scored(
     lines += ["", "## Calibration", "", *head([one.name for one in methods])]
     for name, found in counts.items():
         lines.append(line(name, [values.ece for values in found.values()]))
+    lines += ["", "## Told from the drawn kinds", "", *head([one.name for one in methods])]
+    for name in away:
+        cells = []
+        for one in methods:
+            here, home = (
+                np.concatenate([counts[place][one.name].denied for place in chosen])
+                for chosen in ([name], [place for place in places if place.startswith("`")])
+            )
+            won = mannwhitneyu(here, home).statistic  # of all pairs, half of those that are equal
+            cells.append(f"{won / (len(here) * len(home)):.2f}")
+        lines.append(line(name, cells))
     lines += ["", "## What costs IoU", "", *head(("of what is occupied", *titles))]
     for n, group in enumerate(GROUPS):
         cells = [f"{100 * np.mean([counts[name][methods[0].name].size(n) for name in away]):.0f} %"]
@@ -290,18 +303,20 @@ def counted(seen: Any, split: Any, methods: list[Method]) -> "dict[str, Counts]"
     there = np.array([sums(group) for _, group in seen])
     found = {}
     for method in methods:
-        said, sure = [], []
+        said, sure, denied = [], [], []
         for sample, group in seen:
             guess = method.completion(sample, split)
             probability, calibrated = guess.occupancy_probability, guess.probability
             if probability is None:
                 sys.exit(f"{method.name}: predicts distances alone, expected occupancy")
             said.append([sums(group[probability >= threshold]) for threshold in THRESHOLDS])
+            weight = getattr(guess.uncertainty, "class_weight", 1.0)
+            denied.append(denial(probability, sample.observed, weight))
             readings = [probability] if calibrated is None else [*[probability] * 2, calibrated]
             inside = np.zeros((len(REGIONS), *group.shape), np.bool_)
             inside[0] = group != UNSCORED
             sure.append(count(readings, group < MISSED, inside))
-        found[method.name] = Counts(there, np.array(said), np.array(sure))
+        found[method.name] = Counts(there, np.array(said), np.array(sure), np.array(denied))
     return found
 
 
@@ -339,6 +354,8 @@ class Counts(NamedTuple):
     """(maps, thresholds, groups): those that are said to be occupied."""
     sure: NDArray[np.float64]
     """Of each map, what `count` counts over the voxels that are scored."""
+    denied: NDArray[np.float64]
+    """Of each map, the share of its returns that is denied; see `denial`."""
 
     @property
     def either(self) -> NDArray[np.int64]:

@@ -4,10 +4,11 @@ file."""
 import dataclasses
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from lidarsim.grid import Field, GridSpec, Ints
+from lidarsim.grid import Field, GridSpec, Ints, Mask
 from lidarsim.parameters import check, number
 from scenegen.errors import ScenegenError, short
 from scenegen.files import Json
@@ -17,6 +18,8 @@ KEY = "calibration"
 RISK = 0.05
 """The risk of a bound where none is named: the truth is at least the bound in 95 % of unknown
 voxels."""
+UNUSUAL = 0.95
+"""A map that is farther from home than this share of those of calibration is away."""
 CLOSE = 1e-9
 """Risks that differ by less are the same."""
 
@@ -52,6 +55,9 @@ class Calibration:
     see `scenegen.model.evaluation.planning.measure`. () where that was not measured."""
     datasets: tuple[str, ...] = ()
     """Digests of the datasets whose validation worlds these are."""
+    denied: tuple[float, ...] = ()
+    """What `denial` says of validation maps, at levels that rise in equal steps, up to all of them;
+    () where that was not measured."""
 
     def __post_init__(self) -> None:
         check(self)
@@ -92,6 +98,13 @@ class Calibration:
             return None
         logit = corrected_logit(probability, self.class_weight) / np.float32(self.temperature)
         return 1 / (1 + np.exp(-logit))
+
+    def away(self, probability: Field | None, observed: Mask) -> Any:
+        """See `scenegen.model.completion.protocol.Prediction.away`."""
+        if probability is None or not self.denied:
+            return None
+        shares = denial(probability, observed, self.class_weight)
+        return np.searchsorted(self.denied, shares) / len(self.denied)
 
     def row(self, risk: float) -> int:
         """Which of `risks` serves `risk`: the greatest that is no greater. Raises UncertaintyError
@@ -169,6 +182,13 @@ def corrected(probability: Field, class_weight: float) -> Field:
     """
     p = probability.astype(np.float32)
     return np.asarray(p / (p + np.float32(class_weight) * (1 - p)), dtype=np.float32)
+
+
+def denial(probability: Field, observed: Mask, class_weight: float) -> Any:
+    """The share of a map's `observed` voxels that are said to be free sooner than occupied, or of
+    each map's, (...), from (..., X, Y, Z); 0 where nothing was observed."""
+    missed, every = observed & (corrected(probability, class_weight) <= 0.5), (-3, -2, -1)
+    return missed.sum(axis=every) / np.maximum(observed.sum(axis=every), 1)
 
 
 def corrected_logit(probability: Field, class_weight: float) -> Field:

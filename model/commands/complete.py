@@ -88,6 +88,7 @@ def complete(
     from scenegen.dataset.manifest import NAME
     from scenegen.dataset.read import Dataset
     from scenegen.files import make_way, real_path
+    from scenegen.model.calibration import UNUSUAL
     from scenegen.model.completion.completer import Completer
     from scenegen.model.completion.predictions import predict_scan, predict_split
     from scenegen.model.training.device import choose_device
@@ -113,7 +114,7 @@ def complete(
     there = out.exists()
     if found.is_dir():
         with Progress("complete", shown=not quiet) as progress:
-            predict_split(
+            away = predict_split(
                 completer,
                 found,
                 split,
@@ -125,6 +126,13 @@ def complete(
             )
         for warning in () if quiet else completer.unlike(Dataset(found).settings):
             note(f"note: {warning}")
+        far = sum(one >= UNUSUAL for one in away)
+        if not quiet and far > 2 * (1 - UNUSUAL) * len(away):  # at home, it would be half of that
+            note(
+                f"note: {far} of {len(away)} maps are away from home for {completer.name}: it "
+                f"denies more of their returns than of {UNUSUAL:.0%} of the maps it was calibrated "
+                f"on, so expect worse completions"
+            )
     else:
         used = predict_scan(completer, found, out, sensor=sensor)
         if not quiet:

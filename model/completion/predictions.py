@@ -23,7 +23,7 @@ from scenegen.display.look import Look
 from scenegen.errors import DatasetError, empty_split
 from scenegen.files import check_ours, whole, write_whole
 from scenegen.limits import MOST_SCAN_BYTES, MOST_VOXELS
-from scenegen.model.calibration import RISK
+from scenegen.model.calibration import RISK, UNUSUAL
 from scenegen.model.completion.completer import Completer, opened_once
 from scenegen.model.completion.protocol import PARTS, SURE, Prediction, check_prediction
 from scenegen.model.config import Thresholds
@@ -35,6 +35,8 @@ PART = 40
 Chunks: TypeAlias = dict[str, list[bytes]]
 """Maps by the name of what they tell, each compressed as HDF5 has it, in the order of `PARTS` and
 `SURE`."""
+Part: TypeAlias = tuple[Rows, Chunks, list[float]]
+"""Maps of some rows, and how far from home each is."""
 
 
 def predict_split(
@@ -47,9 +49,10 @@ def predict_split(
     execute: Executor | None = None,
     on_start: Callable[[int], None] = lambda total: None,
     on_done: Callable[[int], None] = lambda samples: None,
-) -> None:
+) -> list[float]:
     """Complete every sample of a split and write what docs/bench.md calls a predictions file to
-    `out`, whole or not.
+    `out`, whole or not. Returns how far from home each is, see `Prediction.away`; [] where nobody
+    knows.
 
     This process does it, `batch` maps at once; or `execute` has it done, on one thread a process.
     Raises DatasetError for another grid, an empty split, a disk that refuses, where `out` is
@@ -78,41 +81,45 @@ def predict_split(
     else:
         check_together(execute, "a file of predictions holds")
         results = execute(partial(_elsewhere, completer.opened, samples, batch), tasks, begin)
+    away: list[float] = []
     with closing(results):
-        _write(out, samples, completer, _in_order(results, on_done))
+        _write(out, samples, completer, _in_order(results, on_done, away))
+    return away
 
 
-def _completed(completer: Completer, samples: Split, batch: int, rows: Rows) -> tuple[Rows, Chunks]:
+def _completed(completer: Completer, samples: Split, batch: int, rows: Rows) -> Part:
     """The maps of `rows`, completed `batch` at once."""
     found: Chunks = {}
+    away: list[float] = []
     grid = samples.dataset.grid
     for first in range(0, len(rows.numbers), batch):
-        read = [
-            channels(completer.inputs, sample, grid, sample.lidar)
-            for sample in map(samples.__getitem__, rows.numbers[first : first + batch])
-        ]
+        several = [samples[number] for number in rows.numbers[first : first + batch]]
+        read = [channels(completer.inputs, one, grid, one.lidar) for one in several]
         said = completer({name: np.stack([one[name] for one in read]) for name in completer.inputs})
         for name in PARTS | SURE:
             if (maps := getattr(said, name)) is not None:
                 found.setdefault(name, []).extend(compress(values) for values in maps)
-    return rows, found
+        far = said.away(np.stack([one.observed for one in several]))
+        away += [] if far is None else far.tolist()
+    return rows, found, away
 
 
-def _elsewhere(opened: Any, samples: Split, batch: int, rows: Rows) -> tuple[Rows, Chunks]:
+def _elsewhere(opened: Any, samples: Split, batch: int, rows: Rows) -> Part:
     return _completed(opened_once(*opened), samples, batch, rows)
 
 
 def _in_order(
-    results: Iterable[tuple[Rows, Chunks]], on_done: Callable[[int], None]
+    results: Iterable[Part], on_done: Callable[[int], None], away: list[float]
 ) -> Iterator[Chunks]:
-    """What `_completed` gives, as it comes, in the order of samples."""
-    waiting: dict[int, tuple[Rows, Chunks]] = {}
+    """What `_completed` gives, as it comes, in the order of samples; `away` grows with it."""
+    waiting: dict[int, Part] = {}
     following = 0
-    for rows, chunks in results:
-        waiting[rows.numbers[0]] = rows, chunks
-        on_done(len(rows.numbers))
+    for part in results:
+        waiting[part[0].numbers[0]] = part
+        on_done(len(part[0].numbers))
         while following in waiting:
-            rows, chunks = waiting.pop(following)
+            rows, chunks, far = waiting.pop(following)
+            away += far
             yield chunks
             following += len(rows.numbers)
 
@@ -209,6 +216,8 @@ def predict_scan(
     used += "".join(f"; {what}" for what in untold if what)
     maps = channels(completer.inputs, seen, seen.grid)
     prediction = completer(maps)
+    if (prediction.away(seen.observed) or 0) >= UNUSUAL:
+        used += f"; {completer.name} denies an unusual share of them, as where it is away from home"
     if out.suffix == ".ply":
         centres = seen.grid.centres(seen.origin)[prediction.occupied(thresholds)]
         write_whole(out, encode_points(".ply", centres))

@@ -98,6 +98,20 @@ class Prediction:
             tudf = np.stack(derived).reshape(probability.shape)
         return self._as_given(self.uncertainty.low(tudf, probability, risk))
 
+    def away(self, observed: Any) -> Any:
+        """How far from home the map is, or each of a batch, from 0 to 1; None where that was not
+        measured.
+
+        A network that is away from home denies what it is shown: it says of voxels that hold a
+        return, `observed` (*shape), that they are free. This is the share of the maps that it was
+        calibrated on of which it denied less. From .95 on, expect a worse completion; below,
+        nothing is promised.
+        """
+        if not isinstance(self.uncertainty, Calibration):
+            return None
+        probability, seen = _plain(self.occupancy_probability), _plain(observed)
+        return self.uncertainty.away(probability, seen.astype(np.bool_))
+
     def _as_given(self, values: Field | None) -> Any:
         """As torch, on their device, where the predictions are."""
         given = self.occupancy_probability if self.tudf is None else self.tudf

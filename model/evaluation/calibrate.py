@@ -23,6 +23,7 @@ from scenegen.model.calibration import (
     bins,
     corrected,
     corrected_logit,
+    denial,
     distance_bins,
 )
 from scenegen.model.checkpoint import CheckpointError, save_network
@@ -49,6 +50,8 @@ SCORE_M = 0.02
 LOGIT, MOST_LOGIT = 0.05, 20.0
 """Width of the bins of logits, and where they end."""
 FOLDS = 5
+LEVELS = np.arange(1, 21) / 20
+"""Shares of validation maps at which it is kept how many returns are denied."""
 
 
 def count_logits(
@@ -241,7 +244,7 @@ def calibrate(
             on_done(len(several))
         return [found[key] for key in sorted(found)]
 
-    counted, logits = zip(*look("voxels", partial(_count, weight, grid)), strict=True)
+    counted, logits, shares = zip(*look("voxels", partial(_count, weight, grid)), strict=True)
     chances = CHANCES if "occupancy" in network.tasks else ()
     risks, margins = fit_margins(np.stack(counted), near_bins(grid, chances))
     found = Calibration(
@@ -253,11 +256,12 @@ def calibrate(
         risks=risks,
         margins=margins,
         datasets=tuple(str(dataset.manifest.digest) for dataset in datasets),
+        denied=tuple(np.quantile(np.concatenate(shares), LEVELS).tolist()) if chances else (),
     )
     if trials:
         losses = look("paths", partial(_collisions, found, grid, trials, seed))
-        shares = np.array([collided / count for collided, count in losses if count])
-        found = replace(found, path_risks=path_risks(shares))
+        hit = np.array([collided / count for collided, count in losses if count])
+        found = replace(found, path_risks=path_risks(hit))
     # as it is read again: lists for tuples
     save_network(out, network, grid, {**about, KEY: json.loads(json.dumps(found.said()))})
     return found
@@ -278,8 +282,9 @@ def _work(
 
 def _count(
     weight: float, grid: GridSpec, said: Prediction, sample: Sample, split: Split, index: int
-) -> tuple[Ints, Any]:
-    """Scores of a map's unknown voxels, and their logits where there are some."""
+) -> tuple[Ints, Any, list[Any]]:
+    """Scores of a map's unknown voxels, and their logits where there are some; and what share of
+    its returns is denied."""
     scored = scored_voxels(sample, grid, split.home(index).tables)
     classes = classify(sample, grid=grid, scored=scored)
     unknown, probability = np.isin(classes, UNOBSERVED), said.occupancy_probability
@@ -287,8 +292,9 @@ def _count(
     chance = None if probability is None else corrected(probability, weight)
     scores = count_scores(distance, chance, sample.tudf, unknown, grid)
     if probability is None:
-        return scores, np.int64(0)
-    return scores, count_logits(probability, sample.occupancy, unknown, weight)
+        return scores, np.int64(0), []
+    logits = count_logits(probability, sample.occupancy, unknown, weight)
+    return scores, logits, [denial(probability, sample.observed, weight)]
 
 
 def _collisions(

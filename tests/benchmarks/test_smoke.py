@@ -57,6 +57,7 @@ SCRIPTS: dict[str, tuple[tuple[object, ...], tuple[str, ...]]] = {
     "kinds": ((), (r"`geometric` \| N \| N% · N% \| N% · N \|", r"`maze`")),
     "mutants": ((), (r"N of 1 killed",)),
     "odometry": ((), (ODOMETRY,)),
+    "peers": ((), (r"`pillar` \| N .* \| N", r"`SSC.et` \| N M \| 0.92 M \| N M \| N \| N")),
     "rays": ((), (r"analytic +N ms a scan", r"kernels cached: N s")),
     "real": ((), (r"`pillar` \| N \| N .* \| N", r"mean of the places")),
     "sensors": ((), (r"livox-avia +N ms a sample", r"map ahead +N ms a sample")),
@@ -75,7 +76,10 @@ SCRIPTS: dict[str, tuple[tuple[object, ...], tuple[str, ...]]] = {
     ),
 }
 """Of every benchmark: what it is given, and figures that it prints; N stands for one."""
-LEARNED = {"elsewhere", "generalisation", "ensemble", "inference", "anywhere", "real", "training"}
+LEARNED = {
+    *("elsewhere", "generalisation", "ensemble", "inference"),
+    *("anywhere", "peers", "real", "training"),
+}
 """These import torch, which takes seconds: they run in this process, which has done so for other
 tests, and so do the commands that they run."""
 

@@ -59,7 +59,11 @@ def test_a_file_carries_its_calibration(dataset, weights, tmp_path):
     low, known = said.low(0.3), samples[0].tudf
     assert (known >= low - 1e-4).mean() > 0.6
     assert (said.low(0.5) >= low).all()
-    predict_split(completer, dataset.folder, "test", tmp_path / "p.h5")
+    away = predict_split(completer, dataset.folder, "test", tmp_path / "p.h5")
+    assert away == [
+        said.away(one.observed) for one in samples for said in (completer(one.observed),)
+    ]
+    assert max(away) < 1, "it was calibrated on these"
     with h5py.File(tmp_path / "p.h5") as file:
         assert "tudf_low" not in file, "three worlds promise no .95"
         np.testing.assert_allclose(file["probability"][0], said.probability, atol=1e-5)

@@ -53,6 +53,22 @@ def test_the_class_weight_is_inverted(weight):
     assert corrected(np.array([0, 1], np.float32), weight).tolist() == [0, 1]
 
 
+def test_a_network_that_denies_what_it_sees_is_away_from_home():
+    """Against counting, map by map; where nothing was seen, nothing is denied."""
+    rng, home = np.random.default_rng(1), (0.3, 0.8, 0.85, 1.0)
+    probability, seen = rng.random((3, *GRID.shape), np.float32), rng.random((3, *GRID.shape)) < 0.2
+    seen[2] = False
+    denied = [(corrected(probability[n][seen[n]], 5) <= 0.5).mean() for n in range(2)]
+    told = dataclasses.replace(PLAIN, denied=home)
+
+    def away(probability):
+        return Prediction(probability, uncertainty=told).away(seen).tolist()
+
+    assert away(probability) == [sum(level < one for level in home) / 4 for one in denied] + [0]
+    assert (away(seen.astype(np.float32)), away(1.0 - seen)) == ([0, 0, 0], [0.75, 0.75, 0])
+    assert said().away(seen[0]) is None
+
+
 def test_a_prediction_is_read_voxel_by_voxel():
     """Against the table, one voxel after the other."""
     found = said()

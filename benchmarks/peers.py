@@ -1,0 +1,304 @@
+"""Published completion networks, written again from their papers, trained on the maps of ours.
+
+    python benchmarks/peers.py MAPS --runs /tmp/peers --learned 600     # docs/results/peers.md
+
+`LMSCNet`, `SSCNet` and our `columns` begin with random weights, and learn from the same maps of
+`anywhere.toml`, in the same order, by the same loss. A run that is there goes on to so many maps.
+MAPS is the folder that `real.py` takes. Beside them stands the bundled `anywhere`, which has
+learned for far longer.
+"""
+
+import os
+import tempfile
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import measuring
+import torch
+from inference import measure
+from real import KINDS, drawn, real_places
+from torch import Tensor, nn
+
+from scenegen import Output
+from scenegen.dataset.read import Dataset
+from scenegen.model.completion.completer import Completer, open_network
+from scenegen.model.completion.unlearned import Extrude
+from scenegen.model.evaluation.config import BenchConfig, PlanConfig
+from scenegen.model.evaluation.methods import Completed, Method
+from scenegen.model.evaluation.run import bench
+from scenegen.model.evaluation.statistics import figure, head, interval, line
+from scenegen.model.network import placed
+
+HERE = Path(__file__).parent
+PAGE = HERE.parent / "docs" / "results" / "peers.md"
+OURS = "columns"
+PAPERS = {"LMSCNet": (32, 20, "0.35 M"), "SSCNet": (36, 12, "0.93 M")}
+"""Voxels in height and classes in the paper, and how many parameters it counts."""
+TRAINING = (
+    *("--input", "observed", "--input", "free"),
+    *("--stream-seed", 7, "--points-share", 0.25, "--batch", 2, "--precision", "float32"),
+    *("--lambda-occupancy", 1, "--lovasz", 1, "--eikonal", 0, "--choose", "last"),
+    *("--interval", 600, "--quiet"),
+)
+TABLES = {"iou": "IoU", "near_rmse": "Near-RMSE, m", "success": "Success of the careful planner"}
+REAL = "real places, less `extrude`"
+
+
+def main() -> None:
+    """Train what is missing, measure, and write the tables."""
+    parser = measuring.options(__doc__)
+    parser.add_argument("maps", type=Path, nargs="?", help="folder of the maps of real places")
+    parser.add_argument("--runs", type=Path, help="folder of the runs")
+    parser.add_argument("--stream", default=HERE / "anywhere.toml", help="what they learn from")
+    parser.add_argument("--learned", type=int, default=600, help="maps that each learns from")
+    parser.add_argument("--poses", type=int, default=40, help="test maps of each place, at most")
+    parser.add_argument("--trials", type=int, default=120, help="planning trials of each place")
+    parser.add_argument("--rounds", type=int, default=5, help="of timing")
+    parser.add_argument("--peer", action="append", choices=PAPERS, help="  [default: all]")
+    given = measuring.parse(
+        parser, stream="pillar", learned=2, poses=2, trials=2, rounds=1, peer=["SSCNet"]
+    )
+    with tempfile.TemporaryDirectory() as spare:
+        folder, runs = Path(spare), given.runs or Path(spare, "runs")
+        names = {OURS: str(runs / OURS)}
+        names |= {one: f"peers:{one}@{runs / one}" for one in given.peer or PAPERS}
+        for name, weights in names.items():
+            train(weights.rpartition("@")[2], name, given)
+        places = {
+            f"`{kind}`": drawn(kind, folder / kind, given.poses)
+            for kind in KINDS[: 1 if given.smoke else None]
+        }
+        places |= real_places(given.maps, folder, given.poses)
+        networks = [Completer.from_pretrained(one, threads=1) for one in names.values()]
+        networks.append(Completer.from_pretrained("anywhere", threads=1))
+        lines = scored(places, [Completed(Extrude()), *networks], given.trials)
+        lines += sizes(names, given.rounds)
+    print("\n".join(lines))
+    if not given.smoke:
+        said = PAGE.read_text().partition("<!-- tables -->")[0]
+        PAGE.write_text(f"{said}<!-- tables -->\n" + "\n".join(lines) + "\n")
+
+
+def train(out: str, name: str, given: Any) -> None:
+    """Train a network on so many maps, where its run has not seen them."""
+    variant = name if name == OURS else f"peers:{name}"
+    os.environ["PYTHONPATH"] = os.pathsep.join([str(HERE), os.environ.get("PYTHONPATH", "")])
+    maps = ("--maps", given.learned, "--val-maps", min(8, given.learned))
+    words = ("--variant", variant, "--stream", given.stream, *TRAINING, *maps, "--out", out)
+    measuring.run("-m", "scenegen", "train", *words)
+
+
+def scored(places: dict[str, Dataset], methods: list[Method], trials: int) -> list[str]:
+    """A table for each of `TABLES`: a row a place, and one of all real places together."""
+    rows: dict[str, list[str]] = {name: [] for name in TABLES}
+    ahead: dict[str, list[float]] = {one.name: [] for one in methods}
+    drawn_from: list[str] = []
+    for place, dataset in places.items():
+        split: Any = "test" if len(dataset.split("test")) else "train"
+        config = BenchConfig(split=split, trials=trials, plan=PlanConfig(planner="careful"))
+        result = bench(dataset, methods, config)
+        # every map is of a flight of its own, and maps are what is drawn anew
+        trial_maps = [map_ for map_, _ in result.trial_places]
+        for name, lines in rows.items():
+            planned = name == "success"
+            maps = trial_maps if planned else range(len(result.worlds))
+            values = (result.methods[one.name].values(name) for one in methods)
+            scale: Any = "outcome" if planned else "amount"
+            lines.append(line(place, (shown(figure(one, maps, scale)) for one in values)))
+        if not place.startswith("`"):
+            drawn_from += [f"{place} {map_}" for map_ in trial_maps]
+            usual = result.methods[methods[0].name].values("success")
+            for one in methods:
+                ahead[one.name] += (result.methods[one.name].values("success") - usual).tolist()
+    if drawn_from:
+        pooled = (figure(one, drawn_from, "gain") for one in ahead.values())
+        rows["success"].append(line(REAL, (shown(one, "+.3f") for one in pooled)))
+    found = []
+    for name, lines in rows.items():
+        found += ["", f"## {TABLES[name]}", "", *head([one.name for one in methods]), *lines]
+    return found
+
+
+def shown(value: dict[str, Any], form: str = ".2f") -> str:
+    """A mean with its interval."""
+    return f"{value['mean']:{form}} {interval(value, form)}"
+
+
+def sizes(names: dict[str, str], rounds: int) -> list[str]:
+    """How large the networks are, here and in their papers, and how long each takes for a map."""
+    torch.set_num_threads(1)
+    networks = {name: placed(open_network(one)[0], "cpu") for name, one in names.items()}
+    times = measure(networks, ("observed", "free"), rounds)
+    lines = ["", "## Size and time", ""]
+    lines += head(("parameters", "at the paper's size", "in the paper", "ms a map", "ratio"))
+    for name, network in networks.items():
+        paper = ["–", "–"]
+        if name in PAPERS:
+            height, classes, said = PAPERS[name]
+            as_there = SimpleNamespace(inputs=("observed",), height=height)
+            paper = [counted(globals()[name](as_there, classes)), said]
+        ms = times[name].wall
+        cells = [counted(network), *paper, f"{ms:.0f}", f"{ms / times[OURS].wall:.2f}"]
+        lines.append(line(f"`{name}`", cells))
+    return lines
+
+
+def counted(network: nn.Module) -> str:
+    """Its parameters, millions."""
+    return f"{sum(one.numel() for one in network.parameters()) / 1e6:.2f} M"
+
+
+class LMSCNet(nn.Module):
+    """A flat U-Net with height as channels, then a small 3-D head (Roldão, de Charette and
+    Verroust-Blondet, "LMSCNet: Lightweight Multiscale 3D Semantic Completion", 3DV 2020, arXiv
+    2008.10559), at full scale alone.
+
+    With Z voxels in height, levels at scales 1, 2, 4 and 8 have Z, 1.5 Z, 2 Z and 2.5 Z channels.
+    On the way up, scale s leaves through Z/s channels, which reach every finer scale. Nothing is
+    normalised but in the head, as in the paper.
+    """
+
+    tasks = ("occupancy",)
+
+    def __init__(self, config: Any, classes: int = 1):
+        super().__init__()
+        self.inputs, z = config.inputs, config.height
+        widths = {1: z, 2: 3 * z // 2, 4: 2 * z, 8: 5 * z // 2}
+        below = [len(self.inputs) * z, *widths.values()]
+        self.down = nn.ModuleList(
+            nn.Sequential(*flat(given, width), *flat(width, width))
+            for given, width in zip(below, widths.values(), strict=False)
+        )
+        self.mix, self.leave, self.up = (nn.ModuleDict() for _ in range(3))
+        for scale, width in widths.items():
+            coarser = [one for one in widths if one > scale]
+            if coarser:
+                self.mix[str(scale)] = flat(width + sum(z // one for one in coarser), width)
+            if scale > 1:
+                self.leave[str(scale)] = nn.Conv2d(width, z // scale, 3, padding=1)
+            for one in coarser:
+                stride = one // scale
+                kernel, padding = (6, 2) if stride == 2 else (stride, 0)
+                self.up[f"{one} to {scale}"] = nn.ConvTranspose2d(
+                    z // one, z // one, kernel, stride=stride, padding=padding
+                )
+        self.head = Segmentation(classes)
+        begin(self)
+
+    def forward(self, batch: dict[str, Tensor]) -> Output:
+        """(B, X, Y, Z) by name → logits of occupancy, (B, X, Y, Z)."""
+        x = torch.cat([batch[name].float() for name in self.inputs], dim=3)
+        x, seen = x.permute(0, 3, 1, 2), {}  # (B, inputs * Z, X, Y)
+        for scale, down in zip((1, 2, 4, 8), self.down, strict=True):
+            x = down(x if scale == 1 else nn.functional.max_pool2d(x, 2))
+            seen[scale] = x
+        left = {8: self.leave["8"](x)}
+        for scale in (4, 2, 1):
+            given = (self.up[f"{one} to {scale}"](values) for one, values in left.items())
+            x = self.mix[str(scale)](torch.cat((seen[scale], *given), dim=1))
+            if scale > 1:
+                left[scale] = self.leave[str(scale)](x)
+        return Output(self.head(x.permute(0, 2, 3, 1)[:, None])[:, 0], None)  # from (B, Z, X, Y)
+
+
+class Segmentation(nn.Module):
+    """LMSCNet's head: one channel to eight, which three pairs of convolutions of dilation 1, 2 and
+    3 see in turn; (B, 1, X, Y, Z) → (B, classes, X, Y, Z)."""
+
+    def __init__(self, classes: int, width: int = 8):
+        super().__init__()
+        self.first = nn.Conv3d(1, width, 3, padding=1)
+        self.pyramid = nn.ModuleList(
+            nn.Sequential(
+                nn.Conv3d(width, width, 3, padding=wide, dilation=wide, bias=False),
+                nn.BatchNorm3d(width),
+                nn.ReLU(inplace=True),
+                nn.Conv3d(width, width, 3, padding=wide, dilation=wide, bias=False),
+                nn.BatchNorm3d(width),
+            )
+            for wide in (1, 2, 3)
+        )
+        self.last = nn.Conv3d(width, classes, 3, padding=1)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """As the class says."""
+        x = torch.relu(self.first(x))
+        found = sum(branch(x) for branch in self.pyramid)
+        return self.last(torch.relu(x + found))
+
+
+class SSCNet(nn.Module):
+    """3-D convolutions, two of its five residual pairs dilated, at a quarter of the resolution
+    (Song et al., "Semantic Scene Completion from a Single Depth Image", CVPR 2017, arXiv
+    1611.08974, section 3.2 and figure 3).
+
+    The paper predicts at that resolution. Here a transposed convolution, 4 wide with stride 4,
+    gives every voxel of a cell its own logit; `classes` asks for the paper's own last layer.
+    """
+
+    tasks = ("occupancy",)
+
+    def __init__(self, config: Any, classes: int | None = None):
+        super().__init__()
+        self.inputs = config.inputs
+        self.stem = nn.Sequential(
+            nn.Conv3d(len(self.inputs), 16, 7, stride=2, padding=3),
+            nn.ReLU(inplace=True),
+            Residual(16, 32),
+            nn.MaxPool3d(2),
+            Residual(32, 64),
+        )
+        self.context = nn.ModuleList(Residual(64, 64, wide) for wide in (1, 2, 2))
+        self.mix = nn.Sequential(
+            *(nn.Conv3d(3 * 64, 128, 1), nn.ReLU(inplace=True)),
+            *(nn.Conv3d(128, 128, 1), nn.ReLU(inplace=True)),
+        )
+        self.last: nn.Module = nn.ConvTranspose3d(128, 1, 4, stride=4)
+        if classes:
+            self.last = nn.Conv3d(128, classes, 1)
+        begin(self)
+
+    def forward(self, batch: dict[str, Tensor]) -> Output:
+        """(B, X, Y, Z) by name → logits of occupancy, (B, X, Y, Z)."""
+        x = self.stem(torch.stack([batch[name].float() for name in self.inputs], dim=1))
+        scales = []
+        for context in self.context:
+            x = context(x)
+            scales.append(x)
+        return Output(self.last(self.mix(torch.cat(scales, dim=1)))[:, 0], None)
+
+
+class Residual(nn.Module):
+    """Two convolutions three wide, beside a way past them."""
+
+    def __init__(self, below: int, width: int, wide: int = 1):
+        super().__init__()
+        self.past = nn.Identity() if below == width else nn.Conv3d(below, width, 1)
+        self.pair = nn.Sequential(
+            nn.Conv3d(below, width, 3, padding=wide, dilation=wide),
+            nn.ReLU(inplace=True),
+            nn.Conv3d(width, width, 3, padding=wide, dilation=wide),
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, below, x, y, z) → (B, width, x, y, z)."""
+        return torch.relu(self.past(x) + self.pair(x))
+
+
+def flat(below: int, width: int) -> nn.Sequential:
+    """A convolution over x and y, three wide, with its activation."""
+    return nn.Sequential(nn.Conv2d(below, width, 3, padding=1), nn.ReLU(inplace=True))
+
+
+def begin(network: nn.Module) -> None:
+    """Weights from He et al. 2015: without norms, torch's own let signals fade."""
+    for module in network.modules():
+        if isinstance(module, nn.Conv2d | nn.Conv3d):
+            nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
+            if module.bias is not None:
+                nn.init.zeros_(module.bias)
+
+
+if __name__ == "__main__":
+    main()
