@@ -196,8 +196,8 @@ def _pictures(
 
 def show_tables(report: Json) -> None:
     """Both tables: means, at the paper's thresholds."""
-    from scenegen.model.evaluation.report import tables
-    from scenegen.model.evaluation.statistics import caution, threshold
+    from scenegen.model.evaluation.report import notes, tables
+    from scenegen.model.evaluation.statistics import threshold
 
     for kind, about in report["datasets"].items():
         for table, names, rows, _ in tables(report, kind):
@@ -209,5 +209,5 @@ def show_tables(report: Json) -> None:
                 for method, row in rows.items()
             }
             show_figures(cells, list(names), f"{kind}, {table}")
-        if few := caution(about["worlds"]):
-            say(f"note: {kind}: {few}")
+        for told in notes(about):
+            say(f"note: {kind}: {told}")

@@ -65,6 +65,8 @@ def build_report(results: Sequence[DatasetResult], *, seed: int, about: Json) ->
             "digest": result.digest,
             "samples": len(result.worlds),
             "worlds": len(np.unique(result.worlds)),
+            "known_share": result.known_share,
+            "note": _partly(result.known_share),
             "trials": len(result.trial_worlds),
             "excluded": dict(result.excluded),
         }
@@ -81,6 +83,21 @@ def build_report(results: Sequence[DatasetResult], *, seed: int, about: Json) ->
                 for name, found in methods
             }
     return finite(report)
+
+
+def _partly(known: float) -> str:
+    """What figures leave out where a share of the voxels is `known`; "" where all are."""
+    if known == 1:
+        return ""
+    return (
+        f"{100 * known:.1f} % of the grid is known in the mean: scores count known voxels alone, "
+        "and plans keep to known space"
+    )
+
+
+def notes(about: Json) -> list[str]:
+    """What a reader must know of the figures of one of the report's `datasets`."""
+    return [told for told in (about["note"], caution(about["worlds"])) if told]
 
 
 def finite(value: Any) -> Any:
@@ -208,8 +225,7 @@ def shown(report: Json, kind: str) -> Iterator[str | Table]:
         f"95 % interval of the mean, by a jackknife over worlds"
         f"{', which one world does not give' * (about['worlds'] == 1)}. In italics: the paper's."
     )
-    if few := caution(about["worlds"]):
-        yield f"{few}."
+    yield from (f"{told}." for told in notes(about))
     for title, metrics, rows, reference in tables(report, kind):
         ours = [(name, [cell(row[m]) for m in metrics]) for name, row in rows.items()]
         theirs = [

@@ -87,6 +87,8 @@ class DatasetResult:
     config: BenchConfig
     worlds: Ints
     """(N,): the samples' worlds."""
+    known_share: float
+    """The mean share of a sample's voxels that are known: 1 but for maps of real places."""
     trial_worlds: Ints
     """(trials,): the trials' worlds."""
     trial_places: tuple[tuple[int, int], ...]
@@ -115,6 +117,7 @@ class _Found(NamedTuple):
 
     number: int
     world: int
+    known_share: float
     excluded: Counter[str]
     methods: list[_OfMap]
 
@@ -211,6 +214,7 @@ def bench(
         grid=dataset.grid,
         config=config,
         worlds=np.array([one.world for one in found]),
+        known_share=float(np.mean([one.known_share for one in found])),
         trial_worlds=np.array([found[n].world for _, n in turns], dtype=np.int64),
         trial_places=tuple((found[n].number, turn) for turn, n in turns),
         excluded=sum((one.excluded for one in found), start=Counter()),
@@ -299,7 +303,8 @@ def _work(
                     config=config,
                 )
             given.append(_OfMap(np.vstack([figures[usual], figures[best][:1]]), trials, study))
-        found.append(_Found(index, int(sample.world), Counter(drawn.excluded), given))
+        known = 1.0 if sample.known is None else float(sample.known.mean())
+        found.append(_Found(index, int(sample.world), known, Counter(drawn.excluded), given))
     return found
 
 

@@ -133,8 +133,8 @@ def ingest(
     """Make maps of a log of LiDAR scans with poses, and keep some of its scans beside them.
 
     A log is a sequence in KITTI's odometry layout (SemanticKITTI's, too), an .mcap file of ROS 2
-    with PointCloud2 or Livox's CustomMsg and /tf or odometry, or a folder of clouds with --poses.
-    Stopped or killed, the same command goes on.
+    (or the bag's folder) with PointCloud2 or Livox's CustomMsg and /tf or odometry, or a folder of
+    clouds with --poses. Stopped or killed, the same command goes on.
     """
     from scenegen.files import check_free
     from scenegen.logs.fuse import ingest as write

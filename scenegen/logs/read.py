@@ -29,6 +29,10 @@ USUAL_S = 0.1
 ODOMETRY = "nav_msgs/msg/Odometry"
 LIVOX = ("livox_ros_driver2/msg/CustomMsg", "livox_interfaces/msg/CustomMsg")
 """Livox's own message, as its two drivers for ROS 2 call it."""
+BAG = "metadata.yaml"
+"""What every bag of ROS 2 has in its folder."""
+LEAST_UNIX_S = 10**9
+"""Whole numbers below this (September 2001) in the names of clouds count them, and are no times."""
 TIMES = ("t", "time", "timestamp", "time_stamp", "offset_time")
 """What drivers call the time of a point: seconds, or nanoseconds where they are whole numbers."""
 
@@ -51,19 +55,19 @@ def read_log(path: Path, *, poses: Path | None = None, topic: str | None = None)
     """The log at `path`.
 
     Args:
-        path: An .mcap file with PointCloud2 or Livox's CustomMsg, and /tf or odometry; or a folder
-            of clouds: one of KITTI's odometry or SemanticKITTI (``velodyne``, ``poses.txt``,
-            ``calib.txt``), or any with `poses`.
+        path: An .mcap file with PointCloud2 or Livox's CustomMsg, and /tf or odometry, or the bag
+            that holds it; or a folder of clouds: one of KITTI's odometry or SemanticKITTI
+            (``velodyne``, ``poses.txt``, ``calib.txt``), or any with `poses`.
         poses: A file of poses, see `read_poses`: one a cloud, in the order of the clouds' names,
-            or any number with times, where the clouds' names are their times in seconds.
+            or any number with times, where ``times.txt`` or the clouds' names give theirs, seconds.
         topic: The topic of the clouds, where a file has several.
 
     Raises:
         DatasetError: There is no log, or it is not as it should be.
     """
-    if path.suffix == ".mcap":
-        return _read_mcap(path, topic)
     if not path.is_dir():
+        if path.suffix == ".mcap":
+            return _read_mcap(path, topic)
         raise DatasetError(f"{path}: expected an .mcap file, or a folder of clouds")
     clouds, beside = path / "velodyne", path / "poses.txt"
     if not clouds.is_dir():
@@ -71,6 +75,8 @@ def read_log(path: Path, *, poses: Path | None = None, topic: str | None = None)
     if not beside.exists():  # as KITTI's own archives have it
         beside = path.parent.parent / "poses" / f"{path.name}.txt"
     if poses is None and not beside.exists():
+        if (path / BAG).exists():
+            return _read_mcap(_recording(path), topic)
         raise DatasetError(f"{path}: has no poses.txt; give the file of its poses with --poses")
     files = scans_in(clouds)
     track = read_poses(poses or beside)
@@ -83,12 +89,15 @@ def read_log(path: Path, *, poses: Path | None = None, topic: str | None = None)
         camera = _camera(path / "calib.txt")
         found = [chained(chained(inverse(camera), pose), camera) for pose in track.poses]
     elif len(files) != len(found) and np.isfinite(times).all():
-        times = np.array([_time_of(file) for file in files])
-        found = [track.at(time) for time in times]
+        told = _times_beside(path, len(files))
+        if np.isnan(told).all():
+            told = _times_named(files)
+        if np.isfinite(told).all():
+            times, found = told, [track.at(time) for time in told]
     if len(files) != len(found):
         raise DatasetError(
             f"{clouds}: {len(files)} clouds and {len(found)} poses in {poses or beside}; expected "
-            "one each, or poses with times and clouds that are named by theirs"
+            "one each; or poses with times, and times.txt or clouds named by theirs, not by number"
         )
     times = np.where(np.isfinite(times), times, USUAL_S * np.arange(len(files)))
 
@@ -101,6 +110,17 @@ def read_log(path: Path, *, poses: Path | None = None, topic: str | None = None)
     return _log(path, times, found, scans)
 
 
+def _recording(bag: Path) -> Path:
+    """The one recording of a bag."""
+    files = sorted(bag.glob("*.mcap"))
+    if len(files) != 1:
+        raise DatasetError(
+            f"{bag}: a ROS 2 bag with {len(files)} .mcap files; expected one, as `ros2 bag "
+            "convert` makes of several or of a .db3 file"
+        )
+    return files[0]
+
+
 def _log(
     path: Path,
     times: Floats,
@@ -111,8 +131,11 @@ def _log(
     if not placed:
         raise DatasetError(f"{path}: no pose is of the time of any of its {len(found)} scans")
     poses = tuple(pose for pose in found if pose is not None)
-    if max(abs(pose.position).max() for pose in poses) > MOST_LENGTH_M:
-        raise DatasetError(f"{path}: a pose is beyond {MOST_LENGTH_M:g} m; expected metres")
+    if (furthest := max(abs(pose.position).max() for pose in poses)) > MOST_LENGTH_M:
+        raise DatasetError(
+            f"{path}: a pose is beyond {MOST_LENGTH_M:g} m ({furthest:.3g} m); subtract the first "
+            "position from all (UTM lies so far out), or give them in metres"
+        )
     return Log(times[placed], poses, len(found) - len(placed), scans)
 
 
@@ -123,6 +146,13 @@ def _times_beside(path: Path, count: int) -> Floats:
     if len(times) != count:
         raise DatasetError(f"{path / 'times.txt'}: {len(times)} times of {count} clouds")
     return times
+
+
+def _times_named(files: list[Path]) -> Floats:
+    """The times in the names of clouds, seconds (n,); NaN where the names only count them."""
+    if all(file.stem.isdecimal() and int(file.stem) < LEAST_UNIX_S for file in files):
+        return np.full(len(files), np.nan)
+    return np.array([_time_of(file) for file in files])
 
 
 def _time_of(file: Path) -> float:

@@ -165,6 +165,7 @@ def test_the_report_holds_every_figure_in_its_place(dataset, tmp_path):
     assert returns["precision"]["mean"] == 1.0
     assert returns["iou"]["low"] <= returns["iou"]["mean"] <= returns["iou"]["high"]
     assert report["datasets"]["pillar"]["digest"] == dataset.manifest.digest
+    assert report["datasets"]["pillar"]["note"] == ""
     text = (tmp_path / "bench" / "report.md").read_text()
     assert "*Proposed*" in text
     assert "0.559 ± 0.058" in text

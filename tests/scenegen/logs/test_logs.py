@@ -190,6 +190,29 @@ def test_every_layout_of_a_log_reads_back(tmp_path):
     assert close(read_log(log), scans)
 
 
+def test_numbers_in_names_are_no_times(tmp_path):
+    scans, poses = written(tmp_path / "log", 9), tmp_path / "poses.tum"
+    lines = (tmp_path / "log" / "poses.tum").read_text().splitlines(keepends=True)
+    poses.write_text("".join(lines[::2]))
+    found = list(read_log(tmp_path / "log", poses=poses).scans())
+    assert [scan.time_s for scan in found] == [scan.time_s for scan in scans]
+    for one, other in zip(found[::2], scans[::2], strict=True):
+        assert np.allclose(matrix_of(one.pose), matrix_of(other.pose), atol=1e-8)
+    (tmp_path / "log" / "times.txt").unlink()
+    with pytest.raises(DatasetError, match="9 clouds and 5 poses"):
+        read_log(tmp_path / "log", poses=poses)
+
+
+def test_a_bag_is_its_one_recording(tmp_path):
+    pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed")
+    scans = written(tmp_path / "bag" / "bag_0.mcap")
+    (tmp_path / "bag" / "metadata.yaml").touch()
+    assert close(read_log(tmp_path / "bag"), scans)
+    (tmp_path / "bag" / "bag_1.mcap").touch()
+    with pytest.raises(DatasetError, match=r"2 \.mcap files; expected one"):
+        read_log(tmp_path / "bag")
+
+
 def inverse(pose):
     back = pose.quaternion * (1, -1, -1, -1)
     return Pose(-rotate(back, pose.position), back)
@@ -308,7 +331,8 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
     "a word": (line(2, "one two"), "line 3"),
     "not a number": (line(2, " ".join(["nan"] * 12)), "line 3"),
     "no rotation": (line(1, " ".join(["2"] * 12)), "line 2: expected a rotation"),
-    "beyond the world": (line(1, "1 0 0 1e9 0 1 0 0 0 0 1 0"), "beyond 1e+06 m"),
+    "beyond the world": (line(1, "1 0 0 1e9 0 1 0 0 0 0 1 0"), "subtract the first"),
+    "a bag in .db3": (lambda log: (log / "poses.txt").rename(log / "metadata.yaml"), "0 .mcap"),
     "five columns": (lambda log: (log / "poses.txt").write_text("1 2 3 4 5\n" * 5), "5 columns"),
     "nothing": (lambda log: (log / "poses.txt").write_text(""), "no numbers"),
     "a time too few": (lambda log: (log / "times.txt").write_text("1\n2\n"), "2 times"),

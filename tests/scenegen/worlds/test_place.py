@@ -162,7 +162,7 @@ def test_a_stream_mixes_maps_with_drawn_worlds(dataset):
 
 def test_bench_scores_what_is_known(dataset, tmp_path, capsys):
     out = tmp_path / "bench"
-    code, _, error = run(
+    code, said, error = run(
         capsys, "bench", dataset, "--quick", "--method", "truth", "--split", "train",
         "--method", "extrude", "-o", out, "--workers", 1,
     )  # fmt: skip
@@ -171,6 +171,13 @@ def test_bench_scores_what_is_known(dataset, tmp_path, capsys):
     assert report["planning"]["scene"]["truth"]["success"]["mean"] > 0.9
     assert report["reconstruction"]["scene"]["truth"]["iou"]["mean"] == 1.0
     assert report["reconstruction"]["scene"]["extrude"]["iou"]["mean"] < 1.0
+    about = report["datasets"]["scene"]
+    known = [sample.known for sample in scenegen.load(dataset, split="train")]
+    assert about["samples"] == len(known)
+    assert about["known_share"] == pytest.approx(np.mean(known))
+    for text in (said, (out / "report.md").read_text(), (out / "report.html").read_text()):
+        assert about["note"] in text
+    assert about["note"].startswith(f"{100 * about['known_share']:.1f} % of the grid is known")
     assert run(capsys, f"bench {dataset} --study -o {out}")[0] == 1
 
 
