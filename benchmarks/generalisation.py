@@ -3,6 +3,7 @@
     python benchmarks/generalisation.py --data /tmp/g           # docs/results/generalisation.*
     python benchmarks/generalisation.py --data /tmp/g --held rooms --held cave
     python benchmarks/generalisation.py --data /tmp/g --real MAPS
+    python benchmarks/generalisation.py --page              # anew from the JSON: measures nothing
 
 A network is trained on maps of all kinds but one, drawn anew, and measured on test maps of every
 kind. Two runs of this script may share `--data`, each with kinds of its own: runs of training go on
@@ -63,7 +64,10 @@ def main() -> None:
     parser.add_argument("--data", type=Path, help="folder of datasets and runs")
     parser.add_argument("--real", type=Path, help="folder of maps of real places")
     parser.add_argument("--out", type=Path, default=RESULTS)
+    parser.add_argument("--page", action="store_true", help="write the page anew, no more")
     given = measuring.parse(parser, maps=2, tests=2, trials=2, held=["maze"])
+    if given.page:
+        return write_page(given.out)
     with tempfile.TemporaryDirectory() as spare:
         folder = given.data or Path(spare)
         kinds = ("maze", "pillar") if given.smoke else kind_names()
@@ -138,43 +142,59 @@ def rows_of(out: Path, given: Any) -> dict[str, Any]:
 def put(out: Path, given: Any, row: str, found: dict[str, Any]) -> None:
     """Add a row to the results, and write the page anew."""
     out.mkdir(parents=True, exist_ok=True)
-    file, page = out / "generalisation.json", out / "generalisation.md"
+    file = out / "generalisation.json"
     report = {"commit": commit(), **{name: getattr(given, name) for name in LENGTHS}}
     report["rows"] = rows_of(out, given)
     more = json.loads(json.dumps(found), parse_float=lambda digits: round(float(digits), 4))
     report["rows"][row] = report["rows"].get(row, {}) | more
     file.write_text(json.dumps(report, separators=(",", ":")) + "\n")
-    said = page.read_text().partition("<!-- tables -->")[0] if page.exists() else "# \n\n"
-    page.write_text(f"{said}<!-- tables -->\n" + "\n".join(tables(report["rows"])) + "\n")
+    write_page(out)
     print(f"{row}: " + ", ".join(f"{kind} {one['iou']['mean']:.3f}" for kind, one in found.items()))
 
 
+def write_page(out: Path) -> None:
+    """Write the page's tables anew from the results."""
+    file, page = out / "generalisation.json", out / "generalisation.md"
+    rows = json.loads(file.read_text())["rows"]
+    said = page.read_text().partition("<!-- tables -->")[0] if page.exists() else "# \n\n"
+    page.write_text(f"{said}<!-- tables -->\n" + "\n".join(tables(rows)) + "\n")
+
+
 def tables(rows: dict[str, Any]) -> list[str]:
-    """For each figure, by kind: networks that saw the kind, the one that did not, and `extrude`."""
+    """For each figure, by kind: networks that saw the kind, the one that did not, and others; then
+    the matrix, a line for each method and a column for each kind and place, held out kinds bold."""
+    networks = [f"without {kind}" for kind in kind_names()]
+    shown = [row for row in (*networks, BUNDLED, "extrude", "truth") if row in rows]
+    tested = dict.fromkeys(place for row in shown for place in rows[row])
+    kinds = [kind for kind in kind_names() if kind in tested]
+    places = [place for place in tested if place not in kinds]
     lines = []
     for name, title in TITLES.items():
-        lines += ["", f"## {title}", "", *head(("seen in training", "held out", "extrude; truth"))]
-        for kind in (kind for kind in kind_names() if any(kind in row for row in rows.values())):
+        heads = ("seen in training", "held out", f"the bundled `{BUNDLED}`", "`extrude`")
+        lines += ["", f"## {title}", "", *head(heads)]
+        for kind in kinds:
             saw = [
                 rows[row][kind][name]["mean"]
-                for row in rows
-                if row.startswith("without ") and row != f"without {kind}" and kind in rows[row]
+                for row in networks
+                if row != f"without {kind}" and kind in rows.get(row, ())
             ]
             mean = f"{sum(saw) / len(saw):.3f} (of {len(saw)})" if saw else "–"
-            held, extrude, truth = (
-                _cell(rows, row, kind, name) for row in (f"without {kind}", "extrude", "truth")
+            others = (f"without {kind}", BUNDLED, "extrude")
+            lines.append(
+                line(f"`{kind}`", (mean, *(_cell(rows, one, kind, name) for one in others)))
             )
-            lines.append(line(f"`{kind}`", (mean, held, f"{extrude}; {truth.partition(' ')[0]}")))
-    places = [place for place in rows.get(BUNDLED, ()) if place not in kind_names()]
+        lines += ["", *head([f"`{one}`" for one in (*kinds, *places)])]
+        for row in shown:
+            cells = []
+            for one in (*kinds, *places):
+                mean = f"{rows[row][one][name]['mean']:.2f}" if one in rows[row] else "–"
+                cells.append(f"**{mean}**" if row == f"without {one}" else mean)
+            lines.append(line(row, cells))
     if places:
-        lines += ["", "## Real places", "", *head(TITLES.values())]
-        for name, row in rows.items():
-            if all(place in row for place in places):
-                found = ([row[place][title]["mean"] for place in places] for title in TITLES)
-                lines.append(line(name, (f"{np.mean(values):.3f}" for values in found)))
-    lines += ["", f"## The bundled `{BUNDLED}`", "", *head(TITLES.values())]
-    for kind in rows.get(BUNDLED, ()):
-        lines.append(line(f"`{kind}`", (_cell(rows, BUNDLED, kind, name) for name in TITLES)))
+        lines += ["", "## Mean of the real places", "", *head(TITLES.values())]
+        for row in (row for row in shown if all(place in rows[row] for place in places)):
+            found = ([rows[row][place][title]["mean"] for place in places] for title in TITLES)
+            lines.append(line(row, (f"{np.mean(values):.3f}" for values in found)))
     return lines
 
 

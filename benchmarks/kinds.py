@@ -2,6 +2,10 @@
 
     python benchmarks/kinds.py                 # the table of docs/worlds.md
     python benchmarks/kinds.py --worlds 2 maze
+    python benchmarks/kinds.py --difficulty easy --difficulty medium --difficulty hard
+
+With `--difficulty` the kinds are as easy or hard as that says; with several, a table last compares
+them.
 
 Processor time of one core. The pace is a multiple of that of `geometric` in the same run.
 """
@@ -22,10 +26,10 @@ from scenegen.truth.difficulty import Difficulty, difficulty
 from scenegen.worlds.world import solid
 
 
-def measure(kinds: Sequence[str], worlds: int) -> dict[str, dict[str, float]]:
-    """The figures of the kinds' presets over so many flights. Kinds take turns, so that whatever
-    else the machine does slows all of them."""
-    recipes = {kind: preset(kind) for kind in kinds}
+def measure(kinds: Sequence[str], worlds: int, level: str) -> dict[str, dict[str, float]]:
+    """The figures of the kinds' presets of a difficulty over so many flights. Kinds take turns, so
+    that whatever else the machine does slows all of them."""
+    recipes = {kind: preset(kind, difficulty=level) for kind in kinds}
     found: dict[str, list[list[float]]] = {kind: [] for kind in kinds}
     rejected, taken = Counter[str](), dict.fromkeys(kinds, 0.0)
     for number, kind in itertools.product(range(-1, worlds), kinds):
@@ -52,15 +56,32 @@ def measure(kinds: Sequence[str], worlds: int) -> dict[str, dict[str, float]]:
 
 
 def main() -> None:
-    """Print a table."""
+    """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("kinds", nargs="*", choices=[[], *kind_names()], default=[])
     parser.add_argument("--worlds", type=int, default=100)
+    levels = ("easy", "medium", "hard")
+    parser.add_argument("--difficulty", action="append", choices=levels, help="repeatable")
     parser.add_argument("--smoke", action="store_true", help="one world of two kinds")
     given = parser.parse_args()
     names = ["maze"] if given.smoke else given.kinds or kind_names()
-    worlds = 1 if given.smoke else given.worlds
-    found = measure(list(dict.fromkeys(("geometric", *names))), worlds)
+    names, worlds = list(dict.fromkeys(("geometric", *names))), 1 if given.smoke else given.worlds
+    graded = {level: measure(names, worlds, level) for level in given.difficulty or ["medium"]}
+    for level, found in graded.items():
+        print(f"\n{level}\n")
+        show(found)
+    if len(graded) == 1:
+        return
+    print(f"\n{' · '.join(graded)}\n")
+    print("| kind | visibility, m | passage, m | tortuosity · draws rejected |\n|---|---|---|---|")
+    forms = "{visibility_m:.2f}", "{passage_m:.2f}", "{tortuosity:.3f}", "{rejected:.0%}"
+    for kind in names:
+        cells = (" · ".join(form.format(**it[kind]) for it in graded.values()) for form in forms)
+        print("| `{}` | {} | {} | {}; {} |".format(kind, *cells))
+
+
+def show(found: dict[str, dict[str, float]]) -> None:
+    """Print two tables of a difficulty, a line a kind."""
     base = found["geometric"]["samples a second"]
     print("| kind | solids | occupied · unknown | rejected · pace |\n|---|---|---|---|")
     for kind, row in found.items():

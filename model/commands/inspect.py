@@ -13,7 +13,7 @@ from scenegen.cli.options import (
     open_dataset,
     workers_option,
 )
-from scenegen.cli.show import Progress, flat, note, per_split, rejections, show_table
+from scenegen.cli.show import Progress, flat, note, per_split, rejections, show_figures, show_table
 from scenegen.files import Json
 from scenegen.worlds import MESHES, is_map
 from scenegen.worlds.mapping import Mapper
@@ -155,6 +155,13 @@ def _show(dataset: Path | str, found: Json) -> None:
                 rows[key] = f"{mean:6.2f} ± {std:5.2f} {unit}   from {low:.2f} to {high:.2f}"
         counts = f"{split['samples']} samples of {split['worlds']} worlds"
         show_table(rows, f"{name}: {counts} ({split['sampled']} measured)")
+        if kinds := split.get("kinds"):
+            cells = {"measured": [str(one["sampled"]) for one in kinds.values()]}
+            for key, (_, unit) in {"unknown": ("", "%"), **LABELS}.items():
+                factor = 100 if unit == "%" else 1
+                means = [one[key] for one in kinds.values()]
+                cells[key] = ["–" if mean is None else f"{mean * factor:.3f}" for mean in means]
+            show_figures(cells, list(kinds), f"{name}: means of each kind, shares in %")
 
 
 def _source(source: Json) -> str:

@@ -14,8 +14,8 @@ from lidarsim.engines.voxels import VoxelMap
 from lidarsim.grid import Floats, GridSpec
 from scenegen import SPLITS
 from scenegen.dataset.choose import FIGURES, encode_figures, figures_file, kept_figures
-from scenegen.dataset.manifest import NAME
-from scenegen.dataset.read import Dataset
+from scenegen.dataset.manifest import NAME, SEVERAL
+from scenegen.dataset.read import Dataset, Split
 from scenegen.dataset.trust import Entry, load
 from scenegen.display.look import spread
 from scenegen.errors import DatasetError, printable
@@ -56,7 +56,8 @@ def inspect(
 
     Returns:
         Plain JSON values. Statistics are {mean, std, min, max} over samples of shares of all voxels
-        or of all rays, and of metres; None where no sample has the figure.
+        or of all rays, and of metres; None where no sample has the figure. A dataset of several
+        kinds has the means of each kind, too, in the `kinds` of a split.
 
     Raises:
         DatasetError: The folder holds no dataset, or a damaged one.
@@ -101,11 +102,10 @@ def inspect(
             "samples": len(split),
             "worlds": split.count_worlds(),
             "sampled": len(table),
-            "statistics": {
-                name: _summary(column[~np.isnan(column)])
-                for name, column in zip(FIGURES, table.T, strict=True)
-            },
+            "statistics": _statistics(table),
         }
+        if it.kind == SEVERAL:
+            told[split.name]["kinds"] = _by_kind(split, table)
     size, samples = bytes_in(folder), sum(map(len, splits))
     found |= {"samples": samples, "bytes": size, "bytes_per_sample": size / max(samples, 1)}
     return found | {"splits": told}
@@ -120,7 +120,27 @@ def _measure(dataset: Dataset, task: tuple[str, list[int]]) -> tuple[tuple[str, 
     return (split, chosen[0]), np.array(rows, dtype=np.float64)
 
 
-def _summary(values: Floats) -> dict[str, float | None]:
+def _statistics(table: Floats) -> Json:
+    """How the `FIGURES` of samples (samples, figures) spread."""
+    columns = zip(FIGURES, table.T, strict=True)
+    return {name: _summary(column[~np.isnan(column)]) for name, column in columns}
+
+
+def _by_kind(split: Split, table: Floats) -> Json:
+    """For each kind, how many samples were measured, and the means of their figures."""
+    homes = [split.dataset.manifest.home(shard).kind for shard in split.shards]
+    kinds = np.repeat(homes, [shard.samples for shard in split.shards])
+    kinds = kinds[spread(split.dataset, split.name, len(table))]
+    found = {}
+    for kind in dict.fromkeys(kinds.tolist()):
+        rows = table[kinds == kind]
+        means = {name: one["mean"] for name, one in _statistics(rows).items()}
+        unknown = 1 - means["observed"] - means["free"]  # no voxel is both
+        found[kind] = {"sampled": len(rows), "unknown": unknown, **means}
+    return found
+
+
+def _summary(values: Floats) -> Json:
     """How numbers spread."""
     return {
         name: float(getattr(values, name)()) if len(values) else None

@@ -176,7 +176,10 @@ def look_into(samples: Split, index: int, guesses: Guesses | None = None) -> Loo
     """
     dataset, name = samples.dataset, f"{samples.name} {index}"
     try:
-        look = look_at(samples[index], dataset.grid, samples.home(index).lidar, name)
+        home = samples.home(index)
+        if home.kind != dataset.manifest.kind:  # the title does not tell it
+            name += f", {home.kind}"
+        look = look_at(samples[index], dataset.grid, home.lidar, name)
     except IndexError as error:
         raise DatasetError(f"{error}; expected --index below {len(samples)}") from None
     except DatasetError as error:

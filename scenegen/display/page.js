@@ -481,6 +481,7 @@
     frame();
     names.forEach(fill);
     const said = {
+      sample: sample.name,
       position: sample.position.map((value) => value.toFixed(2)).join(", ") + " m",
       heading: `${sample.heading.toFixed(1)}°`,
       grid: `${sample.shape.join(" × ")} of ${sample.voxel} m`,

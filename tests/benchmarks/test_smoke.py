@@ -54,7 +54,13 @@ SCRIPTS: dict[str, tuple[tuple[object, ...], tuple[str, ...]]] = {
     "gpu": ((), (r"pillar +N M rays/s +N samples/s", r" (0) values differ")),
     "inference": ((), (r"occ +stem 2:  eager +N ms", r"openvino +N ms")),
     "intervals": ((), (r"success, geometric +N +N +N",)),
-    "kinds": ((), (r"`geometric` \| N \| N% · N% \| N% · N \|", r"`maze`")),
+    "kinds": (
+        ("--difficulty", "easy", "--difficulty", "hard"),
+        (
+            r"`geometric` \| N \| N% · N% \| N% · N \|",
+            r"`maze` \| N · N \| N · N \| N · N; N% · N%",
+        ),
+    ),
     "mutants": ((), (r"N of 1 killed",)),
     "odometry": ((), (ODOMETRY,)),
     "peers": ((), (r"`pillar` \| N .* \| N", r"`SSC.et` \| N M \| 0.92 M \| N M \| N \| N")),

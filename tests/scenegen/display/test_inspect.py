@@ -7,10 +7,12 @@ import h5py
 import numpy as np
 import pytest
 
+import scenegen
 from lidarsim import GridSpec, Lidar
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.display.inspect import inspect, misfits
+from scenegen.display.look import looks
 from scenegen.source import DrawnWorlds
 from scenegen.truth.difficulty import Difficulty, difficulty
 from tests.command_line import run
@@ -128,6 +130,20 @@ def test_many_samples_are_measured_by_several_processes_some_at_a_time(full, mon
     assert len(told) > 3
     for name, split in few["splits"].items():
         check(split["statistics"], recomputed(fields(full, name), np.arange(COUNTS[name])))
+
+
+def test_figures_and_samples_are_told_by_kind(tmp_path, capsys):
+    mixed = scenegen.generate("mixed", 20, out=tmp_path, val=0, test=0, workers=1)
+    shown, _ = looks(mixed, "train", range(20))
+    assert [shown[n].name for n in (0, 19)] == ["train 0, cave", "train 19, warehouse"]
+    for most, chosen in ((20, range(20)), (3, (0, 9, 19))):
+        for kind, means in inspect(tmp_path, most=most)["splits"]["train"]["kinds"].items():
+            own = [shown[n] for n in chosen if shown[n].name.endswith(kind)]
+            known = [look.masks["observed"] | look.masks["free"] for look in own]
+            assert means["sampled"] == len(own)
+            assert means["unknown"] == pytest.approx(1 - np.mean(known))
+            assert means["tudf_m"] == pytest.approx(np.mean([look.tudf for look in own]))
+    assert "means of each kind" in run(capsys, f"inspect {tmp_path}")[1]
 
 
 def test_figures_that_are_kept_are_read_and_no_others(full, tmp_path, monkeypatch, capsys):
