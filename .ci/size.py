@@ -14,7 +14,7 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 297_180, "benchmarks": 31_310, "tests": 273_680}
+TOKENS = {"product": 298_290, "benchmarks": 34_600, "tests": 274_950}
 FILES = 249
 LINES = 400
 """The longest file of product code."""
