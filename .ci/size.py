@@ -14,7 +14,7 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 298_290, "benchmarks": 34_600, "tests": 274_950}
+TOKENS = {"product": 298_350, "benchmarks": 34_600, "tests": 275_040}
 FILES = 249
 LINES = 400
 """The longest file of product code."""

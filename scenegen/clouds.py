@@ -2,10 +2,12 @@
 
 import io
 import itertools
+import math
 import os
 import warnings
 import zipfile
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -299,8 +301,8 @@ NAMED = (".ply", ".pcd", ".las", ".laz")
 
 
 def scans_in(folder: Path) -> list[Path]:
-    """Files of these types in a folder and those below it, sorted. Raises DatasetError for more
-    than `MOST_SCANS`."""
+    """Files of these types in a folder and those below it, sorted, numbers in their names by value.
+    Raises DatasetError for more than `MOST_SCANS`."""
     found = list(
         itertools.islice(
             (path for path in folder.rglob("*") if path.suffix in READERS), MOST_SCANS + 1
@@ -308,4 +310,13 @@ def scans_in(folder: Path) -> list[Path]:
     )
     if len(found) > MOST_SCANS:
         raise DatasetError(f"{folder}: holds more than {MOST_SCANS} scans; give a folder of fewer")
-    return sorted(found)
+    return sorted(found, key=_by_number)
+
+
+def _by_number(path: Path) -> tuple[Path, float, str]:
+    """A path's place in its folder: 2.ply comes before 10.ply, and names that are no numbers after
+    both."""
+    number = math.inf
+    with suppress(ValueError):
+        number = float(path.stem)
+    return path.parent, number, path.name

@@ -185,3 +185,10 @@ def test_a_folder_s_scans_are_found_below_it(tmp_path):
         (tmp_path / name).write_bytes(b"")
     found = [str(path.relative_to(tmp_path)) for path in scans_in(tmp_path)]
     assert found == ["00/velodyne/000000.bin", "00/velodyne/000001.bin", "01/a.pcd"]
+
+
+def test_scans_are_sorted_by_their_numbers(tmp_path):
+    names = ("2.ply", "9.5.ply", "10.ply", "10.5.ply", "a1.ply")
+    for name in reversed(names):
+        (tmp_path / name).touch()
+    assert [path.name for path in scans_in(tmp_path)] == list(names)
