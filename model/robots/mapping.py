@@ -17,7 +17,7 @@ from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.config import PlanConfig
 from scenegen.model.evaluation.planning.measure import RATHER, risk_of
 from scenegen.model.evaluation.planning.refine import field_at, refine
-from scenegen.model.robots.steering import follow, no_way
+from scenegen.model.robots.steering import LAG_S, follow, no_way
 from scenegen.truth import distance_field
 from scenegen.worlds.place import Place
 from scenegen.worlds.search import search
@@ -26,8 +26,6 @@ from scenegen.worlds.world import World
 SPARES_M = (0.3, 0.2, 0.15, 0.1, 0.0)
 """How much farther than its radius the vehicle's path keeps from occupied voxels' centres, metres:
 the first with which there is a path."""
-AHEAD_S = 0.3
-"""A way begins where the vehicle will be by then, seconds: no sooner can it turn."""
 PASSED_M = 1.0
 """A point of the way that is so near and no longer ahead is not flown back to, metres."""
 RIM = 5
@@ -211,7 +209,7 @@ class MappingRobot:
         """A path (n, 3) from the vehicle to the goal, world metres, that keeps its `distance`."""
         step, voxel_m, goal = PLAN.step_voxels, self.grid.voxel_m, observation["goal"]
         radius, position = float(self._about["radius_m"]), observation["position"]
-        start = position + AHEAD_S * observation["velocity"]
+        start = position + LAG_S * observation["velocity"]  # no sooner can it turn
         if distance[self._voxels(start[None])] < radius:
             start = position
         ends = np.transpose(self._voxels(np.stack([start, goal])))

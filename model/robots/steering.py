@@ -17,7 +17,7 @@ CUT_M = 0.2
 POINTS = 16
 """Of the way ahead, at which its room is measured."""
 LAG_S = 0.3
-"""From a decision to brake until the vehicle brakes, seconds."""
+"""From a decision until the vehicle brakes or turns, seconds."""
 SIDE_S = 0.2
 """The vehicle is so slow that it would take so many seconds to what is beside the way."""
 SLOWEST_MPS = 0.5

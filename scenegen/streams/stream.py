@@ -275,14 +275,11 @@ def stream(
     seed = whole("seed", seed, 0, MOST_SEED)
     parts = [part for what, weight in parts_of(worlds) for part in _unmixed(what, weight)]
     components = [component_of(what, seed=seed, split=split, engine=engine) for what, _ in parts]
-    drawn = [
-        n
-        for n, (one, (what, _)) in enumerate(zip(components, parts, strict=True))
-        if isinstance(one.source, DrawnWorlds) and not isinstance(what, Component)
+    own = seeds([one.recipe.kind for one in components], seed)
+    components = [
+        replace(one, seed=its) if isinstance(one.source, DrawnWorlds) and one is not what else one
+        for one, its, (what, _) in zip(components, own, parts, strict=True)
     ]
-    own = seeds([components[n].recipe.kind for n in drawn], seed)
-    for n, its in zip(drawn, own, strict=True):
-        components[n] = replace(components[n], seed=its)
     mixture = Mixture(components, [weight for _, weight in parts])
     return Stream(mixture, seed=seed, split=split, samples=samples, workers=workers, cache=cache)
 
