@@ -14,8 +14,8 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 298_350, "benchmarks": 34_600, "tests": 275_040}
-FILES = 249
+TOKENS = {"product": 300_100, "benchmarks": 34_600, "tests": 275_900}
+FILES = 250
 LINES = 400
 """The longest file of product code."""
 WIDTH = 100

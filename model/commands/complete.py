@@ -1,6 +1,8 @@
-"""`scenegen complete`: predictions of a dataset's split, of one scan, or of a folder of scans."""
+"""`scenegen complete`: predictions of a dataset's split, of one scan, of a folder of scans, or of a
+log."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,6 +11,7 @@ import rich_click as click
 from scenegen.cli.options import (
     command,
     device_option,
+    group,
     on_option,
     quiet_option,
     split_option,
@@ -16,7 +19,7 @@ from scenegen.cli.options import (
     workers_option,
 )
 from scenegen.cli.show import Progress, note, say
-from scenegen.cli.types import DatasetPath, Number, OutputFile
+from scenegen.cli.types import FILE, DatasetPath, Number, OutputFile
 from scenegen.errors import DatasetError, printable
 from scenegen.limits import MOST_BATCH
 from scenegen.model.commands.weights import Weights
@@ -24,12 +27,20 @@ from scenegen.model.config import DEFAULT_NETWORK, POINTS_NETWORK
 
 if TYPE_CHECKING:
     from scenegen.model.completion.completer import Completer
+    from scenegen.model.completion.scans import Task
+    from scenegen.run import Executor
+
+OCTREES = (".bt", ".ot")
+"""Maps of OctoMap."""
+MOST_SHOWN = 24
+"""Completions on the page of a folder or a log, evenly spread."""
 
 
 @command(
     "complete data/pillar --weights columns --split test -o predictions.h5",
     "complete scan.ply --sensor 0 0 1.2",
     "complete kitti/sequences/00/velodyne -o completed",
+    "complete drive.mcap --every 10 -o completed",
 )
 @click.argument("source", type=DatasetPath())
 @click.option(
@@ -45,7 +56,7 @@ if TYPE_CHECKING:
     "--out",
     "out",
     type=OutputFile(folders=True),
-    help="File to write; of a folder of scans, a folder.  [default: predictions.h5, or "
+    help="File to write; of a folder of scans or a log, a folder.  [default: predictions.h5, or "
     "<scan>.completed.h5]",
 )
 @click.option(
@@ -54,6 +65,14 @@ if TYPE_CHECKING:
     default=(0.0, 0.0, 0.0),
     help="Where a scan's sensor was: X Y Z, m.",
 )
+@click.option(
+    "--every",
+    type=click.IntRange(1, 10**6),
+    default=1,
+    help="Complete one of so many scans of a folder or a log.",
+)
+@click.option("--poses", type=FILE, help="The poses of a folder of clouds, as for `ingest`.")
+@click.option("--topic", help="The clouds of an .mcap file that has several.")
 @device_option
 @click.option(
     "--batch",
@@ -64,33 +83,36 @@ if TYPE_CHECKING:
 @workers_option
 @on_option
 @quiet_option
+@group("Scans and logs", "sensor every poses topic")
 def complete(
     source: Path | str,
     weights: str | None,
     split: str,
     out: Path | None,
     sensor: tuple[float, float, float],
+    every: int,
+    poses: Path | None,
+    topic: str | None,
     device: str,
     batch: int,
     workers: int,
     on: str,
     quiet: bool,
 ) -> None:
-    """Complete a dataset's split, or a scan, or all scans in a folder and below it, such as a
-    sequence of KITTI's.
+    """Complete a dataset's split, a scan, all scans in a folder and below it, or a log.
 
     Scans are .ply, .pcd, .bin, .npz, .xyz or .npy: points in metres, z up, the sensor at the
-    origin. One process completes; with --on or --workers, so many do, each on one thread of a
-    processor unless --device says more.
+    origin. A log is what `ingest` takes: an .mcap file of ROS 2, or a folder with poses, such as a
+    sequence of KITTI's; its scans are turned upright by their poses. A page shows some completions
+    where there are several scans. One process completes; with --on or --workers, so many do, each
+    on one thread of a processor unless --device says more.
     """
-    from scenegen.clouds import scans_in
     from scenegen.dataset.locate import locate
     from scenegen.dataset.manifest import NAME
-    from scenegen.dataset.read import Dataset
     from scenegen.files import make_way, real_path
-    from scenegen.model.calibration import UNUSUAL
+    from scenegen.logs.read import is_log
     from scenegen.model.completion.completer import Completer
-    from scenegen.model.completion.predictions import predict_scan, predict_split
+    from scenegen.model.completion.scans import predict_scan, read_scan
     from scenegen.model.training.device import choose_device
     from scenegen.run import executor
 
@@ -98,85 +120,136 @@ def complete(
     chosen = choose_device("cpu" if elsewhere and device == "auto" else device)
     execute = executor(on, workers if chosen.type == "cpu" else 1) if elsewhere else None
     found = locate(source, shown=not quiet)
-    scans = [] if (found / NAME).exists() else scans_in(found) if found.is_dir() else [found]
-    usual = POINTS_NETWORK if scans else DEFAULT_NETWORK
-    completer = Completer.from_pretrained(weights or usual, device=chosen, batch=batch)
-    if execute is not None and found.exists() and not (found / NAME).exists():
+    stored = (found / NAME).exists()
+    if execute is not None and found.exists() and not stored:
         raise DatasetError(
             f"{found}: --on and --workers complete a dataset's split; leave them out for scans"
         )
-    if found.is_dir() and scans:
-        out = out or Path(f"{real_path(found).name}.completed")
-        _complete_all(completer, found, scans, out, sensor, quiet)
+    if found.suffix in OCTREES:
+        raise DatasetError(
+            f"{found}: is a map, in which a sensor has to fly first: scenegen generate --scene "
+            f"{found} -o data/seen; then scenegen complete data/seen --split train"
+        )
+    several = not stored and (found.is_dir() or is_log(found))
+    tasks = _tasks(found, sensor, every, poses, topic) if several else None
+    usual = DEFAULT_NETWORK if stored else POINTS_NETWORK
+    completer = Completer.from_pretrained(weights or usual, device=chosen, batch=batch)
+    if tasks is not None:
+        name = found.stem if found.is_file() else real_path(found).name
+        out = out or Path(f"{name}.completed")
+        _complete_all(completer, tasks, out, quiet)
         return
-    out = out or (Path("predictions.h5") if found.is_dir() else found.with_suffix(".completed.h5"))
+    out = out or (Path("predictions.h5") if stored else found.with_suffix(".completed.h5"))
     make_way(out)
     there = out.exists()
-    if found.is_dir():
-        with Progress("complete", shown=not quiet) as progress:
-            away = predict_split(
-                completer,
-                found,
-                split,
-                out,
-                batch=batch,
-                execute=execute,
-                on_start=progress.start,
-                on_done=progress.count,
-            )
-        for warning in () if quiet else completer.unlike(Dataset(found).settings):
-            note(f"note: {warning}")
-        far = sum(one >= UNUSUAL for one in away)
-        if not quiet and far > 2 * (1 - UNUSUAL) * len(away):  # at home, it would be half of that
-            note(
-                f"note: {far} of {len(away)} maps are away from home for {completer.name}: it "
-                f"denies more of their returns than of {UNUSUAL:.0%} of the maps it was calibrated "
-                f"on, so expect worse completions"
-            )
+    if stored:
+        _complete_split(completer, found, split, out, batch, execute, quiet)
     else:
-        used = predict_scan(completer, found, out, sensor=sensor)
+        done = predict_scan(completer, read_scan(found, sensor), out)
         if not quiet:
-            say(f"{found}: {used}; completed by {completer.name}")
+            say(f"{found}: {done}; completed by {completer.name}")
     if not quiet:
         say(f"{'replaced' if there else 'written'}: {out}")
 
 
-def _complete_all(
+def _complete_split(
     completer: "Completer",
     folder: Path,
-    scans: Sequence[Path],
+    split: str,
     out: Path,
-    sensor: tuple[float, float, float],
+    batch: int,
+    execute: "Executor | None",
     quiet: bool,
 ) -> None:
-    """Complete each of the `scans` in `folder` into a file of the same name, but .h5, in the folder
-    `out`.
+    """Complete a dataset's split, and say where its maps are unlike those of training."""
+    from scenegen.dataset.read import Dataset
+    from scenegen.model.calibration import UNUSUAL
+    from scenegen.model.completion.predictions import predict_split
+
+    with Progress("complete", shown=not quiet) as progress:
+        away = predict_split(
+            completer,
+            folder,
+            split,
+            out,
+            batch=batch,
+            execute=execute,
+            on_start=progress.start,
+            on_done=progress.count,
+        )
+    for warning in () if quiet else completer.unlike(Dataset(folder).settings):
+        note(f"note: {warning}")
+    far = sum(one >= UNUSUAL for one in away)
+    if not quiet and far > 2 * (1 - UNUSUAL) * len(away):  # at home, it would be half of that
+        note(
+            f"note: {far} of {len(away)} maps are away from home for {completer.name}: it "
+            f"denies more of their returns than of {UNUSUAL:.0%} of the maps it was calibrated "
+            f"on, so expect worse completions"
+        )
+
+
+def _tasks(
+    found: Path,
+    sensor: tuple[float, float, float],
+    every: int,
+    poses: Path | None,
+    topic: str | None,
+) -> "tuple[int, Iterable[Task]]":
+    """How many scans of a log or a folder are to be completed, and these."""
+    from scenegen.clouds import scans_in
+    from scenegen.logs.read import is_log, read_log
+    from scenegen.model.completion.scans import read_scan, scans_of_log
+
+    if poses is not None or is_log(found):
+        log = read_log(found, poses=poses, topic=topic)
+        return len(range(0, len(log.poses), every)), scans_of_log(log, every)
+    scans = scans_in(found)[::every]
+    if not scans:
+        raise DatasetError(
+            f"{found}: holds neither a dataset (no dataset.json) nor scans; expected .ply, .pcd, "
+            ".bin, .npz, .xyz or .npy files"
+        )
+    names = [str(scan.relative_to(found).with_suffix("")) for scan in scans]
+    return len(scans), zip(names, (partial(read_scan, scan, sensor) for scan in scans), strict=True)
+
+
+def _complete_all(
+    completer: "Completer", tasks: "tuple[int, Iterable[Task]]", out: Path, quiet: bool
+) -> None:
+    """Complete scans into files of their names in the folder `out`, and write a page of some.
 
     Those that are there already are passed over. Raises DatasetError at the end where some could
     not be completed.
     """
-    from scenegen.files import make_parent, remove_drafts
-    from scenegen.model.completion.predictions import predict_scan
+    from scenegen.display.look import evenly
+    from scenegen.files import make_parent, remove_drafts, write_result
+    from scenegen.model.completion.scans import page_of, predict_scan, summary
 
-    broken = 0
-    targets = {scan: (out / scan.relative_to(folder)).with_suffix(".h5") for scan in scans}
-    for parent in {target.parent for target in targets.values()}:
-        remove_drafts(parent)
+    count, scans = tasks
+    done, there, broken = [], [], 0
     with Progress("complete", shown=not quiet) as progress:
-        progress.start(len(scans))
-        for scan, target in targets.items():
+        progress.start(count)
+        for name, read in scans:
+            target = out / f"{name}.h5"
             if not target.exists():
                 make_parent(target)
+                remove_drafts(target.parent)
                 try:
-                    predict_scan(completer, scan, target, sensor=sensor)
+                    done.append(predict_scan(completer, read(), target))
                 except DatasetError as error:
                     broken += 1
                     note(printable(error))
+            if target.exists():
+                there.append(target)
             progress.count(1)
+    if there:
+        shown = [there[n] for n in evenly(len(there), MOST_SHOWN)]
+        write_result(out / "index.html", page_of(shown, title=str(out)).encode())
     if broken:
         raise DatasetError(
-            f"{folder}: {broken} of {len(scans)} scans could not be completed; the others are in "
-            f"{out}"
+            f"{out}: {broken} of {count} scans could not be completed; the others are there"
         )
     if not quiet:
-        say(f"{out}: {len(scans)} completions")
+        for line in summary(done):
+            note(f"note: {line}")
+        say(f"{out}: {len(there)} completions; look at {out / 'index.html'}")

@@ -1,6 +1,7 @@
 """`scenegen render`: pictures of what there is: samples, predictions, worlds, scans, runs."""
 
 import importlib.util
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -161,10 +162,14 @@ def _draw_file(path: Path, seed: int | None) -> Any:
     if path.suffix in READERS:
         return pictures.draw_cloud(read_points(path), title=title)
     if path.suffix == ".h5":
-        from scenegen.model.completion.predictions import read_completion
+        from scenegen.model.completion.scans import read_completion
 
-        panels = "observed", "predicted"
-        return pictures.draw_sample(read_completion(path), title=title, panels=panels)
+        look = read_completion(path)
+        (guess,) = look.guesses
+        masks = {**look.masks, "predicted": guess.occupied}
+        panels = [name for name in ("observed", "predicted", "occupancy") if name in masks]
+        look = replace(look, masks=masks, tudf=guess.tudf)
+        return pictures.draw_sample(look, title=title, panels=panels)
     if (path / "metrics.csv").is_file():
         from scenegen.model.training.card import draw, read_rows
 

@@ -1,4 +1,4 @@
-"""Completions on disk: a whole split of a dataset, or one scan that somebody recorded."""
+"""Completions of a whole split of a dataset, in one file."""
 
 import io
 import math
@@ -10,26 +10,20 @@ from typing import Any, TypeAlias
 
 import h5py
 import numpy as np
-from numpy.typing import ArrayLike
 
-from lidarsim import GridSpec
-from lidarsim.parameters import MOST_LENGTH_M
-from scenegen.clouds import read_points
-from scenegen.dataset.hdf5 import read_guarded
 from scenegen.dataset.read import Dataset, Rows, Split
 from scenegen.dataset.shard import compress
-from scenegen.display.exchange.files import encode_points
-from scenegen.display.look import Look
 from scenegen.errors import DatasetError, empty_split
-from scenegen.files import check_ours, whole, write_whole
-from scenegen.limits import MOST_SCAN_BYTES, MOST_VOXELS
-from scenegen.model.calibration import RISK, UNUSUAL
+from scenegen.files import check_ours, whole
+from scenegen.model.calibration import RISK
 from scenegen.model.completion.completer import Completer, opened_once
-from scenegen.model.completion.protocol import PARTS, SURE, Prediction, check_prediction
-from scenegen.model.config import Thresholds
-from scenegen.model.inputs import PointScan, channels, input_called
+from scenegen.model.completion.protocol import PARTS, SURE
+from scenegen.model.inputs import channels
 from scenegen.run import Executor, check_together
 
+PACKED = {"compression": "gzip", "compression_opts": 1}
+"""How HDF5 reads what `compress` made. HDF5 itself compresses nothing here: where a disk refuses
+its chunks, it crashes."""
 PART = 40
 """Samples of a part, about, where an executor has a split completed."""
 Chunks: TypeAlias = dict[str, list[bytes]]
@@ -137,8 +131,8 @@ def _write(out: Path, samples: Split, completer: Completer, parts: Iterable[Chun
         for part in parts:
             for name in part:
                 if name not in file:
-                    packed = {"compression": "gzip", "compression_opts": 1, "chunks": (1, *shape)}
-                    file.create_dataset(name, (len(names), *shape), np.float32, **packed)
+                    full, chunk = (len(names), *shape), (1, *shape)
+                    file.create_dataset(name, full, np.float32, chunks=chunk, **PACKED)
             for chunks in zip(*part.values(), strict=True):
                 for name, chunk in zip(part, chunks, strict=True):
                     file[name].id.write_direct_chunk((row, 0, 0, 0), chunk)
@@ -172,100 +166,3 @@ def new_hdf5(path: Path) -> Iterator[h5py.File]:
     """An HDF5 file to fill, which then stands at `path`, whole or not. Raises as `whole`."""
     with whole(path) as draft, _Disk(draft, "r+") as disk, h5py.File(disk, "w") as file:
         yield file
-
-
-def predict_scan(
-    completer: Completer,
-    scan: Path,
-    out: Path,
-    *,
-    sensor: ArrayLike = (0.0, 0.0, 0.0),
-    thresholds: Thresholds | None = None,
-) -> str:
-    """Complete one scan: points in metres, z up, in a level frame where the sensor is at `sensor`
-    (3,). Returns in words how many points came into its map.
-
-    `out` is HDF5 (``.h5``: the network's inputs, what is predicted, and the grid) or a point cloud
-    (``.ply``: the centres of the voxels that are occupied at `thresholds`, by default the paper's,
-    in the scan's frame).
-    Raises DatasetError for files that are not such, and where `out` is something else already.
-    """
-    if out.suffix not in (".h5", ".ply"):
-        raise DatasetError(f"{out}: expected a name that ends in .h5 or .ply")
-    check_ours(out)
-    place = np.asarray(sensor, dtype=np.float64)
-    if not (np.abs(place) <= MOST_LENGTH_M).all():
-        raise DatasetError(
-            f"--sensor {place.tolist()}: expected metres within {MOST_LENGTH_M:g} of the origin"
-        )
-    points = read_points(scan)
-    returned = points[np.isfinite(points).all(axis=1)]
-    seen = PointScan(points=returned, position=place, grid=completer.grid)
-    inside = len(seen.voxels)
-    used = (
-        f"{inside} of {len(points)} points used, {len(points) - len(returned)} without a return, "
-        f"{len(returned) - inside} outside the map"
-    )
-    if not inside:
-        extent = " × ".join(f"{metres:g}" for metres in completer.grid.extent_m)
-        raise DatasetError(
-            f"{scan}: {used}, which is {extent} m around the sensor at {place.tolist()}; give "
-            f"--sensor, and metres"
-        )
-    untold = [input_called(name).untold for name in completer.inputs]
-    used += "".join(f"; {what}" for what in untold if what)
-    maps = channels(completer.inputs, seen, seen.grid)
-    prediction = completer(maps)
-    if (prediction.away(seen.observed) or 0) >= UNUSUAL:
-        used += f"; {completer.name} denies an unusual share of them, as where it is away from home"
-    if out.suffix == ".ply":
-        centres = seen.grid.centres(seen.origin)[prediction.occupied(thresholds)]
-        write_whole(out, encode_points(".ply", centres))
-        return used
-    with new_hdf5(out) as file:
-        file.attrs.update(
-            {"method": completer.name, "origin": seen.origin, "voxel": seen.grid.voxel_m}
-        )
-        if prediction.uncertainty is not None:
-            file.attrs["risk"] = RISK
-        for name, values in (
-            maps | {name: getattr(prediction, name) for name in PARTS | SURE}
-        ).items():
-            if values is not None:
-                file[name] = values
-    return used
-
-
-def read_completion(path: Path) -> Look:
-    """What `predict_scan` wrote to the .h5 file `path`, to be shown: `observed`, `predicted` at the
-    paper's thresholds, and the distances. Raises DatasetError for anything else."""
-    return read_guarded(_completion, path, MOST_SCAN_BYTES)
-
-
-def _completion(path: Path) -> Look:
-    advice = (
-        "expected what `scenegen complete` wrote of a scan; of a split: scenegen render DATASET "
-        "--predictions FILE"
-    )
-    try:
-        with h5py.File(path, "r") as file:
-            origin, voxel_m = np.array(file.attrs["origin"], np.float64), float(file.attrs["voxel"])
-            names = [name for name in ("observed", *PARTS) if name in file]
-            shape = file[names[0]].shape
-            if math.prod(shape) > MOST_VOXELS or not np.isfinite(origin).all():
-                raise ValueError("no map")
-            grid = GridSpec(shape=shape, voxel_m=voxel_m)
-            maps = {name: np.asarray(file[name]) for name in names}
-        parts: Any = {name: maps[name].astype(np.float32) for name in PARTS if name in maps}
-        said = check_prediction(Prediction(**parts), shape, str(path))
-        return Look(
-            name=path.name,
-            grid=grid,
-            origin=origin,
-            position=origin + grid.extent_m / 2,
-            quaternion=np.array([1.0, 0.0, 0.0, 0.0]),
-            masks={"observed": maps["observed"].astype(bool), "predicted": said.occupied()},
-            tudf=said.distance(None, grid),
-        )
-    except Exception:  # h5py's errors share no base
-        raise DatasetError(f"{path}: holds no completion of a scan; {advice}") from None

@@ -51,6 +51,18 @@ class Log:
     """Reads the n scans, or those from a number on."""
 
 
+def is_log(path: Path) -> bool:
+    """Whether there is a log with poses of its own at `path`, as far as names tell."""
+    if not path.is_dir():
+        return path.suffix == ".mcap"
+    return any(one.exists() for one in (path / BAG, path / "poses.txt", _kitti_poses(path)))
+
+
+def _kitti_poses(sequence: Path) -> Path:
+    """Where KITTI's own archives have the poses of a sequence."""
+    return sequence.parent.parent / "poses" / f"{sequence.name}.txt"
+
+
 def read_log(path: Path, *, poses: Path | None = None, topic: str | None = None) -> Log:
     """The log at `path`.
 
@@ -73,7 +85,7 @@ def read_log(path: Path, *, poses: Path | None = None, topic: str | None = None)
     if not clouds.is_dir():
         clouds = path
     if not beside.exists():  # as KITTI's own archives have it
-        beside = path.parent.parent / "poses" / f"{path.name}.txt"
+        beside = _kitti_poses(path)
     if poses is None and not beside.exists():
         if (path / BAG).exists():
             return _read_mcap(_recording(path), topic)

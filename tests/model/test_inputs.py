@@ -18,8 +18,9 @@ from scenegen.model.checkpoint import (
     save_tensors,
 )
 from scenegen.model.completion.completer import Completer
-from scenegen.model.completion.predictions import predict_scan, predict_split
-from scenegen.model.config import INPUTS, NetworkConfig, Thresholds, TrainConfig
+from scenegen.model.completion.predictions import predict_split
+from scenegen.model.completion.scans import predict_scan, read_scan
+from scenegen.model.config import INPUTS, NetworkConfig, TrainConfig
 from scenegen.model.evaluation.methods import Predicted
 from scenegen.model.evaluation.metrics import METRICS, Metric
 from scenegen.model.inputs import PointScan, centres, channels
@@ -85,13 +86,7 @@ def test_free_space_and_a_new_metric_go_all_the_way(folders, tmp_path, monkeypat
     np.testing.assert_allclose(completer(rays).tudf, alone[0], atol=1e-5)
 
     np.save(tmp_path / "scan.npy", grid.centres(sample.origin)[sample.observed])
-    predict_scan(
-        completer,
-        tmp_path / "scan.npy",
-        tmp_path / "s.h5",
-        sensor=sample.position,
-        thresholds=Thresholds(),
-    )
+    predict_scan(completer, read_scan(tmp_path / "scan.npy", sample.position), tmp_path / "s.h5")
     with h5py.File(tmp_path / "s.h5") as file:
         assert np.array_equal(file["observed"], sample.observed)
         held = {name: file[name][:] for name in (*BOTH, "tudf")}

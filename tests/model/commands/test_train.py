@@ -88,7 +88,8 @@ def test_train_complete_and_bench_work_together(here, capsys):
         write_points(scan, np.random.default_rng(0).uniform(-1, 1, (50, 3)), None, {})
     words = ("complete", "drive", "--weights", "runs/proposed", "--device", "cpu")
     code, said, _ = run(capsys, *words)
-    assert (code, said) == (0, "drive.completed: 2 completions\n")
+    assert code == 0
+    assert said.startswith("drive.completed: 2 completions")
     made = sorted((here / "drive.completed").rglob("*.h5"))
     assert [path.relative_to(here / "drive.completed") for path in made] == [
         scan.relative_to(here / "drive").with_suffix(".h5") for scan in scans
@@ -156,7 +157,7 @@ def test_bad_use_ends_in_one_line(here, capsys):
         (("train", "--val-maps", 8), 2, "name one, such as --stream pillar"),
         (("train", "data/pillar", "--stream", "pillar", "--maps", 8), 1, "seed 0: its grid is"),
         (("complete", "data/pillar", "-o", "pickle.pt"), 2, "is there already"),
-        (("complete", "pickle.pt", "-o", "new.pt"), 1, "ends in .h5 or .ply"),
+        (("complete", "pickle.pt", "-o", "new.pt"), 1, "nor a scan"),
         (("export", "-o", "foo.pt"), 1, "ends in .onnx"),
         (("train", "--lr", "nan"), 2, "nan is not a finite number"),
         (("complete", "data/pillar", "-o", "/dev/null"), 2, "/dev/null: is not a regular file"),

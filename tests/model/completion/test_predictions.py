@@ -14,7 +14,8 @@ from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
 from scenegen.model.checkpoint import save_network
 from scenegen.model.completion.completer import Completer
-from scenegen.model.completion.predictions import predict_scan, predict_split
+from scenegen.model.completion.predictions import predict_split
+from scenegen.model.completion.scans import predict_scan, read_scan
 from scenegen.model.config import NetworkConfig, Thresholds
 from scenegen.model.evaluation.methods import Predicted
 from scenegen.model.network import Network
@@ -91,19 +92,18 @@ def test_a_scan_of_a_sample_is_completed_as_the_sample_is(folders, tmp_path, suf
     else:
         np.save(path, np.vstack([points, np.full((1, 3), np.nan)]))  # a ray without return
     out = tmp_path / "out.h5"
-    used = predict_scan(net, path, out, sensor=sample.position, thresholds=Thresholds())
+    given = read_scan(path, sample.position)
+    used = predict_scan(net, given, out)
     lost = int(suffix == ".npy")
     count = len(points)
-    assert (
-        used == f"{count} of {count + lost} points used, {lost} without a return, 0 outside the map"
-    )
+    assert (used.inside, used.points, used.without) == (count, count + lost, lost)
     expected = net(sample.observed)
     with h5py.File(out) as file:
         assert np.array_equal(file["observed"][:], sample.observed)
         np.testing.assert_allclose(file["tudf"][:], expected.tudf, atol=1e-5)
         np.testing.assert_allclose(file.attrs["origin"], sample.origin)
     thresholds = Thresholds(probability=float(np.quantile(expected.occupancy_probability, 0.9)))
-    predict_scan(net, path, tmp_path / "out.ply", sensor=sample.position, thresholds=thresholds)
+    predict_scan(net, given, tmp_path / "out.ply", thresholds=thresholds)
     cloud = np.asarray(trimesh.load(tmp_path / "out.ply").vertices)
     assert np.array_equal(
         np.unique(dataset.grid.index(cloud, sample.origin), axis=0),
@@ -122,7 +122,7 @@ def test_files_that_are_no_scans_are_refused(folders, tmp_path):
         ("good.npy", "o.txt", "ends in .h5 or .ply"),
     ):
         with pytest.raises(DatasetError, match=said) as caught:
-            predict_scan(net, tmp_path / name, tmp_path / out, thresholds=Thresholds())
+            predict_scan(net, read_scan(tmp_path / name, np.zeros(3)), tmp_path / out)
         assert "\n" not in str(caught.value)
         assert not (tmp_path / out).exists()
 
@@ -133,34 +133,29 @@ def test_points_beyond_the_map_and_without_a_return_are_counted(folders, tmp_pat
     np.save(tmp_path / "scan.npy", [[0, 0, 0], [0.1, 0, 0], *far, [np.nan, 0, 0], [0, np.inf, 0]])
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        used = predict_scan(
-            net, tmp_path / "scan.npy", tmp_path / "out.h5", thresholds=Thresholds()
-        )
-    assert used == "2 of 7 points used, 2 without a return, 3 outside the map"
+        used = predict_scan(net, read_scan(tmp_path / "scan.npy", [0, 0, 0]), tmp_path / "out.h5")
+    assert (used.inside, used.points, used.without) == (2, 7, 2)
+    assert used.height_m is None
+    assert "3 outside the map; the sensor's height is unknown" in str(used)
     np.save(tmp_path / "scan.npy", np.full((4, 3), np.nan))
     with pytest.raises(DatasetError, match="0 of 4 points used, 4 without a return"):
-        predict_scan(net, tmp_path / "scan.npy", tmp_path / "none.h5", thresholds=Thresholds())
+        predict_scan(net, read_scan(tmp_path / "scan.npy", [0, 0, 0]), tmp_path / "none.h5")
     with pytest.raises(DatasetError, match="--sensor"):
-        predict_scan(
-            net,
-            tmp_path / "scan.npy",
-            tmp_path / "none.h5",
-            sensor=[0, 0, np.nan],
-            thresholds=Thresholds(),
-        )
+        read_scan(tmp_path / "scan.npy", [0, 0, np.nan])
 
 
 def test_only_completions_are_replaced(folders, tmp_path):
     net = completer(tmp_path, Dataset(folders[0]).grid)
     np.save(tmp_path / "scan.npy", np.zeros((4, 3)))
+    given = read_scan(tmp_path / "scan.npy", [0, 0, 0])
     for name in ("out.h5", "out.ply"):
         out = tmp_path / name
         for _ in range(2):
-            predict_scan(net, tmp_path / "scan.npy", out, thresholds=Thresholds())
+            predict_scan(net, given, out)
         for content in (b"", b"mine", b"ply\nformat ascii 1.0\n"):
             out.write_bytes(content)
             with pytest.raises(DatasetError, match="is there already"):
-                predict_scan(net, tmp_path / "scan.npy", out, thresholds=Thresholds())
+                predict_scan(net, given, out)
             assert out.read_bytes() == content
     with h5py.File(tmp_path / "out.h5", "w") as file:
         file["theirs"] = 1
@@ -182,7 +177,7 @@ def test_a_full_disk_ends_in_one_line_and_leaves_nothing(room, folders, tmp_path
         with pytest.raises(DatasetError, match=r"p\.h5: File too large"):
             predict_split(net, folders[0], "train", tmp_path / "p.h5")
         with pytest.raises(DatasetError, match=r"s\.h5: File too large"):
-            predict_scan(net, tmp_path / "scan.npy", tmp_path / "s.h5", thresholds=Thresholds())
+            predict_scan(net, read_scan(tmp_path / "scan.npy", [0, 0, 0]), tmp_path / "s.h5")
         gc.collect()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))

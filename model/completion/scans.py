@@ -1,0 +1,277 @@
+"""Completions of real scans: of a file, of every file in a folder, or of a log with poses; and a
+page to look at them with."""
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import h5py
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lidarsim import GridSpec
+from lidarsim.grid import Floats, Mask
+from lidarsim.parameters import MOST_LENGTH_M
+from lidarsim.pose import rotate
+from scenegen.clouds import read_npz, read_points
+from scenegen.dataset.hdf5 import read_guarded
+from scenegen.dataset.shard import compress
+from scenegen.display.exchange.files import encode_points
+from scenegen.display.look import Guess, Look
+from scenegen.errors import DatasetError
+from scenegen.files import check_ours, read_bounded, write_whole
+from scenegen.limits import MOST_SCAN_BYTES, MOST_VOXELS
+from scenegen.logs import LogScan
+from scenegen.logs.read import Log
+from scenegen.model.calibration import RISK, UNUSUAL
+from scenegen.model.completion.completer import Completer
+from scenegen.model.completion.predictions import PACKED, new_hdf5
+from scenegen.model.completion.protocol import PARTS, SURE, Prediction, check_prediction
+from scenegen.model.config import Thresholds
+from scenegen.model.inputs import PointScan, channels, input_called
+
+TRUTH = ("occupancy", "known")
+"""What an observation of `scenegen ingest` has besides its scan: what the whole log tells."""
+BELOW_M = 5.0
+"""The ground is looked for among the returns below the sensor that are within so many metres of it,
+seen from above."""
+LEAST_BELOW, LOWEST = 20, 0.1
+"""How many of these it takes to tell the sensor's height, and which quantile of them is the
+ground."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Given:
+    """A scan to complete."""
+
+    name: str
+    points: Floats
+    """(N, 3), metres, z up; not finite where nothing returned."""
+    position: Floats
+    """(3,): where the sensor is in the points' frame, metres."""
+    truth: Mapping[str, Any] = field(default_factory=dict)
+    """`TRUTH` in the grid around the sensor, and its `voxel_m`; nothing where only the scan is
+    known."""
+
+
+Task: TypeAlias = tuple[str, Callable[[], Given]]
+"""The name of a completion, and what reads the scan for it. Reading raises DatasetError."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Completed:
+    """What became of a scan. Its text says so to people."""
+
+    completer: str
+    points: int
+    without: int
+    """Points without a return."""
+    inside: int
+    """Points within the map."""
+    height_m: float | None
+    """The sensor's above the ground below it; None where too few returns tell it."""
+    untold: tuple[str, ...]
+    """What points do not tell of the network's inputs."""
+    away: bool = False
+    """Whether the network is away from home, see `Prediction.away`."""
+    iou: float | None = None
+    """Of the prediction, over the voxels that the truth knows; None without a truth."""
+
+    def __str__(self) -> str:
+        outside = self.points - self.without - self.inside
+        height = "unknown"
+        if self.height_m is not None:
+            height = f"some {self.height_m:.1f} m above the ground"
+        parts = [
+            f"{self.inside} of {self.points} points used, {self.without} without a return, "
+            f"{outside} outside the map; the sensor's height is {height}",
+            *self.untold,
+        ]
+        if self.away:
+            parts.append(
+                f"{self.completer} denies an unusual share of them, as where it is away from home"
+            )
+        if self.iou is not None:
+            parts.append(f"IoU {self.iou:.3f}")
+        return "; ".join(parts)
+
+
+def read_scan(path: Path, sensor: ArrayLike) -> Given:
+    """The scan in a file, seen from `sensor` (3,); with the truth if it is an observation. Raises
+    DatasetError for a file that is no scan, and for a position out of bounds."""
+    position = np.asarray(sensor, dtype=np.float64)
+    if not (np.abs(position) <= MOST_LENGTH_M).all():
+        raise DatasetError(
+            f"--sensor {position.tolist()}: expected metres within {MOST_LENGTH_M:g} of the origin"
+        )
+    points, truth = read_points(path), dict[str, Any]()
+    if path.suffix == ".npz":
+        with suppress(KeyError, ValueError):  # an archive of points alone
+            content = read_bounded(path, MOST_SCAN_BYTES)
+            found = read_npz(content, *TRUTH, "voxel_m", most_bytes=MOST_VOXELS)
+            truth = dict(zip((*TRUTH, "voxel_m"), found, strict=True))
+    return Given(name=str(path), points=points, position=position, truth=truth)
+
+
+def scans_of_log(log: Log, every: int) -> Iterator[Task]:
+    """Every so many scans of a log, in the frame of its poses."""
+
+    def given(name: str, scan: LogScan) -> Given:
+        here = scan.pose.position
+        points = rotate(scan.pose.quaternion, scan.points) + here
+        return Given(name=name, points=points, position=here)
+
+    for number, scan in enumerate(log.scans()):
+        if number % every == 0:
+            yield f"{number:06d}", partial(given, f"scan {number}", scan)
+
+
+def predict_scan(
+    completer: Completer, given: Given, out: Path, *, thresholds: Thresholds | None = None
+) -> Completed:
+    """Complete one scan.
+
+    `out` is HDF5 (``.h5``: the network's inputs, what is predicted, the truth if there is one, and
+    the grid) or a point cloud (``.ply``: the centres of the voxels that are occupied at
+    `thresholds`, by default the paper's, in the scan's frame).
+    Raises DatasetError for a scan with no point in the map, another name, and where `out` is
+    something else already.
+    """
+    if out.suffix not in (".h5", ".ply"):
+        raise DatasetError(f"{out}: expected a name that ends in .h5 or .ply")
+    check_ours(out)
+    points = given.points
+    returned = points[np.isfinite(points).all(axis=1)]
+    seen = PointScan(points=returned, position=given.position, grid=completer.grid)
+    untold = [input_called(name).untold for name in completer.inputs]
+    done = partial(
+        Completed,
+        completer=completer.name,
+        points=len(points),
+        without=len(points) - len(returned),
+        inside=len(seen.voxels),
+        height_m=height_above_ground(returned - given.position),
+        untold=tuple(filter(None, untold)),
+    )
+    if not len(seen.voxels):
+        extent = " × ".join(f"{metres:g}" for metres in completer.grid.extent_m)
+        raise DatasetError(
+            f"{given.name}: {done(untold=())}; the map is {extent} m around the sensor "
+            f"at {given.position.tolist()}; give --sensor, and metres"
+        )
+    maps = channels(completer.inputs, seen, seen.grid)
+    prediction = completer(maps)
+    occupied = prediction.occupied(thresholds)
+    truth = _truth_on(seen.grid, given)
+    iou = _iou(occupied, **truth) if truth else None
+    result = done(away=(prediction.away(seen.observed) or 0) >= UNUSUAL, iou=iou)
+    if out.suffix == ".ply":
+        centres = seen.grid.centres(seen.origin)[occupied]
+        write_whole(out, encode_points(".ply", centres))
+        return result
+    about = {"method": completer.name, "origin": seen.origin, "voxel": seen.grid.voxel_m}
+    said = {name: getattr(prediction, name) for name in PARTS | SURE}
+    with new_hdf5(out) as file:
+        file.attrs.update(about | ({} if prediction.uncertainty is None else {"risk": RISK}))
+        for name, values in (maps | said | truth).items():
+            if values is not None:
+                chunk = file.create_dataset(
+                    name, values.shape, values.dtype, chunks=values.shape, **PACKED
+                )
+                chunk.id.write_direct_chunk((0, 0, 0), compress(values))
+    return result
+
+
+def _truth_on(grid: GridSpec, given: Given) -> dict[str, Mask]:
+    """The truth that came with a scan, if it is on `grid`."""
+    masks = {name: np.asarray(given.truth[name]) for name in TRUTH if name in given.truth}
+    alike = all(mask.shape == grid.shape and mask.dtype == np.bool_ for mask in masks.values())
+    return masks if alike and given.truth.get("voxel_m") == grid.voxel_m else {}
+
+
+def _iou(occupied: Mask, occupancy: Mask, known: Mask) -> float:
+    """Over known voxels; 1 where nothing is occupied."""
+    either = (occupied | occupancy) & known
+    return float((occupied & occupancy & known).sum() / either.sum()) if either.any() else 1.0
+
+
+def height_above_ground(points: Floats) -> float | None:
+    """How high the sensor is above the ground, metres, by returns (N, 3) seen from it."""
+    below = points[(np.hypot(points[:, 0], points[:, 1]) < BELOW_M) & (points[:, 2] < 0), 2]
+    return -float(np.quantile(below, LOWEST)) if len(below) >= LEAST_BELOW else None
+
+
+def read_completion(path: Path) -> Look:
+    """What `predict_scan` wrote to the .h5 file `path`, to be shown: what was observed, the
+    prediction at the paper's thresholds, and the truth where there is one. Raises DatasetError for
+    anything else."""
+    return read_guarded(_completion, path, MOST_SCAN_BYTES)
+
+
+def _completion(path: Path) -> Look:
+    advice = (
+        "expected what `scenegen complete` wrote of a scan; of a split: scenegen render DATASET "
+        "--predictions FILE"
+    )
+    try:
+        with h5py.File(path, "r") as file:
+            origin, voxel_m = np.array(file.attrs["origin"], np.float64), float(file.attrs["voxel"])
+            names = [name for name in ("observed", *PARTS, *TRUTH) if name in file]
+            shape, method = file[names[0]].shape, str(file.attrs["method"])
+            if math.prod(shape) > MOST_VOXELS or not np.isfinite(origin).all():
+                raise ValueError("no map")
+            maps = {name: np.asarray(file[name]) for name in names}
+        grid = GridSpec(shape=shape, voxel_m=voxel_m)
+        parts: Any = {name: maps[name].astype(np.float32) for name in PARTS if name in maps}
+        said = check_prediction(Prediction(**parts), shape, str(path))
+        seen: list[str] = [name for name in ("observed", "occupancy") if name in maps]
+        guess = Guess(
+            name=method,
+            occupied=said.occupied() & maps.get("known", np.ones(shape)).astype(bool),
+            tudf=said.distance(None, grid),
+        )
+        return Look(
+            name=path.stem,
+            grid=grid,
+            origin=origin,
+            position=origin + grid.extent_m / 2,
+            quaternion=np.array([1.0, 0.0, 0.0, 0.0]),
+            masks={name: maps[name].astype(np.bool_) for name in seen},
+            guesses=(guess,),
+        )
+    except Exception:  # h5py's errors share no base
+        raise DatasetError(f"{path}: holds no completion of a scan; {advice}") from None
+
+
+def summary(done: Sequence[Completed]) -> list[str]:
+    """Lines for people on many scans."""
+    heights = [one.height_m for one in done if one.height_m is not None]
+    ious = [one.iou for one in done if one.iou is not None]
+    away = sum(one.away for one in done)
+    lines = list(dict.fromkeys(what for one in done for what in one.untold))
+    if heights:
+        lines.append(f"the sensor is {min(heights):.1f} to {max(heights):.1f} m above the ground")
+    elif done:
+        lines.append("too few returns lie below the sensor to tell its height")
+    if away:
+        lines.append(f"{away} of {len(done)} scans are away from home for {done[0].completer}")
+    if ious:
+        lines.append(
+            f"IoU {np.mean(ious):.3f} in the mean of {len(ious)} observations, over what their "
+            "log knows"
+        )
+    return lines
+
+
+def page_of(completions: Sequence[Path], title: str) -> str:
+    """The page of some completions, which `predict_scan` wrote."""
+    from scenegen.display.page import page
+
+    looks = [read_completion(path) for path in completions]
+    known = any("occupancy" in look.masks for look in looks)
+    note = "Where the log knows nothing, predictions are not shown."
+    return page(looks, title=title, notes=[note] if known else [])

@@ -1,0 +1,70 @@
+"""Completions of logs: their scans stand upright, and observations are scored."""
+
+import h5py
+import numpy as np
+import pytest
+
+from lidarsim import GridSpec, Pose
+from lidarsim.pose import rotate
+from scenegen.display.exchange.files import write_points
+from scenegen.model.completion.completer import Completer
+from scenegen.model.completion.scans import height_above_ground, predict_scan, read_scan
+from tests.command_line import run
+
+TILT = Pose(
+    position=np.array([3.0, -2.0, 1.2]),
+    quaternion=np.array([np.cos(0.3), 0.0, np.sin(0.3), 0.0]),
+)
+
+
+@pytest.fixture(scope="module")
+def points():
+    """Returns (N, 3) from a floor 1.27 m below the sensor, and from a wall."""
+    x, y = np.meshgrid(np.linspace(-6, 6, 40), np.linspace(-6, 6, 40))
+    floor = np.stack([x, y, np.full_like(x, -1.27)], axis=-1).reshape(-1, 3)
+    wall = np.stack([np.full_like(x, 5.05), y, x / 6], axis=-1).reshape(-1, 3)
+    return np.concatenate([floor, wall])
+
+
+def test_scans_of_a_log_stand_upright_in_its_frame(tmp_path, points, capsys):
+    log = tmp_path / "log"
+    inverse = TILT.quaternion * [1, -1, -1, -1]
+    for n in range(3):
+        write_points(log / "velodyne" / f"{n:06d}.bin", rotate(inverse, points), None, {})
+    matrix = np.column_stack([rotate(TILT.quaternion, np.eye(3)).T, TILT.position])
+    np.savetxt(log / "poses.txt", np.stack([matrix.ravel()] * 3))
+    words = ("complete", log, "--every", 2, "-o", tmp_path / "out", "--device", "cpu")
+    code, said, noted = run(capsys, *words)
+    assert (code, said.startswith(f"{tmp_path / 'out'}: 2 completions")) == (0, True)
+    assert "the sensor is 1.3 to 1.3 m above the ground" in noted
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        *("000000.h5", "000002.h5", "index.html")
+    ]
+    np.save(tmp_path / "level.npy", points + TILT.position)
+    level = read_scan(tmp_path / "level.npy", TILT.position)
+    predict_scan(Completer.from_pretrained("anywhere"), level, tmp_path / "level.h5")
+    with h5py.File(tmp_path / "out" / "000002.h5") as file, h5py.File(tmp_path / "level.h5") as own:
+        np.testing.assert_allclose(file.attrs["origin"], own.attrs["origin"], atol=1e-6)
+        alike = np.asarray(file["observed"]) == np.asarray(own["observed"])
+    assert alike.mean() > 0.999  # but where float32 moves a point over a voxel's face
+
+
+def test_an_observation_is_scored_over_what_its_log_knows(tmp_path, points):
+    grid = GridSpec()
+    rng = np.random.default_rng(0)
+    truth = {name: rng.random(grid.shape) < 0.5 for name in ("occupancy", "known")}
+    np.savez(tmp_path / "seen.npz", points=points, voxel_m=grid.voxel_m, **truth)
+    np.savez(tmp_path / "other.npz", points=points, voxel_m=0.1, **truth)
+    completer = Completer.from_pretrained("anywhere")
+    done = predict_scan(completer, read_scan(tmp_path / "seen.npz", [0, 0, 0]), tmp_path / "s.h5")
+    with h5py.File(tmp_path / "s.h5") as file:
+        said = file["occupancy_probability"][()][truth["known"]] > 0.85
+    true = truth["occupancy"][truth["known"]]
+    assert done.iou == pytest.approx((said & true).sum() / (said | true).sum())
+    other = read_scan(tmp_path / "other.npz", [0, 0, 0])
+    assert predict_scan(completer, other, tmp_path / "o.h5").iou is None
+
+
+def test_the_ground_is_what_lies_below_the_sensor(points):
+    assert height_above_ground(points) == pytest.approx(1.27)
+    assert height_above_ground(points[points[:, 2] > 0]) is None
