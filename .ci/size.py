@@ -14,8 +14,8 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 300_100, "benchmarks": 34_600, "tests": 275_900}
-FILES = 250
+TOKENS = {"product": 301_000, "benchmarks": 34_600, "tests": 276_250}
+FILES = 251
 LINES = 400
 """The longest file of product code."""
 WIDTH = 100

@@ -16,12 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.grid import Floats
+from lidarsim.jit import kernel
 from lidarsim.sensors.table import read_npy
 from scenegen.errors import DatasetError, needs, printable
 from scenegen.files import read_bounded
 from scenegen.limits import (
     GUARD_BYTES,
     GUARD_S,
+    MOST_CLOUD_BYTES,
     MOST_HEADER_BYTES,
     MOST_LINE_BYTES,
     MOST_POINTS,
@@ -190,8 +192,8 @@ def _numbers(text: bytes | memoryview, columns: Sequence[int], most: int) -> Flo
 
 
 def _read_pcd(content: bytes) -> NDArray[np.generic]:
-    """The points of a PCD file, text or binary, and where they were seen from: fields or its
-    VIEWPOINT (pointclouds.org, "The PCD file format")."""
+    """The points of a PCD file, and where they were seen from: fields or its VIEWPOINT
+    (pointclouds.org, "The PCD file format")."""
     head, mark, rest = content[:MOST_HEADER_BYTES].partition(b"\nDATA ")
     form = rest.partition(b"\n")[0].strip()
     start = len(head) + len(mark) + len(rest.partition(b"\n")[0]) + 1
@@ -199,9 +201,10 @@ def _read_pcd(content: bytes) -> NDArray[np.generic]:
         line.split() for line in head.decode("latin-1").splitlines() if line and line[0] != "#"
     ]
     said = {line[0]: line[1:] for line in lines if line}
-    if form not in (b"ascii", b"binary"):
+    if form not in (b"ascii", b"binary", b"binary_compressed"):
         raise ValueError(
-            f"DATA is {printable(form.decode('latin-1'))[:30]!r}, expected ascii or binary"
+            f"DATA is {printable(form.decode('latin-1'))[:30]!r}, expected ascii, binary or "
+            "binary_compressed"
         )
     # what only fills a gap is called "_", as often as there are gaps
     names = [f"_{n}" if name == "_" else name for n, name in enumerate(said["FIELDS"])]
@@ -211,11 +214,69 @@ def _read_pcd(content: bytes) -> NDArray[np.generic]:
     types = [PCD_TYPES[kind] + size for kind, size in zip(said["TYPE"], said["SIZE"], strict=True)]
     layout, fields = list(zip(names, types, repeats, strict=True)), _fields(names)
     count = int(said["POINTS"][0])
-    points = _points(memoryview(content)[start:], layout, fields, count, text=form == b"ascii")
+    body = memoryview(content)[start:]
+    if form == b"binary_compressed":
+        body = _unpacked(body, layout, count)
+    points = _points(body, layout, fields, count, text=form == b"ascii")
     stood = list(map(float, said.get("VIEWPOINT", NOWHERE)))
     if len(fields) == 3 and stood != NOWHERE:
         return np.concatenate([points, np.broadcast_to(stood[:3], points.shape)], axis=1)
     return points
+
+
+def _unpacked(
+    content: memoryview, layout: Sequence[tuple[str, str, int]], count: int
+) -> memoryview:
+    """Point after point what a compressed PCD holds: two sizes, and what LZF made of one field's
+    values after the other's. Raises ValueError where they do not fit."""
+    packed, size = np.frombuffer(content, "<u4", min(2, len(content) // 4)).tolist()
+    dtype = np.dtype([(name, kind, (many,)) for name, kind, many in layout])
+    if size != count * dtype.itemsize or size > MOST_CLOUD_BYTES:
+        raise ValueError(f"unpacks to {size} bytes, expected {dtype.itemsize} for each point")
+    columns = np.zeros(size, np.uint8)
+    if _unpack_lzf(np.frombuffer(content, np.uint8)[8 : 8 + packed], columns) != size:
+        raise ValueError("its compressed points are damaged, or end early")
+    rows, first = np.zeros(count, dtype), 0
+    for name in dtype.names or ():
+        last = first + rows[name].nbytes
+        rows[name] = columns[first:last].view(dtype[name].base).reshape(rows[name].shape)
+        first = last
+    return memoryview(rows.tobytes())
+
+
+@kernel
+def _unpack_lzf(packed, unpacked):
+    """Undo LZF: a byte below 32 says how many bytes follow as they are, less one; another byte, of
+    a length and the high bits of a distance, has bytes repeated that were written before. Gives
+    how many bytes were written; fewer than `unpacked` holds where what is packed is damaged."""
+    at, written = 0, 0
+    while at < len(packed):
+        control = int(packed[at])
+        at += 1
+        if control < 32:
+            length, source = control + 1, -1
+        else:
+            length, distance = control >> 5, (control & 31) << 8
+            if length == 7 and at < len(packed):
+                length += int(packed[at])
+                at += 1
+            if at == len(packed):
+                return 0
+            length, source = length + 2, written - distance - int(packed[at]) - 1
+            at += 1
+            if source < 0:
+                return 0
+        if written + length > len(unpacked) or (source < 0 and at + length > len(packed)):
+            return 0
+        for _ in range(length):
+            if source < 0:
+                unpacked[written] = packed[at]
+                at += 1
+            else:
+                unpacked[written] = unpacked[source]
+                source += 1
+            written += 1
+    return written
 
 
 def _read_las(content: bytes) -> NDArray[np.generic]:

@@ -16,6 +16,7 @@ EXTRAS = {
     "mcap_ros2": "mcap",
     "PIL": "view",
     "rerun": "rerun",
+    "rosbags": "mcap",
     "safetensors": "train",
     "torch": "train",
 }

@@ -72,7 +72,7 @@ MOST_SHOWN = 24
     help="Complete one of so many scans of a folder or a log.",
 )
 @click.option("--poses", type=FILE, help="The poses of a folder of clouds, as for `ingest`.")
-@click.option("--topic", help="The clouds of an .mcap file that has several.")
+@click.option("--topic", help="The clouds of a recording that has several.")
 @device_option
 @click.option(
     "--batch",
@@ -102,7 +102,7 @@ def complete(
     """Complete a dataset's split, a scan, all scans in a folder and below it, or a log.
 
     Scans are .ply, .pcd, .bin, .npz, .xyz or .npy: points in metres, z up, the sensor at the
-    origin. A log is what `ingest` takes: an .mcap file of ROS 2, or a folder with poses, such as a
+    origin. A log is what `ingest` takes: a recording of ROS, or a folder with poses, such as a
     sequence of KITTI's; its scans are turned upright by their poses. A page shows some completions
     where there are several scans. One process completes; with --on or --workers, so many do, each
     on one thread of a processor unless --device says more.

@@ -105,7 +105,7 @@ def map(
     type=FILE,
     help="The poses of a folder of clouds: KITTI's matrices, TUM's lines, or CSV.",
 )
-@click.option("--topic", help="The clouds of an .mcap file that has several.")
+@click.option("--topic", help="The clouds of a recording that has several.")
 @options_of(
     Fusing,
     voxel_m="Edge of the maps' voxels, metres.",
@@ -132,9 +132,9 @@ def ingest(
 ) -> None:
     """Make maps of a log of LiDAR scans with poses, and keep some of its scans beside them.
 
-    A log is a sequence in KITTI's odometry layout (SemanticKITTI's, too), an .mcap file of ROS 2
-    (or the bag's folder) with PointCloud2 or Livox's CustomMsg and /tf or odometry, or a folder of
-    clouds with --poses. Stopped or killed, the same command goes on.
+    A log is a sequence in KITTI's odometry layout (SemanticKITTI's, too), a recording of ROS
+    (.mcap, .bag, .db3, or a bag's folder) with PointCloud2 or Livox's CustomMsg and /tf or
+    odometry, or a folder of clouds with --poses. Stopped or killed, the same command goes on.
     """
     from scenegen.files import check_free
     from scenegen.logs.fuse import ingest as write

@@ -153,7 +153,9 @@ class _Run:
             name = f"place-{number:03d}.npz"
             write_whole(self._folder / name, encode_map(place, name))
             for observation in kept.values():
-                _observe(observation, place)
+                returns, outside = _observe(observation, place)
+                self.counts["observed_returns"] += returns
+                self.counts["returns_outside_truth"] += outside
             self.counts["maps"] += 1
             self.counts["observations"] += len(kept)
             self.counts["occupied_voxels"] += int(np.count_nonzero(place.states == OCCUPIED))
@@ -331,8 +333,10 @@ def _settle(hits, misses, moved_share):
     return moved
 
 
-def _observe(path: Path, place: VoxelMap) -> None:
-    """Add to a scan that is kept what it says of the grid around it, and what the map does."""
+def _observe(path: Path, place: VoxelMap) -> tuple[int, int]:
+    """Add to a scan that is kept what it says of the grid around it, and what the map does. Gives
+    how many of its returns lie in that grid, and how many of these where the map says that nothing
+    is: they were of something that moved on, or grazed."""
     with np.load(path) as file:
         found: dict[str, Any] = dict(file)
     grid, here = GridSpec(), found["position"]
@@ -342,3 +346,6 @@ def _observe(path: Path, place: VoxelMap) -> None:
     found |= {"origin": origin, "voxel_m": np.float64(grid.voxel_m)}
     found |= {"observed": seen.observed, "free": seen.free}
     _put(path, np.savez_compressed, **found, occupancy=occupancy, known=known)
+    voxels = grid.index(found["points"] + here, origin)
+    within = voxels[((voxels >= 0) & (voxels < grid.shape)).all(axis=1)]
+    return len(within), int(np.count_nonzero(~occupancy[tuple(within.T)]))

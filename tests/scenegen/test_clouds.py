@@ -144,7 +144,16 @@ def test_pcd_in_text_and_with_fields_of_any_kind_in_any_order(tmp_path):
     (tmp_path / "text.pcd").write_bytes(b"# made by hand\n" + pcd("ascii") + text.encode())
     rows = b"".join(struct.pack("<HBBBdff", 7, 0, 0, 0, z, y, x) for x, y, z in points)
     (tmp_path / "binary.pcd").write_bytes(pcd("binary") + rows)
-    for name in ("text", "binary"):
+    # as LZF has it: the fields one after the other, of which five bytes are repeated
+    fields = np.frombuffer(rows, "<u2,3u1,<f8,<f4,<f4")
+    columns = b"".join(fields[name].tobytes() for name in fields.dtype.names)
+    assert columns[:15] == b"\7\0" * 3 + bytes(9)
+    packed = b"\1\7\0\x40\1\0\0\xe0\0\0"  # 7 0, four bytes from two before, 0, nine from one before
+    for n in range(16, len(columns), 32):
+        packed += bytes([len(columns[n : n + 32]) - 1]) + columns[n : n + 32]
+    sizes = struct.pack("<II", len(packed), len(columns))
+    (tmp_path / "packed.pcd").write_bytes(pcd("binary_compressed") + sizes + packed)
+    for name in ("text", "binary", "packed"):
         np.testing.assert_array_equal(read_points(tmp_path / f"{name}.pcd"), points)
 
 
@@ -153,6 +162,9 @@ def test_pcd_in_text_and_with_fields_of_any_kind_in_any_order(tmp_path):
     [
         ("short.pcd", pcd("binary", 4) + bytes(3 * 21)),
         ("packed.pcd", pcd("binary_compressed") + bytes(63)),
+        ("ends.pcd", pcd("binary_compressed") + struct.pack("<II", 3, 63) + b"\1\0\0"),
+        ("before.pcd", pcd("binary_compressed") + struct.pack("<II", 2, 63) + b"\x20\5"),
+        ("none.pcd", pcd("binary_compressed") + b"\1"),
         ("flat.pcd", pcd("binary", fields="intensity _ z y w") + bytes(63)),
         ("twice.pcd", pcd("binary", fields="x _ z y x") + bytes(63)),
         ("many.pcd", pcd("binary", 10**12) + bytes(63)),

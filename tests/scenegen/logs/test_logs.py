@@ -22,9 +22,10 @@ from scenegen.display.exchange.recordings import _HEADER, _RULE, DEFINITIONS, TR
 from scenegen.errors import DatasetError
 from scenegen.limits import MOST_PLACE_VOXELS
 from scenegen.logs import Cruise, Fusing, LogScan
+from scenegen.logs.bags import LIVOX, ODOMETRY, Links
 from scenegen.logs.cruise import cruise_poses
 from scenegen.logs.fuse import ingest
-from scenegen.logs.read import LIVOX, ODOMETRY, Log, _Links, read_log
+from scenegen.logs.read import Log, read_log
 from scenegen.logs.write import matrix_of, write_log
 from scenegen.poses import chained, read_poses
 from scenegen.source import read_world
@@ -203,14 +204,20 @@ def test_numbers_in_names_are_no_times(tmp_path):
         read_log(tmp_path / "log", poses=poses)
 
 
-def test_a_bag_is_its_one_recording(tmp_path):
+@pytest.mark.parametrize("form", ["two.bag", "bag", "bag/bag.db3"])
+def test_recordings_of_either_ros_say_the_same(tmp_path, form):
     pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed")
-    scans = written(tmp_path / "bag" / "bag_0.mcap")
-    (tmp_path / "bag" / "metadata.yaml").touch()
-    assert close(read_log(tmp_path / "bag"), scans)
-    (tmp_path / "bag" / "bag_1.mcap").touch()
-    with pytest.raises(DatasetError, match=r"2 \.mcap files; expected one"):
-        read_log(tmp_path / "bag")
+    rosbags = pytest.importorskip("rosbags.convert", reason="rosbags is not installed")
+    scans = written(tmp_path / "log.mcap")
+    types = None
+    if form.endswith(".bag"):
+        from rosbags.typesys import Stores, get_typestore
+
+        types = get_typestore(Stores.ROS1_NOETIC)
+    out, chosen = tmp_path / form.partition("/")[0], ((), (), (), ())
+    source = [tmp_path / "log.mcap"]
+    rosbags.convert(source, out, "sqlite3", 9, None, "message", None, types, *chosen)
+    assert close(read_log(tmp_path / form), scans)
 
 
 def inverse(pose):
@@ -230,7 +237,7 @@ def test_poses_come_from_a_chain_of_frames():
             transform=SimpleNamespace(translation=place, rotation=turn),
         )
 
-    links, mount = _Links(), Pose.level((0.0, 0.0, 1.0), math.pi / 2)
+    links, mount = Links(), Pose.level((0.0, 0.0, 1.0), math.pi / 2)
     links.add("tf", SimpleNamespace(transforms=[message("base", "lidar", 0, mount)]), always=True)
     for time, yaw in ((5.0, 0.0), (6.0, 1.0)):
         at = Pose.level((2 * time, 0.0, 0.0), yaw)
@@ -261,6 +268,7 @@ def test_what_moves_on_is_free_and_jumps_are_counted(tmp_path):
     assert counts["scans_without_overlap"] == 1
     assert counts["returns_left_out"] == 2 * 401
     assert counts["moved_voxels"] > 100
+    assert 0 <= counts["returns_outside_truth"] < counts["observed_returns"]
     voxels = read_place(tmp_path / "maps" / "place-000.npz").voxels
     occupied = np.argwhere(voxels.states == 2) * 0.2 + voxels.origin + 0.1
     ranges = np.minimum(
@@ -332,7 +340,7 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
     "not a number": (line(2, " ".join(["nan"] * 12)), "line 3"),
     "no rotation": (line(1, " ".join(["2"] * 12)), "line 2: expected a rotation"),
     "beyond the world": (line(1, "1 0 0 1e9 0 1 0 0 0 0 1 0"), "subtract the first"),
-    "a bag in .db3": (lambda log: (log / "poses.txt").rename(log / "metadata.yaml"), "0 .mcap"),
+    "no bag": (lambda log: (log / "poses.txt").rename(log / "metadata.yaml"), "recording of ROS"),
     "five columns": (lambda log: (log / "poses.txt").write_text("1 2 3 4 5\n" * 5), "5 columns"),
     "nothing": (lambda log: (log / "poses.txt").write_text(""), "no numbers"),
     "a time too few": (lambda log: (log / "times.txt").write_text("1\n2\n"), "2 times"),
@@ -349,7 +357,7 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
         ],
         "no scan of the log",
     ),
-    "no log": (shutil.rmtree, "expected an .mcap file"),
+    "no log": (shutil.rmtree, "expected a recording"),
 }
 
 
@@ -416,6 +424,10 @@ def test_livox_s_own_messages_are_read(tmp_path):
     write_livox(tmp_path / "livox.mcap", scans)
     log = read_log(tmp_path / "livox.mcap")
     assert close(log, scans)
+    rosbags = pytest.importorskip("rosbags.convert", reason="rosbags is not installed")
+    source, chosen = [tmp_path / "livox.mcap"], ((), (), (), ())
+    rosbags.convert(source, tmp_path / "1.bag", "", 9, None, "message", None, None, *chosen)
+    assert close(read_log(tmp_path / "1.bag"), scans)
     assert [scan.more["t"] == pytest.approx(times, abs=1e-9) for scan in log.scans()] == [True] * 5
     write_livox(tmp_path / "short.mcap", scans, missing=1)
     with pytest.raises(DatasetError, match="promises 41 points and holds 40"):
@@ -430,7 +442,7 @@ def test_cut_recordings_end_in_one_line(tmp_path, capsys, cut):
     (tmp_path / "cut.mcap").write_bytes(content[:cut])
     code, _, err = run(capsys, f"ingest {tmp_path}/cut.mcap -o {tmp_path}/out --quiet")
     assert (code, err.count("\n")) == (1, 1), err
-    assert "cut.mcap: cannot be read as MCAP" in err
+    assert "cut.mcap: cannot be read as a recording" in err
     assert not (tmp_path / "out").exists()
 
 

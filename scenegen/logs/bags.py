@@ -1,0 +1,218 @@
+"""Recordings of ROS, 1 and 2: clouds of points, and where their frames were, read without ROS."""
+
+import struct
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from lidarsim import Pose
+from lidarsim.grid import Floats
+from scenegen.display.exchange.recordings import CLOUD, POINT_TYPES, TRANSFORMS
+from scenegen.errors import DatasetError, printable
+from scenegen.limits import MOST_LOG_BYTES
+from scenegen.poses import Track, chained
+
+RECORDINGS = (".mcap", ".bag", ".db3")
+"""Files of ROS 2, of ROS 1, and of ROS 2's SQLite."""
+ODOMETRY = "nav_msgs/msg/Odometry"
+FRAMES = (TRANSFORMS, "tf/msg/tfMessage")
+"""What is on /tf; the second is of old recordings of ROS 1."""
+LIVOX = tuple(
+    f"livox_{package}/msg/CustomMsg" for package in ("ros_driver2", "interfaces", "ros_driver")
+)
+"""Livox's own message, as its drivers for ROS 2 and ROS 1 call it."""
+LIVOX_BYTES = 19
+"""Of a point in it: its time (uint32, ns), x, y, z (float32, m), and three bytes."""
+TIMES = ("t", "time", "timestamp", "time_stamp", "offset_time")
+"""What drivers call the time of a point: seconds, or nanoseconds where they are whole numbers."""
+Head: TypeAlias = tuple[float, str]
+"""The time, seconds, and the frame of a cloud."""
+
+
+class Recording:
+    """A recording's messages of the kinds that a log is made of. Their types are those that we
+    know, not those that the file defines."""
+
+    def __init__(self, path: Path):
+        """Of a file, or of a bag's folder. Raises ModuleNotFoundError without the extra."""
+        from rosbags.rosbag1 import Reader as Reader1
+        from rosbags.rosbag2 import Reader as Reader2
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+        self._path, self._first = path, path.suffix == ".bag"
+        store = get_typestore(Stores.ROS1_NOETIC if self._first else Stores.ROS2_HUMBLE)
+        for name in FRAMES if self._first else ():
+            store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", name))
+        self._reader: Any = Reader1 if self._first else Reader2
+        self._decode = store.deserialize_ros1 if self._first else store.deserialize_cdr
+
+    def survey(self, topic: str | None) -> "tuple[str, list[Head], Links]":
+        """The topic of the clouds, which must be named where there are several; the heads of its
+        clouds; and the frames. Raises DatasetError where there are no clouds."""
+        heads, links = defaultdict[str, list[Head]](list), Links()
+        for kind, on, data in self._messages(CLOUD, *LIVOX, *FRAMES, ODOMETRY):
+            if kind in (CLOUD, *LIVOX):
+                heads[on].append(self._head(data)[:2])
+            else:
+                links.add(kind, self._decode(data, kind), always=on.endswith("tf_static"))
+        if topic is None and len(heads) > 1:
+            raise DatasetError(
+                f"{self._path}: has clouds on {', '.join(sorted(heads))[:200]}; name one with "
+                "--topic"
+            )
+        topic = topic or next(iter(heads), "")
+        if topic not in heads:
+            raise DatasetError(
+                f"{self._path}: has no PointCloud2 or CustomMsg{f' on {topic}' if topic else ''}"
+            )
+        return topic, heads[topic], links
+
+    def clouds(self, topic: str) -> Iterator[Callable[[], dict[str, Floats]]]:
+        """What reads each cloud of a topic: its `x`, `y`, `z` and, where it is told, `t`, (n,)."""
+        for kind, on, data in self._messages(CLOUD, *LIVOX):
+            if on == topic:
+                yield partial(self._columns, kind, data)
+
+    def _columns(self, kind: str, data: bytes) -> dict[str, Floats]:
+        with _readable(self._path):
+            if kind == CLOUD:
+                return _columns(self._decode(data, CLOUD))
+            return _livox(data, *self._head(data)[2:], packed=self._first)
+
+    def _messages(self, *kinds: str) -> Iterator[tuple[str, str, bytes]]:
+        """The kind, topic and content of every message of some kinds, in the order of recording."""
+        if self._path.is_file() and self._path.stat().st_size > MOST_LOG_BYTES:
+            raise DatasetError(f"{self._path}: has more than {MOST_LOG_BYTES} bytes")
+        with _readable(self._path), self._reader(self._path) as reader:
+            chosen = [one for one in reader.connections if one.msgtype in kinds]
+            for connection, _, data in reader.messages(chosen) if chosen else ():
+                yield connection.msgtype, connection.topic, data
+
+    def _head(self, data: bytes) -> tuple[float, str, str, int]:
+        """Of a message that begins with a header: its time, seconds, its frame, its byte order, and
+        where the header ends."""
+        order = "<" if self._first or data[1] & 1 else ">"  # four bytes say so: of ROS 1, a count
+        seconds, fraction, length = struct.unpack_from(f"{order}iII", data, 4)
+        frame = data[16 : 16 + length].rstrip(b"\0").decode()
+        return seconds + 1e-9 * fraction, frame, order, 16 + length
+
+
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """Says that a file is no recording whatever its reader raises."""
+    try:
+        yield
+    except (DatasetError, FileNotFoundError, ModuleNotFoundError):
+        raise
+    except Exception as error:  # the library's, struct's, and what else a crafted file brings
+        raise DatasetError(
+            f"{path}: cannot be read as a recording of ROS: {printable(error)[:200]}"
+        ) from None
+
+
+class Links:
+    """Where frames are in one another over time."""
+
+    def __init__(self) -> None:
+        self._rows = defaultdict[str, dict[float, tuple[str, Pose]]](dict)
+        self._always, self._told = set[str](), set[str]()
+        self._tracks = dict[str, tuple[str, Track]]()
+
+    def add(self, kind: str, message: Any, *, always: bool) -> None:
+        """Take in a message; of a frame that /tf and odometry both speak of, what came first."""
+        links = getattr(message, "transforms", None) or [message]
+        for one in links:
+            child, time = one.child_frame_id.lstrip("/"), _seconds(one.header.stamp)
+            if kind == ODOMETRY:
+                place, turn = one.pose.pose.position, one.pose.pose.orientation
+            else:
+                place, turn = one.transform.translation, one.transform.rotation
+            pose = Pose(
+                np.array([place.x, place.y, place.z]), np.array([turn.w, turn.x, turn.y, turn.z])
+            )
+            if always:
+                self._always.add(child)
+            self._rows[child].setdefault(time, (one.header.frame_id.lstrip("/"), pose))
+
+    def known(self, frame: str) -> bool:
+        """Whether anything says where a frame is."""
+        return frame.lstrip("/") in self._rows
+
+    def pose(self, frame: str, time_s: float) -> Pose | None:
+        """The pose of a frame in the one that all others hang from; None where a link of the chain
+        is not known at that time."""
+        found, name = Pose.level((0.0, 0.0, 0.0)), frame.lstrip("/")
+        for _ in range(len(self._rows)):  # a circle of frames ends here, too
+            if name not in self._rows:
+                break
+            parent, track = self._track(name)
+            link = track.poses[0] if name in self._always else track.at(time_s)
+            if link is None:
+                return None
+            found, name = chained(link, found), parent
+        return found
+
+    def _track(self, name: str) -> tuple[str, Track]:
+        if name not in self._tracks:
+            times = sorted(self._rows[name])
+            rows = [self._rows[name][time] for time in times]
+            self._tracks[name] = rows[0][0], Track(np.array(times), [pose for _, pose in rows])
+        return self._tracks[name]
+
+
+def _seconds(stamp: Any) -> float:
+    return float(stamp.sec + 1e-9 * stamp.nanosec)
+
+
+def _livox(data: bytes, order: str, start: int, *, packed: bool) -> dict[str, Floats]:
+    """`x`, `y`, `z` and `t` of the points of a CustomMsg, (n,) each. After its header come a time
+    of 8 bytes, how many points it promises, four bytes, and how many follow; where the message is
+    not `packed`, numbers lie at multiples of their size."""
+    if not packed:
+        start = 4 + -(-(start - 4) // 8) * 8
+    promised, count = struct.unpack_from(f"{order}I4xI", data, start + 8)
+    step = LIVOX_BYTES if packed else LIVOX_BYTES + 1
+    rest = data[start + 20 :]
+    held = (len(rest) + step - LIVOX_BYTES) // step
+    if not promised == count <= held:
+        raise ValueError(f"promises {promised} points and holds {min(count, held)}")
+    names, kinds = ["t", "x", "y", "z"], [f"{order}u4", *3 * [f"{order}f4"]]
+    dtype = np.dtype({"names": names, "formats": kinds, "offsets": [0, 4, 8, 12], "itemsize": step})
+    rows = np.frombuffer(rest.ljust(count * step, b"\0"), dtype, count)
+    found = {name: rows[name].astype(np.float64) for name in "xyz"}
+    return found | {"t": 1e-9 * rows["t"]}
+
+
+def _columns(cloud: Any) -> dict[str, Floats]:
+    """`x`, `y`, `z` and, where it is told, `t` of the points of a PointCloud2, (n,) each."""
+    order = ">" if cloud.is_bigendian else "<"
+    fields = {one.name: one for one in cloud.fields}
+    if missing := [axis for axis in "xyz" if axis not in fields]:
+        raise ValueError(f"has no {', '.join(missing)}")
+    time = next((name for name in TIMES if name in fields), None)
+    names = [*"xyz", *([time] if time else [])]
+    kinds = [order + POINT_TYPES[fields[name].datatype] for name in names]
+    offsets = [fields[name].offset for name in names]
+    dtype = np.dtype(
+        {"names": names, "formats": kinds, "offsets": offsets, "itemsize": cloud.point_step}
+    )
+    if cloud.row_step * cloud.height != len(cloud.data):
+        raise ValueError(
+            f"promises {cloud.height} rows of {cloud.row_step} bytes and holds {len(cloud.data)}"
+        )
+    rows = np.frombuffer(cloud.data, np.uint8).reshape(cloud.height, cloud.row_step)
+    packed = np.ascontiguousarray(rows[:, : cloud.width * cloud.point_step])
+    points = packed.reshape(-1).view(dtype)
+    if len(points) != cloud.width * cloud.height:
+        raise ValueError(f"promises {cloud.width} × {cloud.height} points and holds {len(points)}")
+    found = {name: points[name].astype(np.float64) for name in "xyz"}
+    if time and len(points):
+        scale = 1e-9 if points[time].dtype.kind in "iu" else 1.0
+        since = np.nan_to_num(points[time].astype(np.float64) * scale)
+        found["t"] = since - since.min()
+    return found
