@@ -27,6 +27,7 @@ from scenegen.fly.suite import DIFFICULTIES, MAPS, courses_of, map_courses
 from scenegen.model.commands.fly import fly_courses
 from scenegen.model.evaluation.statistics import brief, figure, head, interval, line
 from scenegen.model.robots import MAPPING, NAMES, fly_course, robot_maker
+from scenegen.model.robots.mapping import RIM
 from scenegen.recipes import kind_names
 from scenegen.run.workers import Local
 
@@ -44,9 +45,13 @@ FIGURES: dict[str, Callable[[Flown], float]] = {
     "collision": lambda one: float(one.outcome == "collision"),
     "score": lambda one: one.score,
     "path ratio": lambda one: one.ratio if one.outcome == "success" else np.nan,
+    "time, s": lambda one: one.time_s if one.outcome == "success" else np.nan,
     "mean clearance, m": lambda one: one.mean_clearance_m,
     "jerk, m/s³": lambda one: one.jerk_mps3,
 }
+
+BY_GROUP = ("success", "time, s", "mean clearance, m")
+"""Figures that are told for every difficulty and kind, too."""
 
 
 def main() -> None:
@@ -121,12 +126,12 @@ def tables(found: dict[str, list[Row]]) -> list[str]:
     ):
         if not any(key(course) in groups for course, _ in next(iter(found.values()))):
             continue
-        lines += ["", f"## Success by {title}", "", *head(groups)]
-        for name, rows in found.items():
-            parts = [[row for row in rows if key(row[0]) == group] for group in groups]
-            shares = [told(part, success, "outcome") if part else None for part in parts]
-            cells = [f"{one['mean']:.2f}" if one else "–" for one in shares]
-            lines.append(line(f"`{Path(name).stem}`", cells))
+        for what in BY_GROUP:
+            lines += ["", f"## {what.capitalize()}, by {title}", "", *head(groups)]
+            for name, rows in found.items():
+                parts = [[row for row in rows if key(row[0]) == group] for group in groups]
+                means = [np.nanmean([FIGURES[what](one) for _, one in part]) for part in parts]
+                lines.append(line(f"`{Path(name).stem}`", [f"{mean:.2f}" for mean in means]))
     return lines
 
 
@@ -154,8 +159,8 @@ def how_hard(found: dict[str, list[Row]]) -> list[str]:
 
 
 def first_plans(found: dict[str, list[Row]]) -> list[str]:
-    """How often the first plan is free of collisions, flown blindly; and what that says of the
-    flight."""
+    """How often the first plan is free of collisions, flown blindly as far as the first map shows;
+    and what that says of the flight."""
     lines = ["## The first plan and the flight", ""]
     lines += head(["first plan is free", "goal reached, if it is", "if it is not"])
     for name, rows in found.items():
@@ -174,16 +179,27 @@ def first_plans(found: dict[str, list[Row]]) -> list[str]:
 
 
 def first_plan_is_free(course: Course, number: int, name: str) -> bool:
-    """Whether the way that a robot plans first leaves room for the vehicle."""
+    """Whether the way that a robot plans first leaves room for the vehicle, up to the edge of its
+    first map."""
     robot = robot_maker(*((name, None) if name in NAMES else ("optimistic", name)))(course)
     flying = course.simulation(number)
     robot.reset(flying.about())
     robot.act(flying.observe())
     if robot.path is None:
         return False
-    legs = zip(robot.path, robot.path[1:], strict=False)
     is_free = course.drawn.clearance.motion_is_free
-    return all(is_free(tuple(p), tuple(q), course.vehicle.radius_m) for p, q in legs)
+    rim = RIM * robot.grid.voxel_m
+    low, high = robot.origin + rim, robot.origin + robot.grid.extent_m - rim
+    for start, end in zip(robot.path, robot.path[1:], strict=False):
+        way = end - start
+        room = np.where(way > 0, high, low) - start
+        share = np.divide(room, way, out=np.ones(3), where=way != 0).min()
+        end = start + min(share, 1.0) * way
+        if not is_free(tuple(start), tuple(end), course.vehicle.radius_m):
+            return False
+        if share < 1:  # of what lies beyond, the map shows nothing
+            break
+    return True
 
 
 def period(course: Course) -> str:
