@@ -39,3 +39,10 @@ def run(capsys, *words):
             cli.main()
     said = capsys.readouterr()
     return int(ended.value.code or 0), said.out, said.err
+
+
+def refused(capsys, *words):
+    """The one line in which a command ends that cannot be done; see `run`."""
+    code, said, line = run(capsys, *words)
+    assert (code in (1, 2), said, line.count("\n")) == (True, "", 1), line
+    return line

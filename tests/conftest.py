@@ -10,6 +10,9 @@ import pytest
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # processes share the cores, whatever they import
 
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.read import Dataset
+from scenegen.errors import ScenegenError
 from scenegen.recipe import make_recipe
 from scenegen.source import DrawnWorlds
 from tests.command_line import SMALL as SMALL_FILE
@@ -66,6 +69,34 @@ def compiled(request, tmp_path_factory):
 
         workers = int(os.environ["PYTEST_XDIST_WORKER_COUNT"])
         share(int(worker.removeprefix("gw")), workers, tmp_path_factory.getbasetemp().parent)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def every_error_of_ours_is_one_line():
+    """Whatever a test is about."""
+    longer = []
+
+    def noted(self, *words):
+        Exception.__init__(self, *words)
+        if "\n" in str(self):
+            longer.append(words)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ScenegenError, "__init__", noted)
+        yield
+    assert not longer
+
+
+def plan_of(folder, recipe=None, **options):
+    """What a dataset of worlds that a recipe draws will be."""
+    recipe = recipe or small_recipe()
+    return plan_dataset(folder, recipe, DrawnWorlds(recipe), **{"seed": 0} | options)
+
+
+def dataset_in(folder, recipe=None, **options):
+    """Such a dataset, made."""
+    build(plan_of(folder, recipe, **options))
+    return Dataset(folder)
 
 
 def small_recipe(kind="pillar", **tables):

@@ -6,9 +6,7 @@ import sys
 
 import pytest
 
-from scenegen.dataset.build import build, plan_dataset
-from scenegen.source import DrawnWorlds
-from tests.conftest import small_recipe
+from tests.conftest import dataset_in, small_recipe
 
 HEAVY = (
     "mujoco",
@@ -27,7 +25,7 @@ HEAVY = (
 def folder(tmp_path_factory):
     folder, recipe = tmp_path_factory.mktemp("light") / "d", small_recipe()
     counts = {"train": 3, "val": 0, "test": 0}
-    build(plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=0, counts=counts, compact=True))
+    dataset_in(folder, recipe, counts=counts, compact=True)
     return folder
 
 

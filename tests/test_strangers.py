@@ -9,15 +9,13 @@ import pytest
 import torch
 
 from scenegen.__main__ import PLACES
-from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.files import whole
 from scenegen.model.checkpoint import save_network
 from scenegen.model.config import NetworkConfig
 from scenegen.model.network import Network
-from scenegen.source import DrawnWorlds
 from tests.command_line import ROOT, SMALL, run
-from tests.conftest import small_recipe
+from tests.conftest import dataset_in, small_recipe
 
 SCENE = ROOT / "scenes" / "forest.xml"
 SCAN = ("scan", SCENE, "--flight", "--quiet")
@@ -73,9 +71,7 @@ def here(once, tmp_path, monkeypatch):
     def make(folder):
         recipe, counts = small_recipe(), {"train": 4, "val": 2, "test": 2}
         for name, seed in (("d", 1), ("e", 2)):
-            build(
-                plan_dataset(folder / name, recipe, DrawnWorlds(recipe), seed=seed, counts=counts)
-            )
+            dataset_in(folder / name, recipe, seed=seed, counts=counts)
         grid = Dataset(folder / "d").grid
         save_network(
             folder / "n.safetensors",

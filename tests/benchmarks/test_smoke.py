@@ -10,9 +10,8 @@ from pathlib import Path
 import pytest
 
 from scenegen import __main__ as cli
-from scenegen.dataset.build import build, plan_dataset
 from scenegen.recipe import preset
-from scenegen.source import DrawnWorlds
+from tests.conftest import dataset_in
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 SHARED = {"bars", "measuring", "recordings"}
@@ -100,7 +99,7 @@ def data(once):
 
     def fill(folder):
         recipe, counts = preset("pillar"), {"train": 2, "val": 1, "test": 2}
-        build(plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=0, counts=counts))
+        dataset_in(folder, recipe, counts=counts)
 
     return once("benchmarked", fill)
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import AnalyticEngine, Lidar, Pose, attach
 from lidarsim.noise.chain import Noise
@@ -70,14 +71,14 @@ def test_a_falling_robot_sees_what_mj_multi_ray_sees_of_the_same_data(model):
         )
         ranges, geoms, normals = by_mujoco(model, data, pose, without=body)
         hits, (also, named) = mounted.hits(data), mounted.cast(data)
-        np.testing.assert_allclose(hits.ranges[0], ranges, rtol=0, atol=1e-6)
-        np.testing.assert_array_equal(hits.geoms[0], geoms)
+        assert_allclose(hits.ranges[0], ranges, rtol=0, atol=1e-6)
+        assert_array_equal(hits.geoms[0], geoms)
         seen = geoms >= 0
-        np.testing.assert_allclose(hits.normals[0][seen], normals[seen], rtol=0, atol=1e-4)
-        np.testing.assert_array_equal((also, named), (hits.ranges, hits.geoms))
+        assert_allclose(hits.normals[0][seen], normals[seen], rtol=0, atol=1e-4)
+        assert_array_equal((also, named), (hits.ranges, hits.geoms))
         scan = mounted.scan(data)
-        np.testing.assert_array_equal(scan.ranges, hits.ranges[0].astype(np.float32))
-        np.testing.assert_allclose(scan.points(), hits.points[0][seen], rtol=0, atol=1e-5)
+        assert_array_equal(scan.ranges, hits.ranges[0].astype(np.float32))
+        assert_allclose(scan.points(), hits.points[0][seen], rtol=0, atol=1e-5)
         heights.append(pose.position[2])
         met |= set(geoms.ravel().tolist())
     assert heights[0] - heights[-1] > 1.0
@@ -95,7 +96,7 @@ def test_sensors_on_several_bodies_give_what_each_gives_alone(model):
     for _ in range(3):
         mujoco.mj_step(model, data, 60)
         for scan, one in zip(together.scans(data), alone, strict=True):
-            np.testing.assert_array_equal(scan.ranges, one.scan(data).ranges)
+            assert_array_equal(scan.ranges, one.scan(data).ranges)
     with pytest.raises(ValueError, match="3 sensors are attached; call scans"):
         together.scan(data)
     assert len(attach(model, "ball", LIDAR, offset=offsets).scans(data)) == 3
@@ -127,7 +128,7 @@ def test_a_world_that_moved_is_refitted_to_what_an_engine_made_anew_would_see(mo
         (pose,) = mounted.poses(data)
         rays = np.array([mounted._rays([pose])[1][0]])
         anew = AnalyticEngine.of(model, data).cast(pose.position[None], rays, LIDAR.max_range_m)
-        np.testing.assert_array_equal(mounted.cast(data)[0], anew)
+        assert_array_equal(mounted.cast(data)[0], anew)
 
 
 def test_what_cannot_be_attached_is_told_in_one_line(model):
@@ -163,17 +164,17 @@ def test_noise_sees_what_the_sensor_does_and_passes_the_carrier_as_its_rays_do(m
     for scan, seen in zip(
         mounted.scans(data), mounted.observe(data, Noise(), rng=rng(0)), strict=True
     ):
-        np.testing.assert_array_equal(seen.ranges[0], scan.ranges)
+        assert_array_equal(seen.ranges[0], scan.ranges)
     hits = mounted.hits(data)
     light = mounted.observe(data, Noise.parse("motion:0:corrected=true,intensity"), rng=rng(0))
     for n, one in enumerate(
         light
     ):  # a motion of nothing casts anew, and intensity asks for surfaces
-        np.testing.assert_allclose(one.ranges[0], hits.ranges[n], rtol=0, atol=1e-5)
+        assert_allclose(one.ranges[0], hits.ranges[n], rtol=0, atol=1e-5)
         assert one.intensity is not None
         normal = np.nan_to_num(hits.normals[n])
         cosine = np.abs((normal * mounted.scans(data)[n].directions).sum(axis=-1))
-        np.testing.assert_allclose(
+        assert_allclose(
             one.intensity[0], np.where(hits.geoms[n] >= 0, 0.5 * cosine, 0.0), atol=1e-5
         )
     first, second = mounted.observe(data, Noise.parse("dropout:0.5"), rng=rng(0))

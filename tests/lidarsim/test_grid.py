@@ -5,6 +5,7 @@ import itertools
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import GridSpec
 
@@ -21,9 +22,7 @@ ORIGINS = [np.zeros(3), np.array([-7.3, 2.9, 0.05]), np.array([1e3, -1e3, 12.34]
 def test_the_index_of_a_centre_is_its_voxel(grid, origin):
     centres = grid.centres(origin)
     assert centres.shape == (*grid.shape, 3)
-    np.testing.assert_array_equal(
-        grid.index(centres, origin), np.moveaxis(np.indices(grid.shape), 0, -1)
-    )
+    assert_array_equal(grid.index(centres, origin), np.moveaxis(np.indices(grid.shape), 0, -1))
 
 
 def test_a_face_belongs_to_the_voxel_above_it():
@@ -31,28 +30,24 @@ def test_a_face_belongs_to_the_voxel_above_it():
     grid, origin = GridSpec(shape=(4, 4, 4), voxel_m=0.25), np.array([-1.5, 0.75, 8.0])
     for corner in itertools.product(range(-2, 6), repeat=3):
         face = origin + 0.25 * np.array(corner)
-        np.testing.assert_array_equal(grid.index(face, origin), corner)
-        np.testing.assert_array_equal(grid.index(face - 1e-9, origin), np.array(corner) - 1)
-        np.testing.assert_array_equal(grid.index(face + 0.25 - 1e-9, origin), corner)
+        assert_array_equal(grid.index(face, origin), corner)
+        assert_array_equal(grid.index(face - 1e-9, origin), np.array(corner) - 1)
+        assert_array_equal(grid.index(face + 0.25 - 1e-9, origin), corner)
 
 
 @pytest.mark.parametrize("grid", GRIDS)
 def test_the_extent_is_the_shape_in_metres_and_the_grid_lies_around_its_position(grid):
-    np.testing.assert_array_equal(grid.extent_m, [n * grid.voxel_m for n in grid.shape])
+    assert_array_equal(grid.extent_m, [n * grid.voxel_m for n in grid.shape])
     for position in ORIGINS:
         origin = grid.origin_at(position)
-        np.testing.assert_allclose(
-            grid.centres(origin).mean(axis=(0, 1, 2)), position, rtol=0, atol=1e-9
-        )
-        np.testing.assert_allclose(
-            position - origin, origin + grid.extent_m - position, rtol=0, atol=1e-9
-        )
+        assert_allclose(grid.centres(origin).mean(axis=(0, 1, 2)), position, rtol=0, atol=1e-9)
+        assert_allclose(position - origin, origin + grid.extent_m - position, rtol=0, atol=1e-9)
     assert grid.origin_at((0, 0, 0)).dtype == np.float64
 
 
 def test_the_default_grid_is_the_papers():
-    np.testing.assert_allclose(GridSpec().extent_m, [16.0, 16.0, 8.0], rtol=1e-12)
-    np.testing.assert_allclose(GridSpec().origin_at([10, 20, 5]), [2.0, 12.0, 1.0], rtol=1e-12)
+    assert_allclose(GridSpec().extent_m, [16.0, 16.0, 8.0], rtol=1e-12)
+    assert_allclose(GridSpec().origin_at([10, 20, 5]), [2.0, 12.0, 1.0], rtol=1e-12)
 
 
 @pytest.mark.parametrize(

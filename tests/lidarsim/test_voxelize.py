@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from lidarsim import (
@@ -62,7 +63,7 @@ def assert_right(scan, grid, got):
     given_ = inputs(scan, grid, got)
     assert got.observed.shape == got.free.shape == grid.shape
     assert got.observed.dtype == got.free.dtype == np.bool_
-    np.testing.assert_array_equal(got.observed, reference.observed(*given_, scan.ranges))
+    assert_array_equal(got.observed, reference.observed(*given_, scan.ranges))
     must, may = reference.free_bounds(*given_, scan.ranges, scan.lidar.max_range_m)
     missed, extra = np.argwhere(must & ~got.free), np.argwhere(got.free & ~may)
     assert len(missed) == 0, (
@@ -97,7 +98,7 @@ def test_full_scans_on_the_default_grid_match_the_slab_test_of_every_voxel(seed)
     scan = random_lidar_scan(rng, Lidar(), position=(0.0, 0.0, 0.0) if seed == 0 else None)
     grid = GridSpec()
     got = voxelize(scan, grid)
-    np.testing.assert_array_equal(got.origin, grid.origin_at(scan.pose.position))
+    assert_array_equal(got.origin, grid.origin_at(scan.pose.position))
     must, may = assert_right(scan, grid, got)
     assert must.sum() > 20_000
     assert (may & ~must).sum() < 200  # the margin excuses next to nothing
@@ -197,8 +198,8 @@ def test_random_rays_free_exactly_the_voxels_that_rational_arithmetic_finds(seed
     given_, length = inputs(scan, grid, got), reference.lengths(scan.ranges, 10.0)
     exact = reference.exact_swept(*given_, length)
     assert exact.sum() > 60
-    np.testing.assert_array_equal(exact, reference.exact_swept(*given_, length, at_least=1e-9))
-    np.testing.assert_array_equal(got.free, exact & ~got.observed)
+    assert_array_equal(exact, reference.exact_swept(*given_, length, at_least=1e-9))
+    assert_array_equal(got.free, exact & ~got.observed)
 
 
 # ------------------------------------------------------------------- the comparison can tell right
@@ -239,8 +240,8 @@ def test_a_slanted_ray_within_a_plane_frees_upper_voxels_only(seed):
     got = voxelize(scan, DYADIC)
     given_, length = inputs(scan, DYADIC, got), reference.lengths(scan.ranges, 10.0)
     exact = reference.exact_swept(*given_, length)
-    np.testing.assert_array_equal(exact, reference.exact_swept(*given_, length, at_least=1e-9))
-    np.testing.assert_array_equal(got.free, exact & ~got.observed)
+    assert_array_equal(exact, reference.exact_swept(*given_, length, at_least=1e-9))
+    assert_array_equal(got.free, exact & ~got.observed)
 
 
 @pytest.mark.parametrize("axis", range(3))
@@ -295,7 +296,7 @@ def test_observed_is_the_floor_formula_even_for_points_on_grid_planes(seed):
     scan = scan_of(rays, reach, rng.choice([0.0, 1.0, 0.1, -7.7], 3))
     got = voxelize(scan, grid)
     given_ = inputs(scan, grid, got)
-    np.testing.assert_array_equal(got.observed, reference.observed(*given_, scan.ranges))
+    assert_array_equal(got.observed, reference.observed(*given_, scan.ranges))
     assert got.observed.sum() > 50
 
 
@@ -316,7 +317,7 @@ def test_grids_placed_elsewhere_match_also_when_the_sensor_is_outside(seed):
     rays = np.concatenate([aim, rng.normal(size=(10, 3)), np.eye(3), -np.eye(3)])
     scan = scan_of(rays, np.where(rng.random(36) < 0.4, np.inf, rng.uniform(0.1, 4, 36)), position)
     got = voxelize(scan, grid, origin)
-    np.testing.assert_array_equal(got.origin, origin)
+    assert_array_equal(got.origin, origin)
     must, _ = assert_right(scan, grid, got)
     assert must.any()
 
@@ -388,5 +389,5 @@ def test_a_quarter_turn_of_scene_and_sensor_turns_the_grids(seed):
     i, j, k = np.nonzero(~unsure)
     for name in ("observed", "free"):
         before, after = getattr(grids[0], name), getattr(grids[1], name)
-        np.testing.assert_array_equal(after[count - 1 - j, i, k], before[i, j, k], err_msg=name)
+        assert_array_equal(after[count - 1 - j, i, k], before[i, j, k], err_msg=name)
     assert (grids[1].free != grids[0].free).sum() > 1000  # the scene is not symmetric

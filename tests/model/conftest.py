@@ -3,9 +3,8 @@
 import pytest
 import torch
 
-from scenegen.dataset.build import build, plan_dataset
-from scenegen.source import DrawnWorlds
-from tests.conftest import small_recipe
+from scenegen.dataset.build import build
+from tests.conftest import plan_of, small_recipe
 
 COUNTS = {"train": 12, "val": 6, "test": 5}
 
@@ -25,9 +24,7 @@ def make_dataset(
 ):
     """A dataset of a few small maps."""
     recipe = small_recipe(kind, **tables)
-    plan = plan_dataset(
-        folder, recipe, DrawnWorlds(recipe), seed=0, counts=counts, compact=compact, shard_samples=5
-    )
+    plan = plan_of(folder, recipe, counts=counts, compact=compact, shard_samples=5)
     build(plan, workers=1, force=False)
     return folder
 

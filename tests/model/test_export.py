@@ -105,9 +105,8 @@ def test_other_files_are_refused(tmp_path):
         ("text.onnx", "not an ONNX file"),
         ("foreign.onnx", "not from `scenegen export`"),
     ):
-        with pytest.raises(CheckpointError, match=said) as caught:
+        with pytest.raises(CheckpointError, match=said):
             Completer.from_pretrained(tmp_path / name)
-        assert "\n" not in str(caught.value)
 
 
 def test_other_names_are_refused(exported, tmp_path):
@@ -225,4 +224,3 @@ def test_what_no_export_holds_is_refused(exported, tmp_path, change, said):
     with pytest.raises(CheckpointError) as caught:
         examine(path, "onnxruntime")
     assert said in str(caught.value)
-    assert "\n" not in str(caught.value)

@@ -7,6 +7,7 @@ import h5py
 import numpy as np
 import pytest
 import torch
+from numpy.testing import assert_allclose
 
 from lidarsim import GridSpec
 from scenegen.dataset.read import Dataset
@@ -72,10 +73,10 @@ def test_free_space_and_a_new_metric_go_all_the_way(folders, tmp_path, monkeypat
         ),
         completer.complete(sample.observed, sample.free, grid=grid),
     ):
-        np.testing.assert_allclose(found.occupancy_probability, expected, atol=1e-5)
+        assert_allclose(found.occupancy_probability, expected, atol=1e-5)
     with pytest.raises(ValueError, match="run takes observed, free; free is not given"):
         completer({"observed": sample.observed})
-    np.testing.assert_allclose(completer(sample).occupancy_probability, expected, atol=1e-5)
+    assert_allclose(completer(sample).occupancy_probability, expected, atol=1e-5)
     both = np.stack([sample.observed, sample.observed])
     alone = completer(both).tudf
     assert alone.shape == both.shape
@@ -83,7 +84,7 @@ def test_free_space_and_a_new_metric_go_all_the_way(folders, tmp_path, monkeypat
     rays = channels(BOTH, centres(sample.observed, grid), grid)
     assert np.array_equal(rays["observed"], sample.observed)
     assert rays["free"].sum() < sample.free.sum()
-    np.testing.assert_allclose(completer(rays).tudf, alone[0], atol=1e-5)
+    assert_allclose(completer(rays).tudf, alone[0], atol=1e-5)
 
     np.save(tmp_path / "scan.npy", grid.centres(sample.origin)[sample.observed])
     predict_scan(completer, read_scan(tmp_path / "scan.npy", sample.position), tmp_path / "s.h5")
@@ -91,7 +92,7 @@ def test_free_space_and_a_new_metric_go_all_the_way(folders, tmp_path, monkeypat
         assert np.array_equal(file["observed"], sample.observed)
         held = {name: file[name][:] for name in (*BOTH, "tudf")}
     assert held["free"].any()
-    np.testing.assert_allclose(completer(held).tudf, held["tudf"], atol=1e-5)
+    assert_allclose(completer(held).tudf, held["tudf"], atol=1e-5)
 
 
 def test_free_space_of_points_is_what_lies_on_the_way_to_them(folders):
@@ -153,7 +154,7 @@ def test_a_turned_robot_sees_its_inputs_turned(folders):
         quaternion=np.array([(w - z) * half, 0, 0, (w + z) * half]),
     )
     plain, quarter = (channels(["ahead"], one, grid)["ahead"] for one in (sample, turned_by_90))
-    np.testing.assert_allclose(quarter, np.rot90(plain, 1, (0, 1)), atol=1e-6)
+    assert_allclose(quarter, np.rot90(plain, 1, (0, 1)), atol=1e-6)
 
 
 def test_channels_turn_with_their_map(folders):
@@ -174,9 +175,8 @@ def test_inputs_that_nobody_knows_are_refused(inputs, tmp_path):
     save_tensors(
         tmp_path / "net.safetensors", tensors, header | {"network": {"width": 4, "inputs": inputs}}
     )
-    with pytest.raises(CheckpointError, match="do not fit") as caught:
+    with pytest.raises(CheckpointError, match="do not fit"):
         load_network(tmp_path / "net.safetensors")
-    assert "\n" not in str(caught.value)
 
 
 def test_networks_of_earlier_commits_take_observed_voxels(tmp_path):

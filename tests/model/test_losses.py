@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 torch = pytest.importorskip("torch")
 
@@ -152,7 +153,7 @@ def test_gradients_are_the_finite_differences_of_the_equations(loss, equation, s
         wanted = finite_differences(equation, at, truth, *settings.values())
         assert np.abs(wanted).max() > 1e-3
         found = gradient(loss, at, truth, **settings)
-        np.testing.assert_allclose(found, wanted, rtol=2e-5, atol=1e-7)
+        assert_allclose(found, wanted, rtol=2e-5, atol=1e-7)
 
 
 # Extremes.
@@ -174,7 +175,7 @@ def test_logits_of_any_size_have_the_right_limits(dtype, occupied):
             weight * abs(logit) if wrong else 0.0, rel=4e-3, abs=1e-30
         )
         pull = math.copysign(weight / size, logit) if wrong else 0.0
-        np.testing.assert_allclose(logits.grad.float().numpy(), pull, rtol=4e-3, atol=1e-30)
+        assert_allclose(logits.grad.float().numpy(), pull, rtol=4e-3, atol=1e-30)
 
 
 def test_a_small_loss_is_not_rounded_away():
@@ -223,7 +224,7 @@ def test_a_flat_prediction_has_a_finite_gradient(dtype):
     loss = eikonal_loss(predicted, torch.ones(SHAPE), voxel_m=0.2, truncation_m=2.0)
     loss.backward()
     assert value(loss) == pytest.approx(1 - 1e-4, abs=1e-6)
-    np.testing.assert_allclose(predicted.grad.float().numpy(), 0, atol=1e-12)
+    assert_allclose(predicted.grad.float().numpy(), 0, atol=1e-12)
 
 
 # Made by hand.
@@ -264,7 +265,7 @@ def test_where_nothing_is_in_reach_the_eikonal_loss_is_zero_and_so_is_its_gradie
         loss = eikonal_loss(predicted, tudf, voxel_m=0.2, truncation_m=2.0)
         loss.backward()
         assert value(loss) == 0.0
-        np.testing.assert_array_equal(predicted.grad.numpy(), 0)
+        assert_array_equal(predicted.grad.numpy(), 0)
 
 
 @pytest.mark.parametrize("truncation_m", [2.0, 1.1, 0.9, 3.4])

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.build import build
 from scenegen.share.stage import Request
-from scenegen.source import DrawnWorlds
-from tests.conftest import small_recipe
+from tests.conftest import plan_of, small_recipe
 from tests.scenegen.hub import TOKEN, Hub
 
 COUNTS = {"train": 11, "val": 2, "test": 4}
@@ -31,9 +30,7 @@ def made(once):
 
     def make(folder):
         recipe = small_recipe()
-        plan = plan_dataset(
-            folder / "pillar", recipe, DrawnWorlds(recipe), seed=3, counts=COUNTS, shard_samples=3
-        )
+        plan = plan_of(folder / "pillar", recipe, seed=3, counts=COUNTS, shard_samples=3)
         build(plan, workers=1)
 
     return once("made", make) / "pillar"

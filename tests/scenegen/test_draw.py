@@ -3,6 +3,7 @@
 import mujoco
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
@@ -54,7 +55,7 @@ def test_distances_equal_an_independent_transform(drawn):
             expected = np.minimum(grid.voxel_m * np.sqrt(squared), grid.truncation_m).astype(
                 np.float32
             )
-            np.testing.assert_array_equal(sample.tudf, expected)
+            assert_array_equal(sample.tudf, expected)
 
 
 def test_what_is_derived_follows_from_what_is_stored(drawn):
@@ -62,9 +63,9 @@ def test_what_is_derived_follows_from_what_is_stored(drawn):
     for sample in draw(drawn).samples:
         scans = sample.scans(recipe.lidar)[::-1]
         again = fuse(scans, recipe.grid, sample.origin, recipe.mapping)
-        np.testing.assert_array_equal(sample.free, again.free)
+        assert_array_equal(sample.free, again.free)
         distances = distance_field(sample.occupancy, recipe.grid)
-        np.testing.assert_array_equal(sample.tudf, distances)
+        assert_array_equal(sample.tudf, distances)
 
 
 def test_the_archived_document_alone_gives_the_same_scan_and_truth(drawn):
@@ -73,8 +74,8 @@ def test_the_archived_document_alone_gives_the_same_scan_and_truth(drawn):
     model = mujoco.MjModel.from_xml_string(unit.world.mjcf.decode())
     for sample in unit.samples:
         scan = cast(MujocoEngine.of(model), recipe.lidar, Pose(sample.position, sample.quaternion))
-        np.testing.assert_array_equal(scan.ranges, sample.ranges)
-        np.testing.assert_array_equal(
+        assert_array_equal(scan.ranges, sample.ranges)
+        assert_array_equal(
             rasterize(solids_of(model), recipe.grid, sample.origin), sample.occupancy
         )
 

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
+from numpy.testing import assert_allclose
 
 from scenegen import SPLITS
 from scenegen.dataset.build import build, plan_dataset
@@ -136,7 +137,7 @@ def test_assets_and_includes_travel_with_the_world(tmp_path):
         (tmp_path / "out" / name).write_bytes(content)
     again = mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "world.xml"))
     assert again.ngeom == direct.ngeom == 3
-    np.testing.assert_allclose(again.mesh_vert, direct.mesh_vert, atol=1e-7)
+    assert_allclose(again.mesh_vert, direct.mesh_vert, atol=1e-7)
     for sample in Dataset(tmp_path / "d").split("train"):
         assert not (sample.observed & ~sample.occupancy).any()
 

@@ -14,6 +14,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from lidarsim import AnalyticEngine
@@ -232,7 +233,7 @@ def test_units_to_a_millionth_give_the_metres_of_units(name, stray):
     balls = [Geom("sphere", (0.03,), tuple(place)) for place in far * unit(given)]
     model = mujoco.MjModel.from_xml_string(reference.world_xml(balls))
     found = made(name, model).cast(np.zeros((1, 3)), given[None], 1e3)[0]
-    np.testing.assert_allclose(found, far[:, 0] - 0.03, rtol=0, atol=1e-8)
+    assert_allclose(found, far[:, 0] - 0.03, rtol=0, atol=1e-8)
 
 
 @pytest.mark.parametrize("shape", ["mesh", "hfield"])

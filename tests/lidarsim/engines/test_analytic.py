@@ -6,6 +6,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import AnalyticEngine
 from lidarsim.engines import analytic
@@ -34,14 +35,14 @@ def test_hits_are_mujocos(seed):
     hits = AnalyticEngine.of(model).hits(origins, rays, 1e7)
     for p in range(2):
         ranges, geoms, normals = from_mujoco(model, origins[p], rays[p])
-        np.testing.assert_array_equal(hits.geoms[p], geoms)
-        np.testing.assert_allclose(hits.ranges[p], ranges, rtol=0, atol=1e-6)
+        assert_array_equal(hits.geoms[p], geoms)
+        assert_allclose(hits.ranges[p], ranges, rtol=0, atol=1e-6)
         seen = np.isfinite(ranges)
         assert seen.sum() > 100
-        np.testing.assert_allclose(
+        assert_allclose(
             hits.points[p][seen], (origins[p] + ranges[:, None] * rays[p])[seen], atol=1e-6
         )
-        np.testing.assert_allclose(hits.normals[p][seen], normals[seen], rtol=0, atol=1e-5)
+        assert_allclose(hits.normals[p][seen], normals[seen], rtol=0, atol=1e-5)
         assert np.isnan(hits.points[p][~seen]).all()
         assert np.isnan(hits.normals[p][~seen]).all()
 
@@ -82,8 +83,8 @@ def test_moved_solids_are_seen_where_they_are():
     engine.move(moved)
     after, anew = engine.hits(origins, rays, 12.0), AnalyticEngine(moved).hits(origins, rays, 12.0)
     assert (before != after.ranges).sum() > 30
-    np.testing.assert_array_equal(after.ranges, anew.ranges)
-    np.testing.assert_array_equal(after.geoms, anew.geoms)
+    assert_array_equal(after.ranges, anew.ranges)
+    assert_array_equal(after.geoms, anew.geoms)
     with pytest.raises(ValueError, match="other solids than the engine's"):
         engine.move(solids_of(model_of('type="sphere" size="1"')))
 
@@ -114,7 +115,7 @@ def test_rays_in_packets_meet_what_each_meets_alone(seed):
                 alone = engine.hits(starts, shown[:, None], 30.0)
                 for name in ("ranges", "geoms", "points", "normals"):
                     found, expected = getattr(together, name)[p], getattr(alone, name)
-                    np.testing.assert_array_equal(found.reshape(expected.shape), expected)
+                    assert_array_equal(found.reshape(expected.shape), expected)
     assert np.isfinite(together.ranges).mean() > 0.2
 
 
@@ -128,8 +129,6 @@ def test_threads_share_poses_and_change_nothing(monkeypatch):
     monkeypatch.setattr(
         analytic, "ThreadPoolExecutor", lambda n: pools.append(n) or ThreadPoolExecutor(n)
     )
-    np.testing.assert_array_equal(
-        AnalyticEngine(solids, threads=3).cast(origins, rays, 12.0), alone
-    )
+    assert_array_equal(AnalyticEngine(solids, threads=3).cast(origins, rays, 12.0), alone)
     AnalyticEngine(solids, threads=3).cast(origins[:1], rays[:1], 12.0)
     assert pools == [3]  # none for one pose

@@ -3,6 +3,7 @@
 import mujoco
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import Lidar, Pose, cast
 from lidarsim.engines import ENGINES
@@ -65,8 +66,8 @@ def test_two_engines_see_the_same_world_with_meshes_and_height_fields(seed):
     for reach in (4.0, 12.0):
         one, other = (made(name, model).cast(origins, rays, reach) for name in PROCESSORS)
         assert 100 < np.isfinite(one).sum() < one.size - 100
-        np.testing.assert_array_equal(np.isfinite(one), np.isfinite(other))
-        np.testing.assert_allclose(one, other, rtol=0, atol=1e-6)
+        assert_array_equal(np.isfinite(one), np.isfinite(other))
+        assert_allclose(one, other, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", PROCESSORS)
@@ -79,9 +80,9 @@ def test_poses_together_give_what_each_gives_alone(name):
     assert together.dtype == np.float64
     for p in range(5):
         alone = engine.cast(origins[p : p + 1], rays[p : p + 1], 12.0)
-        np.testing.assert_array_equal(alone[0], together[p])
+        assert_array_equal(alone[0], together[p])
     order = rng.permutation(5)
-    np.testing.assert_array_equal(engine.cast(origins[order], rays[order], 12.0), together[order])
+    assert_array_equal(engine.cast(origins[order], rays[order], 12.0), together[order])
 
 
 @pytest.mark.parametrize("name", PROCESSORS)
@@ -90,15 +91,15 @@ def test_any_shape_and_memory_layout_of_rays_will_do(name):
     engine = made(name, random_model(rng))
     origins, rays = random_rays(rng, 2, 60)
     flat = engine.cast(origins, rays, 12.0)
-    np.testing.assert_array_equal(
+    assert_array_equal(
         engine.cast(origins, rays.reshape(2, 3, 4, 5, 3), 12.0), flat.reshape(2, 3, 4, 5)
     )
-    np.testing.assert_array_equal(engine.cast(origins, rays[:, ::-2], 12.0), flat[:, ::-2])
-    np.testing.assert_array_equal(engine.cast(origins, np.asfortranarray(rays), 12.0), flat)
-    np.testing.assert_array_equal(engine.cast(origins, rays[:, 7], 12.0), flat[:, 7])
-    np.testing.assert_array_equal(engine.cast(origins.tolist(), rays.tolist(), 12.0), flat)
+    assert_array_equal(engine.cast(origins, rays[:, ::-2], 12.0), flat[:, ::-2])
+    assert_array_equal(engine.cast(origins, np.asfortranarray(rays), 12.0), flat)
+    assert_array_equal(engine.cast(origins, rays[:, 7], 12.0), flat[:, 7])
+    assert_array_equal(engine.cast(origins.tolist(), rays.tolist(), 12.0), flat)
     rays.setflags(write=False)
-    np.testing.assert_array_equal(engine.cast(origins, rays, 12.0), flat)
+    assert_array_equal(engine.cast(origins, rays, 12.0), flat)
     assert engine.cast(origins, np.empty((2, 0, 3)), 12.0).shape == (2, 0)
     assert engine.cast(np.empty((0, 3)), np.empty((0, 7, 3)), 12.0).shape == (0, 7)
 
@@ -156,10 +157,10 @@ def test_what_is_no_direction_and_no_place_meets_nothing_and_harms_no_other_ray(
     )
     good, down = [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]
     found = engine.cast(np.zeros((1, 3)), [[good, *BAD_RAYS, down]], 10.0)
-    np.testing.assert_array_equal(found, [[1.0, *[np.inf] * len(BAD_RAYS), 1.0]])
+    assert_array_equal(found, [[1.0, *[np.inf] * len(BAD_RAYS), 1.0]])
     for place in ([np.nan, 0.0, 0.0], [0.0, np.inf, 0.0]):
         both = engine.cast([place, [0.0, 0.0, 2.0]], [[good, down]] * 2, 10.0)
-        np.testing.assert_array_equal(both, [[np.inf, np.inf], [np.inf, 1.0]])
+        assert_array_equal(both, [[np.inf, np.inf], [np.inf, 1.0]])
 
 
 @pytest.mark.parametrize("name", PROCESSORS)
@@ -172,12 +173,12 @@ def test_a_plane_is_seen_from_its_front_and_on_it_within_its_size(name):
         [[[0.0, 0.0, -1.0], [0.6, 0.0, -0.8], [0.0, 0.6, -0.8], [0.8, 0.0, -0.6], [0.0, 0.0, 1.0]]]
     )
     far = [1.5, 1.875, 1.875, 2.5, np.inf]
-    np.testing.assert_allclose(floor.cast([[0.0, 0.0, 1.5]], down, 9.0), [far], rtol=1e-12)
+    assert_allclose(floor.cast([[0.0, 0.0, 1.5]], down, 9.0), [far], rtol=1e-12)
     far[1] = far[3] = np.inf
-    np.testing.assert_allclose(tile.cast([[0.0, 0.0, 1.5]], down, 9.0), [far], rtol=1e-12)
+    assert_allclose(tile.cast([[0.0, 0.0, 1.5]], down, 9.0), [far], rtol=1e-12)
     for engine in (floor, tile):
         assert np.isinf(engine.cast([[0.0, 0.0, -1.5]], -down, 9.0)).all()
-        np.testing.assert_array_equal(
+        assert_array_equal(
             engine.cast([[0.5, 0.5, 0.0]], down, 9.0), [[0.0, 0.0, 0.0, 0.0, np.inf]]
         )
 

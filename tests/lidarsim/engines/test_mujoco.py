@@ -17,6 +17,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import Lidar, MujocoEngine, Pose, cast
 from tests.lidarsim import reference
@@ -67,7 +68,7 @@ def assert_same_ranges(got, expected, returns_at_least=1):
     )
     seen = np.isfinite(expected)
     assert seen.sum() >= returns_at_least, f"only {seen.sum()} returns: this world tests nothing"
-    np.testing.assert_allclose(got[seen], expected[seen], rtol=0, atol=1e-6)
+    assert_allclose(got[seen], expected[seen], rtol=0, atol=1e-6)
 
 
 def mj_ray_ranges(xml, position, directions, max_range_m):
@@ -135,12 +136,12 @@ def test_a_scan_of_a_random_world_matches_the_analytic_ranges(seed, level):
     assert scan.ranges.shape == (16, 120)
     seen = np.isfinite(expected)
     assert seen.sum() >= 50
-    np.testing.assert_array_equal(np.isfinite(scan.ranges), seen)
+    assert_array_equal(np.isfinite(scan.ranges), seen)
     assert np.all(np.isposinf(scan.ranges[~seen]))
     # a micrometre, and half a float32's last bit at 10 m
-    np.testing.assert_allclose(scan.ranges[seen], expected[seen], rtol=0, atol=1.5e-6)
+    assert_allclose(scan.ranges[seen], expected[seen], rtol=0, atol=1.5e-6)
     points = position + expected[seen][:, None] * rays[seen]
-    np.testing.assert_allclose(scan.points(), points, rtol=0, atol=2e-6)
+    assert_allclose(scan.points(), points, rtol=0, atol=2e-6)
 
 
 # -------------------------------------------------------------------------------------------- no
@@ -157,8 +158,8 @@ def test_the_maximum_range_divides_returns_from_infinity():
     for reach in (3.999999, 4.000001, 4.5, 6.0, 15.0):
         got = ranges_of(engine, np.zeros(3), rays, reach)
         exact = 4.0 / np.cos(angles)
-        np.testing.assert_array_equal(np.isfinite(got), exact <= reach)
-        np.testing.assert_allclose(got[exact <= reach], exact[exact <= reach], rtol=0, atol=1e-9)
+        assert_array_equal(np.isfinite(got), exact <= reach)
+        assert_allclose(got[exact <= reach], exact[exact <= reach], rtol=0, atol=1e-9)
 
 
 def test_an_engine_over_data_sees_the_configuration_of_the_data():
@@ -256,14 +257,10 @@ def test_geoms_and_materials_of_alpha_zero_are_not_seen(colliding):
     rays = np.array(list(looks), dtype=np.float64)
     engine = engine_of(reference.world_xml(walls + behind, assets=materials))
     expected = [1.5 if seen else 4.5 for _, seen in looks.values()]
-    np.testing.assert_allclose(
-        ranges_of(engine, np.zeros(3), rays, 10.0), expected, rtol=0, atol=1e-9
-    )
+    assert_allclose(ranges_of(engine, np.zeros(3), rays, 10.0), expected, rtol=0, atol=1e-9)
     alone = engine_of(reference.world_xml(walls, assets=materials))
     expected = [1.5 if seen else np.inf for _, seen in looks.values()]
-    np.testing.assert_allclose(
-        ranges_of(alone, np.zeros(3), rays, 10.0), expected, rtol=0, atol=1e-9
-    )
+    assert_allclose(ranges_of(alone, np.zeros(3), rays, 10.0), expected, rtol=0, atol=1e-9)
 
 
 def random_mesh(rng, name):

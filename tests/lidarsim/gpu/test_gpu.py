@@ -6,6 +6,7 @@ import sys
 import mujoco
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 import lidarsim
 from lidarsim import AnalyticEngine, GridSpec, Lidar, Pose
@@ -41,7 +42,7 @@ def test_many_worlds_at_once_give_the_analytic_engines_bits():
         ranges = cast(Worlds(solids, device="cpu"), origins, rays, reach, which=which).numpy()
         for p, world in enumerate(which):
             alone = AnalyticEngine(solids[world]).cast(origins[p : p + 1], rays[p : p + 1], reach)
-            np.testing.assert_array_equal(ranges[p], alone[0])
+            assert_array_equal(ranges[p], alone[0])
         assert 500 < np.isfinite(ranges).sum() < ranges.size - 500
 
 
@@ -57,7 +58,7 @@ def test_rays_along_the_axes_are_the_analytic_engines():
     origins = np.concatenate([around + np.array([x, 0, 0]) for x in places])
     rays = np.broadcast_to(AXES, (len(origins), 6, 3))
     ranges = WarpEngine(solids_of(model), device="cpu").cast(origins, rays, 100.0)
-    np.testing.assert_array_equal(ranges, AnalyticEngine.of(model).cast(origins, rays, 100.0))
+    assert_array_equal(ranges, AnalyticEngine.of(model).cast(origins, rays, 100.0))
 
 
 def test_the_engine_keeps_the_protocol():
@@ -67,9 +68,9 @@ def test_the_engine_keeps_the_protocol():
     origins, rays = random_rays(rng, 2, 60)
     shaped = engine.cast(origins.tolist(), rays.reshape(2, 3, 4, 5, 3), 12.0)
     flat = AnalyticEngine.of(model).cast(origins, rays, 12.0)
-    np.testing.assert_array_equal(shaped, flat.reshape(2, 3, 4, 5))
+    assert_array_equal(shaped, flat.reshape(2, 3, 4, 5))
     backwards = engine.cast(origins[1:], np.asfortranarray(rays)[1:, ::-2], 12.0)
-    np.testing.assert_array_equal(backwards, flat[1:, ::-2])
+    assert_array_equal(backwards, flat[1:, ::-2])
     assert engine.cast(origins, np.empty((2, 0, 3)), 12.0).shape == (2, 0)
     assert engine.cast(np.empty((0, 3)), np.empty((0, 7, 3)), 12.0).shape == (0, 7)
     odd = np.array([[0.0, 0, 0], [np.nan, 0, 1], [2.0, 0, 0], [np.inf, 0, 0]])
@@ -92,8 +93,8 @@ def test_voxels_are_those_of_voxelize():
         for p, (model, pose) in enumerate(zip(models, poses, strict=True)):
             scan = lidarsim.cast(AnalyticEngine.of(model), lidar, pose)
             seen = lidarsim.voxelize(scan, grid, low[p])
-            np.testing.assert_array_equal(observed.numpy()[p], seen.observed)
-            np.testing.assert_array_equal(free.numpy()[p], seen.free)
+            assert_array_equal(observed.numpy()[p], seen.observed)
+            assert_array_equal(free.numpy()[p], seen.free)
         assert observed.numpy().any()
         assert free.numpy().any()
 

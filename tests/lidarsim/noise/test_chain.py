@@ -8,6 +8,7 @@ import sys
 import mujoco
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import AnalyticEngine, Lidar, Pose, cast
 from lidarsim.noise import STAGES
@@ -28,7 +29,7 @@ SCAN = cast(ENGINE, Lidar(), Pose.level((0.0, 0.0, 2.0)))
 def test_no_noise_gives_the_clean_bits():
     clean = Noise().observe(SCAN, ENGINE, rng=np.random.default_rng(0))
     assert clean.ranges[0].astype(np.float32).tobytes() == SCAN.ranges.tobytes()
-    np.testing.assert_array_equal(clean.points(), SCAN.points())
+    assert_array_equal(clean.points(), SCAN.points())
 
 
 def test_a_text_becomes_stages_and_they_become_it():
@@ -128,7 +129,7 @@ class Shift:
     told = chain.observe(SCAN, ENGINE, rng=np.random.default_rng(0)).ranges[0]
     assert str(chain) == "my_noise:Shift:by_m=-0.5,range:sigma_m=0.0"
     left = np.isfinite(told)
-    np.testing.assert_allclose(told[left], SCAN.ranges[left] - 0.5, rtol=1e-6)
+    assert_allclose(told[left], SCAN.ranges[left] - 0.5, rtol=1e-6)
 
 
 @pytest.mark.parametrize(

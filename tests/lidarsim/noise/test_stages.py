@@ -7,6 +7,7 @@ import math
 import mujoco
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy import stats
 
 from lidarsim import AnalyticEngine, BeamTable, MujocoEngine, Pose, Scan, cast
@@ -79,7 +80,7 @@ def test_depth_noise_grows_with_the_square_of_the_depth_and_not_of_the_range():
 def test_quantised_ranges_are_the_nearest_steps():
     ranges = np.random.default_rng(1).uniform(1, 40, RAYS).astype(np.float32).astype(float)
     steps = applied(Quantise(step_m=0.05), ranges)
-    np.testing.assert_allclose(steps / 0.05, np.rint(steps / 0.05), atol=1e-9)
+    assert_allclose(steps / 0.05, np.rint(steps / 0.05), atol=1e-9)
     off = steps - ranges
     assert np.abs(off).max() <= Quantise(step_m=0.05).bound_m(REACH_M) + 1e-9
     assert stats.kstest(off / 0.05 + 0.5, "uniform").pvalue > 0.01
@@ -189,7 +190,7 @@ def test_a_cone_over_an_edge_returns_the_near_the_far_or_a_mixed_range():
     assert dual.shape == (2, 20)
     both = np.sort(dual[:, np.isfinite(dual[1])], axis=0)
     assert both.size
-    np.testing.assert_allclose(both, np.broadcast_to([[10.0], [20.0]], both.shape), atol=1e-3)
+    assert_allclose(both, np.broadcast_to([[10.0], [20.0]], both.shape), atol=1e-3)
 
 
 @pytest.mark.parametrize("aside", [-0.02, -0.01, 0.01, 0.02])

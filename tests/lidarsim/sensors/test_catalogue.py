@@ -8,6 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import BeamTable, Lidar, MujocoEngine, Pose, cast
 from lidarsim.noise.chain import Noise
@@ -64,13 +65,11 @@ def test_angles_do_not_hang_on_the_last_bit_of_an_arctangent(monkeypatch):
     way."""
     tie = Spinning(elevations_deg=(-11.25, 0.005, 33.335), columns=16)
     told, true = device.angles_deg(tie.directions_body), np.arctan2
-    np.testing.assert_array_equal(
-        told[0], np.repeat(np.array(tie.elevations_deg)[:, None], 16, axis=1)
-    )
-    np.testing.assert_allclose(told, angles_deg(tie), atol=1e-9)
+    assert_array_equal(told[0], np.repeat(np.array(tie.elevations_deg)[:, None], 16, axis=1))
+    assert_allclose(told, angles_deg(tie), atol=1e-9)
     for way in (-math.inf, math.inf):
         monkeypatch.setattr(np, "arctan2", lambda y, x, way=way: np.nextafter(true(y, x), way))
-        np.testing.assert_array_equal(device.angles_deg(tie.directions_body), told)
+        assert_array_equal(device.angles_deg(tie.directions_body), told)
 
 
 def test_the_registry_and_the_catalogue_hold_the_same_sensors():
@@ -106,10 +105,8 @@ def test_a_spinning_sensors_rays_are_as_documented(name):
     assert np.ptp(elevation, axis=1).max() < 1e-9  # a beam keeps its elevation
     assert len(np.unique(elevation[:, 0].round(6))) == beams
     steps = np.diff(np.unwrap(np.radians(azimuth), axis=1), axis=1)
-    np.testing.assert_allclose(np.degrees(steps), -step_deg, rtol=2e-3)  # clockwise from above
-    np.testing.assert_allclose(
-        steps.sum(axis=1), -2 * math.pi, rtol=5e-3
-    )  # a turn, but for its last column
+    assert_allclose(np.degrees(steps), -step_deg, rtol=2e-3)  # clockwise from above
+    assert_allclose(steps.sum(axis=1), -2 * math.pi, rtol=5e-3)  # a turn, but for its last column
     assert elevation.size * sensor.rate_hz == pytest.approx(points_hz, rel=3e-3)
     assert sensor.times_s.max() < 1 / sensor.rate_hz
 
@@ -137,7 +134,7 @@ def test_staggered_beams_point_where_the_makers_drivers_place_them(name, row, el
         [math.cos(up) * np.cos(around), math.cos(up) * np.sin(around), 0 * around + math.sin(up)],
         -1,
     )
-    np.testing.assert_allclose(sensor.directions_body[row], expected, atol=2e-5)
+    assert_allclose(sensor.directions_body[row], expected, atol=2e-5)
 
 
 def test_the_qt_128_is_dense_at_the_horizon_and_looks_up_with_73_of_its_beams():
@@ -210,9 +207,7 @@ def test_a_pattern_keeps_to_its_field_of_view_and_does_not_repeat(name, points_h
     assert len(one & other) < 0.8 * len(one)
     assert one < cells(1, 0.1)
     again = dataclasses.replace(sensor, seed=1)
-    np.testing.assert_array_equal(
-        again.directions_body, dataclasses.replace(sensor, seed=1).directions_body
-    )
+    assert_array_equal(again.directions_body, dataclasses.replace(sensor, seed=1).directions_body)
 
 
 @pytest.mark.parametrize("share", [0.3, 0.5])
@@ -230,12 +225,12 @@ def test_a_depth_cameras_rays_meet_a_plane_in_a_square_grid(name):
     assert isinstance(sensor, Pinhole)
     picture = sensor.directions_body[..., 1:] / sensor.directions_body[..., :1]
     across, down = -np.diff(picture[..., 0], axis=1), -np.diff(picture[..., 1], axis=0)
-    np.testing.assert_allclose(across, across[0, 0])
-    np.testing.assert_allclose(down, down[0, 0])
+    assert_allclose(across, across[0, 0])
+    assert_allclose(down, down[0, 0])
     # half a pixel lies beyond the outermost rays
     assert 2 * math.degrees(math.atan(picture[0, 0, 0] + across[0, 0] / 2)) == pytest.approx(87)
     assert 2 * math.degrees(math.atan(picture[0, 0, 1] + down[0, 0] / 2)) == pytest.approx(58)
-    np.testing.assert_allclose(picture, -picture[::-1, ::-1], atol=1e-12)
+    assert_allclose(picture, -picture[::-1, ::-1], atol=1e-12)
 
 
 def test_a_lever_arm_moves_the_origin_of_the_rays_with_the_body():

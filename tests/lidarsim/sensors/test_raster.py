@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import Lidar, Pose
 from lidarsim.pose import rotate
@@ -26,9 +27,7 @@ def test_every_ray_follows_the_layout_at_any_attitude(seed, mount):
     got = rotate(quaternion, Lidar(mount=mount).directions_body)
     assert got.shape == (16, 120, 3)
     assert got.dtype == np.float64
-    np.testing.assert_allclose(
-        got, reference.lidar_directions(quaternion, mount=mount), rtol=0, atol=1e-14
-    )
+    assert_allclose(got, reference.lidar_directions(quaternion, mount=mount), rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize("mount", ["tilt", "band"])
@@ -56,14 +55,12 @@ def test_other_sizes_spread_rows_over_the_fov_ends_included_and_columns_over_the
     expected = (
         expected if columns > 1 else expected[:, 1:]
     )  # of two columns, the second is at azimuth 0
-    np.testing.assert_allclose(
-        rotate(quaternion, lidar.directions_body), expected, rtol=0, atol=1e-14
-    )
+    assert_allclose(rotate(quaternion, lidar.directions_body), expected, rtol=0, atol=1e-14)
 
 
 def test_a_horizontal_fov_below_a_full_turn_includes_both_its_ends():
     lidar = Lidar(rows=1, columns=4, horizontal_fov_deg=90.0, pitch_deg=0.0)
-    np.testing.assert_allclose(
+    assert_allclose(
         azimuth_deg(rotate(LEVEL, lidar.directions_body))[0], [-45, -15, 15, 45], atol=1e-12
     )
 
@@ -71,10 +68,10 @@ def test_a_horizontal_fov_below_a_full_turn_includes_both_its_ends():
 def test_level_pose_holds_its_position_and_turns_x_to_the_yaw():
     for yaw in (-3.0, 0.0, 0.3, np.pi / 2):
         pose = Pose.level((1.0, -2.0, 3.5), yaw)
-        np.testing.assert_array_equal(pose.position, [1.0, -2.0, 3.5])
+        assert_array_equal(pose.position, [1.0, -2.0, 3.5])
         matrix = reference.rotation(pose.quaternion).as_matrix()
-        np.testing.assert_allclose(matrix @ [1, 0, 0], [np.cos(yaw), np.sin(yaw), 0], atol=1e-15)
-        np.testing.assert_allclose(matrix @ [0, 0, 1], [0, 0, 1], atol=1e-15)
+        assert_allclose(matrix @ [1, 0, 0], [np.cos(yaw), np.sin(yaw), 0], atol=1e-15)
+        assert_allclose(matrix @ [0, 0, 1], [0, 0, 1], atol=1e-15)
 
 
 def test_facing_a_direction_is_a_turn_by_its_angle():
@@ -93,8 +90,8 @@ def test_facing_a_direction_is_a_turn_by_its_angle():
     for x, y in [*plain, *rng.normal(size=(500, 2)).tolist()]:
         pose = Pose.facing((1.0, -2.0, 3.5), (x, y))
         expected = Pose.level((1.0, -2.0, 3.5), np.arctan2(y, x))
-        np.testing.assert_array_equal(pose.position, expected.position)
-        np.testing.assert_allclose(pose.quaternion, expected.quaternion, rtol=0, atol=3e-16)
+        assert_array_equal(pose.position, expected.position)
+        assert_allclose(pose.quaternion, expected.quaternion, rtol=0, atol=3e-16)
     for nowhere in ((0.0, 0.0), (np.nan, 1.0), (np.inf, 0.0)):
         with pytest.raises(ValueError, match="direction"):
             Pose.facing((0.0, 0.0, 0.0), nowhere)

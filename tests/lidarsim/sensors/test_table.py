@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from lidarsim import BeamTable, Lidar
 from lidarsim.sensors import SENSORS
@@ -41,9 +42,9 @@ def test_a_table_has_a_sensors_rays_to_the_bit(sensor):
     assert table.shape == sensor.shape
     assert table.max_range_m == sensor.max_range_m
     assert table.directions_body.tobytes() == np.ascontiguousarray(sensor.directions_body).tobytes()
-    np.testing.assert_array_equal(table.times_s, sensor.times_s)
+    assert_array_equal(table.times_s, sensor.times_s)
     assert BeamTable.of(table) == table
-    np.testing.assert_array_equal(read_npy(table.npy), table.rays)
+    assert_array_equal(read_npy(table.npy), table.rays)
 
 
 def test_a_table_says_what_made_it_and_names_no_folder():

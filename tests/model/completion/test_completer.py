@@ -6,6 +6,7 @@ import socket
 import numpy as np
 import pytest
 import torch
+from numpy.testing import assert_allclose
 
 from lidarsim import GridSpec, Lidar
 from lidarsim.sensors import SENSORS
@@ -44,12 +45,12 @@ def test_a_batch_is_completed_as_the_network_says(tmp_path, observed, variant):
         assert found.occupancy_probability is None
     else:
         assert found.occupancy_probability.dtype == np.float32
-        np.testing.assert_allclose(found.occupancy_probability, output.logits.sigmoid(), atol=1e-5)
+        assert_allclose(found.occupancy_probability, output.logits.sigmoid(), atol=1e-5)
     if variant == "occ":
         assert found.tudf is None
     else:
         assert found.tudf.dtype == np.float32
-        np.testing.assert_allclose(found.tudf, output.tudf.clamp(max=2.0), atol=1e-5)
+        assert_allclose(found.tudf, output.tudf.clamp(max=2.0), atol=1e-5)
 
 
 def test_what_goes_in_decides_what_comes_out(tmp_path, observed):
@@ -66,11 +67,11 @@ def test_what_goes_in_decides_what_comes_out(tmp_path, observed):
         single = completer(given)
         assert single.tudf.shape == GRID.shape
         assert isinstance(single.tudf, np.ndarray)
-        np.testing.assert_allclose(single.tudf, batch.tudf[2], atol=1e-5)
+        assert_allclose(single.tudf, batch.tudf[2], atol=1e-5)
     tensor = completer(torch.from_numpy(observed))
     assert isinstance(tensor.occupancy_probability, torch.Tensor)
     assert not tensor.occupancy_probability.requires_grad
-    np.testing.assert_allclose(tensor.occupancy_probability, batch.occupancy_probability, atol=1e-6)
+    assert_allclose(tensor.occupancy_probability, batch.occupancy_probability, atol=1e-6)
 
 
 def test_distances_end_at_the_truncation(tmp_path):

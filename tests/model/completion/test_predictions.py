@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from numpy.testing import assert_allclose
 
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
@@ -52,13 +53,11 @@ def test_a_predictions_file_is_what_the_bench_takes(folders, tmp_path, variant):
             method.completion(sample, dataset.split("test")),
             net(sample.observed),
         )
-        np.testing.assert_allclose(read.tudf, direct.tudf, atol=1e-5)
+        assert_allclose(read.tudf, direct.tudf, atol=1e-5)
         if variant == "tudf":
             assert read.occupancy_probability is None
         else:
-            np.testing.assert_allclose(
-                read.occupancy_probability, direct.occupancy_probability, atol=1e-5
-            )
+            assert_allclose(read.occupancy_probability, direct.occupancy_probability, atol=1e-5)
 
 
 def test_a_failure_leaves_no_file(folders, tmp_path):
@@ -100,8 +99,8 @@ def test_a_scan_of_a_sample_is_completed_as_the_sample_is(folders, tmp_path, suf
     expected = net(sample.observed)
     with h5py.File(out) as file:
         assert np.array_equal(file["observed"][:], sample.observed)
-        np.testing.assert_allclose(file["tudf"][:], expected.tudf, atol=1e-5)
-        np.testing.assert_allclose(file.attrs["origin"], sample.origin)
+        assert_allclose(file["tudf"][:], expected.tudf, atol=1e-5)
+        assert_allclose(file.attrs["origin"], sample.origin)
     thresholds = Thresholds(probability=float(np.quantile(expected.occupancy_probability, 0.9)))
     predict_scan(net, given, tmp_path / "out.ply", thresholds=thresholds)
     cloud = np.asarray(trimesh.load(tmp_path / "out.ply").vertices)
@@ -121,9 +120,8 @@ def test_files_that_are_no_scans_are_refused(folders, tmp_path):
         ("missing.npy", "o.h5", "no such file"),
         ("good.npy", "o.txt", "ends in .h5 or .ply"),
     ):
-        with pytest.raises(DatasetError, match=said) as caught:
+        with pytest.raises(DatasetError, match=said):
             predict_scan(net, read_scan(tmp_path / name, np.zeros(3)), tmp_path / out)
-        assert "\n" not in str(caught.value)
         assert not (tmp_path / out).exists()
 
 

@@ -7,6 +7,7 @@ import h5py
 import numpy as np
 import pytest
 import torch
+from numpy.testing import assert_allclose
 
 from scenegen.errors import DatasetError
 from scenegen.model.calibration import KEY, Calibration
@@ -66,7 +67,7 @@ def test_a_file_carries_its_calibration(dataset, weights, tmp_path):
     assert max(away) < 1, "it was calibrated on these"
     with h5py.File(tmp_path / "p.h5") as file:
         assert "tudf_low" not in file, "three worlds promise no .95"
-        np.testing.assert_allclose(file["probability"][0], said.probability, atol=1e-5)
+        assert_allclose(file["probability"][0], said.probability, atol=1e-5)
 
 
 def test_bounds_of_others_are_a_row_of_the_study(dataset, weights, tmp_path, monkeypatch):

@@ -4,15 +4,13 @@ import numpy as np
 import pytest
 
 from lidarsim import Scan, voxelize
-from scenegen.dataset.build import build, plan_dataset
-from scenegen.dataset.read import Dataset
 from scenegen.draw import draw_unit
 from scenegen.errors import DatasetError
 from scenegen.model.evaluation.config import BenchConfig
 from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.visibility import CLASSES, classify, seen_occupancy
 from scenegen.source import DrawnWorlds
-from tests.conftest import small_recipe
+from tests.conftest import dataset_in, small_recipe
 
 
 def dataset_with(folder, **mapping):
@@ -20,8 +18,7 @@ def dataset_with(folder, **mapping):
         mapping=mapping, world={"density": (0.2, 0.2)}, grid={"shape": (40, 40, 16)}
     )
     counts = {"train": 6, "val": 0, "test": 0}
-    build(plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=0, counts=counts))
-    return Dataset(folder)
+    return dataset_in(folder, recipe, counts=counts)
 
 
 def test_what_any_scan_could_see_is_in_view():
@@ -50,8 +47,5 @@ def test_more_scans_see_more_of_the_obstacles(tmp_path):
 
 def test_plans_do_not_begin_where_no_sensor_is(tmp_path):
     dataset = dataset_with(tmp_path / "d", map_ahead_m=(1.0, 0.0, 0.0))
-    with pytest.raises(
-        DatasetError, match=r"its maps lie \[1.0, 0.0, 0.0\] m ahead of the sensor"
-    ) as caught:
+    with pytest.raises(DatasetError, match=r"its maps lie \[1.0, 0.0, 0.0\] m ahead of the sensor"):
         bench(dataset, [], BenchConfig(split="train"))
-    assert "\n" not in str(caught.value)

@@ -6,7 +6,6 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.completion.unlearned import Returns
@@ -18,8 +17,7 @@ from scenegen.model.evaluation.page import to_html
 from scenegen.model.evaluation.report import best, build_report
 from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.shown import draw_charts, draw_failures, failing
-from scenegen.source import DrawnWorlds
-from tests.conftest import small_recipe
+from tests.conftest import dataset_in, small_recipe
 
 HOSTILE = "</td><script>alert(1)</script><img src=x onerror=alert(2)>&amp;"
 COUNTS = {"train": 9, "val": 3, "test": 3}
@@ -54,7 +52,7 @@ class Elements(HTMLParser):
 def measured(tmp_path_factory):
     methods = [Truth(), Completed(Returns()), Completed(Blind())]
     recipe, folder = small_recipe(), tmp_path_factory.mktemp("shown") / "d"
-    build(plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=0, counts=COUNTS), workers=1)
+    dataset_in(folder, recipe, counts=COUNTS)
     dataset = Dataset(folder)
     return bench(dataset, methods, BenchConfig(split="train", trials=40)), dataset, methods
 

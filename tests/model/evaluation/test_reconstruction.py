@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 from scipy import stats
 
 from lidarsim import GridSpec
@@ -44,8 +45,8 @@ def score(occupied, distance, truth):
         class_count=1,
         union=[0],
     )
-    np.testing.assert_array_equal(rows[0], rows[1])
-    np.testing.assert_array_equal(rows[0], rows[2])
+    assert_array_equal(rows[0], rows[1])
+    assert_array_equal(rows[0], rows[2])
     return dict(zip(METRICS, rows[0], strict=True))
 
 
@@ -133,7 +134,7 @@ def test_classes_part_the_map_and_mean_what_they_say(kind):
             np.roll(padded, step, axis)[1:-1, 1:-1, 1:-1] for axis in range(3) for step in (1, -1)
         ]
         inside = np.all([sample.occupancy, *around], axis=0) & ~sample.free & ~sample.observed
-        np.testing.assert_array_equal(classes == CLASSES.index("interior"), inside)
+        assert_array_equal(classes == CLASSES.index("interior"), inside)
         assert counts["occluded"] > 0
 
 
@@ -148,7 +149,7 @@ def test_nothing_below_the_ground_counts():
     assert scored[..., heights > underside].all()
     assert 0 < scored.sum() < scored.size
     classes = classify(low, lidar=recipe.lidar, grid=grid, scored=scored)
-    np.testing.assert_array_equal(classes == UNSCORED, ~scored)
+    assert_array_equal(classes == UNSCORED, ~scored)
     rng, rows = np.random.default_rng(0), []
     said = rng.random(grid.shape) < 0.2
     for below in (False, True):
@@ -156,7 +157,7 @@ def test_nothing_below_the_ground_counts():
         far = np.where(said, np.float32(0), low.tudf)
         count = len(CLASSES)
         rows.append(measure(said, far, low.occupancy, low.tudf, classes=classes, class_count=count))
-    np.testing.assert_array_equal(*rows)
+    assert_array_equal(*rows)
     assert scored_voxels(low, grid, {"world": {"ground": "grass"}}).all()  # somebody's own kind
     tables["world"]["ground"] = False
     assert scored_voxels(low, grid, tables).all()
@@ -170,11 +171,11 @@ def test_what_is_not_known_counts_nowhere_and_is_solid_for_plans():
     known = rng.random(grid.shape) < 0.9
     sample = replace(drawn, known=known, ray_known=np.ones(drawn.ranges.shape, bool))
     scored = scored_voxels(sample, grid, {})
-    np.testing.assert_array_equal(scored, known)
+    assert_array_equal(scored, known)
     certain = certain_distances(sample, grid)
     assert certain is not None
     other = distance_field(drawn.occupancy | (~known & (rng.random(grid.shape) < 0.5)), grid)
-    np.testing.assert_array_equal(other[certain], drawn.tudf[certain])
+    assert_array_equal(other[certain], drawn.tudf[certain])
     classes, rows = np.where(scored, np.uint8(0), np.uint8(UNSCORED)), []
     said, distance = drawn.occupancy.copy(), drawn.tudf.copy()
     for wrong in (False, True):
@@ -185,10 +186,10 @@ def test_what_is_not_known_counts_nowhere_and_is_solid_for_plans():
                 classes=classes, class_count=1, certain=certain,
             )
         )  # fmt: skip
-    np.testing.assert_array_equal(*rows)
+    assert_array_equal(*rows)
     solid, gap = walled(drawn.occupancy, drawn.tudf, known, grid)
-    np.testing.assert_array_equal(solid, drawn.occupancy | ~known)
-    np.testing.assert_array_equal(gap, distance_field(solid, grid))
+    assert_array_equal(solid, drawn.occupancy | ~known)
+    assert_array_equal(gap, distance_field(solid, grid))
 
 
 def test_unlearned_methods_do_what_they_say():
@@ -196,12 +197,8 @@ def test_unlearned_methods_do_what_they_say():
     observed[2, 3, 2] = free[2, 3, 4] = free[2, 3, 0] = observed[4, 4, 0] = True
     free[4, 4, 1] = free[1, 1, :] = True
     at = Thresholds()
-    np.testing.assert_array_equal(
-        Returns().complete(observed, free, grid=GRID).occupied(at), observed
-    )
-    np.testing.assert_array_equal(
-        Conservative().complete(observed, free, grid=GRID).occupied(at), ~free
-    )
+    assert_array_equal(Returns().complete(observed, free, grid=GRID).occupied(at), observed)
+    assert_array_equal(Conservative().complete(observed, free, grid=GRID).occupied(at), ~free)
     extruded = Extrude().complete(observed, free, grid=GRID).occupied(at)
     assert extruded[2, 3].tolist() == [False, True, True, True, False]
     assert extruded[4, 4].tolist() == [True, False, False, False, False]
@@ -209,13 +206,13 @@ def test_unlearned_methods_do_what_they_say():
     for method in (Returns(), Conservative(), Extrude()):
         completion = method.complete(observed, free, grid=GRID)
         expected = distance_field(completion.occupied(at), GRID)
-        np.testing.assert_array_equal(completion.distance(at, GRID), expected)
+        assert_array_equal(completion.distance(at, GRID), expected)
 
 
 def test_what_a_completion_leaves_out_is_derived_and_both_left_out_is_refused():
     tudf = np.linspace(0, 3, 8, dtype=np.float32).reshape(2, 2, 2)
     completion = Prediction(tudf=tudf)
-    np.testing.assert_array_equal(completion.occupied(Thresholds(distance_m=0.5)), tudf < 0.5)
+    assert_array_equal(completion.occupied(Thresholds(distance_m=0.5)), tudf < 0.5)
     assert completion.distance(Thresholds(), GridSpec(shape=(2, 2, 2))).max() == 2.0
     with pytest.raises(ValueError, match="probability"):
         Prediction()

@@ -2,6 +2,7 @@
 
 import mujoco
 import numpy as np
+from numpy.testing import assert_array_equal
 
 from lidarsim.pose import rotate
 from lidarsim.solids.model import solids_of
@@ -30,12 +31,12 @@ def test_the_obstacles_are_those_that_mujocos_rays_meet(dataset):
             model.geom_rgba[one, 3] = 0.0
         expected = rasterize(solids_of(model), dataset.grid, sample.origin)
         found = seen_occupancy(sample, split)
-        np.testing.assert_array_equal(found, expected)
+        assert_array_equal(found, expected)
         assert not (found & ~sample.occupancy).any()
         assert not (sample.observed & ~found).any()
         left_out += int((sample.occupancy & ~found).sum())
         said = check_prediction(Seen().completion(sample, split), dataset.grid.shape, "seen")
-        np.testing.assert_array_equal(said.occupied(Thresholds()), found)
+        assert_array_equal(said.occupied(Thresholds()), found)
     assert left_out > 0
 
 
@@ -64,4 +65,4 @@ def test_some_of_all_kinds_of_solids():
             "mesh_filled",
             "geom",
         ):
-            np.testing.assert_array_equal(getattr(some, name), getattr(alone, name))
+            assert_array_equal(getattr(some, name), getattr(alone, name))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from scenegen.model.calibration import Given, corrected
 from scenegen.model.completion.protocol import Prediction
@@ -42,13 +43,13 @@ def test_counts_are_those_of_histograms():
         for n, q in enumerate((said.astype(float), said / (said + 5 * (1 - said.astype(float))))):
             for c, weights in enumerate((None, q[region], occupied[region].astype(float))):
                 expected = np.histogram(q[region], BINS, (0, 1), weights=weights)[0]
-                np.testing.assert_allclose(counts[r, n, :, c], expected, atol=1e-6)
+                assert_allclose(counts[r, n, :, c], expected, atol=1e-6)
             q, o = q[region], occupied[region]
             nll, brier = (
                 np.where(o, -np.log(q + 1e-30), -np.log1p(-q)).sum(),
                 np.square(o - q).sum(),
             )
-            np.testing.assert_allclose(counts[r, n, :, 3:].sum(axis=0), (nll, brier), rtol=1e-3)
+            assert_allclose(counts[r, n, :, 3:].sum(axis=0), (nll, brier), rtol=1e-3)
     assert not counts[2:].any(), "no voxel is in those regions"
     assert not counts[:, 2].any(), "nobody gave that reading"
 

@@ -70,12 +70,11 @@ def test_damage_is_named(folders, tmp_path):
     for workers in (0, 1):
         gc.disable()  # what is left must not wait for the collector
         try:
-            with pytest.raises(DatasetError, match=said) as caught:
+            with pytest.raises(DatasetError, match=said):
                 list(load(maps, [[0], [1]], workers=workers, pinned=False))
             assert not multiprocessing.active_children()
         finally:
             gc.enable()
-        assert "\n" not in str(caught.value)
 
 
 def test_a_loader_process_that_dies_is_named(folders, monkeypatch):
@@ -159,7 +158,6 @@ def test_without_weights_each_map_comes_once_a_pass(folders):
 def test_weights_that_are_no_proportion_are_refused(folders, weight):
     with pytest.raises(ScenegenError, match="weight") as error:
         Maps(opened([(folders[0], weight), folders[1]], "train"), "train")
-    assert "\n" not in str(error.value)
     assert str(folders[0]) in str(error.value)
 
 

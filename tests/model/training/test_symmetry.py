@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 torch = pytest.importorskip("torch")
 
@@ -47,8 +48,8 @@ def test_the_eight_symmetries_are_the_dihedral_group(side):
     table = table_of(numbered(side, side, 3), ALL)
     for line in (*table, *table.T):
         assert sorted(line) == list(ALL)  # closed, and each has an inverse
-    np.testing.assert_array_equal(table[0], ALL)  # the first leaves all as it is
-    np.testing.assert_array_equal(table[:, 0], ALL)
+    assert_array_equal(table[0], ALL)  # the first leaves all as it is
+    assert_array_equal(table[:, 0], ALL)
     powers = [[a, table[a, a], table[table[a, a], a], table[table[a, a], table[a, a]]] for a in ALL]
     assert sorted(1 + row.index(0) for row in powers) == [1, 2, 2, 2, 2, 2, 4, 4]
     assert [1 + row.index(0) for row in powers[:4]] == [
@@ -64,7 +65,7 @@ def test_a_map_longer_one_way_has_the_four_without_a_quarter_turn():
     table = table_of(numbered(5, 4, 3), range(0, 8, 2))
     for line in table:
         assert sorted(line) == [0, 2, 4, 6]
-    np.testing.assert_array_equal(np.diag(table), 0)
+    assert_array_equal(np.diag(table), 0)
 
 
 @pytest.mark.parametrize("symmetry", ALL)
@@ -73,8 +74,8 @@ def test_height_and_the_distance_from_the_centre_stay(symmetry, side):
     x, y, z = np.indices((side, side, 4))
     middle = (side - 1) / 2
     radius = (x - middle) ** 2 + (y - middle) ** 2
-    np.testing.assert_array_equal(turned(z, symmetry), z)
-    np.testing.assert_array_equal(turned(radius, symmetry), radius)
+    assert_array_equal(turned(z, symmetry), z)
+    assert_array_equal(turned(radius, symmetry), radius)
 
 
 @pytest.mark.parametrize("symmetry", ALL)
@@ -93,7 +94,7 @@ def test_a_map_of_any_kind_is_turned_and_left_alone(symmetry):
         before = grid.copy()
         assert turned(grid, symmetry).dtype == dtype
         assert turned(grid, symmetry).shape == grid.shape
-        np.testing.assert_array_equal(grid, before)
+        assert_array_equal(grid, before)
 
 
 # The distance field.
@@ -108,7 +109,7 @@ def test_the_field_of_a_turned_map_is_the_turned_field(symmetry):
         occupancy[1, 2, 3] = True
         field = distance_field(occupancy, grid)
         of_turned = distance_field(turned(occupancy, symmetry), grid)
-        np.testing.assert_array_equal(of_turned, turned(field, symmetry))
+        assert_array_equal(of_turned, turned(field, symmetry))
 
 
 # The epochs.

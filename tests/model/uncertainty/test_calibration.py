@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 import torch
+from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import GridSpec
 from scenegen.model.calibration import (
@@ -47,7 +48,7 @@ def test_the_class_weight_is_inverted(weight):
         least = np.array([p[loss.argmin()]], np.float32)
         assert corrected(least, weight)[0] == pytest.approx(q, abs=0.01)
     inner = p.astype(np.float32)
-    np.testing.assert_allclose(
+    assert_allclose(
         1 / (1 + np.exp(-corrected_logit(inner, weight))), corrected(inner, weight), rtol=1e-3
     )
     assert corrected(np.array([0, 1], np.float32), weight).tolist() == [0, 1]
@@ -79,7 +80,7 @@ def test_a_prediction_is_read_voxel_by_voxel():
         margin = PLAIN.margins[1][2 * int(d >= 1) + int(q > 0.5)]
         assert low[index] == pytest.approx(max(d - margin, 0), abs=1e-5)
         assert chance[index] == pytest.approx(1 / (1 + ((1 - q) / q) ** 0.5), abs=1e-4)
-    np.testing.assert_array_equal(found.tudf_low, low)
+    assert_array_equal(found.tudf_low, low)
     assert (found.low(0.2) >= low).all()
 
 
@@ -88,8 +89,8 @@ def test_torch_for_torch_and_a_batch_for_a_batch():
     arrays = [np.stack([one.occupancy_probability] * 2), np.stack([one.tudf] * 2)]
     both = Prediction(*map(torch.from_numpy, arrays), uncertainty=PLAIN, grid=GRID)
     assert isinstance(both.tudf_low, torch.Tensor)
-    np.testing.assert_array_equal(both.low(0.2)[1].numpy(), one.low(0.2))
-    np.testing.assert_array_equal(both.probability[0].numpy(), one.probability)
+    assert_array_equal(both.low(0.2)[1].numpy(), one.low(0.2))
+    assert_array_equal(both.probability[0].numpy(), one.probability)
     alone = Prediction(arrays[0], uncertainty=PLAIN, grid=GRID)  # distances are those of its map
     assert alone.low(0.2).shape == arrays[0].shape
 

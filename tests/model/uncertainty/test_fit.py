@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from lidarsim import GridSpec
 from scenegen.model.calibration import Calibration
@@ -80,7 +81,7 @@ def test_a_bins_shape_is_its_quantile():
     counts = np.stack([np.bincount(row, minlength=60) for row in scores])
     for risk in (0.5, 0.1, 0.01):
         expected = np.quantile(scores, 1 - risk, axis=1, method="inverted_cdf")
-        np.testing.assert_array_equal(shape(counts, risk), expected)
+        assert_array_equal(shape(counts, risk), expected)
     assert shape(np.zeros((1, 60), int), 0.1).tolist() == [59], "of an empty bin nothing is known"
 
 

@@ -16,9 +16,8 @@ from typing import Any
 
 from scenegen import files
 from scenegen.dataset import manifest, shard
-from scenegen.dataset.build import build, plan_dataset
-from scenegen.source import DrawnWorlds
-from tests.conftest import picky_recipe
+from scenegen.dataset.build import build
+from tests.conftest import picky_recipe, plan_of
 
 COUNTS = {"train": 12, "val": 0, "test": 5}
 SEED = 6
@@ -27,9 +26,7 @@ SEED = 6
 
 def plan_at(folder):
     recipe = picky_recipe()
-    return plan_dataset(
-        folder, recipe, DrawnWorlds(recipe), seed=SEED, counts=COUNTS, shard_samples=12
-    )
+    return plan_of(folder, recipe, seed=SEED, counts=COUNTS, shard_samples=12)
 
 
 class Killer:

@@ -5,6 +5,7 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
+from numpy.testing import assert_array_equal
 from PIL import Image
 
 from scenegen.dataset.archive import DOCUMENT, write_extracted
@@ -55,7 +56,7 @@ def test_its_files_go_into_a_folder_of_their_own_and_it_compiles_to_the_same(fil
         "hfield_data",
         "hfield_size",
     ):
-        np.testing.assert_array_equal(getattr(archived, name), getattr(taken, name), strict=True)
+        assert_array_equal(getattr(archived, name), getattr(taken, name), strict=True)
 
 
 def test_what_stands_beside_the_output_is_left_alone(files, tmp_path):

@@ -10,14 +10,13 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 import scenegen
-from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.layout import ShardFile
 from scenegen.errors import DatasetError
 from scenegen.sample import GROUPS, Sample
-from scenegen.source import DrawnWorlds
-from tests.conftest import small_recipe
+from tests.conftest import dataset_in, small_recipe
 
 
 @pytest.fixture(scope="module")
@@ -26,10 +25,7 @@ def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("load") / "pillar"
     recipe = small_recipe()
     counts = {"train": 12, "val": 3, "test": 0}
-    build(
-        plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=1, counts=counts, shard_samples=3),
-        workers=1,
-    )
+    dataset_in(folder, recipe, seed=1, counts=counts, shard_samples=3)
     return folder
 
 
@@ -93,7 +89,7 @@ def test_a_copy_of_a_sample_is_plain_and_whole(folder):
     ):
         assert isinstance(sample, Sample)
         assert other.names == sample.names
-        np.testing.assert_array_equal(other.points(), sample.points())
+        assert_array_equal(other.points(), sample.points())
         assert np.array_equal(other.tudf, sample.tudf)
     assert copy.copy(sample).sha256() == sample.sha256()
 

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from lidarsim import BeamTable, Lidar
 from lidarsim.noise.chain import Noise
 from scenegen import GENERATOR
 from scenegen.cli.derive import rescan
 from scenegen.cli.options import mapping_given
-from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.build import build
 from scenegen.dataset.manifest import NAME
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.rescan import plan_rescan
@@ -26,7 +27,7 @@ from scenegen.share.stage import Request, examine, stage
 from scenegen.source import DrawnWorlds
 from scenegen.tables import named_lidar, named_noise
 from scenegen.verification import verify
-from tests.conftest import small_recipe
+from tests.conftest import dataset_in, small_recipe
 from tests.scenegen.conftest import COUNTS
 
 CHAIN = "range:0.02,dropout:0.05"
@@ -37,12 +38,7 @@ def made_with(folder, noise, *, counts=None, shard_samples=5):
     """The dataset of `made`, with noise."""
     recipe = dataclasses.replace(small_recipe(), noise=Noise.parse(noise))
     counts = counts or COUNTS
-    build(
-        plan_dataset(
-            folder, recipe, DrawnWorlds(recipe), seed=3, counts=counts, shard_samples=shard_samples
-        )
-    )
-    return Dataset(folder)
+    return dataset_in(folder, recipe, seed=3, counts=counts, shard_samples=shard_samples)
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +61,7 @@ def test_noise_changes_ranges_alone_and_the_default_knows_nothing_of_it(made, no
     assert faulty["noise"] == {"stages": SPELLED, "bound_m": 4 * 0.02}
     for one, other in zip(Dataset(made).split("train"), Dataset(noisy).split("train"), strict=True):
         for name in ("occupancy", "tudf", "position", "quaternion", "origin", "world", "viewpoint"):
-            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+            assert_array_equal(getattr(one, name), getattr(other, name))
         both = np.isfinite(one.ranges) & np.isfinite(other.ranges)
         assert (np.isfinite(other.ranges) <= np.isfinite(one.ranges)).all()
         off = np.abs(one.ranges[both] - other.ranges[both])
@@ -93,8 +89,8 @@ def test_another_sensor_sees_the_same_worlds_from_the_same_poses(made, tmp_path)
     build(plan)
     one, other = Dataset(made).split("test")[2], Dataset(plan.folder).split("test")[2]
     assert other.ranges.shape == (5, 40)
-    np.testing.assert_array_equal(one.occupancy, other.occupancy)
-    np.testing.assert_array_equal(one.quaternion, other.quaternion)
+    assert_array_equal(one.occupancy, other.occupancy)
+    assert_array_equal(one.quaternion, other.quaternion)
     assert not failed(plan.folder)
     with pytest.raises(DatasetError, match="is the dataset itself"):
         plan_rescan(Dataset(made), made)
@@ -190,7 +186,6 @@ def test_a_strangers_word_is_not_trusted(noisy, tmp_path, entries, told):
     with pytest.raises(DatasetError) as caught:
         Dataset(edited(tmp_path, **entries))
     assert told in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 def test_no_reader_imports_a_stage_that_a_manifest_names(noisy, tmp_path, monkeypatch):

@@ -19,14 +19,12 @@ import pytest
 
 import scenegen
 from scenegen.dataset import manifest
-from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.display.inspect import inspect
 from scenegen.errors import DatasetError
 from scenegen.sample import GROUPS
-from scenegen.source import DrawnWorlds
 from scenegen.verification import verify
-from tests.conftest import small_recipe
+from tests.conftest import dataset_in, small_recipe
 
 BAD = (None, 3, -1, 1e308, 10**12, "x", "../x", [], [[1]], {}, {"a": 1}, True)
 
@@ -34,7 +32,6 @@ BAD = (None, 3, -1, 1e308, 10**12, "x", "../x", [], [[1]], {}, {"a": 1}, True)
 def refused(action):
     with pytest.raises(DatasetError) as error:
         action()
-    assert "\n" not in str(error.value)
     assert len(str(error.value)) < 600
     return str(error.value)
 
@@ -404,12 +401,7 @@ def test_no_manifest_prints_lines_of_its_own_or_nests_without_end(dataset):
 def test_a_compact_dataset_derives_nothing_from_a_broken_pose(tmp_path, field, value, said):
     recipe = small_recipe()
     counts = {"train": 3, "val": 0, "test": 0}
-    build(
-        plan_dataset(
-            tmp_path / "d", recipe, DrawnWorlds(recipe), seed=3, counts=counts, compact=True
-        ),
-        workers=1,
-    )
+    dataset_in(tmp_path / "d", recipe, seed=3, counts=counts, compact=True)
     with h5py.File(tmp_path / "d" / "train-00000.h5", "r+") as file:
         file[field][1] = value
     samples = scenegen.load(tmp_path / "d")

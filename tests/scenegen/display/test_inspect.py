@@ -9,14 +9,13 @@ import pytest
 
 import scenegen
 from lidarsim import GridSpec, Lidar
-from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.build import build
 from scenegen.dataset.read import Dataset
 from scenegen.display.inspect import inspect, misfits
 from scenegen.display.look import looks
-from scenegen.source import DrawnWorlds
 from scenegen.truth.difficulty import Difficulty, difficulty
 from tests.command_line import run
-from tests.conftest import picky_recipe
+from tests.conftest import picky_recipe, plan_of
 
 COUNTS = {"train": 11, "val": 0, "test": 4}
 KEYS = {"occupied", "observed", "free", "returned", "range_m", "tudf_m", *Difficulty._fields}
@@ -24,9 +23,7 @@ KEYS = {"occupied", "observed", "free", "returned", "range_m", "tudf_m", *Diffic
 
 def make(folder, *, compact=False, shards=None):
     recipe = picky_recipe()
-    plan = plan_dataset(
-        folder, recipe, DrawnWorlds(recipe), seed=0, counts=COUNTS, shard_samples=3, compact=compact
-    )
+    plan = plan_of(folder, recipe, counts=COUNTS, shard_samples=3, compact=compact)
     build(plan, workers=1, shard_range=shards)
     return folder
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 import scenegen
 from scenegen.dataset.read import Dataset
@@ -31,11 +32,11 @@ def test_sparse_batches_hold_every_observed_voxel(made):
     numbers, *cells = batch["coordinates"].numpy().T
     observed = np.zeros(batch["occupancy"].shape, bool)
     observed[numbers, *cells] = True
-    np.testing.assert_array_equal(observed, [sample.observed for sample in samples[:3]])
+    assert_array_equal(observed, [sample.observed for sample in samples[:3]])
     assert len(batch["features"]) == observed.sum()
     dense = list(names["batches"](samples, 3))
     assert len(dense) == len(samples) // 3
-    np.testing.assert_array_equal(dense[0][0], observed)
+    assert_array_equal(dense[0][0], observed)
 
 
 def test_rerun_s_recordings_hold_predictions_and_flights(made, tmp_path):
@@ -93,4 +94,4 @@ def test_the_ros_node_publishes_what_the_definitions_say(tmp_path, monkeypatch):
     assert (read.header.stamp.sec, read.header.frame_id) == (7, "lidar")
     ranges = names["lidar"].scan(names["data"]).ranges
     ranges = ranges[np.isfinite(ranges)]
-    np.testing.assert_allclose(np.linalg.norm(points, axis=1), ranges, rtol=1e-6)
+    assert_allclose(np.linalg.norm(points, axis=1), ranges, rtol=1e-6)

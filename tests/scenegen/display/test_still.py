@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from matplotlib import colormaps
 from matplotlib.image import imread
+from numpy.testing import assert_allclose
 from PIL import Image
 
 from lidarsim import MujocoEngine
@@ -33,7 +34,7 @@ from scenegen.display.panels import to_bytes
 from scenegen.display.pictures import CUT, draw_sample, draw_turn, see
 from scenegen.errors import DatasetError
 from scenegen.worlds.world import compile_world
-from tests.command_line import ROOT, run
+from tests.command_line import ROOT, refused, run
 
 
 @pytest.mark.parametrize(("anchors", "name"), [(HEIGHTS, "viridis"), (DISTANCES, "cividis")])
@@ -53,9 +54,9 @@ def test_an_error_is_the_paler_the_nearer_it_is_to_what_is_right():
     right[0] = True
     shades = error_colours(MISSED, right, np.argwhere(~right))[:, 1]
     assert (np.diff(shades[:2]) < 0).all()
-    np.testing.assert_allclose(shades[2:], MISSED[1] / 255)
+    assert_allclose(shades[2:], MISSED[1] / 255)
     far = error_colours(MISSED, np.zeros((8, 1, 1), bool), np.argwhere(~right))
-    np.testing.assert_allclose(far, np.array([MISSED] * 7) / 255)
+    assert_allclose(far, np.array([MISSED] * 7) / 255)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -130,7 +131,7 @@ def test_a_world_is_what_another_engine_meets():
         int((top[1] - down) / (up - down) * rows),
         int((top[0] - left) / (right - left) * columns),
     )
-    np.testing.assert_allclose(image[row, column], CUT)
+    assert_allclose(image[row, column], CUT)
     assert 0 < (image == CUT).all(axis=2).mean() < 0.2
 
 
@@ -169,8 +170,7 @@ def test_the_command_draws_samples_sheets_and_worlds(made, tmp_path, capsys, mon
         (f"{tmp_path}/none.xml -o {tmp_path}/x.png", "none.xml"),
         (f"{tmp_path} -o {tmp_path}/x.png", "dataset.json"),
     ):
-        code, _, said = run(capsys, f"render {words}")
-        assert (code in (1, 2), said.count("\n"), part in said) == (True, 1, True)
+        assert part in refused(capsys, f"render {words}")
     assert not list(tmp_path.glob("x.*"))
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import AnalyticEngine, GridSpec, Lidar
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelMap
@@ -408,7 +409,7 @@ def test_lerobot_reads_flights_as_the_environment_flies_them(tmp_path):
             expected["next.success"] = about.get("outcome") == "success"
             frame = next(frames)
             for name, value in expected.items():
-                np.testing.assert_array_equal(frame[name], np.float32(value), name)
+                assert_array_equal(frame[name], np.float32(value), name)
         assert ended or over
     assert next(frames, None) is None
     flown[0].commands[0] *= 0.5
@@ -433,7 +434,7 @@ def test_a_quadrotor_of_mujocos_tracks_the_kinematic_motion_and_leans_as_its_thr
         lean.append(float(one @ other))
     assert 0.02 < max(lags) < 0.2
     assert lags[-1] < 0.01
-    np.testing.assert_allclose(lead[9:], states[-1, 9:], atol=0.01)
+    assert_allclose(lead[9:], states[-1, 9:], atol=0.01)
     assert min(lean) > 1 - 1e-9
 
 

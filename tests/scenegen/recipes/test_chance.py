@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from lidarsim.pose import rotate
 from scenegen.recipes.kind import attitudes, log_uniform, normal
@@ -39,7 +40,7 @@ def test_normal_numbers_are_normal_in_their_tails_too(rng):
 
 def test_attitudes_are_uniform_or_upright(rng):
     drawn = attitudes(40_000, 1.0, rng=rng)
-    np.testing.assert_allclose((drawn * drawn).sum(axis=1), 1.0, rtol=0, atol=1e-14)
+    assert_allclose((drawn * drawn).sum(axis=1), 1.0, rtol=0, atol=1e-14)
     # Archimedes: each coordinate of a turned unit vector is uniform
     axes = np.array([rotate(quaternion, np.eye(3)) for quaternion in drawn])
     for axis in range(3):
@@ -51,7 +52,7 @@ def test_attitudes_are_uniform_or_upright(rng):
     assert distance(angle, (angle - np.sin(angle)) / np.pi) < 1.8
 
     upright = attitudes(20_000, 0.0, rng=rng)
-    np.testing.assert_allclose((upright * upright).sum(axis=1), 1.0, rtol=0, atol=1e-14)
+    assert_allclose((upright * upright).sum(axis=1), 1.0, rtol=0, atol=1e-14)
     assert (upright[:, 1:3] == 0.0).all()
     turned = np.sort(np.arctan2(upright[:, 3], upright[:, 0]))
     assert distance(turned, (turned + np.pi) / (2.0 * np.pi)) < 1.8

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy import stats
 
 from scenegen.recipes.geometric import Geometric
@@ -117,7 +118,7 @@ def test_solids_are_stacked_on_any_earlier_one():
 def test_standing_solids_touch_the_ground_whatever_their_attitude():
     for tilted in (0.0, 1.0):
         found = solids(standing_share=1.0, stacked_share=0.0, tilted_share=tilted)
-        np.testing.assert_allclose([solid.span[0] for solid in found], 0.0, rtol=0, atol=1e-5)
+        assert_allclose([solid.span[0] for solid in found], 0.0, rtol=0, atol=1e-5)
         assert len({solid.shape for solid in found}) == 3
 
 
@@ -160,7 +161,7 @@ def test_walls_are_upright_slabs_on_the_ground_within_their_ranges():
     assert looks_uniform(2 * sizes[:, 0], *ranges["wall_length_m"])
     assert looks_uniform(sizes[:, 1], *ranges["wall_half_thickness_m"])
     low, high = np.array([solid.span for solid in found]).T
-    np.testing.assert_allclose(low, 0.0, rtol=0, atol=1e-9)
+    assert_allclose(low, 0.0, rtol=0, atol=1e-9)
     assert looks_uniform(high, *ranges["wall_height_m"])
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import GridSpec
 from scenegen.draw import draw_unit
@@ -129,7 +130,7 @@ def test_a_world_depends_on_the_state_of_the_generator_alone(kind):
         [np.concatenate([it.size, it.position, it.quaternion]) for it in found[1:]]
         for found in (first, again, other)
     ]
-    np.testing.assert_array_equal(values[0], values[1])
+    assert_array_equal(values[0], values[1])
     assert len(values[0]) != len(values[2]) or not np.array_equal(values[0], values[2])
 
 
@@ -138,8 +139,8 @@ def test_the_floor_is_a_slab_over_the_plan_with_its_top_at_0(kind):
     size: Any = {"size_m": (12.0, 30.0, 5.0)}
     floor, *others = draw(kind(**size, ground=True, ground_m=0.6))
     assert floor.shape == Geom.mjGEOM_BOX
-    np.testing.assert_allclose(floor.size, [6.0, 15.0, 0.3])
-    np.testing.assert_allclose(floor.position, [6.0, 15.0, -0.3])
+    assert_allclose(floor.size, [6.0, 15.0, 0.3])
+    assert_allclose(floor.position, [6.0, 15.0, -0.3])
     assert floor.upright
     assert len(draw(kind(**size, ground=False))) == len(others)
 

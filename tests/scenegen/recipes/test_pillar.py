@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from scenegen.recipes.pillar import Pillar
 from tests.scenegen.recipes import Geom, draw, looks_like_share, looks_uniform
@@ -89,7 +90,7 @@ def test_oblong_pillars_are_up_to_the_ratio_as_long_as_wide(ratio):
 def test_pillars_stand_upright_on_the_ground_as_tall_as_they_are_drawn(round_share):
     pillars = draw(Pillar(**MANY, round_share=round_share, oblong_share=0.0, height_m=(2.0, 7.0)))
     low, high = np.array([p.span for p in pillars]).T
-    np.testing.assert_allclose(low, 0.0, rtol=0, atol=1e-9)
+    assert_allclose(low, 0.0, rtol=0, atol=1e-9)
     assert looks_uniform(high, 2.0, 7.0)
     assert all(p.upright for p in pillars)
 

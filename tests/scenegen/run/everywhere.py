@@ -6,14 +6,12 @@ import shutil
 
 import torch
 
-from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.model.checkpoint import save_network
 from scenegen.model.config import NetworkConfig
 from scenegen.model.network import Network
-from scenegen.source import DrawnWorlds
 from tests.command_line import run
-from tests.conftest import small_recipe
+from tests.conftest import dataset_in, small_recipe
 
 COUNTS = {"train": 4, "val": 2, "test": 4}
 SAMPLES = sum(COUNTS.values())
@@ -43,11 +41,7 @@ COMMANDS: tuple[tuple[object, ...], ...] = (
 def make(folder):
     """`d`, a dataset of five shards, and `n.safetensors`, a network for it."""
     recipe = small_recipe()
-    build(
-        plan_dataset(
-            folder / "d", recipe, DrawnWorlds(recipe), seed=5, counts=COUNTS, shard_samples=3
-        )
-    )
+    dataset_in(folder / "d", recipe, seed=5, counts=COUNTS, shard_samples=3)
     grid = Dataset(folder / "d").grid
     torch.manual_seed(0)
     save_network(

@@ -7,14 +7,13 @@ import sys
 
 import pytest
 
-from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.build import build
 from scenegen.errors import DatasetError, GenerationError, ScenegenError
 from scenegen.run import EXECUTORS, executor
 from scenegen.run.remote import Outcome, sent
 from scenegen.run.software import identity
 from scenegen.run.workers import rank_of
-from scenegen.source import DrawnWorlds
-from tests.conftest import small_recipe
+from tests.conftest import plan_of, small_recipe
 from tests.scenegen.run.backwards import Backwards
 
 COUNTS = {"train": 14, "val": 3, "test": 4}
@@ -23,7 +22,7 @@ COUNTS = {"train": 14, "val": 3, "test": 4}
 def make(folder, place="local", workers=1):
     """The digest of a small dataset made at `place`, and all its files."""
     recipe = small_recipe()
-    plan = plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=5, counts=COUNTS, shard_samples=3)
+    plan = plan_of(folder, recipe, seed=5, counts=COUNTS, shard_samples=3)
     summary = build(plan, execute=executor(place, workers))
     return summary.digest, {path.name: path.read_bytes() for path in folder.iterdir()}
 
@@ -86,9 +85,7 @@ def test_what_is_no_executor_is_refused():
 
 def test_a_machine_with_another_scenegen_refuses_and_says_what_it_has(tmp_path, monkeypatch):
     recipe = small_recipe()
-    plan = plan_dataset(
-        tmp_path / "d", recipe, DrawnWorlds(recipe), seed=5, counts=COUNTS, shard_samples=3
-    )
+    plan = plan_of(tmp_path / "d", recipe, seed=5, counts=COUNTS, shard_samples=3)
     theirs = identity() | {"numpy": "1.0", "source": "f00d"}
 
     def arrive():

@@ -12,12 +12,11 @@ import time
 import pytest
 
 from scenegen.cli.show import Progress
-from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.build import build
 from scenegen.errors import ScenegenError
 from scenegen.run import executor
-from scenegen.source import DrawnWorlds
 from tests.command_line import ROOT
-from tests.conftest import small_recipe
+from tests.conftest import plan_of, small_recipe
 from tests.scenegen.run import everywhere
 
 ray = pytest.importorskip("ray")
@@ -48,7 +47,7 @@ def connected(cluster):
 
 def plan(folder):
     recipe = small_recipe()
-    return plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=5, counts=COUNTS, shard_samples=3)
+    return plan_of(folder, recipe, seed=5, counts=COUNTS, shard_samples=3)
 
 
 def test_a_cluster_makes_the_same_dataset_though_a_node_dies(connected, tmp_path):

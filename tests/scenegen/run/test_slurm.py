@@ -18,12 +18,11 @@ from pathlib import Path
 import pytest
 
 from scenegen.dataset import manifest
-from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.build import build
 from scenegen.errors import DatasetError, GenerationError
 from scenegen.run import executor
-from scenegen.source import DrawnWorlds
 from tests.command_line import ROOT
-from tests.conftest import small_recipe
+from tests.conftest import plan_of, small_recipe
 from tests.scenegen.run import everywhere, slurm_here
 
 pytest.importorskip("submitit")
@@ -46,7 +45,7 @@ def slurm(tmp_path_factory):
 
 def plan(folder):
     recipe = small_recipe()
-    return plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=5, counts=COUNTS, shard_samples=3)
+    return plan_of(folder, recipe, seed=5, counts=COUNTS, shard_samples=3)
 
 
 @pytest.fixture

@@ -10,15 +10,13 @@ import pytest
 
 from scenegen.cli.generate import generate
 from scenegen.dataset import manifest
-from scenegen.dataset.build import plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.trust import parse
 from scenegen.display.inspect import inspect
 from scenegen.errors import PublishError
 from scenegen.share.card import croissant, facts
 from scenegen.share.regenerate import check_kind, closure, command, environment_lock
-from scenegen.source import DrawnWorlds
-from tests.conftest import small_recipe
+from tests.conftest import plan_of, small_recipe
 
 
 def test_a_kind_of_somebody_elses_has_to_be_named():
@@ -32,9 +30,7 @@ def test_a_kind_of_somebody_elses_has_to_be_named():
 @pytest.mark.parametrize("engine", ["mujoco", "analytic", "my_engine:Slow", None])
 def test_the_command_that_makes_a_dataset_again_is_one_that_generate_takes(engine, tmp_path):
     recipe = small_recipe()
-    plan = plan_dataset(
-        tmp_path, recipe, DrawnWorlds(recipe), seed=3, counts={"train": 5, "val": 1, "test": 0}
-    )
+    plan = plan_of(tmp_path, recipe, seed=3, counts={"train": 5, "val": 1, "test": 0})
     unsigned = manifest.assemble(plan.parameters, [], complete=False) | {"engine": engine}
     if engine is None:  # as of datasets from before there was another engine
         del unsigned["engine"]

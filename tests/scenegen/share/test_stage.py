@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from scenegen.dataset import manifest
-from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.build import build
 from scenegen.dataset.read import Dataset
 from scenegen.display.inspect import inspect
 from scenegen.errors import PublishError
@@ -25,8 +25,7 @@ from scenegen.files import whole_folder
 from scenegen.recipe import read_recipe
 from scenegen.share import stage as folder_module
 from scenegen.share.stage import Request, stage
-from scenegen.source import DrawnWorlds
-from tests.conftest import small_recipe
+from tests.conftest import dataset_in, plan_of, small_recipe
 from tests.scenegen.conftest import COUNTS
 from tests.scenegen.display.test_page import Seen
 
@@ -158,10 +157,9 @@ def test_its_command_makes_the_same_dataset(out, made, tmp_path):
     assert words[:4] == ["scenegen", "generate", "--recipe", "recipe.toml"]
     options = dict(zip(words[2::2], words[3::2], strict=True))
     recipe = read_recipe(out / options["--recipe"])
-    plan = plan_dataset(
+    plan = plan_of(
         tmp_path / options["--out"],
         recipe,
-        DrawnWorlds(recipe),
         seed=int(options["--seed"]),
         counts={
             "train": int(options["--n"]),
@@ -200,10 +198,7 @@ def test_compact_datasets_and_absent_splits_publish_as_well(undrawn, tmp_path):
     recipe = small_recipe("geometric")
     counts = {"train": 4, "val": 0, "test": 1}
     made = tmp_path / "made"
-    build(
-        plan_dataset(made, recipe, DrawnWorlds(recipe), seed=0, counts=counts, compact=True),
-        workers=1,
-    )
+    dataset_in(made, recipe, counts=counts, compact=True)
     out = tmp_path / "out"
     stage(Request(dataset=made, repository="ada/g", out=out, licence="cc0-1.0"), CHECKS)
     card = (out / "README.md").read_text()

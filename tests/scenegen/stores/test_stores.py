@@ -16,16 +16,15 @@ import pytest
 
 from lidarsim import BeamTable
 from scenegen import load, stores
-from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.build import build
 from scenegen.dataset.locate import locate
 from scenegen.dataset.placed import SUFFIX
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, StoreError
-from scenegen.source import DrawnWorlds
 from scenegen.stores import ConflictError, StorePath, folder_of, is_remote
 from scenegen.verification import verify
 from tests.command_line import run
-from tests.conftest import small_recipe
+from tests.conftest import plan_of, small_recipe
 from tests.scenegen.conftest import COUNTS
 from tests.scenegen.stores.conftest import forget
 from tests.scenegen.stores.kept import ROOM, Kept
@@ -35,9 +34,7 @@ NAME = "s3://lab/pillar"
 
 def plan(folder, seed=3, **counts):
     recipe = small_recipe()
-    return plan_dataset(
-        folder, recipe, DrawnWorlds(recipe), seed=seed, counts=COUNTS | counts, shard_samples=3
-    )
+    return plan_of(folder, recipe, seed=seed, counts=COUNTS | counts, shard_samples=3)
 
 
 def write(**options):
@@ -250,11 +247,7 @@ def test_a_table_of_rays_lies_there_too(store, tmp_path):
     recipe = dataclasses.replace(raster, lidar=BeamTable.of(raster.lidar))
     for folder in (tmp_path / "d", folder_of(NAME)):
         for _ in range(2):
-            build(
-                plan_dataset(
-                    folder, recipe, DrawnWorlds(recipe), seed=3, counts=COUNTS, shard_samples=6
-                )
-            )
+            build(plan_of(folder, recipe, seed=3, counts=COUNTS, shard_samples=6))
     assert "rays.npy" in objects(store)
     assert objects(store) == files(tmp_path / "d")
     assert np.array_equal(load(NAME).dataset.lidar.rays, recipe.lidar.rays)

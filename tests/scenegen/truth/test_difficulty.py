@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from lidarsim import GridSpec
 from scenegen.truth import distance_field
@@ -140,7 +141,7 @@ def test_figures_do_not_change_where_a_map_is_turned():
     turned = np.ascontiguousarray(np.rot90(occupancy))
     again = difficulty(turned, distance_field(turned, grid), grid.voxel_m)
     # of two ways as long as each other, one is taken: what lies along it may differ
-    np.testing.assert_allclose(found[:7], again[:7], rtol=1e-12)
+    assert_allclose(found[:7], again[:7], rtol=1e-12)
 
 
 def test_a_way_that_begins_in_the_middle_sees_what_the_map_tells_of_it():

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 from scipy import ndimage
 
 from lidarsim import GridSpec
@@ -38,7 +39,7 @@ def field(occupancy, voxel, truncation):
     answer = distance_field(occupancy, grid)
     assert answer.dtype == np.float32
     assert answer.shape == occupancy.shape
-    np.testing.assert_array_equal(occupancy, before)
+    assert_array_equal(occupancy, before)
     return answer
 
 
@@ -50,7 +51,7 @@ def test_the_field_is_scipys_to_the_last_bit(voxel, truncation, density):
     for shape in ((23, 31, 17), (40, 9, 26), (5, 60, 40), (1, 33, 8), (12, 1, 1)):
         occupancy = rng.random(shape) < density
         expected = expected_field(squares(occupancy), voxel, truncation)
-        np.testing.assert_array_equal(field(occupancy, voxel, truncation), expected)
+        assert_array_equal(field(occupancy, voxel, truncation), expected)
 
 
 @pytest.mark.parametrize("voxel", VOXELS)
@@ -73,7 +74,7 @@ def test_truncations_of_every_reach_are_exact(voxel):
             np.nextafter(reach * voxel, 999),
         ):
             answer = field(occupancy, voxel, float(truncation))
-            np.testing.assert_array_equal(answer, expected_field(k, voxel, float(truncation)))
+            assert_array_equal(answer, expected_field(k, voxel, float(truncation)))
 
 
 def test_the_field_ignores_how_the_map_lies_in_memory():
@@ -81,8 +82,6 @@ def test_the_field_ignores_how_the_map_lies_in_memory():
     rng = np.random.default_rng(35)
     occupancy = rng.random((13, 17, 11)) < 0.01
     answer = field(occupancy, 0.25, 2.0)
-    np.testing.assert_array_equal(field(np.asfortranarray(occupancy), 0.25, 2.0), answer)
-    np.testing.assert_array_equal(field(occupancy[::-1, :, ::-1], 0.25, 2.0), answer[::-1, :, ::-1])
-    np.testing.assert_array_equal(
-        field(occupancy.transpose(2, 0, 1), 0.25, 2.0), answer.transpose(2, 0, 1)
-    )
+    assert_array_equal(field(np.asfortranarray(occupancy), 0.25, 2.0), answer)
+    assert_array_equal(field(occupancy[::-1, :, ::-1], 0.25, 2.0), answer[::-1, :, ::-1])
+    assert_array_equal(field(occupancy.transpose(2, 0, 1), 0.25, 2.0), answer.transpose(2, 0, 1))

@@ -5,6 +5,7 @@ Whole samples of a preset are compared by `benchmarks/gpu.py`, which a smoke tes
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from lidarsim import GridSpec
 from lidarsim.solids.model import solids_of
@@ -40,8 +41,8 @@ def test_occupancy_and_distances_have_the_processors_bits(grid):
     field = gpu.distance_field(occupancy, grid)
     for p, world in enumerate(which):
         expected = rasterize(solids[world], grid, corners[p])
-        np.testing.assert_array_equal(occupancy.numpy()[p], expected)
-        np.testing.assert_array_equal(field.numpy()[p], distance_field(expected, grid))
+        assert_array_equal(occupancy.numpy()[p], expected)
+        assert_array_equal(field.numpy()[p], distance_field(expected, grid))
     assert 0.001 < occupancy.numpy()[:-1].mean() < 0.9
     assert not occupancy.numpy()[-1].any()
 

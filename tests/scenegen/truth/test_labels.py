@@ -6,6 +6,7 @@ import hashlib
 import mujoco
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import GridSpec
 from lidarsim.noise.chain import Noise
@@ -22,7 +23,7 @@ from scenegen.truth.labels import NONE, owners
 from scenegen.verification import verify
 from scenegen.worlds.labels import SHAPES, class_names, labels_by
 from scenegen.worlds.world import compile_world
-from tests.conftest import small_recipe
+from tests.conftest import dataset_in, plan_of, small_recipe
 from tests.scenegen.conftest import COUNTS
 
 CUBE = " ".join(f"{x} {y} {z}" for x in (-0.5, 0.5) for y in (-0.4, 0.4) for z in (-0.3, 0.3))
@@ -71,12 +72,12 @@ def test_a_voxel_belongs_to_the_nearest_solid_and_of_two_to_the_first(shift):
     grid, origin = GridSpec(shape=(18, 20, 12), voxel_m=0.2), np.array([-1.8, -2.0, -0.6]) + shift
     occupancy = rasterize(world.solids, grid, origin)
     owner = owners(world.solids, occupancy, grid, origin)
-    np.testing.assert_array_equal(owner != NONE, occupancy)
+    assert_array_equal(owner != NONE, occupancy)
     cells = np.argwhere(occupancy)
     there = distances(origin + (cells + 0.5) * grid.voxel_m)
     found = owner[tuple(cells.T)]
     least = there.min(axis=0)
-    np.testing.assert_allclose(
+    assert_allclose(
         there[found, np.arange(len(found))], least, atol=1e-7
     )  # a mesh's vertices are float32
     first = np.argmax(there <= least + 1e-7, axis=0)
@@ -110,7 +111,7 @@ def test_labels_add_fields_and_change_none_and_their_digest_covers_them():
     )
     assert set(more.names) == set(plain.names) | set(GROUPS["labels"])
     for name in plain.names:
-        np.testing.assert_array_equal(getattr(plain, name), getattr(more, name))
+        assert_array_equal(getattr(plain, name), getattr(more, name))
     parts = b"".join(getattr(more, name).tobytes() for name in GROUPS["labels"])
     assert more.sha256() == hashlib.sha256(plain.sha256() + parts).digest()
     # a return lies in a voxel, or beside one, of its own geom: the voxel's centre may be nearer to
@@ -124,7 +125,7 @@ def test_labels_add_fields_and_change_none_and_their_digest_covers_them():
 def test_a_dataset_with_labels_is_kept_verified_and_scanned_again(tmp_path, noise):
     recipe = dataclasses.replace(small_recipe(), labels=labels_by("group", ()))
     folder = tmp_path / "data"
-    plan = plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=3, counts=COUNTS, compact=True)
+    plan = plan_of(folder, recipe, seed=3, counts=COUNTS, compact=True)
     build(plan)
     build(plan)  # which finds every shard as it was
     again = plan_rescan(
@@ -178,14 +179,12 @@ def test_a_scenes_materials_make_classes_and_their_archive_keeps_them(tmp_path):
     met = set()
     for n in range(counts["train"]):
         bare, material, group = (it.split("train")[n] for it in (plain, dressed, grouped))
-        np.testing.assert_array_equal(bare.occupancy, material.occupancy)
-        np.testing.assert_array_equal(bare.ranges, material.ranges)
+        assert_array_equal(bare.occupancy, material.occupancy)
+        assert_array_equal(bare.ranges, material.ranges)
         met |= set(np.unique(material.voxel_geom).tolist())
-        np.testing.assert_array_equal(material.voxel_class, wanted[material.voxel_geom])
-        np.testing.assert_array_equal(material.return_class, wanted[material.return_geom])
-        np.testing.assert_array_equal(
-            group.voxel_class, np.array([1, 4, 1, 1, 0])[group.voxel_geom]
-        )
+        assert_array_equal(material.voxel_class, wanted[material.voxel_geom])
+        assert_array_equal(material.return_class, wanted[material.return_geom])
+        assert_array_equal(group.voxel_class, np.array([1, 4, 1, 1, 0])[group.voxel_geom])
     assert met == {-1, 0, 1, 2, 3}
 
 
@@ -194,7 +193,7 @@ def test_a_dataset_with_labels_can_be_published(tmp_path):
         small_recipe(), labels=labels_by("name", ()), noise=Noise.parse("range")
     )
     counts = {"train": 3, "val": 3, "test": 3}
-    build(plan_dataset(tmp_path / "data", recipe, DrawnWorlds(recipe), seed=3, counts=counts))
+    dataset_in(tmp_path / "data", recipe, seed=3, counts=counts)
     request = Request(dataset=tmp_path / "data", repository="ada/small", out=tmp_path / "out")
     stage(request, (("files", "all there"),))
     card = (tmp_path / "out" / "README.md").read_text()

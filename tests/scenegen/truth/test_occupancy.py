@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
+from numpy.testing import assert_array_equal
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -331,12 +332,12 @@ def test_solids_smaller_than_a_voxel_leave_a_mark(kind, count):
             room = voxel / 2 - np.array(reach) - 1e-5
             shape = shape.at((index + 0.5) * voxel + room * rng.uniform(-1, 1, 3))
             answer = occupied(reference.world_of(shape), (4, 4, 4), voxel, np.zeros(3))
-            np.testing.assert_array_equal(np.argwhere(answer), [index])
+            assert_array_equal(np.argwhere(answer), [index])
             on_corner = shape.at(np.array([1, 2, 3]) * voxel)
             answer = occupied(reference.world_of(on_corner), (4, 4, 4), voxel, np.zeros(3))
             expected = np.zeros((4, 4, 4), bool)
             expected[0:2, 1:3, 2:4] = True
-            np.testing.assert_array_equal(answer, expected)
+            assert_array_equal(answer, expected)
 
 
 @pytest.mark.parametrize("kind", KINDS)

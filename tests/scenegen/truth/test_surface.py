@@ -7,12 +7,13 @@ import json
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from lidarsim import GridSpec
 from lidarsim.noise.chain import Noise
 from lidarsim.solids.model import solids_of
 from scenegen.dataset import manifest
-from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.build import build
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.rescan import plan_rescan
 from scenegen.draw import draw_unit
@@ -22,7 +23,7 @@ from scenegen.share.regenerate import recipe_text
 from scenegen.source import DrawnWorlds
 from scenegen.truth import distance_field, rasterize
 from scenegen.verification import verify
-from tests.conftest import small_recipe
+from tests.conftest import plan_of, small_recipe
 from tests.scenegen.truth import reference
 from tests.scenegen.truth.reference import Shape
 from tests.scenegen.truth.test_occupancy import bracket_shape, compiled, mesh_model, placed
@@ -98,7 +99,7 @@ def test_a_closed_mesh_is_its_surface():
     voxel = float((solids.triangles.max(axis=(0, 1)) - low).max()) / 30
     solid, surface = both(solids, (32, 32, 32), voxel, low)
     opened = dataclasses.replace(solids, mesh_filled=np.zeros(len(solids.mesh_filled), bool))
-    np.testing.assert_array_equal(surface, both(opened, (32, 32, 32), voxel, low)[0])
+    assert_array_equal(surface, both(opened, (32, 32, 32), voxel, low)[0])
     assert 0 < surface.sum() < solid.sum()
 
 
@@ -113,20 +114,19 @@ def test_every_return_lies_in_a_surface_voxel_and_scans_do_not_depend_on_truth(k
             for recipe in (plain, dataclasses.replace(plain, grid=grid))
         )
         for one, other in zip(solid, surface, strict=True):
-            np.testing.assert_array_equal(one.ranges, other.ranges)
+            assert_array_equal(one.ranges, other.ranges)
             assert not (other.observed & ~other.occupancy).any()
             assert not (other.occupancy & ~one.occupancy).any()
-            np.testing.assert_array_equal(other.tudf, distance_field(other.occupancy, grid))
+            assert_array_equal(other.tudf, distance_field(other.occupancy, grid))
             kept.append(other.occupancy.sum() / one.occupancy.sum())
     assert 0.5 < np.mean(kept) < 0.97
 
 
 def plan(folder, *, hollow=True):
     recipe = small_recipe(grid={} if hollow is None else {"hollow": hollow})
-    return plan_dataset(
+    return plan_of(
         folder,
         recipe,
-        DrawnWorlds(recipe),
         seed=3,
         counts={"train": 3, "val": 0, "test": 0},
         shard_samples=2,
@@ -147,7 +147,7 @@ def test_a_dataset_of_surfaces_is_written_verified_and_read_back(tmp_path):
     for one_sample, other in zip(
         dataset.split("train"), Dataset(again.folder).split("train"), strict=True
     ):
-        np.testing.assert_array_equal(one_sample.occupancy, other.occupancy)
+        assert_array_equal(one_sample.occupancy, other.occupancy)
     assert "hollow = true" in recipe_text(one.parameters, "again")
     with pytest.raises(DatasetError, match=r'grid\.hollow is true there, "absent" asked for'):
         build(plan(one.folder, hollow=False), workers=1)

@@ -10,10 +10,9 @@ import h5py
 import numpy as np
 
 from scenegen.dataset import manifest
-from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.build import build
 from scenegen.dataset.shard import zip_reproducibly
-from scenegen.source import DrawnWorlds
-from tests.conftest import small_recipe
+from tests.conftest import plan_of, small_recipe
 
 COUNTS = {"train": 6, "val": 3, "test": 3}
 DIGESTED = ("ranges", "position", "quaternion", "origin", "world", "viewpoint")
@@ -22,9 +21,7 @@ Arrays = dict[str, np.ndarray]
 
 def make(folder, kind="pillar", *, counts=COUNTS, compact=False):
     recipe = small_recipe(kind)
-    plan = plan_dataset(
-        folder, recipe, DrawnWorlds(recipe), seed=0, counts=counts, compact=compact, shard_samples=6
-    )
+    plan = plan_of(folder, recipe, counts=counts, compact=compact, shard_samples=6)
     assert build(plan).complete
     return folder
 

@@ -4,6 +4,7 @@ is one."""
 import mujoco
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from lidarsim import Lidar, MujocoEngine, Pose, cast
 from lidarsim.engines import ENGINES
@@ -60,7 +61,7 @@ def test_directions_are_the_sensors(mount, fov, size):
     )  # type: ignore[arg-type]
     quaternion = np.array([0.5, -0.1, 0.7, 0.5])
     quaternion /= np.linalg.norm(quaternion)
-    np.testing.assert_allclose(
+    assert_allclose(
         ray_directions(lidar, quaternion), rotate(quaternion, lidar.directions_body), atol=1e-14
     )
 

@@ -4,6 +4,7 @@ and MuJoCo."""
 import mujoco
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from lidarsim import Pose
@@ -37,7 +38,7 @@ def test_acceleration_is_the_second_derivative_of_the_smoothed_path():
     most = 0.0
     for n in range(len(time) // 8, 7 * len(time) // 8, 50):
         found = acceleration(*route.turns, time[n] * SPEED, speed_mps=SPEED, settle_s=SETTLE)
-        np.testing.assert_allclose(found, expected[n - 1], atol=0.05)
+        assert_allclose(found, expected[n - 1], atol=0.05)
         most = max(most, float(np.abs(found).max()))
     assert most > 3.0
 
@@ -48,21 +49,19 @@ def test_the_thrust_is_the_bodys_z_axis_and_the_heading_stays():
         level, pull = Pose.level(rng.normal(size=3), rng.uniform(-3.1, 3.1)), rng.uniform(-4, 4, 3)
         lean = leaning(level, tuple(pull), most_deg=80.0)
         thrust = pull + np.array([0.0, 0.0, GRAVITY])
-        np.testing.assert_allclose(
-            turned(lean).apply([0, 0, 1]), thrust / np.linalg.norm(thrust), atol=1e-12
-        )
+        assert_allclose(turned(lean).apply([0, 0, 1]), thrust / np.linalg.norm(thrust), atol=1e-12)
         righting = turned(level).inv() * turned(lean)
         assert (
             abs(righting.as_rotvec()[2]) < 1e-12
         )  # the shortest turn has no part about the vertical
-        np.testing.assert_array_equal(lean.position, level.position)
+        assert_array_equal(lean.position, level.position)
 
 
 def test_the_lean_is_bounded_and_a_body_that_does_not_accelerate_is_level_to_the_bit():
     rng = np.random.default_rng(1)
     for _ in range(200):
         level = Pose.facing(rng.normal(size=3), rng.normal(size=2))
-        np.testing.assert_array_equal(
+        assert_array_equal(
             leaning(level, (0.0, 0.0, 0.0), most_deg=30.0).quaternion, level.quaternion
         )
         lean = leaning(level, tuple(rng.uniform(-300, 300, 3)), most_deg=30.0)
@@ -77,7 +76,7 @@ def test_next_to_no_speed_is_next_to_level():
     for flown in (0.0, 2.9, 8.0):
         level, slow = (route.pose(flown, Mapper(tilt_mps=speed)) for speed in (0.0, 1e-9))
         assert (level.quaternion[1:3] == 0.0).all()
-        np.testing.assert_allclose(slow.quaternion, level.quaternion, atol=1e-9)
+        assert_allclose(slow.quaternion, level.quaternion, atol=1e-9)
 
 
 def test_a_leaning_sensors_ranges_are_mujocos():
@@ -99,6 +98,6 @@ def test_a_leaning_sensors_ranges_are_mujocos():
             )
             there = (found >= 0) & (found <= recipe.lidar.max_range_m)
             expected = np.where(there, found, np.inf)
-            np.testing.assert_allclose(scan.ranges.reshape(-1), expected, atol=2e-6)
+            assert_allclose(scan.ranges.reshape(-1), expected, atol=2e-6)
     assert max(leans) == pytest.approx(30.0, abs=25.0), "no body leans: the test shows nothing"
     assert len(set(np.round(leans, 6))) > 2

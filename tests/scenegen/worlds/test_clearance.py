@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
+from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -115,7 +116,7 @@ def test_distances_to_primitives_are_those_of_mujoco(seed):
     points = np.random.default_rng(seed).uniform(BOUNDS[0], BOUNDS[1], (250, 3))
     expected = np.minimum(distances_by_mujoco(model, data, points), CAP_M)
     found = np.array([clearance.at(*p) for p in points])
-    np.testing.assert_allclose(found, expected, rtol=0, atol=ROUNDING_M)
+    assert_allclose(found, expected, rtol=0, atol=ROUNDING_M)
     assert (found[expected == 0] == 0).all()
     between = (expected > 0) & (expected < CAP_M)
     assert min((expected == 0).sum(), (expected == CAP_M).sum(), between.sum()) > 5
@@ -221,7 +222,7 @@ def test_distances_to_meshes_and_height_fields_are_those_of_their_triangles(
     points = np.clip(near, BOUNDS[0], BOUNDS[1])
     expected = np.minimum(distances_to(shapes, points), CAP_M)
     found = np.array([clearance.at(*p) for p in points])
-    np.testing.assert_allclose(found, expected, rtol=0, atol=ROUNDING_M)
+    assert_allclose(found, expected, rtol=0, atol=ROUNDING_M)
     assert (found[expected == 0] == 0).all()
     assert ((expected > 0.05) & (expected < CAP_M)).sum() > 100
     if names != ("half a ring",):

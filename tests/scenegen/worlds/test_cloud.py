@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
 from lidarsim import GridSpec, Pose
@@ -21,7 +22,7 @@ from scenegen.source import read_world
 from scenegen.verification import verify
 from scenegen.worlds.cloud import Survey, map_clouds
 from scenegen.worlds.world import World
-from tests.command_line import run
+from tests.command_line import refused, run
 from tests.scenegen.worlds.test_place import ORIGIN, VOXEL_M, hall
 
 TRUTH = VoxelMap(hall(), VOXEL_M, np.array(ORIGIN))
@@ -117,7 +118,7 @@ def surveyed(folder, scans, how):
 def test_a_cloud_s_map_is_the_place_where_rays_went(scans, tmp_path, how):
     voxels = surveyed(tmp_path, scans, how)
     corner = np.rint((voxels.origin - ORIGIN) / VOXEL_M).astype(int)
-    np.testing.assert_allclose(voxels.origin, ORIGIN + corner * VOXEL_M, atol=1e-9)
+    assert_allclose(voxels.origin, ORIGIN + corner * VOXEL_M, atol=1e-9)
     there = tuple(slice(a, a + n) for a, n in zip(corner, voxels.states.shape, strict=True))
     truth = TRUTH.states[there]
     assert (truth[voxels.states == OCCUPIED] == OCCUPIED).all()
@@ -158,14 +159,14 @@ def test_units_axes_and_offsets_change_no_voxel(scans, tmp_path):
     boxed = map_clouds([tmp_path / "a.ply"], VOXELS, sensor=sensor, box=(*(low + 2), *(high - 2)))
     assert plain.offset.tolist() == [0, 0, 0]
     for other in (turned, far):
-        np.testing.assert_array_equal(other.voxels.states, plain.voxels.states)
-        np.testing.assert_allclose(
+        assert_array_equal(other.voxels.states, plain.voxels.states)
+        assert_allclose(
             other.voxels.origin + other.offset - plain.voxels.origin, away * other.offset.any()
         )
     assert 0 < boxed.points < plain.points == len(points)
     corner = np.rint((boxed.voxels.origin - plain.voxels.origin) / VOXEL_M).astype(int)
     part = tuple(slice(a, a + n) for a, n in zip(corner, boxed.voxels.states.shape, strict=True))
-    np.testing.assert_array_equal(boxed.voxels.states, plain.voxels.states[part])
+    assert_array_equal(boxed.voxels.states, plain.voxels.states[part])
 
 
 def test_what_is_assumed_free_lies_above_the_lowest_point(scans, tmp_path):
@@ -173,7 +174,7 @@ def test_what_is_assumed_free_lies_above_the_lowest_point(scans, tmp_path):
     states = map_clouds([tmp_path / "a.xyz"], Survey(assume_free=True)).voxels.states
     full = states == OCCUPIED
     above = np.logical_or.accumulate(full, axis=2) & ~full
-    np.testing.assert_array_equal(states == FREE, above)
+    assert_array_equal(states == FREE, above)
     assert (states == UNKNOWN).any()
 
 
@@ -225,10 +226,7 @@ def test_what_is_no_map_ends_in_a_line(
     Path("flat.txt").write_text("0 " * 12)
     Path("a.bt").write_text("words")
     Path(name).write_bytes(content)
-    code, _, error = run(capsys, "map", name, *options)
-    assert code
-    assert said in error
-    assert error.count("\n") == 1
+    assert said in refused(capsys, "map", name, *options)
     assert not Path("map.npz").exists()
 
 
@@ -261,7 +259,7 @@ def test_a_mesh_is_the_world_that_it_was_made_of(tmp_path, suffix):
         parts.to_mesh().export(tmp_path / f"a{suffix}")
     found = read_world(tmp_path / f"a{suffix}")
     grid, origin = GridSpec(shape=(60, 60, 40)), np.array([-6.03, -6.03, -1.03])
-    np.testing.assert_array_equal(
+    assert_array_equal(
         found.truth(grid, origin)["occupancy"], drawn.truth(grid, origin)["occupancy"]
     )
 
@@ -279,6 +277,5 @@ def test_a_mesh_is_the_world_that_it_was_made_of(tmp_path, suffix):
 )
 def test_what_is_no_mesh_ends_in_a_line(tmp_path, name, content, said):
     (tmp_path / name).write_bytes(content)
-    with pytest.raises((SceneError, DatasetError), match=said) as raised:
+    with pytest.raises((SceneError, DatasetError), match=said):
         read_world(tmp_path / name)
-    assert "\n" not in str(raised.value)

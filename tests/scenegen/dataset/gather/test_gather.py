@@ -20,10 +20,10 @@ from scenegen.errors import DatasetError
 from scenegen.recipe import make_recipe
 from scenegen.sample import GROUPS
 from scenegen.share.stage import Request, examine
-from scenegen.source import DrawnWorlds, read_scenes
+from scenegen.source import read_scenes
 from scenegen.tables import named_noise
 from scenegen.verification import verify
-from tests.conftest import SMALL, small_recipe
+from tests.conftest import SMALL, dataset_in, small_recipe
 from tests.scenegen.verification import forge
 
 COUNTS = {"train": 11, "val": 4, "test": 5}
@@ -34,9 +34,7 @@ WORLD = """<mujoco><worldbody><geom name="floor" type="plane" size="8 8 .1" pos=
 
 def make(folder, seed, **tables):
     recipe = small_recipe(**tables)
-    build(
-        plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=seed, counts=COUNTS, shard_samples=3)
-    )
+    dataset_in(folder, recipe, seed=seed, counts=COUNTS, shard_samples=3)
     return folder
 
 
