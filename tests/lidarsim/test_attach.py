@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from lidarsim import AnalyticEngine, Lidar, Pose, attach
+from lidarsim import Lidar, Pose, attach
 from lidarsim.noise.chain import Noise
 from tests.lidarsim.engines.test_laws import HFIELD, MESHES
 
@@ -112,23 +112,6 @@ def test_a_sensor_sees_of_its_carrier_what_it_is_to_see(model, unseen, missing):
     hits = attach(model, "robot", LIDAR, offset=offset, unseen=unseen).hits(data)
     own = {name for name in ("hull", "arm") if (hits.geoms == model.geom(name).id).any()}
     assert own == {"hull", "arm"} - missing
-
-
-def test_a_world_that_moved_is_refitted_to_what_an_engine_made_anew_would_see(model):
-    data = mujoco.MjData(model)
-    mounted, rng = (
-        attach(model, "robot", LIDAR, unseen="nothing", offset=Pose.level((0, 0, 1.0))),
-        np.random.default_rng(0),
-    )
-    for _ in range(5):
-        data.qpos[:] = rng.normal(
-            size=model.nq
-        )  # attitudes, too: MuJoCo makes them unit quaternions
-        mujoco.mj_forward(model, data)
-        (pose,) = mounted.poses(data)
-        rays = np.array([mounted._rays([pose])[1][0]])
-        anew = AnalyticEngine.of(model, data).cast(pose.position[None], rays, LIDAR.max_range_m)
-        assert_array_equal(mounted.cast(data)[0], anew)
 
 
 def test_what_cannot_be_attached_is_told_in_one_line(model):

@@ -15,8 +15,6 @@ pytestmark = pytest.mark.skipif(
     reason="needs torch and onnx",
 )
 ROOT = Path(__file__).parents[2]
-CASES = 3
-"""Of every family, in the ordinary suite."""
 
 
 def campaign(*words, seconds):
@@ -32,11 +30,6 @@ def campaign(*words, seconds):
     )
     assert ended.returncode == 0, f"{ended.stdout}\n{ended.stderr[-3000:]}"
     return ended.stdout
-
-
-def test_every_case_ends_in_a_valid_result_or_one_line():
-    said = campaign("--cases", CASES, "--seed", 0, seconds=600)
-    assert said.count(f" {CASES} ") >= len(FAMILIES)
 
 
 @pytest.mark.slow

@@ -71,18 +71,6 @@ def assert_same_ranges(got, expected, returns_at_least=1):
     assert_allclose(got[seen], expected[seen], rtol=0, atol=1e-6)
 
 
-def mj_ray_ranges(xml, position, directions, max_range_m):
-    """The one-ray function of MuJoCo, ray by ray, with its -1 and far distances turned to inf."""
-    model = mujoco.MjModel.from_xml_string(xml)
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    geom = np.zeros(1, dtype=np.int32)
-    flat = directions.reshape(-1, 3)
-    out = np.array([mujoco.mj_ray(model, data, position, ray, None, 1, -1, geom) for ray in flat])
-    out[(out < 0) | (out > max_range_m)] = np.inf
-    return out.reshape(directions.shape[:-1])
-
-
 def random_world(rng, ghosts=False):
     """Planes and solids of the world body, and bodies at random attitudes, some of them free to
     move."""
@@ -286,41 +274,4 @@ def random_mesh(rng, name):
     return (
         f'<mesh name="{name}" inertia="shell" vertex="{reference.numbers(vertices.ravel())}" '
         f'face="{" ".join(str(v) for face in fine for v in face)}"/>'
-    )
-
-
-@pytest.mark.parametrize("collide", [True, False])
-@pytest.mark.parametrize("seed", range(4))
-def test_mesh_and_height_field_worlds_match_mj_ray_ray_by_ray(seed, collide):
-    """Meshes that are not convex, height fields, and primitives among them, in the world and in
-    bodies."""
-    rng = np.random.default_rng(60 + seed)
-    heights = rng.uniform(0, 1, (9, 12))
-    elevation = reference.numbers(heights.ravel())
-    assets = "".join(random_mesh(rng, f"m{i}") for i in range(3)) + (
-        f'<hfield name="hills" nrow="9" ncol="12" size="8 6 1.5 0.3" elevation="{elevation}"/>'
-    )
-    look = "" if collide else GHOST
-
-    def mesh(spread):
-        place = reference.numbers(rng.uniform(-spread, spread, 3))
-        attitude = reference.numbers(reference.random_quaternion(rng))
-        return (
-            f'<geom type="mesh" mesh="m{rng.integers(3)}" pos="{place}" quat="{attitude}" {look}/>'
-        )
-
-    yawed = reference.numbers(reference.level_quaternion(float(rng.uniform(0, 6))))
-    field = f'<geom type="hfield" hfield="hills" pos="0.5 -0.3 -3" quat="{yawed}" {look}/>'
-    inside = field + mesh(4) + mesh(4) + reference.random_geom(rng, SOLIDS, 4, largest=0.5).xml()
-    for joint in ("", "<freejoint/>"):
-        attitude = reference.numbers(reference.random_quaternion(rng))
-        solid = reference.random_geom(rng, SOLIDS, 1, largest=0.5).xml()
-        place = reference.numbers(rng.uniform(-4, 4, 3))
-        inside += f'<body pos="{place}" quat="{attitude}">{joint}{mesh(2)}{solid}</body>'
-    xml = f"<mujoco><asset>{assets}</asset><worldbody>{inside}</worldbody></mujoco>"
-    position = rng.uniform(-1, 1, 3)
-    rays = reference.lidar_directions(reference.random_quaternion(rng))
-    expected = mj_ray_ranges(xml, position, rays, 10.0)
-    assert_same_ranges(
-        ranges_of(engine_of(xml), position, rays, 10.0), expected, returns_at_least=400
     )

@@ -5,7 +5,6 @@ import json
 import pytest
 
 from tests.command_line import run
-from tests.scenegen.hub import TOKEN
 
 
 @pytest.fixture
@@ -28,20 +27,6 @@ def test_a_rehearsal_lists_what_would_go(here, made, capsys):
     assert {
         name: (here / "publish/pillars" / name).stat().st_size for name in found["files"]
     } == found["files"]
-
-
-@pytest.mark.usefixtures("verified")
-def test_published_and_read_back_by_name(here, made, hub, capfd):
-    code, said, error = run(capfd, f"publish {made} --repo ada/pillars --tag v1")
-    assert code == 0
-    assert "hf://ada/pillars@v1" in said
-    assert TOKEN not in said + error
-    code, said, _ = run(capfd, "inspect hf://ada/pillars@v1 --json")
-    assert code == 0
-    assert json.loads(said)["samples"] == 17
-    code, said, _ = run(capfd, "world hf://ada/pillars@v1 2")
-    assert code == 0
-    assert said.startswith("<mujoco")
 
 
 def test_bad_use_ends_in_one_line(here, made, hub, verified, capsys, monkeypatch):

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from scenegen import GENERATOR, SPLITS
+from scenegen import SPLITS
 from scenegen.dataset import build as module
 from scenegen.dataset import manifest
 from scenegen.dataset import shard as shards
@@ -301,24 +301,6 @@ def test_going_on_with_other_parameters_is_refused_by_name(folder):
     assert content(folder) == before
 
 
-def test_other_versions_of_what_numbers_depend_on_are_refused(folder, monkeypatch):
-    monkeypatch.setattr(manifest, "software", lambda: {"mujoco": "9.9"})
-    with pytest.raises(DatasetError, match=r"software\.mujoco"):
-        make(folder)
-
-
-def test_a_dataset_of_another_generator_is_never_gone_on_with(folder):
-    given = manifest.read(folder)
-    assert given.pop("generator") == GENERATOR
-    manifest.write(folder, given)
-    before = content(folder)
-    with pytest.raises(
-        DatasetError, match=f"holds another dataset: generator is 1 there, {GENERATOR} asked for; "
-    ):
-        make(folder)
-    assert content(folder) == before
-
-
 def test_force_replaces_a_dataset_and_nothing_else(folder, few):
     (folder / "notes.txt").write_text("mine")
     assert build(plan(folder, seed=5, counts=FEW), force=True).complete
@@ -503,18 +485,6 @@ def test_a_folder_that_is_no_dataset_is_left_alone(tmp_path):
         build(plan(tmp_path / "other"))
 
 
-def test_a_damaged_or_foreign_shard_is_made_again(folder, tmp_path):
-    before = content(folder)
-    names = sorted(name for name in before if name.endswith(".h5"))
-    (folder / names[0]).write_bytes((folder / names[0]).read_bytes()[:1000])
-    make(tmp_path / "other", seed=9, counts={"train": 6, "val": 0, "test": 0})
-    (folder / names[1]).write_bytes((tmp_path / "other" / names[1]).read_bytes())
-    (folder / names[2]).with_suffix(".worlds.zip").unlink()
-    again = make(folder)
-    assert content(folder) == before
-    assert 0 < again.samples_written < sum(COUNTS.values())
-
-
 STRANGE: dict[str, tuple[Any, ...]] = {
     "parameters": ([1, 2], np.nan),
     "worlds_sha256": (1.5, ""),
@@ -608,19 +578,6 @@ def test_a_killed_worker_is_reported_and_the_rest_is_kept(tmp_path, monkeypatch,
     monkeypatch.undo()
     make(tmp_path / "d")
     assert content(tmp_path / "d") == undisturbed
-
-
-def test_reading_names_what_is_wrong(tmp_path, folder):
-    dataset = Dataset(folder)
-    with pytest.raises(DatasetError, match="no world 99 in its val split"):
-        dataset.world("val", 99)
-    with pytest.raises(DatasetError, match="no split 'tarin'"):
-        dataset.split("tarin")
-    with pytest.raises(IndexError, match="sample 99"):
-        dataset.split("val")[99]
-    next(folder.glob("val-*.h5")).unlink()
-    with pytest.raises(DatasetError, match="is missing"):
-        Dataset(folder).split("val")[0]
 
 
 def test_where_nothing_is_compiled_yet_a_second_process_compiles_the_truth(tmp_path, monkeypatch):

@@ -198,12 +198,6 @@ def test_a_stopped_conversion_goes_on(made, tmp_path, monkeypatch):
             converted(made, out, other, **choices)
 
 
-def test_a_folder_of_others_is_let_be(made, tmp_path, capsys):
-    (tmp_path / "thesis.txt").write_text("mine")
-    refused(capsys, f"convert {made} --to ply -o {tmp_path}")
-    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
-
-
 def test_what_cannot_be_read_is_named_and_the_rest_is_written(dataset, tmp_path, capsys):
     (dataset / "train-00001.h5").unlink()
     with h5py.File(dataset / "train-00000.h5", "r+") as shard:

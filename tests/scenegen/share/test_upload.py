@@ -97,16 +97,6 @@ def test_private_stays_private(asked, hub):
         publish(other, private=True)
 
 
-def test_without_a_token_nothing_begins(asked, hub, monkeypatch):
-    monkeypatch.delenv("HF_TOKEN")
-    with pytest.raises(
-        PublishError, match=r"no token for the Hub: run `hf auth login`, or set HF_TOKEN"
-    ):
-        publish(asked)
-    assert not asked.out.exists()
-    assert hub.log == []
-
-
 def test_a_refused_token_is_one_line_that_does_not_show_it(asked, hub, monkeypatch, caplog):
     monkeypatch.setenv("HF_TOKEN", "hf_wrongButStillASecret")
     with pytest.raises(PublishError, match=r"the Hub refuses the token \(401\)") as refused:

@@ -361,31 +361,6 @@ def test_solids_larger_than_the_map_and_partly_or_wholly_outside_it(kind, count)
     assert min(kinds_seen.values()) >= count / 24
 
 
-def test_the_map_at_the_size_of_use_holds_a_whole_scene():
-    """80 x 80 x 40 voxels, a floor and forty solids at once: the union, every voxel."""
-    rng = np.random.default_rng(21)
-    grid = GridSpec()
-    origin = np.array([-8.0, -8.0, -1.03])
-    shapes = [Shape("plane", (0, 0, 1))]
-    for k in range(40):
-        size = log_uniform(rng, 0.05, 1.5)
-        shapes.append(
-            Shape(
-                CONVEX[k % len(CONVEX)],
-                (float(size[0]), float(size[1]), float(size[2])),
-                rng.uniform([-9, -9, -1], [9, 9, 6]),
-                rng.normal(size=4),
-            )
-        )
-    truth = reference.union(
-        (judge(s, grid.shape, grid.voxel_m, origin) for s in shapes), grid.shape
-    )
-    answer = rasterize(solids_of(reference.world_of(*shapes)), grid, origin)
-    assert truth.undecided == 0
-    assert not len(disagreements(answer, truth))
-    assert 0.15 < answer.mean() < 0.6
-
-
 def test_solids_stand_where_their_bodies_put_them_at_qpos0():
     """Nested bodies, a hinge and a slide with a reference, a free body: the pose is the model's at
     rest."""
