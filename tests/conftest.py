@@ -15,6 +15,7 @@ from scenegen.dataset.read import Dataset
 from scenegen.errors import ScenegenError
 from scenegen.recipe import make_recipe
 from scenegen.source import DrawnWorlds
+from scenegen.verification import verify
 from tests.command_line import SMALL as SMALL_FILE
 from tests.shell import Shell
 
@@ -26,11 +27,12 @@ SMALL = {
     "world": {"size_m": (16.0, 16.0, 8.0)},
 }
 
-LONG = ("test_campaign.py", "test_crash.py", "test_silence.py", "test_export.py", "test_train.py")
+LONG = ("test_crash.py", "test_silence.py", "test_export.py", "test_train.py")
 
 
 MANY = 300
 """A run of this many tests needs most kernels."""
+ONE = {"train": 1, "val": 0, "test": 0}
 
 
 @pytest.hookimpl(wrapper=True)
@@ -60,15 +62,11 @@ def pytest_collection_modifyitems(items):
 
 
 @pytest.fixture(scope="session", autouse=True)
-def compiled(request, tmp_path_factory):
-    """Kernels that no earlier run compiled: the workers of a long run share them, lest each compile
-    all."""
-    worker = os.environ.get("PYTEST_XDIST_WORKER", "")
-    if worker and len(request.session.items) >= MANY:
-        from tests.kernels import share
-
-        workers = int(os.environ["PYTEST_XDIST_WORKER_COUNT"])
-        share(int(worker.removeprefix("gw")), workers, tmp_path_factory.getbasetemp().parent)
+def compiled(request, once):
+    """Kernels that most tests need, and no earlier run compiled: one worker of a long run draws and
+    verifies a sample, and the others wait, lest each compile them."""
+    if len(request.session.items) >= MANY:
+        once("compiled", lambda folder: verify(dataset_in(folder / "d", counts=ONE).folder))
 
 
 @pytest.fixture(scope="session", autouse=True)

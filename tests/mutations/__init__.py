@@ -13,6 +13,6 @@ A case is named ``family/number``; with the seed, the name decides every byte of
     python -m tests.mutations archives/17 --seed 7     # one case: prints all that it did, and keeps
     its folder
 
-`python -m pytest tests/mutations` runs 10 a family; with ``-m slow``, SCENEGEN_MUTATIONS of them
-(300), by SCENEGEN_MUTATION_SEED (1).
+`python -m pytest -m slow tests/mutations` runs SCENEGEN_MUTATIONS of every family (300), by
+SCENEGEN_MUTATION_SEED (1).
 """

@@ -2,7 +2,6 @@
 
 import struct
 import zlib
-from functools import cache
 
 BLOCK = 1 << 20
 
@@ -20,12 +19,3 @@ def zlibbed(size_mb):
     """The same as a zlib stream; of zeros, Adler-32 counts the length alone."""
     checksum = (size_mb * BLOCK % 65521) << 16 | 1
     return b"\x78\xda" + deflated(size_mb) + struct.pack(">L", checksum)
-
-
-@cache
-def checksum(size_mb):
-    """CRC-32 of so many megabytes of zeros."""
-    found, block = 0, bytes(BLOCK)
-    for _ in range(size_mb):
-        found = zlib.crc32(block, found)
-    return found

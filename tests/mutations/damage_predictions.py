@@ -1,4 +1,5 @@
-"""Family ``predictions``: HDF5 files of other numbers, names, rows, types and attributes."""
+"""Family ``predictions``: HDF5 files of other numbers, types and layouts; rows, names and
+attributes are in test_predicted.py."""
 
 from collections.abc import Callable
 from random import Random
@@ -9,7 +10,6 @@ import numpy as np
 from tests.mutations import damage_hdf5
 from tests.mutations.case import REFUSED, SAME, VALID, Attempt, refuses, words
 from tests.mutations.damage_bytes import damage
-from tests.mutations.nasty import ESCAPES
 from tests.mutations.valid import scores
 
 FIELDS = ("occupancy_probability", "tudf")
@@ -27,11 +27,7 @@ def attempt(random, valid, here):
         expected = VALID
     else:
         with h5py.File(path, "r+") as file:
-            change = (
-                random.choice((_numbers, _numbers, _rows, _attributes, _names))
-                if kind < 0.6
-                else _structure
-            )
+            change = _numbers if kind < 0.4 else _structure
             said, expected = change(file, random)
 
     def same(result):
@@ -61,75 +57,6 @@ def _numbers(file, random):
     file[name][...] = values
     fits = name == "tudf" and value in (1.0001,)
     return f"{name} holds {value}", VALID if fits or (name == "tudf" and value > 2) else REFUSED
-
-
-def _rows(file, random):
-    match random.randrange(5):
-        case 0:
-            file["viewpoint"][:] = file["viewpoint"][0]
-            return "every row the same sample", REFUSED
-        case 1:
-            for name in (*FIELDS, "world", "viewpoint"):
-                values = file[name][()]
-                del file[name]
-                file[name] = np.concatenate([values, values])
-            return "every row twice", REFUSED
-        case 2:
-            name = random.choice((*FIELDS, "world", "viewpoint"))
-            values = file[name][()]
-            del file[name]
-            file[name] = values[:1]
-            return f"one row of {name}", REFUSED
-        case 3:
-            order = [1, 0]
-            for name in (*FIELDS, "world", "viewpoint"):
-                file[name][...] = file[name][()][order]
-            return "rows in another order", SAME
-        case _:
-            name = random.choice(("world", "viewpoint"))
-            value = random.choice(
-                (
-                    np.array([0.5, 1.5]),
-                    np.array([b"0", b"1"]),
-                    np.array([[0, 1]]),
-                    np.array([np.nan, 0.0]),
-                )
-            )
-            del file[name]
-            file[name] = value
-            return f"{name} = {value.tolist()}", REFUSED
-
-
-def _attributes(file, random):
-    key = random.choice(("dataset", "split", "method"))
-    texts = (ESCAPES.replace("\x00", ""), "", "x" * 60_000)
-    value = random.choice(
-        (None, 3, np.arange(3), ["a", "b"], np.bytes_(b"\xff"), h5py.Empty("f4"), *texts)
-    )
-    if value is None:
-        del file.attrs[key]
-    else:
-        file.attrs[key] = value
-    return f"attribute {key} = {ascii(value)[:60]}", SAME if key == "method" else REFUSED
-
-
-def _names(file, random):
-    match random.randrange(4):
-        case 0:
-            name = random.choice((*FIELDS, "world", "viewpoint"))
-            del file[name]
-            return f"no {name}", VALID if name in FIELDS else REFUSED
-        case 1:
-            name = random.choice((*FIELDS, "world", "viewpoint"))
-            file.move(name, ESCAPES.replace("\x00", "").replace("/", ""))
-            return f"{name} under another name", VALID if name in FIELDS else REFUSED
-        case 2:
-            file[FIELDS[0] + "s"] = file[FIELDS[0]]
-            return "one name more", SAME
-        case _:
-            for name in list(file):
-                del file[name]
-            return "nothing", REFUSED
 
 
 def _structure(file, random):

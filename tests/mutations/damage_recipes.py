@@ -1,15 +1,15 @@
-"""Family ``recipes``: TOML of other values, types, names and depths."""
+"""Family ``recipes``: TOML of other values, types and names."""
 
 import copy
 
 from tests.mutations.generated import generated
-from tests.mutations.nasty import ESCAPES, nasty, number, spoil
+from tests.mutations.nasty import nasty, number, spoil
 from tests.mutations.valid import RECIPE, to_toml
 
 
 def attempt(random, valid, here):
     """A recipe, damaged, and a sample made by it."""
-    content, done = random.choice((_numbers, _numbers, _numbers, _values, _text))(random)
+    content, done = random.choice((_numbers, _numbers, _values))(random)
     (here / "r.toml").write_bytes(content.encode(errors="surrogateescape"))
     return generated(("--recipe", "r.toml"), f"r.toml: {done}")
 
@@ -47,29 +47,3 @@ def _values(random):
     tree = _full()
     done = spoil(tree, random, nasty)
     return to_toml(tree), done
-
-
-def _text(random):
-    """What only the text of TOML can say."""
-    whole = to_toml(RECIPE)
-    match random.randrange(8):
-        case 0:
-            return "a = " + "[" * 100_000, "nested deeply"
-        case 1:
-            return whole + "x = " + "{a=" * 5000 + "1" + "}" * 5000, "tables nested deeply"
-        case 2:
-            return ".".join(["a"] * 20_000) + " = 1", "a key of 20000 parts"
-        case 3:
-            return whole + "[grid]\nshape = 1\n", "a table twice"
-        case 4:
-            return whole + random.choice(
-                ("d = 1979-05-27\n", "n = 0x" + "f" * 5000, "n = " + "9" * 5000, "s = '''")
-            ), "odd values"
-        case 5:
-            return f'kind = "{ascii(ESCAPES)[1:-1]}"\n', "a kind that does not exist"
-        case 6:
-            return whole + "# " + "x" * (3 << 20), "3 MB long"
-        case _:
-            return random.choice(
-                ("", "\x00", "\udcff\udcfe", "kind", "[", "\ufeff" + whole)
-            ), "something else"

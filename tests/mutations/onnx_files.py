@@ -11,44 +11,32 @@ GRID = {"shape": [16, 16, 16], "voxel_m": 0.2, "truncation_m": 2.0}
 NETWORK = {"variant": "proposed", "width": 1, "stem_stride": 2, "heads": 4}
 
 
-def build_onnx(
-    *,
-    factors=(4.0, -1.5),
-    shifts=(-2.0, 1.5),
-    outputs=("logits", "tudf"),
-    kind=TensorProto.FLOAT,
-    header=None,
-    extra=(),
-    constants=(),
-):
-    """A model of as many outputs as named, each a line over the observed voxels."""
-    nodes, values, made = [], [], []
-    for number, (name, factor, shift) in enumerate(zip(outputs, factors, shifts, strict=False)):
+LINES = {"logits": (4.0, -2.0), "tudf": (-1.5, 1.5)}
+"""What each output multiplies the observed voxels by, and adds."""
+
+
+def build_onnx(header=None):
+    """A model whose outputs are lines over the observed voxels."""
+    nodes, values = [], []
+    for name, line in LINES.items():
+        factor, shift = f"{name} factor", f"{name} shift"
         values += [
-            numpy_helper.from_array(np.float32(v), f"{w}{number}")
-            for w, v in (("a", factor), ("b", shift))
+            numpy_helper.from_array(np.float32(value), one)
+            for one, value in zip((factor, shift), line, strict=True)
         ]
-        nodes.append(helper.make_node("Mul", ["observed", f"a{number}"], [f"m{number}"]))
-        nodes.append(helper.make_node("Add", [f"m{number}", f"b{number}"], [f"s{number}"]))
-        nodes.append(helper.make_node("Cast", [f"s{number}"], [name], to=kind))
-        made.append(helper.make_tensor_value_info(name, kind, SHAPE))
-    graph = helper.make_graph(
-        [*nodes, *extra],
-        "network",
-        [helper.make_tensor_value_info("observed", TensorProto.FLOAT, SHAPE)],
-        made,
-        [*values, *constants],
+        nodes.append(helper.make_node("Mul", ["observed", factor], [f"{name} scaled"]))
+        nodes.append(helper.make_node("Add", [f"{name} scaled", shift], [name]))
+    seen, *made = (
+        helper.make_tensor_value_info(name, TensorProto.FLOAT, SHAPE)
+        for name in ("observed", *LINES)
     )
+    graph = helper.make_graph(nodes, "network", [seen], made, values)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=9)
     said = {"grid": GRID, "network": NETWORK, "about": {}} if header is None else header
-    model.metadata_props.append(
-        onnx.StringStringEntryProto(
-            key="scenegen", value=said if isinstance(said, str) else json.dumps(said)
-        )
-    )
+    model.metadata_props.append(onnx.StringStringEntryProto(key="scenegen", value=json.dumps(said)))
     return model
 
 
-def write_onnx(path, **changes):
+def write_onnx(path):
     """Such a model as a file."""
-    path.write_bytes(build_onnx(**changes).SerializeToString())
+    path.write_bytes(build_onnx().SerializeToString())
