@@ -32,7 +32,7 @@ LONG = ("test_crash.py", "test_silence.py", "test_export.py", "test_train.py")
 
 MANY = 300
 """A run of this many tests needs most kernels."""
-ONE = {"train": 1, "val": 0, "test": 0}
+ONE, COUNTS = {"train": 1, "val": 0, "test": 0}, {"train": 11, "val": 2, "test": 4}
 
 
 @pytest.hookimpl(wrapper=True)
@@ -145,6 +145,16 @@ def once(tmp_path_factory):
         return folder
 
     return make
+
+
+@pytest.fixture(scope="session")
+def made(once):
+    """A dataset of seven shards; not to be changed."""
+
+    def make(folder):
+        dataset_in(folder / "pillar", seed=3, counts=COUNTS, shard_samples=3)
+
+    return once("made", make) / "pillar"
 
 
 @pytest.fixture(params=["pillar", "geometric"])

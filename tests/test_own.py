@@ -6,7 +6,6 @@ import sys
 import pytest
 
 from tests.command_line import ROOT, SMALL, refused
-from tests.conftest import dataset_in, small_recipe
 
 EXAMPLES = {
     "my_worlds.py": "recipes.md",
@@ -198,14 +197,6 @@ class {"K" * 95}(Bare): pass
 """
 
 
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory):
-    """A small dataset of pillars; not to be changed."""
-    folder, recipe = tmp_path_factory.mktemp("made") / "pillar", small_recipe()
-    dataset_in(folder, recipe, counts={"train": 3, "val": 0, "test": 3})
-    return folder
-
-
 @pytest.fixture
 def standing(here, monkeypatch):
     """The user's folder, to stand in; what is imported from it is forgotten afterwards."""
@@ -218,11 +209,11 @@ def standing(here, monkeypatch):
 
 
 @pytest.mark.parametrize("what", LACKING)
-def test_one_that_lacks_something_is_told_in_one_line(what, standing, dataset, capsys):
+def test_one_that_lacks_something_is_told_in_one_line(what, standing, made, capsys):
     words, told = LACKING[what]
     (standing / "wrong.py").write_text(WRONG)
     (standing / "ends.py").write_text("import sys\nsys.exit(3)\n")
     (standing / "fails.toml").write_text('kind = "wrong:Failing"')
     (standing / "table.toml").write_text('kind = "pillar"\n[lidar]\nsensor = "table"')
-    assert told in refused(capsys, *words.replace("DATASET", str(dataset)).split())
+    assert told in refused(capsys, *words.replace("DATASET", str(made)).split())
     assert not (standing / "data").exists()

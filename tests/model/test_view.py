@@ -2,7 +2,6 @@
 
 import h5py
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scenegen.dataset.read import Dataset
@@ -14,22 +13,11 @@ from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.shown import guesses_of
 from scenegen.truth import distance_field
 from tests.command_line import refused, run
-from tests.conftest import dataset_in, small_recipe
 from tests.scenegen.display.test_page import Seen, unpacked
 
-COUNTS = {"train": 3, "val": 0, "test": 3}
 
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    recipe = small_recipe()
-    folder = tmp_path_factory.mktemp("shown") / "d"
-    dataset_in(folder, recipe, counts=COUNTS)
-    return folder
-
-
-def test_a_page_holds_what_is_predicted(folder, tmp_path, capsys):
-    dataset = Dataset(folder)
+def test_a_page_holds_what_is_predicted(made, tmp_path, capsys):
+    dataset = Dataset(made)
     samples = dataset.split("test")
     rng = np.random.default_rng(0)
     guesses = rng.random((len(samples), *dataset.grid.shape)).astype(np.float32)
@@ -39,7 +27,7 @@ def test_a_page_holds_what_is_predicted(folder, tmp_path, capsys):
         for name in ("world", "viewpoint"):
             file[name] = np.array([getattr(sample, name) for sample in samples], np.int64)
         file["tudf"] = np.stack([distance_field(guess > 0.85, dataset.grid) for guess in guesses])
-    words = f"view {folder} --predictions {tmp_path}/p.h5 -o {tmp_path}/page.html --quiet"
+    words = f"view {made} --predictions {tmp_path}/p.h5 -o {tmp_path}/page.html --quiet"
     code, _, said = run(capsys, f"{words} --split test")
     assert (code, said) == (0, "")
     shown = Seen((tmp_path / "page.html").read_text(encoding="utf-8")).data()["samples"]
@@ -63,14 +51,14 @@ def test_a_page_holds_what_is_predicted(folder, tmp_path, capsys):
     assert "p.h5" in said
 
 
-def test_the_paths_that_are_shown_are_those_that_the_bench_measures(folder):
-    dataset, methods = Dataset(folder), [Truth(), Completed(Extrude())]
-    split, config = dataset.split("test"), BenchConfig(trials=6)
+def test_the_paths_that_are_shown_are_those_that_the_bench_measures(made):
+    dataset, methods = Dataset(made), [Truth(), Completed(Extrude())]
+    split, config = dataset.split("test"), BenchConfig(trials=8)
     measured = bench(dataset, methods, config)
     shown = [
         guesses_of(methods, config, trial)(sample, split) for trial in (0, 1) for sample in split
     ]
-    assert len(shown) == len(measured.trial_worlds) == 6
+    assert len(shown) == len(measured.trial_worlds) == 8
     for n, guesses in enumerate(shown):  # the bench, too, has the first trial of every sample first
         for guess, method in zip(guesses, methods, strict=True):
             trial, route = measured.methods[method.name].trials[n], guess.route

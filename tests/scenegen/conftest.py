@@ -8,12 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from scenegen.dataset.build import build
 from scenegen.share.stage import Request
-from tests.conftest import plan_of, small_recipe
 from tests.scenegen.hub import TOKEN, Hub
-
-COUNTS = {"train": 11, "val": 2, "test": 4}
 
 
 @dataclass
@@ -22,18 +18,6 @@ class Check:
     ok: bool
     detail: str
     skipped: bool = False
-
-
-@pytest.fixture(scope="session")
-def made(once):
-    """A dataset of seven shards; not to be changed."""
-
-    def make(folder):
-        recipe = small_recipe()
-        plan = plan_of(folder / "pillar", recipe, seed=3, counts=COUNTS, shard_samples=3)
-        build(plan, workers=1)
-
-    return once("made", make) / "pillar"
 
 
 @pytest.fixture

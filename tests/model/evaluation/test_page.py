@@ -17,10 +17,8 @@ from scenegen.model.evaluation.page import to_html
 from scenegen.model.evaluation.report import best, build_report
 from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.shown import draw_charts, draw_failures, failing
-from tests.conftest import dataset_in, small_recipe
 
 HOSTILE = "</td><script>alert(1)</script><img src=x onerror=alert(2)>&amp;"
-COUNTS = {"train": 9, "val": 3, "test": 3}
 
 
 class Blind:
@@ -49,11 +47,9 @@ class Elements(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def measured(tmp_path_factory):
+def measured(made):
     methods = [Truth(), Completed(Returns()), Completed(Blind())]
-    recipe, folder = small_recipe(), tmp_path_factory.mktemp("shown") / "d"
-    dataset_in(folder, recipe, counts=COUNTS)
-    dataset = Dataset(folder)
+    dataset = Dataset(made)
     return bench(dataset, methods, BenchConfig(split="train", trials=40)), dataset, methods
 
 

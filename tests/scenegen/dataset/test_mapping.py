@@ -31,8 +31,7 @@ from scenegen.worlds.flight import Route
 from scenegen.worlds.labels import labels_by
 from scenegen.worlds.mapping import Mapper
 from tests.command_line import run
-from tests.conftest import dataset_in, plan_of, small_recipe
-from tests.scenegen.conftest import COUNTS
+from tests.conftest import COUNTS, dataset_in, plan_of, small_recipe
 from tests.scenegen.verification import forge
 
 SEVERAL = {"scans": 4, "scan_spacing_m": 0.7}

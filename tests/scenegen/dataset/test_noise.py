@@ -27,8 +27,7 @@ from scenegen.share.stage import Request, examine, stage
 from scenegen.source import DrawnWorlds
 from scenegen.tables import named_lidar, named_noise
 from scenegen.verification import verify
-from tests.conftest import dataset_in, small_recipe
-from tests.scenegen.conftest import COUNTS
+from tests.conftest import COUNTS, dataset_in, small_recipe
 
 CHAIN = "range:0.02,dropout:0.05"
 SPELLED = "range:sigma_m=0.02:share=0.0:quadratic_per_m=0.0,dropout:share=0.05"

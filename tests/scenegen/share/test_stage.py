@@ -25,8 +25,7 @@ from scenegen.files import whole_folder
 from scenegen.recipe import read_recipe
 from scenegen.share import stage as folder_module
 from scenegen.share.stage import Request, stage
-from tests.conftest import dataset_in, plan_of, small_recipe
-from tests.scenegen.conftest import COUNTS
+from tests.conftest import COUNTS, dataset_in, plan_of, small_recipe
 from tests.scenegen.display.test_page import Seen
 
 CHECKS = (("files", "14 files hold"),)

@@ -24,8 +24,7 @@ from scenegen.errors import DatasetError, StoreError
 from scenegen.stores import ConflictError, StorePath, folder_of, is_remote
 from scenegen.verification import verify
 from tests.command_line import run
-from tests.conftest import plan_of, small_recipe
-from tests.scenegen.conftest import COUNTS
+from tests.conftest import COUNTS, plan_of, small_recipe
 from tests.scenegen.stores.conftest import forget
 from tests.scenegen.stores.kept import ROOM, Kept
 

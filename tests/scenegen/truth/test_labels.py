@@ -23,8 +23,7 @@ from scenegen.truth.labels import NONE, owners
 from scenegen.verification import verify
 from scenegen.worlds.labels import SHAPES, class_names, labels_by
 from scenegen.worlds.world import compile_world
-from tests.conftest import dataset_in, plan_of, small_recipe
-from tests.scenegen.conftest import COUNTS
+from tests.conftest import COUNTS, dataset_in, plan_of, small_recipe
 
 CUBE = " ".join(f"{x} {y} {z}" for x in (-0.5, 0.5) for y in (-0.4, 0.4) for z in (-0.3, 0.3))
 WORLD = f"""<mujoco><asset><mesh name="cube" vertex="{CUBE}"/></asset><worldbody>
