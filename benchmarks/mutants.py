@@ -13,6 +13,7 @@ import os
 import random
 import shutil
 import subprocess
+import sys
 import tempfile
 from functools import cache
 from pathlib import Path
@@ -94,7 +95,7 @@ def tested(copy: Path, mutant: dict[str, Any], whole: bool) -> str:
     from cosmic_ray.mutating import use_mutation
     from cosmic_ray.plugins import get_operator
 
-    pytest = [str(ROOT / ".venv/bin/python"), "-m", "pytest", "-x", "-q"]
+    pytest = [sys.executable, "-m", "pytest", "-x", "-q"]
     runs = [[]] if whole else [["-n", "0", test] for test in ROOMS[mutant["room"]][1]]
     environment = os.environ | {"PYTHONPATH": str(copy), "OMP_NUM_THREADS": "1"}
     operator = get_operator(mutant["operator"])()

@@ -2,6 +2,7 @@
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -32,6 +33,7 @@ def files_of(part):
     ]
 
 
+@cache
 def imported(path, *, typing=True):
     """Names of modules that a file imports, at any depth; with `typing`, for types alone, too."""
     tree = ast.parse(path.read_text(encoding="utf-8"))

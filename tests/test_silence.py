@@ -108,7 +108,7 @@ COMMANDS = {
     ],
     "bench": ["d --weights run --predictions p.h5 --quick --workers 1"],
     "fly": [
-        "w.xml --weights columns --flights 1 --apart 4 --speed 4 -o f.json --picture f.png",
+        "w.xml --robot reactive --flights 1 --apart 4 --speed 4 -o f.json --picture f.png",
         "--replay f.json",
     ],
     "publish": ["d --repo ada/d --dry-run --quick --workers 1"],

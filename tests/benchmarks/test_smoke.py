@@ -87,6 +87,8 @@ LEARNED = {
 }
 """These import torch, which takes seconds: they run in this process, which has done so for other
 tests, and so do the commands that they run."""
+DEAR = LEARNED | {"against", "executors", "extras", "fly", "folders", "generate"}
+"""These take some seconds."""
 
 
 def test_every_benchmark_is_here():
@@ -114,7 +116,10 @@ def in_this_process(*words):
     assert not ended.value.code
 
 
-@pytest.mark.parametrize("name", SCRIPTS)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.slow) if name in DEAR else name for name in SCRIPTS],
+)
 def test_a_benchmark_runs_and_prints_its_figures(
     name,
     data,

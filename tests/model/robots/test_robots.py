@@ -24,7 +24,13 @@ from tests.command_line import run
 from tests.scenegen.display.test_page import Seen, unpacked
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    "name",
+    [
+        name if name != "pessimistic" else pytest.param(name, marks=pytest.mark.slow)
+        for name in NAMES
+    ],
+)
 def test_a_robot_reaches_its_goal(name):
     course = Course(world="pillar", difficulty="easy", flights=1, seed=1)
     flown = fly(course.simulation(0), robot_maker(name, None)(course))

@@ -10,9 +10,7 @@ import subprocess
 import sys
 from functools import partial
 
-import datasets
 import h5py
-import mlcroissant
 import numpy as np
 import pytest
 
@@ -82,6 +80,8 @@ def test_the_cards_own_lines_read_it_with_plain_h5py(out):
 
 
 def test_datasets_reads_it_offline_by_its_splits(out, tmp_path, monkeypatch):
+    import datasets
+
     monkeypatch.setattr(datasets.config, "HF_HUB_OFFLINE", True)
     found = datasets.load_dataset(str(out), cache_dir=str(tmp_path)).with_format("numpy")
     assert {name: len(split) for name, split in found.items()} == COUNTS
@@ -97,6 +97,8 @@ def test_datasets_reads_it_offline_by_its_splits(out, tmp_path, monkeypatch):
 
 
 def test_croissant_is_valid_and_describes_what_is_there(out, made):
+    import mlcroissant
+
     found = mlcroissant.Dataset(str(out / "croissant.json"))
     issues = found.metadata.ctx.issues
     assert (issues.errors, issues.warnings) == (set(), set())
@@ -194,6 +196,8 @@ def test_a_dataset_of_another_generator_is_not_published_as_one_that_can_be_made
 
 
 def test_compact_datasets_and_absent_splits_publish_as_well(undrawn, tmp_path):
+    import mlcroissant
+
     recipe = small_recipe("geometric")
     counts = {"train": 4, "val": 0, "test": 1}
     made = tmp_path / "made"

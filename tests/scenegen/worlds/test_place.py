@@ -202,7 +202,7 @@ def test_networks_learn_from_what_is_known(dataset, tmp_path):
     ]
     for name in both[0]:
         torch.testing.assert_close(both[0][name], both[1][name])
-    config = TrainConfig(network=NetworkConfig(variant="occ", width=4), epochs=1, batch=2)
+    config = TrainConfig(network=NetworkConfig(variant="occ", width=4), maps=2, batch=2)
     checks = opened([dataset], "val")
     (row,) = train(opened([dataset], "train"), checks, config, tmp_path / "run", device="cpu")
     assert 0 <= row["val_iou"] <= 1
