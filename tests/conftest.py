@@ -5,6 +5,8 @@ import fcntl
 import gc
 import os
 import shutil
+import sys
+from pathlib import Path
 
 import pytest
 
@@ -162,6 +164,18 @@ def drawn(request):
     """A small recipe of each kind, and its source."""
     recipe = small_recipe(request.param)
     return recipe, DrawnWorlds(recipe)
+
+
+@pytest.fixture
+def standing(tmp_path, monkeypatch):
+    """A user's folder, to stand in; what is imported meanwhile is forgotten afterwards."""
+    before = list(sys.path), set(sys.modules)
+    monkeypatch.chdir(tmp_path)
+    yield tmp_path
+    sys.path[:] = before[0]
+    for name in set(sys.modules) - before[1]:
+        if Path(getattr(sys.modules[name], "__file__", None) or "").is_relative_to(tmp_path):
+            del sys.modules[name]
 
 
 @pytest.fixture

@@ -1,8 +1,6 @@
 """A user's own kind, method and command, as the docs show them, by the installed script in a folder
 of the user's."""
 
-import sys
-
 import pytest
 
 from tests.command_line import ROOT, SMALL, refused
@@ -197,19 +195,8 @@ class {"K" * 95}(Bare): pass
 """
 
 
-@pytest.fixture
-def standing(here, monkeypatch):
-    """The user's folder, to stand in; what is imported from it is forgotten afterwards."""
-    before = list(sys.path), set(sys.modules)
-    monkeypatch.chdir(here)
-    yield here
-    sys.path[:] = before[0]
-    for name in ("wrong", "ends", "my_worlds"):
-        sys.modules.pop(name, None)
-
-
 @pytest.mark.parametrize("what", LACKING)
-def test_one_that_lacks_something_is_told_in_one_line(what, standing, made, capsys):
+def test_one_that_lacks_something_is_told_in_one_line(what, here, standing, made, capsys):
     words, told = LACKING[what]
     (standing / "wrong.py").write_text(WRONG)
     (standing / "ends.py").write_text("import sys\nsys.exit(3)\n")

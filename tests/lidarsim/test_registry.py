@@ -11,34 +11,23 @@ ENGINES = Registry(
 )
 
 
-@pytest.fixture
-def here(tmp_path, monkeypatch):
-    """A user's folder, with modules of the user's own."""
-    before = list(sys.path), set(sys.modules)
-    monkeypatch.chdir(tmp_path)
-    yield tmp_path
-    sys.path[:] = before[0]
-    for name in set(sys.modules) - before[1]:
-        del sys.modules[name]
-
-
 def test_what_is_known_is_imported_by_its_name():
     from lidarsim.scan import cast
 
     assert ENGINES.find("plain") is cast
 
 
-def test_a_users_own_is_found_where_the_user_stands(here):
-    (here / "own_engines.py").write_text("def fast(): return 7")
-    (here / "shed").mkdir()
-    (here / "shed" / "engines.py").write_text("def slow(): return 8")
+def test_a_users_own_is_found_where_the_user_stands(standing):
+    (standing / "own_engines.py").write_text("def fast(): return 7")
+    (standing / "shed").mkdir()
+    (standing / "shed" / "engines.py").write_text("def slow(): return 8")
     assert ENGINES.find("own_engines:fast")() == 7
     assert ENGINES.find("shed.engines:slow")() == 8
 
 
-def test_no_file_of_the_users_takes_the_place_of_a_librarys(here):
-    (here / "own.py").write_text("import colorsys\ncalled = colorsys.rgb_to_hsv")
-    (here / "colorsys.py").write_text("rgb_to_hsv = 'not this one'")
+def test_no_file_of_the_users_takes_the_place_of_a_librarys(standing):
+    (standing / "own.py").write_text("import colorsys\ncalled = colorsys.rgb_to_hsv")
+    (standing / "colorsys.py").write_text("rgb_to_hsv = 'not this one'")
     sys.modules.pop("colorsys", None)
     assert callable(ENGINES.find("own:called"))
 
@@ -66,18 +55,18 @@ def test_no_file_of_the_users_takes_the_place_of_a_librarys(here):
         ),
     ],
 )
-def test_what_is_missing_is_told_in_one_line(here, name, told):
-    (here / "own.py").write_text("here = 1\nclass Empty: pass")
-    (here / "broken.py").write_text("\n1 / 0")
-    (here / "needy.py").write_text("import not_installed_anywhere")
+def test_what_is_missing_is_told_in_one_line(standing, name, told):
+    (standing / "own.py").write_text("here = 1\nclass Empty: pass")
+    (standing / "broken.py").write_text("\n1 / 0")
+    (standing / "needy.py").write_text("import not_installed_anywhere")
     with pytest.raises(ValueError) as caught:
         ENGINES.find(name)
     assert told in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_a_field_without_a_default_counts_as_there(here):
-    (here / "own.py").write_text(
+def test_a_field_without_a_default_counts_as_there(standing):
+    (standing / "own.py").write_text(
         "from dataclasses import dataclass\n@dataclass\nclass Sensor:\n    shape: tuple\nclass "
         "Other: pass"
     )

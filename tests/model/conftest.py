@@ -3,8 +3,7 @@
 import pytest
 import torch
 
-from scenegen.dataset.build import build
-from tests.conftest import plan_of, small_recipe
+from tests.conftest import dataset_in, small_recipe
 
 COUNTS = {"train": 12, "val": 6, "test": 5}
 
@@ -24,8 +23,7 @@ def make_dataset(
 ):
     """A dataset of a few small maps."""
     recipe = small_recipe(kind, **tables)
-    plan = plan_of(folder, recipe, counts=counts, compact=compact, shard_samples=5)
-    build(plan, workers=1, force=False)
+    dataset_in(folder, recipe, counts=counts, compact=compact, shard_samples=5)
     return folder
 
 

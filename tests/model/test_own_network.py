@@ -3,7 +3,6 @@ do."""
 
 import csv
 import re
-import sys
 from pathlib import Path
 
 import h5py
@@ -25,20 +24,13 @@ pytestmark = pytest.mark.usefixtures("undrawn")
 
 
 @pytest.fixture
-def here(folders, tmp_path, monkeypatch):
-    """A user's folder with the page's files, to stand in; what is imported is forgotten
-    afterwards."""
-    before = list(sys.path), set(sys.modules)
+def here(folders, standing):
+    """A user's folder with the page's files, to stand in."""
     for text, name in re.findall(r"```python\n(# (my_\w+\.py)\n.*?)```", PAGE, re.DOTALL):
-        (tmp_path / name).write_text(text)
-    (tmp_path / "data").mkdir()
-    (tmp_path / "data" / "pillar").symlink_to(folders[0])
-    monkeypatch.chdir(tmp_path)
-    yield tmp_path
-    sys.path[:] = before[0]
-    for name in set(sys.modules) - before[1]:
-        if name.partition("_")[0] in ("my", "trap", "wrong"):
-            del sys.modules[name]
+        (standing / name).write_text(text)
+    (standing / "data").mkdir()
+    (standing / "data" / "pillar").symlink_to(folders[0])
+    yield standing
     input_called.cache_clear()
 
 

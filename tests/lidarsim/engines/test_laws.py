@@ -1,5 +1,7 @@
 """What every engine keeps: poses do not see each other, and two engines see the same world."""
 
+from importlib.util import find_spec
+
 import mujoco
 import numpy as np
 import pytest
@@ -7,7 +9,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import Lidar, Pose, cast
 from lidarsim.engines import ENGINES
+from lidarsim.gpu import WarpEngine
+from lidarsim.solids.model import solids_of
 
+needs_warp = pytest.mark.skipif(not find_spec("warp"), reason="NVIDIA Warp is not installed")
 HFIELD = """<hfield name="h" nrow="3" ncol="4" size="2 1.5 1 0.3"
  elevation="0 1 0 .4 .2 .8 .1 .9 0 .3 .7 .5"/>"""
 MESHES = """<mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/>
@@ -22,7 +27,8 @@ SIZES = {
 SIZES |= {"box": "0.3 0.8 0.5"}
 DATA = {"hfield": 'hfield="h"', "mesh": 'mesh="m"'}
 PROCESSORS = "mujoco", "analytic"
-"""Engines that run anywhere; Warp's is held to the same in tests/lidarsim/gpu."""
+"""Engines that run anywhere; Warp's does so in its mode without a GPU."""
+EVERY = *PROCESSORS, pytest.param("warp", marks=needs_warp)
 
 
 def model_of(*geoms):
@@ -55,6 +61,8 @@ def random_rays(rng, poses, *shape):
 
 
 def made(name, model):
+    if name == "warp":
+        return WarpEngine(solids_of(model), device="cpu")
     return ENGINES.find(name).of(model)
 
 
@@ -70,7 +78,7 @@ def test_two_engines_see_the_same_world_with_meshes_and_height_fields(seed):
         assert_allclose(one, other, rtol=0, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", PROCESSORS)
+@pytest.mark.parametrize("name", EVERY)
 def test_poses_together_give_what_each_gives_alone(name):
     rng = np.random.default_rng(3)
     engine = made(name, random_model(rng))
@@ -85,7 +93,7 @@ def test_poses_together_give_what_each_gives_alone(name):
     assert_array_equal(engine.cast(origins[order], rays[order], 12.0), together[order])
 
 
-@pytest.mark.parametrize("name", PROCESSORS)
+@pytest.mark.parametrize("name", EVERY)
 def test_any_shape_and_memory_layout_of_rays_will_do(name):
     rng = np.random.default_rng(4)
     engine = made(name, random_model(rng))
@@ -150,7 +158,7 @@ BAD_RAYS = [
 ]
 
 
-@pytest.mark.parametrize("name", PROCESSORS)
+@pytest.mark.parametrize("name", EVERY)
 def test_what_is_no_direction_and_no_place_meets_nothing_and_harms_no_other_ray(name):
     engine = made(
         name, model_of('type="sphere" size="1"', 'type="plane" size="0 0 1" pos="0 0 -3"')
@@ -163,7 +171,7 @@ def test_what_is_no_direction_and_no_place_meets_nothing_and_harms_no_other_ray(
         assert_array_equal(both, [[np.inf, np.inf], [np.inf, 1.0]])
 
 
-@pytest.mark.parametrize("name", PROCESSORS)
+@pytest.mark.parametrize("name", EVERY)
 def test_a_plane_is_seen_from_its_front_and_on_it_within_its_size(name):
     """MuJoCo's planes have a front, +z, and half sizes of which 0 means without end."""
     floor, tile = (

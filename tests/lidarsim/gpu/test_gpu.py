@@ -61,23 +61,6 @@ def test_rays_along_the_axes_are_the_analytic_engines():
     assert_array_equal(ranges, AnalyticEngine.of(model).cast(origins, rays, 100.0))
 
 
-def test_the_engine_keeps_the_protocol():
-    rng = np.random.default_rng(4)
-    model = random_model(rng)
-    engine = WarpEngine(solids_of(model), device="cpu")
-    origins, rays = random_rays(rng, 2, 60)
-    shaped = engine.cast(origins.tolist(), rays.reshape(2, 3, 4, 5, 3), 12.0)
-    flat = AnalyticEngine.of(model).cast(origins, rays, 12.0)
-    assert_array_equal(shaped, flat.reshape(2, 3, 4, 5))
-    backwards = engine.cast(origins[1:], np.asfortranarray(rays)[1:, ::-2], 12.0)
-    assert_array_equal(backwards, flat[1:, ::-2])
-    assert engine.cast(origins, np.empty((2, 0, 3)), 12.0).shape == (2, 0)
-    assert engine.cast(np.empty((0, 3)), np.empty((0, 7, 3)), 12.0).shape == (0, 7)
-    odd = np.array([[0.0, 0, 0], [np.nan, 0, 1], [2.0, 0, 0], [np.inf, 0, 0]])
-    assert np.isinf(engine.cast(origins[:1], odd[None], 1e7)).all()
-    assert np.isinf(engine.cast([[np.nan, 0, 0]], rays[:1], 1e7)).all()
-
-
 def test_voxels_are_those_of_voxelize():
     rng, lidar = np.random.default_rng(2), Lidar(rows=24, columns=90, max_range_m=7.1)
     models = [random_model(rng) for _ in range(3)]

@@ -3,7 +3,6 @@
 import dataclasses
 import itertools
 import math
-import sys
 
 import mujoco
 import numpy as np
@@ -98,15 +97,6 @@ def test_stages_that_cast_come_first_and_once():
         else:
             with pytest.raises(ValueError, match="put motion first, then divergence"):
                 Noise.parse(",".join(pair))
-
-
-@pytest.fixture
-def standing(tmp_path, monkeypatch):
-    before = list(sys.path)
-    monkeypatch.chdir(tmp_path)
-    yield tmp_path
-    sys.path[:] = before
-    sys.modules.pop("my_noise", None)
 
 
 def test_a_stage_of_ones_own(standing):

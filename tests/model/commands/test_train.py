@@ -25,11 +25,6 @@ assert here  # the fixture
 QUICK = ("--width", 4, "--batch", 2, "--device", "cpu", "--precision", "float32")
 
 
-@pytest.fixture(autouse=True)
-def one_thread():
-    torch.set_num_threads(1)
-
-
 def test_train_complete_and_bench_work_together(here, capsys):
     code, said, _ = run(capsys, "train", "--epochs", 2, "--lambda-occupancy", 0.7, *QUICK)
     assert code == 0

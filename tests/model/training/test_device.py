@@ -3,7 +3,6 @@
 import dataclasses
 import math
 import os
-import socket
 
 import pytest
 import torch
@@ -15,6 +14,7 @@ from scenegen.model.training.data import Maps, opened
 from scenegen.model.training.device import Group, autocast, resolve_precision
 from scenegen.model.training.loop import Step, TrainingError, check_maps
 from tests.model.training.runs import SMALL, elsewhere
+from tests.scenegen.run.slurm_here import free_port
 
 
 def take_a_step(folders, out, environment):
@@ -50,12 +50,6 @@ def test_processes_get_equal_shares(folders):
     ):
         check_maps(maps, maps, config, processes)
     check_maps(maps, maps, dataclasses.replace(SMALL, batch=processes), processes)
-
-
-def free_port():
-    with socket.socket() as listening:
-        listening.bind(("127.0.0.1", 0))
-        return int(listening.getsockname()[1])
 
 
 def test_two_processes_take_the_step_that_one_takes(folders, tmp_path):

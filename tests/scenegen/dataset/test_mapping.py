@@ -33,6 +33,7 @@ from scenegen.worlds.mapping import Mapper
 from tests.command_line import run
 from tests.conftest import COUNTS, dataset_in, plan_of, small_recipe
 from tests.scenegen.verification import forge
+from tests.scenegen.verification.conftest import failed
 
 SEVERAL = {"scans": 4, "scan_spacing_m": 0.7}
 FEW = {"train": 3, "val": 1, "test": 3}
@@ -57,10 +58,6 @@ def several(tmp_path_factory):
     folder = tmp_path_factory.mktemp("several") / "pillar"
     made_with(folder, recipe_with(**SEVERAL), counts=COUNTS)
     return folder
-
-
-def failed(folder, **options):
-    return {check.name: check.detail for check in verify(folder, **options).checks if not check.ok}
 
 
 def test_more_scans_show_more_of_the_same_maps(made, several):

@@ -28,6 +28,7 @@ from scenegen.source import DrawnWorlds
 from scenegen.tables import named_lidar, named_noise
 from scenegen.verification import verify
 from tests.conftest import COUNTS, dataset_in, small_recipe
+from tests.scenegen.verification.conftest import failed
 
 CHAIN = "range:0.02,dropout:0.05"
 SPELLED = "range:sigma_m=0.02:share=0.0:quadratic_per_m=0.0,dropout:share=0.05"
@@ -46,10 +47,6 @@ def noisy(tmp_path_factory):
     folder = tmp_path_factory.mktemp("noisy") / "pillar"
     made_with(folder, CHAIN)
     return folder
-
-
-def failed(folder, **options):
-    return {check.name: check.detail for check in verify(folder, **options).checks if not check.ok}
 
 
 def test_noise_changes_ranges_alone_and_the_default_knows_nothing_of_it(made, noisy):

@@ -15,6 +15,8 @@ import time
 import uuid
 from contextlib import suppress
 
+from tests.scenegen.run.slurm_here import free_port
+
 NEEDED = ("ceph", "ceph-mon", "ceph-osd", "radosgw", "radosgw-admin", "monmaptool", "ceph-authtool")
 GET = "apt-get install --no-install-recommends ceph-mon ceph-osd radosgw"
 STORE_BYTES = 1 << 30
@@ -56,12 +58,6 @@ def missing():
     """What to install, where something is not there; empty otherwise."""
     absent = [name for name in NEEDED if shutil.which(name) is None]
     return f"needs {absent[0]}: {GET}" if absent else ""
-
-
-def free_port():
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return int(one.getsockname()[1])
 
 
 class Ceph:
