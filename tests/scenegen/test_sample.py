@@ -9,7 +9,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 import scenegen
 from scenegen.dataset.read import Dataset
 from scenegen.sample import GROUPS, Sample
-from tests.command_line import refused, run
 
 
 def test_points_lie_along_the_rays_and_in_observed_voxels(made):
@@ -54,14 +53,3 @@ def test_samples_and_splits_say_what_they_are(dataset):
         "<Sample: world 0, viewpoint 1, 24 × 24 × 16 voxels, observed "
     )
     assert f"occupancy {share:.1f} %" in repr(split[1])
-
-
-@pytest.mark.parametrize("kind", ["pillar", "geometric"])
-def test_a_preset_as_a_file_is_the_preset(kind, tmp_path, capsys):
-    from scenegen.recipe import preset, read_recipe
-
-    code, said, _ = run(capsys, "recipe", kind)
-    assert code == 0
-    (tmp_path / "mine.toml").write_text(said)
-    assert read_recipe(tmp_path / "mine.toml") == preset(kind)
-    refused(capsys, f"recipe {kind} --lidar livox-mid-360")

@@ -14,8 +14,8 @@ from scenegen import SPLITS
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, SceneError
-from scenegen.recipe import make_recipe, preset
-from scenegen.source import DrawnWorlds, read_scenes
+from scenegen.recipe import make_recipe
+from scenegen.source import read_scenes
 from scenegen.worlds.world import write_world
 from tests.conftest import SMALL
 
@@ -151,35 +151,6 @@ def test_worlds_of_many_geoms_compile():
 
     world = write_world(add, flight_bounds=np.array([[0, 0, 1], [100, 100, 3]]))
     assert world.model.ngeom == 12_000
-
-
-@pytest.mark.parametrize("name", ["forest", "warehouse", "room_with_gap"])
-def test_the_bundled_scenes_keep_the_laws_at_full_size(name):
-    from scenegen.draw import draw_unit
-
-    recipe = preset("scene")
-    source = read_scenes(SCENES / f"{name}.xml", {"train": 5, "val": 0, "test": 0}, seed=0)
-    samples = [
-        s
-        for u in range(2)
-        for s in draw_unit(source, recipe, seed=0, split="train", unit=u).samples
-    ]
-    for sample in samples:
-        assert not (sample.observed & ~sample.occupancy).any()
-        assert sample.observed.sum() > 100
-
-
-def test_a_new_kind_is_one_file(tmp_path, monkeypatch):
-    text = (Path(__file__).parents[2] / "docs" / "recipes.md").read_text()
-    (tmp_path / "my_worlds.py").write_text(text.split("```python\n")[-1].split("```")[0])
-    monkeypatch.syspath_prepend(tmp_path)
-    tables = {**SMALL, "world": {"size_m": (16.0, 16.0, 8.0), "radius_m": (0.1, 0.1)}}
-    recipe = make_recipe(
-        "my_worlds:Fence", {**tables, "accept": {"min_occupied_share": 0.0}}, where="test"
-    )
-    world = DrawnWorlds(recipe).world("train", 0, rng=np.random.default_rng(0))
-    assert world.model.ngeom == 16
-    assert world.model.geom_size[0, 0] == 0.1
 
 
 def test_two_files_of_one_world_are_refused(folder):

@@ -14,6 +14,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+import trimesh
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
@@ -21,7 +22,6 @@ from lidarsim import AnalyticEngine
 from lidarsim.solids.model import solids_of
 from tests.lidarsim import reference
 from tests.lidarsim.engines.test_laws import HFIELD, PROCESSORS, made
-from tests.lidarsim.engines.test_mujoco import random_mesh
 from tests.lidarsim.reference import Body, Geom
 
 FAR_M = 9e5
@@ -236,6 +236,18 @@ def test_units_to_a_millionth_give_the_metres_of_units(name, stray):
     assert_allclose(found, far[:, 0] - 0.03, rtol=0, atol=1e-8)
 
 
+def random_mesh(rng, scale):
+    """A bumpy closed surface, not convex."""
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    bumps = rng.uniform(0.5, 1.5, (len(ball.vertices), 1)) * rng.uniform(0.4, 1.2)
+    vertices = reference.numbers((ball.vertices * bumps + rng.uniform(-1, 1, 3)).ravel())
+    faces = " ".join(map(str, ball.faces.ravel()))
+    return (
+        f'<mesh name="m" inertia="shell" vertex="{vertices}" face="{faces}" '
+        f'scale="{scale} {scale} {scale}"/>'
+    )
+
+
 @pytest.mark.parametrize("shape", ["mesh", "hfield"])
 def test_no_ray_leaks_out_of_a_closed_surface(shape):
     """From within, rays at its corners, at the middles of its edges, and anywhere on these, all
@@ -243,7 +255,7 @@ def test_no_ray_leaks_out_of_a_closed_surface(shape):
     rng = np.random.default_rng(3)
     cast = 0
     for scale, place in ((LEAST_M, 0.0), (1.0, 0.0), (1.0, 100.0), (1.0, FAR_M), (300.0, FAR_M)):
-        mesh = random_mesh(rng, "m").replace("<mesh", f'<mesh scale="{scale} {scale} {scale}"')
+        mesh = random_mesh(rng, scale)
         turn = reference.numbers(reference.random_quaternion(rng))
         geom = f'<geom type="{shape}" {shape}="{shape[0]}" pos="{place} 0 0" quat="{turn}"/>'
         model = mujoco.MjModel.from_xml_string(

@@ -249,29 +249,3 @@ def test_geoms_and_materials_of_alpha_zero_are_not_seen(colliding):
     alone = engine_of(reference.world_xml(walls, assets=materials))
     expected = [1.5 if seen else np.inf for _, seen in looks.values()]
     assert_allclose(ranges_of(alone, np.zeros(3), rays, 10.0), expected, rtol=0, atol=1e-9)
-
-
-def random_mesh(rng, name):
-    """A bumpy closed surface, not convex: an octahedron refined once, each corner at its own
-    radius."""
-    corners = np.array(
-        [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=np.float64
-    )
-    faces = [(a, b, c) for a in (0, 1) for b in (2, 3) for c in (4, 5)]
-    faces = [(a, b, c) if (a + b + c) % 2 == 0 else (a, c, b) for a, b, c in faces]
-    points, index, fine = list(corners), {}, []
-    for a, b, c in faces:
-        middle = []
-        for edge in (frozenset((a, b)), frozenset((b, c)), frozenset((c, a))):
-            if edge not in index:
-                index[edge] = len(points)
-                points.append(sum(corners[v] for v in edge) / np.sqrt(2))
-            middle.append(index[edge])
-        ab, bc, ca = middle
-        fine += [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
-    radii = rng.uniform(0.5, 1.5, len(points)) * rng.uniform(0.4, 1.2)
-    vertices = np.array(points) * radii[:, None] + rng.uniform(-1, 1, 3)
-    return (
-        f'<mesh name="{name}" inertia="shell" vertex="{reference.numbers(vertices.ravel())}" '
-        f'face="{" ".join(str(v) for face in fine for v in face)}"/>'
-    )

@@ -30,7 +30,7 @@ from scenegen.verification import verify
 from scenegen.worlds.flight import Route
 from scenegen.worlds.labels import labels_by
 from scenegen.worlds.mapping import Mapper
-from tests.command_line import run
+from tests.command_line import refused, run
 from tests.conftest import COUNTS, dataset_in, plan_of, small_recipe
 from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
@@ -344,15 +344,7 @@ def test_the_command_line_takes_it_and_refuses_the_impossible_in_one_line(small,
     assert Dataset(tmp_path / "e").manifest.mapping == dataclasses.replace(
         mapping, fusion="visibility"
     )
-    bad = [
-        ("--scans", 0),
-        ("--map-ahead", "1,2"),
-        ("--map-ahead", "99,0,0"),
-        ("--tilt", "nan"),
-        ("--fusion", "mean"),
-    ]
+    bad = [("--scans", 0), ("--map-ahead", "99,0,0")]
     for option in bad:
-        code, said, error = run(capsys, *words, *option, "--force")
-        assert code in (1, 2)
-        assert (said, error.count("\n")) == ("", 1)
+        refused(capsys, *words, *option, "--force")
         assert Dataset(tmp_path / "d").manifest.mapping == mapping, "what was there is lost"

@@ -730,34 +730,3 @@ def test_height_fields_are_filled_down_to_their_base(turned):
 # ------------------------------------------------------------------------------------------
 # What rays see
 # ------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("geom_alpha", [0.0, 1.0])
-@pytest.mark.parametrize("material_alpha", [None, 0.0, 1.0])
-@pytest.mark.parametrize("contype", [0, 1])
-@pytest.mark.parametrize("group", [0, 4])
-def test_what_a_ray_sees_is_occupied(geom_alpha, material_alpha, contype, group):
-    """``mj_ray`` decides, whatever collides and whichever group is drawn; materials have their own
-    alpha."""
-    spec = mujoco.MjSpec()
-    geom = spec.worldbody.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_SPHERE,
-        size=[0.3, 0, 0],
-        pos=[1, 1, 1],
-        rgba=[1, 1, 1, geom_alpha],
-        contype=contype,
-        conaffinity=contype,
-        group=group,
-    )
-    if material_alpha is not None:
-        spec.add_material(name="paint", rgba=[1, 1, 1, material_alpha])
-        geom.material = "paint"
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    hit = np.zeros(1, np.int32)
-    seen = (
-        mujoco.mj_ray(model, data, np.array([1.0, 1, 3]), np.array([0, 0, -1.0]), None, 1, -1, hit)
-        >= 0
-    )
-    assert occupied(model, (10, 10, 10), 0.2, np.zeros(3)).any() == seen

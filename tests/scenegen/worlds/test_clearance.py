@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from lidarsim.solids.model import solids_of
 from scenegen.worlds.clearance import CAP_M, Clearance
-from tests.scenegen.truth.reference import winding_number
+from tests.scenegen.truth import reference
 
 Floats = NDArray[np.float64]
 Distances = Callable[[Floats], Floats]
@@ -144,24 +144,10 @@ def torus(share=1.0):
 
 
 def hill():
-    """A height field of 5 x 6 points over 2.4 x 3.6 m, written out as the solid that it is."""
-    height = ELEVATION * 1.5
-    y, x = np.meshgrid(np.linspace(-1.8, 1.8, 5), np.linspace(-1.2, 1.2, 6), indexing="ij")
-    corners = {}
-    faces = []
-    for i, j in np.ndindex(5, 6):
-        corners[i, j, 1] = (x[i, j], y[i, j], height[i, j])
-        corners[i, j, 0] = (x[i, j], y[i, j], -0.4)
-    for i, j in np.ndindex(4, 5):  # two prisms a cell; walls between neighbours cancel out
-        for ring in (((i, j), (i, j + 1), (i + 1, j + 1)), ((i, j), (i + 1, j + 1), (i + 1, j))):
-            a, b, c = ring
-            faces += [[(*a, 1), (*b, 1), (*c, 1)], [(*a, 0), (*c, 0), (*b, 0)]]
-            for u, v in ((a, b), (b, c), (c, a)):
-                faces += [[(*u, 1), (*u, 0), (*v, 1)], [(*v, 1), (*u, 0), (*v, 0)]]
-    soup = np.array([[corners[corner] for corner in face] for face in faces])
-    return trimesh.Trimesh(
-        soup.reshape(-1, 3), np.arange(3 * len(soup)).reshape(-1, 3), process=False
-    )
+    """A height field of 5 x 6 points over 2.4 x 3.6 m, as the prisms that it is."""
+    size = (1.2, 1.8, 1.5, 0.4)
+    prisms = reference.hfield_prisms(ELEVATION * 1.5, size, np.zeros(3), np.array([1.0, 0, 0, 0]))
+    return trimesh.util.concatenate([trimesh.convex.convex_hull(one) for one in prisms])
 
 
 ELEVATION = (
@@ -204,7 +190,9 @@ def distances_to(shapes, points):
     nearest = np.full(len(points), np.inf)
     for shape, filled in shapes:
         _, outside, _ = trimesh.proximity.closest_point_naive(shape, points)
-        within = filled & (np.abs(winding_number(np.asarray(shape.triangles), points)) > 0.5)
+        within = filled & (
+            np.abs(reference.winding_number(np.asarray(shape.triangles), points)) > 0.5
+        )
         nearest = np.minimum(nearest, np.where(within, 0.0, outside))
     return nearest
 
