@@ -40,7 +40,9 @@ ONE, COUNTS = {"train": 1, "val": 0, "test": 0}, {"train": 11, "val": 2, "test":
 @pytest.hookimpl(wrapper=True)
 def pytest_collection():
     """What is imported stays: the garbage collector looks for none in it, neither meanwhile nor in
-    any test."""
+    any test. Its bytecode is kept, whatever the environment says: pytest writes assertions anew for
+    five seconds, and processes that tests start would compile all of scenegen."""
+    unkept, sys.dont_write_bytecode = sys.dont_write_bytecode, False
     if "PYTEST_XDIST_WORKER" in os.environ:
         atexit.register(
             os._exit, 0
@@ -49,6 +51,7 @@ def pytest_collection():
     try:
         return (yield)
     finally:
+        sys.dont_write_bytecode = unkept
         gc.freeze()
         gc.enable()
 
