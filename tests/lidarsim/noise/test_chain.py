@@ -128,7 +128,6 @@ class Shift:
         ("", "an empty stage; expected stages, as"),
         ("range,", "an empty stage"),
         ("rnage:0.02", "did you mean 'range'"),
-        ("rnage", "did you mean 'range'"),
         ("range:20", "noise stage range: sigma_m = 20: expected a finite number from 0 to 1"),
         ("range:nan", "sigma_m = nan"),
         ("range:0.1:0.2:0.3:0.4", "expected values of sigma_m, share, quadratic_per_m"),

@@ -46,11 +46,8 @@ def test_without_arguments_it_takes_what_is_under_data(here, capsys):
 
 
 def test_bad_use_ends_in_one_line(here, capsys, monkeypatch):
-    (here / "wrong.h5").write_bytes(b"")
     for words, named in (
-        (("elsewhere",), "not a dataset"),
         (("data/pillar", "--method", "extrud"), "did you mean 'extrude'?"),
-        (("data/pillar", "--predictions", "wrong.h5"), "cannot be read as HDF5"),
         (("data/pillar", "data/pillar"), "two datasets of one kind"),
         (("data/pillar", "--split", "all"), "--split"),
     ):

@@ -453,7 +453,6 @@ def test_times_of_poses_must_rise(tmp_path):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        ("scan pillar --pose 0,0,1,0 --sequence", "goes with --flight"),
         ("scan pillar --flight --moving", "go with --sequence"),
         ("scan pillar --flight --sequence --every 1", "without --every"),
         ("ingest log --voxel 0.01", "voxels"),

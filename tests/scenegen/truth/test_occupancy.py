@@ -405,10 +405,8 @@ Mesh = tuple[Floats, NDArray[np.intp]]
 
 def cuboid(low, high):
     """Eight corners and twelve triangles that face outward."""
-    low, high = np.asarray(low, float), np.asarray(high, float)
-    corners = np.array([np.where([i & 1, i & 2, i & 4], high, low) for i in range(8)])
-    quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
-    return corners, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
+    box = trimesh.creation.box(bounds=(low, high))
+    return np.asarray(box.vertices), np.asarray(box.faces)
 
 
 def bracket_shape():
@@ -447,7 +445,7 @@ def two_blocks():
 def open_box():
     """A box without its lid."""
     vertices, faces = cuboid([-0.9, -0.7, -0.6], [0.9, 0.7, 0.6])
-    return vertices, faces[[i for i in range(12) if i not in (2, 3)]]
+    return vertices, faces[vertices[faces][:, :, 2].min(axis=1) < 0]
 
 
 def fan():

@@ -83,7 +83,6 @@ def test_a_plan_is_a_world_as_high_as_it_is_said_to_be(tmp_path, capsys, monkeyp
     [
         ("resolution: 0.25\n", "", "'resolution'"),
         ("0.25", "0", "a voxel of 0 m"),
-        ("0.25", "nan", "a voxel of nan m"),
         ("0.0]", "0.1]", "a yaw of 0"),
         ("2.0,", "inf,", "finite metres"),
         ("2.0, ", "", "expected 3, got 2"),
