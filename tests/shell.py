@@ -67,8 +67,6 @@ class Shell:
 
     def python(self, file, *words, here):
         """How ``python file words`` ends in the folder `here`."""
-        assert self._server.stdin
-        assert self._server.stdout
         print(
             json.dumps([str(here), str(here / file), *map(str, words)]),
             file=self._server.stdin,

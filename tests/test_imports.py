@@ -59,7 +59,7 @@ def circles(below):
     """The sets of names that all lead to each other."""
     reached = {}
     for name in below:
-        found, waiting = set[str](), [name]
+        found, waiting = set(), [name]
         while waiting:
             further = (below[waiting.pop()] & below.keys()) - found
             found |= further

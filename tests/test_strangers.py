@@ -24,7 +24,7 @@ TRAIN = ("train", "d", "--out", "out", "--epochs", 1, "--device", "cpu")
 REPRODUCE = ("reproduce", "-o", "out", "--scale", 0.001)
 ASKED = "--recipe small.toml --n 3 --val 0 --test 0 --quiet --out out"
 GENERATE = ("generate", *ASKED.split())
-FILES: tuple[tuple[tuple[object, ...], str], ...] = (
+FILES = (
     (("world", "d", 0, "-o", "w.xml"), "w.xml"),
     (("world", "d", 0, "-o", "w.glb"), "w.glb"),
     (("render", "d", "--quiet"), "sample.png"),
@@ -47,7 +47,7 @@ FILES: tuple[tuple[tuple[object, ...], str], ...] = (
     (("fly", "pillar", "--robot", "reactive", "--flights", 1, "-o", "f.json"), "f.json"),
 )
 """Commands and a file that each writes."""
-FOLDERS: tuple[tuple[tuple[object, ...], tuple[str, ...]], ...] = (
+FOLDERS = (
     (BENCH, ("report.json", "report.md", "report.html")),
     (TRAIN, ("card.md", "curve.png", "metrics.csv", "best.safetensors", "config.json")),
     (REPRODUCE, ("settings.json", "study.json", "study.md")),

@@ -21,7 +21,7 @@ DATA = "data"
 NUMBER = r"(\d[\d.]*)"
 RAY = r"ray +N +N +N +N +N\n" if find_spec("ray") else "ray: not measured"
 ODOMETRY = r"pillar +N m  N scans  N %" if find_spec("kiss_icp") else "not measured: kiss-icp"
-SCRIPTS: dict[str, tuple[tuple[object, ...], tuple[str, ...]]] = {
+SCRIPTS = {
     "against": ((BENCHMARKS.parent,), ("N ms a sample there, N here", "samples (equal)")),
     "anywhere": ((), (r"`geometric`, the default sensor \| N .* \| N", r"points alone \| – \| N")),
     "calibrate": (("pillar",), ("truth +N±", "returns +N±")),

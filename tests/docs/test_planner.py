@@ -2,7 +2,6 @@
 
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +16,7 @@ def test_the_example_judges_as_the_bench_does(tmp_path, monkeypatch):
     (text,) = re.findall(r"## Your own planner.*?```python\n(.*?)```", PAGE.read_text(), re.S)
     make_dataset(tmp_path / "data" / "pillar")
     monkeypatch.chdir(tmp_path)
-    ran: dict[str, Any] = {}
+    ran = {}
     exec(compile(text, str(PAGE), "exec"), ran)
     goals = ran["trials"].goals
     assert len(goals) > 3

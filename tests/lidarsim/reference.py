@@ -16,8 +16,6 @@ form that is affordable:
   rational arithmetic on the exact values of the float64 inputs (`exact_overlaps`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import product
@@ -390,7 +388,7 @@ def exact_overlaps(
     units of the direction's length.
     """
     size, end = Fraction(float(voxel_m)), Fraction(float(reach))
-    axes: list[list[tuple[int, Fraction, Fraction]]] = []
+    axes = []
     for count, p, d, o in zip(
         shape, *(np.asarray(a).tolist() for a in (position, direction, origin)), strict=True
     ):

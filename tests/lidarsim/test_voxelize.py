@@ -5,8 +5,6 @@ margin (voxels that must and voxels that may be free) and in rational arithmetic
 accept either answer, they do so only within 1e-9 m of a grid plane.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import example, given, settings

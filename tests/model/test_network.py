@@ -43,7 +43,6 @@ def reaches(variant, task, branch):
     net = network(variant=variant)
     output = net(seen(1))
     part = output.logits if task == "occupancy" else output.tudf
-    assert part is not None
     part.sum().backward()
     return any(
         weight.grad is not None and weight.grad.abs().sum() > 0
@@ -102,7 +101,6 @@ def test_attention_looks_everywhere():
     net = network()
     cells = torch.rand(1, 32, 4, 3, 2, requires_grad=True)
     net.attention(cells)[0, :, 0, 0, 0].sum().backward()
-    assert cells.grad is not None
     assert (cells.grad.abs().sum(dim=1) > 0).all()
 
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from random import Random
-from typing import Any
 
 import h5py
 import numpy as np
@@ -62,7 +61,7 @@ def link(file, name, random):
 
 def other_type(file, name, random):
     shape = file[name].shape
-    kinds: tuple[Any, ...] = (
+    kinds = (
         "f2",
         "f8",
         ">f4",
@@ -156,7 +155,7 @@ def number(file, name, random):
 
 def attribute(file, name, random):
     key = random.choice(("parameters", "rejected", "worlds_sha256", "first_world", "split"))
-    values: tuple[Any, ...] = (
+    values = (
         None,
         3,
         -1,
@@ -200,9 +199,9 @@ def aliased(file, name, random):
     return f"the same as {other}", VALID if name in ("occupancy", "free", "observed") else REFUSED
 
 
-OF_CHUNKS: tuple[Damage, ...] = (chunk_of_our_own, shuffled_bomb)
+OF_CHUNKS = (chunk_of_our_own, shuffled_bomb)
 """Those that need a packed field."""
-STRUCTURAL: tuple[Damage, ...] = (
+STRUCTURAL = (
     *(
         virtual,
         external,
@@ -217,7 +216,7 @@ STRUCTURAL: tuple[Damage, ...] = (
     ),
     *(chunk_of_our_own, chunk_of_our_own, chunk_of_our_own, shuffled_bomb),
 )
-DAMAGES: tuple[Damage, ...] = (*STRUCTURAL, number, number, attribute, attribute, aliased)
+DAMAGES = (*STRUCTURAL, number, number, attribute, attribute, aliased)
 
 
 def attempt(random, valid, here):

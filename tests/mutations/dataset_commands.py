@@ -2,7 +2,6 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 from tests.mutations import datasets
 from tests.mutations.case import REFUSED, SAME, Attempt, equals, refuses, words
@@ -120,7 +119,7 @@ def _world(random, valid, here, name, damage, expected):
     )
 
 
-_COMMANDS: dict[str, Any] = {
+_COMMANDS = {
     "load": _load,
     "inspect": _inspect,
     "quick": _verify(True),

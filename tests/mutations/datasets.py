@@ -3,7 +3,6 @@
 import hashlib
 import json
 import sys
-from typing import Any
 
 import h5py
 import numpy as np
@@ -95,7 +94,7 @@ def sign(folder):
 def finite_prediction(path):
     """What a file of predictions holds: shapes, and whether its numbers can be such."""
     with h5py.File(path, "r") as file:
-        found: dict[str, Any] = {}
+        found = {}
         for name, most in (("occupancy_probability", 1.0), ("tudf", 2.0)):
             if name in file:
                 values = file[name][()]

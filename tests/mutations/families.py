@@ -14,9 +14,8 @@ from tests.mutations import (
     damage_scenes,
     damage_weights,
 )
-from tests.mutations.case import Family
 
-FAMILIES: dict[str, Family] = {
+FAMILIES = {
     module.__name__.rpartition("damage_")[2]: module.attempt
     for module in (
         *(damage_bytes, damage_hdf5, damage_manifest, damage_archives, damage_recipes),

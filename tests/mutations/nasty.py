@@ -1,7 +1,5 @@
 """Values that nobody expects."""
 
-from typing import Any
-
 ESCAPES = (
     "\x1b]0;owned\x07\x1b[2J\rscenegen: all is well\nverify: all 17 checks passed\u202e\x00\x9b31m"
 )
@@ -39,7 +37,7 @@ TEXT = (
     "-1",
     "null",
 )
-OTHER: tuple[Any, ...] = (
+OTHER = (
     None,
     True,
     False,

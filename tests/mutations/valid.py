@@ -20,7 +20,7 @@ from tests.mutations.case import words
 
 EDGE = 16
 """Voxels along each edge of the map."""
-RECIPE: dict[str, Any] = {
+RECIPE = {
     "kind": "pillar",
     "world": {"size_m": [16.0, 16.0, 8.0]},
     "flight": {"viewpoints": 2, "margin_m": 2.0, "min_distance_m": 4.0, "iterations": 300},

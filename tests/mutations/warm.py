@@ -50,7 +50,7 @@ def campaign(names, families, valid, *, seed, jobs, base):
     gc.collect()
     gc.freeze()  # what is collected no more is copied no more
     waiting = iter(names)
-    running: list[_Running] = []
+    running = []
     while True:
         while len(running) < jobs and (name := next(waiting, None)):
             running.append(_start(name, families, valid, seed, base))
@@ -194,7 +194,7 @@ def _read(path):
 
 def _look(folder):
     """Everything in `folder`: kind, and content where it is a file."""
-    found: dict[str, Any] = {}
+    found = {}
     for root, folders, files in os.walk(folder):
         for name in [*folders, *files]:
             path = Path(root) / name

@@ -8,7 +8,6 @@ import re
 import threading
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any
 from urllib.parse import unquote, urlsplit
 
 TOKEN = "hf_thisIsNotARealTokenButASecret"
@@ -42,14 +41,14 @@ class Hub:
     order."""
 
     def __init__(self):
-        self.repositories: dict[str, Repository] = {}
-        self.blobs: dict[str, bytes] = {}
-        self.log: list[str] = []
-        self.tokens: set[str] = set()
-        self.puts: list[str] = []
-        self.refuse_after: int | None = None
+        self.repositories = {}
+        self.blobs = {}
+        self.log = []
+        self.tokens = set()
+        self.puts = []
+        self.refuse_after = None
         """Large files after which the next ones are refused."""
-        self.lose: str | None = None
+        self.lose = None
         """A file that is dropped from commits."""
         hub = self
 
@@ -145,7 +144,7 @@ def _known(page, hub, name, revision="main"):
 
 def _entry(path, content):
     blob = hashlib.sha1(b"blob %d\0" % len(content) + content).hexdigest()
-    entry: dict[str, Any] = {"type": "file", "path": path, "size": len(content), "oid": blob}
+    entry = {"type": "file", "path": path, "size": len(content), "oid": blob}
     if path.endswith(LARGE):
         entry["lfs"] = {
             "oid": hashlib.sha256(content).hexdigest(),

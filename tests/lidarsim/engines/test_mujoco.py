@@ -12,8 +12,6 @@ is searched in full. Its cutoff sets far geoms aside, except planes and those of
 colliding geoms, and limits no distance.
 """
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

@@ -150,14 +150,12 @@ def test_intensity_is_albedo_times_cosine(turn_deg):
     clean = seen(Intensity(), wall(turn_deg), rays=9).intensity
     assert clean == pytest.approx(np.full((1, 9), 0.4 * math.cos(math.radians(turn_deg))), abs=1e-6)
     noisy = seen(Intensity(sigma=0.01), wall(turn_deg)).intensity
-    assert noisy is not None
     off = noisy[0] - 0.4 * math.cos(math.radians(turn_deg))
     assert stats.kstest(off / 0.01, "norm").pvalue > 0.01
     lost = Noise((Intensity(), Dropout(share=0.5)))
     model = world(wall(0))
     engine = AnalyticEngine.of(model)
     left = lost.observe(cast(engine, ahead(99), LEVEL), engine, rng=np.random.default_rng(0))
-    assert left.intensity is not None
     assert ((left.intensity > 0) == np.isfinite(left.ranges)).all()
 
 

@@ -3,7 +3,6 @@ that cannot be."""
 
 import dataclasses
 import math
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -245,7 +244,7 @@ def test_a_lever_arm_moves_the_origin_of_the_rays_with_the_body():
     assert scan.points() == pytest.approx(np.array([[1.0, 6.0, 3.2]]))
 
 
-IMPOSSIBLE: list[tuple[type, dict[str, Any], str]] = [
+IMPOSSIBLE = [
     (Spinning, {"elevations_deg": (), "columns": 8}, "one beam at least"),
     (Spinning, {"elevations_deg": 5, "columns": 8}, "elevations_deg = 5: expected a list"),
     (Spinning, {"elevations_deg": (0, 1), "columns": 8, "max_range_m": 0}, "max_range_m = 0"),

@@ -1,7 +1,5 @@
 """Laws of the lidar's ray layout, of poses and of the grid's placement, against scipy rotations."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal

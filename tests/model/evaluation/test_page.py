@@ -34,8 +34,8 @@ class Blind:
 class Elements(HTMLParser):
     def __init__(self, text):
         super().__init__()
-        self.found: list[tuple[str, dict[str, str | None]]] = []
-        self.texts: list[str] = []
+        self.found = []
+        self.texts = []
         self.feed(text)
         self.close()
 

@@ -173,7 +173,6 @@ def test_what_is_not_known_counts_nowhere_and_is_solid_for_plans():
     scored = scored_voxels(sample, grid, {})
     assert_array_equal(scored, known)
     certain = certain_distances(sample, grid)
-    assert certain is not None
     other = distance_field(drawn.occupancy | (~known & (rng.random(grid.shape) < 0.5)), grid)
     assert_array_equal(other[certain], drawn.tudf[certain])
     classes, rows = np.where(scored, np.uint8(0), np.uint8(UNSCORED)), []

@@ -1,7 +1,6 @@
 """A small run, and processes for more of them."""
 
 import multiprocessing
-from typing import Any
 
 import torch
 
@@ -25,9 +24,7 @@ def elsewhere(function, *given):
     Without a GPU it is a copy of this one. Autograd has threads where there is a GPU, and they are
     not copied.
     """
-    context: Any = multiprocessing.get_context(
-        "forkserver" if torch.cuda.is_available() else "fork"
-    )
+    context = multiprocessing.get_context("forkserver" if torch.cuda.is_available() else "fork")
     if torch.cuda.is_available():
         context.set_forkserver_preload(["scenegen.model.training.loop"])
     process = context.Process(target=function, args=given)

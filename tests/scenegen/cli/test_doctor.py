@@ -21,7 +21,7 @@ def short(monkeypatch):
 def spoil(monkeypatch, change):
     """Have the doctor draw units whose last sample is changed by `change`, which is told the number
     of the draw; the numbers of the units are noted."""
-    draws, asked = itertools.count(), list[int]()
+    draws, asked = itertools.count(), []
 
     def spoilt(*arguments, **named):
         asked.append(named["unit"])

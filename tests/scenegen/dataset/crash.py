@@ -12,7 +12,6 @@ import os
 import signal
 import sys
 from pathlib import Path
-from typing import Any
 
 from scenegen import files
 from scenegen.dataset import manifest, shard
@@ -121,7 +120,7 @@ def main(root):
     remember_draws()
     whole = build(plan_at(root / "whole"))
     rejected = [report.rejected for report in map(read, plan_at(root / "whole").shards)]
-    result: dict[str, Any] = {
+    result = {
         "digest": whole.digest,
         "manifest": manifest.read(root / "whole"),
         "every_shard_rejects": all(

@@ -11,7 +11,6 @@ import time
 import zlib
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -348,7 +347,7 @@ def test_a_replacement_that_is_killed_goes_on(listed, killed_at, folder, few, mo
     if not listed:
         manifest.write(folder, manifest.read(folder) | {"shards": [], "complete": False})
         (folder / "train-00001.h5").unlink()  # its worlds were put there first
-    plain, removed = Path.unlink, list[Path]()
+    plain, removed = Path.unlink, []
 
     def dies(path, missing_ok=False):
         if path.parent == folder and path.suffix != ".tmp":
@@ -485,7 +484,7 @@ def test_a_folder_that_is_no_dataset_is_left_alone(tmp_path):
         build(plan(tmp_path / "other"))
 
 
-STRANGE: dict[str, tuple[Any, ...]] = {
+STRANGE = {
     "parameters": ([1, 2], np.nan),
     "worlds_sha256": (1.5, ""),
     "first_world": ("none", 7),

@@ -39,7 +39,7 @@ def browser():
 def reached(browser, address, first=0):
     """The page at an address once its first sample shows, and the list of what its console says
     against it, and of requests to other places."""
-    told: list[str] = []
+    told = []
     allowed = address.partition("#")[0], "blob:"
     tab = browser.new_page(viewport={"width": 900, "height": 700})
     tab.on("console", lambda line: told.append(line.text) if line.type == "error" else None)
@@ -84,7 +84,7 @@ def test_a_notebook_shows_the_page_and_a_picture_where_there_are_no_scripts(
     shown = scenegen.show(sample, sample.observed, path, out=tmp_path / "page.html")
     (tmp_path / "cell.html").write_text(STRICT + shown._repr_html_(), encoding="utf-8")
     tab = browser.new_page(viewport={"width": 900, "height": 700})
-    told: list[str] = []
+    told = []
     tab.on("console", lambda line: told.append(line.text) if line.type == "error" else None)
     tab.goto((tmp_path / "cell.html").as_uri())
     frame = tab.frame_locator("iframe")

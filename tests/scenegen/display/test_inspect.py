@@ -40,7 +40,7 @@ def fields(folder, split):
 
 def recomputed(stored, chosen):
     """Each figure of each chosen sample, loop by loop."""
-    rows: dict[str, list[float]] = {key: [] for key in KEYS}
+    rows = {key: [] for key in KEYS}
     for n in chosen:
         finite = [float(r) for r in stored["ranges"][n].ravel() if r < np.inf]
         rows["returned"].append(len(finite) / stored["ranges"][n].size)
@@ -121,7 +121,7 @@ def test_at_most_so_many_samples_are_measured_evenly_spread(full, most):
 
 def test_many_samples_are_measured_by_several_processes_some_at_a_time(full, monkeypatch):
     monkeypatch.setattr("scenegen.display.inspect.AT_ONCE", 4)
-    few, told = inspect(full, most=None, workers=2), list[int]()
+    few, told = inspect(full, most=None, workers=2), []
     assert few == inspect(full, most=None, workers=1, on_done=told.append)
     assert sum(told) == sum(COUNTS.values())
     assert len(told) > 3

@@ -25,7 +25,7 @@ SCENE = """<mujoco><worldbody>
 
 def test_sparse_batches_hold_every_observed_voxel(made):
     pytest.importorskip("torch")
-    names: dict[str, Any] = {}
+    names = {}
     exec(BATCHES, names)
     samples = Dataset(made).split("train")
     batch = scenegen.collate(samples[:3])
@@ -41,7 +41,7 @@ def test_sparse_batches_hold_every_observed_voxel(made):
 
 def test_rerun_s_recordings_hold_predictions_and_flights(made, tmp_path):
     pytest.importorskip("rerun_bindings", reason="rerun-sdk is not installed")
-    names: dict[str, Any] = {}
+    names = {}
     exec(RERUN, names)
     from rerun.chunk import RrdReader
 
@@ -63,8 +63,8 @@ def test_the_ros_node_publishes_what_the_definitions_say(tmp_path, monkeypatch):
 
     from scenegen.display.exchange.recordings import CLOUD, DEFINITIONS
 
-    sent: list[Any] = []
-    kinds: dict[str, Any] = {}
+    sent = []
+    kinds = {}
     for text in f"MSG: sensor_msgs/PointCloud2\n{DEFINITIONS[CLOUD]}".split("MSG: ")[1:]:
         name, *fields = re.findall(r"^\S+[/ ](\w+)$", text, re.M)
         kinds[name] = make_dataclass(name, [(field, Any, None) for field in fields])
@@ -82,7 +82,7 @@ def test_the_ros_node_publishes_what_the_definitions_say(tmp_path, monkeypatch):
         monkeypatch.setitem(sys.modules, name, module)
     (tmp_path / "scene.xml").write_text(SCENE)
     monkeypatch.setattr(sys, "argv", ["node.py", str(tmp_path / "scene.xml"), "robot"])
-    names: dict[str, Any] = {}
+    names = {}
     exec(NODE, names)
     file = io.BytesIO()
     writer = Writer(file)

@@ -7,7 +7,6 @@ import hashlib
 import json
 from dataclasses import replace
 from html.parser import HTMLParser
-from typing import Any
 
 import h5py
 import numpy as np
@@ -29,7 +28,7 @@ class Seen(HTMLParser):
 
     def __init__(self, text):
         super().__init__()
-        self.found: list[list[Any]] = []
+        self.found = []
         self.feed(text)
         self.close()
 

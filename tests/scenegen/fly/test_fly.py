@@ -3,7 +3,6 @@
 import math
 import sys
 import textwrap
-from typing import Any
 
 import numpy as np
 import pytest
@@ -58,7 +57,7 @@ class Scripted:
 
     def __init__(self, commands):
         self.commands = iter(commands)
-        self.seen: list[Any] = []
+        self.seen = []
 
     def reset(self, about):
         self.seen.append(about)
@@ -85,7 +84,6 @@ def test_no_bound_of_the_vehicle_is_exceeded(seed, speed, pull, jerk):
     rng, state = np.random.default_rng(seed), np.array([0.0] * 9 + [1.0, 0.0])
     for _ in range(60):
         command, _ = bounded(rng.normal(0.0, 3 * speed, 4), vehicle)
-        assert command is not None
         states = np.vstack([state, advance(state, command[0], vehicle)])
         v, a = states[:, 3:6], states[:, 6:9]
         assert np.linalg.norm(v, axis=1).max() <= speed + jerk * STEP_S**2

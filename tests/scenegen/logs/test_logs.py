@@ -7,8 +7,6 @@ import math
 import os
 import shutil
 import signal
-from collections.abc import Callable
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -243,7 +241,6 @@ def test_poses_come_from_a_chain_of_frames():
         at = Pose.level((2 * time, 0.0, 0.0), yaw)
         links.add(ODOMETRY, message("odom", "base", time, at), always=False)
     found = links.pose("lidar", 5.5)
-    assert found is not None
     assert found.position == pytest.approx([11, 0, 1])
     assert found.quaternion == pytest.approx(Pose.level((0, 0, 0), 0.5 + math.pi / 2).quaternion)
     assert links.pose("lidar", 7.0) is None
@@ -304,7 +301,7 @@ def test_a_killed_ingest_goes_on_to_the_same_bits(tmp_path, monkeypatch, most_vo
     assert not out.exists()
     with pytest.raises(DatasetError, match="other options"):
         ingest(read_log(log), out, Fusing(every=3))
-    done = list[int]()
+    done = []
     assert ingest(read_log(log), out, how, on_scan=done.append) == counts
     assert done[0] == 9
     assert not (tmp_path / "out.part").exists()
@@ -333,7 +330,7 @@ def line(number, text):
     return damage
 
 
-DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
+DAMAGE = {
     "no poses": (lambda log: (log / "poses.txt").unlink(), "--poses"),
     "a pose too few": (line(4, ""), "5 clouds and 4 poses"),
     "a word": (line(2, "one two"), "line 3"),

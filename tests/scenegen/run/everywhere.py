@@ -27,7 +27,7 @@ BENCH = (
     "--method",
     "truth",
 )
-COMMANDS: tuple[tuple[object, ...], ...] = (
+COMMANDS = (
     ("verify", "d", "--json"),
     ("convert", "d", "--to", "npz"),
     ("convert", "d", "--to", "webdataset"),

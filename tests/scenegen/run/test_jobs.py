@@ -113,7 +113,6 @@ def test_jobs_are_cancelled_though_the_command_is_killed(slurm, tmp_path):
     with subprocess.Popen(
         [sys.executable, "-c", code], stdout=subprocess.PIPE, env=environment
     ) as running:
-        assert running.stdout is not None
         assert running.stdout.readline() == b"begun\n"
         assert not (tmp_path / "cancelled").exists()
         running.send_signal(signal.SIGKILL)

@@ -121,7 +121,6 @@ def test_a_command_that_is_stopped_or_killed_leaves_no_jobs(here, stop, code):
     with subprocess.Popen(
         [sys.executable, "-c", words], stdout=subprocess.PIPE, text=True
     ) as running:
-        assert running.stdout is not None
         assert running.stdout.readline() == "begun\n"
         running.send_signal(stop)
         assert running.wait(20) == code

@@ -24,7 +24,7 @@ def work(task):
     return task
 
 
-LIMITED: Limited[str, str] = Limited(
+LIMITED = Limited(
     work, lambda task: 2.0 if task == "sleep" else 60.0, 1 << 30, lambda task, why: f"{task}: {why}"
 )
 

@@ -67,7 +67,7 @@ class Ceph:
         self.home = home
         self.port = free_port()
         self.url = f"http://127.0.0.1:{self.port}"
-        self._running: dict[str, subprocess.Popen] = {}
+        self._running = {}
 
     @property
     def environment(self):

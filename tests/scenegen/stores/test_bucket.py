@@ -133,7 +133,7 @@ def test_the_servers_conditional_put_is_real(of_what, bucket):
     for turn in range(20):
         name = f"race-{turn}"
         version = store.put(name, b"first") if of_what else None
-        start, won = threading.Barrier(8), list[bytes]()
+        start, won = threading.Barrier(8), []
 
         def put(
             mine,

@@ -50,7 +50,7 @@ def test_a_command_gives_the_same_where_nothing_is_copied_yet(here, capsys, word
 def test_a_store_that_does_not_answer_a_machine_is_no_fault_of_the_dataset(
     here, capsys, monkeypatch
 ):
-    read, asked = Kept.read, list[str]()
+    read, asked = Kept.read, []
 
     def fail(self, name, *more):
         asked.append(name)

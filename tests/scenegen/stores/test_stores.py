@@ -120,7 +120,7 @@ def test_a_store_that_is_full_after_any_put_loses_nothing(store, made, tmp_path,
     that was put."""
     room = tmp_path / "room"
     monkeypatch.setenv(ROOM, str(room))
-    drawn, ended, whole = list[str](), 0, False
+    drawn, ended, whole = [], 0, False
     while not whole:
         room.write_text("2")
         before = {name for name in objects(store) if name.endswith(".h5")}

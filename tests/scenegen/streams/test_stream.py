@@ -122,7 +122,6 @@ def test_workers_make_what_one_process_makes_and_the_dead_are_replaced():
     order = [*range(9), 40, 3, 41, *range(20, 32)]
     for index in order:
         assert same(helped[index], alone[index])
-    assert helped._ahead is not None
     for worker in helped._ahead._workers:
         os.kill(worker.process.pid, signal.SIGKILL)
     assert all(same(one, other) for one, other in zip(helped[30:60], alone[30:60], strict=True))
@@ -146,7 +145,6 @@ def test_neighbours_are_made_ahead_of_need_and_hopeless_draws_end_when_asked_for
     stream = scenegen.stream(small_recipe(), workers=1)
     reader = iter(stream)
     next(reader)
-    assert stream._ahead is not None
     assert 1 in stream._ahead
     for _ in range(8):  # while unit 3 fails
         next(reader)

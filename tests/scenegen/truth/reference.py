@@ -17,8 +17,6 @@ plus the voxel centres whose winding number (solid angles after Van Oosterom and
 not zero; a height field is one prism per triangle of MuJoCo's own triangulation.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -34,7 +32,7 @@ FAR = 3e-6
 FREE, OCCUPIED, EITHER, UNDECIDED = 0, 1, 2, 3
 
 SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, PLANE, HULL = range(7)
-KINDS: dict[str, int] = {
+KINDS = {
     "sphere": SPHERE,
     "capsule": CAPSULE,
     "ellipsoid": ELLIPSOID,

@@ -1,8 +1,6 @@
 """The distance field is the exact distance between voxel centres, truncated, rounded once to
 float32."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal

@@ -1,8 +1,6 @@
 """A voxel is occupied when its closed cube is within 1e-6 m of a solid: checked against
 ``reference``."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math
