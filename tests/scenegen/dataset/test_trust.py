@@ -99,7 +99,7 @@ def verified(dataset):
 
 
 @pytest.mark.parametrize(
-    "version", [1.1, "1.1", "1.4", "1", "1.x", "one", None, -1, [1, 4], "1.5.6", "9" * 9999]
+    "version", [1.1, "1.1", "1.4", 1.6, "1", "1.x", "one", None, -1, [1, 4], "1.5.6", "9" * 9999]
 )
 def test_a_version_that_nobody_wrote_is_not_called_newer(dataset, version):
     manifest.write(dataset, manifest.read(dataset) | {"version": version})

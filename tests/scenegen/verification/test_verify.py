@@ -64,7 +64,7 @@ def test_nothing_in_the_folder_changes_and_nothing_appears_elsewhere(
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("scene", ["forest.xml", "room_with_gap.xml"])
+@pytest.mark.parametrize("scene", ["forest.xml", "room_with_gap.xml", "warehouse.xml"])
 def test_worlds_drawn_by_hand_pass(tmp_path, scene):
     counts = {"train": 5, "val": 0, "test": 0}
     tables = {name: SMALL[name] for name in ("lidar", "grid")} | {"flight": {"viewpoints": 2}}
