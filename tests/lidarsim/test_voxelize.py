@@ -116,18 +116,20 @@ def test_level_scans_whose_rays_run_along_grid_planes_match(yaw_deg, mount):
         assert must.sum() > 1000
 
 
-@pytest.mark.parametrize("seed", range(150))
-def test_random_rays_on_small_grids_of_any_shape_match(seed):
-    rng = np.random.default_rng(seed)
-    grid = GridSpec(
-        shape=tuple(rng.integers(1, 12, 3)),
-        voxel_m=float(rng.choice([0.1, 0.2, 0.25, 0.37, 1.0, 3.0])),
-    )
-    count = int(rng.integers(1, 40))
-    rays = rng.normal(size=(count, 3))
-    reach = np.where(rng.random(count) < 0.3, np.inf, rng.exponential(grid.extent_m.max(), count))
-    scan = scan_of(rays, reach, rng.uniform(-9, 9, 3), max_range_m=float(rng.uniform(0.1, 20)))
-    assert_right(scan, grid, voxelize(scan, grid))
+def test_random_rays_on_small_grids_of_any_shape_match():
+    for seed in range(150):
+        rng = np.random.default_rng(seed)
+        grid = GridSpec(
+            shape=tuple(rng.integers(1, 12, 3)),
+            voxel_m=float(rng.choice([0.1, 0.2, 0.25, 0.37, 1.0, 3.0])),
+        )
+        count = int(rng.integers(1, 40))
+        rays = rng.normal(size=(count, 3))
+        reach = np.where(
+            rng.random(count) < 0.3, np.inf, rng.exponential(grid.extent_m.max(), count)
+        )
+        scan = scan_of(rays, reach, rng.uniform(-9, 9, 3), max_range_m=float(rng.uniform(0.1, 20)))
+        assert_right(scan, grid, voxelize(scan, grid))
 
 
 component = st.one_of(
@@ -225,17 +227,17 @@ def test_a_ray_within_the_plane_between_voxels_belongs_to_the_upper_one(tiny):
     assert down == {(4, 4, 3), (4, 4, 2)}
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_a_slanted_ray_within_a_plane_frees_upper_voxels_only(seed):
-    rng = np.random.default_rng(seed)
-    rays = rng.normal(size=(6, 3))
-    rays[np.arange(6), rng.integers(0, 3, 6)] = rng.choice([0.0, -0.0], 6)
-    scan = scan_of(rays, np.where(rng.random(6) < 0.5, np.inf, rng.uniform(0.1, 1.5, 6)))
-    got = voxelize(scan, DYADIC)
-    given_, length = inputs(scan, DYADIC, got), reference.lengths(scan.ranges, 10.0)
-    exact = reference.exact_swept(*given_, length)
-    assert_array_equal(exact, reference.exact_swept(*given_, length, at_least=1e-9))
-    assert_array_equal(got.free, exact & ~got.observed)
+def test_a_slanted_ray_within_a_plane_frees_upper_voxels_only():
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        rays = rng.normal(size=(6, 3))
+        rays[np.arange(6), rng.integers(0, 3, 6)] = rng.choice([0.0, -0.0], 6)
+        scan = scan_of(rays, np.where(rng.random(6) < 0.5, np.inf, rng.uniform(0.1, 1.5, 6)))
+        got = voxelize(scan, DYADIC)
+        given_, length = inputs(scan, DYADIC, got), reference.lengths(scan.ranges, 10.0)
+        exact = reference.exact_swept(*given_, length)
+        assert_array_equal(exact, reference.exact_swept(*given_, length, at_least=1e-9))
+        assert_array_equal(got.free, exact & ~got.observed)
 
 
 @pytest.mark.parametrize("axis", range(3))
@@ -278,42 +280,46 @@ def test_a_tiny_range_is_observed_at_the_sensor_and_frees_nothing_beyond(reach):
 # observed
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_observed_is_the_floor_formula_even_for_points_on_grid_planes(seed):
+def test_observed_is_the_floor_formula_even_for_points_on_grid_planes():
     """Returns at multiples of the voxel along axes and diagonals: the last bit decides, by the
     formula."""
-    rng = np.random.default_rng(seed)
-    grid = GridSpec(shape=(20, 20, 20), voxel_m=float(rng.choice([0.1, 0.2, 0.3, 0.25])))
-    rays = np.concatenate([np.eye(3), -np.eye(3), rng.choice([-1.0, 1.0, 0.5], (60, 3))])
-    rays = np.tile(rays, (6, 1))
-    reach = rng.integers(1, 12, len(rays)) * np.float32(grid.voxel_m) * np.linalg.norm(rays, axis=1)
-    scan = scan_of(rays, reach, rng.choice([0.0, 1.0, 0.1, -7.7], 3))
-    got = voxelize(scan, grid)
-    given_ = inputs(scan, grid, got)
-    assert_array_equal(got.observed, reference.observed(*given_, scan.ranges))
-    assert got.observed.sum() > 50
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        grid = GridSpec(shape=(20, 20, 20), voxel_m=float(rng.choice([0.1, 0.2, 0.3, 0.25])))
+        rays = np.concatenate([np.eye(3), -np.eye(3), rng.choice([-1.0, 1.0, 0.5], (60, 3))])
+        rays = np.tile(rays, (6, 1))
+        reach = (
+            rng.integers(1, 12, len(rays)) * np.float32(grid.voxel_m) * np.linalg.norm(rays, axis=1)
+        )
+        scan = scan_of(rays, reach, rng.choice([0.0, 1.0, 0.1, -7.7], 3))
+        got = voxelize(scan, grid)
+        given_ = inputs(scan, grid, got)
+        assert_array_equal(got.observed, reference.observed(*given_, scan.ranges))
+        assert got.observed.sum() > 50
 
 
 # ------------------------------------------------------------------------------- an origin of one's
 # own
 
 
-@pytest.mark.parametrize("seed", range(40))
-def test_grids_placed_elsewhere_match_also_when_the_sensor_is_outside(seed):
+def test_grids_placed_elsewhere_match_also_when_the_sensor_is_outside():
     """With `origin` given, rays may enter the map from outside, miss it, or start on its border."""
-    rng = np.random.default_rng(seed)
-    grid = GridSpec(shape=(7, 6, 5), voxel_m=0.25)
-    position = rng.uniform(-1, 1, 3)
-    origin = position - grid.extent_m / 2 + rng.uniform(-2, 2, 3)
-    if seed % 4 == 0:  # on a border plane
-        origin[seed % 3] = position[seed % 3] - (grid.extent_m[seed % 3] if seed % 8 else 0.0)
-    aim = origin + rng.uniform(0, 1, (20, 3)) * grid.extent_m - position
-    rays = np.concatenate([aim, rng.normal(size=(10, 3)), np.eye(3), -np.eye(3)])
-    scan = scan_of(rays, np.where(rng.random(36) < 0.4, np.inf, rng.uniform(0.1, 4, 36)), position)
-    got = voxelize(scan, grid, origin)
-    assert_array_equal(got.origin, origin)
-    must, _ = assert_right(scan, grid, got)
-    assert must.any()
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        grid = GridSpec(shape=(7, 6, 5), voxel_m=0.25)
+        position = rng.uniform(-1, 1, 3)
+        origin = position - grid.extent_m / 2 + rng.uniform(-2, 2, 3)
+        if seed % 4 == 0:  # on a border plane
+            origin[seed % 3] = position[seed % 3] - (grid.extent_m[seed % 3] if seed % 8 else 0.0)
+        aim = origin + rng.uniform(0, 1, (20, 3)) * grid.extent_m - position
+        rays = np.concatenate([aim, rng.normal(size=(10, 3)), np.eye(3), -np.eye(3)])
+        scan = scan_of(
+            rays, np.where(rng.random(36) < 0.4, np.inf, rng.uniform(0.1, 4, 36)), position
+        )
+        got = voxelize(scan, grid, origin)
+        assert_array_equal(got.origin, origin)
+        must, _ = assert_right(scan, grid, got)
+        assert must.any()
 
 
 @pytest.mark.parametrize("axis", range(3))
