@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from lidarsim import GridSpec
 from scenegen.errors import needs, printable
-from scenegen.files import Json, write_result
+from scenegen.files import Json, check_ours, write_result
 from scenegen.model.checkpoint import CheckpointError
 from scenegen.model.network import FinalUp, Network, Output
 from scenegen.model.runtime import HEADER, NAMES
@@ -70,6 +70,7 @@ def export_onnx(network: Any, grid: GridSpec, path: Path, *, about: Json) -> Non
         raise CheckpointError(
             f"{path}: networks are exported as ONNX; give a name that ends in .onnx"
         )
+    check_ours(path)  # an export takes seconds
     try:
         import onnx
         import onnxscript  # noqa: F401 (torch's exporter imports it)
