@@ -140,10 +140,6 @@ class Seeing(Net):
 class Broken(Net):
     def forward(self, batch):
         raise KeyError("gone")
-class Sorted(Net):
-    def forward(self, batch):
-        logits, tudf = super().forward(batch)
-        return Output(logits.flatten(1).cumsum(1).view_as(logits), tudf)
 class Branching(Net):
     def forward(self, batch):
         logits, tudf = super().forward(batch)
@@ -197,9 +193,5 @@ def test_one_task_and_a_scalar_loss_will_do_and_an_export_works_or_says_why_not(
     assert run(capsys, "export wrong:Seeing@runs/Seeing")[0] == 0
     assert Completer.from_pretrained("Seeing.onnx")(np.zeros((24, 24, 16), bool)).tudf is None
     assert "of wrong.py: KeyError" in refused(capsys, *words, "wrong:Broken")
-    for name, code in (("Sorted", 0), ("Branching", 1)):
-        assert run(capsys, *words, f"wrong:{name}")[0] == 0
-        ended, _, error = run(capsys, f"export wrong:{name}@runs/{name}")
-        assert (ended, error.count("\n"), f"wrong:{name}" in error) == (code, code, bool(code)), (
-            error
-        )
+    assert run(capsys, *words, "wrong:Branching")[0] == 0
+    assert "wrong:Branching" in refused(capsys, "export wrong:Branching@runs/Branching")

@@ -353,7 +353,7 @@ def test_gymnasium_takes_it():
 
     import scenegen
 
-    made = gymnasium.make("scenegen/Fly-v0", world="pillar", lidar="velodyne-vlp-16")
+    made = gymnasium.make("scenegen/Fly-v0", world="pillar")
     assert isinstance(made.unwrapped, scenegen.Flight)
     check_env(made.unwrapped, skip_render_check=True)
     first, about = made.reset(seed=3)
