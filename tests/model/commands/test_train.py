@@ -165,7 +165,7 @@ def test_without_datasets_it_says_which_command_makes_one(tmp_path, monkeypatch,
 
 
 WITHOUT = (
-    "import sys; sys.modules |= dict.fromkeys(('torch', 'mcap', 'gymnasium', 'lerobot'));"
+    "import sys; sys.modules |= dict.fromkeys(('torch', 'rosbags', 'gymnasium', 'lerobot'));"
     "from scenegen.__main__ import main; main()"
 )
 
