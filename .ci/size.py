@@ -14,7 +14,7 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 301_000, "benchmarks": 34_800, "tests": 276_250}
+TOKENS = {"product": 301_000, "benchmarks": 34_800, "tests": 261_100}
 FILES = 251
 LINES = 400
 """The longest file of product code."""

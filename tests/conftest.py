@@ -81,7 +81,7 @@ def every_error_of_ours_is_one_line():
 
     def noted(self, *words):
         Exception.__init__(self, *words)
-        if "\n" in str(self) and "in DataLoader worker" not in str(self):  # torch's, to be unwrapped
+        if "\n" in str(self) and "in DataLoader worker" not in str(self):  # torch unwraps it
             longer.append(words)
 
     with pytest.MonkeyPatch.context() as patch:
