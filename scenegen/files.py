@@ -19,7 +19,7 @@ from typing import Any, BinaryIO
 
 from scenegen.errors import DatasetError
 from scenegen.run import undone_if_stopped
-from scenegen.stores import StorePath, note_file
+from scenegen.stores import PART, StorePath, note_file
 
 STALE_S = 24 * 3600.0
 """Age after which a draft of another machine counts as left behind, seconds."""
@@ -271,20 +271,27 @@ def draft_of(path: Path) -> Path:
 
 
 def names_in(folder: Path) -> set[str]:
-    """Names of what lies directly in a folder."""
+    """Names of what lies in a dataset's folder, and of what lies in its folders of shards."""
     if isinstance(folder, StorePath):
         return {item.name for item in folder.store.list()}
-    with os.scandir(folder) as found:
-        return {item.name for item in found}
+    names = {item.name for item in os.scandir(folder)}
+    for part in filter(PART.fullmatch, list(names)):
+        with suppress(NotADirectoryError):
+            within = [f"{part}/{item.name}" for item in os.scandir(folder / part)]
+            names.remove(part)
+            names.update(within)
+    return names
 
 
 def remove_drafts(folder: Path, target: str | None = None) -> None:
-    """Delete drafts in `folder` that this user's scenegen made, of `target` alone if that is given,
-    and whose writer is gone: an ended process of this machine, or one of another machine that wrote
-    nothing for `STALE_S`. A place has none: its objects are complete or absent."""
+    """Delete drafts in `folder`, and in folders of shards in it, that this user's scenegen made, of
+    `target` alone if that is given, and whose writer is gone: an ended process of this machine, or
+    one of another machine that wrote nothing for `STALE_S`. A place has none: its objects are
+    complete or absent."""
     if isinstance(folder, StorePath):
         return
-    for draft in folder.glob(".scenegen-*.tmp"):
+    like = ".scenegen-*.tmp"
+    for draft in (*folder.glob(like), *folder.glob(f"*-*x/{like}")):
         said = DRAFT.fullmatch(draft.name)
         if not said or (target and said[1] != _digest(target)):
             continue

@@ -230,7 +230,7 @@ def make(
 
     execute = executor(on, workers)
     chosen = execute.mine(plan.shards[slice(*shards)] if shards else plan.shards)
-    names = {shard.file.name for shard in chosen}
+    names = {shard.file for shard in chosen}
 
     def count(report: Any, fresh: bool) -> None:
         progress.count(report.samples if report.file in names else 0)

@@ -128,9 +128,9 @@ class Part(ShardTask):
     def _copy(self, *files: BufferedReader) -> ShardReport:
         """The same files under other names: the worlds first, then the samples, which commit
         them."""
-        for file, target in zip(files, (self.worlds_file, self.file), strict=True):
+        for file, target in zip(files, (self.worlds, self.file), strict=True):
             file.seek(0)
-            write_whole(target, file.read())
+            write_whole(self.folder / target, file.read())
         report = read_report(self, self.entry)
         if report is None:
             raise BrokenError(f"{self.entry.file}: is not the shard that its manifest describes")
@@ -260,10 +260,8 @@ def _plan(
         index[split] += 1
     if dataset is None:
         raise DatasetError(nothing)
-    if max(index.values()) > MOST_SHARDS:
-        raise DatasetError(
-            f"{folder}: {max(index.values())} shards of a split, expected {MOST_SHARDS} at most"
-        )
+    if len(parts) > MOST_SHARDS:
+        raise DatasetError(f"{folder}: {len(parts)} shards, expected {MOST_SHARDS} at most")
     each = [(home.parameters, home.digest, ways) for home, ways in sources.values()]
     given = gathered(each, counts, max(part.samples for part in parts))
     lidars = tuple(home.lidar for home, _ in sources.values())

@@ -5,6 +5,7 @@ import contextlib
 import fnmatch
 import json
 import math
+import re
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import closing
@@ -67,7 +68,7 @@ class State:
 
     def __init__(self, plan: Plan, *, force: bool = False):
         self.plan = plan
-        self.reports: dict[Path, ShardReport] = {}
+        self.reports: dict[str, ShardReport] = {}
         """What is known of every shard that is there, by its file."""
         self._force = force
         self._smaller: trust.Manifest | None = None
@@ -94,7 +95,7 @@ class State:
         if not others:
             return None
         if manifest.NAME not in others:
-            if any(read_report(shard) for shard in self.plan.shards if shard.file.name in others):
+            if any(read_report(shard) for shard in self.plan.shards if shard.file in others):
                 return {}  # the manifest alone was lost
             raise DatasetError(
                 f"{folder}: holds other files ({others[0]}, …) and no dataset; choose another "
@@ -136,7 +137,7 @@ class State:
             {entry.file: entry for entry in self._smaller.shards},
         )
         for shard in self.plan.shards:
-            entry = listed.get(shard.file.name)
+            entry = listed.get(shard.file)
             if entry is not None and entry.samples == shard.samples:
                 relabel(shard, old, entry)
         self.look(self.plan.shards)
@@ -154,17 +155,17 @@ class State:
             return
         there = names_in(self.plan.folder)
         unknown = [
-            shard for shard in shards if shard.file not in self.reports and shard.file.name in there
+            shard for shard in shards if shard.file not in self.reports and shard.file in there
         ]
         folder, stored = self.plan.folder, isinstance(self.plan.folder, StorePath)
         noted = {} if stored else read_notes(folder, manifest.fingerprint(self.plan.parameters))
         listed = {**noted, **self._listed}
-        tasks = [(shard, listed.get(shard.file.name)) for shard in unknown]
+        tasks = [(shard, listed.get(shard.file)) for shard in unknown]
         several = workers if len(tasks) >= MANY else 1
         with closing(
             placed.look(folder, tasks) if stored else run(_report, tasks, several)
         ) as found:
-            self.reports |= {folder / report.file: report for report in found if report is not None}
+            self.reports |= {report.file: report for report in found if report is not None}
 
     def open(self) -> None:
         """Make the folder ready for shards, and touch nothing but the dataset that `force`
@@ -181,9 +182,7 @@ class State:
             remove_drafts(folder)
             former = [] if self.begun else _former(folder, there)
         if not self.begun:
-            planned = {
-                path.name for shard in self.plan.shards for path in (shard.file, shard.worlds_file)
-            }
+            planned = {name for shard in self.plan.shards for name in (shard.file, shard.worlds)}
             planned |= tables_of(self.plan.lidars).keys()
             for name in sorted(planned & there - set(former)):
                 raise DatasetError(
@@ -196,6 +195,9 @@ class State:
         if not self.begun or manifest.NAME not in there:
             manifest.write(folder, manifest.assemble(self.plan.parameters, [], complete=False))
             self._listed = self._listed or {}
+        with disk_told(folder):
+            for part in {shard.file.rpartition("/")[0] for shard in self.plan.shards}:
+                (folder / part).mkdir(exist_ok=True)
         write_rays(self.plan.lidars, folder)
 
     def note(self, mine: Sequence[ShardTask] | None = None) -> None:
@@ -258,7 +260,7 @@ class State:
         return [
             shard
             for shard in self.plan.shards
-            if shard.file not in self.reports and shard.file.name not in there
+            if shard.file not in self.reports and shard.file not in there
         ]
 
     def _known(self, shards: Sequence[ShardTask]) -> list[ShardReport]:
@@ -277,10 +279,11 @@ def _former(folder: Path, names: set[str]) -> list[str]:
     if manifest.NAME not in names:
         return []
     there = manifest.read(folder)
-    said, owners = json.dumps(there), [manifest.fingerprint(manifest.parameters_of(there)).encode()]
+    said = set(re.findall(r'"((?:[^"\\]|\\.)*)"', json.dumps(there)))
+    owners = [manifest.fingerprint(manifest.parameters_of(there)).encode()]
     with contextlib.suppress(BrokenError):
         owners += [source.fingerprint.encode() for source in trust.parse(there, folder).sources]
-    found = {name for name in names if FILE_RULE.fits(name) and f'"{name}"' in said}
+    found = {name for name in names & said if FILE_RULE.fits(name)}
     for name in filter(FILE_RULE.fits, sorted(names - found)):
         content, samples = _content(folder / name), name.replace(".worlds.zip", ".h5")
         if name == samples:

@@ -85,7 +85,7 @@ class Bucket(Store):
         """See `Store`."""
         after: dict[str, str] = {}
         while True:
-            asked = {"Bucket": self.bucket, "Prefix": self.prefix, "Delimiter": "/", **after}
+            asked = {"Bucket": self.bucket, "Prefix": self.prefix, **after}
             found = self._ask("", self._client.list_objects_v2, "IsTruncated", **asked)
             try:
                 for item in found.get("Contents", ()):
@@ -195,9 +195,9 @@ class Foreign(Store):
     def list(self) -> Iterator[Object]:
         """See `Store`."""
         with suppress(FileNotFoundError), self._told(""):
-            for item in self._system.ls(self._path, detail=True):
-                if item["type"] == "file":
-                    yield Object(item["name"].rpartition("/")[2], int(item["size"] or 0), None)
+            for name, item in self._system.find(self._path, 2, detail=True).items():
+                there = name.removeprefix(self._path).lstrip("/")
+                yield Object(there, int(item["size"] or 0), None)
 
     def read(self, name: str, file: IO[bytes], most_bytes: int) -> Version:
         """See `Store`."""

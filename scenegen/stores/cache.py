@@ -19,7 +19,7 @@ from typing import IO, NamedTuple
 
 from lidarsim.jit import cache_root, folder_trouble, is_ours
 from scenegen.errors import StoreError, printable
-from scenegen.stores import note_file, store_of
+from scenegen.stores import home_of, note_file, store_of
 
 AT_A_TIME = 8
 """Files that are fetched at the same time, where all are needed."""
@@ -90,18 +90,20 @@ def fetch(path: Path) -> bool:
 
     Raises StoreError where the store does not give it, or other bytes than the manifest lists.
     """
-    about = note_of(path.parent)
-    if about is None or path.name not in about.files:
+    folder = home_of(path.parent)
+    about, name = note_of(folder), str(path.relative_to(folder))
+    if about is None or name not in about.files:
         return False
-    if _is_whole(path, about.files[path.name]):
+    if _is_whole(path, about.files[name]):
         return True
+    path.parent.mkdir(exist_ok=True)
     try:
         with _draft(path, about.store) as file:
-            store_of(about.store).read(path.name, file, 1 << 62)
+            store_of(about.store).read(name, file, 1 << 62)
             file.seek(0)
-            if _sum(file) != about.files[path.name]:
+            if _sum(file) != about.files[name]:
                 raise StoreError(
-                    f"{about.store}/{path.name}: is not the file that the manifest lists; if a run "
+                    f"{about.store}/{name}: is not the file that the manifest lists; if a run "
                     "goes on there, wait for its end and give the same command again; else "
                     "generate the dataset again"
                 )
@@ -167,9 +169,10 @@ def note_of(folder: Path) -> Note | None:
 
 
 def bytes_in(folder: Path) -> int:
-    """Bytes of the files in a folder, or of those that a folder of copies is of, fetched or not.
-    Raises StoreError."""
-    there = {path.name: path.stat().st_size for path in folder.iterdir() if path.is_file()}
+    """Bytes of the files in a dataset's folder, or of those that a folder of copies is of, fetched
+    or not. Raises StoreError."""
+    found = (path for path in (*folder.iterdir(), *folder.glob("*-*x/*")) if path.is_file())
+    there = {str(path.relative_to(folder)): path.stat().st_size for path in found}
     if (about := note_of(folder)) is not None:
         there |= {
             item.name: item.bytes
