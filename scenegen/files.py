@@ -266,7 +266,7 @@ def draft_of(path: Path) -> Path:
     """A new name beside `path` that nobody can guess. It says for which name and by which process
     it is, so that `remove_drafts` finds what this program left behind, and nothing else."""
     pid, secret = os.getpid(), secrets.token_hex(8)
-    said = f"{_digest(path.name)}-{_machine()}-{pid}-{_start_of(pid)}-{secret}"
+    said = f"{_digest(path.name)}-{_machine()}-{pid}-{_own_start(pid)}-{secret}"
     return path.with_name(f".scenegen-{said}.tmp")
 
 
@@ -321,6 +321,10 @@ def _start_of(pid: int) -> int:
     except OSError:
         return 0
     return 0 if fields[0] in "ZX" else int(fields[19])
+
+
+_own_start = cache(_start_of)
+"""That of this process, which stays: each look at it takes as long as making a small file."""
 
 
 @cache

@@ -28,7 +28,7 @@ def write_note(
     parameters have the digest `parameters`."""
     name = sha256_of("\n".join(part).encode())[:12]
     shards = [report.entry() for report in reports]
-    content = json.dumps({"parameters": parameters, "shards": shards}, indent=1) + "\n"
+    content = json.dumps({"parameters": parameters, "shards": shards})
     write_whole(folder / f"dataset.part-{name}.json", content.encode())
 
 

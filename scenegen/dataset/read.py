@@ -2,10 +2,12 @@
 come from."""
 
 import os
+from bisect import bisect_right
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from functools import cached_property, partial
 from io import BufferedReader
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -28,6 +30,9 @@ if TYPE_CHECKING:  # which imports MuJoCo
 MOST_OPEN = 256
 """Shards that a reader keeps open in one process; a large dataset has more than a process may
 open."""
+
+
+FIRST = itemgetter(0)
 
 
 def advised(folder: Path, mark: str = "/", of: Any = BrokenError) -> AbstractContextManager[None]:
@@ -98,8 +103,9 @@ class Dataset:
 
         Raises DatasetError where there is no such world.
         """
-        for shard, own in self._shards_before(split, number):
-            member = f"{own:06d}.xml"
+        shards = self._by_world.get(split, [])
+        for first, shard in reversed(shards[: bisect_right(shards, number, key=FIRST)]):
+            member = f"{number - first + shard.first_world:06d}.xml"
             with (
                 advised(self.folder),
                 self._open(shard.worlds, shard.worlds_sha256) as file,
@@ -122,19 +128,15 @@ class Dataset:
             screen(document, files, name)
             return archived_world(document, files, name=name)
 
-    def _shards_before(self, split: str, number: int) -> list[tuple[trust.Entry, int]]:
-        """The shards of a split that may hold its world `number`, the likeliest first, and the
-        number that it bears there."""
-        first = self.manifest.first_worlds
-        found = [
-            (entry, number - first[split, entry.source])
-            for entry in self.manifest.shards
-            if entry.split == split
-        ]
-        return sorted(
-            ((entry, own) for entry, own in found if entry.first_world <= own),
-            key=lambda one: -one[0].first_world,
-        )
+    @cached_property
+    def _by_world(self) -> dict[str, list[tuple[int, trust.Entry]]]:
+        """The shards of each split, with the number of the first world of each, in the order of
+        these: there may be very many, of which one is looked for."""
+        found: dict[str, list[tuple[int, trust.Entry]]] = {}
+        for entry in self.manifest.shards:
+            first = self.manifest.first_worlds[entry.split, entry.source] + entry.first_world
+            found.setdefault(entry.split, []).append((first, entry))
+        return {split: sorted(shards, key=FIRST) for split, shards in found.items()}
 
     def _shard(self, entry: trust.Entry) -> ShardFile:
         """An open shard, of this dataset by its own word."""

@@ -210,7 +210,7 @@ def put(
     write_whole(spec.folder / spec.worlds, worlds)
     write_whole(spec.folder / spec.file, content)
     sums = sha256_of(content), sha256_of(worlds)
-    return _report(spec, sums, len(content) + len(worlds), rejected, own)
+    return report_of(spec, sums, len(content) + len(worlds), rejected, own)
 
 
 def _create(file: h5py.File, layout: Layout, samples: int) -> dict[str, h5py.h5d.DatasetID]:
@@ -228,9 +228,10 @@ def _create(file: h5py.File, layout: Layout, samples: int) -> dict[str, h5py.h5d
     return found
 
 
-def _report(
+def report_of(
     spec: ShardTask, sums: tuple[str, str], size: int, rejected: Rejections, digests: bytes
 ) -> ShardReport:
+    """The report of a shard whose two files have these SHA-256 `sums`, and `size` bytes in all."""
     return ShardReport(
         file=spec.file,
         worlds=spec.worlds,
@@ -289,7 +290,7 @@ def read_report(
                 shard.check(row)
                 for name in (name for name in DERIVED if name in shard.columns):
                     shard.value(name, row, read_only=True)  # which must be there
-            return _report(
+            return report_of(
                 spec, sums, size, Rejections(**shard.rejected()), shard.column(DIGEST).tobytes()
             )
     except (BrokenError, OSError, KeyError, ValueError):
