@@ -167,17 +167,6 @@ def assemble(
     }
 
 
-def encode(manifest: Mapping[str, Any]) -> bytes:
-    """The bytes of a manifest, as `json.dumps` with an indent of 1 gives them. It would take half a
-    minute for as many shards as there can be: indents are written by Python code."""
-    text = json.dumps({**manifest, "shards": []}, indent=1)
-    each = [json.dumps(one, separators=(",\n   ", ": "))[1:-1] for one in manifest["shards"]]
-    listed = ",\n  ".join(f"{{\n   {one}\n  }}" for one in each)
-    if each:
-        text = text.replace('\n "shards": []', f'\n "shards": [\n  {listed}\n ]')
-    return f"{text}\n".encode()
-
-
 def write(folder: Path, manifest: Mapping[str, Any]) -> None:
     """Replace the manifest of `folder`; at a place, the one that was read last.
 
@@ -185,7 +174,7 @@ def write(folder: Path, manifest: Mapping[str, Any]) -> None:
     of any other; they may list other shards, but none differently. Raises StoreError where it is of
     another dataset.
     """
-    content = encode(manifest)
+    content = (json.dumps(manifest, indent=1) + "\n").encode()
     while True:  # until no other run puts one between
         try:
             write_whole(folder / NAME, content)
