@@ -1,15 +1,15 @@
-"""What commands cost on folders of very many shards: processor time, and memory of the largest
-process.
+"""What commands cost on a folder of very many samples: processor time, wall time, memory of the
+largest process.
 
-    python benchmarks/folders.py --shards 10 1000 10000 100000 [--samples 10000] [--at /dev/shm]
-    [--workers 1]
+    python benchmarks/folders.py --samples 20000 [--shard-samples 20] [--folder data/tiny]
+    [--workers 2] [--forged]
 
-A first folder has full `pillar` maps in shards of a thousand. Each of the others has as many tiny
-shards, of one map of 16³ voxels each: one flight is drawn for all, and every shard has its own
-numbers, a world that differs in a digit, and a pose that differs in its last bits. Every command
-runs on each in a process of its own. What a shard takes more is the difference between the last
-and the first of the tiny folders; what a sample takes, that between the full folder and the first;
-from both comes what 1, 10 and 100 million full samples in shards of a thousand would take.
+It makes a dataset of tiny maps in small shards, as sound as any, or goes on with that in --folder;
+runs every command on it in a process of its own; and prints what each took, and what a million
+samples would take, computed from that as if all of it beyond the first line, which any command
+takes, grew with the number of samples. With --forged, each shard has one map, and one flight is
+drawn for all: a shard's world differs from the others' in a digit, its pose in the last bits, so
+that 100,000 shards are made in ten minutes.
 """
 
 import multiprocessing
@@ -24,17 +24,16 @@ from typing import Any
 import measuring
 from measuring import Cost
 
+from scenegen.dataset.manifest import NAME
+
 RECIPE = """
 kind = "pillar"
 world = {size_m = [16, 16, 8]}
-flight = {viewpoints = 1, margin_m = 2, min_distance_m = 6}
+flight = {viewpoints = 5, margin_m = 2, min_distance_m = 6}
 accept = {min_solids = 1}
 lidar = {rows = 4, columns = 16}
 grid = {shape = [16, 16, 16]}
 """
-IN_SHARD = 1000
-"""Samples of a shard of full maps."""
-MILLIONS = (1, 10, 100)
 
 
 def command(*words: object) -> Callable[[], Cost]:
@@ -43,74 +42,62 @@ def command(*words: object) -> Callable[[], Cost]:
 
 
 def main() -> None:
-    """Make the folders one after the other, and print the tables."""
+    """Make the dataset, and print the table."""
     parser = measuring.options(__doc__)
-    parser.add_argument("--shards", type=int, nargs="+", default=[10, 1000, 10_000])
-    parser.add_argument("--samples", type=int, default=10_000, help="full samples")
-    parser.add_argument("--at", type=Path, help="where folders are made, such as a RAM disk")
-    parser.add_argument("--workers", type=int, default=1)
-    asked = measuring.parse(parser, shards=[10, 20], samples=10)
-    found: dict[int, dict[str, Cost]] = {}
-    with tempfile.TemporaryDirectory(dir=asked.at) as here:
+    parser.add_argument("--samples", type=int, default=20_000)
+    parser.add_argument("--shard-samples", type=int, default=20)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument(
+        "--folder", type=Path, help="where the dataset is kept; else in a folder that is removed"
+    )
+    parser.add_argument("--forged", action="store_true", help="as many shards as samples")
+    asked = measuring.parse(parser, samples=20, shard_samples=10, workers=1)
+    with tempfile.TemporaryDirectory() as here:
+        folder = asked.folder or Path(here, "d")
         recipe = Path(here, "tiny.toml")
         recipe.write_text(RECIPE)
-        full = split(asked.samples, "--kind", "pillar", "--shard-samples", IN_SHARD)
-        command(*full, "--out", Path(here, "full"))()
-        each = measure(Path(here, "full"), full, asked.workers)
-        for shards in asked.shards:
-            folder = Path(here, str(shards))
-            words = split(shards, "--recipe", recipe, "--shard-samples", 1, "--compact")
-            # in a process of its own: the memory of those begun here counts what this one has
+        if asked.forged:
+            asked.shard_samples = 1
+            recipe.write_text(RECIPE.replace("viewpoints = 5", "viewpoints = 1"))
+        test = asked.samples // 10
+        words = [
+            "generate",
+            "--recipe",
+            recipe,
+            "--n",
+            asked.samples - 2 * test,
+            "--val",
+            test,
+            "--test",
+            test,
+        ]
+        words += ["--compact", "--shard-samples", asked.shard_samples, "--quiet", "--out", folder]
+        words += ["--workers", asked.workers]
+        if asked.forged:  # by another process, since the memory of others counts that of this one
+            options = {"recipe": recipe, "val": test, "test": test, "out": folder}
             made = multiprocessing.get_context("spawn").Process(
-                target=fill, args=(folder, recipe, shards, asked.workers)
+                target=forge, args=(asked.samples - 2 * test, options, asked.workers)
             )
             made.start()
             made.join()
-            found[shards] = measure(folder, words, asked.workers)
-    (few, least), (many, most) = list(found.items())[:: len(found) - 1]
-    print(f"\n| processor s, MB | {asked.samples} full samples |", end="")
-    print(*(f" {shards} tiny shards |" for shards in found), *(f" {n} M |" for n in MILLIONS))
-    print("|---" * (2 + len(found) + len(MILLIONS)) + "|")
-    for name, cost in each.items():
-        costs = [cost, *(one[name] for one in found.values())]
-        row = [f"{it.processor_s:.1f}, {it.megabytes:.0f} |" for it in costs]
-        base = least[name].processor_s
-        sample = max(cost.processor_s - base, 0) / asked.samples
-        shard = (most[name].processor_s - base) / (many - few)
-        row += [f"{base + 1e6 * n * (sample + shard / IN_SHARD):.0f} |" for n in MILLIONS]
-        print(f"| {name} |", *row)
+        command(*words)()  # the kernels compile
+        _measure(folder, words, asked.samples, asked.workers, Path(here))
 
 
-def split(count: int, *words: object) -> list[object]:
-    """The command that generates `count` samples, an eighth of them for other splits."""
-    test = max(count // 10, 1)
-    rest = ["--n", count - 2 * test, "--val", test, "--test", test, "--quiet"]
-    return ["generate", *words, *rest]
-
-
-def fill(folder: Path, recipe: Path, shards: int, workers: int) -> None:
-    """A folder of so many tiny shards, which no manifest lists yet."""
+def forge(train: int, options: dict[str, Any], workers: int) -> None:
+    """A folder of shards of one sample each, which no manifest lists yet."""
     from scenegen.dataset.generation import plan_generation
     from scenegen.dataset.state import State
     from scenegen.run.workers import run
 
-    test = max(shards // 10, 1)
-    plan = plan_generation(
-        n=shards - 2 * test,
-        val=test,
-        test=test,
-        out=folder,
-        recipe=recipe,
-        compact=True,
-        shard_samples=1,
-    )
+    plan = plan_generation(n=train, compact=True, shard_samples=1, **options)
     State(plan).open()
     first: Any = plan.shards[0]
-    for _ in run(partial(forge, first.draw(0)), list(enumerate(plan.shards)), workers):
+    for _ in run(partial(_forge, first.draw(0)), list(enumerate(plan.shards)), workers):
         pass
 
 
-def forge(unit: Any, task: tuple[int, Any]) -> None:
+def _forge(unit: Any, task: tuple[int, Any]) -> None:
     """Write a shard of the one sample of `unit`, as if it were another one's."""
     from scenegen.dataset.shard import put
     from scenegen.draw import Rejections
@@ -126,33 +113,110 @@ def forge(unit: Any, task: tuple[int, Any]) -> None:
     put(spec, [(partial(getattr, sample), sample.sha256())], documents, Rejections())
 
 
-def measure(folder: Path, words: list[object], workers: int) -> dict[str, Cost]:
-    """What every command takes on a folder, which the command `words` makes or goes on with."""
-    here, again = folder.parent, [*words, "--out", folder, "--workers", workers]
-    quiet = ["--quiet", "--workers", workers]
-    parts = [here / f"{folder.name}-{name}" for name in ("train", "test", "both")]
-    read = f"import scenegen; scenegen.load({str(folder)!r})[0].ranges"
-    rows: dict[str, Callable[[], Cost]] = {
-        "nothing: `scenegen --version`": command("--version"),
-        "resume, unlisted": command(*again),
-        "resume, listed": command(*again),
-        "open, read one sample": lambda: measuring.run("-c", read)[0],
-        "inspect": command("inspect", folder),
-        "verify --quick": command("verify", folder, "--quick", *quiet),
-        "take --split train": command("take", folder, "--split", "train", "-o", parts[0], *quiet),
-        "take --split test": command("take", folder, "--split", "test", "-o", parts[1], *quiet),
-        "merge of both": command("merge", *parts[:2], "-o", parts[2], *quiet),
-    }
-    found = {}
-    for name, task in rows.items():
-        found[name] = task()
-        used, wall, memory = found[name]
-        print(f"{folder.name}: {name}: {used:.1f} s, {wall:.1f} by the clock, {memory:.0f} MB")
+FORGET = """
+import sys
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+from scenegen.dataset import manifest
+from scenegen.dataset.placed import write_note
+from scenegen.dataset.trust import load
+folder = Path(sys.argv[1])
+there = load(folder)
+manifest.write(folder, manifest.assemble(there.parameters, [], complete=False))
+if sys.argv[2] == "noted":
+    files = [entry.file for entry in there.shards]
+    reports = [SimpleNamespace(entry=partial(asdict, entry)) for entry in there.shards]
+    write_note(folder, there.fingerprint, files, reports)
+"""
+"""Takes the list of shards out of a manifest, and writes it down as one job's of many, if asked
+to."""
+
+
+def _measure(folder: Path, again: list[object], samples: int, workers: int, here: Path) -> None:
+    size = (folder / NAME).stat().st_size
+    files = [path.stat().st_size for path in folder.rglob("*") if path.is_file()]
+    some = min(100, len(list(folder.glob("*.h5"))))
     print(
-        f"{folder.name}: dataset.json has {(folder / 'dataset.json').stat().st_size} bytes",
-        flush=True,
+        f"{samples} samples of {sum(files) / samples / 1e3:.1f} KB, {len(files)} files; {NAME} "
+        f"has {size} bytes"
     )
-    return found
+
+    def unlisted() -> None:
+        measuring.run("-c", FORGET, folder, "")
+
+    def left_to_the_last_job() -> None:
+        measuring.run("-c", FORGET, folder, "noted")
+
+    rows: list[tuple[str, Callable[[], None], Callable[[], Cost]]] = [
+        ("nothing: `scenegen --version`", lambda: None, command("--version")),
+        (
+            "open, read one sample",
+            lambda: None,
+            lambda: measuring.run(
+                "-c", f"import scenegen; scenegen.load({str(folder)!r})[0].ranges"
+            )[0],
+        ),
+        ("resume, listed", lambda: None, command(*again)),
+        ("resume, unlisted", unlisted, command(*again)),
+        ("last job of many, noted", left_to_the_last_job, command(*again)),
+        (
+            f"a range job of {some} shards",
+            lambda: None,
+            command(*again, "--split-range", f"0:{some}"),
+        ),
+        ("inspect", lambda: None, command("inspect", folder)),
+        ("inspect --all", lambda: None, command("inspect", folder, "--all", "--workers", workers)),
+        (
+            "verify --quick",
+            lambda: None,
+            command("verify", folder, "--quick", "--quiet", "--workers", workers),
+        ),
+        (
+            "take --split train",
+            lambda: None,
+            command(
+                "take",
+                folder,
+                "--split",
+                "train",
+                "--quiet",
+                "-o",
+                here / "a",
+                "--workers",
+                workers,
+            ),
+        ),
+        (
+            "take --split test",
+            lambda: None,
+            command(
+                "take", folder, "--split", "test", "--quiet", "-o", here / "b", "--workers", workers
+            ),
+        ),
+        (
+            "merge",
+            lambda: None,
+            command(
+                "merge", here / "a", here / "b", "--quiet", "-o", here / "c", "--workers", workers
+            ),
+        ),
+    ]
+    idle = 0.0
+    print(
+        f"\n| {workers} workers | processor s, clock s | a million samples, processor s | largest "
+        f"process, MB |"
+    )
+    print("|---|---|---|---|")
+    for name, prepare, run in rows:
+        prepare()
+        used, seconds, memory = run()
+        idle = idle or used
+        of_million = (used - idle) * 1e6 / samples
+        print(
+            f"| {name} | {used:.1f}, {seconds:.1f} | {of_million:.0f} | {memory:.0f} |", flush=True
+        )
 
 
 if __name__ == "__main__":

@@ -323,8 +323,10 @@ def _start_of(pid: int) -> int:
     return 0 if fields[0] in "ZX" else int(fields[19])
 
 
-_own_start = cache(_start_of)
-"""That of this process, which stays: each look at it takes as long as making a small file."""
+@cache  # each look takes as long as making a small file
+def _own_start(pid: int) -> int:
+    """That of this process, which stays."""
+    return _start_of(pid)
 
 
 @cache

@@ -65,6 +65,7 @@ class Dataset:
         self.folder = Path(folder)
         self.checked = checked
         self._sound: set[str] = set()
+        self._splits: dict[str, Split] = {}
         self.manifest = trust.load(self.folder)
         with advised(self.folder):
             self.grid, self.lidar = self.manifest.grid, self.manifest.lidar
@@ -83,7 +84,9 @@ class Dataset:
             raise DatasetError(
                 f"{self.folder}: has no split {short(name)}; expected one of {', '.join(SPLITS)}"
             )
-        return Split(self, name)
+        if name not in self._splits:  # made once: it may have very many shards
+            self._splits[name] = Split(self, name)
+        return self._splits[name]
 
     def __repr__(self) -> str:
         return f"<Dataset: {self.manifest.kind}, seed {self.manifest.seed}, in {self.folder}>"

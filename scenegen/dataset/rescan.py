@@ -16,7 +16,7 @@ from scenegen import GENERATOR, SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.build import divide
 from scenegen.dataset.parts import NAMES, entries, schema_of
-from scenegen.dataset.read import Dataset, Split
+from scenegen.dataset.read import Dataset
 from scenegen.dataset.shard import ShardSpec, find_engine
 from scenegen.dataset.state import Plan
 from scenegen.draw import (
@@ -118,11 +118,6 @@ class Archived:
         faults."""
         return Dataset(self.folder, checked=True)
 
-    @lru_cache(maxsize=len(SPLITS))  # noqa: B019
-    def split(self, name: str) -> Split:
-        """A split of it, opened once: it may have very many shards."""
-        return self.dataset.split(name)
-
     def __getstate__(self) -> dict[str, Any]:
         return {"folder": self.folder, "scenes": self.scenes}
 
@@ -147,7 +142,7 @@ class Archived:
     def poses(self, split: str, samples: Sequence[int]) -> list[list[Pose]]:
         """Poses of the sensor, by the samples' places in their split: of each its own, and those
         before it, the last one first. Raises DatasetError."""
-        found = self.split(split)
+        found = self.dataset.split(split)
         with raised_as(DatasetError, f"{self.folder}: {split} sample: ", "; verify the dataset"):
             return [[scan.pose for scan in found[place].scans()] for place in samples]
 
@@ -162,7 +157,7 @@ class RescanSpec(ShardSpec):
         source: Any = self.source
         each = self.recipe.flight.viewpoints
         begin = unit * each
-        places = range(begin, min(begin + each, len(source.split(self.split))))
+        places = range(begin, min(begin + each, len(source.dataset.split(self.split))))
         number, turn = source.number(self.split, unit)
         world = source.world(self.split, number, rng=np.random.default_rng(0))
         key = UnitKey(self.seed, self.split, unit)

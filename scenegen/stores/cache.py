@@ -171,8 +171,9 @@ def note_of(folder: Path) -> Note | None:
 def bytes_in(folder: Path) -> int:
     """Bytes of the files in a dataset's folder, or of those that a folder of copies is of, fetched
     or not. Raises StoreError."""
-    found = (path for path in (*folder.iterdir(), *folder.glob("*-*x/*")) if path.is_file())
-    there = {str(path.relative_to(folder)): path.stat().st_size for path in found}
+    found = (item for part in (folder, *folder.glob("*-*x/")) for item in os.scandir(part))
+    there = {item.path: item.stat().st_size for item in found if item.is_file()}
+    there = {path.removeprefix(f"{folder}/"): size for path, size in there.items()}
     if (about := note_of(folder)) is not None:
         there |= {
             item.name: item.bytes

@@ -37,8 +37,12 @@ class Kept(Store):
 
     def list(self):
         with self._alone("list"):
-            there = [path for path in self.home.glob("*") if path.is_file()]
-            found = [Object(path.name, path.stat().st_size, self._version(path)) for path in there]
+            there = [path for path in self.home.rglob("*") if path.is_file()]
+            names = [str(path.relative_to(self.home)) for path in there]
+            found = [
+                Object(name, path.stat().st_size, self._version(path))
+                for name, path in zip(names, there, strict=True)
+            ]
         return iter(found)
 
     def read(self, name, file, most_bytes):
@@ -67,7 +71,7 @@ class Kept(Store):
             if left == 0:
                 raise StoreError(f"{self.name}/{name}: the store is full")
             Path(room).write_text(str(left - 1))
-        self.home.mkdir(parents=True, exist_ok=True)
+        (self.home / name).parent.mkdir(parents=True, exist_ok=True)
         (self.home / name).write_bytes(content)
         return self._version(self.home / name)
 
