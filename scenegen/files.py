@@ -9,17 +9,21 @@ import secrets
 import shutil
 import socket
 import stat
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache
 from io import BufferedReader
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from scenegen.errors import DatasetError
 from scenegen.run import undone_if_stopped
 from scenegen.stores import StorePath, note_file
+
+if TYPE_CHECKING:
+    from scenegen.stores.copies import Copy
 
 STALE_S = 24 * 3600.0
 """Age after which a draft of another machine counts as left behind, seconds."""
@@ -62,6 +66,29 @@ def open_bounded(path: Path, most_bytes: int) -> BufferedReader:
     os.close(handle)
     large = f"{status.st_size} bytes, expected {most_bytes} at most; give a smaller file"
     raise DatasetError(f"{path}: {large if regular else 'is not a regular file; give a file'}")
+
+
+def open_parts(path: Path) -> "BufferedReader | Copy":
+    """`open_bounded`, but for a copy of an object that is not whole: of that, what is read is
+    fetched, and no more."""
+    if note_file(path.parent).is_file():
+        from scenegen.stores.cache import open_copy
+
+        if (copy := open_copy(path)) is not None:
+            return copy
+    return open_bounded(path, sys.maxsize)
+
+
+def pread(file: "BufferedReader | Copy", size: int, begin: int) -> bytes:
+    """Bytes of an open file, as `os.pread`."""
+    if isinstance(file, BufferedReader):
+        return os.pread(file.fileno(), size, begin)
+    return file.pread(size, begin)
+
+
+def size_of(file: "BufferedReader | Copy") -> int:
+    """The bytes of an open file."""
+    return os.fstat(file.fileno()).st_size if isinstance(file, BufferedReader) else file.bytes
 
 
 def read_bounded(path: Path, most_bytes: int) -> bytes:

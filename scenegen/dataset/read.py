@@ -16,7 +16,7 @@ from lidarsim import fuse
 from scenegen import SPLITS
 from scenegen.dataset import trust
 from scenegen.dataset.archive import DOCUMENT, open_archive
-from scenegen.dataset.layout import ShardFile, check_sum, open_file, open_shard
+from scenegen.dataset.layout import ShardFile, check_sum, open_fetched, open_file, open_shard
 from scenegen.errors import BrokenError, DatasetError, SceneError, raised_as, short
 from scenegen.sample import Sample, Samples, Schema, html_table
 from scenegen.truth import distance_field
@@ -141,7 +141,8 @@ class Dataset:
         path = self.folder / entry.file
         home = self.manifest.home(entry)
         with advised(self.folder):
-            file = self._open(entry.file, entry.sha256)
+            checked = self.checked
+            file = self._open(entry.file, entry.sha256) if checked else open_fetched(path)
             shard = open_shard(file, path, entry.samples, home.layout)
             shard.check_origin(
                 split=entry.split,
@@ -186,8 +187,8 @@ class Split(Samples):
 
     def _sample(self, index: int) -> Sample:
         number, row = self._place(index)
-        self._shard(number)  # which says at once if the file is missing or not this dataset's
-        if self.dataset.checked:
+        # this says at once if the file is missing or not this dataset's
+        if self._shard(number).fetched or self.dataset.checked:
             self.check(index)
         home, find = self.home(index), partial(self._find, number, row)
         return Sample.lazy(home.schema.names, find, lidar=home.lidar, grid=home.grid)

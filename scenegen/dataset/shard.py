@@ -274,7 +274,7 @@ def read_report(
     try:
         with open_file(spec.file) as file, open_file(spec.worlds_file) as worlds:
             shard = open_shard(file, spec.file, spec.samples, spec.layout)
-            if not tells(file.fileno()):  # nothing is lost, but it is not the file that was written
+            if not tells(file):  # nothing is lost, but it is not the file that was written
                 return None
             size = sum(os.fstat(each.fileno()).st_size for each in (file, worlds))
             sums = sha256_in(file), sha256_in(worlds)

@@ -455,7 +455,7 @@ def test_an_answer_that_is_cut_off_is_asked_for_again(monkeypatch):
         bucket._client, "get_object", lambda **asked: {**answer, "Body": Cut(b"abcd")}
     )
     file = io.BytesIO()
-    assert bucket.read("y", file, 4) == "e"
+    assert bucket.read("y", file, 4) == ("y", 4, "e")
     assert file.getvalue() == b"abcd"
     Cut.left = 100
     with pytest.raises(StoreError, match="s3://lab/x/y: the store does not answer"):

@@ -1,0 +1,125 @@
+"""A server of S3's protocol in this process, over a folder of objects: it says what it was asked
+for, and fails as often as it is told to."""
+
+import hashlib
+import time
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Lock, Thread
+from urllib.parse import parse_qs, unquote, urlsplit
+
+PAGE = 1000
+"""Objects of one listing."""
+
+
+class Served(ThreadingHTTPServer):
+    """The server, while the block lasts; ``home/bucket/key`` are its objects."""
+
+    request_queue_size = 100
+    daemon_threads = True
+
+    def __init__(self, home, wait_s=0.0, fail_every=0):
+        super().__init__(("127.0.0.1", 0), Answer)
+        self.home, self.wait_s, self.fail_every = Path(home), wait_s, fail_every
+        self.log: list[tuple[str, int]] = []
+        """What was asked for, "GET train-00000.h5" or "LIST", and the bytes of each answer."""
+        self.alone = Lock()
+
+    @property
+    def environment(self):
+        """What a client's environment has to say."""
+        url = f"http://127.0.0.1:{self.server_address[1]}"
+        return {"AWS_ENDPOINT_URL": url, "AWS_ACCESS_KEY_ID": "x", "AWS_SECRET_ACCESS_KEY": "x"}
+
+    def __enter__(self):
+        Thread(target=self.serve_forever, daemon=True).start()
+        return self
+
+    def __exit__(self, *error):
+        self.shutdown()
+        self.server_close()
+
+
+class Answer(BaseHTTPRequestHandler):
+    """One request."""
+
+    protocol_version = "HTTP/1.1"
+    disable_nagle_algorithm = True
+    server: Served
+
+    def _answer(self):
+        body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
+        url, server = urlsplit(self.path), self.server
+        path, asked = server.home / unquote(url.path[1:]), parse_qs(url.query)
+        what = "LIST" if "list-type" in asked else f"{self.command} {path.name}"
+        with server.alone:
+            server.log.append((what, 0))
+            number = len(server.log)
+        time.sleep(server.wait_s)
+        fails = server.fail_every and number % server.fail_every == 0
+        if fails and number // server.fail_every % 2:
+            self._send(503, b"")
+            return
+        if what == "LIST":
+            self._send(200, listing(path, asked))
+            return
+        content = path.read_bytes() if path.is_file() else None
+        tag = None if content is None else f'"{hashlib.md5(content).hexdigest()}"'
+        wanted = self.headers.get("If-Match")
+        if (wanted and wanted != tag) or (self.headers.get("If-None-Match") and tag):
+            self._send(412, b"")
+        elif self.command == "PUT":
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(body)
+            self._send(200, b"", ETag=f'"{hashlib.md5(body).hexdigest()}"')
+        elif self.command == "DELETE":
+            path.unlink(missing_ok=True)
+            self._send(204, b"")
+        elif content is None:
+            self._send(404, b"")
+        else:
+            part = part_of(content, self.headers.get("Range"))
+            status = 200 if part is content else 206
+            self._send(status, part, cut=fails, ETag=tag)
+            server.log[number - 1] = what, len(part)
+
+    do_GET = do_PUT = do_HEAD = do_DELETE = _answer  # noqa: N815
+
+    def _send(self, status, content, *, cut=False, **headers):
+        self.send_response(status)
+        for name, value in {"Content-Length": str(len(content)), **headers}.items():
+            self.send_header(name, value)
+        self.end_headers()
+        if self.command != "HEAD":
+            self.wfile.write(content[: len(content) // 2] if cut else content)
+        self.close_connection |= cut
+
+    def log_message(self, *said):
+        """Nothing."""
+
+
+def part_of(content, asked):
+    """What a header Range asks for of some content."""
+    if asked is None:
+        return content
+    first, _, last = asked.removeprefix("bytes=").partition("-")
+    return content[int(first) : int(last) + 1] if first else content[-int(last) :]
+
+
+def listing(bucket, asked):
+    """The answer to a request for a list, as XML."""
+    prefix = asked.get("prefix", [""])[0]
+    after = asked.get("continuation-token", [""])[0]
+    there = sorted(path for path in (bucket / prefix).glob("*") if path.is_file())
+    rest = [path for path in there if path.name > after]
+    rows = [
+        f"<Contents><Key>{prefix}{path.name}</Key><Size>{path.stat().st_size}</Size>"
+        f'<ETag>"{hashlib.md5(path.read_bytes()).hexdigest()}"</ETag></Contents>'
+        for path in rest[:PAGE]
+    ]
+    rows.append(f"<IsTruncated>{str(len(rest) > PAGE).lower()}</IsTruncated>")
+    rows += [
+        f"<NextContinuationToken>{one.name}</NextContinuationToken>"
+        for one in rest[PAGE - 1 : PAGE]
+    ]
+    return f"<ListBucketResult>{''.join(rows)}</ListBucketResult>".encode()
