@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from scenegen.errors import DatasetError
 from scenegen.run import undone_if_stopped
-from scenegen.stores import StorePath, note_file
+from scenegen.stores import StorePath, Version, note_file
 
 if TYPE_CHECKING:
     from scenegen.stores.copies import Copy
@@ -68,13 +68,13 @@ def open_bounded(path: Path, most_bytes: int) -> BufferedReader:
     raise DatasetError(f"{path}: {large if regular else 'is not a regular file; give a file'}")
 
 
-def open_parts(path: Path) -> "BufferedReader | Copy":
-    """`open_bounded`, but for a copy of an object that is not whole: of that, what is read is
-    fetched, and no more."""
+def open_parts(path: Path, tail_bytes: int) -> "BufferedReader | Copy":
+    """`open_bounded`, but for a copy of an object that is not whole: of that, so many bytes of its
+    end are fetched now, and then what is read."""
     if note_file(path.parent).is_file():
         from scenegen.stores.cache import open_copy
 
-        if (copy := open_copy(path)) is not None:
+        if (copy := open_copy(path, tail_bytes)) is not None:
             return copy
     return open_bounded(path, sys.maxsize)
 
@@ -297,12 +297,12 @@ def draft_of(path: Path) -> Path:
     return path.with_name(f".scenegen-{said}.tmp")
 
 
-def names_in(folder: Path) -> set[str]:
-    """Names of what lies directly in a folder."""
+def names_in(folder: Path) -> dict[str, Version]:
+    """Names of what lies directly in a folder; at a place, each with its version."""
     if isinstance(folder, StorePath):
-        return {item.name for item in folder.store.list()}
+        return {item.name: item.version for item in folder.store.list()}
     with os.scandir(folder) as found:
-        return {item.name for item in found}
+        return dict.fromkeys(item.name for item in found)
 
 
 def remove_drafts(folder: Path, target: str | None = None) -> None:

@@ -34,6 +34,9 @@ FILTERS = {DEFLATE := 1, SHUFFLE := 2, FLETCHER32 := 3}
 SMALL_BYTES = 4096
 """Fields that take no more a sample, and that no filter has changed, are read for all samples at
 once."""
+TAIL_BYTES, TAIL_BYTES_A_SAMPLE = 1 << 16, 512
+"""What is fetched of a shard first, from its end: about what its index and the small fields of its
+samples take."""
 
 Layout = Mapping[str, tuple[np.dtype, tuple[int, ...]]]
 """Every dataset that a shard has to hold: its type, and the shape of one sample."""
@@ -200,10 +203,10 @@ def open_file(path: Path) -> BufferedReader:
         return open_bounded(path, sys.maxsize)
 
 
-def open_fetched(path: Path) -> "BufferedReader | Copy":
-    """`open_file`, of which what is read is fetched, where it is a copy that is not whole."""
+def open_fetched(path: Path, samples: int) -> "BufferedReader | Copy":
+    """`open_file` for a shard; of a copy that is not whole, what is read of it is fetched."""
     with _listed(path):
-        return open_parts(path)
+        return open_parts(path, TAIL_BYTES + TAIL_BYTES_A_SAMPLE * samples)
 
 
 @contextmanager

@@ -53,12 +53,20 @@ class Dataset:
     ``Dataset("data/pillar").split("train")[0].tudf`` is the first training sample's distance field.
     Raises DatasetError for a folder that holds none, or, unless `partial`, an incomplete one.
     Whoever writes new data from it has it `checked`: every file by its sum when it is opened, every
-    sample by its digest.
+    sample by its digest. Of shards at a store, what is read is fetched, unless whoever reads most
+    of them has them `whole`.
     """
 
-    def __init__(self, folder: Path | str, *, partial: bool = False, checked: bool = False):
+    def __init__(
+        self,
+        folder: Path | str,
+        *,
+        partial: bool = False,
+        checked: bool = False,
+        whole: bool = False,
+    ):
         self.folder = Path(folder)
-        self.checked = checked
+        self.checked, self.whole = checked, whole
         self._sound: set[str] = set()
         self.manifest = trust.load(self.folder)
         with advised(self.folder):
@@ -141,9 +149,14 @@ class Dataset:
         path = self.folder / entry.file
         home = self.manifest.home(entry)
         with advised(self.folder):
-            checked = self.checked
-            file = self._open(entry.file, entry.sha256) if checked else open_fetched(path)
-            shard = open_shard(file, path, entry.samples, home.layout)
+            shard = open_shard(
+                self._open(entry.file, entry.sha256)
+                if self.checked or self.whole
+                else open_fetched(path, entry.samples),
+                path,
+                entry.samples,
+                home.layout,
+            )
             shard.check_origin(
                 split=entry.split,
                 first_world=entry.first_world,

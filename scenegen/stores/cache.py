@@ -25,7 +25,6 @@ from scenegen.stores.copies import (
     MOST_BYTES,
     PART,
     ROOM,
-    TAIL_BYTES,
     Copy,
     Note,
     alone,
@@ -73,9 +72,9 @@ def fetch(path: Path) -> None:
             copy.fileno()
 
 
-def open_copy(path: Path, tail_bytes: int = TAIL_BYTES) -> Copy | None:
-    """A copy of which what is read is fetched, and the tail now; None where it is whole, or none of
-    a store's. Raises as `fetch`."""
+def open_copy(path: Path, tail_bytes: int) -> Copy | None:
+    """A copy of which what is read is fetched, and so much of its end now; None where it is whole,
+    or none of a store's. Raises as `fetch`."""
     about = note_of(path.parent)
     if about is None or path.name not in about.files or _is_whole(path, about.files[path.name]):
         return None

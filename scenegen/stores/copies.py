@@ -24,9 +24,8 @@ from scenegen.errors import StoreError, printable
 from scenegen.stores import Object, Part, store_of
 
 BLOCK_BYTES = 1 << 16
-TAIL_BYTES = 4 * BLOCK_BYTES
-"""What is fetched of an object first, from its end: there shards have their index and what is small
-of their samples."""
+LEAST_BLOCKS = 2
+"""Blocks that are fetched at once."""
 MOST_BYTES = 1 << 26
 """What is fetched at once at most."""
 PART = ".part"
@@ -48,16 +47,14 @@ class Note(NamedTuple):
 class Copy:
     """A copy with holes, opened: what is read of it is fetched, if it is not there.
 
-    A run of blocks is fetched at once: twice as many as the last time where they follow on those,
-    else a quarter of as many as are there. So a few samples take a few blocks, and all of them a
-    few requests. Any number of threads may read from it.
+    A run of blocks is fetched at once: twice as many as are there just before it, or a quarter of
+    all that are there. So a few samples take a few blocks, and all of them a few requests. Any
+    number of threads may read from it.
     """
 
     def __init__(self, path: Path, about: Note, handle: int, tail_bytes: int):
         self.path, self._about, self._handle = path, about, handle
         self._sound: set[int] = set()
-        self._last = range(0)
-        """The blocks that were fetched last."""
         self.bytes, self._version = _read_end(handle) or self._begin(tail_bytes)
         """The object's size, and a digest of its version."""
         self._blocks = _blocks_of(self.bytes)
@@ -145,21 +142,21 @@ class Copy:
         return os.pread(self._handle, min(BLOCK_BYTES, self.bytes - begin), begin)
 
     def _fetch_run(self, first: int, stop: int) -> None:
-        """Fetch blocks from `first` on, until `stop` or one that is there already."""
+        """Fetch blocks from `first` on, until `stop` or further, or until one that is there."""
         sums = memoryview(os.pread(self._handle, 4 * self._blocks, self.bytes)).cast("I").tolist()
+        behind = first
+        while behind and sums[behind - 1]:
+            behind -= 1
         there = self._blocks - sums.count(0)
-        onward = 2 * len(self._last) if first == self._last.stop else there // 4
-        most = min(max(stop - first, onward), MOST_BYTES // BLOCK_BYTES, self._blocks - first)
-        run = 1
-        while run < most and not sums[first + run]:
-            run += 1
-        begin, end = first * BLOCK_BYTES, min((first + run) * BLOCK_BYTES, self.bytes)
+        run = max(stop - first, LEAST_BLOCKS, 2 * (first - behind), there // 4)
+        most = min(first + min(run, MOST_BYTES // BLOCK_BYTES), self._blocks)
+        last = next((n for n in range(first + 1, most) if sums[n]), most)
+        begin, end = first * BLOCK_BYTES, min(last * BLOCK_BYTES, self.bytes)
         content, found = self._fetch(Part(begin, end))
         expected = self._version, self.bytes, end - begin
         if (_digest(found), found.bytes, len(content)) != expected:
             raise self._not_listed()
         self._put(first, content)
-        self._last = range(first, first + run)
 
     def _fetch(self, part: Part) -> tuple[bytes, Object]:
         make_room(part.stop - part.first if part.stop else -part.first)

@@ -78,9 +78,10 @@ class Answer(BaseHTTPRequestHandler):
         elif content is None:
             self._send(404, b"")
         else:
-            part = part_of(content, self.headers.get("Range"))
-            status = 200 if part is content else 206
-            self._send(status, part, cut=fails, ETag=tag)
+            asked = self.headers.get("Range")
+            part, first = part_of(content, asked)
+            more = {"Content-Range": f"bytes {first}-{first + len(part) - 1}/{len(content)}"}
+            self._send(206 if asked else 200, part, cut=fails, ETag=tag, **(more if asked else {}))
             server.log[number - 1] = what, len(part)
 
     do_GET = do_PUT = do_HEAD = do_DELETE = _answer  # noqa: N815
@@ -99,11 +100,10 @@ class Answer(BaseHTTPRequestHandler):
 
 
 def part_of(content, asked):
-    """What a header Range asks for of some content."""
-    if asked is None:
-        return content
-    first, _, last = asked.removeprefix("bytes=").partition("-")
-    return content[int(first) : int(last) + 1] if first else content[-int(last) :]
+    """What a header Range asks for of some content, and where that begins."""
+    first, _, last = (asked or "bytes=0-").removeprefix("bytes=").partition("-")
+    begin = int(first) if first else max(len(content) - int(last), 0)
+    return content[begin : int(last) + 1 if first and last else None], begin
 
 
 def listing(bucket, asked):
