@@ -127,7 +127,7 @@ def with_index(content: bytes, file: Any, most_chunks: int) -> bytes:
 def read_index(file: Any, most_chunks: int) -> Index:
     """The index of an open HDF5 file whose datasets have at most `most_chunks` chunks each: its
     own, or the library's. Raises Hdf5Error."""
-    return _own(file, most_chunks) or library_index(file.fileno(), most_chunks)
+    return _own(file, most_chunks) or library_index(file, most_chunks)
 
 
 def tells(file: Any) -> bool:
@@ -150,14 +150,14 @@ def _own(file: Any, most_chunks: int) -> Index | None:
         return _parsed(pread(file, length, size - ending - length), most_chunks)
 
 
-def library_index(handle: int, most_chunks: int) -> Index:
+def library_index(file: Any, most_chunks: int) -> Index:
     """What the HDF5 library says of an open file. The first call of a process takes 0.2 s, to begin
     the library's; others some 5 ms a shard. Raises Hdf5Error."""
     try:
-        answer = _LIBRARIES[os.getpid()].ask(handle, most_chunks)
+        answer = _LIBRARIES[os.getpid()].ask(file.fileno(), most_chunks)
     except (KeyError, BrokenPipeError, ConnectionResetError):  # none yet, or somebody ended it
         library = _LIBRARIES[os.getpid()] = _Library()
-        answer = library.ask(handle, most_chunks)
+        answer = library.ask(file.fileno(), most_chunks)
     if answer.startswith(b'"'):
         raise Hdf5Error(f"the HDF5 library does not read it: {json.loads(answer)}")
     return _parsed(answer, most_chunks)
