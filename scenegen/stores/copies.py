@@ -159,10 +159,10 @@ class Copy:
         self._put(first, content)
 
     def _fetch(self, part: Part) -> tuple[bytes, Object]:
-        make_room(part.stop - part.first if part.stop else -part.first)
         file = io.BytesIO()
         with disk_told(self._about.store):
             found = store_of(self._about.store).read(self.path.name, file, 1 << 62, part)
+        make_room(file.tell())
         return file.getvalue(), found
 
     def _put(self, first: int, content: bytes) -> None:
@@ -268,7 +268,7 @@ _left = 0
 
 
 def make_room(asked: int) -> None:
-    """Before so many bytes are fetched, delete the copies used longest ago, but for those that
+    """Before so many bytes are kept, delete the copies used longest ago, but for those that
     somebody is fetching, until all take no more than they may. A process looks after each 64th of
     that."""
     global _left
