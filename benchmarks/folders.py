@@ -21,9 +21,9 @@ from pathlib import Path
 
 import measuring
 from measuring import Cost
+from served import Served
 
 from scenegen.dataset.manifest import NAME
-from tests.scenegen.stores.served import Served
 
 RECIPE = """
 kind = "pillar"
@@ -56,9 +56,9 @@ def main() -> None:
         recipe = Path(here, "tiny.toml")
         recipe.write_text(RECIPE)
         test = asked.samples // 10
-        words = (
-            f"generate --val {test} --test {test} --n {asked.samples - 2 * test} --quiet".split()
-        )
+        words: list[object] = [
+            *f"generate --val {test} --test {test} --n {asked.samples - 2 * test} --quiet".split()
+        ]
         words += f"--shard-samples {asked.shard_samples} --workers {asked.workers} --out".split()
         if asked.store is not None:
             _measure_store([*words, PLACE, "--kind", "pillar"], asked.store, Path(here))
@@ -71,10 +71,10 @@ def main() -> None:
 PLACE = "s3://lab/d"
 
 
-def _measure_store(again: list[str], wait_s: float, here: Path) -> None:
+def _measure_store(again: list[object], wait_s: float, here: Path) -> None:
     """Print what commands ask of a store."""
     read = f"import scenegen; split = scenegen.load({PLACE!r}); "
-    rows = {
+    rows: dict[str, tuple[object, ...]] = {
         "open": ("-c", read),
         "first sample": ("-c", f"{read}split[0].tudf"),
         "occupancy of all": ("-c", f"{read}[one.occupancy for one in split]"),

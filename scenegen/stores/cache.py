@@ -13,7 +13,7 @@ import stat
 import tempfile
 import time
 from collections.abc import Iterable, Mapping
-from contextlib import closing
+from contextlib import closing, suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import IO
@@ -98,7 +98,8 @@ def _is_whole(path: Path, digest: str) -> bool:
             return False
         if found.st_mtime_ns == found.st_size:
             if time.time() - found.st_atime > USED_S:
-                os.utime(path, ns=(time.time_ns(), found.st_size))
+                with suppress(PermissionError):  # a root's, who looks after it
+                    os.utime(path, ns=(time.time_ns(), found.st_size))
             return True
         with open(path, "rb") as file:
             if _sum(file) != digest:

@@ -10,12 +10,12 @@ from contextlib import closing
 import numpy as np
 import pytest
 
+from benchmarks.served import Served
 from scenegen import load
 from scenegen.dataset import layout
 from scenegen.errors import DatasetError, StoreError
 from scenegen.stores import cache, copies, folder_of
 from tests.scenegen.stores.conftest import forget
-from tests.scenegen.stores.served import Served
 
 PLACE = "s3://lab/d"
 SIZE = 300_001
