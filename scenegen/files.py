@@ -9,17 +9,21 @@ import secrets
 import shutil
 import socket
 import stat
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache
 from io import BufferedReader
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from scenegen.errors import DatasetError
 from scenegen.run import undone_if_stopped
-from scenegen.stores import PART, StorePath, note_file
+from scenegen.stores import PART, StorePath, Version, note_file
+
+if TYPE_CHECKING:
+    from scenegen.stores.copies import Copy
 
 STALE_S = 24 * 3600.0
 """Age after which a draft of another machine counts as left behind, seconds."""
@@ -62,6 +66,29 @@ def open_bounded(path: Path, most_bytes: int) -> BufferedReader:
     os.close(handle)
     large = f"{status.st_size} bytes, expected {most_bytes} at most; give a smaller file"
     raise DatasetError(f"{path}: {large if regular else 'is not a regular file; give a file'}")
+
+
+def open_parts(path: Path, tail_bytes: int) -> "BufferedReader | Copy":
+    """`open_bounded`, but for a copy of an object that is not whole: of that, so many bytes of its
+    end are fetched now, and then what is read."""
+    if note_file(path.parent).is_file():
+        from scenegen.stores.cache import open_copy
+
+        if (copy := open_copy(path, tail_bytes)) is not None:
+            return copy
+    return open_bounded(path, sys.maxsize)
+
+
+def pread(file: "BufferedReader | Copy", size: int, begin: int) -> bytes:
+    """Bytes of an open file, as `os.pread`."""
+    if isinstance(file, BufferedReader):
+        return os.pread(file.fileno(), size, begin)
+    return file.pread(size, begin)
+
+
+def size_of(file: "BufferedReader | Copy") -> int:
+    """The bytes of an open file."""
+    return os.fstat(file.fileno()).st_size if isinstance(file, BufferedReader) else file.bytes
 
 
 def read_bounded(path: Path, most_bytes: int) -> bytes:
@@ -270,16 +297,17 @@ def draft_of(path: Path) -> Path:
     return path.with_name(f".scenegen-{said}.tmp")
 
 
-def names_in(folder: Path) -> set[str]:
-    """Names of what lies in a dataset's folder, and of what lies in its folders of shards."""
+def names_in(folder: Path) -> dict[str, Version]:
+    """Names of what lies in a dataset's folder, and of what lies in its folders of shards; at a
+    place, each with its version."""
     if isinstance(folder, StorePath):
-        return {item.name for item in folder.store.list()}
-    names = {item.name for item in os.scandir(folder)}
+        return {item.name: item.version for item in folder.store.list()}
+    names = dict.fromkeys(item.name for item in os.scandir(folder))
     for part in filter(PART.fullmatch, list(names)):
         with suppress(NotADirectoryError):
             within = [f"{part}/{item.name}" for item in os.scandir(folder / part)]
-            names.remove(part)
-            names.update(within)
+            names.pop(part)
+            names |= dict.fromkeys(within)
     return names
 
 

@@ -161,7 +161,6 @@ def generate(
         raise click.UsageError(
             f"--split-range {shards[0]}:{shards[1]}: there are {len(plan.shards)} shards"
         )
-    check_folder(plan, force=force)
     grid = plan.parameters["grid"]["shape"]
     if talk and any(edge % NETWORK_EDGE for edge in grid):
         note(
@@ -169,6 +168,7 @@ def generate(
             f"grid.shape = {grid}; other methods take any"
         )
     if dry_run:
+        check_folder(plan, force=force)
         _show_plan(plan, as_json)
         return
     make(

@@ -3,7 +3,7 @@ store."""
 
 import json
 from collections import Counter
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from scenegen.draw import Rejections
 from scenegen.errors import BrokenError, DatasetError
 from scenegen.files import read_bounded, sha256_of, write_whole
 from scenegen.limits import MOST_MANIFEST_BYTES, MOST_SAMPLES_IN_SHARD
-from scenegen.stores import Object, StorePath
+from scenegen.stores import StorePath, Version
 
 NOTES = f"dataset.part-{'[0-9a-f]' * 12}.json"
 """What they are called."""
@@ -67,21 +67,19 @@ def write_placed(spec: ShardTask) -> ShardReport:
 
 
 def look(
-    folder: Path, tasks: Sequence[tuple[ShardTask, Entry | None]]
+    there: Mapping[str, Version], tasks: Sequence[tuple[ShardTask, Entry | None]]
 ) -> Generator[ShardReport | None, None, None]:
-    """The reports of shards, each with what the manifest lists of it, at the place `folder`; None
-    for one that is not as it should be.
+    """The reports of shards, each with what the manifest lists of it, at the place where objects
+    are `there`, by their versions; None for one that is not as it should be.
 
     Objects that are those which a report beside them was written for are taken as they are: stores
     keep what they took. Any other shard is read, and removed where it is damaged. Raises
     StoreError.
     """
-    assert isinstance(folder, StorePath)
-    there = {item.name: item for item in folder.store.list()} if tasks else {}
 
     def one(task: tuple[ShardTask, Entry | None]) -> ShardReport | None:
         spec, listed = task
-        now = [there[name].version if name in there else None for name in _names(spec)]
+        now = [there.get(name) for name in _names(spec)]
         report = _noted(spec, now, there) if None not in now else None
         if report is None or (
             listed and any(getattr(report, each) != getattr(listed, each) for each in SUMS)
@@ -129,7 +127,7 @@ def _report_name(spec: ShardTask) -> str:
 
 
 def _noted(
-    spec: ShardTask, now: Sequence[str | None], there: dict[str, Object]
+    spec: ShardTask, now: Sequence[Version], there: Mapping[str, Version]
 ) -> ShardReport | None:
     """What the report beside a shard says, if it is of just these objects."""
     if (name := _report_name(spec)) not in there:

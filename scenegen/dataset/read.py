@@ -18,7 +18,7 @@ from lidarsim import fuse
 from scenegen import SPLITS
 from scenegen.dataset import trust
 from scenegen.dataset.archive import DOCUMENT, open_archive
-from scenegen.dataset.layout import ShardFile, check_sum, open_file, open_shard
+from scenegen.dataset.layout import ShardFile, check_sum, open_fetched, open_file, open_shard
 from scenegen.errors import BrokenError, DatasetError, SceneError, raised_as, short
 from scenegen.sample import Sample, Samples, Schema, html_table
 from scenegen.truth import distance_field
@@ -58,12 +58,20 @@ class Dataset:
     ``Dataset("data/pillar").split("train")[0].tudf`` is the first training sample's distance field.
     Raises DatasetError for a folder that holds none, or, unless `partial`, an incomplete one.
     Whoever writes new data from it has it `checked`: every file by its sum when it is opened, every
-    sample by its digest.
+    sample by its digest. Of shards at a store, what is read is fetched, unless whoever reads most
+    of them has them `whole`.
     """
 
-    def __init__(self, folder: Path | str, *, partial: bool = False, checked: bool = False):
+    def __init__(
+        self,
+        folder: Path | str,
+        *,
+        partial: bool = False,
+        checked: bool = False,
+        whole: bool = False,
+    ):
         self.folder = Path(folder)
-        self.checked = checked
+        self.checked, self.whole = checked, whole
         self._sound: set[str] = set()
         self._splits: dict[str, Split] = {}
         self.manifest = trust.load(self.folder)
@@ -146,8 +154,14 @@ class Dataset:
         path = self.folder / entry.file
         home = self.manifest.home(entry)
         with advised(self.folder):
-            file = self._open(entry.file, entry.sha256)
-            shard = open_shard(file, path, entry.samples, home.layout)
+            shard = open_shard(
+                self._open(entry.file, entry.sha256)
+                if self.checked or self.whole
+                else open_fetched(path, entry.samples),
+                path,
+                entry.samples,
+                home.layout,
+            )
             shard.check_origin(
                 split=entry.split,
                 first_world=entry.first_world,
@@ -191,8 +205,8 @@ class Split(Samples):
 
     def _sample(self, index: int) -> Sample:
         number, row = self._place(index)
-        self._shard(number)  # which says at once if the file is missing or not this dataset's
-        if self.dataset.checked:
+        # this says at once if the file is missing or not this dataset's
+        if self._shard(number).fetched or self.dataset.checked:
             self.check(index)
         home, find = self.home(index), partial(self._find, number, row)
         return Sample.lazy(home.schema.names, find, lidar=home.lidar, grid=home.grid)

@@ -274,7 +274,7 @@ def read_report(
         path = spec.folder / spec.file
         with open_file(path) as file, open_file(spec.folder / spec.worlds) as worlds:
             shard = open_shard(file, path, spec.samples, spec.layout)
-            if not tells(file.fileno()):  # nothing is lost, but it is not the file that was written
+            if not tells(file):  # nothing is lost, but it is not the file that was written
                 return None
             size = sum(os.fstat(each.fileno()).st_size for each in (file, worlds))
             sums = sha256_in(file), sha256_in(worlds)

@@ -58,6 +58,18 @@ class Object(NamedTuple):
     version: Version
 
 
+class Part(NamedTuple):
+    """A part of an object, in bytes."""
+
+    first: int = 0
+    """Where it begins; below 0, so many before the object's end."""
+    stop: int | None = None
+    """Where it ends, if not with the object."""
+
+
+WHOLE = Part()
+
+
 class Store(Protocol):
     """A folder of objects, made of its whole name. Raises DatasetError for a name that cannot
     be.
@@ -73,9 +85,9 @@ class Store(Protocol):
         """The objects in it, and in folders in it, in any order, as they come."""
         ...
 
-    def read(self, name: str, file: IO[bytes], most_bytes: int) -> Version:
-        """Copy an object into `file`. Raises FileNotFoundError where there is none, DatasetError
-        where it is larger."""
+    def read(self, name: str, file: IO[bytes], most_bytes: int, part: Part = WHOLE) -> Object:
+        """Copy an object into `file`, or a part of it, and return which object it is. Raises
+        FileNotFoundError where there is none, DatasetError where what is asked for is larger."""
         ...
 
     def put(self, name: str, content: bytes, version: Version = ANY) -> Version:
@@ -95,7 +107,7 @@ STORES = Registry(
     {"s3": "scenegen.stores.bucket:Bucket", OTHERS: "scenegen.stores.bucket:Foreign"},
     needs={
         "list": "a method: () -> objects",
-        "read": "a method: (name, file, most_bytes) -> version",
+        "read": "a method: (name, file, most_bytes, part) -> object",
         "put": "a method: (name, content, version) -> version",
         "remove": "a method: name -> None",
     },
@@ -189,9 +201,9 @@ class StorePath(_Path):
         try:
             copy = tempfile.TemporaryFile()  # noqa: SIM115 (who asks closes it)
             store, name = self._home()
-            _seen[str(self)] = store.read(name, copy, most_bytes)
+            _seen[str(self)] = store.read(name, copy, most_bytes).version
             copy.seek(0)
-            return copy
+            return io.BufferedReader(copy.detach())
         except OSError as error:
             if copy is not None:
                 copy.close()

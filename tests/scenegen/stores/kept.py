@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from scenegen.errors import DatasetError, StoreError
-from scenegen.stores import ANY, ConflictError, Object, Store
+from scenegen.stores import ANY, WHOLE, ConflictError, Object, Store
 
 HOME = "TESTS_KEPT"
 """Where the environment says that objects are kept."""
@@ -45,15 +45,16 @@ class Kept(Store):
             ]
         return iter(found)
 
-    def read(self, name, file, most_bytes):
+    def read(self, name, file, most_bytes, part=WHOLE):
         with self._alone(f"read {name}"):
             path = self.home / name
             if not path.is_file():
                 raise FileNotFoundError(name)
             if path.stat().st_size > most_bytes:
                 raise DatasetError(f"{name}: too large")
-            file.write(path.read_bytes())
-            return self._version(path)
+            content = path.read_bytes()
+            file.write(content[slice(*part)])
+            return Object(name, len(content), self._version(path))
 
     def put(self, name, content, version=ANY):
         with self._alone(f"put {name}"):
