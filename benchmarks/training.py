@@ -4,6 +4,7 @@ precision.
 python benchmarks/training.py data/pillar data/geometric
 """
 
+import itertools
 import time
 from pathlib import Path
 
@@ -35,7 +36,7 @@ def main() -> None:
     batch = next(
         load(
             maps,
-            epoch_batches(maps, batch=options.batch, seed=0, epoch=0)[:1],
+            epoch_batches(maps, batch=options.batch, seed=0, epoch=0),
             workers=0,
             pinned=False,
         )
@@ -63,7 +64,7 @@ def main() -> None:
 
 def loader(maps: Maps, batch: int) -> None:
     """Print samples a second in one process."""
-    batches = epoch_batches(maps, batch=batch, seed=0, epoch=0)[:60]
+    batches = list(itertools.islice(epoch_batches(maps, batch=batch, seed=0, epoch=0), 60))
     begin, cpu = time.perf_counter(), time.process_time()
     for _ in load(maps, batches, workers=0, pinned=False):
         pass

@@ -9,17 +9,21 @@ import secrets
 import shutil
 import socket
 import stat
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache
 from io import BufferedReader
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from scenegen.errors import DatasetError
 from scenegen.run import undone_if_stopped
-from scenegen.stores import StorePath, note_file
+from scenegen.stores import PART, StorePath, Version, note_file
+
+if TYPE_CHECKING:
+    from scenegen.stores.copies import Copy
 
 STALE_S = 24 * 3600.0
 """Age after which a draft of another machine counts as left behind, seconds."""
@@ -62,6 +66,29 @@ def open_bounded(path: Path, most_bytes: int) -> BufferedReader:
     os.close(handle)
     large = f"{status.st_size} bytes, expected {most_bytes} at most; give a smaller file"
     raise DatasetError(f"{path}: {large if regular else 'is not a regular file; give a file'}")
+
+
+def open_parts(path: Path, tail_bytes: int) -> "BufferedReader | Copy":
+    """`open_bounded`, but for a copy of an object that is not whole: of that, so many bytes of its
+    end are fetched now, and then what is read."""
+    if note_file(path.parent).is_file():
+        from scenegen.stores.cache import open_copy
+
+        if (copy := open_copy(path, tail_bytes)) is not None:
+            return copy
+    return open_bounded(path, sys.maxsize)
+
+
+def pread(file: "BufferedReader | Copy", size: int, begin: int) -> bytes:
+    """Bytes of an open file, as `os.pread`."""
+    if isinstance(file, BufferedReader):
+        return os.pread(file.fileno(), size, begin)
+    return file.pread(size, begin)
+
+
+def size_of(file: "BufferedReader | Copy") -> int:
+    """The bytes of an open file."""
+    return os.fstat(file.fileno()).st_size if isinstance(file, BufferedReader) else file.bytes
 
 
 def read_bounded(path: Path, most_bytes: int) -> bytes:
@@ -266,25 +293,33 @@ def draft_of(path: Path) -> Path:
     """A new name beside `path` that nobody can guess. It says for which name and by which process
     it is, so that `remove_drafts` finds what this program left behind, and nothing else."""
     pid, secret = os.getpid(), secrets.token_hex(8)
-    said = f"{_digest(path.name)}-{_machine()}-{pid}-{_start_of(pid)}-{secret}"
+    said = f"{_digest(path.name)}-{_machine()}-{pid}-{_own_start(pid)}-{secret}"
     return path.with_name(f".scenegen-{said}.tmp")
 
 
-def names_in(folder: Path) -> set[str]:
-    """Names of what lies directly in a folder."""
+def names_in(folder: Path) -> dict[str, Version]:
+    """Names of what lies in a dataset's folder, and of what lies in its folders of shards; at a
+    place, each with its version."""
     if isinstance(folder, StorePath):
-        return {item.name for item in folder.store.list()}
-    with os.scandir(folder) as found:
-        return {item.name for item in found}
+        return {item.name: item.version for item in folder.store.list()}
+    names = dict.fromkeys(item.name for item in os.scandir(folder))
+    for part in filter(PART.fullmatch, list(names)):
+        with suppress(NotADirectoryError):
+            within = [f"{part}/{item.name}" for item in os.scandir(folder / part)]
+            names.pop(part)
+            names |= dict.fromkeys(within)
+    return names
 
 
 def remove_drafts(folder: Path, target: str | None = None) -> None:
-    """Delete drafts in `folder` that this user's scenegen made, of `target` alone if that is given,
-    and whose writer is gone: an ended process of this machine, or one of another machine that wrote
-    nothing for `STALE_S`. A place has none: its objects are complete or absent."""
+    """Delete drafts in `folder`, and in folders of shards in it, that this user's scenegen made, of
+    `target` alone if that is given, and whose writer is gone: an ended process of this machine, or
+    one of another machine that wrote nothing for `STALE_S`. A place has none: its objects are
+    complete or absent."""
     if isinstance(folder, StorePath):
         return
-    for draft in folder.glob(".scenegen-*.tmp"):
+    like = ".scenegen-*.tmp"
+    for draft in (*folder.glob(like), *folder.glob(f"*-*x/{like}")):
         said = DRAFT.fullmatch(draft.name)
         if not said or (target and said[1] != _digest(target)):
             continue
@@ -314,6 +349,12 @@ def _start_of(pid: int) -> int:
     except OSError:
         return 0
     return 0 if fields[0] in "ZX" else int(fields[19])
+
+
+@cache  # each look takes as long as making a small file
+def _own_start(pid: int) -> int:
+    """That of this process, which stays."""
+    return _start_of(pid)
 
 
 @cache

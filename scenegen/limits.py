@@ -43,10 +43,10 @@ MOST_OBJECTS = 64
 """The most HDF5 objects in a shard, and the most attributes of each."""
 MOST_TEXT_BYTES = 1 << 20
 """The most characters of a text in an HDF5 attribute."""
-MOST_SHARDS = 99_999
-"""The most shards of a split: five digits number them."""
-MOST_MANIFEST_BYTES = 64 << 20
-"""The most bytes of `dataset.json`: it then lists some 200,000 shards."""
+MOST_SHARDS = 200_000
+"""The most shards of a dataset: every command lists all in memory, with some 5 kilobytes each."""
+MOST_MANIFEST_BYTES = 128 << 20
+"""The most bytes of `dataset.json`: of `MOST_SHARDS`, it has some 80 MB."""
 MOST_KIND_NAME = 100
 """The most characters of a kind's name."""
 MOST_CLASSES = 10_000

@@ -53,7 +53,7 @@ def predict_split(
     something else already, and where `execute` leaves samples to others.
     """
     check_ours(out)
-    dataset = Dataset(folder)
+    dataset = Dataset(folder, whole=True)
     if dataset.grid != completer.grid:
         raise DatasetError(
             f"{folder}: its maps are on {dataset.grid}, {completer.name} completes maps on "

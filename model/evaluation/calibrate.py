@@ -272,7 +272,7 @@ def _work(
 ) -> list[tuple[tuple[int, int], tuple[Any, ...]]]:
     """What `at` makes of maps of a dataset, each with the dataset's number and the world's."""
     number, folder, indices = task
-    samples, found = Dataset(folder).split(split), []
+    samples, found = Dataset(folder, whole=True).split(split), []
     for index in indices:
         sample = samples[index]
         told = at(method.completion(sample, samples), sample, samples, index)

@@ -1,7 +1,9 @@
 """How a run goes: its steps, its pauses, and its looks at validation."""
 
+import itertools
 import math
 from collections import defaultdict
+from collections.abc import Iterator
 
 import numpy as np
 import torch
@@ -147,20 +149,26 @@ class Course:
             return peak * 0.5 * (1 + math.cos(math.pi * (step - begin) / (end - begin)))
         return peak if step < begin else peak * (end - step) / (end - begin)
 
-    def batches(self, first: int, count: int) -> list[list[tuple[int, int]]]:
+    def batches(self, first: int, count: int) -> Iterator[list[tuple[int, int]]]:
         """The keys of `Maps` that steps `first`, `first` + 1, … see, `count` batches: one pass
         after the other, or a stream's own, in which no map comes twice."""
-        found: list[list[tuple[int, int]]] = []
         config, maps, views = self._config, self._maps, self._views
         if self._order is not None:
-            return [
-                views.of(self._order[n], maps, rng=rng_of(config.seed, n, 0))
-                for n in range(first, first + count)
-            ]
-        while len(found) < count:
-            epoch, step = divmod(first + len(found), self._pass)
-            keys = epoch_batches(
-                maps, batch=config.batch, seed=config.seed, epoch=epoch, views=views
+            for n in range(first, first + count):
+                order = self._order[n]
+                turns = views.of(len(order), maps, rng=rng_of(config.seed, n, 0))
+                yield list(zip(order, turns.tolist(), strict=True))
+            return
+        begun, step = divmod(first, self._pass)
+        passes = (
+            epoch_batches(
+                maps,
+                batch=config.batch,
+                seed=config.seed,
+                epoch=epoch,
+                views=views,
+                first=step if epoch == begun else 0,
             )
-            found += keys[step : step + count - len(found)]
-        return found
+            for epoch in itertools.count(begun)
+        )
+        yield from itertools.islice(itertools.chain.from_iterable(passes), count)

@@ -1,13 +1,14 @@
 """Samples as torch sees them: named maps by number, and batches in a seeded order."""
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, Protocol
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from torch.utils.data import DataLoader, Dataset
 
@@ -89,7 +90,7 @@ def opened(folders: Any, split: str) -> list[Samples]:
     if isinstance(folders, Mapping):
         folders = folders.items()
     parts = [one if isinstance(one, tuple) else (one, None) for one in folders]
-    datasets = [SampleDataset(folder) for folder, _ in parts]
+    datasets = [SampleDataset(folder, whole=True) for folder, _ in parts]
     if len(datasets) > 1 and any("sources" in dataset.manifest.parameters for dataset in datasets):
         check_disjoint(datasets)  # what was merged or taken may hold samples of the others
     return [
@@ -241,29 +242,27 @@ class Views:
     points_share: float = 0.0
     """Share of them that are shown as points alone."""
 
-    def of(
-        self, indices: list[int], maps: Maps, *, rng: np.random.Generator
-    ) -> list[tuple[int, int]]:
-        """Every index with a view that is drawn; 0 is the map as it is."""
-        count = len(indices)
-        turns = rng.integers(SYMMETRIES, size=count) if self.augment else np.zeros(count, int)
+    def of(self, count: int, maps: Maps, *, rng: np.random.Generator) -> NDArray[np.uint8]:
+        """A view that is drawn for each of `count` maps; 0 is the map as it is."""
+        drawn = rng.integers(SYMMETRIES, size=count) if self.augment else np.zeros(count)
+        turns = drawn.astype(np.uint8)
         if maps.grid.shape[0] != maps.grid.shape[1]:
             turns = turns // 2 * 2  # no quarter turns of a map that is longer than wide
         if not maps.mirrored:
             turns = turns % (SYMMETRIES // 2)
         if self.points_share:  # drawn last, so that the turns of other runs stay
-            turns = turns + SYMMETRIES * (rng.random(count) < self.points_share)
-        return list(zip(indices, turns.tolist(), strict=True))
+            turns += np.uint8(SYMMETRIES) * (rng.random(count) < self.points_share)
+        return turns
 
 
 PLAIN = Views()
 
 
 def epoch_batches(
-    maps: Maps, *, batch: int, seed: int, epoch: int, views: Views = PLAIN
-) -> list[list[tuple[int, int]]]:
-    """The batches of a training epoch: keys of `Maps`, in an order that depends on `seed` and
-    `epoch` alone.
+    maps: Maps, *, batch: int, seed: int, epoch: int, views: Views = PLAIN, first: int = 0
+) -> Iterator[list[tuple[int, int]]]:
+    """The batches of a training epoch, from the `first` on: keys of `Maps`, in an order that
+    depends on `seed` and `epoch` alone. Meanwhile, a map takes five bytes.
 
     A last batch that is not full is left out, unless it is the only one.
     """
@@ -271,9 +270,11 @@ def epoch_batches(
     order = rng.permutation(len(maps))
     if maps.shares is not None:
         order = np.concatenate(_weighted(maps, seed=seed, epoch=epoch))[order]
-    keys = views.of(order.tolist(), maps, rng=rng)
-    count = max(len(keys) // batch, 1)
-    return [keys[n * batch : (n + 1) * batch] for n in range(count)]
+    order = order.astype(np.min_scalar_type(len(maps)))
+    turns = views.of(len(order), maps, rng=rng)
+    for n in range(first, max(len(order) // batch, 1)):
+        here = slice(n * batch, (n + 1) * batch)
+        yield list(zip(order[here].tolist(), turns[here].tolist(), strict=True))
 
 
 def _weighted(maps: Maps, *, seed: int, epoch: int) -> list[Ints]:
@@ -292,7 +293,7 @@ def _weighted(maps: Maps, *, seed: int, epoch: int) -> list[Ints]:
 
 
 def load(
-    maps: Maps, batches: Sequence[Sequence[Any]], *, workers: int, pinned: bool
+    maps: Maps, batches: Iterable[Sequence[Any]], *, workers: int, pinned: bool
 ) -> Iterator[Batch]:
     """Every batch in turn, read by `workers` processes; 0 for none. Raises DatasetError for what
     cannot be read, GenerationError for what cannot be drawn, LoaderError where such a process

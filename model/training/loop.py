@@ -2,6 +2,7 @@
 on."""
 
 import dataclasses
+import itertools
 import math
 import platform
 import time
@@ -110,8 +111,8 @@ def train(
             begin, done = time.monotonic() - progress.seconds, progress.step
             watcher.on_start(progress.epoch, len(steps) * course.batch, done * course.batch)
             network.train()
-            batches = course.batches(steps.start + done, len(steps) - done)
-            mine = [batch[group.rank :: group.size] for batch in batches]
+            batches, ahead = itertools.tee(course.batches(steps.start + done, len(steps) - done))
+            mine = (batch[group.rank :: group.size] for batch in ahead)
             stop, read = False, load(maps, mine, workers=workers, pinned=where.type == "cuda")
             for step, batch, given in zip(
                 steps[done:], batches, until(watcher.stop, read), strict=False

@@ -161,7 +161,6 @@ def generate(
         raise click.UsageError(
             f"--split-range {shards[0]}:{shards[1]}: there are {len(plan.shards)} shards"
         )
-    check_folder(plan, force=force)
     grid = plan.parameters["grid"]["shape"]
     if talk and any(edge % NETWORK_EDGE for edge in grid):
         note(
@@ -169,6 +168,7 @@ def generate(
             f"grid.shape = {grid}; other methods take any"
         )
     if dry_run:
+        check_folder(plan, force=force)
         _show_plan(plan, as_json)
         return
     make(
@@ -230,7 +230,7 @@ def make(
 
     execute = executor(on, workers)
     chosen = execute.mine(plan.shards[slice(*shards)] if shards else plan.shards)
-    names = {shard.file.name for shard in chosen}
+    names = {shard.file for shard in chosen}
 
     def count(report: Any, fresh: bool) -> None:
         progress.count(report.samples if report.file in names else 0)

@@ -108,10 +108,10 @@ def divide(
     step = max(given["shard_samples"] // each, 1)
     layout = layout_of(given["fields"], schema_of(recipe))
     shards = []
-    if sum(counts.values()) > MOST_SHARDS * step * each:
+    if (samples := sum(counts.values())) > MOST_SHARDS * step * each:
         raise DatasetError(
-            f"{sum(counts.values())} samples in shards of {step * each}: too many files; raise "
-            f"--shard-samples"
+            f"--shard-samples {given['shard_samples']}: {samples} samples are more than "
+            f"{MOST_SHARDS} shards of {step * each}; give {-(-samples // MOST_SHARDS)} or more"
         )
     for split in SPLITS:
         units = math.ceil(counts[split] / each)
@@ -190,7 +190,7 @@ def build(
         try:
             with closing(execute(write, missing, on_start)) as results:
                 for report in results:
-                    state.reports[plan.folder / report.file] = report
+                    state.reports[report.file] = report
                     written += report.samples
                     on_shard(report, True)
                     if time.monotonic() - noted > NOTE_S:

@@ -18,7 +18,7 @@ from scenegen.dataset.archive import open_archive
 from scenegen.dataset.choose import Choice, Chosen, choose
 from scenegen.dataset.layout import DIGEST, Layout, ShardFile, check_sum, open_file, open_shard
 from scenegen.dataset.read import Dataset, advised
-from scenegen.dataset.shard import ShardReport, ShardTask, put, read_report
+from scenegen.dataset.shard import ShardReport, ShardTask, put, report_of
 from scenegen.dataset.state import Plan
 from scenegen.dataset.trust import Entry, Manifest
 from scenegen.draw import Rejections
@@ -102,7 +102,7 @@ class Part(ShardTask):
 
     def write(self) -> ShardReport:
         """See `ShardTask`. Raises DatasetError where the shard there is no longer what its manifest
-        lists, or a sample that is taken has not its digest."""
+        lists, or a sample that is taken out of it has not its digest."""
         path = self.there / self.entry.file
         with (
             advised(self.there),
@@ -117,24 +117,27 @@ class Part(ShardTask):
                 worlds_sha256=self.entry.worlds_sha256,
                 parameters=self.parameters,
             )
-            for row in range(self.entry.samples) if self.rows is None else self.rows:
+            for row in self.rows or ():  # a whole shard is the file that its manifest signs
                 shard.check(row)
             return (
-                self._copy(worlds, file)
+                self._copy(worlds, file, shard)
                 if self.rows is None
                 else self._repack(worlds, shard, self.rows)
             )
 
-    def _copy(self, *files: BufferedReader) -> ShardReport:
+    def _copy(
+        self, worlds: BufferedReader, samples: BufferedReader, shard: ShardFile
+    ) -> ShardReport:
         """The same files under other names: the worlds first, then the samples, which commit
         them."""
-        for file, target in zip(files, (self.worlds_file, self.file), strict=True):
+        shard.check_origin(first_world=min(self.numbers))
+        size = 0
+        for file, target in ((worlds, self.worlds), (samples, self.file)):
             file.seek(0)
-            write_whole(target, file.read())
-        report = read_report(self, self.entry)
-        if report is None:
-            raise BrokenError(f"{self.entry.file}: is not the shard that its manifest describes")
-        return report
+            write_whole(self.folder / target, content := file.read())
+            size += len(content)
+        sums, own = (self.entry.sha256, self.entry.worlds_sha256), shard.column(DIGEST)
+        return report_of(self, sums, size, Rejections(**shard.rejected()), own.tobytes())
 
     def _repack(
         self, worlds: BufferedReader, shard: ShardFile, rows: tuple[int, ...]
@@ -225,13 +228,13 @@ def _plan(
     counts = dict.fromkeys(SPLITS, 0)
     parts: list[Part] = []
     index = dict.fromkeys(SPLITS, 0)
-    dataset: Dataset | None = None
+    here, before = real_path(folder), None
     for dataset, chosen in pieces:
-        here = real_path(folder)
-        if real_path(dataset.folder) in (here, *here.parents):
+        if dataset is not before and real_path(dataset.folder) in (here, *here.parents):
             raise DatasetError(
                 f"{folder}: is {dataset.folder} itself, or in it; choose another folder with --out"
             )
+        before = dataset
         source, home = _source(sources, dataset, chosen, taken)
         split = chosen.entry.split
         start, stop = int(chosen.places[0]), int(chosen.places[-1]) + 1
@@ -258,12 +261,10 @@ def _plan(
         )
         counts[split] += len(chosen.rows)
         index[split] += 1
-    if dataset is None:
+    if not parts:
         raise DatasetError(nothing)
-    if max(index.values()) > MOST_SHARDS:
-        raise DatasetError(
-            f"{folder}: {max(index.values())} shards of a split, expected {MOST_SHARDS} at most"
-        )
+    if len(parts) > MOST_SHARDS:
+        raise DatasetError(f"{folder}: {len(parts)} shards, expected {MOST_SHARDS} at most")
     each = [(home.parameters, home.digest, ways) for home, ways in sources.values()]
     given = gathered(each, counts, max(part.samples for part in parts))
     lidars = tuple(home.lidar for home, _ in sources.values())

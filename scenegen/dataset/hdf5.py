@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenegen.errors import DatasetError, GuardError, printable, raised_as
-from scenegen.files import open_bounded
+from scenegen.files import open_bounded, pread, size_of
 from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_OBJECTS, MOST_TEXT_BYTES
 
 SECONDS, MEMORY_BYTES = 20, 1 << 30
@@ -124,40 +124,40 @@ def with_index(content: bytes, file: Any, most_chunks: int) -> bytes:
     return b"".join([content, text, len(text).to_bytes(8, "little"), MARK])
 
 
-def read_index(handle: int, most_chunks: int) -> Index:
+def read_index(file: Any, most_chunks: int) -> Index:
     """The index of an open HDF5 file whose datasets have at most `most_chunks` chunks each: its
     own, or the library's. Raises Hdf5Error."""
-    return _own(handle, most_chunks) or library_index(handle, most_chunks)
+    return _own(file, most_chunks) or library_index(file, most_chunks)
 
 
-def tells(handle: int) -> bool:
+def tells(file: Any) -> bool:
     """Whether an open file ends as those do that tell their own index."""
-    return os.pread(handle, len(MARK), max(os.fstat(handle).st_size - len(MARK), 0)) == MARK
+    return pread(file, len(MARK), max(size_of(file) - len(MARK), 0)) == MARK
 
 
-def _own(handle: int, most_chunks: int) -> Index | None:
+def _own(file: Any, most_chunks: int) -> Index | None:
     """What a file says of itself; None where it says nothing."""
-    size, ending = os.fstat(handle).st_size, len(MARK) + 8
-    if not tells(handle):
+    size, ending = size_of(file), len(MARK) + 8
+    if not tells(file):
         return None
-    tail = os.pread(handle, ending, max(size - ending, 0))
+    tail = pread(file, ending, max(size - ending, 0))
     length = int.from_bytes(tail[:8], "little")
     most = MOST_INDEX_BYTES + INDEX_BYTES_A_CHUNK * most_chunks
     if length > min(most, size - ending):
         raise Hdf5Error(f"its index has {length} bytes")
     failed = (ValueError, TypeError, LookupError, AttributeError, RecursionError, zlib.error)
     with raised_as(Hdf5Error, "its index is damaged: ", of=failed):
-        return _parsed(os.pread(handle, length, size - ending - length), most_chunks)
+        return _parsed(pread(file, length, size - ending - length), most_chunks)
 
 
-def library_index(handle: int, most_chunks: int) -> Index:
+def library_index(file: Any, most_chunks: int) -> Index:
     """What the HDF5 library says of an open file. The first call of a process takes 0.2 s, to begin
     the library's; others some 5 ms a shard. Raises Hdf5Error."""
     try:
-        answer = _LIBRARIES[os.getpid()].ask(handle, most_chunks)
+        answer = _LIBRARIES[os.getpid()].ask(file.fileno(), most_chunks)
     except (KeyError, BrokenPipeError, ConnectionResetError):  # none yet, or somebody ended it
         library = _LIBRARIES[os.getpid()] = _Library()
-        answer = library.ask(handle, most_chunks)
+        answer = library.ask(file.fileno(), most_chunks)
     if answer.startswith(b'"'):
         raise Hdf5Error(f"the HDF5 library does not read it: {json.loads(answer)}")
     return _parsed(answer, most_chunks)

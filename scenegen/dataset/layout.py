@@ -4,16 +4,16 @@ here."""
 
 import json
 import math
-import os
 import sys
 import weakref
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from io import BufferedReader
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import isal.isal_zlib
 import numpy as np
@@ -21,8 +21,11 @@ from numpy.typing import NDArray
 
 from scenegen.dataset.hdf5 import Hdf5Error, Stored, read_index
 from scenegen.errors import BrokenError, DatasetError, raised_as, short
-from scenegen.files import open_bounded, sha256_in
+from scenegen.files import open_bounded, open_parts, pread, sha256_in, size_of
 from scenegen.sample import DERIVED, FIELDS, Sample, Schema
+
+if TYPE_CHECKING:
+    from scenegen.stores.copies import Copy
 
 DIGEST = "sha256"
 """Name of the dataset that holds the samples' own digests, uint8 (N, 32)."""
@@ -31,6 +34,9 @@ FILTERS = {DEFLATE := 1, SHUFFLE := 2, FLETCHER32 := 3}
 SMALL_BYTES = 4096
 """Fields that take no more a sample, and that no filter has changed, are read for all samples at
 once."""
+TAIL_BYTES, TAIL_BYTES_A_SAMPLE = 1 << 16, 512
+"""What is fetched of a shard first, from its end: about what its index and the small fields of its
+samples take."""
 
 Layout = Mapping[str, tuple[np.dtype, tuple[int, ...]]]
 """Every dataset that a shard has to hold: its type, and the shape of one sample."""
@@ -52,13 +58,19 @@ def most_bytes(layout: Layout, samples: int) -> int:
 class ShardFile:
     """An open shard whose layout is as the format says. Any number of threads may read from it."""
 
-    file: BufferedReader
+    file: "BufferedReader | Copy"
     name: str
     columns: Mapping[str, Stored]
     """Its datasets: N chunks each, one a sample."""
     attributes: Mapping[str, int | str | None]
     _read: dict[str, NDArray[Any]] = field(default_factory=dict)
     """Whole columns, as far as they have been read."""
+
+    @property
+    def fetched(self) -> bool:
+        """Whether what is read of it comes from a store, and was not held against the manifest's
+        digest as a whole."""
+        return not isinstance(self.file, BufferedReader)
 
     def value(self, name: str, row: int, *, read_only: bool = False) -> Any:
         """A sample's field. `read_only` saves a copy, but kernels are compiled for arrays that can
@@ -67,7 +79,7 @@ class ShardFile:
         Raises BrokenError for a chunk that does not unpack to just what it should.
         """
         column = self.columns[name]
-        if column.filters or column.row_bytes > SMALL_BYTES:
+        if self.fetched or column.filters or column.row_bytes > SMALL_BYTES:
             return self._chunk(name, row, read_only)
         return self.column(name)[row].copy()
 
@@ -84,7 +96,7 @@ class ShardFile:
                 breaks = np.flatnonzero(np.diff(column.places[:, 1]) != size) + 1
                 raw = bytearray()
                 for row, end in pairwise([0, *breaks.tolist(), count]):
-                    raw += os.pread(self.file.fileno(), (end - row) * size, begins[row])
+                    raw += pread(self.file, (end - row) * size, begins[row])
                 if len(raw) != count * size:
                     raise BrokenError(f"{self.name}: {name}: the file ends within it")
                 self._read[name] = _array(raw, column, column.shape, f"{self.name}: {name}")
@@ -95,7 +107,7 @@ class ShardFile:
         _, begin, size, left_out = column.places[row].tolist()
         failed = (isal.isal_zlib.error, EOFError, ValueError, OSError)
         with raised_as(BrokenError, f"{where} cannot be unpacked: ", of=failed):
-            raw = unpack(os.pread(self.file.fileno(), size, begin), column, left_out)
+            raw = unpack(pread(self.file, size, begin), column, left_out)
         return _array(raw if read_only else bytearray(raw), column, column.shape[1:], where)
 
     def check(self, row: int) -> None:
@@ -116,7 +128,7 @@ class ShardFile:
         entry a chunk, and some kilobytes."""
         stored = sum(int(column.places[:, 2].sum()) for column in self.columns.values())
         entries = sum(len(column.places) for column in self.columns.values())
-        return max(os.fstat(self.file.fileno()).st_size - stored - 200 * entries - (1 << 20), 0)
+        return max(size_of(self.file) - stored - 200 * entries - (1 << 20), 0)
 
     def check_origin(self, **expected: int | str) -> None:
         """Raise BrokenError where an attribute of the shard is not as `expected`."""
@@ -187,8 +199,20 @@ def unpack(packed: bytes, column: Stored, left_out: int) -> bytes:
 
 def open_file(path: Path) -> BufferedReader:
     """A regular file, and no pipe that would never end. Raises BrokenError, and StoreError."""
-    try:
+    with _listed(path):
         return open_bounded(path, sys.maxsize)
+
+
+def open_fetched(path: Path, samples: int) -> "BufferedReader | Copy":
+    """`open_file` for a shard; of a copy that is not whole, what is read of it is fetched."""
+    with _listed(path):
+        return open_parts(path, TAIL_BYTES + TAIL_BYTES_A_SAMPLE * samples)
+
+
+@contextmanager
+def _listed(path: Path) -> Iterator[None]:
+    try:
+        yield
     except (FileNotFoundError, DatasetError):
         raise BrokenError(
             f"{path.name}: is missing, or no file that can be read, though it is listed"
@@ -201,7 +225,9 @@ def check_sum(file: BufferedReader, name: str, sha256: str) -> None:
         raise BrokenError(f"{name}: is not the file that the manifest lists")
 
 
-def open_shard(file: BufferedReader, path: Path, samples: int, layout: Layout) -> ShardFile:
+def open_shard(
+    file: "BufferedReader | Copy", path: Path, samples: int, layout: Layout
+) -> ShardFile:
     """The shard in `file`, which `path` was opened as, its layout checked; the file is closed once
     nobody holds the shard any more. Raises BrokenError with what is wrong."""
     try:
@@ -214,14 +240,14 @@ def open_shard(file: BufferedReader, path: Path, samples: int, layout: Layout) -
 
 
 def _checked(
-    file: BufferedReader, path: Path, samples: int, layout: Layout
+    file: "BufferedReader | Copy", path: Path, samples: int, layout: Layout
 ) -> tuple[dict[str, Stored], Mapping[str, int | str | None]]:
     """The columns and attributes of a shard."""
-    size, most = os.fstat(file.fileno()).st_size, most_bytes(layout, samples)
+    size, most = size_of(file), most_bytes(layout, samples)
     if size > most:
         raise BrokenError(f"{path.name}: {size} bytes, {samples} samples take {most} at most")
     with raised_as(BrokenError, f"{path.name}: is damaged: ", of=Hdf5Error):
-        index = read_index(file.fileno(), samples)
+        index = read_index(file, samples)
     for name, why_none in index.others.items():
         raise BrokenError(
             f"{path.name}: {short(name)[1:-1]} {why_none}; only data of its own may be in a shard"

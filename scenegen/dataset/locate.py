@@ -83,13 +83,15 @@ def locate(name: str | Path, *, shown: bool = False, whole: bool = False) -> Pat
     return folder
 
 
-def load(dataset: str | Path, split: str = "train") -> Split:
+def load(dataset: str | Path, split: str = "train", *, whole: bool = False) -> Split:
     """The samples of a split, read when asked for, without a copy in memory.
 
     Args:
         dataset: A folder, or ``hf://user/name[@revision]`` or ``s3://bucket/folder``, which is
             copied once and checked.
         split: "train", "val" or "test".
+        whole: Fetch each shard from a store whole, in one request, when it is opened: for who reads
+            most samples. Otherwise what is read is fetched.
 
     Returns:
         A sequence of `scenegen.Sample`. It may be handed to any number of processes, forked or
@@ -99,7 +101,7 @@ def load(dataset: str | Path, split: str = "train") -> Split:
     Raises:
         DatasetError: There is no such dataset or split, or it is incomplete or damaged.
     """
-    return Dataset(locate(dataset)).split(split)
+    return Dataset(locate(dataset), whole=whole).split(split)
 
 
 @cache

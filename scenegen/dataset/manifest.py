@@ -236,6 +236,11 @@ def read(folder: Path) -> dict[str, Any]:
 
 
 def _depth(value: Any) -> int:
-    """How deep a JSON value nests. Raises RecursionError where that is without end."""
-    inner = value.values() if isinstance(value, dict) else value
-    return 1 + max(map(_depth, inner), default=0) if isinstance(value, dict | list) else 0
+    """How deep a JSON value nests."""
+    depth, level = 0, [value]
+    while level := [one for one in level if isinstance(one, (dict, list))]:
+        depth += 1
+        level = [
+            inner for one in level for inner in (one.values() if isinstance(one, dict) else one)
+        ]
+    return depth

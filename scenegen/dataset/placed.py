@@ -3,7 +3,7 @@ store."""
 
 import json
 from collections import Counter
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -15,20 +15,20 @@ from scenegen.draw import Rejections
 from scenegen.errors import BrokenError, DatasetError
 from scenegen.files import read_bounded, sha256_of, write_whole
 from scenegen.limits import MOST_MANIFEST_BYTES, MOST_SAMPLES_IN_SHARD
-from scenegen.stores import Object, StorePath
+from scenegen.stores import StorePath, Version
 
 NOTES = f"dataset.part-{'[0-9a-f]' * 12}.json"
 """What they are called."""
 
 
 def write_note(
-    folder: Path, parameters: str, part: Sequence[Path], reports: Sequence[ShardReport]
+    folder: Path, parameters: str, part: Sequence[str], reports: Sequence[ShardReport]
 ) -> None:
     """Write down the `reports` of a job that sees to the shards `part`, of the dataset whose
     parameters have the digest `parameters`."""
-    name = sha256_of("\n".join(path.name for path in part).encode())[:12]
+    name = sha256_of("\n".join(part).encode())[:12]
     shards = [report.entry() for report in reports]
-    content = json.dumps({"parameters": parameters, "shards": shards}, indent=1) + "\n"
+    content = json.dumps({"parameters": parameters, "shards": shards})
     write_whole(folder / f"dataset.part-{name}.json", content.encode())
 
 
@@ -62,34 +62,32 @@ MOST_BYTES = 10_000 + 80 * MOST_SAMPLES_IN_SHARD
 def write_placed(spec: ShardTask) -> ShardReport:
     """`write_shard` at a place, and the shard's report beside it. Raises StoreError as well."""
     report = write_shard(spec)
-    _note(spec, report, [path.version for path in _paths(spec)])
+    _note(spec, report, [_place(spec, name).version for name in _names(spec)])
     return report
 
 
 def look(
-    folder: Path, tasks: Sequence[tuple[ShardTask, Entry | None]]
+    there: Mapping[str, Version], tasks: Sequence[tuple[ShardTask, Entry | None]]
 ) -> Generator[ShardReport | None, None, None]:
-    """The reports of shards, each with what the manifest lists of it, at the place `folder`; None
-    for one that is not as it should be.
+    """The reports of shards, each with what the manifest lists of it, at the place where objects
+    are `there`, by their versions; None for one that is not as it should be.
 
     Objects that are those which a report beside them was written for are taken as they are: stores
     keep what they took. Any other shard is read, and removed where it is damaged. Raises
     StoreError.
     """
-    assert isinstance(folder, StorePath)
-    there = {item.name: item for item in folder.store.list()} if tasks else {}
 
     def one(task: tuple[ShardTask, Entry | None]) -> ShardReport | None:
         spec, listed = task
-        now = [there[path.name].version if path.name in there else None for path in _paths(spec)]
+        now = [there.get(name) for name in _names(spec)]
         report = _noted(spec, now, there) if None not in now else None
         if report is None or (
             listed and any(getattr(report, each) != getattr(listed, each) for each in SUMS)
         ):
             report = read_report(spec, listed, verify=True)
             if report is None:
-                for path in _paths(spec):  # the samples, which commit it, first
-                    path.unlink(missing_ok=True)
+                for name in _names(spec):  # the samples, which commit it, first
+                    _place(spec, name).unlink(missing_ok=True)
             else:
                 _note(spec, report, now)
         return report
@@ -103,8 +101,12 @@ def look(
 SUMS = ("sha256", "worlds_sha256")
 
 
-def _paths(spec: ShardTask) -> tuple[Any, Any]:
-    return spec.file, spec.worlds_file
+def _names(spec: ShardTask) -> tuple[str, str]:
+    return spec.file, spec.worlds
+
+
+def _place(spec: ShardTask, name: str) -> Any:
+    return spec.folder / name
 
 
 def _note(spec: ShardTask, report: ShardReport, versions: Iterable[str | None]) -> None:
@@ -117,18 +119,21 @@ def _note(spec: ShardTask, report: ShardReport, versions: Iterable[str | None]) 
         "digests": report.digests.hex(),
     }
     assert isinstance(spec.folder, StorePath)
-    spec.folder.store.put(spec.file.with_suffix(SUFFIX).name, json.dumps(said).encode())
+    spec.folder.store.put(_report_name(spec), json.dumps(said).encode())
+
+
+def _report_name(spec: ShardTask) -> str:
+    return spec.file.removesuffix(".h5") + SUFFIX
 
 
 def _noted(
-    spec: ShardTask, now: Sequence[str | None], there: dict[str, Object]
+    spec: ShardTask, now: Sequence[Version], there: Mapping[str, Version]
 ) -> ShardReport | None:
     """What the report beside a shard says, if it is of just these objects."""
-    path = spec.file.with_suffix(SUFFIX)
-    if path.name not in there:
+    if (name := _report_name(spec)) not in there:
         return None
     try:
-        said = json.loads(read_bounded(path, MOST_BYTES))
+        said = json.loads(read_bounded(spec.folder / name, MOST_BYTES))
         report = ShardReport(
             **checked(Entry, said, ""),
             size=said["size"],

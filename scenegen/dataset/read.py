@@ -2,10 +2,12 @@
 come from."""
 
 import os
+from bisect import bisect_right
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from functools import cached_property, partial
 from io import BufferedReader
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -16,7 +18,7 @@ from lidarsim import fuse
 from scenegen import SPLITS
 from scenegen.dataset import trust
 from scenegen.dataset.archive import DOCUMENT, open_archive
-from scenegen.dataset.layout import ShardFile, check_sum, open_file, open_shard
+from scenegen.dataset.layout import ShardFile, check_sum, open_fetched, open_file, open_shard
 from scenegen.errors import BrokenError, DatasetError, SceneError, raised_as, short
 from scenegen.sample import Sample, Samples, Schema, html_table
 from scenegen.truth import distance_field
@@ -28,6 +30,9 @@ if TYPE_CHECKING:  # which imports MuJoCo
 MOST_OPEN = 256
 """Shards that a reader keeps open in one process; a large dataset has more than a process may
 open."""
+
+
+FIRST = itemgetter(0)
 
 
 def advised(folder: Path, mark: str = "/", of: Any = BrokenError) -> AbstractContextManager[None]:
@@ -53,13 +58,22 @@ class Dataset:
     ``Dataset("data/pillar").split("train")[0].tudf`` is the first training sample's distance field.
     Raises DatasetError for a folder that holds none, or, unless `partial`, an incomplete one.
     Whoever writes new data from it has it `checked`: every file by its sum when it is opened, every
-    sample by its digest.
+    sample by its digest. Of shards at a store, what is read is fetched, unless whoever reads most
+    of them has them `whole`.
     """
 
-    def __init__(self, folder: Path | str, *, partial: bool = False, checked: bool = False):
+    def __init__(
+        self,
+        folder: Path | str,
+        *,
+        partial: bool = False,
+        checked: bool = False,
+        whole: bool = False,
+    ):
         self.folder = Path(folder)
-        self.checked = checked
+        self.checked, self.whole = checked, whole
         self._sound: set[str] = set()
+        self._splits: dict[str, Split] = {}
         self.manifest = trust.load(self.folder)
         with advised(self.folder):
             self.grid, self.lidar = self.manifest.grid, self.manifest.lidar
@@ -78,7 +92,9 @@ class Dataset:
             raise DatasetError(
                 f"{self.folder}: has no split {short(name)}; expected one of {', '.join(SPLITS)}"
             )
-        return Split(self, name)
+        if name not in self._splits:  # made once: it may have very many shards
+            self._splits[name] = Split(self, name)
+        return self._splits[name]
 
     def __repr__(self) -> str:
         return f"<Dataset: {self.manifest.kind}, seed {self.manifest.seed}, in {self.folder}>"
@@ -98,8 +114,9 @@ class Dataset:
 
         Raises DatasetError where there is no such world.
         """
-        for shard, own in self._shards_before(split, number):
-            member = f"{own:06d}.xml"
+        shards = self._by_world.get(split, [])
+        for first, shard in reversed(shards[: bisect_right(shards, number, key=FIRST)]):
+            member = f"{number - first + shard.first_world:06d}.xml"
             with (
                 advised(self.folder),
                 self._open(shard.worlds, shard.worlds_sha256) as file,
@@ -122,27 +139,29 @@ class Dataset:
             screen(document, files, name)
             return archived_world(document, files, name=name)
 
-    def _shards_before(self, split: str, number: int) -> list[tuple[trust.Entry, int]]:
-        """The shards of a split that may hold its world `number`, the likeliest first, and the
-        number that it bears there."""
-        first = self.manifest.first_worlds
-        found = [
-            (entry, number - first[split, entry.source])
-            for entry in self.manifest.shards
-            if entry.split == split
-        ]
-        return sorted(
-            ((entry, own) for entry, own in found if entry.first_world <= own),
-            key=lambda one: -one[0].first_world,
-        )
+    @cached_property
+    def _by_world(self) -> dict[str, list[tuple[int, trust.Entry]]]:
+        """The shards of each split, with the number of the first world of each, in the order of
+        these: there may be very many, of which one is looked for."""
+        found: dict[str, list[tuple[int, trust.Entry]]] = {}
+        for entry in self.manifest.shards:
+            first = self.manifest.first_worlds[entry.split, entry.source] + entry.first_world
+            found.setdefault(entry.split, []).append((first, entry))
+        return {split: sorted(shards, key=FIRST) for split, shards in found.items()}
 
     def _shard(self, entry: trust.Entry) -> ShardFile:
         """An open shard, of this dataset by its own word."""
         path = self.folder / entry.file
         home = self.manifest.home(entry)
         with advised(self.folder):
-            file = self._open(entry.file, entry.sha256)
-            shard = open_shard(file, path, entry.samples, home.layout)
+            shard = open_shard(
+                self._open(entry.file, entry.sha256)
+                if self.checked or self.whole
+                else open_fetched(path, entry.samples),
+                path,
+                entry.samples,
+                home.layout,
+            )
             shard.check_origin(
                 split=entry.split,
                 first_world=entry.first_world,
@@ -186,8 +205,8 @@ class Split(Samples):
 
     def _sample(self, index: int) -> Sample:
         number, row = self._place(index)
-        self._shard(number)  # which says at once if the file is missing or not this dataset's
-        if self.dataset.checked:
+        # this says at once if the file is missing or not this dataset's
+        if self._shard(number).fetched or self.dataset.checked:
             self.check(index)
         home, find = self.home(index), partial(self._find, number, row)
         return Sample.lazy(home.schema.names, find, lidar=home.lidar, grid=home.grid)

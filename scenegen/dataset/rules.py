@@ -169,9 +169,21 @@ RECIPE_RULES = {
     ),
 }
 FILE_RULE = text(
-    r"(train|val|test)-[0-9]{5,9}(\.h5|\.worlds\.zip)",
-    "such as train-00000.h5 or train-00000.worlds.zip",
+    r"(?:((?:train|val|test)-[0-9]+)x+/(?=\1))?(train|val|test)-[0-9]{5,9}(\.h5|\.worlds\.zip)",
+    "such as train-00000.h5 or train-01xxx/train-01000.worlds.zip",
 )
+DIGITS = 3
+"""As many last digits tell shards of one folder apart: the first thousand lie in the dataset's own,
+every further thousand in one of theirs. The Hugging Face Hub takes 10,000 entries a folder."""
+
+
+def stem_of(split: str, index: int) -> str:
+    """What the files of a split's shard are called, less their endings. It depends on nothing else,
+    so that a dataset grows and no file moves."""
+    stem = f"{split}-{index:05d}"
+    return f"{stem[:-DIGITS]}{'x' * DIGITS}/{stem}" if index >= 10**DIGITS else stem
+
+
 SOURCES_RULE = Rule(
     lambda value: isinstance(value, list) and 0 < len(value) <= MOST_SOURCES,
     "datasets, one at least",

@@ -21,7 +21,7 @@ from lidarsim.engines import DEFAULT, ENGINES, EngineFactory
 from lidarsim.jit import cache_trouble, no_kernels
 from scenegen.dataset.hdf5 import tells, with_index
 from scenegen.dataset.layout import DIGEST, Layout, open_file, open_shard
-from scenegen.dataset.rules import rules_of
+from scenegen.dataset.rules import rules_of, stem_of
 from scenegen.dataset.trust import Entry
 from scenegen.draw import Rejections, Unit, compile_truth, draw_unit
 from scenegen.errors import BrokenError, DatasetError, raised_as
@@ -69,14 +69,14 @@ class ShardTask:
     """What its entry in the manifest says besides."""
 
     @property
-    def file(self) -> Path:
-        """Where the samples go."""
-        return self.folder / f"{self.split}-{self.index:05d}.h5"
+    def file(self) -> str:
+        """Where in the folder the samples go."""
+        return f"{stem_of(self.split, self.index)}.h5"
 
     @property
-    def worlds_file(self) -> Path:
-        """Where the worlds go."""
-        return self.folder / f"{self.split}-{self.index:05d}.worlds.zip"
+    def worlds(self) -> str:
+        """Where in the folder the worlds go."""
+        return f"{stem_of(self.split, self.index)}.worlds.zip"
 
     def prepare(self, workers: int = 1) -> None:
         """Have done, by up to so many processes, what every writing process would else do by
@@ -183,9 +183,7 @@ def put(
     """
     digests = list[bytes]()
     layout = {name: column for name, column in spec.layout.items() if name != DIGEST}
-    with h5py.File(
-        spec.file.name, "w", driver="core", backing_store=False, block_size=1 << 20
-    ) as file:
+    with h5py.File(spec.file, "w", driver="core", backing_store=False, block_size=1 << 20) as file:
         packed = _create(file, layout, spec.samples)
         small: dict[str, list[Any]] = {name: [] for name in layout if name not in packed}
         for value_of, digest in samples:
@@ -209,10 +207,10 @@ def put(
         file.attrs["rejected"] = json.dumps(vars(rejected), sort_keys=True)
         file.flush()
         content = with_index(file.id.get_file_image(), file, spec.samples)
-    write_whole(spec.worlds_file, worlds)
-    write_whole(spec.file, content)
+    write_whole(spec.folder / spec.worlds, worlds)
+    write_whole(spec.folder / spec.file, content)
     sums = sha256_of(content), sha256_of(worlds)
-    return _report(spec, sums, len(content) + len(worlds), rejected, own)
+    return report_of(spec, sums, len(content) + len(worlds), rejected, own)
 
 
 def _create(file: h5py.File, layout: Layout, samples: int) -> dict[str, h5py.h5d.DatasetID]:
@@ -230,12 +228,13 @@ def _create(file: h5py.File, layout: Layout, samples: int) -> dict[str, h5py.h5d
     return found
 
 
-def _report(
+def report_of(
     spec: ShardTask, sums: tuple[str, str], size: int, rejected: Rejections, digests: bytes
 ) -> ShardReport:
+    """The report of a shard whose two files have these SHA-256 `sums`, and `size` bytes in all."""
     return ShardReport(
-        file=spec.file.name,
-        worlds=spec.worlds_file.name,
+        file=spec.file,
+        worlds=spec.worlds,
         split=spec.split,
         samples=spec.samples,
         first_world=min(spec.numbers),
@@ -272,9 +271,10 @@ def read_report(
     samples against their own digests where there is no such entry.
     """
     try:
-        with open_file(spec.file) as file, open_file(spec.worlds_file) as worlds:
-            shard = open_shard(file, spec.file, spec.samples, spec.layout)
-            if not tells(file.fileno()):  # nothing is lost, but it is not the file that was written
+        path = spec.folder / spec.file
+        with open_file(path) as file, open_file(spec.folder / spec.worlds) as worlds:
+            shard = open_shard(file, path, spec.samples, spec.layout)
+            if not tells(file):  # nothing is lost, but it is not the file that was written
                 return None
             size = sum(os.fstat(each.fileno()).st_size for each in (file, worlds))
             sums = sha256_in(file), sha256_in(worlds)
@@ -290,7 +290,7 @@ def read_report(
                 shard.check(row)
                 for name in (name for name in DERIVED if name in shard.columns):
                     shard.value(name, row, read_only=True)  # which must be there
-            return _report(
+            return report_of(
                 spec, sums, size, Rejections(**shard.rejected()), shard.column(DIGEST).tobytes()
             )
     except (BrokenError, OSError, KeyError, ValueError):
@@ -301,13 +301,14 @@ def relabel(spec: ShardTask, old: str, listed: Entry) -> None:
     """Have a shard of the dataset whose parameters have the digest `old`, as its manifest's entry
     `listed` has it, carry those of `spec` in their place; it is left alone where it is not just
     that shard."""
+    path = spec.folder / spec.file
     try:
-        with open_file(spec.file) as file:
+        with open_file(path) as file:
             content = file.read()
     except (BrokenError, OSError):
         return
     if sha256_of(content) == listed.sha256 and content.count(old.encode()) == 2:
-        write_whole(spec.file, content.replace(old.encode(), spec.parameters.encode()))
+        write_whole(path, content.replace(old.encode(), spec.parameters.encode()))
 
 
 ARCHIVE = b"PK\x03\x04\x14\0\0\0\x08\0\0\0!\0"

@@ -5,8 +5,9 @@ import contextlib
 import fnmatch
 import json
 import math
+import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +23,7 @@ from scenegen.dataset.shard import ARCHIVE, ShardReport, ShardTask, read_report,
 from scenegen.errors import BrokenError, DatasetError
 from scenegen.files import disk_told, names_in, open_bounded, remove_drafts, sha256_of
 from scenegen.run.workers import run
-from scenegen.stores import StorePath
+from scenegen.stores import StorePath, Version
 
 MANY = 8
 """Shards from which on several processes read what is there."""
@@ -67,11 +68,15 @@ class State:
 
     def __init__(self, plan: Plan, *, force: bool = False):
         self.plan = plan
-        self.reports: dict[Path, ShardReport] = {}
+        self.reports: dict[str, ShardReport] = {}
         """What is known of every shard that is there, by its file."""
         self._force = force
         self._smaller: trust.Manifest | None = None
         """The dataset that this one begins with, as far as the folder holds it."""
+        self._there: Mapping[str, Version] | None = None
+        """What lies there, if that was just listed."""
+        self._written: Mapping[str, Any] = {}
+        """The manifest as it was read."""
         self._listed = self._read()
 
     @property
@@ -79,28 +84,42 @@ class State:
         """Whether the folder holds a manifest of this dataset."""
         return self._listed is not None
 
+    @property
+    def done(self) -> bool:
+        """Whether every shard is known, and the manifest that was read says just that."""
+        return len(self.reports) == len(self.plan.shards) and self._written == self._final()
+
+    def _final(self) -> dict[str, Any]:
+        """The manifest of what is known."""
+        return manifest.assemble(
+            self.plan.parameters,
+            self._known(self.plan.shards),
+            complete=len(self.reports) == len(self.plan.shards),
+        )
+
     def _read(self) -> Mapping[str, trust.Entry] | None:
         """The shards that the manifest of this dataset lists, by file; None where there is none."""
         folder = self.plan.folder
         with disk_told(folder):
             try:
-                others = sorted(name for name in names_in(folder) if not name.endswith(".tmp"))
+                self._there = names_in(folder)
             except FileNotFoundError:
                 return None
             except NotADirectoryError:
                 raise DatasetError(
                     f"{folder}: is a file, expected a folder; choose another one with --out"
                 ) from None
+        others = sorted(name for name in self._there if not name.endswith(".tmp"))
         if not others:
             return None
         if manifest.NAME not in others:
-            if any(read_report(shard) for shard in self.plan.shards if shard.file.name in others):
+            if any(read_report(shard) for shard in self.plan.shards if shard.file in others):
                 return {}  # the manifest alone was lost
             raise DatasetError(
                 f"{folder}: holds other files ({others[0]}, …) and no dataset; choose another "
                 f"folder with --out"
             )
-        there = manifest.read(folder)
+        self._written = there = manifest.read(folder)
         differing = manifest.differences(
             manifest.completed(there), manifest.completed(self.plan.parameters)
         )
@@ -136,9 +155,10 @@ class State:
             {entry.file: entry for entry in self._smaller.shards},
         )
         for shard in self.plan.shards:
-            entry = listed.get(shard.file.name)
+            entry = listed.get(shard.file)
             if entry is not None and entry.samples == shard.samples:
                 relabel(shard, old, entry)
+        self._there = None
         self.look(self.plan.shards)
         self.note()
         self._smaller = None
@@ -152,38 +172,42 @@ class State:
         """
         if self._listed is None:
             return
-        there = names_in(self.plan.folder)
+        there = names_in(self.plan.folder) if self._there is None else self._there
+        self._there = None
         unknown = [
-            shard for shard in shards if shard.file not in self.reports and shard.file.name in there
+            shard for shard in shards if shard.file not in self.reports and shard.file in there
         ]
         folder, stored = self.plan.folder, isinstance(self.plan.folder, StorePath)
         noted = {} if stored else read_notes(folder, manifest.fingerprint(self.plan.parameters))
         listed = {**noted, **self._listed}
-        tasks = [(shard, listed.get(shard.file.name)) for shard in unknown]
+        tasks = [(shard, listed.get(shard.file)) for shard in unknown]
         several = workers if len(tasks) >= MANY else 1
         with closing(
-            placed.look(folder, tasks) if stored else run(_report, tasks, several)
+            placed.look(there, tasks) if stored else run(_report, tasks, several)
         ) as found:
-            self.reports |= {folder / report.file: report for report in found if report is not None}
+            self.reports |= {report.file: report for report in found if report is not None}
 
     def open(self) -> None:
-        """Make the folder ready for shards, and touch nothing but the dataset that `force`
-        replaces.
+        """Make the folder ready for shards, if it lacks any, and touch nothing but the dataset that
+        `force` replaces.
 
         Raises DatasetError where a file stands in the way that is of neither.
         """
+        if not self.done:
+            self._begin()
+        write_rays(self.plan.lidars, self.plan.folder)
+
+    def _begin(self) -> None:
         folder = self.plan.folder
         with disk_told(folder):
             folder.mkdir(parents=True, exist_ok=True)
             # listed first: what comes later is another job's, and this dataset's
-            there = names_in(folder)
-            self._listed = self._read()
+            there = names_in(folder).keys()
+            self._listed, self._there = self._read(), None
             remove_drafts(folder)
             former = [] if self.begun else _former(folder, there)
         if not self.begun:
-            planned = {
-                path.name for shard in self.plan.shards for path in (shard.file, shard.worlds_file)
-            }
+            planned = {name for shard in self.plan.shards for name in (shard.file, shard.worlds)}
             planned |= tables_of(self.plan.lidars).keys()
             for name in sorted(planned & there - set(former)):
                 raise DatasetError(
@@ -196,7 +220,9 @@ class State:
         if not self.begun or manifest.NAME not in there:
             manifest.write(folder, manifest.assemble(self.plan.parameters, [], complete=False))
             self._listed = self._listed or {}
-        write_rays(self.plan.lidars, folder)
+        with disk_told(folder):
+            for part in {shard.file.rpartition("/")[0] for shard in self.plan.shards}:
+                (folder / part).mkdir(exist_ok=True)
 
     def note(self, mine: Sequence[ShardTask] | None = None) -> None:
         """Write down the shards that are known, for a run that is stopped: the next one hashes
@@ -222,6 +248,9 @@ class State:
         shard looks at all of them; others leave what is not theirs alone, but look again once they
         have written. A job whose shards are all in a complete manifest already is done.
         """
+        if self.done:
+            remove_notes(self.plan.folder)
+            return dict(self._written)
         while True:
             if len(self.reports) < len(self.plan.shards) and self._is_signed(
                 there := manifest.read(self.plan.folder)
@@ -229,11 +258,7 @@ class State:
                 return there
             if whole := not self.absent():
                 self.look(self.plan.shards, workers=workers)
-            final = manifest.assemble(
-                self.plan.parameters,
-                self._known(self.plan.shards),
-                complete=len(self.reports) == len(self.plan.shards),
-            )
+            final = self._final()
             if manifest.read(self.plan.folder) != final:
                 manifest.write(self.plan.folder, final)
             if final["complete"]:
@@ -258,7 +283,7 @@ class State:
         return [
             shard
             for shard in self.plan.shards
-            if shard.file not in self.reports and shard.file.name not in there
+            if shard.file not in self.reports and shard.file not in there
         ]
 
     def _known(self, shards: Sequence[ShardTask]) -> list[ShardReport]:
@@ -269,7 +294,7 @@ def _report(task: tuple[ShardTask, trust.Entry | None]) -> ShardReport | None:
     return read_report(*task, verify=True)
 
 
-def _former(folder: Path, names: set[str]) -> list[str]:
+def _former(folder: Path, names: Set[str]) -> list[str]:
     """Those of the `names` in `folder` that are of the dataset whose manifest lies there: its
     tables of rays, the shards that it lists, and those not listed yet, which carry its fingerprint,
     or that of one of its sources. In an order that can be gone on with: worlds come before their
@@ -277,10 +302,11 @@ def _former(folder: Path, names: set[str]) -> list[str]:
     if manifest.NAME not in names:
         return []
     there = manifest.read(folder)
-    said, owners = json.dumps(there), [manifest.fingerprint(manifest.parameters_of(there)).encode()]
+    said = set(re.findall(r'"((?:[^"\\]|\\.)*)"', json.dumps(there)))
+    owners = [manifest.fingerprint(manifest.parameters_of(there)).encode()]
     with contextlib.suppress(BrokenError):
         owners += [source.fingerprint.encode() for source in trust.parse(there, folder).sources]
-    found = {name for name in names if FILE_RULE.fits(name) and f'"{name}"' in said}
+    found = {name for name in names & said if FILE_RULE.fits(name)}
     for name in filter(FILE_RULE.fits, sorted(names - found)):
         content, samples = _content(folder / name), name.replace(".worlds.zip", ".h5")
         if name == samples:

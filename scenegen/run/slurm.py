@@ -24,6 +24,8 @@ from scenegen.run.workers import safe_path
 
 MINUTES = 240
 """How long a job may take unless the address says otherwise."""
+MOST_JOBS = 8000
+"""The most jobs of a run: Slurm's own MaxJobCount is 10,000, of all users together."""
 JOBS = 4
 """Jobs for every one of the workers, so that none waits long for the last."""
 MOST_IN_ARRAY = 1001
@@ -68,11 +70,11 @@ class Slurm(Executor):
     def __call__(
         self, function: Callable[[Any], Any], tasks: Sequence[Any], on_start: Callable[[], None]
     ) -> Generator[Any, None, None]:
-        """Submit an array of jobs, each of which does several tasks, and wait for them."""
+        """Submit arrays of jobs, each of which does several tasks, and wait for them."""
         if not tasks:
             on_start()
             return
-        each = math.ceil(len(tasks) / min(JOBS * self.workers, _most_in_array()))
+        each = math.ceil(len(tasks) / min(JOBS * self.workers, MOST_JOBS))
         folder = Path(tempfile.mkdtemp(prefix="scenegen-slurm-", dir=Path.cwd()))
         with _cancelled(folder.name):
             jobs = self._submit(
@@ -86,7 +88,8 @@ class Slurm(Executor):
     def _submit(
         self, folder: Path, function: Callable[[Any], Any], parts: Sequence[Sequence[Any]]
     ) -> list[Any]:
-        """An array with one job for each of `parts`."""
+        """A job for each of `parts`: in one array, or in as many of one size as the cluster asks
+        for, which share the workers."""
         from cloudpickle import CloudPickler  # which submitit needs
 
         there = sent(function, CloudPickler)
@@ -100,19 +103,28 @@ class Slurm(Executor):
                     break
             return found
 
-        packed = [[pack(task, CloudPickler) for task in part] for part in parts]
+        arrays = math.ceil(len(parts) / _most_in_array())
+        size = math.ceil(len(parts) / arrays)
+        jobs: list[Any] = []
         try:
             executor = self.submitit.SlurmExecutor(folder=folder)
             executor.update_parameters(
                 job_name=folder.name,
                 cpus_per_task=1,
-                array_parallelism=self.workers,
+                array_parallelism=math.ceil(self.workers / arrays),
                 stderr_to_stdout=True,
                 time=self.minutes,  # of submitit's own, which counts with it
                 additional_parameters=self.options,
             )
             with safe_path():  # the jobs' environment is this one; they are begun by python -m
-                return executor.map_array(several, packed)
+                for n in range(
+                    0, len(parts), size
+                ):  # packed one after the other: a task may be 4 KB
+                    packed = [
+                        [pack(task, CloudPickler) for task in part] for part in parts[n : n + size]
+                    ]
+                    jobs += executor.map_array(several, packed)
+            return jobs
         except (RuntimeError, OSError) as error:
             reason = _last_line(str(error))
             raise GenerationError(f"--on slurm: nothing could be submitted ({reason})") from None

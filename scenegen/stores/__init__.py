@@ -31,9 +31,19 @@ ONE_SLASH = re.compile(r"(hf|s3|gs|az|https?):/(?!/)")
 """What was meant for a store, and would be a folder of an odd name."""
 
 
+PART = re.compile(r"(train|val|test)-[0-9]+x+", re.ASCII)
+"""What the folders in a dataset's are called, of which each holds a thousand shards."""
+
+
+def home_of(folder: Path) -> Path:
+    """The dataset's own folder: this one, or the one that it is a part of."""
+    return folder.parent if PART.fullmatch(folder.name) else folder
+
+
 def note_file(folder: Path) -> Path:
-    """Where the note lies that makes a folder one of copies; see `scenegen.stores.cache`."""
-    return Path(f"{folder}.place")
+    """Where the note lies that makes a dataset's folder one of copies; see
+    `scenegen.stores.cache`."""
+    return Path(f"{home_of(folder)}.place")
 
 
 class ConflictError(StoreError):
@@ -48,8 +58,20 @@ class Object(NamedTuple):
     version: Version
 
 
+class Part(NamedTuple):
+    """A part of an object, in bytes."""
+
+    first: int = 0
+    """Where it begins; below 0, so many before the object's end."""
+    stop: int | None = None
+    """Where it ends, if not with the object."""
+
+
+WHOLE = Part()
+
+
 class Store(Protocol):
-    """A flat folder of objects, made of its whole name. Raises DatasetError for a name that cannot
+    """A folder of objects, made of its whole name. Raises DatasetError for a name that cannot
     be.
 
     Every method raises StoreError, in one line that tells no credential, where the store refuses,
@@ -60,12 +82,12 @@ class Store(Protocol):
     def __init__(self, name: str) -> None: ...
 
     def list(self) -> Iterator[Object]:
-        """The objects directly in it, in any order, as they come."""
+        """The objects in it, and in folders in it, in any order, as they come."""
         ...
 
-    def read(self, name: str, file: IO[bytes], most_bytes: int) -> Version:
-        """Copy an object into `file`. Raises FileNotFoundError where there is none, DatasetError
-        where it is larger."""
+    def read(self, name: str, file: IO[bytes], most_bytes: int, part: Part = WHOLE) -> Object:
+        """Copy an object into `file`, or a part of it, and return which object it is. Raises
+        FileNotFoundError where there is none, DatasetError where what is asked for is larger."""
         ...
 
     def put(self, name: str, content: bytes, version: Version = ANY) -> Version:
@@ -85,7 +107,7 @@ STORES = Registry(
     {"s3": "scenegen.stores.bucket:Bucket", OTHERS: "scenegen.stores.bucket:Foreign"},
     needs={
         "list": "a method: () -> objects",
-        "read": "a method: (name, file, most_bytes) -> version",
+        "read": "a method: (name, file, most_bytes, part) -> object",
         "put": "a method: (name, content, version) -> version",
         "remove": "a method: name -> None",
     },
@@ -161,8 +183,10 @@ class StorePath(_Path):
         """The store that it is."""
         return store_of(str(self))
 
-    def _home(self) -> Store:
-        return store_of(str(self.parent))
+    def _home(self) -> tuple[Store, str]:
+        """The store of the dataset's folder, and what the object is called there."""
+        folder = home_of(self.parent)
+        return store_of(str(folder)), str(self.relative_to(folder))
 
     def is_dir(self) -> bool:
         """Whether there is an object in it."""
@@ -176,9 +200,10 @@ class StorePath(_Path):
         copy: Any = None
         try:
             copy = tempfile.TemporaryFile()  # noqa: SIM115 (who asks closes it)
-            _seen[str(self)] = self._home().read(self.name, copy, most_bytes)
+            store, name = self._home()
+            _seen[str(self)] = store.read(name, copy, most_bytes).version
             copy.seek(0)
-            return copy
+            return io.BufferedReader(copy.detach())
         except OSError as error:
             if copy is not None:
                 copy.close()
@@ -198,9 +223,9 @@ class StorePath(_Path):
     def put(self, content: bytes) -> None:
         """Put `content` there, unless somebody else put something else: that raises
         ConflictError."""
-        mine = self.version
+        mine, (store, name) = self.version, self._home()
         with suppress(ConflictError):
-            _seen[str(self)] = self._home().put(self.name, content, mine)
+            _seen[str(self)] = store.put(name, content, mine)
             return
         with suppress(FileNotFoundError):
             if self.read_bytes() == content:
@@ -218,5 +243,6 @@ class StorePath(_Path):
 
     def unlink(self, missing_ok: bool = False) -> None:
         """Remove the object, if it is there."""
-        self._home().remove(self.name)
+        store, name = self._home()
+        store.remove(name)
         _seen.pop(str(self), None)

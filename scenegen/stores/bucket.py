@@ -7,11 +7,11 @@ import os
 import re
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from typing import IO, Any
 
 from scenegen.errors import DatasetError, StoreError, needs, printable
-from scenegen.stores import ANY, ConflictError, Object, Store, Version
+from scenegen.stores import ANY, WHOLE, ConflictError, Object, Part, Store, Version
 
 NAME = re.compile(
     r"s3://(?P<bucket>[a-z0-9][a-z0-9.-]{1,61}[a-z0-9])(/(?P<prefix>.*[^/]))?/?", re.ASCII
@@ -85,7 +85,7 @@ class Bucket(Store):
         """See `Store`."""
         after: dict[str, str] = {}
         while True:
-            asked = {"Bucket": self.bucket, "Prefix": self.prefix, "Delimiter": "/", **after}
+            asked = {"Bucket": self.bucket, "Prefix": self.prefix, **after}
             found = self._ask("", self._client.list_objects_v2, "IsTruncated", **asked)
             try:
                 for item in found.get("Contents", ()):
@@ -96,10 +96,15 @@ class Bucket(Store):
             except KeyError as error:
                 raise self._fault("", f"its list lacks {error.args[0]}") from None
 
-    def read(self, name: str, file: IO[bytes], most_bytes: int) -> Version:
+    def read(self, name: str, file: IO[bytes], most_bytes: int, part: Part = WHOLE) -> Object:
         """See `Store`."""
+        needed, asked = ["ETag", "ContentLength"], {}
+        if part != WHOLE:  # a server that knows no parts sends the whole without saying so
+            last = "" if part.stop is None else part.stop - 1
+            needed.append("ContentRange")
+            asked["Range"] = f"bytes={part.first}" + (f"-{last}" if part.first >= 0 else "")
         for attempt in range(CUTS):
-            found = self._ask(name, self._client.get_object, "ETag", "ContentLength")
+            found = self._ask(name, self._client.get_object, *needed, **asked)
             size = found["ContentLength"]
             with found["Body"] as body:
                 if size > most_bytes:
@@ -110,7 +115,8 @@ class Bucket(Store):
                     while piece := body.read(PIECE_BYTES):
                         file.write(piece)
                     if file.tell() == size:
-                        return found["ETag"]
+                        whole = found.get("ContentRange", str(size)).rpartition("/")[2]
+                        return Object(name, int(whole), found["ETag"])
             file.seek(0)  # cut off on the way, which not every version of the HTTP client minds
             file.truncate()
             time.sleep(2**attempt / 10)
@@ -194,21 +200,33 @@ class Foreign(Store):
 
     def list(self) -> Iterator[Object]:
         """See `Store`."""
-        with suppress(FileNotFoundError), self._told(""):
-            for item in self._system.ls(self._path, detail=True):
-                if item["type"] == "file":
-                    yield Object(item["name"].rpartition("/")[2], int(item["size"] or 0), None)
+        with suppress(FileNotFoundError):
+            found = self._tried("", lambda: self._system.find(self._path, 2, detail=True))
+            for name, item in found.items():
+                there = name.removeprefix(self._path).lstrip("/")
+                yield Object(there, int(item["size"] or 0), None)
 
-    def read(self, name: str, file: IO[bytes], most_bytes: int) -> Version:
+    def read(self, name: str, file: IO[bytes], most_bytes: int, part: Part = WHOLE) -> Object:
         """See `Store`."""
-        done = 0
-        with self._told(name), self._system.open(f"{self._path}/{name}", "rb") as there:
-            while piece := there.read(PIECE_BYTES):
-                done += len(piece)
-                if done > most_bytes:
-                    raise DatasetError(f"{self.name}/{name}: more than {most_bytes} bytes")
-                file.write(piece)
-        return None
+        path = f"{self._path}/{name}"
+
+        def read_part() -> Object:
+            about = self._system.info(path)
+            file.write(self._system.cat_file(path, *part))
+            version = hashlib.sha256(repr(about).encode()).hexdigest()
+            return Object(name, int(about["size"]), version)
+
+        def read_whole() -> Object:
+            file.seek(0)
+            file.truncate()
+            with self._system.open(path, "rb") as there:
+                while piece := there.read(PIECE_BYTES):
+                    file.write(piece)
+                    if file.tell() > most_bytes:
+                        raise DatasetError(f"{self.name}/{name}: more than {most_bytes} bytes")
+            return Object(name, file.tell(), None)
+
+        return self._tried(name, read_whole if part == WHOLE else read_part)
 
     def put(self, name: str, content: bytes, version: Version = ANY) -> Version:
         """Raises StoreError."""
@@ -220,15 +238,18 @@ class Foreign(Store):
         """Raises StoreError."""
         self.put(name, b"")
 
-    @contextmanager
-    def _told(self, name: str) -> Iterator[None]:
-        """Errors without what the file system says, which may hold anything."""
-        try:
-            yield
-        except (FileNotFoundError, DatasetError):
-            raise
-        except Exception as error:  # each file system has its own
-            raise StoreError(
-                f"{self.name}/{name}: cannot be read ({type(error).__name__}); see to the name, "
-                "the network and the rights"
-            ) from None
+    def _tried(self, name: str, ask: Callable[[], Any]) -> Any:
+        """What `ask` returns, which is tried again where it fails. Raises errors without what the
+        file system says, which may hold anything."""
+        for attempt in range(CUTS):
+            try:
+                return ask()
+            except (FileNotFoundError, DatasetError):
+                raise
+            except Exception as error:  # each file system has its own
+                said = type(error).__name__
+                time.sleep(2**attempt / 10)
+        raise StoreError(
+            f"{self.name}/{name}: cannot be read ({said}); see to the name, the network and the "
+            "rights"
+        )

@@ -6,8 +6,10 @@ from typing import Any
 
 from scenegen import SPLITS
 from scenegen.dataset import manifest, trust
+from scenegen.dataset.rules import stem_of
 from scenegen.dataset.trust import Manifest
 from scenegen.errors import DatasetError, printable, raised_as, short
+from scenegen.files import names_in
 from scenegen.recipes import find_kind
 from scenegen.verification.report import BrokenError, Ledger, Page
 
@@ -89,7 +91,7 @@ def _check_shards(contract: Manifest, page: Page) -> None:
                     f"{where}: recipe.scenes names no world for {split}, which has samples"
                 )
             # of an incomplete dataset, shards between may be missing
-            stem = f"{split}-{number:05d}" if whole else entry.file.removesuffix(".h5")
+            stem = stem_of(split, number) if whole else entry.file.removesuffix(".h5")
             page.expect(
                 (entry.file, entry.worlds) == (f"{stem}.h5", f"{stem}.worlds.zip")
                 and stem.startswith(split),
@@ -105,6 +107,6 @@ def _check_shards(contract: Manifest, page: Page) -> None:
                 full, f"{where}: {entry.file} holds {entry.samples} samples: a flight is cut"
             )
     listed = {name for entry in contract.shards for name in (entry.file, entry.worlds)}
-    files = {path.name for path in contract.folder.iterdir() if path.suffix in (".h5", ".zip")}
+    files = {name for name in names_in(contract.folder) if name.endswith((".h5", ".zip"))}
     others = printable(", ".join(sorted(files - listed)[:3]))
     page.expect(not others, f"{others}: in the folder, but {where} does not list it")

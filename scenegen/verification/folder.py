@@ -117,7 +117,7 @@ def examine(task: Task) -> Findings:
             look("file", SignedFile(file, path.name, entry.sha256))
         opened = open_shard(file, path, entry.samples, contract.layout)
         # what it says of itself, other readers must find by the HDF5 library, too
-        if read_index(file.fileno(), entry.samples) != library_index(file.fileno(), entry.samples):
+        if read_index(file, entry.samples) != library_index(file, entry.samples):
             raise BrokenError(f"{opened.name}: its index is not what the HDF5 library finds in it")
         if opened.stray_bytes:
             raise BrokenError(

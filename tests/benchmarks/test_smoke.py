@@ -14,7 +14,7 @@ from scenegen.recipe import preset
 from tests.conftest import dataset_in
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
-SHARED = {"bars", "measuring", "recordings"}
+SHARED = {"bars", "measuring", "recordings", "served"}
 STUDY = BENCHMARKS.parent / "docs" / "results" / "study.json"
 DATA = "data"
 """Stands for a dataset's folder."""

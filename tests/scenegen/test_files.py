@@ -136,7 +136,7 @@ def test_cleaning_takes_what_an_ended_process_left_and_nothing_else(tmp_path, mo
 
 def test_a_process_number_in_use_again_and_other_machines_are_told_apart(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr(files, "_start_of", lambda pid: 12345)  # a former process of this number
+        patch.setattr(files, "_own_start", lambda pid: 12345)  # a former process of this number
         reused = draft_of(tmp_path / "a")
     reused.write_bytes(b"")
     with monkeypatch.context() as patch:

@@ -77,12 +77,12 @@ def test_a_budget_in_maps_replaces_passes():
 def test_rounds_see_the_passes_one_after_the_other(interval):
     of = course(count=83, maps=400, interval=interval)
     passes = [
-        epoch_batches(Counted(83), batch=8, seed=0, epoch=epoch, views=Views(augment=True))
+        list(epoch_batches(Counted(83), batch=8, seed=0, epoch=epoch, views=Views(augment=True)))
         for epoch in range(5)
     ]  # type: ignore[arg-type]
     seen = [of.batches(first, min(of.round, 50 - first)) for first in range(0, 50, of.round)]
     assert list(itertools.chain(*seen)) == list(itertools.chain(*passes))
-    assert of.batches(7, 9) == list(itertools.chain(*passes))[7:16]
+    assert list(of.batches(7, 9)) == list(itertools.chain(*passes))[7:16]
 
 
 def test_a_stall_begins_the_decay_and_the_run_ends_at_its_end(

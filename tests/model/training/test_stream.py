@@ -75,12 +75,12 @@ def test_maps_are_the_streams_each_once_and_turned_by_seed():
     stream = streamed()
     maps = Maps([stream], "train")
     course = Course(maps, CONFIG)
-    batches = course.batches(0, 48)
-    assert course.batches(5, 3) == batches[5:8]
+    batches = list(course.batches(0, 48))
+    assert list(course.batches(5, 3)) == batches[5:8]
     seen = [index for batch in batches for index, _ in batch]
     assert sorted(seen) == list(range(4 * 48))
     assert len({turn for batch in batches for _, turn in batch}) == 8
-    assert Course(maps, dataclasses.replace(CONFIG, seed=1)).batches(0, 48) != batches
+    assert list(Course(maps, dataclasses.replace(CONFIG, seed=1)).batches(0, 48)) != batches
     found = maps[batches[0][0][0], 0]
     assert torch.equal(found["occupancy"], torch.from_numpy(stream[batches[0][0][0]].occupancy))
 
@@ -88,7 +88,7 @@ def test_maps_are_the_streams_each_once_and_turned_by_seed():
 @pytest.mark.parametrize("workers", [0, 2])
 def test_no_loader_process_draws_what_another_draws(workers, drawers):
     maps = Maps([streamed()], "train")
-    batches = Course(maps, CONFIG).batches(3, 40)
+    batches = list(Course(maps, CONFIG).batches(3, 40))
     assert (
         sum(len(read["occupancy"]) for read in load(maps, batches, workers=workers, pinned=False))
         == 160

@@ -135,9 +135,8 @@ class Counted:
 def test_an_epoch_is_full_batches_of_maps_seen_once(count, batch, augment):
     """Of what is too little for one batch, it is that one."""
     for epoch in range(4):
-        batches = epoch_batches(
-            Counted(count), batch=batch, seed=3, epoch=epoch, views=Views(augment=augment)
-        )
+        given = {"seed": 3, "epoch": epoch, "views": Views(augment=augment)}
+        batches = list(epoch_batches(Counted(count), batch=batch, **given))
         assert [len(keys) for keys in batches] == ([batch] * (count // batch) or [count])
         indices = [index for keys in batches for index, _ in keys]
         assert len(set(indices)) == len(indices)
@@ -149,11 +148,8 @@ def test_seed_and_epoch_decide_alone(augment):
     """And each of them matters: seed 0 at epoch 1 is not seed 1 at epoch 0."""
 
     def drawn(seed, epoch):
-        return repr(
-            epoch_batches(
-                Counted(40), batch=8, seed=seed, epoch=epoch, views=Views(augment=augment)
-            )
-        )
+        views = Views(augment=augment)
+        return repr([*epoch_batches(Counted(40), batch=8, seed=seed, epoch=epoch, views=views)])
 
     pairs = list(itertools.product(range(5), repeat=2))
     first = [drawn(*pair) for pair in pairs]
@@ -191,7 +187,7 @@ def test_symmetries_that_fit_the_map_occur_about_as_often(shape, mirrored, allow
     where rays are no mirror image; each map draws its own."""
     maps = Counted(800, GridSpec(shape=shape), mirrored=mirrored)
     epochs = [
-        epoch_batches(maps, batch=8, seed=0, epoch=epoch, views=Views(augment=True))
+        list(epoch_batches(maps, batch=8, seed=0, epoch=epoch, views=Views(augment=True)))
         for epoch in range(2)
     ]
     drawn = [symmetry for keys in epochs[0] for _, symmetry in keys]

@@ -38,7 +38,7 @@ def by_library(path):
 
 def by_index(path, most=10**6, read=hdf5.read_index):
     with open(path, "rb") as file:
-        index = read(file.fileno(), most)
+        index = read(file, most)
     found = {"": dict(index.attributes)}
     for name, it in index.objects.items():
         assert isinstance(it, hdf5.Stored)
@@ -70,10 +70,10 @@ def test_indexes_are_those_of_the_library(tmp_path, libver):
 def test_a_shard_tells_its_own_index_and_no_library_is_asked(made, tmp_path, monkeypatch):
     path = next(made.glob("train-*.h5"))
     with open(path, "rb") as file:
-        expected = hdf5.library_index(file.fileno(), 10**6)
+        expected = hdf5.library_index(file, 10**6)
     monkeypatch.setattr(hdf5, "library_index", None)
     with open(path, "rb") as file:
-        assert hdf5.read_index(file.fileno(), 10**6) == expected
+        assert hdf5.read_index(file, 10**6) == expected
     content, end = path.read_bytes(), len(hdf5.MARK) + 8
     length = int.from_bytes(content[-end:-16], "little")
     text = content[-end - length : -end]
@@ -91,10 +91,10 @@ def test_a_shard_tells_its_own_index_and_no_library_is_asked(made, tmp_path, mon
         bad = tmp_path / "bad.h5"
         bad.write_bytes(content[:-end] + wrong + len(wrong).to_bytes(8, "little") + hdf5.MARK)
         with open(bad, "rb") as file, pytest.raises(hdf5.Hdf5Error, match="its index"):
-            hdf5.read_index(file.fileno(), 10**6)
+            hdf5.read_index(file, 10**6)
     bad.write_bytes(content[:-end] + (2**60).to_bytes(8, "little") + hdf5.MARK)
     with open(bad, "rb") as file, pytest.raises(hdf5.Hdf5Error, match="its index has"):
-        hdf5.read_index(file.fileno(), 10**6)
+        hdf5.read_index(file, 10**6)
 
 
 def test_an_index_that_is_not_the_librarys_is_found(made, tmp_path):
@@ -220,7 +220,7 @@ def test_bytes_changed_anywhere_end_in_the_same_values_or_one_line(made, tmp_pat
 def end_it():
     """The library's process, which this one has begun."""
     with open(__file__, "rb") as file, pytest.raises(hdf5.Hdf5Error, match="signature not found"):
-        hdf5.read_index(file.fileno(), 1)
+        hdf5.read_index(file, 1)
     process = hdf5._LIBRARIES[os.getpid()]._process
     process.kill()
     process.wait()

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from scenegen.errors import DatasetError, StoreError
-from scenegen.stores import ANY, ConflictError, Object, Store
+from scenegen.stores import ANY, WHOLE, ConflictError, Object, Store
 
 HOME = "TESTS_KEPT"
 """Where the environment says that objects are kept."""
@@ -37,19 +37,24 @@ class Kept(Store):
 
     def list(self):
         with self._alone("list"):
-            there = [path for path in self.home.glob("*") if path.is_file()]
-            found = [Object(path.name, path.stat().st_size, self._version(path)) for path in there]
+            there = [path for path in self.home.rglob("*") if path.is_file()]
+            names = [str(path.relative_to(self.home)) for path in there]
+            found = [
+                Object(name, path.stat().st_size, self._version(path))
+                for name, path in zip(names, there, strict=True)
+            ]
         return iter(found)
 
-    def read(self, name, file, most_bytes):
+    def read(self, name, file, most_bytes, part=WHOLE):
         with self._alone(f"read {name}"):
             path = self.home / name
             if not path.is_file():
                 raise FileNotFoundError(name)
             if path.stat().st_size > most_bytes:
                 raise DatasetError(f"{name}: too large")
-            file.write(path.read_bytes())
-            return self._version(path)
+            content = path.read_bytes()
+            file.write(content[slice(*part)])
+            return Object(name, len(content), self._version(path))
 
     def put(self, name, content, version=ANY):
         with self._alone(f"put {name}"):
@@ -67,7 +72,7 @@ class Kept(Store):
             if left == 0:
                 raise StoreError(f"{self.name}/{name}: the store is full")
             Path(room).write_text(str(left - 1))
-        self.home.mkdir(parents=True, exist_ok=True)
+        (self.home / name).parent.mkdir(parents=True, exist_ok=True)
         (self.home / name).write_bytes(content)
         return self._version(self.home / name)
 

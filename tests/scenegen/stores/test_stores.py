@@ -140,6 +140,9 @@ def test_a_store_that_is_full_after_any_put_loses_nothing(store, made, tmp_path,
 
 def test_a_resumed_run_reads_no_samples(store, made):
     write()
+    write()
+    assert [asked().count(what) for what in ("list", "read dataset.json")] == [1, 1]
+    assert len(asked()) == 2 + 7  # and a report of each shard
     (store / "lab" / "pillar" / "train-00001.h5").unlink()
     written = write().samples_written
     assert written == 3
@@ -447,7 +450,7 @@ def test_an_answer_that_is_cut_off_is_asked_for_again(monkeypatch):
         bucket._client, "get_object", lambda **asked: {**answer, "Body": Cut(b"abcd")}
     )
     file = io.BytesIO()
-    assert bucket.read("y", file, 4) == "e"
+    assert bucket.read("y", file, 4) == ("y", 4, "e")
     assert file.getvalue() == b"abcd"
     Cut.left = 100
     with pytest.raises(StoreError, match="s3://lab/x/y: the store does not answer"):

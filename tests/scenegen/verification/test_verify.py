@@ -381,7 +381,7 @@ def test_only_a_folder_without_a_dataset_raises(tmp_path):
         verify(tmp_path / "nowhere")
     with open(tmp_path / NAME, "wb") as file:
         os.truncate(file.fileno(), 3 << 30)
-    with pytest.raises(DatasetError, match="expected 67108864 at most"):
+    with pytest.raises(DatasetError, match="expected 134217728 at most"):
         verify(tmp_path)
     (tmp_path / NAME).unlink()
     os.mkfifo(tmp_path / NAME)

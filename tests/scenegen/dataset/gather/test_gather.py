@@ -336,13 +336,15 @@ def test_nothing_is_made_of_samples_that_are_not_what_their_dataset_says(
         forge.store(folder, "train-00000.h5", arrays, attributes, digests=False)
     if not signed:
         (folder / manifest.NAME).write_bytes(listed)
-    bad = Dataset(folder)
-    for plan in (
+    bad, whole = Dataset(folder), Choice(splits=("train",))
+    plans = [
         plan_rescan(bad, tmp_path / "rescan"),
-        plan_take(bad, tmp_path / "whole", Choice(splits=("train",))),
         plan_take(bad, tmp_path / "part", Choice(most=2)),
-        plan_merge([Dataset(second), bad], tmp_path / "merge"),
-    ):
+    ]
+    if not signed:  # a whole shard is copied by its file's sum, and `verify` sees into it
+        plans.append(plan_take(bad, tmp_path / "whole", whole))
+        plans.append(plan_merge([Dataset(second), bad], tmp_path / "merge"))
+    for plan in plans:
         with pytest.raises(DatasetError, match=said):
             build(plan)
 

@@ -1,0 +1,128 @@
+"""A server of S3's protocol in this process, over a folder of objects: it says what it was asked
+for, and fails as often as it is told to."""
+
+import hashlib
+import time
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Lock, Thread
+from urllib.parse import parse_qs, unquote, urlsplit
+
+PAGE = 1000
+"""Objects of one listing."""
+
+
+class Served(ThreadingHTTPServer):
+    """The server, while the block lasts; ``home/bucket/key`` are its objects."""
+
+    request_queue_size = 100
+    daemon_threads = True
+
+    def __init__(self, home: Path, wait_s: float = 0.0, fail_every: int = 0):
+        super().__init__(("127.0.0.1", 0), Answer)
+        self.home, self.wait_s, self.fail_every = home, wait_s, fail_every
+        self.log: list[tuple[str, int]] = []
+        """What was asked for, "GET train-00000.h5" or "LIST", and the bytes of each answer."""
+        self.alone = Lock()
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """What a client's environment has to say."""
+        url = f"http://127.0.0.1:{self.server_port}"
+        return {"AWS_ENDPOINT_URL": url, "AWS_ACCESS_KEY_ID": "x", "AWS_SECRET_ACCESS_KEY": "x"}
+
+    def __enter__(self) -> "Served":
+        Thread(target=self.serve_forever, args=(0.01,), daemon=True).start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.shutdown()
+        self.server_close()
+
+
+class Answer(BaseHTTPRequestHandler):
+    """One request."""
+
+    protocol_version = "HTTP/1.1"
+    disable_nagle_algorithm = True
+    server: Served
+
+    def _answer(self) -> None:
+        body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
+        url, server = urlsplit(self.path), self.server
+        path, query = server.home / unquote(url.path[1:]), parse_qs(url.query)
+        what = "LIST" if query else f"{self.command} {path.name}"
+        with server.alone:
+            server.log.append((what, 0))
+            number = len(server.log)
+        time.sleep(server.wait_s)
+        fails = bool(server.fail_every) and number % server.fail_every == 0
+        content = path.read_bytes() if path.is_file() else None
+        tag = tag_of(content or b"")
+        wanted, part = self.headers.get("If-Match"), self.headers.get("Range")
+        if fails and number // server.fail_every % 2:
+            self._send(503, b"")
+        elif query:
+            self._send(200, listing(path, query))
+        elif (wanted and wanted != tag) or (self.headers.get("If-None-Match") and content):
+            self._send(412, b"")
+        elif self.command == "PUT":
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(body)
+            self._send(200, b"", ETag=tag_of(body))
+        elif self.command == "DELETE":
+            path.unlink(missing_ok=True)
+            self._send(204, b"")
+        elif content is None:
+            self._send(404, b"")
+        else:
+            asked, first = part_of(content, part)
+            about = f"bytes {first}-{first + len(asked) - 1}/{len(content)}"
+            more = {"Content-Range": about} if part else {}
+            self._send(206 if part else 200, asked, cut=fails, ETag=tag, **more)
+            server.log[number - 1] = what, len(asked)
+
+    do_GET = do_PUT = do_HEAD = do_DELETE = _answer  # noqa: N815
+
+    def _send(self, status: int, content: bytes, cut: bool = False, **headers: str) -> None:
+        self.send_response(status)
+        for name, value in {"Content-Length": str(len(content)), **headers}.items():
+            self.send_header(name, value)
+        self.end_headers()
+        if self.command != "HEAD":
+            self.wfile.write(content[: len(content) // 2] if cut else content)
+        self.close_connection |= cut
+
+    def log_message(self, *said: object) -> None:
+        """Nothing."""
+
+
+def tag_of(content: bytes) -> str:
+    """The version of some content."""
+    return f'"{hashlib.md5(content).hexdigest()}"'
+
+
+def part_of(content: bytes, asked: str | None) -> tuple[bytes, int]:
+    """What a header Range asks for of some content, and where that begins."""
+    first, _, last = (asked or "bytes=0-").removeprefix("bytes=").partition("-")
+    begin = int(first) if first else max(len(content) - int(last), 0)
+    return content[begin : int(last) + 1 if first and last else None], begin
+
+
+def listing(bucket: Path, asked: dict[str, list[str]]) -> bytes:
+    """The answer to a request for a list, as XML."""
+    prefix = asked.get("prefix", [""])[0]
+    after = asked.get("continuation-token", [""])[0]
+    there = sorted(path for path in (bucket / prefix).glob("*") if path.is_file())
+    rest = [path for path in there if path.name > after]
+    rows = [
+        f"<Contents><Key>{prefix}{path.name}</Key><Size>{path.stat().st_size}</Size>"
+        f"<ETag>{tag_of(path.read_bytes())}</ETag></Contents>"
+        for path in rest[:PAGE]
+    ]
+    rows.append(f"<IsTruncated>{str(len(rest) > PAGE).lower()}</IsTruncated>")
+    rows += [
+        f"<NextContinuationToken>{one.name}</NextContinuationToken>"
+        for one in rest[PAGE - 1 : PAGE]
+    ]
+    return f"<ListBucketResult>{''.join(rows)}</ListBucketResult>".encode()

@@ -1,0 +1,94 @@
+"""Laws of datasets of many shards: those beyond the first thousand of a split lie in folders, and
+nothing else changes. Here, ten take the place of a thousand."""
+
+import pytest
+
+from scenegen import load
+from scenegen.dataset import manifest, rules
+from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.choose import Choice
+from scenegen.dataset.gather import plan_merge, plan_take
+from scenegen.dataset.read import Dataset
+from scenegen.dataset.rescan import plan_rescan
+from scenegen.files import names_in
+from scenegen.source import DrawnWorlds
+from scenegen.stores import folder_of
+from scenegen.verification import verify
+from tests.conftest import small_recipe
+from tests.scenegen.stores.conftest import forget
+
+DEEP = "train-0001x/train-00010.h5"
+
+
+@pytest.fixture(autouse=True)
+def ten(monkeypatch):
+    monkeypatch.setattr(rules, "DIGITS", 1)
+
+
+def plan(folder, train=36, seed=5):
+    recipe, counts = small_recipe(), {"train": train, "val": 3, "test": 3}
+    return plan_dataset(
+        folder, recipe, DrawnWorlds(recipe), seed=seed, counts=counts, shard_samples=3
+    )
+
+
+@pytest.fixture(scope="module")
+def digest(tmp_path_factory):
+    """Of the same dataset without such folders."""
+    return build(plan(tmp_path_factory.mktemp("flat") / "d")).digest
+
+
+@pytest.fixture
+def deep(tmp_path):
+    """Begun smaller, and made larger."""
+    build(plan(tmp_path / "deep", train=31))
+    build(plan(tmp_path / "deep"))
+    return tmp_path / "deep"
+
+
+def test_a_dataset_in_folders_is_the_same_and_is_gone_on_with(deep, digest):
+    assert set(names_in(deep)) >= {DEEP, "train-0001x/train-00011.worlds.zip", "train-00009.h5"}
+    assert manifest.read(deep)["digest"] == digest
+    (deep / DEEP).unlink()
+    manifest.write(deep, manifest.read(deep) | {"shards": [], "complete": False})
+    again = build(plan(deep))
+    assert (again.samples_written, again.digest) == (3, digest)
+    assert verify(deep).ok
+    (deep / "train-0001x/train-00019.h5").touch()
+    assert not verify(deep, quick=True).ok
+    build(plan(deep, train=3, seed=6), force=True)
+    assert "train-0001x/train-00010.worlds.zip" not in names_in(deep)
+
+
+def test_what_is_made_of_it_lies_in_folders_too(deep, digest, tmp_path):
+    for split in ("train", "val", "test"):
+        build(plan_take(Dataset(deep), tmp_path / split, Choice(splits=(split,))))
+    parts = [Dataset(tmp_path / split) for split in ("val", "train", "test")]
+    assert build(plan_merge(parts, tmp_path / "whole")).digest == digest
+    build(plan_rescan(Dataset(deep), tmp_path / "again"))
+    for name in ("whole", "again"):
+        assert DEEP in names_in(tmp_path / name)
+        assert verify(tmp_path / name).ok
+    one, other = (load(tmp_path / name)[33] for name in ("whole", "again"))
+    assert (one.ranges == other.ranges).all()
+
+
+def test_a_store_holds_the_same_folders(store, digest, tmp_path):
+    for _ in range(2):
+        forget()
+        assert build(plan(folder_of("s3://lab/deep"))).digest == digest
+        assert (store / "lab" / "deep" / DEEP).is_file()
+    assert load("s3://lab/deep")[31].world == 10
+    assert verify("s3://lab/deep").ok
+
+
+@pytest.mark.parametrize(
+    ("index", "stem"),
+    [(999, "val-00999"), (1000, "val-01xxx/val-01000"), (123456, "val-123xxx/val-123456")],
+)
+def test_a_shards_name_follows_from_its_number(monkeypatch, index, stem):
+    monkeypatch.undo()
+    assert rules.stem_of("val", index) == stem
+    assert rules.FILE_RULE.fits(f"{stem}.worlds.zip")
+    for wrong in (f"../{stem}.h5", f"train-99xxx/{stem}.h5", f"val-01xxx/../{stem}.h5"):
+        assert not rules.FILE_RULE.fits(wrong)
