@@ -120,17 +120,19 @@ class Part(ShardTask):
             for row in self.rows or ():  # a whole shard is the file that its manifest signs
                 shard.check(row)
             return (
-                self._copy(worlds, shard)
+                self._copy(worlds, file, shard)
                 if self.rows is None
                 else self._repack(worlds, shard, self.rows)
             )
 
-    def _copy(self, worlds: BufferedReader, shard: ShardFile) -> ShardReport:
+    def _copy(
+        self, worlds: BufferedReader, samples: BufferedReader, shard: ShardFile
+    ) -> ShardReport:
         """The same files under other names: the worlds first, then the samples, which commit
         them."""
         shard.check_origin(first_world=min(self.numbers))
         size = 0
-        for file, target in ((worlds, self.worlds), (shard.file, self.file)):
+        for file, target in ((worlds, self.worlds), (samples, self.file)):
             file.seek(0)
             write_whole(self.folder / target, content := file.read())
             size += len(content)
