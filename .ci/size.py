@@ -14,8 +14,8 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 301_000, "benchmarks": 34_800, "tests": 261_100}
-FILES = 251
+TOKENS = {"product": 303_700, "benchmarks": 35_900, "tests": 277_550}
+FILES = 252
 LINES = 400
 """The longest file of product code."""
 WIDTH = 100
