@@ -1,8 +1,10 @@
 """The loop: motion within its bounds, exact collisions, bits, and robots that behave badly."""
 
+import hashlib
 import math
 import sys
 import textwrap
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,7 +24,7 @@ from scenegen.fly.missions import VOXEL_M, Mission, draw_missions
 from scenegen.fly.motion import STEP_S, advance, most_pull, pose_of
 from scenegen.fly.pipe import PipeRobot
 from scenegen.fly.simulation import Simulation, bounded
-from scenegen.fly.suite import chosen_courses
+from scenegen.fly.suite import chosen_courses, courses_of, hidden_course, part_of, track_name
 from scenegen.worlds.place import encode_map
 from scenegen.worlds.world import compile_world
 
@@ -281,19 +283,47 @@ def test_a_recording_flies_again(tmp_path):
     kept = Recording(robot="scripted", suite=None, courses=[(course, flown)])
     file.write_bytes(kept.encoded())
     assert Recording.read(file).robot == "scripted"
-    again = list(replay(Recording.read(file)))
-    assert [same for _, _, same in again] == [True, True]
-    assert [one.digest for _, one, _ in again] == [one.digest for one in flown]
+    again = replay(*Recording.read(file).courses[0])
+    assert [one.digest for one in again] == [one.digest for one in flown]
     damaged = file.read_text().replace("1.8, 0.0", "0.5, 0.0", 1)
     file.write_text(damaged)
-    assert not all(same for _, _, same in replay(Recording.read(file)))
-    for wrong in ("{}", "[1]", "x", damaged.replace('"radius_m": 0.3', '"radius_m": -1')):
-        file.write_text(wrong)
+    with pytest.raises(DatasetError, match="not as it was recorded"):
+        replay(*Recording.read(file).courses[0])
+    wrong = ("{}", "[1]", "x", damaged.replace('"radius_m": 0.3', '"radius_m": -1'))
+    for text in (*wrong, damaged.replace('"flights": 2', '"flights": 3')):
+        file.write_text(text)
         with pytest.raises(DatasetError, match=r"fly again|format"):
             Recording.read(file)
     file.write_bytes(kept.encoded().replace(course.sha256.encode(), b"0" * 64))
     with pytest.raises(GenerationError, match="another world"):
-        list(replay(Recording.read(file)))
+        replay(*Recording.read(file).courses[0])
+
+
+def test_no_forged_figure_passes(tmp_path):
+    """Whatever is changed of a flight, it is refused, when it is read or when it is flown again;
+    who flew it alone knows how long it thought, and when it died."""
+    course = Course(world="pillar", flights=1, seed=4)
+    flown = fly(course.simulation(0), Scripted([[1.0, 0.0, 0.0, 0.1]] * 6))
+    assert flown.outcome == "crashed"
+    assert replay(course, [flown])[0].digest == flown.digest
+    none = {"commands": flown.commands[:0], "time_s": 0.0, "digest": hashlib.sha256().hexdigest()}
+    forged = [
+        {"outcome": "success", "score": 0.5, "spl": 1.0},
+        {"outcome": "timeout"},
+        {"outcome": "success", "score": 0.5, "spl": 1.0, **none},
+        {"commands": np.concatenate([flown.commands[:-1], [[30.0, 0.0, 0.0, 0.0]]])},
+        {"time_s": 0.1},
+        {"score": math.nan},
+        *({name: getattr(flown, name) + 0.01} for name in ("score", "spl", "ratio", "flown_m")),
+        *({name: getattr(flown, name) - 0.01} for name in ("shortest_m", "jerk_mps3", "speed_mps")),
+        *({name: 0.9} for name in ("min_clearance_m", "mean_clearance_m")),
+    ]
+    file = tmp_path / "forged.json"
+    for change in forged:
+        flights = [(course, [replace(flown, **change)])]
+        file.write_bytes(Recording(robot="forged", suite=None, courses=flights).encoded())
+        with pytest.raises(DatasetError):
+            replay(*Recording.read(file).courses[0])
 
 
 def test_the_suite_is_drawn_as_it_was_frozen(monkeypatch):
@@ -308,10 +338,44 @@ def test_the_suite_is_drawn_as_it_was_frozen(monkeypatch):
     quick = chosen_courses("aerial-1", None, None, quick=True)
     assert len({course.world for course in quick}) == 10
     assert {course.difficulty for course in quick} == {"easy", "medium", "hard"}
-    monkeypatch.setattr(suite, "HIDDEN", 2)
-    hidden = [chosen_courses("aerial-1", seed, None, quick=False) for seed in (5, 5, 6)]
-    assert hidden[0] == hidden[1]
-    assert not set(hidden[0]) & set(hidden[2])
+    named = chosen_courses("aerial-1", 5, None, quick=False)
+    assert len(named) == 50
+    seeds = [hidden_course(named[0], hidden).seed for hidden in (5, 5, 6)]
+    assert seeds[0] == seeds[1] != seeds[2]
+    with pytest.raises(GenerationError, match="another world"):
+        hidden_course(replace(named[0], document="0"), 5)
+
+
+def test_an_entry_keeps_to_its_suite():
+    """Neither an easier vehicle nor a world of one's own, nor the easy ones twice, is an entry."""
+    courses = chosen_courses("aerial-1", None, None, quick=True)
+
+    def part(courses, track="own"):
+        return part_of(
+            Recording(
+                robot="", suite="aerial-1", track=track, courses=[(one, []) for one in courses]
+            )
+        )
+
+    assert str(part(courses)) == "own, quick: 19 of 19 courses"
+    assert "30 of 300 courses, incomplete" in str(part(courses_of("aerial-1")[::10]))
+    hidden = chosen_courses("aerial-1", 7, None, quick=False)
+    assert (part(hidden, track_name(7, None)).there, part(hidden, "hidden x").of) == (50, 50)
+    assert "7" not in track_name(7, None).split() and track_name(7, None) != track_name(8, None)
+    small = replace(courses[0].vehicle, radius_m=0.03)
+    forged = [
+        replace(courses[0], vehicle=small),
+        replace(courses[0], rules=Rules(apart_m=1.0)),
+        replace(courses[0], lidar="ouster-os1-128"),
+        replace(courses[0], seed=11),
+        replace(courses[0], document=""),
+        replace(courses[0], flights=1),
+        courses[1],
+        hidden[0],
+    ]
+    for one in forged:
+        with pytest.raises(DatasetError, match="no course of aerial-1"):
+            part([one, *courses[1:]])
 
 
 def test_what_is_unknown_of_a_map_is_flown_through_and_never_flown_to(tmp_path):
