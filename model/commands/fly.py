@@ -24,6 +24,7 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import Progress, announce_compilation, say, show_table
 from scenegen.cli.types import FILE, Choice, OutputFile
+from scenegen.errors import DatasetError, raised_as
 from scenegen.files import check_free, write_result
 from scenegen.fly import SUITES, Rules, Vehicle
 from scenegen.model.commands.weights import Weights
@@ -207,7 +208,9 @@ def fly(
     with Progress("replay" if recorded else "fly", shown=talk) as progress:
         if recorded is not None:
             recording, more = read_recording(recorded, hidden, maps)
-            name, found = recording.robot, flown_again(recording, hidden, execute, progress)
+            name = recording.robot
+            with raised_as(DatasetError, f"{recorded}: ", of=DatasetError):
+                found = flown_again(recording, hidden, execute, progress)
             more["as recorded, to the bit"] = f"{sum(len(flown) for _, flown in found)} flights"
             if is_given:
                 more["anew, equal to the bit"] = flown_anew(recording, fly_one, execute, progress)
