@@ -118,7 +118,7 @@ def read_recording(
     of its suite's.
     """
     from scenegen.fly.course import Recording
-    from scenegen.fly.suite import map_courses, named, part_of, track_name
+    from scenegen.fly.suite import frozen_courses, map_courses, named, part_of, track_name
 
     recording, track = Recording.read(path), track_name(hidden, maps)
     if recording.suite is None:
@@ -132,11 +132,14 @@ def read_recording(
             f"{path}: is an entry to the track {part.track[:14]}, not {track[:14]}; give --hidden "
             "and its number, --maps and their folder, or neither"
         )
-    if maps is not None:
-        there = {named(course): course for course in map_courses(maps)}
-        found = [(there[named(course)], flights) for course, flights in recording.courses]
-        recording = replace(recording, courses=found)
-    return recording, {"courses": str(part)}
+    # the suite's own, in place of worlds that a stranger's file leads to by another path
+    ours = frozen_courses(recording.suite, track) if maps is None else map_courses(maps)
+    there = {named(course): course for course in ours}
+    found = [
+        (replace(there[named(course)], document=course.document), flights)
+        for course, flights in recording.courses
+    ]
+    return replace(recording, courses=found), {"courses": str(part)}
 
 
 def flown_again(

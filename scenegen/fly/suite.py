@@ -122,16 +122,21 @@ def named(course: Course) -> Course:
 
 
 def track_of(entry: Recording) -> str:
-    """The track of an entry, as far as it does not say by the maps that it flew."""
+    """The track of an entry; where it does not say, by whether it flew maps."""
     maps = any(Path(course.world).name in MAPS for course, _ in entry.courses)
-    return entry.track or ("maps" if maps else "own")
+    return entry.track.strip() or ("maps" if maps else "own")
 
 
 def frozen_courses(suite: str, track: str) -> list[Course]:
-    """All courses of a track."""
-    if track == "own":
-        return courses_of(suite)
-    return map_courses(None) if track == "maps" else hidden_courses()
+    """All courses of a track, as entries name them. Raises DatasetError where it is none."""
+    match track.split()[0]:
+        case "own":
+            return courses_of(suite)
+        case "maps":
+            return map_courses(None)
+        case "hidden":
+            return hidden_courses()
+    raise DatasetError(f"{suite} has no track {track[:14]}; expected own, maps or hidden")
 
 
 def map_courses(folder: Path | None) -> list[Course]:
@@ -175,9 +180,10 @@ def hidden_course(course: Course, hidden: int) -> Course:
 
     Raises GenerationError where it is another world than the course names.
     """
+    # of so many seeds that none can be found by trying which world an entry's flights are through
     digest = hashlib.sha256(f"aerial hidden {hidden}".encode()).digest()
     rng = np.random.default_rng(np.frombuffer(digest, np.uint32))
-    firsts = [int(rng.integers(1 << 31)) for _ in range(course.seed + 1)]
+    firsts = [int(rng.integers(1 << 63)) for _ in range(course.seed + 1)]
     for seed in count(firsts[-1]):
         drawn = replace(course, seed=seed, document="")
         try:

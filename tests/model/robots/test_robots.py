@@ -11,6 +11,7 @@ from PIL import Image
 from lidarsim import AnalyticEngine, GridSpec
 from lidarsim.engines.voxels import FREE, OCCUPIED, VoxelMap
 from lidarsim.pose import rotate
+from scenegen.cli.show import Progress
 from scenegen.display.colours import SENSOR
 from scenegen.fly import Vehicle, suite
 from scenegen.fly.course import Course, Recording
@@ -19,9 +20,10 @@ from scenegen.fly.missions import Mission
 from scenegen.fly.simulation import Simulation
 from scenegen.logs.read import read_log
 from scenegen.model.completion.unlearned import Conservative, Returns
-from scenegen.model.robots import NAMES, robot_maker
+from scenegen.model.robots import NAMES, flights, robot_maker
 from scenegen.model.robots.film import RIGHT, UNHELD, film, flight_page
 from scenegen.model.robots.mapping import MappingRobot
+from scenegen.run import undo_all
 from scenegen.worlds.place import encode_map
 from tests.command_line import run
 from tests.scenegen.display.test_page import Seen, unpacked
@@ -85,6 +87,14 @@ def test_a_dead_end_deeper_than_the_window_is_left(tmp_path):
     flown = fly(flying, MappingRobot(Returns()))
     assert flown.outcome == "success"
     assert flown.path[:, 0].min() < 0, "around the walls"
+
+
+class Idle:
+    def reset(self, about):
+        pass
+
+    def act(self, observation):
+        raise RuntimeError
 
 
 class Fickle:
@@ -212,6 +222,34 @@ def test_an_entry_to_a_suite_goes_on_and_is_not_lost(capsys, tmp_path, monkeypat
     for words in (f"--leaderboard {tmp_path} -o {page}", f"--replay {tmp_path}/easier.json"):
         code, _, complaint = run(capsys, f"fly {words}")
         assert (code, "easier.json: pillar" in complaint) == (1, True)
+
+
+def test_a_stopped_run_keeps_an_entry_and_tells_of_it(tmp_path, monkeypatch):
+    """Until then it is written every few seconds; of flights without a suite nothing is kept."""
+    course = Course(world="pillar", flights=1)
+    flown = fly(course.simulation(0), Idle())
+    courses = [replace(course, seed=n, document="ab") for n in range(3)]
+    saved, said = [], []
+
+    def stopped(work, tasks, on_start):
+        for task in tasks[:2]:
+            yield work(task)
+            saved.append(file.exists() and len(Recording.read(file).courses))
+            monkeypatch.setattr(flights, "SAVED_S", 1e9)
+        said.append(undo_all())
+        raise KeyboardInterrupt
+
+    for name in ("aerial-1", None):
+        file = tmp_path / f"{name}.json"
+        monkeypatch.setattr(flights, "SAVED_S", -1.0)
+        given = (courses, lambda one: (one, [flown]), "idle", name, file)
+        with pytest.raises(KeyboardInterrupt):
+            flights.fly_courses(*given, stopped, Progress("", shown=False))
+    assert saved == [1, 1, False, False]
+    assert f"{tmp_path}/aerial-1.json holds 2 of 3 courses" in said[0]
+    assert len(Recording.read(tmp_path / "aerial-1.json").courses) == 2
+    assert "no flight is kept" in said[1]
+    assert not file.exists()
 
 
 def test_hidden_and_real_tracks_are_flown_again_by_who_has_their_worlds(

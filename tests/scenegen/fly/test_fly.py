@@ -417,6 +417,8 @@ def test_an_entry_keeps_to_its_suite():
     for one in forged:
         with pytest.raises(DatasetError, match="no course of aerial-1"):
             part([one, *courses[1:]])
+    with pytest.raises(DatasetError, match="no track easy"):
+        part(courses, "easy")
 
 
 def test_what_is_unknown_of_a_map_is_flown_through_and_never_flown_to(tmp_path):
