@@ -204,16 +204,16 @@ def fly(
     if recorded is None or is_given:
         _check(robot, weights)
     fly_one = partial(fly_course, robot=robot, weights=weights, hidden=hidden)
-    execute, more = executor(on, workers), dict[str, str]()
+    execute, told = executor(on, workers), dict[str, str]()
     with Progress("replay" if recorded else "fly", shown=talk) as progress:
         if recorded is not None:
-            recording, more = read_recording(recorded, hidden, maps)
+            recording, told = read_recording(recorded, hidden, maps)
             name = recording.robot
             with raised_as(DatasetError, f"{recorded}: ", of=DatasetError):
                 found = flown_again(recording, hidden, execute, progress)
-            more["as recorded, to the bit"] = f"{sum(len(flown) for _, flown in found)} flights"
+            told["as recorded, to the bit"] = f"{sum(len(flown) for _, flown in found)} flights"
             if is_given:
-                more["anew, equal to the bit"] = flown_anew(recording, fly_one, execute, progress)
+                told["anew, equal to the bit"] = flown_anew(recording, fly_one, execute, progress)
         else:
             name, about = weights or robot, {"network": network_digest(weights)}
             if suite is None:
@@ -235,16 +235,21 @@ def fly(
             _film(film, course, made, name, flown[0] if recorded else None)
         if log is not None:
             _log(log, course, flown)
-    row = summary(name, [one for _, flown in found for one in flown]) | more
+    row = summary(name, [one for _, flown in found for one in flown]) | told
     if as_json:
         with Progress("grade", shown=talk) as progress:
             print(json.dumps(row | {"flights": _rows(found, hidden, execute, progress)}))
     elif talk:
-        show_table(row)
-        for end in sorted({one.trouble for _, flown in found for one in flown} - {""}):
-            say(f"robot: {end}")
-        for path in filter(None, (out, picture, film, log)):
-            say(f"written: {path}")
+        _tell(row, found, out, picture, film, log)
+
+
+def _tell(row: dict[str, Any], found: "Flights", *written: Path | None) -> None:
+    """Print what came of flights, what their robots died of, and what was written."""
+    show_table(row)
+    for end in sorted({one.trouble for _, flown in found for one in flown} - {""}):
+        say(f"robot: {end}")
+    for path in filter(None, written):
+        say(f"written: {path}")
 
 
 def _write_board(entries: Path, out: Path | None, talk: bool) -> None:

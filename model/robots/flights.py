@@ -54,7 +54,6 @@ def fly_courses(
     keys = [named(course) for course in courses]
     found = _kept(out, entry, keys)
     left = [course for course, key in zip(courses, keys, strict=True) if key not in found]
-    saved_s = time.monotonic()
 
     def save() -> str:
         """Writes what there is; returns what to say of it if the run is stopped."""
@@ -65,17 +64,23 @@ def fly_courses(
         there = f"{len(held.courses)} of {len(keys)} courses"
         return f"stopped; {out} holds {there}: give the same command again to go on"
 
-    # only an entry is gone on with
-    with undone_if_stopped(save if suite else lambda: NOTHING_KEPT):
-        total = sum(course.flights for course in left)
+    def fly_left() -> None:
+        """Flies what is left, and saves now and then."""
+        saved_s, total = time.monotonic(), sum(course.flights for course in left)
         for course, flown in execute(work, left, lambda: progress.start(total)):
             found[named(course)] = course, flown
             progress.count(len(flown))
             if suite and time.monotonic() - saved_s > SAVED_S:
                 save()
                 saved_s = time.monotonic()
-    if left:
-        save()
+
+    # only an entry is gone on with: of other flights, all are kept or none
+    with undone_if_stopped(save if suite else lambda: NOTHING_KEPT):
+        try:
+            fly_left()
+        finally:
+            if left and len(found) >= (1 if suite else len(keys)):
+                save()
     return [(course, found[key][1]) for course, key in zip(courses, keys, strict=True)]
 
 
