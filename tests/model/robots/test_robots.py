@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -211,12 +212,20 @@ def test_an_entry_to_a_suite_goes_on_and_is_not_lost(capsys, tmp_path, monkeypat
     best = [(course, [replace(one, outcome="success", score=9.0)]) for course, (one,) in every]
     better = replace(better, robot="<b>better</b>", courses=best[::-1])
     (tmp_path / "better.json").write_bytes(better.encoded())
+    (_, (lost,)), *_ = every
+    worse = replace(
+        better, robot="worse", courses=[(best[0][0], [replace(lost, outcome="left")]), *best[1:]]
+    )
+    (tmp_path / "worse.json").write_bytes(worse.encoded())
     page = tmp_path / "page.html"
     assert run(capsys, f"fly --leaderboard {tmp_path} -o {page}")[0] == 0
     shown = page.read_text()
     assert f"own: {len(chosen)} of 300 courses, incomplete" in shown
     assert shown.index("&lt;b&gt;better") < shown.index("reactive")
     assert "9.0" not in shown, "scores follow from what was flown"
+    for row in re.findall(r"<tr><th>.*?</tr>", shown)[1:]:
+        cells = re.findall(r"\[(\S+), (\S+)\]", row.rpartition("<td>")[0].rpartition("<td>")[0])
+        assert {0 <= float(end) <= 1 for ends in cells for end in ends} == {True}
     other = replace(every[0][0], vehicle=Vehicle(radius_m=0.03))
     easier = replace(better, courses=[(other, every[0][1])])
     (tmp_path / "easier.json").write_bytes(easier.encoded())
