@@ -14,8 +14,8 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 303_700, "benchmarks": 35_900, "tests": 277_550}
-FILES = 252
+TOKENS = {"product": 307_800, "benchmarks": 36_300, "tests": 265_300}
+FILES = 254
 LINES = 400
 """The longest file of product code."""
 WIDTH = 100

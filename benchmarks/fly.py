@@ -24,9 +24,9 @@ from scenegen.cli.show import Progress
 from scenegen.fly.course import Course
 from scenegen.fly.loop import Flown
 from scenegen.fly.suite import DIFFICULTIES, MAPS, courses_of, map_courses
-from scenegen.model.commands.fly import fly_courses
 from scenegen.model.evaluation.statistics import brief, figure, head, interval, line
 from scenegen.model.robots import MAPPING, NAMES, fly_course, robot_maker
+from scenegen.model.robots.flights import fly_courses
 from scenegen.model.robots.mapping import RIM
 from scenegen.recipes import kind_names
 from scenegen.run.workers import Local

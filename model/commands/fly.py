@@ -1,8 +1,7 @@
 """`scenegen fly`: a robot flies to goals through a world, closed loop, and is scored."""
 
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,20 +24,36 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import Progress, announce_compilation, say, show_table
 from scenegen.cli.types import FILE, Choice, OutputFile
-from scenegen.errors import ScenegenError
+from scenegen.errors import DatasetError, raised_as
 from scenegen.files import check_free, write_result
 from scenegen.fly import SUITES, Rules, Vehicle
 from scenegen.model.commands.weights import Weights
-from scenegen.model.robots import MAPPING, NAMES, REACTIVE, fly_course, leaderboard, summary
+from scenegen.model.robots import (
+    MAPPING,
+    NAMES,
+    REACTIVE,
+    check_begins,
+    fly_course,
+    grade_course,
+    real_course,
+    robot_maker,
+    summary,
+)
+from scenegen.model.robots.flights import (
+    flown_again,
+    flown_anew,
+    fly_courses,
+    network_digest,
+    read_recording,
+)
 from scenegen.run import Executor, executor
 
 if TYPE_CHECKING:
-    from scenegen.fly.course import Course
+    from scenegen.fly.course import Course, Flights
     from scenegen.fly.loop import Flown
 
+
 MOST_FLIGHTS = 10_000
-SAVED = 10
-"""Courses of a suite after which its entry is written."""
 
 
 @command(
@@ -66,13 +81,14 @@ SAVED = 10
     "--hidden",
     type=click.IntRange(0),
     metavar="SEED",
-    help="With --suite: 50 courses that this number draws, in place of the suite's own.",
+    help="With --suite: 50 courses that this number draws, in place of the suite's own. With "
+    "--replay: the number of the entry.",
 )
 @click.option(
     "--maps",
     type=click.Path(path_type=Path, exists=True, file_okay=False),
     help="With --suite: 24 courses through the maps of real places in this folder, in place of the "
-    "suite's own.",
+    "suite's own. With --replay: where the entry's maps are.",
 )
 @click.option("--quick", is_flag=True, help="With --suite: every sixteenth course.")
 @click.option(
@@ -110,8 +126,8 @@ SAVED = 10
     "--replay",
     "recorded",
     type=FILE,
-    help="Fly what -o wrote again, in place of all else, and compare every bit. With --robot or "
-    "--weights, that robot flies every sixteenth course anew, too.",
+    help="Fly what -o wrote again, in place of all else, and compare every bit and figure. With "
+    "--robot or --weights, that robot flies every sixteenth course anew, too.",
 )
 @click.option(
     "--leaderboard",
@@ -173,108 +189,104 @@ def fly(
     if entries is not None:
         _write_board(entries, out, talk)
         return
-    if suite is None and (quick or hidden is not None or maps):
+    if suite is None and (quick or (recorded is None and (hidden is not None or maps))):
         raise click.UsageError(
             "--quick, --hidden and --maps choose courses of a suite; give --suite, too"
         )
     if hidden is not None and maps:
         raise click.UsageError("--hidden and --maps choose other courses; give one of them")
-    _check_results(film, log, recorded)
-    from scenegen.fly.suite import chosen_courses
-
-    if recorded is not None:
-        name, found, more = _fly_again(recorded, robot, weights)
-    else:
-        if talk:
-            announce_compilation()
-        name, more = weights or robot, {}
+    _check_results(film, log, out, recorded)
+    if talk:
+        announce_compilation()
+    is_given = weights is not None or was_given("robot")
+    if recorded is None or is_given:
         _check(robot, weights)
-        courses = (
-            _courses(str(world), flights, worlds, options)
-            if suite is None
-            else chosen_courses(suite, hidden, maps, quick=quick)
-        )
-        work = partial(fly_course, robot=robot, weights=weights)
-        with Progress("fly", shown=talk) as progress:
-            found = fly_courses(courses, work, name, suite, out, executor(on, workers), progress)
-    if picture is not None:
-        _draw(picture, *found[0], name)
-    if film is not None:
-        _film(film, found[0][0], robot, weights, name)
-    if log is not None:
-        _log(log, *found[0])
-    row = summary(name, [one for _, flown in found for one in flown]) | more
+    fly_one = partial(fly_course, robot=robot, weights=weights, hidden=hidden)
+    execute, told = executor(on, workers), dict[str, str]()
+    with Progress("replay" if recorded else "fly", shown=talk) as progress:
+        if recorded is not None:
+            recording, told = read_recording(recorded, hidden, maps)
+            name = recording.robot
+            with raised_as(DatasetError, f"{recorded}: ", of=DatasetError):
+                found = flown_again(recording, hidden, execute, progress)
+            told["as recorded, to the bit"] = f"{sum(len(flown) for _, flown in found)} flights"
+            if is_given:
+                told["anew, equal to the bit"] = flown_anew(recording, fly_one, execute, progress)
+        else:
+            name, about = weights or robot, {"network": network_digest(weights)}
+            if suite is None:
+                courses = _courses(str(world), flights, worlds, options)
+            else:
+                from scenegen.fly.suite import chosen_courses, track_name
+
+                courses = chosen_courses(suite, hidden, maps, quick=quick)
+                about["track"] = track_name(hidden, maps)
+            if weights is None and robot not in NAMES:
+                check_begins(robot, real_course(courses[0], hidden))
+            found = fly_courses(courses, fly_one, name, suite, out, execute, progress, **about)
+    if picture or film or log:
+        course, flown = real_course(found[0][0], hidden), found[0][1]
+        if picture is not None:
+            _draw(picture, course, flown, name)
+        if film is not None:
+            made = robot_maker(robot, weights)(course) if is_given or not recorded else None
+            _film(film, course, made, name, flown[0] if recorded else None)
+        if log is not None:
+            _log(log, course, flown)
+    row = summary(name, [one for _, flown in found for one in flown]) | told
     if as_json:
-        print(json.dumps(row | {"flights": _rows(found)}))
+        with Progress("grade", shown=talk) as progress:
+            print(json.dumps(row | {"flights": _rows(found, hidden, execute, progress)}))
     elif talk:
-        show_table(row)
-        for end in sorted({one.trouble for _, flown in found for one in flown} - {""}):
-            say(f"robot: {end}")
-        for path in filter(None, (out, picture, film, log)):
-            say(f"written: {path}")
+        _tell(row, found, out, picture, film, log)
+
+
+def _tell(row: dict[str, Any], found: "Flights", *written: Path | None) -> None:
+    """Print what came of flights, what their robots died of, and what was written."""
+    show_table(row)
+    for end in sorted({one.trouble for _, flown in found for one in flown} - {""}):
+        say(f"robot: {end}")
+    for path in filter(None, written):
+        say(f"written: {path}")
 
 
 def _write_board(entries: Path, out: Path | None, talk: bool) -> None:
     """Write the page of all entries in a folder."""
     if out is None:
         raise click.UsageError("--leaderboard: say where to write the page with -o, .html")
+    from scenegen.model.robots.board import leaderboard
+
     write_result(out, leaderboard(entries).encode())
     if talk:
         say(f"written: {out}")
 
 
-def _check_results(film: Path | None, log: Path | None, recorded: Path | None) -> None:
+def _check_results(
+    film: Path | None, log: Path | None, out: Path | None, recorded: Path | None
+) -> None:
     """Raise, before anything is flown, for results that cannot be written."""
-    if film and recorded:
-        raise click.UsageError("--film is taken while a robot flies; leave out --replay")
+    if out and recorded:
+        raise click.UsageError("--replay records nothing; leave out -o")
     if film and film.suffix not in (".gif", ".html"):
         raise click.UsageError(f"--film {film}: expected a name that ends in .gif or .html")
     if log is not None:
         check_free(log)
 
 
-def _rows(found: "Sequence[tuple[Course, Sequence[Flown]]]") -> list[dict[str, Any]]:
+def _rows(
+    found: "Flights", hidden: int | None, execute: Executor, progress: Progress
+) -> list[dict[str, Any]]:
     """What `--json` tells of each flight."""
+    grade, courses = partial(grade_course, hidden=hidden), [course for course, _ in found]
+    grades = {}
+    for course, graded in execute(grade, courses, lambda: progress.start(len(courses))):
+        grades[course] = graded
+        progress.count(1)
     return [
-        one.row() | {"seed": course.seed, "difficulty": grade._asdict()}
+        one.row() | {"seed": course.seed, "difficulty": difficulty._asdict()}
         for course, flown in found
-        for one, grade in zip(flown, course.graded(), strict=False)
+        for one, difficulty in zip(flown, grades[course], strict=True)
     ]
-
-
-def _fly_again(
-    recorded: Path, robot: str, weights: str | None
-) -> "tuple[str, list[tuple[Course, Sequence[Flown]]], dict[str, str]]":
-    """The robot of a recording, its flights, flown again, and how many of them are as they were.
-
-    Raises ScenegenError where one is not. A robot that was given flies a part anew.
-    """
-    from scenegen.fly.course import Recording, replay
-    from scenegen.fly.suite import QUICK
-
-    recording, found, told = Recording.read(recorded), list[Any](), {}
-    for course, flown, same in replay(recording):
-        if not same:
-            flight = f"a flight through {course.world}, seed {course.seed},"
-            raise ScenegenError(f"{recorded}: {flight} is not as it was recorded")
-        if not found or found[-1][0] is not course:
-            found.append((course, []))
-        found[-1][1].append(flown)
-    told["as recorded, to the bit"] = f"{sum(len(flown) for _, flown in found)} flights"
-    if weights is not None or was_given("robot"):
-        _check(robot, weights)
-        some = recording.courses[::QUICK]
-        same_count = sum(_flown_anew(one, robot, weights) for one in some)
-        count = sum(len(flown) for _, flown in some)
-        told["anew, equal to the bit"] = f"{same_count} of {count} flights"
-    return recording.robot, found, told
-
-
-def _flown_anew(recorded: "tuple[Course, Sequence[Flown]]", robot: str, weights: str | None) -> int:
-    """How many flights of a course a robot flies to the bit as they were recorded."""
-    course, before = recorded
-    _, now = fly_course(course, robot=robot, weights=weights)
-    return sum(one.digest == other.digest for one, other in zip(before, now, strict=False))
 
 
 def _courses(world: str, flights: int, worlds: int, options: dict[str, Any]) -> "list[Course]":
@@ -295,47 +307,6 @@ def _courses(world: str, flights: int, worlds: int, options: dict[str, Any]) -> 
         for n, share in enumerate(shares)
         if share
     ]
-
-
-def fly_courses(
-    courses: "Sequence[Course]",
-    work: "Callable[[Course], tuple[Course, Sequence[Flown]]]",
-    name: str,
-    suite: str | None,
-    out: Path | None,
-    execute: Executor,
-    progress: Progress,
-) -> "list[tuple[Course, Sequence[Flown]]]":
-    """The flights through all courses, in their order. What `out` holds of a suite's entry is not
-    flown again; it is written anew after every `SAVED` courses."""
-    from scenegen.fly.course import Recording
-
-    found = {}
-    if suite is not None and out is not None and out.exists():
-        former = Recording.read(out)
-        if (former.robot, former.suite) != (name, suite):
-            raise ScenegenError(
-                f"{out}: is an entry of {former.robot} to {former.suite}; give another name"
-            )
-        there = {replace(course, document=""): flown for course, flown in former.courses}
-        found = {c: there[key] for c in courses if (key := replace(c, document="")) in there}
-        if len(found) < len(there):  # they would be lost
-            raise ScenegenError(f"{out}: is an entry with other courses, too; give another name")
-    left = [course for course in courses if course not in found]
-
-    def save() -> None:
-        if out is not None:
-            flown = [(course, found[course]) for course in courses if course in found]
-            write_result(out, Recording(robot=name, suite=suite, courses=flown).encoded())
-
-    for course, flown in execute(work, left, lambda: progress.start(sum(c.flights for c in left))):
-        found[course] = flown
-        progress.count(len(flown))
-        if suite and len(found) % SAVED == 0:
-            save()
-    if left:
-        save()
-    return [(course, found[course]) for course in courses]
 
 
 def _check(robot: str, weights: str | None) -> None:
@@ -363,15 +334,14 @@ def _draw(picture: Path, course: "Course", flown: "Sequence[Flown]", name: str) 
     write_result(picture, to_bytes(figure, ".png"))
 
 
-def _film(path: Path, course: "Course", robot: str, weights: str | None, name: str) -> None:
-    from scenegen.model.robots import robot_maker
+def _film(path: Path, course: "Course", made: Any, name: str, recorded: "Flown | None") -> None:
     from scenegen.model.robots.film import film, flight_page
 
-    made = robot_maker(robot, weights)(course)
     try:
-        taken = (
-            film(course, 0, made) if path.suffix == ".gif" else flight_page(course, 0, made, name)
-        )
+        if path.suffix == ".gif":
+            taken = film(course, 0, made, recorded)
+        else:
+            taken = flight_page(course, 0, made, name, recorded)
         write_result(path, taken)
     finally:
         getattr(made, "close", lambda: None)()

@@ -14,7 +14,8 @@ from lidarsim.pose import rotate
 from scenegen.display.colours import GOAL, INVENTED, SENSOR
 from scenegen.display.look import Guess, Look, Route
 from scenegen.display.page import page
-from scenegen.fly.course import Course
+from scenegen.errors import DatasetError
+from scenegen.fly.course import Course, flown_again
 from scenegen.fly.loop import Flown, fly
 from scenegen.fly.simulation import Observation, Simulation
 from scenegen.model.robots.mapping import within
@@ -52,10 +53,11 @@ class _Watched:
         self.way: list[Floats] = []
 
     def reset(self, about: Observation) -> None:
-        self._robot.reset(about)
+        if self._robot is not None:
+            self._robot.reset(about)
 
     def act(self, observation: Observation) -> Any:
-        answer = self._robot.act(observation)
+        answer = None if self._robot is None else self._robot.act(observation)
         self.way.append(observation["position"])
         if len(self.way) % EVERY == 1 and len(self.held) < MOST:
             # bits, since a film's worth of voxels would take a gigabyte
@@ -78,10 +80,19 @@ class _Scene:
     """What is occupied, of the grid's shape."""
 
     @classmethod
-    def of(cls, course: Course, number: int, robot: Any) -> "_Scene":
-        """Mission `number`, flown by `robot`."""
+    def of(cls, course: Course, number: int, robot: Any, recorded: Flown | None) -> "_Scene":
+        """Mission `number`, flown by `robot`; or as it is recorded, where the robot, if there is
+        one, sees what was seen and tells what it takes for occupied."""
         watched, simulation = _Watched(robot), course.simulation(number)
-        flown = fly(simulation, watched)
+        if recorded is None:
+            flown = fly(simulation, watched)
+        else:
+            flown = recorded
+            watched.reset(simulation.about())
+            for seen, *_ in flown_again(simulation, recorded):
+                watched.act(seen)
+        if not watched.held:
+            raise DatasetError(f"flight {number} ended before it began: {flown.trouble}")
         grid, first = within(simulation.mission.bounds, getattr(robot, "grid", GridSpec()))
         truth = course.simulated.truth(grid, first * np.float64(grid.voxel_m))["occupancy"]
         return cls(simulation, flown, watched, grid, first, truth)
@@ -98,10 +109,10 @@ class _Scene:
             yield _Moment(seen, taken, plan, passed)
 
 
-def film(course: Course, number: int, robot: Any) -> bytes:
-    """A GIF of mission `number`, flown by `robot`: the level of the vehicle's height, five pictures
+def film(course: Course, number: int, robot: Any, recorded: Flown | None = None) -> bytes:
+    """A GIF of mission `number`, see `_Scene.of`: the level of the vehicle's height, five pictures
     a second, 1.5 times as fast as it was flown."""
-    scene = _Scene.of(course, number, robot)
+    scene = _Scene.of(course, number, robot, recorded)
     start, voxel_m, (x, y, z) = scene.first, scene.grid.voxel_m, scene.grid.shape
     scale = max(WIDTH // max(x, y), 1)
 
@@ -140,14 +151,16 @@ def film(course: Course, number: int, robot: Any) -> bytes:
     return file.getvalue()
 
 
-def flight_page(course: Course, number: int, robot: Any, name: str) -> bytes:
-    """A page (HTML) that plays mission `number`, flown by `robot`, called `name`, in three
-    dimensions: what is there, what the robot takes for occupied, its scans, and its way, first
-    flown and then planned.
+def flight_page(
+    course: Course, number: int, robot: Any, name: str, recorded: Flown | None = None
+) -> bytes:
+    """A page (HTML) that plays mission `number`, see `_Scene.of`, of a robot called `name`, in
+    three dimensions: what is there, what the robot takes for occupied, its scans, and its way,
+    first flown and then planned.
 
     Raises DatasetError where no browser takes the voxels within the flight's bounds.
     """
-    scene = _Scene.of(course, number, robot)
+    scene = _Scene.of(course, number, robot, recorded)
     start, goal = map(np.array, (scene.simulation.mission.start, scene.simulation.mission.goal))
     moments, looks = list(scene.moments()), []
     for moment in moments:

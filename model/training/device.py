@@ -2,10 +2,8 @@
 
 import math
 import os
-import platform
 from collections.abc import Callable
-from contextlib import nullcontext, suppress
-from pathlib import Path
+from contextlib import nullcontext
 from typing import Any
 
 import torch
@@ -16,6 +14,7 @@ from lidarsim import GridSpec
 from scenegen.errors import ScenegenError
 from scenegen.model.config import LEVELS
 from scenegen.model.losses import at_least_one
+from scenegen.run.workers import processor
 
 FEWEST_CELLS = 32
 """Cells of the coarsest level from which bfloat16 is sound on a CPU: 8 are not, 18 are."""
@@ -87,12 +86,7 @@ def device_name(device: torch.device) -> str:
     """What a device is called."""
     if device.type == "cuda":
         return torch.cuda.get_device_name(device)
-    named = []
-    with suppress(OSError):  # elsewhere than on Linux
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        named = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    processor = named[0] if named else platform.processor() or "CPU"
-    return f"{processor}, {torch.get_num_threads()} of {os.cpu_count()} threads"
+    return f"{processor()}, {torch.get_num_threads()} of {os.cpu_count()} threads"
 
 
 class Group:

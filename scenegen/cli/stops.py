@@ -84,7 +84,7 @@ def _stop(number: int, frame: object) -> None:
         signal.signal(again, signal.SIG_IGN)
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.alarm(MOST_UNDOING_S)
-    undo_all()
+    said = undo_all() or STOPPED
     with suppress(OSError):
-        os.write(2, f"scenegen: {STOPPED}\n".encode())
+        os.write(2, f"scenegen: {said}\n".encode())
     os._exit(CODE)

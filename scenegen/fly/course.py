@@ -4,12 +4,14 @@ processes; and a recording of flights through one, which are flown again from it
 import dataclasses
 import hashlib
 import json
+import math
 import platform
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +22,13 @@ from lidarsim.sensors import RASTER
 from scenegen import __version__
 from scenegen.errors import DatasetError, GenerationError, printable
 from scenegen.files import read_bounded
-from scenegen.fly import Rules, Vehicle
-from scenegen.fly.loop import Flown, scored
+from scenegen.fly import PERIOD_S, Rules, Vehicle
+from scenegen.fly.loop import ROBOTS_END, Flown, scored, unlike
 from scenegen.fly.missions import Mission, draw_missions, graded
-from scenegen.fly.simulation import Observation, Simulation, bounded
+from scenegen.fly.simulation import Observation, Outcome, Simulation, bounded
 from scenegen.limits import MOST_MANIFEST_BYTES
 from scenegen.logs import LogScan
+from scenegen.run.workers import processor
 from scenegen.source import named_world
 from scenegen.tables import named_lidar, named_noise
 from scenegen.truth.difficulty import Difficulty
@@ -74,11 +77,7 @@ class Course:
     def drawn(self) -> World | Place:
         """The world itself."""
         found = named_world(self.world, self.seed, self.difficulty)
-        if not hashlib.sha256(found.mjcf).hexdigest().startswith(self.document):
-            raise GenerationError(
-                f"{self.world}, seed {self.seed}: another world than the suite or the recording is "
-                "of; take the file, and the version of scenegen, that they were made with"
-            )
+        check_document(hashlib.sha256(found.mjcf).hexdigest(), self)
         return found
 
     @cached_property
@@ -117,6 +116,15 @@ class Course:
         )
 
 
+def check_document(sha256: str, course: Course) -> None:
+    """Raise GenerationError where a world's hash is not that of a course."""
+    if not sha256.startswith(course.document):
+        raise GenerationError(
+            f"{course.world}, seed {course.seed}: another world than the suite or the recording is "
+            "of; take the file, and the version of scenegen, that they were made with"
+        )
+
+
 Flights = Sequence[tuple[Course, Sequence[Flown]]]
 """What was flown through courses."""
 
@@ -130,20 +138,32 @@ class Recording:
     suite: str | None
     """The suite that it flew, where it did."""
     courses: Flights
+    track: str = ""
+    """Which of the suite's courses; see `scenegen.fly.suite.track_name`. "" where a recording of
+    an earlier commit does not say."""
+    complete: bool = False
+    """Whether these are all of them."""
+    network: str = ""
+    """SHA-256 of the file of the network that the robot had complete; "" without one."""
 
     def encoded(self) -> bytes:
-        """As JSON, with the machine's name. Commands are float32 in as many digits as tell them
-        from all others."""
+        """As JSON, with what it was flown on. Commands are float32 in as many digits as tell them
+        from all others. The maps of a suite are named without their folders."""
         found = []
         for course, flights in self.courses:
             rows = [
                 one.row() | {"commands": [[float(str(x)) for x in row] for row in one.commands]}
                 for one in flights
             ]
-            about = dataclasses.asdict(course) | {"document": course.sha256}
+            about = dataclasses.asdict(course) | {"document": course.document or course.sha256}
+            about["world"] = Path(course.world).name if self.suite else course.world
             found.append({"course": about, "flights": rows})
-        text = {"format": FORMAT, "scenegen": __version__, "machine": platform.platform()}
-        text |= {"robot": self.robot, "suite": self.suite, "courses": found}
+        text = {
+            **{"format": FORMAT, "scenegen": __version__, "python": platform.python_version()},
+            **{"numpy": np.__version__, "machine": platform.platform(), "cpu": processor()},
+            **{"robot": self.robot, "network": self.network, "suite": self.suite},
+            **{"track": self.track, "complete": self.complete, "courses": found},
+        }
         return (json.dumps(text) + "\n").encode()
 
     @classmethod
@@ -157,32 +177,61 @@ class Recording:
             for one in text["courses"]:
                 about = dict(one["course"])
                 parts = {"vehicle": Vehicle(**about["vehicle"]), "rules": Rules(**about["rules"])}
-                flights = []
-                for row in one["flights"]:
-                    commands = np.array(row["commands"], np.float32).reshape(-1, 4)
-                    flights.append(Flown(**row | {"commands": commands, "path": np.empty((0, 3))}))
-                courses.append((Course(**about | parts), flights))
-            robot, suite = text["robot"], text["suite"]
-            return cls(robot=printable(robot), suite=suite and printable(suite), courses=courses)
+                course, flights = Course(**about | parts), [*map(_flown, one["flights"])]
+                if len(flights) != course.flights:
+                    raise ValueError(f"{len(flights)} of {course.flights} flights of a course")
+                courses.append((course, flights))
+            names = {name: printable(text.get(name, "")) for name in ("robot", "track", "network")}
+            suite, whole = text["suite"], bool(text.get("complete"))
+            return cls(suite=suite and printable(suite), complete=whole, courses=courses, **names)
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
             said = f"{type(error).__name__}: {printable(error)}"[:200]
             raise DatasetError(f"{path}: no recording of flights ({said}); fly again") from None
 
 
-def replay(recording: Recording) -> Iterator[tuple[Course, Flown, bool]]:
-    """Fly the recorded commands again: each flight, and whether it is the same to the bit.
+def _flown(row: dict[str, Any]) -> Flown:
+    """A flight of a recording. Raises ValueError for figures that cannot be."""
+    commands = np.array(row["commands"], np.float32).reshape(-1, 4)
+    flown = Flown(**row | {"commands": commands, "path": np.empty((0, 3))})
+    for part in dataclasses.fields(Flown):
+        value = getattr(flown, part.name)
+        if part.type in (float, int, str) and type(value) is not part.type:
+            raise ValueError(f"{part.name} = {value!a}, expected {part.type.__name__}")
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ValueError(f"{part.name} = {value}, expected a finite number")
+    if flown.shortest_m <= 0:
+        raise ValueError(f"shortest_m = {flown.shortest_m}, expected more than 0")
+    if flown.outcome not in get_args(Outcome):
+        raise ValueError(f"outcome = {flown.outcome!a}, expected {', '.join(get_args(Outcome))}")
+    if not -1e-6 < len(commands) * PERIOD_S - flown.time_s < PERIOD_S:
+        raise ValueError(f"time_s = {flown.time_s} with {len(commands)} commands")
+    return flown
+
+
+def replay(course: Course, flights: Sequence[Flown]) -> list[Flown]:
+    """Fly the recorded commands of a course again.
+
+    A flight that the simulation does not end is taken for one that the robot ended, in the way that
+    is recorded.
 
     Raises:
-        GenerationError: A world is another one than then, or has fewer missions.
+        DatasetError: A flight is not as it was recorded.
+        GenerationError: The world is another one than then, or has fewer missions.
     """
-    for course, flights in recording.courses:
-        for number, flown in enumerate(flights[: len(course.missions)]):
-            simulation = course.simulation(number)
-            count = sum(1 for _ in flown_again(simulation, flown))
-            simulation.outcome = simulation.outcome or flown.outcome
-            again = scored(simulation, list(flown.commands[:count]), [], Counter(), "")
-            same = (again.digest, again.outcome) == (flown.digest, flown.outcome)
-            yield course, again, same
+    found = []
+    for number, flown in enumerate(flights):
+        simulation = course.simulation(number)
+        count = sum(1 for _ in flown_again(simulation, flown))
+        if simulation.outcome is None:
+            simulation.outcome = flown.outcome if flown.outcome in ROBOTS_END else "crashed"
+        again = scored(simulation, list(flown.commands[:count]), [], Counter(), "")
+        if faults := unlike(flown, again):
+            raise DatasetError(
+                f"flight {number} through {course.world}, seed {course.seed}, is not as it was "
+                f"recorded: {faults[0]}"
+            )
+        found.append(again)
+    return found
 
 
 def flown_again(
@@ -191,7 +240,8 @@ def flown_again(
     """What was seen on a flight, while its commands are flown again; with each command (4,), and
     its reward."""
     for command in flown.commands:
-        if simulation.outcome is not None or bounded(command, simulation.vehicle)[0] is None:
+        given, exceeds = bounded(command, simulation.vehicle)
+        if simulation.outcome is not None or given is None or exceeds:
             return
         seen = simulation.observe()
         yield seen, command, simulation.step(command)

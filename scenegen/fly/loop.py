@@ -1,5 +1,6 @@
 """A robot flies a mission: it sees, decides, and moves, ten times a second; and how well it did."""
 
+import math
 import time
 from collections import Counter
 from dataclasses import asdict, dataclass, field
@@ -90,6 +91,10 @@ class Flown:
 
 
 UNSAID = ("commands", "path")
+CLAIMED = ("step_s", "most_step_s", "late", "invalid", "speeding", "trouble")
+"""Parts of a flight that its commands do not tell: only who let the robot fly knows them."""
+ROBOTS_END = ("crashed", "hung", "flooded")
+"""Outcomes that are the robot's doing: the vehicle itself could have flown on."""
 HOVER = np.zeros((1, 4), np.float32)
 
 
@@ -140,15 +145,13 @@ def scored(
     """What came of a flight; for the arguments see `Flown`."""
     assert simulation.outcome is not None
     measured, shortest = simulation.measured(), simulation.mission.shortest_m
-    best = shortest / simulation.vehicle.speed_mps
-    success = simulation.outcome == "success"
+    time_s, success = simulation.time_s, simulation.outcome == "success"
+    best_s = shortest / simulation.vehicle.speed_mps
     return Flown(
         outcome=simulation.outcome,
-        score=success * best / min(max(simulation.time_s, 2 * best), 8 * best),
-        spl=success * shortest / max(shortest, measured["flown_m"]),
-        time_s=simulation.time_s,
-        ratio=measured["flown_m"] / shortest,
+        time_s=time_s,
         shortest_m=shortest,
+        **marks(success, time_s, measured["flown_m"], shortest, best_s),
         step_s=float(np.mean(times)) if times else 0.0,
         most_step_s=max(times, default=0.0),
         late=sum(seconds > PERIOD_S for seconds in times),
@@ -160,3 +163,29 @@ def scored(
         path=np.array([states[-1, :3] for states in simulation.states]),
         **measured,
     )
+
+
+def marks(
+    success: bool, time_s: float, flown_m: float, shortest_m: float, best_s: float
+) -> dict[str, float]:
+    """`score`, `spl` and `ratio` of a flight, see `Flown`; `best_s` is what the shortest way takes
+    at full speed."""
+    return {
+        "score": success * best_s / min(max(time_s, 2 * best_s), 8 * best_s),
+        "spl": success * shortest_m / max(shortest_m, flown_m),
+        "ratio": flown_m / shortest_m,
+    }
+
+
+def unlike(flown: Flown, again: Flown) -> list[str]:
+    """In which figures a recorded flight is not what its commands give `again`, as texts. Commands,
+    bits and outcome must be equal; sums may be rounded otherwise by another machine."""
+    found = []
+    for name, value in again.row().items():
+        there = getattr(flown, name)
+        near = isinstance(value, float) and math.isclose(value, there, rel_tol=1e-9, abs_tol=1e-12)
+        if name not in CLAIMED and not near and there != value:
+            found.append(f"{name} is {there} there, {value} flown again")
+    if len(flown.commands) != len(again.commands):
+        found.append(f"{len(flown.commands)} commands there, {len(again.commands)} flown again")
+    return found

@@ -1,24 +1,33 @@
 """A robot in a process of its own, in any language: it gets observations over a pipe and nothing
-else, in bounded time and memory; `messages` says how they talk."""
+else, in bounded time and memory; `serve` says how they talk, and `keep` keeps it in."""
 
 import json
 import os
-import resource
 import selectors
 import shlex
+import shutil
+import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from scenegen.fly.loop import RobotError
-from scenegen.fly.messages import encoded
+from scenegen.fly.serve import encoded
 from scenegen.fly.simulation import Observation
 from scenegen.limits import MOST_ANSWER_BYTES, ROBOT_BYTES, ROBOT_SECONDS, ROBOT_START_SECONDS
-from scenegen.run.workers import die_with_parent
 
 CHUNK = 1 << 16
+KEEPER = str(Path(__file__).with_name("keep.py"))
+MOST_HANGS = 3
+"""Flights in a row that may wait in vain for a robot to begin."""
+ENDING_S = 5.0
+"""How long its keeper may take to end a robot, seconds."""
+_hangs = Counter[str]()
+"""In a row, of each command."""
 
 
 class PipeRobot:
@@ -30,17 +39,29 @@ class PipeRobot:
         command: Sequence[str],
         *,
         seconds: float = ROBOT_SECONDS,
+        start_seconds: float = ROBOT_START_SECONDS,
         memory_bytes: int = ROBOT_BYTES,
     ):
-        """A decision may take `seconds`, and the process `memory_bytes` of address space."""
-        self._command, self._seconds, self._memory_bytes = list(command), seconds, memory_bytes
+        """A decision may take `seconds`, the beginning of a flight `start_seconds`, and the process
+        `memory_bytes` of address space."""
+        self._command, self._memory_bytes = list(command), memory_bytes
+        self._seconds, self._start_seconds = seconds, start_seconds
+        self._name = shlex.join(command)
         self._process: subprocess.Popen[bytes] | None = None
 
     def reset(self, about: Observation) -> None:
-        """See `Robot.reset`."""
+        """See `Robot.reset`. A command that hung here `MOST_HANGS` times in a row is not asked
+        again by this process."""
+        if _hangs[self._name] >= MOST_HANGS:
+            raise RobotError("hung", f"the robot hung in reset {MOST_HANGS} times in a row")
         if self._process is None:
             self._process = self._started()
-        self._ask("reset", about, ROBOT_START_SECONDS)
+        try:
+            self._ask("reset", about, self._start_seconds)
+        except RobotError as error:
+            _hangs[self._name] += error.outcome == "hung"
+            raise
+        _hangs[self._name] = 0
 
     def act(self, observation: Observation) -> Any:
         """See `Robot.act`."""
@@ -51,30 +72,30 @@ class PipeRobot:
             return None
 
     def close(self) -> None:
-        """End the process, and what it began."""
+        """End the process, and what it began: by its keeper, or else by its group."""
         if self._process is not None:
             with self._process:
-                os.killpg(self._process.pid, 9)
-                self._process = None
+                # not by `Popen`, after which the group's number could be another's
+                keeper, self._process = self._process.pid, None
+                os.kill(keeper, signal.SIGTERM)
+                deadline, how = time.monotonic() + ENDING_S, os.WEXITED | os.WNOHANG | os.WNOWAIT
+                while not os.waitid(os.P_PID, keeper, how) and time.monotonic() < deadline:
+                    time.sleep(0.001)
+                os.killpg(keeper, signal.SIGKILL)
 
     def _started(self) -> subprocess.Popen[bytes]:
-        most = self._memory_bytes
-
-        def limit() -> None:
-            die_with_parent()
-            resource.setrlimit(resource.RLIMIT_AS, (most, most))
-
-        try:
-            process = subprocess.Popen(
-                self._command,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                start_new_session=True,
-                preexec_fn=limit,
-                env=os.environ | {"OMP_NUM_THREADS": "1"},
-            )
-        except OSError as error:
-            raise RobotError("crashed", f"{self._command[0]}: {error.strerror}") from None
+        if shutil.which(self._command[0]) is None:
+            raise RobotError("crashed", f"{self._command[0]}: there is no such program")
+        cores = sorted(os.sched_getaffinity(0))
+        # neighbouring workers have neighbouring numbers, and so cores of their own
+        limits = (self._memory_bytes, cores[os.getpid() % len(cores)])
+        process = subprocess.Popen(
+            [sys.executable, "-I", "-S", KEEPER, *map(str, limits), *self._command],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            start_new_session=True,
+            env=os.environ | {"OMP_NUM_THREADS": "1"},
+        )
         for pipe in (process.stdin, process.stdout):
             assert pipe is not None
             os.set_blocking(pipe.fileno(), False)

@@ -1,19 +1,48 @@
-"""The process of a robot that is a Python class: ``python -m scenegen.fly.serve module:Class``."""
+"""A robot's process: what it is told and answers; and that of a robot that is a Python class,
+``python -m scenegen.fly.serve module:Class``.
+
+Each message is a line of JSON, ``{"is": "reset" | "act", "arrays": [["ranges", "<f4", [16, 120]],
+...]}``, and then the bytes of these arrays, one after the other, little-endian and in C order. To
+"reset", the process answers with an empty line once it is ready; to "act", with a line of JSON: an
+action, see `scenegen.fly.loop.Robot.act`, or null for none.
+"""
 
 import json
 import os
 import sys
+from collections.abc import Mapping
+from typing import IO, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidarsim.registry import Registry
-from scenegen.fly.messages import decoded
 
 ROBOTS = Registry(
     "robot",
     {},
     needs={"reset": "a method: about -> None", "act": "a method: observation -> action"},
 )
+
+
+def encoded(what: str, arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    """A message to a robot's process."""
+    told = [[name, array.dtype.str, list(array.shape)] for name, array in arrays.items()]
+    line = json.dumps({"is": what, "arrays": told}).encode()
+    return b"\n".join([line, b"".join(array.tobytes() for array in arrays.values())])
+
+
+def decoded(pipe: IO[bytes]) -> tuple[str, dict[str, NDArray[Any]]] | None:
+    """The next message; None where there is none any more."""
+    line = pipe.readline()
+    if not line:
+        return None
+    said, arrays = json.loads(line), dict[str, Any]()
+    for name, kind, shape in said["arrays"]:
+        count = int(np.prod(shape, dtype=np.int64))
+        content = pipe.read(count * np.dtype(kind).itemsize)
+        arrays[name] = np.frombuffer(content, kind).reshape(shape).copy()
+    return str(said["is"]), arrays
 
 
 def main() -> None:
@@ -30,10 +59,18 @@ def main() -> None:
         if what == "reset":
             robot.reset(arrays)
         else:
-            action = robot.act(arrays)
-            answer = json.dumps(None if action is None else np.asarray(action, float).tolist())
+            answer = _answer(robot.act(arrays))
         answers.write(answer.encode() + b"\n")
         answers.flush()
+
+
+def _answer(action: Any) -> str:
+    """An action as a line; of what is no array of numbers, null."""
+    try:
+        numbers = np.asarray(action, float)
+    except (TypeError, ValueError):
+        return "null"
+    return json.dumps(numbers.tolist())
 
 
 if __name__ == "__main__":

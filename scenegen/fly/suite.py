@@ -2,16 +2,15 @@
 
 import hashlib
 import json
-from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import count, product
 from pathlib import Path
 
 import numpy as np
 
-from scenegen.errors import GenerationError
-from scenegen.fly import Rules, Vehicle
-from scenegen.fly.course import Course
+from scenegen.errors import DatasetError, GenerationError
+from scenegen.fly import SUITES, Rules, Vehicle
+from scenegen.fly.course import Course, Recording, check_document
 from scenegen.recipes import kind_names
 
 DIFFICULTIES = ("easy", "medium", "hard")
@@ -44,24 +43,109 @@ DIGITS = 16
 """Hexadecimal digits of a world's SHA-256 that the suite's file holds."""
 
 
+def track_name(hidden: int | None, maps: Path | None) -> str:
+    """What an entry calls its track: "own", the suite's courses; "maps"; or "hidden" and a hash of
+    the number that draws its worlds, from which these cannot be drawn."""
+    if hidden is None:
+        return "own" if maps is None else "maps"
+    # not the hash that `hidden_course` draws by
+    return f"hidden {hashlib.sha256(f'name of {hidden}'.encode()).hexdigest()}"
+
+
 def chosen_courses(
     suite: str, hidden: int | None, maps: Path | None, *, quick: bool
 ) -> list[Course]:
-    """The courses of a suite, those that the number `hidden` draws, or those through the `maps` in
-    a folder; some of them if `quick`."""
-    if maps is not None:
-        found = map_courses(maps)
+    """The courses of a suite, those through the `maps` in a folder, or those that the number
+    `hidden` draws, see `hidden_courses`; some of them if `quick`."""
+    if hidden is None:
+        found = courses_of(suite) if maps is None else map_courses(maps)
     else:
-        found = courses_of(suite) if hidden is None else hidden_courses(hidden)
+        found = hidden_courses()
     return found[::QUICK] if quick else found
 
 
-def map_courses(folder: Path) -> list[Course]:
-    """Courses through the maps of real places in a folder or below it. Raises GenerationError for
-    one that is missing; for another map than was meant, `Course` does."""
+@dataclass(frozen=True)
+class Part:
+    """How much of a suite an entry holds."""
+
+    track: str
+    """See `track_name`."""
+    quick: bool
+    """Whether its courses are among those that `--quick` takes."""
+    there: int
+    """Courses that it has."""
+    of: int
+    """Courses that there are; with `quick`, that `--quick` takes."""
+
+    def __str__(self) -> str:
+        said = f"{self.track[:14]}{', quick' * self.quick}: {self.there} of {self.of} courses"
+        return said if self.there == self.of else f"{said}, incomplete"
+
+
+def part_of(entry: Recording) -> Part:
+    """What an entry holds, once each course is found to be one of its suite's, with its vehicle,
+    rules and sensor, and the same world as far as that is known without drawing it.
+
+    Raises DatasetError where one is not.
+    """
+    if entry.suite not in SUITES:
+        raise DatasetError(f"is no entry: its suite is {entry.suite}, expected {SUITES[0]}")
+    track, courses = track_of(entry), {}
+    for course in frozen_courses(entry.suite, track):
+        courses[named(course)] = course.document
+    left = dict(courses)
+    for course, _ in entry.courses:
+        document = left.pop(named(course), None)
+        if document is None or not course.document.startswith(document):
+            raise DatasetError(
+                f"{course.world}, {course.difficulty}, seed {course.seed}, is no course of "
+                f"{entry.suite}'s track {track[:14]}, or it is there twice, or it has another "
+                "world, vehicle, sensor or rules"
+            )
+    some = list(courses)[::QUICK]
+    quick = {named(course) for course, _ in entry.courses} <= {*some}
+    return Part(track, quick, len(entry.courses), len(some) if quick else len(courses))
+
+
+def is_whole(entry: Recording) -> bool:
+    """Whether an entry has all courses of its track, or all that `--quick` takes."""
+    try:
+        part = part_of(entry)
+    except DatasetError:
+        return False
+    return part.there == part.of
+
+
+def named(course: Course) -> Course:
+    """A course as entries name it: a map without its folder, and no hash of the world."""
+    return replace(course, world=Path(course.world).name, document="")
+
+
+def track_of(entry: Recording) -> str:
+    """The track of an entry; where it does not say, by whether it flew maps."""
+    maps = any(Path(course.world).name in MAPS for course, _ in entry.courses)
+    return entry.track.strip() or ("maps" if maps else "own")
+
+
+def frozen_courses(suite: str, track: str) -> list[Course]:
+    """All courses of a track, as entries name them. Raises DatasetError where it is none."""
+    match track.split()[0]:
+        case "own":
+            return courses_of(suite)
+        case "maps":
+            return map_courses(None)
+        case "hidden":
+            return hidden_courses()
+    raise DatasetError(f"{suite} has no track {track[:14]}; expected own, maps or hidden")
+
+
+def map_courses(folder: Path | None) -> list[Course]:
+    """Courses through the maps of real places in a folder or below it; without one, as entries name
+    them. Raises GenerationError for one that is missing; for another map than was meant, `Course`
+    does."""
     found = []
     for (name, document), seed in product(MAPS.items(), range(MAP_COURSES)):
-        file = min(folder.rglob(name), default=None)
+        file = Path(name) if folder is None else min(folder.rglob(name), default=None)
         if file is None:
             raise GenerationError(
                 f"{folder}: {name} is not there; expected {', '.join(MAPS)}, whose sources the "
@@ -82,29 +166,33 @@ def courses_of(suite: str) -> list[Course]:
     ]
 
 
-def hidden_courses(seed: int) -> list[Course]:
-    """Courses that nobody has seen before the `seed` is told: of all kinds and difficulties in
-    turn."""
-    digest = hashlib.sha256(f"aerial hidden {seed}".encode()).digest()
-    rng = np.random.default_rng(np.frombuffer(digest, np.uint32))
+def hidden_courses() -> list[Course]:
+    """The courses of a hidden track, of all kinds and difficulties in turn, as entries name them:
+    numbers from 0 on stand for their seeds, which `hidden_course` draws."""
     turns = list(product(DIFFICULTIES, kind_names()))
-    found = []
-    for n in range(HIDDEN):
-        difficulty, kind = turns[n % len(turns)]
-        found.append(next(flyable(kind, difficulty, int(rng.integers(1 << 31)))))
-    return found
+    chosen = (turns[n % len(turns)] for n in range(HIDDEN))
+    return [_course(kind, level, n, "") for n, (level, kind) in enumerate(chosen)]
 
 
-def flyable(kind: str, difficulty: str, first: int) -> Iterator[Course]:
-    """Courses of a kind and difficulty that have room for their missions, by seeds from `first`
-    on."""
-    for seed in count(first):
-        course = _course(kind, difficulty, seed, "")
+def hidden_course(course: Course, hidden: int) -> Course:
+    """The course of `hidden_courses` that the number `hidden` draws: by the first seed, from one
+    that nobody knows without that number, whose world has room for the missions.
+
+    Raises GenerationError where it is another world than the course names.
+    """
+    # of so many seeds that none can be found by trying which world an entry's flights are through
+    digest = hashlib.sha256(f"aerial hidden {hidden}".encode()).digest()
+    rng = np.random.default_rng(np.frombuffer(digest, np.uint32))
+    firsts = [int(rng.integers(1 << 63)) for _ in range(course.seed + 1)]
+    for seed in count(firsts[-1]):
+        drawn = replace(course, seed=seed, document="")
         try:
-            _ = course.missions
+            _ = drawn.missions
         except GenerationError:  # too narrow
             continue
-        yield replace(course, document=course.sha256[:DIGITS])
+        check_document(drawn.sha256, course)
+        return drawn
+    raise AssertionError("numbers do not end")
 
 
 def _course(kind: str, difficulty: str | None, seed: int, document: str) -> Course:

@@ -88,7 +88,8 @@ _begun: list[Callable[[], object]] = []
 
 @contextmanager
 def undone_if_stopped(undo: Callable[[], object]) -> Iterator[None]:
-    """While the block runs, `undo_all` calls `undo`, which must be quick and wait for nobody."""
+    """While the block runs, `undo_all` calls `undo`, which must be quick and wait for nobody, and
+    may return a line to say of the stop."""
     _begun.append(undo)
     try:
         yield
@@ -96,9 +97,12 @@ def undone_if_stopped(undo: Callable[[], object]) -> Iterator[None]:
         _begun.remove(undo)
 
 
-def undo_all() -> None:
+def undo_all() -> str:
     """Undo what is begun and not finished, the latest first, for a process that ends at once:
-    drafts are removed, workers ended."""
+    drafts are removed, workers ended. Returns what is to be said of it; "" for nothing."""
+    line = ""
     for undo in reversed(_begun):
         with suppress(Exception):  # what cannot be undone must not keep the rest
-            undo()
+            said = undo()
+            line = said if isinstance(said, str) else line
+    return line

@@ -11,6 +11,7 @@ import math
 import multiprocessing
 import multiprocessing.connection
 import os
+import platform
 import resource
 import signal
 import time
@@ -102,6 +103,15 @@ def rank_of(environment: Mapping[str, str]) -> tuple[int, int]:
 def cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0))
+
+
+def processor() -> str:
+    """What this machine's processor is called."""
+    named = []
+    with contextlib.suppress(OSError):  # elsewhere than on Linux
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        named = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return named[0] if named else platform.processor() or "CPU"
 
 
 def keep_memory() -> None:

@@ -2,14 +2,19 @@
 
 import io
 import json
+import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from lidarsim import AnalyticEngine, GridSpec
+from lidarsim.engines.voxels import FREE, OCCUPIED, VoxelMap
 from lidarsim.pose import rotate
+from scenegen.cli.show import Progress
 from scenegen.display.colours import SENSOR
+from scenegen.errors import GenerationError
 from scenegen.fly import Vehicle, suite
 from scenegen.fly.course import Course, Recording
 from scenegen.fly.loop import fly
@@ -17,9 +22,11 @@ from scenegen.fly.missions import Mission
 from scenegen.fly.simulation import Simulation
 from scenegen.logs.read import read_log
 from scenegen.model.completion.unlearned import Conservative, Returns
-from scenegen.model.robots import NAMES, robot_maker
+from scenegen.model.robots import NAMES, flights, robot_maker
 from scenegen.model.robots.film import RIGHT, UNHELD, film, flight_page
 from scenegen.model.robots.mapping import MappingRobot
+from scenegen.run import undo_all
+from scenegen.worlds.place import encode_map
 from tests.command_line import run
 from tests.scenegen.display.test_page import Seen, unpacked
 
@@ -90,6 +97,14 @@ def test_a_dead_end_deeper_than_the_window_is_left(tmp_path):
     assert flown.path[:, 0].min() < 0, "around the walls"
 
 
+class Idle:
+    def reset(self, about):
+        pass
+
+    def act(self, observation):
+        raise RuntimeError
+
+
 class Fickle:
     """Every half a second, takes all that was not seen for free, or for occupied."""
 
@@ -135,8 +150,10 @@ def test_the_command_flies_records_and_flies_again(capsys, tmp_path):
         within = points[((points > low) & (points < high)).all(axis=1)]
         assert len(within) > 20
         assert max(course.drawn.clearance.at(*point) for point in within) < 1e-4
-    code, out, _ = run(capsys, f"fly --replay {file} --robot reactive --json")
+    again = tmp_path / "again.gif"
+    code, out, _ = run(capsys, f"fly --replay {file} --robot reactive --film {again} --json")
     assert code == 0
+    assert again.read_bytes() == film.read_bytes()
     again = json.loads(out)
     assert [one["digest"] for one in again["flights"]] == [one["digest"] for one in told["flights"]]
     assert again["anew, equal to the bit"] == "1 of 1 flights"
@@ -183,6 +200,7 @@ def test_an_entry_to_a_suite_goes_on_and_is_not_lost(capsys, tmp_path, monkeypat
     words = ("fly", "--suite", "aerial-1", "--robot", "reactive", "--workers", 1, "-o", file)
     assert run(capsys, *words)[0] == 0
     (first,) = Recording.read(file).courses
+    assert not Recording.read(file).complete
     assert run(capsys, *words)[0] == 0
     every = Recording.read(file).courses
     assert [course.seed for course, _ in every] == [course.seed for course in chosen]
@@ -191,9 +209,93 @@ def test_an_entry_to_a_suite_goes_on_and_is_not_lost(capsys, tmp_path, monkeypat
     code, _, complaint = run(capsys, *words)
     assert (code, "other courses" in complaint) == (1, True)
     assert file.read_bytes() == kept
+    code, _, complaint = run(capsys, f"fly pillar --robot reactive --flights 1 -o {file}")
+    assert (code, "entry" in complaint) == (1, True)
+    assert file.read_bytes() == kept
+    code, out, _ = run(capsys, f"fly --replay {file} --workers 2")
+    assert (code, f"{len(chosen)} of 300 courses, incomplete" in out) == (0, True)
+    better = Recording.read(file)
+    best = [(course, [replace(one, outcome="success", score=9.0)]) for course, (one,) in every]
+    better = replace(better, robot="<b>better</b>", courses=best[::-1])
+    (tmp_path / "better.json").write_bytes(better.encoded())
+    (_, (lost,)), *_ = every
+    worse = replace(
+        better, robot="worse", courses=[(best[0][0], [replace(lost, outcome="left")]), *best[1:]]
+    )
+    (tmp_path / "worse.json").write_bytes(worse.encoded())
     page = tmp_path / "page.html"
     assert run(capsys, f"fly --leaderboard {tmp_path} -o {page}")[0] == 0
-    assert f"aerial-1: {len(chosen)} worlds" in page.read_text()
+    shown = page.read_text()
+    assert f"own: {len(chosen)} of 300 courses, incomplete" in shown
+    assert shown.index("&lt;b&gt;better") < shown.index("reactive")
+    assert "9.0" not in shown, "scores follow from what was flown"
+    for row in re.findall(r"<tr><th>.*?</tr>", shown)[1:]:
+        cells = re.findall(r"\[(\S+), (\S+)\]", row.rpartition("<td>")[0].rpartition("<td>")[0])
+        assert {0 <= float(end) <= 1 for ends in cells for end in ends} == {True}
+    other = replace(every[0][0], vehicle=Vehicle(radius_m=0.03))
+    easier = replace(better, courses=[(other, every[0][1])])
+    (tmp_path / "easier.json").write_bytes(easier.encoded())
+    for words in (f"--leaderboard {tmp_path} -o {page}", f"--replay {tmp_path}/easier.json"):
+        code, _, complaint = run(capsys, f"fly {words}")
+        assert (code, "easier.json: pillar" in complaint) == (1, True)
+
+
+def test_a_stopped_run_keeps_an_entry_and_tells_of_it(tmp_path, monkeypatch):
+    """Until then it is written every few seconds; of flights without a suite nothing is kept."""
+    course = Course(world="pillar", flights=1)
+    flown = fly(course.simulation(0), Idle())
+    courses = [replace(course, seed=n, document="ab") for n in range(3)]
+    saved, said = [], []
+
+    def stopped(work, tasks, on_start):
+        yield work(tasks[0])
+        saved.append(file.exists() and len(Recording.read(file).courses))
+        said.append(undo_all())
+        monkeypatch.setattr(flights, "SAVED_S", 1e9)
+        yield work(tasks[1])
+        raise GenerationError("a worker was killed")
+
+    for name in ("aerial-1", None):
+        file = tmp_path / f"{name}.json"
+        monkeypatch.setattr(flights, "SAVED_S", -1.0)
+        given = (courses, lambda one: (one, [flown]), "idle", name, file)
+        with pytest.raises(GenerationError):
+            flights.fly_courses(*given, stopped, Progress("", shown=False))
+    assert saved == [1, False]
+    assert f"{tmp_path}/aerial-1.json holds 1 of 3 courses" in said[0]
+    assert len(Recording.read(tmp_path / "aerial-1.json").courses) == 2
+    assert "no flight is kept" in said[1]
+    assert not file.exists()
+
+
+def test_hidden_and_real_tracks_are_flown_again_by_who_has_their_worlds(
+    capsys, tmp_path, monkeypatch
+):
+    """An entry holds no seed and no folder; without its number, or its maps, it is refused."""
+    states = np.full((60, 60, 15), FREE, np.uint8)
+    states[30, :40] = OCCUPIED
+    content = encode_map(VoxelMap(states, 0.2, np.zeros(3)), "hall")
+    (tmp_path / "hall.npz").write_bytes(content)
+    hall = Course(world=str(tmp_path / "hall.npz")).sha256[:16]
+    monkeypatch.setattr(suite, "MAPS", {"hall.npz": hall})
+    monkeypatch.setattr(suite, "MAP_COURSES", 1)
+    monkeypatch.setattr(suite, "HIDDEN", 2)
+    monkeypatch.setattr(suite, "FLIGHTS", 1)
+    monkeypatch.setattr(suite, "kind_names", lambda: ["pillar", "rooms"])
+    for given, wrong in (("--hidden 77", "--hidden 78"), (f"--maps {tmp_path}", "")):
+        file = tmp_path / "entry" / f"{len(given)}.json"
+        words = f"fly --suite aerial-1 --robot reactive --workers 1 -o {file}"
+        assert run(capsys, f"{words} {given}")[0] == 0
+        entry = json.loads(file.read_text())
+        assert entry["complete"]
+        for n, one in enumerate(entry["courses"]):
+            assert one["course"]["seed"] == n
+            assert "/" not in one["course"]["world"]
+        code, out, _ = run(capsys, f"fly --replay {file} {given} --json")
+        flights = [one["flights"][0]["digest"] for one in entry["courses"]]
+        assert code == 0
+        assert [one["digest"] for one in json.loads(out)["flights"]] == flights
+        assert run(capsys, f"fly --replay {file} {wrong}")[0] == 1
 
 
 OWN = """
@@ -208,15 +310,39 @@ class Robot:
 """
 
 
-def test_ones_own_robot_flies_in_a_process_of_its_own(capsys, tmp_path, monkeypatch):
+BAD = """
+from my_robot import Robot
+
+class Dies(Robot):
+    def act(self, observation):
+        raise RuntimeError("at once")
+
+class Babbles(Robot):
+    asked = 0
+
+    def act(self, observation):
+        self.asked += 1
+        said = {1: "abc", 2: [[1, 2], [3]], 3: None}
+        return said.get(self.asked, super().act(observation))
+"""
+
+
+def test_ones_own_robot_flies_and_what_a_bad_one_does_is_counted(capsys, tmp_path, monkeypatch):
     (tmp_path / "my_robot.py").write_text(OWN)
+    (tmp_path / "my_bad.py").write_text(BAD)
     monkeypatch.chdir(tmp_path)
-    code, out, _ = run(capsys, "fly pillar --robot my_robot:Robot --flights 1 --json")
-    (flown,) = json.loads(out)["flights"]
-    assert code == 0
-    assert flown["outcome"] in ("success", "collision")
-    assert flown["time_s"] > 1
-    assert flown["trouble"] == ""
+    words = "fly pillar --flights 2 --worlds 2 --workers 1 --json --robot"
+    for name, invalid, outcomes in (
+        ("my_robot:Robot", {0}, {"success", "collision"}),
+        ("my_bad:Dies", {0}, {"crashed"}),
+        ("my_bad:Babbles", {3}, {"success", "collision"}),
+    ):
+        code, out, _ = run(capsys, f"{words} {name}")
+        flights = json.loads(out)["flights"]
+        assert (code, len(flights)) == (0, 2)
+        assert {one["outcome"] for one in flights} <= outcomes
+        assert {one["invalid"] for one in flights} == invalid
+        assert all((one["time_s"] > 1) == (one["trouble"] == "") for one in flights)
 
 
 @pytest.mark.parametrize(

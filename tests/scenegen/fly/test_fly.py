@@ -1,8 +1,13 @@
 """The loop: motion within its bounds, exact collisions, bits, and robots that behave badly."""
 
+import hashlib
 import math
 import sys
 import textwrap
+import time
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,12 +22,12 @@ from scenegen.errors import DatasetError, GenerationError
 from scenegen.fly import Rules, Vehicle, suite
 from scenegen.fly.course import Course, Recording, replay
 from scenegen.fly.dynamics import Quadrotor
-from scenegen.fly.loop import fly
+from scenegen.fly.loop import fly, scored
 from scenegen.fly.missions import VOXEL_M, Mission, draw_missions
 from scenegen.fly.motion import STEP_S, advance, most_pull, pose_of
 from scenegen.fly.pipe import PipeRobot
 from scenegen.fly.simulation import Simulation, bounded
-from scenegen.fly.suite import chosen_courses
+from scenegen.fly.suite import chosen_courses, courses_of, hidden_course, part_of, track_name
 from scenegen.worlds.place import encode_map
 from scenegen.worlds.world import compile_world
 
@@ -201,7 +206,7 @@ def test_what_a_robot_says_is_counted_and_bounded(said, invalid, speeding):
 
 
 ROBOT = """
-import json, sys, time
+import json, os, sys, time
 raw, out = sys.stdin.buffer, sys.stdout
 what, steps = sys.argv[1], 0
 while line := raw.readline():
@@ -217,6 +222,7 @@ while line := raw.readline():
     steps += 1
     bad = steps == 3
     if bad and what == "hangs": time.sleep(60)
+    if bad and what == "kills": os.kill(os.getppid(), 9)
     if bad and what == "dies": sys.exit(3)
     if bad and what == "eats": bytearray(8 << 30)
     if bad and what == "floods":
@@ -233,6 +239,7 @@ while line := raw.readline():
         ("flies", ("success", "collision")),
         ("hangs", "hung"),
         ("dies", "crashed"),
+        ("kills", "crashed"),
         ("eats", "crashed"),
         ("floods", "flooded"),
         ("says twice", "flooded"),
@@ -252,6 +259,43 @@ def test_a_robot_of_its_own_is_cut_off_and_counted(what, outcome, tmp_path):
     assert {one.outcome for one in flown} <= ({outcome} if isinstance(outcome, str) else {*outcome})
     assert flown[0].invalid == (what in ("says NaN", "babbles"))
     assert len(flown[1].commands) >= 2  # the next flight began anew
+
+
+CHILDREN = """
+import os, sys, time
+for _ in range(20): os.write(2, b"x" * 4096)
+if os.fork() == 0:
+    os.setsid()
+    if os.fork() == 0:
+        open(sys.argv[1], "w").write(f"{os.getpid()} {len(os.sched_getaffinity(0))}")
+        time.sleep(60)
+    os._exit(0)
+while not os.path.exists(sys.argv[1]): time.sleep(0.01)
+print(flush=True)
+time.sleep(60)
+"""
+
+
+def test_nothing_that_a_robot_began_is_left(tmp_path, capfd):
+    """Not even what left its session and lost its parent; and it had one core, and a few words."""
+    file, told = tmp_path / "robot.py", tmp_path / "told"
+    file.write_text(CHILDREN)
+    robot = PipeRobot([sys.executable, str(file), str(told)], seconds=0.2)
+    flown = fly(simulation(balls()), robot)
+    assert flown.outcome == "hung"
+    child, cores = told.read_text().split()
+    assert cores == "1"
+    assert not Path(f"/proc/{child}").exists()
+    assert 1000 < len(capfd.readouterr().err) < 20_000
+
+
+def test_a_robot_that_never_begins_is_asked_a_few_times_only():
+    """Its other flights count as hung at once."""
+    robot = PipeRobot([sys.executable, "-c", "import time; time.sleep(60)"], start_seconds=0.2)
+    world, begin = balls(), time.monotonic()
+    outcomes = {fly(simulation(world), robot).outcome for _ in range(40)}
+    assert outcomes == {"hung"}
+    assert time.monotonic() - begin < 4
 
 
 def test_missions_follow_the_rule():
@@ -280,19 +324,53 @@ def test_a_recording_flies_again(tmp_path):
     kept = Recording(robot="scripted", suite=None, courses=[(course, flown)])
     file.write_bytes(kept.encoded())
     assert Recording.read(file).robot == "scripted"
-    again = list(replay(Recording.read(file)))
-    assert [same for _, _, same in again] == [True, True]
-    assert [one.digest for _, one, _ in again] == [one.digest for one in flown]
+    again = replay(*Recording.read(file).courses[0])
+    assert [one.digest for one in again] == [one.digest for one in flown]
     damaged = file.read_text().replace("1.8, 0.0", "0.5, 0.0", 1)
     file.write_text(damaged)
-    assert not all(same for _, _, same in replay(Recording.read(file)))
-    for wrong in ("{}", "[1]", "x", damaged.replace('"radius_m": 0.3', '"radius_m": -1')):
-        file.write_text(wrong)
+    with pytest.raises(DatasetError, match="not as it was recorded"):
+        replay(*Recording.read(file).courses[0])
+    wrong = ("{}", "[1]", "x", damaged.replace('"radius_m": 0.3', '"radius_m": -1'))
+    for text in (*wrong, damaged.replace('"flights": 2', '"flights": 3')):
+        file.write_text(text)
         with pytest.raises(DatasetError, match=r"fly again|format"):
             Recording.read(file)
     file.write_bytes(kept.encoded().replace(course.sha256.encode(), b"0" * 64))
     with pytest.raises(GenerationError, match="another world"):
-        list(replay(Recording.read(file)))
+        replay(*Recording.read(file).courses[0])
+
+
+def test_no_forged_figure_passes(tmp_path):
+    """Whatever is changed of a flight, it is refused, when it is read or when it is flown again;
+    who flew it alone knows how long it thought, and when it died."""
+    course = Course(world="pillar", flights=1, seed=4)
+    flown = fly(course.simulation(0), Scripted([[1.0, 0.0, 0.0, 0.1]] * 6))
+    assert flown.outcome == "crashed"
+    assert replay(course, [flown])[0].digest == flown.digest
+    none = {"commands": flown.commands[:0], "time_s": 0.0, "digest": hashlib.sha256().hexdigest()}
+    forged = [
+        {"outcome": "success", "score": 0.5, "spl": 1.0},
+        {"outcome": "timeout"},
+        {"outcome": "success", "score": 0.5, "spl": 1.0, **none},
+        {"time_s": 0.1},
+        {"score": math.nan},
+        *({name: getattr(flown, name) + 0.01} for name in ("score", "spl", "ratio", "flown_m")),
+        *({name: getattr(flown, name) - 0.01} for name in ("shortest_m", "jerk_mps3", "speed_mps")),
+        *({name: 0.9} for name in ("min_clearance_m", "mean_clearance_m")),
+    ]
+    file = tmp_path / "forged.json"
+    for change in forged:
+        flights = [(course, [replace(flown, **change)])]
+        file.write_bytes(Recording(robot="forged", suite=None, courses=flights).encoded())
+        with pytest.raises(DatasetError):
+            replay(*Recording.read(file).courses[0])
+    turning = course.simulation(0)  # faster than it may, and true in all else
+    for command in (fast := [np.float32([0, 0, 0, 9])] * 3):
+        turning.observe()
+        turning.step(command)
+    turning.outcome = "crashed"
+    with pytest.raises(DatasetError, match="flown again"):
+        replay(course, [scored(turning, fast, [], Counter(), "")])
 
 
 def test_the_suite_is_drawn_as_it_was_frozen(monkeypatch):
@@ -307,10 +385,46 @@ def test_the_suite_is_drawn_as_it_was_frozen(monkeypatch):
     quick = chosen_courses("aerial-1", None, None, quick=True)
     assert len({course.world for course in quick}) == 10
     assert {course.difficulty for course in quick} == {"easy", "medium", "hard"}
-    monkeypatch.setattr(suite, "HIDDEN", 1)
-    hidden = [chosen_courses("aerial-1", seed, None, quick=False) for seed in (5, 5, 6)]
-    assert hidden[0] == hidden[1]
-    assert not set(hidden[0]) & set(hidden[2])
+    named = chosen_courses("aerial-1", 5, None, quick=False)
+    assert len(named) == 50
+    seeds = [hidden_course(named[0], hidden).seed for hidden in (5, 5, 6)]
+    assert seeds[0] == seeds[1] != seeds[2]
+    with pytest.raises(GenerationError, match="another world"):
+        hidden_course(replace(named[0], document="0"), 5)
+
+
+def test_an_entry_keeps_to_its_suite():
+    """Neither an easier vehicle nor a world of one's own, nor the easy ones twice, is an entry."""
+    courses = chosen_courses("aerial-1", None, None, quick=True)
+
+    def part(courses, track="own"):
+        return part_of(
+            Recording(
+                robot="", suite="aerial-1", track=track, courses=[(one, []) for one in courses]
+            )
+        )
+
+    assert str(part(courses)) == "own, quick: 19 of 19 courses"
+    assert "30 of 300 courses, incomplete" in str(part(courses_of("aerial-1")[::10]))
+    hidden = chosen_courses("aerial-1", 7, None, quick=False)
+    assert (part(hidden, track_name(7, None)).there, part(hidden, "hidden x").of) == (50, 50)
+    assert track_name(7, None) != track_name(8, None)
+    small = replace(courses[0].vehicle, radius_m=0.03)
+    forged = [
+        replace(courses[0], vehicle=small),
+        replace(courses[0], rules=Rules(apart_m=1.0)),
+        replace(courses[0], lidar="ouster-os1-128"),
+        replace(courses[0], seed=11),
+        replace(courses[0], document=""),
+        replace(courses[0], flights=1),
+        courses[1],
+        hidden[0],
+    ]
+    for one in forged:
+        with pytest.raises(DatasetError, match="no course of aerial-1"):
+            part([one, *courses[1:]])
+    with pytest.raises(DatasetError, match="no track easy"):
+        part(courses, "easy")
 
 
 def test_what_is_unknown_of_a_map_is_flown_through_and_never_flown_to(tmp_path):

@@ -1,0 +1,135 @@
+"""The leaderboard: a page of the entries to a suite."""
+
+import html
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+from scenegen.errors import DatasetError, ScenegenError, raised_as
+from scenegen.files import Json
+from scenegen.fly.course import Recording
+from scenegen.fly.loop import Flown, marks
+from scenegen.fly.suite import Part, named, part_of
+from scenegen.model.evaluation.page import HEAD, STYLE
+from scenegen.model.evaluation.statistics import Scale, brief, figure, interval
+
+
+class Column(NamedTuple):
+    """What the leaderboard tells of flights."""
+
+    of: Callable[[Flown], float]
+    most: float = 1.0
+    """No value is greater, and none is less than 0: intervals end there."""
+    scale: Scale = "amount"
+
+
+BOARD = {
+    "success": Column(lambda one: one.outcome == "success", scale="outcome"),
+    "collision": Column(lambda one: one.outcome == "collision", scale="outcome"),
+    "time-out": Column(lambda one: one.outcome == "timeout", scale="outcome"),
+    "score": Column(lambda one: one.score, 0.5),
+    "SPL": Column(lambda one: one.spl),
+    "least clearance, m": Column(lambda one: one.min_clearance_m),
+    "mean clearance, m": Column(lambda one: one.mean_clearance_m),
+    "decision, ms": Column(lambda one: 1e3 * one.step_s, float("inf")),
+}
+BEST = "score, less the best's"
+"""The last column: the differences flight by flight."""
+SORTED = """
+for (const head of document.querySelectorAll("th")) head.onclick = () => {
+  const rows = [...head.closest("table").tBodies[0].rows], n = head.cellIndex;
+  const value = (row) => row.cells[n].textContent;
+  rows.sort((a, b) =>
+    parseFloat(value(b)) - parseFloat(value(a)) || value(a).localeCompare(value(b)));
+  rows.forEach((row) => row.parentElement.append(row));
+};
+"""
+
+
+class Row(NamedTuple):
+    """An entry's flights, in the order of their courses' names."""
+
+    robot: str
+    worlds: Sequence[str]
+    """The hash of each flight's world."""
+    flights: Sequence[Flown]
+
+    @property
+    def scores(self) -> list[float]:
+        """Of each flight."""
+        return [one.score for one in self.flights]
+
+
+def leaderboard(folder: Path) -> str:
+    """An HTML page of all entries (.json) in a folder: a table for each choice of courses, those of
+    whole tracks first, the best score first, with 95 % intervals over worlds. A click on a column's
+    head sorts by it.
+
+    Scores are those of the recorded outcomes, times and lengths, which `--replay` checks. Raises
+    DatasetError for a file that is no entry, or has courses that are not its suite's.
+    """
+    tables: dict[tuple[str, ...], tuple[Part, list[Row]]] = {}
+    for path in sorted(folder.glob("*.json")):
+        entry = Recording.read(path)
+        with raised_as(DatasetError, f"{path}: ", of=DatasetError):
+            part = part_of(entry)
+        row = _row(entry)
+        key = (str(entry.suite), str(part), *row.worlds)
+        tables.setdefault(key, (part, []))[1].append(row)
+    if not tables:
+        raise ScenegenError(f"{folder}: holds no entry, .json as `fly --suite -o` writes it")
+    whole_first = sorted(tables.items(), key=lambda table: table[1][0].there < table[1][0].of)
+    body = "".join(_table(f"{key[0]}, {key[1]}", rows) for key, (_, rows) in whole_first)
+    page = HEAD.replace("img-src", "script-src 'unsafe-inline'; img-src")
+    page += f"<title>Robots</title><style>{STYLE} th {{ cursor: pointer; }}</style></head>"
+    return f"{page}<body><h1>Robots</h1>{body}<script>{SORTED}</script></body></html>\n"
+
+
+def _row(entry: Recording) -> Row:
+    """An entry's flights, with the scores that their outcomes, times and lengths give."""
+    worlds, found = [], []
+    for course, flights in sorted(entry.courses, key=lambda one: str(named(one[0]))):
+        for one in flights:
+            best_s = one.shortest_m / course.vehicle.speed_mps
+            success = one.outcome == "success"
+            given = marks(success, one.time_s, one.flown_m, one.shortest_m, best_s)
+            found.append(replace(one, score=given["score"], spl=given["spl"]))
+            worlds.append(course.document)
+    return Row(entry.robot, worlds, found)
+
+
+def _table(title: str, rows: Sequence[Row]) -> str:
+    """A table of entries that flew the same courses."""
+    ordered = sorted(rows, key=lambda row: -sum(row.scores))
+    lines = "".join(_line(row, ordered[0]) for row in ordered)
+    heads = "".join(f"<th>{name}</th>" for name in ("robot", "flights", *BOARD, BEST))
+    return (
+        f"<h2>{html.escape(title)}</h2><div class='wide'><table><thead><tr>{heads}</tr></thead>"
+        f"<tbody>{lines}</tbody></table></div>"
+    )
+
+
+def _line(row: Row, best: Row) -> str:
+    """A row of a table."""
+    cells = [str(len(row.flights))]
+    for column in BOARD.values():
+        found = figure([column.of(one) for one in row.flights], row.worlds, column.scale)
+        cells.append(brief(_within(found, column.most)))
+    if row is best:
+        cells.append("–")
+    else:
+        pairs = zip(row.scores, best.scores, strict=True)
+        less = figure([one - other for one, other in pairs], row.worlds)
+        cells.append(f"{less['mean']:+.3f} {interval(less, '+.3f')}")
+    return f"<tr><th>{html.escape(row.robot)}</th>{_cells(cells)}</tr>"
+
+
+def _cells(texts: Iterable[str]) -> str:
+    return "".join(f"<td>{text}</td>" for text in texts)
+
+
+def _within(found: Json, most: float) -> Json:
+    """A figure whose interval holds no value that cannot be."""
+    ends = {name: found[name] for name in ("low", "high") if found[name] is not None}
+    return found | {name: min(max(end, 0.0), most) for name, end in ends.items()}

@@ -1,0 +1,184 @@
+"""Flights through many courses: flown, kept in a file, and flown again."""
+
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from scenegen.cli.show import Progress
+from scenegen.errors import DatasetError, ScenegenError, raised_as
+from scenegen.files import write_result
+from scenegen.model.robots import real_course
+from scenegen.run import Executor, undone_if_stopped
+
+if TYPE_CHECKING:  # the command line imports this before it knows what to do
+    from scenegen.fly.course import Course, Flights, Recording
+    from scenegen.fly.loop import Flown
+
+Work = Callable[["Course"], tuple["Course", Sequence["Flown"]]]
+"""What flies a course."""
+SAVED_S = 20.0
+"""How often the entry to a suite is written, seconds."""
+NOTHING_KEPT = "stopped; no flight is kept"
+
+
+def network_digest(weights: str | None) -> str:
+    """SHA-256 of a network's file; "" for none."""
+    from scenegen.files import sha256_of
+    from scenegen.model.completion.completer import locate
+
+    return "" if weights is None else sha256_of(locate(weights).read_bytes())
+
+
+def fly_courses(
+    courses: "Sequence[Course]",
+    work: Work,
+    name: str,
+    suite: str | None,
+    out: Path | None,
+    execute: Executor,
+    progress: Progress,
+    *,
+    track: str = "",
+    network: str = "",
+) -> "Flights":
+    """The flights through all courses, in their order. What `out` holds of a suite's entry is not
+    flown again; the entry is written every `SAVED_S` seconds, and when the run is stopped."""
+    from scenegen.fly.course import Recording
+    from scenegen.fly.suite import is_whole, named
+
+    entry = Recording(robot=name, suite=suite, track=track, network=network, courses=())
+    keys = [named(course) for course in courses]
+    found = _kept(out, entry, keys)
+    left = [course for course, key in zip(courses, keys, strict=True) if key not in found]
+
+    def save() -> str:
+        """Writes what there is; returns what to say of it if the run is stopped."""
+        if out is None:
+            return NOTHING_KEPT
+        held = replace(entry, courses=[found[key] for key in keys if key in found])
+        write_result(out, replace(held, complete=is_whole(held)).encoded())
+        there = f"{len(held.courses)} of {len(keys)} courses"
+        return f"stopped; {out} holds {there}: give the same command again to go on"
+
+    def fly_left() -> None:
+        """Flies what is left, and saves now and then."""
+        saved_s, total = time.monotonic(), sum(course.flights for course in left)
+        for course, flown in execute(work, left, lambda: progress.start(total)):
+            found[named(course)] = course, flown
+            progress.count(len(flown))
+            if suite and time.monotonic() - saved_s > SAVED_S:
+                save()
+                saved_s = time.monotonic()
+
+    # only an entry is gone on with: of other flights, all are kept or none
+    with undone_if_stopped(save if suite else lambda: NOTHING_KEPT):
+        try:
+            fly_left()
+        finally:
+            if left and len(found) >= (1 if suite else len(keys)):
+                save()
+    return [(course, found[key][1]) for course, key in zip(courses, keys, strict=True)]
+
+
+def _kept(
+    out: Path | None, entry: "Recording", keys: "Sequence[Course]"
+) -> "dict[Course, tuple[Course, Sequence[Flown]]]":
+    """The flights that `out` holds of an entry, by their courses' names. Raises ScenegenError where
+    anything would be lost."""
+    from scenegen.fly.course import Recording
+    from scenegen.fly.suite import named, track_of
+
+    if out is None or not out.exists():
+        return {}
+    if entry.suite is None:
+        with suppress(DatasetError):  # another file, which `write_result` knows
+            if Recording.read(out).suite:
+                raise ScenegenError(f"{out}: is an entry to a suite; give another name")
+        return {}
+    former = Recording.read(out)
+    entry = replace(entry, track=entry.track or track_of(former))
+    if (former.robot, former.suite, track_of(former)) != (entry.robot, entry.suite, entry.track):
+        raise ScenegenError(
+            f"{out}: is an entry of {former.robot} to {former.suite}'s track "
+            f"{track_of(former)[:14]}; give another name"
+        )
+    if former.network and entry.network and former.network != entry.network:
+        raise ScenegenError(f"{out}: is of another network called {entry.robot}; remove it")
+    found = {named(course): (course, flown) for course, flown in former.courses}
+    if not found.keys() <= {*keys}:  # they would be lost
+        raise ScenegenError(f"{out}: is an entry with other courses, too; give another name")
+    return found
+
+
+def read_recording(
+    path: "Path", hidden: int | None, maps: "Path | None"
+) -> "tuple[Recording, dict[str, str]]":
+    """A recording to fly again, with its maps where they are; and what is to be told of an entry.
+
+    Raises ScenegenError where `hidden` or `maps` are not those of the entry, or a course is not one
+    of its suite's.
+    """
+    from scenegen.fly.course import Recording
+    from scenegen.fly.suite import frozen_courses, map_courses, named, part_of, track_name
+
+    recording, track = Recording.read(path), track_name(hidden, maps)
+    if recording.suite is None:
+        if track != "own":
+            raise ScenegenError(f"{path}: is no entry to a suite; leave out --hidden and --maps")
+        return recording, {}
+    with raised_as(DatasetError, f"{path}: ", of=DatasetError):
+        part = part_of(recording)
+    if part.track != track:
+        raise ScenegenError(
+            f"{path}: is an entry to the track {part.track[:14]}, not {track[:14]}; give --hidden "
+            "and its number, --maps and their folder, or neither"
+        )
+    # the suite's own, in place of worlds that a stranger's file leads to by another path
+    ours = frozen_courses(recording.suite, track) if maps is None else map_courses(maps)
+    there = {named(course): course for course in ours}
+    found = [
+        (replace(there[named(course)], document=course.document), flights)
+        for course, flights in recording.courses
+    ]
+    return replace(recording, courses=found), {"courses": str(part)}
+
+
+def flown_again(
+    recording: "Recording", hidden: int | None, execute: Executor, progress: Progress
+) -> "Flights":
+    """The flights of a recording, flown again. Raises DatasetError where one is not as it was."""
+    work, found = partial(_replayed, hidden=hidden), {}
+    count = sum(len(flights) for _, flights in recording.courses)
+    for course, flown in execute(work, recording.courses, lambda: progress.start(count)):
+        found[course] = flown
+        progress.count(len(flown))
+    return [(course, found[course]) for course, _ in recording.courses]
+
+
+def flown_anew(recording: "Recording", work: Work, execute: Executor, progress: Progress) -> str:
+    """How many flights of every sixteenth course a robot flies to the bit as they were recorded."""
+    from scenegen.fly.suite import QUICK, named
+
+    some = recording.courses[::QUICK]
+    before = {named(course): flights for course, flights in some}
+    count, same = sum(map(len, before.values())), 0
+    courses = [course for course, _ in some]
+    for course, flown in execute(work, courses, lambda: progress.restart("fly anew", count, 0)):
+        pairs = zip(flown, before[named(course)], strict=True)
+        same += sum(one.digest == other.digest for one, other in pairs)
+        progress.count(len(flown))
+    return f"{same} of {count} flights"
+
+
+def _replayed(
+    recorded: "tuple[Course, Sequence[Flown]]", *, hidden: int | None
+) -> "tuple[Course, Sequence[Flown]]":
+    """The recorded flights of a course, flown again: see `scenegen.fly.course.replay`."""
+    from scenegen.fly.course import replay
+
+    course, flights = recorded
+    return course, replay(real_course(course, hidden), flights)
