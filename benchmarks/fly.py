@@ -130,8 +130,10 @@ def tables(found: dict[str, list[Row]]) -> list[str]:
             lines += ["", f"## {what.capitalize()}, by {title}", "", *head(groups)]
             for name, rows in found.items():
                 parts = [[row for row in rows if key(row[0]) == group] for group in groups]
-                means = [np.nanmean([FIGURES[what](one) for _, one in part]) for part in parts]
-                lines.append(line(f"`{Path(name).stem}`", [f"{mean:.2f}" for mean in means]))
+                values = [np.array([FIGURES[what](one) for _, one in part]) for part in parts]
+                shown = [each[np.isfinite(each)] for each in values]
+                cells = [f"{each.mean():.2f}" if len(each) else "–" for each in shown]
+                lines.append(line(f"`{Path(name).stem}`", cells))
     return lines
 
 
