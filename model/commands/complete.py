@@ -203,7 +203,8 @@ def _tasks(
     if poses is not None or is_log(found):
         log = read_log(found, poses=poses, topic=topic)
         return len(range(0, len(log.poses), every)), scans_of_log(log, every)
-    scans = scans_in(found)[::every]
+    kept = found / "observations"  # what `ingest` keeps beside its maps
+    scans = scans_in(kept if kept.is_dir() else found)[::every]
     if not scans:
         raise DatasetError(
             f"{found}: holds neither a dataset (no dataset.json) nor scans; expected .ply, .pcd, "

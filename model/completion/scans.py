@@ -37,11 +37,11 @@ from scenegen.model.inputs import PointScan, channels, input_called
 TRUTH = ("occupancy", "known")
 """What an observation of `scenegen ingest` has besides its scan: what the whole log tells."""
 BELOW_M = 5.0
-"""The ground is looked for among the returns below the sensor that are within so many metres of it,
-seen from above."""
+"""What is below the sensor is looked for among the lower returns that are within so many metres of
+it, seen from above."""
 LEAST_BELOW, LOWEST = 20, 0.1
-"""How many of these it takes to tell the sensor's height, and which quantile of them is the
-ground."""
+"""How many of these it takes to tell the sensor's height, and which quantile of them is taken: the
+ground, where the sensor looks down far enough."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -73,7 +73,7 @@ class Completed:
     inside: int
     """Points within the map."""
     height_m: float | None
-    """The sensor's above the ground below it; None where too few returns tell it."""
+    """The sensor's above what it sees below it; None where too few returns tell it."""
     untold: tuple[str, ...]
     """What points do not tell of the network's inputs."""
     away: bool = False
@@ -85,7 +85,7 @@ class Completed:
         outside = self.points - self.without - self.inside
         height = "unknown"
         if self.height_m is not None:
-            height = f"some {self.height_m:.1f} m above the ground"
+            height = f"some {self.height_m:.1f} m above what it sees below it"
         parts = [
             f"{self.inside} of {self.points} points used, {self.without} without a return, "
             f"{outside} outside the map; the sensor's height is {height}",
@@ -154,7 +154,7 @@ def predict_scan(
         points=len(points),
         without=len(points) - len(returned),
         inside=len(seen.voxels),
-        height_m=height_above_ground(returned - given.position),
+        height_m=height_above_returns(returned - given.position),
         untold=tuple(filter(None, untold)),
     )
     if not len(seen.voxels):
@@ -199,8 +199,8 @@ def _iou(occupied: Mask, occupancy: Mask, known: Mask) -> float:
     return float((occupied & occupancy & known).sum() / either.sum()) if either.any() else 1.0
 
 
-def height_above_ground(points: Floats) -> float | None:
-    """How high the sensor is above the ground, metres, by returns (N, 3) seen from it."""
+def height_above_returns(points: Floats) -> float | None:
+    """How high the sensor is above what it sees below it, metres, by returns (N, 3) from it."""
     below = points[(np.hypot(points[:, 0], points[:, 1]) < BELOW_M) & (points[:, 2] < 0), 2]
     return -float(np.quantile(below, LOWEST)) if len(below) >= LEAST_BELOW else None
 
@@ -254,7 +254,9 @@ def summary(done: Sequence[Completed]) -> list[str]:
     away = sum(one.away for one in done)
     lines = list(dict.fromkeys(what for one in done for what in one.untold))
     if heights:
-        lines.append(f"the sensor is {min(heights):.1f} to {max(heights):.1f} m above the ground")
+        lines.append(
+            f"the sensor is {min(heights):.1f} to {max(heights):.1f} m above what it sees below it"
+        )
     elif done:
         lines.append("too few returns lie below the sensor to tell its height")
     if away:

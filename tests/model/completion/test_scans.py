@@ -8,7 +8,7 @@ from lidarsim import GridSpec, Pose
 from lidarsim.pose import rotate
 from scenegen.display.exchange.files import write_points
 from scenegen.model.completion.completer import Completer
-from scenegen.model.completion.scans import height_above_ground, predict_scan, read_scan
+from scenegen.model.completion.scans import height_above_returns, predict_scan, read_scan
 from tests.command_line import run
 
 TILT = Pose(
@@ -36,7 +36,7 @@ def test_scans_of_a_log_stand_upright_in_its_frame(tmp_path, points, capsys):
     words = ("complete", log, "--every", 2, "-o", tmp_path / "out", "--device", "cpu")
     code, said, noted = run(capsys, *words)
     assert (code, said.startswith(f"{tmp_path / 'out'}: 2 completions")) == (0, True)
-    assert "the sensor is 1.3 to 1.3 m above the ground" in noted
+    assert "the sensor is 1.3 to 1.3 m above what it sees" in noted
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
         *("000000.h5", "000002.h5", "index.html")
     ]
@@ -66,5 +66,5 @@ def test_an_observation_is_scored_over_what_its_log_knows(tmp_path, points):
 
 
 def test_the_ground_is_what_lies_below_the_sensor(points):
-    assert height_above_ground(points) == pytest.approx(1.27)
-    assert height_above_ground(points[points[:, 2] > 0]) is None
+    assert height_above_returns(points) == pytest.approx(1.27)
+    assert height_above_returns(points[points[:, 2] > 0]) is None
