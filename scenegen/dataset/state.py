@@ -87,7 +87,8 @@ class State:
     @property
     def done(self) -> bool:
         """Whether every shard is known, and the manifest that was read says just that."""
-        return len(self.reports) == len(self.plan.shards) and self._written == self._final()
+        whole = len(self.reports) == len(self.plan.shards)
+        return whole and _text(self._written) == _text(self._final())
 
     def _final(self) -> dict[str, Any]:
         """The manifest of what is known."""
@@ -259,7 +260,7 @@ class State:
             if whole := not self.absent():
                 self.look(self.plan.shards, workers=workers)
             final = self._final()
-            if manifest.read(self.plan.folder) != final:
+            if _text(manifest.read(self.plan.folder)) != _text(final):
                 manifest.write(self.plan.folder, final)
             if final["complete"]:
                 remove_notes(self.plan.folder)
@@ -288,6 +289,11 @@ class State:
 
     def _known(self, shards: Sequence[ShardTask]) -> list[ShardReport]:
         return [self.reports[shard.file] for shard in shards if shard.file in self.reports]
+
+
+def _text(there: Mapping[str, Any]) -> str:
+    """A manifest to compare with another one: to Python, false is 0 and 1.0 is 1."""
+    return json.dumps(there, sort_keys=True)
 
 
 def _report(task: tuple[ShardTask, trust.Entry | None]) -> ShardReport | None:
