@@ -130,7 +130,7 @@ def complete(
             f"{found}: is a map, in which a sensor has to fly first: scenegen generate --scene "
             f"{found} -o data/seen; then scenegen complete data/seen --split train"
         )
-    several = not stored and (found.is_dir() or is_log(found))
+    several = not stored and (found.is_dir() or is_log(found) or poses is not None)
     tasks = _tasks(found, sensor, every, poses, topic) if several else None
     usual = DEFAULT_NETWORK if stored else POINTS_NETWORK
     completer = Completer.from_pretrained(weights or usual, device=chosen, batch=batch)

@@ -69,6 +69,8 @@ def read_log(path: Path, *, poses: Path | None = None, topic: str | None = None)
     """
     if not path.is_dir():
         if path.suffix in RECORDINGS:
+            if poses is not None:
+                raise DatasetError(f"{path}: a recording holds its own poses; leave out --poses")
             return _read_recording(path, topic)
         raise DatasetError(
             f"{path}: expected a recording ({', '.join(RECORDINGS)}), or a folder of clouds"
