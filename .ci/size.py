@@ -14,7 +14,7 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 307_850, "benchmarks": 36_300, "tests": 265_300}
+TOKENS = {"product": 308_020, "benchmarks": 36_300, "tests": 265_540}
 FILES = 254
 LINES = 400
 """The longest file of product code."""

@@ -1,5 +1,5 @@
-"""`scenegen complete`: predictions of a dataset's split, of one scan, of a folder of scans, or of a
-log."""
+"""`scenegen complete`: predictions of a dataset's split, of one scan, of a folder of scans, of a
+log, or of what a sensor sees in a map."""
 
 from collections.abc import Iterable
 from functools import partial
@@ -30,10 +30,8 @@ if TYPE_CHECKING:
     from scenegen.model.completion.scans import Task
     from scenegen.run import Executor
 
-OCTREES = (".bt", ".ot")
-"""Maps of OctoMap."""
 MOST_SHOWN = 24
-"""Completions on the page of a folder or a log, evenly spread."""
+"""Completions on the page of a folder, a log or a map, evenly spread."""
 
 
 @command(
@@ -41,6 +39,7 @@ MOST_SHOWN = 24
     "complete scan.ply --sensor 0 0 1.2",
     "complete kitti/sequences/00/velodyne -o completed",
     "complete drive.mcap --every 10 -o completed",
+    "complete campus.bt --n 50 -o completed",
 )
 @click.argument("source", type=DatasetPath())
 @click.option(
@@ -56,8 +55,8 @@ MOST_SHOWN = 24
     "--out",
     "out",
     type=OutputFile(folders=True),
-    help="File to write; of a folder of scans or a log, a folder.  [default: predictions.h5, or "
-    "<scan>.completed.h5]",
+    help="File to write; of a folder of scans, a log or a map, a folder.  [default: "
+    "predictions.h5, or <scan>.completed.h5]",
 )
 @click.option(
     "--sensor",
@@ -73,6 +72,9 @@ MOST_SHOWN = 24
 )
 @click.option("--poses", type=FILE, help="The poses of a folder of clouds, as for `ingest`.")
 @click.option("--topic", help="The clouds of a recording that has several.")
+@click.option(
+    "--n", "count", type=click.IntRange(1, 10**6), default=MOST_SHOWN, help="Viewpoints in a map."
+)
 @device_option
 @click.option(
     "--batch",
@@ -83,7 +85,7 @@ MOST_SHOWN = 24
 @workers_option
 @on_option
 @quiet_option
-@group("Scans and logs", "sensor every poses topic")
+@group("Scans, logs and maps", "sensor every poses topic count")
 def complete(
     source: Path | str,
     weights: str | None,
@@ -93,19 +95,21 @@ def complete(
     every: int,
     poses: Path | None,
     topic: str | None,
+    count: int,
     device: str,
     batch: int,
     workers: int,
     on: str,
     quiet: bool,
 ) -> None:
-    """Complete a dataset's split, a scan, all scans in a folder and below it, or a log.
+    """Complete a dataset's split, a scan, all scans in a folder and below it, a log, or a map.
 
     Scans are .ply, .pcd, .bin, .npz, .xyz or .npy: points in metres, z up, the sensor at the
     origin. A log is what `ingest` takes: a recording of ROS, or a folder with poses, such as a
-    sequence of KITTI's; its scans are turned upright by their poses. A page shows some completions
-    where there are several scans. One process completes; with --on or --workers, so many do, each
-    on one thread of a processor unless --device says more.
+    sequence of KITTI's; its scans are turned upright by their poses. Through a map (.bt, .ot, or
+    .npz of `scenegen map`), the paper's sensor flies, and what it sees is completed. A page shows
+    some completions where there are several. One process completes; with --on or --workers, so
+    many do, each on one thread of a processor unless --device says more.
     """
     from scenegen.dataset.locate import locate
     from scenegen.dataset.manifest import NAME
@@ -115,6 +119,7 @@ def complete(
     from scenegen.model.completion.scans import predict_scan, read_scan
     from scenegen.model.training.device import choose_device
     from scenegen.run import executor
+    from scenegen.worlds import is_map
 
     elsewhere = was_given("on") or was_given("workers")
     chosen = choose_device("cpu" if elsewhere and device == "auto" else device)
@@ -125,19 +130,17 @@ def complete(
         raise DatasetError(
             f"{found}: --on and --workers complete a dataset's split; leave them out for scans"
         )
-    if found.suffix in OCTREES:
-        raise DatasetError(
-            f"{found}: is a map, in which a sensor has to fly first: scenegen generate --scene "
-            f"{found} -o data/seen; then scenegen complete data/seen --split train"
-        )
     several = not stored and (found.is_dir() or is_log(found) or poses is not None)
     tasks = _tasks(found, sensor, every, poses, topic) if several else None
     usual = DEFAULT_NETWORK if stored else POINTS_NETWORK
     completer = Completer.from_pretrained(weights or usual, device=chosen, batch=batch)
-    if tasks is not None:
+    if tasks is not None or is_map(found):
         name = found.stem if found.is_file() else real_path(found).name
         out = out or Path(f"{name}.completed")
-        _complete_all(completer, tasks, out, quiet)
+        if tasks is not None:
+            _complete_all(completer, tasks, out, quiet)
+        else:
+            _complete_map(completer, found, count, out, batch, quiet)
         return
     out = out or (Path("predictions.h5") if stored else found.with_suffix(".completed.h5"))
     make_way(out)
@@ -186,6 +189,22 @@ def _complete_split(
             f"denies more of their returns than of {UNUSUAL:.0%} of the maps it was calibrated "
             f"on, so expect worse completions"
         )
+
+
+def _complete_map(
+    completer: "Completer", place: Path, count: int, out: Path, batch: int, quiet: bool
+) -> None:
+    """Fly a sensor through a map, into the dataset `out`/seen; complete what it saw, and write a
+    page of some."""
+    from scenegen.dataset.generation import generate
+    from scenegen.model.commands.view import write_page
+    from scenegen.model.commands.weights import chosen
+
+    seen = generate(n=count, scene=place, out=out / "seen")
+    predictions = out / "predictions.h5"
+    _complete_split(completer, seen.folder, "train", predictions, batch, None, quiet)
+    guesses, _ = chosen(seen, "train", predictions, (), trial=0, no_paths=True)
+    write_page(seen, "train", (), MOST_SHOWN, out / "index.html", quiet, guesses)
 
 
 def _tasks(

@@ -116,10 +116,10 @@ def view(
     if out is None:
         _serve(opened, split, indices[0] if indices else 0, (host, port), guesses, methods)
     else:
-        _write(opened[0], split, indices, count, out, quiet, guesses)
+        write_page(opened[0], split, indices, count, out, quiet, guesses)
 
 
-def _write(
+def write_page(
     found: "Dataset",
     split: str,
     indices: tuple[int, ...],
@@ -128,7 +128,8 @@ def _write(
     quiet: bool,
     guesses: "Guesses | None",
 ) -> None:
-    """Writes a page that holds what it shows."""
+    """Write a page that holds what it shows: samples of a split by `indices`, else `count` of them,
+    evenly spread."""
     from scenegen.display.look import looks, spread, title_of
     from scenegen.display.page import check_grid, page
     from scenegen.files import write_result

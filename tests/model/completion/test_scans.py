@@ -4,11 +4,13 @@ import h5py
 import numpy as np
 import pytest
 
+import scenegen
 from lidarsim import GridSpec, Pose
 from lidarsim.pose import rotate
 from scenegen.display.exchange.files import write_points
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.scans import height_above_returns, predict_scan, read_scan
+from scenegen.worlds.place import FREE, OCCUPIED, VoxelMap, encode_map
 from tests.command_line import run
 
 TILT = Pose(
@@ -68,3 +70,21 @@ def test_an_observation_is_scored_over_what_its_log_knows(tmp_path, points):
 def test_the_ground_is_what_lies_below_the_sensor(points):
     assert height_above_returns(points) == pytest.approx(1.27)
     assert height_above_returns(points[points[:, 2] > 0]) is None
+
+
+def test_a_map_is_flown_through_and_what_is_seen_is_completed(tmp_path, capsys):
+    states = np.full((160, 160, 60), FREE, np.uint8)
+    states[:, :, 0] = states[::30, :, :20] = states[:, ::40, :8] = OCCUPIED
+    content = encode_map(VoxelMap(states, 0.2, np.zeros(3)), "hall")
+    (tmp_path / "hall.npz").write_bytes(content)
+    out = tmp_path / "out"
+    words = ("complete", tmp_path / "hall.npz", "--n", 2, "-o", out, "--device", "cpu")
+    code, _, noted = run(capsys, *words)
+    assert code == 0, noted
+    seen = scenegen.load(out / "seen")
+    with h5py.File(out / "predictions.h5") as file:
+        said = file["occupancy_probability"][:]
+    complete = Completer.from_pretrained("anywhere")
+    found = [complete(one) for one in seen]
+    np.testing.assert_allclose(said, [one.occupancy_probability for one in found], atol=1e-3)
+    assert "hall" in (out / "index.html").read_text()
