@@ -135,7 +135,7 @@ MOST_FLIGHTS = 10_000
     type=click.Path(path_type=Path, exists=True, file_okay=False),
     help="Write a page (-o, .html) of all entries in a folder, in place of all else.",
 )
-@out_option("Where to record the flights, .json.", file=True)
+@out_option("Where to record the flights, .json.")
 @click.option(
     "--picture",
     type=OutputFile(),

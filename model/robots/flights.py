@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from scenegen.cli.show import Progress
 from scenegen.errors import DatasetError, ScenegenError, raised_as
-from scenegen.files import write_result
+from scenegen.files import check_ours, write_result, write_whole
 from scenegen.model.robots import real_course
 from scenegen.run import Executor, undone_if_stopped
 
@@ -60,7 +60,9 @@ def fly_courses(
         if out is None:
             return NOTHING_KEPT
         held = replace(entry, courses=[found[key] for key in keys if key in found])
-        write_result(out, replace(held, complete=is_whole(held)).encoded())
+        content = replace(held, complete=is_whole(held)).encoded()
+        # an entry that is there was read, wherever it was copied from
+        write_whole(out, content) if suite and out.exists() else write_result(out, content)
         there = f"{len(held.courses)} of {len(keys)} courses"
         return f"stopped; {out} holds {there}: give the same command again to go on"
 
@@ -95,9 +97,10 @@ def _kept(
     if out is None or not out.exists():
         return {}
     if entry.suite is None:
-        with suppress(DatasetError):  # another file, which `write_result` knows
+        with suppress(DatasetError):  # another file
             if Recording.read(out).suite:
                 raise ScenegenError(f"{out}: is an entry to a suite; give another name")
+        check_ours(out)
         return {}
     former = Recording.read(out)
     entry = replace(entry, track=entry.track or track_of(former))
