@@ -14,7 +14,7 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 308_040, "benchmarks": 36_300, "tests": 265_550}
+TOKENS = {"product": 308_070, "benchmarks": 36_370, "tests": 265_690}
 FILES = 254
 LINES = 400
 """The longest file of product code."""

@@ -6,7 +6,8 @@
 
 ENTRIES is a folder with an entry of each robot, as `scenegen fly --suite` writes them; one that is
 there goes on. Every tenth course is one world of each kind and difficulty. A name that is no
-robot's is a network, with which a robot maps. Decisions are timed in this process alone.
+robot's is a network, with which a robot maps; as `returns:NETWORK`, it completes the last scan
+alone. Decisions are timed in this process alone.
 """
 
 import tempfile
@@ -25,7 +26,7 @@ from scenegen.fly.course import Course
 from scenegen.fly.loop import Flown
 from scenegen.fly.suite import DIFFICULTIES, MAPS, courses_of, map_courses
 from scenegen.model.evaluation.statistics import brief, figure, head, interval, line
-from scenegen.model.robots import MAPPING, NAMES, fly_course, robot_maker
+from scenegen.model.robots import FORGETFUL, MAPPING, NAMES, fly_course, robot_maker
 from scenegen.model.robots.flights import fly_courses
 from scenegen.model.robots.mapping import RIM
 from scenegen.recipes import kind_names
@@ -71,7 +72,7 @@ def main() -> None:
             replace(one, vehicle=replace(one.vehicle, dynamics=given.dynamics)) for one in courses
         ]
         found = {
-            name: flown(name, courses, (given.entries or Path(spare)) / f"{Path(name).stem}.json")
+            titled(name): flown(name, courses, given.entries or Path(spare))
             for name in given.robots
         }
     page = given.page or (PAGE.with_stem("fly-real") if given.maps else PAGE)
@@ -81,10 +82,27 @@ def main() -> None:
     page.write_text(f"{said}<!-- tables -->\n" + "\n".join(lines) + "\n")
 
 
-def flown(name: str, courses: Sequence[Course], entry: Path) -> list[Row]:
-    """The flights of a robot through all courses; those that its `entry` holds are not flown."""
-    entry.parent.mkdir(parents=True, exist_ok=True)
-    robot, weights = (name, None) if name in NAMES else ("optimistic", name)
+def parts(name: str) -> tuple[str, str | None]:
+    """The robot and the network that a name of --robots stands for."""
+    if name in NAMES:
+        return name, None
+    network = name.removeprefix(f"{FORGETFUL}:")
+    return ("optimistic" if network == name else FORGETFUL), network
+
+
+def titled(name: str) -> str:
+    """What a robot is called in tables and in the name of its entry."""
+    robot, network = parts(name)
+    if network is None:
+        return robot
+    return Path(network).stem + (", last scan" if robot == FORGETFUL else "")
+
+
+def flown(name: str, courses: Sequence[Course], entries: Path) -> list[Row]:
+    """The flights of a robot through all courses; those that its entry holds are not flown."""
+    entries.mkdir(parents=True, exist_ok=True)
+    entry = entries / f"{titled(name)}.json"
+    robot, weights = parts(name)
     work = partial(fly_course, robot=robot, weights=weights)
     with Progress(name, shown=False) as progress:
         done = fly_courses(courses, work, name, "aerial-1", entry, Local("", 1), progress)
@@ -108,7 +126,7 @@ def tables(found: dict[str, list[Row]]) -> list[str]:
             for title, of in FIGURES.items()
         ]
         step = np.mean([one.step_s for _, one in rows]) * 1e3
-        lines.append(line(f"`{Path(name).stem}`", [*cells, f"{step:.1f}"]))
+        lines.append(line(f"`{name}`", [*cells, f"{step:.1f}"]))
     for base in filter(found.__contains__, BASELINES):
         lines += ["", f"## Flight by flight, less `{base}`", "", *head(["success", "score"])]
         for name, rows in found.items():
@@ -118,7 +136,7 @@ def tables(found: dict[str, list[Row]]) -> list[str]:
                 differences = [of(one) - of(other) for (_, one), (_, other) in pairs]
                 one = figure(differences, [course.sha256 for course, _ in rows])
                 cells.append(f"{one['mean']:+.3f} {interval(one, '+.3f')}")
-            lines.append(line(f"`{Path(name).stem}`", cells))
+            lines.append(line(f"`{name}`", cells))
     for title, groups, key in (
         ("difficulty", DIFFICULTIES, lambda course: course.difficulty),
         ("kind", kind_names(), lambda course: course.world),
@@ -133,7 +151,7 @@ def tables(found: dict[str, list[Row]]) -> list[str]:
                 values = [np.array([FIGURES[what](one) for _, one in part]) for part in parts]
                 shown = [each[np.isfinite(each)] for each in values]
                 cells = [f"{each.mean():.2f}" if len(each) else "–" for each in shown]
-                lines.append(line(f"`{Path(name).stem}`", cells))
+                lines.append(line(f"`{name}`", cells))
     return lines
 
 
@@ -149,7 +167,7 @@ def how_hard(found: dict[str, list[Row]]) -> list[str]:
         lines.append(line(f"`{name}`", [f"{np.nanmean(values):.2f}" for values in of_level]))
     robots = {name: rows for name, rows in found.items() if name != "truth"}
     lines += ["", "Success in the easiest third, by the figure · in the hardest:", ""]
-    lines += head([f"`{Path(name).stem}`" for name in robots])
+    lines += head([f"`{name}`" for name in robots])
     reached = [np.array([FIGURES["success"](one) for _, one in rows]) for rows in robots.values()]
     for name, harder in HARDER.items():
         order = np.argsort([harder * getattr(it, name) for _, it in grades], kind="stable")
@@ -176,7 +194,7 @@ def first_plans(found: dict[str, list[Row]]) -> list[str]:
         is_free, worlds = np.array(free), [course.sha256 for course, _ in rows]
         parts = [np.where(is_free == value, reached, np.nan) for value in (True, False)]
         shares = [figure(free, worlds, "outcome"), *(figure(one, worlds) for one in parts)]
-        lines.append(line(f"`{Path(name).stem}`", map(brief, shares)))
+        lines.append(line(f"`{name}`", map(brief, shares)))
     return lines
 
 

@@ -29,6 +29,7 @@ from scenegen.files import check_free, write_result
 from scenegen.fly import SUITES, Rules, Vehicle
 from scenegen.model.commands.weights import Weights
 from scenegen.model.robots import (
+    FORGETFUL,
     MAPPING,
     NAMES,
     REACTIVE,
@@ -70,7 +71,12 @@ MOST_FLIGHTS = 10_000
     help=f"{', '.join(MAPPING)}, which map and plan; {REACTIVE}; MODULE:CLASS, or a command in "
     "quotes, which run in a process of their own.",
 )
-@click.option("--weights", type=Weights(), help="The robot maps, and this network completes.")
+@click.option(
+    "--weights",
+    type=Weights(),
+    help="The robot maps, and this network completes: "
+    "what all scans say, or with --robot returns the last one.",
+)
 @click.option(
     "--suite",
     type=Choice(SUITES),
@@ -214,6 +220,8 @@ def fly(
                 told["anew, equal to the bit"] = flown_anew(recording, fly_one, execute, progress)
         else:
             name, about = weights or robot, {"network": network_digest(weights)}
+            if weights and robot == FORGETFUL:
+                name = f"{weights}, last scan"
             if suite is None:
                 courses = _courses(str(world), flights, worlds, options)
             else:
@@ -313,8 +321,11 @@ def _check(robot: str, weights: str | None) -> None:
     """Raise UsageError for a robot that cannot be."""
     from lidarsim.registry import Registry
 
-    if weights is not None and was_given("robot"):
-        raise click.UsageError("--weights says which robot flies; leave out --robot")
+    if weights is not None and was_given("robot") and robot != FORGETFUL:
+        raise click.UsageError(
+            "--weights says which robot flies; leave out --robot, but for --robot returns, which "
+            "completes the last scan alone"
+        )
     if robot not in NAMES and not any(mark in robot for mark in ":/ "):
         raise click.UsageError(Registry("robot", dict.fromkeys(NAMES, "")).unknown(robot))
 

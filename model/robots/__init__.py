@@ -12,8 +12,10 @@ if TYPE_CHECKING:  # the command line asks for the names alone
     from scenegen.fly.loop import Flown
     from scenegen.truth.difficulty import Difficulty
 
+FORGETFUL = "returns"
+"""The one that remembers nothing."""
 MAPPING = {
-    "returns": "what the last scan says, unknown voxels free",
+    FORGETFUL: "what the last scan says, unknown voxels free",
     "optimistic": "what all scans say, unknown voxels free",
     "pessimistic": "what all scans say, unknown voxels occupied",
     "extrude": "all scans, returns extended up and down",
@@ -31,7 +33,8 @@ COUNTS = ("late", "invalid", "speeding")
 
 def robot_maker(name: str, weights: str | None) -> "Callable[[Course], Any]":
     """What makes the robot for a course: one of `NAMES`; one that maps and has the network called
-    `weights` complete; or one's own, which runs in a process of its own."""
+    `weights` complete, from the last scan alone where its name is "returns"; or one's own, which
+    runs in a process of its own."""
     from scenegen.fly.pipe import own_robot
     from scenegen.model.completion.unlearned import Conservative, Extrude, Returns
     from scenegen.model.robots.mapping import MappingRobot, TruthRobot
@@ -46,9 +49,10 @@ def robot_maker(name: str, weights: str | None) -> "Callable[[Course], Any]":
                 f"{weights}: takes {', '.join(network.inputs)}; robots give "
                 "observed and free voxels alone"
             )
-        return lambda course: MappingRobot(network, doubts=True)
+        memory = name != FORGETFUL
+        return lambda course: MappingRobot(network, memory=memory, doubts=True)
     known: dict[str, Callable[[Course], Any]] = {
-        "returns": lambda course: MappingRobot(Returns(), memory=False),
+        FORGETFUL: lambda course: MappingRobot(Returns(), memory=False),
         "optimistic": lambda course: MappingRobot(Returns()),
         "pessimistic": lambda course: MappingRobot(Conservative(), frontier=True),
         "extrude": lambda course: MappingRobot(Extrude(), doubts=True),

@@ -127,6 +127,18 @@ def test_a_robot_keeps_its_way_when_beliefs_change():
     assert kept.time_s < 1.3 * plain.time_s
 
 
+@pytest.mark.parametrize("name, remembers", [("returns", False), ("optimistic", True)])
+def test_a_network_completes_all_scans_or_the_last_alone(name, remembers):
+    course = Course(world="pillar", flights=1, seed=2)
+    flying, robot = course.simulation(0), robot_maker(name, "columns")(course)
+    robot.reset(flying.about())
+    robot.act(flying.observe())
+    first = robot.observed.copy()
+    assert first.any()
+    robot.act(flying.observe() | {"ranges": np.full(flying.observe()["ranges"].shape, np.inf)})
+    assert (robot.observed & first).any() == remembers
+
+
 def test_the_command_flies_records_and_flies_again(capsys, tmp_path):
     file, picture = tmp_path / "flights.json", tmp_path / "flights.png"
     film, log = tmp_path / "flight.gif", tmp_path / "log"
