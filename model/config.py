@@ -26,10 +26,8 @@ from scenegen.limits import (
 
 BUNDLED = Path(__file__).parent / "weights"
 """Where the networks lie that come with scenegen."""
-DEFAULT_NETWORK = "columns"
+DEFAULT_NETWORK = "anywhere"
 """The one of them that completes where none is named."""
-POINTS_NETWORK = "anywhere"
-"""The one that completes scans of points then: a quarter of its maps were points alone."""
 LEVELS = 3
 STRIDE = 2**LEVELS
 """Every edge of a map is a multiple of so many voxels."""

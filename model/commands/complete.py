@@ -23,7 +23,7 @@ from scenegen.cli.types import FILE, DatasetPath, Number, OutputFile
 from scenegen.errors import DatasetError, printable
 from scenegen.limits import MOST_BATCH
 from scenegen.model.commands.weights import Weights
-from scenegen.model.config import DEFAULT_NETWORK, POINTS_NETWORK
+from scenegen.model.config import DEFAULT_NETWORK
 
 if TYPE_CHECKING:
     from scenegen.model.completion.completer import Completer
@@ -45,8 +45,8 @@ MOST_SHOWN = 24
 @click.option(
     "--weights",
     type=Weights(),
-    help="A bundled name, a file, a run's folder, hf://…  "
-    f"[default: {DEFAULT_NETWORK}; of points alone, {POINTS_NETWORK}]",
+    default=DEFAULT_NETWORK,
+    help="A bundled name, a file, a run's folder, hf://…",
 )
 @split_option("test", help="The split of a dataset that is completed.")
 @click.option(
@@ -88,7 +88,7 @@ MOST_SHOWN = 24
 @group("Scans, logs and maps", "sensor every poses topic count")
 def complete(
     source: Path | str,
-    weights: str | None,
+    weights: str,
     split: str,
     out: Path | None,
     sensor: tuple[float, float, float],
@@ -132,8 +132,7 @@ def complete(
         )
     several = not stored and (found.is_dir() or is_log(found) or poses is not None)
     tasks = _tasks(found, sensor, every, poses, topic) if several else None
-    usual = DEFAULT_NETWORK if stored else POINTS_NETWORK
-    completer = Completer.from_pretrained(weights or usual, device=chosen, batch=batch)
+    completer = Completer.from_pretrained(weights, device=chosen, batch=batch)
     if tasks is not None or is_map(found):
         name = found.stem if found.is_file() else real_path(found).name
         out = out or Path(f"{name}.completed")

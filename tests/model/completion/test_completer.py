@@ -174,7 +174,7 @@ def test_bundled_networks_complete_the_papers_grid(name):
 def test_a_network_of_more_inputs_warns_where_it_gets_observed_voxels_alone():
     completer = Completer.from_pretrained()
     with pytest.warns(
-        UserWarning, match="columns takes observed, free, and derives what is not given"
+        UserWarning, match="anywhere takes observed, free, and derives what is not given"
     ):
         completer(np.zeros(completer.grid.shape, bool))
 
