@@ -127,7 +127,7 @@ def test_a_robot_keeps_its_way_when_beliefs_change():
     assert kept.time_s < 1.3 * plain.time_s
 
 
-@pytest.mark.parametrize("name, remembers", [("returns", False), ("optimistic", True)])
+@pytest.mark.parametrize(("name", "remembers"), [("returns", False), ("optimistic", True)])
 def test_a_network_completes_all_scans_or_the_last_alone(name, remembers):
     course = Course(world="pillar", flights=1, seed=2)
     flying, robot = course.simulation(0), robot_maker(name, "columns")(course)
