@@ -14,7 +14,7 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 308_070, "benchmarks": 36_380, "tests": 265_700}
+TOKENS = {"product": 308_070, "benchmarks": 36_380, "tests": 265_710}
 FILES = 254
 LINES = 400
 """The longest file of product code."""
