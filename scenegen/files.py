@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from scenegen.errors import DatasetError
 from scenegen.run import undone_if_stopped
-from scenegen.stores import PART, StorePath, Version, note_file
+from scenegen.stores import LOCATED, PART, StorePath, Version, note_file
 
 if TYPE_CHECKING:
     from scenegen.stores.copies import Copy
@@ -121,8 +121,11 @@ def world_digest(document: bytes, files: Mapping[str, bytes]) -> bytes:
 
 
 def real_path(path: Path) -> Path:
-    """`path` without links. Links that lead in a circle stay: `Path.resolve` would raise
-    RuntimeError, where who opens the path finds that nothing is there."""
+    """`path` without links; of a folder of copies, the store that they are of. Links that lead in a
+    circle stay: `Path.resolve` would raise RuntimeError, where who opens the path finds that
+    nothing is there."""
+    if path in LOCATED:
+        return StorePath(LOCATED[path][1])
     return path if isinstance(path, StorePath) else Path(os.path.realpath(path))
 
 

@@ -126,7 +126,8 @@ class Condition:
         )
 
     def __str__(self) -> str:
-        return f"{self.name}{self.sign}{self.value:g}"
+        # to the last digit: it is what tells a dataset that was taken from another
+        return f"{self.name}{self.sign}{self.value!r}".removesuffix(".0")
 
     def holds(self, values: Any) -> Any:
         """Whether a number, or each of an array, fulfils it."""

@@ -391,6 +391,9 @@ def test_commands_take_a_place_and_refuse_it_where_they_cannot(
         code, _, wrong = run(capsys, *words, "--quiet")
         assert (code, wrong) == (0, "")
         assert verify(locate(words[-1], whole=True), quick=True).ok
+    for words in (("take", NAME, "--n", 1), ("rescan", NAME)):
+        code, _, wrong = run(capsys, *words, "-o", NAME, "--force")
+        assert (code, "itself" in wrong, objects(store)) == (1, True, files(made))
     for words in (
         ("convert", NAME, "--to", "webdataset", "-o", "s3://lab/x"),
         ("world", NAME, 0, "-o", "s3://lab/w.xml"),
