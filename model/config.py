@@ -28,6 +28,8 @@ BUNDLED = Path(__file__).parent / "weights"
 """Where the networks lie that come with scenegen."""
 DEFAULT_NETWORK = "anywhere"
 """The one of them that completes where none is named."""
+PREDICTIONS = "predictions.json"
+"""The file of a folder of predictions that says whose they are, and of what."""
 LEVELS = 3
 STRIDE = 2**LEVELS
 """Every edge of a map is a multiple of so many voxels."""

@@ -38,7 +38,6 @@ FILES = (
     (("export", "n.safetensors"), "n.onnx"),
     (("calibrate", "n.safetensors", "d", "-o", "c.safetensors"), "c.safetensors"),
     (("calibrate", "proposed", "d"), "proposed.safetensors"),
-    (("complete", "d", "--weights", "n.safetensors", "--device", "cpu"), "predictions.h5"),
     (
         ("complete", "scan.npy", "--weights", "n.safetensors", "--device", "cpu"),
         "scan.completed.h5",
@@ -56,6 +55,10 @@ FOLDERS = (
     (("merge", "d", "e", "-o", "out"), ("train-00000.h5",)),
     (("take", "d", "--n", 1, "-o", "out"), ("train-00000.h5",)),
     (("convert", "d", "--to", "npz", "-o", "out"), ("convert.json", "train/000000.npz")),
+    (
+        ("complete", "d", "--weights", "n.safetensors", "-o", "out"),
+        ("test-00000.h5", "predictions.json"),
+    ),
     (("ingest", "log", "-o", "out"), ("map.npz",)),
     (("publish", "d", "--repo", "ada/d", "--dry-run", "-o", "out"), ("README.md", "SHA256SUMS")),
 )
@@ -96,7 +99,7 @@ def begin_and_die(path):
 
 @pytest.mark.parametrize(
     ("words", "name"),
-    [FILES[n] for n in (0, 8, 14)],
+    [FILES[n] for n in (0, 8, 13)],
     ids=lambda it: it if isinstance(it, str) else str(it[0]),
 )
 def test_what_a_killed_command_left_is_taken_away(words, name, here, capsys):

@@ -35,7 +35,7 @@ MOST_SHOWN = 24
 
 
 @command(
-    "complete data/pillar --weights columns --split test -o predictions.h5",
+    "complete data/pillar --weights columns --split test -o predictions",
     "complete scan.ply --sensor 0 0 1.2",
     "complete kitti/sequences/00/velodyne -o completed",
     "complete drive.mcap --every 10 -o completed",
@@ -55,8 +55,8 @@ MOST_SHOWN = 24
     "--out",
     "out",
     type=OutputFile(folders=True),
-    help="File to write; of a folder of scans, a log or a map, a folder.  [default: "
-    "predictions.h5, or <scan>.completed.h5]",
+    help="File to write; of a dataset, a folder of scans, a log or a map, a folder.  [default: "
+    "predictions, or <scan>.completed.h5]",
 )
 @click.option(
     "--sensor",
@@ -108,8 +108,9 @@ def complete(
     origin. A log is what `ingest` takes: a recording of ROS, or a folder with poses, such as a
     sequence of KITTI's; its scans are turned upright by their poses. Through a map (.bt, .ot, or
     .npz of `scenegen map`), the paper's sensor flies, and what it sees is completed. A page shows
-    some completions where there are several. One process completes; with --on or --workers, so
-    many do, each on one thread of a processor unless --device says more.
+    some completions where there are several. Of a dataset, given again after a stop, it goes on
+    where it was. One process completes; with --on or --workers, so many do, each on one thread of a
+    processor unless --device says more.
     """
     from scenegen.dataset.locate import locate
     from scenegen.dataset.manifest import NAME
@@ -141,12 +142,12 @@ def complete(
         else:
             _complete_map(completer, found, count, out, batch, quiet)
         return
-    out = out or (Path("predictions.h5") if stored else found.with_suffix(".completed.h5"))
-    make_way(out)
-    there = out.exists()
+    out = out or (Path("predictions") if stored else found.with_suffix(".completed.h5"))
+    there = out.is_file()
     if stored:
         _complete_split(completer, found, split, out, batch, execute, quiet)
     else:
+        make_way(out)
         done = predict_scan(completer, read_scan(found, sensor), out)
         if not quiet:
             say(f"{found}: {done}; completed by {completer.name}")
@@ -163,7 +164,10 @@ def _complete_split(
     execute: "Executor | None",
     quiet: bool,
 ) -> None:
-    """Complete a dataset's split, and say where its maps are unlike those of training."""
+    """Complete a dataset's split into the folder `out`, and say where its maps are unlike those of
+    training. Raises DatasetError where `out` is called as a file."""
+    if out.suffix == ".h5":
+        raise DatasetError(f"{out}: a dataset's predictions are a folder; give a name without .h5")
     from scenegen.dataset.read import Dataset
     from scenegen.model.calibration import UNUSUAL
     from scenegen.model.completion.predictions import predict_split
@@ -200,7 +204,7 @@ def _complete_map(
     from scenegen.model.commands.weights import chosen
 
     seen = generate(n=count, scene=place, out=out / "seen")
-    predictions = out / "predictions.h5"
+    predictions = out / "predictions"
     _complete_split(completer, seen.folder, "train", predictions, batch, None, quiet)
     guesses, _ = chosen(seen, "train", predictions, (), trial=0, no_paths=True)
     write_page(seen, "train", (), MOST_SHOWN, out / "index.html", quiet, guesses)

@@ -34,7 +34,7 @@ def inspect(dataset: Path | str, every: bool, keep: bool, workers: int, as_json:
     """Print what is in a dataset: counts, sizes, and statistics of scans and truth.
 
     A folder of datasets is listed; of a world (.xml), an OctoMap (.bt, .ot), a scan, a file of
-    predictions (.h5), or a run's folder, it says what it is.
+    predictions (.h5; the first one of a folder's), or a run's folder, it says what it is.
     """
     from scenegen.dataset.manifest import NAME
     from scenegen.display.inspect import inspect_all
@@ -55,7 +55,10 @@ def inspect(dataset: Path | str, every: bool, keep: bool, workers: int, as_json:
 def _facts(path: Path) -> Json | None:
     """What is to be said of a world, a scan, predictions, or a run; None for anything else."""
     from scenegen.clouds import READERS
+    from scenegen.model.config import PREDICTIONS
 
+    if (path / PREDICTIONS).is_file():
+        path = min(path.glob("*.h5"), default=path)
     if path.suffix in (".xml", *MESHES) or is_map(path):
         from scenegen.display.inspect import inspect_world
 

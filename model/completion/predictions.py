@@ -1,36 +1,45 @@
-"""Completions of a whole split of a dataset, in one file."""
+"""Completions of a whole split of a dataset, in a folder of files."""
 
 import io
-import math
-from collections.abc import Callable, Iterable, Iterator
+import json
+import secrets
+from collections.abc import Callable, Container, Iterator, Mapping
 from contextlib import closing, contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import h5py
 import numpy as np
 
+from scenegen.dataset.locate import file_sha256
 from scenegen.dataset.read import Dataset, Rows, Split
+from scenegen.dataset.rules import stem_of
 from scenegen.dataset.shard import compress
 from scenegen.errors import DatasetError, empty_split
-from scenegen.files import check_ours, whole
+from scenegen.files import (
+    disk_told,
+    make_parent,
+    names_in,
+    read_bounded,
+    remove_drafts,
+    whole,
+    write_whole,
+)
+from scenegen.limits import MOST_HEADER_BYTES
 from scenegen.model.calibration import RISK
-from scenegen.model.completion.completer import Completer, opened_once
+from scenegen.model.completion.completer import Completer, locate, opened_once
 from scenegen.model.completion.protocol import PARTS, SURE
+from scenegen.model.config import PREDICTIONS
 from scenegen.model.inputs import channels
-from scenegen.run import Executor, check_together
+from scenegen.run import Executor
+from scenegen.run.workers import Local
 
 PACKED = {"compression": "gzip", "compression_opts": 1}
 """How HDF5 reads what `compress` made. HDF5 itself compresses nothing here: where a disk refuses
 its chunks, it crashes."""
-PART = 40
-"""Samples of a part, about, where an executor has a split completed."""
-Chunks: TypeAlias = dict[str, list[bytes]]
-"""Maps by the name of what they tell, each compressed as HDF5 has it, in the order of `PARTS` and
-`SURE`."""
-Part: TypeAlias = tuple[Rows, Chunks, list[float]]
-"""Maps of some rows, and how far from home each is."""
+PART = 100
+"""Samples in a file, which is the unit of work, of writing and of recovery, as a shard is."""
 
 
 def predict_split(
@@ -44,15 +53,15 @@ def predict_split(
     on_start: Callable[[int], None] = lambda total: None,
     on_done: Callable[[int], None] = lambda samples: None,
 ) -> list[float]:
-    """Complete every sample of a split and write what docs/bench.md calls a predictions file to
-    `out`, whole or not. Returns how far from home each is, see `Prediction.away`; [] where nobody
-    knows.
+    """Complete every sample of a split and write what docs/bench.md calls predictions to the folder
+    `out`: files called as shards are, of `PART` samples each, whole or not. Those that are there
+    are kept, so that a run goes on where another one ended. Returns how far from home each sample
+    is that was completed now, see `Prediction.away`; [] where nobody knows.
 
     This process does it, `batch` maps at once; or `execute` has it done, on one thread a process.
-    Raises DatasetError for another grid, an empty split, a disk that refuses, where `out` is
-    something else already, and where `execute` leaves samples to others.
+    Raises DatasetError for another grid, an empty split, a disk that refuses, and where `out` is
+    something else already.
     """
-    check_ours(out)
     dataset = Dataset(folder, whole=True)
     if dataset.grid != completer.grid:
         raise DatasetError(
@@ -61,82 +70,86 @@ def predict_split(
             "network on this grid with `scenegen train`"
         )
     samples = dataset.split(split)
-    if not len(samples):
+    if not (count := len(samples)):
         raise DatasetError(f"{folder}: {empty_split(split)}, or give another --split")
-    each = batch if execute is None else batch * math.ceil(PART / batch)
-    tasks = [
-        Rows(split, range(first, min(first + each, len(samples))))
-        for first in range(0, len(samples), each)
-    ]
-    begin = partial(on_start, len(samples))
+    about = {"dataset": dataset.manifest.digest, "split": split, "method": completer.name}
+    there = _begun(out, completer, about)
+    parts = [Rows(split, range(n, min(n + PART, count))) for n in range(0, count, PART)]
+    get: Callable[[], Completer] = lambda: completer  # noqa: E731
     if execute is None:
-        begin()
-        results: Any = (_completed(completer, samples, batch, rows) for rows in tasks)
-    else:
-        check_together(execute, "a file of predictions holds")
-        results = execute(partial(_elsewhere, completer.opened, samples, batch), tasks, begin)
+        execute = Local("", 1)
+    elif completer.opened is not None:
+        get = partial(opened_once, *completer.opened)
+    tasks = [part for part in execute.mine(parts) if _file(part) not in there]
+    begin = partial(on_start, sum(len(part.numbers) for part in tasks))
+    work = partial(_write, get, samples, batch, out, about)
     away: list[float] = []
-    with closing(results):
-        _write(out, samples, completer, _in_order(results, on_done, away))
+    with closing(execute(work, tasks, begin)) as results:
+        for done, far in results:
+            away += far
+            on_done(done)
     return away
 
 
-def _completed(completer: Completer, samples: Split, batch: int, rows: Rows) -> Part:
-    """The maps of `rows`, completed `batch` at once."""
-    found: Chunks = {}
+def _begun(out: Path, completer: Completer, about: Mapping[str, Any]) -> Container[str]:
+    """What is in the folder `out`, made where it is not: nothing, or predictions that are `about`
+    the same by the same network. Raises DatasetError where it is anything else."""
+    opened = completer.opened
+    weights = file_sha256(locate(opened[0])) if opened else secrets.token_hex()  # goes on with none
+    content = json.dumps({**about, "weights": weights}, indent=1).encode()
+    with disk_told(out):
+        out.mkdir(parents=True, exist_ok=True)
+        remove_drafts(out)
+        there = names_in(out)
+    if all(name.endswith(".tmp") for name in there):
+        write_whole(out / PREDICTIONS, content)
+    elif PREDICTIONS not in there or read_bounded(out / PREDICTIONS, MOST_HEADER_BYTES) != content:
+        raise DatasetError(
+            f"{out}: holds other files, or predictions of another dataset, split or network; give "
+            "another -o"
+        )
+    return there
+
+
+def _file(part: Rows) -> str:
+    """What the file of a part is called in the folder."""
+    return f"{stem_of(part.split, part.numbers[0] // PART)}.h5"
+
+
+def _write(
+    get: Callable[[], Completer],
+    samples: Split,
+    batch: int,
+    out: Path,
+    about: Mapping[str, Any],
+    part: Rows,
+) -> tuple[int, list[float]]:
+    """Write the predictions of a part, completed `batch` at once by what `get` gives, into its
+    file, whole or not. How many they are, and how far from home each is."""
+    completer, grid, count = get(), samples.dataset.grid, len(part.numbers)
+    path = out / _file(part)
+    who: list[tuple[int, int]] = []
     away: list[float] = []
-    grid = samples.dataset.grid
-    for first in range(0, len(rows.numbers), batch):
-        several = [samples[number] for number in rows.numbers[first : first + batch]]
-        read = [channels(completer.inputs, one, grid, one.lidar) for one in several]
-        said = completer({name: np.stack([one[name] for one in read]) for name in completer.inputs})
-        for name in PARTS | SURE:
-            if (maps := getattr(said, name)) is not None:
-                found.setdefault(name, []).extend(compress(values) for values in maps)
-        far = said.away(np.stack([one.observed for one in several]))
-        away += [] if far is None else far.tolist()
-    return rows, found, away
-
-
-def _elsewhere(opened: Any, samples: Split, batch: int, rows: Rows) -> Part:
-    return _completed(opened_once(*opened), samples, batch, rows)
-
-
-def _in_order(
-    results: Iterable[Part], on_done: Callable[[int], None], away: list[float]
-) -> Iterator[Chunks]:
-    """What `_completed` gives, as it comes, in the order of samples; `away` grows with it."""
-    waiting: dict[int, Part] = {}
-    following = 0
-    for part in results:
-        waiting[part[0].numbers[0]] = part
-        on_done(len(part[0].numbers))
-        while following in waiting:
-            rows, chunks, far = waiting.pop(following)
-            away += far
-            yield chunks
-            following += len(rows.numbers)
-
-
-def _write(out: Path, samples: Split, completer: Completer, parts: Iterable[Chunks]) -> None:
-    """Write a predictions file to `out`, whole or not: a split's `parts`, in order, so that the
-    file has the same bytes however they are parted."""
-    dataset, names, row = samples.dataset, samples.names, 0
-    about = {"dataset": dataset.manifest.digest, "split": samples.name, "method": completer.name}
-    shape = dataset.grid.shape
-    with new_hdf5(out) as file:
-        file.attrs.update(about | ({} if completer.calibration is None else {"risk": RISK}))
-        file["world"] = np.array([world for _, world, _ in names], dtype=np.int64)
-        file["viewpoint"] = np.array([viewpoint for _, _, viewpoint in names], dtype=np.int64)
-        for part in parts:
-            for name in part:
-                if name not in file:
-                    full, chunk = (len(names), *shape), (1, *shape)
+    make_parent(path)
+    with new_hdf5(path) as file:
+        file.attrs.update({**about, **({} if completer.calibration is None else {"risk": RISK})})
+        for first in range(0, count, batch):
+            several = [samples[number] for number in part.numbers[first : first + batch]]
+            read = [channels(completer.inputs, one, grid, one.lidar) for one in several]
+            given = {name: np.stack([one[name] for one in read]) for name in completer.inputs}
+            said = completer(given)
+            for name in PARTS | SURE:
+                maps = getattr(said, name)
+                if maps is not None and name not in file:
+                    full, chunk = (count, *grid.shape), (1, *grid.shape)
                     file.create_dataset(name, full, np.float32, chunks=chunk, **PACKED)
-            for chunks in zip(*part.values(), strict=True):
-                for name, chunk in zip(part, chunks, strict=True):
-                    file[name].id.write_direct_chunk((row, 0, 0, 0), chunk)
-                row += 1
+                for row, values in enumerate(() if maps is None else maps, first):
+                    file[name].id.write_direct_chunk((row, 0, 0, 0), compress(values))
+            who += [(one.world, one.viewpoint) for one in several]
+            far = said.away(np.stack([one.observed for one in several]))
+            away += [] if far is None else far.tolist()
+        file["world"], file["viewpoint"] = np.array(who, np.int64).T
+    return count, away
 
 
 class _Disk(io.FileIO):

@@ -3,6 +3,7 @@ in an HDF5 file."""
 
 import inspect
 import math
+from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -101,58 +102,71 @@ WHO = ("world", "viewpoint")
 
 @dataclass(frozen=True)
 class Predicted:
-    """Predictions in an HDF5 file: `occupancy_probability` and/or `tudf`, float32 (N, *grid.shape);
-    where there are some, `probability`, calibrated, and `tudf_low`, bounds of the attribute `risk`;
-    and who is who: attribute `dataset` (the dataset's digest), `world` and `viewpoint`, int64 (N,),
-    and `split`, an attribute."""
+    """Predictions in an HDF5 file, or in all such files of a folder: `occupancy_probability` and/or
+    `tudf`, float32 (N, *grid.shape); where there are some, `probability`, calibrated, and
+    `tudf_low`, bounds of the attribute `risk`; and who is who: attribute `dataset` (the dataset's
+    digest), `world` and `viewpoint`, int64 (N,), and `split`, an attribute."""
 
     path: Path
     learned: bool = True
 
     @property
     def name(self) -> str:
-        """The file's, without its ending."""
+        """The file's or the folder's, without its ending."""
         return printable(self.path.stem)
 
+    @cached_property
+    def _files(self) -> list[Path]:
+        return sorted(self.path.rglob("*.h5")) if self.path.is_dir() else [self.path]
+
     def check(self, dataset: Dataset, split: str) -> None:
-        """Raise DatasetError unless the file predicts every sample of `split` of `dataset` once, on
+        """Raise DatasetError unless the files predict every sample of `split` of `dataset` once, on
         its grid, in numbers that can be.
 
-        Another process, with limits, reads all of it first: HDF5 could make a small file large.
+        Another process, with limits, reads all of each first: HDF5 could make a small file large.
         That costs about as much as reading the file.
         """
-        names = [(world, viewpoint) for _, world, viewpoint in dataset.split(split).names]
+        names = {(world, viewpoint) for _, world, viewpoint in dataset.split(split).names}
         digest, shape = str(dataset.manifest.digest), dataset.grid.shape
-        check = partial(
-            _check_file, folder=dataset.folder, digest=digest, split=split, names=names, shape=shape
-        )
+        about = {"folder": dataset.folder, "digest": digest, "split": split, "shape": shape}
+        check = partial(_check_file, **about, most=len(names))
         seconds = GUARD_S + len(names) * math.prod(shape) / 1e6
-        read_guarded(check, self.path, 1 << 62, seconds)
+        found = Counter[tuple[int, int]]()
+        for path in self._files:
+            found.update(read_guarded(check, path, 1 << 62, seconds))
+        once = f"predict each sample of split {split} once"
+        if missing := sorted(names - found.keys()):
+            raise DatasetError(
+                f"{self.path}: {len(missing)} of {len(names)} samples are missing, the first is "
+                f"world {missing[0][0]}, viewpoint {missing[0][1]}; {once}"
+            )
+        if found.total() > len(names):
+            raise DatasetError(
+                f"{self.path}: predicts {found.total()} samples of {len(names)}; {once}"
+            )
 
     @cached_property
-    def _rows(self) -> dict[tuple[str, int, int], int]:
-        """Row of every (split, world, viewpoint)."""
-        with h5py.File(self.path, "r") as file:
-            return {(str(file.attrs["split"]), *pair): row for row, pair in enumerate(_pairs(file))}
+    def _rows(self) -> dict[tuple[str, int, int], tuple[Path, int]]:
+        """File and row of every (split, world, viewpoint)."""
+        found = {}
+        for path in self._files:
+            with h5py.File(path, "r") as file:
+                split = str(file.attrs["split"])
+                found |= {(split, *pair): (path, row) for row, pair in enumerate(_pairs(file))}
+        return found
 
     def completion(self, sample: Sample, split: Split) -> Prediction:
-        """See `Method.completion`. Raises KeyError for a sample that the file does not predict."""
-        row = self._rows[split.name, int(sample.world), int(sample.viewpoint)]
-        with h5py.File(self.path, "r") as file:
+        """See `Method.completion`. Raises KeyError for a sample that is not predicted."""
+        path, row = self._rows[split.name, int(sample.world), int(sample.viewpoint)]
+        with h5py.File(path, "r") as file:
             return _prediction(file, row)
 
 
 def _check_file(
-    path: Path,
-    *,
-    folder: Path,
-    digest: str,
-    split: str,
-    names: list[tuple[int, int]],
-    shape: tuple[int, ...],
-) -> None:
-    """Raise DatasetError unless the file at `path` predicts the samples `names`, (world,
-    viewpoint), of `split` of the dataset `digest` in `folder`, on maps of `shape`."""
+    path: Path, *, folder: Path, digest: str, split: str, shape: tuple[int, ...], most: int
+) -> list[tuple[int, int]]:
+    """The samples, (world, viewpoint), that the file at `path` predicts. Raises DatasetError unless
+    they are at most so many, of `split` of the dataset `digest` in `folder`, on maps of `shape`."""
     try:
         with h5py.File(path, "r") as file:
             said = [str(file.attrs.get(name)) for name in ("dataset", "split")]
@@ -168,9 +182,11 @@ def _check_file(
                 raise DatasetError(
                     f"attribute `risk` is {short(risk)}, expected a number between 0 and 1"
                 )
-            _check_arrays(file, split, names, shape)
-            for row in range(len(names)):
+            _check_arrays(file, split, most, shape)
+            found = _pairs(file)
+            for row in range(len(found)):
                 check_prediction(_prediction(file, row), shape, f"row {row}")
+            return found
     except (DatasetError, PredictionError) as error:
         raise DatasetError(f"{path}: {error}") from None
     except Exception as error:  # h5py's errors share no base
@@ -179,9 +195,7 @@ def _check_file(
         ) from None
 
 
-def _check_arrays(
-    file: h5py.File, split: str, names: list[tuple[int, int]], shape: tuple[int, ...]
-) -> None:
+def _check_arrays(file: h5py.File, split: str, most: int, shape: tuple[int, ...]) -> None:
     links = {name: file.get(name, getlink=True) for name in (*WHO, *PARTS, *SURE)}
     held = [name for name, link in links.items() if link is not None]
     if not set(WHO) <= set(held) or not set(PARTS) & set(held):
@@ -200,23 +214,13 @@ def _check_arrays(
             raise DatasetError(f"{name} has shape {data.shape}, expected {expected}")
         if data.chunks:
             _check_chunks(name, data)
-    if file["world"].shape[0] > len(names):
-        raise DatasetError(
-            f"predicts {file['world'].shape[0]} samples, split {split} has {len(names)}"
-        )
+    if (count := file["world"].shape[0]) > most:
+        raise DatasetError(f"predicts {count} samples, split {split} has {most}")
     for name in held:  # HDF5 would make up zeros
         if file[name].size and file[name].id.get_space_status() != h5py.h5d.SPACE_STATUS_ALLOCATED:
             raise DatasetError(
                 f"{name} is not written to its end; predict each sample of split {split} once"
             )
-    found = set(_pairs(file))
-    missing = [name for name in names if name not in found]
-    if missing:
-        raise DatasetError(
-            f"{len(missing)} of {len(names)} samples are missing, the first is world "
-            f"{missing[0][0]}, viewpoint "
-            f"{missing[0][1]}; predict each sample of split {split} once"
-        )
 
 
 def _check_chunks(name: str, data: h5py.Dataset) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import time
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -103,6 +104,9 @@ def publish(
 
 def _show(staged: "Staged", commit: str | None, seconds: float, as_json: bool) -> None:
     """Prints what was made, and sent."""
+    from scenegen.dataset.rules import pattern_of
+    from scenegen.share.upload import IN_COMMIT
+
     size = sum(staged.files.values())
     if as_json:
         told = {"folder": str(staged.folder), "commit": commit, "bytes": size, "seconds": seconds}
@@ -111,12 +115,15 @@ def _show(staged: "Staged", commit: str | None, seconds: float, as_json: bool) -
     said = {
         "folder": staged.folder,
         "files": f"{len(staged.files)}, {size / 1e6:.1f} MB",
+        "commits": f"at most {-(-len(staged.files) // IN_COMMIT)}",
         "revision": f"hf://{staged.repository}@{staged.tag}",
         "time": f"{seconds:.1f} s",
     }
     if commit is None:
-        listed = {name: f"{size:>12,}" for name, size in staged.files.items()}
-        show_table(listed, "would send, in bytes")
+        listed = Counter[str]()
+        for name, size in staged.files.items():
+            listed[pattern_of(name)] += size
+        show_table({name: f"{size:>15,}" for name, size in listed.items()}, "would send, in bytes")
         show_table(said | {"next": "the same command without --dry-run"}, "ready")
     else:
         page = f"https://huggingface.co/datasets/{staged.repository}/tree/{staged.tag}"

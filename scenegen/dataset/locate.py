@@ -11,6 +11,7 @@ from pathlib import Path
 
 from scenegen.dataset import manifest, trust
 from scenegen.dataset.read import Dataset, Split
+from scenegen.dataset.rules import pattern_of
 from scenegen.errors import DatasetError, StoreError, needs, printable
 from scenegen.files import read_bounded, sha256_in
 from scenegen.limits import MOST_MANIFEST_BYTES
@@ -25,6 +26,8 @@ REPOSITORY = re.compile(r"[A-Za-z0-9][\w.-]{0,95}/[A-Za-z0-9][\w.-]{0,95}", re.A
 REVISION = re.compile(r"[A-Za-z0-9][\w./-]{0,249}", re.ASCII)
 TOKEN = re.compile(r"hf_(?:jwt_|oauth_)?[A-Za-z0-9][A-Za-z0-9.~+/=-]{7,}")
 """What a token for the Hub looks like."""
+MANY = 1000
+"""Files from which on they are asked for by patterns."""
 TIMEOUT_S = 20.0
 """After which a silent Hub counts as out of reach, seconds."""
 
@@ -141,8 +144,10 @@ def download(name: str, *, shown: bool = False) -> Path:
             _check_listing(repository, revision)
             folder = fetch(revision, manifest.NAME)
             listed = trust.load(folder, name).files  # checked before they are used as names
+            # the client holds every file against every name: of many, their patterns are enough
+            names = listed if len(listed) < MANY else {*map(pattern_of, listed)}
             # by commit, whose name the folder bears: should the branch move on, nothing is mixed
-            folder = fetch(folder.name, manifest.NAME, *listed)
+            folder = fetch(folder.name, manifest.NAME, *names)
     except DatasetError:
         raise
     except Exception as error:  # whatever the Hub's client or the network beneath it raises

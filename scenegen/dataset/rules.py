@@ -184,6 +184,11 @@ def stem_of(split: str, index: int) -> str:
     return f"{stem[:-DIGITS]}{'x' * DIGITS}/{stem}" if index >= 10**DIGITS else stem
 
 
+def pattern_of(file: str) -> str:
+    """What fits a file's name and those of all others of its sort, in which numbers differ."""
+    return re.sub("-[0-9]+", "-*", file)
+
+
 SOURCES_RULE = Rule(
     lambda value: isinstance(value, list) and 0 < len(value) <= MOST_SOURCES,
     "datasets, one at least",

@@ -13,6 +13,7 @@ from lidarsim.engines import MUJOCO
 from scenegen import SPLITS
 from scenegen.dataset.layout import DIGEST
 from scenegen.dataset.manifest import NAME, VERSION
+from scenegen.dataset.rules import pattern_of
 from scenegen.dataset.trust import Manifest
 from scenegen.display.inspect import LABELS
 from scenegen.share import LICENCES
@@ -104,7 +105,9 @@ def facts(
         "command": command(made, name),
         "samples": told["samples"],
         "split": splits[0],
-        "data_files": "\n".join(f'  - split: {one}\n    path: "{one}-*.h5"' for one in splits),
+        "data_files": "\n".join(
+            f"  - split: {one}\n    path: {json.dumps(_shards(made, one))}" for one in splits
+        ),
         "pictures": pictures,
         "fields": _fields(made),
         "statistics": _statistics({split: told["splits"][split] for split in splits}),
@@ -112,6 +115,11 @@ def facts(
         "kilobytes": f"{told['bytes_per_sample'] / 1e3:.0f}",
         "checks": "\n".join(f"- {check}: {detail}" for check, detail in checks),
     }
+
+
+def _shards(made: Manifest, split: str) -> list[str]:
+    """Patterns of the names of a split's shards."""
+    return [*dict.fromkeys(pattern_of(one.file) for one in made.shards if one.split == split)]
 
 
 def _notes(made: Manifest) -> dict[str, str]:
@@ -226,8 +234,8 @@ def _statistics(splits: Mapping[str, Any]) -> str:
 def croissant(
     given: Mapping[str, Any], made: Manifest, told: Mapping[str, Any], sums: Mapping[str, str]
 ) -> str:
-    """The file of a dataset of which `facts` are given; `sums` has the SHA-256 of every shard,
-    archive and manifest by name."""
+    """The file of a dataset of which `facts` are given; `sums` has the SHA-256 of the
+    files that have entries of their own, by name."""
     inside = {key: json.dumps(str(value), ensure_ascii=False)[1:-1] for key, value in given.items()}
     found = json.loads(_text("croissant.json", inside))
     url, tag = given["url"], given["tag"]
@@ -248,7 +256,7 @@ def croissant(
     sets = []
     for split, counted in told["splits"].items():
         said = f"samples of the {split} split"
-        within = {"containedIn": {"@id": "repository"}, "includes": f"{split}-*.h5"}
+        within = {"containedIn": {"@id": "repository"}, "includes": _shards(made, split)}
         about = f"HDF5 files; {said} along the first dimension of every dataset."
         shards = _node("FileSet", f"{split}-shards", description=about, **within)
         files.append(shards | {"encodingFormat": FORMATS["h5"]})

@@ -23,7 +23,7 @@ from scenegen.display.inspect import inspect
 from scenegen.display.look import looks, spread
 from scenegen.display.page import page
 from scenegen.errors import DatasetError, PublishError
-from scenegen.files import real_path, whole_folder, write_whole
+from scenegen.files import make_parent, real_path, whole_folder, write_whole
 from scenegen.share import USUAL, find_licence
 from scenegen.share.card import card, croissant, facts
 from scenegen.share.regenerate import check_kind, check_source, environment_lock, source_file
@@ -31,8 +31,11 @@ from scenegen.share.regenerate import check_kind, check_source, environment_lock
 SUMS = "SHA256SUMS"
 """Digest and name of every other file, as sha256sum writes and checks them."""
 
-MOST_FILES = 300
-"""The most files of a published folder: the Hub, and people, work badly with more."""
+MOST_FILES = 100_000
+"""The most files of a published folder: of a repository with more, the Hub says that it works
+badly."""
+MOST_LISTED = 300
+"""The most files of which Croissant has an entry each; of more, the manifest has the digests."""
 SHOWN = 4
 """How many samples are drawn as pictures."""
 PAGE, ON_PAGE = "look.html", 12
@@ -143,7 +146,8 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
         if kept_figures(dataset):
             figures = figures_file(dataset)
             write_whole(draft / figures.name, figures.read_bytes())
-        sums = {**found.files, manifest.NAME: file_sha256(draft / manifest.NAME)}
+        listed = {manifest.NAME: file_sha256(draft / manifest.NAME)}
+        sums = found.files | listed
         told = inspect(draft)
         given = facts(
             found,
@@ -157,7 +161,9 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
         )
         texts = {
             "README.md": card(given),
-            "croissant.json": croissant(given, found, told, sums),
+            "croissant.json": croissant(
+                given, found, told, sums if len(sums) <= MOST_LISTED else listed
+            ),
             "LICENSE": LICENCE.format(spdx=request.licence, **given),
             "requirements.lock.txt": environment_lock(found.software, request.commit),
             **dict([source_file(found)]),
@@ -230,6 +236,7 @@ def take(source: Path, draft: Path, names: Mapping[str, str]) -> None:
 
     def take_one(name: str) -> None:
         there, here = real_path(source / name), draft / name
+        make_parent(here)
         if there.is_file():
             try:
                 os.link(there, here)

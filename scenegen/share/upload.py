@@ -8,15 +8,19 @@ from pathlib import Path
 from typing import Any
 
 from scenegen import __version__
-from scenegen.dataset.locate import client_output, reason
+from scenegen.dataset.locate import client_output, file_sha256, reason
 from scenegen.errors import PublishError, ScenegenError, needs
 from scenegen.share.stage import Request, Staged, examine, read_sums, stage
 
 OURS = re.compile(
-    r"(train|val|test)-\d{5}(\.h5|\.worlds\.zip)|pictures/(train|val|test)-\d+\.png|look\.html",
+    r"((train|val|test)-\d+x+/)?(train|val|test)-\d{5,9}(\.h5|\.worlds\.zip)"
+    r"|pictures/(train|val|test)-\d+\.png|look\.html",
     re.ASCII,
 )
 """Files that another dataset of ours may have left in the repository; others there are let be."""
+IN_COMMIT = 250
+"""The most files of a commit, about as many as the Hub's client begins with: the Hub gives up on
+commits that take a minute."""
 TOKEN = (
     "no token for the Hub: run `hf auth login`, or set HF_TOKEN, with one that may write; "
     "it is never an argument"
@@ -37,9 +41,9 @@ def check_token() -> None:
 def upload(staged: Staged, *, private: bool = False, shown: bool = False) -> str:
     """Send the folder and return the commit that the tag names.
 
-    Given again after an interruption it goes on: the client sends no content that the Hub has. A
-    tag that is there already is left alone, and is in order where it names the same files. `shown`:
-    the client shows its progress. Raises PublishError.
+    Given again after an interruption it goes on: what the Hub has is not sent. A tag that is there
+    already is left alone, and is in order where it names the same files. `shown`: the client shows
+    its progress. Raises PublishError.
     """
     check_token()
     from huggingface_hub import HfApi
@@ -55,43 +59,51 @@ def upload(staged: Staged, *, private: bool = False, shown: bool = False) -> str
 
 
 def _send(api: Any, staged: Staged, private: bool) -> str:
+    from huggingface_hub import CommitOperationAdd, CommitOperationDelete
+
     repository, target = staged.repository, f"hf://{staged.repository}"
     where = {"repo_id": repository, "repo_type": "dataset"}
     api.create_repo(
         repository, repo_type="dataset", private=True if private else None, exist_ok=True
     )
-    if private and not api.dataset_info(repository).private:
+    about = api.dataset_info(repository)
+    if private and not about.private:
         raise PublishError(
             f"{target}: is there and public; leave --private out, or choose another --repo"
         )
     tags = {ref.name: ref.target_commit for ref in api.list_repo_refs(**where).tags}
     if staged.tag in tags:
-        wrong = differences(api, staged, tags[staged.tag])
-        if wrong:
+        if wrong := differences(api, staged, tags[staged.tag]):
             raise PublishError(
                 f"{target}: tag {staged.tag} is there with other content ({wrong[0]}); give "
                 "another --tag"
             )
         return str(tags[staged.tag])
-    there = [
+    former = [
         path
         for path in api.list_repo_files(**where)
         if OURS.fullmatch(path) and path not in staged.files
     ]
-    sent = api.upload_folder(
-        folder_path=staged.folder,
-        allow_patterns=list(staged.files),
-        delete_patterns=there or None,
-        commit_message=f"{staged.tag}: {staged.digest}",
-        **where,
+    head = about.sha
+    # shards come first: the manifest and the card of a former dataset stand as long as they can
+    names = sorted(
+        [*differences(api, staged, head), *former], key=lambda it: not OURS.fullmatch(it)
     )
-    wrong = differences(api, staged, sent.oid)
-    if wrong:
+    for first in range(0, len(names), IN_COMMIT):
+        operations = [
+            CommitOperationAdd(name, staged.folder / name)
+            if name in staged.files
+            else CommitOperationDelete(name)
+            for name in names[first : first + IN_COMMIT]
+        ]
+        said = f"{staged.tag}: {staged.digest}"
+        head = api.create_commit(operations=operations, commit_message=said, **where).oid
+    if wrong := differences(api, staged, head):
         raise PublishError(
             f"{target}: not everything arrived ({wrong[0]}); give the same command again to go on"
         )
-    api.create_tag(repository, tag=staged.tag, revision=sent.oid, repo_type="dataset")
-    return str(sent.oid)
+    api.create_tag(repository, tag=staged.tag, revision=head, repo_type="dataset")
+    return str(head)
 
 
 def differences(api: Any, staged: Staged, revision: str) -> list[str]:
@@ -100,17 +112,15 @@ def differences(api: Any, staged: Staged, revision: str) -> list[str]:
         staged.repository, repo_type="dataset", recursive=True, revision=revision
     )
     there = {entry.path: entry for entry in tree if hasattr(entry, "blob_id")}
-    sums, found = read_sums(staged.folder), []
-    for name in staged.files:
-        entry = there.get(name)
-        if entry is None:
-            found.append(f"{name} is missing")
-        elif entry.lfs is not None:
-            if name in sums and entry.lfs.sha256 != sums[name]:
-                found.append(f"{name} differs")
-        elif entry.blob_id != git_blob(staged.folder / name):
-            found.append(f"{name} differs")
-    return found
+    sums = read_sums(staged.folder)
+
+    def is_there(name: str) -> bool:
+        entry, path = there.get(name), staged.folder / name
+        if entry is None or entry.lfs is None:
+            return entry is not None and entry.blob_id == git_blob(path)
+        return bool(entry.lfs.sha256 == (sums.get(name) or file_sha256(path)))
+
+    return [name for name in staged.files if not is_there(name)]
 
 
 def git_blob(path: Path) -> str:

@@ -65,9 +65,9 @@ def test_free_space_and_a_new_metric_go_all_the_way(folders, tmp_path, monkeypat
         blind = network({**maps, "free": torch.zeros(1, *grid.shape)}).logits.sigmoid()[0].numpy()
     assert not np.allclose(expected, blind, atol=1e-4), "the second channel counts"
 
-    predict_split(completer, folders[1], "test", tmp_path / "p.h5", batch=2)
+    predict_split(completer, folders[1], "test", tmp_path / "p", batch=2)
     for found in (
-        Predicted(tmp_path / "p.h5").completion(sample, dataset.split("test")),
+        Predicted(tmp_path / "p").completion(sample, dataset.split("test")),
         Completer.from_pretrained(tmp_path / "run", threads=1).completion(
             sample, dataset.split("test")
         ),

@@ -47,7 +47,7 @@ def test_the_page_trains_resumes_completes_benches_and_exports(here, capsys):
     for words in commands:
         code, _, error = run(capsys, *words)
         assert code == 0, error
-    with h5py.File("predictions.h5") as said, h5py.File("again.h5") as again:
+    with h5py.File("predictions/test-00000.h5") as said, h5py.File("again/test-00000.h5") as again:
         for name in ("occupancy_probability", "tudf"):
             assert_allclose(said[name], again[name], atol=5e-2)
     code, said, _ = run(capsys, *commands[0][:-1], 3)  # goes on

@@ -101,12 +101,21 @@ def test_scans_are_completed_here(here, capsys):
     )
 
 
-@pytest.mark.parametrize(
-    "words", [everywhere.BENCH, everywhere.COMPLETE], ids=["bench", "complete"]
-)
-def test_ranks_that_bring_nothing_together_are_refused(here, capsys, monkeypatch, words):
+def test_complete(here, capsys, monkeypatch):
+    """Ranks fill one folder; a run that lost a task goes on."""
+    words = (*everywhere.COMPLETE, "--quiet", "-o")
+    assert run(capsys, *words, "whole")[0] == 0
+    refused(capsys, *words, "again", *CUT_OFF)
+    assert run(capsys, *words, "again", "--workers", 2)[0] == 0
+    as_ranks(capsys, monkeypatch, *words, "ranks")
+    assert contents(here / "ranks") == contents(here / "again") == contents(here / "whole")
+    assert len(contents(here / "whole")) == 3
+
+
+def test_ranks_that_bring_nothing_together_are_refused(here, capsys, monkeypatch):
     """They say so before any work."""
-    for code, _, complaint in as_ranks(capsys, monkeypatch, *words, "-o", "ranks", "--quiet"):
+    words = (*everywhere.BENCH, "-o", "ranks", "--quiet")
+    for code, _, complaint in as_ranks(capsys, monkeypatch, *words):
         assert (code, complaint.count("\n")) == (1, 1)
         assert "give --on ray or --on slurm" in complaint
     assert not (here / "ranks").exists()

@@ -58,16 +58,17 @@ def test_train_complete_and_bench_work_together(here, capsys):
         "the network's own, but for what is given"
     )
     code, said, _ = run(capsys, "complete data/pillar --weights runs/proposed --device cpu")
-    assert (code, said) == (0, "written: predictions.h5\n")
-    code, said, _ = run(capsys, "complete data/pillar --weights runs/proposed --device cpu")
-    assert (code, said) == (0, "replaced: predictions.h5\n")
-    with h5py.File("predictions.h5") as file:
+    assert (code, said) == (0, "written: predictions\n")
+    assert "another dataset, split or network" in refused(
+        capsys, "complete data/pillar --weights runs/tuned --quiet"
+    )
+    with h5py.File("predictions/test-00000.h5") as file:
         assert set(file) == {"occupancy_probability", "tudf", "world", "viewpoint"}
     words = (
         "--weights",
         "runs/proposed",
         "--predictions",
-        "predictions.h5",
+        "predictions",
         "--method",
         "returns",
         "--quick",

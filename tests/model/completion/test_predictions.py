@@ -2,6 +2,7 @@
 
 import gc
 import resource
+import shutil
 import warnings
 
 import h5py
@@ -32,21 +33,17 @@ def completer(tmp_path, grid, variant="proposed"):
 
 
 @pytest.mark.parametrize("variant", ["proposed", "tudf"])
-def test_a_predictions_file_is_what_the_bench_takes(folders, tmp_path, variant):
+def test_predictions_are_what_the_bench_takes(folders, tmp_path, variant, monkeypatch):
+    monkeypatch.setattr("scenegen.model.completion.predictions.PART", 2)
     dataset = Dataset(folders[1])
     net = completer(tmp_path, dataset.grid, variant)
-    told = []
-    predict_split(
-        net,
-        folders[1],
-        "test",
-        tmp_path / "p.h5",
-        batch=2,
-        on_start=told.append,
-        on_done=told.append,
-    )
-    assert told == [5, 2, 2, 1]
-    method = Predicted(tmp_path / "p.h5")
+    told: list[int] = []
+    for _ in range(2):
+        predict_split(net, folders[1], "test", tmp_path / "p", on_start=told.append)
+        (tmp_path / "p/test-00001.h5").unlink()
+    predict_split(net, folders[1], "test", tmp_path / "p", on_start=told.append)
+    assert told == [5, 2, 2]
+    method = Predicted(tmp_path / "p")
     method.check(dataset, "test")
     for sample in dataset.split("test"):
         read, direct = (
@@ -58,25 +55,27 @@ def test_a_predictions_file_is_what_the_bench_takes(folders, tmp_path, variant):
             assert read.occupancy_probability is None
         else:
             assert_allclose(read.occupancy_probability, direct.occupancy_probability, atol=1e-5)
+    shutil.copy(tmp_path / "p/test-00000.h5", tmp_path / "p/again.h5")
+    with pytest.raises(DatasetError, match="predicts 7 samples of 5"):
+        Predicted(tmp_path / "p").check(dataset, "test")
+    (tmp_path / "p/test-00002.h5").unlink()
+    with pytest.raises(DatasetError, match="1 of 5 samples are missing"):
+        Predicted(tmp_path / "p").check(dataset, "test")
 
 
-def test_a_failure_leaves_no_file(folders, tmp_path):
-    dataset = Dataset(folders[0])
-    net = completer(tmp_path, dataset.grid)
-
-    def fail(samples):
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        predict_split(net, folders[0], "test", tmp_path / "p.h5", on_done=fail)
-    assert [path.name for path in tmp_path.iterdir()] == ["net.safetensors"]
+def test_a_failure_leaves_no_file(folders, tmp_path, monkeypatch):
+    net = completer(tmp_path, Dataset(folders[0]).grid)
+    monkeypatch.setattr(net, "_forward", None)
+    with pytest.raises(TypeError):
+        predict_split(net, folders[0], "test", tmp_path / "p")
+    assert [path.name for path in (tmp_path / "p").iterdir()] == ["predictions.json"]
 
 
 def test_maps_of_another_grid_are_refused(folders, tmp_path):
     other = make_dataset(tmp_path / "other", grid={"shape": (16, 16, 16)})
     net = completer(tmp_path, Dataset(folders[0]).grid)
     with pytest.raises(DatasetError, match="train a network on this grid"):
-        predict_split(net, other, "test", tmp_path / "p.h5")
+        predict_split(net, other, "test", tmp_path / "p")
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".npy"])
@@ -155,12 +154,6 @@ def test_only_completions_are_replaced(folders, tmp_path):
             with pytest.raises(DatasetError, match="is there already"):
                 predict_scan(net, given, out)
             assert out.read_bytes() == content
-    with h5py.File(tmp_path / "out.h5", "w") as file:
-        file["theirs"] = 1
-    with pytest.raises(DatasetError, match="is there already"):
-        predict_split(net, folders[0], "test", tmp_path / "out.h5")
-    with h5py.File(tmp_path / "out.h5") as file:
-        assert "theirs" in file
 
 
 @pytest.mark.parametrize("room", [1, 3000, 40_000])
@@ -172,14 +165,14 @@ def test_a_full_disk_ends_in_one_line_and_leaves_nothing(room, folders, tmp_path
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
     try:
-        with pytest.raises(DatasetError, match=r"p\.h5: File too large"):
-            predict_split(net, folders[0], "train", tmp_path / "p.h5")
+        with pytest.raises(DatasetError, match=r"(json|h5): File too large"):
+            predict_split(net, folders[0], "train", tmp_path / "p")
         with pytest.raises(DatasetError, match=r"s\.h5: File too large"):
             predict_scan(net, read_scan(tmp_path / "scan.npy", [0, 0, 0]), tmp_path / "s.h5")
         gc.collect()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    assert set(tmp_path.iterdir()) == before
+    assert {path.name for path in {*tmp_path.rglob("*")} - before} <= {"p", "predictions.json"}
     assert capfd.readouterr() == ("", "")
 
 
@@ -188,4 +181,4 @@ def test_an_empty_split_names_a_way_on_that_exists(tmp_path):
     net = completer(tmp_path, Dataset(empty).grid)
     said = r"its test split is empty; generate with --test \(.* or give another --split"
     with pytest.raises(DatasetError, match=said):
-        predict_split(net, empty, "test", tmp_path / "p.h5")
+        predict_split(net, empty, "test", tmp_path / "p")

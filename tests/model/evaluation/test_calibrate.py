@@ -60,28 +60,28 @@ def test_a_file_carries_its_calibration(dataset, weights, tmp_path):
     low, known = said.low(0.3), samples[0].tudf
     assert (known >= low - 1e-4).mean() > 0.6
     assert (said.low(0.5) >= low).all()
-    away = predict_split(completer, dataset.folder, "test", tmp_path / "p.h5")
+    away = predict_split(completer, dataset.folder, "test", tmp_path / "p")
     assert away == [
         said.away(one.observed) for one in samples for said in (completer(one.observed),)
     ]
     assert max(away) < 1, "it was calibrated on these"
-    with h5py.File(tmp_path / "p.h5") as file:
+    with h5py.File(tmp_path / "p/test-00000.h5") as file:
         assert "tudf_low" not in file, "three worlds promise no .95"
         assert_allclose(file["probability"][0], said.probability, atol=1e-5)
 
 
 def test_bounds_of_others_are_a_row_of_the_study(dataset, weights, tmp_path, monkeypatch):
     completer = Completer.from_pretrained(weights)
-    predict_split(completer, dataset.folder, "test", tmp_path / "p.h5")
-    with h5py.File(tmp_path / "p.h5", "a") as file:
+    predict_split(completer, dataset.folder, "test", tmp_path / "p")
+    with h5py.File(tmp_path / "p/test-00000.h5", "a") as file:
         file["tudf_low"] = 0.5 * np.array([sample.tudf for sample in dataset.split("test")])
         file.attrs["risk"] = 0.1
-    Predicted(tmp_path / "p.h5").check(dataset, "test")
+    Predicted(tmp_path / "p").check(dataset, "test")
     report = report_of(
         dataset,
         tmp_path / "bench",
         names=("truth",),
-        predictions=tmp_path / "p.h5",
+        predictions=tmp_path / "p",
         study=True,
     )
     (row,) = report["study"]["pillar"]["p"]["bounds"]["risks"]
@@ -94,10 +94,10 @@ def test_bounds_of_others_are_a_row_of_the_study(dataset, weights, tmp_path, mon
     )
     json.dumps(report, allow_nan=False)
     for wrong in (0.0, "much", float("nan")):
-        with h5py.File(tmp_path / "p.h5", "a") as file:
+        with h5py.File(tmp_path / "p/test-00000.h5", "a") as file:
             file.attrs["risk"] = wrong
         with pytest.raises(DatasetError, match="attribute `risk` is"):
-            Predicted(tmp_path / "p.h5").check(dataset, "test")
+            Predicted(tmp_path / "p").check(dataset, "test")
 
 
 def test_what_cannot_be_calibrated_is_said(dataset, weights, tmp_path, monkeypatch):

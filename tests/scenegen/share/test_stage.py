@@ -138,7 +138,7 @@ def test_the_card_says_what_the_files_hold(out, made):
     card = (out / "README.md").read_text()
     front = card.split("---\n")[1]
     assert "license: cc-by-4.0" in front
-    assert '  - split: val\n    path: "val-*.h5"' in front
+    assert '  - split: val\n    path: ["val-*.h5"]' in front
     statistics = inspect(made)["splits"]["train"]["statistics"]["occupied"]
     assert (
         f"| voxels occupied, % | {statistics['mean'] * 100:.2f} ± {statistics['std'] * 100:.2f} |"

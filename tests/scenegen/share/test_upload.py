@@ -5,8 +5,10 @@ import dataclasses
 
 import pytest
 
+from scenegen import load
 from scenegen.errors import PublishError
 from scenegen.share.upload import publish
+from tests.conftest import dataset_in, small_recipe
 from tests.scenegen.conftest import Check
 from tests.scenegen.hub import TOKEN
 
@@ -34,8 +36,16 @@ def test_what_arrives_is_the_folder_and_the_tag_comes_last(asked, hub):
     assert hub.tokens == {TOKEN}
 
 
-def test_an_interrupted_upload_goes_on_where_it_was(asked, hub):
-    hub.refuse_after = 5
+def test_an_interrupted_upload_of_folders_goes_on_where_it_was(asked, hub, monkeypatch):
+    """Here, ten shards take the place of a thousand."""
+    monkeypatch.setattr("scenegen.dataset.rules.DIGITS", 1)
+    monkeypatch.setattr("scenegen.share.upload.IN_COMMIT", 9)
+    monkeypatch.setattr("scenegen.dataset.locate.MANY", 9)
+    deep = asked.out.with_name("deep")
+    counts = {"train": 36, "val": 0, "test": 3}
+    dataset_in(deep, small_recipe(), counts=counts, shard_samples=3)
+    asked = dataclasses.replace(asked, dataset=deep)
+    hub.refuse_after = 15
     with pytest.raises(PublishError, match="the same command goes on"):
         publish(asked)
     assert hub.repositories[asked.repository].tags == {}
@@ -46,6 +56,8 @@ def test_an_interrupted_upload_goes_on_where_it_was(asked, hub):
     there = dict(hub.repositories[asked.repository].files("main") or {})
     there.pop(".gitattributes")
     assert there == staged_files(asked.out)
+    assert load(f"hf://{asked.repository}")[31].world == 10
+    assert sum("/commit/" in line for line in hub.log) == 4
 
 
 def test_what_is_published_already_is_not_sent_again(asked, hub):
@@ -62,7 +74,7 @@ def test_what_is_published_already_is_not_sent_again(asked, hub):
 
 def test_no_tag_where_a_file_is_lost_on_the_way(asked, hub):
     hub.lose = "train-00001.h5"
-    with pytest.raises(PublishError, match=r"not everything arrived \(train-00001.h5 is missing\)"):
+    with pytest.raises(PublishError, match=r"not everything arrived \(train-00001.h5\)"):
         publish(asked)
     assert hub.repositories[asked.repository].tags == {}
 
