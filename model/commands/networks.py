@@ -11,6 +11,7 @@ from scenegen.cli.options import (
     datasets_argument,
     find_datasets,
     json_option,
+    on_option,
     out_option,
     printing,
     seed_option,
@@ -77,6 +78,7 @@ def export(weights: str, out: Path | None) -> None:
     file=True,
 )
 @workers_option
+@on_option
 @printing
 def calibrate(
     weights: str,
@@ -87,6 +89,7 @@ def calibrate(
     seed: int,
     out: Path | None,
     workers: int,
+    on: str,
     as_json: bool,
     talk: bool,
 ) -> None:
@@ -97,6 +100,7 @@ def calibrate(
     from scenegen.model.completion.completer import HUB, called, locate
     from scenegen.model.config import bundled, split_own
     from scenegen.model.evaluation.calibrate import calibrate as fit
+    from scenegen.run import executor
 
     path = locate(weights)
     if path.suffix == ".onnx":
@@ -121,7 +125,7 @@ def calibrate(
             samples=samples,
             trials=trials,
             seed=seed,
-            workers=workers,
+            execute=executor(on, workers),
             on_start=lambda what, total: progress.restart(what, total, 0),
             on_done=progress.count,
         )

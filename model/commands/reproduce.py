@@ -10,6 +10,7 @@ import rich_click as click
 from scenegen.cli.options import (
     command,
     device_option,
+    on_option,
     options_of,
     out_option,
     printing,
@@ -47,6 +48,7 @@ from scenegen.model.study.runs import KINDS, TRIALS, ReproduceConfig, chosen
 )
 @click.option("--dry-run", is_flag=True, help="Say what it would take, and do nothing.")
 @workers_option
+@on_option
 @printing
 def reproduce(
     only: tuple[str, ...],
@@ -54,6 +56,7 @@ def reproduce(
     out: Path,
     given: Path | None,
     workers: int,
+    on: str,
     dry_run: bool,
     as_json: bool,
     talk: bool,
@@ -68,6 +71,7 @@ def reproduce(
         print(json.dumps(found, allow_nan=False)) if as_json else _show_verdicts(found)
         return
     from scenegen.model.study import stages
+    from scenegen.run import executor
 
     config, runs = ReproduceConfig(**options), chosen(only)
     if talk or dry_run:
@@ -87,7 +91,7 @@ def reproduce(
         config,
         runs,
         device=device,
-        workers=workers,
+        execute=executor(on, workers),
         progress=lambda label: Progress(label, shown=talk),
     )
     if as_json:

@@ -34,7 +34,8 @@ from scenegen.model.evaluation.config import PlanConfig
 from scenegen.model.evaluation.planning.measure import draw_trials, plan_carefully
 from scenegen.model.evaluation.run import check_middle, check_whole
 from scenegen.model.evaluation.visibility import UNOBSERVED, classify, scored_voxels
-from scenegen.run.workers import run as run_workers
+from scenegen.run import Executor, check_together
+from scenegen.run.workers import Local
 from scenegen.sample import Sample, rng_of
 
 RISKS = (0.5, 0.4, 0.3, 0.2, 0.15, 0.1, 0.07, 0.05, 0.03, 0.02, 0.01, 0.005, 0.002, 0.001)
@@ -189,7 +190,7 @@ def calibrate(
     samples: int | None = None,
     trials: int = 4,
     seed: int = 0,
-    workers: int = 1,
+    execute: Executor | None = None,
     on_start: Callable[[str, int], None] = lambda what, total: None,
     on_done: Callable[[int], None] = lambda samples: None,
 ) -> Calibration:
@@ -197,9 +198,12 @@ def calibrate(
     `samples` maps of each, evenly spread, with `trials` planned on each map at every risk; and
     write it with its calibration to `out`.
 
-    All worlds count the same, whichever dataset they are of. Raises DatasetError for too few worlds
-    or another grid, CheckpointError for a network that does not tell its class weight.
+    All worlds count the same, whichever dataset they are of, and whatever `execute` has the maps
+    completed. Raises DatasetError for too few worlds or another grid, CheckpointError for a network
+    that does not tell its class weight, ScenegenError where `execute` leaves maps to others.
     """
+    execute = execute or Local("", 1)
+    check_together(execute, "a calibration takes")
     network, grid, about = open_network(weights)
     weight = 1.0
     if "occupancy" in network.tasks:
@@ -236,9 +240,9 @@ def calibrate(
 
     def look(what: str, at: Look) -> list[Any]:
         """What `at` makes of every map, summed by world."""
-        on_start(what, sum(len(chosen) for *_, chosen in tasks))
+        begin = partial(on_start, what, sum(len(chosen) for *_, chosen in tasks))
         found: dict[tuple[int, int], Any] = {}
-        for several in run_workers(partial(_work, split, method, at), tasks, workers):
+        for several in execute(partial(_work, split, method, at), tasks, begin):
             for world, one in several:
                 found[world] = tuple(map(add, found[world], one)) if world in found else one
             on_done(len(several))

@@ -127,10 +127,8 @@ class Predicted:
         That costs about as much as reading the file.
         """
         names = {(world, viewpoint) for _, world, viewpoint in dataset.split(split).names}
-        digest, shape = str(dataset.manifest.digest), dataset.grid.shape
-        about = {"folder": dataset.folder, "digest": digest, "split": split, "shape": shape}
-        check = partial(_check_file, **about, most=len(names))
-        seconds = GUARD_S + len(names) * math.prod(shape) / 1e6
+        check = partial(_check_file, dataset=dataset, split=split, most=len(names))
+        seconds = GUARD_S + len(names) * math.prod(dataset.grid.shape) / 1e6
         found = Counter[tuple[int, int]]()
         for path in self._files:
             found.update(read_guarded(check, path, 1 << 62, seconds))
@@ -148,7 +146,7 @@ class Predicted:
     @cached_property
     def _rows(self) -> dict[tuple[str, int, int], tuple[Path, int]]:
         """File and row of every (split, world, viewpoint)."""
-        found = {}
+        found: dict[tuple[str, int, int], tuple[Path, int]] = {}
         for path in self._files:
             with h5py.File(path, "r") as file:
                 split = str(file.attrs["split"])
@@ -162,17 +160,16 @@ class Predicted:
             return _prediction(file, row)
 
 
-def _check_file(
-    path: Path, *, folder: Path, digest: str, split: str, shape: tuple[int, ...], most: int
-) -> list[tuple[int, int]]:
+def _check_file(path: Path, *, dataset: Dataset, split: str, most: int) -> list[tuple[int, int]]:
     """The samples, (world, viewpoint), that the file at `path` predicts. Raises DatasetError unless
-    they are at most so many, of `split` of the dataset `digest` in `folder`, on maps of `shape`."""
+    they are at most so many, of `split` of `dataset`, on its maps."""
+    digest, shape = str(dataset.manifest.digest), dataset.grid.shape
     try:
         with h5py.File(path, "r") as file:
             said = [str(file.attrs.get(name)) for name in ("dataset", "split")]
             if said[0] != digest:
                 raise DatasetError(
-                    f"predicts dataset {printable(said[0])[:12]}…, not {folder} ({digest[:12]}…); "
+                    f"predicts dataset {printable(said[0])[:12]}…, not {dataset.folder} ({digest[:12]}…); "
                     "predict this one, and copy its digest into the attribute `dataset`"
                 )
             if said[1] != split:

@@ -30,8 +30,9 @@ from scenegen.model.study.runs import KINDS, RUNS, TRIALS, ReproduceConfig, Run
 from scenegen.model.training.card import read_rows
 from scenegen.model.training.device import choose_device
 from scenegen.model.training.run_folder import BEST, CONFIG, ROWS, RunFolder
+from scenegen.run import Executor, check_together
 from scenegen.run.software import commit
-from scenegen.run.workers import run as run_workers
+from scenegen.run.workers import Local
 
 if TYPE_CHECKING:
     from scenegen.cli.show import Progress
@@ -47,21 +48,24 @@ def reproduce(
     runs: Sequence[Run],
     *,
     device: str = "auto",
-    workers: int = 1,
+    execute: Executor,
     progress: Callable[[str], "Progress"],
 ) -> Json:
     """Make the study of `runs` in the folder `out`, or go on with it, and return what
-    ``study.json`` holds. On a CPU, `workers` networks are trained side by side, one thread each.
+    ``study.json`` holds. `execute` has shards written, networks trained, one thread each, and
+    samples measured; on a GPU, this process trains one network after the other.
 
-    Raises DatasetError where the folder holds a study of other settings, and what its stages raise.
+    Raises ScenegenError where `execute` leaves tasks to others, DatasetError where the folder holds
+    a study of other settings, and what its stages raise.
     """
+    check_together(execute, "a study takes")
     begin(out, config)
-    folders = [_dataset(out / "data" / kind, config, workers, progress) for kind in KINDS]
+    folders = [_dataset(out / "data" / kind, config, execute, progress) for kind in KINDS]
     where, maps = choose_device(device), config.scaled(config.maps)
     work = partial(_train, out / "runs", folders, maps, str(where))
     with progress("networks") as shown:
         start = partial(shown.start, maps * len(runs))
-        for _ in run_workers(work, runs, 1 if where.type == "cuda" else workers, start):
+        for _ in (Local("", 1) if where.type == "cuda" else execute)(work, runs, start):
             shown.count(maps)
     networks = [str(out / "runs" / run.name) for run in runs]
     methods = rows_of(("returns", "extrude", "truth", "seen"), networks, None)
@@ -72,7 +76,7 @@ def reproduce(
                 Dataset(folder),
                 methods,
                 usual,
-                workers=workers,
+                execute=execute,
                 on_start=shown.start,
                 on_done=shown.count,
             )
@@ -124,7 +128,7 @@ def read_json(path: Path) -> Json | None:
 
 
 def _dataset(
-    folder: Path, config: ReproduceConfig, workers: int, progress: Callable[[str], "Progress"]
+    folder: Path, config: ReproduceConfig, execute: Executor, progress: Callable[[str], "Progress"]
 ) -> Path:
     """A compact dataset of the kind that the folder is called by, made or gone on with; damaged
     shards are made again."""
@@ -135,7 +139,7 @@ def _dataset(
     with progress(folder.name) as shown:
         start = partial(shown.start, plan.samples)
         count = lambda report, fresh: shown.count(report.samples)  # noqa: E731
-        build(plan, workers=workers, on_start=start, on_shard=count)
+        build(plan, execute=execute, on_start=start, on_shard=count)
     return folder
 
 

@@ -13,6 +13,7 @@ from scenegen.cli.options import (
     dataset_argument,
     group,
     kind_option,
+    on_option,
     out_option,
     printing,
     workers_option,
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
 @click.option("--quick", is_flag=True, help="Verify the cheap half: files, digests, numbers, laws.")
 @kind_option
 @workers_option
+@on_option
 @printing
 @group("On the Hub", "repo tag licence private")
 def publish(
@@ -67,10 +69,13 @@ def publish(
     if talk:
         announce_compilation()
     from scenegen.dataset.locate import locate
+    from scenegen.run import check_together, executor
     from scenegen.run.software import commit
     from scenegen.share.stage import Request
     from scenegen.share.upload import publish as run_publish
 
+    execute = executor(options["on"], options["workers"])
+    check_together(execute, "publish takes")
     request = Request(
         dataset=locate(dataset, shown=talk, whole=True),
         repository=repo,
@@ -92,7 +97,7 @@ def publish(
             dry_run=dry_run,
             private=options["private"],
             quick=options["quick"],
-            workers=options["workers"],
+            execute=execute,
             shown=talk,
             on_start=progress.start,
             on_done=progress.count,

@@ -63,7 +63,7 @@ def test_a_small_part_of_the_study_is_made_and_goes_on_where_it_was(capsys, tmp_
     best = damaged.with_name("best.safetensors")
     weights = load_tensors(best)[0]
     damaged.write_bytes(b"damaged")
-    assert command(capsys, *words)[0] == 0
+    assert command(capsys, *words, "--on", "tests.scenegen.run.backwards:Backwards")[0] == 0
     again = json.loads((out / STUDY).read_text())
     assert [again[part] for part in JUDGED] == [first[part] for part in JUDGED]
     assert {path for path in held if path.stat().st_mtime_ns != held[path]} == {best}
