@@ -13,14 +13,13 @@ import rich_click as click
 from scenegen.cli.options import (
     command,
     datasets_argument,
+    executing,
     find_datasets,
     group,
-    on_option,
     options_of,
     out_option,
     printing,
     taken,
-    workers_option,
 )
 from scenegen.cli.show import Progress, announce_compilation, note, say, show_figures
 from scenegen.cli.types import FILE, Named
@@ -28,7 +27,7 @@ from scenegen.files import Json
 from scenegen.model.commands.weights import Weights
 from scenegen.model.evaluation.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.rows import METHODS, USUAL, check_rows, rows_of
-from scenegen.run import Executor, executor
+from scenegen.run import Executor
 
 if TYPE_CHECKING:
     from scenegen.model.evaluation.methods import Method
@@ -81,16 +80,14 @@ QUICK_SAMPLES, QUICK_TRIALS = 50, 200
     field="What paths are refined on: predicted distances, or the transform of the occupancy.",
     clearance_weight="λ_c, of clearance against smoothness.",
 )
-@workers_option
-@on_option
+@executing
 @printing
 @group("Rows", "method weights predictions")
 @group("Planning", "planner edge-check field clearance-weight")
 def bench(
     datasets: tuple[Path | str, ...],
     out: Path,
-    workers: int,
-    on: str,
+    execute: Executor,
     as_json: bool,
     talk: bool,
     **options: Any,
@@ -102,7 +99,7 @@ def bench(
     report = run_bench(
         find_datasets(datasets, shown=talk),
         out=out,
-        execute=executor(on, workers),
+        execute=execute,
         talk=talk,
         plan=PlanConfig(**{name: options.pop(name) for name in taken(PlanConfig, options)}),
         **options,

@@ -9,19 +9,19 @@ import rich_click as click
 from scenegen.cli.options import (
     command,
     datasets_argument,
+    executing,
     find_datasets,
     json_option,
-    on_option,
     out_option,
     printing,
     seed_option,
     split_option,
-    workers_option,
 )
 from scenegen.cli.show import Progress, announce_compilation, say, show_figures
 from scenegen.limits import MOST_SAMPLES
 from scenegen.model.commands.weights import Weights
 from scenegen.model.config import DEFAULT_NETWORK, split_own
+from scenegen.run import Executor
 
 
 @command("networks", "networks --json")
@@ -77,8 +77,7 @@ def export(weights: str, out: Path | None) -> None:
     "File to write.  [default: the network's own; <name>.safetensors of a bundled one, or hf://…]",
     file=True,
 )
-@workers_option
-@on_option
+@executing
 @printing
 def calibrate(
     weights: str,
@@ -88,8 +87,7 @@ def calibrate(
     trials: int,
     seed: int,
     out: Path | None,
-    workers: int,
-    on: str,
+    execute: Executor,
     as_json: bool,
     talk: bool,
 ) -> None:
@@ -100,7 +98,6 @@ def calibrate(
     from scenegen.model.completion.completer import HUB, called, locate
     from scenegen.model.config import bundled, split_own
     from scenegen.model.evaluation.calibrate import calibrate as fit
-    from scenegen.run import executor
 
     path = locate(weights)
     if path.suffix == ".onnx":
@@ -125,7 +122,7 @@ def calibrate(
             samples=samples,
             trials=trials,
             seed=seed,
-            execute=executor(on, workers),
+            execute=execute,
             on_start=lambda what, total: progress.restart(what, total, 0),
             on_done=progress.count,
         )

@@ -10,17 +10,17 @@ import rich_click as click
 from scenegen.cli.options import (
     command,
     device_option,
-    on_option,
+    executing,
     options_of,
     out_option,
     printing,
-    workers_option,
 )
 from scenegen.cli.show import Progress, announce_compilation, say, show_table
 from scenegen.cli.types import FILE
 from scenegen.errors import DatasetError
 from scenegen.files import Json
 from scenegen.model.study.runs import KINDS, TRIALS, ReproduceConfig, chosen
+from scenegen.run import Executor
 
 
 @command("reproduce --scale 0.02", "reproduce --from study/study.json --json")
@@ -47,16 +47,14 @@ from scenegen.model.study.runs import KINDS, TRIALS, ReproduceConfig, chosen
     "with --json.",
 )
 @click.option("--dry-run", is_flag=True, help="Say what it would take, and do nothing.")
-@workers_option
-@on_option
+@executing
 @printing
 def reproduce(
     only: tuple[str, ...],
     device: str,
     out: Path,
     given: Path | None,
-    workers: int,
-    on: str,
+    execute: Executor,
     dry_run: bool,
     as_json: bool,
     talk: bool,
@@ -71,7 +69,6 @@ def reproduce(
         print(json.dumps(found, allow_nan=False)) if as_json else _show_verdicts(found)
         return
     from scenegen.model.study import stages
-    from scenegen.run import executor
 
     config, runs = ReproduceConfig(**options), chosen(only)
     if talk or dry_run:
@@ -91,7 +88,7 @@ def reproduce(
         config,
         runs,
         device=device,
-        execute=executor(on, workers),
+        execute=execute,
         progress=lambda label: Progress(label, shown=talk),
     )
     if as_json:

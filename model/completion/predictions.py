@@ -96,7 +96,7 @@ def _begun(out: Path, completer: Completer, about: Mapping[str, Any]) -> Contain
     the same by the same network. Raises DatasetError where it is anything else."""
     opened = completer.opened
     weights = file_sha256(locate(opened[0])) if opened else secrets.token_hex()  # goes on with none
-    content = json.dumps({**about, "weights": weights}, indent=1).encode()
+    content = json.dumps({**about, "weights": weights, "samples": PART}, indent=1).encode()
     with disk_told(out):
         out.mkdir(parents=True, exist_ok=True)
         remove_drafts(out)

@@ -132,15 +132,11 @@ class Predicted:
         found = Counter[tuple[int, int]]()
         for path in self._files:
             found.update(read_guarded(check, path, 1 << 62, seconds))
-        once = f"predict each sample of split {split} once"
-        if missing := sorted(names - found.keys()):
+        if odd := sorted(name for name in names if found[name] != 1):
             raise DatasetError(
-                f"{self.path}: {len(missing)} of {len(names)} samples are missing, the first is "
-                f"world {missing[0][0]}, viewpoint {missing[0][1]}; {once}"
-            )
-        if found.total() > len(names):
-            raise DatasetError(
-                f"{self.path}: predicts {found.total()} samples of {len(names)}; {once}"
+                f"{self.path}: {len(odd)} of {len(names)} samples are missing, or there twice, the "
+                f"first is world {odd[0][0]}, viewpoint {odd[0][1]}; predict each sample of split "
+                f"{split} once"
             )
 
     @cached_property
@@ -169,8 +165,9 @@ def _check_file(path: Path, *, dataset: Dataset, split: str, most: int) -> list[
             said = [str(file.attrs.get(name)) for name in ("dataset", "split")]
             if said[0] != digest:
                 raise DatasetError(
-                    f"predicts dataset {printable(said[0])[:12]}…, not {dataset.folder} ({digest[:12]}…); "
-                    "predict this one, and copy its digest into the attribute `dataset`"
+                    f"predicts dataset {printable(said[0])[:12]}…, not {dataset.folder} "
+                    f"({digest[:12]}…); predict this one, and copy its digest into the attribute "
+                    "`dataset`"
                 )
             if said[1] != split:
                 raise DatasetError(f"predicts split {short(said[1])}, expected {split!r}")

@@ -10,7 +10,7 @@ from scenegen import SPLITS
 from scenegen.cli.options import (
     command,
     dataset_argument,
-    on_option,
+    executing,
     open_dataset,
     options_of,
     out_option,
@@ -18,12 +18,12 @@ from scenegen.cli.options import (
     split_option,
     splits_option,
     taken,
-    workers_option,
 )
 from scenegen.cli.show import Progress, note, say
 from scenegen.cli.types import Named
 from scenegen.display.exchange import FORMATS, Choices
 from scenegen.fly import EPISODES
+from scenegen.run import Executor
 
 
 @command(
@@ -48,16 +48,14 @@ from scenegen.fly import EPISODES
     label="SemanticKITTI: the label of occupied voxels.",
     frame="Frame of points.",
 )
-@workers_option
-@on_option
+@executing
 @quiet_option
 def convert(
     dataset: Path | str,
     to: str,
     out: Path | None,
     splits: tuple[str, ...],
-    workers: int,
-    on: str,
+    execute: Executor,
     quiet: bool,
     **options: Any,
 ) -> None:
@@ -68,7 +66,6 @@ def convert(
     """
     from scenegen.display.exchange.convert import convert as write
     from scenegen.errors import DatasetError
-    from scenegen.run import executor
 
     recorded = isinstance(dataset, Path) and dataset.suffix == ".json"
     if recorded != (to == EPISODES):
@@ -90,7 +87,7 @@ def convert(
             to=to,
             choices=Choices(**taken(Choices, options)),
             splits=splits or SPLITS,
-            execute=executor(on, workers),
+            execute=execute,
             on_start=progress.start,
             on_sample=progress.count,
         )

@@ -27,7 +27,7 @@ from scenegen.cli.types import (
     Written,
 )
 from scenegen.limits import MOST_WORKERS
-from scenegen.run import EXECUTORS, LOCAL
+from scenegen.run import EXECUTORS, LOCAL, executor
 from scenegen.worlds.mapping import Mapper
 
 if typing.TYPE_CHECKING:
@@ -111,6 +111,18 @@ def printing(function: Function) -> Function:
     @wraps(function)
     def command(*, as_json: bool, quiet: bool, **options: Any) -> Any:
         return function(as_json=as_json, talk=not (as_json or quiet), **options)
+
+    return typing.cast(Function, command)
+
+
+def executing(function: Function) -> Function:
+    """--workers and --on. The command is given `execute`, which works there."""
+
+    @workers_option
+    @on_option
+    @wraps(function)
+    def command(*, workers: int, on: str, **options: Any) -> Any:
+        return function(execute=executor(on, workers), **options)
 
     return typing.cast(Function, command)
 

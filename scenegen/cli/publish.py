@@ -11,12 +11,11 @@ import rich_click as click
 from scenegen.cli.options import (
     command,
     dataset_argument,
+    executing,
     group,
     kind_option,
-    on_option,
     out_option,
     printing,
-    workers_option,
 )
 from scenegen.cli.show import Progress, announce_compilation, note, show_table
 from scenegen.share import USUAL
@@ -47,8 +46,7 @@ if TYPE_CHECKING:
 )
 @click.option("--quick", is_flag=True, help="Verify the cheap half: files, digests, numbers, laws.")
 @kind_option
-@workers_option
-@on_option
+@executing
 @printing
 @group("On the Hub", "repo tag licence private")
 def publish(
@@ -69,13 +67,12 @@ def publish(
     if talk:
         announce_compilation()
     from scenegen.dataset.locate import locate
-    from scenegen.run import check_together, executor
+    from scenegen.run import check_together
     from scenegen.run.software import commit
     from scenegen.share.stage import Request
     from scenegen.share.upload import publish as run_publish
 
-    execute = executor(options["on"], options["workers"])
-    check_together(execute, "publish takes")
+    check_together(options["execute"], "publish takes")
     request = Request(
         dataset=locate(dataset, shown=talk, whole=True),
         repository=repo,
@@ -97,7 +94,7 @@ def publish(
             dry_run=dry_run,
             private=options["private"],
             quick=options["quick"],
-            execute=execute,
+            execute=options["execute"],
             shown=talk,
             on_start=progress.start,
             on_done=progress.count,

@@ -10,14 +10,14 @@ import rich_click as click
 from scenegen.cli.options import (
     command,
     dataset_argument,
+    executing,
     kind_option,
-    on_option,
     printing,
     seed_option,
-    workers_option,
 )
 from scenegen.cli.show import Progress, announce_compilation, say, show_table
 from scenegen.errors import ScenegenError
+from scenegen.run import Executor
 
 if TYPE_CHECKING:
     from scenegen.verification import Report
@@ -37,8 +37,7 @@ if TYPE_CHECKING:
     metavar="MODULE:OBJECT",
     help="Also make a check of your own; may be given several times.",
 )
-@workers_option
-@on_option
+@executing
 @printing
 def verify(
     dataset: Path | str,
@@ -46,8 +45,7 @@ def verify(
     seed: int,
     kind: str | None,
     own: tuple[str, ...],
-    workers: int,
-    on: str,
+    execute: Executor,
     as_json: bool,
     talk: bool,
 ) -> None:
@@ -56,7 +54,6 @@ def verify(
     if talk:
         announce_compilation()
     from scenegen.dataset.locate import locate
-    from scenegen.run import executor
     from scenegen.verification import verify as prove
 
     folder = locate(dataset, shown=talk, whole=True)
@@ -68,7 +65,7 @@ def verify(
             seed=seed,
             kind=kind,
             own=own,
-            execute=executor(on, workers),
+            execute=execute,
             on_start=progress.start,
             on_done=progress.count,
         )

@@ -114,6 +114,7 @@ def make_valid(folder):
     _write_logs(folder)
     run(*words("verify d --workers 1 --quiet"))
     run(*words("complete d --weights n.safetensors --quiet --device cpu"))
+    Path("predictions/test-00000.h5").rename("predictions.h5")
     for scan in ("scan.npy", "scan.ply", "scan.xyz"):
         run(
             "complete",

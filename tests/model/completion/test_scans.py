@@ -82,7 +82,7 @@ def test_a_map_is_flown_through_and_what_is_seen_is_completed(tmp_path, capsys):
     code, _, noted = run(capsys, *words)
     assert code == 0, noted
     seen = scenegen.load(out / "seen")
-    with h5py.File(out / "predictions.h5") as file:
+    with h5py.File(out / "predictions/train-00000.h5") as file:
         said = file["occupancy_probability"][:]
     complete = Completer.from_pretrained("anywhere")
     found = [complete(one) for one in seen]

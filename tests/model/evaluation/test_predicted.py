@@ -19,7 +19,7 @@ def test_predictions_that_do_not_fit_are_refused_before_anything_is_measured(dat
     with pytest.raises(DatasetError, match="cannot be read as HDF5"):
         report_of(dataset, tmp_path / "bench", predictions=path)
     write_predictions(path, dataset, drop=2)
-    said = "2 of 9 samples are missing, the first is world 0, viewpoint 0"
+    said = "2 of 9 samples are missing, or there twice, the first is world 0, viewpoint 0"
     with pytest.raises(DatasetError, match=said):
         report_of(dataset, tmp_path / "bench", predictions=path)
     assert not (tmp_path / "bench").exists()
@@ -79,7 +79,7 @@ def link_outside(file):
         (set_voxel("tudf", -0.5), "row 3: tudf holds -0.5, expected a distance of at least 0"),
         (set_voxel("tudf", np.inf), "tudf holds NaN or infinity"),
         (leave_unwritten, "tudf is not written to its end"),
-        (repeat_a_row, "1 of 9 samples are missing"),
+        (repeat_a_row, "2 of 9 samples are missing"),
         (
             put("tudf", np.zeros((8, 24, 24, 16), np.float32)),
             "tudf has shape (8, 24, 24, 16), expected (9, 24",
