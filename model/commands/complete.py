@@ -108,8 +108,8 @@ def complete(
     origin. A log is what `ingest` takes: a recording of ROS, or a folder with poses, such as a
     sequence of KITTI's; its scans are turned upright by their poses. Through a map (.bt, .ot, or
     .npz of `scenegen map`), the paper's sensor flies, and what it sees is completed. A page shows
-    some completions where there are several. Of a dataset, given again after a stop, it goes on
-    where it was. One process completes; with --on or --workers, so many do, each on one thread of a
+    some completions where there are several. Given a dataset again after a stop, it goes on where
+    it was. One process completes; with --on or --workers, so many do, each on one thread of a
     processor unless --device says more.
     """
     from scenegen.dataset.locate import locate

@@ -38,11 +38,9 @@ def test_predictions_are_what_the_bench_takes(folders, tmp_path, variant, monkey
     dataset = Dataset(folders[1])
     net = completer(tmp_path, dataset.grid, variant)
     told: list[int] = []
-    for _ in range(2):
-        predict_split(net, folders[1], "test", tmp_path / "p", on_start=told.append)
-        (tmp_path / "p/test-00001.h5").unlink()
-    predict_split(net, folders[1], "test", tmp_path / "p", on_start=told.append)
-    assert told == [5, 2, 2]
+    tell = {"on_start": told.append, "on_done": told.append}
+    predict_split(net, folders[1], "test", tmp_path / "p", **tell)
+    assert told == [5, 2, 2, 1]
     method = Predicted(tmp_path / "p")
     method.check(dataset, "test")
     for sample in dataset.split("test"):
@@ -59,14 +57,6 @@ def test_predictions_are_what_the_bench_takes(folders, tmp_path, variant, monkey
     (tmp_path / "p/test-00002.h5").unlink()
     with pytest.raises(DatasetError, match="3 of 5 samples are missing, or there twice"):
         Predicted(tmp_path / "p").check(dataset, "test")
-
-
-def test_a_failure_leaves_no_file(folders, tmp_path, monkeypatch):
-    net = completer(tmp_path, Dataset(folders[0]).grid)
-    monkeypatch.setattr(net, "_forward", None)
-    with pytest.raises(TypeError):
-        predict_split(net, folders[0], "test", tmp_path / "p")
-    assert [path.name for path in (tmp_path / "p").iterdir()] == ["predictions.json"]
 
 
 def test_maps_of_another_grid_are_refused(folders, tmp_path):
