@@ -14,7 +14,7 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 308_070, "benchmarks": 36_380, "tests": 265_710}
+TOKENS = {"product": 308_590, "benchmarks": 37_200, "tests": 266_030}
 FILES = 254
 LINES = 400
 """The longest file of product code."""

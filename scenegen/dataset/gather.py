@@ -99,6 +99,7 @@ class Part(ShardTask):
     """The shard, as that dataset's manifest lists it."""
     rows: tuple[int, ...] | None = None
     """The samples that are taken, in order; None for all."""
+    tells = False
 
     def write(self) -> ShardReport:
         """See `ShardTask`. Raises DatasetError where the shard there is no longer what its manifest

@@ -67,6 +67,8 @@ class ShardTask:
     """Numbers of the worlds that its samples are of; a world may stand there several times."""
     more: Mapping[str, int] = field(default_factory=dict)
     """What its entry in the manifest says besides."""
+    tells = True
+    """Whether `parameters` say which samples it holds, without a manifest beside it."""
 
     @property
     def file(self) -> str:

@@ -114,7 +114,8 @@ class State:
         if not others:
             return None
         if manifest.NAME not in others:
-            if any(read_report(shard) for shard in self.plan.shards if shard.file in others):
+            found_here = (shard for shard in self.plan.shards if shard.file in others)
+            if any(shard.tells and read_report(shard) for shard in found_here):
                 return {}  # the manifest alone was lost
             raise DatasetError(
                 f"{folder}: holds other files ({others[0]}, …) and no dataset; choose another "

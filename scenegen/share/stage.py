@@ -32,8 +32,8 @@ SUMS = "SHA256SUMS"
 """Digest and name of every other file, as sha256sum writes and checks them."""
 
 MOST_FILES = 100_000
-"""The most files of a published folder: of a repository with more, the Hub says that it works
-badly."""
+"""The most shards and archives that are published: of a repository with more files, the Hub says
+that it works badly."""
 MOST_LISTED = 300
 """The most files of which Croissant has an entry each; of more, the manifest has the digests."""
 SHOWN = 4
@@ -51,8 +51,6 @@ LICENCE = """This dataset, published by {owner}, is licensed under
 The full text at this address is what counts. The files are provided as they are, without any \
 warranty.
 """
-_BESIDES = 13
-"""The most files that a published folder holds besides shards and archives."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,8 +111,7 @@ def examine(request: Request) -> Dataset:
             f"{request.dataset}: was taken or merged of other datasets, and no one command makes "
             "it again; publish a dataset of each"
         )
-    files = len(dataset.manifest.files) + _BESIDES
-    if files > MOST_FILES:
+    if (files := len(dataset.manifest.files)) > MOST_FILES:
         raise PublishError(
             f"{request.dataset}: {files} files, more than the {MOST_FILES} that are published; "
             "generate it again with a larger --shard-samples, which changes no sample"

@@ -20,7 +20,6 @@ from typing import IO
 
 from lidarsim.jit import folder_trouble, is_ours
 from scenegen.errors import StoreError
-from scenegen.files import names_in
 from scenegen.stores import home_of, note_file, store_of
 from scenegen.stores.copies import (
     MOST_BYTES,
@@ -154,8 +153,9 @@ def note_of(folder: Path) -> Note | None:
 def bytes_in(folder: Path) -> int:
     """Bytes of the files in a dataset's folder, or of those that a folder of copies is of, fetched
     or not. Raises StoreError."""
-    files = {name: folder / name for name in names_in(folder)}
-    there = {name: path.stat().st_size for name, path in files.items() if path.is_file()}
+    found = (item for part in (folder, *folder.glob("*-*x/")) for item in os.scandir(part))
+    there = {item.path: item.stat().st_size for item in found if item.is_file()}
+    there = {path.removeprefix(f"{folder}/"): size for path, size in there.items()}
     if (about := note_of(folder)) is not None:
         there = {name: size for name, size in there.items() if not name.endswith(PART)} | {
             item.name: item.bytes

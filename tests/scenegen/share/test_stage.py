@@ -259,9 +259,9 @@ def test_a_damaged_shard_is_noticed_and_nothing_is_left(asked, dataset):
 
 
 def test_too_many_files_are_refused_with_what_helps(asked, monkeypatch):
-    monkeypatch.setattr("scenegen.share.stage.MOST_FILES", 22)
+    monkeypatch.setattr("scenegen.share.stage.MOST_FILES", 13)
     with pytest.raises(
-        PublishError, match=r"27 files, more than the 22 .* --shard-samples, which changes no"
+        PublishError, match=r"14 files, more than the 13 .* --shard-samples, which changes no"
     ):
         stage(asked, CHECKS)
 

@@ -364,6 +364,10 @@ def test_datasets_that_do_not_go_together_are_refused(first, second, tmp_path):
             plan_take(Dataset(first), out, Choice())
     with pytest.raises(DatasetError, match="no sample is as asked for"):
         plan_take(Dataset(first), tmp_path / "t", Choice(where=(Condition("occupied", ">", 2.0),)))
+    taken(tmp_path / "t", first, where=(Condition("viewpoint", "<", 1.0),))
+    (tmp_path / "t" / manifest.NAME).unlink()
+    with pytest.raises(DatasetError, match="no dataset"):  # shards do not tell which samples
+        taken(tmp_path / "t", first, where=(Condition("viewpoint", "=", 1.0),))
     for file in ("train-00001.h5", "train-00001.worlds.zip"):
         copy = Path(shutil.copytree(first, tmp_path / file))
         (copy / file).write_bytes((first / file).read_bytes()[:-7])
