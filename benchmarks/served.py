@@ -31,6 +31,9 @@ class Served(ThreadingHTTPServer):
         url = f"http://127.0.0.1:{self.server_port}"
         return {"AWS_ENDPOINT_URL": url, "AWS_ACCESS_KEY_ID": "x", "AWS_SECRET_ACCESS_KEY": "x"}
 
+    def handle_error(self, *about: object) -> None:
+        """Nothing: who asked was killed."""
+
     def __enter__(self) -> "Served":
         Thread(target=self.serve_forever, args=(0.01,), daemon=True).start()
         return self
@@ -57,18 +60,22 @@ class Answer(BaseHTTPRequestHandler):
             number = len(server.log)
         time.sleep(server.wait_s)
         fails = bool(server.fail_every) and number % server.fail_every == 0
-        content = path.read_bytes() if path.is_file() else None
-        tag = tag_of(content or b"")
         wanted, part = self.headers.get("If-Match"), self.headers.get("Range")
-        if fails and number // server.fail_every % 2:
+        refuses = fails and number // server.fail_every % 2
+        with server.alone:  # nobody puts anything between a look and a put
+            content = path.read_bytes() if path.is_file() else None
+            tag = tag_of(content or b"")
+            other = (wanted and wanted != tag) or (self.headers.get("If-None-Match") and content)
+            if self.command == "PUT" and not refuses and not other:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_bytes(body)
+        if refuses:
             self._send(503, b"")
         elif query:
             self._send(200, listing(path, query))
-        elif (wanted and wanted != tag) or (self.headers.get("If-None-Match") and content):
+        elif other:
             self._send(412, b"")
         elif self.command == "PUT":
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(body)
             self._send(200, b"", ETag=tag_of(body))
         elif self.command == "DELETE":
             path.unlink(missing_ok=True)

@@ -65,6 +65,7 @@ SCRIPTS = {
     "peers": ((), (r"`pillar` \| N .* \| N", r"`SSC.et` \| N M \| 0.92 M \| N M \| N \| N")),
     "rays": ((), (r"analytic +N ms a scan", r"kernels cached: N s")),
     "real": ((), (r"`pillar` \| N \| N .* \| N", r"mean of the places")),
+    "rehearsal": ((), (r"N nodes, a bucket \| N \| N \|", "N requests")),
     "sensors": ((), (r"livox-avia +N ms a sample", r"map ahead +N ms a sample")),
     "stream": ((), (r"generate --compact +N \(1\.00\) +N", r"cache read +N \(N\) +N")),
     "study": ((STUDY, "--out", "out"), (r"out/(c)laims\.png", r"out/(l)earning\.png")),
@@ -87,7 +88,7 @@ LEARNED = {
 }
 """These import torch, which takes seconds: they run in this process, which has done so for other
 tests, and so do the commands that they run."""
-DEAR = LEARNED | {"against", "executors", "extras", "fly", "folders", "generate"}
+DEAR = LEARNED | {"against", "executors", "extras", "fly", "folders", "generate", "rehearsal"}
 """These take some seconds."""
 
 
