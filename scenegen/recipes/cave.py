@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 
 from lidarsim.elementary import sin_cos
 from lidarsim.parameters import number
-from scenegen.recipes.kind import Range, WorldKind, attitudes
+from scenegen.recipes.kind import Classed, Range, Size, attitudes
 from scenegen.recipes.parts import Parts, height_at, hilly, scattered
 from scenegen.recipes.pieces import stone
-from scenegen.worlds.classes import CLASSES
 from scenegen.worlds.drawing import Drawing
 
 RAMP_M = 1.8
@@ -19,7 +18,7 @@ RAMP_M = 1.8
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cave(WorldKind):
+class Cave(Classed):
     """Two height fields that meet where there is rock. Chambers are joined in the order in which
     they are drawn, each to the nearest before it, and a few more tunnels close loops or end dead,
     as in the worlds of the DARPA Subterranean Challenge, whose tunnels are 2 to 6 m wide."""
@@ -43,14 +42,13 @@ class Cave(WorldKind):
         },
     }
     crowded_by = ("dripstone_density", "rock_density")
-    classes = CLASSES
     flight_defaults = {
         "altitude_m": (0.9, 2.4),
         "min_distance_m": 6.0,
         "flights_per_world": 6,
     }
 
-    size_m: tuple[float, float, float] = (40.0, 40.0, 6.0)
+    size_m: Size = (40.0, 40.0, 6.0)
     """Extent of the world along x, y and z, metres."""
     ground: bool = True
     """Whether there are a floor and a roof."""

@@ -7,16 +7,15 @@ import numpy as np
 from lidarsim.elementary import exp, log
 from lidarsim.parameters import number
 from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
-from scenegen.recipes.kind import Range, WorldKind, attitudes, log_uniform
+from scenegen.recipes.kind import Classed, Range, Size, attitudes, log_uniform
 from scenegen.recipes.parts import noise_field
-from scenegen.worlds.classes import CLASSES
 from scenegen.worlds.drawing import Drawing
 
 SHAPES = np.array([SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX])
 
 
 @dataclass(frozen=True, kw_only=True)
-class Clutter(WorldKind):
+class Clutter(Classed):
     """Solids whose places follow a noise of several octaves, as the "Perlin maps" of planners'
     suites do (ego-planner's by complexity, fill and fractal), so that there are thickets and
     clearings; sizes are scale-free between two bounds."""
@@ -31,10 +30,9 @@ class Clutter(WorldKind):
         },
     }
     crowded_by = ("density",)
-    classes = CLASSES
     flight_defaults = {"altitude_m": (1.5, 6.0)}
 
-    size_m: tuple[float, float, float] = (40.0, 40.0, 8.0)
+    size_m: Size = (40.0, 40.0, 8.0)
     """Extent of the world along x, y and z, metres."""
     ground: bool = True
     """Whether there is a floor."""

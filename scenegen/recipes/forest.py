@@ -6,14 +6,13 @@ import numpy as np
 
 from lidarsim.elementary import sin_cos
 from lidarsim.parameters import number
-from scenegen.recipes.kind import Range, WorldKind
+from scenegen.recipes.kind import Classed, Range, Size
 from scenegen.recipes.parts import Parts, height_at, hilly, scattered
-from scenegen.worlds.classes import CLASSES
 from scenegen.worlds.drawing import Drawing
 
 
 @dataclass(frozen=True, kw_only=True)
-class Forest(WorldKind):
+class Forest(Classed):
     """Trees scattered over hilly ground. Planners' suites have 0.06 trees a square metre (trees 4 m
     apart in YOPO's) to 0.2 (ETH's forest_gen); most worlds here lie between."""
 
@@ -31,10 +30,9 @@ class Forest(WorldKind):
         },
     }
     crowded_by = ("density", "bush_density")
-    classes = CLASSES
     flight_defaults = {"altitude_m": (2.0, 4.5)}
 
-    size_m: tuple[float, float, float] = (40.0, 40.0, 12.0)
+    size_m: Size = (40.0, 40.0, 12.0)
     """Extent of the world along x, y and z, metres."""
     ground: bool = True
     """Whether there is ground."""

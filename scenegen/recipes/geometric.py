@@ -8,7 +8,15 @@ import numpy as np
 from lidarsim.parameters import number
 from lidarsim.solids.shapes import BOX, CYLINDER, SPHERE
 from scenegen.limits import MOST_DRAWN_SOLIDS
-from scenegen.recipes.kind import Range, WorldKind, attitudes, log_uniform, normal, yaw_quaternion
+from scenegen.recipes.kind import (
+    Range,
+    Size,
+    WorldKind,
+    attitudes,
+    log_uniform,
+    normal,
+    yaw_quaternion,
+)
 from scenegen.recipes.parts import half_height
 from scenegen.worlds.drawing import Drawing
 
@@ -38,6 +46,7 @@ class Geometric(WorldKind):
             "clutter_density": (0.002, 0.006),
         },
     }
+    shares = ("standing_share", "stacked_share")
     crowded_by = (
         "density",
         "wall_density",
@@ -47,7 +56,7 @@ class Geometric(WorldKind):
     accept_defaults = {"min_solids": 2.0}
     flight_defaults = {"altitude_m": (1.5, 4.0)}
 
-    size_m: tuple[float, float, float] = (40.0, 40.0, 5.0)
+    size_m: Size = (40.0, 40.0, 5.0)
     """Extent of the world along x, y and z, metres; z is how high floating solids may have their
     centres."""
     ground: bool = True
@@ -80,12 +89,6 @@ class Geometric(WorldKind):
     """Standard deviation of small solids' places about their heap's, metres."""
     clutter_half_size_m: Range = (0.1, 0.35)
     """Radii and half edges of small solids, metres."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        both = self.standing_share + self.stacked_share
-        if both > 1:
-            raise ValueError(f"standing_share + stacked_share = {both}: expected at most 1")
 
     def most_solids(self) -> float:
         """How many solids a world may have: a heap counts as what is in it."""

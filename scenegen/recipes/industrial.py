@@ -5,17 +5,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from lidarsim.solids.shapes import CYLINDER
-from scenegen.recipes.kind import Range, WorldKind
+from scenegen.recipes.kind import Classed, Range, Size
 from scenegen.recipes.parts import Parts, scattered
 from scenegen.recipes.pieces import machine, scaffold
-from scenegen.worlds.classes import CLASSES
 from scenegen.worlds.drawing import Drawing
 
 QUARTER = np.pi / 2
 
 
 @dataclass(frozen=True, kw_only=True)
-class Industrial(WorldKind):
+class Industrial(Classed):
     """Thin things beside large ones. Pipes have outer diameters of ISO 4200 (.06 to .6 m), scaffold
     tubes 48 mm and bays of 2.0 by 0.7 by 2.0 m (EN 12810), catwalks railings of 1.1 m and stairs
     steps of 0.2 by 0.25 m (ISO 14122)."""
@@ -38,10 +37,9 @@ class Industrial(WorldKind):
         },
     }
     crowded_by = ("machine_density", "scaffold_density", "tank_density")
-    classes = CLASSES
     flight_defaults = {"altitude_m": (0.8, 6.0)}
 
-    size_m: tuple[float, float, float] = (40.0, 40.0, 9.0)
+    size_m: Size = (40.0, 40.0, 9.0)
     """Extent of the hall along x, y and z, metres."""
     ground: bool = True
     """Whether there is a floor."""

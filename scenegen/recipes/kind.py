@@ -14,10 +14,13 @@ from lidarsim.grid import Floats
 from lidarsim.parameters import Bounds, check, shown
 from scenegen.limits import MOST_DRAWN_M, MOST_DRAWN_SOLIDS
 from scenegen.recipes.parts import Parts
+from scenegen.worlds.classes import CLASSES
 from scenegen.worlds.drawing import Drawing
 
 Range = tuple[float, float]
 """A lower and an upper bound, both included; worlds or solids draw from between."""
+Size = tuple[float, float, float]
+"""Extents along x, y and z, metres."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,11 +42,13 @@ class WorldKind(ABC):
     accept_defaults: ClassVar[dict[str, object]] = {}
     """The same for `scenegen.recipe.Acceptance`."""
 
+    shares: ClassVar[tuple[str, ...]] = ()
+    """The parameters that are shares of one whole."""
     graded: ClassVar[dict[str, dict[str, object]]] = {}
     """The parameters in which the presets called "easy" and "hard" differ from the defaults, which
     are "medium"."""
 
-    size_m: tuple[float, float, float] = (40.0, 40.0, 10.0)
+    size_m: Size = (40.0, 40.0, 10.0)
     """Extent of the world along x, y and z, metres; z is how high floating solids may have their
     centres."""
     ground: bool = False
@@ -53,6 +58,8 @@ class WorldKind(ABC):
 
     def __post_init__(self) -> None:
         check(self, _bounds_by_name)
+        if (whole := sum(getattr(self, name) for name in self.shares)) > 1:
+            raise ValueError(f"{' + '.join(self.shares)} = {whole}: expected at most 1")
         most = self.most_solids()
         if most > MOST_DRAWN_SOLIDS:
             given = ", ".join(f"{name} = {shown(getattr(self, name))}" for name in self.crowded_by)
@@ -85,6 +92,13 @@ class WorldKind(ABC):
             x, y, _ = self.size_m
             half, centre = (x / 2, y / 2, self.ground_m / 2), (x / 2, y / 2, -self.ground_m / 2)
             spec.add_geom(mujoco.mjtGeom.mjGEOM_BOX, half, centre, rgba=(0.55, 0.53, 0.5, 1.0))
+
+
+class Classed(WorldKind):
+    """A kind each of whose solids has a class."""
+
+    classes = CLASSES
+    """Names of the classes that they may have."""
 
 
 def _bounds_by_name(name: str, value: Any) -> Bounds:

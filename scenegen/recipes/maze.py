@@ -6,16 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from lidarsim.parameters import number
-from scenegen.recipes.kind import Range, WorldKind
+from scenegen.recipes.kind import Classed, Range, Size
 from scenegen.recipes.parts import Joined, Parts, Span
-from scenegen.worlds.classes import CLASSES
 from scenegen.worlds.drawing import Drawing
 
 STEPS = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Maze(WorldKind):
+class Maze(Classed):
     """Cells joined by a random spanning tree (Kruskal 1956, edges in random order), and loops. A
     wall between joined cells is left out, or has a window or a slit; shelves stand out of some of
     the others. Narrow passages by design: windows are 2 to 4 times as wide as the robot."""
@@ -38,14 +37,13 @@ class Maze(WorldKind):
         },
     }
     crowded_by = ("shelf_share",)
-    classes = CLASSES
     flight_defaults = {
         "altitude_m": (0.6, 6.2),
         "min_distance_m": 4.0,
         "flights_per_world": 6,
     }
 
-    size_m: tuple[float, float, float] = (40.0, 40.0, 6.8)
+    size_m: Size = (40.0, 40.0, 6.8)
     """Extent of the maze along x, y and z, metres."""
     ground: bool = True
     """Whether there is a floor under the lowest level."""

@@ -30,6 +30,7 @@ class Pillar(WorldKind):
             "passage_share": 0.2,
         },
     }
+    shares = ("round_share", "oblong_share")
     crowded_by = ("density",)
     accept_defaults = {"min_solids": 4.0}
     flight_defaults = {"altitude_m": (3.0, 6.0)}
@@ -53,12 +54,6 @@ class Pillar(WorldKind):
     wider."""
     height_m: Range = (10.0, 10.0)
     """Heights of pillars, metres, from the ground up."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.round_share + self.oblong_share > 1:
-            both = self.round_share + self.oblong_share
-            raise ValueError(f"round_share + oblong_share = {both}: expected at most 1")
 
     def add_to(self, spec: Drawing, *, rng: np.random.Generator) -> None:
         """Draw all pillars at once, then move those of the passages beside earlier ones."""

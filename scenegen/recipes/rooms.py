@@ -5,15 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from lidarsim.parameters import number
-from scenegen.recipes.kind import Range, WorldKind
+from scenegen.recipes.kind import Classed, Range, Size
 from scenegen.recipes.parts import Joined, Parts, Rectangle, divided, rim_edges, shared_edges
 from scenegen.recipes.pieces import furnish, stairs
-from scenegen.worlds.classes import CLASSES
 from scenegen.worlds.drawing import Drawing
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rooms(WorldKind):
+class Rooms(Classed):
     """A floor plan by recursive division: rooms on both sides of a corridor, every room reached by
     a door. Measures are those that building codes and furniture makers use (doors .9 m wide and
     2.0 m high, tables .72 to .78 m, seats .45 m, steps of .17 m)."""
@@ -35,14 +34,13 @@ class Rooms(WorldKind):
         },
     }
     crowded_by = ("furniture_density",)
-    classes = CLASSES
     flight_defaults = {
         "altitude_m": (0.5, 2.2),
         "min_distance_m": 4.0,
         "flights_per_world": 8,
     }
 
-    size_m: tuple[float, float, float] = (34.0, 34.0, 4.0)
+    size_m: Size = (34.0, 34.0, 4.0)
     """Extent of the storey along x, y and z, metres."""
     ground: bool = True
     """Whether there is a floor."""

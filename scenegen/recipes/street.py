@@ -4,10 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scenegen.recipes.kind import Range, WorldKind
+from scenegen.recipes.kind import Classed, Range, Size
 from scenegen.recipes.parts import Parts, scattered
 from scenegen.recipes.pieces import balcony, car, colonnade, facade, gable_roof, lamp_posts, tree
-from scenegen.worlds.classes import CLASSES
 from scenegen.worlds.drawing import Drawing
 
 STOREY_M = 3.2
@@ -15,7 +14,7 @@ SIDES = ((1, 0.0), (-1, np.pi))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Street(WorldKind):
+class Street(Classed):
     """A street along x. Houses have bays between piers, sills, balconies, arcades, eaves and
     gables; widths of lanes and pavements are those of road design manuals (lanes 3.0 to 3.5 m,
     parking 2 m, pavements 2 to 4 m), lamp posts stand 10 to 15 m apart."""
@@ -39,10 +38,9 @@ class Street(WorldKind):
         },
     }
     crowded_by = ("tree_density", "bush_density")
-    classes = CLASSES
     flight_defaults = {"altitude_m": (0.8, 8.0)}
 
-    size_m: tuple[float, float, float] = (40.0, 40.0, 12.0)
+    size_m: Size = (40.0, 40.0, 12.0)
     """Extent of the world along x, y and z, metres."""
     ground: bool = True
     """Whether there are a road and pavements."""

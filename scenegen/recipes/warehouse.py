@@ -4,10 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scenegen.recipes.kind import Range, WorldKind
+from scenegen.recipes.kind import Classed, Range, Size
 from scenegen.recipes.parts import Parts
 from scenegen.recipes.pieces import conveyor, pallet, truss
-from scenegen.worlds.classes import CLASSES
 from scenegen.worlds.drawing import Drawing
 
 BAY_M = 2.7
@@ -15,7 +14,7 @@ BAY_M = 2.7
 
 
 @dataclass(frozen=True, kw_only=True)
-class Warehouse(WorldKind):
+class Warehouse(Classed):
     """Rows of double racks along y with aisles between them and a cross aisle. Aisles are 2.4 to
     3.6 m wide, as forklifts and reach trucks need them."""
 
@@ -35,10 +34,9 @@ class Warehouse(WorldKind):
         },
     }
     crowded_by = ("goods_density", "fill_share")
-    classes = CLASSES
     flight_defaults = {"altitude_m": (0.8, 6.5)}
 
-    size_m: tuple[float, float, float] = (40.0, 40.0, 9.0)
+    size_m: Size = (40.0, 40.0, 9.0)
     """Extent of the hall along x, y and z, metres."""
     ground: bool = True
     """Whether there is a floor."""

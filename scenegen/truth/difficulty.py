@@ -74,23 +74,12 @@ def difficulty(occupancy: Mask, tudf: Field, voxel_m: float) -> Difficulty:
     middle = tuple(edge // 2 for edge in occupancy.shape)
     if occupancy[middle]:
         return Difficulty(0.0, *[math.nan] * 9)
-    visibility, dispersion, passage = _around(occupancy, np.array(middle), voxel_m)
-    step = max(round(STEP_M / voxel_m), 1)
-    way, gap = _mean_ways(occupancy, np.array(middle), step, DIRECTIONS[DIRECTIONS[:, 2] == 0])
-    centre = np.array(middle)
+    centre, step = np.array(middle), max(round(STEP_M / voxel_m), 1)
     length, _ = _ways_out(occupancy, centre, step)
     guides = _guides(*_ways_out(occupancy | (tudf < BODY_M / 2), centre, step))
     paths = [centre + step * (nodes - centre // step) for nodes in guides]
-    return Difficulty(
-        clearance_m=float(tudf[middle]),
-        visibility_m=visibility,
-        dispersion=dispersion,
-        passage_m=passage,
-        tortuosity=float(_tortuosity(length, np.array(middle) // step)),
-        traversability=float(way) * voxel_m / BODY_M,
-        gap=float(gap) * voxel_m / BODY_M,
-        **hardness(paths, occupancy, tudf, voxel_m)._asdict(),
-    )
+    tortuosity = _tortuosity(length, centre // step)
+    return _measured(centre[None], step, tortuosity, paths, occupancy, tudf, voxel_m)
 
 
 def way_difficulty(
@@ -110,22 +99,28 @@ def way_difficulty(
         voxel_m: Edge of a voxel, metres.
     """
     step = max(round(STEP_M / voxel_m), 1)
-    stops = way[::step]
-    around = [_around(occupancy, stop, voxel_m) for stop in stops]
-    visibility, dispersion, passage = np.mean(around, axis=0).tolist()
-    level = DIRECTIONS[DIRECTIONS[:, 2] == 0]
-    free_m, gap = _mean_ways(occupancy, way[0], step, level)
     length = np.sqrt((np.diff(way, axis=0) ** 2).sum(axis=1)).sum()
-    return Difficulty(
-        clearance_m=float(tudf[tuple(stops.T)].mean()),
-        visibility_m=visibility,
-        dispersion=dispersion,
-        passage_m=passage,
-        tortuosity=float(length / np.sqrt(((way[-1] - way[0]) ** 2).sum())),
-        traversability=float(free_m) * voxel_m / BODY_M,
-        gap=float(gap) * voxel_m / BODY_M,
-        **hardness([way], occupancy, tudf, voxel_m)._asdict(),
-    )
+    tortuosity = float(length / np.sqrt(((way[-1] - way[0]) ** 2).sum()))
+    return _measured(way[::step], step, tortuosity, [way], occupancy, tudf, voxel_m)
+
+
+def _measured(
+    stops: Ints,
+    step: int,
+    tortuosity: float,
+    paths: list[Ints],
+    occupancy: Mask,
+    tudf: Field,
+    voxel_m: float,
+) -> Difficulty:
+    """The figures around the voxels `stops` (n, 3), as means, on the lattice of the first, and
+    along `paths`."""
+    around = np.mean([_around(occupancy, stop, voxel_m) for stop in stops], axis=0)
+    ways = _mean_ways(occupancy, stops[0], step, DIRECTIONS[DIRECTIONS[:, 2] == 0])
+    level = (float(way) * voxel_m / BODY_M for way in ways)
+    clearance = float(tudf[tuple(stops.T)].mean())
+    hard = hardness(paths, occupancy, tudf, voxel_m)
+    return Difficulty._make([clearance, *around.tolist(), tortuosity, *level, *hard])
 
 
 def _around(occupancy: Mask, place: Ints, voxel_m: float) -> tuple[float, float, float]:
@@ -238,29 +233,13 @@ def _ways_out(occupancy, middle, step):
     return length, before
 
 
-@kernel
-def _tortuosity(length, start):
+def _tortuosity(length: Floats, start: Ints) -> float:
     """The mean over reached nodes of the lateral faces of the shortest way over that in an empty
     map."""
-    na, nb, nc = length.shape
-    total, count = 0.0, 0
-    for a in range(na):
-        for b in range(nb):
-            if 0 < a < na - 1 and 0 < b < nb - 1:
-                continue
-            for c in range(nc):
-                if math.isfinite(length[a, b, c]):
-                    low, mid, high = _sorted(
-                        abs(a - start[0]), abs(b - start[1]), abs(c - start[2])
-                    )
-                    empty = (high - mid) + math.sqrt(2.0) * (mid - low) + math.sqrt(3.0) * low
-                    total += length[a, b, c] / empty
-                    count += 1
-    return total / count if count else np.nan
-
-
-@kernel
-def _sorted(a, b, c):
-    """Three numbers in rising order."""
-    low, high = min(a, b, c), max(a, b, c)
-    return low, a + b + c - low - high, high
+    nodes = np.argwhere((length > 0) & np.isfinite(length))
+    lateral = nodes[((nodes == 0) | (nodes == np.array(length.shape) - 1))[:, :2].any(axis=1)]
+    if not len(lateral):
+        return math.nan
+    low, middle, high = np.sort(abs(lateral - start)).T
+    empty = (high - middle) + math.sqrt(2.0) * (middle - low) + math.sqrt(3.0) * low
+    return float((length[tuple(lateral.T)] / empty).mean())

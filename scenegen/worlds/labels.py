@@ -61,12 +61,10 @@ def class_names(model: mujoco.MjModel, by: By) -> list[str]:
     """The name of every geom's class; see `Labels`."""
     if by == "group":
         return [GROUPS[int(group)] for group in model.geom_group]
+    names = [model.mat(int(number)).name if number >= 0 else "" for number in model.geom_matid]
     if by == "class":
-        worn = (model.mat(int(n)).name if n >= 0 else "" for n in model.geom_matid)
-        return [name if name in CLASSES else OTHER for name in worn]
-    if by == "material":
-        names = [model.mat(int(number)).name if number >= 0 else "" for number in model.geom_matid]
-    else:
+        return [name if name in CLASSES else OTHER for name in names]
+    if by == "name":
         names = [model.geom(geom).name for geom in range(model.ngeom)]
     parts = (re.split(r"[._-]+", name) for name in names)
     stems = ("_".join(filter(None, (part.rstrip("0123456789") for part in each))) for each in parts)

@@ -20,42 +20,10 @@ from scenegen.source import DrawnWorlds
 from scenegen.verification.contract import read_contract
 from scenegen.verification.report import Ledger
 
-NASTY = (
-    *(
-        0,
-        1,
-        -1,
-        2.5,
-        1e-300,
-        1e-7,
-        1e9,
-        1e308,
-        10**30,
-        1 << 20_000,
-        math.nan,
-        math.inf,
-        -math.inf,
-        True,
-        False,
-        None,
-    ),
-    *(
-        "",
-        "5",
-        "\x1b[2J\n",
-        [],
-        [1],
-        [1, 2],
-        [2, 1],
-        [8, 8, 8],
-        [1e9, 1e9],
-        [math.nan, 1],
-        [[1], 2],
-        [1] * 999,
-        {},
-    ),
-    *({"a": 1}, datetime.date(1979, 5, 27), datetime.time(7, 32), datetime.datetime(1979, 5, 27)),
-)
+NASTY = (0, 1, -1, 2.5, 1e-300, 1e-7, 1e9, 1e308, 10**30, 1 << 20_000, math.nan, math.inf)
+NASTY += (-math.inf, True, False, None, "", "5", "\x1b[2J\n", [], [1], [1, 2], [2, 1], [8, 8, 8])
+NASTY += ([1e9, 1e9], [math.nan, 1], [[1], 2], [1] * 999, {}, {"a": 1}, datetime.date(1979, 5, 27))
+NASTY += (datetime.time(7, 32), datetime.datetime(1979, 5, 27))
 """Values as TOML could give them, and worse."""
 
 

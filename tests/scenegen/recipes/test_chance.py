@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from lidarsim.pose import rotate
-from scenegen.recipes.kind import attitudes, log_uniform, normal
+from scenegen.recipes.kind import attitudes, normal
 
 
 def distance(values, distribution):
@@ -58,10 +58,3 @@ def test_attitudes_are_uniform_or_upright(rng):
     assert distance(turned, (turned + np.pi) / (2.0 * np.pi)) < 1.8
     share = np.count_nonzero(attitudes(20_000, 0.3, rng=rng)[:, 1]) / 20_000
     assert abs(share - 0.3) < 0.02
-
-
-def test_logarithms_are_uniform(rng):
-    drawn = np.sort([log_uniform(0.002, 0.4, rng=rng) for _ in range(5000)])
-    assert (drawn >= 0.002 * (1 - 1e-15)).all()
-    assert (drawn <= 0.4 * (1 + 1e-15)).all()
-    assert distance(drawn, np.log(drawn / 0.002) / np.log(200.0)) < 1.8

@@ -59,13 +59,22 @@ def test_the_logarithm_of_the_density_is_uniform():
     assert {len(solids(seed, count=70)) for seed in range(5)} == {70}
 
 
-def test_shapes_come_in_thirds_and_spread_over_the_plan():
+def test_shapes_come_in_thirds():
     found = solids(stacked_share=0.0)
     for shape in SHAPES:
         assert looks_like_share(sum(solid.shape == shape for solid in found), len(found), 1 / 3)
-    plan = np.array([solid.position for solid in found])
-    assert looks_uniform(plan[:, 0], 0.0, 60.0)
-    assert looks_uniform(plan[:, 1], 0.0, 40.0)
+
+
+SINGLE = {"clutter_count": (1, 1), "clutter_spread_m": 1e-6}
+
+
+@pytest.mark.parametrize(
+    ("some", "more"), [(solids, {"stacked_share": 0.0}), (walls, {}), (heaps, SINGLE)]
+)
+def test_all_spread_over_the_plan(some, more):
+    x, y, _ = np.transpose([solid.position for solid in some(count=300, **more)])
+    assert looks_uniform(x, -1e-4, 60.0 + 1e-4)
+    assert looks_uniform(y, -1e-4, 40.0 + 1e-4)
 
 
 def test_sizes_are_drawn_axis_by_axis_between_their_bounds():
@@ -142,10 +151,12 @@ def test_tilted_solids_come_in_their_share_and_at_any_attitude(share):
         assert looks_uniform([solid.yaw for solid in found if solid.upright], 0.0, 2 * np.pi)
 
 
-def test_the_wall_density_is_drawn_once_a_world_between_its_bounds():
-    counts = [len(walls(seed, wall_density=(0.01, 0.06))) for seed in range(80)]
+@pytest.mark.parametrize(("some", "more"), [(walls, {}), (heaps, {"clutter_count": (1, 1)})])
+def test_densities_are_drawn_once_a_world_between_their_bounds(some, more):
+    name = "wall_density" if some is walls else "clutter_density"
+    counts = [len(some(seed, **{name: (0.01, 0.06)}, **more)) for seed in range(80)]
     assert looks_uniform(np.array(counts) / 2400.0, 0.01 - 3e-4, 0.06 + 3e-4)
-    assert {len(walls(seed, count=33)) for seed in range(5)} == {33}
+    assert {len(some(seed, count=33, **more)) for seed in range(5)} == {33}
 
 
 def test_walls_are_upright_slabs_on_the_ground_within_their_ranges():
@@ -165,20 +176,8 @@ def test_walls_are_upright_slabs_on_the_ground_within_their_ranges():
     assert looks_uniform(high, *ranges["wall_height_m"])
 
 
-def test_walls_are_turned_at_will_and_spread_over_the_plan():
-    found = walls()
-    assert looks_uniform([solid.yaw for solid in found], 0.0, np.pi)
-    plan = np.array([solid.position for solid in found])
-    assert looks_uniform(plan[:, 0], 0.0, 60.0)
-    assert looks_uniform(plan[:, 1], 0.0, 40.0)
-
-
-def test_the_clutter_density_is_drawn_once_a_world_between_its_bounds():
-    counts = [
-        len(heaps(seed, clutter_density=(0.005, 0.03), clutter_count=(1, 1))) for seed in range(80)
-    ]
-    assert looks_uniform(np.array(counts) / 2400.0, 0.005 - 3e-4, 0.03 + 3e-4)
-    assert {len(heaps(seed, count=21, clutter_count=(3, 3))) for seed in range(5)} == {63}
+def test_walls_are_turned_at_will():
+    assert looks_uniform([solid.yaw for solid in walls()], 0.0, np.pi)
 
 
 def test_a_heap_has_a_count_of_solids_with_both_bounds_included():
@@ -204,11 +203,3 @@ def test_a_heap_is_small_tilted_solids_on_the_ground_about_its_place():
     lift = np.array([solid.span[0] for solid in found])
     assert lift.min() > -1e-5
     assert stats.kstest(lift, stats.halfnorm(scale=0.8).cdf).pvalue > 1e-3
-
-
-def test_heaps_spread_over_the_plan():
-    plan = np.array(
-        [solid.position for solid in heaps(count=300, clutter_count=(1, 1), clutter_spread_m=1e-6)]
-    )
-    assert looks_uniform(plan[:, 0], -1e-4, 60.0 + 1e-4)
-    assert looks_uniform(plan[:, 1], -1e-4, 40.0 + 1e-4)

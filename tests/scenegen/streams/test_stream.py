@@ -1,6 +1,5 @@
 """A stream is the dataset without a disk, whoever draws it and in whatever order."""
 
-import dataclasses
 import json
 import os
 import pickle
@@ -13,7 +12,6 @@ import numpy as np
 import pytest
 
 import scenegen
-from lidarsim.noise.chain import Noise
 from scenegen import SPLITS
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.errors import DatasetError, GenerationError, RecipeError, SceneError, ScenegenError
@@ -94,13 +92,6 @@ def test_what_a_reader_does_to_a_sample_does_not_come_back():
     for name in ("observed", "free", "occupancy", "tudf", "ranges", "position"):
         getattr(first, name)[:] = 0
     assert same(stream[1], expected)
-
-
-def test_its_samples_know_their_sensor_and_the_stream_all_its_noise():
-    noisy = dataclasses.replace(small_recipe(), noise=Noise.parse("dropout:share=0.2"))
-    stream = scenegen.stream([small_recipe(), noisy])
-    assert len(stream[0].points()) == np.isfinite(stream[0].ranges).sum() > 0
-    assert [noise for _, _, noise in stream.settings] == ["", "dropout:share=0.2"]
 
 
 def test_a_sample_depends_on_seed_split_and_number_alone():
