@@ -79,6 +79,8 @@ class Recipe:
     kind: str
     """Name of a kind of world, a user's own as ``module:Class``, or ``scene`` for worlds from MJCF
     files."""
+    difficulty: str = "medium"
+    """Which of the kind's presets `world` began as."""
     world: WorldKind | None = None
     """How worlds are drawn; None for worlds from MJCF files."""
     flight: Flight = field(default_factory=Flight)
@@ -159,6 +161,7 @@ class Recipe:
         values."""
         tables = {"world": self.world, "flight": self.flight, "accept": self.accept}
         resolved: dict[str, Any] = {"version": self.version}
+        resolved |= {} if self.difficulty == "medium" else {"difficulty": self.difficulty}
         resolved |= {
             name: dataclasses.asdict(table) for name, table in tables.items() if table is not None
         }
@@ -317,6 +320,6 @@ def make_recipe(
     )
     odd = f"{at}[world] of kind {kind}: a parameter cannot stand in a manifest: "
     with raised_as(RecipeError, at), raised_as(RecipeError, odd, of=TypeError):
-        recipe = Recipe(kind=kind, **built)
+        recipe = Recipe(kind=kind, difficulty=level, **built)
         json.dumps(recipe.resolved())
     return recipe

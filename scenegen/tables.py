@@ -2,11 +2,15 @@
 the parameter; the table [lidar] as a user gives it."""
 
 import dataclasses
+import itertools
+import json
 import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from lidarsim import BeamTable, Sensor
 from lidarsim.noise.chain import Noise
@@ -14,10 +18,14 @@ from lidarsim.registry import suggestion
 from lidarsim.sensors import CATALOGUE, FAMILIES, RASTER, SENSORS
 from scenegen.errors import DatasetError, RecipeError, printable, raised_as, short
 from scenegen.files import read_bounded
-from scenegen.limits import MOST_DEPTH, MOST_RECIPE_BYTES
+from scenegen.limits import MOST_DEPTH, MOST_RECIPE_BYTES, MOST_SOURCES
 
 _DECIMAL = re.compile(r"(?<![\w.])\d+\.\d+(?:[eE][-+]?\d+)?(?![\w.])")
 """A number's own dot, of which a list of beams has many in a line."""
+_INTERVAL = re.compile(
+    r"(?<![\w.])(-?\d{1,9}(?:\.\d{1,9})?)\.\.(-?\d{1,9}(?:\.\d{1,9})?)(?![\w.])", re.ASCII
+)
+"""How a domain writes an interval: 0.01..0.05, or 1..5 for whole numbers."""
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -144,3 +152,60 @@ def beam_table(sensor: Sensor) -> BeamTable:
     except Exception as error:
         said = error if isinstance(error, ValueError) else f"it fails: {error!r}"
         raise ValueError(f"[lidar] sensor {type(sensor).__name__}: {printable(said)}") from None
+
+
+def combinations(domain: Any, at: str, rng: np.random.Generator) -> list[dict[str, dict[str, Any]]]:
+    """Every combination of the values that a [domain] lists, as tables; where some have intervals,
+    each so often as its `draws` says, with numbers from these. Raises RecipeError."""
+    rows = dict(domain) if isinstance(domain, dict) else {"": domain}
+    draws = rows.pop("draws", 0)
+    if not all(isinstance(row, dict) for row in rows.values()):
+        raise RecipeError(
+            f"{at}: domain: expected tables of lists, such as [domain.lidar] with a line "
+            'sensor = ["raster", "ouster-os1-64"]'
+        )
+    named = [
+        (table, name, [values] if isinstance(values, str) else values)
+        for table, row in rows.items()
+        for name, values in row.items()
+    ]
+    for table, name, values in named:
+        if not isinstance(values, list) or not values:
+            raise RecipeError(
+                f"{at}: domain.{table}.{name} = {short(values)}: expected a list of values, or an "
+                'interval, such as "0.01..0.05"'
+            )
+    if type(draws) is not int or (draws > 0) != bool(_INTERVAL.search(str(named))):
+        raise RecipeError(
+            f"{at}: domain.draws = {short(draws)}: expected how often to draw, such as 10, where a "
+            "value has an interval, such as 0.01..0.05, and nothing elsewhere"
+        )
+    chosen = itertools.product(range(max(draws, 1)), *(values for _, _, values in named))
+    found: list[dict[str, dict[str, Any]]] = []
+    for _, *each in itertools.islice(chosen, MOST_SOURCES + 1):
+        found.append({})
+        for (table, name, _), value in zip(named, each, strict=True):
+            found[-1].setdefault(table, {})[name] = _drawn(value, rng)
+    if len(found) > MOST_SOURCES:
+        raise RecipeError(
+            f"{at}: domain: more than {MOST_SOURCES} combinations; list or draw fewer"
+        )
+    return found
+
+
+def _drawn(value: Any, rng: np.random.Generator) -> Any:
+    """A value with a number from each interval that is written in it, of four digits, for people
+    read it in the manifest."""
+    if isinstance(value, list):
+        return [_drawn(part, rng) for part in value]
+    if not isinstance(value, str):
+        return value
+
+    def number(interval: re.Match[str]) -> str:
+        low, high = sorted(interval.groups(), key=float)
+        if "." in low + high:
+            return f"{rng.uniform(float(low), float(high)):.4g}"
+        return str(rng.integers(int(low), int(high), endpoint=True))
+
+    text = _INTERVAL.sub(number, value)
+    return json.loads(text) if _INTERVAL.fullmatch(value) else text

@@ -139,7 +139,9 @@ def _show(dataset: Path | str, found: Json) -> None:
             "complete": "yes" if found["complete"] else "no",
             "digest": found["digest"] or "none yet",
             "grid": f"{grid['shape']} voxels of {grid['voxel']} m{hollow}",
-            "maps": Mapper(**(found["mapping"] or {})),
+            "maps": SEVERAL
+            if any("mapping" in one for one in sources)
+            else Mapper(**(found["mapping"] or {})),
             "fields": ", ".join(found["fields"]),
             "samples": found["samples"],
             "size": f"{found['bytes'] / 1e6:.1f} MB, {found['bytes_per_sample'] / 1e3:.1f} KB a "
@@ -156,13 +158,16 @@ def _show(dataset: Path | str, found: Json) -> None:
             if value["mean"] is not None:
                 mean, std, low, high = (value[one] * factor for one in value)
                 rows[key] = f"{mean:6.2f} ± {std:5.2f} {unit}   from {low:.2f} to {high:.2f}"
+                if worlds := split.get("world_means"):
+                    low, high = (worlds[key][one] * factor for one in ("min", "max"))
+                    rows[key] += f", worlds from {low:.2f} to {high:.2f}"
         counts = f"{split['samples']} samples of {split['worlds']} worlds"
         show_table(rows, f"{name}: {counts} ({split['sampled']} measured)")
         if kinds := split.get("kinds"):
             cells = {"measured": [str(one["sampled"]) for one in kinds.values()]}
-            for key, (_, unit) in {"unknown": ("", "%"), **LABELS}.items():
+            for key, (_, unit) in LABELS.items():
                 factor = 100 if unit == "%" else 1
-                means = [one[key] for one in kinds.values()]
+                means = [one["statistics"][key]["mean"] for one in kinds.values()]
                 cells[key] = ["–" if mean is None else f"{mean * factor:.3f}" for mean in means]
             show_figures(cells, list(kinds), f"{name}: means of each kind, shares in %")
 

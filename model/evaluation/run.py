@@ -173,7 +173,7 @@ def bench(
     check_middle(dataset)
     if config.study:
         check_whole(dataset, "leave --study out")
-    kind = kind or dataset.manifest.kind
+    kind = kind or dataset.manifest.graded
     ours = numbers_by_kind(split).get(kind)
     if ours is None:
         raise DatasetError(f"{dataset.folder}: holds no {kind} in its {config.split} split")
@@ -227,7 +227,7 @@ def numbers_by_kind(split: Split) -> dict[str, list[int]]:
     found: dict[str, list[int]] = {}
     for number, entry in enumerate(split.shards):
         first = split.first(number)
-        ours = found.setdefault(split.dataset.manifest.home(entry).kind, [])
+        ours = found.setdefault(split.dataset.manifest.home(entry).graded, [])
         ours += range(first, first + entry.samples)
     return found
 
@@ -239,7 +239,7 @@ def tables_of(datasets: Sequence[Dataset], split: str) -> list[tuple[Dataset, st
         (dataset, kind)
         for dataset in datasets
         # one without samples is refused when it is measured
-        for kind in numbers_by_kind(dataset.split(split)) or (dataset.manifest.kind,)
+        for kind in numbers_by_kind(dataset.split(split)) or (dataset.manifest.graded,)
     ]
     kinds = [kind for _, kind in found]
     if len(set(kinds)) < len(kinds):

@@ -67,7 +67,7 @@ class SplitSamples:
     def __init__(self, dataset: SampleDataset, split: str, weight: Any = None):
         self.weight = weight
         self.grid, self.lidar, self.name = dataset.grid, dataset.lidar, str(dataset.folder)
-        self.kind, self.digest = dataset.manifest.kind, str(dataset.manifest.digest)
+        self.kind, self.digest = dataset.manifest.graded, str(dataset.manifest.digest)
         self.settings = dataset.settings
         self.known = dataset.manifest.known
         self._split = dataset.split(split)

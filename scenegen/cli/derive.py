@@ -91,7 +91,7 @@ def rescan(
     "kinds",
     multiple=True,
     metavar="KIND",
-    help="Samples of this kind of worlds alone, of a mixed or merged dataset; repeatable.",
+    help="Samples of this kind of worlds alone, such as maze, or maze-hard; repeatable.",
 )
 @click.option(
     "--worlds",

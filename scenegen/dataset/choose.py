@@ -18,7 +18,7 @@ from lidarsim.sensors.table import MOST_HEADER_BYTES, read_npy
 from scenegen import SPLITS
 from scenegen.dataset.read import Dataset, Split
 from scenegen.dataset.trust import Entry
-from scenegen.errors import ScenegenError, short
+from scenegen.errors import DatasetError, ScenegenError, short
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_SAMPLES
 from scenegen.run.workers import run
@@ -52,6 +52,7 @@ FIGURES: Mapping[str, Callable[[Sample], float]] = {
     "occupied": lambda sample: float(sample.occupancy.mean()),
     "observed": lambda sample: float(sample.observed.mean()),
     "free": lambda sample: float(sample.free.mean()),
+    "unknown": lambda sample: float(1 - (sample.observed | sample.free).mean()),
     "returned": lambda sample: float(np.isfinite(_ranges(sample)).mean()),
     "range_m": _range_m,
     "tudf_m": lambda sample: float(sample.tudf.mean()),
@@ -65,6 +66,8 @@ ROW = np.dtype([(name, "<f8") for name in FIGURES])
 
 NUMBERS = ("sample", "world", "viewpoint")
 """What can be asked of a sample without reading it: its number in the split, and who it is."""
+OF_WORLD = "world_"
+"""Before the name of a figure: its mean over all maps of a sample's world."""
 SIGNS = {
     "<=": operator.le,
     ">=": operator.ge,
@@ -117,7 +120,7 @@ class Condition:
         """The condition that is written like ``occupied>=0.05``. Raises ValueError."""
         number = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
         match = re.fullmatch(rf"\s*(\w+)\s*(<=|>=|<|>|=)\s*({number})\s*", text, re.ASCII)
-        known = (*NUMBERS, *FIGURES)
+        known = (*NUMBERS, *FIGURES, *(OF_WORLD + name for name in FIGURES))
         if match and match[1] in known:
             return cls(match[1], match[2], float(match[3]))
         raise ValueError(
@@ -142,7 +145,7 @@ class Choice:
     most: int | None = None
     """So many of each split at most; None for no bound."""
     kinds: tuple[str, ...] = ()
-    """Kinds of worlds; empty for all."""
+    """Kinds of worlds, as "maze", or "maze-hard" for another difficulty; empty for all."""
     worlds: tuple[tuple[int, int], ...] = ()
     """Numbers of worlds, (first, one past last) each; empty for all."""
     where: tuple[Condition, ...] = ()
@@ -176,25 +179,30 @@ def choose(dataset: Dataset, choice: Choice, *, workers: int = 1) -> Iterator[Ch
     without any.
 
     Samples are read only where something measured is asked for that is not kept beside them, by
-    `workers` processes. Raises DatasetError.
+    `workers` processes. Raises DatasetError, also where figures of whole worlds are not kept.
     """
-    measured = tuple(condition for condition in choice.where if condition.name in FIGURES)
+    measured = tuple(condition for condition in choice.where if condition.name not in NUMBERS)
     kept = kept_figures(dataset) if measured else {}
+    for name in (one.name for one in measured if one.name not in FIGURES and not kept):
+        raise DatasetError(
+            f"{dataset.folder}: {name} is a mean over all maps of a world; measure these first: "
+            f"scenegen inspect {dataset.folder} --keep"
+        )
     step = workers * AT_ONCE if measured and not kept else 1
     for name in (name for name in SPLITS if name in choice.splits):
         split = dataset.split(name)
         left = MOST_SAMPLES if choice.most is None else choice.most
+        if kept:
+            fulfil = [c.holds(figure(split, kept[name], c.name)) for c in measured]
+            passed = np.all(fulfil, axis=0)
         for begin in range(0, len(split.shards), step):
             found = {
                 n: _named(split, n, choice)
                 for n in range(begin, min(begin + step, len(split.shards)))
-                if not choice.kinds or dataset.manifest.home(split.shards[n]).kind in choice.kinds
+                if not choice.kinds or dataset.manifest.home(split.shards[n]).graded in choice.kinds
             }
             if kept:
-                for n, one in found.items():
-                    columns = kept[name][split.first(n) + one.rows].T
-                    fulfil = [c.holds(columns[COLUMNS.index(c.name)]) for c in measured]
-                    found[n] = one.but(np.all(fulfil, axis=0))
+                found = {n: one.but(passed[split.first(n) + one.rows]) for n, one in found.items()}
             elif measured:
                 tasks = [(n, one.rows) for n, one in found.items()]
                 with closing(run(partial(_measured, split, measured), tasks, workers)) as results:
@@ -209,14 +217,27 @@ def choose(dataset: Dataset, choice: Choice, *, workers: int = 1) -> Iterator[Ch
                 break
 
 
+def figure(split: Split, table: Floats, name: str) -> Floats:
+    """A figure of all samples of a split, from the `FIGURES` (samples, figures) of these; NaN for
+    none. Raises DatasetError."""
+    own = table[:, COLUMNS.index(name.removeprefix(OF_WORLD))]
+    if name in FIGURES:
+        return own
+    here = ~np.isnan(own)
+    count = np.bincount(split.worlds, here)
+    with np.errstate(invalid="ignore"):  # a world may have none
+        means: Floats = np.bincount(split.worlds, np.where(here, own, 0)) / count
+    return means[split.worlds]
+
+
 def _named(split: Split, number: int, choice: Choice) -> Chosen:
     """What of a shard its samples' numbers alone let through."""
     entry, places = split.shards[number], split.places(number)
-    world, viewpoint = split.dataset.manifest.home(entry).numbering(split.name).name(places)
+    samples = split.first(number) + np.arange(len(places))
     values = {
-        "sample": split.first(number) + np.arange(len(places)),
-        "world": world + split.first_worlds[number],
-        "viewpoint": viewpoint,
+        "sample": samples,
+        "world": split.worlds[samples],
+        "viewpoint": split.dataset.manifest.home(entry).numbering(split.name).name(places)[1],
     }
     kept = np.ones(len(places), dtype=np.bool_)
     if choice.worlds:

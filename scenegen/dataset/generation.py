@@ -3,8 +3,6 @@ and how many samples."""
 
 import dataclasses
 import hashlib
-import itertools
-import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -25,9 +23,10 @@ from scenegen.errors import AskedError, RecipeError, SceneError, printable, shor
 from scenegen.limits import MOST_SOURCES, MOST_WEIGHT
 from scenegen.recipe import Recipe, beside_file, make_recipe, preset, read_recipe
 from scenegen.recipes import kind_names
+from scenegen.sample import rng_of
 from scenegen.source import DrawnWorlds, SceneWorlds, read_scenes
 from scenegen.stores import folder_of, is_remote
-from scenegen.tables import named_lidar, read_toml
+from scenegen.tables import combinations, named_lidar, read_toml
 from scenegen.worlds.labels import By, Labels, labels_by
 
 MIXED = "mixed"
@@ -128,7 +127,7 @@ def plan_generation(
     if named == MIXED or (recipe is not None and is_mixed(Path(recipe))):
         if named not in (None, MIXED):
             raise RecipeError(f"{recipe}: is of several kinds, not of {named}; leave --kind out")
-        parts = read_components(None if recipe is None else Path(recipe), **given)
+        parts = read_components(None if recipe is None else Path(recipe), seed=seed, **given)
         if labels is not None:
             parts = [
                 (dataclasses.replace(one, labels=_labels(labels, DrawnWorlds(one))), weight)
@@ -198,7 +197,7 @@ def is_mixed(path: Path) -> bool:
     return tables.get("kind") == MIXED or bool({"component", "domain"} & set(tables))
 
 
-def read_components(path: Path | None = None, **given: Any) -> list[Component]:
+def read_components(path: Path | None = None, *, seed: int = 0, **given: Any) -> list[Component]:
     """The components of a mixture.
 
     Args:
@@ -207,7 +206,9 @@ def read_components(path: Path | None = None, **given: Any) -> list[Component]:
             itself are common to all. Without a file, or without components, every kind that comes
             with scenegen has the same weight. A table ``[domain.TABLE]`` beside them gives
             parameters of that table lists of values: a component is then as many, one for every
-            combination, which share its weight.
+            combination, which share its weight. Where values have intervals, ``[domain] draws``
+            says how often each combination is taken, every time with other numbers.
+        seed: What the numbers of intervals are drawn by.
         given: What all have in common, as for `scenegen.preset`.
 
     Raises:
@@ -241,41 +242,12 @@ def read_components(path: Path | None = None, **given: Any) -> list[Component]:
             for name in dict.fromkeys((*common, *own))
         }
         folder = Path() if path is None else path.parent
-        each = _combinations(tables.pop("domain", {}), at)
+        each = combinations(tables.pop("domain", {}), at, rng_of(seed, n))
         for values in each:
             chosen = {name: {**(tables.get(name) or {}), **one} for name, one in values.items()}
             every_table = tables | chosen | beside
             made = make_recipe(kind, every_table, where=at, folder=folder, sensor=lidar)
             found.append((made, share / len(each)))
-    return found
-
-
-def _combinations(domain: Any, at: str) -> list[dict[str, dict[str, Any]]]:
-    """Every combination of the values that a domain lists, as tables. Raises RecipeError."""
-    if not (isinstance(domain, dict) and all(isinstance(one, dict) for one in domain.values())):
-        raise RecipeError(
-            f"{at}: domain: expected tables of lists, such as [domain.lidar] with a line "
-            'sensor = ["raster", "ouster-os1-64"]'
-        )
-    named = [
-        (table, name, values) for table, rows in domain.items() for name, values in rows.items()
-    ]
-    for table, name, values in named:
-        if not isinstance(values, list) or not values:
-            raise RecipeError(
-                f"{at}: domain.{table}.{name} = {short(values)}: expected a list of values"
-            )
-    count = math.prod(len(values) for _, _, values in named)
-    if count > MOST_SOURCES:
-        raise RecipeError(
-            f"{at}: domain: {count} combinations, expected {MOST_SOURCES} at most; list fewer"
-        )
-    found = []
-    for chosen in itertools.product(*(values for _, _, values in named)):
-        tables: dict[str, dict[str, Any]] = {}
-        for (table, name, _), value in zip(named, chosen, strict=True):
-            tables.setdefault(table, {})[name] = value
-        found.append(tables)
     return found
 
 

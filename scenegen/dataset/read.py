@@ -291,17 +291,20 @@ class Split(Samples):
             )
             return places
 
-    def count_worlds(self) -> int:
-        """How many worlds its samples are of; files are opened only where samples were left out
-        between others. Raises DatasetError."""
+    @cached_property
+    def worlds(self) -> NDArray[np.int64]:
+        """The number of each sample's world, (samples,); files are opened only where samples were
+        left out between others. Raises DatasetError."""
         found = [np.empty(0, np.int64)]
         for number, entry in enumerate(self.shards):
             with advised(self.dataset.folder):
                 numbering = self.dataset.manifest.home(entry).numbering(self.name)
-            found.append(
-                np.unique(numbering.name(self.places(number))[0]) + self.first_worlds[number]
-            )
-        return len(np.unique(np.concatenate(found)))
+            found.append(numbering.name(self.places(number))[0] + self.first_worlds[number])
+        return np.concatenate(found)
+
+    def count_worlds(self) -> int:
+        """How many worlds its samples are of. Raises DatasetError."""
+        return len(np.unique(self.worlds))
 
     def home(self, index: int) -> trust.Manifest:
         """What sample `index` was made for: this dataset, or one that it was taken from."""

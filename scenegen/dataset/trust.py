@@ -56,6 +56,7 @@ from scenegen.limits import (
     MOST_SEED,
     MOST_VIEWPOINTS,
 )
+from scenegen.recipes import graded, kind_names
 from scenegen.sample import DERIVED, FIELDS, GROUPS, Schema
 from scenegen.worlds.mapping import Known, Mapper
 
@@ -65,7 +66,7 @@ if TYPE_CHECKING:  # which imports what draws worlds
 _COUNT = whole(0, MOST_SAMPLES)
 _ABSENT = Rule(lambda value: value is None, "none")
 _SOURCE = {"digest": optional(DIGEST), "parameters": TABLE, "taken": LIST}
-_RECIPE: dict[str, Any] = {"version": 0, "world": None, "flight": {}, "accept": {}, "scenes": None}
+_RECIPE: dict[str, Any] = dict.fromkeys(RECIPE_RULES) | {"version": 0, "flight": {}, "accept": {}}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,8 +110,8 @@ class Manifest:
     counts: Mapping[str, int] = ruled(TABLE)
     """Samples that each split is to hold."""
     tables: Mapping[str, Any]
-    """The recipe as it stands in the file: `version`, `flight`, `accept`, and `world` or
-    `scenes`."""
+    """The recipe as it stands in the file: `version`, `flight`, `accept`, `world` or `scenes`, and
+    the `difficulty` where it is not medium."""
     fields: tuple[str, ...]
     """Names of the fields that shards store."""
     grid: GridSpec
@@ -224,11 +225,14 @@ class Manifest:
         return is_ours(self.noise)
 
     @property
+    def graded(self) -> str:
+        """Its kind, and its difficulty where that is not medium: "maze-hard"."""
+        return graded(self.kind, self.tables.get("difficulty") or "medium")
+
+    @property
     def drawn(self) -> bool:
         """Whether the recipe can draw the worlds again: they are of a kind known here, or named by
         the user."""
-        from scenegen.recipes import kind_names
-
         return self.kind in (*kind_names(), self.named)
 
     @cached_property
@@ -239,12 +243,9 @@ class Manifest:
         from scenegen.recipe import make_recipe
         from scenegen.worlds.labels import Labels
 
-        tables = {
-            name: table for name, table in self.tables.items() if name not in ("version", "scenes")
-        }
+        left = ("version", "scenes", *(() if self.drawn else ("world", "difficulty")))
+        tables = {name: table for name, table in self.tables.items() if name not in left}
         tables["grid"] = dataclasses.asdict(self.grid)
-        if not self.drawn:
-            tables.pop("world", None)
         for name in (name for name in NAMES if name in self.tables):
             raise BrokenError(f"recipe.{name}: is there, expected {name} beside recipe")
         noise = noise_of(self.noise if self.noise_is_ours else None, self.lidar.max_range_m)

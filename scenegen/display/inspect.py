@@ -1,6 +1,7 @@
 """What is in a dataset, in a folder of datasets, or in a world: counts, sizes, statistics, and what
 does not fit."""
 
+import json
 from collections.abc import Callable, Iterable
 from contextlib import closing
 from functools import partial
@@ -13,8 +14,15 @@ from lidarsim import Sensor
 from lidarsim.engines.voxels import VoxelMap
 from lidarsim.grid import Floats, GridSpec
 from scenegen import SPLITS
-from scenegen.dataset.choose import FIGURES, encode_figures, figures_file, kept_figures
-from scenegen.dataset.manifest import NAME, SEVERAL
+from scenegen.dataset.choose import (
+    FIGURES,
+    OF_WORLD,
+    encode_figures,
+    figure,
+    figures_file,
+    kept_figures,
+)
+from scenegen.dataset.manifest import NAME
 from scenegen.dataset.read import Dataset, Split
 from scenegen.dataset.trust import Entry, load
 from scenegen.display.look import spread
@@ -49,22 +57,25 @@ def inspect(
         folder: The dataset.
         most: Samples of a split that are measured, evenly spread; None for all. All count where
             their figures are kept beside them.
-        keep: Measure all, and keep their figures there: see `figures_file`.
+        keep: Measure all, and keep their figures there, see `figures_file`, and the `splits` that
+            are returned, as JSON.
         workers: Processes that measure.
         on_start: Called with the number of samples that are measured, once processes run.
         on_done: Called with the number of every few.
 
     Returns:
         Plain JSON values. Statistics are {mean, std, min, max} over samples of shares of all voxels
-        or of all rays, and of metres; None where no sample has the figure. A dataset of several
-        kinds has the means of each kind, too, in the `kinds` of a split.
+        or of all rays, and of metres; None where no sample has the figure. A split has those of
+        each of several kinds, too, in `kinds`, and, where all are measured, those of the means over
+        the maps of a world in `world_means`.
 
     Raises:
         DatasetError: The folder holds no dataset, or a damaged one.
     """
     dataset = Dataset(folder, partial=not keep)
     it = dataset.manifest
-    found = {name: getattr(it, name) for name in ("kind", "seed", "complete", "digest", "rejected")}
+    found: Json = {"kind": it.graded}
+    found |= {name: getattr(it, name) for name in ("seed", "complete", "digest", "rejected")}
     fields, mapping = list(it.fields), it.parameters.get("mapping")
     found |= {"fields": fields, "grid": it.parameters["grid"], "mapping": mapping}
     if it.sources:
@@ -72,7 +83,7 @@ def inspect(
         named = [dict(zip(("lidar", "mapping", "noise"), one, strict=True)) for one in it.settings]
         found["sources"] = [
             {
-                **{"kind": one.kind, "seed": one.seed, "digest": one.digest},
+                **{"kind": one.graded, "seed": one.seed, "digest": one.digest},
                 **{name: str(part) for name, part in parts.items() if name in differ},
                 "taken": entry["taken"],
                 "samples": _counts(shard for shard in it.shards if it.home(shard) is one),
@@ -104,10 +115,17 @@ def inspect(
             "sampled": len(table),
             "statistics": _statistics(table),
         }
-        if it.kind == SEVERAL:
+        if len(table) == len(split):
+            first = np.unique(split.worlds, return_index=True)[1]
+            means = [figure(split, table, OF_WORLD + name)[first] for name in FIGURES]
+            told[split.name]["world_means"] = _statistics(np.transpose(means))
+        if len({home.graded for home in it.homes}) > 1:
             told[split.name]["kinds"] = _by_kind(split, table)
     size, samples = bytes_in(folder), sum(map(len, splits))
     found |= {"samples": samples, "bytes": size, "bytes_per_sample": size / max(samples, 1)}
+    if keep:
+        content = json.dumps(told, indent=1).encode()
+        write_whole(figures_file(dataset).with_suffix(".json"), content)
     return found | {"splits": told}
 
 
@@ -127,17 +145,14 @@ def _statistics(table: Floats) -> Json:
 
 
 def _by_kind(split: Split, table: Floats) -> Json:
-    """For each kind, how many samples were measured, and the means of their figures."""
-    homes = [split.dataset.manifest.home(shard).kind for shard in split.shards]
+    """For each kind, how many samples were measured, and how their figures spread."""
+    homes = [split.dataset.manifest.home(shard).graded for shard in split.shards]
     kinds = np.repeat(homes, [shard.samples for shard in split.shards])
     kinds = kinds[spread(split.dataset, split.name, len(table))]
-    found = {}
-    for kind in dict.fromkeys(kinds.tolist()):
-        rows = table[kinds == kind]
-        means = {name: one["mean"] for name, one in _statistics(rows).items()}
-        unknown = 1 - means["observed"] - means["free"]  # no voxel is both
-        found[kind] = {"sampled": len(rows), "unknown": unknown, **means}
-    return found
+    rows = {kind: table[kinds == kind] for kind in dict.fromkeys(kinds.tolist())}
+    return {
+        kind: {"sampled": len(own), "statistics": _statistics(own)} for kind, own in rows.items()
+    }
 
 
 def _summary(values: Floats) -> Json:
@@ -164,7 +179,7 @@ def inspect_all(folder: Path) -> list[Json]:
         row: Json = {"folder": str(path.parent)}
         try:
             it = load(path.parent)
-            row |= {name: getattr(it, name) for name in ("kind", "complete", "digest")}
+            row |= {"kind": it.graded, "complete": it.complete, "digest": it.digest}
             row["samples"] = _counts(it.shards)
         except DatasetError as error:
             row["fault"] = printable(error)
@@ -224,6 +239,7 @@ LABELS = {
     "occupied": ("voxels occupied", "%"),
     "observed": ("voxels observed", "%"),
     "free": ("voxels known to be free", "%"),
+    "unknown": ("voxels unknown", "%"),
     "returned": ("rays that return", "%"),
     "range_m": ("mean range", "m"),
     "tudf_m": ("mean distance", "m"),

@@ -177,8 +177,8 @@ def look_into(samples: Split, index: int, guesses: Guesses | None = None) -> Loo
     dataset, name = samples.dataset, f"{samples.name} {index}"
     try:
         home = samples.home(index)
-        if home.kind != dataset.manifest.kind:  # the title does not tell it
-            name += f", {home.kind}"
+        if home.graded != dataset.manifest.graded:  # the title does not tell it
+            name += f", {home.graded}"
         look = look_at(samples[index], dataset.grid, home.lidar, name)
     except IndexError as error:
         raise DatasetError(f"{error}; expected --index below {len(samples)}") from None
@@ -218,7 +218,7 @@ def looks(
 
 def title_of(dataset: Dataset) -> str:
     """What a dataset is called in titles: its folder, and its kind where that says more."""
-    folder, kind = dataset.folder.name, dataset.manifest.kind
+    folder, kind = dataset.folder.name, dataset.manifest.graded
     return printable(folder if folder == kind else f"{folder}: {kind}")
 
 

@@ -37,6 +37,11 @@ def kind_names() -> tuple[str, ...]:
     return tuple(KINDS.known)
 
 
+def graded(kind: str, difficulty: str) -> str:
+    """What a kind's preset is called beside its others: "maze", or "maze-hard"."""
+    return kind if difficulty == "medium" else f"{kind}-{difficulty}"
+
+
 def find_kind(name: str) -> "type[WorldKind]":
     """The class of the kind called `name`: one of `kind_names()`, or a user's own as
     ``module:Class``.

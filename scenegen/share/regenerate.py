@@ -86,18 +86,16 @@ def recipe_text(parameters: Mapping[str, Any], title: str) -> str:
     """A recipe file with every parameter of a manifest, so that no preset's later version changes
     anything; `title` is its first line."""
     sources = [one["parameters"] for one in parameters.get("sources") or ()]
-    files, differ = rays_named(parameters), parameters.get("differ", ())
-    lines = [f"# {title}", f"kind = {_toml('mixed' if sources else parameters['kind'])}"]
-    if not sources:
-        lines += _own(parameters, "")
-    for name, table in _shared(parameters, files).items():
-        lines += [] if name in differ else _table(f"[{name}]", table)
+    each = [_tables(one, rays_named(parameters)) for one in sources or [parameters]]
+    lines = _table(f"# {title}", {"kind": "mixed"} if sources else _preset(parameters))[1:]
+    common = [name for name in each[0] if all(one[name] == each[0][name] for one in each)]
+    for name in common:
+        lines += _table(f"[{name}]", each[0][name])
     weights = _weights([one["counts"] for one in sources])
-    for own, weight in zip(sources, weights, strict=True):
-        lines += _table("[[component]]", {"kind": own["kind"], "weight": weight})
-        lines += _own(own, "component.")
-        for name, table in _shared(own, files).items():
-            lines += _table(f"[component.{name}]", table) if name in differ else []
+    for own, weight, tables in zip(sources, weights, each if sources else (), strict=True):
+        lines += _table("[[component]]", _preset(own) | {"weight": weight})
+        for name, table in tables.items():
+            lines += [] if name in common else _table(f"[component.{name}]", table)
     return "\n".join([*lines, ""])
 
 
@@ -116,18 +114,19 @@ def _weights(counts: Sequence[Mapping[str, int]]) -> list[int]:
     return [sum(one.values()) for one in counts]
 
 
-def _own(parameters: Mapping[str, Any], prefix: str) -> list[str]:
-    """The tables of a kind of worlds."""
-    names, recipe = ("world", "flight", "accept"), parameters["recipe"]
-    return [line for name in names for line in _table(f"[{prefix}{name}]", recipe.get(name))]
+def _preset(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """A kind of worlds, and its difficulty where that is not medium."""
+    level = parameters["recipe"].get("difficulty")
+    return {"kind": parameters["kind"]} | ({"difficulty": level} if level else {})
 
 
-def _shared(
+def _tables(
     parameters: Mapping[str, Any], files: Mapping[str, str]
 ) -> dict[str, Mapping[str, Any] | None]:
-    """The tables that components may share; tables of rays lie in `files`, by their SHA-256."""
-    noise = parameters.get("noise")
+    """Every table of a recipe; tables of rays lie in `files`, by their SHA-256."""
+    noise, recipe = parameters.get("noise"), parameters["recipe"]
     return {
+        **{name: recipe.get(name) for name in ("world", "flight", "accept")},
         "lidar": _lidar(parameters, files),
         "noise": noise and {"stages": noise["stages"]},
         "mapping": parameters.get("mapping"),

@@ -19,7 +19,7 @@ from scenegen.draw import Unit, draw_unit
 from scenegen.errors import DatasetError, RecipeError, SceneError, short
 from scenegen.limits import MOST_UNITS_IN_ROUND
 from scenegen.recipe import Recipe, preset, read_recipe
-from scenegen.recipes import KINDS
+from scenegen.recipes import KINDS, graded
 from scenegen.source import DrawnWorlds, SceneWorlds, Source, read_scenes, world_files
 from scenegen.worlds import WORLD_FILES
 
@@ -110,7 +110,7 @@ def component_of(what: Any, *, seed: int, split: str, engine: str) -> Component:
         return what
     source: SceneWorlds | None = None
     if isinstance(what, Recipe):
-        label, recipe = what.kind, what
+        label, recipe = graded(what.kind, what.difficulty), what
     elif not isinstance(what, str | Path):
         raise RecipeError(
             f"stream of {short(what)}: expected a kind's name, a recipe or its file, an MJCF file "

@@ -273,7 +273,7 @@ def stream(
             raises GenerationError, IndexError and TypeError, too.
     """
     seed = whole("seed", seed, 0, MOST_SEED)
-    parts = [part for what, weight in parts_of(worlds) for part in _unmixed(what, weight)]
+    parts = [part for what, weight in parts_of(worlds) for part in _unmixed(what, weight, seed)]
     components = [component_of(what, seed=seed, split=split, engine=engine) for what, _ in parts]
     own = seeds([one.recipe.kind for one in components], seed)
     components = [
@@ -284,10 +284,11 @@ def stream(
     return Stream(mixture, seed=seed, split=split, samples=samples, workers=workers, cache=cache)
 
 
-def _unmixed(what: Any, weight: Any) -> list[tuple[Any, Any]]:
+def _unmixed(what: Any, weight: Any, seed: int) -> list[tuple[Any, Any]]:
     """A part of a stream as parts of one kind each, which share its weight."""
     file = Path(what) if isinstance(what, str | Path) and str(what).endswith(".toml") else None
     if what != MIXED and (file is None or not is_mixed(file)):
         return [(what, weight)]
     whole_weight = fraction(weight, str(what))
-    return [(recipe, whole_weight * share) for recipe, share in read_components(file)]
+    components = read_components(file, seed=seed)
+    return [(recipe, whole_weight * share) for recipe, share in components]

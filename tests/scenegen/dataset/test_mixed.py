@@ -42,6 +42,7 @@ kind = "clutter"
 weight = 1
 [[component]]
 kind = "maze"
+difficulty = "hard"
 weight = 1
 """
 COUNTS = {"n": 20, "val": 5, "test": 5, "seed": 4}
@@ -59,6 +60,7 @@ sensor = "velodyne-vlp-16"
 scans = 2
 [[component]]
 kind = "maze"
+difficulty = "hard"
 weight = 1
 [component.lidar]
 sensor = "livox-mid-360"
@@ -80,13 +82,13 @@ def mixed(recipe):
 
 def kinds(dataset, split):
     samples = dataset.split(split)
-    return [samples.home(n).kind for n in range(len(samples))]
+    return [samples.home(n).graded for n in range(len(samples))]
 
 
 def test_samples_come_by_weight_and_know_their_kind(mixed):
     assert mixed.manifest.kind == manifest.SEVERAL
-    assert kinds(mixed, "train") == ["pillar"] * 12 + ["clutter"] * 4 + ["maze"] * 4
-    assert kinds(mixed, "val") == ["pillar"] * 3 + ["clutter", "maze"]
+    assert kinds(mixed, "train") == ["pillar"] * 12 + ["clutter"] * 4 + ["maze-hard"] * 4
+    assert kinds(mixed, "val") == ["pillar"] * 3 + ["clutter", "maze-hard"]
     names = mixed.split("train").names
     assert len(set(names)) == len(names) == 20
     assert mixed.split("train").count_worlds() == 10
@@ -119,15 +121,15 @@ def test_it_is_verified_inspected_measured_and_gathered(mixed, tmp_path, capsys)
     words = ("--method", "returns", "--quick", "--quiet", "-o", str(tmp_path / "b"))
     assert run(capsys, "bench", folder, *words)[0] == 0
     report = (tmp_path / "b" / "report.md").read_text()
-    assert [f"## {kind}\n" in report for kind in ("pillar", "clutter", "maze")] == [True] * 3
+    assert [f"## {kind}\n" in report for kind in ("pillar", "clutter", "maze-hard")] == [True] * 3
     told = scenegen.bench(folder, ["returns"], workers=1, samples=1, trials=3)
-    assert set(told["reconstruction"]) == {"pillar", "clutter", "maze"}
+    assert set(told["reconstruction"]) == {"pillar", "clutter", "maze-hard"}
     words = ("--split", "train", "-o", str(tmp_path / "few"), "--quiet")
     assert run(capsys, "take", folder, *words)[0] == 0
     assert kinds(Dataset(tmp_path / "few"), "train") == kinds(mixed, "train")
-    words = ("--kind", "maze", "--kind", "clutter", "-o", str(tmp_path / "two"), "--quiet")
+    words = ("--kind", "maze-hard", "--kind", "clutter", "-o", str(tmp_path / "two"), "--quiet")
     assert run(capsys, "take", folder, *words)[0] == 0
-    assert kinds(Dataset(tmp_path / "two"), "train") == ["clutter"] * 4 + ["maze"] * 4
+    assert kinds(Dataset(tmp_path / "two"), "train") == ["clutter"] * 4 + ["maze-hard"] * 4
     code, _, said = run(capsys, "take", folder, "--kind", "cave", "-o", str(tmp_path / "no"))
     assert (code, "no sample is as asked for (--kind cave)" in said) == (1, True), said
 
@@ -175,7 +177,7 @@ def test_one_dataset_holds_several_sensors_noises_and_scan_counts(tmp_path, caps
     request = Request(dataset=found.folder, repository="ada/mixed", out=tmp_path / "p")
     stage(request, checks=(("splits", "apart"),))
     assert (tmp_path / "p" / "recipe.toml").exists()
-    build(plan_take(found, tmp_path / "maze", Choice(kinds=("maze",))))
+    build(plan_take(found, tmp_path / "maze", Choice(kinds=("maze-hard",))))
     few = Dataset(tmp_path / "maze")
     assert few.manifest.parameters.get("differ") is None
     assert [path.name for path in few.folder.glob("rays*.npy")] == ["rays.npy"]
@@ -212,6 +214,8 @@ def test_without_components_every_kind_has_the_same_weight():
         ('"clutter"', '"cluter"', "clutter"),
         ("density = [0.06, 0.06]", "density = [2, 1]", "[world] density = [2, 1]"),
         ("[component.world]", "[domain.lidar]\nrows = 4\n[component.world]", "a list of values"),
+        ("[component.world]", '[domain.lidar]\nrows = "2..4"\n[component.world]', "domain.draws"),
+        ("[component.world]", "[domain]\ndraws = 2\n[component.world]", "domain.draws"),
         ("[component.world]", "[domain]\nrows = [4]\n[component.world]", "tables of lists"),
         ("[component.world]", "[domain.flight]\nx = [4]\n[component.world]", "x"),
         (
@@ -272,3 +276,29 @@ def test_a_domain_of_one_kind_needs_no_component(tmp_path):
         {one.ranges.tobytes() for one in them} for them in (stream, dataset.split("train"))
     )
     assert drawn == stored
+
+
+INTERVALS = """
+kind = "pillar"
+[domain]
+draws = 4
+[domain.lidar]
+rows = ["2..9", 20]
+[domain.noise]
+stages = "range:0.01..0.05,dropout:0.5"
+[domain.flight]
+altitude_m = [["0.5..1.0", "3.0..2.0"]]
+"""
+
+
+def test_a_domain_draws_numbers_from_intervals_and_samples_know_them(tmp_path):
+    path = tmp_path / "r.toml"
+    path.write_text(INTERVALS)
+    drawn, again, other = ([one for one, _ in read_components(path, seed=n)] for n in (3, 3, 4))
+    assert drawn == again != other
+    rows = [(o.lidar.rows, o.noise.stages[0].sigma_m, *o.flight.altitude_m) for o in drawn[::2]]
+    bounds = (2, 9), (0.01, 0.05), (0.5, 1.0), (2.0, 3.0)
+    for numbers, (low, high) in zip(np.transpose(rows), bounds, strict=True):
+        assert low <= min(numbers) < max(numbers) <= high
+    settings = scenegen.stream(str(path), seed=3).settings
+    assert [noise for _, _, noise in settings] == [one.noise.spelled() for one in drawn]

@@ -18,7 +18,8 @@ from tests.command_line import run
 from tests.conftest import picky_recipe, plan_of
 
 COUNTS = {"train": 11, "val": 0, "test": 4}
-KEYS = {"occupied", "observed", "free", "returned", "range_m", "tudf_m", *Difficulty._fields}
+KEYS = {"occupied", "observed", "free", "unknown", "returned", "range_m", "tudf_m"}
+KEYS |= {*Difficulty._fields}
 
 
 def make(folder, *, compact=False, shards=None):
@@ -48,6 +49,7 @@ def recomputed(stored, chosen):
             rows["range_m"].append(sum(finite) / len(finite))
         for key, name in (("occupied", "occupancy"), ("observed", "observed"), ("free", "free")):
             rows[key].append(int((stored[name][n] != 0).sum()) / stored[name][n].size)
+        rows["unknown"].append(1 - rows["observed"][-1] - rows["free"][-1])
         rows["tudf_m"].append(
             float(stored["tudf"][n].astype(np.float64).sum()) / stored["tudf"][n].size
         )
@@ -134,10 +136,11 @@ def test_figures_and_samples_are_told_by_kind(tmp_path, capsys):
     shown, _ = looks(mixed, "train", range(20))
     assert [shown[n].name for n in (0, 19)] == ["train 0, cave", "train 19, warehouse"]
     for most, chosen in ((20, range(20)), (3, (0, 9, 19))):
-        for kind, means in inspect(tmp_path, most=most)["splits"]["train"]["kinds"].items():
+        for kind, told in inspect(tmp_path, most=most)["splits"]["train"]["kinds"].items():
             own = [shown[n] for n in chosen if shown[n].name.endswith(kind)]
             known = [look.masks["observed"] | look.masks["free"] for look in own]
-            assert means["sampled"] == len(own)
+            assert told["sampled"] == len(own)
+            means = {name: one["mean"] for name, one in told["statistics"].items()}
             assert means["unknown"] == pytest.approx(1 - np.mean(known))
             assert means["tudf_m"] == pytest.approx(np.mean([look.tudf for look in own]))
     assert "means of each kind" in run(capsys, f"inspect {tmp_path}")[1]
@@ -150,6 +153,8 @@ def test_figures_that_are_kept_are_read_and_no_others(full, tmp_path, monkeypatc
     assert run(capsys, f"{words}/measured")[0] == 0
     assert run(capsys, f"inspect {folder} --keep")[0] == 0
     every = inspect(full, most=None)["splits"]
+    (told,) = folder.glob("figures-*.json")
+    assert json.loads(told.read_text()) == every
     (file,) = folder.glob("figures-*.npy")
     content = file.read_bytes()
     with monkeypatch.context() as patch:
@@ -158,6 +163,15 @@ def test_figures_that_are_kept_are_read_and_no_others(full, tmp_path, monkeypatc
         assert run(capsys, f"{words}/read")[0] == 0
     taken = [Dataset(tmp_path / name).manifest.digest for name in ("read", "measured")]
     assert taken[0] == taken[1]
+    stored = fields(full, "train")
+    shares = {n: stored["occupancy"][stored["world"] == n].mean() for n in set(stored["world"])}
+    least = sorted(shares.values())[1] - 1e-9
+    assert every["train"]["world_means"]["occupied"]["max"] == pytest.approx(max(shares.values()))
+    words = f"--split train --where world_occupied>={least} -o {tmp_path}"
+    assert run(capsys, f"take {folder} {words}/worlds")[0] == 0
+    worlds = Dataset(tmp_path / "worlds").split("train").worlds
+    assert set(worlds) == {n for n, share in shares.items() if share > least}
+    assert "--keep" in run(capsys, f"take {full} {words}/none")[2]
     for damaged in (content[:-1], b"x" + content[1:]):
         file.write_bytes(damaged)
         assert inspect(folder, most=1)["splits"]["train"]["sampled"] == 1
