@@ -25,6 +25,7 @@ from lidarsim.noise import STAGES
 from lidarsim.parameters import BOUNDS, Bounds
 from lidarsim.sensors import CATALOGUE, SENSORS
 from lidarsim.sensors.device import angles_deg
+from scenegen.recipes.kind import WorldKind, bounds_by_name
 
 PAGES = Path(__file__).parent
 ASKED = re.compile(r"(<!-- parameters of ([\w.]+):(\w+) -->\n).*?(<!-- end -->)", re.S)
@@ -49,32 +50,38 @@ def meanings(kind: type) -> dict[str, str]:
 
 
 def table(kind: type) -> str:
-    """The parameters of a dataclass: name, default, the values allowed, and the meaning. Fields
-    that are such dataclasses themselves are left out: they have tables of their own."""
-    said = meanings(kind)
-    lines = ["| parameter | default | allowed | meaning |", "|---|---|---|---|"]
+    """The parameters of a dataclass: name, default, the values allowed, and the meaning; of a kind
+    of worlds also the unit, and the source of the default. Fields that are such dataclasses
+    themselves are left out: they have tables of their own."""
+    said, drawn = meanings(kind), issubclass(kind, WorldKind)
+    heads = ["parameter", "default", "allowed", "meaning", *(["source"] if drawn else [])]
+    lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
     for item in dataclasses.fields(kind):
         if item.default_factory is dataclasses.MISSING:
-            allowed = (
-                str(item.metadata.get(BOUNDS, Bounds()))
-                .replace("a finite number", "")
-                .replace("a ", "")
-                .strip()
-            )
-            cells = (
-                f"`{item.name}`",
-                _value(item.default),
-                allowed,
-                said[item.name].replace("|", "/"),
-            )
-            lines.append(f"| {' | '.join(cells)} |")
+            otherwise = bounds_by_name(item.name, item.default) if drawn else Bounds()
+            bounds = item.metadata.get(BOUNDS, otherwise)
+            allowed = str(bounds).replace("a finite number", "").replace("a ", "").strip()
+            meaning, _, source = said[item.name].replace("|", "/").partition(" Source: ")
+            if drawn:
+                shown = f"{_value(item.default)}{_unit(item.name, item.default)}"
+                cells = [shown, allowed, meaning, source.removesuffix(".") or "ours"]
+            else:
+                cells = [_value(item.default), allowed, meaning]
+            lines.append(f"| `{item.name}` | {' | '.join(cells)} |")
     for name in ("flight", "accept"):
         for parameter, value in getattr(kind, f"{name}_defaults", {}).items():
-            lines.append(
-                f"| `[{name}] {parameter}` | {_value(value)} | | The preset of this kind differs "
-                f"here. |"
-            )
+            shown = f"{_value(value)}{_unit(parameter, value)}"
+            text = "The preset of this kind differs here."
+            lines.append(f"| `[{name}] {parameter}` | {shown} | | {text} | ours |")
     return "\n".join(lines) + "\n"
+
+
+def _unit(name: str, value: Any) -> str:
+    """The unit of a parameter of a kind of worlds, before a space; shares, ratios and counts have
+    none."""
+    if isinstance(value, bool):
+        return ""
+    return " m" if name.endswith("_m") else " per m²" if name.endswith("density") else ""
 
 
 def sensors() -> str:

@@ -61,11 +61,14 @@ class Cave(Classed):
     chamber_m: Range = (2.5, 6.0)
     """Radius of a chamber, metres."""
     tunnel_m: Range = (1.1, 2.8)
-    """Half the width of a tunnel, metres."""
+    """Half the width of a tunnel, metres. Source: tunnels 2 to 6 m wide, as in the DARPA
+    Subterranean Challenge."""
     loop_share: float = 0.4
-    """More tunnels, as a share of the chambers; they close loops."""
+    """More tunnels, as a share of the chambers; they close loops. Source: the DARPA Subterranean
+    Challenge has loops; how many is ours."""
     dead_share: float = 0.4
-    """Tunnels that end in the rock, as a share of the chambers."""
+    """Tunnels that end in the rock, as a share of the chambers. Source: the DARPA Subterranean
+    Challenge has dead ends; how many is ours."""
     dripstone_density: Range = (0.0, 0.06)
     """Stalactites and stalagmites per square metre; one value a world."""
     rock_density: Range = (0.0, 0.06)

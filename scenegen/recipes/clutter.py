@@ -37,13 +37,17 @@ class Clutter(Classed):
     ground: bool = True
     """Whether there is a floor."""
     density: Range = number((0.05, 0.5), above=0, rising=True)
-    """Solids per square metre; one value a world, drawn so that its logarithm is uniform."""
+    """Solids per square metre; one value a world, drawn so that its logarithm is uniform. Source:
+    ego-planner's random maps have 400 obstacles on 1600 m² (0.25), which lies within."""
     patch_m: Range = number((3.0, 10.0), least=0.5, most=1000, rising=True)
-    """Width of thickets and clearings, metres; one value a world."""
+    """Width of thickets and clearings, metres; one value a world. Source: the "complexity" of
+    ego-planner's Perlin maps, as a width."""
     octaves: int = number(3, least=1, most=8)
-    """Octaves of the noise, each half as wide and half as strong as the one before."""
+    """Octaves of the noise, each half as wide and half as strong as the one before. Source: the
+    "fractal" of ego-planner's Perlin maps."""
     contrast: float = number(3.0, least=0, most=20)
-    """How much denser thickets are than clearings: the exponent of the noise."""
+    """How much denser thickets are than clearings: the exponent of the noise. Source: does what
+    "fill" does in ego-planner's Perlin maps."""
     half_size_m: Range = (0.06, 1.4)
     """Radii and half edges, metres; their logarithms are uniform."""
     thin_share: float = 0.35

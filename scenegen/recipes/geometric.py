@@ -58,13 +58,15 @@ class Geometric(WorldKind):
 
     size_m: Size = (40.0, 40.0, 5.0)
     """Extent of the world along x, y and z, metres; z is how high floating solids may have their
-    centres."""
+    centres. Source: its height is calibrated, results/calibration.md."""
     ground: bool = True
     """Whether there is a floor: a slab over the world's plan with its top at z = 0."""
     density: Range = number((0.002, 0.4), above=0, rising=True)
-    """Solids per square metre; one value a world, drawn so that its logarithm is uniform."""
+    """Solids per square metre; one value a world, drawn so that its logarithm is uniform. Source:
+    calibrated, results/calibration.md."""
     half_size_m: Range = (0.3, 1.2)
-    """Radii and half edges, metres; one value an axis of a solid."""
+    """Radii and half edges, metres; one value an axis of a solid. Source: calibrated,
+    results/calibration.md."""
     scale: Range = number((0.7, 1.2), above=0, most=100, rising=True)
     """Factor on `half_size_m`; one value a world."""
     standing_share: float = 0.5

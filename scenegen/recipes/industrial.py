@@ -46,7 +46,7 @@ class Industrial(Classed):
     bundles: Range = (3.0, 8.0)
     """Bundles of pipes that cross the hall; one value a world."""
     pipe_m: Range = (0.04, 0.3)
-    """Radius of a pipe, metres."""
+    """Radius of a pipe, metres. Source: outer diameters of 0.08 to 0.61 m, as in ISO 4200."""
     tank_density: Range = (0.0, 0.008)
     """Tanks per square metre; one value a world."""
     tank_m: Range = (0.6, 2.0)

@@ -57,7 +57,7 @@ class WorldKind(ABC):
     """Thickness of that slab, metres."""
 
     def __post_init__(self) -> None:
-        check(self, _bounds_by_name)
+        check(self, bounds_by_name)
         if (whole := sum(getattr(self, name) for name in self.shares)) > 1:
             raise ValueError(f"{' + '.join(self.shares)} = {whole}: expected at most 1")
         most = self.most_solids()
@@ -101,7 +101,7 @@ class Classed(WorldKind):
     """Names of the classes that they may have."""
 
 
-def _bounds_by_name(name: str, value: Any) -> Bounds:
+def bounds_by_name(name: str, value: Any) -> Bounds:
     """What a parameter that declares no bounds may be: its name's ending says so, and ranges of two
     rise."""
     pair = isinstance(value, list | tuple) and len(value) == 2

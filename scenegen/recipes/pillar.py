@@ -36,9 +36,10 @@ class Pillar(WorldKind):
     flight_defaults = {"altitude_m": (3.0, 6.0)}
 
     density: Range = (0.05, 0.10)
-    """Pillars per square metre; one value a world."""
+    """Pillars per square metre; one value a world. Source: calibrated, results/calibration.md."""
     half_width_m: Range = (0.25, 0.55)
-    """Radius of a round pillar or half an edge of a square one, metres; one value a pillar."""
+    """Radius of a round pillar or half an edge of a square one, metres; one value a pillar. Source:
+    calibrated, results/calibration.md."""
     round_share: float = 0.7
     """Share of pillars with a round section."""
     oblong_share: float = 0.1
@@ -51,7 +52,8 @@ class Pillar(WorldKind):
     that."""
     passage_m: Range = (0.7, 1.2)
     """Width of those passages between the pillars' round hulls, metres; between flat sides they are
-    wider."""
+    wider. Source: from a little more than the robot's 0.6 m to twice that: the paper's "narrow
+    passages"."""
     height_m: Range = (10.0, 10.0)
     """Heights of pillars, metres, from the ground up."""
 

@@ -45,9 +45,11 @@ class Street(Classed):
     ground: bool = True
     """Whether there are a road and pavements."""
     road_m: Range = (6.0, 11.0)
-    """Width of the road, metres; one value a world."""
+    """Width of the road, metres; one value a world. Source: two lanes of 3.0 to 3.5 m, with parking
+    of 2 m on no, one or both sides (NACTO, Urban Street Design Guide)."""
     pavement_m: Range = (2.0, 4.5)
-    """Width of each pavement, metres; one value a world."""
+    """Width of each pavement, metres; one value a world. Source: 1.5 to 3.7 m of walking, and what
+    stands at the kerb (NACTO, Urban Street Design Guide)."""
     house_m: Range = (6.0, 13.0)
     """Width of a house along the street, metres."""
     storeys: Range = (2.0, 5.0)

@@ -38,16 +38,9 @@ def test_no_table_hangs_on_the_last_bit_of_an_arctangent(monkeypatch):
         assert tables.sensors() == told
 
 
-def test_the_recipes_page_lists_every_table_of_a_recipe():
-    asked = {
-        name for _, _, name, _ in tables.ASKED.findall((ROOT / "docs" / "recipes.md").read_text())
-    }
-    assert asked == {
-        *map(str.capitalize, kind_names()),
-        "Flight",
-        "Acceptance",
-        "Lidar",
-        "GridSpec",
-        "Faults",
-        "Mapper",
-    }
+def test_pages_list_every_table_of_a_recipe():
+    kinds = " ".join(map(str.capitalize, kind_names()))
+    others = "Flight Acceptance Lidar GridSpec Faults Mapper"
+    for page, names in (("recipes", others), ("worlds", kinds)):
+        text = (ROOT / "docs" / f"{page}.md").read_text()
+        assert {name for _, _, name, _ in tables.ASKED.findall(text)} == set(names.split())
