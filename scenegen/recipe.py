@@ -160,12 +160,11 @@ class Recipe:
         """The manifest's `recipe`: all but sensor, noise, grid and mapping, as plain JSON
         values."""
         tables = {"world": self.world, "flight": self.flight, "accept": self.accept}
-        resolved: dict[str, Any] = {"version": self.version}
-        resolved |= {} if self.difficulty == "medium" else {"difficulty": self.difficulty}
-        resolved |= {
-            name: dataclasses.asdict(table) for name, table in tables.items() if table is not None
+        return {
+            "version": self.version,
+            **({} if self.difficulty == "medium" else {"difficulty": self.difficulty}),
+            **{name: dataclasses.asdict(it) for name, it in tables.items() if it is not None},
         }
-        return resolved
 
 
 def preset(

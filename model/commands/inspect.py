@@ -149,11 +149,11 @@ def _show(dataset: Path | str, found: Json) -> None:
             "rejected": rejections(found["rejected"]),
         },
     )
+    units = {key: (unit, 100 if unit == "%" else 1) for key, (_, unit) in LABELS.items()}
     for name, split in found["splits"].items():
         rows = {}
         for key, value in split["statistics"].items():
-            _, unit = LABELS[key]
-            factor = 100 if unit == "%" else 1
+            unit, factor = units[key]
             rows[key] = "–"
             if value["mean"] is not None:
                 mean, std, low, high = (value[one] * factor for one in value)
@@ -165,8 +165,7 @@ def _show(dataset: Path | str, found: Json) -> None:
         show_table(rows, f"{name}: {counts} ({split['sampled']} measured)")
         if kinds := split.get("kinds"):
             cells = {"measured": [str(one["sampled"]) for one in kinds.values()]}
-            for key, (_, unit) in LABELS.items():
-                factor = 100 if unit == "%" else 1
+            for key, (_, factor) in units.items():
                 means = [one["statistics"][key]["mean"] for one in kinds.values()]
                 cells[key] = ["–" if mean is None else f"{mean * factor:.3f}" for mean in means]
             show_figures(cells, list(kinds), f"{name}: means of each kind, shares in %")

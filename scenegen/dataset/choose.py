@@ -44,8 +44,8 @@ def _difficulties(sample: Sample) -> Difficulty:
     return difficulty(sample.occupancy, sample.tudf, sample.grid.voxel_m)
 
 
-def _difficulty(sample: Sample, *, name: str) -> float:
-    return float(getattr(_difficulties(sample), name))
+def _difficulty(number: int, sample: Sample) -> float:
+    return float(_difficulties(sample)[number])
 
 
 FIGURES: Mapping[str, Callable[[Sample], float]] = {
@@ -56,7 +56,7 @@ FIGURES: Mapping[str, Callable[[Sample], float]] = {
     "returned": lambda sample: float(np.isfinite(_ranges(sample)).mean()),
     "range_m": _range_m,
     "tudf_m": lambda sample: float(sample.tudf.mean()),
-    **{name: partial(_difficulty, name=name) for name in Difficulty._fields},
+    **{name: partial(_difficulty, n) for n, name in enumerate(Difficulty._fields)},
 }
 """Shares of all voxels; of all rays, those that returned; the mean range of these, metres, NaN for
 none; the mean distance of the map's voxels, metres; and how hard the map is."""
@@ -223,22 +223,17 @@ def figure(split: Split, table: Floats, name: str) -> Floats:
     own = table[:, COLUMNS.index(name.removeprefix(OF_WORLD))]
     if name in FIGURES:
         return own
-    here = ~np.isnan(own)
-    count = np.bincount(split.worlds, here)
+    worlds, here = split.numbers[0], ~np.isnan(own)
     with np.errstate(invalid="ignore"):  # a world may have none
-        means: Floats = np.bincount(split.worlds, np.where(here, own, 0)) / count
-    return means[split.worlds]
+        means: Floats = np.bincount(worlds, np.where(here, own, 0)) / np.bincount(worlds, here)
+    return means[worlds]
 
 
 def _named(split: Split, number: int, choice: Choice) -> Chosen:
     """What of a shard its samples' numbers alone let through."""
     entry, places = split.shards[number], split.places(number)
     samples = split.first(number) + np.arange(len(places))
-    values = {
-        "sample": samples,
-        "world": split.worlds[samples],
-        "viewpoint": split.dataset.manifest.home(entry).numbering(split.name).name(places)[1],
-    }
+    values = dict(zip(NUMBERS, (samples, *split.numbers[:, samples]), strict=True))
     kept = np.ones(len(places), dtype=np.bool_)
     if choice.worlds:
         kept &= np.any(

@@ -122,8 +122,8 @@ def plan_generation(
         raise AskedError("a kind draws worlds and a scene has them; give one of the two")
     named, path = ("scene", Path(scene)) if scene is not None else (kind, None)
     sensor = named_lidar(lidar) if isinstance(lidar, str) else lidar
-    given: dict[str, Any] = {"lidar": sensor, "noise": noise, "mapping": mapping}
-    given |= {"difficulty": difficulty}
+    given: dict[str, Any] = {"lidar": sensor, "noise": noise}
+    given |= {"mapping": mapping, "difficulty": difficulty}
     if named == MIXED or (recipe is not None and is_mixed(Path(recipe))):
         if named not in (None, MIXED):
             raise RecipeError(f"{recipe}: is of several kinds, not of {named}; leave --kind out")
@@ -242,7 +242,8 @@ def read_components(path: Path | None = None, *, seed: int = 0, **given: Any) ->
             for name in dict.fromkeys((*common, *own))
         }
         folder = Path() if path is None else path.parent
-        each = combinations(tables.pop("domain", {}), at, rng_of(seed, n))
+        # a seed below 0 is refused later, with the rest
+        each = combinations(tables.pop("domain", {}), at, rng_of(abs(seed), n))
         for values in each:
             chosen = {name: {**(tables.get(name) or {}), **one} for name, one in values.items()}
             every_table = tables | chosen | beside

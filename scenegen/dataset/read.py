@@ -292,19 +292,20 @@ class Split(Samples):
             return places
 
     @cached_property
-    def worlds(self) -> NDArray[np.int64]:
-        """The number of each sample's world, (samples,); files are opened only where samples were
-        left out between others. Raises DatasetError."""
-        found = [np.empty(0, np.int64)]
+    def numbers(self) -> NDArray[np.int64]:
+        """World and viewpoint of every sample, (2, samples); files are opened only where samples
+        were left out between others. Raises DatasetError."""
+        found = [np.empty((2, 0), np.int64)]
         for number, entry in enumerate(self.shards):
             with advised(self.dataset.folder):
                 numbering = self.dataset.manifest.home(entry).numbering(self.name)
-            found.append(numbering.name(self.places(number))[0] + self.first_worlds[number])
-        return np.concatenate(found)
+            world, viewpoint = numbering.name(self.places(number))
+            found.append(np.array([world + self.first_worlds[number], viewpoint]))
+        return np.concatenate(found, axis=1)
 
     def count_worlds(self) -> int:
-        """How many worlds its samples are of. Raises DatasetError."""
-        return len(np.unique(self.worlds))
+        """How many worlds its samples are of."""
+        return len(np.unique(self.numbers[0]))
 
     def home(self, index: int) -> trust.Manifest:
         """What sample `index` was made for: this dataset, or one that it was taken from."""
@@ -313,14 +314,4 @@ class Split(Samples):
     @cached_property
     def names(self) -> list[tuple[str, int, int]]:
         """Who is who: (split, world, viewpoint) of every sample."""
-        found = []
-        for number in range(len(self.shards)):
-            shard = self._shard(number)
-            with advised(self.dataset.folder):
-                worlds = (shard.column("world") + self.first_worlds[number]).tolist()
-                viewpoints = shard.column("viewpoint").tolist()
-            found += [
-                (self.name, world, viewpoint)
-                for world, viewpoint in zip(worlds, viewpoints, strict=True)
-            ]
-        return found
+        return [(self.name, world, viewpoint) for world, viewpoint in self.numbers.T.tolist()]

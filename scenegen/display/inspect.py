@@ -116,7 +116,7 @@ def inspect(
             "statistics": _statistics(table),
         }
         if len(table) == len(split):
-            first = np.unique(split.worlds, return_index=True)[1]
+            first = np.unique(split.numbers[0], return_index=True)[1]
             means = [figure(split, table, OF_WORLD + name)[first] for name in FIGURES]
             told[split.name]["world_means"] = _statistics(np.transpose(means))
         if len({home.graded for home in it.homes}) > 1:

@@ -125,7 +125,8 @@ def _measured(
 
 def _around(occupancy: Mask, place: Ints, voxel_m: float) -> tuple[float, float, float]:
     """Visibility, dispersion and passage at a free voxel (3,), see `Difficulty`."""
-    ways, blocked = _look(occupancy, place, DIRECTIONS)
+    seen = [_way(occupancy, *place.tolist(), *ahead) for ahead in DIRECTIONS.tolist()]
+    ways, blocked = np.array(seen).T
     lengths = voxel_m * ways * np.sqrt((DIRECTIONS**2).sum(axis=1))
     near, far = _neighbours()
     differ = float((blocked[near] != blocked[far]).mean())
@@ -172,15 +173,6 @@ def _way(occupancy, x, y, z, dx, dy, dz):
         if occupancy[x, y, z]:
             return steps, True
         steps += 1
-
-
-@kernel
-def _look(occupancy, middle, directions):
-    ways, blocked = np.empty(len(directions)), np.empty(len(directions), np.bool_)
-    for n in range(len(directions)):
-        dx, dy, dz = directions[n]
-        ways[n], blocked[n] = _way(occupancy, middle[0], middle[1], middle[2], dx, dy, dz)
-    return ways, blocked
 
 
 @kernel

@@ -160,17 +160,12 @@ def map_digest(voxels: VoxelMap) -> bytes:
 
 @functools.lru_cache(maxsize=2)  # a large one takes 200 MB
 def _parsed(content: bytes, name: str) -> VoxelMap:
-    return parse_map(content, name[name.rindex(".") :], name)
+    return parse_npz(content, name) if name.endswith(".npz") else parse_octomap(content, name)
 
 
 @functools.lru_cache(maxsize=2)
 def _engine(content: bytes, name: str) -> VoxelEngine:
     return VoxelEngine(_parsed(content, name))
-
-
-def parse_map(content: bytes, suffix: str, name: str) -> VoxelMap:
-    """The map in a file of such a `suffix`. Raises SceneError, naming `name`."""
-    return parse_npz(content, name) if suffix == ".npz" else parse_octomap(content, name)
 
 
 def parse_npz(content: bytes, name: str) -> VoxelMap:
