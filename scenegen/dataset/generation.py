@@ -235,20 +235,23 @@ def read_components(path: Path | None = None, *, seed: int = 0, **given: Any) ->
         if any(weighed) and not weighed[n - 1]:
             raise RecipeError(f"{at} ({short(kind)}): has no weight, and others have; give it one")
         share = fraction(weight, short(kind), at)
-        tables = {
-            name: common.get(name, {}) | own[name]
-            if isinstance(own.get(name), dict) and isinstance(common.get(name, {}), dict)
-            else own.get(name, common.get(name))
-            for name in dict.fromkeys((*common, *own))
-        }
+        tables = _over(common, own)
         folder = Path() if path is None else path.parent
         # a seed below 0 is refused later, with the rest
         each = combinations(tables.pop("domain", {}), at, rng_of(abs(seed), n))
         for values in each:
-            chosen = {name: {**(tables.get(name) or {}), **one} for name, one in values.items()}
-            every_table = tables | chosen | beside
-            made = make_recipe(kind, every_table, where=at, folder=folder, sensor=lidar)
+            whole = _over(tables, values) | beside
+            made = make_recipe(kind, whole, where=at, folder=folder, sensor=lidar)
             found.append((made, share / len(each)))
+    return found
+
+
+def _over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """The tables `below` with the values of those `above` on top."""
+    found = dict(below)
+    for name, table in above.items():
+        both = isinstance(table, dict) and isinstance(below.get(name), dict)
+        found[name] = below[name] | table if both else table
     return found
 
 

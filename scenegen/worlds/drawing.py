@@ -147,10 +147,9 @@ class Drawing:
         name, size = f"field{len(self._fields)}", (size_m[0] / 2, size_m[1] / 2, span, depth_m)
         # a ceiling is turned about the x axis, which mirrors y
         self._fields.append(HeightField(name, size, heights[::-1] if hanging else heights))
-        row, turn = np.zeros(14), (0.0, 1.0, 0.0, 0.0) if hanging else UPRIGHT
         place = (x, y, z - least if hanging else z + least)
-        for columns, values in zip(COLUMNS, ((0.0, 0.0, 0.0), place, turn, COLOUR), strict=True):
-            row[columns] = values
+        turn = (0.0, 1.0, 0.0, 0.0) if hanging else UPRIGHT
+        row = np.array([0.0, 0.0, 0.0, *place, *turn, *COLOUR])
         if self._spec is not None:
             _add_field(self._spec, self._fields[-1])
         self._append(Solid(HFIELD, row, of_class, name))

@@ -169,7 +169,7 @@ def test_figures_that_are_kept_are_read_and_no_others(full, tmp_path, monkeypatc
     assert every["train"]["world_means"]["occupied"]["max"] == pytest.approx(max(shares.values()))
     words = f"--split train --where world_occupied>={least} -o {tmp_path}"
     assert run(capsys, f"take {folder} {words}/worlds")[0] == 0
-    worlds = Dataset(tmp_path / "worlds").split("train").numbers[0]
+    worlds, _ = Dataset(tmp_path / "worlds").split("train").numbers
     assert set(worlds) == {n for n, share in shares.items() if share > least}
     assert "--keep" in run(capsys, f"take {full} {words}/none")[2]
     for damaged in (content[:-1], b"x" + content[1:]):
