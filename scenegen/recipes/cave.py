@@ -42,11 +42,7 @@ class Cave(Classed):
         },
     }
     crowded_by = ("dripstone_density", "rock_density")
-    flight_defaults = {
-        "altitude_m": (0.9, 2.4),
-        "min_distance_m": 6.0,
-        "flights_per_world": 6,
-    }
+    flight_defaults = {"altitude_m": (0.9, 2.4), "min_distance_m": 6.0, "flights_per_world": 6}
 
     size_m: Size = (40.0, 40.0, 6.0)
     """Extent of the world along x, y and z, metres."""

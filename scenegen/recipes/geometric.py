@@ -47,12 +47,7 @@ class Geometric(WorldKind):
         },
     }
     shares = ("standing_share", "stacked_share")
-    crowded_by = (
-        "density",
-        "wall_density",
-        "clutter_density",
-        "clutter_count",
-    )
+    crowded_by = ("density", "wall_density", "clutter_density", "clutter_count")
     accept_defaults = {"min_solids": 2.0}
     flight_defaults = {"altitude_m": (1.5, 4.0)}
 

@@ -37,11 +37,7 @@ class Maze(Classed):
         },
     }
     crowded_by = ("shelf_share",)
-    flight_defaults = {
-        "altitude_m": (0.6, 6.2),
-        "min_distance_m": 4.0,
-        "flights_per_world": 6,
-    }
+    flight_defaults = {"altitude_m": (0.6, 6.2), "min_distance_m": 4.0, "flights_per_world": 6}
 
     size_m: Size = (40.0, 40.0, 6.8)
     """Extent of the maze along x, y and z, metres."""

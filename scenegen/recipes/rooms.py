@@ -34,11 +34,7 @@ class Rooms(Classed):
         },
     }
     crowded_by = ("furniture_density",)
-    flight_defaults = {
-        "altitude_m": (0.5, 2.2),
-        "min_distance_m": 4.0,
-        "flights_per_world": 8,
-    }
+    flight_defaults = {"altitude_m": (0.5, 2.2), "min_distance_m": 4.0, "flights_per_world": 8}
 
     size_m: Size = (34.0, 34.0, 4.0)
     """Extent of the storey along x, y and z, metres."""

@@ -24,7 +24,7 @@ NASTY = (
     0, 1, -1, 2.5, 1e-300, 1e-7, 1e9, 1e308, 10**30, 1 << 20_000, math.nan, math.inf, -math.inf,
     True, False, None, "", "5", "\x1b[2J\n", [], [1], [1, 2], [2, 1], [8, 8, 8], [1e9, 1e9],
     [math.nan, 1], [[1], 2], [1] * 999, {}, {"a": 1}, datetime.date(1979, 5, 27),
-    datetime.time(7, 32), datetime.datetime(1979, 5, 27),
+    datetime.time(7, 32), datetime.datetime(1979, 5, 27)
 )  # fmt: skip
 """Values as TOML could give them, and worse."""
 

@@ -289,6 +289,7 @@ stages = "range:0.01..0.05,dropout:0.5"
 [domain.flight]
 altitude_m = [["0.5..1.0", "3.0..2.0"]]
 """
+BOUNDS = (2, 9), (0.01, 0.05), (0.5, 1.0), (2.0, 3.0)
 
 
 def test_a_domain_draws_numbers_from_intervals_and_samples_know_them(tmp_path):
@@ -297,8 +298,7 @@ def test_a_domain_draws_numbers_from_intervals_and_samples_know_them(tmp_path):
     drawn, again, other = ([one for one, _ in read_components(path, seed=n)] for n in (3, 3, 4))
     assert drawn == again != other
     rows = [(o.lidar.rows, o.noise.stages[0].sigma_m, *o.flight.altitude_m) for o in drawn[::2]]
-    bounds = (2, 9), (0.01, 0.05), (0.5, 1.0), (2.0, 3.0)
-    for numbers, (low, high) in zip(np.transpose(rows), bounds, strict=True):
+    for numbers, (low, high) in zip(np.transpose(rows), BOUNDS, strict=True):
         assert low <= min(numbers) < max(numbers) <= high
     settings = scenegen.stream(str(path), seed=3).settings
     assert [noise for _, _, noise in settings] == [one.noise.spelled() for one in drawn]

@@ -65,11 +65,13 @@ def test_shapes_come_in_thirds():
         assert looks_like_share(sum(solid.shape == shape for solid in found), len(found), 1 / 3)
 
 
-SINGLE = {"clutter_count": (1, 1), "clutter_spread_m": 1e-6}
-
-
 @pytest.mark.parametrize(
-    ("some", "more"), [(solids, {"stacked_share": 0.0}), (walls, {}), (heaps, SINGLE)]
+    ("some", "more"),
+    [
+        (solids, {"stacked_share": 0.0}),
+        (walls, {}),
+        (heaps, {"clutter_count": (1, 1), "clutter_spread_m": 1e-6}),
+    ],
 )
 def test_all_spread_over_the_plan(some, more):
     x, y, _ = np.transpose([solid.position for solid in some(count=300, **more)])
