@@ -97,7 +97,7 @@ class Dataset:
         return self._splits[name]
 
     def __repr__(self) -> str:
-        return f"<Dataset: {self.manifest.kind}, seed {self.manifest.seed}, in {self.folder}>"
+        return f"<Dataset: {self.manifest.graded}, seed {self.manifest.seed}, in {self.folder}>"
 
     def _repr_html_(self) -> str:
         """For notebooks: what the dataset is, and the samples of its splits."""

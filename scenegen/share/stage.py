@@ -187,7 +187,7 @@ def _draw(dataset: Dataset, draft: Path) -> str:
             parts.append(f"![{look.name}]({name})")
         parts.append(ABOVE)
     with contextlib.suppress(DatasetError):  # a grid that is too large
-        text = page(shown, title=f"{dataset.manifest.kind}, {split}", notes=notes)
+        text = page(shown, title=f"{dataset.manifest.graded}, {split}", notes=notes)
         write_whole(draft / PAGE, text.encode())
         parts.append(
             f"Samples in three dimensions: download [{PAGE}]({PAGE}), and open it in a browser."
