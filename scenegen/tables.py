@@ -164,27 +164,27 @@ def combinations(domain: Any, at: str, rng: np.random.Generator) -> list[dict[st
             f"{at}: domain: expected tables of lists, such as [domain.lidar] with a line "
             'sensor = ["raster", "ouster-os1-64"]'
         )
-    named = [
-        (table, name, [values] if isinstance(values, str) else values)
+    listed = {
+        (table, name): [values] if isinstance(values, str) else values
         for table, row in rows.items()
         for name, values in row.items()
-    ]
-    for table, name, values in named:
+    }
+    for (table, name), values in listed.items():
         if not isinstance(values, list) or not values:
             raise RecipeError(
                 f"{at}: domain.{table}.{name} = {short(values)}: expected a list of values, or an "
                 'interval, such as "0.01..0.05"'
             )
-    if type(draws) is not int or (draws > 0) != bool(_INTERVAL.search(str(named))):
+    if type(draws) is not int or (draws > 0) != bool(_INTERVAL.search(str(listed))):
         raise RecipeError(
             f"{at}: domain.draws = {short(draws)}: expected how often to draw, such as 10, where a "
             "value has an interval, such as 0.01..0.05, and nothing elsewhere"
         )
-    chosen = itertools.product(range(max(draws, 1)), *(values for _, _, values in named))
+    chosen = itertools.product(range(max(draws, 1)), *listed.values())
     found: list[dict[str, dict[str, Any]]] = []
     for _, *each in itertools.islice(chosen, MOST_SOURCES + 1):
         found.append({})
-        for (table, name, _), value in zip(named, each, strict=True):
+        for (table, name), value in zip(listed, each, strict=True):
             found[-1].setdefault(table, {})[name] = _drawn(value, rng)
     if len(found) > MOST_SOURCES:
         raise RecipeError(

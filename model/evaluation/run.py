@@ -174,7 +174,7 @@ def bench(
     if config.study:
         check_whole(dataset, "leave --study out")
     kind = kind or dataset.manifest.graded
-    ours = numbers_by_kind(split).get(kind)
+    ours = split.by_kind().get(kind)
     if ours is None:
         raise DatasetError(f"{dataset.folder}: holds no {kind} in its {config.split} split")
     indices = [ours[n] for n in evenly(len(ours), config.samples or len(ours))]
@@ -222,16 +222,6 @@ def bench(
     )
 
 
-def numbers_by_kind(split: Split) -> dict[str, list[int]]:
-    """The numbers of a split's samples by the kind of their worlds."""
-    found: dict[str, list[int]] = {}
-    for number, entry in enumerate(split.shards):
-        first = split.first(number)
-        ours = found.setdefault(split.dataset.manifest.home(entry).graded, [])
-        ours += range(first, first + entry.samples)
-    return found
-
-
 def tables_of(datasets: Sequence[Dataset], split: str) -> list[tuple[Dataset, str]]:
     """The datasets and the kinds that have a table each. Raises DatasetError where two datasets
     have samples of one kind."""
@@ -239,7 +229,7 @@ def tables_of(datasets: Sequence[Dataset], split: str) -> list[tuple[Dataset, st
         (dataset, kind)
         for dataset in datasets
         # one without samples is refused when it is measured
-        for kind in numbers_by_kind(dataset.split(split)) or (dataset.manifest.graded,)
+        for kind in dataset.split(split).by_kind() or (dataset.manifest.graded,)
     ]
     kinds = [kind for _, kind in found]
     if len(set(kinds)) < len(kinds):

@@ -307,6 +307,14 @@ class Split(Samples):
         """How many worlds its samples are of."""
         return len(np.unique(self.numbers[0]))
 
+    def by_kind(self) -> dict[str, list[int]]:
+        """The numbers of its samples by the kind of their worlds, and its difficulty."""
+        found: dict[str, list[int]] = {}
+        for first, entry in zip(self._start.tolist(), self.shards, strict=False):
+            ours = found.setdefault(self.dataset.manifest.home(entry).graded, [])
+            ours += range(first, first + entry.samples)
+        return found
+
     def home(self, index: int) -> trust.Manifest:
         """What sample `index` was made for: this dataset, or one that it was taken from."""
         return self.dataset.manifest.home(self.shards[self._place(index)[0]])

@@ -146,12 +146,12 @@ def _statistics(table: Floats) -> Json:
 
 def _by_kind(split: Split, table: Floats) -> Json:
     """For each kind, how many samples were measured, and how their figures spread."""
-    homes = [split.dataset.manifest.home(shard).graded for shard in split.shards]
-    kinds = np.repeat(homes, [shard.samples for shard in split.shards])
-    kinds = kinds[spread(split.dataset, split.name, len(table))]
-    rows = {kind: table[kinds == kind] for kind in dict.fromkeys(kinds.tolist())}
+    chosen = spread(split.dataset, split.name, len(table))
+    rows = {kind: table[np.isin(chosen, ours)] for kind, ours in split.by_kind().items()}
     return {
-        kind: {"sampled": len(own), "statistics": _statistics(own)} for kind, own in rows.items()
+        kind: {"sampled": len(own), "statistics": _statistics(own)}
+        for kind, own in rows.items()
+        if len(own)
     }
 
 
