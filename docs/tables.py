@@ -51,10 +51,13 @@ def meanings(kind: type) -> dict[str, str]:
 
 def table(kind: type) -> str:
     """The parameters of a dataclass: name, default, the values allowed, and the meaning; of a kind
-    of worlds also the unit, and the source of the default. Fields that are such dataclasses
-    themselves are left out: they have tables of their own."""
+    of worlds also the unit, what is easy and hard, and the source of the default. Fields that are
+    such dataclasses themselves are left out: they have tables of their own."""
     said, drawn = meanings(kind), issubclass(kind, WorldKind)
-    heads = ["parameter", "default", "allowed", "meaning", *(["source"] if drawn else [])]
+    levels = getattr(kind, "graded", {})
+    heads = ["parameter", "default", "allowed", "meaning"]
+    if drawn:
+        heads = ["parameter", "default", "easy · hard", "allowed", "meaning", "source"]
     lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
     for item in dataclasses.fields(kind):
         if item.default_factory is dataclasses.MISSING:
@@ -64,7 +67,10 @@ def table(kind: type) -> str:
             meaning, _, source = said[item.name].replace("|", "/").partition(" Source: ")
             if drawn:
                 shown = f"{_value(item.default)}{_unit(item.name, item.default)}"
-                cells = [shown, allowed, meaning, source.removesuffix(".") or "ours"]
+                graded = (levels[level].get(item.name) for level in ("easy", "hard"))
+                others = " · ".join("–" if value is None else _value(value) for value in graded)
+                others = others.replace("– · –", "")
+                cells = [shown, others, allowed, meaning, source.removesuffix(".") or "ours"]
             else:
                 cells = [_value(item.default), allowed, meaning]
             lines.append(f"| `{item.name}` | {' | '.join(cells)} |")
@@ -72,7 +78,7 @@ def table(kind: type) -> str:
         for parameter, value in getattr(kind, f"{name}_defaults", {}).items():
             shown = f"{_value(value)}{_unit(parameter, value)}"
             text = "The preset of this kind differs here."
-            lines.append(f"| `[{name}] {parameter}` | {shown} | | {text} | ours |")
+            lines.append(f"| `[{name}] {parameter}` | {shown} | | | {text} | ours |")
     return "\n".join(lines) + "\n"
 
 
