@@ -233,7 +233,7 @@ def _named(split: Split, number: int, choice: Choice) -> Chosen:
     """What of a shard its samples' numbers alone let through."""
     entry, places = split.shards[number], split.places(number)
     samples = split.first(number) + np.arange(len(places))
-    values = dict(zip(NUMBERS, (samples, *split.numbers[:, samples]), strict=True))
+    values = dict(zip(NUMBERS, (samples, *split.numbers_in(number)), strict=True))
     kept = np.ones(len(places), dtype=np.bool_)
     if choice.worlds:
         kept &= np.any(

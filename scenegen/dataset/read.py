@@ -291,17 +291,19 @@ class Split(Samples):
             )
             return places
 
+    def numbers_in(self, number: int) -> NDArray[np.int64]:
+        """World and viewpoint of a shard's samples, (2, N). Raises DatasetError."""
+        with advised(self.dataset.folder):
+            numbering = self.dataset.manifest.home(self.shards[number]).numbering(self.name)
+        world, viewpoint = numbering.name(self.places(number))
+        return np.array([world + self.first_worlds[number], viewpoint])
+
     @cached_property
     def numbers(self) -> NDArray[np.int64]:
-        """World and viewpoint of every sample, (2, samples); files are opened only where samples
-        were left out between others. Raises DatasetError."""
-        found = [np.empty((2, 0), np.int64)]
-        for number, entry in enumerate(self.shards):
-            with advised(self.dataset.folder):
-                numbering = self.dataset.manifest.home(entry).numbering(self.name)
-            world, viewpoint = numbering.name(self.places(number))
-            found.append(np.array([world + self.first_worlds[number], viewpoint]))
-        return np.concatenate(found, axis=1)
+        """Those of all samples, (2, samples); files are opened only where samples were left out
+        between others. Raises DatasetError."""
+        found = map(self.numbers_in, range(len(self.shards)))
+        return np.concatenate([np.empty((2, 0), np.int64), *found], axis=1)
 
     def count_worlds(self) -> int:
         """How many worlds its samples are of."""
