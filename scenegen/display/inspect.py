@@ -140,8 +140,14 @@ def _measure(dataset: Dataset, task: tuple[str, list[int]]) -> tuple[tuple[str, 
 
 def _statistics(table: Floats) -> Json:
     """How the `FIGURES` of samples (samples, figures) spread."""
-    columns = zip(FIGURES, table.T, strict=True)
-    return {name: _summary(column[~np.isnan(column)]) for name, column in columns}
+    found: Json = {}
+    for name, column in zip(FIGURES, table.T, strict=True):
+        values = column[~np.isnan(column)]
+        found[name] = {
+            how: float(getattr(values, how)()) if len(values) else None
+            for how in ("mean", "std", "min", "max")
+        }
+    return found
 
 
 def _by_kind(split: Split, table: Floats) -> Json:
@@ -152,14 +158,6 @@ def _by_kind(split: Split, table: Floats) -> Json:
         kind: {"sampled": len(own), "statistics": _statistics(own)}
         for kind, own in rows.items()
         if len(own)
-    }
-
-
-def _summary(values: Floats) -> Json:
-    """How numbers spread."""
-    return {
-        name: float(getattr(values, name)()) if len(values) else None
-        for name in ("mean", "std", "min", "max")
     }
 
 
