@@ -140,9 +140,9 @@ def test_figures_and_samples_are_told_by_kind(tmp_path, capsys):
             own = [shown[n] for n in chosen if shown[n].name.endswith(kind)]
             known = [look.masks["observed"] | look.masks["free"] for look in own]
             assert told["sampled"] == len(own)
-            means = {name: one["mean"] for name, one in told["statistics"].items()}
-            assert means["unknown"] == pytest.approx(1 - np.mean(known))
-            assert means["tudf_m"] == pytest.approx(np.mean([look.tudf for look in own]))
+            found = told["statistics"]
+            assert found["unknown"]["mean"] == pytest.approx(1 - np.mean(known))
+            assert found["tudf_m"]["mean"] == pytest.approx(np.mean([look.tudf for look in own]))
     assert "means of each kind" in run(capsys, f"inspect {tmp_path}")[1]
 
 

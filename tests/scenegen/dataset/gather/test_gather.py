@@ -391,5 +391,5 @@ def test_a_condition_that_cannot_be_read_is_refused_in_one_line(text):
 def test_a_condition_says_what_its_sign_says(sign, held):
     condition = Condition.of(f" range_m {sign} 1000001.5 ")
     assert Condition.of(str(condition)) == condition
-    ends = (end for end in (".4", ".5", ".6", "nan") if condition.holds(1000001 + float(end)))
-    assert [*ends] == held.split()
+    ends = ".4", ".5", ".6", "nan"
+    assert [end for end in ends if condition.holds(1000001 + float(end))] == held.split()
