@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from lidarsim.parameters import Checked, check, number
-from lidarsim.registry import Registry
+from lidarsim.registry import Registry, suggestion
 from scenegen.errors import ScenegenError, raised_as, short
 from scenegen.limits import (
     MOST_BATCH,
@@ -289,3 +289,9 @@ class Thresholds(Checked):
 def bundled() -> list[str]:
     """Names of the networks that come with scenegen."""
     return sorted(path.stem for path in BUNDLED.glob("*.safetensors"))
+
+
+def unknown_network(name: str) -> str:
+    """What to say of a `name` that leads to no network."""
+    hint = suggestion(name, bundled())
+    return f"{name}: no such network; {hint}; or give a .safetensors file, or a run's folder"

@@ -1,16 +1,14 @@
-"""What a scan, a file of predictions, a run, or a network is, in a few figures."""
+"""What a file of predictions, a run, or a network is, in a few figures."""
 
 from pathlib import Path
 
 import h5py
-import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.attention import SDPBackend, sdpa_kernel
 from torch.utils.flop_counter import FlopCounterMode
 
 from lidarsim import GridSpec
-from scenegen.clouds import read_points
 from scenegen.dataset.hdf5 import read_guarded
 from scenegen.errors import DatasetError, printable
 from scenegen.files import Json
@@ -57,22 +55,6 @@ def costs() -> list[Json]:
         for stride in (2, 1)
         for variant in VARIANTS
     ]
-
-
-def scan_facts(path: Path) -> Json:
-    """A file of points: how many, how far they reach, and how far away they are from its origin.
-    Raises DatasetError."""
-    points = read_points(path)
-    returned = points[np.isfinite(points).all(axis=1)]
-    found: Json = {"scan": str(path), "points": len(points), "returns": len(returned)}
-    if len(returned):
-        ranges = np.linalg.norm(returned, axis=1)
-        found |= {
-            "lower_m": returned.min(axis=0).tolist(),
-            "upper_m": returned.max(axis=0).tolist(),
-        }
-        found |= {"mean_range_m": float(ranges.mean()), "max_range_m": float(ranges.max())}
-    return found
 
 
 def prediction_facts(path: Path) -> Json:

@@ -44,6 +44,10 @@ def test_samples_are_shown(dataset, tmp_path):
     drawn = scenegen.stream("pillar", seed=3)[0]
     assert drawn.sha256() == sample.sha256()
     assert len(scenegen.show([drawn], out=tmp_path / "drawn.html").html) > 10_000
+    with pytest.raises(DatasetError, match="expected occupied voxels"):
+        scenegen.show(sample, sample.tudf)
+    with pytest.raises(DatasetError, match=r"expected \(n, 3\)"):
+        scenegen.show(sample, path=path[0])
     with pytest.raises(DatasetError, match="grid"):
         scenegen.show(scenegen.Sample(**{name: getattr(sample, name) for name in sample.names}))
 

@@ -14,6 +14,7 @@ import pytest
 from scenegen import __version__
 from scenegen.__main__ import PLACES, app
 from scenegen.cli.generate import NETWORK_EDGE
+from scenegen.cli.options import COMMON_GROUPS
 from scenegen.model.config import STRIDE
 from scenegen.model.evaluation.config import BenchConfig
 from tests.command_line import ROOT, run
@@ -71,7 +72,7 @@ def test_every_command_says_in_the_list_what_it_says_itself(
         assert (code, "Of " in said) == (0, False)
 
 
-def test_examples_on_help_pages_are_of_the_command_and_its_options():
+def test_examples_and_groups_on_help_pages_are_of_the_command_and_its_options():
     commands = {name: app.find(name) for name in app.registry.known}
     lines = [
         (name, line.split())
@@ -82,6 +83,9 @@ def test_examples_on_help_pages_are_of_the_command_and_its_options():
     for name, (program, given, *words) in lines:
         assert (program, given) == ("scenegen", name)
         command = commands[name]
+        known = {word for option in command.params for word in option.opts}
+        for panel in command.panels:
+            assert panel.name in COMMON_GROUPS or known.issuperset(panel.options)
         command.make_parser(click.Context(command)).parse_args(words)
 
 

@@ -53,18 +53,8 @@ def run(*words, cwd):
 
 @pytest.mark.slow
 def test_the_wheel_works_in_an_empty_environment_beside_a_users_own_files(tmp_path):
-    run(
-        sys.executable,
-        "-m",
-        "pip",
-        "wheel",
-        "-q",
-        "--no-deps",
-        "-w",
-        tmp_path / "dist",
-        ROOT,
-        cwd=tmp_path,
-    )
+    pip = f"{sys.executable} -m pip"
+    run(*f"{pip} wheel -q --no-deps -w {tmp_path}/dist {ROOT}".split(), cwd=tmp_path)
     (wheel,) = (tmp_path / "dist").glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
         top = {name.split("/")[0] for name in archive.namelist() if "dist-info" not in name}
@@ -74,18 +64,7 @@ def test_the_wheel_works_in_an_empty_environment_beside_a_users_own_files(tmp_pa
     assert top == {"scenegen", "lidarsim"}
     python = environment(tmp_path / "env")
     (site,) = (tmp_path / "env" / "lib").glob("python*/site-packages")
-    run(
-        sys.executable,
-        "-m",
-        "pip",
-        "install",
-        "-q",
-        "--no-deps",
-        "--target",
-        site,
-        wheel,
-        cwd=tmp_path,
-    )
+    run(*f"{pip} install -q --no-deps --target {site} {wheel}".split(), cwd=tmp_path)
     for name, content in USERS.items():
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text(content)
@@ -94,20 +73,10 @@ def test_the_wheel_works_in_an_empty_environment_beside_a_users_own_files(tmp_pa
     assert "Usage: scenegen" in run(python, "-m", "scenegen", "--help", cwd=tmp_path)
     told = "from scenegen.errors import needs; print(needs('torch', 'train'))"
     assert f"'{wheel}[train]'" in run(python, "-c", told, cwd=tmp_path)
-    small = ("--n", 5, "--val", 0, "--test", 5, "--workers", 1, "--quiet")
-    run(python, "-m", "scenegen", "generate", "--kind", "pillar", *small, cwd=tmp_path)
-    bench = run(
-        python,
-        "-m",
-        "scenegen",
-        "bench",
-        "--method",
-        "returns",
-        "--quick",
-        "--workers",
-        1,
-        cwd=tmp_path,
-    )
+    small = "--n 5 --val 0 --test 5 --workers 1 --quiet"
+    run(python, *f"-m scenegen generate --kind pillar {small}".split(), cwd=tmp_path)
+    words = "-m scenegen bench --method returns --quick --workers 1"
+    bench = run(python, *words.split(), cwd=tmp_path)
     assert "returns" in bench
 
 

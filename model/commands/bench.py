@@ -48,7 +48,6 @@ QUICK_SAMPLES, QUICK_TRIALS = 50, 200
     "names",
     type=Named(METHODS),
     multiple=True,
-    metavar="METHOD",
     help=f"A row: {', '.join(METHODS.known)}, or MODULE:CLASS; repeatable.  [default: all of "
     f"these but seen]",
 )

@@ -85,7 +85,7 @@ MOST_SHOWN = 24
 @workers_option
 @on_option
 @quiet_option
-@group("Scans, logs and maps", "sensor every poses topic count")
+@group("Scans, logs and maps", "n sensor every poses topic")
 def complete(
     source: Path | str,
     weights: str,

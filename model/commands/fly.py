@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
+from lidarsim.registry import Registry
 from scenegen.cli.options import (
+    WORLD,
     command,
     group,
     lidar_option,
@@ -23,7 +25,7 @@ from scenegen.cli.options import (
     workers_option,
 )
 from scenegen.cli.show import Progress, announce_compilation, say, show_table
-from scenegen.cli.types import FILE, Choice, OutputFile
+from scenegen.cli.types import FILE, Choice, Named, OutputFile
 from scenegen.errors import DatasetError, raised_as
 from scenegen.files import check_free, write_result
 from scenegen.fly import SUITES, Rules, Vehicle
@@ -64,9 +66,10 @@ MOST_FLIGHTS = 10_000
     "fly --replay entry.json",
     "fly --leaderboard entries -o page.html",
 )
-@click.argument("world", required=False)
+@click.argument("world", required=False, type=WORLD)
 @click.option(
     "--robot",
+    type=Named(Registry("robot", dict.fromkeys(NAMES, "")), paths=True),
     default="optimistic",
     help=f"{', '.join(MAPPING)}, which map and plan; {REACTIVE}; MODULE:CLASS, or a command in "
     "quotes, which run in a process of their own.",
@@ -144,12 +147,12 @@ MOST_FLIGHTS = 10_000
 @out_option("Where to record the flights, .json.")
 @click.option(
     "--picture",
-    type=OutputFile(),
+    type=OutputFile(".png"),
     help="A picture (.png) of the first world and the ways through it.",
 )
 @click.option(
     "--film",
-    type=OutputFile(),
+    type=OutputFile(".gif", ".html"),
     help="A film of the first flight, and what the robot takes for occupied: .gif from above, or "
     ".html, a page that plays it in three dimensions.",
 )
@@ -201,12 +204,10 @@ def fly(
         )
     if hidden is not None and maps:
         raise click.UsageError("--hidden and --maps choose other courses; give one of them")
-    _check_results(film, log, out, recorded)
+    _check(robot, weights, log, out, recorded)
     if talk:
         announce_compilation()
     is_given = weights is not None or was_given("robot")
-    if recorded is None or is_given:
-        _check(robot, weights)
     fly_one = partial(fly_course, robot=robot, weights=weights, hidden=hidden)
     execute, told = executor(on, workers), dict[str, str]()
     with Progress("replay" if recorded else "fly", shown=talk) as progress:
@@ -269,14 +270,18 @@ def _write_board(entries: Path, out: Path | None, talk: bool) -> None:
         say(f"written: {out}")
 
 
-def _check_results(
-    film: Path | None, log: Path | None, out: Path | None, recorded: Path | None
+def _check(
+    robot: str, weights: str | None, log: Path | None, out: Path | None, recorded: Path | None
 ) -> None:
-    """Raise, before anything is flown, for results that cannot be written."""
+    """Raise, before anything is flown, for what does not go together, and for results that cannot
+    be written."""
+    if weights is not None and was_given("robot") and robot != FORGETFUL:
+        raise click.UsageError(
+            "--weights says which robot flies; leave out --robot, but for --robot returns, which "
+            "completes the last scan alone"
+        )
     if out and recorded:
         raise click.UsageError("--replay records nothing; leave out -o")
-    if film and film.suffix not in (".gif", ".html"):
-        raise click.UsageError(f"--film {film}: expected a name that ends in .gif or .html")
     if log is not None:
         check_free(log)
 
@@ -315,19 +320,6 @@ def _courses(world: str, flights: int, worlds: int, options: dict[str, Any]) -> 
         for n, share in enumerate(shares)
         if share
     ]
-
-
-def _check(robot: str, weights: str | None) -> None:
-    """Raise UsageError for a robot that cannot be."""
-    from lidarsim.registry import Registry
-
-    if weights is not None and was_given("robot") and robot != FORGETFUL:
-        raise click.UsageError(
-            "--weights says which robot flies; leave out --robot, but for --robot returns, which "
-            "completes the last scan alone"
-        )
-    if robot not in NAMES and not any(mark in robot for mark in ":/ "):
-        raise click.UsageError(Registry("robot", dict.fromkeys(NAMES, "")).unknown(robot))
 
 
 def _draw(picture: Path, course: "Course", flown: "Sequence[Flown]", name: str) -> None:

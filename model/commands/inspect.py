@@ -55,20 +55,19 @@ def inspect(dataset: Path | str, every: bool, keep: bool, workers: int, as_json:
 def _facts(path: Path) -> Json | None:
     """What is to be said of a world, a scan, predictions, or a run; None for anything else."""
     from scenegen.clouds import READERS
+    from scenegen.display.inspect import inspect_world, scan_facts
     from scenegen.model.config import PREDICTIONS
 
     if (path / PREDICTIONS).is_file():
         path = min(path.glob("*.h5"), default=path)
     if path.suffix in (".xml", *MESHES) or is_map(path):
-        from scenegen.display.inspect import inspect_world
-
         return inspect_world(path)
-    if not (path.suffix in READERS or path.suffix == ".h5" or (path / "metrics.csv").is_file()):
+    if path.suffix in READERS:
+        return scan_facts(path)
+    if path.suffix != ".h5" and not (path / "metrics.csv").is_file():
         return None
     from scenegen.model import facts  # loads torch
 
-    if path.suffix in READERS:
-        return facts.scan_facts(path)
     return facts.prediction_facts(path) if path.suffix == ".h5" else facts.run_facts(path)
 
 

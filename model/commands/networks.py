@@ -47,7 +47,7 @@ def networks(as_json: bool) -> None:
 
 @command("export", "export runs/mine -o mine.onnx")
 @click.argument("weights", type=Weights(), default=DEFAULT_NETWORK)
-@out_option("File to write.  [default: <name>.onnx]", file=True)
+@out_option("File to write.  [default: <name>.onnx]", ".onnx")
 def export(weights: str, out: Path | None) -> None:
     """Write a network as ONNX, for the runtimes that are fastest on CPUs."""
     from scenegen.model.completion.completer import open_network

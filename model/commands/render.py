@@ -1,12 +1,12 @@
 """`scenegen render`: pictures of what there is: samples, predictions, worlds, scans, runs."""
 
-import importlib.util
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
+from lidarsim.parameters import Bounds
 from scenegen.cli.options import (
     command,
     group,
@@ -17,7 +17,7 @@ from scenegen.cli.options import (
     split_option,
 )
 from scenegen.cli.show import note, say
-from scenegen.cli.types import Choice, DatasetPath
+from scenegen.cli.types import Choice, DatasetPath, Number, Written
 from scenegen.model.commands.weights import chosen, shown_options
 from scenegen.worlds import MESHES
 
@@ -28,24 +28,16 @@ MOST_SHOWN = 64
 """The most samples on a sheet."""
 SUFFIXES = (".png", ".pdf", ".svg", ".webp")
 FILMS = (".webp", ".gif")
-COLUMNS_MM = {"one": 88.0, "two": 180.0}
+COLUMNS_MM = {"one": "88", "two": "180"}
 """Widths of columns of a paper, as most journals have them."""
+LEAST_WIDE = 140 / 25.4
+"""The narrowest picture for print of anything but samples, inches."""
 FIGURES = ("sample", "world", "completions", "distances", "paths", "example")
 
 
-def _width(ctx: Any, parameter: Any, value: str | None) -> float | None:
+def _width(text: str) -> float:
     """A width in inches."""
-    if value is None:
-        return None
-    try:
-        wide = COLUMNS_MM.get(value) or float(value)
-    except ValueError:
-        wide = 0
-    if not 40 <= wide <= 1000:
-        raise click.BadParameter(
-            f"{value!r}: expected one, two, or a width of 40 to 1000 millimetres"
-        )
-    return wide / 25.4
+    return Number(Bounds(least=40, most=1000)).read(COLUMNS_MM.get(text, text)) / 25.4
 
 
 @command(
@@ -86,10 +78,10 @@ def _width(ctx: Any, parameter: Any, value: str | None) -> float | None:
 )
 @click.option(
     "--paper",
+    type=Written(_width, "width"),
     metavar="one|two|MM",
-    callback=_width,
-    help="For print, as wide as one or two columns (88, 180) or so many millimetres: no title, "
-    "letters of one size; .pdf and .svg keep them as letters.",
+    help="For print, as wide as one or two columns (88, 180) or so many millimetres (40 to 1000): "
+    "no title, letters of one size; .pdf and .svg keep them as letters.",
 )
 @click.option(
     "--font-size",
@@ -130,18 +122,18 @@ def render(
         raise click.UsageError(
             f"--{film}: shows one sample or flight, without --sheet, --figure and --paper"
         )
-    if importlib.util.find_spec("matplotlib") is None:  # before the samples are read
-        raise ModuleNotFoundError("matplotlib", name="matplotlib")
     from scenegen.display.panels import for_paper, to_bytes
     from scenegen.files import write_result
 
     notes: list[str] = []
     made = _draw_file(source, seed if flight else None) if isinstance(source, Path) else None
+    if made and (options["paper"] or LEAST_WIDE) < LEAST_WIDE:
+        raise click.UsageError("--paper: only samples fit into less than 140 mm; give two, or more")
     if made is None:
         film += out.suffix if film else ""
         made, notes = _draw_samples(source, shown=not quiet, film=film, **options)
     if options["paper"]:
-        for_paper(made, font_size)
+        for_paper(made, options["paper"], font_size)
     content = made if isinstance(made, bytes) else to_bytes(made, out.suffix)
     write_result(out, content)
     for line in notes:

@@ -15,6 +15,7 @@ from scenegen.cli.options import (
     command,
     device_option,
     find_datasets,
+    group,
     options_of,
     out_option,
     printing,
@@ -82,31 +83,25 @@ class Weighted(click.ParamType):
 )
 @click.option(
     "--variant",
-    panel="Network",
     type=Named(NETWORKS),
     default=NetworkConfig.variant,
-    metavar="VARIANT",
     help=f"The network: {', '.join(NETWORKS.known)}, or MODULE:CLASS; docs/own-network.md.",
 )
 @click.option(
     "--loss",
     "objective",
-    panel="Loss",
     type=Named(LOSSES),
     default=LossConfig.objective,
-    metavar="LOSS",
     help="What it learns by: coupled, the paper's, whose weights are options, or MODULE:OBJECT.",
 )
 @click.option(
     "--protocol",
-    panel="Training",
     type=Choice(list(PROTOCOLS)),
     default=next(iter(PROTOCOLS)),
     help="What options stand at unless they are given; docs/training.md says how the two differ.",
 )
 @options_of(
     TrainConfig,
-    panel="Training",
     maps="Most maps seen, instead of passes; may grow when a run goes on.",
     epochs="Most passes over the datasets.",
     interval="Maps between two looks at validation, instead of a pass.",
@@ -125,35 +120,29 @@ class Weighted(click.ParamType):
 @click.option(
     "--input",
     "inputs",
-    panel="Network",
     type=Named(INPUTS),
     multiple=True,
     default=NetworkConfig.inputs,
-    metavar="INPUT",
     help=f"A channel that it takes: {', '.join(INPUTS.known)}, or MODULE:FUNCTION; repeatable.",
 )
 @options_of(
     NetworkConfig,
-    panel="Network",
     width="Channels at the first level.",
     stem_stride="Where resolution is halved first; 1 is slower, and sees finer.",
 )
 @click.option(
     "--weights",
-    panel="Network",
     type=Weights(),
     help="Begin with a network's weights: a bundled name, a file, a run's folder, hf://…",
 )
 @options_of(
     LossConfig,
     "lambda-",
-    panel="Loss",
     occupancy="Weight of occupancy in the objective.",
     tudf="Weight of distances in it.",
 )
 @options_of(
     LossConfig,
-    panel="Loss",
     eikonal="Weight of the Eikonal term among distances.",
     occupied_weight="Weight of an occupied voxel; a free one has 1.",
     lovasz="Weight of the IoU's Lovász hinge beside the cross-entropy.",
@@ -162,7 +151,6 @@ class Weighted(click.ParamType):
 @click.option(
     "--stream",
     "streams",
-    panel="Stream",
     multiple=True,
     type=Weighted(),
     help="Train on maps drawn anew, of a kind, recipe or scenes: NAME or NAME=WEIGHT; several "
@@ -170,14 +158,12 @@ class Weighted(click.ParamType):
 )
 @click.option(
     "--stream-seed",
-    panel="Stream",
     type=click.IntRange(0, MOST_SEED),
     default=0,
     help="Its seed.",
 )
 @click.option(
     "--val-maps",
-    panel="Stream",
     type=click.IntRange(1, MOST_SAMPLES),
     help="Maps of its own to validate on.  [default: 500]",
 )
@@ -189,6 +175,14 @@ class Weighted(click.ParamType):
 )
 @out_option("The run's folder.  [default: runs/<variant>]")
 @printing
+@group("Network", "variant input width stem-stride weights")
+@group("Loss", "loss lambda-occupancy lambda-tudf eikonal occupied-weight lovasz beta")
+@group(
+    "Training",
+    "protocol maps epochs interval batch lr schedule patience choose seed augment points-share "
+    "precision compile",
+)
+@group("Stream", "stream stream-seed val-maps")
 def train(
     datasets: tuple[tuple[Path | str, float | None], ...],
     streams: tuple[tuple[str, float], ...],

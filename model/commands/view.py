@@ -9,6 +9,7 @@ import rich_click as click
 from scenegen.cli.options import (
     command,
     dataset_argument,
+    group,
     quiet_option,
     split_option,
     was_given,
@@ -68,20 +69,20 @@ def _address(ctx: Any, parameter: Any, value: str) -> str:
 )
 @click.option(
     "--host",
-    "host",
     callback=_address,
     default="127.0.0.1",
     help="Address to serve on; with 0.0.0.0 all who reach this machine can look.",
 )
 @click.option(
     "--port",
-    "port",
     type=click.IntRange(0, 65535),
     default=8000,
     help="0 for any.",
 )
 @quiet_option
 @shown_options
+@group("What is shown", "split index n html")
+@group("In a browser", "host port")
 def view(
     dataset: Path | str,
     split: str,

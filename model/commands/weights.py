@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 import rich_click as click
 from click.shell_completion import CompletionItem
 
-from lidarsim.registry import suggestion
-from scenegen.cli.options import together
+from scenegen.cli.options import group, together
 from scenegen.cli.types import FILE
-from scenegen.model.config import bundled, split_own
+from scenegen.model.config import bundled, split_own, unknown_network
 
 if TYPE_CHECKING:
     from scenegen.dataset.read import Dataset
@@ -34,10 +33,7 @@ class Weights(click.ParamType):
             and not Path(word).exists()
             and "/" not in word
         ):
-            advice = "or give a .safetensors file, or a run's folder"
-            self.fail(
-                f"{word}: no such network; {suggestion(word, bundled())}; {advice}", param, ctx
-            )
+            self.fail(unknown_network(word), param, ctx)
         return str(value)
 
     def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
@@ -47,14 +43,11 @@ class Weights(click.ParamType):
 
 
 MOST_TRIAL = 10_000
-PREDICTED = "Predictions"
-
 
 shown_options = together(
     click.option(
         "--predictions",
         type=FILE,
-        panel=PREDICTED,
         help="An HDF5 file of predictions of the split, as `complete` writes: shown beside the "
         "truth.",
     ),
@@ -62,19 +55,16 @@ shown_options = together(
         "--weights",
         type=Weights(),
         multiple=True,
-        panel=PREDICTED,
         help="A network that completes what is shown, as for `complete`; repeatable.",
     ),
     click.option(
         "--trial",
         type=click.IntRange(0, MOST_TRIAL),
         default=0,
-        panel=PREDICTED,
         help="Which of the bench's goals in the sample paths lead to.",
     ),
-    click.option(
-        "--no-paths", is_flag=True, panel=PREDICTED, help="Plan no paths on what is predicted."
-    ),
+    click.option("--no-paths", is_flag=True, help="Plan no paths on what is predicted."),
+    group("Predictions", "predictions weights trial no-paths"),
 )
 """The options of `chosen`, by its parameters' names."""
 

@@ -28,7 +28,7 @@ from scenegen.files import Json, real_path
 from scenegen.model.calibration import Calibration
 from scenegen.model.checkpoint import CheckpointError, load_network
 from scenegen.model.completion.protocol import Prediction, check_prediction
-from scenegen.model.config import BUNDLED, DEFAULT_NETWORK, bundled, split_own
+from scenegen.model.config import BUNDLED, DEFAULT_NETWORK, bundled, split_own, unknown_network
 from scenegen.model.inputs import centres, channels, input_called
 from scenegen.model.network import Batch, Output, placed
 from scenegen.model.runtime import load_onnx
@@ -333,10 +333,7 @@ def locate(name: str | Path) -> Path:
         if re.fullmatch(r"[\w.-]+/[\w.-]+", name)
         else ""
     )
-    known = f"known names are {', '.join(bundled())}"
-    raise CheckpointError(
-        f"{name}: no such network: {known}; or give a .safetensors file, or a run's folder{hint}"
-    )
+    raise CheckpointError(f"{unknown_network(name)}{hint}")
 
 
 def _fetch(name: str) -> Path:

@@ -11,6 +11,7 @@ from scenegen.cli.options import (
     command,
     dataset_argument,
     executing,
+    group,
     open_dataset,
     options_of,
     out_option,
@@ -50,6 +51,7 @@ from scenegen.run import Executor
 )
 @executing
 @quiet_option
+@group("SemanticKITTI", "unseen-invalid label")
 def convert(
     dataset: Path | str,
     to: str,
@@ -67,7 +69,7 @@ def convert(
     from scenegen.display.exchange.convert import convert as write
     from scenegen.errors import DatasetError
 
-    recorded = isinstance(dataset, Path) and dataset.suffix == ".json"
+    recorded = Path(dataset).suffix == ".json"
     if recorded != (to == EPISODES):
         raise click.UsageError(
             f"{dataset}: --to {EPISODES} takes what `fly -o flights.json` wrote, and every other "
@@ -121,14 +123,16 @@ def _convert_flights(path: Path, out: Path | None, *, shown: bool) -> None:
 @click.argument("number", type=click.IntRange(min=0), required=False)
 @split_option("train", help="The split that the world belongs to.")
 @out_option(
-    "File to write: MJCF, or .glb for its surfaces.  [default: MJCF to standard output]", file=True
+    "File to write: MJCF (.xml), or its surfaces (.glb).  [default: MJCF to standard output]",
+    ".xml",
+    ".glb",
 )
 def world(dataset: Path | str, number: int | None, split: str, out: Path | None) -> None:
     """Take one world's MJCF, and the files it refers to, out of a dataset.
 
     With a name that ends in .glb, write its surfaces instead, or those of an MJCF file (.xml).
     """
-    alone = isinstance(dataset, Path) and dataset.suffix == ".xml"
+    alone = Path(dataset).suffix == ".xml"
     surfaces = out is not None and out.suffix == ".glb"
     if alone and not surfaces:
         raise click.UsageError(

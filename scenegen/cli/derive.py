@@ -40,7 +40,7 @@ making = together(force_option, workers_option, on_option, printing)
 
 @command(
     "rescan data/pillar --lidar livox-mid-360 -o data/livox",
-    "rescan data/pillar --noise datasheet --scans 5 -o data/noisy",
+    "rescan data/pillar --noise range:0.02 --scans 5 -o data/noisy",
 )
 @dataset_argument
 @lidar_option("the dataset's")
@@ -79,7 +79,7 @@ def rescan(
 
 @command(
     "take data/mixed --kind rooms --n 500 -o data/rooms",
-    "take data/pillar --split train --where occupied>=0.05 -o data/dense",
+    "take data/pillar --split train --where 'occupied>=0.05' -o data/dense",
 )
 @dataset_argument
 @splits_option("Samples of this split")
@@ -103,7 +103,7 @@ def rescan(
     "--where",
     multiple=True,
     type=Written(Condition.of, "NAME>=VALUE"),
-    help="Samples for which this holds, such as occupied>=0.05; repeatable. Names are "
+    help="Samples for which this holds, in quotes: 'occupied>=0.05'; repeatable. Names are "
     f"{', '.join((*NUMBERS, *FIGURES))}.",
 )
 @out_option("Folder of the new dataset, or s3://bucket/folder.", stores=True, required=True)

@@ -3,7 +3,6 @@ dataset."""
 
 import json
 import time
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,10 +10,10 @@ import rich_click as click
 
 from lidarsim.engines import DEFAULT, ENGINES
 from scenegen.cli.options import (
-    SENSING,
     command,
     engine_option,
     force_option,
+    group,
     lidar_option,
     mapping_given,
     mapping_options,
@@ -52,9 +51,7 @@ KIND = Named(
 )
 NETWORK_EDGE = 8
 """The bundled networks' three halvings need edges of maps that are multiples of this."""
-of_worlds, of_size = (partial(click.option, panel=panel) for panel in ("Worlds", "Size and files"))
-"""Options by their groups on the help page."""
-count = partial(of_size, type=click.IntRange(min=1))
+COUNT = click.IntRange(min=1)
 
 
 @command(
@@ -63,32 +60,32 @@ count = partial(of_size, type=click.IntRange(min=1))
     "generate --kind geometric --seed 7 --dry-run",
 )
 @click.argument("named", metavar="[KIND]", type=KIND, required=False)
-@of_worlds(
+@click.option(
     "--kind",
     type=KIND,
     help=f"Kind of random worlds: {', '.join(KINDS.known)}; mixed for all; or MODULE:CLASS.",
 )
-@of_worlds(
+@click.option(
     "--difficulty",
     type=Choice(["easy", "medium", "hard"]),
     help="Which preset of the kind.  [default: medium]",
 )
-@of_worlds(
+@click.option(
     "--scene",
     type=FILE,
     help="An MJCF file, a mesh or a map of your own world, or a folder of them.",
 )
-@of_worlds(
+@click.option(
     "--recipe",
     type=FILE,
     help="TOML file with what differs from the preset.",
 )
-@of_worlds(
+@click.option(
     "--allow-unseen",
     is_flag=True,
     help="Take scenes with geoms that rays cannot see; leave these out.",
 )
-@of_worlds(
+@click.option(
     "--labels",
     type=Choice(["class", "name", "material", "group"]),
     help="Say of every return and voxel which geom it is of, and which class: the kinds' "
@@ -99,22 +96,23 @@ count = partial(of_size, type=click.IntRange(min=1))
 @mapping_options()
 @options_of(
     Mapper,
-    panel=SENSING,
     tilt_mps="Lean as a quadrotor that flies at so many metres a second; 0 for a level body.",
 )
 @engine_option(
     f"What casts the rays: {', '.join(ENGINES.known)}, or MODULE:CLASS.", default=DEFAULT
 )
-@count("-n", "--n", default=2500, help="Training samples.")
-@of_size("--val", type=click.IntRange(min=0), help="Validation samples.  [default: a tenth of --n]")
-@of_size("--test", type=click.IntRange(min=0), help="Test samples.  [default: a fifth]")
-@count("--shard-samples", default=USUAL_IN_SHARD, help="Samples in a file.")
-@of_size(
+@click.option("-n", "--n", type=COUNT, default=2500, help="Training samples.")
+@click.option(
+    "--val", type=click.IntRange(min=0), help="Validation samples.  [default: a tenth of --n]"
+)
+@click.option("--test", type=click.IntRange(min=0), help="Test samples.  [default: a fifth]")
+@click.option("--shard-samples", type=COUNT, default=USUAL_IN_SHARD, help="Samples in a file.")
+@click.option(
     "--split-range",
     type=Written(read_range, "FIRST:STOP"),
     help="Only these shards, for a cluster; --dry-run counts them.",
 )
-@of_size(
+@click.option(
     "--compact",
     is_flag=True,
     help="Leave out what readers can derive: free space and distances.",
@@ -128,6 +126,8 @@ count = partial(of_size, type=click.IntRange(min=1))
 @workers_option
 @on_option
 @printing
+@group("Worlds", "kind difficulty scene recipe allow-unseen labels")
+@group("Size and files", "n val test shard-samples split-range compact")
 def generate(
     named: str | None,
     workers: int,
@@ -252,7 +252,7 @@ def make(
         return
     samples, written = sum(summary.samples.values()), summary.samples_written
     size = f"{summary.bytes / 1e6:.1f} MB, {summary.bytes / max(samples, 1) / 1e3:.1f} KB a sample"
-    rate = f"{written / seconds:.0f} samples a second, start-up included"
+    rate = f"{written / seconds:.1f} samples a second, start-up included"
     missing = f"none yet: {summary.shards_missing} of {summary.shards} shards are missing"
     show_table(
         {

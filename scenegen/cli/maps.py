@@ -43,7 +43,7 @@ from scenegen.worlds.cloud import Survey
     assume_free="Call free what is above the lowest point of a column and holds none, unless a ray "
     "says so already: for clouds of which nobody knows where they were seen from.",
 )
-@out_option("The map to write, .npz.", file=True, default=Path("map.npz"))
+@out_option("The map to write, .npz.", ".npz", default=Path("map.npz"))
 @printing
 @group("Clouds", "sensor poses box unit up")
 def map(
@@ -72,8 +72,6 @@ def map(
             "a plan, .yaml, is given alone, with --height and no other of these options, which are "
             "for clouds"
         )
-    if out.suffix != ".npz":
-        raise click.UsageError(f"{out}: expected a name that ends in .npz")
     from scenegen.display.inspect import map_facts
     from scenegen.files import write_result
     from scenegen.worlds.cloud import map_clouds

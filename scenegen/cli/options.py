@@ -27,6 +27,7 @@ from scenegen.cli.types import (
     Written,
 )
 from scenegen.limits import MOST_WORKERS
+from scenegen.recipes import KINDS
 from scenegen.run import EXECUTORS, LOCAL, executor
 from scenegen.worlds.mapping import Mapper
 
@@ -38,8 +39,12 @@ Decorator = Callable[[Function], Function]
 
 UNITS = re.compile("(_m|_mps|_mps2|_deg_s)$")
 """How the names of fields end that are options without it."""
-SENSING, RUNNING = "Sensor and maps", "Running and printing"
-"""Groups of options on help pages."""
+COMMON_GROUPS = {
+    "Sensor and maps": "lidar noise scans scan-spacing fusion map-ahead tilt engine",
+    "Options": "",
+    "Running and printing": "device workers on json quiet help",
+}
+"""Groups of options on help pages, below those of the command itself; "Options" holds the rest."""
 
 
 def group(name: str, options: str) -> Decorator[Any]:
@@ -53,9 +58,13 @@ def together(*options: Decorator[Any]) -> Decorator[Any]:
 
 
 def command(*examples: str) -> Any:
-    """Makes a function a command whose help page shows defaults, and ends with `examples`."""
+    """Makes a function a command whose help page shows defaults, has groups of options, and ends
+    with `examples`."""
     lines = "\n\n".join(["Examples:", *(f"scenegen {example}" for example in examples)])
-    return click.command(context_settings={"show_default": True}, epilog=lines)
+    named = click.command(context_settings={"show_default": True}, epilog=lines)
+    # reversed: of decorators, the last is applied first
+    groups = [group(name, options) for name, options in COMMON_GROUPS.items()]
+    return together(*reversed(groups), named)
 
 
 def _cores() -> int:
@@ -64,6 +73,8 @@ def _cores() -> int:
     return cores()
 
 
+WORLD = Named(KINDS, paths=True)
+"""A kind's name, or a file of a world."""
 dataset_argument = click.argument("dataset", type=DatasetPath())
 datasets_argument = click.argument("datasets", nargs=-1, type=DatasetPath())
 workers_option = click.option(
@@ -71,7 +82,6 @@ workers_option = click.option(
     type=click.IntRange(1, MOST_WORKERS),
     default=_cores,
     show_default="all cores",
-    panel=RUNNING,
     help="Processes.",
 )
 on_option = click.option(
@@ -79,19 +89,15 @@ on_option = click.option(
     type=Named(EXECUTORS, address=True),
     default=LOCAL,
     metavar="PLACE",
-    panel=RUNNING,
     help=f"Where the work is done: {', '.join(EXECUTORS.known)}, or MODULE:CLASS, each with "
     f"://ADDRESS or without.",
 )
 force_option = click.option("--force", is_flag=True, help="Replace another dataset in the folder.")
-json_option = click.option(
-    "--json", "as_json", is_flag=True, panel=RUNNING, help="Print the result as JSON."
-)
-quiet_option = click.option("--quiet", is_flag=True, panel=RUNNING, help="Print errors alone.")
+json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+quiet_option = click.option("--quiet", is_flag=True, help="Print errors alone.")
 device_option = click.option(
     "--device",
     default="auto",
-    panel=RUNNING,
     help="Where to compute: cpu, cuda, cuda:1 …",
 )
 kind_option = click.option(
@@ -149,11 +155,12 @@ def seed_option(help: str) -> Decorator[Any]:
 
 
 def out_option(
-    help: str, *, file: bool = False, stores: bool = False, **more: Any
+    help: str, *ends: str, file: bool = False, stores: bool = False, **more: Any
 ) -> Decorator[Any]:
-    """-o: the folder, with `stores` also one in a store, or, with `file`, the file to write; the
-    parameter is `out`."""
-    kind = OutputFile() if file else OutputFolder(stores=stores)
+    """-o: the folder, with `stores` also one in a store, or, with `file` or the `ends` of its name,
+    the file to write; the parameter is `out`."""
+    file = file or bool(ends)
+    kind = OutputFile(*ends) if file else OutputFolder(stores=stores)
     names = ("--output", "--out") if file else ("--out", "--output")
     return click.option("-o", *names, "out", type=kind, help=help, **more)
 
@@ -164,7 +171,6 @@ def lidar_option(default: str) -> Decorator[Any]:
     return click.option(
         *("--lidar", "--sensor", "lidar"),
         type=Named(SENSORS, file=".toml"),
-        panel=SENSING,
         help="The sensor: a name (`scenegen sensors` lists them), a .toml file, or MODULE:CLASS."
         f"  [default: {default}]",
     )
@@ -172,7 +178,7 @@ def lidar_option(default: str) -> Decorator[Any]:
 
 def engine_option(help: str, **more: Any) -> Decorator[Any]:
     """--engine, by name or as MODULE:CLASS."""
-    return click.option("--engine", type=Named(ENGINES), panel=SENSING, help=help, **more)
+    return click.option("--engine", type=Named(ENGINES), help=help, **more)
 
 
 def _noise(given: str) -> str:
@@ -189,8 +195,6 @@ def _noise(given: str) -> str:
 noise_option = click.option(
     "--noise",
     type=Written(_noise, "STAGE:VALUE…,…"),
-    metavar="STAGE:VALUE…,…",
-    panel=SENSING,
     help="Faults of the sensor, such as range:0.02,dropout:0.05, or datasheet for what it comes "
     "with.  [default: none]",
 )
@@ -202,7 +206,6 @@ def mapping_options(default: str | None = None) -> Decorator[Any]:
     return options_of(
         Mapper,
         default=default,
-        panel=SENSING,
         scans="Scans that make a map: the sample's own, and those before it on the flight.",
         scan_spacing_m="Metres flown from scan to scan.",
         fusion="How they make one map.",
@@ -221,7 +224,6 @@ def options_of(
     prefix: str = "",
     *,
     default: str | None = None,
-    panel: str | None = None,
     **helps: str,
 ) -> Decorator[Any]:
     """Makes an option of each field of a dataclass that `helps` names.
@@ -234,7 +236,6 @@ def options_of(
         prefix: What the options' names begin with.
         default: Shown where an option that is not given has another effect than the field's
             default.
-        panel: The group on the help page.
         helps: The options' texts by the fields' names.
     """
     kinds = typing.get_type_hints(config)
@@ -244,7 +245,7 @@ def options_of(
         flag = "--" + prefix + UNITS.sub("", name).replace("_", "-")
         more = _settings(kinds[name], fields[name], flag)
         more |= {"show_default": default} if default else {}
-        options.append(click.option(more.pop("flag", flag), name, help=text, panel=panel, **more))
+        options.append(click.option(more.pop("flag", flag), name, help=text, **more))
     return together(*options)
 
 

@@ -13,6 +13,7 @@ from lidarsim.engines import ENGINES
 from lidarsim.parameters import MOST_LENGTH_M, Bounds
 from lidarsim.sensors import CATALOGUE, RASTER, SENSORS
 from scenegen.cli.options import (
+    WORLD,
     command,
     engine_option,
     group,
@@ -27,7 +28,7 @@ from scenegen.cli.options import (
     was_given,
 )
 from scenegen.cli.show import Progress, say, show_figures, show_table, show_written
-from scenegen.cli.types import FILE, Named, Number, Numbers
+from scenegen.cli.types import Named, Number, Numbers
 from scenegen.display.exchange import Choices
 from scenegen.errors import raised_as
 from scenegen.limits import LEAST_DRAWN_M
@@ -54,9 +55,7 @@ HEADS = {
 @click.argument(
     "names", nargs=-1, metavar="[NAME|FILE.toml|MODULE:CLASS]…", type=Named(SENSORS, file=".toml")
 )
-@out_option(
-    "A picture (.png) of the patterns, azimuth × elevation, one below the other.", file=True
-)
+@out_option("A picture (.png) of the patterns, azimuth × elevation, one below the other.", ".png")
 @json_option
 def sensors(names: tuple[str, ...], out: Path | None, as_json: bool) -> None:
     """List the sensors that there are, or tell of those named, and draw their patterns.
@@ -124,7 +123,7 @@ def _cell(value: Any) -> str:
     "scan campus.bt --pose 10,5,1.2,90 --frame world -o campus.ply",
     "scan pillar --seed 3 --flight --sequence --lidar ouster-os1-64 -o log.mcap",
 )
-@click.argument("world", type=FILE)
+@click.argument("world", type=WORLD)
 @click.option(
     "--pose", type=Numbers("X,Y,Z,YAW", 4), help="Where the body is, metres, and its yaw, degrees."
 )
@@ -164,7 +163,7 @@ def _cell(value: Any) -> str:
 @group("Poses", "pose flight every")
 @group("A log", "sequence length speed acceleration yaw-rate moving")
 def scan(
-    world: Path,
+    world: str,
     pose: tuple[float, ...] | None,
     flight: bool,
     every: float | None,
@@ -193,7 +192,7 @@ def scan(
         raise click.UsageError("--sequence goes with --flight, and without --every and --frame")
     if not sequence and (moving or any(map(was_given, taken(Cruise, options)))):
         raise click.UsageError("--moving and the options of the long flight go with --sequence")
-    if world.suffix in (*MAPS, *CLOUDS) and was_given("engine"):
+    if Path(world).suffix in (*MAPS, *CLOUDS) and was_given("engine"):
         raise click.UsageError(f"{world}: a map takes no --engine: it has its own")
     from scenegen.display.exchange.files import SUFFIXES
     from scenegen.files import check_ours
@@ -213,7 +212,7 @@ def scan(
         elif talk:
             show_written(row, out)
         return
-    found = named_world(str(world), seed)
+    found = named_world(world, seed)
     poses = _poses(found, pose, every, seed)
     numbered = [out.with_stem(f"{out.stem}-{number:03d}") for number in range(len(poses))]
     files = [out] if every is None else numbered
@@ -234,7 +233,7 @@ def scan(
 
 def _write_sequence(
     out: Path,
-    world: Path,
+    world: str,
     sensor: "Sensor",
     chain: "Noise",
     engine: str,
@@ -254,7 +253,7 @@ def _write_sequence(
     check_free(out)
     if out.suffix == ".mcap":
         import mcap_ros2  # noqa: F401 (what is missing is said before a minute of scans)
-    found, period = named_world(str(world), seed), period_s(sensor)
+    found, period = named_world(world, seed), period_s(sensor)
     poses = cruise_poses(found, cruise, period, seed=seed)
     caster = engine_of(ENGINES.find(engine).of, found)
     corrected = out.suffix != ".mcap"

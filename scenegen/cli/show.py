@@ -119,7 +119,8 @@ def announce_compilation() -> None:
 
 
 class Progress:
-    """A bar of samples, rate and time left. It runs a thread, so it begins after the workers."""
+    """A bar of what is done, the rate and the time left. It runs a thread, so it begins after the
+    workers."""
 
     def __init__(self, label: str, *, shown: bool):
         self._label, self._shown = label, shown
@@ -177,7 +178,7 @@ class Progress:
         self._done += samples
         if self._bar is not None:
             rate = (self._done - self._at_begin) / max(time.perf_counter() - self._begin, 1e-9)
-            self._bar.update(self._task, completed=self._done, rate=f"{rate:.0f} samples/s")
+            self._bar.update(self._task, completed=self._done, rate=f"{rate:.1f} a second")
 
     def _leave(self) -> None:
         """For a stop: the bar's thread and locks are let be."""

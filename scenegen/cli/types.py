@@ -1,6 +1,7 @@
 """Types of options and arguments: what is wrong with one is told before anything begins."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ FILE = click.Path(path_type=Path)
 """A file or a folder to read."""
 
 
+@dataclass(eq=False)
 class Named(click.ParamType):
     """The name of something in a registry, or a user's own as module:Object.
 
@@ -28,25 +30,24 @@ class Named(click.ParamType):
         file: A name that ends so is that of a file.
         others: Endings of files that another option takes, each with that option.
         address: Whether an address may follow, as in ray://host:10001.
+        paths: Whether it may be a path: what exists, or is no plain word.
         more: Other names that are taken.
     """
 
-    def __init__(
-        self,
-        registry: Registry,
-        *,
-        file: str | None = None,
-        others: Mapping[str, str] | None = None,
-        address: bool = False,
-        more: tuple[str, ...] = (),
-    ):
-        self.more = more
-        self.registry, self.name = registry, registry.what
-        self.file, self.others, self.address = file, others or {}, address
+    registry: Registry
+    file: str | None = None
+    others: Mapping[str, str] = field(default_factory=dict)
+    address: bool = False
+    paths: bool = False
+    more: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        self.name = self.registry.what
 
     def convert(self, value: Any, param: Any, ctx: Any) -> str:
         """The name, if it can be one; a user's own is imported later."""
-        if self.file is not None and value.endswith(self.file):
+        path = self.paths and (Path(value).exists() or not value.isidentifier())
+        if path or (self.file is not None and value.endswith(self.file)):
             return str(value)
         if option := self.others.get(Path(value).suffix):
             self.fail(f"{value} is a file; give it as {option} {value}", param, ctx)
@@ -113,12 +114,12 @@ class OutputFolder(click.Path):
 
 
 class OutputFile(OutputFolder):
-    """A file to write: a new one, or one as scenegen wrote it; with `folders`, also a folder that
-    is there."""
+    """A file to write, a new one or one as scenegen wrote it, whose name ends in one of `ends`, if
+    there are any; with `folders`, also a folder that is there."""
 
-    def __init__(self, *, folders: bool = False) -> None:
+    def __init__(self, *ends: str, folders: bool = False) -> None:
         super().__init__()
-        self.folders = folders
+        self.ends, self.folders = ends, folders
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Path:
         """The path, if a file may be written there."""
@@ -128,6 +129,8 @@ class OutputFile(OutputFolder):
         path = super().convert(value, param, ctx)
         if self.folders and path.is_dir():
             return path
+        if self.ends and path.suffix not in self.ends:
+            self.fail(f"{path}: expected a name that ends in {' or '.join(self.ends)}", param, ctx)
         try:
             check_ours(path)
         except DatasetError as error:

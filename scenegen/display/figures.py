@@ -26,6 +26,7 @@ from scenegen.display.look import Guess, Look
 from scenegen.display.oblique import VIEW, View
 from scenegen.display.panels import (
     Grid,
+    across,
     at_sensor,
     ball,
     draw_panel,
@@ -58,9 +59,9 @@ def draw_completions(looks: Sequence[Look], *, title: str, width: float | None =
     names = methods_of(looks)
     alone = len(looks) == 1
     errors = (
-        (MISSED, f"missed by {DEEP} voxels or more"),
+        (MISSED, f"missed by {DEEP} or more voxels"),
         (_pale(MISSED), "missed by one"),
-        (INVENTED, f"invented, {DEEP} voxels off or more"),
+        (INVENTED, f"invented, {DEEP} or more off"),
         (_pale(INVENTED), "invented, one off"),
     )
     handles = [ball("sensor"), *(Patch(color=rgb(one), label=said) for one, said in errors)]
@@ -74,8 +75,7 @@ def draw_completions(looks: Sequence[Look], *, title: str, width: float | None =
             frame_box(panel, *look.corners, ticks=alone and not width)
             draw_voxels(panel, look, guess.occupied, truth=look.masks.get("occupancy"))
             put_note(panel, look.iou(guess))
-    for column, head in enumerate(("scan", "truth", *names)):
-        put_title(grid.panels[0, column], plain(head))
+    grid.name_columns(("scan", "truth", *names))
     if alone:
         (look,) = looks
         grid.name_row(1, _distances_at(look))
@@ -95,8 +95,7 @@ def draw_distances(looks: Sequence[Look], *, title: str, width: float | None = N
     Raises DatasetError where nothing is predicted."""
     names = ["truth", *methods_of(looks)]
     grid = Grid(len(looks), len(names), title, [ball("sensor")], width=width)
-    for column, name in enumerate(names):
-        put_title(grid.panels[0, column], plain(name))
+    grid.name_columns(names)
     for row, look in enumerate(looks):
         grid.name_row(row, f"{look.name}, {_distances_at(look)}")
         for name, tudf in _distances(look).items():
@@ -118,12 +117,12 @@ def draw_paths(looks: Sequence[Look], *, title: str, width: float | None = None)
     """Draws a panel for each sample: every method's path in the truth, which it may meet. (The
     paper's comparison of paths.) Raises DatasetError where none was planned."""
     names = methods_of(looks, paths=True)
-    columns = min(len(looks), 3)
+    columns = across(min(len(looks), 3), width)
     scale = 1.45 if columns < 3 else 1.2
     handles = _path_legend(names)
     grid = Grid(math.ceil(len(looks) / columns), columns, title, handles, scale=scale, width=width)
     for panel, look in zip(grid.panels.flat, looks, strict=False):
-        _draw_paths_in(panel, look, look.guesses, names, ticks=len(looks) == 1)
+        _draw_paths_in(panel, look, look.guesses, names, ticks=len(looks) == 1 and not width)
         if len(looks) > 1 or not title:
             put_title(panel, look.name)
     grid.bar_of_heights(looks)
@@ -135,8 +134,7 @@ def draw_example(looks: Sequence[Look], *, title: str, width: float | None = Non
     the truth. (The paper's first figure.) Raises DatasetError where no path was planned."""
     names = methods_of(looks, paths=True)
     grid = Grid(len(looks), 1 + len(names), title, _path_legend(names), width=width)
-    for panel, head in zip(grid.panels[0], (*names, "truth"), strict=True):
-        put_title(panel, plain(head))
+    grid.name_columns((*names, "truth"))
     for row, look in enumerate(looks):
         grid.name_row(row, look.name)
         for guess in look.guesses:

@@ -14,6 +14,7 @@ from lidarsim import Sensor
 from lidarsim.engines.voxels import VoxelMap
 from lidarsim.grid import Floats, GridSpec
 from scenegen import SPLITS
+from scenegen.clouds import read_points
 from scenegen.dataset.choose import (
     FIGURES,
     OF_WORLD,
@@ -218,6 +219,22 @@ def map_facts(voxels: VoxelMap) -> Json:
         "bounds": voxels.bounds.tolist(),
         **dict(zip(("unknown", "free", "occupied"), states.tolist(), strict=True)),
     }
+
+
+def scan_facts(path: Path) -> Json:
+    """A file of points: how many, how far they reach, and how far away they are from its origin.
+    Raises DatasetError."""
+    points = read_points(path)
+    returned = points[np.isfinite(points).all(axis=1)]
+    found: Json = {"scan": str(path), "points": len(points), "returns": len(returned)}
+    if len(returned):
+        ranges = np.linalg.norm(returned, axis=1)
+        found |= {
+            "lower_m": returned.min(axis=0).tolist(),
+            "upper_m": returned.max(axis=0).tolist(),
+        }
+        found |= {"mean_range_m": float(ranges.mean()), "max_range_m": float(ranges.max())}
+    return found
 
 
 def misfits(grid: GridSpec, lidar: Sensor) -> list[str]:

@@ -90,8 +90,8 @@ def show(
         lidar: The sensor. A dataset's or a stream's sample knows its own.
 
     Raises:
-        DatasetError: The grid is not known, or too large for a page; or `out` is not ours to
-            replace.
+        DatasetError: The grid is not known, or too large for a page; a prediction or path does not
+            fit the map; or `out` is not ours to replace.
         TypeError: The sensor is not known.
     """
     looks = []
@@ -126,15 +126,24 @@ def show(
 def _guess(name: str, found: Any, grid: GridSpec) -> Guess:
     """A prediction, or occupied voxels, to be shown. The thresholds of a prediction are the
     paper's."""
-    if isinstance(found, np.ndarray):
-        from scenegen.truth import distance_field  # which compiles
+    told = hasattr(found, "occupied")
+    occupied = np.asarray(found.occupied() if told else found)
+    if occupied.shape != grid.shape or occupied.dtype != bool:
+        raise DatasetError(
+            f"{name}: an array {occupied.dtype} {occupied.shape}; expected occupied voxels, bool "
+            f"{grid.shape}, or a scenegen.Prediction of this map"
+        )
+    if told:
+        return Guess(name=name, occupied=occupied, tudf=found.distance(None, grid))
+    from scenegen.truth import distance_field  # which compiles
 
-        return Guess(name=name, occupied=found, tudf=distance_field(found, grid))
-    return Guess(name=name, occupied=found.occupied(), tudf=found.distance(None, grid))
+    return Guess(name=name, occupied=occupied, tudf=distance_field(occupied, grid))
 
 
 def _route(path: Any) -> Route:
     points = np.asarray(path, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise DatasetError(f"path: an array {points.shape}; expected (n, 3), metres in the world")
     length = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
     told = f"{length:.2f} m"
     return Route(start=points[0], goal=points[-1], points=points, told=told, fails=False)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import Collection, LineCollection, PolyCollection
+from matplotlib.collections import Collection, LineCollection, PathCollection, PolyCollection
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -41,6 +41,10 @@ BESIDE, NAME = 1.15, 0.25
 """Room for a bar and the names of rows beside panels, and for these names alone, inches."""
 WIDE, TALL = 3.05, 2.6
 """A panel with voxels, inches."""
+LEAST = 1.1
+"""The narrowest panel in which letters for print have room, inches."""
+SMALLER = 0.4
+"""Share of their area that balls and points keep for print, where panels are small."""
 MOST_FACES = 400_000
 """The most faces of voxels in a panel: drawing these takes some ten seconds."""
 
@@ -60,21 +64,29 @@ def to_bytes(figure: Figure, suffix: str) -> bytes:
     from matplotlib import rc_context
 
     file = io.BytesIO()
+    # the figure's own: matplotlib's "figure" is the one that it began with
+    more: dict[str, Any] = {"dpi": figure.dpi}
     # without the version of matplotlib, so that the same picture is the same file
-    more: dict[str, Any] = {"metadata": {"Software": None}} if suffix == ".png" else {}
+    more |= {"metadata": {"Software": None}} if suffix == ".png" else {}
     with rc_context({"pdf.fonttype": 42, "svg.fonttype": "none"}):  # letters stay letters
-        figure.savefig(file, format=suffix.removeprefix("."), dpi="figure", **more)
+        figure.savefig(file, format=suffix.removeprefix("."), **more)
     return file.getvalue()
 
 
-def for_paper(figure: Figure, points: float) -> None:
-    """Make a figure one for print: all letters of one size, voxels and points as pixels fine
-    enough for it in files that hold lines and letters as such."""
+def for_paper(figure: Figure, width: float, points: float) -> None:
+    """Make a figure one for print, `width` inches wide: without a title, all letters of one size,
+    voxels and points as pixels fine enough for it in files that hold lines and letters as such."""
+    wide, tall = figure.get_size_inches()
+    figure.set_size_inches(width, tall * width / wide)
+    figure.suptitle("")
     figure.set_dpi(PAPER_DPI)
     for text in figure.findobj(Text):
         text.set_fontsize(points)
     for many in figure.findobj(Collection):
-        many.set_rasterized(len(many.get_paths()) > MOST_VECTORS or "Path" in str(many))
+        balls = isinstance(many, PathCollection)
+        many.set_rasterized(balls or len(many.get_paths()) > MOST_VECTORS)
+        if balls:
+            many.set_sizes(SMALLER * many.get_sizes())
 
 
 def plain(text: str) -> str:
@@ -238,7 +250,7 @@ def line(label: str, colour: Any = INK, width: float = 0.8, style: Any = "-") ->
 
 def legend_columns(wide: float, marks: int) -> int:
     """Columns of a legend of so many marks below a figure, inches."""
-    return min(marks, max(1, int(wide / 1.7)))
+    return min(marks, max(1, int(wide / 1.75)))
 
 
 def add_legend(figure: Figure, handles: Sequence[Any]) -> None:
@@ -248,8 +260,18 @@ def add_legend(figure: Figure, handles: Sequence[Any]) -> None:
     figure.legend(handles=list(handles), loc="lower center", ncols=columns, **style)
 
 
+def across(most: int, width: float | None) -> int:
+    """How many panels stand side by side: `most`, or in a figure of a `width`, inches, as many as
+    can be read."""
+    return min(most, max(1, int((width - BESIDE) / LEAST))) if width else most
+
+
 class Grid:
-    """A figure of panels in rows and columns, with bars at its right and a legend below."""
+    """A figure of panels in rows and columns, with bars at its right and a legend below. Of a
+    `width`, inches, that is too narrow for them, rows and columns change places, if that helps.
+
+    Raises DatasetError where it does not.
+    """
 
     def __init__(
         self,
@@ -261,19 +283,33 @@ class Grid:
         scale: float = 1.0,
         width: float | None = None,
     ):
+        self.turned = rows < columns and across(columns, width) < columns
+        if self.turned:
+            rows, columns = columns, rows
         if width is not None:
+            if across(columns, width) < columns:
+                raise DatasetError(
+                    f"{columns} panels side by side are too narrow to be read; give a wider "
+                    "--paper, or draw fewer samples or methods"
+                )
             scale = (width - BESIDE) / (WIDE * columns)
         wide = width or max(scale * WIDE * columns + BESIDE, 6.5)
         below = 0.2 + 0.2 * -(-len(handles) // legend_columns(wide, len(handles)))
-        tall = scale * TALL * rows + below + (0.45 if title else 0.2)
+        letters = 0.25 if width else 0.0  # for print they stay as large, and need room of their own
+        tall = (scale * TALL + letters) * rows + below + (0.45 if title else 0.2)
         self.figure = blank(wide, tall, title)
         self.handles = handles
         self.right = 1 - (BESIDE - NAME) / wide
         room = {"left": NAME / wide, "right": self.right, "bottom": below / tall}
         room["top"] = 1 - (0.6 if title else 0.25) / tall
         self.panels = self.figure.subplots(
-            rows, columns, squeeze=False, gridspec_kw=room | {"wspace": 0.02, "hspace": 0.08}
+            rows,
+            columns,
+            squeeze=False,
+            gridspec_kw=room | {"wspace": 0.02, "hspace": 0.08 + letters / (scale * TALL)},
         )
+        if self.turned:
+            self.panels = self.panels.T
         for panel in self.panels.flat:
             panel.set_axis_off()
 
@@ -302,23 +338,37 @@ class Grid:
     def bar_of_heights(self, looks: Sequence[Look], row: int | None = None) -> None:
         """A bar beside a row, or beside all."""
         highest = max(look.grid.extent_m[2] for look in looks)
-        self._bar(HEIGHTS, highest, "height over the map's floor / m", row)
+        self._bar(HEIGHTS, highest, "height in the map / m", row)
 
     def bar_of_distances(self, look: Look, row: int | None = None) -> None:
         """A bar beside a row, or beside all."""
-        self._bar(DISTANCES, look.grid.truncation_m, "to the nearest occupied / m", row)
+        self._bar(DISTANCES, look.grid.truncation_m, "distance / m", row)
 
     def _bar(self, anchors: Anchors, most: float, label: str, row: int | None) -> None:
-        first, last = (0, -1) if row is None else (row, row)
-        down = self.panels[last, 0].get_position().y0
-        high = self.panels[first, 0].get_position().y1 - down
+        beside = self.panels if row is None or self.turned else self.panels[row]
+        down = beside.flat[-1].get_position().y0
+        high = beside.flat[0].get_position().y1 - down
+        if self.turned and row is not None:  # one bar above the other
+            high /= 2
+            down += (1 - row) * high
         left = self.right + 0.15 * (1 - self.right)
         wide = 0.14 * (1 - self.right)
         add_bar(self.figure, (left, down + 0.1 * high, wide, 0.8 * high), anchors, (0, most), label)
 
     def name_row(self, row: int, text: str) -> None:
         """The words left of a row."""
-        place = self.panels[row, 0].get_position()
+        self._name(self.panels[row, 0], text, above=self.turned)
+
+    def name_columns(self, names: Sequence[str]) -> None:
+        """The words above each column."""
+        for panel, text in zip(self.panels[0], names, strict=True):
+            self._name(panel, text, above=not self.turned)
+
+    def _name(self, panel: Any, text: str, *, above: bool) -> None:
+        if above:
+            put_title(panel, plain(text))
+            return
+        place = panel.get_position()
         at = 0.5 * NAME / self.figure.get_figwidth(), (place.y0 + place.y1) / 2
         style: dict[str, Any] = {"rotation": 90, "va": "center", "ha": "center", "fontsize": 9}
         self.figure.text(*at, plain(text), color=INK, **style)

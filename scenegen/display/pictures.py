@@ -19,6 +19,7 @@ from scenegen.display.panels import (
     MAP,
     RED,
     Grid,
+    across,
     add_bar,
     add_legend,
     ball,
@@ -86,7 +87,7 @@ def draw_sheet(
 ) -> Figure:
     """Draws many samples on one sheet: occupied voxels with the returns over them. Raises
     DatasetError as `draw_voxels`."""
-    columns = min(columns, len(looks))
+    columns = across(min(columns, len(looks)), width)
     grid = Grid(-(-len(looks) // columns), columns, title, MARKS, width=width)
     for panel, look in zip(grid.panels.flat, looks, strict=False):
         _with_returns(panel, look, VIEW, 0.6, look.name)
@@ -114,7 +115,11 @@ def _film(frames: Sequence[tuple[Look, View, str]], pause_s: float, suffix: str)
     pictures = []
     for look, view, title in frames:
         low, high = look.corners
-        reach = 0.5 * float(np.linalg.norm(look.grid.extent_m))  # of the box, however it is turned
+        # half the width of the box on the paper, however it is turned, and half its height there
+        *flat, up = look.grid.extent_m / 2
+        wide = math.hypot(*flat)
+        tall = wide * math.sin(view.elevation) + up * math.cos(view.elevation)
+        reach = 1.03 * max(wide, tall / 0.75)
         figure = blank(6.4, 4.8, title, dpi=TURN_DPI)
         panel = figure.add_axes((0.01, 0.06, 0.86, 0.86))
         _with_returns(panel, look, view, 1.2, "")

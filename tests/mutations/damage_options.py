@@ -13,11 +13,11 @@ from tests.mutations.nasty import number, text
 MADE = {
     "generate": "--recipe recipe.toml --n 1 --val 0 --test 0 --workers 1 --quiet --out out",
     "inspect": "d --json",
-    "world": "d 0 -o out",
+    "world": "d 0 -o out.xml",
     "verify": "d --quick --workers 1 --quiet",
     "train": "d --epochs 1 --width 1 --workers 0 --device cpu --quiet --out out",
     "complete": "d --weights n.safetensors --device cpu --quiet -o out",
-    "export": "n.safetensors -o out",
+    "export": "n.safetensors -o out.onnx",
     "networks": "",
     "bench": "d --quick --workers 1 --quiet --method returns --out out",
     "publish": "d --repo ada/d --dry-run --quick --workers 1 --quiet --out out",
@@ -57,7 +57,8 @@ def attempt(random, valid, here):
     name = random.choice(sorted(app.registry.known))
     command = app.find(name)
     words = [name, *MADE.get(name, "").split()]
-    done, asked = [], ["out", "out.png", "out.ply", "out.html", "out.toml", "out.safetensors"]
+    ends = ("", ".png", ".ply", ".html", ".toml", ".safetensors", ".xml", ".onnx")
+    done, asked = [], [f"out{end}" for end in ends]
     parents = []
     for _ in range(random.choice((1, 1, 2))):
         parameter = random.choice(

@@ -32,6 +32,11 @@ def completer(tmp_path, grid, variant="proposed"):
     return Completer.from_pretrained(tmp_path / "net.safetensors")
 
 
+@pytest.fixture
+def net(folders, tmp_path):
+    return completer(tmp_path, Dataset(folders[0]).grid)
+
+
 @pytest.mark.parametrize("variant", ["proposed", "tudf"])
 def test_predictions_are_what_the_bench_takes(folders, tmp_path, variant, monkeypatch):
     monkeypatch.setattr("scenegen.model.completion.predictions.PART", 2)
@@ -59,9 +64,8 @@ def test_predictions_are_what_the_bench_takes(folders, tmp_path, variant, monkey
         Predicted(tmp_path / "p").check(dataset, "test")
 
 
-def test_maps_of_another_grid_are_refused(folders, tmp_path):
+def test_maps_of_another_grid_are_refused(net, tmp_path):
     other = make_dataset(tmp_path / "other", grid={"shape": (16, 16, 16)})
-    net = completer(tmp_path, Dataset(folders[0]).grid)
     with pytest.raises(DatasetError, match="train a network on this grid"):
         predict_split(net, other, "test", tmp_path / "p")
 
@@ -97,8 +101,7 @@ def test_a_scan_of_a_sample_is_completed_as_the_sample_is(folders, tmp_path, suf
     )
 
 
-def test_files_that_are_no_scans_are_refused(folders, tmp_path):
-    net = completer(tmp_path, Dataset(folders[0]).grid)
+def test_files_that_are_no_scans_are_refused(net, tmp_path):
     np.save(tmp_path / "far.npy", np.full((4, 3), 1000.0))
     np.save(tmp_path / "good.npy", np.zeros((4, 3)))
     for name, out, said in (
@@ -112,8 +115,7 @@ def test_files_that_are_no_scans_are_refused(folders, tmp_path):
         assert not (tmp_path / out).exists()
 
 
-def test_points_beyond_the_map_and_without_a_return_are_counted(folders, tmp_path):
-    net = completer(tmp_path, Dataset(folders[0]).grid)
+def test_points_beyond_the_map_and_without_a_return_are_counted(net, tmp_path):
     far = [[1e300, 0, 0], [-50, 0, 0], [0, 0, 1e7]]
     np.save(tmp_path / "scan.npy", [[0, 0, 0], [0.1, 0, 0], *far, [np.nan, 0, 0], [0, np.inf, 0]])
     with warnings.catch_warnings():
@@ -129,8 +131,7 @@ def test_points_beyond_the_map_and_without_a_return_are_counted(folders, tmp_pat
         read_scan(tmp_path / "scan.npy", [0, 0, np.nan])
 
 
-def test_only_completions_are_replaced(folders, tmp_path):
-    net = completer(tmp_path, Dataset(folders[0]).grid)
+def test_only_completions_are_replaced(folders, net, tmp_path):
     np.save(tmp_path / "scan.npy", np.zeros((4, 3)))
     given = read_scan(tmp_path / "scan.npy", [0, 0, 0])
     for name in ("out.h5", "out.ply"):
@@ -145,9 +146,8 @@ def test_only_completions_are_replaced(folders, tmp_path):
 
 
 @pytest.mark.parametrize("room", [1, 3000, 40_000])
-def test_a_full_disk_ends_in_one_line_and_leaves_nothing(room, folders, tmp_path, capfd):
+def test_a_full_disk_ends_in_one_line_and_leaves_nothing(room, folders, net, tmp_path, capfd):
     """As a limit of files' sizes has it; HDF5 itself says more, and goes on saying it."""
-    net = completer(tmp_path, Dataset(folders[0]).grid)
     np.save(tmp_path / "scan.npy", np.zeros((4, 3)))
     before = set(tmp_path.iterdir())
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)

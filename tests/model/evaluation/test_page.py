@@ -1,7 +1,6 @@
 """The report as a page: what it says, which is best, and that nothing of it is a script."""
 
 import dataclasses
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
@@ -17,6 +16,7 @@ from scenegen.model.evaluation.page import to_html
 from scenegen.model.evaluation.report import best, build_report
 from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.shown import draw_charts, draw_failures, failing
+from tests.scenegen.display.test_page import Seen
 
 HOSTILE = "</td><script>alert(1)</script><img src=x onerror=alert(2)>&amp;"
 
@@ -29,21 +29,6 @@ class Blind:
 
     def complete(self, observed, free, *, grid):
         return Prediction(occupancy_probability=np.zeros(grid.shape, np.float32))
-
-
-class Elements(HTMLParser):
-    def __init__(self, text):
-        super().__init__()
-        self.found = []
-        self.texts = []
-        self.feed(text)
-        self.close()
-
-    def handle_starttag(self, tag, attrs):
-        self.found.append((tag, dict(attrs)))
-
-    def handle_data(self, data):
-        self.texts.append(data)
 
 
 @pytest.fixture(scope="module")
@@ -68,16 +53,23 @@ def test_the_page_holds_both_tables_the_paper_s_and_pictures_and_runs_nothing(
     assert [label for label, _ in charts][:2] == ["IoU", "Near-RMSE, m"]
     pictures += charts
     assert all(image.startswith(b"RIFF") for _, image in pictures)
-    seen = Elements(to_html(report, {result.kind: pictures}))
-    assert not {tag for tag, _ in seen.found} & {"script", "iframe", "object", "embed", "link", "a"}
+    seen = Seen(to_html(report, {result.kind: pictures}))
+    assert not {tag for tag, *_ in seen.found} & {
+        "script",
+        "iframe",
+        "object",
+        "embed",
+        "link",
+        "a",
+    }
     assert not any(
-        name.startswith("on") or name == "href" for _, names in seen.found for name in names
+        name.startswith("on") or name == "href" for _, names, _ in seen.found for name in names
     )
-    images = [names["src"] for tag, names in seen.found if tag == "img"]
+    images = [names["src"] for tag, names, _ in seen.found if tag == "img"]
     assert len(images) == len(pictures)
     assert all(str(source).startswith("data:image/webp;base64,") for source in images)
-    assert seen.texts.count(HOSTILE) >= 4  # the command, a row of each table, failures
-    said = " ".join(seen.texts)
+    said = " ".join(text for *_, text in seen.found)
+    assert said.count(HOSTILE) >= 4  # the command, a row of each table, failures
     for table, metrics in (("reconstruction", METRICS), ("planning", PLAN_METRICS)):
         for row in report[table][result.kind].values():
             for metric in metrics:

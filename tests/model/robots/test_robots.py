@@ -364,7 +364,7 @@ def test_ones_own_robot_flies_and_what_a_bad_one_does_is_counted(capsys, tmp_pat
         ("fly", 2, "give a WORLD"),
         ("fly pillar --robot optimist", 2, "did you mean 'optimistic'"),
         ("fly pillar --robot reactive --weights columns", 2, "leave out --robot"),
-        ("fly pilar --robot reactive", 1, "pilar"),
+        ("fly pilar --robot reactive", 2, "did you mean 'pillar'"),
         ("fly pillar --robot no_such:Robot --flights 1", 1, "never begins"),
     ],
 )

@@ -6,7 +6,6 @@ python -m pytest -m slow tests/model/training/test_nodes.py
 """
 
 import os
-import shutil
 import subprocess
 import sys
 
@@ -24,20 +23,8 @@ TORCHRUN = (sys.executable, "-m", "torch.distributed.run")
 @pytest.fixture
 def words(folders):
     """A short run."""
-    options = (
-        "--width",
-        4,
-        "--epochs",
-        2,
-        "--batch",
-        4,
-        "--device",
-        "cpu",
-        "--precision",
-        "float32",
-        "--quiet",
-    )
-    return [str(word) for word in (ROOT / "cli.py", "train", folders[0], *options, "--out")]
+    options = "--width 4 --epochs 2 --batch 4 --device cpu --precision float32 --quiet --out"
+    return [str(ROOT / "cli.py"), "train", str(folders[0]), *options.split()]
 
 
 @pytest.fixture
@@ -78,34 +65,15 @@ def check_same(one, other):
     assert figures[0] == figures[1]
 
 
-@pytest.mark.skipif(
-    shutil.which("slurmctld") is None or os.getuid() != 0, reason="needs slurm-wlm, and to be root"
-)
+@slurm_here.NEEDED
 def test_two_nodes_of_slurm_train_what_one_does(alone, words, tmp_path):
     out = tmp_path / "slurm"
-    meeting = [
-        "--rdzv-backend",
-        "c10d",
-        "--rdzv-endpoint",
-        f"127.0.0.1:{free_port()}",
-        "--rdzv-id",
-        "test",
-    ]
-    launch = [
-        "srun",
-        "--nodes",
-        "2",
-        "--ntasks-per-node",
-        "1",
-        *TORCHRUN,
-        "--nnodes",
-        "2",
-        "--nproc-per-node",
-        "1",
-    ]
+    meeting = f"--rdzv-backend c10d --rdzv-endpoint 127.0.0.1:{free_port()} --rdzv-id test"
+    nodes = f"--nnodes 2 --nproc-per-node 1 {meeting}"
+    launch = ["srun", "--nodes=2", "--ntasks-per-node=1", *TORCHRUN, *nodes.split()]
     (tmp_path / "cluster").mkdir()
     with slurm_here.slurm(tmp_path / "cluster", nodes=2):
-        run([*launch, *meeting, *words, str(out)])
+        run([*launch, *words, str(out)])
     check_same(alone, out)
 
 
@@ -116,15 +84,8 @@ def test_two_nodes_of_ray_train_what_one_does(alone, words, tmp_path):
     cluster = cluster_utils.Cluster(initialize_head=True, head_node_args=head)
     try:
         cluster.add_node(num_cpus=1)
-        launch = [
-            sys.executable,
-            str(ROOT / "docs" / "torchrun_on_ray.py"),
-            "--address",
-            cluster.address,
-            "--nodes",
-            "2",
-        ]
-        run([*launch, "--", *words, str(tmp_path / "ray")])
+        launch = f"{ROOT}/docs/torchrun_on_ray.py --address {cluster.address} --nodes 2 --"
+        run([sys.executable, *launch.split(), *words, str(tmp_path / "ray")])
     finally:
         cluster.shutdown()
     check_same(alone, tmp_path / "ray")

@@ -31,9 +31,9 @@ def test_generate_inspect_and_world_work_together(small, tmp_path, capsys):
     assert [split["samples"] for split in found["splits"].values()] == [12, 1, 2]
     assert found["digest"] == digest
     assert 0 < found["splits"]["train"]["statistics"]["occupied"]["mean"] < 0.5
-    code, _, error = run(capsys, f"world {out} 3 -o {tmp_path}")
+    code, _, error = run(capsys, f"world {out} 3 -o {tmp_path}/world.usd")
     assert code == 2
-    assert "is not a regular file" in error
+    assert "ends in .xml or .glb" in error
     code, said, _ = run(capsys, "inspect", out)
     assert code == 0
     assert "12 samples of 4 worlds" in said

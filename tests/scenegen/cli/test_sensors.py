@@ -154,6 +154,7 @@ REFUSED = {
     "a family's name": ("sensors family.toml", "give your sensor a name of its own"),
     "a table in the file": ("sensors small.toml", "expected its parameters at the top"),
     "a misspelt name": ("sensors velodine-vlp-16", "did you mean 'velodyne-vlp-16'"),
+    "a misspelt world": ("scan piller --flight", "did you mean 'pillar'"),
     "misspelt noise": ("scan room.xml --flight --noise rnage:1", "did you mean 'range'"),
     "no pose": ("scan room.xml", "--pose X,Y,Z,YAW and --flight"),
     "a pose of no numbers": ("scan room.xml --pose 1,2,3,nan", "is not a finite number"),

@@ -2,38 +2,19 @@
 
 import os
 import signal
-import subprocess
 import sys
 import time
 from pathlib import Path
 
 import pytest
 
-from tests.command_line import ROOT
+from tests.scenegen.cli.test_stops import begin
 
 
 def start(small, out):
     """A run with workers that lasts until it is stopped, well under way."""
-    command = [
-        sys.executable,
-        "-m",
-        "cli",
-        "generate",
-        "--recipe",
-        str(small),
-        "--n",
-        "200000",
-        "--out",
-        str(out),
-    ]
-    process = subprocess.Popen(
-        [*command, "--workers", "2", "--shard-samples", "30"],
-        cwd=ROOT,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
+    options = f"--recipe {small} --n 200000 --out {out} --workers 2 --shard-samples 30"
+    process = begin(sys.executable, "-m", "cli", "generate", *options.split())
     deadline = time.monotonic() + 150  # with nothing cached, kernels compile first
     while len(list(out.glob("*.h5"))) < 3:
         assert process.poll() is None, process.stderr.read() if process.stderr else ""

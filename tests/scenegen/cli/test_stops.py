@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from scenegen.cli.stops import STOPPED
+from tests.command_line import ROOT
 
-ROOT = Path(__file__).parents[3]
 LINE = f"scenegen: {STOPPED}\n"
 CALLBACK = """
 import ctypes, sys

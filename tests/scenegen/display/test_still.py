@@ -164,7 +164,8 @@ def test_the_command_draws_samples_sheets_and_worlds(made, tmp_path, capsys, mon
     for words, part in (
         (f"{made} -o {tmp_path}/x.gif", "expected a name that ends in"),
         (f"{made} --flight --sheet 2", "--flight: shows one sample or flight"),
-        (f"{made} --paper 3", "40 to 1000 millimetres"),
+        (f"{made} --paper 3", "from 40 to 1000"),
+        (f"{made} --paper 40 -o {tmp_path}/x.png", "too narrow"),
         (f"{made} --figure paths -o {tmp_path}/x.png", "give --weights or --predictions"),
         (f"{made} --turn -o {tmp_path}/x.png", "ends in .webp"),
         (f"{tmp_path}/none.xml -o {tmp_path}/x.png", "none.xml"),
@@ -182,6 +183,10 @@ def test_a_figure_for_a_paper_is_as_wide_and_its_letters_are_letters(made, tmp_p
     assert ">observed</text>" in text
     assert text.count("<image") >= 5  # points, voxels and distances
     assert "small" not in text  # a caption's part
+    picture = tmp_path / "x.png"
+    assert run(capsys, f"render {made} --sheet 3 --paper one -o {picture} --quiet")[0] == 0
+    with Image.open(picture) as image:
+        assert image.width == 1385  # 400 dpi
 
 
 def test_a_flight_is_a_film_of_its_samples(made, tmp_path, capsys, monkeypatch):

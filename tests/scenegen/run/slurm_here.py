@@ -6,6 +6,7 @@ COMMAND, ends them
 """
 
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -15,6 +16,12 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
+import pytest
+
+NEEDED = pytest.mark.skipif(
+    shutil.which("slurmctld") is None or os.getuid() != 0, reason="needs slurm-wlm, and to be root"
+)
+"""For tests."""
 CONFIG = """
 ClusterName=scenegen
 SlurmctldHost={host}

@@ -6,7 +6,6 @@ python -m pytest -m slow tests/scenegen/run/test_slurm.py
 """
 
 import os
-import shutil
 import signal
 import socket
 import subprocess
@@ -26,13 +25,7 @@ from tests.conftest import plan_of, small_recipe
 from tests.scenegen.run import everywhere, slurm_here
 
 pytest.importorskip("submitit")
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(
-        shutil.which("slurmctld") is None or os.getuid() != 0,
-        reason="needs slurm-wlm, and to be root",
-    ),
-]
+pytestmark = [pytest.mark.slow, slurm_here.NEEDED]
 COUNTS = {"train": 24, "val": 3, "test": 3}
 
 
