@@ -102,11 +102,11 @@ COMMANDS = {
     "verify": ["d --workers 1"],
     "train": ["d --epochs 1 --width 1 --out run --device cpu"],
     "complete": [
-        "d --weights run -o p.h5 --device cpu",
+        "d --weights run -o p --device cpu",
         "scan.xyz --weights run -o s.h5 --device cpu",
-        "d --weights n.onnx -o o.h5",
+        "d --weights n.onnx -o o",
     ],
-    "bench": ["d --weights run --predictions p.h5 --quick --workers 1"],
+    "bench": ["d --weights run --predictions p --quick --workers 1"],
     "fly": [
         "w.xml --robot reactive --flights 1 --apart 4 --speed 4 -o f.json --picture f.png",
         "--replay f.json",
@@ -129,7 +129,7 @@ COMMANDS = {
     "render": [
         "d -o r.png",
         "w.xml --flight -o r.png",
-        "d --split test --predictions p.h5 -o r.png",
+        "d --split test --predictions p -o r.png",
     ],
     "convert": ["d --to semantickitti -o k", "d --to webdataset -o t"],
     "recipe": ["pillar"],
@@ -144,8 +144,8 @@ COMMANDS = {
 DEAR = ("export", "networks")
 """Commands that take ten seconds and more."""
 ASKED = (
-    "again bench c.safetensors d e.onnx f.json f.png i.html k log m.npz maps merged n.onnx o.h5 "
-    "others p.h5 p.png publish r.png run s.h5 s.ply scan.xyz small.toml t taken v.html w.xml"
+    "again bench c.safetensors d e.onnx f.json f.png i.html k log m.npz maps merged n.onnx o "
+    "others p p.png publish r.png run s.h5 s.ply scan.xyz small.toml t taken v.html w.xml"
 )
 """What commands are asked to leave where they run."""
 FONTS = ".cache/matplotlib/"
