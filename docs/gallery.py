@@ -1,7 +1,8 @@
-"""Draw the gallery's sheets of sensors, noise and networks, and write its page; or draw the
-pictures of docs/look.md and docs/sensor.md.
+"""Draw the gallery's worlds and sheets, and write its page; or draw the pictures of docs/look.md
+and docs/sensor.md.
 
-    python docs/gallery.py          # docs/gallery.md and docs/pictures/gallery/*.webp
+    python docs/gallery.py          # docs/gallery.md, docs/pictures/gallery/*.webp, and the
+                                    # pictures of `pictures.py`, which needs pyvista
     python docs/gallery.py sensors  # docs/pictures/sensors/*.png
     python docs/gallery.py look     # docs/pictures/look/*.webp, of data/geometric and data/pillar
     python docs/gallery.py page     # those of the page in a browser: `pip install playwright`, and
@@ -89,7 +90,7 @@ TABS = {
 """The height in pixels, the dataset, the networks and the address of each picture of the page."""
 PAGE = """# Gallery
 
-Written by `python docs/gallery.py`; the pictures of worlds by `python docs/pictures.py`.
+Written by `python docs/gallery.py`.
 
 ## Worlds
 
@@ -133,7 +134,8 @@ The paper's three networks on a test sample of `geometric`, a kind that they lea
 
 
 def main() -> None:
-    """Write the page and its sheets."""
+    """Write the page, its sheets and its worlds."""
+    subprocess.run([sys.executable, DOCS / "pictures.py"], check=True)
     SHEETS.mkdir(parents=True, exist_ok=True)
     world = read_world(SCENE)
     for name, figure in (("sensors", sensors(world)), ("noise", noise(world))):

@@ -400,11 +400,25 @@
     return `Voxel ${cell.join(", ")} at ${place.join(", ")} m: ${is.join(", ") || "nothing"}. Distances: ${distances.join(", ")}.`;
   }
 
-  find("png").onclick = () => canvas.toBlob((blob) => {
-    const link = Object.assign(make("a"), { href: URL.createObjectURL(blob), download: `sample-${current}.png` });
+  function save(blob, name) {
+    const link = Object.assign(make("a"), { href: URL.createObjectURL(blob), download: name });
     link.click();
     URL.revokeObjectURL(link.href);
-  });
+  }
+  find("png").onclick = () => canvas.toBlob((blob) => save(blob, `sample-${current}.png`));
+  // The film is of all samples from this one on, as they play.
+  find("film").hidden = !globalThis.MediaRecorder;
+  find("film").onclick = async () => {
+    const recorder = new MediaRecorder(canvas.captureStream(30)), parts = [], first = current;
+    recorder.ondataavailable = (part) => parts.push(part.data);
+    recorder.onstop = () => save(new Blob(parts, { type: recorder.mimeType }), `samples-${first}.webm`);
+    find("film").disabled = true;
+    recorder.start();
+    draw();
+    await play();
+    recorder.stop();
+    find("film").disabled = false;
+  };
 
   function view(top) {
     if (!sample) return;

@@ -205,3 +205,8 @@ def test_samples_play_one_after_the_other(browser, made):
         rests = state(tab, "sample")
         tab.wait_for_timeout(1000)
         assert (state(tab, "sample"), told) == (rests, [])
+        with tab.expect_download() as saved:
+            tab.get_by_role("button", name="Film").click()
+        assert saved.value.suggested_filename == f"samples-{rests}.webm"
+        assert saved.value.path().read_bytes()[:4] == b"\x1aE\xdf\xa3"
+        assert told == []
