@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from scenegen.verification.folder import verify
     from scenegen.worlds.flight import poses_in_flight
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 GENERATOR = 2
 """Raised whenever the same parameters and seed would give other bits, whatever the kind of worlds.
