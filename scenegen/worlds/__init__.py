@@ -18,6 +18,8 @@ def is_map(path: Path) -> bool:
     what it holds, too."""
     if path.suffix != ".npz":
         return path.suffix in MAPS
+    if not path.is_file():  # a pipe would never end
+        return False
     try:
         with zipfile.ZipFile(path) as archive:
             return "states.npy" in archive.namelist()

@@ -79,7 +79,7 @@ def attempt(random, valid, here):
             parents += [glob.escape(str(path)) for path in wanted.parents[:-1]]
         done.append(f"{parameter.name} = {ascii(value)[:80]}")
     if "--keep" in words:
-        parents.append("*/figures-*.npy")
+        parents.append("*/figures-*")
     if name in DEAR:
         words.append("one word\x1b[2Jtoo many" if random.random() < 0.2 else "--no-such-option")
     return Attempt(
