@@ -180,7 +180,9 @@ def combinations(domain: Any, at: str, rng: np.random.Generator) -> list[dict[st
             f"{at}: domain.draws = {short(draws)}: expected how often to draw, such as 10, where a "
             "value has an interval, such as 0.01..0.05, and nothing elsewhere"
         )
-    chosen = itertools.product(range(max(draws, 1)), *listed.values())
+    # of a range, `product` would make a tuple
+    times = range(min(max(draws, 1), MOST_SOURCES + 1))
+    chosen = itertools.product(times, *listed.values())
     found: list[dict[str, dict[str, Any]]] = []
     for _, *each in itertools.islice(chosen, MOST_SOURCES + 1):
         found.append({})

@@ -216,6 +216,11 @@ def test_without_components_every_kind_has_the_same_weight():
         ("[component.world]", "[domain.lidar]\nrows = 4\n[component.world]", "a list of values"),
         ("[component.world]", '[domain.lidar]\nrows = "2..4"\n[component.world]', "domain.draws"),
         ("[component.world]", "[domain]\ndraws = 2\n[component.world]", "domain.draws"),
+        (
+            "[component.world]",
+            '[domain]\ndraws = 1000000000\n[domain.lidar]\nrows = "2..4"\n[component.world]',
+            "combinations",
+        ),
         ("[component.world]", "[domain]\nrows = [4]\n[component.world]", "tables of lists"),
         ("[component.world]", "[domain.flight]\nx = [4]\n[component.world]", "x"),
         (
