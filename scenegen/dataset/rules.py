@@ -150,7 +150,7 @@ def made(
 TEXTS = table_of(Rule(lambda value: isinstance(value, str), "text"))
 RECIPE_RULES = {
     "version": whole(0, MOST_SEED),
-    "difficulty": optional(text(r"\w{1,20}", "a word such as hard")),
+    "difficulty": optional(text(r"[\w .-]{1,60}", "a name such as hard")),
     "world": optional(TABLE),
     "flight": TABLE,
     "accept": TABLE,

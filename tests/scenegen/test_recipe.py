@@ -163,6 +163,8 @@ def test_a_recipe_as_large_as_may_be_is_read_in_bounded_time(tmp_path):
 
 def test_a_difficulty_is_the_kinds_own_or_refused(tmp_path):
     hard = preset("pillar", difficulty="hard")
+    named = dataclasses.replace(hard, difficulty="very-hard")  # as a user's own kind may have it
+    assert parse(manifest_of(named), Path()).graded == "pillar-very-hard"
     path = tmp_path / "r.toml"
     path.write_text('kind = "pillar"\ndifficulty = "hard"\n[world]\nround_share = 0.5\n')
     assert read_recipe(path).world == dataclasses.replace(hard.world, round_share=0.5)
