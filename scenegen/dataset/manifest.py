@@ -208,7 +208,7 @@ def read(folder: Path) -> dict[str, Any]:
             raise ValueError(f"it nests deeper than {MOST_DEPTH} levels, which no manifest does")
     except FileNotFoundError:
         lacks = f"it has no {NAME}" if folder.is_dir() else "there is no such folder"
-        others = [str(path.parent) for path in folder.parent.glob(f"*/{NAME}")]
+        others = [str(path.parent) for path in Path(folder.parent).glob(f"*/{NAME}")]
         for near in difflib.get_close_matches(str(folder), others, 1, 0.8):
             lacks += f"; did you mean {near}?"
         raise DatasetError(

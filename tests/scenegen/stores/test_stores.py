@@ -16,6 +16,7 @@ import pytest
 
 from lidarsim import BeamTable
 from scenegen import load, stores
+from scenegen.dataset import manifest
 from scenegen.dataset.build import build
 from scenegen.dataset.locate import locate
 from scenegen.dataset.placed import SUFFIX
@@ -94,6 +95,11 @@ def test_a_place_is_named_as_it_was_given_and_names_what_lies_in_it():
     assert type((folder / "x.h5").with_suffix(".report.json").parent) is StorePath
     with pytest.raises(AttributeError):
         folder.open()  # nothing of Path's reaches for a file of that name
+
+
+def test_a_place_without_a_manifest_is_told_in_one_line(store):
+    with pytest.raises(DatasetError, match="not a dataset"):
+        manifest.read(folder_of(NAME))
 
 
 def test_what_others_put_is_never_replaced_unread(store):
