@@ -17,6 +17,7 @@ from scenegen.dataset.hdf5 import Stored, read_guarded
 from scenegen.dataset.layout import FILTERS, unpack
 from scenegen.dataset.read import Dataset, Split
 from scenegen.errors import DatasetError, printable, short
+from scenegen.files import real_path
 from scenegen.limits import GUARD_S, MOST_CHUNK_BYTES
 from scenegen.model.calibration import RISK, Given
 from scenegen.model.completion.protocol import (
@@ -113,7 +114,7 @@ class Predicted:
     @property
     def name(self) -> str:
         """The file's or the folder's, without its ending."""
-        return printable(self.path.stem)
+        return printable(real_path(self.path).stem)
 
     @cached_property
     def _files(self) -> list[Path]:

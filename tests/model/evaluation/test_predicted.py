@@ -1,6 +1,7 @@
 """Files of predictions: those that do not fit, or cannot be, are refused in one line."""
 
 import contextlib
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -120,6 +121,12 @@ def test_a_cut_or_scrambled_predictions_file_is_refused_in_one_line(dataset, tmp
             Predicted(tmp_path / "p.h5").check(dataset, "test")
     with pytest.raises(DatasetError, match="no such file"):
         Predicted(tmp_path / "absent.h5").check(dataset, "test")
+
+
+def test_predictions_in_the_current_folder_have_its_name(tmp_path, monkeypatch):
+    (tmp_path / "mine").mkdir()
+    monkeypatch.chdir(tmp_path / "mine")
+    assert Predicted(Path()).name == "mine"
 
 
 def test_predictions_of_one_split_say_nothing_of_another(dataset, tmp_path):
