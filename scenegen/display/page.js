@@ -412,12 +412,10 @@
     const recorder = new MediaRecorder(canvas.captureStream(30)), parts = [], first = current;
     recorder.ondataavailable = (part) => parts.push(part.data);
     recorder.onstop = () => save(new Blob(parts, { type: recorder.mimeType }), `samples-${first}.webm`);
-    find("film").disabled = true;
     recorder.start();
     draw();
     await play();
     recorder.stop();
-    find("film").disabled = false;
   };
 
   function view(top) {
@@ -571,7 +569,7 @@
   // Samples follow one another, five a second where the browser can, as a flight's moments do.
   let playing = false;
   async function play() {
-    playing = !playing;
+    find("film").disabled = playing = !playing;
     find("play").textContent = playing ? "❚❚" : "▶▶";
     if (playing && current >= count() - 1) await show(0);
     while (playing && current < count() - 1) {
