@@ -60,7 +60,7 @@ QUICK_SAMPLES, QUICK_TRIALS = 50, 200
 @click.option(
     "--predictions",
     type=FILE,
-    help="HDF5 file of somebody's predictions: one more row.",
+    help="Somebody's predictions, an HDF5 file or a folder of them: one more row.",
 )
 @out_option("Folder of the report.", default=Path("bench"))
 @options_of(BenchConfig, split="The split that is measured; calibrate on val alone.")

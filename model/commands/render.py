@@ -18,6 +18,7 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import note, say
 from scenegen.cli.types import Choice, DatasetPath, Number, Written
+from scenegen.errors import short
 from scenegen.model.commands.weights import chosen, shown_options
 from scenegen.worlds import MESHES
 
@@ -37,7 +38,10 @@ FIGURES = ("sample", "world", "completions", "distances", "paths", "example")
 
 def _width(text: str) -> float:
     """A width in inches."""
-    return Number(Bounds(least=40, most=1000)).read(COLUMNS_MM.get(text, text)) / 25.4
+    try:
+        return Number(Bounds(least=40, most=1000)).read(COLUMNS_MM.get(text, text)) / 25.4
+    except ValueError:
+        raise ValueError(f"{short(text)}: expected one, two, or 40 to 1000 millimetres") from None
 
 
 @command(

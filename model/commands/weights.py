@@ -48,8 +48,8 @@ shown_options = together(
     click.option(
         "--predictions",
         type=FILE,
-        help="An HDF5 file of predictions of the split, as `complete` writes: shown beside the "
-        "truth.",
+        help="Predictions of the split, as `complete` writes, or one HDF5 file of them: shown "
+        "beside the truth.",
     ),
     click.option(
         "--weights",

@@ -142,7 +142,7 @@ def _guess(name: str, found: Any, grid: GridSpec) -> Guess:
 
 def _route(path: Any) -> Route:
     points = np.asarray(path, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 3:
+    if points.shape[1:] != (3,) or not len(points):
         raise DatasetError(f"path: an array {points.shape}; expected (n, 3), metres in the world")
     length = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
     told = f"{length:.2f} m"
