@@ -23,6 +23,7 @@ from scenegen.dataset.parts import GRID, rays_named, sensor_entry, write_rays
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.trust import Manifest
 from scenegen.errors import BrokenError, PublishError, RecipeError, short
+from scenegen.limits import MOST_RECIPE_BYTES
 from scenegen.recipe import read_recipe
 from scenegen.recipes import KINDS
 from scenegen.run import undone_if_stopped
@@ -162,8 +163,13 @@ def check_source(dataset: Dataset, name: str, text: str) -> None:
     """Read the file `name` that holds `text` as `command` would, next to the dataset's files, and
     hold what it resolves to against the manifest.
 
-    Raises PublishError where this version would make another dataset of it.
+    Raises PublishError where this version would make another dataset of it, or it is too long.
     """
+    if (size := len(text.encode())) > MOST_RECIPE_BYTES:
+        raise PublishError(
+            f"its recipe would have {size} bytes, expected {MOST_RECIPE_BYTES} at most; generate "
+            "it of fewer components, or with fewer domain.draws"
+        )
     found = dataset.manifest
     for home in found.homes:
         if home.noise_is_ours:
