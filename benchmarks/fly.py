@@ -72,7 +72,7 @@ def main() -> None:
             replace(one, vehicle=replace(one.vehicle, dynamics=given.dynamics)) for one in courses
         ]
         found = {
-            titled(name): flown(name, courses, given.entries or Path(spare))
+            name: flown(name, courses, given.entries or Path(spare))
             for name in given.robots
         }
     page = given.page or (PAGE.with_stem("fly-real") if given.maps else PAGE)
@@ -126,7 +126,7 @@ def tables(found: dict[str, list[Row]]) -> list[str]:
             for title, of in FIGURES.items()
         ]
         step = np.mean([one.step_s for _, one in rows]) * 1e3
-        lines.append(line(f"`{name}`", [*cells, f"{step:.1f}"]))
+        lines.append(line(f"`{titled(name)}`", [*cells, f"{step:.1f}"]))
     for base in filter(found.__contains__, BASELINES):
         lines += ["", f"## Flight by flight, less `{base}`", "", *head(["success", "score"])]
         for name, rows in found.items():
@@ -136,7 +136,7 @@ def tables(found: dict[str, list[Row]]) -> list[str]:
                 differences = [of(one) - of(other) for (_, one), (_, other) in pairs]
                 one = figure(differences, [course.sha256 for course, _ in rows])
                 cells.append(f"{one['mean']:+.3f} {interval(one, '+.3f')}")
-            lines.append(line(f"`{name}`", cells))
+            lines.append(line(f"`{titled(name)}`", cells))
     for title, groups, key in (
         ("difficulty", DIFFICULTIES, lambda course: course.difficulty),
         ("kind", kind_names(), lambda course: course.world),
@@ -151,7 +151,7 @@ def tables(found: dict[str, list[Row]]) -> list[str]:
                 values = [np.array([FIGURES[what](one) for _, one in part]) for part in parts]
                 shown = [each[np.isfinite(each)] for each in values]
                 cells = [f"{each.mean():.2f}" if len(each) else "–" for each in shown]
-                lines.append(line(f"`{name}`", cells))
+                lines.append(line(f"`{titled(name)}`", cells))
     return lines
 
 
@@ -167,7 +167,7 @@ def how_hard(found: dict[str, list[Row]]) -> list[str]:
         lines.append(line(f"`{name}`", [f"{np.nanmean(values):.2f}" for values in of_level]))
     robots = {name: rows for name, rows in found.items() if name != "truth"}
     lines += ["", "Success in the easiest third, by the figure · in the hardest:", ""]
-    lines += head([f"`{name}`" for name in robots])
+    lines += head([f"`{titled(name)}`" for name in robots])
     reached = [np.array([FIGURES["success"](one) for _, one in rows]) for rows in robots.values()]
     for name, harder in HARDER.items():
         order = np.argsort([harder * getattr(it, name) for _, it in grades], kind="stable")
@@ -194,14 +194,14 @@ def first_plans(found: dict[str, list[Row]]) -> list[str]:
         is_free, worlds = np.array(free), [course.sha256 for course, _ in rows]
         parts = [np.where(is_free == value, reached, np.nan) for value in (True, False)]
         shares = [figure(free, worlds, "outcome"), *(figure(one, worlds) for one in parts)]
-        lines.append(line(f"`{name}`", map(brief, shares)))
+        lines.append(line(f"`{titled(name)}`", map(brief, shares)))
     return lines
 
 
 def first_plan_is_free(course: Course, number: int, name: str) -> bool:
     """Whether the way that a robot plans first leaves room for the vehicle, up to the edge of its
     first map."""
-    robot = robot_maker(*((name, None) if name in NAMES else ("optimistic", name)))(course)
+    robot = robot_maker(*parts(name))(course)
     flying = course.simulation(number)
     robot.reset(flying.about())
     robot.act(flying.observe())
