@@ -164,7 +164,7 @@ def test_the_command_draws_samples_sheets_and_worlds(made, tmp_path, capsys, mon
     for words, part in (
         (f"{made} -o {tmp_path}/x.gif", "expected a name that ends in"),
         (f"{made} --flight --sheet 2", "--flight: shows one sample or flight"),
-        (f"{made} --paper 3", "from 40 to 1000"),
+        (f"{made} --paper 3", "40 to 1000"),
         (f"{made} --paper 40 -o {tmp_path}/x.png", "too narrow"),
         (f"{made} --figure paths -o {tmp_path}/x.png", "give --weights or --predictions"),
         (f"{made} --turn -o {tmp_path}/x.png", "ends in .webp"),
