@@ -71,10 +71,7 @@ def main() -> None:
         courses = [
             replace(one, vehicle=replace(one.vehicle, dynamics=given.dynamics)) for one in courses
         ]
-        found = {
-            name: flown(name, courses, given.entries or Path(spare))
-            for name in given.robots
-        }
+        found = {name: flown(name, courses, given.entries or Path(spare)) for name in given.robots}
     page = given.page or (PAGE.with_stem("fly-real") if given.maps else PAGE)
     said = page.read_text().partition("<!-- tables -->")[0] if page.is_file() else ""
     lines = [*tables(found), "", *how_hard(found), "", *first_plans(found), "", period(courses[0])]

@@ -70,6 +70,7 @@ def test_what_names_no_worlds_is_refused(tmp_path):
         scenegen.generate("pillar", n=1, out=tmp_path, scene=ROOT / "scenes")
 
 
+@pytest.mark.checkout
 def test_a_checkout_without_links_works(tmp_path):
     """A zip, and a checkout on Windows, has a text file in the link's place."""
     for part in ("lidarsim", "scenegen", "model"):

@@ -142,6 +142,7 @@ def test_nothing_is_imported_by_a_name_that_users_give_their_own_files():
     assert not names & common
 
 
+@pytest.mark.checkout
 def test_the_top_level_holds_what_it_should_and_no_more():
     expected = {"cli.py", "lidarsim", "scenegen", "model", "scenes", "tests", "docs", "benchmarks"}
     expected |= {"pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", "mkdocs.yml"}

@@ -10,6 +10,8 @@ import pytest
 import lidarsim
 import scenegen
 
+pytestmark = pytest.mark.checkout
+
 pytest.importorskip("mkdocs")
 ROOT = Path(__file__).parents[2]
 

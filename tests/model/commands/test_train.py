@@ -171,6 +171,7 @@ WITHOUT = (
 )
 
 
+@pytest.mark.checkout
 def test_without_an_extra_it_says_what_to_install(tmp_path, shell):
     (tmp_path / "without.py").write_text(WITHOUT)
     (tmp_path / "my_command.py").write_text("import scenegen\nscenegen.Flight")

@@ -429,6 +429,7 @@ def test_other_places_are_read_by_fsspec(made, tmp_path, monkeypatch):
         locate("nothing://there")
 
 
+@pytest.mark.checkout
 def test_without_boto3_one_line_says_what_to_install(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "boto3", None)
     forget()
