@@ -14,7 +14,7 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 309_328, "benchmarks": 37_200, "tests": 266_230}
+TOKENS = {"product": 309_328, "benchmarks": 37_200, "tests": 266_265}
 FILES = 254
 LINES = 400
 """The longest file of product code."""
