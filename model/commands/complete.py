@@ -198,18 +198,21 @@ def _complete_map(
     completer: "Completer", place: Path, count: int, out: Path, batch: int, quiet: bool
 ) -> None:
     """Fly a sensor through a map, into the dataset `out`/seen; complete what it saw, and write a
-    page of some. Raises DatasetError where `out` holds others: `generate` would add to them."""
-    from scenegen.dataset.generation import generate, plan_generation
+    page of some. Raises DatasetError where `out` holds others: `build` would add to them."""
+    from scenegen.dataset.build import build
+    from scenegen.dataset.generation import plan_generation
     from scenegen.dataset.manifest import NAME, completed, read
+    from scenegen.dataset.read import Dataset
     from scenegen.model.commands.view import write_page
     from scenegen.model.commands.weights import chosen
 
     there, predictions = out / "seen", out / "predictions"
-    asked = completed(plan_generation(n=count, scene=place, out=there).parameters)
-    if (there / NAME).exists() and completed(read(there)) != asked:
+    plan = plan_generation(n=count, scene=place, out=there)
+    if (there / NAME).exists() and completed(read(there)) != completed(plan.parameters):
         raise DatasetError(f"{out}: holds another map, or another --n of it; give another -o")
-    seen = generate(n=count, scene=place, out=there)
-    _complete_split(completer, seen.folder, "train", predictions, batch, None, quiet)
+    build(plan)
+    seen = Dataset(there)
+    _complete_split(completer, there, "train", predictions, batch, None, quiet)
     guesses, _ = chosen(seen, "train", predictions, (), trial=0, no_paths=True)
     write_page(seen, "train", (), MOST_SHOWN, out / "index.html", quiet, guesses)
 
