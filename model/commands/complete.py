@@ -213,7 +213,7 @@ def _complete_map(
     build(plan)
     seen = Dataset(there)
     _complete_split(completer, there, "train", predictions, batch, None, quiet)
-    guesses, _ = chosen(seen, "train", predictions, (), trial=0, no_paths=True)
+    guesses, _ = chosen(seen, "train", predictions, (), 0, no_paths=True)
     write_page(seen, "train", (), MOST_SHOWN, out / "index.html", quiet, guesses)
 
 

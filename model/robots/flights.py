@@ -60,9 +60,9 @@ def fly_courses(
         if out is None:
             return NOTHING_KEPT
         held = replace(entry, courses=[found[key] for key in keys if key in found])
-        content = replace(held, complete=is_whole(held)).encoded()
         # an entry that is there was read, wherever it was copied from
-        write_whole(out, content) if suite and out.exists() else write_result(out, content)
+        write = write_whole if suite and out.exists() else write_result
+        write(out, replace(held, complete=is_whole(held)).encoded())
         there = f"{len(held.courses)} of {len(keys)} courses"
         return f"stopped; {out} holds {there}: give the same command again to go on"
 
