@@ -91,13 +91,13 @@ MOST_FLIGHTS = 10_000
     type=click.IntRange(0),
     metavar="SEED",
     help="With --suite: 50 courses that this number draws, in place of the suite's own. With "
-    "--replay: the number of the entry.",
+    "--replay and --leaderboard: the number of the entries.",
 )
 @click.option(
     "--maps",
     type=click.Path(path_type=Path, exists=True, file_okay=False),
     help="With --suite: 24 courses through the maps of real places in this folder, in place of the "
-    "suite's own. With --replay: where the entry's maps are.",
+    "suite's own. With --replay and --leaderboard: where the entries' maps are.",
 )
 @click.option("--quick", is_flag=True, help="With --suite: every sixteenth course.")
 @click.option(
@@ -195,15 +195,15 @@ def fly(
     """
     if sum(one is not None for one in (world, recorded, suite, entries)) != 1:
         raise click.UsageError("give a WORLD, --suite, --replay FILE, or --leaderboard FOLDER")
-    if entries is not None:
-        _write_board(entries, out, talk)
-        return
-    if suite is None and (quick or (recorded is None and (hidden is not None or maps))):
+    if suite is None and (quick or (world is not None and (hidden is not None or maps))):
         raise click.UsageError(
             "--quick, --hidden and --maps choose courses of a suite; give --suite, too"
         )
     if hidden is not None and maps:
         raise click.UsageError("--hidden and --maps choose other courses; give one of them")
+    if entries is not None:
+        _write_board(entries, out, hidden, maps, talk)
+        return
     _check(robot, weights, log, out, recorded)
     if talk:
         announce_compilation()
@@ -259,13 +259,15 @@ def _tell(row: dict[str, Any], found: "Flights", *written: Path | None) -> None:
         say(f"written: {path}")
 
 
-def _write_board(entries: Path, out: Path | None, talk: bool) -> None:
+def _write_board(
+    entries: Path, out: Path | None, hidden: int | None, maps: Path | None, talk: bool
+) -> None:
     """Write the page of all entries in a folder."""
     if out is None:
         raise click.UsageError("--leaderboard: say where to write the page with -o, .html")
     from scenegen.model.robots.board import leaderboard
 
-    write_result(out, leaderboard(entries).encode())
+    write_result(out, leaderboard(entries, hidden, maps).encode())
     if talk:
         say(f"written: {out}")
 

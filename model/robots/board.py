@@ -1,5 +1,6 @@
 """The leaderboard: a page of the entries to a suite."""
 
+import base64
 import html
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -8,11 +9,13 @@ from typing import NamedTuple
 
 from scenegen.errors import DatasetError, ScenegenError, raised_as
 from scenegen.files import Json
-from scenegen.fly.course import Recording
+from scenegen.fly.course import Course, Recording
 from scenegen.fly.loop import Flown, marks
-from scenegen.fly.suite import Part, named, part_of
+from scenegen.fly.suite import Part, named, our_courses, part_of, track_name
 from scenegen.model.evaluation.page import HEAD, STYLE
 from scenegen.model.evaluation.statistics import Scale, brief, figure, interval
+from scenegen.model.robots import real_course
+from scenegen.model.robots.film import film
 
 
 class Column(NamedTuple):
@@ -51,9 +54,14 @@ class Row(NamedTuple):
     """An entry's flights, in the order of their courses' names."""
 
     robot: str
-    worlds: Sequence[str]
-    """The hash of each flight's world."""
+    courses: Sequence[tuple[Course, int]]
+    """Each flight's course, and its number there."""
     flights: Sequence[Flown]
+
+    @property
+    def worlds(self) -> list[str]:
+        """The hash of each flight's world."""
+        return [course.document for course, _ in self.courses]
 
     @property
     def scores(self) -> list[float]:
@@ -61,10 +69,10 @@ class Row(NamedTuple):
         return [one.score for one in self.flights]
 
 
-def leaderboard(folder: Path) -> str:
+def leaderboard(folder: Path, hidden: int | None = None, maps: Path | None = None) -> str:
     """An HTML page of all entries (.json) in a folder: a table for each choice of courses, those of
     whole tracks first, the best score first, with 95 % intervals over worlds. A click on a column's
-    head sorts by it.
+    head sorts by it. Below each table, films of one flight show every robot: see `_films`.
 
     Scores are those of the recorded outcomes, times and lengths, which `--replay` checks. Raises
     DatasetError for a file that is no entry, or has courses that are not its suite's.
@@ -80,7 +88,10 @@ def leaderboard(folder: Path) -> str:
     if not tables:
         raise ScenegenError(f"{folder}: holds no entry, .json as `fly --suite -o` writes it")
     whole_first = sorted(tables.items(), key=lambda table: table[1][0].there < table[1][0].of)
-    body = "".join(_table(f"{key[0]}, {key[1]}", rows) for key, (_, rows) in whole_first)
+    body = ""
+    for (suite, title, *_), (part, rows) in whole_first:
+        rows.sort(key=lambda row: -sum(row.scores))
+        body += _table(f"{suite}, {title}", rows) + _films(suite, part.track, rows, hidden, maps)
     page = HEAD.replace("img-src", "script-src 'unsafe-inline'; img-src")
     page += f"<title>Robots</title><style>{STYLE} th {{ cursor: pointer; }}</style></head>"
     return f"{page}<body><h1>Robots</h1>{body}<script>{SORTED}</script></body></html>\n"
@@ -88,21 +99,20 @@ def leaderboard(folder: Path) -> str:
 
 def _row(entry: Recording) -> Row:
     """An entry's flights, with the scores that their outcomes, times and lengths give."""
-    worlds, found = [], []
+    courses, found = [], []
     for course, flights in sorted(entry.courses, key=lambda one: str(named(one[0]))):
-        for one in flights:
+        for number, one in enumerate(flights):
             best_s = one.shortest_m / course.vehicle.speed_mps
             success = one.outcome == "success"
             given = marks(success, one.time_s, one.flown_m, one.shortest_m, best_s)
             found.append(replace(one, score=given["score"], spl=given["spl"]))
-            worlds.append(course.document)
-    return Row(entry.robot, worlds, found)
+            courses.append((course, number))
+    return Row(entry.robot, courses, found)
 
 
 def _table(title: str, rows: Sequence[Row]) -> str:
-    """A table of entries that flew the same courses."""
-    ordered = sorted(rows, key=lambda row: -sum(row.scores))
-    lines = "".join(_line(row, ordered[0]) for row in ordered)
+    """A table of entries that flew the same courses, the best first."""
+    lines = "".join(_line(row, rows[0]) for row in rows)
     heads = "".join(f"<th>{name}</th>" for name in ("robot", "flights", *BOARD, BEST))
     return (
         f"<h2>{html.escape(title)}</h2><div class='wide'><table><thead><tr>{heads}</tr></thead>"
@@ -123,6 +133,34 @@ def _line(row: Row, best: Row) -> str:
         less = figure([one - other for one, other in pairs], row.worlds)
         cells.append(f"{less['mean']:+.3f} {interval(less, '+.3f')}")
     return f"<tr><th>{html.escape(row.robot)}</th>{_cells(cells)}</tr>"
+
+
+def _films(
+    suite: str, track: str, rows: Sequence[Row], hidden: int | None, maps: Path | None
+) -> str:
+    """Films (GIF) of the flight on whose outcome robots differ most, one for each row.
+
+    "" for worlds that cannot be drawn here: a hidden track's without its number `hidden`, those of
+    the real track without the folder of its `maps`.
+    """
+    if track not in ("own", track_name(hidden, maps)):
+        return ""
+    ended = [[one.outcome == "success" for one in row.flights] for row in rows]
+    reached = [sum(flight) for flight in zip(*ended, strict=True)]
+    split = [(count * (len(rows) - count), -count) for count in reached]
+    chosen = split.index(max(split))
+    entered, number = rows[0].courses[chosen]
+    ours = our_courses(suite, track, maps if track == "maps" else None)[named(entered)]
+    course = real_course(ours, None if track in ("own", "maps") else hidden)
+    title = f"{ours.world}, {ours.difficulty or 'map'}, seed {ours.seed}, flight {number + 1}"
+    figures = ""
+    for row in rows:
+        flown = row.flights[chosen]
+        told = html.escape(f"{row.robot}: {flown.outcome} after {flown.time_s:.1f} s")
+        picture = base64.b64encode(film(course, number, None, flown)).decode()
+        figures += f"<figure><figcaption>{told}</figcaption><img loading='lazy' alt='{told}' "
+        figures += f"src='data:image/gif;base64,{picture}'></figure>"
+    return f"<h3>{html.escape(title)}</h3><div class='charts'>{figures}</div>"
 
 
 def _cells(texts: Iterable[str]) -> str:

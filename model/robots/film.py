@@ -100,7 +100,7 @@ class _Scene:
     def moments(self) -> Iterator[_Moment]:
         """What was held on the way; at the end, what was held last."""
         held, way = self.watched.held, np.array(self.watched.way)
-        last = held[-1][0] | {"position": self.flown.path[-1]}
+        last = held[-1][0] | {"position": self.simulation.state[:3]}
         for n, (seen, bits, plan) in enumerate([*held, (last, *held[-1][1:])]):
             taken = bits
             if bits is not None:

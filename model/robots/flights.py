@@ -126,7 +126,7 @@ def read_recording(
     of its suite's.
     """
     from scenegen.fly.course import Recording
-    from scenegen.fly.suite import frozen_courses, map_courses, named, part_of, track_name
+    from scenegen.fly.suite import named, our_courses, part_of, track_name
 
     recording, track = Recording.read(path), track_name(hidden, maps)
     if recording.suite is None:
@@ -140,9 +140,7 @@ def read_recording(
             f"{path}: is an entry to the track {part.track[:14]}, not {track[:14]}; give --hidden "
             "and its number, --maps and their folder, or neither"
         )
-    # the suite's own, in place of worlds that a stranger's file leads to by another path
-    ours = frozen_courses(recording.suite, track) if maps is None else map_courses(maps)
-    there = {named(course): course for course in ours}
+    there = our_courses(recording.suite, track, maps)
     found = [
         (replace(there[named(course)], document=course.document), flights)
         for course, flights in recording.courses

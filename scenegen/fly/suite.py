@@ -139,6 +139,13 @@ def frozen_courses(suite: str, track: str) -> list[Course]:
     raise DatasetError(f"{suite} has no track {track[:14]}; expected own, maps or hidden")
 
 
+def our_courses(suite: str, track: str, maps: Path | None) -> dict[Course, Course]:
+    """The courses of a track by how entries name them, with the maps of a folder, if there is one.
+    A stranger's file may name worlds of the same name elsewhere."""
+    courses = frozen_courses(suite, track) if maps is None else map_courses(maps)
+    return {named(course): course for course in courses}
+
+
 def map_courses(folder: Path | None) -> list[Course]:
     """Courses through the maps of real places in a folder or below it; without one, as entries name
     them. Raises GenerationError for one that is missing; for another map than was meant, `Course`

@@ -242,6 +242,7 @@ def test_an_entry_to_a_suite_goes_on_and_is_not_lost(capsys, tmp_path, monkeypat
     assert f"own: {len(chosen)} of 300 courses, incomplete" in shown
     assert shown.index("&lt;b&gt;better") < shown.index("reactive")
     assert "9.0" not in shown, "scores follow from what was flown"
+    assert shown.count("data:image/gif") == 3, "a film of every robot"
     for row in re.findall(r"<tr><th>.*?</tr>", shown)[1:]:
         cells = re.findall(r"\[(\S+), (\S+)\]", row.rpartition("<td>")[0].rpartition("<td>")[0])
         assert {0 <= float(end) <= 1 for ends in cells for end in ends} == {True}
@@ -309,6 +310,9 @@ def test_hidden_and_real_tracks_are_flown_again_by_who_has_their_worlds(
         assert code == 0
         assert [one["digest"] for one in json.loads(out)["flights"]] == flights
         assert run(capsys, f"fly --replay {file} {wrong}")[0] == 1
+        page = tmp_path / f"{len(given)}.html"
+        assert run(capsys, f"fly --leaderboard {file.parent} {given} -o {page}")[0] == 0
+        assert page.read_text().count("data:image/gif") == 1, "of worlds that can be drawn"
 
 
 OWN = """
