@@ -17,20 +17,32 @@ class Flight(gymnasium.Env[Observation, NDArray[np.float32]]):
     """A quadrotor with a LiDAR flies to a goal: `gymnasium.make("scenegen/Fly-v0")`.
 
     An observation is that of `Simulation.observe`; an action is a velocity in the world, m/s, and
-    a rate of yaw, rad/s, (4,), flown for a tenth of a second. The reward is how many metres nearer
-    the goal is, and 10 at the goal, -10 at a collision or beyond the bounds. Each episode has a
-    world of its own, drawn by the environment's generator, or, of a file, a mission of its own.
+    a rate of yaw, rad/s, (4,), flown for a tenth of a second; or those of several `periods` to
+    come, (periods, 4), flown one after the other before the next observation. The reward is how
+    many metres nearer the goal is, and 10 at the goal, -10 at a collision or beyond the bounds.
+    Each episode has a world of its own, drawn by the environment's generator, or, of a file, a
+    mission of its own.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (as Gymnasium has it)
 
-    def __init__(self, world: str = "pillar", *, render_mode: Literal[None] = None, **options: Any):
-        """`world`, and further `options`, are those of `scenegen.fly.course.Course`."""
+    def __init__(
+        self,
+        world: str = "pillar",
+        *,
+        periods: int = 1,
+        render_mode: Literal[None] = None,
+        **options: Any,
+    ):
+        """`periods` is how many an action holds, 1 to 10; `world`, and further `options`, are those
+        of `scenegen.fly.course.Course`."""
         self._course = Course(world=world, flights=1, **options)
         self.render_mode = render_mode
         shape, vehicle = self._course.sensor.shape, self._course.vehicle
         turn = math.radians(vehicle.yaw_rate_deg_s)
         high = np.array([*[vehicle.speed_mps] * 3, turn], np.float32)
+        if periods > 1:
+            high = np.tile(high, (periods, 1))
         self.action_space = spaces.Box(-high, high, dtype=np.float32)
         # (shape, kind of number) by name
         parts = {
@@ -58,13 +70,19 @@ class Flight(gymnasium.Env[Observation, NDArray[np.float32]]):
     def step(
         self, action: NDArray[np.float32]
     ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Fly a period. `info` has the `outcome` once there is one."""
+        """Fly an action, or its first periods if the flight ends there. `info` has the `outcome`
+        once there is one."""
         flying = self._flying
         assert flying is not None, "reset comes first"
-        command, _ = bounded(action, flying.vehicle)
-        if command is None:
-            raise ValueError(f"action = {action!r}: expected four finite numbers")
-        reward = flying.step(command[0])
+        commands, _ = bounded(action, flying.vehicle)
+        if commands is None or np.shape(action) != self.action_space.shape:
+            raise ValueError(
+                f"action = {action!r}: expected finite numbers, {self.action_space.shape}"
+            )
+        reward = 0.0
+        for command in commands:
+            if flying.outcome is None:
+                reward += flying.step(command)
         ended = flying.outcome not in (None, "timeout")
         info = {"outcome": flying.outcome} if flying.outcome else {}
         return flying.observe(), reward, ended, flying.outcome == "timeout", info

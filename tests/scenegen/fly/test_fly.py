@@ -478,6 +478,16 @@ def test_gymnasium_takes_it():
     assert not over
     assert 0.0 < reward < 0.2
     assert set(about["about"]) >= {"goal", "bounds", "radius_m"}
+    plans = scenegen.Flight(periods=3)
+    plans.reset(options={"seed": 3})
+    plan = np.tile(np.float32([*towards, 0.0]), (3, 1))
+    single = [made.reset(options={"seed": 3}), *map(made.step, plan)]
+    seen, reward, *_ = plans.step(plan)
+    assert plan in plans.action_space
+    assert reward == sum(step[1] for step in single[1:])
+    assert (seen["position"] == single[-1][0]["position"]).all()
+    with pytest.raises(ValueError, match="expected finite numbers"):
+        plans.step(plan[0])
 
 
 @pytest.mark.filterwarnings("ignore")
