@@ -68,7 +68,8 @@ class DrawnWorlds:
             )
         bounds = self.recipe.flight.bounds(kind.size_m)
         odd = f"[world] of kind {self.recipe.kind!r} draws what cannot be: "
-        with raised_as(RecipeError, odd, of=(ValueError, BrokenError)):
+        fix = "; take values nearer to the preset's"
+        with raised_as(RecipeError, odd, fix, of=(ValueError, BrokenError, SceneError)):
             return write_world(lambda spec: kind.add_to(spec, rng=rng), flight_bounds=bounds)
 
     def describe(self) -> dict[str, Any]:
@@ -119,8 +120,8 @@ class SceneWorlds:
             for split, of in self.scenes.items()
             for n in range(len(of))
         )
-        solids = (solid(world, "--labels: one of the worlds") for world in worlds)
-        return {name for world in solids for name in class_names(world.model, by)}
+        where = "--labels: one of the worlds"
+        return {name for it in worlds for name in class_names(solid(it, where).model, by)}
 
     @property
     def maps(self) -> list[str]:

@@ -128,11 +128,10 @@ def plan_generation(
         if named not in (None, MIXED):
             raise RecipeError(f"{recipe}: is of several kinds, not of {named}; leave --kind out")
         parts = read_components(None if recipe is None else Path(recipe), seed=seed, **given)
-        if labels is not None:
-            parts = [
-                (dataclasses.replace(one, labels=_labels(labels, DrawnWorlds(one))), weight)
-                for one, weight in parts
-            ]
+        parts = [
+            (dataclasses.replace(one, labels=_labels(labels, DrawnWorlds(one))), weight)
+            for one, weight in parts
+        ]
         counts = _counts(n, val, test, alone=False)
         return plan_mixed(_folder(out, MIXED), parts, seed=seed, counts=counts, **more)
     if recipe is not None:
@@ -157,8 +156,7 @@ def plan_generation(
         raise RecipeError(f'{recipe}: kind "scene" needs the worlds, too: give a scene')
     else:
         source = DrawnWorlds(asked)
-    if labels is not None:
-        asked = dataclasses.replace(asked, labels=_labels(labels, source))
+    asked = dataclasses.replace(asked, labels=_labels(labels, source))
     if isinstance(source, SceneWorlds):
         asked = source.suited(asked)
         if source.maps and more.get("engine", DEFAULT) != DEFAULT:
@@ -181,8 +179,8 @@ def _counts(n: int, val: int | None, test: int | None, *, alone: bool) -> dict[s
     }
 
 
-def _labels(by: By, source: DrawnWorlds | SceneWorlds) -> Labels:
-    return labels_by(by, source.class_names(by))
+def _labels(by: By | None, source: DrawnWorlds | SceneWorlds) -> Labels | None:
+    return labels_by(by, source.class_names(by)) if by else None
 
 
 def _folder(out: str | Path | None, name: str) -> Path:
@@ -224,7 +222,6 @@ def read_components(path: Path | None = None, *, seed: int = 0, **given: Any) ->
             f"kind"
         )
     weighed = [isinstance(one, dict) and "weight" in one for one in listed]
-    beside, lidar = beside_file(where, common, **given), given.get("lidar")
     found = []
     for n, one in enumerate(listed, start=1):
         at = f"{where}: component {n}" if where else f"component {n}"
@@ -240,8 +237,15 @@ def read_components(path: Path | None = None, *, seed: int = 0, **given: Any) ->
         # a seed below 0 is refused later, with the rest
         each = combinations(tables.pop("domain", {}), at, rng_of(abs(seed), n))
         for values in each:
-            whole = _over(tables, values) | beside
-            made = make_recipe(kind, whole, where=at, folder=folder, sensor=lidar)
+            for table, row in values.items():
+                there = tables.get(table)
+                if isinstance(there, dict) and (both := there.keys() & row.keys()):
+                    raise RecipeError(
+                        f"{at}: {table}.{min(both)} has a value and a domain; leave one of them out"
+                    )
+            whole = _over(tables, values)
+            whole |= beside_file(at, whole, **given)
+            made = make_recipe(kind, whole, where=at, folder=folder, sensor=given.get("lidar"))
             found.append((made, share / len(each)))
     return found
 
@@ -282,18 +286,17 @@ def plan_mixed(
     and RecipeError where the components differ in more than their worlds and flights.
     """
     parts = {split: shares(counts[split], [weight for _, weight in components]) for split in SPLITS}
+    own = seeds([recipe.kind for recipe, _ in components], seed)
     plans = [
         plan_dataset(
             folder,
             recipe,
             DrawnWorlds(recipe),
-            counts={split: parts[split][n] for split in SPLITS},
-            seed=own,
+            counts={split: part[n] for split, part in parts.items()},
+            seed=own[n],
             **options,
         )
-        for n, ((recipe, _), own) in enumerate(
-            zip(components, seeds([recipe.kind for recipe, _ in components], seed), strict=True)
-        )
+        for n, (recipe, _) in enumerate(components)
     ]
     for plan, (recipe, _) in zip(plans, components, strict=True):
         if said := unlike(plans[0].parameters, plan.parameters):

@@ -291,4 +291,5 @@ def _unmixed(what: Any, weight: Any, seed: int) -> list[tuple[Any, Any]]:
         return [(what, weight)]
     whole_weight = fraction(weight, str(what))
     components = read_components(file, seed=seed)
+    whole_weight /= sum(share for _, share in components)
     return [(recipe, whole_weight * share) for recipe, share in components]

@@ -198,8 +198,8 @@ def _mean_ways(occupancy, middle, step, directions):
 
 @kernel
 def _ways_out(occupancy, middle, step):
-    """The length of the shortest way from the middle to every node of its lattice (Dijkstra 1959),
-    in steps, and the node before it on the way; infinite and -1 where there is none."""
+    """The length of the shortest way from the middle to every node of its lattice (Dijkstra 1959)
+    through free voxels, in steps, and the node before it on the way; infinite and -1 for none."""
     first = middle % step
     counts = (np.array(occupancy.shape) - 1 - first) // step + 1
     na, nb, nc = counts
@@ -216,10 +216,12 @@ def _ways_out(occupancy, middle, step):
                 for k in range(max(c - 1, 0), min(c + 2, nc)):
                     apart = (i - a) ** 2 + (j - b) ** 2 + (k - c) ** 2
                     there = walked + math.sqrt(apart)
-                    free = not occupancy[
-                        first[0] + step * i, first[1] + step * j, first[2] + step * k
-                    ]
-                    if free and there < length[i, j, k] - 1e-9:
+                    free = there < length[i, j, k] - 1e-9
+                    x, y, z = first[0] + step * a, first[1] + step * b, first[2] + step * c
+                    for _ in range(step):  # a wall may stand between two nodes
+                        x, y, z = x + i - a, y + j - b, z + k - c
+                        free = free and not occupancy[x, y, z]
+                    if free:
                         length[i, j, k], before[i, j, k] = there, (a * nb + b) * nc + c
                         heapq.heappush(heap, (there, i, j, k))
     return length, before

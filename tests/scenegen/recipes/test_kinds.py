@@ -9,7 +9,8 @@ from numpy.testing import assert_allclose
 
 from lidarsim import GridSpec
 from scenegen.draw import draw_unit
-from scenegen.recipe import preset
+from scenegen.errors import RecipeError
+from scenegen.recipe import make_recipe, preset
 from scenegen.recipes import find_kind, kind_names
 from scenegen.recipes.geometric import Geometric
 from scenegen.recipes.pillar import Pillar
@@ -105,6 +106,15 @@ PLANTS = ("density", "bush_density", "fallen_density")
 def test_what_would_take_too_much_memory_is_refused(name, given):
     with pytest.raises(ValueError, match=r"expected [0-9]+ at most"):
         draw(find_kind(name)(**given))
+
+
+@pytest.mark.parametrize(
+    ("name", "given"), [("street", {"storeys": [0, 0]}), ("cave", {"size_m": [0.1, 0.1, 1]})]
+)
+def test_what_does_not_go_together_is_refused(name, given):
+    drawn = DrawnWorlds(make_recipe(name, {"world": given, "flight": {"margin_m": 0}}))
+    with pytest.raises(RecipeError, match="take values nearer to the preset's"):
+        drawn.world("train", 0, rng=np.random.default_rng(0))
 
 
 @pytest.mark.parametrize("name", sorted(set(kind_names()) - {"pillar", "geometric"}))
