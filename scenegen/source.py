@@ -67,9 +67,12 @@ class DrawnWorlds:
                 'kind "scene" draws no worlds; give the MJCF file or folder with --scene'
             )
         bounds = self.recipe.flight.bounds(kind.size_m)
-        odd = f"[world] of kind {self.recipe.kind!r} draws what cannot be: "
-        fix = "; take values nearer to the preset's"
-        with raised_as(RecipeError, odd, fix, of=(ValueError, BrokenError, SceneError)):
+        with raised_as(
+            RecipeError,
+            f"[world] of kind {self.recipe.kind!r} draws what cannot be: ",
+            "; take values nearer to the preset's",
+            of=(ValueError, BrokenError, SceneError),
+        ):
             return write_world(lambda spec: kind.add_to(spec, rng=rng), flight_bounds=bounds)
 
     def describe(self) -> dict[str, Any]:
@@ -120,8 +123,11 @@ class SceneWorlds:
             for split, of in self.scenes.items()
             for n in range(len(of))
         )
-        where = "--labels: one of the worlds"
-        return {name for it in worlds for name in class_names(solid(it, where).model, by)}
+        return {
+            name
+            for world in worlds
+            for name in class_names(solid(world, "--labels: one of the worlds").model, by)
+        }
 
     @property
     def maps(self) -> list[str]:

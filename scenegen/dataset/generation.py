@@ -25,7 +25,7 @@ from scenegen.recipe import Recipe, beside_file, make_recipe, preset, read_recip
 from scenegen.recipes import kind_names
 from scenegen.sample import rng_of
 from scenegen.source import DrawnWorlds, SceneWorlds, read_scenes
-from scenegen.stores import folder_of, is_remote
+from scenegen.stores import folder_of
 from scenegen.tables import combinations, named_lidar, read_toml
 from scenegen.worlds.labels import By, Labels, labels_by
 
@@ -186,7 +186,7 @@ def _labels(by: By | None, source: DrawnWorlds | SceneWorlds) -> Labels | None:
 def _folder(out: str | Path | None, name: str) -> Path:
     if out is None:
         return Path("data", name)
-    return folder_of(str(out)) if is_remote(out) else Path(out)
+    return folder_of(out) if isinstance(out, str) else out
 
 
 def is_mixed(path: Path) -> bool:
@@ -212,7 +212,9 @@ def read_components(path: Path | None = None, *, seed: int = 0, **given: Any) ->
     Raises:
         RecipeError: A component is none, or only some have weights.
     """
-    common, where = ({}, "") if path is None else (read_toml(path), printable(path))
+    common, where, folder = {}, "", Path()
+    if path is not None:
+        common, where, folder = read_toml(path), printable(path), path.parent
     kind = common.pop("kind", MIXED)
     every = [{"kind": name} for name in (kind_names() if kind == MIXED else [kind])]
     listed = common.pop("component", every)
@@ -221,7 +223,7 @@ def read_components(path: Path | None = None, *, seed: int = 0, **given: Any) ->
             f"{where}: component: expected up to {MOST_SOURCES} tables [[component]], each with a "
             f"kind"
         )
-    weighed = [isinstance(one, dict) and "weight" in one for one in listed]
+    weighed = any(isinstance(one, dict) and "weight" in one for one in listed)
     found = []
     for n, one in enumerate(listed, start=1):
         at = f"{where}: component {n}" if where else f"component {n}"
@@ -229,11 +231,10 @@ def read_components(path: Path | None = None, *, seed: int = 0, **given: Any) ->
             raise RecipeError(f'{at}: names no kind; add a line such as kind = "rooms"')
         own = dict(one)
         kind, weight = own.pop("kind"), own.pop("weight", 1)
-        if any(weighed) and not weighed[n - 1]:
+        if weighed and "weight" not in one:
             raise RecipeError(f"{at} ({short(kind)}): has no weight, and others have; give it one")
         share = fraction(weight, short(kind), at)
         tables = _over(common, own)
-        folder = Path() if path is None else path.parent
         # a seed below 0 is refused later, with the rest
         each = combinations(tables.pop("domain", {}), at, rng_of(abs(seed), n))
         for values in each:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import scenegen
-from lidarsim import Lidar, fuse
+from lidarsim import fuse
 from scenegen.dataset import manifest
 from scenegen.dataset.build import build
 from scenegen.dataset.choose import Choice
@@ -243,9 +243,7 @@ def test_a_bad_mixture_ends_in_one_line(tmp_path, old, new, told):
     assert told in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    "given", [{"noise": ""}, {"mapping": {"scans": 3}}, {"difficulty": "easy"}, {"lidar": Lidar()}]
-)
+@pytest.mark.parametrize("given", [{"noise": ""}, {"difficulty": "easy"}])
 def test_what_a_component_has_is_not_replaced_by_what_is_given_for_all(tmp_path, given):
     (tmp_path / "r.toml").write_text(DIFFERENT)
     with pytest.raises(RecipeError, match=r"component \d: has .* is given beside it"):

@@ -164,11 +164,8 @@ def test_bad_values_are_named(kind):
     ("kind", "given"),
     [
         (Pillar, {"round_share": 0.95}),
-        (Pillar, {"oblong_share": 0.4}),
         (Pillar, {"oblong_ratio": 0.9}),
-        (Pillar, {"half_width_m": (0.0, 0.2)}),
         (Geometric, {"standing_share": 0.9}),
-        (Geometric, {"stacked_share": 0.6}),
         (Geometric, {"density": (0.0, 0.1)}),
         (Geometric, {"scale": (0.0, 1.0)}),
         (Geometric, {"clutter_spread_m": 0.0}),
