@@ -220,8 +220,9 @@ def read_recipe(path: Path, kind: str | None = None, **given: Any) -> Recipe:
         )
     if not isinstance(named, str):
         raise RecipeError(f'{where}: kind = {short(named)}: expected a name, such as "pillar"')
-    more, sensor = beside_file(where, tables, **given), given.get("lidar")
-    return make_recipe(named, tables | more, where=where, folder=path.parent, sensor=sensor)
+    tables |= beside_file(where, tables, **given)
+    sensor = given.get("lidar")
+    return make_recipe(named, tables, where=where, folder=path.parent, sensor=sensor)
 
 
 def beside_file(

@@ -67,8 +67,12 @@ class DrawnWorlds:
                 'kind "scene" draws no worlds; give the MJCF file or folder with --scene'
             )
         bounds = self.recipe.flight.bounds(kind.size_m)
-        odd = f"[world] of kind {self.recipe.kind!r} draws what cannot be: "
-        with raised_as(RecipeError, odd, of=(ValueError, BrokenError)):
+        with raised_as(
+            RecipeError,
+            f"[world] of kind {self.recipe.kind!r} draws what cannot be: ",
+            "; take values nearer to the preset's",
+            of=(ValueError, BrokenError, SceneError),
+        ):
             return write_world(lambda spec: kind.add_to(spec, rng=rng), flight_bounds=bounds)
 
     def describe(self) -> dict[str, Any]:
@@ -119,8 +123,11 @@ class SceneWorlds:
             for split, of in self.scenes.items()
             for n in range(len(of))
         )
-        solids = (solid(world, "--labels: one of the worlds") for world in worlds)
-        return {name for world in solids for name in class_names(world.model, by)}
+        return {
+            name
+            for world in worlds
+            for name in class_names(solid(world, "--labels: one of the worlds").model, by)
+        }
 
     @property
     def maps(self) -> list[str]:

@@ -34,8 +34,8 @@ def _ranges(sample: Sample) -> Field:
 
 def _range_m(sample: Sample) -> float:
     ranges = _ranges(sample)
-    hit = np.isfinite(ranges)
-    return float(ranges[hit].mean()) if hit.any() else float("nan")
+    hit = ranges[np.isfinite(ranges)]
+    return float(hit.mean()) if len(hit) else float("nan")
 
 
 @lru_cache(maxsize=1)  # its figures are asked for one after the other

@@ -25,7 +25,7 @@ from scenegen.recipe import Recipe, beside_file, make_recipe, preset, read_recip
 from scenegen.recipes import kind_names
 from scenegen.sample import rng_of
 from scenegen.source import DrawnWorlds, SceneWorlds, read_scenes
-from scenegen.stores import folder_of, is_remote
+from scenegen.stores import folder_of
 from scenegen.tables import combinations, named_lidar, read_toml
 from scenegen.worlds.labels import By, Labels, labels_by
 
@@ -128,11 +128,10 @@ def plan_generation(
         if named not in (None, MIXED):
             raise RecipeError(f"{recipe}: is of several kinds, not of {named}; leave --kind out")
         parts = read_components(None if recipe is None else Path(recipe), seed=seed, **given)
-        if labels is not None:
-            parts = [
-                (dataclasses.replace(one, labels=_labels(labels, DrawnWorlds(one))), weight)
-                for one, weight in parts
-            ]
+        parts = [
+            (dataclasses.replace(one, labels=_labels(labels, DrawnWorlds(one))), weight)
+            for one, weight in parts
+        ]
         counts = _counts(n, val, test, alone=False)
         return plan_mixed(_folder(out, MIXED), parts, seed=seed, counts=counts, **more)
     if recipe is not None:
@@ -157,8 +156,7 @@ def plan_generation(
         raise RecipeError(f'{recipe}: kind "scene" needs the worlds, too: give a scene')
     else:
         source = DrawnWorlds(asked)
-    if labels is not None:
-        asked = dataclasses.replace(asked, labels=_labels(labels, source))
+    asked = dataclasses.replace(asked, labels=_labels(labels, source))
     if isinstance(source, SceneWorlds):
         asked = source.suited(asked)
         if source.maps and more.get("engine", DEFAULT) != DEFAULT:
@@ -181,14 +179,14 @@ def _counts(n: int, val: int | None, test: int | None, *, alone: bool) -> dict[s
     }
 
 
-def _labels(by: By, source: DrawnWorlds | SceneWorlds) -> Labels:
-    return labels_by(by, source.class_names(by))
+def _labels(by: By | None, source: DrawnWorlds | SceneWorlds) -> Labels | None:
+    return labels_by(by, source.class_names(by)) if by else None
 
 
 def _folder(out: str | Path | None, name: str) -> Path:
     if out is None:
         return Path("data", name)
-    return folder_of(str(out)) if is_remote(out) else Path(out)
+    return folder_of(out) if isinstance(out, str) else out
 
 
 def is_mixed(path: Path) -> bool:
@@ -214,7 +212,9 @@ def read_components(path: Path | None = None, *, seed: int = 0, **given: Any) ->
     Raises:
         RecipeError: A component is none, or only some have weights.
     """
-    common, where = ({}, "") if path is None else (read_toml(path), printable(path))
+    common, where, folder = {}, "", Path()
+    if path is not None:
+        common, where, folder = read_toml(path), printable(path), path.parent
     kind = common.pop("kind", MIXED)
     every = [{"kind": name} for name in (kind_names() if kind == MIXED else [kind])]
     listed = common.pop("component", every)
@@ -223,8 +223,7 @@ def read_components(path: Path | None = None, *, seed: int = 0, **given: Any) ->
             f"{where}: component: expected up to {MOST_SOURCES} tables [[component]], each with a "
             f"kind"
         )
-    weighed = [isinstance(one, dict) and "weight" in one for one in listed]
-    beside, lidar = beside_file(where, common, **given), given.get("lidar")
+    weighed = any(isinstance(one, dict) and "weight" in one for one in listed)
     found = []
     for n, one in enumerate(listed, start=1):
         at = f"{where}: component {n}" if where else f"component {n}"
@@ -232,16 +231,22 @@ def read_components(path: Path | None = None, *, seed: int = 0, **given: Any) ->
             raise RecipeError(f'{at}: names no kind; add a line such as kind = "rooms"')
         own = dict(one)
         kind, weight = own.pop("kind"), own.pop("weight", 1)
-        if any(weighed) and not weighed[n - 1]:
+        if weighed and "weight" not in one:
             raise RecipeError(f"{at} ({short(kind)}): has no weight, and others have; give it one")
         share = fraction(weight, short(kind), at)
         tables = _over(common, own)
-        folder = Path() if path is None else path.parent
         # a seed below 0 is refused later, with the rest
         each = combinations(tables.pop("domain", {}), at, rng_of(abs(seed), n))
         for values in each:
-            whole = _over(tables, values) | beside
-            made = make_recipe(kind, whole, where=at, folder=folder, sensor=lidar)
+            for table, row in values.items():
+                there = tables.get(table)
+                if isinstance(there, dict) and (both := there.keys() & row.keys()):
+                    raise RecipeError(
+                        f"{at}: {table}.{min(both)} has a value and a domain; leave one of them out"
+                    )
+            whole = _over(tables, values)
+            whole |= beside_file(at, whole, **given)
+            made = make_recipe(kind, whole, where=at, folder=folder, sensor=given.get("lidar"))
             found.append((made, share / len(each)))
     return found
 
@@ -282,18 +287,17 @@ def plan_mixed(
     and RecipeError where the components differ in more than their worlds and flights.
     """
     parts = {split: shares(counts[split], [weight for _, weight in components]) for split in SPLITS}
+    own = seeds([recipe.kind for recipe, _ in components], seed)
     plans = [
         plan_dataset(
             folder,
             recipe,
             DrawnWorlds(recipe),
-            counts={split: parts[split][n] for split in SPLITS},
-            seed=own,
+            counts={split: part[n] for split, part in parts.items()},
+            seed=own[n],
             **options,
         )
-        for n, ((recipe, _), own) in enumerate(
-            zip(components, seeds([recipe.kind for recipe, _ in components], seed), strict=True)
-        )
+        for n, (recipe, _) in enumerate(components)
     ]
     for plan, (recipe, _) in zip(plans, components, strict=True):
         if said := unlike(plans[0].parameters, plan.parameters):

@@ -262,11 +262,10 @@ LABELS = {
     "visibility_m": ("mean visibility", "m"),
     "dispersion": ("dispersion", "%"),
     "passage_m": ("narrowest passage", "m"),
-    "tortuosity": ("tortuosity", ""),
-    "traversability": ("traversability", ""),
-    "gap": ("gap", ""),
-    "obstruction": ("obstruction", ""),
-    "occlusion": ("occlusion", ""),
+    **{
+        name: (name, "")
+        for name in ("tortuosity", "traversability", "gap", "obstruction", "occlusion")
+    },
     "turning": ("turning", "per metre"),
 }
 """Statistics of a sample: what they are called, and their unit; shares are told in %."""

@@ -45,7 +45,7 @@ class Cave(Classed):
     flight_defaults = {"altitude_m": (0.9, 2.4), "min_distance_m": 6.0, "flights_per_world": 6}
 
     size_m: Size = (40.0, 40.0, 6.0)
-    """Extent of the world along x, y and z, metres."""
+    """Extent along x and y, metres; `height_m` decides along z."""
     ground: bool = True
     """Whether there are a floor and a roof."""
     height_m: Range = (3.2, 5.5)

@@ -33,7 +33,7 @@ class Forest(Classed):
     flight_defaults = {"altitude_m": (2.0, 4.5)}
 
     size_m: Size = (40.0, 40.0, 12.0)
-    """Extent of the world along x, y and z, metres."""
+    """Extent along x and y, metres; `height_m` decides along z."""
     ground: bool = True
     """Whether there is ground."""
     hill_m: Range = (0.3, 1.5)

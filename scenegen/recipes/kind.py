@@ -49,8 +49,7 @@ class WorldKind(ABC):
     are "medium"."""
 
     size_m: Size = (40.0, 40.0, 10.0)
-    """Extent of the world along x, y and z, metres; z is how high floating solids may have their
-    centres."""
+    """Extent along x and y, metres; along z, how high floating solids may have their centres."""
     ground: bool = False
     """Whether there is a floor: a slab over the world's plan with its top at z = 0."""
     ground_m: float = 0.2

@@ -220,7 +220,7 @@ def hilly(
     """Heights from 0 to 1 on a lattice of about `step_m` over a plan, (along y, along x): noise
     with hills of several widths, each of half the height of the one before."""
     _check_cells((size_m[0] / step_m + 1) * (size_m[1] / step_m + 1), "uneven ground")
-    counts = [round(edge / step_m) + 1 for edge in size_m[:2]]
+    counts = [max(round(edge / step_m), 1) + 1 for edge in size_m[:2]]
     axes = [
         np.arange(count) * (edge / (count - 1))
         for count, edge in zip(counts, size_m[:2], strict=True)

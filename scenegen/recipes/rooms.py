@@ -37,7 +37,7 @@ class Rooms(Classed):
     flight_defaults = {"altitude_m": (0.5, 2.2), "min_distance_m": 4.0, "flights_per_world": 8}
 
     size_m: Size = (34.0, 34.0, 4.0)
-    """Extent of the storey along x, y and z, metres."""
+    """Extent along x and y, metres; `height_m` decides along z."""
     ground: bool = True
     """Whether there is a floor."""
     height_m: Range = (2.6, 3.4)

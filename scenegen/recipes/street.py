@@ -41,7 +41,7 @@ class Street(Classed):
     flight_defaults = {"altitude_m": (0.8, 8.0)}
 
     size_m: Size = (40.0, 40.0, 12.0)
-    """Extent of the world along x, y and z, metres."""
+    """Extent along x and y, metres; `storeys` decides along z."""
     ground: bool = True
     """Whether there are a road and pavements."""
     road_m: Range = (6.0, 11.0)

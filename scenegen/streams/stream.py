@@ -289,6 +289,6 @@ def _unmixed(what: Any, weight: Any, seed: int) -> list[tuple[Any, Any]]:
     file = Path(what) if isinstance(what, str | Path) and str(what).endswith(".toml") else None
     if what != MIXED and (file is None or not is_mixed(file)):
         return [(what, weight)]
-    whole_weight = fraction(weight, str(what))
     components = read_components(file, seed=seed)
-    return [(recipe, whole_weight * share) for recipe, share in components]
+    part = fraction(weight, str(what)) / sum(share for _, share in components)
+    return [(recipe, part * share) for recipe, share in components]

@@ -71,10 +71,9 @@ def difficulty(occupancy: Mask, tudf: Field, voxel_m: float) -> Difficulty:
         tudf: Its distances (nx, ny, nz), metres.
         voxel_m: Edge of a voxel, metres.
     """
-    middle = tuple(edge // 2 for edge in occupancy.shape)
-    if occupancy[middle]:
+    centre, step = np.array(occupancy.shape) // 2, max(round(STEP_M / voxel_m), 1)
+    if occupancy[tuple(centre)]:
         return Difficulty(0.0, *[math.nan] * 9)
-    centre, step = np.array(middle), max(round(STEP_M / voxel_m), 1)
     length, _ = _ways_out(occupancy, centre, step)
     guides = _guides(*_ways_out(occupancy | (tudf < BODY_M / 2), centre, step))
     paths = [centre + step * (nodes - centre // step) for nodes in guides]
@@ -144,18 +143,12 @@ def _neighbours() -> tuple[Ints, Ints]:
 
 def _guides(length: Floats, before: Ints) -> list[Ints]:
     """Nodes (n, 3) from the start to the nearest node of each lateral face that can be reached."""
-    found = []
+    found, numbers = [], np.arange(length.size).reshape(length.shape)
     for axis, side in itertools.product((0, 1), (0, -1)):
-        face = length.take(side, axis)
-        if not np.isfinite(face).any():
-            continue
-        end = list(np.unravel_index(int(face.argmin()), face.shape))
-        end.insert(axis, side % length.shape[axis])
-        node = int(np.ravel_multi_index(tuple(end), length.shape))
-        nodes = [node]
-        while (node := int(before.flat[node])) >= 0:
+        nodes = [int(numbers.take(side, axis).flat[length.take(side, axis).argmin()])]
+        while (node := int(before.flat[nodes[-1]])) >= 0:
             nodes.append(node)
-        if len(nodes) > 1:
+        if len(nodes) > 1:  # it is neither the start nor out of reach
             found.append(np.stack(np.unravel_index(nodes[::-1], length.shape), axis=1))
     return found
 
@@ -198,8 +191,8 @@ def _mean_ways(occupancy, middle, step, directions):
 
 @kernel
 def _ways_out(occupancy, middle, step):
-    """The length of the shortest way from the middle to every node of its lattice (Dijkstra 1959),
-    in steps, and the node before it on the way; infinite and -1 where there is none."""
+    """The length of the shortest way from the middle to every node of its lattice (Dijkstra 1959)
+    through free voxels, in steps, and the node before it on the way; infinite and -1 for none."""
     first = middle % step
     counts = (np.array(occupancy.shape) - 1 - first) // step + 1
     na, nb, nc = counts
@@ -211,15 +204,15 @@ def _ways_out(occupancy, middle, step):
         walked, a, b, c = heapq.heappop(heap)
         if walked > length[a, b, c]:
             continue
+        x, y, z = first[0] + step * a, first[1] + step * b, first[2] + step * c
         for i in range(max(a - 1, 0), min(a + 2, na)):
             for j in range(max(b - 1, 0), min(b + 2, nb)):
                 for k in range(max(c - 1, 0), min(c + 2, nc)):
-                    apart = (i - a) ** 2 + (j - b) ** 2 + (k - c) ** 2
-                    there = walked + math.sqrt(apart)
-                    free = not occupancy[
-                        first[0] + step * i, first[1] + step * j, first[2] + step * k
-                    ]
-                    if free and there < length[i, j, k] - 1e-9:
+                    dx, dy, dz = i - a, j - b, k - c
+                    there = walked + math.sqrt(dx * dx + dy * dy + dz * dz)
+                    shorter = there < length[i, j, k] - 1e-9
+                    # a wall may stand between two nodes
+                    if shorter and _way(occupancy, x, y, z, dx, dy, dz)[0] >= step:
                         length[i, j, k], before[i, j, k] = there, (a * nb + b) * nc + c
                         heapq.heappush(heap, (there, i, j, k))
     return length, before

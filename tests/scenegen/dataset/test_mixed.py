@@ -222,6 +222,11 @@ def test_without_components_every_kind_has_the_same_weight():
             "combinations",
         ),
         ("[component.world]", "[domain]\nrows = [4]\n[component.world]", "tables of lists"),
+        (
+            "[component.world]",
+            "[component.lidar]\nrows = 3\n[domain.lidar]\nrows = [4]\n[component.world]",
+            "component 1: lidar.rows has a value and a domain",
+        ),
         ("[component.world]", "[domain.flight]\nx = [4]\n[component.world]", "x"),
         (
             "[component.world]",
@@ -236,6 +241,13 @@ def test_a_bad_mixture_ends_in_one_line(tmp_path, old, new, told):
     with pytest.raises(RecipeError) as caught:
         plan_generation(recipe=tmp_path / "r.toml", out=tmp_path / "d", **COUNTS)
     assert told in str(caught.value)
+
+
+@pytest.mark.parametrize("given", [{"noise": ""}, {"difficulty": "easy"}])
+def test_what_a_component_has_is_not_replaced_by_what_is_given_for_all(tmp_path, given):
+    (tmp_path / "r.toml").write_text(DIFFERENT)
+    with pytest.raises(RecipeError, match=r"component \d: has .* is given beside it"):
+        read_components(tmp_path / "r.toml", **given)
 
 
 DOMAIN = """
@@ -253,6 +265,8 @@ def test_a_domain_draws_with_every_combination_of_what_it_lists(tmp_path):
     components = read_components(tmp_path / "r.toml")
     assert len(components) == 3 * 8
     assert [sum(weight for _, weight in components[n : n + 8]) for n in (0, 8, 16)] == [3, 1, 1]
+    beside = scenegen.stream({str(tmp_path / "r.toml"): 1, components[0][0]: 3})
+    assert [beside.part(n)[0] for n in range(800)].count(24) == 600
     stream = scenegen.stream(str(tmp_path / "r.toml"), samples=80)
     shapes, dropped = set(), {True: 0, False: 0}
     for n in range(len(stream)):

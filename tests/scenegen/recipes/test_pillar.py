@@ -42,12 +42,6 @@ def test_a_world_too_small_for_its_density_has_one_pillar():
     assert len(draw(Pillar(size_m=(1.0, 1.0, 1.0), density=(0.0, 0.01)))) == 1
 
 
-def test_pillars_spread_over_the_plan():
-    plan = np.array([p.position for p in draw(Pillar(**MANY, passage_share=0.0))])
-    assert looks_uniform(plan[:, 0], 0.0, 100.0)
-    assert looks_uniform(plan[:, 1], 0.0, 60.0)
-
-
 def test_half_widths_are_drawn_between_their_bounds():
     for round_share in (0.0, 1.0):
         pillars = draw(
@@ -93,12 +87,6 @@ def test_pillars_stand_upright_on_the_ground_as_tall_as_they_are_drawn(round_sha
     assert_allclose(low, 0.0, rtol=0, atol=1e-9)
     assert looks_uniform(high, 2.0, 7.0)
     assert all(p.upright for p in pillars)
-
-
-def test_square_and_oblong_pillars_are_turned_about_the_vertical_at_will():
-    pillars = draw(Pillar(**MANY, round_share=0.0, oblong_share=0.5))
-    assert all(p.upright for p in pillars)
-    assert looks_uniform([p.yaw for p in pillars], 0.0, np.pi)
 
 
 @pytest.mark.parametrize("sections", [(1.0, 0.0), (0.4, 0.3)])
