@@ -1,7 +1,7 @@
 """What rays cost: engines side by side among spheres, boxes and cylinders of any attitude, in one
 run.
 
-    python benchmarks/rays.py [--json] [--repeats 12] [--counts 50 200]
+    python benchmarks/rays.py [--repeats 12] [--counts 50 200]
     python benchmarks/rays.py --casts 100000    # does memory grow with the number of casts?
 
 A scan is the default sensor's, 1920 rays up to 10 m, from six poses. Times are the processor time
@@ -10,15 +10,12 @@ alternate, so that other work on the machine weighs on all of them alike. `mj_mu
 own function without anything of ours. Peers are measured where they are installed: `mujoco-lidar`
 on the processor, and `open3d` and `embreex`, both Embree, on the same solids as meshes, curved ones
 to 1 cm (with `trimesh`), building excluded.
-
-With `--json`, one line: milliseconds a scan by count of solids and by engine.
 """
 
 import ctypes
 import functools
 import importlib
 import importlib.util
-import json
 import resource
 import time
 from collections.abc import Callable
@@ -317,11 +314,8 @@ def growth(casts: int) -> str:
 
 
 def main() -> None:
-    """Print tables, or one line of JSON."""
+    """Print tables."""
     parser = measuring.options(__doc__)
-    parser.add_argument(
-        "--json", action="store_true", help="one line: milliseconds a scan by count and engine"
-    )
     parser.add_argument("--repeats", type=int, default=12)
     parser.add_argument("--counts", type=int, nargs="+", default=COUNTS, help="how many solids")
     parser.add_argument(
@@ -330,9 +324,6 @@ def main() -> None:
     given = measuring.parse(parser, counts=[50], repeats=1)
     if given.casts:
         print(growth(given.casts))
-        return
-    if given.json:
-        print(json.dumps({str(count): measure(count, given.repeats)[0] for count in given.counts}))
         return
     for count in given.counts:
         report(count, given.repeats)

@@ -12,7 +12,7 @@ from scenegen.fly.course import Recording
 from scenegen.fly.loop import Flown, marks
 from scenegen.fly.suite import Part, named, part_of
 from scenegen.model.evaluation.page import HEAD, STYLE
-from scenegen.model.evaluation.statistics import Scale, brief, figure, interval
+from scenegen.model.evaluation.statistics import Scale, brief, figure
 
 
 class Column(NamedTuple):
@@ -120,8 +120,7 @@ def _line(row: Row, best: Row) -> str:
         cells.append("–")
     else:
         pairs = zip(row.scores, best.scores, strict=True)
-        less = figure([one - other for one, other in pairs], row.worlds)
-        cells.append(f"{less['mean']:+.3f} {interval(less, '+.3f')}")
+        cells.append(brief(figure([one - other for one, other in pairs], row.worlds), "+.3f"))
     return f"<tr><th>{html.escape(row.robot)}</th>{_cells(cells)}</tr>"
 
 
