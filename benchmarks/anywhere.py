@@ -20,7 +20,7 @@ from scenegen.dataset.read import Dataset, Split
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.completion.unlearned import Extrude
-from scenegen.model.evaluation.config import BenchConfig, PlanConfig
+from scenegen.model.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Completed, Method, Truth
 from scenegen.model.evaluation.run import bench
 from scenegen.model.inputs import PointScan, channels

@@ -22,7 +22,7 @@ import numpy as np
 from scoring import drawn
 
 from scenegen.model.completion.unlearned import Returns
-from scenegen.model.evaluation.config import BenchConfig, PlanConfig
+from scenegen.model.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Completed, Truth
 from scenegen.model.evaluation.paper import PLANNING
 from scenegen.model.evaluation.run import bench

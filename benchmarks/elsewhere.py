@@ -30,8 +30,7 @@ from scenegen.dataset.rescan import plan_rescan
 from scenegen.files import Json
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.unlearned import Extrude, Returns
-from scenegen.model.config import bundled
-from scenegen.model.evaluation.config import BenchConfig, PlanConfig
+from scenegen.model.config import BenchConfig, PlanConfig, bundled
 from scenegen.model.evaluation.methods import Completed, Method
 from scenegen.model.evaluation.report import REGIONS
 from scenegen.model.evaluation.run import DatasetResult, bench

@@ -27,8 +27,14 @@ from scenegen.fly.course import Course
 from scenegen.fly.loop import Flown
 from scenegen.fly.suite import DIFFICULTIES, MAPS, courses_of, map_courses
 from scenegen.model.evaluation.statistics import brief, figure, head, line
-from scenegen.model.robots import FORGETFUL, MAPPING, NAMES, fly_course, robot_maker
-from scenegen.model.robots.flights import fly_courses
+from scenegen.model.robots.flights import (
+    FORGETFUL,
+    MAPPING,
+    NAMES,
+    fly_course,
+    fly_courses,
+    robot_maker,
+)
 from scenegen.model.robots.mapping import RIM
 from scenegen.recipes import kind_names
 from scenegen.run.workers import Local

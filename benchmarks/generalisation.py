@@ -28,7 +28,7 @@ from scoring import RESULTS, drawn, maps_of, split_of, write_tables
 from scenegen.dataset.read import Dataset
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.unlearned import Extrude
-from scenegen.model.evaluation.config import BenchConfig, PlanConfig
+from scenegen.model.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Completed, Method, Truth
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
 from scenegen.model.evaluation.run import bench

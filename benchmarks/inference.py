@@ -17,9 +17,8 @@ from measuring import Time
 
 from lidarsim import GridSpec
 from scenegen.model.config import VARIANTS, NetworkConfig
-from scenegen.model.export import export_onnx
 from scenegen.model.network import Network, placed
-from scenegen.model.runtime import RUNTIMES, Runtime, load_onnx
+from scenegen.model.onnx import RUNTIMES, Runtime, export_onnx, load_onnx
 from scenegen.model.training.device import autocast, resolve_precision
 
 INPUTS = {"columns": ("observed", "free")}

@@ -25,7 +25,7 @@ from scenegen import Output
 from scenegen.dataset.read import Dataset
 from scenegen.model.completion.completer import Completer, open_network
 from scenegen.model.completion.unlearned import Extrude
-from scenegen.model.evaluation.config import BenchConfig, PlanConfig
+from scenegen.model.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Completed, Method
 from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.statistics import brief, head, line

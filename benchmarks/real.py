@@ -35,7 +35,7 @@ from scenegen.display.panels import to_bytes
 from scenegen.model.calibration import denial
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.unlearned import Extrude
-from scenegen.model.evaluation.config import BenchConfig, PlanConfig
+from scenegen.model.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Completed, Method, Truth
 from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.statistics import brief, figure, head, line

@@ -66,9 +66,7 @@ def learner(
     """What makes the steps of a new network."""
     config = TrainConfig(network=network, batch=batch)
     made = placed(build(network), device)
-    return Step(
-        made, optimizer_of(made, config), config, maps.grid, device, precision, Group(device)
-    )
+    return Step(made, optimizer_of(made, config), config, maps.grid, Group(device, precision))
 
 
 def waits(learn: Step, maps: Maps, workers: int, steps: int) -> None:

@@ -8,11 +8,9 @@ from scenegen.dataset.locate import locate
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
 from scenegen.model.completion.completer import Completer
-from scenegen.model.config import TrainConfig
-from scenegen.model.evaluation.config import BenchConfig
-from scenegen.model.evaluation.methods import Completed, Method
+from scenegen.model.config import BenchConfig, TrainConfig
+from scenegen.model.evaluation.methods import Completed, Method, find_method
 from scenegen.model.evaluation.report import build_report
-from scenegen.model.evaluation.rows import find_method
 from scenegen.model.evaluation.run import bench as measure
 from scenegen.model.evaluation.run import tables_of
 from scenegen.model.training.data import Samples, opened

@@ -30,24 +30,22 @@ from scenegen.errors import DatasetError, raised_as
 from scenegen.files import check_free, write_result
 from scenegen.fly import SUITES, Rules, Vehicle
 from scenegen.model.commands.weights import Weights
-from scenegen.model.robots import (
+from scenegen.model.robots.flights import (
     FORGETFUL,
     MAPPING,
     NAMES,
     REACTIVE,
     check_begins,
+    flown_again,
+    flown_anew,
     fly_course,
+    fly_courses,
     grade_course,
+    network_digest,
+    read_recording,
     real_course,
     robot_maker,
     summary,
-)
-from scenegen.model.robots.flights import (
-    flown_again,
-    flown_anew,
-    fly_courses,
-    network_digest,
-    read_recording,
 )
 from scenegen.run import Executor, executor
 

@@ -28,7 +28,7 @@ from scenegen.run import Executor
 @json_option
 def networks(as_json: bool) -> None:
     """Print what the network's variants cost: parameters, multiply-accumulates, memory."""
-    from scenegen.model.facts import costs
+    from scenegen.model.network import costs
 
     found = costs()
     if as_json:
@@ -51,7 +51,7 @@ def networks(as_json: bool) -> None:
 def export(weights: str, out: Path | None) -> None:
     """Write a network as ONNX, for the runtimes that are fastest on CPUs."""
     from scenegen.model.completion.completer import open_network
-    from scenegen.model.export import export_onnx
+    from scenegen.model.onnx import export_onnx
 
     network, grid, about = open_network(weights)
     out = out or Path(f"{Path(split_own(weights)[1]).stem}.onnx")

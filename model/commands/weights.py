@@ -81,8 +81,8 @@ def chosen(
     predictions that do not fit `split`, and for networks that are not there."""
     if not weights and predictions is None:
         return None, ()
-    from scenegen.model.evaluation.config import BenchConfig
-    from scenegen.model.evaluation.rows import check_rows, rows_of
+    from scenegen.model.config import BenchConfig
+    from scenegen.model.evaluation.methods import check_rows, rows_of
     from scenegen.model.evaluation.shown import guesses_of
 
     methods = rows_of((), weights, predictions)

@@ -31,7 +31,7 @@ from scenegen.model.completion.protocol import Prediction, check_prediction
 from scenegen.model.config import BUNDLED, DEFAULT_NETWORK, bundled, split_own, unknown_network
 from scenegen.model.inputs import centres, channels, input_called
 from scenegen.model.network import Batch, Output, placed
-from scenegen.model.runtime import load_onnx
+from scenegen.model.onnx import load_onnx
 from scenegen.sample import Sample
 from scenegen.worlds.mapping import Mapper
 

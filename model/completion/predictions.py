@@ -12,12 +12,14 @@ from typing import Any
 import h5py
 import numpy as np
 
+from scenegen.dataset.hdf5 import read_guarded
 from scenegen.dataset.locate import file_sha256
 from scenegen.dataset.read import Dataset, Rows, Split
 from scenegen.dataset.rules import stem_of
 from scenegen.dataset.shard import compress
-from scenegen.errors import DatasetError, empty_split
+from scenegen.errors import DatasetError, empty_split, printable
 from scenegen.files import (
+    Json,
     disk_told,
     make_parent,
     names_in,
@@ -179,3 +181,36 @@ def new_hdf5(path: Path) -> Iterator[h5py.File]:
     """An HDF5 file to fill, which then stands at `path`, whole or not. Raises as `whole`."""
     with whole(path) as draft, _Disk(draft, "r+") as disk, h5py.File(disk, "w") as file:
         yield file
+
+
+def prediction_facts(path: Path) -> Json:
+    """An HDF5 file of predictions, of a split or of one scan: who made them, and what is in it.
+    Raises DatasetError."""
+    return read_guarded(_facts, path, 1 << 62)
+
+
+def _facts(path: Path) -> Json:
+    try:
+        with h5py.File(path, "r") as file:
+            about = {
+                name: printable(file.attrs[name])[:100]
+                for name in ("method", "split", "dataset")
+                if name in file.attrs
+            }
+            parts = {name: list(file[name].shape) for name in (*PARTS, *SURE) if name in file}
+            if "occupancy" in file:  # the truth, which no predictions hold
+                raise DatasetError(
+                    f"{path}: is a shard of a dataset; inspect its folder, {path.parent}"
+                )
+    except DatasetError:
+        raise
+    except Exception as error:  # h5py's errors share no base
+        raise DatasetError(f"{path}: cannot be read as HDF5: {printable(error)[:200]}") from None
+    if not parts:
+        raise DatasetError(f"{path}: holds no predictions; expected {' or '.join(PARTS)}")
+    return {
+        "predictions": str(path),
+        **about,
+        "of": "a split" if "split" in about else "a scan",
+        "arrays": parts,
+    }

@@ -29,9 +29,8 @@ from scenegen.model.calibration import (
 from scenegen.model.checkpoint import CheckpointError, save_network
 from scenegen.model.completion.completer import Completer, open_network
 from scenegen.model.completion.protocol import Prediction
-from scenegen.model.config import Thresholds
-from scenegen.model.evaluation.config import PlanConfig
-from scenegen.model.evaluation.planning.measure import draw_trials, plan_carefully
+from scenegen.model.config import PlanConfig, Thresholds
+from scenegen.model.evaluation.planning.measure import draw_trials, met, plan_trial
 from scenegen.model.evaluation.run import check_middle, check_whole
 from scenegen.model.evaluation.visibility import UNOBSERVED, classify, scored_voxels
 from scenegen.run import Executor, check_together
@@ -173,6 +172,7 @@ def _logits() -> Floats:
     return np.arange(-MOST_LOGIT + 0.5 * LOGIT, MOST_LOGIT, LOGIT)
 
 
+CAREFUL = PlanConfig(planner="careful")
 LEAST_WORLDS = 20
 """Fewer promise no bound of a risk of .05, nor a temperature."""
 CHUNK = 10
@@ -312,13 +312,13 @@ def _collisions(
     index: int,
 ) -> tuple[Floats, int]:
     """How many of a map's trials collide at each risk, and how many there are."""
-    rng, plan = rng_of(seed, int(sample.world), int(sample.viewpoint)), PlanConfig()
-    goals = draw_trials(sample.occupancy, grid, plan, count=trials, rng=rng).goals
+    rng = rng_of(seed, int(sample.world), int(sample.viewpoint))
+    goals = draw_trials(sample.occupancy, grid, PlanConfig(), count=trials, rng=rng).goals
     collided = np.zeros(len(found.risks))
     distance = said.distance(Thresholds(), grid)
     for n, risk in enumerate(found.risks):
         low = found.low(distance, said.occupancy_probability, risk)
         for goal in goals:
-            done = plan_carefully(low <= 0, low, goal, grid, plan)
-            collided[n] += sample.occupancy.reshape(-1)[done.voxels].any()
+            _, path = plan_trial(low <= 0, low, None, goal, grid, CAREFUL)
+            collided[n] += path is not None and sample.occupancy.reshape(-1)[met(path, grid)].any()
     return collided, len(goals)

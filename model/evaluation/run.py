@@ -18,8 +18,7 @@ from scenegen.dataset.read import Dataset, Rows, Split
 from scenegen.display.look import evenly
 from scenegen.errors import DatasetError, empty_split
 from scenegen.model.completion.protocol import Prediction
-from scenegen.model.config import Thresholds
-from scenegen.model.evaluation.config import BenchConfig
+from scenegen.model.config import BenchConfig, Thresholds
 from scenegen.model.evaluation.methods import Method
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS, measure
 from scenegen.model.evaluation.planning.measure import (

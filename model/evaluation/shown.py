@@ -11,7 +11,7 @@ from scenegen.dataset.read import Dataset, Split
 from scenegen.display.look import Guess, Guesses, Route, look_into
 from scenegen.errors import DatasetError
 from scenegen.files import Json
-from scenegen.model.evaluation.config import BenchConfig, PlanConfig
+from scenegen.model.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Method
 from scenegen.model.evaluation.planning.astar import Lattice
 from scenegen.model.evaluation.planning.measure import judge, plan_trial

@@ -11,7 +11,7 @@ from scenegen.files import Json
 from scenegen.fly.course import Recording
 from scenegen.fly.loop import Flown, marks
 from scenegen.fly.suite import Part, named, part_of
-from scenegen.model.evaluation.page import HEAD, STYLE
+from scenegen.model.evaluation.report import HEAD, STYLE
 from scenegen.model.evaluation.statistics import Scale, brief, figure
 
 

@@ -13,8 +13,7 @@ from lidarsim.grid import Field, Floats, Ints, Mask
 from lidarsim.pose import rotate
 from scenegen.fly.simulation import Observation
 from scenegen.model.completion.protocol import MapCompleter
-from scenegen.model.config import Thresholds
-from scenegen.model.evaluation.config import PlanConfig
+from scenegen.model.config import PlanConfig, Thresholds
 from scenegen.model.evaluation.planning.measure import RATHER, risk_of
 from scenegen.model.evaluation.planning.refine import field_at, refine
 from scenegen.model.robots.steering import LAG_S, follow, no_way

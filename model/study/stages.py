@@ -20,9 +20,9 @@ from scenegen.files import Json, make_parent, read_bounded, write_whole
 from scenegen.limits import MOST_MANIFEST_BYTES
 from scenegen.model.api import train
 from scenegen.model.checkpoint import CheckpointError
-from scenegen.model.evaluation.config import BenchConfig
+from scenegen.model.config import BenchConfig
+from scenegen.model.evaluation.methods import rows_of
 from scenegen.model.evaluation.report import finite
-from scenegen.model.evaluation.rows import rows_of
 from scenegen.model.evaluation.run import bench
 from scenegen.model.study.claims import Measured, asked, judged
 from scenegen.model.study.report import to_markdown

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scenegen.dataset.read import Dataset
 from scenegen.display.exchange.files import write_points
 from scenegen.model.completion.unlearned import Extrude
-from scenegen.model.evaluation.config import BenchConfig
+from scenegen.model.config import BenchConfig
 from scenegen.model.evaluation.methods import Completed, Truth
 from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.shown import guesses_of

@@ -18,13 +18,10 @@ from scenegen.errors import DatasetError, ScenegenError
 from scenegen.model.commands.bench import run_bench, show_tables
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.completion.unlearned import Returns
-from scenegen.model.config import Thresholds
-from scenegen.model.evaluation.config import BenchConfig, PlanConfig
-from scenegen.model.evaluation.methods import Completed, Predicted, Truth
+from scenegen.model.config import BenchConfig, PlanConfig, Thresholds
+from scenegen.model.evaluation.methods import METHODS, Completed, Predicted, Truth, find_method
 from scenegen.model.evaluation.metrics import METRICS
-from scenegen.model.evaluation.page import to_html
-from scenegen.model.evaluation.report import build_report, to_markdown
-from scenegen.model.evaluation.rows import METHODS, find_method
+from scenegen.model.evaluation.report import build_report, to_html, to_markdown
 from scenegen.model.evaluation.run import bench
 from scenegen.run.workers import Local
 from tests.conftest import dataset_in, small_recipe
