@@ -17,7 +17,7 @@ from scenegen.dataset.locate import file_sha256
 from scenegen.dataset.read import Dataset, Rows, Split
 from scenegen.dataset.rules import stem_of
 from scenegen.dataset.shard import compress
-from scenegen.errors import DatasetError, empty_split, printable
+from scenegen.errors import DatasetError, empty_split, printable, raised_as
 from scenegen.files import (
     Json,
     disk_told,
@@ -50,7 +50,6 @@ def predict_split(
     split: str,
     out: Path,
     *,
-    batch: int = 8,
     execute: Executor | None = None,
     on_start: Callable[[int], None] = lambda total: None,
     on_done: Callable[[int], None] = lambda samples: None,
@@ -60,17 +59,13 @@ def predict_split(
     are kept, so that a run goes on where another one ended. Returns how far from home each sample
     is that was completed now, see `Prediction.away`; [] where nobody knows.
 
-    This process does it, `batch` maps at once; or `execute` has it done, on one thread a process.
+    This process does it; or `execute` has it done, on one thread a process.
     Raises DatasetError for another grid, an empty split, a disk that refuses, and where `out` is
     something else already.
     """
     dataset = Dataset(folder, whole=True)
-    if dataset.grid != completer.grid:
-        raise DatasetError(
-            f"{folder}: its maps are on {dataset.grid}, {completer.name} completes maps on "
-            f"{completer.grid}; train a "
-            "network on this grid with `scenegen train`"
-        )
+    with raised_as(DatasetError, f"{folder}: "):
+        completer.check_grid(dataset.grid)
     samples = dataset.split(split)
     if not (count := len(samples)):
         raise DatasetError(f"{folder}: {empty_split(split)}, or give another --split")
@@ -84,7 +79,7 @@ def predict_split(
         get = partial(opened_once, *completer.opened)
     tasks = [part for part in execute.mine(parts) if _file(part) not in there]
     begin = partial(on_start, sum(len(part.numbers) for part in tasks))
-    work = partial(_write, get, samples, batch, out, about)
+    work = partial(_write, get, samples, out, about)
     away: list[float] = []
     with closing(execute(work, tasks, begin)) as results:
         for done, far in results:
@@ -121,13 +116,12 @@ def _file(part: Rows) -> str:
 def _write(
     get: Callable[[], Completer],
     samples: Split,
-    batch: int,
     out: Path,
     about: Mapping[str, Any],
     part: Rows,
 ) -> tuple[int, list[float]]:
-    """Write the predictions of a part, completed `batch` at once by what `get` gives, into its
-    file, whole or not. How many they are, and how far from home each is."""
+    """Write the predictions of a part, completed by what `get` gives, into its file, whole or
+    not. How many they are, and how far from home each is."""
     completer, grid, count = get(), samples.dataset.grid, len(part.numbers)
     path = out / _file(part)
     who: list[tuple[int, int]] = []
@@ -135,8 +129,8 @@ def _write(
     make_parent(path)
     with new_hdf5(path) as file:
         file.attrs.update({**about, **({} if completer.calibration is None else {"risk": RISK})})
-        for first in range(0, count, batch):
-            several = [samples[number] for number in part.numbers[first : first + batch]]
+        for first in range(0, count, completer.batch):
+            several = [samples[number] for number in part.numbers[first : first + completer.batch]]
             read = [channels(completer.inputs, one, grid, one.lidar) for one in several]
             given = {name: np.stack([one[name] for one in read]) for name in completer.inputs}
             said = completer(given)

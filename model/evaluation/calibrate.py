@@ -4,7 +4,7 @@ of paths."""
 import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from operator import add
 from pathlib import Path
@@ -16,7 +16,7 @@ from scipy.optimize import minimize_scalar
 from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
 from scenegen.dataset.read import Dataset, Split
 from scenegen.display.look import evenly
-from scenegen.errors import DatasetError, empty_split
+from scenegen.errors import DatasetError, raised_as
 from scenegen.model.calibration import (
     KEY,
     Calibration,
@@ -31,7 +31,7 @@ from scenegen.model.completion.completer import Completer, open_network
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import PlanConfig, Thresholds
 from scenegen.model.evaluation.planning.measure import draw_trials, met, plan_trial
-from scenegen.model.evaluation.run import check_middle, check_whole
+from scenegen.model.evaluation.run import check_middle, check_whole, filled
 from scenegen.model.evaluation.visibility import UNOBSERVED, classify, scored_voxels
 from scenegen.run import Executor, check_together
 from scenegen.run.workers import Local
@@ -218,14 +218,10 @@ def calibrate(
     method = Completer.from_pretrained(weights)
     datasets, tasks, worlds = [Dataset(folder) for folder in folders], [], set()
     for number, dataset in enumerate(datasets):
-        part = dataset.split(split)
-        if not len(part):
-            raise DatasetError(f"{dataset.folder}: {empty_split(split)}, or give another --split")
+        part = filled(dataset, split)
         check_whole(dataset, "calibrate on drawn worlds")
-        if dataset.grid != grid:
-            raise DatasetError(
-                f"{dataset.folder}: its maps are on {dataset.grid}, the network's on {grid}"
-            )
+        with raised_as(DatasetError, f"{dataset.folder}: "):
+            method.check_grid(dataset.grid)
         if trials:
             check_middle(dataset, "give --trials 0")
         chosen = evenly(len(part), samples or len(part))
@@ -267,7 +263,7 @@ def calibrate(
         hit = np.array([collided / count for collided, count in losses if count])
         found = replace(found, path_risks=path_risks(hit))
     # as it is read again: lists for tuples
-    save_network(out, network, grid, {**about, KEY: json.loads(json.dumps(found.said()))})
+    save_network(out, network, grid, {**about, KEY: json.loads(json.dumps(asdict(found)))})
     return found
 
 

@@ -61,6 +61,8 @@ class MethodResult:
     thresholds: Thresholds
     """The tuned ones."""
     trials: tuple[Measurement, ...]
+    planned: dict[str, Floats]
+    """The metrics of planning by name, of every trial."""
     learned: bool
     """Whether the method was trained, or may have been: see `Method.learned`."""
     studies: tuple[Study, ...]
@@ -71,8 +73,8 @@ class MethodResult:
     def values(self, metric: str, region: int = 0) -> Floats:
         """A metric by its name: of every map, (N,), over a region of `reconstruction`, or of every
         trial, (trials,)."""
-        if metric in PLAN_METRICS:
-            return np.array([PLAN_METRICS[metric].of(trial) for trial in self.trials], np.float64)
+        if metric in self.planned:
+            return self.planned[metric]
         return self.reconstruction[:, region, [*METRICS].index(metric)]
 
 
@@ -82,7 +84,6 @@ class DatasetResult:
 
     kind: str
     digest: str
-    grid: GridSpec
     config: BenchConfig
     worlds: Ints
     """(N,): the samples' worlds."""
@@ -144,6 +145,14 @@ def check_whole(dataset: Dataset, instead: str) -> None:
         )
 
 
+def filled(dataset: Dataset, split: str) -> Split:
+    """A split of a dataset. Raises DatasetError where it is empty."""
+    found = dataset.split(split)
+    if not len(found):
+        raise DatasetError(f"{dataset.folder}: {empty_split(split)}, or give another --split")
+    return found
+
+
 def bench(
     dataset: Dataset,
     methods: Sequence[Method],
@@ -164,11 +173,7 @@ def bench(
     all of them.
     """
     execute = execute or Local("", workers)
-    split = dataset.split(config.split)
-    if not len(split):
-        raise DatasetError(
-            f"{dataset.folder}: {empty_split(config.split)}, or give another --split"
-        )
+    split = filled(dataset, config.split)
     check_middle(dataset)
     if config.study:
         check_whole(dataset, "leave --study out")
@@ -198,10 +203,15 @@ def bench(
         """What all samples gave of one method."""
         given = [one.methods[m] for one in found]
         studies = tuple(one.study for one in given if one.study is not None)
+        trials = tuple(given[n].trials[turn] for turn, n in turns)
         return MethodResult(
             reconstruction=np.array([one.reconstruction for one in given]),
             thresholds=tuned[m],
-            trials=tuple(given[n].trials[turn] for turn, n in turns),
+            trials=trials,
+            planned={
+                name: np.array([metric.of(trial) for trial in trials], np.float64)
+                for name, metric in PLAN_METRICS.items()
+            },
             learned=methods[m].learned,
             studies=studies,
             careful=[studies[n].careful[turn] for turn, n in turns if studies],
@@ -210,7 +220,6 @@ def bench(
     return DatasetResult(
         kind=kind,
         digest=str(dataset.manifest.digest),
-        grid=dataset.grid,
         config=config,
         worlds=np.array([one.world for one in found]),
         known_share=float(np.mean([one.known_share for one in found])),

@@ -1,7 +1,7 @@
 """The leaderboard: a page of the entries to a suite."""
 
 import html
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -121,11 +121,8 @@ def _line(row: Row, best: Row) -> str:
     else:
         pairs = zip(row.scores, best.scores, strict=True)
         cells.append(brief(figure([one - other for one, other in pairs], row.worlds), "+.3f"))
-    return f"<tr><th>{html.escape(row.robot)}</th>{_cells(cells)}</tr>"
-
-
-def _cells(texts: Iterable[str]) -> str:
-    return "".join(f"<td>{text}</td>" for text in texts)
+    told = "".join(f"<td>{text}</td>" for text in cells)
+    return f"<tr><th>{html.escape(row.robot)}</th>{told}</tr>"
 
 
 def _within(found: Json, most: float) -> Json:

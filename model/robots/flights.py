@@ -3,7 +3,7 @@ through many courses: flown, kept in a file, and flown again."""
 
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -22,14 +22,8 @@ if TYPE_CHECKING:  # the command line imports this before it knows what to do
 
 FORGETFUL = "returns"
 """The one that remembers nothing."""
-MAPPING = {
-    FORGETFUL: "what the last scan says, unknown voxels free",
-    "optimistic": "what all scans say, unknown voxels free",
-    "pessimistic": "what all scans say, unknown voxels occupied",
-    "extrude": "all scans, returns extended up and down",
-    "truth": "the truth, which nobody else gets",
-}
-"""Robots that map and plan, by what they take for occupied."""
+MAPPING = (FORGETFUL, "optimistic", "pessimistic", "extrude", "truth")
+"""Robots that map and plan; see `robot_maker`."""
 REACTIVE = "reactive"
 """The one without a map."""
 NAMES = (*MAPPING, REACTIVE)
@@ -60,10 +54,13 @@ def robot_maker(name: str, weights: str | None) -> "Callable[[Course], Any]":
         memory = name != FORGETFUL
         return lambda course: MappingRobot(network, memory=memory, doubts=True)
     known: dict[str, Callable[[Course], Any]] = {
+        # what the last scan says, and what all scans say; of unknown voxels, that they are free
         FORGETFUL: lambda course: MappingRobot(Returns(), memory=False),
         "optimistic": lambda course: MappingRobot(Returns()),
+        # unknown voxels are occupied
         "pessimistic": lambda course: MappingRobot(Conservative(), frontier=True),
         "extrude": lambda course: MappingRobot(Extrude(), doubts=True),
+        # which nobody else is told
         "truth": lambda course: TruthRobot(course.simulated),
         REACTIVE: lambda course: ReactiveRobot(),
     }
@@ -93,8 +90,16 @@ def fly_course(
     return replace(course, document=real.sha256), flown
 
 
-def grade_course(course: "Course", *, hidden: int | None) -> "tuple[Course, list[Difficulty]]":
-    """How hard the missions of a course are."""
+def graded(
+    courses: "Sequence[Course]", hidden: int | None, execute: Executor, progress: Progress
+) -> "dict[Course, list[Difficulty]]":
+    """How hard the missions of courses are."""
+    total = sum(course.flights for course in courses)
+    work = partial(_graded, hidden=hidden)
+    return dict(_counted(execute, work, courses, progress, "grade", total))
+
+
+def _graded(course: "Course", *, hidden: int | None) -> "tuple[Course, list[Difficulty]]":
     return course, real_course(course, hidden).graded()
 
 
@@ -180,9 +185,8 @@ def fly_courses(
     def fly_left() -> None:
         """Flies what is left, and saves now and then."""
         saved_s, total = time.monotonic(), sum(course.flights for course in left)
-        for course, flown in execute(work, left, lambda: progress.start(total)):
+        for course, flown in _counted(execute, work, left, progress, "fly", total):
             found[named(course)] = course, flown
-            progress.count(len(flown))
             if suite and time.monotonic() - saved_s > SAVED_S:
                 save()
                 saved_s = time.monotonic()
@@ -237,7 +241,7 @@ def read_recording(
     of its suite's.
     """
     from scenegen.fly.course import Recording
-    from scenegen.fly.suite import frozen_courses, map_courses, named, part_of, track_name
+    from scenegen.fly.suite import frozen_courses, named, part_of, track_name
 
     recording, track = Recording.read(path), track_name(hidden, maps)
     if recording.suite is None:
@@ -252,8 +256,7 @@ def read_recording(
             "and its number, --maps and their folder, or neither"
         )
     # the suite's own, in place of worlds that a stranger's file leads to by another path
-    ours = frozen_courses(recording.suite, track) if maps is None else map_courses(maps)
-    there = {named(course): course for course in ours}
+    there = {named(course): course for course in frozen_courses(recording.suite, track, maps)}
     found = [
         (replace(there[named(course)], document=course.document), flights)
         for course, flights in recording.courses
@@ -265,12 +268,10 @@ def flown_again(
     recording: "Recording", hidden: int | None, execute: Executor, progress: Progress
 ) -> "Flights":
     """The flights of a recording, flown again. Raises DatasetError where one is not as it was."""
-    work, found = partial(_replayed, hidden=hidden), {}
-    count = sum(len(flights) for _, flights in recording.courses)
-    for course, flown in execute(work, recording.courses, lambda: progress.start(count)):
-        found[course] = flown
-        progress.count(len(flown))
-    return [(course, found[course]) for course, _ in recording.courses]
+    work, courses = partial(_replayed, hidden=hidden), recording.courses
+    count = sum(len(flights) for _, flights in courses)
+    found = dict(_counted(execute, work, courses, progress, "replay", count))
+    return [(course, found[course]) for course, _ in courses]
 
 
 def flown_anew(recording: "Recording", work: Work, execute: Executor, progress: Progress) -> str:
@@ -281,11 +282,24 @@ def flown_anew(recording: "Recording", work: Work, execute: Executor, progress: 
     before = {named(course): flights for course, flights in some}
     count, same = sum(map(len, before.values())), 0
     courses = [course for course, _ in some]
-    for course, flown in execute(work, courses, lambda: progress.restart("fly anew", count, 0)):
+    for course, flown in _counted(execute, work, courses, progress, "fly anew", count):
         pairs = zip(flown, before[named(course)], strict=True)
         same += sum(one.digest == other.digest for one, other in pairs)
-        progress.count(len(flown))
     return f"{same} of {count} flights"
+
+
+def _counted(
+    execute: Executor,
+    work: Callable[[Any], Any],
+    tasks: Sequence[Any],
+    progress: Progress,
+    label: str,
+    total: int,
+) -> Iterator[Any]:
+    """Courses and what `work` makes of each flight, as they come; `progress` counts these."""
+    for course, some in execute(work, tasks, lambda: progress.restart(label, total, 0)):
+        progress.count(len(some))
+        yield course, some
 
 
 def _replayed(

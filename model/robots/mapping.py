@@ -2,7 +2,9 @@
 ten times a second."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -40,16 +42,6 @@ def within(bounds: ArrayLike, grid: GridSpec) -> tuple[GridSpec, Ints]:
     return replace(grid, shape=(x, y, z)), low + 1
 
 
-@dataclass(frozen=True, eq=False)
-class _Rays:
-    """What of a sensor its robot is told."""
-
-    shape: tuple[int, ...]
-    directions_body: Floats
-    times_s: Floats
-    max_range_m: float
-
-
 class MappingRobot:
     """Fuses scans by visibility, and takes for occupied what returned, and what the `completer`
     says of voxels in its grid around the vehicle that no ray crossed. What it believed stays where
@@ -77,9 +69,12 @@ class MappingRobot:
     def reset(self, about: Observation) -> None:
         """See `Robot.reset`."""
         self._about = about
-        shape = about["times_s"].shape
-        self._rays = _Rays(
-            shape, about["directions_body"], about["times_s"], float(about["max_range_m"])
+        # what of a sensor its robot is told
+        self._rays: Any = SimpleNamespace(
+            shape=about["times_s"].shape,
+            directions_body=about["directions_body"],
+            times_s=about["times_s"],
+            max_range_m=float(about["max_range_m"]),
         )
         self.path: Floats | None = None
         """The way that it follows, (n, 3) world metres, the goal last."""

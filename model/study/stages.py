@@ -13,7 +13,6 @@ import torch
 from scenegen.dataset.build import build
 from scenegen.dataset.generation import plan_generation
 from scenegen.dataset.locate import file_sha256
-from scenegen.dataset.manifest import differences
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
 from scenegen.files import Json, make_parent, read_bounded, write_whole
@@ -24,12 +23,12 @@ from scenegen.model.config import BenchConfig
 from scenegen.model.evaluation.methods import rows_of
 from scenegen.model.evaluation.report import finite
 from scenegen.model.evaluation.run import bench
-from scenegen.model.study.claims import Measured, asked, judged
+from scenegen.model.study.claims import asked, judged, means
 from scenegen.model.study.report import to_markdown
 from scenegen.model.study.runs import KINDS, RUNS, TRIALS, ReproduceConfig, Run
 from scenegen.model.training.card import read_rows
 from scenegen.model.training.device import choose_device
-from scenegen.model.training.run_folder import BEST, CONFIG, ROWS, RunFolder
+from scenegen.model.training.run_folder import BEST, CONFIG, ROWS, RunFolder, check_settings
 from scenegen.run import Executor, check_together
 from scenegen.run.software import commit
 from scenegen.run.workers import Local
@@ -80,7 +79,7 @@ def reproduce(
                 on_start=shown.start,
                 on_done=shown.count,
             )
-        measured.append(Measured.of(found))
+        measured.append(found)
     study = judged(
         finite(
             {
@@ -89,8 +88,8 @@ def reproduce(
                 "missing": [run.name for run in RUNS if run not in runs],
                 "runs": {run.name: _told(out / "runs" / run.name, run) for run in runs},
                 **asked(measured),
-                "means": {one.kind: one.means() for one in measured},
-                "worlds": {one.kind: len(set(one.worlds["iou"])) for one in measured},
+                "means": {one.kind: means(one) for one in measured},
+                "worlds": {one.kind: len(set(one.worlds.tolist())) for one in measured},
             }
         )
     )
@@ -110,11 +109,8 @@ def begin(out: Path, config: ReproduceConfig) -> None:
     for name in (SETTINGS, STUDY, TEXT) if there is None else ():
         if (out / name).exists():
             raise DatasetError(f"{out}: holds {name}, and no study of ours; choose another --out")
-    if there is not None and (unlike := differences(there, asdict(config))):
-        raise DatasetError(
-            f"{out}: was begun with other settings ({'; '.join(unlike)}); give those, or "
-            f"another --out"
-        )
+    if there is not None:
+        check_settings(out, there, asdict(config))
     write_whole(out / SETTINGS, (json.dumps(asdict(config), indent=1) + "\n").encode())
 
 

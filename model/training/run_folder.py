@@ -110,12 +110,7 @@ class RunFolder:
             there, asked = self.settings(), json.loads(json.dumps(settings["settings"]))
             if grows := _grows(there, asked):
                 there |= {name: asked[name] for name in BUDGETS}
-            if unlike := differences(there, asked):
-                raise DatasetError(
-                    f"{self.path}: was begun with other settings "
-                    f"({printable('; '.join(unlike))[:1000]}); give those, "
-                    "or another --out"
-                )
+            check_settings(self.path, there, asked)
             if grows and (self.path / LEVEL).exists():  # where the learning rate began to fall
                 if (self.path / BEST).exists():
                     (self.path / BEST).replace(
@@ -180,7 +175,9 @@ class RunFolder:
             return
         rows = progress.rows
         if kept(rows, choose) == rows[-1]:
-            self.save_best(network, grid, {**about, "figures": rows[-1]})
+            told = {**about, "figures": rows[-1]}
+            save_network(self.path / BEST, network, grid, told)
+            write_whole(self.path / CARD, card(self.path.name, told).encode())
         self.write_rows(rows)
         self.save(progress)
         if time.monotonic() - self._drawn > SAVE_EVERY_S:  # which takes as long as some maps
@@ -203,11 +200,6 @@ class RunFolder:
                 f"{self.path / LAST}: not the state of this run; remove it to begin again, {BEST} "
                 f"stays until then"
             ) from None
-
-    def save_best(self, network: nn.Module, grid: GridSpec, about: Json) -> None:
-        """Write the best network so far, and its card."""
-        save_network(self.path / BEST, network, grid, about)
-        write_whole(self.path / CARD, card(self.path.name, about).encode())
 
     def write_rows(self, rows: list[dict[str, float]]) -> None:
         """Write the figures of all epochs."""
@@ -235,6 +227,15 @@ class RunFolder:
                 from scenegen.display.panels import to_bytes
 
                 write_whole(self.path / CURVE, to_bytes(draw(rows), ".png"))
+
+
+def check_settings(path: Path, there: Json, asked: Json) -> None:
+    """Raise DatasetError where what is at `path` was begun with other settings than `asked`."""
+    if unlike := differences(there, asked):
+        raise DatasetError(
+            f"{path}: was begun with other settings ({printable('; '.join(unlike))[:1000]}); give "
+            "those, or another --out"
+        )
 
 
 def _grows(there: Json, asked: Json) -> bool:
