@@ -76,7 +76,7 @@ def main() -> None:
     kinds = KINDS[:1] if given.smoke else KINDS
     config = BenchConfig(trials=given.trials, plan=PlanConfig(planner="careful"))
     results = {
-        f"`{kind}`, {condition}": bench(dataset, methods, config, workers=1)
+        f"`{kind}`, {condition}": bench(dataset, methods, config)
         for kind, condition, methods, dataset in measured(kinds, given.maps, networks, plain)
     }
     lines = tables(TABLES, results, plain)

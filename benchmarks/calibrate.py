@@ -29,6 +29,7 @@ from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.statistics import with_std
 from scenegen.recipe import make_recipe
 from scenegen.recipes import kind_names
+from scenegen.run.workers import Local
 
 PAPERS = ("length", "min_clearance", "avg_clearance", "success")
 """The paper's figures."""
@@ -84,7 +85,7 @@ def _measure(options: argparse.Namespace, tables: dict[str, Any], label: str) ->
         dataset = drawn(Path(folder), recipe, options.samples, split="val", seed=1)
         occupied = [float(sample.occupancy.mean()) for sample in dataset.split("val")[::5]]
         config = BenchConfig(split="val", trials=options.trials, plan=plan)
-        found = bench(dataset, [Truth(), Completed(Returns())], config, workers=2)
+        found = bench(dataset, [Truth(), Completed(Returns())], config, execute=Local("", 2))
     print(f"{label}")
     excluded = found.excluded.total() / (len(found.trial_worlds) + found.excluded.total())
     for name, result in found.methods.items():

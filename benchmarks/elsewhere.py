@@ -38,6 +38,7 @@ from scenegen.model.evaluation.statistics import brief, figure, head, line
 from scenegen.recipe import preset
 from scenegen.recipes.kind import WorldKind, yaw_quaternion
 from scenegen.run.software import commit
+from scenegen.run.workers import Local
 from scenegen.sample import Sample
 from scenegen.tables import named_noise
 
@@ -146,7 +147,7 @@ def main() -> None:
         Completed(Extrude()),
         *(Completer.from_pretrained(one, threads=1) for one in given.weights or bundled()),
     ]
-    found: dict[str, Any] = {}
+    found, execute = dict[str, Any](), Local("", given.workers)
     ahead: dict[str, Ahead] = {}
     with tempfile.TemporaryDirectory() as spare:
         folder = given.data or Path(spare)
@@ -159,9 +160,9 @@ def main() -> None:
                 name = " ".join(filter(None, ("default" if sensor == RASTER else sensor, noise)))
                 seen = again(original, folder / f"{title} {name.replace(':', '')}", sensor, noise)
                 config = BenchConfig(trials=given.trials)
-                result = bench(seen, methods, config, workers=given.workers)
+                result = bench(seen, methods, config, execute=execute)
                 config = replace(config, plan=PlanConfig(planner="careful"))
-                careful = bench(seen, methods, config, workers=given.workers)
+                careful = bench(seen, methods, config, execute=execute)
                 found[title][name] = figures(seen, result, usual or result, careful)
                 for place in places(worlds, usual is None):
                     for planner, one in {"the paper's": result, "careful": careful}.items():

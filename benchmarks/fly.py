@@ -37,7 +37,7 @@ from scenegen.model.robots.flights import (
 )
 from scenegen.model.robots.mapping import RIM
 from scenegen.recipes import kind_names
-from scenegen.run.workers import Local
+from scenegen.run.workers import ALONE
 
 PAGE = RESULTS / "fly.md"
 ROBOTS = (*NAMES, "proposed", "columns", "anywhere")
@@ -108,7 +108,7 @@ def flown(name: str, courses: Sequence[Course], entries: Path) -> list[Row]:
     robot, weights = parts(name)
     work = partial(fly_course, robot=robot, weights=weights)
     with Progress(name, shown=False) as progress:
-        done = fly_courses(courses, work, name, "aerial-1", entry, Local("", 1), progress)
+        done = fly_courses(courses, work, name, "aerial-1", entry, ALONE, progress)
     print(f"{name}: {sum(len(flights) for _, flights in done)} flights", flush=True)
     return [(course, one) for course, flights in done for one in flights]
 

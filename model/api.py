@@ -16,7 +16,7 @@ from scenegen.model.evaluation.run import tables_of
 from scenegen.model.training.data import Samples, opened
 from scenegen.model.training.loop import Watcher
 from scenegen.model.training.loop import train as run
-from scenegen.run.workers import cores
+from scenegen.run.workers import Local, cores
 
 
 def train(
@@ -109,7 +109,7 @@ def bench(
         else:
             rows.append(method if isinstance(method, Completer) else Completed(method))
     results = [
-        measure(dataset, rows, config, kind=kind, workers=workers or cores())
+        measure(dataset, rows, config, kind=kind, execute=Local("", workers or cores()))
         for dataset, kind in tables_of([Dataset(locate(name)) for name in named], config.split)
     ]
     return build_report(results, seed=config.seed, about={"split": config.split})

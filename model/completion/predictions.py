@@ -35,7 +35,7 @@ from scenegen.model.completion.protocol import PARTS, SURE
 from scenegen.model.config import PREDICTIONS
 from scenegen.model.inputs import channels
 from scenegen.run import Executor
-from scenegen.run.workers import Local
+from scenegen.run.workers import ALONE
 
 PACKED = {"compression": "gzip", "compression_opts": 1}
 """How HDF5 reads what `compress` made. HDF5 itself compresses nothing here: where a disk refuses
@@ -74,7 +74,7 @@ def predict_split(
     parts = [Rows(split, range(n, min(n + PART, count))) for n in range(0, count, PART)]
     get: Callable[[], Completer] = lambda: completer  # noqa: E731
     if execute is None:
-        execute = Local("", 1)
+        execute = ALONE
     elif completer.opened is not None:
         get = partial(opened_once, *completer.opened)
     tasks = [part for part in execute.mine(parts) if _file(part) not in there]

@@ -34,7 +34,7 @@ from scenegen.model.evaluation.planning.measure import draw_trials, met, plan_tr
 from scenegen.model.evaluation.run import check_middle, check_whole, filled
 from scenegen.model.evaluation.visibility import UNOBSERVED, classify, scored_voxels
 from scenegen.run import Executor, check_together
-from scenegen.run.workers import Local
+from scenegen.run.workers import ALONE
 from scenegen.sample import Sample, rng_of
 
 RISKS = (0.5, 0.4, 0.3, 0.2, 0.15, 0.1, 0.07, 0.05, 0.03, 0.02, 0.01, 0.005, 0.002, 0.001)
@@ -190,7 +190,7 @@ def calibrate(
     samples: int | None = None,
     trials: int = 4,
     seed: int = 0,
-    execute: Executor | None = None,
+    execute: Executor = ALONE,
     on_start: Callable[[str, int], None] = lambda what, total: None,
     on_done: Callable[[int], None] = lambda samples: None,
 ) -> Calibration:
@@ -202,7 +202,6 @@ def calibrate(
     completed. Raises DatasetError for too few worlds or another grid, CheckpointError for a network
     that does not tell its class weight, ScenegenError where `execute` leaves maps to others.
     """
-    execute = execute or Local("", 1)
     check_together(execute, "a calibration takes")
     network, grid, about = open_network(weights)
     weight = 1.0

@@ -39,7 +39,7 @@ from scenegen.model.evaluation.visibility import (
     walled,
 )
 from scenegen.run import Executor, check_together
-from scenegen.run.workers import Local
+from scenegen.run.workers import ALONE
 from scenegen.sample import Sample, rng_of
 from scenegen.truth import distance_field
 
@@ -159,20 +159,17 @@ def bench(
     config: BenchConfig,
     *,
     kind: str | None = None,
-    workers: int = 1,
-    execute: Executor | None = None,
+    execute: Executor = ALONE,
     on_start: Callable[[int], None] = lambda total: None,
     on_done: Callable[[int], None] = lambda samples: None,
 ) -> DatasetResult:
     """Measure `methods` on `dataset`, or on its samples of one `kind` of worlds, with the same
     goals for every method.
 
-    `workers` processes of this machine measure a few samples each, or whatever `execute` has do it.
-    `on_start` is told how many samples there are, `on_done` of every few that are finished. Raises
-    DatasetError for an empty split, and where `execute` leaves samples to others: a report is of
-    all of them.
+    `execute` has a few samples measured at a time. `on_start` is told how many samples there are,
+    `on_done` of every few that are finished. Raises DatasetError for an empty split, and where
+    `execute` leaves samples to others: a report is of all of them.
     """
-    execute = execute or Local("", workers)
     split = filled(dataset, config.split)
     check_middle(dataset)
     if config.study:

@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import torch
 
+from scenegen.cli.show import Progress
 from scenegen.dataset.build import build
 from scenegen.dataset.generation import plan_generation
 from scenegen.dataset.locate import file_sha256
@@ -31,10 +31,7 @@ from scenegen.model.training.device import choose_device
 from scenegen.model.training.run_folder import BEST, CONFIG, ROWS, RunFolder, check_settings
 from scenegen.run import Executor, check_together
 from scenegen.run.software import commit
-from scenegen.run.workers import Local
-
-if TYPE_CHECKING:
-    from scenegen.cli.show import Progress
+from scenegen.run.workers import ALONE
 
 SETTINGS, STUDY, TEXT = "settings.json", "study.json", "study.md"
 CURVE = ("maps", "seconds", "train_loss", "val_loss", "val_occupancy", "val_iou", "val_near_rmse")
@@ -48,7 +45,7 @@ def reproduce(
     *,
     device: str = "auto",
     execute: Executor,
-    progress: Callable[[str], "Progress"],
+    progress: Callable[[str], Progress],
 ) -> Json:
     """Make the study of `runs` in the folder `out`, or go on with it, and return what
     ``study.json`` holds. `execute` has shards written, networks trained, one thread each, and
@@ -64,7 +61,7 @@ def reproduce(
     work = partial(_train, out / "runs", folders, maps, str(where))
     with progress("networks") as shown:
         start = partial(shown.start, maps * len(runs))
-        for _ in (Local("", 1) if where.type == "cuda" else execute)(work, runs, start):
+        for _ in (ALONE if where.type == "cuda" else execute)(work, runs, start):
             shown.count(maps)
     networks = [str(out / "runs" / run.name) for run in runs]
     methods = rows_of(("returns", "extrude", "truth", "seen"), networks, None)
@@ -124,7 +121,7 @@ def read_json(path: Path) -> Json | None:
 
 
 def _dataset(
-    folder: Path, config: ReproduceConfig, execute: Executor, progress: Callable[[str], "Progress"]
+    folder: Path, config: ReproduceConfig, execute: Executor, progress: Callable[[str], Progress]
 ) -> Path:
     """A compact dataset of the kind that the folder is called by, made or gone on with; damaged
     shards are made again."""

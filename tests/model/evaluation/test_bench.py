@@ -120,7 +120,7 @@ def test_tables_show_iou_at_the_best_threshold_and_where_it_is(dataset, capsys):
 
 def test_workers_and_other_rows_change_no_figure(dataset):
     alone = bench(dataset, [Completed(Returns())], CONFIG)
-    beside = bench(dataset, [Truth(), Completed(Returns())], CONFIG, workers=2)
+    beside = bench(dataset, [Truth(), Completed(Returns())], CONFIG, execute=Local("", 2))
     ours, theirs = alone.methods["returns"], beside.methods["returns"]
     assert_array_equal(ours.reconstruction, theirs.reconstruction)
     assert ours.trials == theirs.trials
