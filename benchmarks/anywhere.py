@@ -9,28 +9,26 @@ returns; and the default sensor's points alone, which say nothing of rays withou
 
 import tempfile
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import measuring
+from scoring import RESULTS, drawn, tables, write_tables
 
-from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset, Split
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.completion.unlearned import Extrude
-from scenegen.model.evaluation.config import BenchConfig, PlanConfig
+from scenegen.model.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Completed, Method, Truth
-from scenegen.model.evaluation.metrics import METRICS
-from scenegen.model.evaluation.run import DatasetResult, bench
-from scenegen.model.evaluation.statistics import figure, head, interval, line
+from scenegen.model.evaluation.run import bench
 from scenegen.model.inputs import PointScan, channels
 from scenegen.recipe import make_recipe
 from scenegen.sample import Sample
-from scenegen.source import DrawnWorlds
 
-PAGE = Path(__file__).parents[1] / "docs" / "results" / "anywhere.md"
+PAGE = RESULTS / "anywhere.md"
+TABLES = {"iou": "IoU", "near_rmse": "Near-RMSE, m", "success": "Success"}
 KINDS = ("geometric", "pillar")
 CONDITIONS: dict[str, dict[str, Any]] = {
     "the default sensor": {},
@@ -74,21 +72,17 @@ def main() -> None:
     given = measuring.parse(parser, maps=2, trials=2, network=["columns"])
     names = given.network or ("anywhere", "columns", "proposed")
     networks = [Completer.from_pretrained(name, threads=1) for name in names]
-    tables: dict[str, list[str]] = {"IoU": [], "Near-RMSE, m": [], "Success": []}
     plain: list[Method] = [Completed(Extrude()), *networks, Truth()]
     kinds = KINDS[:1] if given.smoke else KINDS
-    for kind, condition, methods, dataset in measured(kinds, given.maps, networks, plain):
-        config = BenchConfig(trials=given.trials, plan=PlanConfig(planner="careful"))
-        result = bench(dataset, methods, config, workers=1)
-        for title, lines in tables.items():
-            lines.append(line(f"`{kind}`, {condition}", cells(result, title, plain)))
-        print(tables["IoU"][-1], flush=True)
-    lines = []
-    for title, rows in tables.items():
-        lines += ["", f"## {title}", "", *head([one.name for one in plain]), *rows]
+    config = BenchConfig(trials=given.trials, plan=PlanConfig(planner="careful"))
+    results = {
+        f"`{kind}`, {condition}": bench(dataset, methods, config)
+        for kind, condition, methods, dataset in measured(kinds, given.maps, networks, plain)
+    }
+    lines = tables(TABLES, results, plain)
+    print("\n".join(lines))
     if not given.smoke:
-        said = given.page.read_text().partition("<!-- tables -->")[0]
-        given.page.write_text(f"{said}<!-- tables -->\n" + "\n".join(lines) + "\n")
+        write_tables(given.page, lines)
 
 
 def measured(
@@ -96,35 +90,13 @@ def measured(
 ) -> Iterator[tuple[str, str, list[Method], Dataset]]:
     """Every kind and condition with the methods that are measured, and its dataset."""
     for kind in kinds:
-        for number, (condition, tables) in enumerate(CONDITIONS.items()):
-            recipe = make_recipe(kind, tables)
-            recipe = replace(recipe, flight=replace(recipe.flight, viewpoints=2))
+        for number, (condition, changed) in enumerate(CONDITIONS.items()):
             with tempfile.TemporaryDirectory() as folder:
-                path, counts = Path(folder, "data"), {"train": 0, "val": 0, "test": maps}
-                build(plan_dataset(path, recipe, DrawnWorlds(recipe), seed=1, counts=counts))
-                yield kind, condition, plain, Dataset(path)
+                recipe = make_recipe(kind, changed)
+                dataset = drawn(Path(folder, "data"), recipe, maps, seed=1, viewpoints=2)
+                yield kind, condition, plain, dataset
                 if number == 0:
-                    yield kind, POINTS, [PointsAlone(one) for one in networks], Dataset(path)
-
-
-def cells(result: DatasetResult, title: str, methods: list[Method]) -> Iterator[str]:
-    """A row of the table `title`; empty cells for methods that were not measured."""
-    metric = {"IoU": "iou", "Near-RMSE, m": "near_rmse"}.get(title)
-    for method in methods:
-        found = result.methods.get(method.name)
-        if found is None:
-            yield "–"
-        elif metric is None:
-            success = [trial.success for trial in found.trials]
-            yield shown(figure(success, result.trial_worlds, "outcome"))
-        else:
-            values = found.reconstruction[:, 0, list(METRICS).index(metric)]
-            yield shown(figure(values, result.worlds))
-
-
-def shown(value: dict[str, Any]) -> str:
-    """A mean with its interval."""
-    return f"{value['mean']:.3f} {interval(value, '.3f')}"
+                    yield kind, POINTS, [PointsAlone(one) for one in networks], dataset
 
 
 if __name__ == "__main__":

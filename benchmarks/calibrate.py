@@ -19,18 +19,20 @@ from typing import Any
 
 import measuring
 import numpy as np
+from scoring import drawn
 
-from scenegen.dataset.build import build, plan_dataset
-from scenegen.dataset.read import Dataset
 from scenegen.model.completion.unlearned import Returns
-from scenegen.model.evaluation.config import BenchConfig, PlanConfig
+from scenegen.model.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Completed, Truth
 from scenegen.model.evaluation.paper import PLANNING
 from scenegen.model.evaluation.run import bench
+from scenegen.model.evaluation.statistics import with_std
 from scenegen.recipe import make_recipe
 from scenegen.recipes import kind_names
-from scenegen.source import DrawnWorlds
+from scenegen.run.workers import Local
 
+PAPERS = ("length", "min_clearance", "avg_clearance", "success")
+"""The paper's figures."""
 COLUMNS = (
     "length",
     "min clear",
@@ -59,8 +61,8 @@ def main() -> None:
     options = measuring.parse(parser, samples=5, trials=10)
     print(f"{'':44}" + "".join(f"{name:>14}" for name in COLUMNS))
     for name, row in PLANNING[options.kind].items():
-        cells = [row[key] for key in ("length", "min_clearance", "avg_clearance", "success")]
-        print(f"{'paper, ' + name:44}" + "".join(f"{_spread(*cell):>14}" for cell in cells))
+        cells = [row[key] for key in PAPERS]
+        print(f"{'paper, ' + name:44}" + "".join(f"{with_std(*cell):>14}" for cell in cells))
     for chosen in itertools.product(*(_values(item) for item in options.vary)):
         tables: dict[str, dict[str, Any]] = {}
         for table, parameter, value in chosen:
@@ -80,39 +82,25 @@ def _measure(options: argparse.Namespace, tables: dict[str, Any], label: str) ->
     recipe = make_recipe(options.kind, tables, where="--vary")
     plan = PlanConfig(goal_faces=options.faces, safety_m=options.safety)
     with tempfile.TemporaryDirectory() as folder:
-        counts = {"train": 0, "val": options.samples, "test": 0}
-        summary = build(
-            plan_dataset(
-                Path(folder), recipe, DrawnWorlds(recipe), seed=1, counts=counts, shard_samples=50
-            ),
-            workers=2,
-        )
-        dataset = Dataset(folder)
+        dataset = drawn(Path(folder), recipe, options.samples, split="val", seed=1)
         occupied = [float(sample.occupancy.mean()) for sample in dataset.split("val")[::5]]
         config = BenchConfig(split="val", trials=options.trials, plan=plan)
-        found = bench(dataset, [Truth(), Completed(Returns())], config, workers=2)
+        found = bench(dataset, [Truth(), Completed(Returns())], config, execute=Local("", 2))
     print(f"{label}")
-    drawn = len(found.trial_worlds) + found.excluded.total()
+    excluded = found.excluded.total() / (len(found.trial_worlds) + found.excluded.total())
     for name, result in found.methods.items():
-        trials = result.trials
         columns = [
-            _of([trial.length_m for trial in trials]),
-            _of([trial.min_clearance_m for trial in trials]),
-            _of([trial.mean_clearance_m for trial in trials]),
-            f"{np.mean([trial.success for trial in trials]):.3f}",
-            f"{found.excluded.total() / drawn:.3f}",
+            *(_of(result.values(name)) for name in PAPERS[:3]),
+            f"{result.values('success').mean():.3f}",
+            f"{excluded:.3f}",
             _of(occupied),
-            str(sum(summary.rejected["worlds"].values())),
+            str(sum(dataset.manifest.rejected["worlds"].values())),
         ]
         print(f"{'    ' + name:44}" + "".join(f"{column:>14}" for column in columns), flush=True)
 
 
-def _of(values: list[float]) -> str:
-    return _spread(float(np.nanmean(values)), float(np.nanstd(values)))
-
-
-def _spread(mean: float, std: float | None) -> str:
-    return f"{mean:.3f}" if std is None else f"{mean:.3f}±{std:.3f}"
+def _of(values: Any) -> str:
+    return with_std(float(np.nanmean(values)), float(np.nanstd(values)))
 
 
 if __name__ == "__main__":

@@ -13,35 +13,35 @@ made in `--data` is used again. Exported networks (`scenegen export columns -o c
 import json
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
 import measuring
 import mujoco
 import numpy as np
+import scoring
+from scoring import RESULTS, Ahead
 
 from lidarsim.sensors import RASTER, SENSORS
-from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.build import build
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.rescan import plan_rescan
+from scenegen.files import Json
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.unlearned import Extrude, Returns
-from scenegen.model.config import bundled
-from scenegen.model.evaluation.config import BenchConfig, PlanConfig
+from scenegen.model.config import BenchConfig, PlanConfig, bundled
 from scenegen.model.evaluation.methods import Completed, Method
-from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.evaluation.report import REGIONS
 from scenegen.model.evaluation.run import DatasetResult, bench
-from scenegen.model.evaluation.statistics import figure, head, interval, line
+from scenegen.model.evaluation.statistics import brief, figure, head, line
 from scenegen.recipe import preset
 from scenegen.recipes.kind import WorldKind, yaw_quaternion
 from scenegen.run.software import commit
+from scenegen.run.workers import Local
 from scenegen.sample import Sample
-from scenegen.source import DrawnWorlds, read_scenes
 from scenegen.tables import named_noise
 
-ROOT = Path(__file__).parents[1]
 SCAFFOLD = "elsewhere:Scaffold"
 HOME = ("pillar", "geometric")
 WORLDS = (*HOME, SCAFFOLD, "scenes")
@@ -63,9 +63,8 @@ SEEN = (
     "unknown voxels",
     "occupied voxels taken for free",
 )
-PLACES = {name: list(METRICS).index(name) for name in ("iou", "near_rmse", "precision", "recall")}
-IOU = PLACES["iou"]
-TABLES: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
+METRICS = ("iou", "near_rmse", "precision", "recall")
+TABLES: dict[str, Callable[[Json], Json]] = {
     "IoU over unknown voxels": lambda found: found["unobserved"]["iou"],
     "Near-RMSE over unknown voxels, m": lambda found: found["unobserved"]["near_rmse"],
     "IoU over the whole map": lambda found: found["map"]["iou"],
@@ -129,7 +128,7 @@ def main() -> None:
     parser.add_argument(
         "--data", type=Path, help="folder of the datasets  [default: one that is removed again]"
     )
-    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "results")
+    parser.add_argument("--out", type=Path, default=RESULTS)
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--worlds", nargs="+", choices=WORLDS, default=WORLDS)
     parser.add_argument(
@@ -148,7 +147,7 @@ def main() -> None:
         Completed(Extrude()),
         *(Completer.from_pretrained(one, threads=1) for one in given.weights or bundled()),
     ]
-    found: dict[str, Any] = {}
+    found, execute = dict[str, Any](), Local("", given.workers)
     ahead: dict[str, Ahead] = {}
     with tempfile.TemporaryDirectory() as spare:
         folder = given.data or Path(spare)
@@ -161,17 +160,14 @@ def main() -> None:
                 name = " ".join(filter(None, ("default" if sensor == RASTER else sensor, noise)))
                 seen = again(original, folder / f"{title} {name.replace(':', '')}", sensor, noise)
                 config = BenchConfig(trials=given.trials)
-                result = bench(seen, methods, config, workers=given.workers)
-                careful = bench(
-                    seen,
-                    methods,
-                    replace(config, plan=PlanConfig(planner="careful")),
-                    workers=given.workers,
-                )
+                result = bench(seen, methods, config, execute=execute)
+                config = replace(config, plan=PlanConfig(planner="careful"))
+                careful = bench(seen, methods, config, execute=execute)
                 found[title][name] = figures(seen, result, usual or result, careful)
                 for place in places(worlds, usual is None):
                     for planner, one in {"the paper's": result, "careful": careful}.items():
-                        ahead.setdefault(f"{place}; {planner}", Ahead()).add(title, one)
+                        pooled = ahead.setdefault(f"{place}; {planner}", Ahead(Extrude.name))
+                        pooled.add(one, [f"{title} {world}" for world in one.trial_worlds])
                 usual = usual or result
                 print(f"{title}, {name}", flush=True)
     report = {"commit": commit(), "maps": given.maps, "trials": given.trials, "worlds": found}
@@ -179,9 +175,7 @@ def main() -> None:
     given.out.mkdir(parents=True, exist_ok=True)
     rounded = json.loads(json.dumps(report), parse_float=lambda digits: round(float(digits), 4))
     (given.out / "elsewhere.json").write_text(json.dumps(rounded, separators=(",", ":")) + "\n")
-    page = given.out / "elsewhere.md"
-    said = page.read_text().partition("<!-- tables -->")[0] if page.exists() else "# Elsewhere\n\n"
-    page.write_text(f"{said}<!-- tables -->\n" + "\n".join(tables(report)) + "\n")
+    scoring.write_tables(given.out / "elsewhere.md", tables(report))
 
 
 def places(worlds: str, usual: bool) -> list[str]:
@@ -192,39 +186,11 @@ def places(worlds: str, usual: bool) -> list[str]:
     return [f"{worlds.rpartition(':')[2].lower()}, all sensors", "both, all sensors"]
 
 
-@dataclass
-class Ahead:
-    """By how much planning succeeds oftener than where the returns are extruded, trial by trial."""
-
-    worlds: list[str] = field(default_factory=list)
-    differences: dict[str, list[float]] = field(default_factory=dict)
-
-    def add(self, title: str, result: DatasetResult) -> None:
-        """Add the trials of a dataset."""
-        self.worlds += [f"{title} {world}" for world in result.trial_worlds]
-        base = [float(trial.success) for trial in result.methods[Extrude().name].trials]
-        for name, method in result.methods.items():
-            pairs = zip(method.trials, base, strict=True)
-            self.differences.setdefault(name, []).extend(
-                one.success - other for one, other in pairs
-            )
-
-    def figures(self) -> dict[str, Any]:
-        """The mean difference of every method; intervals are over worlds."""
-        return {name: figure(one, self.worlds) for name, one in self.differences.items()}
-
-
 def drawn(worlds: str, folder: Path, maps: int) -> Dataset:
     """Test maps of the kind `worlds`, as the sensor of training sees them."""
-    counts = {"train": 0, "val": 0, "test": maps}
-    if worlds == "scenes":
-        recipe, source = preset("scene"), read_scenes(ROOT / "scenes", counts, seed=0)
-        plan = plan_dataset(folder, recipe, source, seed=0, counts=counts)
-    else:
-        recipe = preset(worlds)
-        plan = plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=0, counts=counts)
-    build(plan)
-    return Dataset(folder)
+    if worlds != "scenes":
+        return scoring.drawn(folder, preset(worlds), maps)
+    return scoring.drawn(folder, preset("scene"), maps, scenes=RESULTS.parents[1] / "scenes")
 
 
 def again(original: Dataset, folder: Path, sensor: str, noise: str | None) -> Dataset:
@@ -232,11 +198,8 @@ def again(original: Dataset, folder: Path, sensor: str, noise: str | None) -> Da
     if (sensor, noise) == SENSORS_SEEN[0]:
         return original
     lidar = SENSORS.find(sensor) if sensor != RASTER else None
-    build(
-        plan_rescan(
-            original, folder, lidar=lidar, chain=named_noise(noise, lidar or original.lidar)
-        )
-    )
+    chain = named_noise(noise, lidar or original.lidar)
+    build(plan_rescan(original, folder, lidar=lidar, chain=chain))
     return Dataset(folder)
 
 
@@ -262,15 +225,14 @@ def figures(
         "seen": {name: figure(seen[:, n], flight) for n, name in enumerate(SEEN)}
     }
     for name, method in result.methods.items():
-        rows = {region: method.reconstruction[:, n] for n, region in enumerate(REGIONS)}
-        before = usual.methods[name].reconstruction[:, 0, IOU]
         said[name] = {
-            region: {metric: figure(found[:, place], flight) for metric, place in PLACES.items()}
-            for region, found in rows.items()
+            region: {metric: figure(method.values(metric, n), flight) for metric in METRICS}
+            for n, region in enumerate(REGIONS)
         }
-        said[name]["iou_lost"] = figure(before - rows["map"][:, IOU], flight)
+        lost = usual.methods[name].values("iou") - method.values("iou")
+        said[name]["iou_lost"] = figure(lost, flight)
         for key, planned in {"success": result, "careful": careful}.items():
-            success = [trial.success for trial in planned.methods[name].trials]
+            success = planned.methods[name].values("success")
             said[name][key] = figure(success, planned.trial_worlds, "outcome")
     return said
 
@@ -293,7 +255,8 @@ def tables(report: dict[str, Any]) -> list[str]:
     ahead = report["ahead of extrude"]
     lines = ["", "## Success of planning, less that of `extrude`", ""]
     lines += head(next(iter(ahead.values())))
-    lines += [line(place, map(signed, one.values())) for place, one in sorted(ahead.items())]
+    for place, one in sorted(ahead.items()):
+        lines.append(line(place, [brief(each, "+.3f") for each in one.values()]))
     for worlds, sensors in report["worlds"].items():
         methods = [name for name in next(iter(sensors.values())) if name != "seen"]
         lines += ["", f"## {worlds}", "", "What the sensors see, means over maps:", "", *head(SEEN)]
@@ -303,20 +266,10 @@ def tables(report: dict[str, Any]) -> list[str]:
         for title, of in TABLES.items():
             lines += ["", f"{title}:", "", *head(methods)]
             lines += [
-                line(sensor, (shown(of(found[name])) for name in methods))
+                line(sensor, (brief(of(found[name]), ".2f") for name in methods))
                 for sensor, found in sensors.items()
             ]
     return lines
-
-
-def signed(value: dict[str, Any]) -> str:
-    """A mean difference with its interval."""
-    return f"{value['mean']:+.3f} {interval(value, '+.3f')}"
-
-
-def shown(value: dict[str, Any]) -> str:
-    """A mean with its interval, which one flight does not give."""
-    return f"{value['mean']:.2f} {interval(value, '.2f')}"
 
 
 if __name__ == "__main__":

@@ -20,19 +20,26 @@ from typing import Any
 
 import measuring
 import numpy as np
+from scoring import RESULTS, write_tables
 
 from scenegen.cli.show import Progress
 from scenegen.fly.course import Course
 from scenegen.fly.loop import Flown
 from scenegen.fly.suite import DIFFICULTIES, MAPS, courses_of, map_courses
-from scenegen.model.evaluation.statistics import brief, figure, head, interval, line
-from scenegen.model.robots import FORGETFUL, MAPPING, NAMES, fly_course, robot_maker
-from scenegen.model.robots.flights import fly_courses
+from scenegen.model.evaluation.statistics import brief, figure, head, line
+from scenegen.model.robots.flights import (
+    FORGETFUL,
+    MAPPING,
+    NAMES,
+    fly_course,
+    fly_courses,
+    robot_maker,
+)
 from scenegen.model.robots.mapping import RIM
 from scenegen.recipes import kind_names
-from scenegen.run.workers import Local
+from scenegen.run.workers import ALONE
 
-PAGE = Path(__file__).parents[1] / "docs" / "results" / "fly.md"
+PAGE = RESULTS / "fly.md"
 ROBOTS = (*NAMES, "proposed", "columns", "anywhere")
 BASELINES = ("optimistic", "extrude")
 Row = tuple[Course, Flown]
@@ -73,10 +80,9 @@ def main() -> None:
         ]
         found = {name: flown(name, courses, given.entries or Path(spare)) for name in given.robots}
     page = given.page or (PAGE.with_stem("fly-real") if given.maps else PAGE)
-    said = page.read_text().partition("<!-- tables -->")[0] if page.is_file() else ""
     lines = [*tables(found), "", *how_hard(found), "", *first_plans(found), "", period(courses[0])]
     print("\n".join(lines))
-    page.write_text(f"{said}<!-- tables -->\n" + "\n".join(lines) + "\n")
+    write_tables(page, lines)
 
 
 def parts(name: str) -> tuple[str, str | None]:
@@ -102,7 +108,7 @@ def flown(name: str, courses: Sequence[Course], entries: Path) -> list[Row]:
     robot, weights = parts(name)
     work = partial(fly_course, robot=robot, weights=weights)
     with Progress(name, shown=False) as progress:
-        done = fly_courses(courses, work, name, "aerial-1", entry, Local("", 1), progress)
+        done = fly_courses(courses, work, name, "aerial-1", entry, ALONE, progress)
     print(f"{name}: {sum(len(flights) for _, flights in done)} flights", flush=True)
     return [(course, one) for course, flights in done for one in flights]
 
@@ -131,8 +137,8 @@ def tables(found: dict[str, list[Row]]) -> list[str]:
             for of in (success, FIGURES["score"]):
                 pairs = zip(rows, found[base], strict=True)
                 differences = [of(one) - of(other) for (_, one), (_, other) in pairs]
-                one = figure(differences, [course.sha256 for course, _ in rows])
-                cells.append(f"{one['mean']:+.3f} {interval(one, '+.3f')}")
+                worlds = [course.sha256 for course, _ in rows]
+                cells.append(brief(figure(differences, worlds), "+.3f"))
             lines.append(line(f"`{titled(name)}`", cells))
     for title, groups, key in (
         ("difficulty", DIFFICULTIES, lambda course: course.difficulty),

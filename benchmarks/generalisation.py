@@ -23,29 +23,26 @@ from typing import Any
 import measuring
 import numpy as np
 from real import POSES, real_places
+from scoring import RESULTS, drawn, maps_of, split_of, write_tables
 
-from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.unlearned import Extrude
-from scenegen.model.evaluation.config import BenchConfig, PlanConfig
+from scenegen.model.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Completed, Method, Truth
-from scenegen.model.evaluation.metrics import METRICS
+from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
 from scenegen.model.evaluation.run import bench
-from scenegen.model.evaluation.statistics import figure, head, interval, line
+from scenegen.model.evaluation.statistics import brief, figure, head, line
 from scenegen.recipe import preset
 from scenegen.recipes import kind_names
 from scenegen.run.software import commit
-from scenegen.source import DrawnWorlds
 
-RESULTS = Path(__file__).parents[1] / "docs" / "results"
 BUNDLED = "columns"
 NETWORK = (
     *("--variant", "columns", "--input", "observed", "--input", "free"),
     *("--lambda-occupancy", 1, "--lovasz", 1, "--eikonal", 0),
 )
 """As the bundled network was trained."""
-PLACES = {name: list(METRICS).index(name) for name in ("iou", "near_rmse")}
 LENGTHS = ("maps", "tests", "trials")
 TITLES = {
     "iou": "IoU",
@@ -71,7 +68,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as spare:
         folder = given.data or Path(spare)
         kinds = ("maze", "pillar") if given.smoke else kind_names()
-        tests = {kind: drawn(kind, folder / kind, given.tests) for kind in kinds}
+        tests = {kind: drawn(folder / kind, preset(kind), given.tests) for kind in kinds}
         tests |= real_places(given.real, folder, min(given.tests, POSES))
         # the paper's planner steps through walls that are thinner than its lattice
         config = BenchConfig(trials=given.trials, plan=PlanConfig(edge_check=True))
@@ -95,13 +92,6 @@ def missing(there: dict[str, Any], row: str, tests: dict[str, Dataset]) -> dict[
     return {kind: dataset for kind, dataset in tests.items() if kind not in there.get(row, ())}
 
 
-def drawn(kind: str, folder: Path, maps: int) -> Dataset:
-    """Test maps of a kind."""
-    recipe, counts = preset(kind), {"train": 0, "val": 0, "test": maps}
-    build(plan_dataset(folder, recipe, DrawnWorlds(recipe), seed=0, counts=counts))
-    return Dataset(folder)
-
-
 def train(out: Path, kinds: Sequence[str], given: Any) -> Path:
     """The folder of a run that learned from these kinds."""
     words = [word for kind in kinds for word in ("--stream", kind)]
@@ -115,19 +105,18 @@ def measured(method: Method, tests: dict[str, Dataset], config: BenchConfig) -> 
     """What a method reaches on every kind, with intervals over worlds."""
     found = {}
     for kind, dataset in tests.items():
-        split: Any = "test" if len(dataset.split("test")) else "train"  # a map's own is all train
-        result = bench(dataset, [method], replace(config, split=split))
-        own = result.methods[method.name]
+        result = bench(dataset, [method], replace(config, split=split_of(dataset)))
         worlds, trial_worlds = result.worlds, result.trial_worlds
         if len(set(worlds.tolist())) == 1:  # one world a place: maps are what is drawn anew
-            worlds = np.arange(len(worlds))
-            trial_worlds = np.array([map_ for map_, _ in result.trial_places])
+            worlds, trial_worlds = np.arange(len(worlds)), np.array(maps_of(result))
         found[kind] = {
-            name: figure(own.reconstruction[:, 0, place], worlds, METRICS[name].scale)
-            for name, place in PLACES.items()
+            name: figure(
+                result.methods[method.name].values(name),
+                trial_worlds if name in PLAN_METRICS else worlds,
+                (METRICS | PLAN_METRICS)[name].scale,
+            )
+            for name in TITLES
         }
-        success = [trial.success for trial in own.trials]
-        found[kind]["success"] = figure(success, trial_worlds, "outcome")
     return found
 
 
@@ -154,10 +143,8 @@ def put(out: Path, given: Any, row: str, found: dict[str, Any]) -> None:
 
 def write_page(out: Path) -> None:
     """Write the page's tables anew from the results."""
-    file, page = out / "generalisation.json", out / "generalisation.md"
-    rows = json.loads(file.read_text())["rows"]
-    said = page.read_text().partition("<!-- tables -->")[0] if page.exists() else "# \n\n"
-    page.write_text(f"{said}<!-- tables -->\n" + "\n".join(tables(rows)) + "\n")
+    rows = json.loads((out / "generalisation.json").read_text())["rows"]
+    write_tables(out / "generalisation.md", tables(rows))
 
 
 def tables(rows: dict[str, Any]) -> list[str]:
@@ -201,8 +188,7 @@ def tables(rows: dict[str, Any]) -> list[str]:
 def _cell(rows: dict[str, Any], row: str, kind: str, name: str) -> str:
     if row not in rows or kind not in rows[row]:
         return "–"
-    one = rows[row][kind][name]
-    return f"{one['mean']:.3f} {interval(one, '.3f')}"
+    return brief(rows[row][kind][name])
 
 
 if __name__ == "__main__":

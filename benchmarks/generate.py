@@ -1,7 +1,7 @@
 """What a sample costs: milliseconds per stage, samples per second and core, memory and size; then
 whole runs.
 
-    python benchmarks/generate.py [--kind pillar] [--seconds 10] [--runs] [--plot stages.png]
+    python benchmarks/generate.py [--kind pillar] [--seconds 10] [--runs]
 
 The stages are those of the real pipeline, timed where it calls them, by processor time, user's and
 system's: that is what to compare on a machine that does other work. Two have a baseline in the same
@@ -24,7 +24,6 @@ from typing import Any
 from unittest.mock import patch
 
 import measuring
-from bars import draw
 from scipy import ndimage
 
 import scenegen.dataset.shard as shard_module
@@ -80,9 +79,8 @@ def stopwatch() -> Iterator[defaultdict[str, float]]:
         yield seconds
 
 
-def measure(kind: str, seconds: float) -> dict[str, float]:
-    """Write shards in this process for `seconds`, print what they took, and return the milliseconds
-    of each stage."""
+def measure(kind: str, seconds: float) -> None:
+    """Write shards in this process for `seconds`, and print what they and their stages took."""
     recipe = preset(kind)
     counts = {"train": 100_000, "val": 0, "test": 0}
     with tempfile.TemporaryDirectory(dir=Path.cwd()) as folder, stopwatch() as spent:
@@ -111,7 +109,6 @@ def measure(kind: str, seconds: float) -> dict[str, float]:
     whole["everything else"] = total - sum(whole.values())
     for name, ms in (stages | whole).items():
         print(f"  {name:34} {ms:6.3f} ms {ms / total:5.0%}")
-    return whole
 
 
 def baselines(kind: str, worlds: int) -> None:
@@ -167,15 +164,11 @@ def main() -> None:
     parser.add_argument("--worlds", type=int, default=8, help="on whose maps the baselines are run")
     parser.add_argument("--runs", action="store_true", help="also time whole commands")
     parser.add_argument("--n", type=int, default=2500, help="training samples of a whole command")
-    parser.add_argument("--plot", type=Path, help="a picture of the stages, PNG")
     given = measuring.parse(parser, kind="pillar", seconds=0, worlds=1, runs=True, n=5)
     kinds = [given.kind] if given.kind else ["geometric", "pillar"]
-    rows = {}
     for kind in kinds:
-        rows[kind] = measure(kind, given.seconds)
+        measure(kind, given.seconds)
         baselines(kind, given.worlds)
-    if given.plot:
-        draw(given.plot, rows, "What a sample takes, one core", stacked=True)
     if given.runs:
         start = measuring.run("-m", "scenegen", "--version")[0]
         print(f"\nstart of a process: {start.processor_s:.2f} s of processor")

@@ -1,7 +1,7 @@
 """What a GPU does: rays a second, and samples a second with voxels and exact truth, in many
 different worlds at once.
 
-    python benchmarks/gpu.py [--worlds 1024] [--seconds 3] [--json]
+    python benchmarks/gpu.py [--worlds 1024] [--seconds 3]
 
 A sample is the preset's sensor and grid at the first pose of a flight, every one in a world of its
 own. Worlds are drawn and packed on the processor before the clock runs. The three-solid scene is a
@@ -14,7 +14,6 @@ Published, by others on their own scenes: 231 million rays a second (mujoco-lida
 the exit status is 1.
 """
 
-import json
 import sys
 import time
 from collections.abc import Callable
@@ -152,7 +151,7 @@ def three_solids(sensors: int, device: str) -> Batch:
 
 
 def main() -> None:
-    """Print a table, or one line of JSON."""
+    """Print a table."""
     parser = measuring.options(__doc__)
     parser.add_argument(
         "--worlds", type=int, default=1024, help="different worlds at once, of each preset"
@@ -160,9 +159,6 @@ def main() -> None:
     parser.add_argument("--sensors", type=int, default=64, help="poses among three solids")
     parser.add_argument("--kind", nargs="+", choices=kind_names(), default=["geometric", "pillar"])
     parser.add_argument("--seconds", type=float, default=3.0, help="for each figure")
-    parser.add_argument(
-        "--json", action="store_true", help="one line, in rays and samples a second"
-    )
     parser.add_argument("--device", default="cuda", help="cpu: Warp's, for want of another")
     given = measuring.parse(parser, kind=["pillar"], worlds=1, sensors=1, seconds=0, device="cpu")
     if given.device != "cpu" and (missing := WarpEngine.missing()):
@@ -184,9 +180,6 @@ def main() -> None:
             "packed_ms": batch.packed_ms,
             "differing": differing,
         }
-    if given.json:
-        print(json.dumps(figures))
-        return
     print(f"{batch.worlds.device}: {given.worlds} different worlds of each preset at once")
     for name, one in figures.items():
         print(

@@ -1,9 +1,8 @@
 """Inference on the CPU: milliseconds a map by variant, stem and runtime, and against eager torch in
 the same run.
 
-python benchmarks/inference.py                          # all variants, both stems; compiling takes
-a minute each python benchmarks/inference.py --variant proposed --stem-stride 2 --no-compile --plot
-docs/pictures/runtimes.png
+    python benchmarks/inference.py      # all variants, both stems; compiling takes a minute each
+    python benchmarks/inference.py --variant proposed --stem-stride 2 --no-compile
 """
 
 import tempfile
@@ -14,14 +13,12 @@ from typing import Any
 
 import measuring
 import torch
-from bars import draw
 from measuring import Time
 
 from lidarsim import GridSpec
 from scenegen.model.config import VARIANTS, NetworkConfig
-from scenegen.model.export import export_onnx
 from scenegen.model.network import Network, placed
-from scenegen.model.runtime import RUNTIMES, Runtime, load_onnx
+from scenegen.model.onnx import RUNTIMES, Runtime, export_onnx, load_onnx
 from scenegen.model.training.device import autocast, resolve_precision
 
 INPUTS = {"columns": ("observed", "free")}
@@ -41,7 +38,6 @@ def main() -> None:
     parser.add_argument("--stem-stride", nargs="*", type=int, choices=(2, 1), default=(2, 1))
     parser.add_argument("--threads", type=int, default=torch.get_num_threads())
     parser.add_argument("--no-compile", action="store_true")
-    parser.add_argument("--plot", type=Path, help="a picture of the table, PNG")
     parser.add_argument("--runtime", nargs="*", choices=RUNTIMES, default=RUNTIMES)
     parser.add_argument("--rounds", type=int, default=10)
     options = measuring.parse(
@@ -53,7 +49,6 @@ def main() -> None:
         f"in turn;"
     )
     print("milliseconds by the clock, ratio to eager, milliseconds of processor time")
-    rows = {}
     for stride in options.stem_stride:
         for variant in options.variant:
             network = Network(
@@ -65,17 +60,12 @@ def main() -> None:
                 network, options.threads, options.runtime, compiled=not options.no_compile
             )
             found = measure(ways, network.config.inputs, options.rounds)
-            rows[f"{variant}, stem {stride}"] = {name: ms.wall for name, ms in found.items()}
             eager = found["eager"].wall
             cells = "  ".join(
                 f"{name} {ms.wall:6.1f} ms ({ms.wall / eager:.2f}; {ms.processor:.1f})"
                 for name, ms in found.items()
             )
             print(f"{variant:<9} stem {stride}:  {cells}", flush=True)
-    if options.plot:
-        draw(
-            options.plot, rows, f"One map of {GRID.shape}, {options.threads} threads", stacked=False
-        )
 
 
 def runners(

@@ -10,12 +10,12 @@ them.
 Processor time of one core. The pace is a multiple of that of `geometric` in the same run.
 """
 
-import argparse
 import itertools
 import time
 from collections import Counter
 from collections.abc import Sequence
 
+import measuring
 import numpy as np
 
 from scenegen.draw import draw_unit
@@ -57,16 +57,15 @@ def measure(kinds: Sequence[str], worlds: int, level: str) -> dict[str, dict[str
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("kinds", nargs="*", choices=[[], *kind_names()], default=[])
+    parser = measuring.options(__doc__)
+    parser.add_argument("kinds", nargs="*", help="  [default: all]")
     parser.add_argument("--worlds", type=int, default=100)
     levels = ("easy", "medium", "hard")
     parser.add_argument("--difficulty", action="append", choices=levels, help="repeatable")
-    parser.add_argument("--smoke", action="store_true", help="one world of two kinds")
-    given = parser.parse_args()
-    names = ["maze"] if given.smoke else given.kinds or kind_names()
-    names, worlds = list(dict.fromkeys(("geometric", *names))), 1 if given.smoke else given.worlds
-    graded = {level: measure(names, worlds, level) for level in given.difficulty or ["medium"]}
+    given = measuring.parse(parser, kinds=["maze"], worlds=1)
+    names = list(dict.fromkeys(("geometric", *(given.kinds or kind_names()))))
+    chosen = given.difficulty or ["medium"]
+    graded = {level: measure(names, given.worlds, level) for level in chosen}
     for level, found in graded.items():
         print(f"\n{level}\n")
         show(found)

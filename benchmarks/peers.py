@@ -17,21 +17,21 @@ from typing import Any
 import measuring
 import torch
 from inference import measure
-from real import KINDS, drawn, real_places
+from real import test_places
+from scoring import RESULTS, Ahead, maps_of, split_of, tables, write_tables
 from torch import Tensor, nn
 
 from scenegen import Output
 from scenegen.dataset.read import Dataset
 from scenegen.model.completion.completer import Completer, open_network
 from scenegen.model.completion.unlearned import Extrude
-from scenegen.model.evaluation.config import BenchConfig, PlanConfig
+from scenegen.model.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Completed, Method
 from scenegen.model.evaluation.run import bench
-from scenegen.model.evaluation.statistics import figure, head, interval, line
+from scenegen.model.evaluation.statistics import brief, head, line
 from scenegen.model.network import placed
 
 HERE = Path(__file__).parent
-PAGE = HERE.parent / "docs" / "results" / "peers.md"
 OURS = "columns"
 PAPERS = {"LMSCNet": (32, 20, "0.35 M"), "SSCNet": (36, 12, "0.93 M")}
 """Voxels in height and classes in the paper, and how many parameters it counts."""
@@ -65,19 +65,14 @@ def main() -> None:
         names |= {one: f"peers:{one}@{runs / one}" for one in given.peer or PAPERS}
         for name, weights in names.items():
             train(weights.rpartition("@")[2], name, given)
-        places = {
-            f"`{kind}`": drawn(kind, folder / kind, given.poses)
-            for kind in KINDS[: 1 if given.smoke else None]
-        }
-        places |= real_places(given.maps, folder, given.poses)
+        places = test_places(given.maps, folder, given.poses, smoke=given.smoke)
         networks = [Completer.from_pretrained(one, threads=1) for one in names.values()]
         networks.append(Completer.from_pretrained("anywhere", threads=1))
         lines = scored(places, [Completed(Extrude()), *networks], given.trials)
         lines += sizes(names, given.rounds)
     print("\n".join(lines))
     if not given.smoke:
-        said = PAGE.read_text().partition("<!-- tables -->")[0]
-        PAGE.write_text(f"{said}<!-- tables -->\n" + "\n".join(lines) + "\n")
+        write_tables(RESULTS / "peers.md", lines)
 
 
 def train(out: str, name: str, given: Any) -> None:
@@ -91,38 +86,17 @@ def train(out: str, name: str, given: Any) -> None:
 
 def scored(places: dict[str, Dataset], methods: list[Method], trials: int) -> list[str]:
     """A table for each of `TABLES`: a row a place, and one of all real places together."""
-    rows: dict[str, list[str]] = {name: [] for name in TABLES}
-    ahead: dict[str, list[float]] = {one.name: [] for one in methods}
-    drawn_from: list[str] = []
+    plan, ahead, results = PlanConfig(planner="careful"), Ahead(Extrude.name), {}
     for place, dataset in places.items():
-        split: Any = "test" if len(dataset.split("test")) else "train"
-        config = BenchConfig(split=split, trials=trials, plan=PlanConfig(planner="careful"))
-        result = bench(dataset, methods, config)
-        # every map is of a flight of its own, and maps are what is drawn anew
-        trial_maps = [map_ for map_, _ in result.trial_places]
-        for name, lines in rows.items():
-            planned = name == "success"
-            maps = trial_maps if planned else range(len(result.worlds))
-            values = (result.methods[one.name].values(name) for one in methods)
-            scale: Any = "outcome" if planned else "amount"
-            lines.append(line(place, (shown(figure(one, maps, scale)) for one in values)))
+        config = BenchConfig(split=split_of(dataset), trials=trials, plan=plan)
+        results[place] = bench(dataset, methods, config)
         if not place.startswith("`"):
-            drawn_from += [f"{place} {map_}" for map_ in trial_maps]
-            usual = result.methods[methods[0].name].values("success")
-            for one in methods:
-                ahead[one.name] += (result.methods[one.name].values("success") - usual).tolist()
-    if drawn_from:
-        pooled = (figure(one, drawn_from, "gain") for one in ahead.values())
-        rows["success"].append(line(REAL, (shown(one, "+.3f") for one in pooled)))
-    found = []
-    for name, lines in rows.items():
-        found += ["", f"## {TABLES[name]}", "", *head([one.name for one in methods]), *lines]
-    return found
-
-
-def shown(value: dict[str, Any], form: str = ".2f") -> str:
-    """A mean with its interval."""
-    return f"{value['mean']:{form}} {interval(value, form)}"
+            ahead.add(results[place], maps_of(results[place], place))
+    lines = tables(TABLES, results, methods, of_maps=True, form=".2f")
+    if ahead.groups:  # success is the last table
+        pooled = ahead.figures("gain").values()
+        lines.append(line(REAL, [brief(one, "+.3f") for one in pooled]))
+    return lines
 
 
 def sizes(names: dict[str, str], rounds: int) -> list[str]:

@@ -1,24 +1,19 @@
 """What rays cost: engines side by side among spheres, boxes and cylinders of any attitude, in one
 run.
 
-    python benchmarks/rays.py [--json] [--repeats 12] [--counts 50 200]
+    python benchmarks/rays.py [--repeats 12] [--counts 50 200]
     python benchmarks/rays.py --casts 100000    # does memory grow with the number of casts?
 
 A scan is the default sensor's, 1920 rays up to 10 m, from six poses. Times are the processor time
 of all threads, of which each engine has one, the best of several turns in which the engines
 alternate, so that other work on the machine weighs on all of them alike. `mj_multiRay` is MuJoCo's
-own function without anything of ours. Peers are measured where they are installed: `mujoco-lidar`
-on the processor, and `open3d` and `embreex`, both Embree, on the same solids as meshes, curved ones
-to 1 cm (with `trimesh`), building excluded.
-
-With `--json`, one line: milliseconds a scan by count of solids and by engine.
+own function without anything of ours. `embreex`, Embree, is measured where it is installed, on the
+same solids as meshes, curved ones to 1 cm, building excluded.
 """
 
-import ctypes
 import functools
 import importlib
 import importlib.util
-import json
 import resource
 import time
 from collections.abc import Callable
@@ -103,73 +98,11 @@ def raw(model: mujoco.MjModel) -> Callable[[Rays, Rays], Rays]:
     return cast
 
 
-def peers(
-    model: mujoco.MjModel, solids: Solids, lidar: Lidar
-) -> dict[str, Callable[[Rays, Rays], Any]]:
-    """Others' ray casters, where they are installed: ranges (P, n) for origins and directions as
-    `raw` takes them."""
-    found: dict[str, Callable[[Rays, Rays], Any]] = {}
-    if importlib.util.find_spec("mujoco_lidar"):
-        found["mujoco-lidar"] = _mujoco_lidar(model, lidar)
-    if not importlib.util.find_spec("trimesh"):
-        return found
-    triangles = meshed(solids)
-    if importlib.util.find_spec("open3d"):
-        found["open3d"] = _open3d(triangles)
-    if importlib.util.find_spec("embreex"):
-        found["embreex"] = _embreex(triangles)
-    return found
-
-
-def _mujoco_lidar(model: mujoco.MjModel, lidar: Lidar) -> Callable[[Rays, Rays], Any]:
-    """Its processor back end, which is `mj_multiRay`; it takes the angles of the rays and the pose
-    of the sensor."""
-    module = importlib.import_module("mujoco_lidar.core_cpu.mjlidar_cpu")
-    caster, data = module.MjLidarCPU(model, cutoff_dist=MAX_RANGE_M), mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    x, y, z = lidar.directions_body.reshape(-1, 3).T
-    azimuth, elevation, frame = np.arctan2(y, x), np.arcsin(z), np.eye(4)
-    frame[:3, :3] = rotate(Pose.level((0, 0, 0), YAW_RAD).quaternion, np.eye(3)).T
-
-    def cast(origins: Rays, directions: Rays) -> Rays:
-        ranges = np.empty(directions.shape[:2])
-        for origin, found in zip(origins, ranges, strict=True):
-            frame[:3, 3] = origin
-            caster.update(data)
-            caster.trace_rays(frame, azimuth, elevation)
-            found[:] = caster.get_distances()
-        return np.where((ranges < 0) | (ranges > MAX_RANGE_M), np.inf, ranges)
-
-    return cast
-
-
-def _open3d(triangles: Rays) -> Callable[[Rays, Rays], Any]:
-    """Embree with watertight tests. It knows no limit of range; what lies beyond the limit is cut
-    off after."""
-    bundled = importlib.util.find_spec(
-        "libusb_package"
-    )  # its library wants a libusb, where the system has none
-    for folder in bundled.submodule_search_locations or () if bundled else ():
-        ctypes.CDLL(str(next(Path(folder).glob("libusb*.so*"))), mode=ctypes.RTLD_GLOBAL)
-    open3d = importlib.import_module("open3d")
-    scene = open3d.t.geometry.RaycastingScene(nthreads=1)
-    corners = triangles.reshape(-1, 3).astype(np.float32)
-    scene.add_triangles(corners, np.arange(len(corners), dtype=np.uint32).reshape(-1, 3))
-
-    def cast(origins: Rays, directions: Rays) -> Rays:
-        starts = np.broadcast_to(origins[:, None], directions.shape)
-        both = open3d.core.Tensor(np.concatenate([starts, directions], axis=-1, dtype=np.float32))
-        ranges = scene.cast_rays(both, nthreads=1)["t_hit"].numpy()
-        return np.where(ranges <= MAX_RANGE_M, ranges, np.inf)
-
-    return cast
-
-
-def _embreex(triangles: Rays) -> Callable[[Rays, Rays], Any]:
-    """Embree, with the limit of range."""
+def embree(solids: Solids) -> Callable[[Rays, Rays], Any]:
+    """Embree, with the limit of range, among the same solids as triangles; see `raw`."""
     scene = importlib.import_module("embreex.rtcore_scene").EmbreeScene()
     held = importlib.import_module("embreex.mesh_construction").TriangleMesh(
-        scene, triangles.astype(np.float32)
+        scene, meshed(solids).astype(np.float32)
     )
 
     def cast(origins: Rays, directions: Rays, held: Any = held) -> Rays:
@@ -235,7 +168,8 @@ def measure(
         ).reshape(d.shape[:2]),
     }
     exact = len(casters)
-    casters |= peers(model, solids, lidar)
+    if importlib.util.find_spec("embreex") and importlib.util.find_spec("trimesh"):
+        casters["embreex"] = embree(solids)
     tasks: dict[str, Callable[[], Any]] = {
         name: functools.partial(cast, origins, directions) for name, cast in casters.items()
     }
@@ -317,11 +251,8 @@ def growth(casts: int) -> str:
 
 
 def main() -> None:
-    """Print tables, or one line of JSON."""
+    """Print tables."""
     parser = measuring.options(__doc__)
-    parser.add_argument(
-        "--json", action="store_true", help="one line: milliseconds a scan by count and engine"
-    )
     parser.add_argument("--repeats", type=int, default=12)
     parser.add_argument("--counts", type=int, nargs="+", default=COUNTS, help="how many solids")
     parser.add_argument(
@@ -330,9 +261,6 @@ def main() -> None:
     given = measuring.parse(parser, counts=[50], repeats=1)
     if given.casts:
         print(growth(given.casts))
-        return
-    if given.json:
-        print(json.dumps({str(count): measure(count, given.repeats)[0] for count in given.counts}))
         return
     for count in given.counts:
         report(count, given.repeats)

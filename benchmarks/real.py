@@ -11,7 +11,6 @@ and logs that are flown in some of the worlds, as `scenegen ingest` reads them. 
 is told apart by `GROUPS`, and a map of each place is drawn.
 """
 
-import dataclasses
 import hashlib
 import io
 import sys
@@ -27,8 +26,8 @@ from PIL import Image
 from recordings import GRID, Observed, observed
 from scipy import ndimage
 from scipy.stats import mannwhitneyu
+from scoring import RESULTS, Ahead, drawn, maps_of, split_of, titled, write_tables
 
-from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.display.figures import draw_completions
 from scenegen.display.look import Guess, look_into
@@ -36,17 +35,16 @@ from scenegen.display.panels import to_bytes
 from scenegen.model.calibration import denial
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.unlearned import Conservative, Extrude, Returns
-from scenegen.model.evaluation.config import BenchConfig, PlanConfig
+from scenegen.model.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Completed, Method, Truth
 from scenegen.model.evaluation.run import bench
-from scenegen.model.evaluation.statistics import figure, head, interval, line
+from scenegen.model.evaluation.statistics import brief, figure, head, line
 from scenegen.model.evaluation.uncertainty import REGIONS, count, reliability
 from scenegen.model.evaluation.visibility import CLASSES, UNSCORED, classify, scored_voxels
 from scenegen.recipe import preset
 from scenegen.sample import Sample
-from scenegen.source import DrawnWorlds, Source, read_scenes
 
-PAGE = Path(__file__).parents[1] / "docs" / "results" / "real.md"
+PAGE = RESULTS / "real.md"
 NETWORKS = ("columns", "proposed", "occ", "tudf", "anywhere")
 KINDS = ("pillar", "geometric")
 POSES = 48
@@ -131,11 +129,7 @@ def main() -> None:
     given = measuring.parse(parser, poses=2, trials=2, length=1, network=["columns"])
     with tempfile.TemporaryDirectory() as spare:
         folder = given.data or Path(spare)
-        places = {
-            f"`{kind}`": drawn(kind, folder / kind, given.poses)
-            for kind in KINDS[: 1 if given.smoke else None]
-        }
-        places |= real_places(given.maps, folder, given.poses)
+        places = test_places(given.maps, folder, given.poses, smoke=given.smoke)
         networks = [Completer.from_pretrained(one, threads=1) for one in given.network or NETWORKS]
         pictures = folder if given.smoke else PICTURES
         pictures.mkdir(exist_ok=True)
@@ -151,13 +145,14 @@ def main() -> None:
         tables = scored(places, logs, methods, given.trials, pictures)
     print("\n".join(tables))
     if not given.smoke:
-        said = given.page.read_text().partition("<!-- tables -->")[0]
-        given.page.write_text(f"{said}<!-- tables -->\n" + "\n".join(tables) + "\n")
+        write_tables(given.page, tables)
 
 
-def drawn(kind: str, folder: Path, poses: int) -> Dataset:
-    """Test maps of a kind of worlds, one a flight."""
-    return made(folder, preset(kind), DrawnWorlds(preset(kind)), "test", poses)
+def test_places(maps: Path | None, folder: Path, poses: int, *, smoke: bool) -> dict[str, Dataset]:
+    """Maps of drawn kinds, their names in backticks, and of real places, one a flight."""
+    kinds = KINDS[: 1 if smoke else None]
+    made = {f"`{kind}`": drawn(folder / kind, preset(kind), poses, viewpoints=1) for kind in kinds}
+    return made | real_places(maps, folder, poses)
 
 
 def real_places(maps: Path | None, folder: Path, poses: int) -> dict[str, Dataset]:
@@ -172,29 +167,15 @@ def real_places(maps: Path | None, folder: Path, poses: int) -> dict[str, Datase
         elif hashlib.sha256(file.read_bytes()).hexdigest() != place.sha256:
             sys.exit(f"{file}: is another map than was measured; it comes from {place.source}")
         else:
-            found[file.stem] = real(file, folder / file.stem, poses)
+            about: Any = {"scenes": file, "split": "train", "viewpoints": 1}
+            found[file.stem] = drawn(folder / file.stem, preset("scene"), poses, **about)
     return found
-
-
-def real(file: Path, folder: Path, poses: int) -> Dataset:
-    """Maps of a place, one a flight."""
-    counts = {"train": poses, "val": 0, "test": 0}
-    return made(folder, preset("scene"), read_scenes(file, counts, seed=0), "train", poses)
 
 
 def flown(world: object, folder: Path, length: int) -> Path:
     """A log that a sensor records in a world."""
     measuring.run("-m", "scenegen", *FLOWN.split(), length, world, "-o", folder)
     return folder
-
-
-def made(folder: Path, recipe: Any, source: Source, split: str, poses: int) -> Dataset:
-    """A dataset in `folder` with so many samples in a split, each of a flight of its own."""
-    recipe = dataclasses.replace(recipe, flight=dataclasses.replace(recipe.flight, viewpoints=1))
-    recipe = source.suited(recipe) if hasattr(source, "suited") else recipe
-    counts = {"train": 0, "val": 0, "test": 0} | {split: poses}
-    build(plan_dataset(folder, recipe, source, seed=0, counts=counts))
-    return Dataset(folder)
 
 
 def scored(
@@ -205,10 +186,9 @@ def scored(
     pictures: Path,
 ) -> list[str]:
     """The lines of the tables; pictures of the last method are written."""
-    splits = {name: "test" if len(one.split("test")) else "train" for name, one in places.items()}
     counts: dict[str, dict[str, Counts]] = {}
     for name, dataset in places.items():
-        samples = dataset.split(splits[name])
+        samples = dataset.split(split_of(dataset))
         seen = [(sample, groups_of(samples, n)) for n, sample in enumerate(samples)]
         counts[name] = counted(seen, samples, methods)
     for name, scans in logs.items():
@@ -229,18 +209,17 @@ def scored(
     for name, found in counts.items():
         cells = [str(len(next(iter(found.values())).iou))]
         for method, values in found.items():
-            own = figure(values.iou[:, best[method]], range(len(values.iou)))
-            cells.append(f"{own['mean']:.2f} {interval(own, '.2f')}")
+            cells.append(brief(figure(values.iou[:, best[method]], range(len(values.iou))), ".2f"))
         lines.append(line(name, cells))
     means = [
         np.mean([counts[name][one.name].iou[:, best[one.name]].mean() for name in away])
         for one in methods
     ]
     lines.append(line("mean of the places", ["", *(f"{mean:.3f}" for mean in means)]))
-    lines += ["", "## Calibration", "", *head([one.name for one in methods])]
+    lines += titled("Calibration", methods)
     for name, found in counts.items():
         lines.append(line(name, [values.ece for values in found.values()]))
-    lines += ["", "## Told from the drawn kinds", "", *head([one.name for one in methods])]
+    lines += titled("Told from the drawn kinds", methods)
     for name in away:
         cells = []
         for one in methods:
@@ -266,13 +245,13 @@ def scored(
         lines.append(line(group, [f"{one:.1f}" for one in lost]))
     for title, plan in PLANNERS.items():
         lines += ["", f"## Success of planning, {title}", ""]
-        lines += planned(places, splits, [*methods, Truth()], trials, plan)
+        lines += planned(places, [*methods, Truth()], trials, plan)
     lines += ["", "## Pictures", "", f"The map of each place in which `{last}` has the median IoU."]
     for name in away:
         order = np.argsort(counts[name][last].iou[:, best[last]])
         median = int(order[len(order) // 2])
         path = pictures / f"{name.strip('`')}.png"
-        path.write_bytes(drawn_map(places[name], splits[name], median, methods[-1], best[last]))
+        path.write_bytes(drawn_map(places[name], median, methods[-1], best[last]))
         lines += ["", f"![{name}](../pictures/real/{path.name})"]
     return lines
 
@@ -283,34 +262,25 @@ def is_mean(name: str) -> bool:
 
 
 def planned(
-    places: dict[str, Dataset],
-    splits: dict[str, str],
-    methods: list[Method],
-    trials: int,
-    plan: PlanConfig,
+    places: dict[str, Dataset], methods: list[Method], trials: int, plan: PlanConfig
 ) -> list[str]:
     """A table of success: a row a place, then by how much all real places together succeed oftener
     than with the first method, trial by trial."""
     lines = head(("trials", *(one.name for one in methods)))
-    ahead: dict[str, list[float]] = {one.name: [] for one in methods}
-    maps: list[str] = []
+    ahead = Ahead(methods[0].name)
     for name, dataset in places.items():
-        split: Any = splits[name]
-        result = bench(dataset, methods, BenchConfig(split=split, trials=trials, plan=plan))
+        config = BenchConfig(split=split_of(dataset), trials=trials, plan=plan)
+        result = bench(dataset, methods, config)
         # one flight a map, and one world a place: maps are what is drawn anew
-        drawn_from = [f"{name} {map_}" for map_, _ in result.trial_places]
-        success = {key: [one.success for one in it.trials] for key, it in result.methods.items()}
-        rows = {key: figure(one, drawn_from, "outcome") for key, one in success.items()}
-        cells = [f"{own['mean']:.2f} {interval(own, '.2f')}" for own in rows.values()]
-        lines.append(line(name, [str(len(drawn_from)), *cells]))
+        maps = maps_of(result, name)
+        success = (one.values("success") for one in result.methods.values())
+        cells = [brief(figure(one, maps, "outcome"), ".2f") for one in success]
+        lines.append(line(name, [str(len(maps)), *cells]))
         if is_mean(name):
-            maps += drawn_from
-            for key, one in success.items():
-                ahead[key] += np.subtract(one, success[methods[0].name], dtype=float).tolist()
-    if maps:
-        rows = {key: figure(one, maps) for key, one in ahead.items()}
-        cells = [f"{own['mean']:+.3f} {interval(own, '+.3f')}" for own in rows.values()]
-        lines.append(line(f"real places, less {methods[0].name}", [str(len(maps)), *cells]))
+            ahead.add(result, maps)
+    if ahead.groups:
+        cells = [brief(one, "+.3f") for one in ahead.figures().values()]
+        lines.append(line(f"real places, less {methods[0].name}", [str(len(ahead.groups)), *cells]))
     return lines
 
 
@@ -389,7 +359,7 @@ class Counts(NamedTuple):
     def ece(self) -> str:
         """The expected calibration error as predicted, and calibrated where the method can."""
         found = reliability(self.sure, np.arange(len(self.sure)))["map"]
-        cells = [f"{one['ece']:.3f} {interval(one, '.3f')}" for one in found.values()]
+        cells = [brief(one | {"mean": one["ece"], "n": 1}) for one in found.values()]
         return " → ".join(cells[::2])
 
     def size(self, group: int) -> float:
@@ -404,7 +374,7 @@ class Counts(NamedTuple):
         return float(lost), float(said.sum() / max(self.there[:, group].sum(), 1))
 
 
-def drawn_map(dataset: Dataset, split: Any, index: int, method: Method, threshold: int) -> bytes:
+def drawn_map(dataset: Dataset, index: int, method: Method, threshold: int) -> bytes:
     """A picture of a scan, the truth, and what a method says of known voxels."""
 
     def guess(sample: Sample, samples: Any) -> list[Guess]:
@@ -414,7 +384,7 @@ def drawn_map(dataset: Dataset, split: Any, index: int, method: Method, threshol
         occupied, tudf = probability >= THRESHOLDS[threshold], said.distance(None, dataset.grid)
         return [Guess(name=method.name, occupied=occupied & here, tudf=tudf)]
 
-    shown = look_into(dataset.split(split), index, guess)
+    shown = look_into(dataset.split(split_of(dataset)), index, guess)
     file = io.BytesIO(to_bytes(draw_completions([shown], title=""), ".png"))
     picture, small = Image.open(file).convert("RGB"), io.BytesIO()
     picture.quantize(COLOURS).save(small, "PNG", optimize=True)

@@ -1,12 +1,11 @@
 """What a sample of each family of sensors costs, and what noise, labels and several scans add: CPU
 time, whole shards, interleaved.
 
-python benchmarks/sensors.py --kind pillar --samples 20 --rounds 3
-python benchmarks/sensors.py --only default --only scans --samples 100 --rounds 5
+    python benchmarks/sensors.py --kind pillar --samples 20 --rounds 3
+    python benchmarks/sensors.py --only default --only scans --samples 100 --rounds 5
 """
 
 import dataclasses
-import json
 import math
 import statistics
 import tempfile
@@ -70,7 +69,6 @@ def main() -> None:
     parser.add_argument(
         "--only", action="append", help="rows whose names hold this word; repeatable"
     )
-    parser.add_argument("--json", action="store_true")
     given = measuring.parse(
         parser, samples=5, rounds=1, only=["default", "avia", "grazing", "labels", "ahead"]
     )
@@ -87,24 +85,12 @@ def main() -> None:
     for _ in range(given.rounds):
         for name, recipe in asked.items():
             spent[name].append(cost_ms(recipe, given.samples))
-    rows = {}
     for name, recipe in asked.items():
-        milliseconds, rays = (
-            statistics.median(spent[name]),
-            recipe.mapping.scans * math.prod(recipe.lidar.shape),
-        )
-        rows[name] = {
-            "ms_a_sample": round(milliseconds, 2),
-            "rays": rays,
-            "us_a_ray": round(1e3 * milliseconds / rays, 3),
-        }
-    if given.json:
-        print(json.dumps(rows))
-        return
-    for name, row in rows.items():
+        milliseconds = statistics.median(spent[name])
+        rays = recipe.mapping.scans * math.prod(recipe.lidar.shape)
         print(
-            f"{name:24} {row['ms_a_sample']:9.2f} ms a sample  {row['rays']:7} rays  "
-            f"{row['us_a_ray']:7.3f} us a ray"
+            f"{name:24} {milliseconds:9.2f} ms a sample  {rays:7} rays  "
+            f"{1e3 * milliseconds / rays:7.3f} us a ray"
         )
 
 

@@ -1,11 +1,11 @@
-"""What a stream costs: CPU time a sample against `generate`; with --train, how long training waits
-for it, a map.
+"""What a stream costs: CPU time a sample against `generate`.
 
-python benchmarks/stream.py --kind pillar
+    python benchmarks/stream.py --kind pillar
+
+How long training waits for one says `benchmarks/training.py --stream pillar`.
 """
 
 import tempfile
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -71,38 +71,6 @@ def ways(kind: str, workers: int) -> Iterator[dict[str, Callable[[int, int], Non
         }
 
 
-def waits(kind: str, workers: int, steps: int, dataset: Path | None) -> tuple[float, float]:
-    """Milliseconds a map that training waits for its loader, and that its steps take: means over
-    all steps but the first, in which processes begin."""
-    import torch
-
-    from scenegen.model.config import TrainConfig
-    from scenegen.model.network import Network
-    from scenegen.model.training.course import Course
-    from scenegen.model.training.data import Maps, load, opened
-    from scenegen.model.training.device import Group, choose_device, resolve_precision
-    from scenegen.model.training.loop import Step, optimizer_of
-
-    config, device = TrainConfig(maps=10**6, batch=BATCH), choose_device("cpu")
-    maps = Maps([scenegen.stream(kind)] if dataset is None else opened([dataset], "train"), "train")
-    torch.manual_seed(0)
-    network = Network(config.network).to(memory_format=torch.channels_last_3d)
-    precision = resolve_precision(config.precision, device)
-    learn = Step(
-        network, optimizer_of(network, config), config, maps.grid, device, precision, Group(device)
-    )
-    found, at = [], time.perf_counter()
-    for batch in load(maps, Course(maps, config).batches(0, steps), workers=workers, pinned=False):
-        waited, at = time.perf_counter() - at, time.perf_counter()
-        learn(batch, 1e-3)
-        found.append((waited, time.perf_counter() - at))
-        at = time.perf_counter()
-    waited, stepped = (
-        sum(column) / (len(found) - 1) / BATCH * 1e3 for column in zip(*found[1:], strict=True)
-    )
-    return waited, stepped
-
-
 def main() -> None:
     """Parse, measure in turn, and print."""
     parser = measuring.options(__doc__)
@@ -110,33 +78,7 @@ def main() -> None:
     parser.add_argument("--samples", type=int, default=100, help="samples of a round")
     parser.add_argument("--rounds", type=int, default=7, help="how often each is measured, in turn")
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument(
-        "--train",
-        type=int,
-        metavar="STEPS",
-        help="instead, steps of training on the CPU to look at",
-    )
-    parser.add_argument(
-        "--dataset", type=Path, help="a dataset whose reading --train is to be compared with"
-    )
     options = measuring.parse(parser, kind="pillar", samples=8, rounds=1, workers=1)
-    if options.train:
-        for kind in [options.kind] if options.kind else ["geometric", "pillar"]:
-            for workers in (0, 1, 2):
-                waited, stepped = waits(kind, workers, options.train, None)
-                print(
-                    f"{kind}, {workers} loader processes: waits {waited:.1f} ms a map, steps "
-                    f"{stepped:.1f} ms a map",
-                    flush=True,
-                )
-        if options.dataset:
-            waited, stepped = waits("", 0, options.train, options.dataset)
-            print(
-                f"{options.dataset}, no loader process: waits {waited:.1f} ms a map, steps "
-                f"{stepped:.1f} ms a map",
-                flush=True,
-            )
-        return
     for kind in [options.kind] if options.kind else ["geometric", "pillar"]:
         generate(kind, 10, 0)  # kernels compile
         with ways(kind, options.workers) as compared:

@@ -8,17 +8,15 @@ from scenegen.dataset.locate import locate
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
 from scenegen.model.completion.completer import Completer
-from scenegen.model.config import TrainConfig
-from scenegen.model.evaluation.config import BenchConfig
-from scenegen.model.evaluation.methods import Completed, Method
+from scenegen.model.config import BenchConfig, TrainConfig
+from scenegen.model.evaluation.methods import Completed, Method, find_method
 from scenegen.model.evaluation.report import build_report
-from scenegen.model.evaluation.rows import find_method
 from scenegen.model.evaluation.run import bench as measure
 from scenegen.model.evaluation.run import tables_of
 from scenegen.model.training.data import Samples, opened
 from scenegen.model.training.loop import Watcher
 from scenegen.model.training.loop import train as run
-from scenegen.run.workers import cores
+from scenegen.run.workers import Local, cores
 
 
 def train(
@@ -111,7 +109,7 @@ def bench(
         else:
             rows.append(method if isinstance(method, Completer) else Completed(method))
     results = [
-        measure(dataset, rows, config, kind=kind, workers=workers or cores())
+        measure(dataset, rows, config, kind=kind, execute=Local("", workers or cores()))
         for dataset, kind in tables_of([Dataset(locate(name)) for name in named], config.split)
     ]
     return build_report(results, seed=config.seed, about={"split": config.split})

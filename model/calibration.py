@@ -1,7 +1,6 @@
 """How sure a network is: calibrated probabilities and bounds of distance, from margins kept in its
 file."""
 
-import dataclasses
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -86,10 +85,6 @@ class Calibration:
         if any(len(row) != width for row in found.margins):
             raise ValueError("its calibration is of another grid; calibrate it again")
         return found
-
-    def said(self) -> Json:
-        """Itself as JSON holds it."""
-        return dataclasses.asdict(self)
 
     def chance(self, probability: Field | None) -> Field | None:
         """Calibrated probabilities, of the shape of the predicted ones, None where there are none:

@@ -20,8 +20,12 @@ from typing import Any, NamedTuple
 import torch
 import torch.nn.functional as F  # noqa: N812 (its usual name)
 from torch import Tensor, nn
+from torch.nn.attention import SDPBackend, sdpa_kernel
+from torch.utils.flop_counter import FlopCounterMode
 
+from lidarsim import GridSpec
 from scenegen.errors import ScenegenError
+from scenegen.files import Json
 from scenegen.model.config import LEVELS, NETWORKS, TASKS, VARIANTS, NetworkConfig, named
 
 Batch = dict[str, Tensor]
@@ -330,3 +334,43 @@ def _convolution(below: int, width: int, stride: int = 1, flat: bool = False) ->
         norm(width),
         nn.ReLU(inplace=True),
     )
+
+
+def cost(config: NetworkConfig, shape: tuple[int, int, int]) -> Json:
+    """What a network costs for one map of `shape`, counted by running it once.
+
+    `macs` are multiply-accumulates of a forward pass: convolutions, linear layers, attention;
+    `activation_bytes` is what a training step keeps for its backward pass, float32.
+    """
+    network = Network(config).train()
+    kept: dict[int, int] = {}
+
+    def keep(tensor: Tensor) -> Tensor:
+        storage = tensor.untyped_storage()
+        kept.setdefault(storage.data_ptr(), storage.nbytes())
+        return tensor
+
+    for parameter in network.parameters():  # weights are kept anyway
+        kept[parameter.untyped_storage().data_ptr()] = 0
+    counter = FlopCounterMode(display=False)
+    maps = {name: torch.zeros(1, *shape) for name in config.inputs}
+    with torch.no_grad(), sdpa_kernel(SDPBackend.MATH), counter:  # fused attention is not counted
+        network(maps)
+    with torch.autograd.graph.saved_tensors_hooks(keep, lambda tensor: tensor):
+        network(maps)
+    return {
+        "variant": config.variant,
+        "stem_stride": config.stem_stride,
+        "parameters": sum(parameter.numel() for parameter in network.parameters()),
+        "macs": counter.get_total_flops() // 2,
+        "activation_bytes": sum(kept.values()),
+    }
+
+
+def costs() -> list[Json]:
+    """The costs of all variants with both stems, for maps of the usual grid."""
+    return [
+        cost(NetworkConfig(variant=variant, stem_stride=stride), GridSpec().shape)
+        for stride in (2, 1)
+        for variant in VARIANTS
+    ]

@@ -15,8 +15,7 @@ from scenegen import __version__
 from scenegen.__main__ import PLACES, app
 from scenegen.cli.generate import NETWORK_EDGE
 from scenegen.cli.options import COMMON_GROUPS
-from scenegen.model.config import STRIDE
-from scenegen.model.evaluation.config import BenchConfig
+from scenegen.model.config import STRIDE, BenchConfig
 from tests.command_line import ROOT, run
 
 

@@ -25,8 +25,7 @@ from scenegen.cli.show import Progress, announce_compilation, note, say, show_fi
 from scenegen.cli.types import FILE, Named
 from scenegen.files import Json
 from scenegen.model.commands.weights import Weights
-from scenegen.model.evaluation.config import BenchConfig, PlanConfig
-from scenegen.model.evaluation.rows import METHODS, USUAL, check_rows, rows_of
+from scenegen.model.config import METHODS, USUAL, BenchConfig, PlanConfig
 from scenegen.run import Executor
 
 if TYPE_CHECKING:
@@ -131,8 +130,8 @@ def run_bench(
     """
     from scenegen.dataset.read import Dataset
     from scenegen.files import check_ours, write_result
-    from scenegen.model.evaluation.page import to_html
-    from scenegen.model.evaluation.report import build_report, to_markdown
+    from scenegen.model.evaluation.methods import check_rows, rows_of
+    from scenegen.model.evaluation.report import build_report, to_html, to_markdown
     from scenegen.model.evaluation.run import bench as measure
     from scenegen.model.evaluation.run import tables_of
     from scenegen.run.software import commit

@@ -4,7 +4,7 @@ log, or of what a sensor sees in a map."""
 from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
@@ -26,6 +26,8 @@ from scenegen.model.commands.weights import Weights
 from scenegen.model.config import DEFAULT_NETWORK
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from scenegen.model.completion.completer import Completer
     from scenegen.model.completion.scans import Task
     from scenegen.run import Executor
@@ -91,16 +93,13 @@ def complete(
     weights: str,
     split: str,
     out: Path | None,
-    sensor: tuple[float, float, float],
-    every: int,
-    poses: Path | None,
-    topic: str | None,
     count: int,
     device: str,
     batch: int,
     workers: int,
     on: str,
     quiet: bool,
+    **scans: Any,
 ) -> None:
     """Complete a dataset's split, a scan, all scans in a folder and below it, a log, or a map.
 
@@ -131,8 +130,8 @@ def complete(
         raise DatasetError(
             f"{found}: --on and --workers complete a dataset's split; leave them out for scans"
         )
-    several = not stored and (found.is_dir() or is_log(found) or poses is not None)
-    tasks = _tasks(found, sensor, every, poses, topic) if several else None
+    several = not stored and (found.is_dir() or is_log(found) or scans["poses"] is not None)
+    tasks = _tasks(found, **scans) if several else None
     completer = Completer.from_pretrained(weights, device=chosen, batch=batch)
     if tasks is not None or is_map(found):
         name = found.stem if found.is_file() else real_path(found).name
@@ -140,15 +139,15 @@ def complete(
         if tasks is not None:
             _complete_all(completer, tasks, out, quiet)
         else:
-            _complete_map(completer, found, count, out, batch, quiet)
+            _complete_map(completer, found, count, out, quiet)
         return
     out = out or (Path("predictions") if stored else found.with_suffix(".completed.h5"))
     there = out.is_file()
     if stored:
-        _complete_split(completer, found, split, out, batch, execute, quiet)
+        _complete_split(completer, found, split, out, execute, quiet)
     else:
         make_way(out)
-        done = predict_scan(completer, read_scan(found, sensor), out)
+        done = predict_scan(completer, read_scan(found, scans["sensor"]), out)
         if not quiet:
             say(f"{found}: {done}; completed by {completer.name}")
     if not quiet:
@@ -160,7 +159,6 @@ def _complete_split(
     folder: Path,
     split: str,
     out: Path,
-    batch: int,
     execute: "Executor | None",
     quiet: bool,
 ) -> None:
@@ -178,7 +176,6 @@ def _complete_split(
             folder,
             split,
             out,
-            batch=batch,
             execute=execute,
             on_start=progress.start,
             on_done=progress.count,
@@ -194,9 +191,7 @@ def _complete_split(
         )
 
 
-def _complete_map(
-    completer: "Completer", place: Path, count: int, out: Path, batch: int, quiet: bool
-) -> None:
+def _complete_map(completer: "Completer", place: Path, count: int, out: Path, quiet: bool) -> None:
     """Fly a sensor through a map, into the dataset `out`/seen; complete what it saw, and write a
     page of some. Raises DatasetError where `out` holds others: `build` would add to them."""
     from scenegen.dataset.build import build
@@ -212,17 +207,13 @@ def _complete_map(
         raise DatasetError(f"{out}: holds another map, or another --n of it; give another -o")
     build(plan)
     seen = Dataset(there)
-    _complete_split(completer, there, "train", predictions, batch, None, quiet)
+    _complete_split(completer, there, "train", predictions, None, quiet)
     guesses, _ = chosen(seen, "train", predictions, (), 0, no_paths=True)
     write_page(seen, "train", (), MOST_SHOWN, out / "index.html", quiet, guesses)
 
 
 def _tasks(
-    found: Path,
-    sensor: tuple[float, float, float],
-    every: int,
-    poses: Path | None,
-    topic: str | None,
+    found: Path, sensor: "ArrayLike", every: int, poses: Path | None, topic: str | None
 ) -> "tuple[int, Iterable[Task]]":
     """How many scans of a log or a folder are to be completed, and these."""
     from scenegen.clouds import scans_in

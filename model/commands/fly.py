@@ -30,24 +30,22 @@ from scenegen.errors import DatasetError, raised_as
 from scenegen.files import check_free, write_result
 from scenegen.fly import SUITES, Rules, Vehicle
 from scenegen.model.commands.weights import Weights
-from scenegen.model.robots import (
+from scenegen.model.robots.flights import (
     FORGETFUL,
     MAPPING,
     NAMES,
     REACTIVE,
     check_begins,
+    flown_again,
+    flown_anew,
     fly_course,
-    grade_course,
+    fly_courses,
+    graded,
+    network_digest,
+    read_recording,
     real_course,
     robot_maker,
     summary,
-)
-from scenegen.model.robots.flights import (
-    flown_again,
-    flown_anew,
-    fly_courses,
-    network_digest,
-    read_recording,
 )
 from scenegen.run import Executor, executor
 
@@ -210,7 +208,7 @@ def fly(
     is_given = weights is not None or was_given("robot")
     fly_one = partial(fly_course, robot=robot, weights=weights, hidden=hidden)
     execute, told = executor(on, workers), dict[str, str]()
-    with Progress("replay" if recorded else "fly", shown=talk) as progress:
+    with Progress("", shown=talk) as progress:
         if recorded is not None:
             recording, told = read_recording(recorded, hidden, maps)
             name = recording.robot
@@ -241,10 +239,13 @@ def fly(
             made = robot_maker(robot, weights)(course) if is_given or not recorded else None
             _film(film, course, made, name, flown[0] if recorded else None)
         if log is not None:
-            _log(log, course, flown)
+            from scenegen.fly.course import log_of
+            from scenegen.logs.write import write_log
+
+            write_log(log, log_of(course, 0, flown[0]))
     row = summary(name, [one for _, flown in found for one in flown]) | told
     if as_json:
-        with Progress("grade", shown=talk) as progress:
+        with Progress("", shown=talk) as progress:
             print(json.dumps(row | {"flights": _rows(found, hidden, execute, progress)}))
     elif talk:
         _tell(row, found, out, picture, film, log)
@@ -292,11 +293,7 @@ def _rows(
     found: "Flights", hidden: int | None, execute: Executor, progress: Progress
 ) -> list[dict[str, Any]]:
     """What `--json` tells of each flight."""
-    grade, courses = partial(grade_course, hidden=hidden), [course for course, _ in found]
-    grades = {}
-    for course, graded in execute(grade, courses, lambda: progress.start(len(courses))):
-        grades[course] = graded
-        progress.count(1)
+    grades = graded([course for course, _ in found], hidden, execute, progress)
     return [
         one.row() | {"seed": course.seed, "difficulty": difficulty._asdict()}
         for course, flown in found
@@ -350,10 +347,3 @@ def _film(path: Path, course: "Course", made: Any, name: str, recorded: "Flown |
         write_result(path, taken)
     finally:
         getattr(made, "close", lambda: None)()
-
-
-def _log(path: Path, course: "Course", flown: "Sequence[Flown]") -> None:
-    from scenegen.fly.course import log_of
-    from scenegen.logs.write import write_log
-
-    write_log(path, log_of(course, 0, flown[0]))

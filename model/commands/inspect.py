@@ -66,9 +66,14 @@ def _facts(path: Path) -> Json | None:
         return scan_facts(path)
     if path.suffix != ".h5" and not (path / "metrics.csv").is_file():
         return None
-    from scenegen.model import facts  # loads torch
+    # these load torch
+    if path.suffix == ".h5":
+        from scenegen.model.completion.predictions import prediction_facts
 
-    return facts.prediction_facts(path) if path.suffix == ".h5" else facts.run_facts(path)
+        return prediction_facts(path)
+    from scenegen.model.training.run_folder import run_facts
+
+    return run_facts(path)
 
 
 def _inspect_dataset(

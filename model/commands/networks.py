@@ -2,7 +2,9 @@
 one may be."""
 
 import json
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import rich_click as click
 
@@ -21,14 +23,13 @@ from scenegen.cli.show import Progress, announce_compilation, say, show_figures
 from scenegen.limits import MOST_SAMPLES
 from scenegen.model.commands.weights import Weights
 from scenegen.model.config import DEFAULT_NETWORK, split_own
-from scenegen.run import Executor
 
 
 @command("networks", "networks --json")
 @json_option
 def networks(as_json: bool) -> None:
     """Print what the network's variants cost: parameters, multiply-accumulates, memory."""
-    from scenegen.model.facts import costs
+    from scenegen.model.network import costs
 
     found = costs()
     if as_json:
@@ -51,7 +52,7 @@ def networks(as_json: bool) -> None:
 def export(weights: str, out: Path | None) -> None:
     """Write a network as ONNX, for the runtimes that are fastest on CPUs."""
     from scenegen.model.completion.completer import open_network
-    from scenegen.model.export import export_onnx
+    from scenegen.model.onnx import export_onnx
 
     network, grid, about = open_network(weights)
     out = out or Path(f"{Path(split_own(weights)[1]).stem}.onnx")
@@ -82,21 +83,17 @@ def export(weights: str, out: Path | None) -> None:
 def calibrate(
     weights: str,
     datasets: tuple[Path | str, ...],
-    split: str,
-    samples: int | None,
-    trials: int,
-    seed: int,
     out: Path | None,
-    execute: Executor,
     as_json: bool,
     talk: bool,
+    **options: Any,
 ) -> None:
     """Calibrate a network: probabilities, bounds of distance, and the risk of paths, kept in its
     file."""
     from scenegen.files import check_ours, make_parent
     from scenegen.model.checkpoint import CheckpointError
     from scenegen.model.completion.completer import HUB, called, locate
-    from scenegen.model.config import bundled, split_own
+    from scenegen.model.config import bundled
     from scenegen.model.evaluation.calibrate import calibrate as fit
 
     path = locate(weights)
@@ -118,16 +115,12 @@ def calibrate(
             weights,
             find_datasets(datasets, shown=talk),
             out,
-            split=split,
-            samples=samples,
-            trials=trials,
-            seed=seed,
-            execute=execute,
+            **options,
             on_start=lambda what, total: progress.restart(what, total, 0),
             on_done=progress.count,
         )
     if as_json:
-        print(json.dumps(found.said()))
+        print(json.dumps(asdict(found)))
     elif talk:
         heat = "" if found.temperature is None else f"temperature {found.temperature:.3f}, "
         say(f"{found.worlds} worlds: {heat}bounds down to a risk of {found.risks[-1]:g}")

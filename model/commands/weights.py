@@ -2,6 +2,7 @@
 methods say of samples, beside the truth."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -81,11 +82,11 @@ def chosen(
     predictions that do not fit `split`, and for networks that are not there."""
     if not weights and predictions is None:
         return None, ()
-    from scenegen.model.evaluation.config import BenchConfig
-    from scenegen.model.evaluation.rows import check_rows, rows_of
-    from scenegen.model.evaluation.shown import guesses_of
+    from scenegen.model.config import BenchConfig
+    from scenegen.model.evaluation.methods import check_rows, rows_of
+    from scenegen.model.evaluation.shown import guesses
 
     methods = rows_of((), weights, predictions)
     check_rows(methods, [dataset], split)
     names = tuple(method.name for method in methods)
-    return guesses_of(methods, BenchConfig(), None if no_paths else trial), names
+    return partial(guesses, methods, BenchConfig(), None if no_paths else trial), names

@@ -31,7 +31,7 @@ from scenegen.model.completion.protocol import Prediction, check_prediction
 from scenegen.model.config import BUNDLED, DEFAULT_NETWORK, bundled, split_own, unknown_network
 from scenegen.model.inputs import centres, channels, input_called
 from scenegen.model.network import Batch, Output, placed
-from scenegen.model.runtime import load_onnx
+from scenegen.model.onnx import load_onnx
 from scenegen.sample import Sample
 from scenegen.worlds.mapping import Mapper
 
@@ -71,7 +71,8 @@ class Completer:
             self.calibration = Calibration.of(self.about, grid)
             """What tells how sure a prediction is; None for a network that was not calibrated."""
         self._forward = forward
-        self._batch = batch
+        self.batch = batch
+        """How many maps are completed at once, at most."""
         self.opened: tuple[str, str, int] | None = None
         """Name, device and batch, by which `opened_once` has it in other processes, if it came by
         its name."""
@@ -140,7 +141,7 @@ class Completer:
             raise ValueError(f"{', '.join(self.inputs)} have shapes {sorted(shapes)}, expected one")
         (shape,) = shapes
         flat = {name: values.reshape(-1, *self.grid.shape) for name, values in given.items()}
-        split = [values.split(self._batch) for values in flat.values()]
+        split = [values.split(self.batch) for values in flat.values()]
         parts = [
             self._complete(dict(zip(flat, part, strict=True))) for part in zip(*split, strict=True)
         ]
@@ -184,7 +185,10 @@ class Completer:
     def check_grid(self, grid: GridSpec) -> None:
         """Raise ValueError unless the network completes maps on `grid`."""
         if grid != self.grid:
-            raise ValueError(f"{self.name} completes maps on {self.grid}, these are on {grid}")
+            raise ValueError(
+                f"its maps are on {grid}, {self.name} completes maps on {self.grid}; train a "
+                "network on this grid with `scenegen train`"
+            )
 
     def unlike(self, settings: Iterable[tuple[Sensor, Mapper, str]]) -> list[str]:
         """A line for each sensor, mapping and noise of a dataset's `settings` that the network did

@@ -12,12 +12,14 @@ from typing import Any
 import h5py
 import numpy as np
 
+from scenegen.dataset.hdf5 import read_guarded
 from scenegen.dataset.locate import file_sha256
 from scenegen.dataset.read import Dataset, Rows, Split
 from scenegen.dataset.rules import stem_of
 from scenegen.dataset.shard import compress
-from scenegen.errors import DatasetError, empty_split
+from scenegen.errors import DatasetError, empty_split, printable, raised_as
 from scenegen.files import (
+    Json,
     disk_told,
     make_parent,
     names_in,
@@ -33,7 +35,7 @@ from scenegen.model.completion.protocol import PARTS, SURE
 from scenegen.model.config import PREDICTIONS
 from scenegen.model.inputs import channels
 from scenegen.run import Executor
-from scenegen.run.workers import Local
+from scenegen.run.workers import ALONE
 
 PACKED = {"compression": "gzip", "compression_opts": 1}
 """How HDF5 reads what `compress` made. HDF5 itself compresses nothing here: where a disk refuses
@@ -48,7 +50,6 @@ def predict_split(
     split: str,
     out: Path,
     *,
-    batch: int = 8,
     execute: Executor | None = None,
     on_start: Callable[[int], None] = lambda total: None,
     on_done: Callable[[int], None] = lambda samples: None,
@@ -58,17 +59,13 @@ def predict_split(
     are kept, so that a run goes on where another one ended. Returns how far from home each sample
     is that was completed now, see `Prediction.away`; [] where nobody knows.
 
-    This process does it, `batch` maps at once; or `execute` has it done, on one thread a process.
+    This process does it; or `execute` has it done, on one thread a process.
     Raises DatasetError for another grid, an empty split, a disk that refuses, and where `out` is
     something else already.
     """
     dataset = Dataset(folder, whole=True)
-    if dataset.grid != completer.grid:
-        raise DatasetError(
-            f"{folder}: its maps are on {dataset.grid}, {completer.name} completes maps on "
-            f"{completer.grid}; train a "
-            "network on this grid with `scenegen train`"
-        )
+    with raised_as(DatasetError, f"{folder}: "):
+        completer.check_grid(dataset.grid)
     samples = dataset.split(split)
     if not (count := len(samples)):
         raise DatasetError(f"{folder}: {empty_split(split)}, or give another --split")
@@ -77,12 +74,12 @@ def predict_split(
     parts = [Rows(split, range(n, min(n + PART, count))) for n in range(0, count, PART)]
     get: Callable[[], Completer] = lambda: completer  # noqa: E731
     if execute is None:
-        execute = Local("", 1)
+        execute = ALONE
     elif completer.opened is not None:
         get = partial(opened_once, *completer.opened)
     tasks = [part for part in execute.mine(parts) if _file(part) not in there]
     begin = partial(on_start, sum(len(part.numbers) for part in tasks))
-    work = partial(_write, get, samples, batch, out, about)
+    work = partial(_write, get, samples, out, about)
     away: list[float] = []
     with closing(execute(work, tasks, begin)) as results:
         for done, far in results:
@@ -119,13 +116,12 @@ def _file(part: Rows) -> str:
 def _write(
     get: Callable[[], Completer],
     samples: Split,
-    batch: int,
     out: Path,
     about: Mapping[str, Any],
     part: Rows,
 ) -> tuple[int, list[float]]:
-    """Write the predictions of a part, completed `batch` at once by what `get` gives, into its
-    file, whole or not. How many they are, and how far from home each is."""
+    """Write the predictions of a part, completed by what `get` gives, into its file, whole or
+    not. How many they are, and how far from home each is."""
     completer, grid, count = get(), samples.dataset.grid, len(part.numbers)
     path = out / _file(part)
     who: list[tuple[int, int]] = []
@@ -133,8 +129,8 @@ def _write(
     make_parent(path)
     with new_hdf5(path) as file:
         file.attrs.update({**about, **({} if completer.calibration is None else {"risk": RISK})})
-        for first in range(0, count, batch):
-            several = [samples[number] for number in part.numbers[first : first + batch]]
+        for first in range(0, count, completer.batch):
+            several = [samples[number] for number in part.numbers[first : first + completer.batch]]
             read = [channels(completer.inputs, one, grid, one.lidar) for one in several]
             given = {name: np.stack([one[name] for one in read]) for name in completer.inputs}
             said = completer(given)
@@ -179,3 +175,36 @@ def new_hdf5(path: Path) -> Iterator[h5py.File]:
     """An HDF5 file to fill, which then stands at `path`, whole or not. Raises as `whole`."""
     with whole(path) as draft, _Disk(draft, "r+") as disk, h5py.File(disk, "w") as file:
         yield file
+
+
+def prediction_facts(path: Path) -> Json:
+    """An HDF5 file of predictions, of a split or of one scan: who made them, and what is in it.
+    Raises DatasetError."""
+    return read_guarded(_facts, path, 1 << 62)
+
+
+def _facts(path: Path) -> Json:
+    try:
+        with h5py.File(path, "r") as file:
+            about = {
+                name: printable(file.attrs[name])[:100]
+                for name in ("method", "split", "dataset")
+                if name in file.attrs
+            }
+            parts = {name: list(file[name].shape) for name in (*PARTS, *SURE) if name in file}
+            if "occupancy" in file:  # the truth, which no predictions hold
+                raise DatasetError(
+                    f"{path}: is a shard of a dataset; inspect its folder, {path.parent}"
+                )
+    except DatasetError:
+        raise
+    except Exception as error:  # h5py's errors share no base
+        raise DatasetError(f"{path}: cannot be read as HDF5: {printable(error)[:200]}") from None
+    if not parts:
+        raise DatasetError(f"{path}: holds no predictions; expected {' or '.join(PARTS)}")
+    return {
+        "predictions": str(path),
+        **about,
+        "of": "a split" if "split" in about else "a scan",
+        "arrays": parts,
+    }

@@ -167,7 +167,11 @@ def predict_scan(
     prediction = completer(maps)
     occupied = prediction.occupied(thresholds)
     truth = _truth_on(seen.grid, given)
-    iou = _iou(occupied, **truth) if truth else None
+    iou = None
+    if truth:
+        either = (occupied | truth["occupancy"]) & truth["known"]
+        both = occupied & truth["occupancy"] & truth["known"]
+        iou = float(both.sum() / either.sum()) if either.any() else 1.0
     result = done(away=(prediction.away(seen.observed) or 0) >= UNUSUAL, iou=iou)
     if out.suffix == ".ply":
         centres = seen.grid.centres(seen.origin)[occupied]
@@ -191,12 +195,6 @@ def _truth_on(grid: GridSpec, given: Given) -> dict[str, Mask]:
     masks = {name: np.asarray(given.truth[name]) for name in TRUTH if name in given.truth}
     alike = all(mask.shape == grid.shape and mask.dtype == np.bool_ for mask in masks.values())
     return masks if alike and given.truth.get("voxel_m") == grid.voxel_m else {}
-
-
-def _iou(occupied: Mask, occupancy: Mask, known: Mask) -> float:
-    """Over known voxels; 1 where nothing is occupied."""
-    either = (occupied | occupancy) & known
-    return float((occupied & occupancy & known).sum() / either.sum()) if either.any() else 1.0
 
 
 def height_above_returns(points: Floats) -> float | None:

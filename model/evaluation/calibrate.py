@@ -4,7 +4,7 @@ of paths."""
 import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from operator import add
 from pathlib import Path
@@ -16,7 +16,7 @@ from scipy.optimize import minimize_scalar
 from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
 from scenegen.dataset.read import Dataset, Split
 from scenegen.display.look import evenly
-from scenegen.errors import DatasetError, empty_split
+from scenegen.errors import DatasetError, raised_as
 from scenegen.model.calibration import (
     KEY,
     Calibration,
@@ -29,13 +29,12 @@ from scenegen.model.calibration import (
 from scenegen.model.checkpoint import CheckpointError, save_network
 from scenegen.model.completion.completer import Completer, open_network
 from scenegen.model.completion.protocol import Prediction
-from scenegen.model.config import Thresholds
-from scenegen.model.evaluation.config import PlanConfig
-from scenegen.model.evaluation.planning.measure import draw_trials, plan_carefully
-from scenegen.model.evaluation.run import check_middle, check_whole
+from scenegen.model.config import PlanConfig, Thresholds
+from scenegen.model.evaluation.planning.measure import draw_trials, met, plan_trial
+from scenegen.model.evaluation.run import check_middle, check_whole, filled
 from scenegen.model.evaluation.visibility import UNOBSERVED, classify, scored_voxels
 from scenegen.run import Executor, check_together
-from scenegen.run.workers import Local
+from scenegen.run.workers import ALONE
 from scenegen.sample import Sample, rng_of
 
 RISKS = (0.5, 0.4, 0.3, 0.2, 0.15, 0.1, 0.07, 0.05, 0.03, 0.02, 0.01, 0.005, 0.002, 0.001)
@@ -173,6 +172,7 @@ def _logits() -> Floats:
     return np.arange(-MOST_LOGIT + 0.5 * LOGIT, MOST_LOGIT, LOGIT)
 
 
+CAREFUL = PlanConfig(planner="careful")
 LEAST_WORLDS = 20
 """Fewer promise no bound of a risk of .05, nor a temperature."""
 CHUNK = 10
@@ -190,7 +190,7 @@ def calibrate(
     samples: int | None = None,
     trials: int = 4,
     seed: int = 0,
-    execute: Executor | None = None,
+    execute: Executor = ALONE,
     on_start: Callable[[str, int], None] = lambda what, total: None,
     on_done: Callable[[int], None] = lambda samples: None,
 ) -> Calibration:
@@ -202,7 +202,6 @@ def calibrate(
     completed. Raises DatasetError for too few worlds or another grid, CheckpointError for a network
     that does not tell its class weight, ScenegenError where `execute` leaves maps to others.
     """
-    execute = execute or Local("", 1)
     check_together(execute, "a calibration takes")
     network, grid, about = open_network(weights)
     weight = 1.0
@@ -218,14 +217,10 @@ def calibrate(
     method = Completer.from_pretrained(weights)
     datasets, tasks, worlds = [Dataset(folder) for folder in folders], [], set()
     for number, dataset in enumerate(datasets):
-        part = dataset.split(split)
-        if not len(part):
-            raise DatasetError(f"{dataset.folder}: {empty_split(split)}, or give another --split")
+        part = filled(dataset, split)
         check_whole(dataset, "calibrate on drawn worlds")
-        if dataset.grid != grid:
-            raise DatasetError(
-                f"{dataset.folder}: its maps are on {dataset.grid}, the network's on {grid}"
-            )
+        with raised_as(DatasetError, f"{dataset.folder}: "):
+            method.check_grid(dataset.grid)
         if trials:
             check_middle(dataset, "give --trials 0")
         chosen = evenly(len(part), samples or len(part))
@@ -267,7 +262,7 @@ def calibrate(
         hit = np.array([collided / count for collided, count in losses if count])
         found = replace(found, path_risks=path_risks(hit))
     # as it is read again: lists for tuples
-    save_network(out, network, grid, {**about, KEY: json.loads(json.dumps(found.said()))})
+    save_network(out, network, grid, {**about, KEY: json.loads(json.dumps(asdict(found)))})
     return found
 
 
@@ -312,13 +307,13 @@ def _collisions(
     index: int,
 ) -> tuple[Floats, int]:
     """How many of a map's trials collide at each risk, and how many there are."""
-    rng, plan = rng_of(seed, int(sample.world), int(sample.viewpoint)), PlanConfig()
-    goals = draw_trials(sample.occupancy, grid, plan, count=trials, rng=rng).goals
+    rng = rng_of(seed, int(sample.world), int(sample.viewpoint))
+    goals = draw_trials(sample.occupancy, grid, PlanConfig(), count=trials, rng=rng).goals
     collided = np.zeros(len(found.risks))
     distance = said.distance(Thresholds(), grid)
     for n, risk in enumerate(found.risks):
         low = found.low(distance, said.occupancy_probability, risk)
         for goal in goals:
-            done = plan_carefully(low <= 0, low, goal, grid, plan)
-            collided[n] += sample.occupancy.reshape(-1)[done.voxels].any()
+            _, path = plan_trial(low <= 0, low, None, goal, grid, CAREFUL)
+            collided[n] += path is not None and sample.occupancy.reshape(-1)[met(path, grid)].any()
     return collided, len(goals)

@@ -1,11 +1,13 @@
-"""What the bench compares: completers, the truth itself, and predictions that somebody else made,
-in an HDF5 file."""
+"""What the bench compares, by name: completers, the truth itself, and predictions that somebody
+else made, in an HDF5 file."""
 
 import inspect
 import math
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
+from itertools import product
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -16,7 +18,7 @@ import numpy as np
 from scenegen.dataset.hdf5 import Stored, read_guarded
 from scenegen.dataset.layout import FILTERS, unpack
 from scenegen.dataset.read import Dataset, Split
-from scenegen.errors import DatasetError, printable, short
+from scenegen.errors import DatasetError, ScenegenError, printable, raised_as, short
 from scenegen.files import real_path
 from scenegen.limits import GUARD_S, MOST_CHUNK_BYTES
 from scenegen.model.calibration import RISK, Given
@@ -28,6 +30,7 @@ from scenegen.model.completion.protocol import (
     PredictionError,
     check_prediction,
 )
+from scenegen.model.config import METHODS
 from scenegen.sample import Sample
 
 
@@ -251,3 +254,44 @@ def _prediction(file: h5py.File, row: int) -> Prediction:
         **parts,
         uncertainty=Given(**sure, risk=float(file.attrs.get("risk", RISK))) if sure else None,
     )
+
+
+def find_method(name: str) -> Method:
+    """The row called `name`: a known one, or ``module:Class`` of a completer.
+
+    Raises ScenegenError for a name that leads to none, and for a completer that does not keep the
+    protocol.
+    """
+    with raised_as(ScenegenError, "--method: "):
+        found = METHODS.find(name)
+    odd = f"--method {name}: cannot be made by calling it without arguments: "
+    with raised_as(ScenegenError, odd, of=TypeError):
+        made = found()
+    if name in METHODS.known and hasattr(made, "completion"):  # a row itself, not a completer
+        return made
+    return Completed(made)
+
+
+def rows_of(names: Sequence[str], weights: Sequence[str], predictions: Path | None) -> list[Method]:
+    """Rows by their names, those of networks, and that of a file of predictions. Raises
+    ScenegenError where two have one name, and where a row cannot be."""
+    rows: list[Method] = [*map(find_method, names)]
+    if weights:
+        from scenegen.model.completion.completer import Completer  # the other rows need no torch
+
+        rows += [Completer.from_pretrained(name, threads=1) for name in weights]
+    if predictions is not None:
+        rows.append(Predicted(predictions))
+    named = [row.name for row in rows]
+    if twice := [name for name in named if named.count(name) > 1]:
+        raise ScenegenError(
+            f"two rows are called {twice[0]!r}; give one of them, or rename its file or folder"
+        )
+    return rows
+
+
+def check_rows(rows: Sequence[Method], datasets: Sequence[Dataset], split: str) -> None:
+    """Raise DatasetError where a file of predictions is not of `split` of all `datasets`."""
+    for row, dataset in product(rows, datasets):
+        if (check := getattr(row, "check", None)) is not None:
+            check(dataset, split)

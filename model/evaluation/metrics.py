@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from lidarsim.grid import Field, Floats, GridSpec, Mask
 from lidarsim.jit import kernel
 from scenegen.model.completion.protocol import Prediction
-from scenegen.model.config import Thresholds
-from scenegen.model.evaluation.config import NEAR_M
+from scenegen.model.config import NEAR_M, Thresholds
 from scenegen.model.evaluation.planning.measure import Measurement
 from scenegen.model.evaluation.statistics import Scale
 

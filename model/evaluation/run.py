@@ -18,8 +18,7 @@ from scenegen.dataset.read import Dataset, Rows, Split
 from scenegen.display.look import evenly
 from scenegen.errors import DatasetError, empty_split
 from scenegen.model.completion.protocol import Prediction
-from scenegen.model.config import Thresholds
-from scenegen.model.evaluation.config import BenchConfig
+from scenegen.model.config import BenchConfig, Thresholds
 from scenegen.model.evaluation.methods import Method
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS, measure
 from scenegen.model.evaluation.planning.measure import (
@@ -40,7 +39,7 @@ from scenegen.model.evaluation.visibility import (
     walled,
 )
 from scenegen.run import Executor, check_together
-from scenegen.run.workers import Local
+from scenegen.run.workers import ALONE
 from scenegen.sample import Sample, rng_of
 from scenegen.truth import distance_field
 
@@ -62,6 +61,8 @@ class MethodResult:
     thresholds: Thresholds
     """The tuned ones."""
     trials: tuple[Measurement, ...]
+    planned: dict[str, Floats]
+    """The metrics of planning by name, of every trial."""
     learned: bool
     """Whether the method was trained, or may have been: see `Method.learned`."""
     studies: tuple[Study, ...]
@@ -72,8 +73,8 @@ class MethodResult:
     def values(self, metric: str, region: int = 0) -> Floats:
         """A metric by its name: of every map, (N,), over a region of `reconstruction`, or of every
         trial, (trials,)."""
-        if metric in PLAN_METRICS:
-            return np.array([PLAN_METRICS[metric].of(trial) for trial in self.trials], np.float64)
+        if metric in self.planned:
+            return self.planned[metric]
         return self.reconstruction[:, region, [*METRICS].index(metric)]
 
 
@@ -83,7 +84,6 @@ class DatasetResult:
 
     kind: str
     digest: str
-    grid: GridSpec
     config: BenchConfig
     worlds: Ints
     """(N,): the samples' worlds."""
@@ -145,31 +145,32 @@ def check_whole(dataset: Dataset, instead: str) -> None:
         )
 
 
+def filled(dataset: Dataset, split: str) -> Split:
+    """A split of a dataset. Raises DatasetError where it is empty."""
+    found = dataset.split(split)
+    if not len(found):
+        raise DatasetError(f"{dataset.folder}: {empty_split(split)}, or give another --split")
+    return found
+
+
 def bench(
     dataset: Dataset,
     methods: Sequence[Method],
     config: BenchConfig,
     *,
     kind: str | None = None,
-    workers: int = 1,
-    execute: Executor | None = None,
+    execute: Executor = ALONE,
     on_start: Callable[[int], None] = lambda total: None,
     on_done: Callable[[int], None] = lambda samples: None,
 ) -> DatasetResult:
     """Measure `methods` on `dataset`, or on its samples of one `kind` of worlds, with the same
     goals for every method.
 
-    `workers` processes of this machine measure a few samples each, or whatever `execute` has do it.
-    `on_start` is told how many samples there are, `on_done` of every few that are finished. Raises
-    DatasetError for an empty split, and where `execute` leaves samples to others: a report is of
-    all of them.
+    `execute` has a few samples measured at a time. `on_start` is told how many samples there are,
+    `on_done` of every few that are finished. Raises DatasetError for an empty split, and where
+    `execute` leaves samples to others: a report is of all of them.
     """
-    execute = execute or Local("", workers)
-    split = dataset.split(config.split)
-    if not len(split):
-        raise DatasetError(
-            f"{dataset.folder}: {empty_split(config.split)}, or give another --split"
-        )
+    split = filled(dataset, config.split)
     check_middle(dataset)
     if config.study:
         check_whole(dataset, "leave --study out")
@@ -199,10 +200,15 @@ def bench(
         """What all samples gave of one method."""
         given = [one.methods[m] for one in found]
         studies = tuple(one.study for one in given if one.study is not None)
+        trials = tuple(given[n].trials[turn] for turn, n in turns)
         return MethodResult(
             reconstruction=np.array([one.reconstruction for one in given]),
             thresholds=tuned[m],
-            trials=tuple(given[n].trials[turn] for turn, n in turns),
+            trials=trials,
+            planned={
+                name: np.array([metric.of(trial) for trial in trials], np.float64)
+                for name, metric in PLAN_METRICS.items()
+            },
             learned=methods[m].learned,
             studies=studies,
             careful=[studies[n].careful[turn] for turn, n in turns if studies],
@@ -211,7 +217,6 @@ def bench(
     return DatasetResult(
         kind=kind,
         digest=str(dataset.manifest.digest),
-        grid=dataset.grid,
         config=config,
         worlds=np.array([one.world for one in found]),
         known_share=float(np.mean([one.known_share for one in found])),

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 from lidarsim.grid import Field, Floats, GridSpec, Mask
 from scenegen.dataset.read import Dataset, Split
-from scenegen.display.look import Guess, Guesses, Route, look_into
+from scenegen.display.look import Guess, Route, look_into
 from scenegen.errors import DatasetError
 from scenegen.files import Json
-from scenegen.model.evaluation.config import BenchConfig, PlanConfig
+from scenegen.model.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Method
 from scenegen.model.evaluation.planning.astar import Lattice
 from scenegen.model.evaluation.planning.measure import judge, plan_trial
@@ -24,16 +24,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def guesses_of(methods: Sequence[Method], config: BenchConfig, trial: int | None = 0) -> Guesses:
-    """What `methods` say of a sample, each with its path to the goal of the bench's trial number
-    `trial` in that sample, at the thresholds and by the planner of `config`; without paths where
-    `trial` is None, or the sample has no such trial."""
-    return partial(_guesses, methods, config, trial)
-
-
-def _guesses(
+def guesses(
     methods: Sequence[Method], config: BenchConfig, trial: int | None, sample: Sample, split: Split
 ) -> list[Guess]:
+    """What `methods` say of a sample of a split, each with its path to the goal of the bench's
+    trial number `trial` in that sample, at the thresholds and by the planner of `config`; without
+    paths where `trial` is None, or the sample has no such trial."""
     goal = None if trial is None else _goal(sample, split, config, trial)
     found = []
     for method in methods:
@@ -121,9 +117,8 @@ def draw_failures(
     found = []
     for n in trials:
         index, turn = result.trial_places[n]
-        look = look_into(
-            dataset.split(result.config.split), index, guesses_of(shown, result.config, turn)
-        )
+        of_trial = partial(guesses, shown, result.config, turn)
+        look = look_into(dataset.split(result.config.split), index, of_trial)
         told = f"{name} fails: {look.name}, goal {turn}"
         figure = draw_paths([dataclasses.replace(look, name=f"{look.name}, goal {turn}")], title="")
         found.append((told, _webp(figure)))

@@ -183,9 +183,9 @@ def cell(figure: Json) -> str:
     return f"{with_std(figure['mean'], figure['std'])} {interval(figure, '.3f')}{threshold(figure)}"
 
 
-def brief(figure: Json) -> str:
+def brief(figure: Json, form: str = ".3f") -> str:
     """A mean and its interval; a dash where nothing was measured."""
-    return f"{figure['mean']:.3f} {interval(figure, '.3f')}" if figure["n"] else "–"
+    return f"{figure['mean']:{form}} {interval(figure, form)}" if figure["n"] else "–"
 
 
 def threshold(figure: Json) -> str:

@@ -14,9 +14,8 @@ from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
 from scenegen.files import Json
 from scenegen.model.calibration import corrected
 from scenegen.model.completion.protocol import Prediction
-from scenegen.model.config import LossConfig, Thresholds
-from scenegen.model.evaluation.config import BenchConfig, PlanConfig
-from scenegen.model.evaluation.planning.measure import judge, plan_carefully
+from scenegen.model.config import BenchConfig, LossConfig, PlanConfig, Thresholds
+from scenegen.model.evaluation.planning.measure import judge, met, plan_trial
 from scenegen.model.evaluation.statistics import brief, figure, interval
 from scenegen.model.evaluation.uncertainty import (
     JUDGED,
@@ -139,13 +138,13 @@ def run_settings(
     """Every trial of one map at each setting, (goals, settings, TOLD and then CHANCES); NaN for
     what a trial without a path, or a method without calibrated probabilities, lacks."""
     found = np.full((len(goals), len(chosen), len(TOLD) + len(CHANCES)), np.nan)
-    chance = said.probability
+    chance, careful = said.probability, dataclasses.replace(plan, planner="careful")
     for s, setting in enumerate(chosen):
         blocked, field = _maps(setting, said, grid)
         for g, goal in enumerate(goals):
-            done = plan_carefully(blocked, field, goal, grid, plan)
-            trial = judge(done.plan, done.path, *truth, grid)
-            planned = done.path is not None
+            found_path, path = plan_trial(blocked, field, None, goal, grid, careful)
+            trial = judge(found_path, path, *truth, grid)
+            planned = path is not None
             found[g, s, : len(TOLD)] = (
                 trial.success,
                 planned and not trial.success,
@@ -153,8 +152,9 @@ def run_settings(
                 trial.length_m,
                 trial.min_clearance_m,
             )
-            if planned and chance is not None:
-                sure = np.minimum(chance.reshape(-1)[done.voxels].astype(np.float64), 1 - 1e-7)
+            if path is not None and chance is not None:
+                on_way = chance.reshape(-1)[met(path, grid)].astype(np.float64)
+                sure = np.minimum(on_way, 1 - 1e-7)
                 free = np.log1p(-sure)
                 found[g, s, len(TOLD) :] = -np.expm1(free.sum()), -np.expm1(free.min())
     return found

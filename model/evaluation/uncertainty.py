@@ -11,7 +11,7 @@ from lidarsim.jit import kernel
 from scenegen.files import Json
 from scenegen.model.calibration import RISK
 from scenegen.model.completion.protocol import Prediction
-from scenegen.model.evaluation.config import NEAR_M
+from scenegen.model.config import NEAR_M
 from scenegen.model.evaluation.statistics import estimate, figure
 
 BINS = 20

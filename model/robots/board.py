@@ -2,7 +2,7 @@
 
 import base64
 import html
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -11,11 +11,11 @@ from scenegen.errors import DatasetError, ScenegenError, raised_as
 from scenegen.files import Json
 from scenegen.fly.course import Course, Recording
 from scenegen.fly.loop import Flown, marks
-from scenegen.fly.suite import Part, named, our_courses, part_of, track_name
-from scenegen.model.evaluation.page import HEAD, STYLE
-from scenegen.model.evaluation.statistics import Scale, brief, figure, interval
-from scenegen.model.robots import real_course
+from scenegen.fly.suite import Part, frozen_courses, named, part_of, track_name
+from scenegen.model.evaluation.report import HEAD, STYLE
+from scenegen.model.evaluation.statistics import Scale, brief, figure
 from scenegen.model.robots.film import film
+from scenegen.model.robots.flights import real_course
 
 
 class Column(NamedTuple):
@@ -130,9 +130,9 @@ def _line(row: Row, best: Row) -> str:
         cells.append("–")
     else:
         pairs = zip(row.scores, best.scores, strict=True)
-        less = figure([one - other for one, other in pairs], row.worlds)
-        cells.append(f"{less['mean']:+.3f} {interval(less, '+.3f')}")
-    return f"<tr><th>{html.escape(row.robot)}</th>{_cells(cells)}</tr>"
+        cells.append(brief(figure([one - other for one, other in pairs], row.worlds), "+.3f"))
+    told = "".join(f"<td>{text}</td>" for text in cells)
+    return f"<tr><th>{html.escape(row.robot)}</th>{told}</tr>"
 
 
 def _films(
@@ -150,7 +150,8 @@ def _films(
     split = [(count * (len(rows) - count), -count) for count in reached]
     chosen = split.index(max(split))
     entered, number = rows[0].courses[chosen]
-    ours = our_courses(suite, track, maps if track == "maps" else None)[named(entered)]
+    # not the entry's own, which may lead to another world of that name
+    ours = {named(one): one for one in frozen_courses(suite, track, maps)}[named(entered)]
     course = real_course(ours, None if track in ("own", "maps") else hidden)
     title = f"{ours.world}, {ours.difficulty or 'map'}, seed {ours.seed}, flight {number + 1}"
     figures = ""
@@ -161,10 +162,6 @@ def _films(
         figures += f"<figure><figcaption>{told}</figcaption><img loading='lazy' alt='{told}' "
         figures += f"src='data:image/gif;base64,{picture}'></figure>"
     return f"<h3>{html.escape(title)}</h3><div class='charts'>{figures}</div>"
-
-
-def _cells(texts: Iterable[str]) -> str:
-    return "".join(f"<td>{text}</td>" for text in texts)
 
 
 def _within(found: Json, most: float) -> Json:

@@ -2,14 +2,13 @@
 
 import io
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from PIL import Image, ImageDraw
 
 from lidarsim import GridSpec
-from lidarsim.grid import Floats, Ints, Mask
+from lidarsim.grid import Floats, Mask
 from lidarsim.pose import rotate
 from scenegen.display.colours import GOAL, INVENTED, SENSOR
 from scenegen.display.look import Guess, Look, Route
@@ -17,7 +16,7 @@ from scenegen.display.page import page
 from scenegen.errors import DatasetError
 from scenegen.fly.course import Course, flown_again
 from scenegen.fly.loop import Flown, fly
-from scenegen.fly.simulation import Observation, Simulation
+from scenegen.fly.simulation import Observation
 from scenegen.model.robots.mapping import within
 
 EVERY = 3
@@ -31,8 +30,7 @@ FREE, UNHELD, RIGHT = (255, 255, 255), (190, 190, 190), (60, 90, 140)
 WAY, PLAN = (20, 20, 20), (0, 120, 70)
 
 
-@dataclass(frozen=True, eq=False)
-class _Moment:
+class _Moment(NamedTuple):
     """What was seen at a decision, and what the robot held then."""
 
     seen: Observation
@@ -66,36 +64,28 @@ class _Watched:
         return answer
 
 
-@dataclass(frozen=True, eq=False)
 class _Scene:
     """A flight, and the voxels that lie wholly within its bounds."""
 
-    simulation: Simulation
-    flown: Flown
-    watched: _Watched
-    grid: GridSpec
-    first: Ints
-    """The least voxel (3,), counted from the world's origin."""
-    truth: Mask
-    """What is occupied, of the grid's shape."""
-
-    @classmethod
-    def of(cls, course: Course, number: int, robot: Any, recorded: Flown | None) -> "_Scene":
+    def __init__(self, course: Course, number: int, robot: Any, recorded: Flown | None):
         """Mission `number`, flown by `robot`; or as it is recorded, where the robot, if there is
         one, sees what was seen and tells what it takes for occupied."""
-        watched, simulation = _Watched(robot), course.simulation(number)
+        self.watched, self.simulation = _Watched(robot), course.simulation(number)
         if recorded is None:
-            flown = fly(simulation, watched)
+            self.flown = fly(self.simulation, self.watched)
         else:
-            flown = recorded
-            watched.reset(simulation.about())
-            for seen, *_ in flown_again(simulation, recorded):
-                watched.act(seen)
-        if not watched.held:
-            raise DatasetError(f"flight {number} ended before it began: {flown.trouble}")
-        grid, first = within(simulation.mission.bounds, getattr(robot, "grid", GridSpec()))
-        truth = course.simulated.truth(grid, first * np.float64(grid.voxel_m))["occupancy"]
-        return cls(simulation, flown, watched, grid, first, truth)
+            self.flown = recorded
+            self.watched.reset(self.simulation.about())
+            for seen, *_ in flown_again(self.simulation, recorded):
+                self.watched.act(seen)
+        if not self.watched.held:
+            raise DatasetError(f"flight {number} ended before it began: {self.flown.trouble}")
+        bounds = self.simulation.mission.bounds
+        self.grid, self.first = within(bounds, getattr(robot, "grid", GridSpec()))
+        """The grid, and its least voxel (3,), counted from the world's origin."""
+        corner = self.first * np.float64(self.grid.voxel_m)
+        self.truth: Mask = course.simulated.truth(self.grid, corner)["occupancy"]
+        """What is occupied, of the grid's shape."""
 
     def moments(self) -> Iterator[_Moment]:
         """What was held on the way; at the end, what was held last."""
@@ -110,9 +100,9 @@ class _Scene:
 
 
 def film(course: Course, number: int, robot: Any, recorded: Flown | None = None) -> bytes:
-    """A GIF of mission `number`, see `_Scene.of`: the level of the vehicle's height, five pictures
+    """A GIF of mission `number`, see `_Scene`: the level of the vehicle's height, five pictures
     a second, 1.5 times as fast as it was flown."""
-    scene = _Scene.of(course, number, robot, recorded)
+    scene = _Scene(course, number, robot, recorded)
     start, voxel_m, (x, y, z) = scene.first, scene.grid.voxel_m, scene.grid.shape
     scale = max(WIDTH // max(x, y), 1)
 
@@ -154,13 +144,13 @@ def film(course: Course, number: int, robot: Any, recorded: Flown | None = None)
 def flight_page(
     course: Course, number: int, robot: Any, name: str, recorded: Flown | None = None
 ) -> bytes:
-    """A page (HTML) that plays mission `number`, see `_Scene.of`, of a robot called `name`, in
+    """A page (HTML) that plays mission `number`, see `_Scene`, of a robot called `name`, in
     three dimensions: what is there, what the robot takes for occupied, its scans, and its way,
     first flown and then planned.
 
     Raises DatasetError where no browser takes the voxels within the flight's bounds.
     """
-    scene = _Scene.of(course, number, robot, recorded)
+    scene = _Scene(course, number, robot, recorded)
     start, goal = map(np.array, (scene.simulation.mission.start, scene.simulation.mission.goal))
     moments, looks = list(scene.moments()), []
     for moment in moments:

@@ -1,22 +1,138 @@
-"""Flights through many courses: flown, kept in a file, and flown again."""
+"""Robots by name, those that map, complete and plan, and one without a map; and their flights
+through many courses: flown, kept in a file, and flown again."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from scenegen.cli.show import Progress
 from scenegen.errors import DatasetError, ScenegenError, raised_as
 from scenegen.files import check_ours, write_result, write_whole
-from scenegen.model.robots import real_course
 from scenegen.run import Executor, undone_if_stopped
 
 if TYPE_CHECKING:  # the command line imports this before it knows what to do
     from scenegen.fly.course import Course, Flights, Recording
     from scenegen.fly.loop import Flown
+    from scenegen.truth.difficulty import Difficulty
+
+FORGETFUL = "returns"
+"""The one that remembers nothing."""
+MAPPING = (FORGETFUL, "optimistic", "pessimistic", "extrude", "truth")
+"""Robots that map and plan; see `robot_maker`."""
+REACTIVE = "reactive"
+"""The one without a map."""
+NAMES = (*MAPPING, REACTIVE)
+RATIOS = ("score", "spl", "ratio", "speed_mps", "mean_clearance_m", "jerk_mps3", "step_s")
+"""Figures of which the mean over flights is told."""
+COUNTS = ("late", "invalid", "speeding")
+"""Those of which the sum is."""
+
+
+def robot_maker(name: str, weights: str | None) -> "Callable[[Course], Any]":
+    """What makes the robot for a course: one of `NAMES`; one that maps and has the network called
+    `weights` complete, from the last scan alone where its name is "returns"; or one's own, which
+    runs in a process of its own."""
+    from scenegen.fly.pipe import own_robot
+    from scenegen.model.completion.unlearned import Conservative, Extrude, Returns
+    from scenegen.model.robots.mapping import MappingRobot, TruthRobot
+    from scenegen.model.robots.steering import ReactiveRobot
+
+    if weights is not None:
+        from scenegen.model.completion.completer import opened_once
+
+        network = opened_once(weights, "cpu", 1)
+        if set(network.inputs) - {"observed", "free"}:
+            raise ScenegenError(
+                f"{weights}: takes {', '.join(network.inputs)}; robots give "
+                "observed and free voxels alone"
+            )
+        memory = name != FORGETFUL
+        return lambda course: MappingRobot(network, memory=memory, doubts=True)
+    known: dict[str, Callable[[Course], Any]] = {
+        # what the last scan says, and what all scans say; of unknown voxels, that they are free
+        FORGETFUL: lambda course: MappingRobot(Returns(), memory=False),
+        "optimistic": lambda course: MappingRobot(Returns()),
+        # unknown voxels are occupied
+        "pessimistic": lambda course: MappingRobot(Conservative(), frontier=True),
+        "extrude": lambda course: MappingRobot(Extrude(), doubts=True),
+        # which nobody else is told
+        "truth": lambda course: TruthRobot(course.simulated),
+        REACTIVE: lambda course: ReactiveRobot(),
+    }
+    return known.get(name) or (lambda course: own_robot(name))
+
+
+def real_course(course: "Course", hidden: int | None) -> "Course":
+    """The course to fly: of a hidden track, the one that the number `hidden` draws."""
+    from scenegen.fly.suite import hidden_course
+
+    return course if hidden is None else hidden_course(course, hidden)
+
+
+def fly_course(
+    course: "Course", *, robot: str, weights: str | None, hidden: int | None = None
+) -> "tuple[Course, Sequence[Flown]]":
+    """All flights of a course, one after the other, by the same robot; with the course, which then
+    has its world's hash. For `hidden` see `real_course`."""
+    from scenegen.fly.loop import fly as fly_mission
+
+    real = real_course(course, hidden)
+    made = robot_maker(robot, weights)(real)
+    try:
+        flown = [fly_mission(real.simulation(n), made) for n in range(real.flights)]
+    finally:
+        getattr(made, "close", lambda: None)()
+    return replace(course, document=real.sha256), flown
+
+
+def graded(
+    courses: "Sequence[Course]", hidden: int | None, execute: Executor, progress: Progress
+) -> "dict[Course, list[Difficulty]]":
+    """How hard the missions of courses are."""
+    total = sum(course.flights for course in courses)
+    work = partial(_graded, hidden=hidden)
+    return dict(_counted(execute, work, courses, progress, "grade", total))
+
+
+def _graded(course: "Course", *, hidden: int | None) -> "tuple[Course, list[Difficulty]]":
+    return course, real_course(course, hidden).graded()
+
+
+def check_begins(robot: str, course: "Course") -> None:
+    """Raise ScenegenError where a robot of one's own ends before it is ready for its first flight,
+    so that a word mistyped is not flown 1500 times."""
+    from scenegen.fly.loop import RobotError
+    from scenegen.fly.pipe import own_robot
+
+    made = own_robot(robot)
+    try:
+        made.reset(course.simulation(0).about())
+    except RobotError as error:
+        if error.outcome == "crashed":
+            raise ScenegenError(f"--robot {robot}: never begins: {error}") from None
+    finally:
+        made.close()
+
+
+def summary(name: str, flown: "Sequence[Flown]") -> dict[str, Any]:
+    """What is told of flights, together."""
+    import numpy as np
+
+    ends = Counter(one.outcome for one in flown)
+    row: dict[str, Any] = {"robot": name, "flights": len(flown)}
+    row |= {end: f"{100 * count / len(flown):.0f} %" for end, count in ends.most_common()}
+    row |= {
+        part: round(float(np.mean([getattr(one, part) for one in flown])), 4) for part in RATIOS
+    }
+    row["min_clearance_m"] = round(min(one.min_clearance_m for one in flown), 4)
+    row["most_step_s"] = round(max(one.most_step_s for one in flown), 4)
+    return row | {part: sum(getattr(one, part) for one in flown) for part in COUNTS}
+
 
 Work = Callable[["Course"], tuple["Course", Sequence["Flown"]]]
 """What flies a course."""
@@ -69,9 +185,8 @@ def fly_courses(
     def fly_left() -> None:
         """Flies what is left, and saves now and then."""
         saved_s, total = time.monotonic(), sum(course.flights for course in left)
-        for course, flown in execute(work, left, lambda: progress.start(total)):
+        for course, flown in _counted(execute, work, left, progress, "fly", total):
             found[named(course)] = course, flown
-            progress.count(len(flown))
             if suite and time.monotonic() - saved_s > SAVED_S:
                 save()
                 saved_s = time.monotonic()
@@ -126,7 +241,7 @@ def read_recording(
     of its suite's.
     """
     from scenegen.fly.course import Recording
-    from scenegen.fly.suite import named, our_courses, part_of, track_name
+    from scenegen.fly.suite import frozen_courses, named, part_of, track_name
 
     recording, track = Recording.read(path), track_name(hidden, maps)
     if recording.suite is None:
@@ -140,7 +255,8 @@ def read_recording(
             f"{path}: is an entry to the track {part.track[:14]}, not {track[:14]}; give --hidden "
             "and its number, --maps and their folder, or neither"
         )
-    there = our_courses(recording.suite, track, maps)
+    # the suite's own, in place of worlds that a stranger's file leads to by another path
+    there = {named(course): course for course in frozen_courses(recording.suite, track, maps)}
     found = [
         (replace(there[named(course)], document=course.document), flights)
         for course, flights in recording.courses
@@ -152,12 +268,10 @@ def flown_again(
     recording: "Recording", hidden: int | None, execute: Executor, progress: Progress
 ) -> "Flights":
     """The flights of a recording, flown again. Raises DatasetError where one is not as it was."""
-    work, found = partial(_replayed, hidden=hidden), {}
-    count = sum(len(flights) for _, flights in recording.courses)
-    for course, flown in execute(work, recording.courses, lambda: progress.start(count)):
-        found[course] = flown
-        progress.count(len(flown))
-    return [(course, found[course]) for course, _ in recording.courses]
+    work, courses = partial(_replayed, hidden=hidden), recording.courses
+    count = sum(len(flights) for _, flights in courses)
+    found = dict(_counted(execute, work, courses, progress, "replay", count))
+    return [(course, found[course]) for course, _ in courses]
 
 
 def flown_anew(recording: "Recording", work: Work, execute: Executor, progress: Progress) -> str:
@@ -168,11 +282,24 @@ def flown_anew(recording: "Recording", work: Work, execute: Executor, progress: 
     before = {named(course): flights for course, flights in some}
     count, same = sum(map(len, before.values())), 0
     courses = [course for course, _ in some]
-    for course, flown in execute(work, courses, lambda: progress.restart("fly anew", count, 0)):
+    for course, flown in _counted(execute, work, courses, progress, "fly anew", count):
         pairs = zip(flown, before[named(course)], strict=True)
         same += sum(one.digest == other.digest for one, other in pairs)
-        progress.count(len(flown))
     return f"{same} of {count} flights"
+
+
+def _counted(
+    execute: Executor,
+    work: Callable[[Any], Any],
+    tasks: Sequence[Any],
+    progress: Progress,
+    label: str,
+    total: int,
+) -> Iterator[Any]:
+    """Courses and what `work` makes of each flight, as they come; `progress` counts these."""
+    for course, some in execute(work, tasks, lambda: progress.restart(label, total, 0)):
+        progress.count(len(some))
+        yield course, some
 
 
 def _replayed(

@@ -2,7 +2,9 @@
 ten times a second."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,8 +15,7 @@ from lidarsim.grid import Field, Floats, Ints, Mask
 from lidarsim.pose import rotate
 from scenegen.fly.simulation import Observation
 from scenegen.model.completion.protocol import MapCompleter
-from scenegen.model.config import Thresholds
-from scenegen.model.evaluation.config import PlanConfig
+from scenegen.model.config import PlanConfig, Thresholds
 from scenegen.model.evaluation.planning.measure import RATHER, risk_of
 from scenegen.model.evaluation.planning.refine import field_at, refine
 from scenegen.model.robots.steering import LAG_S, follow, no_way
@@ -39,16 +40,6 @@ def within(bounds: ArrayLike, grid: GridSpec) -> tuple[GridSpec, Ints]:
     low, high = np.floor(np.asarray(bounds) / grid.voxel_m).astype(np.int64)
     x, y, z = np.maximum(high - low - 1, 1).tolist()
     return replace(grid, shape=(x, y, z)), low + 1
-
-
-@dataclass(frozen=True, eq=False)
-class _Rays:
-    """What of a sensor its robot is told."""
-
-    shape: tuple[int, ...]
-    directions_body: Floats
-    times_s: Floats
-    max_range_m: float
 
 
 class MappingRobot:
@@ -78,9 +69,12 @@ class MappingRobot:
     def reset(self, about: Observation) -> None:
         """See `Robot.reset`."""
         self._about = about
-        shape = about["times_s"].shape
-        self._rays = _Rays(
-            shape, about["directions_body"], about["times_s"], float(about["max_range_m"])
+        # what of a sensor its robot is told
+        self._rays: Any = SimpleNamespace(
+            shape=about["times_s"].shape,
+            directions_body=about["directions_body"],
+            times_s=about["times_s"],
+            max_range_m=float(about["max_range_m"]),
         )
         self.path: Floats | None = None
         """The way that it follows, (n, 3) world metres, the goal last."""

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from lidarsim.grid import Floats, Ints
+from lidarsim.grid import Floats
 from scenegen.files import Json
 from scenegen.model.config import TrainConfig
 from scenegen.model.evaluation import paper
@@ -62,38 +62,15 @@ BESIDE_BY = ("rmse", "mae", "near_rmse", "near_mae", "iou", "f1", "success")
 ALL = METRICS | PLAN_METRICS
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Measured:
-    """All rows on the worlds of one kind."""
-
-    kind: str
-    rows: Mapping[str, Mapping[str, Floats]]
-    """By name and metric, the value of every map, or of every trial; NaN where there is no
-    path."""
-    worlds: Mapping[str, Ints]
-    """By metric, the worlds of those values."""
-
-    @classmethod
-    def of(cls, result: DatasetResult) -> "Measured":
-        """What a bench measured."""
-        return cls(
-            kind=result.kind,
-            rows={
-                name: {metric: found.values(metric) for metric in ALL}
-                for name, found in result.methods.items()
-            },
-            worlds={metric: result.worlds_of(metric) for metric in ALL},
-        )
-
-    def means(self) -> dict[str, Json]:
-        """Every metric of every row, {mean, std, low, high, n}."""
-        return {
-            name: {
-                metric: figure(row[metric], self.worlds[metric], one.scale)
-                for metric, one in ALL.items()
-            }
-            for name, row in self.rows.items()
+def means(result: DatasetResult) -> dict[str, Json]:
+    """Every metric of every row, {mean, std, low, high, n}."""
+    return {
+        name: {
+            metric: figure(row.values(metric), result.worlds_of(metric), one.scale)
+            for metric, one in ALL.items()
         }
+        for name, row in result.methods.items()
+    }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,7 +105,7 @@ def claims() -> tuple[Claim, ...]:
     )
 
 
-def asked(measured: Sequence[Measured]) -> dict[str, list[Json]]:
+def asked(measured: Sequence[DatasetResult]) -> dict[str, list[Json]]:
     """What is known of all claims, as `compared` tells it: the paper's ``claims``; what the study
     asks ``beside`` them; and ``paths``, those about paths again. The tables answer these by the
     paths that each method has, so that a method that has none in the tight trials has the better
@@ -163,13 +140,13 @@ def judged(study: Json) -> Json:
     return {**study, "verdicts": answers(parts["claims"]), **parts}
 
 
-def compared(claim: Claim, measured: Measured, *, common: bool = False) -> Json:
+def compared(claim: Claim, measured: DatasetResult, *, common: bool = False) -> Json:
     """What is known of a claim, as JSON: what it says and its question; the difference of every
     pair of networks, rows named ``occ-s0``, one of each method, and of all of them, positive where
     the claim has it so; and the error of that over worlds, with its degrees of freedom. Means are
     over what each method has a value for, as in the tables; with `common`, over what both of a pair
     have one for."""
-    rows = {seeded(row): row for row in measured.rows}
+    rows = {seeded(row): row for row in measured.methods}
     ours, theirs = (
         {seed: row for (method, seed), row in rows.items() if method == name and seed is not None}
         for name in (claim.best, claim.other)
@@ -241,7 +218,7 @@ def _over_seeds(one: Json, variance: float, freedom: int) -> Estimate | None:
 
 
 def losses(means: Mapping[str, Json], metric: str) -> dict[str, float]:
-    """The mean of every network that has a seed, as something to be small, from `Measured.means`
+    """The mean of every network that has a seed, as something to be small, from `means`
     or what a file holds of them."""
     return {
         row: _loss(metric, figures[metric]["mean"])
@@ -292,12 +269,12 @@ def _loss(metric: str, value: Any) -> Any:
 
 
 def gain(
-    measured: Measured, metric: str, pairs: Sequence[tuple[str, str]], *, common: bool = False
+    measured: DatasetResult, metric: str, pairs: Sequence[tuple[str, str]], *, common: bool = False
 ) -> Estimate:
     """By how much the first of each of `pairs` of rows is better than the second, in the mean of
     all pairs: each by its own values, as in the tables, or, with `common`, by what both have a
     value for."""
-    values = np.array([[measured.rows[row][metric] for row in pair] for pair in pairs])
+    values = np.array([[measured.methods[row].values(metric) for row in pair] for pair in pairs])
     held = np.isfinite(values)
     if common:
         held &= held.all(axis=1, keepdims=True)
@@ -309,4 +286,4 @@ def gain(
             lost = _loss(metric, total / count)
         return (lost[..., 1] - lost[..., 0]).mean(axis=1)
 
-    return estimate(sums, measured.worlds[metric], of)
+    return estimate(sums, measured.worlds_of(metric), of)

@@ -6,36 +6,32 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import torch
 
+from scenegen.cli.show import Progress
 from scenegen.dataset.build import build
 from scenegen.dataset.generation import plan_generation
 from scenegen.dataset.locate import file_sha256
-from scenegen.dataset.manifest import differences
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
 from scenegen.files import Json, make_parent, read_bounded, write_whole
 from scenegen.limits import MOST_MANIFEST_BYTES
 from scenegen.model.api import train
 from scenegen.model.checkpoint import CheckpointError
-from scenegen.model.evaluation.config import BenchConfig
+from scenegen.model.config import BenchConfig
+from scenegen.model.evaluation.methods import rows_of
 from scenegen.model.evaluation.report import finite
-from scenegen.model.evaluation.rows import rows_of
 from scenegen.model.evaluation.run import bench
-from scenegen.model.study.claims import Measured, asked, judged
+from scenegen.model.study.claims import asked, judged, means
 from scenegen.model.study.report import to_markdown
 from scenegen.model.study.runs import KINDS, RUNS, TRIALS, ReproduceConfig, Run
 from scenegen.model.training.card import read_rows
 from scenegen.model.training.device import choose_device
-from scenegen.model.training.run_folder import BEST, CONFIG, ROWS, RunFolder
+from scenegen.model.training.run_folder import BEST, CONFIG, ROWS, RunFolder, check_settings
 from scenegen.run import Executor, check_together
 from scenegen.run.software import commit
-from scenegen.run.workers import Local
-
-if TYPE_CHECKING:
-    from scenegen.cli.show import Progress
+from scenegen.run.workers import ALONE
 
 SETTINGS, STUDY, TEXT = "settings.json", "study.json", "study.md"
 CURVE = ("maps", "seconds", "train_loss", "val_loss", "val_occupancy", "val_iou", "val_near_rmse")
@@ -49,7 +45,7 @@ def reproduce(
     *,
     device: str = "auto",
     execute: Executor,
-    progress: Callable[[str], "Progress"],
+    progress: Callable[[str], Progress],
 ) -> Json:
     """Make the study of `runs` in the folder `out`, or go on with it, and return what
     ``study.json`` holds. `execute` has shards written, networks trained, one thread each, and
@@ -65,7 +61,7 @@ def reproduce(
     work = partial(_train, out / "runs", folders, maps, str(where))
     with progress("networks") as shown:
         start = partial(shown.start, maps * len(runs))
-        for _ in (Local("", 1) if where.type == "cuda" else execute)(work, runs, start):
+        for _ in (ALONE if where.type == "cuda" else execute)(work, runs, start):
             shown.count(maps)
     networks = [str(out / "runs" / run.name) for run in runs]
     methods = rows_of(("returns", "extrude", "truth", "seen"), networks, None)
@@ -80,7 +76,7 @@ def reproduce(
                 on_start=shown.start,
                 on_done=shown.count,
             )
-        measured.append(Measured.of(found))
+        measured.append(found)
     study = judged(
         finite(
             {
@@ -89,8 +85,8 @@ def reproduce(
                 "missing": [run.name for run in RUNS if run not in runs],
                 "runs": {run.name: _told(out / "runs" / run.name, run) for run in runs},
                 **asked(measured),
-                "means": {one.kind: one.means() for one in measured},
-                "worlds": {one.kind: len(set(one.worlds["iou"])) for one in measured},
+                "means": {one.kind: means(one) for one in measured},
+                "worlds": {one.kind: len(set(one.worlds.tolist())) for one in measured},
             }
         )
     )
@@ -110,11 +106,8 @@ def begin(out: Path, config: ReproduceConfig) -> None:
     for name in (SETTINGS, STUDY, TEXT) if there is None else ():
         if (out / name).exists():
             raise DatasetError(f"{out}: holds {name}, and no study of ours; choose another --out")
-    if there is not None and (unlike := differences(there, asdict(config))):
-        raise DatasetError(
-            f"{out}: was begun with other settings ({'; '.join(unlike)}); give those, or "
-            f"another --out"
-        )
+    if there is not None:
+        check_settings(out, there, asdict(config))
     write_whole(out / SETTINGS, (json.dumps(asdict(config), indent=1) + "\n").encode())
 
 
@@ -128,7 +121,7 @@ def read_json(path: Path) -> Json | None:
 
 
 def _dataset(
-    folder: Path, config: ReproduceConfig, execute: Executor, progress: Callable[[str], "Progress"]
+    folder: Path, config: ReproduceConfig, execute: Executor, progress: Callable[[str], Progress]
 ) -> Path:
     """A compact dataset of the kind that the folder is called by, made or gone on with; damaged
     shards are made again."""

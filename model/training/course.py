@@ -4,6 +4,7 @@ import itertools
 import math
 from collections import defaultdict
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,11 +13,11 @@ from torch import nn
 from lidarsim.grid import Floats
 from scenegen.errors import DatasetError
 from scenegen.model.completion.protocol import Prediction
-from scenegen.model.config import LossConfig, TrainConfig
+from scenegen.model.config import TrainConfig
 from scenegen.model.evaluation.metrics import METRICS, measure_whole
 from scenegen.model.losses import loss_of
 from scenegen.model.network import Output
-from scenegen.model.training.data import Maps, Views, epoch_batches, load
+from scenegen.model.training.data import Maps, epoch_batches, load, views
 from scenegen.model.training.device import Group, autocast
 from scenegen.model.training.run_folder import Progress
 from scenegen.sample import rng_of
@@ -24,14 +25,7 @@ from scenegen.sample import rng_of
 
 @torch.inference_mode()
 def validate(
-    network: nn.Module,
-    maps: Maps,
-    loss: LossConfig,
-    batch: int,
-    device: torch.device,
-    precision: torch.dtype,
-    group: Group,
-    workers: int = 0,
+    network: nn.Module, maps: Maps, config: TrainConfig, group: Group, workers: int
 ) -> dict[str, float]:
     """Means over samples: the losses (of each batch for all its samples), and the bench's metrics
     at the paper's thresholds, over whole maps; a map that has no value of a metric is left out of
@@ -41,33 +35,26 @@ def validate(
     is ever occupied.
     """
     network.eval()
-    loss_in = loss_of(loss, maps.grid)
-    batches = [list(range(n, min(n + batch, len(maps)))) for n in range(0, len(maps), batch)]
+    loss_in, every = loss_of(config.loss, maps.grid), range(len(maps))
+    batches = [every[n : n + config.batch] for n in every[:: config.batch]]
     totals, largest = defaultdict[str, Floats](lambda: np.zeros(2)), 0.0  # sums and counts
     for read in load(maps, batches[group.rank :: group.size], workers=workers, pinned=False):
-        there, count = {name: one.to(device) for name, one in read.items()}, len(read["tudf"])
-        with autocast(device, precision):
+        there, count = {name: one.to(group.device) for name, one in read.items()}, len(read["tudf"])
+        with autocast(group.device, group.precision):
             output = Output(*network(there))
         for name, value in loss_in(output, there).items():
             totals[name] += np.array([value.item() * count, count])
-        probability = (
-            None if output.logits is None else output.logits.float().sigmoid().cpu().numpy()
-        )
-        distance = None if output.tudf is None else output.tudf.float().cpu().numpy()
-        largest = max(largest, 0.0 if probability is None else float(probability.max()))
+        said: dict[str, Any] = {}
+        if output.logits is not None:
+            chance = output.logits.float().sigmoid().numpy(force=True)
+            said["occupancy_probability"], largest = chance, max(largest, float(chance.max()))
+        if output.tudf is not None:
+            said["tudf"] = output.tudf.float().numpy(force=True)
         for n in range(count):
-            said = Prediction(
-                *(None if part is None else part[n] for part in (probability, distance))
-            )
+            prediction = Prediction(**{name: values[n] for name, values in said.items()})
             true = {name: values[n].numpy() for name, values in read.items()}
-            measured = measure_whole(
-                said,
-                true["occupancy"],
-                true["tudf"],
-                maps.grid,
-                true.get("known"),
-                true.get("certain"),
-            )
+            about = true.get("known"), true.get("certain")
+            measured = measure_whole(prediction, true["occupancy"], true["tudf"], maps.grid, *about)
             for name, value in zip(METRICS, measured.tolist(), strict=True):
                 if math.isfinite(value):  # a map without such voxels says nothing of them
                     totals[name] += (value, 1)
@@ -92,7 +79,6 @@ class Course:
 
     def __init__(self, maps: Maps, config: TrainConfig):
         self._maps, self._config = maps, config
-        self._views = Views(augment=config.augment, points_share=config.points_share)
         self.batch = min(config.batch, len(maps))
         """Maps a step."""
         self._pass = len(maps) // self.batch
@@ -152,23 +138,16 @@ class Course:
     def batches(self, first: int, count: int) -> Iterator[list[tuple[int, int]]]:
         """The keys of `Maps` that steps `first`, `first` + 1, … see, `count` batches: one pass
         after the other, or a stream's own, in which no map comes twice."""
-        config, maps, views = self._config, self._maps, self._views
+        config, maps = self._config, self._maps
         if self._order is not None:
             for n in range(first, first + count):
                 order = self._order[n]
-                turns = views.of(len(order), maps, rng=rng_of(config.seed, n, 0))
+                turns = views(maps, config, len(order), rng_of(config.seed, n, 0))
                 yield list(zip(order, turns.tolist(), strict=True))
             return
         begun, step = divmod(first, self._pass)
         passes = (
-            epoch_batches(
-                maps,
-                batch=config.batch,
-                seed=config.seed,
-                epoch=epoch,
-                views=views,
-                first=step if epoch == begun else 0,
-            )
+            epoch_batches(maps, config, epoch, first=step if epoch == begun else 0)
             for epoch in itertools.count(begun)
         )
         yield from itertools.islice(itertools.chain.from_iterable(passes), count)

@@ -2,7 +2,6 @@
 
 import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, Protocol
 
@@ -18,6 +17,7 @@ from scenegen.dataset.gather import check_disjoint
 from scenegen.dataset.generation import fraction
 from scenegen.dataset.read import Dataset as SampleDataset
 from scenegen.errors import DatasetError, ScenegenError, short
+from scenegen.model.config import TrainConfig
 from scenegen.model.inputs import SYMMETRIES, channels, points_of, turned
 from scenegen.model.network import Batch
 from scenegen.sample import Sample, rng_of
@@ -233,45 +233,36 @@ def is_mirrored(sensor: Sensor) -> bool:
     return bool((KDTree(rays).query(rays * (1, -1, 1))[0] < SAME_RAY).all())
 
 
-@dataclass(frozen=True, kw_only=True)
-class Views:
-    """How maps are shown in training."""
-
-    augment: bool = False
-    """Whether they are turned, and mirrored where the sensor's rays allow it."""
-    points_share: float = 0.0
-    """Share of them that are shown as points alone."""
-
-    def of(self, count: int, maps: Maps, *, rng: np.random.Generator) -> NDArray[np.uint8]:
-        """A view that is drawn for each of `count` maps; 0 is the map as it is."""
-        drawn = rng.integers(SYMMETRIES, size=count) if self.augment else np.zeros(count)
-        turns = drawn.astype(np.uint8)
-        if maps.grid.shape[0] != maps.grid.shape[1]:
-            turns = turns // 2 * 2  # no quarter turns of a map that is longer than wide
-        if not maps.mirrored:
-            turns = turns % (SYMMETRIES // 2)
-        if self.points_share:  # drawn last, so that the turns of other runs stay
-            turns += np.uint8(SYMMETRIES) * (rng.random(count) < self.points_share)
-        return turns
-
-
-PLAIN = Views()
+def views(
+    maps: Maps, config: TrainConfig, count: int, rng: np.random.Generator
+) -> NDArray[np.uint8]:
+    """How each of `count` maps is shown in training, drawn: turned, and mirrored where the sensor's
+    rays allow it, or as points alone, as `config` says; 0 is the map as it is."""
+    drawn = rng.integers(SYMMETRIES, size=count) if config.augment else np.zeros(count)
+    turns = drawn.astype(np.uint8)
+    if maps.grid.shape[0] != maps.grid.shape[1]:
+        turns = turns // 2 * 2  # no quarter turns of a map that is longer than wide
+    if not maps.mirrored:
+        turns = turns % (SYMMETRIES // 2)
+    if config.points_share:  # drawn last, so that the turns of other runs stay
+        turns += np.uint8(SYMMETRIES) * (rng.random(count) < config.points_share)
+    return turns
 
 
 def epoch_batches(
-    maps: Maps, *, batch: int, seed: int, epoch: int, views: Views = PLAIN, first: int = 0
+    maps: Maps, config: TrainConfig, epoch: int, first: int = 0
 ) -> Iterator[list[tuple[int, int]]]:
     """The batches of a training epoch, from the `first` on: keys of `Maps`, in an order that
-    depends on `seed` and `epoch` alone. Meanwhile, a map takes five bytes.
+    depends on the seed and `epoch` alone. Meanwhile, a map takes five bytes.
 
     A last batch that is not full is left out, unless it is the only one.
     """
-    rng = rng_of(seed, epoch)
+    rng, batch = rng_of(config.seed, epoch), config.batch
     order = rng.permutation(len(maps))
     if maps.shares is not None:
-        order = np.concatenate(_weighted(maps, seed=seed, epoch=epoch))[order]
+        order = np.concatenate(_weighted(maps, seed=config.seed, epoch=epoch))[order]
     order = order.astype(np.min_scalar_type(len(maps)))
-    turns = views.of(len(order), maps, rng=rng)
+    turns = views(maps, config, len(order), rng)
     for n in range(first, max(len(order) // batch, 1)):
         here = slice(n * batch, (n + 1) * batch)
         yield list(zip(order[here].tolist(), turns[here].tolist(), strict=True))

@@ -90,10 +90,11 @@ def device_name(device: torch.device) -> str:
 
 
 class Group:
-    """The processes of a torchrun, or this one alone."""
+    """The processes of a torchrun, or this one alone: the `device` of this one, and the `precision`
+    in which networks compute there."""
 
-    def __init__(self, device: torch.device) -> None:
-        self._device = device
+    def __init__(self, device: torch.device, precision: torch.dtype = torch.float32) -> None:
+        self.device, self.precision = device, precision
         self.size = int(os.environ.get("WORLD_SIZE", 1))
         self.rank = int(os.environ.get("RANK", 0))
         self.first = self.rank == 0
@@ -101,9 +102,9 @@ class Group:
 
     def __enter__(self) -> "Group":
         if self.size > 1:
-            on_gpu = self._device.type == "cuda"
+            on_gpu = self.device.type == "cuda"
             dist.init_process_group(
-                "nccl" if on_gpu else "gloo", device_id=self._device if on_gpu else None
+                "nccl" if on_gpu else "gloo", device_id=self.device if on_gpu else None
             )
         return self
 
@@ -138,7 +139,7 @@ class Group:
         """Mean of all processes' numbers, by name; all give the same names."""
         if self.size == 1:
             return mine
-        tensor = torch.tensor(list(mine.values()), dtype=torch.float64, device=self._device)
+        tensor = torch.tensor(list(mine.values()), dtype=torch.float64, device=self.device)
         dist.all_reduce(tensor)
         return dict(zip(mine, (tensor / self.size).tolist(), strict=True))
 

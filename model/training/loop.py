@@ -89,12 +89,13 @@ def train(
     `out`.
     """
     watcher, where = watcher or Watcher(), choose_device(device)
-    with Group(where) as group, closing(RunFolder(out, writes=group.first)) as folder:
-        maps = Maps(training, "train", config.network.inputs)
-        checks = Maps(checking, "val", config.network.inputs)
-        config = fitted(config, maps.grid)
+    maps = Maps(training, "train", config.network.inputs)
+    checks = Maps(checking, "val", config.network.inputs)
+    config = fitted(config, maps.grid)
+    precision = resolve_precision(config.precision, where, maps.grid.shape)
+    group = Group(where, precision)
+    with group, closing(RunFolder(out, writes=group.first)) as folder:
         check_maps(maps, checks, config, group.size)
-        precision = resolve_precision(config.precision, where, maps.grid.shape)
         torch.manual_seed(config.seed)
         network = placed(build(config.network), where)
         settings = describe(maps, config, precision)
@@ -105,7 +106,7 @@ def train(
         group.first_alone(lambda: folder.open(about))
         optimizer = optimizer_of(network, config)
         progress = folder.restore(network, optimizer)
-        learn = Step(network, optimizer, config, maps.grid, where, precision, group)
+        learn = Step(network, optimizer, config, maps.grid, group)
         course = Course(maps, config)
         while steps := course.steps(progress):
             begin, done = time.monotonic() - progress.seconds, progress.step
@@ -130,9 +131,7 @@ def train(
                 folder.save(progress)
                 raise StoppedError(f"stopped; the same command goes on with {out}")
             group.share_statistics(network)
-            found = validate(
-                network, checks, config.loss, config.batch, where, precision, group, workers
-            )
+            found = validate(network, checks, config, group, workers)
             check_finite({"validation loss": found["loss"]}, maps, [], progress)
             seconds = time.monotonic() - begin
             row = progress.close(found, maps=steps.stop * course.batch, seconds=seconds)
@@ -174,15 +173,13 @@ class Step:
     optimizer: torch.optim.Optimizer
     config: TrainConfig
     grid: GridSpec
-    device: torch.device
-    precision: torch.dtype
     group: Group
 
     def __post_init__(self) -> None:
         self._loss = loss_of(self.config.loss, self.grid, self.group.divisor)
         model = self.network
         if self.group.size > 1:
-            if self.device.type == "cuda":
+            if self.group.device.type == "cuda":
                 model = nn.SyncBatchNorm.convert_sync_batchnorm(model)
             else:
                 SharedNorm.within(model)
@@ -205,9 +202,11 @@ class Step:
         raise TrainingError(self._too_large(batch))
 
     def _learn(self, batch: Batch) -> dict[str, float]:
-        batch = {name: values.to(self.device, non_blocking=True) for name, values in batch.items()}
+        batch = {
+            name: values.to(self.group.device, non_blocking=True) for name, values in batch.items()
+        }
         self.optimizer.zero_grad(set_to_none=True)
-        with autocast(self.device, self.precision):
+        with autocast(self.group.device, self.group.precision):
             output = Output(*self._model(batch))
         losses = self._loss(output, batch)
         losses["loss"].backward()
@@ -226,7 +225,7 @@ class Step:
         while fits:
             try:
                 self.optimizer.zero_grad(set_to_none=True)
-                if self.device.type == "cuda":
+                if self.group.device.type == "cuda":
                     torch.cuda.empty_cache()
                 self._learn({name: values[:fits] for name, values in batch.items()})
                 return f"{said}; --batch {fits * processes} does"

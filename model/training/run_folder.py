@@ -7,6 +7,7 @@ import fcntl
 import io
 import json
 import time
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -21,7 +22,7 @@ from scenegen.errors import DatasetError, printable
 from scenegen.files import Json, disk_told, read_bounded, remove_drafts, write_whole
 from scenegen.limits import MOST_HEADER_BYTES
 from scenegen.model.checkpoint import CheckpointError, load_tensors, save_network, save_tensors
-from scenegen.model.training.card import card, draw
+from scenegen.model.training.card import card, draw, read_rows
 
 CONFIG, ROWS, CURVE, CARD = "config.json", "metrics.csv", "curve.png", "card.md"
 BEST, LAST, LEVEL = "best.safetensors", "last.safetensors", "level.safetensors"
@@ -109,12 +110,7 @@ class RunFolder:
             there, asked = self.settings(), json.loads(json.dumps(settings["settings"]))
             if grows := _grows(there, asked):
                 there |= {name: asked[name] for name in BUDGETS}
-            if unlike := differences(there, asked):
-                raise DatasetError(
-                    f"{self.path}: was begun with other settings "
-                    f"({printable('; '.join(unlike))[:1000]}); give those, "
-                    "or another --out"
-                )
+            check_settings(self.path, there, asked)
             if grows and (self.path / LEVEL).exists():  # where the learning rate began to fall
                 if (self.path / BEST).exists():
                     (self.path / BEST).replace(
@@ -179,7 +175,9 @@ class RunFolder:
             return
         rows = progress.rows
         if kept(rows, choose) == rows[-1]:
-            self.save_best(network, grid, {**about, "figures": rows[-1]})
+            told = {**about, "figures": rows[-1]}
+            save_network(self.path / BEST, network, grid, told)
+            write_whole(self.path / CARD, card(self.path.name, told).encode())
         self.write_rows(rows)
         self.save(progress)
         if time.monotonic() - self._drawn > SAVE_EVERY_S:  # which takes as long as some maps
@@ -203,11 +201,6 @@ class RunFolder:
                 f"stays until then"
             ) from None
 
-    def save_best(self, network: nn.Module, grid: GridSpec, about: Json) -> None:
-        """Write the best network so far, and its card."""
-        save_network(self.path / BEST, network, grid, about)
-        write_whole(self.path / CARD, card(self.path.name, about).encode())
-
     def write_rows(self, rows: list[dict[str, float]]) -> None:
         """Write the figures of all epochs."""
         text = io.StringIO()
@@ -229,22 +222,20 @@ class RunFolder:
         drawn yet."""
         files = self.path / CURVE, self.path / ROWS
         drawn, written = (file.stat().st_mtime_ns if file.exists() else 0 for file in files)
-        if drawn >= written or not self._writes:
-            return
-        picture = draw_curve(rows)
-        if picture is not None:
-            write_whole(self.path / CURVE, picture)
+        if drawn < written and self._writes:
+            with suppress(ImportError):
+                from scenegen.display.panels import to_bytes
+
+                write_whole(self.path / CURVE, to_bytes(draw(rows), ".png"))
 
 
-def draw_curve(rows: list[dict[str, float]]) -> bytes | None:
-    """The curve of `scenegen.model.training.card` as PNG; None where matplotlib is not
-    installed."""
-    try:
-        from scenegen.display.panels import to_bytes
-
-        return to_bytes(draw(rows), ".png")
-    except ImportError:
-        return None
+def check_settings(path: Path, there: Json, asked: Json) -> None:
+    """Raise DatasetError where what is at `path` was begun with other settings than `asked`."""
+    if unlike := differences(there, asked):
+        raise DatasetError(
+            f"{path}: was begun with other settings ({printable('; '.join(unlike))[:1000]}); give "
+            "those, or another --out"
+        )
 
 
 def _grows(there: Json, asked: Json) -> bool:
@@ -279,3 +270,21 @@ def _set_state(
         ]  # a step count is a lone number; moments lie in memory as their weights do
         optimizer.state[like][key] = torch.empty_like(like).copy_(value) if value.ndim else value
     network.load_state_dict(weights)
+
+
+def run_facts(folder: Path) -> Json:
+    """A training run's folder: what was trained on what, and how far it came. Raises
+    DatasetError."""
+    settings = RunFolder(folder).settings()
+    rows = read_rows(folder / ROWS)
+    best = kept(rows, "loss")
+    network = settings["network"]
+    return {
+        "run": str(folder),
+        "network": network["variant"],
+        "inputs": network["inputs"],
+        "kinds": settings["kinds"],
+        "samples": settings["samples"],
+        "epochs": len(rows),
+        "best": {name: best[name] for name in ("epoch", "val_loss", "val_iou", "val_near_mae")},
+    }

@@ -2,7 +2,7 @@
 
 import hashlib
 import math
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from lidarsim.noise.losses import Motion
 from lidarsim.pose import rotate
 from scenegen.draw import observed
 from scenegen.fly import PERIOD_S, Rules, Vehicle
+from scenegen.fly.dynamics import Quadrotor
 from scenegen.fly.missions import Mission
 from scenegen.fly.motion import (
     ACCELERATION,
@@ -27,9 +28,6 @@ from scenegen.fly.motion import (
 )
 from scenegen.worlds.place import Place
 from scenegen.worlds.world import World
-
-if TYPE_CHECKING:
-    from scenegen.fly.dynamics import Quadrotor
 
 Outcome = Literal["success", "collision", "left", "timeout", "crashed", "hung", "flooded"]
 """How a flight ended: at its goal; at a solid; beyond the flight bounds; out of time; or because
@@ -82,7 +80,7 @@ class Simulation:
         self._digest = hashlib.sha256()
         self._seen = b""
         self._turning = 0.0
-        self._body = _quadrotor(self.state, vehicle) if vehicle.dynamics == "mujoco" else None
+        self._body = Quadrotor(self.state, vehicle) if vehicle.dynamics == "mujoco" else None
 
     @property
     def digest(self) -> str:
@@ -207,12 +205,6 @@ class Simulation:
             "mean_clearance_m": float(np.mean(self.clearances_m)),
             "jerk_mps3": math.sqrt(float((jerk * jerk).sum() / max(len(jerk), 1))),
         }
-
-
-def _quadrotor(state: Floats, vehicle: Vehicle) -> "Quadrotor":
-    from scenegen.fly.dynamics import Quadrotor
-
-    return Quadrotor(state, vehicle)
 
 
 def bounded(action: Any, vehicle: Vehicle) -> tuple[NDArray[np.float32] | None, bool]:

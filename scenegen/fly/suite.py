@@ -57,11 +57,7 @@ def chosen_courses(
 ) -> list[Course]:
     """The courses of a suite, those through the `maps` in a folder, or those that the number
     `hidden` draws, see `hidden_courses`; some of them if `quick`."""
-    if hidden is None:
-        found = courses_of(suite) if maps is None else map_courses(maps)
-    else:
-        found = hidden_courses()
-    return found[::QUICK] if quick else found
+    return frozen_courses(suite, track_name(hidden, maps), maps)[:: QUICK if quick else 1]
 
 
 @dataclass(frozen=True)
@@ -127,23 +123,17 @@ def track_of(entry: Recording) -> str:
     return entry.track.strip() or ("maps" if maps else "own")
 
 
-def frozen_courses(suite: str, track: str) -> list[Course]:
-    """All courses of a track, as entries name them. Raises DatasetError where it is none."""
+def frozen_courses(suite: str, track: str, maps: Path | None = None) -> list[Course]:
+    """All courses of a track, as entries name them, or through the `maps` in a folder. Raises
+    DatasetError where it is none."""
     match track.split()[0]:
         case "own":
             return courses_of(suite)
         case "maps":
-            return map_courses(None)
+            return map_courses(maps)
         case "hidden":
             return hidden_courses()
     raise DatasetError(f"{suite} has no track {track[:14]}; expected own, maps or hidden")
-
-
-def our_courses(suite: str, track: str, maps: Path | None) -> dict[Course, Course]:
-    """The courses of a track by how entries name them, with the maps of a folder, if there is one.
-    A stranger's file may name worlds of the same name elsewhere."""
-    courses = frozen_courses(suite, track) if maps is None else map_courses(maps)
-    return {named(course): course for course in courses}
 
 
 def map_courses(folder: Path | None) -> list[Course]:

@@ -64,6 +64,10 @@ class Local(Executor):
         return run(function, tasks, self.workers, on_start)
 
 
+ALONE = Local("", 1)
+"""This process."""
+
+
 class Rank(Local):
     """One of many jobs that are the same but for their rank, begun by something else: it does every
     world-size-th task, from its rank on.

@@ -40,4 +40,6 @@ def folders(once):
 @pytest.fixture
 def undrawn(monkeypatch):
     """Curves take longer than short runs."""
-    monkeypatch.setattr("scenegen.model.training.run_folder.draw_curve", lambda rows: None)
+    monkeypatch.setattr(
+        "scenegen.model.training.run_folder.RunFolder.draw_rows", lambda folder, rows: None
+    )

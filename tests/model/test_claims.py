@@ -2,6 +2,7 @@
 
 import json
 from collections import Counter
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,6 @@ from scenegen.model.study.claims import (
     ALL,
     PATIENCE,
     Claim,
-    Measured,
     answers,
     asked,
     claims,
@@ -22,6 +22,7 @@ from scenegen.model.study.claims import (
     gain,
     judged,
     losses,
+    means,
     seed_variance,
     waited,
 )
@@ -36,7 +37,13 @@ def measured(values, metric="iou", kind="pillar", worlds=WORLDS):
     """Rows whose `metric` on every map, or trial, is as given, and whose others are 0."""
     nothing = dict.fromkeys(ALL, np.zeros(len(worlds)))
     rows = {name.replace("_", "-"): nothing | {metric: one} for name, one in values.items()}
-    return Measured(kind=kind, rows=rows, worlds=dict.fromkeys(ALL, worlds))
+    return bench_of(kind, rows, worlds)
+
+
+def bench_of(kind, rows, worlds):
+    """What of a `DatasetResult` is judged: rows by name and metric, and the worlds of all."""
+    methods = {name: SimpleNamespace(values=row.__getitem__) for name, row in rows.items()}
+    return SimpleNamespace(kind=kind, rows=rows, methods=methods, worlds_of=lambda metric: worlds)
 
 
 def told(epochs, best=1.0):
@@ -121,7 +128,7 @@ def study(rng, ours, theirs, *, seeds=2, training=0.0):
 
 
 def found(one, long=()):
-    spreads = {("pillar", "iou"): seed_variance(losses(one.means(), "iou"))}
+    spreads = {("pillar", "iou"): seed_variance(losses(means(one), "iou"))}
     return decided([compared(CLAIM, one)], spreads, long)[0]
 
 
@@ -180,9 +187,9 @@ def whole():
             name: {metric: row["iou"] + 0.01 * n for n, metric in enumerate(ALL)}
             for name, row in base.rows.items()
         }
-        several.append(Measured(kind=kind, rows=rows, worlds=base.worlds))
+        several.append(bench_of(kind, rows, base.worlds_of("iou")))
     runs = {name: told(4) for name in several[0].rows}
-    return {"runs": runs, "means": {one.kind: one.means() for one in several}, **asked(several)}
+    return {"runs": runs, "means": {one.kind: means(one) for one in several}, **asked(several)}
 
 
 def test_verdicts_follow_from_the_file(tmp_path, capsys):

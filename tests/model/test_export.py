@@ -11,9 +11,8 @@ from lidarsim import GridSpec
 from scenegen.model.checkpoint import CheckpointError, load_network, save_network
 from scenegen.model.completion.completer import Completer
 from scenegen.model.config import VARIANTS, NetworkConfig
-from scenegen.model.export import Traced, export_onnx
 from scenegen.model.network import Network
-from scenegen.model.runtime import RUNTIMES, examine, load_onnx, read_graph
+from scenegen.model.onnx import RUNTIMES, Traced, examine, export_onnx, load_onnx, read_graph
 
 GRID = GridSpec(shape=(16, 24, 8))
 pytest.importorskip("onnxscript")

@@ -39,7 +39,9 @@ def test_free_space_and_a_new_metric_go_all_the_way(folders, tmp_path, monkeypat
         title="alarms", of=lambda s: s.share(s.alarms, s.voxels), needs="occupancy", better="lower"
     )
     monkeypatch.setitem(METRICS, "alarms", alarms)
-    monkeypatch.setattr("scenegen.model.training.run_folder.draw_curve", lambda rows: None)
+    monkeypatch.setattr(
+        "scenegen.model.training.run_folder.RunFolder.draw_rows", lambda folder, rows: None
+    )
     config = TrainConfig(
         network=NetworkConfig(width=4, inputs=BOTH), epochs=1, batch=12, precision="float32"
     )
@@ -65,7 +67,7 @@ def test_free_space_and_a_new_metric_go_all_the_way(folders, tmp_path, monkeypat
         blind = network({**maps, "free": torch.zeros(1, *grid.shape)}).logits.sigmoid()[0].numpy()
     assert not np.allclose(expected, blind, atol=1e-4), "the second channel counts"
 
-    predict_split(completer, folders[1], "test", tmp_path / "p", batch=2)
+    predict_split(completer, folders[1], "test", tmp_path / "p")
     for found in (
         Predicted(tmp_path / "p").completion(sample, dataset.split("test")),
         Completer.from_pretrained(tmp_path / "run", threads=1).completion(

@@ -7,8 +7,7 @@ import torch
 from torch import nn
 
 from scenegen.model.config import VARIANTS, NetworkConfig
-from scenegen.model.facts import cost
-from scenegen.model.network import Columns, Conv3d, CrossFusion, FinalUp, Network
+from scenegen.model.network import Columns, Conv3d, CrossFusion, FinalUp, Network, cost
 
 SHAPE = (16, 24, 8)
 

@@ -7,10 +7,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scenegen.dataset.read import Dataset
 from scenegen.display.exchange.files import write_points
 from scenegen.model.completion.unlearned import Extrude
-from scenegen.model.evaluation.config import BenchConfig
+from scenegen.model.config import BenchConfig
 from scenegen.model.evaluation.methods import Completed, Truth
 from scenegen.model.evaluation.run import bench
-from scenegen.model.evaluation.shown import guesses_of
+from scenegen.model.evaluation.shown import guesses
 from scenegen.truth import distance_field
 from tests.command_line import refused, run
 from tests.scenegen.display.test_page import Seen, unpacked
@@ -55,12 +55,10 @@ def test_the_paths_that_are_shown_are_those_that_the_bench_measures(made):
     dataset, methods = Dataset(made), [Truth(), Completed(Extrude())]
     split, config = dataset.split("test"), BenchConfig(trials=8)
     measured = bench(dataset, methods, config)
-    shown = [
-        guesses_of(methods, config, trial)(sample, split) for trial in (0, 1) for sample in split
-    ]
+    shown = [guesses(methods, config, trial, sample, split) for trial in (0, 1) for sample in split]
     assert len(shown) == len(measured.trial_worlds) == 8
-    for n, guesses in enumerate(shown):  # the bench, too, has the first trial of every sample first
-        for guess, method in zip(guesses, methods, strict=True):
+    for n, said in enumerate(shown):  # the bench, too, has the first trial of every sample first
+        for guess, method in zip(said, methods, strict=True):
             trial, route = measured.methods[method.name].trials[n], guess.route
             assert route.fails == (not trial.success)
             assert (route.points is None) == np.isnan(trial.length_m)
@@ -68,7 +66,7 @@ def test_the_paths_that_are_shown_are_those_that_the_bench_measures(made):
                 legs = np.linalg.norm(np.diff(route.points, axis=0), axis=1)
                 assert_allclose(legs.sum(), trial.length_m)
                 assert_allclose([route.points[0], route.points[-1]], [route.start, route.goal])
-    far = guesses_of(methods, config, 10_000)(split[0], split)
+    far = guesses(methods, config, 10_000, split[0], split)
     assert all(guess.route is None for guess in far)
 
 

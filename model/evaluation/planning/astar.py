@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
-from scenegen.model.evaluation.config import PlanConfig
+from scenegen.model.config import PlanConfig
 from scenegen.worlds.search import NO_RISK, search
 
 Blocked = Literal["start_blocked", "goal_blocked", "no_path"]
@@ -89,11 +89,11 @@ def plan_path(
 
     `occupied` (*grid.shape) is the binary collision map. A node is free when its voxel is; every
     node has up to 26 neighbours, as far away as they are in space (the paper's section "Planning
-    Evaluation", and `Lattice`). With `config.edge_check` the voxels that the segment between two
-    nodes meets with positive length must be free, too; for the careful planner the start's own
-    voxel need not be. The answer is exact, and the same on every run: of two equally long ways to a
-    node the first found stands, and of two nodes equally far by length and estimate the farther
-    from the start, then the lower number, comes first.
+    Evaluation", and `Lattice`). With `config.edge_check`, and for the careful planner, the voxels
+    that the segment between two nodes meets with positive length must be free, too; for the careful
+    planner the start's own voxel need not be. The answer is exact, and the same on every run: of
+    two equally long ways to a node the first found stands, and of two nodes equally far by length
+    and estimate the farther from the start, then the lower number, comes first.
 
     With `risk` (*grid.shape), probabilities, an edge is longer by `config.risk_weight` times its
     length times the mean risk of the voxels stepped on from node to node, the first left out.
@@ -114,7 +114,7 @@ def plan_path(
         lattice.step,
         start,
         end,
-        config.edge_check,
+        config.edge_check or config.planner == "careful",
         NO_RISK if risk is None else checked(risk, "risk", grid, np.float32),
         config.risk_weight,
     )

@@ -1,11 +1,9 @@
-"""Planning trials: goals, and paths planned, refined, and judged in the truth; and a planner for
-which risk is one number."""
+"""Planning trials: goals, and paths planned, refined, and judged in the truth."""
 
-import dataclasses
 import math
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +11,7 @@ from scipy.ndimage import map_coordinates
 
 from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
 from scenegen.model.completion.protocol import Prediction
-from scenegen.model.evaluation.config import PlanConfig
+from scenegen.model.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import Blocked, Lattice, Plan, checked, plan_path
 from scenegen.model.evaluation.planning.refine import refine
 
@@ -49,7 +47,6 @@ def draw_trials(
     feasible solution is found using the ground-truth map are excluded" (the paper's section
     "Planning with Predicted Distance Fields"), and counted here.
     """
-    config = careful(config) if config.planner == "careful" else config
     truth = checked(occupancy_truth, "occupancy_truth", grid, np.bool_)
     lattice = Lattice(grid, config.step_voxels)
     if truth[tuple(lattice.voxels(lattice.start))]:
@@ -135,14 +132,27 @@ def plan_trial(
     grid: GridSpec,
     config: PlanConfig,
 ) -> tuple[Plan, Floats | None]:
-    """What A* finds and the path (n, 3) that is made of it, by `config.planner`, on a collision
-    map, distances `tudf`, metres, and, for the careful planner, the `risk` (*grid.shape) of
-    meeting something."""
+    """What A* finds to `goal` (3,), a node's point, through voxels that are not `occupied`
+    (*grid.shape), and the path (n, 3) that is made of it by refinement on `tudf` (*grid.shape),
+    metres.
+
+    The careful planner keeps to what it knows: A* asks that edges be free, too; the start's own
+    voxel is, for a robot is there; and where the refined path meets an occupied voxel that A*'s
+    does not, A*'s stands. With bounds of a risk (`Prediction.low`), a voxel is occupied where its
+    bound is 0, and the bounds are the distances. With the `risk` (*grid.shape) of meeting
+    something, a probability, A* weighs ways by it, and its path stands, too, where the refined one
+    meets another voxel that is rather occupied than not.
+    """
+    plan = plan_path(occupied, goal, grid, config, risk)
+    if plan.waypoints is None:
+        return plan, None
+    path = refine(plan.waypoints, tudf, grid, config)
     if config.planner == "careful":
-        done = plan_carefully(occupied, tudf, goal, grid, config, risk)
-        return done.plan, done.path
-    plan = plan_path(occupied, goal, grid, config)
-    return plan, None if plan.waypoints is None else refine(plan.waypoints, tudf, grid, config)
+        avoided = occupied if risk is None else occupied | (risk > RATHER)
+        entered = np.setdiff1d(met(path, grid), met(plan.waypoints, grid), assume_unique=True)
+        if avoided.reshape(-1)[entered].any():
+            return plan, plan.waypoints
+    return plan, path
 
 
 def judge(
@@ -204,48 +214,6 @@ def met(path: Floats, grid: GridSpec) -> Ints:
     return np.unique(voxels_of(stations(path)[0], grid))
 
 
-class Careful(NamedTuple):
-    """A path that a careful planner made."""
-
-    plan: Plan
-    """What A* found; no path where the planner abstains."""
-    path: Floats | None
-    """(n, 3): refined, map frame, metres."""
-    voxels: Ints
-    """Those that it meets, counted in C order, each once."""
-
-
-def plan_carefully(
-    blocked: Mask,
-    field: Field,
-    goal: ArrayLike,
-    grid: GridSpec,
-    config: PlanConfig,
-    risk: Field | None = None,
-) -> Careful:
-    """Plan to `goal` (3,), a node's point, through voxels that are not `blocked` (*grid.shape), and
-    refine on `field` (*grid.shape), metres.
-
-    The planner keeps to what it knows: A* asks that edges be free, too; the start's own voxel is,
-    for a robot is there; and where the refined path meets a blocked voxel that A*'s does not, A*'s
-    stands. With bounds of a risk (`Prediction.low`), a voxel is blocked where its bound is 0, and
-    the bounds are the field.
-
-    With the `risk` (*grid.shape) of meeting something, a probability, A* weighs ways by it, and its
-    path stands, too, where the refined one meets another voxel that is rather occupied than not.
-    """
-    config = careful(config)
-    plan = plan_path(blocked, goal, grid, config, risk)
-    if plan.waypoints is None:
-        return Careful(plan, None, np.empty(0, np.int64))
-    path = refine(plan.waypoints, field, grid, config)
-    voxels, allowed = met(path, grid), met(plan.waypoints, grid)
-    avoided = blocked if risk is None else blocked | (risk > RATHER)
-    if avoided.reshape(-1)[np.setdiff1d(voxels, allowed, assume_unique=True)].any():
-        return Careful(plan, plan.waypoints, allowed)
-    return Careful(plan, path, voxels)
-
-
 def risk_of(
     said: Prediction,
     occupied: Mask,
@@ -258,8 +226,3 @@ def risk_of(
     chance = said.occupancy_probability
     risk = np.maximum(occupied, 0 if chance is None else chance, dtype=np.float32)
     return np.where(seen, risk, np.maximum(risk, np.float32(config.unseen_risk)))
-
-
-def careful(config: PlanConfig) -> PlanConfig:
-    """`config` as the careful planner takes it: edges must be free, and the start is."""
-    return dataclasses.replace(config, planner="careful", edge_check=True)

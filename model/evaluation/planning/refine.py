@@ -6,7 +6,7 @@ from numpy.typing import ArrayLike
 
 from lidarsim.grid import Field, Floats, GridSpec
 from lidarsim.jit import kernel
-from scenegen.model.evaluation.config import PlanConfig
+from scenegen.model.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import checked
 
 FIRST_STEP = 1.0

@@ -8,7 +8,7 @@ def test_bad_use_ends_in_one_line(tmp_path, monkeypatch, capsys, folders):
     (tmp_path / "net.onnx").write_bytes(b"")
     for words, code, told in (
         (("net.onnx", folders[0]), 1, "calibrate its .safetensors file, then export"),
-        (("proposed", folders[0]), 1, "the network's on"),
+        (("proposed", folders[0]), 1, "completes maps on"),
         (("proposed", folders[0], "--trials", "-1"), 2, "--trials"),
     ):
         found, _, said = run(capsys, "calibrate", *words, "--workers", 1, "--quiet")

@@ -196,7 +196,7 @@ def train_until_stopped(error):
     sys.stderr = error.open("w")
     torch.set_num_threads(1)
     sys.argv = ["scenegen", "train", "--epochs", "1000", "--patience", "3", *map(str, QUICK)]
-    scenegen.model.training.run_folder.draw_curve = lambda rows: None
+    scenegen.model.training.run_folder.RunFolder.draw_rows = lambda folder, rows: None
     stops.answer()
     cli.main()
 
@@ -214,7 +214,9 @@ def test_the_same_command_goes_on_after_a_signal(here, capsys, monkeypatch):
     ended, _, error = run(capsys, "train", "--epochs", 999, "--patience", 3, *QUICK)
     assert (ended, "epochs is 1000 there, 999 asked for" in error) == (1, True)
     begun = len((here / "runs" / "proposed" / "metrics.csv").read_text().splitlines()) - 1
-    monkeypatch.setattr("scenegen.model.training.run_folder.draw_curve", lambda rows: None)
+    monkeypatch.setattr(
+        "scenegen.model.training.run_folder.RunFolder.draw_rows", lambda folder, rows: None
+    )
     fixed = dict.fromkeys(METRICS, 0.0)
     monkeypatch.setattr(
         "scenegen.model.training.loop.validate", lambda *given: {**fixed, "loss": 1e9}

@@ -18,13 +18,10 @@ from scenegen.errors import DatasetError, ScenegenError
 from scenegen.model.commands.bench import run_bench, show_tables
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.completion.unlearned import Returns
-from scenegen.model.config import Thresholds
-from scenegen.model.evaluation.config import BenchConfig, PlanConfig
-from scenegen.model.evaluation.methods import Completed, Predicted, Truth
+from scenegen.model.config import BenchConfig, PlanConfig, Thresholds
+from scenegen.model.evaluation.methods import METHODS, Completed, Predicted, Truth, find_method
 from scenegen.model.evaluation.metrics import METRICS
-from scenegen.model.evaluation.page import to_html
-from scenegen.model.evaluation.report import build_report, to_markdown
-from scenegen.model.evaluation.rows import METHODS, find_method
+from scenegen.model.evaluation.report import build_report, to_html, to_markdown
 from scenegen.model.evaluation.run import bench
 from scenegen.run.workers import Local
 from tests.conftest import dataset_in, small_recipe
@@ -123,7 +120,7 @@ def test_tables_show_iou_at_the_best_threshold_and_where_it_is(dataset, capsys):
 
 def test_workers_and_other_rows_change_no_figure(dataset):
     alone = bench(dataset, [Completed(Returns())], CONFIG)
-    beside = bench(dataset, [Truth(), Completed(Returns())], CONFIG, workers=2)
+    beside = bench(dataset, [Truth(), Completed(Returns())], CONFIG, execute=Local("", 2))
     ours, theirs = alone.methods["returns"], beside.methods["returns"]
     assert_array_equal(ours.reconstruction, theirs.reconstruction)
     assert ours.trials == theirs.trials

@@ -6,7 +6,7 @@ import pytest
 from lidarsim import Scan, voxelize
 from scenegen.draw import draw_unit
 from scenegen.errors import DatasetError
-from scenegen.model.evaluation.config import BenchConfig
+from scenegen.model.config import BenchConfig
 from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.visibility import CLASSES, classify, seen_occupancy
 from scenegen.source import DrawnWorlds

@@ -8,12 +8,11 @@ import pytest
 from scenegen.dataset.read import Dataset
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.completion.unlearned import Returns
+from scenegen.model.config import BenchConfig
 from scenegen.model.evaluation import paper
-from scenegen.model.evaluation.config import BenchConfig
 from scenegen.model.evaluation.methods import Completed, Truth
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
-from scenegen.model.evaluation.page import to_html
-from scenegen.model.evaluation.report import best, build_report
+from scenegen.model.evaluation.report import best, build_report, to_html
 from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.shown import draw_charts, draw_failures, failing
 from tests.scenegen.display.test_page import Seen

@@ -22,8 +22,9 @@ from scenegen.fly.missions import Mission
 from scenegen.fly.simulation import Simulation
 from scenegen.logs.read import read_log
 from scenegen.model.completion.unlearned import Conservative, Returns
-from scenegen.model.robots import NAMES, flights, robot_maker
+from scenegen.model.robots import flights
 from scenegen.model.robots.film import RIGHT, UNHELD, film, flight_page
+from scenegen.model.robots.flights import NAMES, robot_maker
 from scenegen.model.robots.mapping import MappingRobot
 from scenegen.run import undo_all
 from scenegen.worlds.place import encode_map

@@ -12,7 +12,7 @@ from scenegen.errors import DatasetError
 from scenegen.model.checkpoint import CheckpointError, load_tensors
 from scenegen.model.config import NetworkConfig, TrainConfig
 from scenegen.model.training.course import Course
-from scenegen.model.training.data import Views, epoch_batches
+from scenegen.model.training.data import epoch_batches
 from tests.model.training.runs import SMALL, train
 
 TINY = dataclasses.replace(SMALL, network=NetworkConfig(width=1, heads=1, variant="occ"), batch=12)
@@ -76,10 +76,7 @@ def test_a_budget_in_maps_replaces_passes():
 @pytest.mark.parametrize("interval", [None, 8, 24, 200])
 def test_rounds_see_the_passes_one_after_the_other(interval):
     of = course(count=83, maps=400, interval=interval)
-    passes = [
-        list(epoch_batches(Counted(83), batch=8, seed=0, epoch=epoch, views=Views(augment=True)))
-        for epoch in range(5)
-    ]  # type: ignore[arg-type]
+    passes = [list(epoch_batches(Counted(83), TrainConfig(), epoch)) for epoch in range(5)]
     seen = [of.batches(first, min(of.round, 50 - first)) for first in range(0, 50, of.round)]
     assert list(itertools.chain(*seen)) == list(itertools.chain(*passes))
     assert list(of.batches(7, 9)) == list(itertools.chain(*passes))[7:16]

@@ -16,14 +16,15 @@ from scenegen.dataset.gather import plan_take
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, ScenegenError
 from scenegen.model.completion.completer import unlike
+from scenegen.model.config import TrainConfig
 from scenegen.model.inputs import SYMMETRIES
 from scenegen.model.training.data import (
     LoaderError,
     Maps,
-    Views,
     epoch_batches,
     load,
     opened,
+    views,
 )
 from scenegen.model.training.loop import origin
 from tests.model.conftest import COUNTS, make_dataset
@@ -114,14 +115,15 @@ def test_points_alone_free_less_and_hold_the_same_returns(folders):
         assert not (points["free"] & ~whole["free"] & ~whole["observed"]).any()
         fewer += int((whole["free"] & ~points["free"]).sum())
     assert fewer
-    views = Views(points_share=0.5).of(400, maps, rng=np.random.default_rng(0))
-    assert 150 < (views >= SYMMETRIES).sum() < 250
+    shown = views(maps, TrainConfig(points_share=0.5), 400, np.random.default_rng(0))
+    assert 150 < (shown >= SYMMETRIES).sum() < 250
 
 
 def passes(maps, count, *, seed=0):
     """The maps of each of `count` passes, in order."""
+    config = TrainConfig(batch=1, seed=seed)
     return [
-        [index for batch in epoch_batches(maps, batch=1, seed=seed, epoch=n) for index, _ in batch]
+        [index for batch in epoch_batches(maps, config, n) for index, _ in batch]
         for n in range(count)
     ]
 

@@ -29,7 +29,7 @@ def take_a_step(folders, out, environment):
         config = dataclasses.replace(SMALL, loss=LossConfig(eikonal=1.0, lovasz=1.0))
         network = Network(config.network)
         optimizer = torch.optim.SGD(network.parameters(), lr=1.0)
-        learn = Step(network, optimizer, config, maps.grid, device, torch.float32, group)
+        learn = Step(network, optimizer, config, maps.grid, group)
         batch = {name: torch.stack([maps[n][name] for n in range(4)]) for name in maps[0]}
         batch["occupancy"][::2, :, :, 4:] = (
             False  # so that the first process has fewer voxels near surfaces

@@ -86,7 +86,9 @@ def uninterrupted(folders, once):
 @pytest.fixture(autouse=True)
 def undrawn(uninterrupted, monkeypatch):
     """Only the uninterrupted run draws its curve: pictures take longer than the training here."""
-    monkeypatch.setattr("scenegen.model.training.run_folder.draw_curve", lambda rows: None)
+    monkeypatch.setattr(
+        "scenegen.model.training.run_folder.RunFolder.draw_rows", lambda folder, rows: None
+    )
 
 
 def test_a_run_leaves_its_settings_figures_and_best_network(uninterrupted, folders):
@@ -130,7 +132,7 @@ def train_and_be_killed(folders, out):
     """SIGKILL after the ninth step, with every step saved."""
     torch.set_num_threads(1)
     scenegen.model.training.run_folder.SAVE_EVERY_S = 0.0
-    scenegen.model.training.run_folder.draw_curve = lambda rows: None
+    scenegen.model.training.run_folder.RunFolder.draw_rows = lambda folder, rows: None
     losses = []
 
     def count(maps, loss):

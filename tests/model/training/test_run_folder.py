@@ -19,7 +19,7 @@ from tests.model.training.runs import SMALL, train
 def begun(folders, once):
     """A run of one epoch; not to be changed, nor to be locked."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("scenegen.model.training.run_folder.draw_curve", lambda rows: None)
+        patch.setattr(RunFolder, "draw_rows", lambda folder, rows: None)
         return once(
             "begun",
             lambda out: train(folders, dataclasses.replace(SMALL, epochs=1), out, device="cpu"),

@@ -13,8 +13,9 @@ torch = pytest.importorskip("torch")
 
 from lidarsim import GridSpec, Lidar, MujocoEngine, Pose, cast, voxelize  # noqa: E402
 from lidarsim.sensors import SENSORS  # noqa: E402
+from scenegen.model.config import TrainConfig  # noqa: E402
 from scenegen.model.inputs import turned  # noqa: E402
-from scenegen.model.training.data import Views, epoch_batches, is_mirrored  # noqa: E402
+from scenegen.model.training.data import epoch_batches, is_mirrored  # noqa: E402
 from scenegen.truth import distance_field  # noqa: E402
 
 ALL = range(8)
@@ -135,8 +136,8 @@ class Counted:
 def test_an_epoch_is_full_batches_of_maps_seen_once(count, batch, augment):
     """Of what is too little for one batch, it is that one."""
     for epoch in range(4):
-        given = {"seed": 3, "epoch": epoch, "views": Views(augment=augment)}
-        batches = list(epoch_batches(Counted(count), batch=batch, **given))
+        config = TrainConfig(batch=batch, seed=3, augment=augment)
+        batches = list(epoch_batches(Counted(count), config, epoch))
         assert [len(keys) for keys in batches] == ([batch] * (count // batch) or [count])
         indices = [index for keys in batches for index, _ in keys]
         assert len(set(indices)) == len(indices)
@@ -148,8 +149,8 @@ def test_seed_and_epoch_decide_alone(augment):
     """And each of them matters: seed 0 at epoch 1 is not seed 1 at epoch 0."""
 
     def drawn(seed, epoch):
-        views = Views(augment=augment)
-        return repr([*epoch_batches(Counted(40), batch=8, seed=seed, epoch=epoch, views=views)])
+        config = TrainConfig(seed=seed, augment=augment)
+        return repr([*epoch_batches(Counted(40), config, epoch)])
 
     pairs = list(itertools.product(range(5), repeat=2))
     first = [drawn(*pair) for pair in pairs]
@@ -161,15 +162,15 @@ def test_seed_and_epoch_decide_alone(augment):
 def test_no_map_is_left_out_epoch_after_epoch():
     seen = set()
     for epoch in range(20):
-        seen |= {
-            i for keys in epoch_batches(Counted(15), batch=8, seed=0, epoch=epoch) for i, _ in keys
-        }
+        batches = epoch_batches(Counted(15), TrainConfig(), epoch)
+        seen |= {index for keys in batches for index, _ in keys}
     assert seen == set(range(15))
 
 
 def test_nothing_is_turned_unless_asked_for():
     for epoch in range(5):
-        keys = itertools.chain(*epoch_batches(Counted(64), batch=8, seed=0, epoch=epoch))
+        config = TrainConfig(augment=False)
+        keys = itertools.chain(*epoch_batches(Counted(64), config, epoch))
         assert {symmetry for _, symmetry in keys} == {0}
 
 
@@ -186,10 +187,7 @@ def test_symmetries_that_fit_the_map_occur_about_as_often(shape, mirrored, allow
     """A map as long as it is wide has eight, another has those that keep its shape; half of them
     where rays are no mirror image; each map draws its own."""
     maps = Counted(800, GridSpec(shape=shape), mirrored=mirrored)
-    epochs = [
-        list(epoch_batches(maps, batch=8, seed=0, epoch=epoch, views=Views(augment=True)))
-        for epoch in range(2)
-    ]
+    epochs = [list(epoch_batches(maps, TrainConfig(), epoch)) for epoch in range(2)]
     drawn = [symmetry for keys in epochs[0] for _, symmetry in keys]
     assert sorted(set(drawn)) == list(allowed)
     counts = np.bincount(drawn)[list(allowed)]

@@ -123,7 +123,7 @@ def test_bounds_that_somebody_gives_are_checked():
 
 
 def test_a_header_holds_it_whole():
-    told = json.loads(json.dumps({KEY: PLAIN.said()}))
+    told = json.loads(json.dumps({KEY: dataclasses.asdict(PLAIN)}))
     assert Calibration.of(told, GRID) == PLAIN
     assert Calibration.of({}, GRID) is None
 
@@ -147,7 +147,7 @@ def test_a_header_holds_it_whole():
 )
 def test_a_strangers_calibration_that_cannot_be_is_refused(change):
     with pytest.raises(ValueError, match="calibrate it again"):
-        Calibration.of({KEY: PLAIN.said() | change}, GRID)
+        Calibration.of({KEY: dataclasses.asdict(PLAIN) | change}, GRID)
     with pytest.raises(ValueError, match="damaged"):
         Calibration.of({KEY: 3}, GRID)
 

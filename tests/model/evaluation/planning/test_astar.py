@@ -10,7 +10,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from lidarsim import GridSpec
-from scenegen.model.evaluation.config import PlanConfig
+from scenegen.model.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import Lattice, plan_path
 
 GRID = GridSpec(shape=(24, 21, 14))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from scenegen.model.calibration import Calibration, UncertaintyError
+from scenegen.model.config import PlanConfig
 from scenegen.model.evaluation.calibrate import (
     STEP_M,
     count_scores,
@@ -13,13 +14,18 @@ from scenegen.model.evaluation.calibrate import (
     near_bins,
     path_risks,
 )
-from scenegen.model.evaluation.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import plan_path
-from scenegen.model.evaluation.planning.measure import draw_trials, judge, met, plan_carefully
+from scenegen.model.evaluation.planning.measure import draw_trials, judge, met, plan_trial
 from scenegen.truth import distance_field
 from tests.model.evaluation.planning.test_measure import EAST, FAR, FREE, GRID, filled, scattered
 
-PLAN = PlanConfig()
+PLAN, CAREFUL = PlanConfig(), PlanConfig(planner="careful")
+
+
+def planned(blocked, field, goal, risk=None):
+    """What A* finds, the path, and the voxels that it meets, counted in C order."""
+    plan, path = plan_trial(blocked, field, risk, goal, GRID, CAREFUL)
+    return plan, path, np.empty(0, int) if path is None else met(path, GRID)
 
 
 def test_what_is_met_is_what_the_judge_looks_at():
@@ -37,28 +43,25 @@ def test_it_never_enters_what_its_map_holds_occupied():
         for goal in draw_trials(
             occupied, GRID, PLAN, count=4, rng=np.random.default_rng(seed)
         ).goals:
-            done = plan_carefully(occupied, field, goal, GRID, PLAN)
-            found += done.path is not None
-            assert not occupied.reshape(-1)[done.voxels].any()
-            assert judge(done.plan, done.path, occupied, field, GRID).success == (
-                done.path is not None
-            )
+            plan, path, voxels = planned(occupied, field, goal)
+            found += path is not None
+            assert not occupied.reshape(-1)[voxels].any()
+            assert judge(plan, path, occupied, field, GRID).success == (path is not None)
     assert found > 60
 
 
 def test_it_abstains_where_it_knows_no_way():
     wall = filled((30,))
-    done = plan_carefully(wall, distance_field(wall, GRID), EAST, GRID, PLAN)
-    assert (done.path, len(done.voxels), done.plan.reason) == (None, 0, "no_path")
-    assert not judge(done.plan, done.path, FREE, FAR, GRID).success
-    assert plan_carefully(FREE, FAR, EAST, GRID, PLAN).path is not None
+    plan, path, _ = planned(wall, distance_field(wall, GRID), EAST)
+    assert (path, plan.reason) == (None, "no_path")
+    assert not judge(plan, path, FREE, FAR, GRID).success
+    assert planned(FREE, FAR, EAST)[1] is not None
 
 
 def test_a_robot_may_start_where_its_map_holds_occupied():
     around = np.zeros(GRID.shape, bool)
     around[tuple(edge // 2 for edge in GRID.shape)] = True
-    done = plan_carefully(around, FAR, EAST, GRID, PLAN)
-    assert done.path is not None
+    assert planned(around, FAR, EAST)[1] is not None
     assert plan_path(around, EAST, GRID, PLAN).reason == "start_blocked"
 
 
@@ -69,10 +72,10 @@ def test_it_goes_round_what_is_likely_occupied():
     risk[28:32] = 0.7
     risk[:, 30:] = 0.0
     shortest, _ = plan_path(FREE, EAST, GRID, PLAN)
-    done = plan_carefully(FREE, FAR, EAST, GRID, PLAN, risk)
+    *_, voxels = planned(FREE, FAR, EAST, risk)
     assert shortest is not None
     assert risk.reshape(-1)[met(shortest, GRID)].max() > 0.5
-    assert risk.reshape(-1)[done.voxels].max() <= 0.5
+    assert risk.reshape(-1)[voxels].max() <= 0.5
 
 
 def test_the_risk_asked_is_the_risk_had():
@@ -89,12 +92,8 @@ def test_the_risk_asked_is_the_risk_had():
     def collisions(found, truth, said, seed):
         goals = draw_trials(truth, GRID, PLAN, count=2, rng=np.random.default_rng(seed)).goals
         lows = [found.low(said, None, risk) for risk in found.risks]
-        plans = [
-            [plan_carefully(low <= 0, low, goal, GRID, PLAN) for goal in goals] for low in lows
-        ]
-        return np.array(
-            [np.mean([truth.reshape(-1)[one.voxels].any() for one in row]) for row in plans]
-        )
+        voxels = [[planned(low <= 0, low, goal)[2] for goal in goals] for low in lows]
+        return np.array([np.mean([truth.reshape(-1)[one].any() for one in row]) for row in voxels])
 
     known, new = [world(seed) for seed in range(80)], [world(seed) for seed in range(1000, 1080)]
     everywhere = np.ones(GRID.shape, bool)

@@ -7,7 +7,7 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 from lidarsim import GridSpec
-from scenegen.model.evaluation.config import PlanConfig
+from scenegen.model.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import Lattice, plan_path
 from scenegen.model.evaluation.planning.measure import draw_trials, run_trial
 from scenegen.model.evaluation.planning.refine import refine

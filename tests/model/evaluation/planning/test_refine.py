@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.interpolate import RegularGridInterpolator
 
 from lidarsim import GridSpec
-from scenegen.model.evaluation.config import PlanConfig
+from scenegen.model.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import Lattice, plan_path
 from scenegen.model.evaluation.planning.refine import _cost, _gradient, field_at, refine
 from scenegen.truth import distance_field

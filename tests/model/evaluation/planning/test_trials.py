@@ -6,7 +6,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from lidarsim import GridSpec
-from scenegen.model.evaluation.config import PlanConfig
+from scenegen.model.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import plan_path
 from scenegen.model.evaluation.planning.measure import draw_trials
 
