@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarsim import fuse
+from lidarsim.grid import Ints
 from scenegen import SPLITS
 from scenegen.dataset import trust
 from scenegen.dataset.archive import DOCUMENT, open_archive
@@ -277,7 +277,7 @@ class Split(Samples):
         """The number of a shard's first sample."""
         return int(self._start[number])
 
-    def places(self, number: int) -> NDArray[np.int64]:
+    def places(self, number: int) -> Ints:
         """Where a shard's samples, (N,), stand in the split of the dataset that they were made for.
         Raises DatasetError."""
         entry = self.shards[number]
@@ -286,12 +286,10 @@ class Split(Samples):
         shard = self._shard(number)
         with advised(self.dataset.folder):
             numbering = self.dataset.manifest.home(entry).numbering(self.name)
-            places: NDArray[np.int64] = numbering.place(
-                shard.column("world"), shard.column("viewpoint")
-            )
+            places: Ints = numbering.place(shard.column("world"), shard.column("viewpoint"))
             return places
 
-    def numbers_in(self, number: int) -> NDArray[np.int64]:
+    def numbers_in(self, number: int) -> Ints:
         """World and viewpoint of a shard's samples, (2, N). Raises DatasetError."""
         with advised(self.dataset.folder):
             numbering = self.dataset.manifest.home(self.shards[number]).numbering(self.name)
@@ -299,7 +297,7 @@ class Split(Samples):
         return np.array([world + self.first_worlds[number], viewpoint])
 
     @cached_property
-    def numbers(self) -> NDArray[np.int64]:
+    def numbers(self) -> Ints:
         """Those of all samples, (2, samples); files are opened only where samples were left out
         between others. Raises DatasetError."""
         found = map(self.numbers_in, range(len(self.shards)))

@@ -13,10 +13,10 @@ from lidarsim.parameters import Checked, check, number
 from scenegen.limits import MOST_PLACE_VOXELS
 
 if TYPE_CHECKING:  # commands take their options from here, and none of these
-    import numpy as np
     from numpy.typing import NDArray
 
     from lidarsim import Pose
+    from lidarsim.grid import Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +27,7 @@ class LogScan:
     """When it began, seconds."""
     pose: "Pose"
     """The sensor's in the world at that moment."""
-    points: "NDArray[np.float64]"
+    points: "Floats"
     """(N, 3): returns in the sensor's frame, metres; not finite where nothing returned."""
     more: "Mapping[str, NDArray]" = field(default_factory=dict)
     """What else is known of each return, (N,): `intensity`; `ring`, the number of its beam; and

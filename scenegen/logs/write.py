@@ -6,9 +6,9 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarsim import Pose
+from lidarsim.grid import Floats
 from scenegen.display.exchange.files import encode_points
 from scenegen.files import check_free, make_way, whole, whole_folder
 from scenegen.logs import LogScan
@@ -75,7 +75,7 @@ def _line(numbers: Iterable[float]) -> str:
     return " ".join(f"{value:.12g}" for value in numbers) + "\n"
 
 
-def matrix_of(pose: Pose) -> NDArray[np.float64]:
+def matrix_of(pose: Pose) -> Floats:
     """The pose as a matrix (4, 4): from the sensor's frame to the world's."""
     matrix, turn = np.eye(4), np.empty(9)
     mujoco.mju_quat2Mat(turn, pose.quaternion)

@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from lidarsim.grid import GridSpec
+from lidarsim.grid import GridSpec, Mask
 from lidarsim.jit import kernel
 from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, Solids
 from scenegen.truth.shapes import distance, local, touches, within
@@ -23,7 +23,7 @@ SPARE_M = 0.1 * SLACK_M
 """What a quicker test decides by less than this, is decided by the exact one."""
 
 
-def rasterize(solids: Solids, grid: GridSpec, origin: ArrayLike) -> NDArray[np.bool_]:
+def rasterize(solids: Solids, grid: GridSpec, origin: ArrayLike) -> Mask:
     """Occupancy (*grid.shape) of the grid whose least corner is `origin` (3,), world metres.
 
     True where the voxel's closed cube lies within `SLACK_M` of a solid, decided by closed forms,

@@ -4,8 +4,8 @@ flights."""
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lidarsim.grid import Floats
 from lidarsim.jit import kernel
 from lidarsim.solids.shapes import Solids
 from scenegen.truth.shapes import distance
@@ -28,7 +28,7 @@ class Clearance:
     Solids are sorted into cells of the plan, so that a query looks at a handful of them only.
     """
 
-    def __init__(self, solids: Solids, bounds: NDArray[np.float64]):
+    def __init__(self, solids: Solids, bounds: Floats):
         """`bounds` (2, 3): least and greatest corner of where queries will come from, world
         metres."""
         low, high = bounds[0, :2], bounds[1, :2]
