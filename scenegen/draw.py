@@ -24,7 +24,7 @@ from scenegen.worlds.flight import Viewpoints, fly, viewpoints
 from scenegen.worlds.labels import label_fields
 from scenegen.worlds.mapping import Known
 from scenegen.worlds.place import Place
-from scenegen.worlds.world import World
+from scenegen.worlds.world import AnyWorld, World
 
 View = tuple[Sequence[Scan], dict[str, np.ndarray]]
 """What one viewpoint gave: its own clean scan, those before it, the last one first, and the truth
@@ -78,7 +78,7 @@ class Unit:
 
     number: int
     """The world's number within its split."""
-    world: World | Place
+    world: AnyWorld
     samples: tuple[Sample, ...]
     rejected: Rejections
 
@@ -139,7 +139,7 @@ def compile_truth(source: Source, recipe: Recipe, split: str) -> None:
     fuse([scan], recipe.grid, recipe.mapping.origin(recipe.grid, pose), recipe.mapping)
 
 
-def engine_of(engine: EngineFactory, world: World | Place) -> Caster:
+def engine_of(engine: EngineFactory, world: AnyWorld) -> Caster:
     """What casts the rays of `world`; a world from an MJCF file shares it among its flights."""
     return world.caster(engine) if isinstance(world, Place) else _engine(engine, world)
 
@@ -150,7 +150,7 @@ def _engine(engine: EngineFactory, world: World) -> Caster:
 
 
 def _fly(
-    world: World | Place,
+    world: AnyWorld,
     engine: Caster,
     recipe: Recipe,
     rejected: Rejections,
@@ -188,7 +188,7 @@ def _fly(
 
 
 def _look(
-    world: World | Place, engine: Caster, pose: Pose, recipe: Recipe, rejected: Rejections
+    world: AnyWorld, engine: Caster, pose: Pose, recipe: Recipe, rejected: Rejections
 ) -> tuple[Scan, dict[str, np.ndarray]] | None:
     """The scan and the truth at a viewpoint; None, with the reason counted, where there is next to
     nothing, or too little is known."""
@@ -218,7 +218,7 @@ def _look(
     return scan, truth
 
 
-def truth_of(world: World | Place, scan: Scan, recipe: Recipe) -> dict[str, np.ndarray]:
+def truth_of(world: AnyWorld, scan: Scan, recipe: Recipe) -> dict[str, np.ndarray]:
     """The fields of a sample that say what is there at its own `scan`, and what of it is known."""
     truth: dict[str, np.ndarray] = world.truth(
         recipe.grid, recipe.mapping.origin(recipe.grid, scan.pose)
@@ -228,14 +228,14 @@ def truth_of(world: World | Place, scan: Scan, recipe: Recipe) -> dict[str, np.n
     return truth
 
 
-def rays_known(world: World | Place, scan: Scan, known: Known) -> np.ndarray:
+def rays_known(world: AnyWorld, scan: Scan, known: Known) -> np.ndarray:
     """Which rays of a scan cross little unknown space before they return, (*lidar.shape)."""
     if not isinstance(world, Place):
         return np.ones(scan.ranges.shape, np.bool_)
     return np.asarray(world.unknown_m(scan) <= known.most_unknown_m)
 
 
-def _solids_nearby(world: World | Place, candidates: Viewpoints, recipe: Recipe) -> float:
+def _solids_nearby(world: AnyWorld, candidates: Viewpoints, recipe: Recipe) -> float:
     """Solids whose bounding boxes reach into the map, averaged over the maps of a flight's
     candidate viewpoints; no end of them in a map of voxels."""
     if not len(candidates):
@@ -260,7 +260,7 @@ def _solids_nearby(world: World | Place, candidates: Viewpoints, recipe: Recipe)
 def samples_of(
     views: Sequence[View],
     recipe: Recipe,
-    world: World | Place,
+    world: AnyWorld,
     engine: Caster,
     key: UnitKey,
     names: tuple[int, int],
@@ -298,7 +298,7 @@ def samples_of(
 
 
 def scan_world(
-    world: World | Place,
+    world: AnyWorld,
     lidar: Sensor,
     pose: Pose,
     noise: Noise | None = None,
@@ -333,7 +333,7 @@ def scans_from(poses: Sequence[Pose], engine: Caster, lidar: Sensor) -> list[Sca
 def with_noise(
     scans: Sequence[Scan],
     noise: Noise,
-    world: World | Place,
+    world: AnyWorld,
     engine: Caster,
     key: UnitKey,
     view: int,

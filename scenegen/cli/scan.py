@@ -38,8 +38,7 @@ from scenegen.worlds import CLOUDS, MAPS
 if TYPE_CHECKING:
     from lidarsim import Pose, Sensor
     from lidarsim.noise.chain import Noise
-    from scenegen.worlds.place import Place
-    from scenegen.worlds.world import World
+    from scenegen.worlds.world import AnyWorld
 
 HEADS = {
     "shape": "rays",
@@ -275,7 +274,7 @@ def _write_sequence(
 
 
 def _poses(
-    world: "World | Place", pose: tuple[float, ...] | None, every: float | None, seed: int
+    world: "AnyWorld", pose: tuple[float, ...] | None, every: float | None, seed: int
 ) -> "list[Pose]":
     """The pose given, one in a random flight, or those `every` so many metres of it."""
     from lidarsim import Pose
@@ -290,7 +289,7 @@ def _poses(
 
 def _write_scan(
     file: Path,
-    world: "World | Place",
+    world: "AnyWorld",
     sensor: "Sensor",
     at: "Pose",
     chain: "Noise",

@@ -24,8 +24,7 @@ from scenegen.sample import Sample, Samples, Schema, html_table
 from scenegen.truth import distance_field
 
 if TYPE_CHECKING:  # which imports MuJoCo
-    from scenegen.worlds.place import Place
-    from scenegen.worlds.world import World
+    from scenegen.worlds.world import AnyWorld
 
 MOST_OPEN = 256
 """Shards that a reader keeps open in one process; a large dataset has more than a process may
@@ -127,7 +126,7 @@ class Dataset:
                     return {DOCUMENT: document} | others
         raise DatasetError(f"{self.folder}: has no world {number} in its {split} split")
 
-    def compile(self, split: str, number: int) -> "World | Place":
+    def compile(self, split: str, number: int) -> "AnyWorld":
         """World `number` of `split`, screened, and compiled by MuJoCo unless it is a map. Raises
         DatasetError where there is none, or it cannot be compiled."""
         from scenegen.worlds.screen import screen

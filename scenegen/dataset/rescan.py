@@ -35,12 +35,11 @@ from scenegen.files import real_path
 from scenegen.recipe import Recipe
 from scenegen.run.software import software
 from scenegen.worlds.flight import fly, viewpoints
-from scenegen.worlds.place import Place
-from scenegen.worlds.world import World
+from scenegen.worlds.world import AnyWorld
 
 
 def fly_again(
-    world: World | Place, poses: Sequence[Pose], recipe: Recipe, key: UnitKey
+    world: AnyWorld, poses: Sequence[Pose], recipe: Recipe, key: UnitKey
 ) -> list[list[Pose]]:
     """The poses of the scans that the recipe's mapping asks for of samples with these `poses`, each
     its own first: the unit's flight is planned again, and known by its passing all of them, to the
@@ -71,7 +70,7 @@ def fly_again(
 
 
 def scan_again(
-    world: World | Place,
+    world: AnyWorld,
     poses: Sequence[Sequence[Pose]],
     recipe: Recipe,
     key: UnitKey,
@@ -127,12 +126,12 @@ class Archived:
             return unit, 0
         return unit % self.scenes[split], unit // self.scenes[split]
 
-    def world(self, split: str, number: int, *, rng: np.random.Generator) -> World | Place:
+    def world(self, split: str, number: int, *, rng: np.random.Generator) -> AnyWorld:
         """See `Source.world`; nothing is drawn."""
         return self._world(split, number)
 
     @lru_cache(maxsize=MOST_WORLDS)  # noqa: B019
-    def _world(self, split: str, number: int) -> World | Place:
+    def _world(self, split: str, number: int) -> AnyWorld:
         return self.dataset.compile(split, number)
 
     def describe(self) -> dict[str, Any]:

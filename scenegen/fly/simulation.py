@@ -25,8 +25,7 @@ from scenegen.fly.motion import (
     most_pull,
     pose_of,
 )
-from scenegen.worlds.place import Place
-from scenegen.worlds.world import World
+from scenegen.worlds.world import AnyWorld
 
 if TYPE_CHECKING:
     from scenegen.fly.dynamics import Quadrotor
@@ -54,7 +53,7 @@ class Simulation:
 
     def __init__(
         self,
-        world: World | Place,
+        world: AnyWorld,
         caster: Caster,
         mission: Mission,
         *,

@@ -11,8 +11,7 @@ from lidarsim.grid import Floats
 from scenegen.errors import GenerationError
 from scenegen.logs import Cruise
 from scenegen.worlds.flight import TRIES, Flight, connect, points_of
-from scenegen.worlds.place import Place
-from scenegen.worlds.world import World
+from scenegen.worlds.world import AnyWorld
 
 STEPS = 10
 """Steps from scan to scan in which the heading is followed."""
@@ -22,7 +21,7 @@ ROUNDS = 3
 """How often corners are cut: every time, new points halve the way from one corner to the next."""
 
 
-def cruise_poses(world: World | Place, cruise: Cruise, period_s: float, *, seed: int) -> list[Pose]:
+def cruise_poses(world: AnyWorld, cruise: Cruise, period_s: float, *, seed: int) -> list[Pose]:
     """Level poses, `period_s` seconds apart, along a long random flight through a world.
 
     The flight joins paths of RRT whose corners are cut by B-spline subdivision where a `Flight`'s
@@ -67,9 +66,7 @@ def _times(curve: Floats, cruise: Cruise) -> Floats:
     return np.append(0.0, np.cumsum(FINE_M / np.sqrt(squares[:-1])))
 
 
-def _tour(
-    world: World | Place, flight: Flight, length_m: float, *, rng: np.random.Generator
-) -> Floats:
+def _tour(world: AnyWorld, flight: Flight, length_m: float, *, rng: np.random.Generator) -> Floats:
     """A collision-free path (n, 3) of that length at least, from goal to goal."""
     bounds = world.room(flight.robot_radius_m, flight.min_distance_m, rng=rng)
     apart = min(flight.min_distance_m, math.dist(*bounds) / 3)

@@ -13,8 +13,7 @@ from lidarsim.noise.losses import Motion
 from lidarsim.pose import rotate
 from scenegen.draw import observed
 from scenegen.logs import LogScan
-from scenegen.worlds.place import Place
-from scenegen.worlds.world import World
+from scenegen.worlds.world import AnyWorld
 
 USUAL_S = 0.1
 """From scan to scan, of a sensor that does not say."""
@@ -27,7 +26,7 @@ def period_s(sensor: Sensor) -> float:
 
 
 def record(
-    world: World | Place,
+    world: AnyWorld,
     caster: Caster,
     sensor: Sensor,
     poses: Sequence[Pose],

@@ -27,8 +27,7 @@ from scenegen.verification.contract import of_scans
 from scenegen.verification.rays import audit, disagrees
 from scenegen.verification.report import BrokenError, Page
 from scenegen.verification.stages import Check, Sample, Shard, Worlds
-from scenegen.worlds.place import Place
-from scenegen.worlds.world import World, archived_world
+from scenegen.worlds.world import AnyWorld, archived_world
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -37,7 +36,7 @@ class ArchivedWorlds(SceneWorlds):
 
     worlds: Worlds
 
-    def world(self, split: str, number: int, *, rng: np.random.Generator) -> World | Place:
+    def world(self, split: str, number: int, *, rng: np.random.Generator) -> AnyWorld:
         """See `Source.world`."""
         return archived_world(*self.worlds.source(number))
 

@@ -26,7 +26,7 @@ from scenegen.verification.rays import MapAuditor
 from scenegen.verification.report import BrokenError, Page
 from scenegen.worlds.place import Place
 from scenegen.worlds.screen import screen
-from scenegen.worlds.world import World, archived_world
+from scenegen.worlds.world import AnyWorld, archived_world
 
 AUDITED_SHARE, LEAST_AUDITED = 0.05, 8
 """Expensive checks look at this share of a shard's samples, and at this many at least."""
@@ -98,7 +98,7 @@ class SignedFile:
 
 
 def auditor(
-    solids: Solids | VoxelMap, *, made_with: str, compiled: Callable[[], World | Place]
+    solids: Solids | VoxelMap, *, made_with: str, compiled: Callable[[], AnyWorld]
 ) -> Caster:
     """The engine that casts rays anew in a world of these `solids`, which `compiled` gives whole:
     never the one that the dataset was `made_with`, and always one of ours."""
@@ -155,7 +155,7 @@ class Worlds:
     # Samples come world by world, so each of these keeps the last world alone.
 
     @functools.lru_cache(maxsize=1)  # noqa: B019
-    def world(self, number: int) -> World | Place:
+    def world(self, number: int) -> AnyWorld:
         """A world, compiled. Raises BrokenError."""
         name = f"{self.task.entry.worlds}: {number:06d}.xml"
         with raised_as(BrokenError, of=SceneError):

@@ -86,16 +86,18 @@ class World:
         return {"occupancy": rasterize(self.solids, grid, origin)}
 
 
-def solid(world: World | Place, where: str) -> World:
+AnyWorld = World | Place
+"""What one flies through and scans: a world of solids, or the map of a real place."""
+
+
+def solid(world: AnyWorld, where: str) -> World:
     """`world`, where solids are needed. Raises SceneError, naming `where`, for a map."""
     if isinstance(world, Place):
         raise SceneError(f"{where}: is a map of voxels, which has no solids to show")
     return world
 
 
-def archived_world(
-    mjcf: bytes, assets: Mapping[str, bytes], *, name: str = "world"
-) -> World | Place:
+def archived_world(mjcf: bytes, assets: Mapping[str, bytes], *, name: str = "world") -> AnyWorld:
     """The world of an archived document, of solids or a map. Raises SceneError, naming `name`,
     where it cannot serve as one."""
     if named_map(mjcf):
