@@ -22,7 +22,6 @@ from scenegen.source import Source
 from scenegen.truth import distance_field
 from scenegen.worlds.flight import Viewpoints, fly, viewpoints
 from scenegen.worlds.labels import label_fields
-from scenegen.worlds.mapping import Known
 from scenegen.worlds.place import Place
 from scenegen.worlds.world import AnyWorld, World
 
@@ -193,11 +192,8 @@ def _look(
     """The scan and the truth at a viewpoint; None, with the reason counted, where there is next to
     nothing, or too little is known."""
     accept, known = recipe.accept, recipe.known
-    if (  # first, for most fail here
-        known is not None
-        and isinstance(world, Place)
-        and not world.is_known(pose, recipe.lidar, known)
-    ):
+    # first, for most fail here
+    if known is not None and not world.is_known(pose, recipe.lidar, known):
         rejected.viewpoints["rays_unknown"] += 1
         return None
     (scan,) = scans_from([pose], engine, recipe.lidar)
@@ -210,11 +206,9 @@ def _look(
     if np.count_nonzero(occupied) / occupied.size < accept.min_occupied_share:
         rejected.viewpoints["few_occupied"] += 1
         return None
-    if known is not None:
-        truth["ray_known"] = rays_known(world, scan, known)
-        if truth["known"].mean() < known.least_share:
-            rejected.viewpoints["few_known"] += 1
-            return None
+    if known is not None and truth["known"].mean() < known.least_share:
+        rejected.viewpoints["few_known"] += 1
+        return None
     return scan, truth
 
 
@@ -225,14 +219,8 @@ def truth_of(world: AnyWorld, scan: Scan, recipe: Recipe) -> dict[str, np.ndarra
     )
     if recipe.known is not None:
         truth.setdefault("known", np.ones(recipe.grid.shape, np.bool_))
+        truth["ray_known"] = world.unknown_m(scan) <= recipe.known.most_unknown_m
     return truth
-
-
-def rays_known(world: AnyWorld, scan: Scan, known: Known) -> np.ndarray:
-    """Which rays of a scan cross little unknown space before they return, (*lidar.shape)."""
-    if not isinstance(world, Place):
-        return np.ones(scan.ranges.shape, np.bool_)
-    return np.asarray(world.unknown_m(scan) <= known.most_unknown_m)
 
 
 def _solids_nearby(world: AnyWorld, candidates: Viewpoints, recipe: Recipe) -> float:

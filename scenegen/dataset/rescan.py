@@ -25,7 +25,6 @@ from scenegen.draw import (
     Unit,
     UnitKey,
     engine_of,
-    rays_known,
     samples_of,
     scans_from,
     truth_of,
@@ -90,10 +89,7 @@ def scan_again(
     views = []
     for before in poses:
         scans = scans_from(before, caster, recipe.lidar)
-        truth = truth_of(world, scans[0], recipe)
-        if recipe.known is not None:
-            truth["ray_known"] = rays_known(world, scans[0], recipe.known)
-        views.append((scans, truth))
+        views.append((scans, truth_of(world, scans[0], recipe)))
     samples = samples_of(views, recipe, world, caster, key, names, derived)
     return Unit(names[0], world, samples, Rejections())
 

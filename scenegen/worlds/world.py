@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim import Engine, GridSpec
+from lidarsim import Engine, GridSpec, Pose, Scan, Sensor
 from lidarsim.engines import EngineFactory
 from lidarsim.grid import Floats, Mask
 from lidarsim.noise.returns import albedo_of
@@ -23,6 +23,7 @@ from scenegen.errors import SceneError, printable, raised_as, short
 from scenegen.truth import rasterize
 from scenegen.worlds.clearance import Clearance
 from scenegen.worlds.drawing import FLIGHT_BOUNDS, Drawing
+from scenegen.worlds.mapping import Known
 from scenegen.worlds.place import Place, archived_place, named_map
 
 
@@ -84,6 +85,14 @@ class World:
     def truth(self, grid: GridSpec, origin: Floats) -> dict[str, Mask]:
         """The field of a sample that says what is there, `occupancy`."""
         return {"occupancy": rasterize(self.solids, grid, origin)}
+
+    def is_known(self, pose: Pose, lidar: Sensor, known: Known) -> bool:
+        """Whether enough is known of it at a pose: all is."""
+        return True
+
+    def unknown_m(self, scan: Scan) -> Floats:
+        """Metres of unknown space that each ray of a scan crosses, (*lidar.shape): none."""
+        return np.zeros(scan.ranges.shape)
 
 
 AnyWorld = World | Place
