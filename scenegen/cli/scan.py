@@ -244,8 +244,7 @@ def _write_sequence(
     """Records a log, and gives what is to be said of it."""
     from scenegen.draw import engine_of
     from scenegen.files import check_free
-    from scenegen.logs.cruise import cruise_poses
-    from scenegen.logs.record import period_s, record
+    from scenegen.logs.record import cruise_poses, period_s, record
     from scenegen.logs.write import write_log
     from scenegen.source import named_world
 

@@ -1,8 +1,7 @@
 """Logs: the scans of one drive or flight, with the pose of the sensor at each.
 
-`cruise` flies through a world, `record` scans it, and `write` puts the log on disk. `read` reads
-logs, also of real sensors, by `scenegen.clouds` and `scenegen.poses`, and `fuse` makes maps of
-them.
+`record` flies through a world and scans it, and `write` puts the log on disk. `read` reads logs,
+also of real sensors, by `scenegen.clouds` and `scenegen.poses`, and `fuse` makes maps of them.
 """
 
 from collections.abc import Mapping

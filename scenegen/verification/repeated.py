@@ -23,10 +23,9 @@ from scenegen.recipe import Recipe
 from scenegen.run.software import software
 from scenegen.sample import FIELDS, rng_of
 from scenegen.source import DrawnWorlds, SceneWorlds
-from scenegen.verification.contract import of_scans
 from scenegen.verification.rays import audit, disagrees
 from scenegen.verification.report import BrokenError, Page
-from scenegen.verification.stages import Check, Sample, Shard, Worlds
+from scenegen.verification.stages import Check, Sample, Shard, Worlds, scans_of
 from scenegen.worlds.world import AnyWorld, archived_world
 
 
@@ -209,12 +208,7 @@ def _compare_flight(shard: Shard, unit: int, views: Sequence[tuple[int, int]], p
     def poses() -> list[list[Pose]]:
         with raised_as(BrokenError, f"{task.entry.file}: "):
             return [
-                [
-                    Pose(*pose)
-                    for pose in of_scans(
-                        task.contract, partial(shard.file.value, row=row), "position", "quaternion"
-                    )
-                ]
+                [scan.pose for scan in scans_of(task.contract, partial(shard.file.value, row=row))]
                 for row, _ in views
             ]
 

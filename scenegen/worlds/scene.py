@@ -1,6 +1,7 @@
 """A world from an MJCF file of anybody's: its parts are read where they can do no harm, and made
 self-contained."""
 
+import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -9,6 +10,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from lidarsim.parameters import MOST_TRIANGLES
 from lidarsim.solids.model import solids_of, visible_geoms
 from lidarsim.solids.shapes import HFIELD, MESH, PLANE, Solids
 from scenegen.errors import BrokenError, DatasetError, SceneError, printable, raised_as
@@ -17,7 +19,6 @@ from scenegen.limits import MOST_ASSET_BYTES, MOST_DOCUMENT_BYTES, MOST_GEOMS
 from scenegen.worlds import CLOUDS, MAPS, MESHES
 from scenegen.worlds.cloud import Survey, map_clouds
 from scenegen.worlds.drawing import flatten, least_memory
-from scenegen.worlds.mesh import mesh_spec
 from scenegen.worlds.place import encode_map, map_digest, named_map, place_of, read_place
 from scenegen.worlds.plan import read_plan
 from scenegen.worlds.screen import screen
@@ -233,3 +234,70 @@ def _repeats(text: str) -> float:
             times.append(times[-1] * (float(count) if count else 1.0))
             most = max(most, times[-1])
     return most
+
+
+UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+"""From glTF, whose y points up, to z up; x stays."""
+
+
+def mesh_spec(path: Path) -> mujoco.MjSpec:
+    """The MJCF of a mesh file: a geom for each of its objects, where they stand.
+
+    A .glb is in metres with y up, as glTF 2.0 says; the others say neither, and are taken to be in
+    metres with z up. Colours are left out. Raises SceneError.
+    """
+    import trimesh  # takes a second to load
+
+    try:
+        content = read_bounded(path, MOST_ASSET_BYTES)
+    except (DatasetError, FileNotFoundError) as error:
+        raise SceneError(str(error)) from None
+    try:
+        scene = trimesh.load(  # without a resolver, no other file is read
+            io.BytesIO(content),
+            file_type=path.suffix[1:],
+            force="scene",
+            process=False,
+            skip_materials=True,
+            split_objects=True,
+        )
+        if path.suffix == ".glb":
+            scene.apply_transform(UPRIGHT)
+        placed = scene.dump()
+    except Exception as error:  # trimesh's loaders raise anything
+        raise SceneError(
+            f"{path}: cannot be read as {path.suffix}: {printable(error)[:200]}"
+        ) from None
+    spec, triangles = mujoco.MjSpec(), 0
+    for mesh in placed:
+        if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
+            continue
+        triangles, corners = triangles + len(mesh.faces), mesh.vertices
+        if triangles > MOST_TRIANGLES or len(spec.geoms) >= MOST_GEOMS:
+            raise SceneError(
+                f"{path}: more than {MOST_TRIANGLES} triangles or {MOST_GEOMS} objects; simplify it"
+            )
+        there = mesh.faces.min() >= 0 and mesh.faces.max() < len(corners)
+        if not there or not np.isfinite(corners).all():
+            raise SceneError(
+                f"{path}: has corners that are not finite, or that are missing; export it again"
+            )
+        if len(corners) == 3:  # MuJoCo wants four
+            corners = corners[[0, 1, 2, 2]]
+        called = f"{len(spec.geoms)} {printable(mesh.metadata.get('name', ''))[:60]}"
+        spec.add_mesh(
+            name=called,
+            uservert=corners.reshape(-1),
+            userface=mesh.faces.reshape(-1),
+            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+        )
+        spec.worldbody.add_geom(
+            name=called,
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=called,
+            contype=0,
+            conaffinity=0,
+        )
+    if not triangles:
+        raise SceneError(f"{path}: holds no triangles; for points alone see scenegen map")
+    return spec

@@ -21,9 +21,9 @@ from scenegen.errors import DatasetError
 from scenegen.limits import MOST_PLACE_VOXELS
 from scenegen.logs import Cruise, Fusing, LogScan
 from scenegen.logs.bags import LIVOX, ODOMETRY, Links
-from scenegen.logs.cruise import cruise_poses
 from scenegen.logs.fuse import ingest
 from scenegen.logs.read import Log, read_log
+from scenegen.logs.record import cruise_poses
 from scenegen.logs.write import matrix_of, write_log
 from scenegen.poses import chained, read_poses
 from scenegen.source import read_world
