@@ -47,7 +47,7 @@ class Sensor(Protocol):
 
 FAMILIES = {
     "raster": "lidarsim.sensors.raster:Lidar",
-    "table": "lidarsim.sensors.table:BeamFile",
+    "table": "lidarsim.sensors.table:BeamTable",
     "spinning": "lidarsim.sensors.spinning:Spinning",
     "rosette": "lidarsim.sensors.nonrepetitive:Rosette",
     "coil": "lidarsim.sensors.nonrepetitive:Coil",
