@@ -1,7 +1,6 @@
 """A sensor on a body of a running simulation: it goes where the body goes, and sees what has
 moved."""
 
-import difflib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
@@ -15,6 +14,7 @@ from lidarsim.grid import Floats, Ints
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.returns import Returns, albedo_of
 from lidarsim.pose import Pose, rotate
+from lidarsim.registry import suggestion
 from lidarsim.scan import Scan
 from lidarsim.sensors import Sensor
 from lidarsim.sensors.raster import Lidar
@@ -187,12 +187,6 @@ def _numbered(model: mujoco.MjModel, name: str) -> int:
     """The number of the body called `name`."""
     found = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name))
     if found < 0:
-        names = [model.body(n).name for n in range(model.nbody)]
-        near = difflib.get_close_matches(name, names, n=1)
-        hint = (
-            f"did you mean {near[0]!r}?"
-            if near
-            else f"it has {', '.join(filter(None, names))[:100]}"
-        )
-        raise ValueError(f"attach: the model has no body {name!r}; {hint}")
+        hint = suggestion(name, filter(None, (model.body(n).name for n in range(model.nbody))))
+        raise ValueError(f"attach: the model has no body {name!r}; {hint[:100]}")
     return found

@@ -2,7 +2,7 @@
 
 import hashlib
 import math
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +26,6 @@ from scenegen.fly.motion import (
     pose_of,
 )
 from scenegen.worlds.world import AnyWorld
-
-if TYPE_CHECKING:
-    from scenegen.fly.dynamics import Quadrotor
 
 Outcome = Literal["success", "collision", "left", "timeout", "crashed", "hung", "flooded"]
 """How a flight ended: at its goal; at a solid; beyond the flight bounds; out of time; or because
@@ -81,7 +78,11 @@ class Simulation:
         self._digest = hashlib.sha256()
         self._seen = b""
         self._turning = 0.0
-        self._body = _quadrotor(self.state, vehicle) if vehicle.dynamics == "mujoco" else None
+        self._body: Any = None
+        if vehicle.dynamics == "mujoco":
+            from scenegen.fly.dynamics import Quadrotor
+
+            self._body = Quadrotor(self.state, vehicle)
 
     @property
     def digest(self) -> str:
@@ -206,12 +207,6 @@ class Simulation:
             "mean_clearance_m": float(np.mean(self.clearances_m)),
             "jerk_mps3": math.sqrt(float((jerk * jerk).sum() / max(len(jerk), 1))),
         }
-
-
-def _quadrotor(state: Floats, vehicle: Vehicle) -> "Quadrotor":
-    from scenegen.fly.dynamics import Quadrotor
-
-    return Quadrotor(state, vehicle)
 
 
 def bounded(action: Any, vehicle: Vehicle) -> tuple[NDArray[np.float32] | None, bool]:
