@@ -13,7 +13,7 @@ from lidarsim.engines.analytic import AnalyticEngine, Hits
 from lidarsim.grid import Floats, Ints
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.returns import Returns, albedo_of
-from lidarsim.pose import Pose, rotate
+from lidarsim.pose import Pose, chained, rotate
 from lidarsim.registry import suggestion
 from lidarsim.scan import Scan
 from lidarsim.sensors import Sensor
@@ -97,13 +97,10 @@ class Attached:
     def poses(self, data: mujoco.MjData) -> tuple[Pose, ...]:
         """Where the M sensors are."""
         check_forwarded(self._model, data)
-        found = []
-        for body, offset in zip(self._bodies, self._offsets, strict=True):
-            turn, attitude = data.xquat[body], np.empty(4)
-            mujoco.mju_mulQuat(attitude, turn, offset.quaternion)
-            position = data.xpos[body] + rotate(turn, offset.position)
-            found.append(Pose(position, attitude / np.sqrt((attitude**2).sum())))
-        return tuple(found)
+        return tuple(
+            chained(Pose(data.xpos[body], data.xquat[body]), offset)
+            for body, offset in zip(self._bodies, self._offsets, strict=True)
+        )
 
     def cast(self, data: mujoco.MjData) -> tuple[Floats, Ints]:
         """Metres (M, *shape), inf where nothing is within the sensor's range, and the numbers of
