@@ -1,7 +1,6 @@
 """One unit of work: a world is drawn, flown through and scanned, and its samples come out. The
 whole method is here."""
 
-import functools
 import math
 from collections import Counter
 from collections.abc import Sequence
@@ -112,7 +111,7 @@ def draw_unit(
     number, turn = source.number(split, unit)
     for attempt in range(recipe.accept.max_draws):
         world = source.world(split, number, rng=key.rng(WORLD, attempt))
-        caster = engine_of(engine, world)
+        caster = world.caster(engine)
         views = _fly(world, caster, recipe, rejected, rng=key.rng(FLIGHT, attempt))
         if views:
             names = number, turn * recipe.flight.viewpoints
@@ -136,16 +135,6 @@ def compile_truth(source: Source, recipe: Recipe, split: str) -> None:
     truth = truth_of(world, scan, recipe)
     distance_field(truth["occupancy"], recipe.grid)
     fuse([scan], recipe.grid, recipe.mapping.origin(recipe.grid, pose), recipe.mapping)
-
-
-def engine_of(engine: EngineFactory, world: AnyWorld) -> Caster:
-    """What casts the rays of `world`; a world from an MJCF file shares it among its flights."""
-    return world.caster(engine) if isinstance(world, Place) else _engine(engine, world)
-
-
-@functools.lru_cache(maxsize=8)
-def _engine(engine: EngineFactory, world: World) -> Caster:
-    return world.caster(engine)
 
 
 def _fly(

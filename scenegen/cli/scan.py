@@ -242,7 +242,6 @@ def _write_sequence(
     talk: bool,
 ) -> dict[str, Any]:
     """Records a log, and gives what is to be said of it."""
-    from scenegen.draw import engine_of
     from scenegen.files import check_free
     from scenegen.logs.record import cruise_poses, period_s, record
     from scenegen.logs.write import write_log
@@ -253,7 +252,7 @@ def _write_sequence(
         import mcap_ros2  # noqa: F401 (what is missing is said before a minute of scans)
     found, period = named_world(world, seed), period_s(sensor)
     poses = cruise_poses(found, cruise, period, seed=seed)
-    caster = engine_of(ENGINES.find(engine).of, found)
+    caster = found.caster(ENGINES.find(engine).of)
     corrected = out.suffix != ".mcap"
     scans = record(
         found, caster, sensor, poses, chain, seed=seed, moving=moving, corrected=corrected

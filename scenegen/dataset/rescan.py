@@ -24,7 +24,6 @@ from scenegen.draw import (
     Rejections,
     Unit,
     UnitKey,
-    engine_of,
     samples_of,
     scans_from,
     truth_of,
@@ -85,7 +84,7 @@ def scan_again(
     and nothing is rejected. With what the unit was drawn with, the same samples come out, bit for
     bit. Raises GenerationError.
     """
-    caster = engine_of(engine, world)
+    caster = world.caster(engine)
     views = []
     for before in poses:
         scans = scans_from(before, caster, recipe.lidar)

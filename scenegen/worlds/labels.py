@@ -1,6 +1,5 @@
 """Semantics: which geom every return and every voxel is of, and of which class that geom is."""
 
-import functools
 import math
 import re
 from collections.abc import Iterable, Mapping
@@ -110,7 +109,8 @@ def label_fields(
     classes = np.append(labels.of(world), [0]).astype("<u2")
     directions = rotate(sample["quaternion"], lidar.directions_body)
     origin = np.asarray(sample["position"])[None]
-    met = _engine(world).hits(origin, directions[None], lidar.max_range_m).geoms[0]
+    engine: Any = world.caster(AnalyticEngine.of)
+    met = engine.hits(origin, directions[None], lidar.max_range_m).geoms[0]
     returned = np.where(np.isfinite(sample["ranges"]), met, -1).astype("<i4")
     voxels = owners(world.solids, sample["occupancy"], grid, sample["origin"]).astype("<i4")
     return {
@@ -119,11 +119,6 @@ def label_fields(
         "voxel_geom": voxels,
         "voxel_class": classes[voxels],
     }
-
-
-@functools.lru_cache(maxsize=4)
-def _engine(world: World) -> AnalyticEngine:
-    return AnalyticEngine(world.solids)
 
 
 NONE = -1

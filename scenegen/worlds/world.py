@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import mujoco
 import numpy as np
@@ -78,6 +78,7 @@ class World:
         """What share of light every geom reflects, (ngeom,)."""
         return albedo_of(self.model)
 
+    @lru_cache(maxsize=8)  # noqa: B019 (flights through a world from a file share it)
     def caster(self, engine: EngineFactory) -> Engine:
         """What casts rays in it, made by `engine`."""
         return engine(self.model, self.data)
