@@ -33,6 +33,8 @@ PART = "<mujocoinclude"
 MOST_MOVED = 1e-6
 """How far a solid may lie from where MuJoCo put it, metres, and for each metre of the world's reach
 as much again: what float32 vertices keep."""
+UNREAD = (DatasetError, FileNotFoundError)
+"""What reading a file raises."""
 
 
 @dataclass(frozen=True)
@@ -80,24 +82,22 @@ def read_file(path: Path, *, materials: bool = False) -> Reading:
         return Reading(path, error, includes)
 
 
+@raised_as(SceneError, of=UNREAD)
 def load_map(path: Path) -> Scene:
     """Read a map of a real place, or make one of a cloud of points that says where its sensor was.
     Raises SceneError."""
     notes: tuple[str, ...] = ()
-    try:
-        if path.suffix in CLOUDS:
-            plan = path.suffix == ".yaml"
-            made = read_plan(path) if plan else map_clouds([path])
-            place = place_of(encode_map(made.voxels, str(path)), ".npz", str(path))
-            told = f"walls are taken for {Survey.height_m:g} m high (map --height changes that)"
-            if not plan:
-                told = f"{made.points} points become voxels of {made.voxels.voxel_m:g} m"
-            moved = f"; {made.offset.tolist()} m are taken off their coordinates"
-            notes = (f"{path.name}: {told}{moved if made.offset.any() else ''}",)
-        else:
-            place = read_place(path)
-    except (DatasetError, FileNotFoundError) as error:
-        raise SceneError(str(error)) from None
+    if path.suffix in CLOUDS:
+        plan = path.suffix == ".yaml"
+        made = read_plan(path) if plan else map_clouds([path])
+        place = place_of(encode_map(made.voxels, str(path)), ".npz", str(path))
+        told = f"walls are taken for {Survey.height_m:g} m high (map --height changes that)"
+        if not plan:
+            told = f"{made.points} points become voxels of {made.voxels.voxel_m:g} m"
+        moved = f"; {made.offset.tolist()} m are taken off their coordinates"
+        notes = (f"{path.name}: {told}{moved if made.offset.any() else ''}",)
+    else:
+        place = read_place(path)
     digest = map_digest(place.voxels)
     return Scene(path.name, place.mjcf, place.assets, notes=notes, geometry=digest)
 
@@ -141,8 +141,10 @@ def load_scene(path: Path, *, materials: bool = False) -> Scene:
 def _compile(path: Path) -> tuple[mujoco.MjModel, int]:
     """The model of a file without what only dresses its geoms, which may need files that are not
     there, and how many skins were dropped. Raises SceneError."""
-    try:
-        is_mesh = path.suffix in MESHES
+    is_mesh = path.suffix in MESHES
+    what = "a mesh that MuJoCo refuses" if is_mesh else "not valid MJCF"
+    refused = (ValueError, OSError, MemoryError, RuntimeError, mujoco.FatalError)
+    with raised_as(SceneError, f"{path}: {what}: ", of=refused):
         spec = mesh_spec(path) if is_mesh else mujoco.MjSpec.from_file(str(path))
         skins = len(spec.skins)
         if len(spec.geoms) > MOST_GEOMS:
@@ -157,9 +159,6 @@ def _compile(path: Path) -> tuple[mujoco.MjModel, int]:
         # memory that no geom needs; MuJoCo would fill as much as is asked
         spec.nuserdata = spec.nkey = 0
         return spec.compile(), skins
-    except (ValueError, OSError, MemoryError, RuntimeError, mujoco.FatalError) as error:
-        what = "a mesh that MuJoCo refuses" if path.suffix in MESHES else "not valid MJCF"
-        raise SceneError(f"{path}: {what}: {printable(error)}") from None
 
 
 def _same(expected: Solids, found: Solids) -> bool:
@@ -207,10 +206,8 @@ def look_over(main: Path) -> tuple[bool, frozenset[Path]]:
     is_world, included, waiting = True, set[Path](), [main]
     while waiting:
         path = waiting.pop()
-        try:
+        with raised_as(SceneError, of=UNREAD):
             text = read_bounded(path, MOST_DOCUMENT_BYTES).decode(errors="replace")
-        except (DatasetError, FileNotFoundError) as error:
-            raise SceneError(str(error)) from None
         text = COMMENT.sub(" ", text)
         if _repeats(text) > MOST_GEOMS:  # over many more, MuJoCo takes hours and gigabytes
             raise SceneError(f"{main}: more than {MOST_GEOMS} geoms; merge some into meshes")
@@ -248,11 +245,10 @@ def mesh_spec(path: Path) -> mujoco.MjSpec:
     """
     import trimesh  # takes a second to load
 
-    try:
+    with raised_as(SceneError, of=UNREAD):
         content = read_bounded(path, MOST_ASSET_BYTES)
-    except (DatasetError, FileNotFoundError) as error:
-        raise SceneError(str(error)) from None
-    try:
+    # trimesh's loaders raise anything
+    with raised_as(SceneError, f"{path}: cannot be read as {path.suffix}: ", of=Exception):
         scene = trimesh.load(  # without a resolver, no other file is read
             io.BytesIO(content),
             file_type=path.suffix[1:],
@@ -264,10 +260,6 @@ def mesh_spec(path: Path) -> mujoco.MjSpec:
         if path.suffix == ".glb":
             scene.apply_transform(UPRIGHT)
         placed = scene.dump()
-    except Exception as error:  # trimesh's loaders raise anything
-        raise SceneError(
-            f"{path}: cannot be read as {path.suffix}: {printable(error)[:200]}"
-        ) from None
     spec, triangles = mujoco.MjSpec(), 0
     for mesh in placed:
         if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):

@@ -19,7 +19,7 @@ from lidarsim.noise.returns import albedo_of
 from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.solids.model import solids_of, visible_geoms
 from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE, Solids
-from scenegen.errors import SceneError, printable, raised_as, short
+from scenegen.errors import SceneError, raised_as, short
 from scenegen.truth import rasterize
 from scenegen.worlds.clearance import Clearance
 from scenegen.worlds.drawing import FLIGHT_BOUNDS, Drawing
@@ -122,10 +122,9 @@ def compile_world(
     world."""
     assets = dict(assets or {})
     with quiet_mujoco():
-        try:
+        refused = (ValueError, mujoco.FatalError)
+        with raised_as(SceneError, f"{name}: not valid MJCF: ", of=refused):
             model = mujoco.MjModel.from_xml_string(mjcf.decode(), assets)
-        except (ValueError, UnicodeDecodeError, mujoco.FatalError) as error:
-            raise SceneError(f"{name}: not valid MJCF: {printable(error)}") from None
         return _world(model, mjcf, assets, name)
 
 
