@@ -3,7 +3,7 @@ with other noise."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -93,10 +93,6 @@ def scan_again(
     return Unit(names[0], world, samples, Rejections())
 
 
-MOST_WORLDS = 8
-"""Worlds that a process keeps compiled: those from MJCF files come again and again."""
-
-
 @dataclass(frozen=True, eq=False)
 class Archived:
     """The worlds of a dataset, as a `Source`: read from its archives, and never drawn."""
@@ -123,10 +119,6 @@ class Archived:
 
     def world(self, split: str, number: int, *, rng: np.random.Generator) -> AnyWorld:
         """See `Source.world`; nothing is drawn."""
-        return self._world(split, number)
-
-    @lru_cache(maxsize=MOST_WORLDS)  # noqa: B019
-    def _world(self, split: str, number: int) -> AnyWorld:
         return self.dataset.compile(split, number)
 
     def describe(self) -> dict[str, Any]:

@@ -26,7 +26,7 @@ from scenegen.source import DrawnWorlds, SceneWorlds
 from scenegen.verification.rays import audit, disagrees
 from scenegen.verification.report import BrokenError, Page
 from scenegen.verification.stages import Check, Sample, Shard, Worlds, scans_of
-from scenegen.worlds.world import AnyWorld, archived_world
+from scenegen.worlds.world import AnyWorld
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -37,7 +37,7 @@ class ArchivedWorlds(SceneWorlds):
 
     def world(self, split: str, number: int, *, rng: np.random.Generator) -> AnyWorld:
         """See `Source.world`."""
-        return archived_world(*self.worlds.source(number))
+        return self.worlds.world(number)
 
 
 def regenerate(
