@@ -45,7 +45,7 @@ STAGES: dict[str, tuple[Any, str]] = {
     "  of which compile, read solids": (world_module, "compile_world"),
     "plan flight": (draw_module, "fly"),
     "  of which RRT": (flight_module, "connect"),
-    "make engine": (draw_module, "engine_of"),
+    "make engine": (world_module.World, "caster"),
     "cast rays": (draw_module, "cast"),
     "occupancy": (world_module, "rasterize"),
     "observed and free": (draw_module, "fuse"),

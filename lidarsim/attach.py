@@ -1,7 +1,6 @@
 """A sensor on a body of a running simulation: it goes where the body goes, and sees what has
 moved."""
 
-import difflib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
@@ -14,7 +13,8 @@ from lidarsim.engines.analytic import AnalyticEngine, Hits
 from lidarsim.grid import Floats, Ints
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.returns import Returns, albedo_of
-from lidarsim.pose import Pose, rotate
+from lidarsim.pose import Pose, chained, rotate
+from lidarsim.registry import suggestion
 from lidarsim.scan import Scan
 from lidarsim.sensors import Sensor
 from lidarsim.sensors.raster import Lidar
@@ -97,13 +97,10 @@ class Attached:
     def poses(self, data: mujoco.MjData) -> tuple[Pose, ...]:
         """Where the M sensors are."""
         check_forwarded(self._model, data)
-        found = []
-        for body, offset in zip(self._bodies, self._offsets, strict=True):
-            turn, attitude = data.xquat[body], np.empty(4)
-            mujoco.mju_mulQuat(attitude, turn, offset.quaternion)
-            position = data.xpos[body] + rotate(turn, offset.position)
-            found.append(Pose(position, attitude / np.sqrt((attitude**2).sum())))
-        return tuple(found)
+        return tuple(
+            chained(Pose(data.xpos[body], data.xquat[body]), offset)
+            for body, offset in zip(self._bodies, self._offsets, strict=True)
+        )
 
     def cast(self, data: mujoco.MjData) -> tuple[Floats, Ints]:
         """Metres (M, *shape), inf where nothing is within the sensor's range, and the numbers of
@@ -187,12 +184,6 @@ def _numbered(model: mujoco.MjModel, name: str) -> int:
     """The number of the body called `name`."""
     found = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name))
     if found < 0:
-        names = [model.body(n).name for n in range(model.nbody)]
-        near = difflib.get_close_matches(name, names, n=1)
-        hint = (
-            f"did you mean {near[0]!r}?"
-            if near
-            else f"it has {', '.join(filter(None, names))[:100]}"
-        )
-        raise ValueError(f"attach: the model has no body {name!r}; {hint}")
+        hint = suggestion(name, filter(None, (model.body(n).name for n in range(model.nbody))))
+        raise ValueError(f"attach: the model has no body {name!r}; {hint[:100]}")
     return found

@@ -50,21 +50,21 @@ class GridSpec:
             )
 
     @property
-    def extent_m(self) -> NDArray[np.float64]:
+    def extent_m(self) -> Floats:
         """Edge lengths of the whole grid, (3,), metres."""
         return np.array(self.shape, dtype=np.float64) * self.voxel_m
 
-    def origin_at(self, position: ArrayLike) -> NDArray[np.float64]:
+    def origin_at(self, position: ArrayLike) -> Floats:
         """Least corner, (3,) in the world, of the grid centred on `position` (3,)."""
         return np.asarray(position, dtype=np.float64) - self.extent_m / 2
 
-    def index(self, points: ArrayLike, origin: ArrayLike) -> NDArray[np.int64]:
+    def index(self, points: ArrayLike, origin: ArrayLike) -> Ints:
         """Indices (..., 3) of the voxels that hold `points` (..., 3), world metres; they may lie
         outside the grid."""
         relative = np.asarray(points, dtype=np.float64) - np.asarray(origin, dtype=np.float64)
         return np.floor(relative / self.voxel_m).astype(np.int64)
 
-    def centres(self, origin: ArrayLike) -> NDArray[np.float64]:
+    def centres(self, origin: ArrayLike) -> Floats:
         """Voxel centres, (*shape, 3), world metres."""
         steps = np.stack(
             np.meshgrid(*(np.arange(n) + 0.5 for n in self.shape), indexing="ij"), axis=-1

@@ -23,6 +23,8 @@ it: 360 MB."""
 
 BOUNDS = "bounds"
 """Key of a field's metadata under which its `Bounds` stand."""
+FILE = "file"
+"""The same of a field that a table may give as the path of a file."""
 MOST_SHOWN = 60
 """Characters of a value that an error repeats."""
 _COUNTED = {2: "two", 3: "three", 4: "four"}

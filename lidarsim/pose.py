@@ -67,6 +67,16 @@ class Pose:
         return rotate(self.quaternion * (1.0, -1.0, -1.0, -1.0), points - self.position)
 
 
+def chained(parent: Pose, child: Pose) -> Pose:
+    """The pose in the world of what stands at `child` in the frame of `parent`."""
+    import mujoco  # which readers do without
+
+    turned = np.empty(4)
+    mujoco.mju_mulQuat(turned, parent.quaternion, child.quaternion)
+    position = parent.position + rotate(parent.quaternion, child.position)
+    return Pose(position, turned / np.sqrt((turned**2).sum()))
+
+
 def rotate(quaternion: ArrayLike, vectors: ArrayLike) -> Floats:
     """`vectors` (..., 3) turned by the unit `quaternion` (4,), w x y z."""
     given = np.ascontiguousarray(vectors, dtype=np.float64).view()

@@ -1,7 +1,6 @@
 """One unit of work: a world is drawn, flown through and scanned, and its samples come out. The
 whole method is here."""
 
-import functools
 import math
 from collections import Counter
 from collections.abc import Sequence
@@ -22,9 +21,8 @@ from scenegen.source import Source
 from scenegen.truth import distance_field
 from scenegen.worlds.flight import Viewpoints, fly, viewpoints
 from scenegen.worlds.labels import label_fields
-from scenegen.worlds.mapping import Known
 from scenegen.worlds.place import Place
-from scenegen.worlds.world import World
+from scenegen.worlds.world import AnyWorld, World
 
 View = tuple[Sequence[Scan], dict[str, np.ndarray]]
 """What one viewpoint gave: its own clean scan, those before it, the last one first, and the truth
@@ -78,7 +76,7 @@ class Unit:
 
     number: int
     """The world's number within its split."""
-    world: World | Place
+    world: AnyWorld
     samples: tuple[Sample, ...]
     rejected: Rejections
 
@@ -113,7 +111,7 @@ def draw_unit(
     number, turn = source.number(split, unit)
     for attempt in range(recipe.accept.max_draws):
         world = source.world(split, number, rng=key.rng(WORLD, attempt))
-        caster = engine_of(engine, world)
+        caster = world.caster(engine)
         views = _fly(world, caster, recipe, rejected, rng=key.rng(FLIGHT, attempt))
         if views:
             names = number, turn * recipe.flight.viewpoints
@@ -139,18 +137,8 @@ def compile_truth(source: Source, recipe: Recipe, split: str) -> None:
     fuse([scan], recipe.grid, recipe.mapping.origin(recipe.grid, pose), recipe.mapping)
 
 
-def engine_of(engine: EngineFactory, world: World | Place) -> Caster:
-    """What casts the rays of `world`; a world from an MJCF file shares it among its flights."""
-    return world.caster(engine) if isinstance(world, Place) else _engine(engine, world)
-
-
-@functools.lru_cache(maxsize=8)
-def _engine(engine: EngineFactory, world: World) -> Caster:
-    return world.caster(engine)
-
-
 def _fly(
-    world: World | Place,
+    world: AnyWorld,
     engine: Caster,
     recipe: Recipe,
     rejected: Rejections,
@@ -188,16 +176,13 @@ def _fly(
 
 
 def _look(
-    world: World | Place, engine: Caster, pose: Pose, recipe: Recipe, rejected: Rejections
+    world: AnyWorld, engine: Caster, pose: Pose, recipe: Recipe, rejected: Rejections
 ) -> tuple[Scan, dict[str, np.ndarray]] | None:
     """The scan and the truth at a viewpoint; None, with the reason counted, where there is next to
     nothing, or too little is known."""
     accept, known = recipe.accept, recipe.known
-    if (  # first, for most fail here
-        known is not None
-        and isinstance(world, Place)
-        and not world.is_known(pose, recipe.lidar, known)
-    ):
+    # first, for most fail here
+    if known is not None and not world.is_known(pose, recipe.lidar, known):
         rejected.viewpoints["rays_unknown"] += 1
         return None
     (scan,) = scans_from([pose], engine, recipe.lidar)
@@ -210,32 +195,24 @@ def _look(
     if np.count_nonzero(occupied) / occupied.size < accept.min_occupied_share:
         rejected.viewpoints["few_occupied"] += 1
         return None
-    if known is not None:
-        truth["ray_known"] = rays_known(world, scan, known)
-        if truth["known"].mean() < known.least_share:
-            rejected.viewpoints["few_known"] += 1
-            return None
+    if known is not None and truth["known"].mean() < known.least_share:
+        rejected.viewpoints["few_known"] += 1
+        return None
     return scan, truth
 
 
-def truth_of(world: World | Place, scan: Scan, recipe: Recipe) -> dict[str, np.ndarray]:
+def truth_of(world: AnyWorld, scan: Scan, recipe: Recipe) -> dict[str, np.ndarray]:
     """The fields of a sample that say what is there at its own `scan`, and what of it is known."""
     truth: dict[str, np.ndarray] = world.truth(
         recipe.grid, recipe.mapping.origin(recipe.grid, scan.pose)
     )
     if recipe.known is not None:
         truth.setdefault("known", np.ones(recipe.grid.shape, np.bool_))
+        truth["ray_known"] = world.unknown_m(scan) <= recipe.known.most_unknown_m
     return truth
 
 
-def rays_known(world: World | Place, scan: Scan, known: Known) -> np.ndarray:
-    """Which rays of a scan cross little unknown space before they return, (*lidar.shape)."""
-    if not isinstance(world, Place):
-        return np.ones(scan.ranges.shape, np.bool_)
-    return np.asarray(world.unknown_m(scan) <= known.most_unknown_m)
-
-
-def _solids_nearby(world: World | Place, candidates: Viewpoints, recipe: Recipe) -> float:
+def _solids_nearby(world: AnyWorld, candidates: Viewpoints, recipe: Recipe) -> float:
     """Solids whose bounding boxes reach into the map, averaged over the maps of a flight's
     candidate viewpoints; no end of them in a map of voxels."""
     if not len(candidates):
@@ -260,7 +237,7 @@ def _solids_nearby(world: World | Place, candidates: Viewpoints, recipe: Recipe)
 def samples_of(
     views: Sequence[View],
     recipe: Recipe,
-    world: World | Place,
+    world: AnyWorld,
     engine: Caster,
     key: UnitKey,
     names: tuple[int, int],
@@ -298,7 +275,7 @@ def samples_of(
 
 
 def scan_world(
-    world: World | Place,
+    world: AnyWorld,
     lidar: Sensor,
     pose: Pose,
     noise: Noise | None = None,
@@ -333,7 +310,7 @@ def scans_from(poses: Sequence[Pose], engine: Caster, lidar: Sensor) -> list[Sca
 def with_noise(
     scans: Sequence[Scan],
     noise: Noise,
-    world: World | Place,
+    world: AnyWorld,
     engine: Caster,
     key: UnitKey,
     view: int,

@@ -142,8 +142,6 @@ MOST_CLOUD_BYTES = 1 << 30
 MB."""
 MOST_POINTS = 20_000_000
 """The most points of a scan: they take 480 MB as float64."""
-MOST_LOG_BYTES = 1 << 40
-"""The most bytes of a recording: it is read piece by piece."""
 MOST_CHUNK_BYTES = 256 << 20
 """The most bytes of a chunk of a predictions file, unpacked: a map of `MOST_VOXELS` in float32."""
 

@@ -55,14 +55,6 @@ def between(one: Pose, other: Pose, share: float) -> Pose:
     return Pose(position, turned / np.sqrt((turned**2).sum()))
 
 
-def chained(parent: Pose, child: Pose) -> Pose:
-    """The pose in the world of what stands at `child` in the frame of `parent`."""
-    turned = np.empty(4)
-    mujoco.mju_mulQuat(turned, parent.quaternion, child.quaternion)
-    position = parent.position + rotate(parent.quaternion, child.position)
-    return Pose(position, turned / np.sqrt((turned**2).sum()))
-
-
 def inverse(pose: Pose) -> Pose:
     """The pose of the world in the frame of what stands at `pose`."""
     back = pose.quaternion * (1.0, -1.0, -1.0, -1.0)

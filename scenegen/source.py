@@ -23,9 +23,8 @@ from scenegen.run.workers import Limited, run
 from scenegen.worlds import CLOUDS, MAPS, MESHES
 from scenegen.worlds.labels import By, class_names
 from scenegen.worlds.mapping import Known
-from scenegen.worlds.place import Place
 from scenegen.worlds.scene import Reading, Scene, named, read_file
-from scenegen.worlds.world import World, archived_world, solid, write_world
+from scenegen.worlds.world import AnyWorld, World, archived_world, solid, write_world
 
 SHARES = {"train": 10, "val": 1, "test": 2}
 """How a folder of worlds is dealt out."""
@@ -40,7 +39,7 @@ class Source(Protocol):
         the same world)."""
         ...
 
-    def world(self, split: str, number: int, *, rng: np.random.Generator) -> World | Place:
+    def world(self, split: str, number: int, *, rng: np.random.Generator) -> AnyWorld:
         """The world itself; a source that draws does so from `rng` alone."""
         ...
 
@@ -99,7 +98,7 @@ class SceneWorlds:
         turn, number = divmod(unit, len(self.scenes[split]))
         return number, turn
 
-    def world(self, split: str, number: int, *, rng: np.random.Generator) -> World | Place:
+    def world(self, split: str, number: int, *, rng: np.random.Generator) -> AnyWorld:
         """The world of a file; nothing is drawn."""
         scene = self.scenes[split][number]
         return _compiled(scene.name, scene.mjcf, tuple(scene.assets.items()))
@@ -139,7 +138,7 @@ class SceneWorlds:
         return dataclasses.replace(recipe, known=recipe.known or Known()) if self.maps else recipe
 
 
-def read_world(path: str | Path) -> World | Place:
+def read_world(path: str | Path) -> AnyWorld:
     """The world of an MJCF file, or of a map of a real place. Raises SceneError for a file that
     cannot serve."""
     if Path(path).is_dir():
@@ -148,7 +147,7 @@ def read_world(path: str | Path) -> World | Place:
     return source.world("train", 0, rng=np.random.default_rng(0))
 
 
-def named_world(name: str, seed: int, difficulty: str | None = None) -> World | Place:
+def named_world(name: str, seed: int, difficulty: str | None = None) -> AnyWorld:
     """The world of a file, see `read_world`, or one of the kind called `name`, as its preset of
     that difficulty draws it by `seed`."""
     if Path(name).exists() or (":" not in name and not name.isidentifier()):
@@ -158,7 +157,7 @@ def named_world(name: str, seed: int, difficulty: str | None = None) -> World | 
 
 
 @functools.lru_cache(maxsize=8)
-def _compiled(name: str, mjcf: bytes, assets: tuple[tuple[str, bytes], ...]) -> World | Place:
+def _compiled(name: str, mjcf: bytes, assets: tuple[tuple[str, bytes], ...]) -> AnyWorld:
     return archived_world(mjcf, dict(assets), name=name)
 
 

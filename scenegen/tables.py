@@ -14,6 +14,7 @@ import numpy as np
 
 from lidarsim import BeamTable, Sensor
 from lidarsim.noise.chain import Noise
+from lidarsim.parameters import FILE
 from lidarsim.registry import suggestion
 from lidarsim.sensors import CATALOGUE, FAMILIES, RASTER, SENSORS
 from scenegen.errors import DatasetError, RecipeError, printable, raised_as, short
@@ -60,8 +61,8 @@ def from_table(part: Any, table: dict[str, Any], where: str, folder: Path) -> An
     values = {}
     for name, value in table.items():
         check_name(name, tuple(fields), "parameter", where)
-        is_path = fields[name].type in (Path, "Path") and isinstance(value, str)
-        values[name] = folder / value if is_path else value
+        is_path = fields[name].type in (Path, "Path") or FILE in fields[name].metadata
+        values[name] = folder / value if is_path and isinstance(value, str) else value
     for name, item in fields.items():
         needed = item.default is item.default_factory is dataclasses.MISSING
         if needed and name not in table and isinstance(part, type):

@@ -10,16 +10,15 @@ from lidarsim.registry import Registry
 
 if TYPE_CHECKING:  # the command line asks for the names, and must not load NumPy for that
     import mujoco
-    import numpy as np
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
+
+    from lidarsim.grid import Floats
 
 
 class Caster(Protocol):
     """Anything that can intersect rays with what it knows. It serves one thread at a time."""
 
-    def cast(
-        self, origins: ArrayLike, directions: ArrayLike, max_range_m: float
-    ) -> NDArray[np.float64]:
+    def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> Floats:
         """Metres along the rays to the first surface, for P poses at once.
 
         `origins` (P, 3) are in the world frame, and so are the unit vectors `directions`

@@ -11,8 +11,9 @@ import importlib.util
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from lidarsim.grid import Floats
 from lidarsim.solids.shapes import Solids
 
 if TYPE_CHECKING:
@@ -56,9 +57,7 @@ class WarpEngine:
             )
         return ""
 
-    def cast(
-        self, origins: ArrayLike, directions: ArrayLike, max_range_m: float
-    ) -> NDArray[np.float64]:
+    def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> Floats:
         """As `lidarsim.engines.Engine.cast`."""
         rays = np.asarray(directions, dtype=np.float64)
         poses, count = len(rays), int(np.prod(rays.shape[1:-1]))

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarsim.engines import Caster
+from lidarsim.grid import Floats
 from lidarsim.noise import STAGES, Stage
 from lidarsim.noise.returns import Returns, View
 from lidarsim.scan import Scan, check_ranges
@@ -67,7 +67,7 @@ class Noise:
         engine: Caster,
         *,
         rng: np.random.Generator,
-        albedo: NDArray[np.float64] | None = None,
+        albedo: Floats | None = None,
     ) -> Returns:
         """What the sensor of a clean `scan` really returns; `engine` knows the scan's world, and
         `albedo` is that of `View`. Every stage has a stream of its own, so that one added at the

@@ -5,9 +5,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarsim.elementary import sin_cos
+from lidarsim.grid import Floats
 from lidarsim.noise.returns import Fault, Returns, View, normal
 from lidarsim.parameters import number
 from lidarsim.pose import rotate
@@ -102,9 +102,7 @@ class Spurious(Fault):
         return math.inf
 
 
-def _lost(
-    returns: Returns, share: float | NDArray[np.float64], rng: np.random.Generator
-) -> Returns:
+def _lost(returns: Returns, share: float | Floats, rng: np.random.Generator) -> Returns:
     """Returns of which each is lost with the probability `share`, one for all or one for each
     ray."""
     lost = rng.random(returns.ranges.shape) < share
@@ -157,7 +155,7 @@ class Motion(Fault):
         told = {"told_origins": origins, "told_directions": directions} if self.corrected else {}
         return returns.but(ranges=ranges, origins=origins, directions=directions, **told)
 
-    def moved(self, time_s: float) -> tuple[NDArray[np.float64], float]:
+    def moved(self, time_s: float) -> tuple[Floats, float]:
         """How far the sensor is from where it began, (3,) metres in its first frame, and by how
         much it turned, radians: an arc, or a straight line where it does not turn."""
         rate = math.radians(self.yaw_rate_deg_s)

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Protocol
 from lidarsim.registry import Registry
 
 if TYPE_CHECKING:  # the command line asks for the names, and must not load NumPy for that
-    import numpy as np
-    from numpy.typing import NDArray
+    from lidarsim.grid import Floats
 
 
 class Sensor(Protocol):
@@ -30,12 +29,12 @@ class Sensor(Protocol):
         ...
 
     @property
-    def directions_body(self) -> NDArray[np.float64]:
+    def directions_body(self) -> Floats:
         """Unit vectors (*shape, 3) in the body frame: x forward, y left, z up."""
         ...
 
     @property
-    def times_s(self) -> NDArray[np.float64]:
+    def times_s(self) -> Floats:
         """When each ray is cast, (*shape), seconds after the scan begins; zeros where all are cast
         at once."""
         ...
@@ -48,7 +47,7 @@ class Sensor(Protocol):
 
 FAMILIES = {
     "raster": "lidarsim.sensors.raster:Lidar",
-    "table": "lidarsim.sensors.table:BeamFile",
+    "table": "lidarsim.sensors.table:BeamTable",
     "spinning": "lidarsim.sensors.spinning:Spinning",
     "rosette": "lidarsim.sensors.nonrepetitive:Rosette",
     "coil": "lidarsim.sensors.nonrepetitive:Coil",

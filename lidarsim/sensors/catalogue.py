@@ -12,7 +12,6 @@ one point: where a sensor's beams do not, `error` says so.
 import tomllib
 from pathlib import Path
 
-from lidarsim.sensors.device import Device
 from lidarsim.sensors.nonrepetitive import Coil, Rosette
 from lidarsim.sensors.raster import Pinhole
 from lidarsim.sensors.spinning import Spinning
@@ -274,25 +273,3 @@ D455 = Pinhole(
     min_range_m=0.52,
     noise="near:0.52,depth:0.005",
 )
-
-NAMED: dict[str, Device] = {
-    sensor.name: sensor
-    for sensor in (
-        *(
-            VLP_16,
-            HDL_32E,
-            HDL_64E,
-            OS0_32,
-            OS0_64,
-            OS0_128,
-            OS1_32,
-            OS1_64,
-            OS1_128,
-            OS2_32,
-            OS2_64,
-            OS2_128,
-        ),
-        *(XT_32, QT_128, HELIOS_1615, HELIOS_16P, MID_360, AVIA, D435, D455),
-    )
-}
-"""Every sensor of the catalogue but the paper's, which is the raster."""

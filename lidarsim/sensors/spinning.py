@@ -4,8 +4,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lidarsim.grid import Floats
 from lidarsim.parameters import MOST_RAYS, check, number
 from lidarsim.sensors.device import Device, pointing
 
@@ -101,7 +101,7 @@ class Spinning(Device):
         )
 
     @property
-    def times_s(self) -> NDArray[np.float64]:
+    def times_s(self) -> Floats:
         """See `Sensor.times_s`."""
         beams, columns = self.shape
         return (
@@ -110,7 +110,7 @@ class Spinning(Device):
         )
 
     @property
-    def directions_sensor(self) -> NDArray[np.float64]:
+    def directions_sensor(self) -> Floats:
         """See `Device.directions_sensor`."""
         apart = (
             self.firing_times_s or self.azimuth_offsets_deg

@@ -4,7 +4,7 @@ import dataclasses
 import hashlib
 import io
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lidarsim.grid import Floats
-from lidarsim.parameters import LEAST_RANGE_M, MOST_RANGE_M, MOST_RAYS, Checked, number, shown
+from lidarsim.parameters import FILE, LEAST_RANGE_M, MOST_RANGE_M, MOST_RAYS, shown
 from lidarsim.sensors import Sensor
 
 MOST_AXES = 4
@@ -28,21 +28,28 @@ UNIT = 1e-9
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BeamTable:
-    """Rays listed one by one: a `Sensor`. Two are equal where all of their numbers are.
+    """Rays listed one by one: a `Sensor`, which a recipe names by ``[lidar] sensor = "table"``. Two
+    are equal where all of their numbers are.
 
-    Raises ValueError for rays that have no direction, or times and a range that no scan has.
+    Raises ValueError for rays that have no direction, or times and a range that no scan has, and
+    for a file that is not there, or not the one meant.
     """
 
-    rays: Floats
+    rays: Floats = field(metadata={FILE: True})
     """(*shape, 4): x, y, z of each ray's unit vector in the body frame, and when it is cast,
-    seconds after the scan begins."""
+    seconds after the scan begins; given as float64, or as the path of an .npy file of them."""
     max_range_m: float = 10.0
     """Farthest return, metres."""
     made_by: str = ""
     """What the table was made by, for people to read."""
+    sha256: str = ""
+    """The SHA-256 of `npy`, in hexadecimal; given, what the file of the rays must have."""
 
     def __post_init__(self) -> None:
-        rays = np.array(self.rays, dtype=np.float64)
+        given: Any = self.rays
+        if isinstance(given, Path):
+            given = _read_file(given, self.sha256)
+        rays = np.array(given, dtype=np.float64)
         shape = rays.shape[:-1]
         if (
             rays.shape[-1:] != (4,)
@@ -62,19 +69,22 @@ class BeamTable:
             raise ValueError(
                 "a ray's time is negative or no number; expected seconds after the scan begins"
             )
-        if len(self.made_by) > MOST_MADE_BY or not self.made_by.isprintable():
+        said: Any = self.made_by
+        if not isinstance(said, str) or len(said) > MOST_MADE_BY or not said.isprintable():
             raise ValueError(
                 f"made_by = {shown(self.made_by)}: expected {MOST_MADE_BY} printable characters "
                 f"at most"
             )
-        if not LEAST_RANGE_M <= self.max_range_m <= MOST_RANGE_M:
+        reach: Any = self.max_range_m
+        if not (isinstance(reach, int | float) and LEAST_RANGE_M <= reach <= MOST_RANGE_M):
             raise ValueError(
-                f"max_range_m = {shown(self.max_range_m)}: expected metres from {LEAST_RANGE_M:g} "
+                f"max_range_m = {shown(reach)}: expected metres from {LEAST_RANGE_M:g} "
                 f"to {MOST_RANGE_M:g}"
             )
         rays.setflags(write=False)
         object.__setattr__(self, "rays", rays)
-        object.__setattr__(self, "max_range_m", float(self.max_range_m))
+        object.__setattr__(self, "max_range_m", float(reach))
+        object.__setattr__(self, "sha256", hashlib.sha256(self.npy).hexdigest())
 
     @classmethod
     def of(cls, sensor: Sensor) -> "BeamTable":
@@ -122,11 +132,6 @@ class BeamTable:
         )
         return file.getvalue()
 
-    @property
-    def sha256(self) -> str:
-        """The SHA-256 of `npy`, in hexadecimal."""
-        return hashlib.sha256(self.npy).hexdigest()
-
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, BeamTable):
             return NotImplemented
@@ -143,40 +148,15 @@ class BeamTable:
         return {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
 
 
-@dataclass(frozen=True, kw_only=True)
-class BeamFile(Checked):
-    """A table in a file, for a recipe's ``[lidar] sensor = "table"``: a `Sensor`."""
-
-    rays: Path
-    """An .npy file of float64 (*shape, 4), see `BeamTable.rays`."""
-    max_range_m: float = number(10.0, least=LEAST_RANGE_M, most=MOST_RANGE_M)
-    """Farthest return, metres."""
-    sha256: str = ""
-    """The SHA-256 of the file, in hexadecimal; empty where any file will do."""
-    made_by: str = ""
-    """What the table was made by, for people to read."""
-
-    @cached_property
-    def _table(self) -> BeamTable:
-        if not self.rays.is_file():  # and no pipe, whose reading might never end
-            raise ValueError(
-                f"rays = {self.rays.name!a}: there is no such file in {str(self.rays.parent)!a}"
-            )
-        with open(self.rays, "rb") as file:
-            content = file.read(most_bytes(MOST_RAYS) + 1)
-        if self.sha256 and hashlib.sha256(content).hexdigest() != self.sha256:
-            raise ValueError(
-                f"rays = {self.rays.name!a}: is not the file whose sha256 is {self.sha256[:64]!a}"
-            )
-        return BeamTable(rays=read_npy(content), max_range_m=self.max_range_m, made_by=self.made_by)
-
-    shape = property(lambda self: self._table.shape, doc="How the rays are ordered.")
-    directions_body = property(
-        lambda self: self._table.directions_body, doc="(*shape, 3), in the body frame."
-    )
-    times_s = property(
-        lambda self: self._table.times_s, doc="(*shape), seconds after the scan begins."
-    )
+def _read_file(path: Path, sha256: str) -> NDArray[Any]:
+    """The array in an .npy file, whose SHA-256 is that, where one is given."""
+    if not path.is_file():  # and no pipe, whose reading might never end
+        raise ValueError(f"rays = {path.name!a}: there is no such file in {str(path.parent)!a}")
+    with open(path, "rb") as file:
+        content = file.read(most_bytes(MOST_RAYS) + 1)
+    if sha256 and hashlib.sha256(content).hexdigest() != sha256:
+        raise ValueError(f"rays = {path.name!a}: is not the file whose sha256 is {shown(sha256)}")
+    return read_npy(content)
 
 
 def most_bytes(rays: int) -> int:

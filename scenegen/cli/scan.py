@@ -38,8 +38,7 @@ from scenegen.worlds import CLOUDS, MAPS
 if TYPE_CHECKING:
     from lidarsim import Pose, Sensor
     from lidarsim.noise.chain import Noise
-    from scenegen.worlds.place import Place
-    from scenegen.worlds.world import World
+    from scenegen.worlds.world import AnyWorld
 
 HEADS = {
     "shape": "rays",
@@ -243,10 +242,8 @@ def _write_sequence(
     talk: bool,
 ) -> dict[str, Any]:
     """Records a log, and gives what is to be said of it."""
-    from scenegen.draw import engine_of
     from scenegen.files import check_free
-    from scenegen.logs.cruise import cruise_poses
-    from scenegen.logs.record import period_s, record
+    from scenegen.logs.record import cruise_poses, period_s, record
     from scenegen.logs.write import write_log
     from scenegen.source import named_world
 
@@ -255,7 +252,7 @@ def _write_sequence(
         import mcap_ros2  # noqa: F401 (what is missing is said before a minute of scans)
     found, period = named_world(world, seed), period_s(sensor)
     poses = cruise_poses(found, cruise, period, seed=seed)
-    caster = engine_of(ENGINES.find(engine).of, found)
+    caster = found.caster(ENGINES.find(engine).of)
     corrected = out.suffix != ".mcap"
     scans = record(
         found, caster, sensor, poses, chain, seed=seed, moving=moving, corrected=corrected
@@ -275,7 +272,7 @@ def _write_sequence(
 
 
 def _poses(
-    world: "World | Place", pose: tuple[float, ...] | None, every: float | None, seed: int
+    world: "AnyWorld", pose: tuple[float, ...] | None, every: float | None, seed: int
 ) -> "list[Pose]":
     """The pose given, one in a random flight, or those `every` so many metres of it."""
     from lidarsim import Pose
@@ -290,7 +287,7 @@ def _poses(
 
 def _write_scan(
     file: Path,
-    world: "World | Place",
+    world: "AnyWorld",
     sensor: "Sensor",
     at: "Pose",
     chain: "Noise",

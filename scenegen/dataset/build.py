@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarsim.engines import DEFAULT, MUJOCO
+from lidarsim.grid import Ints
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.layout import layout_of
@@ -234,9 +234,7 @@ def _check_space(plan: Plan, missing: list[ShardTask]) -> None:
 def _summarise(state: State, final: Mapping[str, Any], written: int) -> Summary:
     plan, reports = state.plan, state.reports
     samples = Counter(dict.fromkeys(SPLITS, 0))
-    worlds: dict[str, list[NDArray[np.int64]]] = {
-        split: [np.empty(0, np.int64)] for split in SPLITS
-    }
+    worlds: dict[str, list[Ints]] = {split: [np.empty(0, np.int64)] for split in SPLITS}
     for shard in plan.shards:
         if shard.file in reports:
             samples[shard.split] += shard.samples

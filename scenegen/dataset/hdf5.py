@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lidarsim.grid import Ints
 from scenegen.errors import DatasetError, GuardError, printable, raised_as
 from scenegen.files import open_bounded, pread, size_of
 from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_OBJECTS, MOST_TEXT_BYTES
@@ -50,7 +50,7 @@ class Stored(NamedTuple):
     """Shape of a chunk; None where the data are not stored in chunks."""
     filters: tuple[int, ...]
     """HDF5's numbers of them, in the order of writing."""
-    places: NDArray[np.int64]
+    places: Ints
     """(n, 4) of the stored chunks, if each is one row: row, first byte in the file, bytes, filters
     left out (bits)."""
 

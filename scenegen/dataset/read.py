@@ -5,16 +5,16 @@ import os
 from bisect import bisect_right
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from io import BufferedReader
 from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarsim import fuse
+from lidarsim.grid import Ints
 from scenegen import SPLITS
 from scenegen.dataset import trust
 from scenegen.dataset.archive import DOCUMENT, open_archive
@@ -24,8 +24,7 @@ from scenegen.sample import Sample, Samples, Schema, html_table
 from scenegen.truth import distance_field
 
 if TYPE_CHECKING:  # which imports MuJoCo
-    from scenegen.worlds.place import Place
-    from scenegen.worlds.world import World
+    from scenegen.worlds.world import AnyWorld
 
 MOST_OPEN = 256
 """Shards that a reader keeps open in one process; a large dataset has more than a process may
@@ -127,7 +126,8 @@ class Dataset:
                     return {DOCUMENT: document} | others
         raise DatasetError(f"{self.folder}: has no world {number} in its {split} split")
 
-    def compile(self, split: str, number: int) -> "World | Place":
+    @lru_cache(maxsize=8)  # noqa: B019 (flights through a world from a file share it)
+    def compile(self, split: str, number: int) -> "AnyWorld":
         """World `number` of `split`, screened, and compiled by MuJoCo unless it is a map. Raises
         DatasetError where there is none, or it cannot be compiled."""
         from scenegen.worlds.screen import screen
@@ -277,7 +277,7 @@ class Split(Samples):
         """The number of a shard's first sample."""
         return int(self._start[number])
 
-    def places(self, number: int) -> NDArray[np.int64]:
+    def places(self, number: int) -> Ints:
         """Where a shard's samples, (N,), stand in the split of the dataset that they were made for.
         Raises DatasetError."""
         entry = self.shards[number]
@@ -286,12 +286,10 @@ class Split(Samples):
         shard = self._shard(number)
         with advised(self.dataset.folder):
             numbering = self.dataset.manifest.home(entry).numbering(self.name)
-            places: NDArray[np.int64] = numbering.place(
-                shard.column("world"), shard.column("viewpoint")
-            )
+            places: Ints = numbering.place(shard.column("world"), shard.column("viewpoint"))
             return places
 
-    def numbers_in(self, number: int) -> NDArray[np.int64]:
+    def numbers_in(self, number: int) -> Ints:
         """World and viewpoint of a shard's samples, (2, N). Raises DatasetError."""
         with advised(self.dataset.folder):
             numbering = self.dataset.manifest.home(self.shards[number]).numbering(self.name)
@@ -299,7 +297,7 @@ class Split(Samples):
         return np.array([world + self.first_worlds[number], viewpoint])
 
     @cached_property
-    def numbers(self) -> NDArray[np.int64]:
+    def numbers(self) -> Ints:
         """Those of all samples, (2, samples); files are opened only where samples were left out
         between others. Raises DatasetError."""
         found = map(self.numbers_in, range(len(self.shards)))

@@ -3,7 +3,7 @@ with other noise."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +24,6 @@ from scenegen.draw import (
     Rejections,
     Unit,
     UnitKey,
-    engine_of,
-    rays_known,
     samples_of,
     scans_from,
     truth_of,
@@ -35,12 +33,11 @@ from scenegen.files import real_path
 from scenegen.recipe import Recipe
 from scenegen.run.software import software
 from scenegen.worlds.flight import fly, viewpoints
-from scenegen.worlds.place import Place
-from scenegen.worlds.world import World
+from scenegen.worlds.world import AnyWorld
 
 
 def fly_again(
-    world: World | Place, poses: Sequence[Pose], recipe: Recipe, key: UnitKey
+    world: AnyWorld, poses: Sequence[Pose], recipe: Recipe, key: UnitKey
 ) -> list[list[Pose]]:
     """The poses of the scans that the recipe's mapping asks for of samples with these `poses`, each
     its own first: the unit's flight is planned again, and known by its passing all of them, to the
@@ -71,7 +68,7 @@ def fly_again(
 
 
 def scan_again(
-    world: World | Place,
+    world: AnyWorld,
     poses: Sequence[Sequence[Pose]],
     recipe: Recipe,
     key: UnitKey,
@@ -87,20 +84,13 @@ def scan_again(
     and nothing is rejected. With what the unit was drawn with, the same samples come out, bit for
     bit. Raises GenerationError.
     """
-    caster = engine_of(engine, world)
+    caster = world.caster(engine)
     views = []
     for before in poses:
         scans = scans_from(before, caster, recipe.lidar)
-        truth = truth_of(world, scans[0], recipe)
-        if recipe.known is not None:
-            truth["ray_known"] = rays_known(world, scans[0], recipe.known)
-        views.append((scans, truth))
+        views.append((scans, truth_of(world, scans[0], recipe)))
     samples = samples_of(views, recipe, world, caster, key, names, derived)
     return Unit(names[0], world, samples, Rejections())
-
-
-MOST_WORLDS = 8
-"""Worlds that a process keeps compiled: those from MJCF files come again and again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,12 +117,8 @@ class Archived:
             return unit, 0
         return unit % self.scenes[split], unit // self.scenes[split]
 
-    def world(self, split: str, number: int, *, rng: np.random.Generator) -> World | Place:
+    def world(self, split: str, number: int, *, rng: np.random.Generator) -> AnyWorld:
         """See `Source.world`; nothing is drawn."""
-        return self._world(split, number)
-
-    @lru_cache(maxsize=MOST_WORLDS)  # noqa: B019
-    def _world(self, split: str, number: int) -> World | Place:
         return self.dataset.compile(split, number)
 
     def describe(self) -> dict[str, Any]:

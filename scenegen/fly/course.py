@@ -33,7 +33,7 @@ from scenegen.source import named_world
 from scenegen.tables import named_lidar, named_noise
 from scenegen.truth.difficulty import Difficulty
 from scenegen.worlds.place import Place
-from scenegen.worlds.world import World
+from scenegen.worlds.world import AnyWorld
 
 FORMAT = 1
 """Of recordings."""
@@ -74,7 +74,7 @@ class Course:
         return named_noise(self.noise or None, self.sensor)
 
     @cached_property
-    def drawn(self) -> World | Place:
+    def drawn(self) -> AnyWorld:
         """The world itself."""
         found = named_world(self.world, self.seed, self.difficulty)
         check_document(hashlib.sha256(found.mjcf).hexdigest(), self)
@@ -86,7 +86,7 @@ class Course:
         return draw_missions(self.drawn, self.vehicle, self.rules, self.flights, seed=self.seed)
 
     @cached_property
-    def simulated(self) -> World | Place:
+    def simulated(self) -> AnyWorld:
         """The world as it is flown through: what is unknown of a map is free there, as for rays,
         since no robot can see where knowledge ends."""
         drawn = self.drawn

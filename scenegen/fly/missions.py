@@ -15,7 +15,7 @@ from scenegen.truth import distance_field
 from scenegen.truth.difficulty import Difficulty, way_difficulty
 from scenegen.worlds.place import Place
 from scenegen.worlds.search import NO_RISK, search
-from scenegen.worlds.world import World
+from scenegen.worlds.world import AnyWorld, World
 
 VOXEL_M = 0.1
 """Edge of the voxels through which the shortest way is searched, metres."""
@@ -45,7 +45,7 @@ class Mission:
 
 
 def draw_missions(
-    world: World | Place, vehicle: Vehicle, rules: Rules, count: int, *, seed: int
+    world: AnyWorld, vehicle: Vehicle, rules: Rules, count: int, *, seed: int
 ) -> list[Mission]:
     """`count` missions through a world, by `seed`. A mission does not depend on how many are drawn.
 
@@ -95,7 +95,7 @@ class _Room(NamedTuple):
     """The distances from it, metres."""
 
 
-def _room(world: World | Place, bounds: Floats, radius_m: float) -> _Room:
+def _room(world: AnyWorld, bounds: Floats, radius_m: float) -> _Room:
     shape = np.ceil((bounds[1] - bounds[0]) / VOXEL_M).astype(int) + 2 * MARGIN
     x, y, z = shape.tolist()
     grid = GridSpec(shape=(x, y, z), voxel_m=VOXEL_M)
@@ -118,7 +118,7 @@ def _way(blocked: Mask, ends: Ints) -> Ints:
     return nodes
 
 
-def graded(world: World | Place, radius_m: float, missions: Sequence[Mission]) -> list[Difficulty]:
+def graded(world: AnyWorld, radius_m: float, missions: Sequence[Mission]) -> list[Difficulty]:
     """How hard missions are: the figures of the shortest way of each, on voxels of `VOXEL_M`, for a
     vehicle of a radius in metres."""
     found: list[Difficulty] = []
@@ -132,7 +132,7 @@ def graded(world: World | Place, radius_m: float, missions: Sequence[Mission]) -
 
 
 def _draw(
-    world: World | Place,
+    world: AnyWorld,
     vehicle: Vehicle,
     rules: Rules,
     apart: float,

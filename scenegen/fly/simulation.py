@@ -26,8 +26,7 @@ from scenegen.fly.motion import (
     most_pull,
     pose_of,
 )
-from scenegen.worlds.place import Place
-from scenegen.worlds.world import World
+from scenegen.worlds.world import AnyWorld
 
 Outcome = Literal["success", "collision", "left", "timeout", "crashed", "hung", "flooded"]
 """How a flight ended: at its goal; at a solid; beyond the flight bounds; out of time; or because
@@ -52,7 +51,7 @@ class Simulation:
 
     def __init__(
         self,
-        world: World | Place,
+        world: AnyWorld,
         caster: Caster,
         mission: Mission,
         *,

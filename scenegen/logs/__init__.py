@@ -1,8 +1,7 @@
 """Logs: the scans of one drive or flight, with the pose of the sensor at each.
 
-`cruise` flies through a world, `record` scans it, and `write` puts the log on disk. `read` reads
-logs, also of real sensors, by `scenegen.clouds` and `scenegen.poses`, and `fuse` makes maps of
-them.
+`record` flies through a world and scans it, and `write` puts the log on disk. `read` reads logs,
+also of real sensors, by `scenegen.clouds` and `scenegen.poses`, and `fuse` makes maps of them.
 """
 
 from collections.abc import Mapping
@@ -13,10 +12,10 @@ from lidarsim.parameters import Checked, check, number
 from scenegen.limits import MOST_PLACE_VOXELS
 
 if TYPE_CHECKING:  # commands take their options from here, and none of these
-    import numpy as np
     from numpy.typing import NDArray
 
     from lidarsim import Pose
+    from lidarsim.grid import Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +26,7 @@ class LogScan:
     """When it began, seconds."""
     pose: "Pose"
     """The sensor's in the world at that moment."""
-    points: "NDArray[np.float64]"
+    points: "Floats"
     """(N, 3): returns in the sensor's frame, metres; not finite where nothing returned."""
     more: "Mapping[str, NDArray]" = field(default_factory=dict)
     """What else is known of each return, (N,): `intensity`; `ring`, the number of its beam; and

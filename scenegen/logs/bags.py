@@ -12,10 +12,10 @@ import numpy as np
 
 from lidarsim import Pose
 from lidarsim.grid import Floats
+from lidarsim.pose import chained
 from scenegen.display.exchange.recordings import CLOUD, POINT_TYPES, TRANSFORMS
 from scenegen.errors import DatasetError, printable
-from scenegen.limits import MOST_LOG_BYTES
-from scenegen.poses import Track, chained
+from scenegen.poses import Track
 
 RECORDINGS = (".mcap", ".bag", ".db3")
 """Files of ROS 2, of ROS 1, and of ROS 2's SQLite."""
@@ -86,8 +86,6 @@ class Recording:
 
     def _messages(self, *kinds: str) -> Iterator[tuple[str, str, bytes]]:
         """The kind, topic and content of every message of some kinds, in the order of recording."""
-        if self._path.is_file() and self._path.stat().st_size > MOST_LOG_BYTES:
-            raise DatasetError(f"{self._path}: has more than {MOST_LOG_BYTES} bytes")
         with _readable(self._path), self._reader(self._path) as reader:
             chosen = [one for one in reader.connections if one.msgtype in kinds]
             for connection, _, data in reader.messages(chosen) if chosen else ():

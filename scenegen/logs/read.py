@@ -11,13 +11,14 @@ import numpy as np
 from lidarsim import Pose
 from lidarsim.grid import Floats
 from lidarsim.parameters import MOST_LENGTH_M
+from lidarsim.pose import chained
 from scenegen.clouds import read_points, scans_in
 from scenegen.errors import DatasetError
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_HEADER_BYTES
 from scenegen.logs import LogScan
 from scenegen.logs.bags import RECORDINGS, Recording
-from scenegen.poses import chained, inverse, pose_of_matrix, read_numbers, read_poses
+from scenegen.poses import inverse, pose_of_matrix, read_numbers, read_poses
 
 USUAL_S = 0.1
 """From scan to scan, where no times are known."""

@@ -2,14 +2,20 @@
 
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarsim import Pose
+from lidarsim.grid import Floats
 from scenegen.display.exchange.files import encode_points
+from scenegen.display.exchange.recordings import (
+    CLOUD,
+    TRANSFORMS,
+    Row,
+    cloud_message,
+    write_messages,
+)
 from scenegen.files import check_free, make_way, whole, whole_folder
 from scenegen.logs import LogScan
 
@@ -52,7 +58,7 @@ def write_log(
         check_free(out)
         make_way(out)
         with whole(out) as draft, open(draft, "r+b") as file:
-            _write_mcap(file, counted())
+            write_messages(file, (TRANSFORMS, CLOUD), _rows(counted()))
     return counts
 
 
@@ -75,7 +81,7 @@ def _line(numbers: Iterable[float]) -> str:
     return " ".join(f"{value:.12g}" for value in numbers) + "\n"
 
 
-def matrix_of(pose: Pose) -> NDArray[np.float64]:
+def matrix_of(pose: Pose) -> Floats:
     """The pose as a matrix (4, 4): from the sensor's frame to the world's."""
     matrix, turn = np.eye(4), np.empty(9)
     mujoco.mju_quat2Mat(turn, pose.quaternion)
@@ -83,13 +89,8 @@ def matrix_of(pose: Pose) -> NDArray[np.float64]:
     return matrix
 
 
-def _write_mcap(file: Any, scans: Iterable[LogScan]) -> None:
-    from mcap_ros2.writer import Writer
-
-    from scenegen.display.exchange.recordings import CLOUD, DEFINITIONS, TRANSFORMS, cloud_message
-
-    writer = Writer(file)
-    kinds = {name: writer.register_msgdef(name, DEFINITIONS[name]) for name in (TRANSFORMS, CLOUD)}
+def _rows(scans: Iterable[LogScan]) -> Iterator[Row]:
+    """The messages of each scan."""
     for number, scan in enumerate(scans):
         when = round(scan.time_s * 1e9)
         stamp = dict(zip(("sec", "nanosec"), divmod(when, 10**9), strict=True))
@@ -100,10 +101,5 @@ def _write_mcap(file: Any, scans: Iterable[LogScan]) -> None:
         header = {"stamp": stamp, "frame_id": FRAME}
         link = {"header": header, "child_frame_id": SENSOR, "transform": transform}
         columns = dict(zip("xyz", scan.points.T.astype(np.float32), strict=True), **scan.more)
-        messages = {
-            "/tf": (TRANSFORMS, {"transforms": [link]}),
-            "/points": (CLOUD, cloud_message(columns, {"stamp": stamp, "frame_id": SENSOR})),
-        }
-        for topic, (kind, message) in messages.items():
-            writer.write_message(topic, kinds[kind], message, log_time=when, sequence=number)
-    writer.finish()
+        cloud = cloud_message(columns, {"stamp": stamp, "frame_id": SENSOR})
+        yield number, when, {"tf": (TRANSFORMS, {"transforms": [link]}), "points": (CLOUD, cloud)}

@@ -4,9 +4,9 @@ rocks."""
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarsim.elementary import sin_cos
+from lidarsim.grid import Floats
 from lidarsim.parameters import number
 from scenegen.recipes.kind import Classed, Range, Size, attitudes
 from scenegen.recipes.parts import Parts, height_at, hilly, scattered
@@ -107,7 +107,7 @@ class Cave(Classed):
             stone(parts.at(x, y, height_at(floor, self.size_m, x, y)), turn, rng=rng)
         parts.add_to(spec)
 
-    def _outside(self, shape: tuple[int, ...], *, rng: np.random.Generator) -> NDArray[np.float64]:
+    def _outside(self, shape: tuple[int, ...], *, rng: np.random.Generator) -> Floats:
         """How far points of a lattice (along y, along x) lie outside of chambers and tunnels,
         metres; less than 0 inside."""
         x_m, y_m, _ = self.size_m

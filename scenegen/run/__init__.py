@@ -12,6 +12,13 @@ from typing import Any, Protocol
 from lidarsim.registry import Registry
 from scenegen.errors import ScenegenError, raised_as
 
+Function = Callable[[Any], Any]
+"""What is applied to each task."""
+Begun = Callable[[], None]
+"""What is called once the work has begun."""
+Results = Generator[Any, None, None]
+"""Results as they come."""
+
 
 class Executor(Protocol):
     """A place where tasks run, made of an `address`, "" for none, and of the number of `workers`
@@ -24,9 +31,7 @@ class Executor(Protocol):
         unless it says so."""
         return tasks
 
-    def __call__(
-        self, function: Callable[[Any], Any], tasks: Sequence[Any], on_start: Callable[[], None]
-    ) -> Generator[Any, None, None]:
+    def __call__(self, function: Function, tasks: Sequence[Any], on_start: Begun) -> Results:
         """Have `function` applied to `tasks`, and yield the results as they come, in any order.
 
         Closing the generator ends what it began, and only that.

@@ -7,13 +7,13 @@ before it is imported.
 
 import collections
 import os
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import chdir, contextmanager, nullcontext
 from importlib.util import find_spec
 from typing import Any
 
 from scenegen.errors import GenerationError, needs
-from scenegen.run import Executor
+from scenegen.run import Begun, Executor, Function, Results
 from scenegen.run.remote import GO_ON, Outcome, named, pack, sent
 from scenegen.run.workers import safe_path
 
@@ -43,9 +43,7 @@ class Ray(Executor):
         self.ray = ray
         self.address, self.workers = address, workers
 
-    def __call__(
-        self, function: Callable[[Any], Any], tasks: Sequence[Any], on_start: Callable[[], None]
-    ) -> Generator[Any, None, None]:
+    def __call__(self, function: Function, tasks: Sequence[Any], on_start: Begun) -> Results:
         """Connect, where this process is not connected yet, and have the tasks done."""
         begun = self._connect()
         try:
@@ -80,9 +78,7 @@ class Ray(Executor):
             ) from None
         return True
 
-    def _run(
-        self, function: Callable[[Any], Any], tasks: Sequence[Any], on_start: Callable[[], None]
-    ) -> Generator[Any, None, None]:
+    def _run(self, function: Function, tasks: Sequence[Any], on_start: Begun) -> Results:
         ray = self.ray
         pickler = ray.cloudpickle.CloudPickler
         remote = ray.remote(num_cpus=1, max_retries=MOST_TRIES)(sent(function, pickler))

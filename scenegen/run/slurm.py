@@ -11,14 +11,14 @@ import shutil
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qsl
 
 from scenegen.errors import DatasetError, GenerationError, OwnCodeError, needs, printable
-from scenegen.run import Executor
+from scenegen.run import Begun, Executor, Function, Results
 from scenegen.run.remote import GO_ON, Outcome, pack, sent
 from scenegen.run.workers import safe_path
 
@@ -67,9 +67,7 @@ class Slurm(Executor):
         self.options = ({"partition": partition} if partition else {}) | given
         self.workers = workers
 
-    def __call__(
-        self, function: Callable[[Any], Any], tasks: Sequence[Any], on_start: Callable[[], None]
-    ) -> Generator[Any, None, None]:
+    def __call__(self, function: Function, tasks: Sequence[Any], on_start: Begun) -> Results:
         """Submit arrays of jobs, each of which does several tasks, and wait for them."""
         if not tasks:
             on_start()
@@ -86,7 +84,7 @@ class Slurm(Executor):
             shutil.rmtree(folder)
 
     def _submit(
-        self, folder: Path, function: Callable[[Any], Any], parts: Sequence[Sequence[Any]]
+        self, folder: Path, function: Function, parts: Sequence[Sequence[Any]]
     ) -> list[Any]:
         """A job for each of `parts`: in one array, or in as many of one size as the cluster asks
         for, which share the workers."""
@@ -129,7 +127,7 @@ class Slurm(Executor):
             reason = _last_line(str(error))
             raise GenerationError(f"--on slurm: nothing could be submitted ({reason})") from None
 
-    def _ended(self, jobs: list[Any], folder: Path) -> Generator[Any, None, None]:
+    def _ended(self, jobs: list[Any], folder: Path) -> Results:
         """The jobs as their results come. Raises GenerationError for one that left the queue
         without any.
 
@@ -151,7 +149,7 @@ class Slurm(Executor):
                         raise _lost(job.job_id, f"left the queue without a result: {said}", folder)
             time.sleep(WAIT_S if jobs else 0)
 
-    def _results(self, job: Any, folder: Path) -> Generator[Any, None, None]:
+    def _results(self, job: Any, folder: Path) -> Results:
         try:
             for outcome in job.result():
                 yield Outcome(*outcome).taken()

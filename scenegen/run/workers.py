@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from scenegen.errors import DatasetError, GenerationError, GuardError, ScenegenError, short, told
-from scenegen.run import Executor, undone_if_stopped
+from scenegen.run import Begun, Executor, Function, Results, undone_if_stopped
 
 PR_SET_PDEATHSIG = 1
 """Linux's name for it."""
@@ -57,9 +57,7 @@ class Local(Executor):
             raise DatasetError(f"--on {name}://{address}: takes no address; give --on {name}")
         self.workers = workers
 
-    def __call__(
-        self, function: Callable[[Any], Any], tasks: Sequence[Any], on_start: Callable[[], None]
-    ) -> Generator[Any, None, None]:
+    def __call__(self, function: Function, tasks: Sequence[Any], on_start: Begun) -> Results:
         """Apply `function` to `tasks`, see `run`."""
         return run(function, tasks, self.workers, on_start)
 
@@ -241,7 +239,7 @@ class Worker:
     """One process, the task that it has, and how long it may still take. A forked one shares the
     compiled kernels and the imports; one that is spawned may begin while threads run here."""
 
-    def __init__(self, function: Callable[[Any], Any], start: str = "fork"):
+    def __init__(self, function: Function, start: str = "fork"):
         context: Any = multiprocessing.get_context(start)
         self.pipe, theirs = context.Pipe()
         self._limits = limits = function if isinstance(function, Limited) else None
@@ -344,9 +342,7 @@ def limit_memory(more_bytes: int) -> None:
         resource.setrlimit(resource.RLIMIT_AS, (most, resource.getrlimit(resource.RLIMIT_AS)[1]))
 
 
-def _serve(
-    function: Callable[[Any], Any], memory_bytes: int | None, parent: Any, parent_id: int
-) -> None:
+def _serve(function: Function, memory_bytes: int | None, parent: Any, parent_id: int) -> None:
     """Work off the tasks that come through the pipe `parent` until that process ends."""
     if memory_bytes is not None:
         limit_memory(memory_bytes)

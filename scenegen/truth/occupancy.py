@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from lidarsim.grid import GridSpec
+from lidarsim.grid import GridSpec, Mask
 from lidarsim.jit import kernel
 from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, Solids
 from scenegen.truth.shapes import distance, local, touches, within
@@ -23,7 +23,7 @@ SPARE_M = 0.1 * SLACK_M
 """What a quicker test decides by less than this, is decided by the exact one."""
 
 
-def rasterize(solids: Solids, grid: GridSpec, origin: ArrayLike) -> NDArray[np.bool_]:
+def rasterize(solids: Solids, grid: GridSpec, origin: ArrayLike) -> Mask:
     """Occupancy (*grid.shape) of the grid whose least corner is `origin` (3,), world metres.
 
     True where the voxel's closed cube lies within `SLACK_M` of a solid, decided by closed forms,
@@ -72,36 +72,29 @@ def spans(low, high, origin, voxel_m, shape):
 
 @kernel
 def _fill_primitives(shape, size, position, rotation, lower, upper, origin, voxel_m, occupancy):
-    """Mark every primitive's voxels, the upright ones column by column."""
-    half = 0.5 * voxel_m
+    """Mark every primitive's voxels."""
     for n in range(len(shape)):
-        i0, i1, j0, j1, k0, k1 = spans(lower[n], upper[n], origin, voxel_m, occupancy.shape)
-        if i0 >= i1 or j0 >= j1 or k0 >= k1:
-            continue
-        axes = rotation[n]
-        upright = (
-            axes[2, 0] == 0.0 and axes[2, 1] == 0.0 and (shape[n] == CYLINDER or shape[n] == BOX)
-        )
-        for i in range(i0, i1):
-            dx = origin[0] + (i + 0.5) * voxel_m - position[n, 0]
-            for j in range(j0, j1):
-                dy = origin[1] + (j + 0.5) * voxel_m - position[n, 1]
-                if upright:
-                    if column_touches(shape[n], size[n], axes, dx, dy, half):
-                        occupancy[i, j, k0:k1] = True
-                else:
-                    fill_column(
-                        shape[n],
-                        size[n],
-                        axes,
-                        dx,
-                        dy,
-                        origin[2] + (k0 + 0.5) * voxel_m - position[n, 2],
-                        voxel_m,
-                        occupancy[i, j],
-                        k0,
-                        k1,
-                    )
+        ends = spans(lower[n], upper[n], origin, voxel_m, occupancy.shape)
+        _fill(shape[n], size[n], position[n], rotation[n], ends, origin, voxel_m, occupancy)
+
+
+@kernel
+def _fill(shape, size, position, axes, ends, origin, voxel_m, occupancy):
+    """Mark a primitive's voxels, those of an upright one column by column; `ends` are its
+    `spans`."""
+    i0, i1, j0, j1, k0, k1 = ends
+    if k0 >= k1:
+        return
+    upright = axes[2, 0] == 0.0 and axes[2, 1] == 0.0 and shape in (CYLINDER, BOX)
+    dz = origin[2] + (k0 + 0.5) * voxel_m - position[2]
+    for i in range(i0, i1):
+        dx = origin[0] + (i + 0.5) * voxel_m - position[0]
+        for j in range(j0, j1):
+            dy = origin[1] + (j + 0.5) * voxel_m - position[1]
+            if not upright:
+                fill_column(shape, size, axes, dx, dy, dz, voxel_m, occupancy[i, j], k0, k1)
+            elif column_touches(shape, size, axes, dx, dy, 0.5 * voxel_m):
+                occupancy[i, j, k0:k1] = True
 
 
 @kernel
@@ -110,20 +103,9 @@ def _fill_shells(shape, size, position, rotation, lower, upper, origin, voxel_m,
     inside it."""
     whole = np.zeros_like(occupancy)
     for n in range(len(shape)):
-        m = n + 1
-        _fill_primitives(
-            shape[n:m],
-            size[n:m],
-            position[n:m],
-            rotation[n:m],
-            lower[n:m],
-            upper[n:m],
-            origin,
-            voxel_m,
-            whole,
-        )
-        axes = rotation[n]
-        i0, i1, j0, j1, k0, k1 = spans(lower[n], upper[n], origin, voxel_m, occupancy.shape)
+        axes, ends = rotation[n], spans(lower[n], upper[n], origin, voxel_m, occupancy.shape)
+        _fill(shape[n], size[n], position[n], axes, ends, origin, voxel_m, whole)
+        i0, i1, j0, j1, k0, k1 = ends
         for i in range(i0, i1):
             dx = origin[0] + (i + 0.5) * voxel_m - position[n, 0]
             for j in range(j0, j1):

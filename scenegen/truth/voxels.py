@@ -3,10 +3,10 @@
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelMap
-from lidarsim.grid import GridSpec
+from lidarsim.grid import GridSpec, Mask
 from lidarsim.jit import kernel
 
 LEAST_OVERLAP_M = 1e-6
@@ -15,9 +15,7 @@ LEAST_KNOWN = 0.5
 """The share of a voxel's volume that must be free in the map for the voxel to be known as free."""
 
 
-def resample(
-    voxels: VoxelMap, grid: GridSpec, origin: ArrayLike
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def resample(voxels: VoxelMap, grid: GridSpec, origin: ArrayLike) -> tuple[Mask, Mask]:
     """Occupancy and known space, both (*grid.shape), of the grid whose least corner is `origin`
     (3,), world metres.
 

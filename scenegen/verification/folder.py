@@ -25,8 +25,7 @@ from scenegen.run.workers import Limited, Local
 from scenegen.sample import FIELDS
 from scenegen.source import DrawnWorlds
 from scenegen.stores.cache import fetch_all, note_of
-from scenegen.verification.contract import read_contract
-from scenegen.verification.files import ARCHIVES, EXAMINED, LAYOUT
+from scenegen.verification.files import ARCHIVES, EXAMINED, LAYOUT, read_contract
 from scenegen.verification.files import CHECKS as OF_FILES
 from scenegen.verification.repeated import CHECKS as REPEATED
 from scenegen.verification.report import BrokenError, Ledger, Report

@@ -23,12 +23,10 @@ from scenegen.recipe import Recipe
 from scenegen.run.software import software
 from scenegen.sample import FIELDS, rng_of
 from scenegen.source import DrawnWorlds, SceneWorlds
-from scenegen.verification.contract import of_scans
 from scenegen.verification.rays import audit, disagrees
 from scenegen.verification.report import BrokenError, Page
-from scenegen.verification.stages import Check, Sample, Shard, Worlds
-from scenegen.worlds.place import Place
-from scenegen.worlds.world import World, archived_world
+from scenegen.verification.stages import Check, Sample, Shard, Worlds, scans_of
+from scenegen.worlds.world import AnyWorld
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -37,9 +35,9 @@ class ArchivedWorlds(SceneWorlds):
 
     worlds: Worlds
 
-    def world(self, split: str, number: int, *, rng: np.random.Generator) -> World | Place:
+    def world(self, split: str, number: int, *, rng: np.random.Generator) -> AnyWorld:
         """See `Source.world`."""
-        return archived_world(*self.worlds.source(number))
+        return self.worlds.world(number)
 
 
 def regenerate(
@@ -210,12 +208,7 @@ def _compare_flight(shard: Shard, unit: int, views: Sequence[tuple[int, int]], p
     def poses() -> list[list[Pose]]:
         with raised_as(BrokenError, f"{task.entry.file}: "):
             return [
-                [
-                    Pose(*pose)
-                    for pose in of_scans(
-                        task.contract, partial(shard.file.value, row=row), "position", "quaternion"
-                    )
-                ]
+                [scan.pose for scan in scans_of(task.contract, partial(shard.file.value, row=row))]
                 for row, _ in views
             ]
 

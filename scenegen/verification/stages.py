@@ -21,12 +21,11 @@ from scenegen.dataset.layout import ShardFile
 from scenegen.dataset.trust import Entry, Manifest
 from scenegen.errors import SceneError, raised_as
 from scenegen.sample import rng_of
-from scenegen.verification.contract import of_scans
 from scenegen.verification.rays import MapAuditor
 from scenegen.verification.report import BrokenError, Page
 from scenegen.worlds.place import Place
 from scenegen.worlds.screen import screen
-from scenegen.worlds.world import World, archived_world
+from scenegen.worlds.world import AnyWorld, archived_world
 
 AUDITED_SHARE, LEAST_AUDITED = 0.05, 8
 """Expensive checks look at this share of a shard's samples, and at this many at least."""
@@ -97,14 +96,12 @@ class SignedFile:
     sha256: str
 
 
-def auditor(
-    solids: Solids | VoxelMap, *, made_with: str, compiled: Callable[[], World | Place]
-) -> Caster:
-    """The engine that casts rays anew in a world of these `solids`, which `compiled` gives whole:
-    never the one that the dataset was `made_with`, and always one of ours."""
-    if isinstance(solids, VoxelMap):
-        return MapAuditor(solids)
-    return AnalyticEngine(solids) if made_with == MUJOCO else compiled().caster(MujocoEngine)
+def auditor(world: AnyWorld, made_with: str) -> Caster:
+    """The engine that casts rays anew in a world: never the one that the dataset was `made_with`,
+    and always one of ours."""
+    if isinstance(world, Place):
+        return MapAuditor(world.voxels)
+    return world.caster(AnalyticEngine.of if made_with == MUJOCO else MujocoEngine)
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +152,7 @@ class Worlds:
     # Samples come world by world, so each of these keeps the last world alone.
 
     @functools.lru_cache(maxsize=1)  # noqa: B019
-    def world(self, number: int) -> World | Place:
+    def world(self, number: int) -> AnyWorld:
         """A world, compiled. Raises BrokenError."""
         name = f"{self.task.entry.worlds}: {number:06d}.xml"
         with raised_as(BrokenError, of=SceneError):
@@ -168,9 +165,8 @@ class Worlds:
 
     @functools.lru_cache(maxsize=1)  # noqa: B019
     def auditor(self, number: int) -> Caster:
-        """What casts rays anew in a world that was compiled."""
-        made_with, compiled = self.task.contract.engine, functools.partial(self.world, number)
-        return auditor(self.solids[number], made_with=made_with, compiled=compiled)
+        """What casts rays anew in a world. Raises BrokenError."""
+        return auditor(self.world(number), self.task.contract.engine)
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,6 +212,20 @@ class Shard:
         return frozenset(chosen.tolist())
 
 
+def scans_of(contract: Manifest, stored: Callable[[str], Any]) -> list[Scan]:
+    """The scans of a sample whose fields are `stored`: its own, and those before it. Raises
+    ValueError for an invalid pose."""
+    names = ("ranges", "position", "quaternion")
+    views: list[Any] = [[stored(name) for name in names]]
+    if contract.mapping.scans > 1:
+        views += zip(*(stored(f"earlier_{name}") for name in names), strict=True)
+    # a range that is no number is a fault of `laws`; here it counts as no return
+    return [
+        Scan(np.where(np.isfinite(ranges), ranges, np.float32(np.inf)), Pose(*pose), contract.lidar)
+        for ranges, *pose in views
+    ]
+
+
 @dataclass(frozen=True, eq=False)
 class Sample:
     """One sample, unpacked: all fields, or where `quick` those that are not derived from others."""
@@ -255,15 +265,8 @@ class Sample:
     def scans(self) -> list[Scan]:
         """The stored ranges and poses: its own scan, and those before it. Raises BrokenError for
         an invalid pose."""
-        found = []
-        for ranges, *pose in of_scans(
-            self.contract, self.fields.__getitem__, "ranges", "position", "quaternion"
-        ):
-            # a range that is no number is a fault of `laws`; here it counts as no return
-            clean = np.where(np.isfinite(ranges), ranges, np.float32(np.inf))
-            with raised_as(BrokenError, f"{self.where}: "):
-                found.append(Scan(clean, Pose(*pose), self.contract.lidar))
-        return found
+        with raised_as(BrokenError, f"{self.where}: "):
+            return scans_of(self.contract, self.fields.__getitem__)
 
     @functools.cached_property
     def seen(self) -> ObservedGrid:

@@ -4,11 +4,11 @@ flights."""
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lidarsim.grid import Floats
 from lidarsim.jit import kernel
 from lidarsim.solids.shapes import Solids
-from scenegen.truth.shapes import distance
+from scenegen.truth.shapes import distance, local
 from scenegen.truth.triangles import crossing, triangle_distance
 
 CELL_M = 2.0
@@ -28,7 +28,7 @@ class Clearance:
     Solids are sorted into cells of the plan, so that a query looks at a handful of them only.
     """
 
-    def __init__(self, solids: Solids, bounds: NDArray[np.float64]):
+    def __init__(self, solids: Solids, bounds: Floats):
         """`bounds` (2, 3): least and greatest corner of where queries will come from, world
         metres."""
         low, high = bounds[0, :2], bounds[1, :2]
@@ -125,16 +125,9 @@ def _clearance(
     for at in range(start[cell], start[cell + 1]):
         n = item[at]
         if n < len(shape):
-            dx, dy, dz = x - position[n, 0], y - position[n, 1], z - position[n, 2]
-            r = rotation[n]
-            d = distance(
-                shape[n],
-                size[n],
-                r[0, 0] * dx + r[1, 0] * dy + r[2, 0] * dz,
-                r[0, 1] * dx + r[1, 1] * dy + r[2, 1] * dz,
-                r[0, 2] * dx + r[1, 2] * dy + r[2, 2] * dz,
-            )
-            nearest = min(nearest, d)
+            at_n = position[n]
+            dx, dy, dz = local(rotation[n], x - at_n[0], y - at_n[1], z - at_n[2])
+            nearest = min(nearest, distance(shape[n], size[n], dx, dy, dz))
         else:
             t = triangles[n - len(shape)]
             m = owner[n - len(shape)]

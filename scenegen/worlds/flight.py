@@ -26,8 +26,8 @@ from scenegen.limits import (
 )
 from scenegen.worlds.clearance import CAP_M, Clearance
 from scenegen.worlds.mapping import Mapper
-from scenegen.worlds.place import Place, PlaceClearance
-from scenegen.worlds.world import World
+from scenegen.worlds.place import PlaceClearance
+from scenegen.worlds.world import AnyWorld
 
 GRAVITY = 9.81
 """Metres a second squared."""
@@ -92,7 +92,7 @@ class Flight:
         return box
 
 
-def fly(world: World | Place, flight: Flight, *, rng: np.random.Generator) -> Floats | None:
+def fly(world: AnyWorld, flight: Flight, *, rng: np.random.Generator) -> Floats | None:
     """A path through a world as `plan` gives it, or None."""
     room = world.room(flight.robot_radius_m, flight.min_distance_m, rng=rng)
     return plan(world.clearance, room, flight, rng=rng)
@@ -278,7 +278,7 @@ def viewpoints(path: Floats, spacing_m: float, *, rng: np.random.Generator) -> V
 
 
 def poses_in_flight(
-    world: World | Place, *, seed: int, every_m: float | None = None, flight: Flight | None = None
+    world: AnyWorld, *, seed: int, every_m: float | None = None, flight: Flight | None = None
 ) -> list[Pose]:
     """The viewpoints of a random flight through a world, in the order in which they are passed.
 
@@ -296,12 +296,12 @@ def poses_in_flight(
     return [found.pose(int(n)) for n in np.argsort(found.flown_m)]
 
 
-def pose_in_flight(world: World | Place, *, seed: int) -> Pose:
+def pose_in_flight(world: AnyWorld, *, seed: int) -> Pose:
     """A random viewpoint of a random flight. Raises GenerationError where none fits."""
     return _flown(world, Flight(), seed).pose(0)
 
 
-def _flown(world: World | Place, flight: Flight, seed: int) -> Viewpoints:
+def _flown(world: AnyWorld, flight: Flight, seed: int) -> Viewpoints:
     rng = np.random.default_rng(seed)
     for _ in range(TRIES):
         path = fly(world, flight, rng=rng)

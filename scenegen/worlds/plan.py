@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelMap
-from scenegen.errors import SceneError, printable, short
+from scenegen.errors import SceneError, raised_as, short
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_ASSET_BYTES, MOST_CELLS, MOST_PLACE_VOXELS, MOST_RECIPE_BYTES
 from scenegen.worlds.cloud import Survey, Surveyed
@@ -39,18 +39,17 @@ def read_plan(path: Path, height_m: float = Survey.height_m) -> Surveyed:
     """
     text = read_bounded(path, MOST_RECIPE_BYTES).decode("latin-1")
     said = {key: PUNCTUATION.sub(" ", value).strip() for key, value in ENTRY.findall(text)}
-    try:
+    expected = (
+        ": expected a map of ROS, with image, resolution, origin [x, y, yaw], negate, "
+        "occupied_thresh and free_thresh"
+    )
+    with raised_as(SceneError, f"{path}: ", expected, of=(KeyError, ValueError)):
         negate = FLAGS[said["negate"].lower()]
         voxel_m, free, occupied = (
             float(said[name]) for name in ("resolution", "free_thresh", "occupied_thresh")
         )
         x, y, yaw = map(float, said["origin"].split())
         image = path.parent / said["image"]
-    except (KeyError, ValueError) as error:
-        raise SceneError(
-            f"{path}: {printable(error)[:100]}: expected a map of ROS, with image, resolution, "
-            "origin [x, y, yaw], negate, occupied_thresh and free_thresh"
-        ) from None
     check_voxel(voxel_m, str(path))
     if yaw or not math.isfinite(x + y) or not 0 <= free <= occupied <= 1:
         raise SceneError(
@@ -84,7 +83,12 @@ def _shades(path: Path) -> NDArray[np.uint8]:
     """A picture's pixels (rows, columns), 0 black to 255 white. Raises SceneError."""
     from PIL import Image
 
-    try:
+    expected = (
+        ": expected a grey picture of 8 bits, .pgm or .png, without alpha, of "
+        f"{MOST_CELLS} cells at most"
+    )
+    # Pillow's errors, and what else a crafted file brings
+    with raised_as(SceneError, f"{path}: ", expected, of=Exception):
         content = io.BytesIO(read_bounded(path, MOST_ASSET_BYTES))
         with (
             warnings.catch_warnings(action="error", category=Image.DecompressionBombWarning),
@@ -93,8 +97,3 @@ def _shades(path: Path) -> NDArray[np.uint8]:
             if picture.mode not in ("1", "L", "RGB") or math.prod(picture.size) > MOST_CELLS:
                 raise ValueError(f"{picture.mode}, {picture.size}")
             return np.asarray(picture.convert("L"))
-    except Exception as error:  # Pillow's, and what else a crafted file brings
-        raise SceneError(
-            f"{path}: {printable(error)[:100]}: expected a grey picture of 8 bits, .pgm or .png, "
-            f"without alpha, of {MOST_CELLS} cells at most"
-        ) from None

@@ -1,6 +1,7 @@
 """A world from an MJCF file of anybody's: its parts are read where they can do no harm, and made
 self-contained."""
 
+import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -9,6 +10,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from lidarsim.parameters import MOST_TRIANGLES
 from lidarsim.solids.model import solids_of, visible_geoms
 from lidarsim.solids.shapes import HFIELD, MESH, PLANE, Solids
 from scenegen.errors import BrokenError, DatasetError, SceneError, printable, raised_as
@@ -17,7 +19,6 @@ from scenegen.limits import MOST_ASSET_BYTES, MOST_DOCUMENT_BYTES, MOST_GEOMS
 from scenegen.worlds import CLOUDS, MAPS, MESHES
 from scenegen.worlds.cloud import Survey, map_clouds
 from scenegen.worlds.drawing import flatten, least_memory
-from scenegen.worlds.mesh import mesh_spec
 from scenegen.worlds.place import encode_map, map_digest, named_map, place_of, read_place
 from scenegen.worlds.plan import read_plan
 from scenegen.worlds.screen import screen
@@ -32,6 +33,8 @@ PART = "<mujocoinclude"
 MOST_MOVED = 1e-6
 """How far a solid may lie from where MuJoCo put it, metres, and for each metre of the world's reach
 as much again: what float32 vertices keep."""
+UNREAD = (DatasetError, FileNotFoundError)
+"""What reading a file raises."""
 
 
 @dataclass(frozen=True)
@@ -79,24 +82,22 @@ def read_file(path: Path, *, materials: bool = False) -> Reading:
         return Reading(path, error, includes)
 
 
+@raised_as(SceneError, of=UNREAD)
 def load_map(path: Path) -> Scene:
     """Read a map of a real place, or make one of a cloud of points that says where its sensor was.
     Raises SceneError."""
     notes: tuple[str, ...] = ()
-    try:
-        if path.suffix in CLOUDS:
-            plan = path.suffix == ".yaml"
-            made = read_plan(path) if plan else map_clouds([path])
-            place = place_of(encode_map(made.voxels, str(path)), ".npz", str(path))
-            told = f"walls are taken for {Survey.height_m:g} m high (map --height changes that)"
-            if not plan:
-                told = f"{made.points} points become voxels of {made.voxels.voxel_m:g} m"
-            moved = f"; {made.offset.tolist()} m are taken off their coordinates"
-            notes = (f"{path.name}: {told}{moved if made.offset.any() else ''}",)
-        else:
-            place = read_place(path)
-    except (DatasetError, FileNotFoundError) as error:
-        raise SceneError(str(error)) from None
+    if path.suffix in CLOUDS:
+        plan = path.suffix == ".yaml"
+        made = read_plan(path) if plan else map_clouds([path])
+        place = place_of(encode_map(made.voxels, str(path)), ".npz", str(path))
+        told = f"walls are taken for {Survey.height_m:g} m high (map --height changes that)"
+        if not plan:
+            told = f"{made.points} points become voxels of {made.voxels.voxel_m:g} m"
+        moved = f"; {made.offset.tolist()} m are taken off their coordinates"
+        notes = (f"{path.name}: {told}{moved if made.offset.any() else ''}",)
+    else:
+        place = read_place(path)
     digest = map_digest(place.voxels)
     return Scene(path.name, place.mjcf, place.assets, notes=notes, geometry=digest)
 
@@ -140,8 +141,10 @@ def load_scene(path: Path, *, materials: bool = False) -> Scene:
 def _compile(path: Path) -> tuple[mujoco.MjModel, int]:
     """The model of a file without what only dresses its geoms, which may need files that are not
     there, and how many skins were dropped. Raises SceneError."""
-    try:
-        is_mesh = path.suffix in MESHES
+    is_mesh = path.suffix in MESHES
+    what = "a mesh that MuJoCo refuses" if is_mesh else "not valid MJCF"
+    refused = (ValueError, OSError, MemoryError, RuntimeError, mujoco.FatalError)
+    with raised_as(SceneError, f"{path}: {what}: ", of=refused):
         spec = mesh_spec(path) if is_mesh else mujoco.MjSpec.from_file(str(path))
         skins = len(spec.skins)
         if len(spec.geoms) > MOST_GEOMS:
@@ -156,9 +159,6 @@ def _compile(path: Path) -> tuple[mujoco.MjModel, int]:
         # memory that no geom needs; MuJoCo would fill as much as is asked
         spec.nuserdata = spec.nkey = 0
         return spec.compile(), skins
-    except (ValueError, OSError, MemoryError, RuntimeError, mujoco.FatalError) as error:
-        what = "a mesh that MuJoCo refuses" if path.suffix in MESHES else "not valid MJCF"
-        raise SceneError(f"{path}: {what}: {printable(error)}") from None
 
 
 def _same(expected: Solids, found: Solids) -> bool:
@@ -206,10 +206,8 @@ def look_over(main: Path) -> tuple[bool, frozenset[Path]]:
     is_world, included, waiting = True, set[Path](), [main]
     while waiting:
         path = waiting.pop()
-        try:
+        with raised_as(SceneError, of=UNREAD):
             text = read_bounded(path, MOST_DOCUMENT_BYTES).decode(errors="replace")
-        except (DatasetError, FileNotFoundError) as error:
-            raise SceneError(str(error)) from None
         text = COMMENT.sub(" ", text)
         if _repeats(text) > MOST_GEOMS:  # over many more, MuJoCo takes hours and gigabytes
             raise SceneError(f"{main}: more than {MOST_GEOMS} geoms; merge some into meshes")
@@ -233,3 +231,65 @@ def _repeats(text: str) -> float:
             times.append(times[-1] * (float(count) if count else 1.0))
             most = max(most, times[-1])
     return most
+
+
+UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+"""From glTF, whose y points up, to z up; x stays."""
+
+
+def mesh_spec(path: Path) -> mujoco.MjSpec:
+    """The MJCF of a mesh file: a geom for each of its objects, where they stand.
+
+    A .glb is in metres with y up, as glTF 2.0 says; the others say neither, and are taken to be in
+    metres with z up. Colours are left out. Raises SceneError.
+    """
+    import trimesh  # takes a second to load
+
+    with raised_as(SceneError, of=UNREAD):
+        content = read_bounded(path, MOST_ASSET_BYTES)
+    # trimesh's loaders raise anything
+    with raised_as(SceneError, f"{path}: cannot be read as {path.suffix}: ", of=Exception):
+        scene = trimesh.load(  # without a resolver, no other file is read
+            io.BytesIO(content),
+            file_type=path.suffix[1:],
+            force="scene",
+            process=False,
+            skip_materials=True,
+            split_objects=True,
+        )
+        if path.suffix == ".glb":
+            scene.apply_transform(UPRIGHT)
+        placed = scene.dump()
+    spec, triangles = mujoco.MjSpec(), 0
+    for mesh in placed:
+        if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
+            continue
+        triangles, corners = triangles + len(mesh.faces), mesh.vertices
+        if triangles > MOST_TRIANGLES or len(spec.geoms) >= MOST_GEOMS:
+            raise SceneError(
+                f"{path}: more than {MOST_TRIANGLES} triangles or {MOST_GEOMS} objects; simplify it"
+            )
+        there = mesh.faces.min() >= 0 and mesh.faces.max() < len(corners)
+        if not there or not np.isfinite(corners).all():
+            raise SceneError(
+                f"{path}: has corners that are not finite, or that are missing; export it again"
+            )
+        if len(corners) == 3:  # MuJoCo wants four
+            corners = corners[[0, 1, 2, 2]]
+        called = f"{len(spec.geoms)} {printable(mesh.metadata.get('name', ''))[:60]}"
+        spec.add_mesh(
+            name=called,
+            uservert=corners.reshape(-1),
+            userface=mesh.faces.reshape(-1),
+            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+        )
+        spec.worldbody.add_geom(
+            name=called,
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=called,
+            contype=0,
+            conaffinity=0,
+        )
+    if not triangles:
+        raise SceneError(f"{path}: holds no triangles; for points alone see scenegen map")
+    return spec

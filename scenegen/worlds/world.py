@@ -6,23 +6,24 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim import Engine, GridSpec
+from lidarsim import Engine, GridSpec, Pose, Scan, Sensor
 from lidarsim.engines import EngineFactory
 from lidarsim.grid import Floats, Mask
 from lidarsim.noise.returns import albedo_of
 from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.solids.model import solids_of, visible_geoms
 from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE, Solids
-from scenegen.errors import SceneError, printable, raised_as, short
+from scenegen.errors import SceneError, raised_as, short
 from scenegen.truth import rasterize
 from scenegen.worlds.clearance import Clearance
 from scenegen.worlds.drawing import FLIGHT_BOUNDS, Drawing
+from scenegen.worlds.mapping import Known
 from scenegen.worlds.place import Place, archived_place, named_map
 
 
@@ -77,6 +78,7 @@ class World:
         """What share of light every geom reflects, (ngeom,)."""
         return albedo_of(self.model)
 
+    @lru_cache(maxsize=8)  # noqa: B019 (flights through a world from a file share it)
     def caster(self, engine: EngineFactory) -> Engine:
         """What casts rays in it, made by `engine`."""
         return engine(self.model, self.data)
@@ -85,17 +87,27 @@ class World:
         """The field of a sample that says what is there, `occupancy`."""
         return {"occupancy": rasterize(self.solids, grid, origin)}
 
+    def is_known(self, pose: Pose, lidar: Sensor, known: Known) -> bool:
+        """Whether enough is known of it at a pose: all is."""
+        return True
 
-def solid(world: World | Place, where: str) -> World:
+    def unknown_m(self, scan: Scan) -> Floats:
+        """Metres of unknown space that each ray of a scan crosses, (*lidar.shape): none."""
+        return np.zeros(scan.ranges.shape)
+
+
+AnyWorld = World | Place
+"""What one flies through and scans: a world of solids, or the map of a real place."""
+
+
+def solid(world: AnyWorld, where: str) -> World:
     """`world`, where solids are needed. Raises SceneError, naming `where`, for a map."""
     if isinstance(world, Place):
         raise SceneError(f"{where}: is a map of voxels, which has no solids to show")
     return world
 
 
-def archived_world(
-    mjcf: bytes, assets: Mapping[str, bytes], *, name: str = "world"
-) -> World | Place:
+def archived_world(mjcf: bytes, assets: Mapping[str, bytes], *, name: str = "world") -> AnyWorld:
     """The world of an archived document, of solids or a map. Raises SceneError, naming `name`,
     where it cannot serve as one."""
     if named_map(mjcf):
@@ -110,10 +122,9 @@ def compile_world(
     world."""
     assets = dict(assets or {})
     with quiet_mujoco():
-        try:
+        refused = (ValueError, mujoco.FatalError)
+        with raised_as(SceneError, f"{name}: not valid MJCF: ", of=refused):
             model = mujoco.MjModel.from_xml_string(mjcf.decode(), assets)
-        except (ValueError, UnicodeDecodeError, mujoco.FatalError) as error:
-            raise SceneError(f"{name}: not valid MJCF: {printable(error)}") from None
         return _world(model, mjcf, assets, name)
 
 

@@ -17,7 +17,7 @@ from scenegen.limits import MOST_DRAWN_SOLIDS, MOST_SAMPLES, MOST_SAMPLES_IN_SHA
 from scenegen.recipe import make_recipe, preset, read_recipe
 from scenegen.recipes import kind_names
 from scenegen.source import DrawnWorlds
-from scenegen.verification.contract import read_contract
+from scenegen.verification.files import read_contract
 from scenegen.verification.report import Ledger
 
 NASTY = (

@@ -3,9 +3,9 @@
 import io
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,29 +74,40 @@ class Mcap(Together):
 
     def encode(self, samples: list[tuple[int, Sample]], grid: GridSpec, lidar: Sensor) -> bytes:
         """The content of a file."""
-        from mcap_ros2.writer import Writer
+
+        def rows() -> Iterator[Row]:
+            for number, sample in samples:
+                header = {"stamp": {"sec": number}, "frame_id": FRAME}
+                centres = grid.centres(sample.origin)
+                messages = {"scan": (CLOUD, points_message(sample.points(lidar), header))}
+                for name in MASKS:
+                    messages[name] = CLOUD, points_message(centres[getattr(sample, name)], header)
+                messages["map"] = VOXEL_GRID, _voxels(sample, grid, number)
+                pose = _pose(sample.position, sample.quaternion)
+                messages["pose"] = POSE, {"header": header, "pose": pose}
+                yield number, number * 10**9, messages
 
         memory = io.BytesIO()
-        writer = Writer(memory)
-        schemas = {
-            name: writer.register_msgdef(name, DEFINITIONS[name])
-            for name in (CLOUD, POSE, VOXEL_GRID)
-        }
-        for number, sample in samples:
-            header = {"stamp": {"sec": number}, "frame_id": FRAME}
-            centres = grid.centres(sample.origin)
-            messages = {"scan": (CLOUD, points_message(sample.points(lidar), header))}
-            for name in MASKS:
-                messages[name] = CLOUD, points_message(centres[getattr(sample, name)], header)
-            messages["map"] = VOXEL_GRID, _voxels(sample, grid, number)
-            pose = _pose(sample.position, sample.quaternion)
-            messages["pose"] = POSE, {"header": header, "pose": pose}
-            for topic, (kind, message) in messages.items():
-                writer.write_message(
-                    f"/{topic}", schemas[kind], message, log_time=number * 10**9, sequence=number
-                )
-        writer.finish()
+        write_messages(memory, (CLOUD, POSE, VOXEL_GRID), rows())
         return memory.getvalue()
+
+
+Row = tuple[int, int, Mapping[str, tuple[str, Any]]]
+"""A number, a time in nanoseconds, and messages by topic, each with its kind before it."""
+
+
+def write_messages(file: IO[bytes], kinds: Iterable[str], rows: Iterable[Row]) -> None:
+    """Write MCAP with ROS 2 messages of these kinds."""
+    from mcap_ros2.writer import Writer
+
+    writer = Writer(file)
+    schemas = {name: writer.register_msgdef(name, DEFINITIONS[name]) for name in kinds}
+    for number, when_ns, messages in rows:
+        for topic, (kind, message) in messages.items():
+            writer.write_message(
+                f"/{topic}", schemas[kind], message, log_time=when_ns, sequence=number
+            )
+    writer.finish()
 
 
 def points_message(points: Floats, header: Any) -> dict[str, Any]:

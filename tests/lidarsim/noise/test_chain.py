@@ -14,7 +14,7 @@ from lidarsim.noise import STAGES
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.losses import Dropout
 from lidarsim.noise.ranges import Divergence, Range
-from lidarsim.sensors.catalogue import NAMED
+from lidarsim.sensors import CATALOGUE, SENSORS
 
 ENGINE = AnalyticEngine.of(
     mujoco.MjModel.from_xml_string(
@@ -54,10 +54,11 @@ def test_every_stage_reads_back_from_its_text(name):
     assert str(Noise((stage,))) == name
 
 
-@pytest.mark.parametrize("name", NAMED)
+@pytest.mark.parametrize("name", CATALOGUE)
 def test_the_noise_of_a_data_sheet_is_a_chain(name):
-    chain = Noise.parse("datasheet", NAMED[name])
-    assert Noise.parse(NAMED[name].noise) == chain
+    sensor = SENSORS.find(name)
+    chain = Noise.parse("datasheet", sensor)
+    assert Noise.parse(sensor.noise) == chain
     assert 0 < chain.bound_m(10.0) < 10
 
 

@@ -14,18 +14,18 @@ import pytest
 
 import scenegen.logs.fuse
 from lidarsim import GridSpec, Lidar, Pose
-from lidarsim.pose import rotate
+from lidarsim.pose import chained, rotate
 from scenegen.display.exchange.files import write_points
 from scenegen.display.exchange.recordings import _HEADER, _RULE, DEFINITIONS, TRANSFORMS
 from scenegen.errors import DatasetError
 from scenegen.limits import MOST_PLACE_VOXELS
 from scenegen.logs import Cruise, Fusing, LogScan
 from scenegen.logs.bags import LIVOX, ODOMETRY, Links
-from scenegen.logs.cruise import cruise_poses
 from scenegen.logs.fuse import ingest
 from scenegen.logs.read import Log, read_log
+from scenegen.logs.record import cruise_poses
 from scenegen.logs.write import matrix_of, write_log
-from scenegen.poses import chained, read_poses
+from scenegen.poses import read_poses
 from scenegen.source import read_world
 from scenegen.worlds.place import read_place
 from tests.command_line import refused, run

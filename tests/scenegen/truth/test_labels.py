@@ -19,9 +19,8 @@ from scenegen.sample import GROUPS
 from scenegen.share.stage import Request, stage
 from scenegen.source import DrawnWorlds, read_scenes
 from scenegen.truth import rasterize
-from scenegen.truth.labels import NONE, owners
 from scenegen.verification import verify
-from scenegen.worlds.labels import SHAPES, class_names, labels_by
+from scenegen.worlds.labels import NONE, SHAPES, class_names, labels_by, owners
 from scenegen.worlds.world import compile_world
 from tests.conftest import COUNTS, dataset_in, plan_of, small_recipe
 

@@ -23,7 +23,7 @@ WORLD = b"""<mujoco><worldbody><geom type="box" size="1 2 3" pos="4 0 0"/>
 )
 def test_the_engine_that_audits_is_never_the_one_that_made_the_ranges(made_with, audits):
     world = compile_world(WORLD)
-    engine = auditor(world.solids, made_with=made_with, compiled=lambda: world)
+    engine = auditor(world, made_with)
     assert type(engine).__name__ == audits
     model = mujoco.MjModel.from_xml_string(WORLD.decode())
     lidar, pose = Lidar(rows=8, columns=30, max_range_m=6.0), Pose.level((0.0, 0.0, 0.0), 0.4)
@@ -44,7 +44,7 @@ def test_the_engine_that_audits_is_never_the_one_that_made_the_ranges(made_with,
 
 def test_an_engine_of_a_users_own_is_audited_by_mujoco_and_not_imported():
     world = compile_world(WORLD)
-    engine = auditor(world.solids, made_with="my_engines:Fast", compiled=lambda: world)
+    engine = auditor(world, "my_engines:Fast")
     assert isinstance(engine, MujocoEngine)
 
 
