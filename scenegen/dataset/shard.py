@@ -8,7 +8,7 @@ import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -201,7 +201,7 @@ def put(
         file.create_dataset(
             DIGEST, data=np.frombuffer(own, np.uint8).reshape(-1, 32), chunks=(1, 32)
         )
-        worlds = zip_reproducibly(documents.items())
+        worlds = zip_reproducibly(tuple(documents.items()))
         file.attrs["split"] = spec.split
         file.attrs["first_world"] = min(spec.numbers)
         file.attrs["worlds_sha256"] = sha256_of(worlds)
@@ -317,7 +317,8 @@ ARCHIVE = b"PK\x03\x04\x14\0\0\0\x08\0\0\0!\0"
 """How what `zip_reproducibly` makes begins."""
 
 
-def zip_reproducibly(members: Iterable[tuple[str, bytes]]) -> bytes:
+@lru_cache(maxsize=1)  # the shards of a large map all have the same
+def zip_reproducibly(members: tuple[tuple[str, bytes], ...]) -> bytes:
     """A zip file whose bytes depend on its members alone."""
     memory = io.BytesIO()
     with zipfile.ZipFile(memory, "w") as archive:

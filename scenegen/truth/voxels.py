@@ -33,74 +33,75 @@ def resample(voxels: VoxelMap, grid: GridSpec, origin: ArrayLike) -> tuple[Mask,
 @kernel
 def _axis(first, edge, voxel_m, count, most):
     """For each of `count` voxels of `edge` map voxels from `first` on: the map's voxels, from and
-    up to, that it overlaps, (count, 2), at most `most` of them."""
-    found = np.zeros((count, 2), np.int64)
+    up to, that it overlaps, (count, 2), at most `most` of them; the part of it, along this
+    axis, that lies in each of these; and in all of them."""
+    spans, shares = np.zeros((count, 2), np.int64), np.zeros((count, math.ceil(edge) + 1))
     slack = LEAST_OVERLAP_M / voxel_m
     for n in range(count):
         low, high = first + n * edge, first + (n + 1) * edge
         begin, end = math.floor(low + slack), math.ceil(high - slack)
-        found[n, 0] = int(min(max(begin, 0.0), float(most)))
-        found[n, 1] = int(min(max(end, 0.0), float(most)))
-    return found
-
-
-@kernel
-def _shares(spans, first, edge):
-    """The part of each voxel, along one axis, that lies in each of the map's voxels that it
-    overlaps: (count, most of them)."""
-    found = np.zeros((len(spans), math.ceil(edge) + 1))
-    for n in range(len(spans)):
-        low, high = first + n * edge, first + (n + 1) * edge
+        spans[n, 0] = int(min(max(begin, 0.0), float(most)))
+        spans[n, 1] = int(min(max(end, 0.0), float(most)))
         for number in range(spans[n, 0], spans[n, 1]):
             part = min(high, number + 1.0) - max(low, float(number))
-            found[n, number - spans[n, 0]] = max(part, 0.0) / edge
-    return found
+            shares[n, number - spans[n, 0]] = max(part, 0.0) / edge
+    return spans, shares, shares.sum(axis=1)
 
 
 @kernel
 def _resample(states, first, edge, voxel_m, occupancy, known):
-    """Bits of states are joined over the map's columns that a column of voxels overlaps; volumes
-    are summed where these do not tell."""
+    """Bits of states are joined along x, then y, then z; volumes are summed where these do not
+    tell."""
     nx, ny, nz = occupancy.shape
-    xs = _axis(first[0], edge, voxel_m, nx, states.shape[0])
-    ys = _axis(first[1], edge, voxel_m, ny, states.shape[1])
-    zs = _axis(first[2], edge, voxel_m, nz, states.shape[2])
-    in_x, in_y, in_z = (
-        _shares(xs, first[0], edge),
-        _shares(ys, first[1], edge),
-        _shares(zs, first[2], edge),
-    )
-    low, high = zs[0, 0], zs[nz - 1, 1]
-    any_of, all_of = np.empty(high - low, np.uint8), np.empty(high - low, np.uint8)
+    xs, in_x, all_x = _axis(first[0], edge, voxel_m, nx, states.shape[0])
+    ys, in_y, all_y = _axis(first[1], edge, voxel_m, ny, states.shape[1])
+    zs, in_z, all_z = _axis(first[2], edge, voxel_m, nz, states.shape[2])
+    left, right, low, high = ys[0, 0], ys[ny - 1, 1], zs[0, 0], zs[nz - 1, 1]
+    rows = np.empty((right - left, states.shape[2]), np.uint8)
+    column, joined = np.zeros(high - low + 1, np.uint8), np.empty(nz, np.uint8)
+    # where in a column each voxel's part of it lies, padded by a place that is always 0
+    places = np.full((in_z.shape[1], nz), high - low, np.uint64)
+    for k in range(nz):
+        for c in range(zs[k, 0], zs[k, 1]):
+            places[c - zs[k, 0], k] = c - low
     for i in range(nx):
+        rows[:] = 0
+        for a in range(xs[i, 0], xs[i, 1]):
+            here, there = rows.reshape(-1), states[a, left:right].reshape(-1)
+            for c in range(len(here)):  # 1 << state, as a vector register has it
+                here[c] |= there[c] + np.uint8(1) + (there[c] >> np.uint8(1))
         for j in range(ny):
-            any_of[:], all_of[:] = UNKNOWN, FREE
-            for a in range(xs[i, 0], xs[i, 1]):
-                for b in range(ys[j, 0], ys[j, 1]):
-                    column = states[a, b, low:high]
-                    for c in range(high - low):
-                        any_of[c] |= column[c]
-                        all_of[c] &= column[c]
-            begin, end = 0, high - low
-            while begin < end and any_of[begin] == UNKNOWN:
-                begin += 1
-            while begin < end and any_of[end - 1] == UNKNOWN:
-                end -= 1
-            inside = in_x[i].sum() * in_y[j].sum()
+            column[:], joined[:] = 0, 0
+            for b in range(ys[j, 0] - left, ys[j, 1] - left):
+                row = rows[b, low:high]
+                for c in range(len(row)):
+                    column[c] |= row[c]
+            for place in places:
+                for k in range(nz):
+                    joined[k] |= column[place[k]]
+            for k in range(nz):  # what lies beyond the map is unknown
+                joined[k] |= all_x[i] * all_y[j] * all_z[k] <= LEAST_KNOWN
+            if _tell(joined, occupancy[i, j], known[i, j]) == 0:
+                continue
             for k in range(nz):
-                if zs[k, 1] - low <= begin or zs[k, 0] - low >= end:
-                    continue
-                found, free = UNKNOWN, FREE
-                for c in range(zs[k, 0] - low, zs[k, 1] - low):
-                    found |= any_of[c]
-                    free &= all_of[c]
-                occupancy[i, j, k] = found >= OCCUPIED
-                known[i, j, k] = found != UNKNOWN
-                if found == FREE and not (free and inside * in_z[k].sum() > LEAST_KNOWN):
+                if joined[k] == 1 << UNKNOWN | 1 << FREE:
                     part = 0.0
-                    for a in range(xs[i, 0], xs[i, 1]):
-                        for b in range(ys[j, 0], ys[j, 1]):
-                            share = in_x[i, a - xs[i, 0]] * in_y[j, b - ys[j, 0]]
-                            for c in range(zs[k, 0], zs[k, 1]):
-                                part += share * in_z[k, c - zs[k, 0]] * (states[a, b, c] == FREE)
+                    for a in range(xs[i, 1] - xs[i, 0]):
+                        for b in range(ys[j, 1] - ys[j, 0]):
+                            line = states[xs[i, 0] + a, ys[j, 0] + b, zs[k, 0] : zs[k, 1]]
+                            share = in_x[i, a] * in_y[j, b]
+                            for c in range(len(line)):
+                                part += share * in_z[k, c] * (line[c] == FREE)
                     known[i, j, k] = part >= LEAST_KNOWN - 1e-9
+
+
+@kernel
+def _tell(joined, occupied, known):
+    """Fill two columns by the states that lie in each voxel; and the number of those that are
+    partly free, and else unknown."""
+    untold = 0
+    for k in range(len(joined)):
+        occupied[k] = joined[k] >= 1 << OCCUPIED
+        known[k] = joined[k] >= 1 << FREE
+        untold += joined[k] == 1 << UNKNOWN | 1 << FREE
+    return untold

@@ -13,7 +13,7 @@ from scenegen.errors import BrokenError
 @pytest.mark.parametrize("number", [0, 17, 999_999, 1_000_000, 199_999_999])
 def test_a_world_is_found_by_its_number(tmp_path, number):
     path = tmp_path / "a.zip"
-    path.write_bytes(zip_reproducibly([(f"{number:06d}.xml", b"<mujoco/>")]))
+    path.write_bytes(zip_reproducibly(((f"{number:06d}.xml", b"<mujoco/>"),)))
     with open(path, "rb") as file, open_archive(file, "a.zip") as members:
         assert members.world(f"{number:06d}.xml") == (b"<mujoco/>", {})
 

@@ -99,4 +99,4 @@ def rezip(path, change):
     with zipfile.ZipFile(path) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
     change(members)
-    path.write_bytes(zip_reproducibly(members.items()))
+    path.write_bytes(zip_reproducibly(tuple(members.items())))
