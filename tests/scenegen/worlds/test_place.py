@@ -27,6 +27,15 @@ from scenegen.worlds.flight import Flight, fly
 from scenegen.worlds.place import parse_npz, read_place
 from tests.command_line import refused, run
 
+RECIPE = """
+kind = "scene"
+[grid]
+shape = [40, 40, 16]
+voxel_m = 0.4
+[lidar]
+rows = 8
+columns = 60
+"""
 VOXEL_M, ORIGIN = 0.25, (-3.0, 2.0, 0.0)
 
 
@@ -63,11 +72,14 @@ def dataset(tmp_path_factory):
         "<mujoco><worldbody><geom type='plane' size='0 0 1'/><geom type='box' size='1 9 3' "
         "pos='9 0 3'/><geom type='box' size='9 1 3' pos='0 9 3'/></worldbody></mujoco>"
     )
-    plan = plan_generation(
-        None, 20, val=5, test=5, scene=folder, out=folder / "data", shard_samples=10
-    )
-    build(plan, workers=1)
+    (folder / "recipe.toml").write_text(RECIPE)
+    build(planned(folder, folder / "data", shard_samples=10), workers=1)
     return folder / "data"
+
+
+def planned(folder, out, **more):
+    recipe = folder / "recipe.toml"
+    return plan_generation(None, 20, val=5, test=5, scene=folder, recipe=recipe, out=out, **more)
 
 
 def test_clearance_is_the_distance_to_the_nearest_voxel_that_is_not_free(place):
@@ -120,7 +132,7 @@ def test_a_dataset_of_maps_passes_every_check(dataset):
     assert report.ok, [check.detail for check in report.checks]
     counts = {check.name: check.counts for check in report.checks}
     assert counts["occupancy"]["samples"] == 30
-    assert counts["rays"]["rays"] == counts["known"]["samples"] * 1920 > 0
+    assert counts["rays"]["rays"] == counts["known"]["samples"] * 480 > 0
 
 
 def test_a_dataset_of_maps_is_published(undrawn, dataset, tmp_path):
@@ -143,9 +155,7 @@ def test_samples_say_what_is_known(dataset):
 
 
 def test_the_same_bits_however_they_are_made(dataset, tmp_path):
-    plan = plan_generation(
-        None, 20, val=5, test=5, scene=dataset.parent, out=tmp_path / "again", shard_samples=5
-    )
+    plan = planned(dataset.parent, tmp_path / "again", shard_samples=5)
     build(plan, workers=2)
     digests = {scenegen.Dataset(folder).manifest.digest for folder in (dataset, plan.folder)}
     assert len(digests) == 1
@@ -166,7 +176,7 @@ def test_bench_scores_what_is_known(dataset, tmp_path, capsys):
     )  # fmt: skip
     assert code == 0, error
     report = json.loads((out / "report.json").read_text())
-    assert report["planning"]["scene"]["truth"]["success"]["mean"] > 0.9
+    assert report["planning"]["scene"]["truth"]["success"]["mean"] > 0.8
     assert report["reconstruction"]["scene"]["truth"]["iou"]["mean"] == 1.0
     assert report["reconstruction"]["scene"]["extrude"]["iou"]["mean"] < 1.0
     about = report["datasets"]["scene"]
