@@ -3,7 +3,6 @@ how it refuses."""
 
 import dataclasses
 import json
-import re
 import runpy
 import sys
 from pathlib import Path
@@ -15,14 +14,13 @@ from numpy.testing import assert_array_equal
 
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, ScenegenError
-from scenegen.model.commands.bench import run_bench, show_tables
+from scenegen.model.commands.bench import run_bench
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.completion.unlearned import Returns
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Completed, Predicted, Truth
 from scenegen.model.evaluation.metrics import METRICS
-from scenegen.model.evaluation.page import to_html
 from scenegen.model.evaluation.report import build_report, to_markdown
 from scenegen.model.evaluation.rows import METHODS, find_method
 from scenegen.model.evaluation.run import bench
@@ -101,24 +99,6 @@ def test_a_perfect_prediction_scores_perfectly_and_plans_like_the_truth(dataset,
         "0.6 is below the paper's threshold"
     )
     assert_array_equal(copied.values("iou", region=-1), 1)
-
-
-def test_tables_show_iou_at_the_best_threshold_and_where_it_is(dataset, capsys):
-    """As of a network that was not trained long: at the paper's threshold it calls nothing
-    occupied."""
-    found = bench(dataset, [Truth(), Completed(Copied(dataset))], CONFIG)
-    report = build_report([found], seed=0, about={})
-    show_tables(report)
-    printed = capsys.readouterr().out
-    assert re.search(r"copied .* 0\.000  +1\.000 at 0\.3\s", printed)
-    assert re.search(r"truth .* 1\.000  +1\.000\s", printed), "any threshold does, so none is named"
-    (row,) = (
-        line
-        for line in to_markdown(report).splitlines()
-        if line.startswith("| copied") and " at 0.3 |" in line
-    )
-    assert "| 0.000 ± 0.000 [0.000, 0.000] | 1.000 ± 0.000 [1.000, 1.000] at 0.3 |" in row
-    assert " at 0.3</small>" in to_html(report)
 
 
 def test_workers_and_other_rows_change_no_figure(dataset):

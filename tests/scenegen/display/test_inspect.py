@@ -102,14 +102,6 @@ def test_counts_sizes_and_origin_are_those_of_the_folder(full):
     assert found["complete"] is True
 
 
-def test_a_compact_dataset_says_the_same(full, tmp_path):
-    """Free space and distances are derived."""
-    compact = inspect(make(tmp_path / "compact", compact=True))
-    whole = inspect(full)
-    assert compact["splits"] == whole["splits"]
-    assert compact["bytes"] < whole["bytes"]
-
-
 @pytest.mark.parametrize("most", [1, 4, 200])
 def test_at_most_so_many_samples_are_measured_evenly_spread(full, most):
     split = inspect(full, most=most)["splits"]["train"]
