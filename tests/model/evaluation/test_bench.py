@@ -68,11 +68,11 @@ class Copied:
         )
 
 
-def write_predictions(path, dataset, *, drop=0, digest=None):
+def write_predictions(path, dataset, *, drop=0):
     """The truth of the test split as a predictions file."""
     samples = list(dataset.split("test"))[drop:]
     with h5py.File(path, "w") as file:
-        file.attrs["dataset"] = digest or dataset.manifest.digest
+        file.attrs["dataset"] = dataset.manifest.digest
         file.attrs["split"] = "test"
         file["world"] = np.array([sample.world for sample in samples], dtype=np.int64)
         file["viewpoint"] = np.array([sample.viewpoint for sample in samples], dtype=np.int64)

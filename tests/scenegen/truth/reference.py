@@ -72,13 +72,12 @@ class Shape:
     def at(self, pos):
         return Shape(self.kind, self.size, np.asarray(pos, float), self.quat)
 
-    def add_to(self, body, rgba=(0.5, 0.5, 0.5, 1)):
+    def add_to(self, body):
         return body.add_geom(
             type=getattr(mujoco.mjtGeom, f"mjGEOM_{self.kind.upper()}"),
             size=list(self.size),
             pos=list(self.pos),
             quat=list(self.quat),
-            rgba=list(rgba),
         )
 
 

@@ -87,7 +87,7 @@ def test_clearance_is_the_distance_to_the_nearest_voxel_that_is_not_free(place):
     states = place.voxels.states
     cells = np.argwhere(np.pad(states, 6) != FREE) - 6  # beyond the map, nothing is free
     low = np.array(ORIGIN) + cells * VOXEL_M
-    for point in rng.uniform(*place.voxels.bounds, (200, 3)):
+    for point in rng.uniform(*place.voxels.bounds, (60, 3)):
         gaps = np.maximum(np.maximum(low - point, point - low - VOXEL_M), 0.0)
         expected = min(float(np.sqrt((gaps**2).sum(axis=1).min())), 1.0)
         assert place.clearance.at(*point) == pytest.approx(expected, abs=1e-9)
