@@ -16,7 +16,7 @@ import numpy as np
 from lidarsim import Lidar
 from lidarsim.solids.model import solids_of
 from scenegen.draw import draw_unit
-from scenegen.recipe import make_recipe, preset
+from scenegen.recipe import preset
 from scenegen.recipes import kind_names
 from scenegen.recipes.kind import attitudes, log_uniform, normal
 from scenegen.source import DrawnWorlds, read_scenes
@@ -74,10 +74,9 @@ def of_datasets():
 
 
 def _flights(source, kind, units):
-    recipe = make_recipe(kind, {"flight": {"viewpoints": 2}}, where="tests")
     total = hashlib.sha256()
     for unit in range(units):
-        drawn = draw_unit(source, recipe, seed=0, split="train", unit=unit)
+        drawn = draw_unit(source, preset(kind), seed=0, split="train", unit=unit)
         total.update(drawn.world.mjcf)
         for sample in drawn.samples:
             total.update(sample.sha256() + digest([sample.free, sample.tudf]).encode())
