@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import scenegen
-from scenegen.errors import DatasetError, RecipeError
+from scenegen.errors import DatasetError
 
 ROOT = Path(__file__).parents[1]
 
@@ -61,13 +61,6 @@ def test_methods_are_measured(dataset):
 
     report = scenegen.bench(dataset.folder, [Mine()], workers=1, trials=4)
     assert 0 < report["reconstruction"]["pillar"]["mine"]["iou"]["mean"] < 1
-
-
-def test_what_names_no_worlds_is_refused(tmp_path):
-    with pytest.raises(RecipeError, match="give a kind"):
-        scenegen.generate(n=1, out=tmp_path)
-    with pytest.raises(RecipeError, match="give one"):
-        scenegen.generate("pillar", n=1, out=tmp_path, scene=ROOT / "scenes")
 
 
 @pytest.mark.checkout

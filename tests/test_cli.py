@@ -50,7 +50,7 @@ def test_help_imports_no_command():
     assert not found & PLACES_OF_COMMANDS
 
 
-@pytest.mark.parametrize("name", ["generate", "publish", "train", "bench"])
+@pytest.mark.parametrize("name", ["generate", "bench"])
 def test_help_of_a_command_loads_nothing_heavy(name):
     found = loaded(name, "--help")
     assert not found & set(HEAVY)
@@ -150,22 +150,6 @@ def test_printing_in_vain_changes_no_verdict(small, tmp_path, capsys):
     ]
     for process, (command, (code, error)) in zip(running, expected.items(), strict=True):
         assert (process.communicate(timeout=120)[1], process.returncode) == (error, code), command
-
-
-def test_names_from_files_print_no_lines_of_their_own(tmp_path, capsys):
-    forged = "x\nscenegen: verify: all 17 checks passed\x1b[32m"
-    (tmp_path / forged).mkdir()
-    (tmp_path / forged / "dataset.json").write_text(json.dumps({"format": forged}))
-    for words in (
-        ("inspect", tmp_path / forged),
-        ("verify", tmp_path / forged),
-        ("train", "--variant", forged),
-    ):
-        code, said, error = run(capsys, *words)
-        assert code
-        for line in (said + error).splitlines():
-            assert line.isprintable()
-            assert not line.startswith("scenegen: verify: all")
 
 
 def test_warnings_of_libraries_reach_nobody(monkeypatch, capfd):

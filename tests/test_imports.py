@@ -34,17 +34,21 @@ def files_of(part):
 
 
 @cache
+def nodes_of(path):
+    return list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+
+
+@cache
 def imported(path, *, typing=True):
     """Names of modules that a file imports, at any depth; with `typing`, for types alone, too."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
     skipped = {
         inner
-        for node in ast.walk(tree)
+        for node in nodes_of(path)
         if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING" and not typing
         for inner in ast.walk(node)
     }
     found = set()
-    for node in ast.walk(tree):
+    for node in nodes_of(path):
         if node in skipped:
             continue
         if isinstance(node, ast.Import):

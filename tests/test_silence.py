@@ -126,11 +126,7 @@ COMMANDS = {
     "map": ["scan.xyz --assume-free -o m.npz"],
     "ingest": ["log -o maps"],
     "view": ["d --html v.html --weights run"],
-    "render": [
-        "d -o r.png",
-        "w.xml --flight -o r.png",
-        "d --split test --predictions p -o r.png",
-    ],
+    "render": ["d --split test --predictions p -o r.png", "w.xml --flight -o r.png"],
     "convert": ["d --to semantickitti -o k", "d --to webdataset -o t"],
     "recipe": ["pillar"],
     "rescan": ["d --noise range:0.02 -o again --workers 1"],

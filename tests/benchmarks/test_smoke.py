@@ -88,7 +88,10 @@ LEARNED = {
 }
 """These import torch, which takes seconds: they run in this process, which has done so for other
 tests, and so do the commands that they run."""
-DEAR = LEARNED | {"against", "executors", "extras", "fly", "folders", "generate", "rehearsal"}
+DEAR = LEARNED | {
+    *("against", "executors", "extras", "fly", "folders", "generate", "rehearsal"),
+    *("gpu", "mutants", "study", "verify"),
+}
 """These take some seconds."""
 
 

@@ -10,7 +10,7 @@ import pytest
 import lidarsim
 import scenegen
 
-pytestmark = pytest.mark.checkout
+pytestmark = [pytest.mark.checkout, pytest.mark.slow]
 
 pytest.importorskip("mkdocs")
 ROOT = Path(__file__).parents[2]

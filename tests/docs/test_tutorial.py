@@ -20,7 +20,6 @@ assert spec.loader is not None
 tutorial = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(tutorial)
 PAGE = tutorial.PAGE.read_text(encoding="utf-8")
-STAGES = ["generate", "view", "train", "complete", "render", "bench", "publish"]
 
 
 @pytest.mark.parametrize("words", tutorial.commands(PAGE), ids=shlex.join)
@@ -31,26 +30,11 @@ def test_every_command_line_parses(words):
     assert command.make_context(name, list(rest)).params
 
 
-def test_the_page_goes_through_the_stages_in_order():
-    names = [words[1] for words in tutorial.commands(PAGE)]
-    places = [
-        names.index(stage, 0 if stage != "render" else names.index("complete")) for stage in STAGES
-    ]
-    assert places == sorted(places)
-
-
 def test_every_picture_is_there_and_is_shown():
     shown = tutorial.PICTURE.findall(PAGE)
     made = {word for words in tutorial.commands(PAGE) for word in words}
     assert sorted(shown) == sorted(path.name for path in (DOCS / tutorial.PICTURES).iterdir())
     assert set(shown) <= made
-
-
-def test_the_python_of_the_page_compiles():
-    blocks = [text for kind, text in tutorial.BLOCK.findall(PAGE) if kind == "python"]
-    assert len(blocks) >= 3
-    for text in blocks:
-        compile(text, "tutorial.md", "exec")
 
 
 def test_the_notebook_is_what_the_script_makes_of_the_page():

@@ -87,6 +87,7 @@ def test_what_is_exported_is_the_network(variant):
         torch.testing.assert_close(one, other, atol=1e-5, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_network_of_one_input_takes_any_number_of_maps(tmp_path):
     """Tracing with one map would fix their number at one, in some networks and without a word."""
     network = Network(NetworkConfig(variant="flat", width=4, height=GRID.shape[2])).eval()

@@ -186,12 +186,18 @@ def test_what_is_wrong_with_own_code_is_told_in_one_line(here, network, loss, mo
     assert not (here / "run").exists()
 
 
-def test_one_task_and_a_scalar_loss_will_do_and_an_export_works_or_says_why_not(here, capsys):
+def test_one_task_and_a_scalar_loss_will_do_and_are_exported(here, capsys):
     (here / "wrong.py").write_text(WRONG)
     words = ("train", "data/pillar", "--epochs", 1, "--device", "cpu", "--quiet", "--variant")
     assert run(capsys, *words, "wrong:Seeing", "--loss", "wrong:Scaled", "--workers", 1)[0] == 0
     assert run(capsys, "export wrong:Seeing@runs/Seeing")[0] == 0
     assert Completer.from_pretrained("Seeing.onnx")(np.zeros((24, 24, 16), bool)).tudf is None
     assert "of wrong.py: KeyError" in refused(capsys, *words, "wrong:Broken")
-    assert run(capsys, *words, "wrong:Branching")[0] == 0
+
+
+@pytest.mark.slow
+def test_an_export_says_why_it_cannot_be(here, capsys):
+    (here / "wrong.py").write_text(WRONG)
+    words = "train data/pillar --epochs 1 --device cpu --quiet --variant wrong:Branching"
+    assert run(capsys, words)[0] == 0
     assert "wrong:Branching" in refused(capsys, "export wrong:Branching@runs/Branching")

@@ -53,7 +53,7 @@ def test_an_empty_world_and_a_crowded_one():
     assert nothing.cast([[0.0, 0.0, 0.0]], ray, 10.0) == np.inf
     assert nothing.hits([[0.0, 0.0, 0.0]], ray, 10.0).geoms == -1
     one = solids_of(model_of('type="sphere" size="1" pos="5 0 0"'))
-    many = 1_000_000
+    many = 100_000
     fields = ("shape", "size", "position", "rotation", "lower", "upper")
     crowd = replace(
         one,

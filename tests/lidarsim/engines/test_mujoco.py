@@ -69,7 +69,7 @@ def assert_same_ranges(got, expected, returns_at_least=1):
     assert_allclose(got[seen], expected[seen], rtol=0, atol=1e-6)
 
 
-def random_world(rng, ghosts=False):
+def random_world(rng):
     """Planes and solids of the world body, and bodies at random attitudes, some of them free to
     move."""
     geoms = [
@@ -82,23 +82,7 @@ def random_world(rng, ghosts=False):
         joint = "<freejoint/>" if rng.random() < 0.5 else ""
         place, attitude = rng.uniform(-6, 6, 3), reference.random_quaternion(rng)
         bodies.append(Body(inside, tuple(place), tuple(attitude), joint))
-    if ghosts:
-        geoms = [ghost(geom) if rng.random() < 0.5 else geom for geom in geoms]
-        bodies = [
-            Body(
-                (*body.geoms[:1], *map(ghost, body.geoms[1:])),
-                body.position,
-                body.quaternion,
-                body.inner,
-            )
-            for body in bodies
-        ]
     return geoms, bodies
-
-
-def ghost(geom):
-    """The same geom without collisions."""
-    return Geom(geom.kind, geom.size, geom.position, geom.quaternion, GHOST)
 
 
 # ------------------------------------------------------------------------------- the analytic
@@ -106,7 +90,7 @@ def ghost(geom):
 
 
 @pytest.mark.parametrize("level", [True, False])
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_a_scan_of_a_random_world_matches_the_analytic_ranges(seed, level):
     """The whole way from pose to float32 ranges; layout and intersections both come from the
     reference."""

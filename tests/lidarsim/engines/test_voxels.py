@@ -10,10 +10,10 @@ from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelEngine, VoxelM
 STEP_M = 5e-4
 
 
-def a_map(seed, *, voxel_m=0.25):
+def a_map(seed):
     rng = np.random.default_rng(seed)
     states = rng.choice([UNKNOWN, FREE, OCCUPIED], (12, 9, 7), p=[0.2, 0.75, 0.05])
-    return VoxelMap(states.astype(np.uint8), voxel_m, rng.uniform(-3, 3, 3))
+    return VoxelMap(states.astype(np.uint8), 0.25, rng.uniform(-3, 3, 3))
 
 
 def states_along(voxels, start, ray, far_m):

@@ -24,17 +24,13 @@ LEVEL = Pose.level((0.0, 0.0, 0.0))
 class Nowhere:
     """An engine that meets nothing: for stages that ask it nothing."""
 
-    @classmethod
-    def of(cls, model, data=None):
-        return cls()
-
     def cast(self, origins, directions, max_range_m):
         raise AssertionError("asked")
 
 
-def ahead(count, reach_m=REACH_M):
+def ahead(count):
     """A sensor whose rays all go straight ahead."""
-    return BeamTable(rays=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), max_range_m=reach_m)
+    return BeamTable(rays=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), max_range_m=REACH_M)
 
 
 def world(*geoms):
@@ -43,11 +39,11 @@ def world(*geoms):
     )
 
 
-def applied(stage, ranges, sensor=None, seed=5):
+def applied(stage, ranges, sensor=None):
     """What a stage makes of ranges (n,) straight ahead."""
     ranges = np.asarray(ranges, np.float32)
     scan = Scan(ranges, LEVEL, sensor or ahead(len(ranges)))
-    return Noise((stage,)).observe(scan, Nowhere(), rng=np.random.default_rng(seed)).ranges[0]
+    return Noise((stage,)).observe(scan, Nowhere(), rng=np.random.default_rng(5)).ranges[0]
 
 
 @pytest.mark.parametrize("at_m", [2.0, 10.0])
@@ -214,10 +210,11 @@ def test_the_strongest_echo_is_the_one_of_most_light():
     assert np.isinf(seen(stage, rays=5).ranges).all()
 
 
-def turning(rays=200, scan_s=0.1):
+def turning():
     """A horizontal turn, one ray after the other."""
-    angle = 2 * math.pi * np.arange(rays) / rays
-    columns = (np.cos(angle), np.sin(angle), np.zeros(rays), scan_s * np.arange(rays) / rays)
+    turned = np.arange(200) / 200
+    angle = 2 * math.pi * turned
+    columns = (np.cos(angle), np.sin(angle), 0 * turned, 0.1 * turned)
     return BeamTable(rays=np.stack(columns, axis=-1), max_range_m=REACH_M)
 
 

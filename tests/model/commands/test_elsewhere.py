@@ -25,7 +25,9 @@ def here(once, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "words", [everywhere.COMMANDS[0], everywhere.BENCH], ids=lambda words: words[0]
+    "words",
+    [pytest.param(everywhere.COMMANDS[0], marks=pytest.mark.slow), everywhere.BENCH],
+    ids=lambda words: words[0],
 )
 def test_a_command_gives_the_same_elsewhere(here, capsys, words):
     """The others do so where nothing is copied yet: tests/scenegen/stores/test_elsewhere.py."""

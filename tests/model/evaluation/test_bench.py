@@ -3,7 +3,6 @@ how it refuses."""
 
 import dataclasses
 import json
-import re
 import runpy
 import sys
 from pathlib import Path
@@ -15,13 +14,13 @@ from numpy.testing import assert_array_equal
 
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, ScenegenError
-from scenegen.model.commands.bench import run_bench, show_tables
+from scenegen.model.commands.bench import run_bench
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.completion.unlearned import Returns
 from scenegen.model.config import BenchConfig, PlanConfig, Thresholds
 from scenegen.model.evaluation.methods import METHODS, Completed, Predicted, Truth, find_method
 from scenegen.model.evaluation.metrics import METRICS
-from scenegen.model.evaluation.report import build_report, to_html, to_markdown
+from scenegen.model.evaluation.report import build_report, to_markdown
 from scenegen.model.evaluation.run import bench
 from scenegen.run.workers import Local
 from tests.conftest import dataset_in, small_recipe
@@ -67,11 +66,11 @@ class Copied:
         )
 
 
-def write_predictions(path, dataset, *, drop=0, digest=None):
+def write_predictions(path, dataset, *, drop=0):
     """The truth of the test split as a predictions file."""
     samples = list(dataset.split("test"))[drop:]
     with h5py.File(path, "w") as file:
-        file.attrs["dataset"] = digest or dataset.manifest.digest
+        file.attrs["dataset"] = dataset.manifest.digest
         file.attrs["split"] = "test"
         file["world"] = np.array([sample.world for sample in samples], dtype=np.int64)
         file["viewpoint"] = np.array([sample.viewpoint for sample in samples], dtype=np.int64)
@@ -98,24 +97,6 @@ def test_a_perfect_prediction_scores_perfectly_and_plans_like_the_truth(dataset,
         "0.6 is below the paper's threshold"
     )
     assert_array_equal(copied.values("iou", region=-1), 1)
-
-
-def test_tables_show_iou_at_the_best_threshold_and_where_it_is(dataset, capsys):
-    """As of a network that was not trained long: at the paper's threshold it calls nothing
-    occupied."""
-    found = bench(dataset, [Truth(), Completed(Copied(dataset))], CONFIG)
-    report = build_report([found], seed=0, about={})
-    show_tables(report)
-    printed = capsys.readouterr().out
-    assert re.search(r"copied .* 0\.000  +1\.000 at 0\.3\s", printed)
-    assert re.search(r"truth .* 1\.000  +1\.000\s", printed), "any threshold does, so none is named"
-    (row,) = (
-        line
-        for line in to_markdown(report).splitlines()
-        if line.startswith("| copied") and " at 0.3 |" in line
-    )
-    assert "| 0.000 ± 0.000 [0.000, 0.000] | 1.000 ± 0.000 [1.000, 1.000] at 0.3 |" in row
-    assert " at 0.3</small>" in to_html(report)
 
 
 def test_workers_and_other_rows_change_no_figure(dataset):

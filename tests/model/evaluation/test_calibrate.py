@@ -70,6 +70,7 @@ def test_a_file_carries_its_calibration(dataset, weights, tmp_path):
         assert_allclose(file["probability"][0], said.probability, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_bounds_of_others_are_a_row_of_the_study(dataset, weights, tmp_path, monkeypatch):
     completer = Completer.from_pretrained(weights)
     predict_split(completer, dataset.folder, "test", tmp_path / "p")

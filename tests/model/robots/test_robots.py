@@ -143,15 +143,16 @@ def test_a_network_completes_all_scans_or_the_last_alone(name, remembers):
 def test_the_command_flies_records_and_flies_again(capsys, tmp_path):
     file, picture = tmp_path / "flights.json", tmp_path / "flights.png"
     film, log = tmp_path / "flight.gif", tmp_path / "log"
-    words = ("fly", "pillar", "--robot", "reactive", "--flights", 2, "--worlds", 2, "--workers", 1)
+    words = ("fly", "pillar", "--robot", "reactive", "--flights", 1, "--worlds", 1, "--workers", 1)
     more = ("-o", file, "--picture", picture, "--film", film, "--log", log, "--json")
     code, out, _ = run(capsys, *words, *more)
     told = json.loads(out)
     assert code == 0
-    assert [one["seed"] for one in told["flights"]] == [0, 1]
-    assert {one["difficulty"]["tortuosity"] >= 1 for one in told["flights"]} == {True}
+    (flight,) = told["flights"]
+    assert flight["seed"] == 0
+    assert flight["difficulty"]["tortuosity"] >= 1
     assert picture.read_bytes()[:4] == b"\x89PNG"
-    (course, (flown,)), *_ = Recording.read(file).courses
+    ((course, (flown,)),) = Recording.read(file).courses
     with Image.open(film) as shown:
         assert shown.n_frames == (len(flown.commands) + 2) // 3 + 1
         assert SENSOR in {colour for _, colour in shown.convert("RGB").getcolors()}
@@ -177,11 +178,10 @@ def test_the_command_flies_records_and_flies_again(capsys, tmp_path):
 
 def test_a_film_shows_what_the_robot_takes_for_occupied():
     course = Course(world="pillar", difficulty="easy", flights=1, seed=1)
-    for name, shown in (("truth", {RIGHT}), ("optimistic", {RIGHT, UNHELD})):
-        with Image.open(io.BytesIO(film(course, 0, robot_maker(name, None)(course)))) as film_:
-            film_.seek(film_.n_frames - 1)
-            colours = {colour for _, colour in film_.convert("RGB").getcolors()}
-        assert shown <= colours
+    robot = robot_maker("optimistic", None)(course)
+    with Image.open(io.BytesIO(film(course, 0, robot))) as film_:
+        film_.seek(film_.n_frames - 1)
+        assert {RIGHT, UNHELD} <= {colour for _, colour in film_.convert("RGB").getcolors()}
 
 
 def test_a_page_plays_a_flight_to_its_end():
@@ -349,18 +349,16 @@ def test_ones_own_robot_flies_and_what_a_bad_one_does_is_counted(capsys, tmp_pat
     (tmp_path / "my_robot.py").write_text(OWN)
     (tmp_path / "my_bad.py").write_text(BAD)
     monkeypatch.chdir(tmp_path)
-    words = "fly pillar --flights 2 --worlds 2 --workers 1 --json --robot"
+    words = "fly pillar --flights 1 --worlds 1 --workers 1 --json --robot"
     for name, invalid, outcomes in (
-        ("my_robot:Robot", {0}, {"success", "collision"}),
-        ("my_bad:Dies", {0}, {"crashed"}),
-        ("my_bad:Babbles", {3}, {"success", "collision"}),
+        ("my_robot:Robot", 0, {"success", "collision"}),
+        ("my_bad:Dies", 0, {"crashed"}),
+        ("my_bad:Babbles", 3, {"success", "collision"}),
     ):
         code, out, _ = run(capsys, f"{words} {name}")
-        flights = json.loads(out)["flights"]
-        assert (code, len(flights)) == (0, 2)
-        assert {one["outcome"] for one in flights} <= outcomes
-        assert {one["invalid"] for one in flights} == invalid
-        assert all((one["time_s"] > 1) == (one["trouble"] == "") for one in flights)
+        (one,) = json.loads(out)["flights"]
+        assert (code, one["invalid"], one["outcome"] in outcomes) == (0, invalid, True)
+        assert (one["time_s"] > 1) == (one["trouble"] == "")
 
 
 @pytest.mark.parametrize(

@@ -111,15 +111,17 @@ def test_a_chunk_is_the_same_wherever_a_threads_stack_lies():
     assert zlib.decompress(found.pop()) == values.tobytes()
 
 
-def test_shard_size_and_compactness_change_no_sample(tmp_path, whole):
-    digests = {
-        manifest.read(whole)["digest"],
-        make(tmp_path / "b", shard_samples=1).digest,
-        make(tmp_path / "c", shard_samples=1000).digest,
-        make(tmp_path / "d", compact=True).digest,
-    }
-    assert len(digests) == 1
-    assert make(tmp_path / "e", seed=1).digest not in digests
+def test_shard_size_and_compactness_change_no_sample(tmp_path, whole, few):
+    digest = manifest.read(whole)["digest"]
+    assert make(tmp_path / "b", shard_samples=1).digest == digest
+    assert make(tmp_path / "c", shard_samples=1000, compact=True).digest == digest
+    assert manifest.read(few)["digest"] != digest
+    assert "tudf" not in manifest.read(tmp_path / "c")["fields"]
+    for split in SPLITS:
+        one, other = (Dataset(folder).split(split) for folder in (whole, tmp_path / "c"))
+        for a, b in zip(one, other, strict=True):
+            for name in GROUPS[""]:
+                assert_array_equal(getattr(a, name), getattr(b, name), strict=True)
 
 
 def test_a_dataset_grows_into_the_one_that_was_made_at_once(folder, larger):
@@ -138,7 +140,7 @@ def test_a_dataset_grows_into_the_one_that_was_made_at_once(folder, larger):
         make(folder, counts={"train": 13, "val": 9, "test": 9})
 
 
-@pytest.mark.parametrize("after", [0, 1, 2, 3])
+@pytest.mark.parametrize("after", [0, 2])
 def test_growth_that_is_killed_goes_on(folder, larger, monkeypatch, after):
     done, original = 0, shards.write_whole
 
@@ -261,32 +263,6 @@ def test_the_format_is_the_contract(whole):
     assert samples == sum(COUNTS.values())
 
 
-def test_the_digest_is_what_the_contract_says(folder):
-    total = hashlib.sha256()
-    for shard in manifest.read(folder)["shards"]:
-        with h5py.File(folder / shard["file"]) as file:
-            for row in range(shard["samples"]):
-                raw = b"".join(
-                    np.packbits(file[name][row]).tobytes() for name in ("observed", "occupancy")
-                )
-                for name in ("ranges", "position", "quaternion", "origin", "world", "viewpoint"):
-                    raw += np.asarray(file[name][row]).tobytes()
-                total.update(hashlib.sha256(raw).digest())
-                assert file["sha256"][row].tobytes() == hashlib.sha256(raw).digest()
-    assert manifest.read(folder)["digest"] == total.hexdigest()
-
-
-def test_a_compact_dataset_reads_like_a_full_one(tmp_path, whole):
-    make(tmp_path / "compact", compact=True)
-    assert "tudf" not in manifest.read(tmp_path / "compact")["fields"]
-    for split in SPLITS:
-        for a, b in zip(
-            Dataset(whole).split(split), Dataset(tmp_path / "compact").split(split), strict=True
-        ):
-            for name in GROUPS[""]:
-                assert_array_equal(getattr(a, name), getattr(b, name), strict=True)
-
-
 def test_going_on_with_other_parameters_is_refused_by_name(folder):
     before = content(folder)
     for options, named in (
@@ -340,8 +316,7 @@ def test_a_file_in_the_way_of_a_replacement_ends_it_before_anything_is_touched(
     assert content(folder) == before
 
 
-@pytest.mark.parametrize("listed", [False, True])
-@pytest.mark.parametrize("killed_at", [0, 1, 8])
+@pytest.mark.parametrize(("listed", "killed_at"), [(True, 0), (False, 1), (True, 8)])
 def test_a_replacement_that_is_killed_goes_on(listed, killed_at, folder, few, monkeypatch):
     """The dataset that was there may have been killed itself before it listed its shards."""
     if not listed:
@@ -522,11 +497,7 @@ def test_a_shard_of_strange_content_counts_as_absent(folder):
 
 @pytest.mark.parametrize(
     ("nth", "code", "advice"),
-    [
-        (3, errno.ENOSPC, "disk is full"),
-        (5, errno.EACCES, "no permission"),
-        (8, errno.ENOSPC, "disk is full"),
-    ],
+    [(3, errno.ENOSPC, "disk is full"), (8, errno.EACCES, "no permission")],
 )
 def test_a_refusing_disk_ends_in_one_line_and_loses_nothing(
     tmp_path,

@@ -161,24 +161,6 @@ def test_a_strangers_word_on_a_table_is_not_trusted(tmp_path, change, told):
     assert told in str(caught.value)
 
 
-def test_no_reader_imports_what_a_manifest_names(tmp_path, monkeypatch):
-    folder = tmp_path / "data"
-    build_with(folder, Lidar(rows=8, columns=24))
-    (tmp_path / "trap.py").write_text("raise SystemExit('imported')")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(str(tmp_path))
-    found = json.loads((folder / NAME).read_text())
-    (folder / NAME).write_text(json.dumps(found | {"engine": "trap:Engine"}))
-    Dataset(folder)
-    verify(folder)
-    found["lidar"] |= {"sensor": "trap:Sensor"}
-    (folder / NAME).write_text(json.dumps(found))
-    with pytest.raises(DatasetError, match=r"lidar\.sensor = 'trap:Sensor'"):
-        Dataset(folder)
-    assert not verify(folder).ok
-    assert "trap" not in sys.modules
-
-
 def test_no_key_of_a_manifest_names_a_sensor_to_the_recipe_that_publish_reads(
     tmp_path, table, monkeypatch
 ):
@@ -191,17 +173,6 @@ def test_no_key_of_a_manifest_names_a_sensor_to_the_recipe_that_publish_reads(
     with pytest.raises(PublishError, match="would not make the same dataset"):
         check_source(dataset, *source_file(dataset.manifest))
     assert "trap" not in sys.modules
-
-
-@pytest.mark.parametrize("maker", ["analytic", "mujoco"])
-def test_another_engine_is_named_in_the_manifest_and_audited_by_one_that_is_not_it(tmp_path, maker):
-    dataset = build_with(tmp_path, Lidar(rows=8, columns=24), maker)
-    assert dataset.manifest.engine == maker
-    report = verify(tmp_path)
-    assert report.ok, [check for check in report.checks if not check.ok]
-    checks = {check.name: check for check in report.checks}
-    assert not checks["rays"].skipped
-    assert not checks["regenerated"].skipped
 
 
 def test_an_engine_that_is_not_to_be_had_is_told_of_before_anything_is_made(tmp_path):

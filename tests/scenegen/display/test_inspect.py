@@ -16,6 +16,7 @@ from scenegen.display.look import looks
 from scenegen.truth.difficulty import Difficulty, difficulty
 from tests.command_line import run
 from tests.conftest import picky_recipe, plan_of
+from tests.scenegen.dataset.test_mixed import RECIPE
 
 COUNTS = {"train": 11, "val": 0, "test": 4}
 KEYS = {"occupied", "observed", "free", "unknown", "returned", "range_m", "tudf_m"}
@@ -101,14 +102,6 @@ def test_counts_sizes_and_origin_are_those_of_the_folder(full):
     assert found["complete"] is True
 
 
-def test_a_compact_dataset_says_the_same(full, tmp_path):
-    """Free space and distances are derived."""
-    compact = inspect(make(tmp_path / "compact", compact=True))
-    whole = inspect(full)
-    assert compact["splits"] == whole["splits"]
-    assert compact["bytes"] < whole["bytes"]
-
-
 @pytest.mark.parametrize("most", [1, 4, 200])
 def test_at_most_so_many_samples_are_measured_evenly_spread(full, most):
     split = inspect(full, most=most)["splits"]["train"]
@@ -132,18 +125,20 @@ def test_many_samples_are_measured_by_several_processes_some_at_a_time(full, mon
 
 
 def test_figures_and_samples_are_told_by_kind(tmp_path, capsys):
-    mixed = scenegen.generate("mixed", 20, out=tmp_path, val=0, test=0, workers=1)
+    (tmp_path / "r.toml").write_text(RECIPE)
+    options = {"n": 20, "val": 0, "test": 0, "workers": 1}
+    mixed = scenegen.generate(recipe=tmp_path / "r.toml", out=tmp_path / "d", **options)
     shown, _ = looks(mixed, "train", range(20))
-    assert [shown[n].name for n in (0, 19)] == ["train 0, cave", "train 19, warehouse"]
+    assert [shown[n].name for n in (0, 19)] == ["train 0, pillar", "train 19, maze-hard"]
     for most, chosen in ((20, range(20)), (3, (0, 9, 19))):
-        for kind, told in inspect(tmp_path, most=most)["splits"]["train"]["kinds"].items():
+        for kind, told in inspect(mixed.folder, most=most)["splits"]["train"]["kinds"].items():
             own = [shown[n] for n in chosen if shown[n].name.endswith(kind)]
             known = [look.masks["observed"] | look.masks["free"] for look in own]
             assert told["sampled"] == len(own)
             found = told["statistics"]
             assert found["unknown"]["mean"] == pytest.approx(1 - np.mean(known))
             assert found["tudf_m"]["mean"] == pytest.approx(np.mean([look.tudf for look in own]))
-    assert "means of each kind" in run(capsys, f"inspect {tmp_path}")[1]
+    assert "means of each kind" in run(capsys, f"inspect {mixed.folder}")[1]
 
 
 def test_figures_that_are_kept_are_read_and_no_others(full, tmp_path, monkeypatch, capsys):

@@ -146,7 +146,7 @@ def test_tilted_solids_come_in_their_share_and_at_any_attitude(share):
     [("wall_density", walls, {}), ("clutter_density", heaps, {"clutter_count": (1, 1)})],
 )
 def test_densities_are_drawn_once_a_world_between_their_bounds(name, some, more):
-    counts = [len(some(seed, **{name: (0.01, 0.06)}, **more)) for seed in range(80)]
+    counts = [len(some(seed, **{name: (0.01, 0.06)}, **more)) for seed in range(50)]
     assert looks_uniform(np.array(counts) / 2400.0, 0.01 - 3e-4, 0.06 + 3e-4)
     assert {len(some(seed, count=33, **more)) for seed in range(5)} == {33}
 

@@ -1,8 +1,6 @@
 """What makes a dataset again: the command, and the kind, whose module only the user can have
 imported."""
 
-import dataclasses
-import json
 import shlex
 from importlib.metadata import version
 
@@ -10,11 +8,8 @@ import pytest
 
 from scenegen.cli.generate import generate
 from scenegen.dataset import manifest
-from scenegen.dataset.read import Dataset
 from scenegen.dataset.trust import parse
-from scenegen.display.inspect import inspect
 from scenegen.errors import PublishError
-from scenegen.share.card import croissant, facts
 from scenegen.share.regenerate import check_kind, closure, command, environment_lock
 from tests.conftest import plan_of, small_recipe
 
@@ -43,16 +38,6 @@ def test_the_command_that_makes_a_dataset_again_is_one_that_generate_takes(engin
         3,
         5,
     )
-
-
-@pytest.mark.parametrize(("kind", "random"), [("pillar", True), ("scene", False)])
-def test_worlds_drawn_by_hand_are_not_called_random(kind, random, made, asked):
-    found = dataclasses.replace(Dataset(made).manifest, kind=kind)
-    told = inspect(made, most=1)
-    given = facts(found, told, asked, tag="v1", date="2026-01-01", checks=(), pictures="")
-    said = json.loads(croissant(given, found, told, {}))
-    assert ("Random worlds" in said["rai:dataCollection"]) == random
-    assert ("distributions of recipe.toml" in str(said["rai:dataBiases"])) == random
 
 
 def test_the_lock_pins_what_is_needed_as_the_dataset_s_makers_had_it():

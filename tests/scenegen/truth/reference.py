@@ -72,13 +72,12 @@ class Shape:
     def at(self, pos):
         return Shape(self.kind, self.size, np.asarray(pos, float), self.quat)
 
-    def add_to(self, body, rgba=(0.5, 0.5, 0.5, 1)):
+    def add_to(self, body):
         return body.add_geom(
             type=getattr(mujoco.mjtGeom, f"mjGEOM_{self.kind.upper()}"),
             size=list(self.size),
             pos=list(self.pos),
             quat=list(self.quat),
-            rgba=list(rgba),
         )
 
 
@@ -560,8 +559,11 @@ def voxel_centres(grid_shape, voxel, origin):
 
 
 @numba.njit(cache=True, nogil=True)
-def _sweep_hulls(hulls, shape, voxel, origin, near, far, verdict):
-    """Judge the voxels that the bounding box of each hull (n, points, 3) meets; a hit is final."""
+def _sweep_hulls(kind, hulls, shape, voxel, origin, near, far, verdict):
+    """Judge the voxels that the bounding box of each hull (n, points, 3) meets; a hit is final.
+
+    `kind`, HULL, is an argument: for a constant, numba would compile the search once more.
+    """
     w = np.zeros((4, 3))
     lam = np.zeros(4)
     best_lam = np.zeros(4)
@@ -590,7 +592,7 @@ def _sweep_hulls(hulls, shape, voxel, origin, near, far, verdict):
                         continue
                     cz = origin[2] + (k + 0.5) * voxel
                     low, high = _bracket(
-                        HULL,
+                        kind,
                         zero,
                         eye,
                         zero,
@@ -618,6 +620,7 @@ def judge_hulls(hulls, grid_shape, voxel, origin):
     """
     result = Judged.of_nothing(grid_shape)
     _sweep_hulls(
+        HULL,
         np.ascontiguousarray(hulls, float),
         grid_shape,
         float(voxel),

@@ -186,7 +186,7 @@ def test_a_scenes_materials_make_classes_and_their_archive_keeps_them(tmp_path):
     assert met == {-1, 0, 1, 2, 3}
 
 
-def test_a_dataset_with_labels_can_be_published(tmp_path):
+def test_a_dataset_with_labels_can_be_published(undrawn, tmp_path):
     recipe = dataclasses.replace(
         small_recipe(), labels=labels_by("name", ()), noise=Noise.parse("range")
     )

@@ -66,7 +66,7 @@ def test_nothing_in_the_folder_changes_and_nothing_appears_elsewhere(
 
 @pytest.mark.parametrize("scene", ["forest.xml", "room_with_gap.xml", "warehouse.xml"])
 def test_worlds_drawn_by_hand_pass(tmp_path, scene):
-    counts = {"train": 5, "val": 0, "test": 0}
+    counts = {"train": 3, "val": 0, "test": 0}
     tables = {name: SMALL[name] for name in ("lidar", "grid")} | {"flight": {"viewpoints": 2}}
     recipe = make_recipe("scene", tables, where="test")
     plan = plan_dataset(
@@ -75,7 +75,7 @@ def test_worlds_drawn_by_hand_pass(tmp_path, scene):
         read_scenes(SCENES / scene, counts, seed=0),
         seed=0,
         counts=counts,
-        shard_samples=4,
+        shard_samples=2,
     )
     build(plan)
     report = verify(tmp_path / "d")

@@ -206,24 +206,24 @@ def test_distances_to_meshes_and_height_fields_are_those_of_their_triangles(
     clearance, shapes = bent_world(names, seed=len(names[0]))
     rng = np.random.default_rng(0)
     corners = np.concatenate([np.asarray(shape.vertices) for shape, _ in shapes])
-    near = corners[rng.integers(0, len(corners), 500)] + rng.normal(0.0, 0.4, (500, 3))
+    near = corners[rng.integers(0, len(corners), 200)] + rng.normal(0.0, 0.4, (200, 3))
     points = np.clip(near, BOUNDS[0], BOUNDS[1])
     expected = np.minimum(distances_to(shapes, points), CAP_M)
     found = np.array([clearance.at(*p) for p in points])
     assert_allclose(found, expected, rtol=0, atol=ROUNDING_M)
     assert (found[expected == 0] == 0).all()
-    assert ((expected > 0.05) & (expected < CAP_M)).sum() > 100
+    assert ((expected > 0.05) & (expected < CAP_M)).sum() > 40
     if names != ("half a ring",):
         deep = (expected == 0) & (
             distances_to([(shape, False) for shape, _ in shapes], points) > 0.05
         )
-        assert deep.sum() > 20, "no point lies well within a filled shape: the test shows nothing"
+        assert deep.sum() > 8, "no point lies well within a filled shape: the test shows nothing"
 
 
 def test_a_motion_among_meshes_is_free_where_its_points_keep_the_radius():
     clearance, shapes = bent_world(("hill", "ring", "half a ring"), 0)
     check_motions(
-        clearance, lambda points: distances_to(shapes, points), 0, count=16, longest_m=1.5
+        clearance, lambda points: distances_to(shapes, points), 0, count=10, longest_m=1.5
     )
 
 

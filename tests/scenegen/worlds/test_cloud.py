@@ -48,7 +48,7 @@ def scanned(count, rays_each):
 
 @pytest.fixture(scope="module")
 def scans():
-    return scanned(6, 3000)
+    return scanned(4, 3000)
 
 
 def joined(scans):
@@ -124,7 +124,7 @@ def test_a_cloud_s_map_is_the_place_where_rays_went(scans, tmp_path, how):
     assert (truth[voxels.states == OCCUPIED] == OCCUPIED).all()
     # a ray may pass through less than 0.1 mm of what it does not see
     assert (truth[voxels.states == FREE] == OCCUPIED).mean() < 1e-3
-    share = np.linspace(0.0, 1.0, 400)[:, None, None]
+    share = np.linspace(0.0, 1.0, 150)[:, None, None]
     for sensor, points in scans:
         way = sensor + share * (points - sensor)
         cells = np.floor((way - voxels.origin) / VOXEL_M).astype(int)

@@ -27,6 +27,15 @@ from scenegen.worlds.flight import Flight, fly
 from scenegen.worlds.place import parse_npz, read_place
 from tests.command_line import refused, run
 
+RECIPE = """
+kind = "scene"
+[grid]
+shape = [40, 40, 16]
+voxel_m = 0.4
+[lidar]
+rows = 8
+columns = 60
+"""
 VOXEL_M, ORIGIN = 0.25, (-3.0, 2.0, 0.0)
 
 
@@ -63,11 +72,14 @@ def dataset(tmp_path_factory):
         "<mujoco><worldbody><geom type='plane' size='0 0 1'/><geom type='box' size='1 9 3' "
         "pos='9 0 3'/><geom type='box' size='9 1 3' pos='0 9 3'/></worldbody></mujoco>"
     )
-    plan = plan_generation(
-        None, 20, val=5, test=5, scene=folder, out=folder / "data", shard_samples=10
-    )
-    build(plan, workers=1)
+    (folder / "recipe.toml").write_text(RECIPE)
+    build(planned(folder, folder / "data", shard_samples=10), workers=1)
     return folder / "data"
+
+
+def planned(folder, out, **more):
+    recipe = folder / "recipe.toml"
+    return plan_generation(None, 20, val=5, test=5, scene=folder, recipe=recipe, out=out, **more)
 
 
 def test_clearance_is_the_distance_to_the_nearest_voxel_that_is_not_free(place):
@@ -75,7 +87,7 @@ def test_clearance_is_the_distance_to_the_nearest_voxel_that_is_not_free(place):
     states = place.voxels.states
     cells = np.argwhere(np.pad(states, 6) != FREE) - 6  # beyond the map, nothing is free
     low = np.array(ORIGIN) + cells * VOXEL_M
-    for point in rng.uniform(*place.voxels.bounds, (200, 3)):
+    for point in rng.uniform(*place.voxels.bounds, (60, 3)):
         gaps = np.maximum(np.maximum(low - point, point - low - VOXEL_M), 0.0)
         expected = min(float(np.sqrt((gaps**2).sum(axis=1).min())), 1.0)
         assert place.clearance.at(*point) == pytest.approx(expected, abs=1e-9)
@@ -105,7 +117,7 @@ def test_flight_bounds_are_those_of_the_free_voxels(place):
 @pytest.mark.parametrize("scale", [1.0, 0.31])
 def test_another_way_to_cast_finds_the_same_ranges(place, scale):
     lidar, rng = Lidar(max_range_m=20 * scale), np.random.default_rng(1)
-    for point in rng.uniform(*place.voxels.bounds, (20, 3)):
+    for point in rng.uniform(*place.voxels.bounds, (8, 3)):
         pose = Pose.level(point, float(rng.uniform(0, 7)))
         scan = cast(place.caster(None), lidar, pose)
         rays, ranges = scan.directions.reshape(1, -1, 3), scan.ranges.reshape(-1)
@@ -120,7 +132,7 @@ def test_a_dataset_of_maps_passes_every_check(dataset):
     assert report.ok, [check.detail for check in report.checks]
     counts = {check.name: check.counts for check in report.checks}
     assert counts["occupancy"]["samples"] == 30
-    assert counts["rays"]["rays"] == counts["known"]["samples"] * 1920 > 0
+    assert counts["rays"]["rays"] == counts["known"]["samples"] * 480 > 0
 
 
 def test_a_dataset_of_maps_is_published(undrawn, dataset, tmp_path):
@@ -143,9 +155,7 @@ def test_samples_say_what_is_known(dataset):
 
 
 def test_the_same_bits_however_they_are_made(dataset, tmp_path):
-    plan = plan_generation(
-        None, 20, val=5, test=5, scene=dataset.parent, out=tmp_path / "again", shard_samples=5
-    )
+    plan = planned(dataset.parent, tmp_path / "again", shard_samples=5)
     build(plan, workers=2)
     digests = {scenegen.Dataset(folder).manifest.digest for folder in (dataset, plan.folder)}
     assert len(digests) == 1
@@ -166,7 +176,7 @@ def test_bench_scores_what_is_known(dataset, tmp_path, capsys):
     )  # fmt: skip
     assert code == 0, error
     report = json.loads((out / "report.json").read_text())
-    assert report["planning"]["scene"]["truth"]["success"]["mean"] > 0.9
+    assert report["planning"]["scene"]["truth"]["success"]["mean"] > 0.8
     assert report["reconstruction"]["scene"]["truth"]["iou"]["mean"] == 1.0
     assert report["reconstruction"]["scene"]["extrude"]["iou"]["mean"] < 1.0
     about = report["datasets"]["scene"]
