@@ -14,8 +14,8 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 309_328, "benchmarks": 37_200, "tests": 266_265}
-FILES = 254
+TOKENS = {"product": 307_900, "benchmarks": 34_700, "tests": 264_500}
+FILES = 243
 LINES = 400
 """The longest file of product code."""
 WIDTH = 100

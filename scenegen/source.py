@@ -83,6 +83,10 @@ class DrawnWorlds:
         return set(getattr(self.recipe.world, "classes", ()))
 
 
+LEAST_MAP_DRAWS = 500
+"""In building 079, nine of ten draws find no flight."""
+
+
 @dataclass(frozen=True)
 class SceneWorlds:
     """Worlds from files, MJCF or maps. The units of a split visit its worlds in turn, each time
@@ -134,8 +138,13 @@ class SceneWorlds:
         return [scene.name for of in self.scenes.values() for scene in of if scene.is_map]
 
     def suited(self, recipe: Recipe) -> Recipe:
-        """`recipe`, with `known` where a world is a map."""
-        return dataclasses.replace(recipe, known=recipe.known or Known()) if self.maps else recipe
+        """`recipe`; where a world is a map, with `known`, and with more draws of a flight, since
+        many end at unknown space."""
+        if not self.maps:
+            return recipe
+        draws = max(recipe.accept.max_draws, LEAST_MAP_DRAWS)
+        accept = dataclasses.replace(recipe.accept, max_draws=draws)
+        return dataclasses.replace(recipe, known=recipe.known or Known(), accept=accept)
 
 
 def read_world(path: str | Path) -> AnyWorld:
