@@ -3,7 +3,7 @@ knows nothing of scenegen, on a log of each kind of worlds. Needs `pip install k
 
     python benchmarks/odometry.py pillar forest --seeds 3
     python benchmarks/odometry.py pillar --moving
-    python benchmarks/odometry.py rooms --voxels 1 0.3
+    python benchmarks/odometry.py rooms --voxels 1 0.3 --speed 1.5
 
 Per kind and seed: metres flown, scans, and for each edge of the voxels of KISS-ICP's map the mean
 error of relative translation, %, and rotation, degrees a metre, as KITTI's odometry counts them:
@@ -27,6 +27,7 @@ def main() -> None:
     parser = measuring.options(__doc__)
     parser.add_argument("kinds", nargs="*", default=["pillar", "forest", "street", "warehouse"])
     parser.add_argument("--length", default="210")
+    parser.add_argument("--speed", default="5", help="metres a second")
     parser.add_argument("--lidar", default="ouster-os1-64")
     parser.add_argument("--seeds", type=int, default=1, help="worlds of each kind")
     parser.add_argument("--moving", action="store_true")
@@ -39,8 +40,9 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder, "log.mcap")
             words = f"scan {kind} --seed {seed} --flight --sequence --length {options.length}"
-            words += f" --speed 5 --noise datasheet --lidar {options.lidar} --quiet -o"
-            measuring.run("-m", "scenegen", *words.split(), path, *["--moving"] * options.moving)
+            words += f" --speed {options.speed} --lidar {options.lidar} --noise datasheet"
+            more = ["--quiet", *["--moving"] * options.moving]
+            measuring.run("-m", "scenegen", *words.split(), *more, "-o", path)
             for voxel_m in options.voxels:
                 said = _measured(path, options.moving, voxel_m)
                 print(f"{kind:10} {seed}  {voxel_m} m  {said}", flush=True)

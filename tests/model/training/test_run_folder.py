@@ -68,10 +68,11 @@ def test_a_full_disk_ends_the_run_and_leaves_the_last_state(folders, begun, tmp_
     folder = RunFolder(out)
     folder.restore(network, torch.optim.AdamW(network.parameters()))
     monkeypatch.setattr(files, "open", full, raising=False)
+    rows = [{"epoch": 1.0, "val_loss": 1.0}]
     with pytest.raises(DatasetError, match="the disk is full"):
         folder.save(Progress())
     with pytest.raises(DatasetError, match="the disk is full"):
-        RunFolder(out).save_best(network, grid, {})
+        folder.close_round(Progress(rows=rows), network, grid, {}, "loss")
     monkeypatch.undo()
     assert before == {path.name: path.read_bytes() for path in out.glob("*.safetensors")}
 

@@ -477,7 +477,7 @@ def test_gymnasium_takes_it():
     assert not over
     assert 0.0 < reward < 0.2
     assert set(about["about"]) >= {"goal", "bounds", "radius_m"}
-    plans = scenegen.Flight(periods=3)
+    plans = scenegen.Flight(periods=3, rules=Rules(apart_m=4.0))
     plans.reset(options={"seed": 3})
     plan = np.tile(np.float32([*towards, 0.0]), (3, 1))
     single = [made.reset(options={"seed": 3}), *map(made.step, plan)]
