@@ -8,6 +8,7 @@ import dataclasses
 import functools
 import itertools
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -18,7 +19,7 @@ from scenegen import SPLITS
 from scenegen.errors import BrokenError, RecipeError, SceneError, printable, raised_as
 from scenegen.files import real_path, world_digest
 from scenegen.limits import MOST_ARCHIVE_BYTES, MOST_GEOMS, MOST_MEMBERS, SCENE_BYTES, SCENE_SECONDS
-from scenegen.recipe import Recipe, preset
+from scenegen.recipe import Acceptance, Recipe, preset
 from scenegen.run.workers import Limited, run
 from scenegen.worlds import CLOUDS, MAPS, MESHES
 from scenegen.worlds.labels import By, class_names
@@ -83,7 +84,7 @@ class DrawnWorlds:
         return set(getattr(self.recipe.world, "classes", ()))
 
 
-LEAST_MAP_DRAWS = 500
+MAP_DRAWS = 500
 """In building 079, nine of ten draws find no flight."""
 
 
@@ -138,13 +139,16 @@ class SceneWorlds:
         return [scene.name for of in self.scenes.values() for scene in of if scene.is_map]
 
     def suited(self, recipe: Recipe) -> Recipe:
-        """`recipe`; where a world is a map, with `known`, and with more draws of a flight, since
-        many end at unknown space."""
+        """`recipe`; where a world is a map, with `known`, and with more draws of a flight than the
+        usual, since many end at unknown space."""
         if not self.maps:
             return recipe
-        draws = max(recipe.accept.max_draws, LEAST_MAP_DRAWS)
-        accept = dataclasses.replace(recipe.accept, max_draws=draws)
-        return dataclasses.replace(recipe, known=recipe.known or Known(), accept=accept)
+        recipe = dataclasses.replace(recipe, known=recipe.known or Known())
+        if recipe.accept.max_draws == Acceptance.max_draws:
+            more = dataclasses.replace(recipe.accept, max_draws=MAP_DRAWS)
+            with suppress(ValueError):  # of flights that search long, so many may not be drawn
+                return dataclasses.replace(recipe, accept=more)
+        return recipe
 
 
 def read_world(path: str | Path) -> AnyWorld:

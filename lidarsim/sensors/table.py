@@ -6,6 +6,7 @@ import io
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -47,8 +48,8 @@ class BeamTable:
 
     def __post_init__(self) -> None:
         given: Any = self.rays
-        if isinstance(given, Path):
-            given = _read_file(given, self.sha256)
+        if isinstance(given, str | Path):
+            given = _read_file(Path(given), self.sha256)
         rays = np.array(given, dtype=np.float64)
         shape = rays.shape[:-1]
         if (
@@ -76,7 +77,8 @@ class BeamTable:
                 f"at most"
             )
         reach: Any = self.max_range_m
-        if not (isinstance(reach, int | float) and LEAST_RANGE_M <= reach <= MOST_RANGE_M):
+        is_number = isinstance(reach, Real) and reach is not True
+        if not (is_number and LEAST_RANGE_M <= reach <= MOST_RANGE_M):
             raise ValueError(
                 f"max_range_m = {shown(reach)}: expected metres from {LEAST_RANGE_M:g} "
                 f"to {MOST_RANGE_M:g}"

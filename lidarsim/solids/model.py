@@ -189,10 +189,7 @@ def _is_closed(faces: Ints) -> bool:
     Then each point off the surface has a winding number, also where more than two triangles share
     an edge, as between two boxes that touch along it.
     """
-    tail, head = (
-        faces.reshape(-1).astype(np.int64),
-        np.roll(faces, -1, axis=1).reshape(-1).astype(np.int64),
-    )
+    tail, head = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
     count = int(faces.max(initial=0)) + 1
     return bool(np.array_equal(np.sort(tail * count + head), np.sort(head * count + tail)))
 

@@ -186,7 +186,7 @@ class Completer:
         """Raise ValueError unless the network completes maps on `grid`."""
         if grid != self.grid:
             raise ValueError(
-                f"its maps are on {grid}, {self.name} completes maps on {self.grid}; train a "
+                f"the maps are on {grid}, {self.name} completes maps on {self.grid}; train a "
                 "network on this grid with `scenegen train`"
             )
 

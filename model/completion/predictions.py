@@ -114,11 +114,7 @@ def _file(part: Rows) -> str:
 
 
 def _write(
-    get: Callable[[], Completer],
-    samples: Split,
-    out: Path,
-    about: Mapping[str, Any],
-    part: Rows,
+    get: Callable[[], Completer], samples: Split, out: Path, about: Mapping[str, Any], part: Rows
 ) -> tuple[int, list[float]]:
     """Write the predictions of a part, completed by what `get` gives, into its file, whole or
     not. How many they are, and how far from home each is."""

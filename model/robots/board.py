@@ -3,6 +3,7 @@
 import base64
 import html
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -143,24 +144,28 @@ def _films(
     "" for worlds that cannot be drawn here: a hidden track's without its number `hidden`, those of
     the real track without the folder of its `maps`.
     """
-    if track not in ("own", track_name(hidden, maps)):
+    if track == "own":
+        hidden = None
+    elif track != track_name(hidden, maps):
         return ""
-    ended = [[one.outcome == "success" for one in row.flights] for row in rows]
-    reached = [sum(flight) for flight in zip(*ended, strict=True)]
+    flights = zip(*(row.flights for row in rows), strict=True)
+    reached = [sum(one.outcome == "success" for one in flight) for flight in flights]
     split = [(count * (len(rows) - count), -count) for count in reached]
     chosen = split.index(max(split))
     entered, number = rows[0].courses[chosen]
     # not the entry's own, which may lead to another world of that name
     ours = {named(one): one for one in frozen_courses(suite, track, maps)}[named(entered)]
-    course = real_course(ours, None if track in ("own", "maps") else hidden)
+    course = real_course(ours, hidden)
     title = f"{ours.world}, {ours.difficulty or 'map'}, seed {ours.seed}, flight {number + 1}"
     figures = ""
     for row in rows:
         flown = row.flights[chosen]
         told = html.escape(f"{row.robot}: {flown.outcome} after {flown.time_s:.1f} s")
-        picture = base64.b64encode(film(course, number, None, flown)).decode()
-        figures += f"<figure><figcaption>{told}</figcaption><img loading='lazy' alt='{told}' "
-        figures += f"src='data:image/gif;base64,{picture}'></figure>"
+        figures += f"<figure><figcaption>{told}</figcaption>"
+        with suppress(DatasetError):  # of a flight that ended before it began
+            picture = base64.b64encode(film(course, number, None, flown)).decode()
+            figures += f"<img loading='lazy' alt='{told}' src='data:image/gif;base64,{picture}'>"
+        figures += "</figure>"
     return f"<h3>{html.escape(title)}</h3><div class='charts'>{figures}</div>"
 
 

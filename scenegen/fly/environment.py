@@ -36,6 +36,8 @@ class Flight(gymnasium.Env[Observation, NDArray[np.float32]]):
     ):
         """`periods` is how many an action holds, 1 to 10; `world`, and further `options`, are those
         of `scenegen.fly.course.Course`."""
+        if not 1 <= periods <= 10:
+            raise ValueError(f"periods = {periods}: expected 1 to 10")
         self._course = Course(world=world, flights=1, **options)
         self.render_mode = render_mode
         shape, vehicle = self._course.sensor.shape, self._course.vehicle

@@ -14,8 +14,6 @@ from scenegen.fly.course import Course, Recording, check_document
 from scenegen.recipes import kind_names
 
 DIFFICULTIES = ("easy", "medium", "hard")
-WORLDS = 10
-"""Worlds of each kind and difficulty."""
 FLIGHTS = 5
 """Missions through each world."""
 APART_M = 10.0

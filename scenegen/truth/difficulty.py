@@ -81,12 +81,7 @@ def difficulty(occupancy: Mask, tudf: Field, voxel_m: float) -> Difficulty:
     return _measured(centre[None], step, tortuosity, paths, occupancy, tudf, voxel_m)
 
 
-def way_difficulty(
-    way: Ints,
-    occupancy: Mask,
-    tudf: Field,
-    voxel_m: float,
-) -> Difficulty:
+def way_difficulty(way: Ints, occupancy: Mask, tudf: Field, voxel_m: float) -> Difficulty:
     """The figures of a way through a map: those that are of the map's middle otherwise are means
     along the way, tortuosity is its length over the distance of its ends, and FlightBench's three
     are of this way alone.

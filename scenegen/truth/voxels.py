@@ -26,7 +26,8 @@ def resample(voxels: VoxelMap, grid: GridSpec, origin: ArrayLike) -> tuple[Mask,
     occupancy = np.zeros(grid.shape, dtype=np.bool_)
     known = np.zeros(grid.shape, dtype=np.bool_)
     first = (np.asarray(origin, dtype=np.float64) - voxels.origin) / voxels.voxel_m
-    _resample(voxels.states, first, grid.voxel_m / voxels.voxel_m, voxels.voxel_m, occupancy, known)
+    states, edge = np.ascontiguousarray(voxels.states), grid.voxel_m / voxels.voxel_m
+    _resample(states, first, edge, voxels.voxel_m, occupancy, known)
     return occupancy, known
 
 

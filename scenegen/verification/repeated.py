@@ -25,7 +25,7 @@ from scenegen.sample import FIELDS, rng_of
 from scenegen.source import DrawnWorlds, SceneWorlds
 from scenegen.verification.rays import audit, disagrees
 from scenegen.verification.report import BrokenError, Page
-from scenegen.verification.stages import Check, Sample, Shard, Worlds, scans_of
+from scenegen.verification.stages import Check, Sample, Shard, Worlds, auditor, scans_of
 from scenegen.worlds.world import AnyWorld
 
 
@@ -114,7 +114,7 @@ def _cast_again(sample: Sample, page: Page) -> None:
             scan.ranges,
             scan.pose.position,
             scan.pose.quaternion,
-            worlds.auditor(sample.world),
+            auditor(worlds.world(sample.world), sample.contract.engine),
             lidar,
             solids=_effort(solids, lidar.max_range_m),
             rng=sample.shard.rng,
@@ -144,7 +144,8 @@ def _scanned_again(sample: Sample, worlds: Worlds, page: Page) -> list[Scan]:
     """The clean scans of a noisy sample by the dataset's own engine; with noise, they must be the
     stored ones. Raises BrokenError."""
     task, contract = sample.shard.task, sample.contract
-    world, engine = worlds.world(sample.world), worlds.engine(sample.world)
+    world = worlds.world(sample.world)
+    engine = world.caster(ENGINES.find(contract.engine).of)  # one of ours
     unit, view = divmod(sample.shard.places[sample.row], contract.recipe.flight.viewpoints)
     failed = (GenerationError, ValueError)
     with raised_as(BrokenError, f"{sample.where}: cannot be scanned again: ", of=failed):

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim import AnalyticEngine, MujocoEngine, ObservedGrid, Pose, Scan, fuse
-from lidarsim.engines import ENGINES, MUJOCO, Caster
+from lidarsim.engines import MUJOCO, Caster
 from lidarsim.engines.voxels import VoxelMap
 from lidarsim.registry import Registry
 from lidarsim.solids.shapes import Solids
@@ -149,24 +149,12 @@ class Worlds:
         self.solids[number] = world.voxels if isinstance(world, Place) else world.solids
         return self.solids[number]
 
-    # Samples come world by world, so each of these keeps the last world alone.
-
-    @functools.lru_cache(maxsize=1)  # noqa: B019
+    @functools.lru_cache(maxsize=1)  # noqa: B019 (samples come world by world)
     def world(self, number: int) -> AnyWorld:
         """A world, compiled. Raises BrokenError."""
         name = f"{self.task.entry.worlds}: {number:06d}.xml"
         with raised_as(BrokenError, of=SceneError):
             return archived_world(*self.source(number), name=name)
-
-    @functools.lru_cache(maxsize=1)  # noqa: B019
-    def engine(self, number: int) -> Caster:
-        """The dataset's own engine of a world, which is one of ours. Raises BrokenError."""
-        return self.world(number).caster(ENGINES.find(self.task.contract.engine).of)
-
-    @functools.lru_cache(maxsize=1)  # noqa: B019
-    def auditor(self, number: int) -> Caster:
-        """What casts rays anew in a world. Raises BrokenError."""
-        return auditor(self.world(number), self.task.contract.engine)
 
 
 @dataclass(frozen=True, eq=False)

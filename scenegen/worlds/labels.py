@@ -133,9 +133,8 @@ def owners(solids: Solids, occupancy: Mask, grid: GridSpec, origin: ArrayLike) -
     centre; of several at the same distance the one with the lowest number.
     """
     origin, voxel_m = np.asarray(origin, dtype=np.float64), grid.voxel_m
-    reach = (
-        0.5 * math.sqrt(3.0) * voxel_m + 2 * SLACK_M
-    )  # a cube that a solid touches has its centre no farther off
+    # a cube that a solid touches has its centre no farther off
+    reach = 0.5 * math.sqrt(3.0) * voxel_m + 2 * SLACK_M
     nearest, owner = np.full(grid.shape, np.inf), np.full(grid.shape, NONE, np.int32)
     primitives = len(solids.shape)
     for n in range(primitives):
@@ -169,10 +168,7 @@ def owners(solids: Solids, occupancy: Mask, grid: GridSpec, origin: ArrayLike) -
 
 
 def _cells(
-    lower: Floats,
-    upper: Floats,
-    origin: Floats,
-    grid: GridSpec,
+    lower: Floats, upper: Floats, origin: Floats, grid: GridSpec
 ) -> tuple[slice, ...] | None:
     """The voxels that touch a box; None where there are none."""
     ends = spans(lower, upper, origin, grid.voxel_m, grid.shape)

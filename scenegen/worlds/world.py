@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -78,10 +78,16 @@ class World:
         """What share of light every geom reflects, (ngeom,)."""
         return albedo_of(self.model)
 
-    @lru_cache(maxsize=8)  # noqa: B019 (flights through a world from a file share it)
+    @cached_property
+    def _casters(self) -> dict[EngineFactory, Engine]:
+        return {}
+
     def caster(self, engine: EngineFactory) -> Engine:
-        """What casts rays in it, made by `engine`."""
-        return engine(self.model, self.data)
+        """What casts rays in it, made by `engine`, once: flights through a world from a file share
+        it."""
+        if engine not in self._casters:
+            self._casters[engine] = engine(self.model, self.data)
+        return self._casters[engine]
 
     def truth(self, grid: GridSpec, origin: Floats) -> dict[str, Mask]:
         """The field of a sample that says what is there, `occupancy`."""

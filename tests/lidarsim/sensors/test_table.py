@@ -66,8 +66,8 @@ def test_a_table_cannot_be_changed():
 def test_a_file_is_a_sensor_by_name(tmp_path):
     table = BeamTable.of(Fan())
     (tmp_path / "fan.npy").write_bytes(table.npy)
-    found = SENSORS.find("table")(rays=tmp_path / "fan.npy", max_range_m=5.0, sha256=table.sha256)
-    assert found == table
+    path, reach_m = f"{tmp_path}/fan.npy", np.float32(5)
+    assert SENSORS.find("table")(rays=path, max_range_m=reach_m, sha256=table.sha256) == table
     for wrong, told in (
         ({"rays": tmp_path / "fun.npy"}, "rays = 'fun.npy': there is no such file in"),
         ({"rays": tmp_path / "fan.npy", "sha256": "0" * 64}, "is not the file whose sha256 is"),

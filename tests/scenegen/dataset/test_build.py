@@ -306,9 +306,7 @@ def test_a_users_files_stay_whatever_they_are_called(force, folder, few):
     assert Dataset(folder).manifest.complete
 
 
-def test_a_file_in_the_way_of_a_replacement_ends_it_before_anything_is_touched(
-    folder,
-):
+def test_a_file_in_the_way_of_a_replacement_ends_it_before_anything_is_touched(folder):
     (folder / "train-00003.h5").write_bytes(b"mine")  # beyond the shards of the dataset there
     before = content(folder)
     with pytest.raises(DatasetError, match=r"train-00003\.h5: is of no dataset there"):
@@ -500,12 +498,7 @@ def test_a_shard_of_strange_content_counts_as_absent(folder):
     [(3, errno.ENOSPC, "disk is full"), (8, errno.EACCES, "no permission")],
 )
 def test_a_refusing_disk_ends_in_one_line_and_loses_nothing(
-    tmp_path,
-    monkeypatch,
-    undisturbed,
-    code,
-    advice,
-    nth,
+    tmp_path, monkeypatch, undisturbed, code, advice, nth
 ):
     calls = 0
     sync = os.fsync

@@ -487,6 +487,8 @@ def test_gymnasium_takes_it():
     assert (seen["position"] == single[-1][0]["position"]).all()
     with pytest.raises(ValueError, match="expected finite numbers"):
         plans.step(plan[0])
+    with pytest.raises(ValueError, match="expected 1 to 10"):
+        scenegen.Flight(periods=11)
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -13,7 +13,7 @@ from scenegen.truth.voxels import resample
 def test_occupied_and_known_voxels_are_those_that_overlap(edge_m):
     rng = np.random.default_rng(1)
     states = rng.choice([UNKNOWN, FREE, OCCUPIED], (12, 10, 8), p=[0.5, 0.48, 0.02])
-    voxels = VoxelMap(states.astype(np.uint8), edge_m, np.array([-1.0, 0.2, 0.0]))
+    voxels = VoxelMap(np.asfortranarray(states, np.uint8), edge_m, np.array([-1.0, 0.2, 0.0]))
     grid = GridSpec(shape=(9, 8, 7), voxel_m=0.2)
     for shift in (0.0, 0.07):
         origin = voxels.origin + np.array([2, -1, 1]) * 0.2 + shift

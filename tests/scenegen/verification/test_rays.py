@@ -1,6 +1,8 @@
 """The audit of stored ranges: which engine makes it, where the rays point, how much of a difference
 is one."""
 
+import weakref
+
 import mujoco
 import numpy as np
 import pytest
@@ -29,23 +31,26 @@ def test_the_engine_that_audits_is_never_the_one_that_made_the_ranges(made_with,
     lidar, pose = Lidar(rows=8, columns=30, max_range_m=6.0), Pose.level((0.0, 0.0, 0.0), 0.4)
     scan = cast(ENGINES.find(made_with).of(model), lidar, pose)
     seen = [scan.ranges, pose.position, pose.quaternion]
-    numbers, found, gap = audit(*seen, engine, lidar, solids=2, rng=np.random.default_rng(0))
+
+    def audited():
+        return audit(*seen, engine, lidar, solids=2, rng=np.random.default_rng(0))
+
+    numbers, found, gap = audited()
     assert len(numbers) == 240
     assert np.isfinite(found).sum() > 20
     assert not disagrees(gap, found, 6.0).any()
     seen[0] = scan.ranges + np.float32(1e-5)
-    assert (
-        disagrees(
-            *audit(*seen, engine, lidar, solids=2, rng=np.random.default_rng(0))[:0:-1], 6.0
-        ).sum()
-        > 20
-    )
+    assert disagrees(*audited()[:0:-1], 6.0).sum() > 20
 
 
 def test_an_engine_of_a_users_own_is_audited_by_mujoco_and_not_imported():
     world = compile_world(WORLD)
     engine = auditor(world, "my_engines:Fast")
     assert isinstance(engine, MujocoEngine)
+    assert auditor(world, "analytic") is engine
+    gone = weakref.ref(world)
+    del world
+    assert gone() is None, "what casts goes with its world"
 
 
 @pytest.mark.parametrize("mount", ["tilt", "band"])

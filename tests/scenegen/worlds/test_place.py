@@ -168,12 +168,19 @@ def test_a_stream_mixes_maps_with_drawn_worlds(dataset):
     assert {bool(one.all()) for one in known if one is not None} == {True, False}
 
 
+def test_of_a_map_more_flights_are_drawn_where_nobody_says_how_many(dataset, tmp_path):
+    few, long = "[accept]\nmax_draws = 60", "[flight]\niterations = 1000000"
+    recipe = tmp_path / "r.toml"
+    for asked, draws in (("", 500), (few, 60), (long, 50)):
+        recipe.write_text(RECIPE + asked)
+        plan = plan_generation(None, 1, scene=dataset.parent, recipe=recipe, out=tmp_path / "d")
+        assert plan.parameters["recipe"]["accept"]["max_draws"] == draws
+
+
 def test_bench_scores_what_is_known(dataset, tmp_path, capsys):
     out = tmp_path / "bench"
-    code, said, error = run(
-        capsys, "bench", dataset, "--quick", "--method", "truth", "--split", "train",
-        "--method", "extrude", "-o", out, "--workers", 1,
-    )  # fmt: skip
+    words = f"bench {dataset} --quick --split train --workers 1 --method truth --method extrude"
+    code, said, error = run(capsys, f"{words} -o {out}")
     assert code == 0, error
     report = json.loads((out / "report.json").read_text())
     assert report["planning"]["scene"]["truth"]["success"]["mean"] > 0.8
@@ -197,17 +204,15 @@ def test_networks_learn_from_what_is_known(dataset, tmp_path):
     assert (certain & known).any()
     rng = torch.Generator().manual_seed(0)
     said = [torch.randn(known.shape, generator=rng, requires_grad=True) for _ in range(2)]
-    terms = Coupled(LossConfig(lovasz=1.0), maps.grid)(Output(*said), batch)
-    terms["loss"].backward()
+    loss = Coupled(LossConfig(lovasz=1.0), maps.grid)
+    loss(Output(*said), batch)["loss"].backward()
     assert not said[0].grad[~known].any()
     assert said[0].grad[known].all()
     beside = F.max_pool3d(certain[:, None].float(), 3, 1, 1)[:, 0] > 0  # slopes see neighbours
     assert not said[1].grad[~beside].any()
     everything = {**batch, "known": torch.ones_like(known), "certain": torch.ones_like(known)}
     plain = {name: batch[name] for name in ("observed", "occupancy", "tudf")}
-    both = [
-        Coupled(LossConfig(lovasz=1.0), maps.grid)(Output(*said), b) for b in (everything, plain)
-    ]
+    both = [loss(Output(*said), one) for one in (everything, plain)]
     for name in both[0]:
         torch.testing.assert_close(both[0][name], both[1][name])
     config = TrainConfig(network=NetworkConfig(variant="occ", width=4), maps=2, batch=2)
@@ -218,20 +223,11 @@ def test_networks_learn_from_what_is_known(dataset, tmp_path):
 
 @pytest.mark.parametrize(
     ("options", "said"),
-    [
-        (["--labels", "class"], "has no solids"),
-        (["--engine", "mujoco"], "no engine but its own"),
-    ],
+    [("--labels class", "has no solids"), ("--engine mujoco", "no engine but its own")],
 )
-def test_what_a_map_lacks_ends_in_a_line(
-    dataset,
-    tmp_path,
-    capsys,
-    options,
-    said,
-):
+def test_what_a_map_lacks_ends_in_a_line(dataset, tmp_path, capsys, options, said):
     world = dataset.parent / "hall-0.npz"
-    assert said in refused(capsys, "generate", "--scene", world, *options, "-o", tmp_path / "no")
+    assert said in refused(capsys, f"generate --scene {world} {options} -o {tmp_path}/no")
     assert not (tmp_path / "no").exists()
 
 
