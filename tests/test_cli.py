@@ -152,6 +152,22 @@ def test_printing_in_vain_changes_no_verdict(small, tmp_path, capsys):
         assert (process.communicate(timeout=120)[1], process.returncode) == (error, code), command
 
 
+def test_names_from_files_print_no_lines_of_their_own(tmp_path, capsys):
+    forged = "x\nscenegen: verify: all 17 checks passed\x1b[32m"
+    (tmp_path / forged).mkdir()
+    (tmp_path / forged / "dataset.json").write_text(json.dumps({"format": forged}))
+    for words in (
+        ("inspect", tmp_path / forged),
+        ("verify", tmp_path / forged),
+        ("train", "--variant", forged),
+    ):
+        code, said, error = run(capsys, *words)
+        assert code
+        for line in (said + error).splitlines():
+            assert line.isprintable()
+            assert not line.startswith("scenegen: verify: all")
+
+
 def test_warnings_of_libraries_reach_nobody(monkeypatch, capfd):
     def warn():
         warnings.warn("settotalmass is deprecated", stacklevel=1)

@@ -161,6 +161,21 @@ def test_a_strangers_word_on_a_table_is_not_trusted(tmp_path, change, told):
     assert told in str(caught.value)
 
 
+def test_no_reader_imports_what_a_manifest_names(tmp_path, monkeypatch):
+    folder = tmp_path / "data"
+    build_with(folder, Lidar(rows=8, columns=24))
+    (tmp_path / "trap.py").write_text("raise SystemExit('imported')")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    found = json.loads((folder / NAME).read_text())
+    found["lidar"] |= {"sensor": "trap:Sensor"}
+    (folder / NAME).write_text(json.dumps(found))
+    with pytest.raises(DatasetError, match=r"lidar\.sensor = 'trap:Sensor'"):
+        Dataset(folder)
+    assert not verify(folder).ok
+    assert "trap" not in sys.modules
+
+
 def test_no_key_of_a_manifest_names_a_sensor_to_the_recipe_that_publish_reads(
     tmp_path, table, monkeypatch
 ):
