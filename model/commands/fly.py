@@ -268,7 +268,8 @@ def _write_board(
         raise click.UsageError("--leaderboard: say where to write the page with -o, .html")
     from scenegen.model.robots.board import leaderboard
 
-    write_result(out, leaderboard(entries, hidden, maps).encode())
+    with Progress("film", shown=talk) as progress:
+        write_result(out, leaderboard(entries, progress, hidden, maps).encode())
     if talk:
         say(f"written: {out}")
 

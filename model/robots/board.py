@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+from scenegen.cli.show import Progress
 from scenegen.errors import DatasetError, ScenegenError, raised_as
 from scenegen.files import Json
 from scenegen.fly.course import Course, Recording
@@ -70,7 +71,9 @@ class Row(NamedTuple):
         return [one.score for one in self.flights]
 
 
-def leaderboard(folder: Path, hidden: int | None = None, maps: Path | None = None) -> str:
+def leaderboard(
+    folder: Path, progress: Progress, hidden: int | None = None, maps: Path | None = None
+) -> str:
     """An HTML page of all entries (.json) in a folder: a table for each choice of courses, those of
     whole tracks first, the best score first, with 95 % intervals over worlds. A click on a column's
     head sorts by it. Below each table, films of one flight show every robot: see `_films`.
@@ -90,9 +93,12 @@ def leaderboard(folder: Path, hidden: int | None = None, maps: Path | None = Non
         raise ScenegenError(f"{folder}: holds no entry, .json as `fly --suite -o` writes it")
     whole_first = sorted(tables.items(), key=lambda table: table[1][0].there < table[1][0].of)
     body = ""
+    progress.start(sum(len(rows) for _, (_, rows) in whole_first))
     for (suite, title, *_), (part, rows) in whole_first:
         rows.sort(key=lambda row: -sum(row.scores))
-        body += _table(f"{suite}, {title}", rows) + _films(suite, part.track, rows, hidden, maps)
+        body += _table(f"{suite}, {title}", rows) + _films(
+            suite, part.track, rows, progress, hidden, maps
+        )
     page = HEAD.replace("img-src", "script-src 'unsafe-inline'; img-src")
     page += f"<title>Robots</title><style>{STYLE} th {{ cursor: pointer; }}</style></head>"
     return f"{page}<body><h1>Robots</h1>{body}<script>{SORTED}</script></body></html>\n"
@@ -137,7 +143,12 @@ def _line(row: Row, best: Row) -> str:
 
 
 def _films(
-    suite: str, track: str, rows: Sequence[Row], hidden: int | None, maps: Path | None
+    suite: str,
+    track: str,
+    rows: Sequence[Row],
+    progress: Progress,
+    hidden: int | None,
+    maps: Path | None,
 ) -> str:
     """Films (GIF) of the flight on whose outcome robots differ most, one for each row.
 
@@ -147,6 +158,7 @@ def _films(
     if track == "own":
         hidden = None
     elif track != track_name(hidden, maps):
+        progress.count(len(rows))
         return ""
     flights = zip(*(row.flights for row in rows), strict=True)
     reached = [sum(one.outcome == "success" for one in flight) for flight in flights]
@@ -166,6 +178,7 @@ def _films(
             picture = base64.b64encode(film(course, number, None, flown)).decode()
             figures += f"<img loading='lazy' alt='{told}' src='data:image/gif;base64,{picture}'>"
         figures += "</figure>"
+        progress.count(1)
     return f"<h3>{html.escape(title)}</h3><div class='charts'>{figures}</div>"
 
 
