@@ -323,7 +323,7 @@ HEAD = """<!doctype html>
 """
 
 
-def to_html(report: Json, pictures: Mapping[str, Sequence[tuple[str, bytes]]] | None = None) -> str:
+def to_html(report: Json, pictures: Mapping[str, Sequence[tuple[str, bytes]]]) -> str:
     """The page of what `build_report` gives; `pictures` are charts and failures by kind: what each
     shows, and a WebP image."""
     about = "".join(
@@ -335,14 +335,19 @@ def to_html(report: Json, pictures: Mapping[str, Sequence[tuple[str, bytes]]] | 
     for kind in report["datasets"]:
         body.append(f"<h2>{_text(kind)}</h2>")
         body += [_block(block) for block in shown(report, kind)]
-        images = [
-            f"<figure><figcaption>{_text(told)}</figcaption><img alt='{_text(told)}' "
-            f"src='data:image/webp;base64,{base64.b64encode(image).decode()}'></figure>"
-            for told, image in (pictures or {}).get(kind, ())
-        ]
-        body.append(f"<div class='charts'>{''.join(images)}</div>")
+        body.append(framed(pictures.get(kind, ()), "webp"))
     head = f"{HEAD}<title>Bench</title><style>{STYLE}</style></head>"
     return f"{head}<body>{''.join(body)}</body></html>\n"
+
+
+def framed(pictures: Sequence[tuple[str, bytes]], kind: str) -> str:
+    """Pictures side by side, each below its words."""
+    images = [
+        f"<figure><figcaption>{_text(told)}</figcaption><img alt='{_text(told)}' "
+        f"src='data:image/{kind};base64,{base64.b64encode(image).decode()}'></figure>"
+        for told, image in pictures
+    ]
+    return f"<div class='charts'>{''.join(images)}</div>"
 
 
 def _block(block: str | Table) -> str:

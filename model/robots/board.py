@@ -1,6 +1,5 @@
 """The leaderboard: a page of the entries to a suite."""
 
-import base64
 import html
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -14,7 +13,7 @@ from scenegen.files import Json
 from scenegen.fly.course import Course, Recording
 from scenegen.fly.loop import Flown, marks
 from scenegen.fly.suite import Part, frozen_courses, named, part_of, track_name
-from scenegen.model.evaluation.report import HEAD, STYLE
+from scenegen.model.evaluation.report import HEAD, STYLE, framed
 from scenegen.model.evaluation.statistics import Scale, brief, figure
 from scenegen.model.robots.film import film
 from scenegen.model.robots.flights import real_course
@@ -71,9 +70,7 @@ class Row(NamedTuple):
         return [one.score for one in self.flights]
 
 
-def leaderboard(
-    folder: Path, progress: Progress, hidden: int | None = None, maps: Path | None = None
-) -> str:
+def leaderboard(folder: Path, progress: Progress, hidden: int | None, maps: Path | None) -> str:
     """An HTML page of all entries (.json) in a folder: a table for each choice of courses, those of
     whole tracks first, the best score first, with 95 % intervals over worlds. A click on a column's
     head sorts by it. Below each table, films of one flight show every robot: see `_films`.
@@ -96,9 +93,8 @@ def leaderboard(
     progress.start(sum(len(rows) for _, (_, rows) in whole_first))
     for (suite, title, *_), (part, rows) in whole_first:
         rows.sort(key=lambda row: -sum(row.scores))
-        body += _table(f"{suite}, {title}", rows) + _films(
-            suite, part.track, rows, progress, hidden, maps
-        )
+        body += _table(f"{suite}, {title}", rows)
+        body += _films(suite, part.track, rows, progress, hidden, maps)
     page = HEAD.replace("img-src", "script-src 'unsafe-inline'; img-src")
     page += f"<title>Robots</title><style>{STYLE} th {{ cursor: pointer; }}</style></head>"
     return f"{page}<body><h1>Robots</h1>{body}<script>{SORTED}</script></body></html>\n"
@@ -150,7 +146,8 @@ def _films(
     hidden: int | None,
     maps: Path | None,
 ) -> str:
-    """Films (GIF) of the flight on whose outcome robots differ most, one for each row.
+    """Films (GIF) of the flight on whose outcome robots differ most, one for
+    each row whose robot began it.
 
     "" for worlds that cannot be drawn here: a hidden track's without its number `hidden`, those of
     the real track without the folder of its `maps`.
@@ -161,25 +158,21 @@ def _films(
         progress.count(len(rows))
         return ""
     flights = zip(*(row.flights for row in rows), strict=True)
-    reached = [sum(one.outcome == "success" for one in flight) for flight in flights]
-    split = [(count * (len(rows) - count), -count) for count in reached]
-    chosen = split.index(max(split))
+    lost = [sum(one.outcome != "success" for one in flight) for flight in flights]
+    chosen = max(range(len(lost)), key=lambda n: (lost[n] * (len(rows) - lost[n]), lost[n]))
     entered, number = rows[0].courses[chosen]
     # not the entry's own, which may lead to another world of that name
     ours = {named(one): one for one in frozen_courses(suite, track, maps)}[named(entered)]
     course = real_course(ours, hidden)
     title = f"{ours.world}, {ours.difficulty or 'map'}, seed {ours.seed}, flight {number + 1}"
-    figures = ""
+    films = []
     for row in rows:
         flown = row.flights[chosen]
-        told = html.escape(f"{row.robot}: {flown.outcome} after {flown.time_s:.1f} s")
-        figures += f"<figure><figcaption>{told}</figcaption>"
+        told = f"{row.robot}: {flown.outcome} after {flown.time_s:.1f} s"
         with suppress(DatasetError):  # of a flight that ended before it began
-            picture = base64.b64encode(film(course, number, None, flown)).decode()
-            figures += f"<img loading='lazy' alt='{told}' src='data:image/gif;base64,{picture}'>"
-        figures += "</figure>"
+            films.append((told, film(course, number, None, flown)))
         progress.count(1)
-    return f"<h3>{html.escape(title)}</h3><div class='charts'>{figures}</div>"
+    return f"<h3>{html.escape(title)}</h3>{framed(films, 'gif')}"
 
 
 def _within(found: Json, most: float) -> Json:

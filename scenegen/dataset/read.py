@@ -5,7 +5,7 @@ import os
 from bisect import bisect_right
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, partial
 from io import BufferedReader
 from operator import itemgetter
 from pathlib import Path
@@ -126,7 +126,6 @@ class Dataset:
                     return {DOCUMENT: document} | others
         raise DatasetError(f"{self.folder}: has no world {number} in its {split} split")
 
-    @lru_cache(maxsize=8)  # noqa: B019 (flights through a world from a file share it)
     def compile(self, split: str, number: int) -> "AnyWorld":
         """World `number` of `split`, screened, and compiled by MuJoCo unless it is a map. Raises
         DatasetError where there is none, or it cannot be compiled."""

@@ -3,7 +3,7 @@ with other noise."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -119,6 +119,10 @@ class Archived:
 
     def world(self, split: str, number: int, *, rng: np.random.Generator) -> AnyWorld:
         """See `Source.world`; nothing is drawn."""
+        return self._world(split, number)
+
+    @lru_cache(maxsize=8)  # noqa: B019 (flights through a world from a file share it)
+    def _world(self, split: str, number: int) -> AnyWorld:
         return self.dataset.compile(split, number)
 
     def describe(self) -> dict[str, Any]:
