@@ -17,7 +17,7 @@ from typing import Any
 import measuring
 import torch
 from inference import measure
-from real import test_places
+from real import maps_to_complete
 from scoring import RESULTS, Ahead, maps_of, split_of, tables, write_tables
 from torch import Tensor, nn
 
@@ -65,7 +65,7 @@ def main() -> None:
         names |= {one: f"peers:{one}@{runs / one}" for one in given.peer or PAPERS}
         for name, weights in names.items():
             train(weights.rpartition("@")[2], name, given)
-        places = test_places(given.maps, folder, given.poses, smoke=given.smoke)
+        places = maps_to_complete(given.maps, folder, given.poses, smoke=given.smoke)
         networks = [Completer.from_pretrained(one, threads=1) for one in names.values()]
         networks.append(Completer.from_pretrained("anywhere", threads=1))
         lines = scored(places, [Completed(Extrude()), *networks], given.trials)

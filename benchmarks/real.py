@@ -21,10 +21,9 @@ from typing import Any, NamedTuple
 
 import measuring
 import numpy as np
-from numpy.typing import NDArray
+from counting import GROUPS, MISSED, THRESHOLDS, Counts, counted, groups_of
 from PIL import Image
 from recordings import GRID, Observed, observed
-from scipy import ndimage
 from scipy.stats import mannwhitneyu
 from scoring import RESULTS, Ahead, drawn, maps_of, split_of, titled, write_tables
 
@@ -32,15 +31,13 @@ from scenegen.dataset.read import Dataset
 from scenegen.display.figures import draw_completions
 from scenegen.display.look import Guess, look_into
 from scenegen.display.panels import to_bytes
-from scenegen.model.calibration import denial
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.unlearned import Conservative, Extrude, Returns
 from scenegen.model.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Completed, Method, Truth
 from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.statistics import brief, figure, head, line
-from scenegen.model.evaluation.uncertainty import REGIONS, count, reliability
-from scenegen.model.evaluation.visibility import CLASSES, UNSCORED, classify, scored_voxels
+from scenegen.model.evaluation.visibility import UNSCORED, scored_voxels
 from scenegen.recipe import preset
 from scenegen.sample import Sample
 
@@ -53,23 +50,6 @@ PLANNERS = {
     "the paper's planner with edges checked": PlanConfig(edge_check=True),
     "the careful planner": PlanConfig(planner="careful"),
 }
-THRESHOLDS = np.arange(1, 20) / 20
-GROUPS = (
-    "missed: holds a return",
-    "missed: crossed by a ray",
-    "missed: hidden, its column holds a return",
-    "missed: hidden, its column holds none",
-    "missed: inside",
-    "missed: out of view, above the sensor",
-    "missed: out of view, below it",
-    "invented: touches what is there",
-    "invented: crossed by a ray",
-    "invented: elsewhere",
-)
-"""What a voxel that is wrong may be: occupied ones by how the scan saw them, see `CLASSES`, and
-free ones."""
-MISSED = 7
-"""How many of them are occupied."""
 LOGS = ("pillar", "geb079", "fr_campus")
 """Worlds that logs are flown in."""
 FLOWN = "scan --flight --sequence --lidar ouster-os1-64 --noise range:0.02 --quiet --length"
@@ -129,7 +109,7 @@ def main() -> None:
     given = measuring.parse(parser, poses=2, trials=2, length=1, network=["columns"])
     with tempfile.TemporaryDirectory() as spare:
         folder = given.data or Path(spare)
-        places = test_places(given.maps, folder, given.poses, smoke=given.smoke)
+        places = maps_to_complete(given.maps, folder, given.poses, smoke=given.smoke)
         networks = [Completer.from_pretrained(one, threads=1) for one in given.network or NETWORKS]
         pictures = folder if given.smoke else PICTURES
         pictures.mkdir(exist_ok=True)
@@ -148,7 +128,9 @@ def main() -> None:
         write_tables(given.page, tables)
 
 
-def test_places(maps: Path | None, folder: Path, poses: int, *, smoke: bool) -> dict[str, Dataset]:
+def maps_to_complete(
+    maps: Path | None, folder: Path, poses: int, *, smoke: bool
+) -> dict[str, Dataset]:
     """Maps of drawn kinds, their names in backticks, and of real places, one a flight."""
     kinds = KINDS[: 1 if smoke else None]
     made = {f"`{kind}`": drawn(folder / kind, preset(kind), poses, viewpoints=1) for kind in kinds}
@@ -178,6 +160,10 @@ def flown(world: object, folder: Path, length: int) -> Path:
     return folder
 
 
+Table = dict[str, dict[str, Counts]]
+"""What was counted, by place or log, and by method."""
+
+
 def scored(
     places: dict[str, Dataset],
     logs: dict[str, list[Observed]],
@@ -186,7 +172,40 @@ def scored(
     pictures: Path,
 ) -> list[str]:
     """The lines of the tables; pictures of the last method are written."""
-    counts: dict[str, dict[str, Counts]] = {}
+    counts = all_counted(places, logs, methods)
+    away = [name for name in places if is_mean(name)] or list(places)
+    best = {
+        one.name: int(
+            np.mean([counts[name][one.name].iou.mean(axis=0) for name in away], 0).argmax()
+        )
+        for one in methods
+    }
+    lines = [*ious(counts, best, away), *titled("Calibration", methods)]
+    for name, found in counts.items():
+        lines.append(line(name, [values.ece for values in found.values()]))
+    home = [name for name in places if name.startswith("`")]
+    lines += told_apart(counts, methods, away, home)
+    lines += losses(counts, best, away)
+    for title, plan in PLANNERS.items():
+        lines += ["", f"## Success of planning, {title}", ""]
+        lines += planned(places, [*methods, Truth()], trials, plan)
+    last = methods[-1].name
+    lines += ["", "## Pictures", "", f"The map of each place in which `{last}` has the median IoU."]
+    for name in away:
+        order = np.argsort(counts[name][last].iou[:, best[last]])
+        median = int(order[len(order) // 2])
+        path = pictures / f"{name.strip('`')}.png"
+        path.write_bytes(drawn_map(places[name], median, methods[-1], best[last]))
+        lines += ["", f"![{name}](../pictures/real/{path.name})"]
+    return lines
+
+
+def all_counted(
+    places: dict[str, Dataset], logs: dict[str, list[Observed]], methods: list[Method]
+) -> Table:
+    """The voxels of all places and logs. Of a log it is known what is there and what is not, and
+    not how a scan saw it."""
+    counts: Table = {}
     for name, dataset in places.items():
         samples = dataset.split(split_of(dataset))
         seen = [(sample, groups_of(samples, n)) for n, sample in enumerate(samples)]
@@ -197,62 +216,61 @@ def scored(
             for scan, there, known in scans
         ]
         counts[name] = counted(shown, SimpleNamespace(dataset=SimpleNamespace(grid=GRID)), methods)
-    away = [name for name in places if is_mean(name)] or list(places)
-    best = {
-        one.name: int(
-            np.mean([counts[name][one.name].iou.mean(axis=0) for name in away], 0).argmax()
-        )
-        for one in methods
-    }
-    titles = [f"{one.name} at {THRESHOLDS[best[one.name]]:g}" for one in methods]
-    lines = ["", "## IoU", "", *head(("maps", *titles))]
+    return counts
+
+
+def thresholds(best: dict[str, int]) -> list[str]:
+    """Every method with the threshold that is best for it."""
+    return [f"{name} at {THRESHOLDS[number]:g}" for name, number in best.items()]
+
+
+def ious(counts: Table, best: dict[str, int], away: list[str]) -> list[str]:
+    """A row for each place and log; last the mean of the places `away`."""
+    lines = ["", "## IoU", "", *head(("maps", *thresholds(best)))]
     for name, found in counts.items():
         cells = [str(len(next(iter(found.values())).iou))]
         for method, values in found.items():
             cells.append(brief(figure(values.iou[:, best[method]], range(len(values.iou))), ".2f"))
         lines.append(line(name, cells))
     means = [
-        np.mean([counts[name][one.name].iou[:, best[one.name]].mean() for name in away])
-        for one in methods
+        np.mean([counts[name][method].iou[:, number].mean() for name in away])
+        for method, number in best.items()
     ]
-    lines.append(line("mean of the places", ["", *(f"{mean:.3f}" for mean in means)]))
-    lines += titled("Calibration", methods)
-    for name, found in counts.items():
-        lines.append(line(name, [values.ece for values in found.values()]))
-    lines += titled("Told from the drawn kinds", methods)
+    return [*lines, line("mean of the places", ["", *(f"{mean:.3f}" for mean in means)])]
+
+
+def told_apart(counts: Table, methods: list[Method], away: list[str], home: list[str]) -> list[str]:
+    """How often a map of a place is denied more than one of the drawn kinds `home`: the area under
+    the ROC curve."""
+    lines = titled("Told from the drawn kinds", methods)
     for name in away:
         cells = []
         for one in methods:
-            here, home = (
+            here, there = (
                 np.concatenate([counts[place][one.name].denied for place in chosen])
-                for chosen in ([name], [place for place in places if place.startswith("`")])
+                for chosen in ([name], home)
             )
-            won = mannwhitneyu(here, home).statistic  # of all pairs, half of those that are equal
-            cells.append(f"{won / (len(here) * len(home)):.2f}")
+            won = mannwhitneyu(here, there).statistic  # of all pairs, half of those that are equal
+            cells.append(f"{won / (len(here) * len(there)):.2f}")
         lines.append(line(name, cells))
-    lines += ["", "## What costs IoU", "", *head(("of what is occupied", *titles))]
+    return lines
+
+
+def losses(counts: Table, best: dict[str, int], away: list[str]) -> list[str]:
+    """What costs IoU, by group: for every method, then of the last one in every place."""
+    *_, last = best
+    lines = ["", "## What costs IoU", "", *head(("of what is occupied", *thresholds(best)))]
     for n, group in enumerate(GROUPS):
-        cells = [f"{100 * np.mean([counts[name][methods[0].name].size(n) for name in away]):.0f} %"]
-        for one in methods:
-            shares = [counts[name][one.name].share(n, best[one.name]) for name in away]
+        cells = [f"{100 * np.mean([counts[name][last].size(n) for name in away]):.0f} %"]
+        for method, number in best.items():
+            shares = [counts[name][method].share(n, number) for name in away]
             lost, recall = np.mean(np.array(shares), axis=0)
             cells.append(f"{lost:.1f}" + (f" · {100 * recall:.0f} %" if n < MISSED else ""))
         lines.append(line(group, cells if n < MISSED else ["", *cells[1:]]))
-    last = methods[-1].name
     lines += ["", f"By place, `{last}`:", "", *head(away)]
     for n, group in enumerate(GROUPS):
         lost = [counts[name][last].share(n, best[last])[0] for name in away]
         lines.append(line(group, [f"{one:.1f}" for one in lost]))
-    for title, plan in PLANNERS.items():
-        lines += ["", f"## Success of planning, {title}", ""]
-        lines += planned(places, [*methods, Truth()], trials, plan)
-    lines += ["", "## Pictures", "", f"The map of each place in which `{last}` has the median IoU."]
-    for name in away:
-        order = np.argsort(counts[name][last].iou[:, best[last]])
-        median = int(order[len(order) // 2])
-        path = pictures / f"{name.strip('`')}.png"
-        path.write_bytes(drawn_map(places[name], median, methods[-1], best[last]))
-        lines += ["", f"![{name}](../pictures/real/{path.name})"]
     return lines
 
 
@@ -282,96 +300,6 @@ def planned(
         cells = [brief(one, "+.3f") for one in ahead.figures().values()]
         lines.append(line(f"real places, less {methods[0].name}", [str(len(ahead.groups)), *cells]))
     return lines
-
-
-def counted(seen: Any, split: Any, methods: list[Method]) -> "dict[str, Counts]":
-    """The voxels of maps by group, as each method completes them; `seen` holds a sample and its
-    groups for each."""
-    there = np.array([sums(group) for _, group in seen])
-    found = {}
-    for method in methods:
-        said, sure, denied = [], [], []
-        for sample, group in seen:
-            guess = method.completion(sample, split)
-            probability, calibrated = guess.occupancy_probability, guess.probability
-            if probability is None:  # of distances alone, a level for thresholds
-                distance_m = guess.distance(None, split.dataset.grid)
-                probability = 1 - distance_m / split.dataset.grid.truncation_m
-            said.append([sums(group[probability >= threshold]) for threshold in THRESHOLDS])
-            weight = getattr(guess.uncertainty, "class_weight", 1.0)
-            denied.append(denial(probability, sample.observed, weight))
-            readings = [probability] if calibrated is None else [*[probability] * 2, calibrated]
-            inside = np.zeros((len(REGIONS), *group.shape), np.bool_)
-            inside[0] = group != UNSCORED
-            sure.append(count(readings, group < MISSED, inside))
-        found[method.name] = Counts(there, np.array(said), np.array(sure), np.array(denied))
-    return found
-
-
-def sums(groups: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """How many voxels are of each group."""
-    return np.bincount(groups.ravel(), minlength=len(GROUPS))[: len(GROUPS)]
-
-
-def groups_of(samples: Any, index: int) -> NDArray[np.uint8]:
-    """What each voxel (*grid.shape) of a sample would be if it were wrong, an index into `GROUPS`;
-    `UNSCORED` where no score counts it."""
-    sample, dataset = samples[index], samples.dataset
-    seen = classify(sample, lidar=dataset.lidar, grid=dataset.grid)
-    is_of = {name: seen == number for number, name in enumerate(CLASSES)}
-    told = np.broadcast_to(sample.observed.any(axis=2, keepdims=True), seen.shape)
-    above = dataset.grid.centres(sample.origin)[..., 2] > sample.position[2]
-    hidden, out = is_of["occluded"], is_of["out_of_view"]
-    missed = [is_of["observed"], is_of["crossed"], hidden & told, hidden, is_of["interior"]]
-    beside = ndimage.binary_dilation(sample.occupancy, np.ones((3, 3, 3)))
-    groups = np.where(
-        sample.occupancy,
-        np.select([*missed, out & above], range(MISSED - 1), MISSED - 1),
-        np.select([beside, is_of["crossed"]], (MISSED, MISSED + 1), MISSED + 2),
-    )
-    scored_here = scored_voxels(sample, dataset.grid, samples.home(index).tables)
-    return np.where(scored_here, groups, UNSCORED).astype(np.uint8)
-
-
-class Counts(NamedTuple):
-    """Voxels of some maps by group."""
-
-    there: NDArray[np.int64]
-    """(maps, groups)."""
-    said: NDArray[np.int64]
-    """(maps, thresholds, groups): those that are said to be occupied."""
-    sure: NDArray[np.float64]
-    """Of each map, what `count` counts over the voxels that are scored."""
-    denied: NDArray[np.float64]
-    """Of each map, the share of its returns that is denied; see `denial`."""
-
-    @property
-    def either(self) -> NDArray[np.int64]:
-        """(maps, thresholds): voxels that are occupied, or said to be."""
-        return self.there[:, None, :MISSED].sum(axis=2) + self.said[..., MISSED:].sum(axis=2)
-
-    @property
-    def iou(self) -> NDArray[np.float64]:
-        """(maps, thresholds)."""
-        return self.said[..., :MISSED].sum(axis=2) / np.maximum(self.either, 1)
-
-    @property
-    def ece(self) -> str:
-        """The expected calibration error as predicted, and calibrated where the method can."""
-        found = reliability(self.sure, np.arange(len(self.sure)))["map"]
-        cells = [brief(one | {"mean": one["ece"], "n": 1}) for one in found.values()]
-        return " → ".join(cells[::2])
-
-    def size(self, group: int) -> float:
-        """The share of a group in what is occupied."""
-        return float(self.there[:, group].sum() / self.there[:, :MISSED].sum())
-
-    def share(self, group: int, threshold: int) -> tuple[float, float]:
-        """The points of IoU that a group costs, a mean over maps, and its recall."""
-        said = self.said[:, threshold, group]
-        wrong = self.there[:, group] - said if group < MISSED else said
-        lost = 100 * (wrong / np.maximum(self.either[:, threshold], 1)).mean()
-        return float(lost), float(said.sum() / max(self.there[:, group].sum(), 1))
 
 
 def drawn_map(dataset: Dataset, index: int, method: Method, threshold: int) -> bytes:

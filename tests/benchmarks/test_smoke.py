@@ -14,7 +14,7 @@ from scenegen.recipe import preset
 from tests.conftest import dataset_in
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
-SHARED = {"measuring", "recordings", "scoring", "served"}
+SHARED = {"counting", "measuring", "recordings", "scoring", "served"}
 STUDY = BENCHMARKS.parent / "docs" / "results" / "study.json"
 DATA = "data"
 """Stands for a dataset's folder."""
