@@ -51,6 +51,7 @@ def verified(monkeypatch):
 @pytest.fixture
 def undrawn(monkeypatch):
     """No picture is drawn for a published folder: that of test_stage.py has them."""
+    pytest.importorskip("matplotlib")
     monkeypatch.setattr("scenegen.share.stage.SHOWN", 1)
     monkeypatch.setattr("scenegen.display.pictures.draw_sample", lambda look: None)
     monkeypatch.setattr("scenegen.display.panels.to_bytes", lambda figure, ending: b"\x89PNG")
