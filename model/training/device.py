@@ -14,6 +14,7 @@ from lidarsim import GridSpec
 from scenegen.errors import ScenegenError
 from scenegen.model.config import LEVELS
 from scenegen.model.losses import at_least_one
+from scenegen.model.network import prefers_bfloat16
 from scenegen.run.workers import processor
 
 FEWEST_CELLS = 32
@@ -54,18 +55,16 @@ def resolve_precision(
 ) -> torch.dtype:
     """The type that `precision` means on `device`, for maps of `shape`.
 
-    "auto" is bfloat16 where that is faster. An Intel processor with AVX-512 alone takes 1.4 times
-    as long as in float32; one of AMD's takes two thirds, and AMX is faster. On a CPU "auto" is
-    float32 for maps whose coarsest level has but a few cells, too: there oneDNN's gradient of a
-    convolution's filters in bfloat16 depends on what its memory held before (docs/log.md).
+    "auto" is bfloat16 where that is faster. On a CPU it is float32 for maps whose coarsest level
+    has but a few cells, too: there oneDNN's gradient of a convolution's filters in bfloat16 depends
+    on what its memory held before (docs/log.md).
     """
     if precision == "auto":
         if device.type == "cuda":
             faster = torch.cuda.is_bf16_supported(including_emulation=False)
         else:
-            has: Any = getattr(torch.cpu, "get_capabilities", dict)()  # not in torch 2.10
-            gains = has.get("amx_bf16") or (has.get("avx512_bf16") and "Intel" not in processor())
-            faster = gains and math.prod(edge // 2**LEVELS for edge in shape) >= FEWEST_CELLS
+            cells = math.prod(edge // 2**LEVELS for edge in shape)
+            faster = cells >= FEWEST_CELLS and prefers_bfloat16()
         precision = "bfloat16" if faster else "float32"
     return getattr(torch, precision)
 
