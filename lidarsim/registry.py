@@ -51,7 +51,8 @@ class Registry:
         try:
             chosen = getattr(found, attribute)
         except AttributeError:
-            there = ", ".join(item for item in vars(found) if not item.startswith("_")) or "nothing"
+            public = (name for name, it in vars(found).items() if callable(it) and name[0] != "_")
+            there = ", ".join(public) or "nothing"
             where = getattr(found, "__file__", None) or "no file"
             raise ValueError(
                 f"{self.what} {name}: {where} has no {attribute}; it has {there[:MOST_NAMED]}"
