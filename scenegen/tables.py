@@ -143,16 +143,20 @@ def sensor_of(table: Mapping[str, Any], where: str, folder: Path) -> Sensor:
     if isinstance(own := getattr(made, "noise", None), str) and own:
         with raised_as(RecipeError, f"{where} "):
             Noise.parse(own)
+    if name not in SENSORS.known:
+        with raised_as(RecipeError):
+            beam_table(made, where)
     return made
 
 
-def beam_table(sensor: Sensor) -> BeamTable:
-    """The rays of any sensor. Raises ValueError, whatever a user's own code raises."""
+def beam_table(sensor: Sensor, where: str = "[lidar]") -> BeamTable:
+    """The rays of any sensor. Raises ValueError, which begins with `where`, whatever a user's own
+    code raises."""
     try:
         return BeamTable.of(sensor)
     except Exception as error:
         said = error if isinstance(error, ValueError) else f"it fails: {error!r}"
-        raise ValueError(f"[lidar] sensor {type(sensor).__name__}: {printable(said)}") from None
+        raise ValueError(f"{where} sensor {type(sensor).__name__}: {printable(said)}") from None
 
 
 def combinations(domain: Any, at: str, rng: np.random.Generator) -> list[dict[str, dict[str, Any]]]:

@@ -140,6 +140,7 @@ LACKING |= {
         f"{PILLAR} --engine wrong:Short",
         "`of`",
     ),
+    "a sensor without a range": ("scan pillar --flight --lidar wrong:Ray", "max_range_m = -3"),
     "a sensor beside another": (
         "generate --recipe table.toml --sensor raster",
         "leave one of the two",
@@ -187,6 +188,9 @@ class Unmade(Short):
 class Still:
     of = classmethod(lambda cls, model, data=None: gone())
     cast = None
+@dataclass(frozen=True, kw_only=True)
+class Ray:
+    shape, times_s, directions_body, max_range_m = (1,), [0.0], [[1.0, 0.0, 0.0]], -3
 @dataclass(frozen=True, kw_only=True)
 class Failing(Bare):
     def add_to(self, spec, *, rng): gone()
