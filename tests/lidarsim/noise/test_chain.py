@@ -110,11 +110,26 @@ class Shift:
     by_m: float = 0.1
     def apply(self, returns, view, *, rng): return returns.but(ranges=returns.ranges + self.by_m)
     def bound_m(self, max_range_m): return abs(self.by_m)
+class Signed(Shift):
+    def apply(self, returns, rng): return returns
+class Bare(Shift):
+    def apply(self, returns, view, *, rng): return returns.ranges
+class Single(Shift):
+    def apply(self, returns, view, *, rng): return returns.but(ranges=returns.ranges[0])
+@dataclass(frozen=True, kw_only=True)
+class Ranked(Shift):
+    order: int = 2
 """)
-    for text in ("my_noise:Shift:9.5,range:0", "my_noise:Shift:-9.5"):
-        with pytest.raises(
-            ValueError, match=r"noise stage my_noise:Shift:by_m=-?9.5 gave .* 0 to 10 m"
-        ):
+    for text, told in {
+        "Shift:9.5,range:0": ":by_m=9.5 gave .* 0 to 10 m",
+        "Shift:-9.5": ":by_m=-9.5 gave .* 0 to 10 m",
+        "Signed": r": .*'rng'; expected a method: \(returns, view, \*, rng\) -> returns",
+        "Bare": r" gave ndarray; expected Returns, whose ranges are \(1, 16, 120\)",
+        "Single": r" gave \(16, 120\); expected Returns",
+        "Ranked:0:5": "`order` is a parameter",
+    }.items():
+        text = f"my_noise:{text}"
+        with pytest.raises(ValueError, match=f"^noise stage my_noise:.*{told}"):
             Noise.parse(text).observe(SCAN, ENGINE, rng=np.random.default_rng(0))
     chain = Noise.parse("my_noise:Shift:-0.5,range:0")
     told = chain.observe(SCAN, ENGINE, rng=np.random.default_rng(0)).ranges[0]
