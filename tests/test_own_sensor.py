@@ -2,6 +2,7 @@
 command."""
 
 import re
+import shlex
 import shutil
 from pathlib import Path
 
@@ -56,9 +57,9 @@ def test_a_users_sensor_makes_a_dataset_that_nobody_needs_the_sensor_for(example
     assert "regenerated  ok" in shell.done("verify", "data/rosette", "--workers", 1, here=elsewhere)
     bench = ("bench", "data/rosette", "--quick", "--method", "returns", "--workers", 1)
     assert "returns" in shell.done(*bench, here=elsewhere)
-    publish = "publish data/rosette --repo a/b --out out --dry-run --workers 1".split()
+    publish = shlex.split("publish data/rosette --repo a/b --out out --dry-run --workers 1")
     assert "rays.npy" in shell.done(*publish, here=elsewhere)
-    again = "--n 6 --val 0 --test 3 --shard-samples 3 --out ../again --workers 1".split()
+    again = shlex.split("--n 6 --val 0 --test 3 --shard-samples 3 --out ../again --workers 1")
     shell.done("generate", "--recipe", "recipe.toml", *again, here=elsewhere / "out")
     assert (elsewhere / "again" / "dataset.json").read_bytes() == (
         elsewhere / "out" / "dataset.json"

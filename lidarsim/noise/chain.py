@@ -140,7 +140,7 @@ def _stage(text: str) -> Stage:
             )
         given[field] = _number(value)
     try:
-        made: Stage = found(**given)
+        made: Stage = STAGES.find(name)(**given)
     except (ValueError, TypeError) as error:
         raise ValueError(f"noise stage {name}: {error}") from None
     return made

@@ -101,10 +101,7 @@ class View:
                 f"noise: {type(self.engine).__name__} does not say what surface a ray meets; use "
                 "the engine analytic, or for a map only stages that change ranges"
             )
-        cosine, albedo = (
-            np.zeros(returns.directions.shape[:-1]),
-            np.zeros(returns.directions.shape[:-1]),
-        )
+        cosine, albedo = np.zeros((2, *returns.directions.shape[:-1]))
         for group, origin in _by_origin(returns.origins):
             directions = returns.directions[group]
             found = hits(origin[None], directions[None], self.sensor.max_range_m)
