@@ -51,7 +51,9 @@ def test_a_kind_a_method_and_a_command_of_ones_own(here, shell):
     )
     words = ("--method", "my_methods:Grown", "--method", "returns", "--quick", "--workers", "2")
     assert "grown" in done("bench", "data/Fence", *words)
-    assert "cannot be drawn again" in regenerated(done("verify", "data/Fence", "--workers", "2"))
+    said = done("verify", "data/Fence", "--workers", "2")
+    assert "cannot be drawn again" in regenerated(said)
+    assert "16 passed, 1 skipped" in said
     done("inspect", "data/Fence")
     done("world", "data/Fence", "0")
     ended = shell.scenegen("publish", "data/Fence", "--repo", "ada/fence", "--dry-run", here=here)
@@ -140,6 +142,16 @@ LACKING |= {
         f"{PILLAR} --engine wrong:Short",
         "`of`",
     ),
+    "a class that there is not": (
+        "generate --quiet --kind wrong:Leafy --workers 1",
+        "unknown class 'vegetaton'; did you mean 'vegetation'?; correct it",
+    ),
+    "a kind crowded by nothing": ("recipe wrong:Crowded", "crowded_by: unknown parameter 'row'"),
+    "a misspelt level": ("recipe wrong:Graded", "graded hard: unknown parameter 'size'; did you"),
+    "a kind of empty worlds": (
+        "generate --quiet --kind wrong:Sparse --workers 1",
+        "raise world.ground_m, lower world.size_m, or lower accept.min_solids",
+    ),
     "a sensor without a range": ("scan pillar --flight --lidar wrong:Ray", "max_range_m = -3"),
     "a sensor beside another": (
         "generate --recipe table.toml --sensor raster",
@@ -167,6 +179,20 @@ class Bare(Empty):
 @dataclass(frozen=True, kw_only=True)
 class Odd(Bare):
     label: object = 1j
+@dataclass(frozen=True, kw_only=True)
+class Sparse(Bare):
+    crowded_by = "ground_m", "-size_m"
+    def add_to(self, spec, *, rng): spec.add_geom(2, (1, 0, 0), (200, 0, 1))
+@dataclass(frozen=True, kw_only=True)
+class Crowded(Bare):
+    crowded_by = ("-row",)
+@dataclass(frozen=True, kw_only=True)
+class Graded(Bare):
+    graded = {{"hard": {{"size": (1, 1, 1)}}}}
+@dataclass(frozen=True, kw_only=True)
+class Leafy(Bare):
+    def add_to(self, spec, *, rng):
+        spec.add_geoms([2], [[1, 0, 0]], [[0, 0, 1]], classes=["vegetaton"])
 class Nameless:
     def complete(self, observed, free, *, grid): pass
 class Short:

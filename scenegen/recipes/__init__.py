@@ -8,7 +8,7 @@ the kinds: a new file here is a new kind. A user's own is named as ``module:Clas
 import pkgutil
 from typing import TYPE_CHECKING, Any
 
-from lidarsim.registry import Registry
+from lidarsim.registry import Registry, suggestion
 from scenegen.limits import MOST_KIND_NAME
 
 if TYPE_CHECKING:  # the command line asks for the kinds' names, and must not load MuJoCo for that
@@ -24,8 +24,8 @@ KINDS = Registry(
     {name: f"{__name__}.{name}:{name.capitalize()}" for name in _NAMES},
     needs={
         "version": "a whole number, raised whenever the same parameters would give other worlds",
-        "crowded_by": "a tuple of names: the parameters to lower when worlds are too crowded to "
-        "fly through",
+        "crowded_by": "a tuple of names: the parameters to lower, or with a minus before them to "
+        "raise, when worlds are too crowded to fly through",
         "add_to": "a method: (spec, *, rng), which draws one world and adds its solids to the "
         "MjSpec",
     },
@@ -63,4 +63,11 @@ def find_kind(name: str) -> "type[WorldKind]":
             "and a class as @dataclass(frozen=True, kw_only=True) class Mine(scenegen.WorldKind), "
             "with a method `add_to`"
         )
+    fields = found.__dataclass_fields__
+    levels = {f"graded {level}": values for level, values in found.graded.items()}
+    for where, given in {"crowded_by": found.crowded_by, **levels}.items():
+        for word in given:
+            if (plain := word.removeprefix("-")) not in fields:
+                hint = suggestion(plain, fields)
+                raise ValueError(f"kind {name}: {where}: unknown parameter {plain!a}; {hint}")
     return found
