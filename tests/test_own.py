@@ -29,10 +29,8 @@ def here(tmp_path):
         (tmp_path / name).write_text("raise AssertionError('imported, and nobody asked for it')")
     for name, page in EXAMPLES.items():
         (tmp_path / name).write_text(example(page))
-    own = SMALL.replace('"pillar"', '"my_worlds:Fence"').replace("min_solids = 1", "min_solids = 0")
-    (tmp_path / "fence.toml").write_text(
-        own.replace("[accept]", "[accept]\nmin_occupied_share = 0")
-    )
+    own = SMALL.replace('"pillar"', '"my_worlds:Vineyard"\ndifficulty = "hard"')
+    (tmp_path / "vineyard.toml").write_text(own)
     return tmp_path
 
 
@@ -40,23 +38,27 @@ def test_a_kind_a_method_and_a_command_of_ones_own(here, shell):
     def done(*words):
         return shell.done(*words, here=here)
 
-    done("generate", "--recipe", "fence.toml", "-n", "6", "--workers", "2")
-    assert '"kind": "my_worlds:Fence"' in (here / "data" / "Fence" / "dataset.json").read_text()
-    assert "ok" in regenerated(
-        done("verify", "data/Fence", "--workers", "2", "--kind", "my_worlds:Fence")
+    done("generate", "--recipe", "vineyard.toml", "-n", "6", "--workers", "2", "--labels", "class")
+    assert (
+        '"kind": "my_worlds:Vineyard"' in (here / "data" / "Vineyard" / "dataset.json").read_text()
     )
-    assert "world 0, viewpoint" in done("my_commands:fill", "data/Fence")
+    assert "ok" in regenerated(
+        done("verify", "data/Vineyard", "--workers", "2", "--kind", "my_worlds:Vineyard")
+    )
+    assert "world 0, viewpoint" in done("my_commands:fill", "data/Vineyard")
     (here / "my_worlds.py").write_text(
         "raise AssertionError('imported because a manifest names it')"
     )
     words = ("--method", "my_methods:Grown", "--method", "returns", "--quick", "--workers", "2")
-    assert "grown" in done("bench", "data/Fence", *words)
-    said = done("verify", "data/Fence", "--workers", "2")
+    assert "grown" in done("bench", "data/Vineyard", *words)
+    said = done("verify", "data/Vineyard", "--workers", "2")
     assert "cannot be drawn again" in regenerated(said)
-    assert "16 passed, 1 skipped" in said
-    done("inspect", "data/Fence")
-    done("world", "data/Fence", "0")
-    ended = shell.scenegen("publish", "data/Fence", "--repo", "ada/fence", "--dry-run", here=here)
+    assert "18 passed, 1 skipped" in said
+    done("inspect", "data/Vineyard")
+    done("world", "data/Vineyard", "0")
+    ended = shell.scenegen(
+        "publish", "data/Vineyard", "--repo", "ada/vineyard", "--dry-run", here=here
+    )
     assert (ended.code, "give --kind" in ended.err, ended.err.count("\n")) == (1, True, 1)
 
 
@@ -68,7 +70,7 @@ def regenerated(table):
 
 LACKING = {
     "kind without a module": (
-        "generate --quiet --kind absent:Fence",
+        "generate --quiet --kind absent:Vineyard",
         "there is no module absent",
     ),
     "kind of another class": (
@@ -106,7 +108,7 @@ LACKING = {
     "command that is a plain function": ("wrong:plain", "lacks `make_context`"),
     "command that is absent": ("trian", "did you mean 'train'?"),
     "another kind than the dataset's": (
-        "verify DATASET --quiet --kind my_worlds:Fence",
+        "verify DATASET --quiet --kind my_worlds:Vineyard",
         "the dataset's kind is 'pillar'",
     ),
 }

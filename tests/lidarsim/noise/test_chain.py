@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import math
+import re
 
 import mujoco
 import numpy as np
@@ -15,6 +16,7 @@ from lidarsim.noise.chain import Noise
 from lidarsim.noise.losses import Dropout
 from lidarsim.noise.ranges import Divergence, Range
 from lidarsim.sensors import CATALOGUE, SENSORS
+from tests.command_line import ROOT
 
 ENGINE = AnalyticEngine.of(
     mujoco.MjModel.from_xml_string(
@@ -101,8 +103,10 @@ def test_stages_that_cast_come_first_and_once():
 
 
 def test_a_stage_of_ones_own(standing):
-    (standing / "my_noise.py").write_text("""
-from dataclasses import dataclass
+    (documented,) = re.findall(
+        r"```python\n(# my_noise.py.*?)```", (ROOT / "docs" / "sensor.md").read_text(), re.DOTALL
+    )
+    (standing / "my_noise.py").write_text(f"""{documented}
 from typing import ClassVar
 @dataclass(frozen=True, kw_only=True)
 class Shift:
@@ -136,6 +140,11 @@ class Ranked(Shift):
     assert str(chain) == "my_noise:Shift:by_m=-0.5,range:sigma_m=0.0"
     left = np.isfinite(told)
     assert_allclose(told[left], SCAN.ranges[left] - 0.5, rtol=1e-6)
+    fog = Noise.parse("my_noise:Fog:10").observe(SCAN, ENGINE, rng=np.random.default_rng(0))
+    met, left = np.isfinite(SCAN.ranges), np.isfinite(fog.ranges[0])
+    expected = float(np.exp(-SCAN.ranges[met] / 5.0).sum())
+    assert (met >= left).all()
+    assert left.sum() == pytest.approx(expected, abs=4 * expected**0.5)
 
 
 @pytest.mark.parametrize(
