@@ -119,18 +119,16 @@ def draw_unit(
             return Unit(number, world, samples, rejected)
     counted = ", ".join(f"{count} {reason}" for reason, count in rejected.worlds.items())
     advice = "; ".join(ADVICE[reason] for reason, _ in rejected.worlds.most_common())
-    fewer, more = _solids(recipe, "lower", "raise"), _solids(recipe, "raise", "lower")
+    crowded = () if recipe.world is None else recipe.world.crowded_by
+    fewer, more = (
+        ", ".join(f"{verbs[name[0] == '-']} world.{name.removeprefix('-')}" for name in crowded)
+        or f"{verbs[0]} how many solids there are where it flies"
+        for verbs in (("lower", "raise"), ("raise", "lower"))
+    )
     raise GenerationError(
         f"{split} world {number}: all {recipe.accept.max_draws} draws rejected ({counted}); "
         f"{advice.format(fewer=fewer, more=more)}"
     )
-
-
-def _solids(recipe: Recipe, do: str, reverse: str) -> str:
-    """What to do to the parameters by which worlds are crowded."""
-    names = () if recipe.world is None else recipe.world.crowded_by
-    said = [f"{reverse if name[0] == '-' else do} world.{name.removeprefix('-')}" for name in names]
-    return ", ".join(said) or f"{do} how many solids there are where it flies"
 
 
 def compile_truth(source: Source, recipe: Recipe, split: str) -> None:

@@ -307,17 +307,15 @@ def make_recipe(
                 f"{at}{name} = {short(table)}: expected a table, [{name}], of parameters"
             )
     given = {name: defaults.get(name, {}) | tables.get(name, {}) for name in parts}
-    given_lidar = given.pop("lidar")
+    lidar = given.pop("lidar")
     built = {
         name: from_table(parts[name], table, f"{at}[{name}]", folder)
         for name, table in given.items()
     }
-    built["lidar"] = (
-        sensor if sensor is not None else sensor_of(given_lidar, f"{at}[lidar]", folder)
-    )
-    built["noise"] = named_noise(
-        built["noise"].stages or None, built["lidar"], at and f"{at}[noise]"
-    )
+    if sensor is None:
+        sensor = sensor_of(lidar, f"{at}[lidar]", folder)
+    noise = named_noise(built["noise"].stages or None, sensor, at and f"{at}[noise]")
+    built |= {"lidar": sensor, "noise": noise}
     odd = f"{at}[world] of kind {kind}: a parameter cannot stand in a manifest: "
     with raised_as(RecipeError, at), raised_as(RecipeError, odd, of=TypeError):
         recipe = Recipe(kind=kind, difficulty=level, **built)

@@ -148,8 +148,8 @@ LACKING |= {
         "generate --quiet --kind wrong:Leafy --workers 1",
         "unknown class 'vegetaton'; did you mean 'vegetation'?; correct it",
     ),
-    "a kind crowded by nothing": ("recipe wrong:Crowded", "crowded_by: unknown parameter 'row'"),
-    "a misspelt level": ("recipe wrong:Graded", "graded hard: unknown parameter 'size'; did you"),
+    "a kind crowded by nothing": ("recipe wrong:Crowded", "unknown parameter 'row'"),
+    "a misspelt level": ("recipe wrong:Graded", "unknown parameter 'size'; did you"),
     "a kind of empty worlds": (
         "generate --quiet --kind wrong:Sparse --workers 1",
         "raise world.ground_m, lower world.size_m, or lower accept.min_solids",

@@ -59,11 +59,9 @@ class Depth(Fault):
         rays = view.sensor.directions_body
         axis = rays.reshape(-1, 3).mean(axis=0)
         cosine = rays @ (axis / math.sqrt(float((axis**2).sum())))
-
-        def sigma(ranges: Floats) -> Floats:
-            return self.quadratic_per_m * ranges**2 * np.abs(cosine)
-
-        return _noisy(returns, view, sigma, rng=rng)
+        return _noisy(
+            returns, view, lambda r: self.quadratic_per_m * r**2 * np.abs(cosine), rng=rng
+        )
 
     def bound_m(self, max_range_m: float) -> float:
         """See `Stage.bound_m`."""

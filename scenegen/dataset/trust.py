@@ -338,9 +338,9 @@ def _sources(found: Mapping[str, Any], folder: Path, named: str | None) -> tuple
             if name not in manifest.MAY_DIFFER:
                 raise BrokenError(f"{at}.parameters.{name}: expected what the manifest itself says")
         whole_of = {"complete": True, "shards": [], "rejected": {"worlds": {}, "viewpoints": {}}}
+        whole_of["digest"] = entry["digest"]
         with raised_as(BrokenError, f"{at}.parameters: ", of=(BrokenError, KeyError)):
-            one = {**entry["parameters"], **whole_of, "digest": entry["digest"]}
-            source = parse(one, folder, named)
+            source = parse({**entry["parameters"], **whole_of}, folder, named)
             source.numbering("train")
         sources.append(source)
     if (differ := manifest.differing(found, every) or None) != found["differ"]:

@@ -5,6 +5,7 @@ The file's name is the kind's name, and its class has that name with a capital. 
 the kinds: a new file here is a new kind. A user's own is named as ``module:Class``.
 """
 
+import itertools
 import pkgutil
 from typing import TYPE_CHECKING, Any
 
@@ -64,10 +65,10 @@ def find_kind(name: str) -> "type[WorldKind]":
             "with a method `add_to`"
         )
     fields = found.__dataclass_fields__
-    levels = {f"graded {level}": values for level, values in found.graded.items()}
-    for where, given in {"crowded_by": found.crowded_by, **levels}.items():
-        for word in given:
-            if (plain := word.removeprefix("-")) not in fields:
-                hint = suggestion(plain, fields)
-                raise ValueError(f"kind {name}: {where}: unknown parameter {plain!a}; {hint}")
+    for word in itertools.chain(found.crowded_by, *found.graded.values()):
+        if (plain := word.removeprefix("-")) not in fields:
+            raise ValueError(
+                f"kind {name}: crowded_by or graded has an unknown parameter {plain!a}; "
+                f"{suggestion(plain, fields)}"
+            )
     return found

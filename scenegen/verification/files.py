@@ -32,7 +32,14 @@ def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Mani
         with raised_as(BrokenError, f"{manifest.NAME}: ", of=BrokenError):
             found = trust.parse(given, folder, kind)
             if kind is not None:
-                _check_named(kind, {home.kind for home in found.homes})
+                if kind not in (there := {home.kind for home in found.homes}):
+                    named = short(" or ".join(sorted(there)))
+                    raise DatasetError(
+                        f"--kind {kind}: the dataset's kind is {named}; leave --kind out, or give "
+                        "that"
+                    )
+                with raised_as(DatasetError, "--kind: "):
+                    find_kind(kind)
             for home in found.homes:
                 if home.kind == "scene" and home.scenes is None:
                     raise BrokenError("recipe.scenes = None: expected the worlds of each split")
@@ -41,18 +48,6 @@ def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Mani
         _check_shards(found, page)
         contract = found
     return contract
-
-
-def _check_named(kind: str, there: set[str]) -> None:
-    """Raise DatasetError unless the user's own `kind` is among those that are `there`, and can be
-    imported."""
-    if kind not in there:
-        kinds = short(" or ".join(sorted(there)))
-        raise DatasetError(
-            f"--kind {kind}: the dataset's kind is {kinds}; leave --kind out, or give that"
-        )
-    with raised_as(DatasetError, "--kind: "):
-        find_kind(kind)
 
 
 def _check_shards(contract: Manifest, page: Page) -> None:
