@@ -85,12 +85,11 @@ class Noise:
                 if own_line(error):  # within the user's method, which was called as it should be
                     raise
                 raise ValueError(f"{name}: {error}; expected {STAGES.needs['apply']}") from None
-            rays = scan.ranges.shape
             given = returns.ranges.shape if isinstance(returns, Returns) else type(returns).__name__
-            if given[1:] != rays:  # nor is the name of a type a shape
+            if given[1:] != scan.ranges.shape:  # nor is the name of a type a shape
                 raise ValueError(
-                    f"{name} gave {given}; expected Returns, whose ranges are {(1, *rays)}, or "
-                    f"{(2, *rays)} with two echoes"
+                    f"{name} gave {given}; expected Returns, whose ranges are (echoes, *shape), "
+                    f"with shape = {scan.ranges.shape}"
                 )
             check_ranges(returns.ranges, scan.lidar, name)
         return returns
@@ -141,6 +140,7 @@ def _stage(text: str) -> Stage:
         given[field] = _number(value)
     try:
         made: Stage = STAGES.find(name)(**given)
+        made.bound_m(1.0)  # a user's own may take other arguments
     except (ValueError, TypeError) as error:
         raise ValueError(f"noise stage {name}: {error}") from None
     return made

@@ -116,6 +116,8 @@ class Shift:
     def bound_m(self, max_range_m): return abs(self.by_m)
 class Signed(Shift):
     def apply(self, returns, rng): return returns
+class Boundless(Shift):
+    def bound_m(self): return 0.0
 class Bare(Shift):
     def apply(self, returns, view, *, rng): return returns.ranges
 class Single(Shift):
@@ -128,8 +130,9 @@ class Ranked(Shift):
         "Shift:9.5,range:0": ":by_m=9.5 gave .* 0 to 10 m",
         "Shift:-9.5": ":by_m=-9.5 gave .* 0 to 10 m",
         "Signed": r": .*'rng'; expected a method: \(returns, view, \*, rng\) -> returns",
-        "Bare": r" gave ndarray; expected Returns, whose ranges are \(1, 16, 120\)",
+        "Bare": r" gave ndarray; expected Returns, .* shape = \(16, 120\)",
         "Single": r" gave \(16, 120\); expected Returns",
+        "Boundless": "takes 1 positional argument",
         "Ranked:0:5": "`order` is a parameter",
     }.items():
         text = f"my_noise:{text}"
