@@ -51,12 +51,10 @@ class Registry:
         try:
             chosen = getattr(found, attribute)
         except AttributeError:
-            public = (name for name, it in vars(found).items() if callable(it) and name[0] != "_")
-            there = ", ".join(public) or "nothing"
+            public = [one for one, it in vars(found).items() if callable(it) and one[0] != "_"]
             where = getattr(found, "__file__", None) or "no file"
-            raise ValueError(
-                f"{self.what} {name}: {where} has no {attribute}; it has {there[:MOST_NAMED]}"
-            ) from None
+            hint = suggestion(attribute, public)
+            raise ValueError(f"{self.what} {name}: {where} has no {attribute}; {hint}") from None
         self.check(chosen, name)
         return chosen
 
