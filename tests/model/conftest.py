@@ -3,6 +3,9 @@
 import pytest
 import torch
 
+from scenegen.model.checkpoint import save_network
+from scenegen.model.config import NetworkConfig
+from scenegen.model.network import Network
 from tests.conftest import dataset_in, small_recipe
 
 COUNTS = {"train": 12, "val": 6, "test": 5}
@@ -13,14 +16,16 @@ def one_thread():
     torch.set_num_threads(1)
 
 
-def make_dataset(
-    folder,
-    kind="pillar",
-    *,
-    compact=False,
-    counts=COUNTS,
-    **tables,
-):
+def saved_network(path, grid, about=None, **config):
+    """A small network of random weights, always the same, and saved."""
+    torch.manual_seed(0)
+    network = Network(NetworkConfig(width=4, **config)).eval()
+    path.parent.mkdir(exist_ok=True)
+    save_network(path, network, grid, about or {})
+    return network
+
+
+def make_dataset(folder, kind="pillar", *, compact=False, counts=COUNTS, **tables):
     """A dataset of a few small maps."""
     recipe = small_recipe(kind, **tables)
     dataset_in(folder, recipe, counts=counts, compact=compact, shard_samples=5)

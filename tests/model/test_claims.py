@@ -58,15 +58,7 @@ def test_claims_are_the_bold_cells_against_each_other_row(monkeypatch):
     found = claims()
     assert len(found) == len(set(found)) == 2 * 2 * (10 + 4)
     ties = [claim.best for claim in found if (claim.kind, claim.metric) == ("geometric", "mae")]
-    assert sorted(ties) == [
-        "proposed",
-        "tudf",
-    ]  # .162 twice: each before `occ`, neither before the other
-    assert Claim(kind="geometric", metric="success", best="proposed", other="occ") in found
-    assert Claim(kind="pillar", metric="length", best="occ", other="proposed") in found
-    assert (
-        Claim(kind="pillar", metric="bias", best="tudf", other="occ") in found
-    )  # .016 is nearer to 0
+    assert sorted(ties) == ["proposed", "tudf"]  # .162 twice: each before `occ`
     for claim in found:
         table = paper.RECONSTRUCTION if claim.metric in METRICS else paper.PLANNING
         names = {"tudf": "TUDF", "occ": "OCC", "proposed": "Proposed"}
@@ -81,21 +73,15 @@ def test_claims_are_the_bold_cells_against_each_other_row(monkeypatch):
         assert better[(METRICS | PLAN_METRICS)[claim.metric].better]
 
 
-@pytest.mark.parametrize(
-    ("metric", "shift", "sign"),
-    [("iou", 0.1, 1), ("iou", -0.1, -1), ("rmse", 0.1, -1), ("rmse", -0.1, 1)],
-)
-def test_a_gain_is_positive_where_the_first_is_better(metric, shift, sign):
+def test_a_gain_is_positive_where_the_first_is_better():
     base = np.random.default_rng(0).normal(0.5, 0.2, 200)
-    found = gain(measured({"a": base + shift, "b": base}, metric), metric, [("a", "b")])
-    assert found.value == pytest.approx(sign * 0.1)
-    assert found.error == pytest.approx(0, abs=1e-12)  # the same worlds are left out of both
-    assert found.freedom == 39
-
-
-def test_bias_is_judged_by_its_distance_from_0():
+    for metric, sign in (("iou", 1), ("rmse", -1)):
+        found = gain(measured({"a": base + 0.1, "b": base}, metric), metric, [("a", "b")])
+        assert found.value == pytest.approx(sign * 0.1)
+        assert found.error == pytest.approx(0, abs=1e-12)  # the same worlds are left out of both
+        assert found.freedom == 39
     both = measured({"a": np.full(200, -0.02), "b": np.full(200, 0.2)}, "bias")
-    assert gain(both, "bias", [("a", "b")]).value == pytest.approx(0.18)
+    assert gain(both, "bias", [("a", "b")]).value == pytest.approx(0.18), "its distance from 0"
 
 
 def test_paths_are_compared_where_both_have_one():
@@ -137,7 +123,7 @@ def found(one, long=()):
 def test_intervals_hold_the_difference_of_methods_whatever_seeds_and_worlds_are_drawn():
     """Seeds differ by more than worlds let means differ: without them the interval would be far too
     narrow."""
-    rng, repeats = np.random.default_rng(1), 150
+    rng, repeats = np.random.default_rng(1), 100
     every = [found(study(rng, 0.05, 0.02, training=0.02)) for _ in range(repeats)]
     held = np.mean([one["low"] <= 0.03 <= one["high"] for one in every])
     assert 0.93 <= held <= 0.985
@@ -145,7 +131,7 @@ def test_intervals_hold_the_difference_of_methods_whatever_seeds_and_worlds_are_
         [abs(one["difference"] - 0.03) <= 2 * one["worlds_error"] for one in every]
     )
     assert worlds_alone < 0.6
-    equal = [found(study(rng, 0.02, 0.02, training=0.02))["verdict"] for _ in range(repeats)]
+    equal = [found(study(rng, 0.02, 0.02, training=0.02))["verdict"] for _ in range(50)]
     assert np.mean([verdict != "undecided" for verdict in equal]) < 0.09
 
 

@@ -95,7 +95,7 @@ def test_a_network_of_one_input_takes_any_number_of_maps(tmp_path):
     read_graph((tmp_path / "flat.onnx").read_bytes())
 
 
-def test_other_files_are_refused(tmp_path):
+def test_other_files_and_names_are_refused(exported, tmp_path):
     import onnx
 
     (tmp_path / "text.onnx").write_text("no network")
@@ -107,12 +107,8 @@ def test_other_files_are_refused(tmp_path):
     ):
         with pytest.raises(CheckpointError, match=said):
             Completer.from_pretrained(tmp_path / name)
-
-
-def test_other_names_are_refused(exported, tmp_path):
     with pytest.raises(CheckpointError, match=r"ends in \.onnx"):
         export_onnx(exported[1], GRID, tmp_path / "net.pt", about={})
-    assert not list(tmp_path.iterdir())
 
 
 def changed(path, change):
@@ -205,12 +201,7 @@ def point_outside(model):
         (point_outside, "has loops or parts elsewhere"),
         (set_header(network=None), "its header is damaged"),
         (set_header(network={"width": 4, "inputs": ["ahead"]}), "cannot run it"),
-        (set_header(network={"width": 1024}), "width = 1024"),
         (set_header(grid={"shape": [8, 8]}), "its header is damaged"),
-        (
-            set_header(grid={"shape": [8, 8, 8], "voxel_m": 0.2, "truncation_m": 2.0}),
-            "cannot run it",
-        ),
         (
             lambda model: setattr(model.metadata_props[-1], "value", "[" * 100_000),
             "its header is damaged",

@@ -1,6 +1,7 @@
 """The learning objective is the paper's equations: against them written out in float64, and at
 their edges."""
 
+import itertools
 import math
 
 import numpy as np
@@ -108,20 +109,16 @@ def finite_differences(equation, at, *more, step=1e-5):
 # Equality with the equations, in value and in gradient.
 
 
-SPACES = [(0.2, 2.0), (0.13, 0.9), (0.5, 1.1), (1.0, 3.4)]  # voxel_m, truncation_m
+SPACES = [(0.2, 2.0), (0.13, 0.9)]  # voxel_m, truncation_m
 LAWS = [
-    *[(occupancy_loss, cross_entropy, {"occupied_weight": w}) for w in (5.0, 1.0, 0.3, 12.5)],
+    *[(occupancy_loss, cross_entropy, {"occupied_weight": w}) for w in (5.0, 0.3)],
     (lovasz_loss, lovasz_hinge, {}),
     *[
         (regression_loss, weighted_smooth_l1, {"near_m": n, "near_weight": w, "beta_m": b})
         for n, w, b in (
-            (0.6, 3.0, 0.7),
-            (0.5, 2.0, 1.0),
-            (0.6, 2.0, 0.1),
-            (0.2, 7.0, 0.7),
+            (0.6, 3.0, 0.7),  # an edge that float32 holds a little beyond the number written
             (1.0, 0.25, 2.0),
-            (0.4, 1.0, 0.01),
-            (0.0, 3.0, 1.0),
+            (0.0, 3.0, 0.01),
         )
     ],
     *[(eikonal_loss, eikonal, {"voxel_m": v, "truncation_m": t}) for v, t in SPACES],
@@ -138,10 +135,13 @@ def case_of(loss, settings, seed, shape=SHAPE):
 
 @pytest.mark.parametrize(("loss", "equation", "settings"), LAWS)
 def test_a_loss_is_the_papers(loss, equation, settings):
-    for seed in range(5):
+    """Of halves, too, which a network under bf16 autocast hands over: they are summed in full."""
+    for seed, dtype in itertools.product(range(4), (torch.float32, torch.bfloat16)):
         at, truth = case_of(loss, settings, seed)
-        found = loss(torch.from_numpy(at), torch.from_numpy(truth), **settings)
-        assert value(found) == pytest.approx(equation(at, truth, *settings.values()), rel=1e-6)
+        at = torch.from_numpy(at).to(dtype)
+        wanted = equation(at.float().numpy(), truth, *settings.values())
+        found = loss(at, torch.from_numpy(truth), **settings)
+        assert value(found) == pytest.approx(wanted, rel=2e-6)
 
 
 @pytest.mark.parametrize(
@@ -162,59 +162,19 @@ def test_gradients_are_the_finite_differences_of_the_equations(loss, equation, s
 @pytest.mark.parametrize("dtype", ["float32", "bfloat16"])
 @pytest.mark.parametrize("occupied", [False, True])
 def test_logits_of_any_size_have_the_right_limits(dtype, occupied):
-    """Sure and right costs nothing and pulls at nothing; sure and wrong costs and pulls by its
-    weight."""
+    """Sure and right costs next to nothing, which is not rounded away, and pulls as little; sure
+    and wrong costs and pulls by its weight."""
     size, weight = 4 * 3 * 2, 5.0 if occupied else 1.0
     truth = torch.full((1, 4, 3, 2), occupied)
-    for logit in (-1e4, -300.0, 300.0, 1e4):
+    for logit in (-1e4, -300.0, -40.0, -20.0, 20.0, 40.0, 300.0, 1e4):
         logits = torch.full(truth.shape, logit, dtype=getattr(torch, dtype)).requires_grad_()
         loss = occupancy_loss(logits, truth, occupied_weight=5.0)
         loss.backward()
-        wrong = (logit > 0) != occupied
-        assert value(loss) == pytest.approx(
-            weight * abs(logit) if wrong else 0.0, rel=4e-3, abs=1e-30
-        )
-        pull = math.copysign(weight / size, logit) if wrong else 0.0
+        away = -logit if occupied else logit
+        wanted = weight * np.logaddexp(0, away)
+        assert value(loss) == pytest.approx(wanted, rel=4e-3, abs=1e-30)
+        pull = weight / size * math.exp(away - np.logaddexp(0, away)) * (-1 if occupied else 1)
         assert_allclose(logits.grad.float().numpy(), pull, rtol=4e-3, atol=1e-30)
-
-
-def test_a_small_loss_is_not_rounded_away():
-    """-log(sigmoid(x)) taken step by step is 0 from about 17 on in float32."""
-    truth = np.ones((1, 2, 2, 2), bool)
-    for logit in (8.0, 20.0, 40.0, 80.0):
-        logits = np.full(truth.shape, logit, np.float32)
-        for sign in (1, -1):
-            sure = occupancy_loss(
-                torch.from_numpy(sign * logits),
-                torch.from_numpy(truth ^ (sign < 0)),
-                occupied_weight=1,
-            )
-            assert value(sure) == pytest.approx(cross_entropy(logits, truth, 1), rel=1e-5, abs=0)
-
-
-def test_halves_are_summed_in_full():
-    """A network under bf16 autocast hands over bf16; the loss is that of its values to a float32's
-    precision."""
-    logits, occupancy, predicted, tudf = random_case(3, (2, 12, 11, 10))
-    truth, field = torch.from_numpy(occupancy), torch.from_numpy(tudf)
-    half_logits = torch.from_numpy(logits).bfloat16().requires_grad_()
-    half_predicted = torch.from_numpy(predicted).bfloat16().requires_grad_()
-    x, p = half_logits.detach().float().numpy(), half_predicted.detach().float().numpy()
-    losses = [
-        occupancy_loss(half_logits, truth, occupied_weight=5),
-        regression_loss(half_predicted, field, near_m=0.5, near_weight=2, beta_m=1.0),
-        eikonal_loss(half_predicted, field, voxel_m=0.2, truncation_m=2.0),
-    ]
-    wanted = [
-        cross_entropy(x, occupancy, 5),
-        weighted_smooth_l1(p, tudf, 0.5, 2, 1.0),
-        eikonal(p, tudf, 0.2, 2.0),
-    ]
-    assert [value(loss) for loss in losses] == pytest.approx(wanted, rel=2e-6)
-    sum(losses).backward()
-    for half in (half_logits, half_predicted):
-        assert torch.isfinite(half.grad).all()
-        assert (half.grad != 0).any()
 
 
 @pytest.mark.parametrize("dtype", ["float32", "bfloat16"])
@@ -227,73 +187,19 @@ def test_a_flat_prediction_has_a_finite_gradient(dtype):
     assert_allclose(predicted.grad.float().numpy(), 0, atol=1e-12)
 
 
-# Made by hand.
-
-
-def test_a_map_one_beside_the_threshold_loses_twice_the_iou_and_an_empty_one_nothing():
-    truth = torch.zeros(1, 2, 3, 4, dtype=torch.bool)
-    truth[0, 0] = True  # 12 voxels, of which 8 are found, and 4 beside them
-    found = truth.clone()
-    found[0, 0, 2], found[0, 1, 0] = False, True
-    logits = math.log(0.85 / 0.15) + torch.where(found, 1.0, -1.0)
-    assert value(lovasz_loss(logits, truth)) == pytest.approx(2 * (1 - 8 / 16), rel=1e-6)
-    assert value(lovasz_loss(torch.full(truth.shape, -50.0), torch.zeros_like(truth))) == 0
-
-
-@pytest.mark.parametrize("near_m", [0.2, 0.5, 0.6, 0.7, 1.4])
-def test_a_voxel_at_the_very_edge_of_near_is_near(near_m):
-    """The edge as float32 holds it, on either side of the number written."""
-    edge = np.float32(near_m)
-    for distance, weight in (
-        (np.nextafter(edge, np.float32(9)), 1),
-        (edge, 3),
-        (np.float32(0), 3),
-        (np.float32(2), 1),
-    ):
-        tudf = torch.full((1, 1, 1, 1), float(distance))
-        found = regression_loss(tudf + 4, tudf, near_m=near_m, near_weight=3, beta_m=1.0)
-        assert value(found) == pytest.approx(weight * 3.5, rel=1e-6)
-
-
-def test_where_nothing_is_in_reach_the_eikonal_loss_is_zero_and_so_is_its_gradient():
+def test_where_nothing_is_to_be_learned_the_loss_is_zero_and_so_is_its_gradient():
     shape = (2, 4, 3, 5)
-    fields = [torch.zeros(shape), torch.full(shape, 2.0), torch.full(shape, 2.0)]
-    fields[2][:, -1], fields[2][:, :, -1], fields[2][..., -1] = 1.0, 1.0, 1.0
-    fields += [torch.ones(2, 1, 3, 5), torch.ones(2, 4, 1, 5), torch.ones(2, 4, 3, 1)]
+    last = torch.full(shape, 2.0)  # which have no slope
+    last[:, -1], last[:, :, -1], last[..., -1] = 1.0, 1.0, 1.0
+    fields = [torch.zeros(shape), last, torch.ones(2, 4, 1, 5)]
     for tudf in fields:
         predicted = torch.from_numpy(random_case(0, tuple(tudf.shape))[2]).requires_grad_()
         loss = eikonal_loss(predicted, tudf, voxel_m=0.2, truncation_m=2.0)
         loss.backward()
         assert value(loss) == 0.0
         assert_array_equal(predicted.grad.numpy(), 0)
-
-
-@pytest.mark.parametrize("truncation_m", [2.0, 1.1, 0.9, 3.4])
-def test_a_voxel_takes_part_when_its_own_distance_is_strictly_within_reach(
-    truncation_m,
-):
-    """One voxel is asked about at a time, whatever its neighbours' distances; the others are at 0
-    or the truncation."""
-    limit = np.float32(truncation_m)
-    predicted = random_case(5, (1, 3, 3, 3))[2]
-    for where in np.ndindex(3, 3, 3):
-        for rest in (0.0, limit):
-            tudf = np.full((1, 3, 3, 3), rest, np.float32)
-            for distance, inside in (
-                (np.float32(0), False),
-                (np.nextafter(np.float32(0), limit), True),
-                (np.nextafter(limit, np.float32(0)), True),
-                (limit, False),
-            ):
-                tudf[0][where] = distance
-                settings = {"voxel_m": 0.2, "truncation_m": truncation_m}
-                found = eikonal_loss(
-                    torch.from_numpy(predicted), torch.from_numpy(tudf), **settings
-                )
-                assert value(found) == pytest.approx(
-                    eikonal(predicted, tudf, 0.2, truncation_m), rel=1e-6
-                )
-                assert (value(found) != 0) == (inside and max(where) < 2)
+    nothing = torch.zeros(1, 2, 3, 4, dtype=torch.bool)
+    assert value(lovasz_loss(torch.full(nothing.shape, -50.0), nothing)) == 0
 
 
 def test_a_loss_over_what_is_known_is_that_of_the_map_without_the_rest():

@@ -26,24 +26,18 @@ from tests.model.test_losses import (  # noqa: E402
 CONFIGS = [
     LossConfig(),
     LossConfig(
-        occupancy=0.3,
-        tudf=0.7,
-        eikonal=0.9,
-        occupied_weight=3,
-        near_weight=4,
-        near_m=0.8,
-        beta_m=0.2,
+        **{"occupancy": 0.3, "tudf": 0.7, "eikonal": 0.9, "lovasz": 0.6, "occupied_weight": 3},
+        **{"near_weight": 4, "near_m": 0.8, "beta_m": 0.2},
     ),
-    LossConfig(occupancy=2.0, tudf=5.0, eikonal=0.0, near_weight=1.0, lovasz=0.6),
-    LossConfig(occupancy=0.0, tudf=0.4, eikonal=3.0, occupied_weight=0.5),
+    LossConfig(tudf=5.0, eikonal=0.0),
 ]
 
 
 @pytest.mark.parametrize("config", CONFIGS)
 @pytest.mark.parametrize("heads", ["both", "logits", "tudf"])
-@pytest.mark.parametrize(("voxel_m", "truncation_m"), SPACES[:2])
-def test_the_objective_is_the_weighted_sum(config, heads, voxel_m, truncation_m):
+def test_the_objective_is_the_weighted_sum(config, heads):
     """L = l_occ L_occ + l_tudf (L_reg + l_eik L_eik), of what the output has."""
+    voxel_m, truncation_m = SPACES[1]
     logits, occupancy, predicted, tudf = random_case(11, voxel_m=voxel_m, truncation_m=truncation_m)
     output = Output(
         logits=None if heads == "tudf" else torch.from_numpy(logits),
@@ -86,15 +80,10 @@ def test_the_default_weights_are_the_papers():
     }
 
 
-@pytest.mark.parametrize(
-    "name", [one.name for one in dataclasses.fields(LossConfig) if one.name != "objective"]
-)
-def test_a_weight_that_makes_no_sense_is_refused_by_name(name):
-    for wrong in (-0.1, math.nan, math.inf, -math.inf):
-        with pytest.raises(ValueError, match=name):
-            LossConfig(**{name: wrong})
-    if name == "beta_m":
-        with pytest.raises(ValueError, match=name):
-            LossConfig(beta_m=0.0)
-    else:
-        assert getattr(LossConfig(**{name: 0.0}), name) == 0.0
+def test_a_weight_that_makes_no_sense_is_refused_by_name():
+    for name in {one.name for one in dataclasses.fields(LossConfig)} - {"objective"}:
+        for wrong in (-0.1, math.nan, math.inf):
+            with pytest.raises(ValueError, match=name):
+                LossConfig(**{name: wrong})
+    with pytest.raises(ValueError, match="beta_m"):
+        LossConfig(beta_m=0.0)

@@ -35,16 +35,6 @@ def test_a_study_goes_on_with_its_own_settings_alone(tmp_path):
         chosen(("occ",))
 
 
-def test_what_a_study_takes_grows_with_its_runs(capsys):
-    words = ("reproduce", "--dry-run", "--scale", 0.02, "--json")
-    assert json.loads(command(capsys, *words, "--only", "occ-s0")[1]) == {
-        "datasets": "130 samples",
-        "networks": "1, 400 maps of training in all",
-        "bench": "40 trials a kind and network",
-    }
-    assert f"{len(RUNS)}, {len(RUNS) * 400} maps" in command(capsys, *words)[1]
-
-
 @pytest.mark.slow
 def test_a_small_part_of_the_study_is_made_and_goes_on_where_it_was(capsys, tmp_path):
     """All of it by the command; then what is damaged is made again, and all else is kept."""

@@ -9,8 +9,8 @@ A case is named ``family/number``; with the seed, the name decides every byte of
 
     python -m tests.mutations                          # 25 cases of every family, seed 0
     python -m tests.mutations --cases 1000 --seed 7    # more, and others
-    python -m tests.mutations archives --cases 500     # of one family
-    python -m tests.mutations archives/17 --seed 7     # one case: prints all that it did, and keeps
+    python -m tests.mutations scenes --cases 500       # of one family
+    python -m tests.mutations scenes/17 --seed 7       # one case: prints all that it did, and keeps
     its folder
 
 `python -m pytest -m slow tests/mutations` runs SCENEGEN_MUTATIONS of every family (300), by

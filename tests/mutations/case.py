@@ -59,11 +59,6 @@ def words(line):
     return tuple(line.split())
 
 
-Family = Callable[[Random, Any, Path], Attempt]
-"""Makes a case: from its random numbers, the valid inputs, and the empty folder where it will
-run."""
-
-
 def random_of(seed, name):
     """The random numbers of the case `name`, family/number."""
     return Random(f"{seed} {name}")

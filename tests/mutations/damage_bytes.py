@@ -10,7 +10,11 @@ def damage(content, random):
     size = len(content)
     at = random.randrange(size)
     length = min(random.choice((1, 2, 8, 50, 512, 4096)), size - at)
-    match random.randrange(7):
+
+    def put(piece):
+        return content[:at] + piece + content[at + len(piece) :]
+
+    match random.randrange(6):
         case 0 | 1:
             data = bytearray(content)
             count = random.choice((1, 1, 2, 8, 64))
@@ -22,26 +26,16 @@ def damage(content, random):
                 data[place] ^= 1 << random.randrange(8)
             return bytes(data), f"bits flipped at {places[:8]}"
         case 2:
-            return content[:at] + bytes(length) + content[
-                at + length :
-            ], f"{length} bytes zeroed at {at}"
+            values = bytes(length), b"\xff" * length, random.randbytes(length)
+            return put(random.choice(values)), f"{length} bytes overwritten at {at}"
         case 3:
-            value = random.choice((b"\xff" * length, random.randbytes(length)))
-            return content[:at] + value + content[
-                at + length :
-            ], f"{length} bytes overwritten at {at}"
-        case 4:
             kept = random.choice((0, 1, at, size - 1))
             return content[:kept], f"cut to {kept} of {size} bytes"
-        case 5:
+        case 4:
             source = random.randrange(size)
-            piece = content[source : source + length]
-            return content[:at] + piece + content[
-                at + len(piece) :
-            ], f"{len(piece)} bytes of {source} put at {at}"
+            return put(content[source : source + length]), f"bytes of {source} put at {at}"
         case _:
-            piece = content[at : at + length]
-            return content[:at] + piece + content[at:], f"{len(piece)} bytes at {at} doubled"
+            return content[: at + length] + content[at:], f"{length} bytes at {at} doubled"
 
 
 def attempt(random, valid, here):

@@ -1,7 +1,8 @@
-"""Family ``hdf5``: shards that are well-formed HDF5, and not what the format says."""
+"""Family ``hdf5``: shards that are well-formed HDF5, and not what the format says.
 
-from collections.abc import Callable
-from random import Random
+Each function damages the dataset `name` of an open file, and says how, and what exit code 0 may
+mean.
+"""
 
 import h5py
 import numpy as np
@@ -18,8 +19,6 @@ from tests.mutations.hdf5_chunks import (
 from tests.mutations.nasty import ESCAPES
 
 PACKED = ("observed", "occupancy", "ranges", "free", "tudf")
-Damage = Callable[[h5py.File, str, Random], tuple[str, str]]
-"""Damages the dataset of that name in a file; says how, and what exit code 0 may mean."""
 
 
 def _remade(file, name, values=None, **options):
@@ -107,36 +106,22 @@ def other_shape(file, name, random):
     return f"of shape {others[kind].shape}", REFUSED
 
 
-def other_chunks(file, name, random):
+def other_layout(file, name, random):
+    """Other chunks or filters, which HDF5 itself undoes."""
     shape = file[name].shape
     options = random.choice(
         (
             {},
             {"chunks": shape},
             {"chunks": (1, *(max(1, n // 2) for n in shape[1:]))},
-            {"chunks": (1,) * len(shape)},
-            {"chunks": (1, *shape[1:]), "maxshape": (None, *shape[1:])},
             {"chunks": (1 << 8, *shape[1:]), "maxshape": (None, *shape[1:])},
+            {"chunks": (1, *shape[1:]), "shuffle": True},
+            {"chunks": (1, *shape[1:]), "compression": "lzf"},
+            {"chunks": (1, *shape[1:]), "compression": "gzip", "fletcher32": True},
         )
     )
     _remade(file, name, **options)
     return f"laid out by {options}", SAME
-
-
-def other_filter(file, name, random):
-    shape = file[name].shape
-    options = random.choice(
-        (
-            {"compression": "gzip", "shuffle": True},
-            {"compression": "gzip", "fletcher32": True},
-            {"shuffle": True},
-            {"fletcher32": True},
-            {"compression": "lzf"},
-            {"compression": "gzip", "compression_opts": 9, "shuffle": True, "fletcher32": True},
-        )
-    )
-    _remade(file, name, chunks=(1, *shape[1:]), **options)
-    return f"filtered by {options}", SAME
 
 
 def number(file, name, random):
@@ -192,13 +177,6 @@ def more(file, name, random):
     return "with something more beside it", VALID
 
 
-def aliased(file, name, random):
-    other = "occupancy" if name == "observed" else "observed"
-    del file[name]
-    file[name] = file[other]
-    return f"the same as {other}", VALID if name in ("occupancy", "free", "observed") else REFUSED
-
-
 OF_CHUNKS = (chunk_of_our_own, shuffled_bomb)
 """Those that need a packed field."""
 STRUCTURAL = (
@@ -208,15 +186,15 @@ STRUCTURAL = (
         link,
         other_type,
         other_shape,
-        other_chunks,
-        other_filter,
+        other_layout,
+        other_layout,
         unknown_filter,
         more,
         chunk_missing,
     ),
     *(chunk_of_our_own, chunk_of_our_own, chunk_of_our_own, shuffled_bomb),
 )
-DAMAGES = (*STRUCTURAL, number, number, attribute, attribute, aliased)
+DAMAGES = (*STRUCTURAL, number, number, attribute, attribute)
 
 
 def attempt(random, valid, here):

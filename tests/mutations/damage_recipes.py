@@ -1,7 +1,10 @@
 """Family ``recipes``: TOML of other values, types and names."""
 
 import copy
+import dataclasses
+import json
 
+from scenegen.recipe import make_recipe
 from tests.mutations.generated import generated
 from tests.mutations.nasty import nasty, number, spoil
 from tests.mutations.valid import RECIPE, to_toml
@@ -16,19 +19,9 @@ def attempt(random, valid, here):
 
 def _full():
     """Every parameter of the recipe, by table."""
-    import dataclasses
-    import json
-
-    from scenegen.recipe import make_recipe
-
-    tables = copy.deepcopy(
-        {name: table for name, table in RECIPE.items() if isinstance(table, dict)}
-    )
-    recipe = make_recipe("pillar", tables, where="campaign")
-    parts = {
-        name: dataclasses.asdict(getattr(recipe, name))
-        for name in ("world", "flight", "accept", "lidar", "grid")
-    }
+    tables = copy.deepcopy(RECIPE)
+    recipe = make_recipe(tables.pop("kind"), tables, where="campaign")
+    parts = {name: dataclasses.asdict(getattr(recipe, name)) for name in tables}
     return {"kind": "pillar", **json.loads(json.dumps(parts))}
 
 

@@ -96,38 +96,20 @@ ADDED = {
 
 def attempt(random, valid, here):
     """A world's MJCF file, damaged, alone or in a folder, and a sample made of it."""
-    document, said, beside = hostile(random)
+    document, said = random.choice((*[_number] * 4, *[_added] * 4, _text))(random)
     (here / "scene.toml").write_text((valid.folder / "scene.toml").read_text())
     os.mkfifo(here / "pipe")
-    for name, content in beside.items():
-        (here / name).write_bytes(content)
-    (here / "scene.xml").write_bytes(document)
-    words = (
-        "--scene",
-        "scene.xml",
-        "--recipe",
-        "scene.toml",
-        *(["--allow-unseen"] if random.random() < 0.3 else []),
+    (here / "liar.stl").write_bytes(
+        bytes(80) + struct.pack("<L", random.choice((0, 1, 2**31, 2**32 - 1))) + bytes(50)
     )
+    size = random.choice(((65536, 65536), (-1, -1), (2, 2)))
+    (here / "liar.bin").write_bytes(struct.pack("<ll", *size) + bytes(16))
+    size = struct.pack(">LL", 2**31 - 1, 2**31 - 1)
+    (here / "liar.png").write_bytes(b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + size + bytes(9))
+    (here / "scene.xml").write_bytes(document)
+    unseen = ["--allow-unseen"] if random.random() < 0.3 else []
+    words = ("--scene", "scene.xml", "--recipe", "scene.toml", *unseen)
     return generated(words, f"scene.xml: {said}")
-
-
-def hostile(random):
-    """A document, what is wrong with it, and files beside it."""
-    beside = {
-        "liar.stl": bytes(80)
-        + struct.pack("<L", random.choice((0, 1, 2**31, 2**32 - 1)))
-        + bytes(50),
-        "liar.bin": struct.pack("<ll", *random.choice(((65536, 65536), (-1, -1), (2, 2))))
-        + bytes(16),
-        "liar.png": b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
-        + struct.pack(">LL", 2**31 - 1, 2**31 - 1)
-        + bytes(9),
-    }
-    document, said = random.choice(
-        (_number, _number, _number, _number, _added, _added, _added, _added, _text)
-    )(random)
-    return document, said, beside
 
 
 def _number(random):
@@ -166,26 +148,17 @@ def _added(random):
 def _text(random):
     """Something else as a whole."""
     bombs = "".join(f'<!ENTITY a{n} "{f"&a{n - 1};" * 10}">' for n in range(1, 10))
-    match random.randrange(7):
-        case 0:
-            return f'<!DOCTYPE x [<!ENTITY a0 "x">{bombs}]>'.encode() + SCENE.replace(
-                "small", "&a9;"
-            ).encode(), "entities"
-        case 1:
-            return (
-                b'<!DOCTYPE x [<!ENTITY a SYSTEM "/etc/passwd">]>' + SCENE.encode(),
-                "an external entity",
-            )
-        case 2:
-            return SCENE.encode(random.choice(("utf-16", "utf-32"))), "another encoding"
-        case 3:
-            return random.choice(
-                (b"", b"<mujoco/>", b"<robot/>", b"\x00" * 1000, b"<" * 100_000)
-            ), "something else"
-        case 4:
-            return SCENE.replace(
-                "</mujoco>", " " * (20 << 20) + "</mujoco>"
-            ).encode(), "20 MB of spaces"
-        case _:
-            content, said = damage(SCENE.encode(), random)
-            return content, said
+    entities = f'<!DOCTYPE x [<!ENTITY a0 "x">{bombs}]>' + SCENE.replace("small", "&a9;")
+    outside = f'<!DOCTYPE x [<!ENTITY a SYSTEM "/etc/passwd">]>{SCENE}'
+    other = b"", b"<mujoco/>", b"<robot/>", bytes(1000), b"<" * 100_000
+    long = SCENE.replace("</mujoco>", " " * (20 << 20) + "</mujoco>")
+    return random.choice(
+        (
+            (entities.encode(), "entities"),
+            (outside.encode(), "an external entity"),
+            (SCENE.encode(random.choice(("utf-16", "utf-32"))), "another encoding"),
+            (random.choice(other), "something else"),
+            (long.encode(), "20 MB of spaces"),
+            *(damage(SCENE.encode(), random) for _ in range(2)),
+        )
+    )

@@ -15,13 +15,12 @@ pytest.importorskip("onnx")
 
 @pytest.mark.slow
 def test_every_case_ends_in_a_valid_result_or_one_line():
-    given = {"cases": ("MUTATIONS", "300"), "seed": ("MUTATION_SEED", "1")}
-    words = [
-        f"--{option}={os.environ.get(f'SCENEGEN_{name}', usual)}"
-        for option, (name, usual) in given.items()
-    ]
+    cases, seed = (
+        os.environ.get(f"SCENEGEN_{name}", usual)
+        for name, usual in (("MUTATIONS", "300"), ("MUTATION_SEED", "1"))
+    )
     ended = subprocess.run(
-        [sys.executable, "-m", "tests.mutations", *words],
+        [sys.executable, "-m", "tests.mutations", "--cases", cases, "--seed", seed],
         cwd=ROOT,
         capture_output=True,
         text=True,

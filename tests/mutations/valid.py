@@ -15,6 +15,7 @@ import numpy as np
 
 from lidarsim import GridSpec
 from scenegen import __main__ as cli
+from tests.conftest import SMALL
 from tests.mutations import datasets
 from tests.mutations.case import words
 
@@ -22,11 +23,9 @@ EDGE = 16
 """Voxels along each edge of the map."""
 RECIPE = {
     "kind": "pillar",
-    "world": {"size_m": [16.0, 16.0, 8.0]},
-    "flight": {"viewpoints": 2, "margin_m": 2.0, "min_distance_m": 4.0, "iterations": 300},
-    "accept": {"min_solids": 1.0},
-    "lidar": {"rows": 8, "columns": 24},
-    "grid": {"shape": [EDGE, EDGE, EDGE]},
+    **SMALL,
+    "flight": SMALL["flight"] | {"viewpoints": 2},
+    "grid": {"shape": [EDGE] * 3},
 }
 SCENE_RECIPE = {
     "kind": "scene",
@@ -69,16 +68,14 @@ class Valid:
     """Files that are as they should be, and what commands make of them."""
 
     folder: Path
-    """Holds d (a dataset), c (a compact one), n.safetensors, n.onnx, predictions.h5, scan.npy, .ply
-    and .xyz, and logs: log, and log.mcap and livox.mcap where ROS's messages can be written."""
+    """Holds d (a dataset), c (a compact one), n.safetensors, n.onnx, predictions.h5, scans, maps, a
+    plan, and logs: those of ROS where its messages can be written."""
     loaded: dict[str, str]
     """What `load` prints of d and of c."""
     inspected: dict[str, Any]
     stored: dict[str, dict[str, str]]
     """Of d and of c, with the derived fields."""
     files: dict[str, dict[str, str]]
-    completed: dict[str, Any]
-    """Of d's test split, by n.safetensors."""
     scored: dict[str, Any]
     """What `bench --predictions` reports of predictions.h5."""
 
@@ -102,25 +99,13 @@ def make_valid(folder):
     of_one = words("--n 1 --val 0 --test 0 --workers 1 --quiet")
     run(*words("generate --scene scene.xml --recipe scene.toml"), *of_one, "--out", "s")
     _write_networks(folder)
-    points = np.random.default_rng(0).uniform(-1.5, 1.5, (60, 3))
-    np.save("scan.npy", points)
-    np.savetxt("scan.xyz", points, fmt="%.4f")
-    head = f"ply\nformat ascii 1.0\nelement vertex {len(points)}\n" + "".join(
-        f"property float {a}\n" for a in "xyz"
-    )
-    (folder / "scan.ply").write_text(
-        head + "end_header\n" + "\n".join(" ".join(f"{x:.4f}" for x in p) for p in points)
-    )
+    _write_scans_and_maps(folder)
     _write_logs(folder)
     run(*words("verify d --workers 1 --quiet"))
     run(*words("complete d --weights n.safetensors --quiet --device cpu"))
     Path("predictions/test-00000.h5").rename("predictions.h5")
-    for scan in ("scan.npy", "scan.ply", "scan.xyz"):
-        run(
-            "complete",
-            scan,
-            *words("--weights n.safetensors --quiet -o out.h5 --device cpu"),
-        )
+    for scan in Path().glob("scan.*"):
+        run("complete", str(scan), *words("--weights n.safetensors --quiet -o out.h5 --device cpu"))
     run(*words("complete scan.npy --weights n.onnx --quiet -o out.h5"))
     run(
         *words("bench d --quick --workers 1 --quiet --method returns --predictions predictions.h5"),
@@ -131,9 +116,27 @@ def make_valid(folder):
         inspected={name: json.loads(run("inspect", name, "--json")) for name in "dc"},
         stored={name: datasets.stored(folder / name, derived=True) for name in "dc"},
         files={name: datasets.files_of(folder / name) for name in "dc"},
-        completed=datasets.finite_prediction(folder / "predictions.h5"),
         scored=scores(folder / "bench"),
     )
+
+
+def _write_scans_and_maps(folder):
+    import trimesh
+
+    from scenegen.display.exchange.files import write_points
+    from tests.scenegen.worlds import test_octomap, test_plan
+
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-1.5, 1.5, (60, 3))
+    np.save("scan.npy", points)
+    np.savetxt("scan.xyz", points, fmt="%.4f")
+    trimesh.PointCloud(points).export("scan.ply", encoding="ascii")
+    for suffix in (".pcd", ".bin", ".npz"):
+        write_points(folder / f"scan{suffix}", points, None, {})
+    states = rng.integers(0, 3, (6, 5, 4)).astype(np.uint8)
+    for suffix in (".bt", ".ot"):
+        Path(f"map{suffix}").write_bytes(test_octomap.written(states, (-3, -3, -2), suffix))
+    test_plan.write(folder)
 
 
 def _write_logs(folder):
@@ -142,14 +145,12 @@ def _write_logs(folder):
     from tests.scenegen.logs.test_logs import write_livox, written
 
     times = {"t": np.linspace(0, 0.1, 40)}
-    scans = [dataclasses.replace(scan, more=times) for scan in written(folder / "log", 3)]
-    names = ["log"]
+    scans = [dataclasses.replace(scan, more=times) for scan in written(folder / "log.d", 3)]
     if find_spec("mcap_ros2"):
         written(folder / "log.mcap", 3)
-        write_livox(folder / "livox.mcap", scans)
-        names += ["log.mcap", "livox.mcap"]
-    for name in names:
-        run("ingest", name, *words(INGEST))
+        write_livox(folder / "log.livox.mcap", scans)
+    for path in Path().glob("log.*"):
+        run("ingest", str(path), *words(INGEST))
         shutil.rmtree("out")
 
 
@@ -203,7 +204,7 @@ def _value(value):
             if value > 10**100
             else str(value)
         )
-    if isinstance(value, list):
+    if isinstance(value, list | tuple):
         return f"[{', '.join(map(_value, value))}]"
     if isinstance(value, dict):
         return (

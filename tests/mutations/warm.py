@@ -86,14 +86,10 @@ def _run(attempt, folder):
     try:
         os.setsid()
         os.chdir(folder / "here")
-        for number, name, flags in (
-            (0, os.devnull, os.O_RDONLY),
-            (1, "out", os.O_WRONLY),
-            (2, "err", os.O_WRONLY),
-        ):
-            path = name if number == 0 else str(folder / name)
-            handle = os.open(path, flags | (0 if number == 0 else os.O_CREAT | os.O_APPEND), 0o644)
-            os.dup2(handle, number)
+        os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+        for number, name in ((1, "out"), (2, "err")):
+            flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND
+            os.dup2(os.open(folder / name, flags, 0o644), number)
         pages = int(Path("/proc/self/statm").read_text().split()[0])
         most = pages * os.sysconf("SC_PAGE_SIZE") + MEMORY_BYTES
         (folder / "resident").write_text(str(_resident()))

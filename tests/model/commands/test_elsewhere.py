@@ -60,8 +60,6 @@ def test_verify(here, capsys, monkeypatch):
                     name,
                     what,
                 )
-        if parts[0][name]["skipped"]:
-            assert "compares all 5 shards" in parts[0][name]["detail"]
     assert parts[0]["splits"]["skipped"]
     assert not parts[0]["checksums"]["skipped"]
 
@@ -77,23 +75,18 @@ def test_verify_names_the_file_that_crashes_its_process(here, capsys, monkeypatc
     assert "ended its process: it crashed" in examined["detail"]
 
 
-@pytest.mark.parametrize("to", ["npz", "webdataset"])
-def test_convert(here, capsys, monkeypatch, to):
+def test_convert(here, capsys, monkeypatch):
     """Ranks fill one folder; a run that lost a task goes on."""
-    words = ("convert", "d", "--to", to)
-    for out, more in (("whole", ("--workers", 1)), ("two", ("--workers", 2))):
-        code, said, _ = run(capsys, *words, "-o", out, *more)
-        assert (code, said) == (0, f"{out}: {SAMPLES} samples written, 0 were there\n")
+    words = ("convert", "d", "--to", "webdataset")
+    code, said, _ = run(capsys, *words, "-o", "whole", "--workers", 2)
+    assert (code, said) == (0, f"whole: {SAMPLES} samples written, 0 were there\n")
     said = [said for _, said, _ in as_ranks(capsys, monkeypatch, *words, "-o", "ranks")]
     assert all("are for the other ranks to write there" in one for one in said)
-    told = refused(capsys, *words, "-o", "again", "--quiet", *CUT_OFF)
-    assert "samples" in told
-    assert "lost with its node" in told
+    assert "lost with its node" in refused(capsys, *words, "-o", "again", "--quiet", *CUT_OFF)
     code, said, _ = run(capsys, *words, "-o", "again")
     assert (code, ", 0 were there" in said) == (0, False)
     whole = contents(here / "whole")
-    for out in ("two", "ranks", "again"):
-        assert contents(here / out) == whole
+    assert contents(here / "ranks") == contents(here / "again") == whole
 
 
 def test_scans_are_completed_here(here, capsys):

@@ -2,6 +2,7 @@
 
 import re
 import socket
+from functools import partial
 
 import numpy as np
 import pytest
@@ -14,20 +15,15 @@ from scenegen.dataset.parts import sensor_entry
 from scenegen.model.checkpoint import CheckpointError, load_network, save_network
 from scenegen.model.completion.completer import Completer, unlike
 from scenegen.model.completion.protocol import PredictionError
-from scenegen.model.config import BUNDLED, NetworkConfig, bundled
-from scenegen.model.network import Network
+from scenegen.model.config import BUNDLED, bundled
 from scenegen.model.training.card import card
 from scenegen.worlds.mapping import Mapper
+from tests.model.conftest import saved_network
 
 GRID = GridSpec(shape=(16, 24, 8))
 
 
-def save(path, variant="proposed"):
-    torch.manual_seed(0)
-    network = Network(NetworkConfig(variant=variant, width=4)).eval()
-    path.parent.mkdir(exist_ok=True)
-    save_network(path, network, GRID, {"seed": 0})
-    return network
+save = partial(saved_network, grid=GRID)
 
 
 @pytest.fixture
@@ -37,7 +33,7 @@ def observed():
 
 @pytest.mark.parametrize("variant", ["proposed", "occ", "tudf"])
 def test_a_batch_is_completed_as_the_network_says(tmp_path, observed, variant):
-    network = save(tmp_path / "net.safetensors", variant)
+    network = save(tmp_path / "net.safetensors", variant=variant)
     with torch.no_grad():
         output = network({"observed": torch.from_numpy(observed)})
     found = Completer.from_pretrained(tmp_path / "net.safetensors", batch=2)(observed)
@@ -57,13 +53,7 @@ def test_what_goes_in_decides_what_comes_out(tmp_path, observed):
     save(tmp_path / "net.safetensors")
     completer = Completer.from_pretrained(tmp_path / "net.safetensors")
     batch = completer(observed)
-    for given in (
-        observed[2],
-        observed[2][::-1][::-1],
-        np.flip(np.flip(observed[2])),
-        observed[2].astype(np.uint8),
-        observed[2].astype(np.float64),
-    ):
+    for given in (np.flip(np.flip(observed[2])), observed[2].astype(np.float64)):
         single = completer(given)
         assert single.tudf.shape == GRID.shape
         assert isinstance(single.tudf, np.ndarray)
@@ -74,43 +64,33 @@ def test_what_goes_in_decides_what_comes_out(tmp_path, observed):
     assert_allclose(tensor.occupancy_probability, batch.occupancy_probability, atol=1e-6)
 
 
-def test_distances_end_at_the_truncation(tmp_path):
-    network = save(tmp_path / "a.safetensors")
+def test_distances_end_at_the_truncation_and_completions_that_are_no_numbers_are_refused(tmp_path):
+    network = save(tmp_path / "net.safetensors")
+
+    def complete():
+        save_network(tmp_path / "wild.safetensors", network, GRID, {})
+        return Completer.from_pretrained(tmp_path / "wild.safetensors")(np.zeros(GRID.shape, bool))
+
     with torch.no_grad():
         network.head["tudf"].split.bias.fill_(50.0)
-    save_network(tmp_path / "far.safetensors", network, GRID, {})
-    found = Completer.from_pretrained(tmp_path / "far.safetensors")(np.zeros(GRID.shape, bool))
-    assert (found.tudf == np.float32(2.0)).all()
-
-
-def test_a_completion_that_is_no_number_ends_in_one_line(tmp_path):
-    network = save(tmp_path / "a.safetensors")
-    with torch.no_grad():
+        assert (complete().tudf == np.float32(2.0)).all()
         for parameter in network.head.parameters():
             parameter.copy_(3e38 * torch.randn_like(parameter).sign())
-    save_network(tmp_path / "wild.safetensors", network, GRID, {})
-    with pytest.raises(
-        PredictionError, match="wild: occupancy_probability holds NaN or infinity"
-    ) as caught:
-        Completer.from_pretrained(tmp_path / "wild.safetensors")(np.zeros(GRID.shape, bool))
-    assert "\n" not in str(caught.value)
+    with pytest.raises(PredictionError, match="wild: occupancy_probability holds NaN or infinity"):
+        complete()
 
 
-@pytest.mark.parametrize(
-    ("wrong", "named"),
-    [
+def test_other_maps_are_refused(tmp_path):
+    save(tmp_path / "net.safetensors")
+    completer = Completer.from_pretrained(tmp_path / "net.safetensors")
+    for wrong, named in (
         (np.zeros((24, 16, 8), bool), r"expected \(16, 24, 8\)"),
-        (np.zeros((16, 8), bool), r"expected \(16, 24, 8\)"),
         (np.full(GRID.shape, 0.5), "other than 0 and 1"),
         (np.zeros((0, *GRID.shape), bool), "no map"),
         (None, "observed is of type NoneType; expected a sample"),
-    ],
-)
-def test_other_maps_are_refused(tmp_path, wrong, named):
-    save(tmp_path / "net.safetensors")
-    completer = Completer.from_pretrained(tmp_path / "net.safetensors")
-    with pytest.raises(ValueError, match=named):
-        completer(wrong)
+    ):
+        with pytest.raises(ValueError, match=named):
+            completer(wrong)
     with pytest.raises(ValueError, match="completes maps on"):
         completer.complete(np.zeros(GRID.shape, bool), np.zeros(GRID.shape, bool), grid=GridSpec())
 
@@ -171,14 +151,6 @@ def test_bundled_networks_complete_the_papers_grid(name):
     assert completer.about["figures"]["val_iou"] > 0.2
 
 
-def test_a_network_of_more_inputs_warns_where_it_gets_observed_voxels_alone():
-    completer = Completer.from_pretrained()
-    with pytest.warns(
-        UserWarning, match="anywhere takes observed, free, and derives what is not given"
-    ):
-        completer(np.zeros(completer.grid.shape, bool))
-
-
 @pytest.mark.parametrize("name", bundled())
 def test_a_bundled_network_has_the_card_of_its_own_header(name):
     found = load_network(BUNDLED / f"{name}.safetensors")[2]
@@ -191,33 +163,13 @@ OWN, NOISE = Lidar(rows=8, max_range_m=30.0), "dropout:share=0.05"
 @pytest.mark.parametrize(
     ("header", "met", "said"),
     [  # networks of earlier commits name no sensor: theirs was the paper's
-        ({}, (Lidar(),), ""),
-        ({"lidar": sensor_entry(OWN)}, (OWN,), ""),
-        (
-            {},
-            (OWN,),
-            "another sensor.*rows is 16 in training, 8 here; "
-            "max_range_m is 10.0 in training, 30.0 here",
-        ),
-        (
-            {},
-            (SENSORS.find("ouster-os1-64"),),
-            "another sensor.*16 × 120 rays in training, ouster-os1-64 of 64 × 1024 rays here$",
-        ),
         ({}, (Lidar(), Mapper(scan_spacing_m=3.0)), ""),
-        (
-            {},
-            (Lidar(), Mapper(scans=5, tilt_mps=2.0)),
-            "maps made otherwise.*mapping.scans is 1 in training, 5 here; .*"
-            "mapping.tilt_mps is 0.0 in training, 2.0 here",
-        ),
-        ({"noise": ["", NOISE]}, (Lidar(),), ""),
+        ({"lidar": sensor_entry(OWN)}, (OWN,), ""),
+        ({}, (OWN,), "another sensor.*rows is 16 in training, 8 here"),
+        ({}, (SENSORS.find("ouster-os1-64"),), "another sensor.*16 × 120 rays in training"),
+        ({}, (Lidar(), Mapper(scans=5)), "maps made otherwise.*mapping.scans is 1 in training, 5"),
         ({"noise": ["", NOISE]}, (Lidar(), None, NOISE), ""),
-        (
-            {},
-            (Lidar(), None, NOISE),
-            "other noise.*noise is none in training, dropout:share=0.05 here$",
-        ),
+        ({}, (Lidar(), None, NOISE), "other noise.*noise is none in training, dropout"),
     ],
 )
 def test_a_network_says_where_maps_are_not_those_of_its_training(header, met, said):

@@ -2,33 +2,27 @@
 
 import gc
 import resource
-import shutil
 import warnings
 
 import h5py
 import numpy as np
 import pytest
-import torch
 import trimesh
 from numpy.testing import assert_allclose
 
+from lidarsim import GridSpec
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
-from scenegen.model.checkpoint import save_network
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.predictions import predict_split
 from scenegen.model.completion.scans import predict_scan, read_scan
-from scenegen.model.config import NetworkConfig, Thresholds
+from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.methods import Predicted
-from scenegen.model.network import Network
-from tests.model.conftest import make_dataset
+from tests.model.conftest import saved_network
 
 
 def completer(tmp_path, grid, variant="proposed"):
-    torch.manual_seed(0)
-    save_network(
-        tmp_path / "net.safetensors", Network(NetworkConfig(variant=variant, width=4)), grid, {}
-    )
+    saved_network(tmp_path / "net.safetensors", grid, variant=variant)
     return Completer.from_pretrained(tmp_path / "net.safetensors")
 
 
@@ -58,16 +52,12 @@ def test_predictions_are_what_the_bench_takes(folders, tmp_path, variant, monkey
             assert read.occupancy_probability is None
         else:
             assert_allclose(read.occupancy_probability, direct.occupancy_probability, atol=1e-5)
-    shutil.copy(tmp_path / "p/test-00000.h5", tmp_path / "p/again.h5")
-    (tmp_path / "p/test-00002.h5").unlink()
-    with pytest.raises(DatasetError, match="3 of 5 samples are missing, or there twice"):
-        Predicted(tmp_path / "p").check(dataset, "test")
 
 
-def test_maps_of_another_grid_are_refused(net, tmp_path):
-    other = make_dataset(tmp_path / "other", grid={"shape": (16, 16, 16)})
+def test_maps_of_another_grid_are_refused(folders, tmp_path):
+    net = completer(tmp_path, GridSpec(shape=(16, 16, 16)))
     with pytest.raises(DatasetError, match="train a network on this grid"):
-        predict_split(net, other, "test", tmp_path / "p")
+        predict_split(net, folders[0], "test", tmp_path / "p")
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".npy"])
@@ -131,21 +121,18 @@ def test_points_beyond_the_map_and_without_a_return_are_counted(net, tmp_path):
         read_scan(tmp_path / "scan.npy", [0, 0, np.nan])
 
 
-def test_only_completions_are_replaced(folders, net, tmp_path):
+def test_only_completions_are_replaced(net, tmp_path):
     np.save(tmp_path / "scan.npy", np.zeros((4, 3)))
-    given = read_scan(tmp_path / "scan.npy", [0, 0, 0])
-    for name in ("out.h5", "out.ply"):
-        out = tmp_path / name
-        for _ in range(2):
-            predict_scan(net, given, out)
-        for content in (b"", b"mine", b"ply\nformat ascii 1.0\n"):
-            out.write_bytes(content)
-            with pytest.raises(DatasetError, match="is there already"):
-                predict_scan(net, given, out)
-            assert out.read_bytes() == content
+    given, out = read_scan(tmp_path / "scan.npy", [0, 0, 0]), tmp_path / "out.ply"
+    for _ in range(2):
+        predict_scan(net, given, out)
+    out.write_bytes(b"ply\nformat ascii 1.0\n")
+    with pytest.raises(DatasetError, match="is there already"):
+        predict_scan(net, given, out)
+    assert out.read_bytes() == b"ply\nformat ascii 1.0\n"
 
 
-@pytest.mark.parametrize("room", [1, 3000, 40_000])
+@pytest.mark.parametrize("room", [1, 3000])
 def test_a_full_disk_ends_in_one_line_and_leaves_nothing(room, folders, net, tmp_path, capfd):
     """As a limit of files' sizes has it; HDF5 itself says more, and goes on saying it."""
     np.save(tmp_path / "scan.npy", np.zeros((4, 3)))
@@ -162,11 +149,3 @@ def test_a_full_disk_ends_in_one_line_and_leaves_nothing(room, folders, net, tmp
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert {path.name for path in {*tmp_path.rglob("*")} - before} <= {"p", "predictions.json"}
     assert capfd.readouterr() == ("", "")
-
-
-def test_an_empty_split_names_a_way_on_that_exists(tmp_path):
-    empty = make_dataset(tmp_path / "empty", counts={"train": 2, "val": 0, "test": 0})
-    net = completer(tmp_path, Dataset(empty).grid)
-    said = r"its test split is empty; generate with --test \(.* or give another --split"
-    with pytest.raises(DatasetError, match=said):
-        predict_split(net, empty, "test", tmp_path / "p")

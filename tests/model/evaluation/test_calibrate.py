@@ -1,8 +1,6 @@
 """One command's work, on a small network and dataset: its file carries the calibration, and
 everything reads it."""
 
-import json
-
 import h5py
 import numpy as np
 import pytest
@@ -14,11 +12,11 @@ from scenegen.model.calibration import KEY, Calibration
 from scenegen.model.checkpoint import CheckpointError, load_network, save_network
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.predictions import predict_split
-from scenegen.model.config import NetworkConfig
 from scenegen.model.evaluation import calibrate as module
 from scenegen.model.evaluation.calibrate import calibrate
 from scenegen.model.evaluation.methods import Predicted
-from scenegen.model.network import Network
+from tests.command_line import refused
+from tests.model.conftest import saved_network
 from tests.model.evaluation.test_bench import report_of
 from tests.scenegen.run.backwards import Backwards
 
@@ -28,9 +26,7 @@ TRAINED = {"settings": {"loss": {"occupied_weight": 5.0}}, "seed": 0}
 @pytest.fixture
 def weights(dataset, tmp_path, monkeypatch):
     monkeypatch.setattr(module, "LEAST_WORLDS", 1)
-    torch.manual_seed(0)
-    network = Network(NetworkConfig(variant="proposed", width=4))
-    save_network(tmp_path / "net.safetensors", network, dataset.grid, TRAINED)
+    saved_network(tmp_path / "net.safetensors", dataset.grid, TRAINED)
     return tmp_path / "net.safetensors"
 
 
@@ -49,7 +45,6 @@ def test_a_file_carries_its_calibration(dataset, weights, tmp_path):
         (str(dataset.manifest.digest),),
     )
     assert found.risks == (0.5, 0.4, 0.3)
-    assert len(found.path_risks) == 3
     done = {"split": "test", "trials": 1, "execute": Backwards("", 1)}
     again = calibrate(tmp_path / "sure.safetensors", [dataset.folder], weights, **done)
     assert again == found, "it depends neither on what was there nor on where it is done"
@@ -93,7 +88,6 @@ def test_bounds_of_others_are_a_row_of_the_study(dataset, weights, tmp_path, mon
     assert (planned["value"], planned["collided"]["mean"]) == (0.1, 0.0), (
         "where bounds are true, no path collides"
     )
-    json.dumps(report, allow_nan=False)
     for wrong in (0.0, "much", float("nan")):
         with h5py.File(tmp_path / "p/test-00000.h5", "a") as file:
             file.attrs["risk"] = wrong
@@ -114,3 +108,14 @@ def test_what_cannot_be_calibrated_is_said(dataset, weights, tmp_path, monkeypat
     with pytest.raises(DatasetError, match="worlds in split test, expected 20 at least"):
         calibrate(weights, [dataset.folder], tmp_path / "none.safetensors", split="test")
     assert not (tmp_path / "none.safetensors").exists()
+
+
+def test_the_command_s_bad_use_ends_in_one_line(dataset, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "net.onnx").write_bytes(b"")
+    for name, told in (
+        ("net.onnx", "calibrate its .safetensors file, then export"),
+        ("proposed", "completes maps on"),
+    ):
+        assert told in refused(capsys, "calibrate", name, dataset.folder, "--workers", 1, "--quiet")
+    assert [path.name for path in tmp_path.iterdir()] == ["net.onnx"]

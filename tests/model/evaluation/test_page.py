@@ -49,18 +49,11 @@ def test_the_page_holds_both_tables_the_paper_s_and_pictures_and_runs_nothing(
     assert len(pictures) == len(trials)
     report = build_report([result], seed=0, about={"command": HOSTILE})
     charts = draw_charts(report, result.kind)
-    assert [label for label, _ in charts][:2] == ["IoU", "Near-RMSE, m"]
     pictures += charts
     assert all(image.startswith(b"RIFF") for _, image in pictures)
     seen = Seen(to_html(report, {result.kind: pictures}))
-    assert not {tag for tag, *_ in seen.found} & {
-        "script",
-        "iframe",
-        "object",
-        "embed",
-        "link",
-        "a",
-    }
+    running = {"script", "iframe", "object", "embed", "link", "a"}
+    assert not {tag for tag, *_ in seen.found} & running
     assert not any(
         name.startswith("on") or name == "href" for _, names, _ in seen.found for name in names
     )

@@ -1,7 +1,6 @@
 """Files of predictions: those that do not fit, or cannot be, are refused in one line."""
 
 import contextlib
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -16,9 +15,6 @@ from tests.model.evaluation.test_bench import report_of, write_predictions
 
 def test_predictions_that_do_not_fit_are_refused_before_anything_is_measured(dataset, tmp_path):
     path = tmp_path / "p.h5"
-    path.write_bytes(b"no HDF5")
-    with pytest.raises(DatasetError, match="cannot be read as HDF5"):
-        report_of(dataset, tmp_path / "bench", predictions=path)
     write_predictions(path, dataset, drop=2)
     said = "2 of 9 samples are missing, or there twice, the first is world 0, viewpoint 0"
     with pytest.raises(DatasetError, match=said):
@@ -78,7 +74,6 @@ def link_outside(file):
             "row 3: occupancy_probability holds 7, expected a probability",
         ),
         (set_voxel("tudf", -0.5), "row 3: tudf holds -0.5, expected a distance of at least 0"),
-        (set_voxel("tudf", np.inf), "tudf holds NaN or infinity"),
         (leave_unwritten, "tudf is not written to its end"),
         (repeat_a_row, "2 of 9 samples are missing"),
         (
@@ -86,9 +81,7 @@ def link_outside(file):
             "tudf has shape (8, 24, 24, 16), expected (9, 24",
         ),
         (put("tudf", np.zeros((9, 24, 24, 16), "S3")), "tudf is no array of float32"),
-        (put("world", np.zeros((9, 2), int)), "world has shape (9, 2), expected (9,)"),
         (lambda file: file.move("world", "elsewhere"), "expected world, viewpoint"),
-        (lambda file: (file.pop("world"), file.create_group("world")), "world is no array"),
         (link_outside, "is no array of"),
         (lambda file: file.attrs.update({"split": np.arange(3)}), "predicts split"),
         (lambda file: file.attrs.update({"dataset": b"\x1b[31m\n"}), "predicts dataset"),
@@ -109,7 +102,7 @@ def test_predictions_that_cannot_be_are_refused_in_one_line(dataset, tmp_path, c
 def test_a_cut_or_scrambled_predictions_file_is_refused_in_one_line(dataset, tmp_path):
     whole = write_predictions(tmp_path / "p.h5", dataset).read_bytes()
     rng = np.random.default_rng(0)
-    for n in range(12):
+    for n in range(6):
         content = bytearray(whole)
         if n % 2:
             del content[int(rng.integers(len(whole))) :]
@@ -119,14 +112,6 @@ def test_a_cut_or_scrambled_predictions_file_is_refused_in_one_line(dataset, tmp
         (tmp_path / "p.h5").write_bytes(content)
         with contextlib.suppress(DatasetError):
             Predicted(tmp_path / "p.h5").check(dataset, "test")
-    with pytest.raises(DatasetError, match="no such file"):
-        Predicted(tmp_path / "absent.h5").check(dataset, "test")
-
-
-def test_predictions_in_the_current_folder_have_its_name(tmp_path, monkeypatch):
-    (tmp_path / "mine").mkdir()
-    monkeypatch.chdir(tmp_path / "mine")
-    assert Predicted(Path()).name == "mine"
 
 
 def test_predictions_of_one_split_say_nothing_of_another(dataset, tmp_path):

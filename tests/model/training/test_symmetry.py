@@ -3,15 +3,15 @@ distance field."""
 
 import itertools
 from dataclasses import dataclass
+from types import SimpleNamespace
 
-import mujoco
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
 torch = pytest.importorskip("torch")
 
-from lidarsim import GridSpec, Lidar, MujocoEngine, Pose, cast, voxelize  # noqa: E402
+from lidarsim import GridSpec, Lidar  # noqa: E402
 from lidarsim.sensors import SENSORS  # noqa: E402
 from scenegen.model.config import TrainConfig  # noqa: E402
 from scenegen.model.inputs import turned  # noqa: E402
@@ -27,75 +27,21 @@ def numbered(*shape):
     return np.random.default_rng(0).permutation(np.prod(shape)).reshape(shape)
 
 
-def which(grid, candidates):
-    """The one symmetry whose map this is."""
-    (found,) = [s for s, candidate in candidates.items() if np.array_equal(grid, candidate)]
-    return found
-
-
-def table_of(grid, symmetries):
-    """Which symmetry it is to turn by a, then by b; fails where it is none or more than one."""
-    images = {s: turned(grid, s) for s in symmetries}
-    return np.array([[which(turned(images[a], b), images) for b in symmetries] for a in symmetries])
-
-
 # The group.
 
 
-@pytest.mark.parametrize("side", [4, 5])
-def test_the_eight_symmetries_are_the_dihedral_group(side):
-    """Of all groups of order eight only D4 has one, five and two elements of the orders one, two
-    and four."""
-    table = table_of(numbered(side, side, 3), ALL)
-    for line in (*table, *table.T):
-        assert sorted(line) == list(ALL)  # closed, and each has an inverse
-    assert_array_equal(table[0], ALL)  # the first leaves all as it is
-    assert_array_equal(table[:, 0], ALL)
-    powers = [[a, table[a, a], table[table[a, a], a], table[table[a, a], table[a, a]]] for a in ALL]
-    assert sorted(1 + row.index(0) for row in powers) == [1, 2, 2, 2, 2, 2, 4, 4]
-    assert [1 + row.index(0) for row in powers[:4]] == [
-        1,
-        4,
-        2,
-        4,
-    ]  # quarter turns first, then mirrors
-    assert powers[1] == [1, 2, 3, 0]
-
-
-def test_a_map_longer_one_way_has_the_four_without_a_quarter_turn():
-    table = table_of(numbered(5, 4, 3), range(0, 8, 2))
-    for line in table:
-        assert sorted(line) == [0, 2, 4, 6]
-    assert_array_equal(np.diag(table), 0)
-
-
-@pytest.mark.parametrize("symmetry", ALL)
-@pytest.mark.parametrize("side", [6, 7])
-def test_height_and_the_distance_from_the_centre_stay(symmetry, side):
-    x, y, z = np.indices((side, side, 4))
-    middle = (side - 1) / 2
-    radius = (x - middle) ** 2 + (y - middle) ** 2
-    assert_array_equal(turned(z, symmetry), z)
-    assert_array_equal(turned(radius, symmetry), radius)
-
-
-@pytest.mark.parametrize("symmetry", ALL)
-def test_only_the_second_four_mirror(symmetry):
-    """What lies ahead and what lies to its left, after the turn: still left, or now right."""
-    ahead, left = np.zeros((2, 5, 5, 2))
-    ahead[4, 2], left[2, 4] = 1, 1
-    (a, b), (c, d) = (np.argwhere(turned(mark, symmetry)[..., 0])[0] - 2 for mark in (ahead, left))
-    assert a * d - b * c == (4 if symmetry < 4 else -4)
-
-
-@pytest.mark.parametrize("symmetry", ALL)
-def test_a_map_of_any_kind_is_turned_and_left_alone(symmetry):
-    for dtype in (np.bool_, np.uint8, np.float32):
-        grid = (numbered(4, 4, 3) % 7).astype(dtype)
+def test_the_eight_symmetries_are_those_of_a_square():
+    """As complex numbers have it, with heights untouched: turned about the centre by so many
+    quarters, once mirrored in the second four."""
+    x, y, z = np.indices((5, 5, 3)) - np.array([2, 2, 0])[:, None, None, None]
+    for symmetry in ALL:
+        grid = numbered(5, 5, 3)
         before = grid.copy()
-        assert turned(grid, symmetry).dtype == dtype
-        assert turned(grid, symmetry).shape == grid.shape
+        found = turned(grid, symmetry)
         assert_array_equal(grid, before)
+        place = (x - 1j * y if symmetry >= 4 else x + 1j * y) * 1j ** (symmetry % 4)
+        at = np.rint([place.real, place.imag]).astype(int) + 2
+        assert_array_equal(found[at[0], at[1], z], grid)
 
 
 # The distance field.
@@ -103,9 +49,8 @@ def test_a_map_of_any_kind_is_turned_and_left_alone(symmetry):
 
 @pytest.mark.parametrize("symmetry", ALL)
 def test_the_field_of_a_turned_map_is_the_turned_field(symmetry):
-    for grid in (GridSpec(shape=(11, 11, 6)), GridSpec(shape=(10, 7, 6), voxel_m=0.13)):
-        if symmetry % 2 and grid.shape[0] != grid.shape[1]:
-            continue
+    shapes = [(11, 11, 6)] if symmetry % 2 else [(11, 11, 6), (10, 7, 6)]
+    for grid in (GridSpec(shape=shape, voxel_m=0.13) for shape in shapes):
         occupancy = np.random.default_rng(symmetry).random(grid.shape) < 0.01
         occupancy[1, 2, 3] = True
         field = distance_field(occupancy, grid)
@@ -129,49 +74,31 @@ class Counted:
         return self.count
 
 
-@pytest.mark.parametrize("augment", [False, True])
-@pytest.mark.parametrize(
-    ("count", "batch"), [(23, 5), (20, 5), (5, 5), (6, 5), (3, 5), (1, 8), (7, 1)]
-)
-def test_an_epoch_is_full_batches_of_maps_seen_once(count, batch, augment):
-    """Of what is too little for one batch, it is that one."""
-    for epoch in range(4):
-        config = TrainConfig(batch=batch, seed=3, augment=augment)
+@pytest.mark.parametrize(("count", "batch"), [(23, 5), (5, 5), (3, 5)])
+def test_an_epoch_is_full_batches_of_maps_seen_once(count, batch):
+    """Of what is too little for one batch, it is that one; and no map is left out every time."""
+    seen = set()
+    for epoch in range(9):
+        config = TrainConfig(batch=batch, seed=3, augment=False)
         batches = list(epoch_batches(Counted(count), config, epoch))
         assert [len(keys) for keys in batches] == ([batch] * (count // batch) or [count])
-        indices = [index for keys in batches for index, _ in keys]
+        indices, turns = zip(*itertools.chain(*batches), strict=True)
         assert len(set(indices)) == len(indices)
-        assert set(indices) <= set(range(count))
+        assert set(turns) == {0}
+        seen |= {*indices}
+    assert seen == set(range(count))
 
 
-@pytest.mark.parametrize("augment", [False, True])
-def test_seed_and_epoch_decide_alone(augment):
+def test_seed_and_epoch_decide_alone():
     """And each of them matters: seed 0 at epoch 1 is not seed 1 at epoch 0."""
 
     def drawn(seed, epoch):
-        config = TrainConfig(seed=seed, augment=augment)
-        return repr([*epoch_batches(Counted(40), config, epoch)])
+        return repr([*epoch_batches(Counted(40), TrainConfig(seed=seed), epoch)])
 
-    pairs = list(itertools.product(range(5), repeat=2))
+    pairs = list(itertools.product(range(3), repeat=2))
     first = [drawn(*pair) for pair in pairs]
-    np.random.default_rng().random()
     assert [drawn(*pair) for pair in reversed(pairs)] == first[::-1]
     assert len(set(first)) == len(pairs)
-
-
-def test_no_map_is_left_out_epoch_after_epoch():
-    seen = set()
-    for epoch in range(20):
-        batches = epoch_batches(Counted(15), TrainConfig(), epoch)
-        seen |= {index for keys in batches for index, _ in keys}
-    assert seen == set(range(15))
-
-
-def test_nothing_is_turned_unless_asked_for():
-    for epoch in range(5):
-        config = TrainConfig(augment=False)
-        keys = itertools.chain(*epoch_batches(Counted(64), config, epoch))
-        assert {symmetry for _, symmetry in keys} == {0}
 
 
 @pytest.mark.parametrize(
@@ -203,36 +130,10 @@ def test_symmetries_that_fit_the_map_occur_about_as_often(shape, mirrored, allow
     [
         (Lidar(), True),
         (Lidar(rows=4, columns=7, horizontal_fov_deg=90.0, mount="band"), True),
-        (SENSORS.find("robosense-helios-16p"), True),
         (SENSORS.find("ouster-os1-64"), False),
-        (SENSORS.find("realsense-d435"), True),
         (SENSORS.find("livox-mid-360"), False),
+        (SimpleNamespace(directions_body=np.eye(3)), False),  # some rays are, and one is not
     ],
 )
 def test_maps_are_mirrored_where_rays_are_their_own_mirror_image(sensor, mirrored):
     assert is_mirrored(sensor) is mirrored
-
-
-def test_a_mirrored_world_gives_a_mirrored_sensor_the_mirrored_map():
-    """What stands behind the mirror: rays, boxes and voxels of a world and of its mirror image,
-    cast and gridded."""
-    rng = np.random.default_rng(0)
-    boxes = [(rng.uniform(-6, 6, 3) * (1, 1, 0.5), rng.uniform(0.1, 0.8, 3)) for _ in range(30)]
-    boxes = [(at, half) for at, half in boxes if np.linalg.norm(at[:2]) > 2]
-    seen = []
-    for sign in (1, -1):
-        spec = mujoco.MjSpec()
-        for at, half in boxes:
-            spec.worldbody.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_BOX, size=half, pos=at * (1, sign, 1)
-            )
-        seen.append(
-            voxelize(
-                cast(MujocoEngine.of(spec.compile()), Lidar(), Pose.level(np.zeros(3), 0.3 * sign)),
-                GridSpec(),
-            )
-        )
-    for name in ("observed", "free"):
-        one, mirror = (getattr(each, name) for each in seen)
-        assert (one != turned(one, 4)).sum() > 100
-        assert (turned(one, 4) != mirror).mean() < 1e-4, "but for points on a voxel's face"

