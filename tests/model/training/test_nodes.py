@@ -1,7 +1,8 @@
-"""torchrun on two nodes, begun by a real Ray: the network that one node trains, to the bit.
+"""torchrun on two nodes, begun by a real Slurm and by a real Ray: the network that one node trains,
+to the bit.
 
 python -m pytest -m slow tests/model/training/test_nodes.py
-    needs the extra `ray`
+    Slurm: Debian's slurm-wlm and munge, and to be root; Ray: the extra `ray`
 """
 
 import os
@@ -10,27 +11,75 @@ import sys
 
 import pytest
 
+from scenegen.model.checkpoint import load_tensors
 from tests.command_line import ROOT
-from tests.model.training.test_loop import figures, same
+from tests.scenegen.run import slurm_here
+from tests.scenegen.run.slurm_here import free_port
 
-WORDS = "--width 4 --epochs 2 --batch 4 --device cpu --precision float32 --quiet --out"
+pytestmark = pytest.mark.slow
+TORCHRUN = (sys.executable, "-m", "torch.distributed.run")
 
 
-def run(command):
-    more = {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "RAY_USAGE_STATS_ENABLED": "0"}
+@pytest.fixture
+def words(folders):
+    """A short run."""
+    options = "--width 4 --epochs 2 --batch 4 --device cpu --precision float32 --quiet --out"
+    return [str(ROOT / "cli.py"), "train", str(folders[0]), *options.split()]
+
+
+@pytest.fixture
+def alone(words, tmp_path):
+    """The run by two processes of one node."""
+    out = tmp_path / "alone"
+    run([*TORCHRUN, "--standalone", "--nproc-per-node", "2", *words, str(out)])
+    return out
+
+
+def run(command, **more):
+    environment = os.environ | {
+        "PYTHONPATH": str(ROOT),
+        "OMP_NUM_THREADS": "1",
+        "PYTHONFAULTHANDLER": "1",
+        **more,
+    }
     ended = subprocess.run(
-        command, env=os.environ | more, capture_output=True, text=True, check=False, timeout=200
+        command, env=environment, capture_output=True, text=True, check=False, timeout=200
     )
     assert ended.returncode == 0, f"{ended.stdout[-2000:]}\n{ended.stderr[-4000:]}"
 
 
-@pytest.mark.slow
-def test_two_nodes_of_ray_train_what_one_does(folders, tmp_path, monkeypatch):
-    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+def check_same(one, other):
+    """The same weights, and the same figures but for the time that they took."""
+    (weights, _), (theirs, _) = (load_tensors(out / "best.safetensors") for out in (one, other))
+    assert weights.keys() == theirs.keys()
+    assert all((weights[name] == theirs[name]).all() for name in weights)
+    figures = [
+        [row.split(",") for row in (out / "metrics.csv").read_text().splitlines()]
+        for out in (one, other)
+    ]
+    at = figures[0][0].index("seconds")
+    for rows in figures:
+        assert len(rows) == 3
+        for row in rows:
+            del row[at]
+    assert figures[0] == figures[1]
+
+
+@slurm_here.NEEDED
+def test_two_nodes_of_slurm_train_what_one_does(alone, words, tmp_path):
+    out = tmp_path / "slurm"
+    meeting = f"--rdzv-backend c10d --rdzv-endpoint 127.0.0.1:{free_port()} --rdzv-id test"
+    nodes = f"--nnodes 2 --nproc-per-node 1 {meeting}"
+    launch = ["srun", "--nodes=2", "--ntasks-per-node=1", *TORCHRUN, *nodes.split()]
+    (tmp_path / "cluster").mkdir()
+    with slurm_here.slurm(tmp_path / "cluster", nodes=2):
+        run([*launch, *words, str(out)])
+    check_same(alone, out)
+
+
+def test_two_nodes_of_ray_train_what_one_does(alone, words, tmp_path):
+    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
     cluster_utils = pytest.importorskip("ray.cluster_utils")
-    words = [str(ROOT / "cli.py"), "train", str(folders[0]), *WORDS.split()]
-    torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone"]
-    run([*torchrun, "--nproc-per-node", "2", *words, str(tmp_path / "alone")])
     head = {"num_cpus": 1, "include_dashboard": False}
     cluster = cluster_utils.Cluster(initialize_head=True, head_node_args=head)
     try:
@@ -39,5 +88,4 @@ def test_two_nodes_of_ray_train_what_one_does(folders, tmp_path, monkeypatch):
         run([sys.executable, *launch.split(), *words, str(tmp_path / "ray")])
     finally:
         cluster.shutdown()
-    assert same(*(tmp_path / name / "best.safetensors" for name in ("alone", "ray")))
-    assert figures(tmp_path / "ray") == figures(tmp_path / "alone")
+    check_same(alone, tmp_path / "ray")

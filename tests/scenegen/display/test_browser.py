@@ -111,6 +111,9 @@ def test_the_address_keeps_what_is_shown_and_a_click_tells_of_a_voxel(browser, m
                 break
         assert "occupancy" in said or "free" in said
         assert " m." in said
+        with tab.expect_download() as saved:
+            tab.get_by_role("button", name="PNG").click()
+        assert saved.value.suggested_filename == "sample-2.png"
         tab.keyboard.press("ArrowRight")
         tab.wait_for_url("**#sample=3&*")
         assert told == []
@@ -134,10 +137,17 @@ def test_the_viewer_steps_through_datasets_and_splits_and_tells_what_is_damaged(
         assert "2.9 m" in tab.locator("#figures").inner_text()
         tab.get_by_label("world").check()
         tab.wait_for_selector("body[data-layers~='world']", state="attached")
+        tab.get_by_label("missed").check()
+        assert "missed" in state(tab, "layers")
+        tab.get_by_label("distances", exact=True).check()
+        assert f"{HOSTILE}: distances" in state(tab, "layers")
         tab.locator("canvas#scene").click()
         tab.keyboard.press("ArrowRight")
         tab.wait_for_selector("body[data-sample='3']", state="attached")
         assert "train-00001.h5" in tab.locator("#notes").inner_text()
+        tab.keyboard.press("End")
+        tab.wait_for_selector("body[data-sample='10']", state="attached")
+        assert tab.locator("#notes").inner_text() == ""
         tab.locator("#split").select_option("test")
         tab.wait_for_selector("body[data-sample='0']", state="attached")
         tab.locator("#number").fill("1")
@@ -147,3 +157,56 @@ def test_the_viewer_steps_through_datasets_and_splits_and_tells_what_is_damaged(
         tab.wait_for_selector("body[data-sample='0']", state="attached")
         assert int(state(tab, "milliseconds")) < 2000
         assert [line for line in told if "404" not in line] == []
+
+
+PIXELS = """() => {
+  const [canvas, count] = [document.querySelector("#scene"), +document.body.dataset.views];
+  const wide = Math.floor(canvas.clientWidth / count);
+  return Array.from({ length: count }, (_, n) => {
+    const copy = Object.assign(document.createElement("canvas"), { width: wide, height: 700 });
+    copy.getContext("2d").drawImage(canvas, -n * wide, 0);
+    return copy.toDataURL();
+  });
+}"""
+
+
+def test_views_side_by_side_have_one_camera(browser, made):
+    """Views of the same layer are the same picture, however it is turned; the address keeps
+    them."""
+    with served(made) as server:
+        place = f"{server.address}#layers=rays&views=observed~observed~occupancy"
+        tab, told = reached(browser, place)
+        seen = []
+        for across in (500, 560):
+            tab.mouse.move(500, 300)
+            tab.mouse.down()
+            tab.mouse.move(across, 300)
+            tab.mouse.up()
+            tab.wait_for_timeout(500)
+            one, same, other = tab.evaluate(PIXELS)
+            assert one == same != other
+            seen.append(one)
+        assert seen[0] != seen[1]
+        tab.get_by_label("view 2").select_option("free")
+        tab.wait_for_url("**views=observed%7Efree%7Eoccupancy*")
+        assert "free" in state(tab, "layers")
+        tab.get_by_role("button", name="truth").click()
+        assert (state(tab, "views"), told) == ("1", [])
+
+
+def test_samples_play_one_after_the_other(browser, made):
+    with served(made) as server:
+        tab, told = reached(browser, server.address)
+        tab.click("#play")  # which has the focus then
+        later = "body:not([data-sample='0']):not([data-sample='1'])"
+        tab.wait_for_selector(later, state="attached")
+        tab.keyboard.press(" ")
+        tab.wait_for_timeout(1000)
+        rests = state(tab, "sample")
+        tab.wait_for_timeout(1000)
+        assert (state(tab, "sample"), told) == (rests, [])
+        with tab.expect_download() as saved:
+            tab.get_by_role("button", name="Film").click()
+        assert saved.value.suggested_filename == f"samples-{rests}.webm"
+        assert saved.value.path().read_bytes()[:4] == b"\x1aE\xdf\xa3"
+        assert told == []

@@ -3,6 +3,7 @@
 import io
 import re
 import sys
+import textwrap
 from dataclasses import make_dataclass
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -37,6 +38,24 @@ def test_sparse_batches_hold_every_observed_voxel(made):
     dense = list(names["batches"](samples, 3))
     assert len(dense) == len(samples) // 3
     assert_array_equal(dense[0][0], observed)
+
+
+@pytest.mark.parametrize(
+    ("library", "count"),
+    [
+        ("jax", "gradients.sum()"),
+        ("tensorflow", "next(iter(dataset))[0].numpy().sum()"),
+        ("torch_geometric", "len(cloud.pos)"),
+    ],
+)
+def test_other_libraries_take_what_the_page_gives_them(made, library, count):
+    pytest.importorskip(library)
+    samples = Dataset(made).split("train")[:8]
+    names = {"samples": samples, "parameters": 0, "batch": scenegen.collate(samples)}
+    names["step"] = lambda parameters, observed, *_: (parameters, observed)
+    (lines,) = re.findall(rf"^    import {library}\b.*\n(?:(?:    .*)?\n)+", PAGE, re.M)
+    exec(BATCHES + textwrap.dedent(lines), names)
+    assert eval(count, names) == sum(sample.observed.sum() for sample in samples)
 
 
 def test_rerun_s_recordings_hold_predictions_and_flights(made, tmp_path):
