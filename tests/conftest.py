@@ -4,6 +4,7 @@ import atexit
 import fcntl
 import gc
 import os
+import pickle
 import shutil
 import sys
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # processes share the cores, whatever they import
 
+from scenegen.dataset import shard
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.errors import ScenegenError
@@ -115,6 +117,12 @@ def small_recipe(kind="pillar", **tables):
     return make_recipe(kind, merged, where="test")
 
 
+def scene_recipe():
+    """The same for worlds from files."""
+    tables = {name: SMALL[name] for name in ("flight", "lidar", "grid", "accept")}
+    return make_recipe("scene", tables, where="test")
+
+
 def picky_recipe():
     """A small recipe that rejects some worlds and some viewpoints of every shard of a few
     worlds."""
@@ -131,6 +139,25 @@ def quarter(count):
     return pytest.mark.parametrize(
         "count", [count // 4, pytest.param(count, marks=pytest.mark.slow)]
     )
+
+
+DRAWN = {}
+"""Units that were drawn, by all that they depend on."""
+
+
+def remembered(*given, draw=shard.draw_unit, **more):
+    """`draw_unit`, but a unit is drawn once for all tests of a process; test_draw.py shows that its
+    arguments alone decide what it gives."""
+    key = pickle.dumps((given, more))
+    if key not in DRAWN:
+        DRAWN[key] = draw(*given, **more)
+    return DRAWN[key]
+
+
+@pytest.fixture
+def drawn_once(monkeypatch):
+    """Tests of what becomes of samples make datasets of units that are drawn already."""
+    monkeypatch.setattr(shard, "draw_unit", remembered)
 
 
 @pytest.fixture(scope="session")

@@ -16,7 +16,7 @@ from pathlib import Path
 from scenegen import files
 from scenegen.dataset import manifest, shard
 from scenegen.dataset.build import build
-from tests.conftest import picky_recipe, plan_of
+from tests.conftest import picky_recipe, plan_of, remembered
 
 COUNTS = {"train": 6, "val": 0, "test": 3}
 SEED = 19
@@ -103,21 +103,8 @@ def run_killed(folder, at):
     return int(said)
 
 
-def remember_draws():
-    """Draw every unit once for all runs: what a flight gives depends on its arguments alone, which
-    others test."""
-    draw, drawn = shard.draw_unit, {}
-
-    def remembered(*given, split, unit, **more):
-        if (split, unit) not in drawn:
-            drawn[split, unit] = draw(*given, split=split, unit=unit, **more)
-        return drawn[split, unit]
-
-    shard.draw_unit = remembered
-
-
 def main(root):
-    remember_draws()
+    shard.draw_unit = remembered
     whole = build(plan_at(root / "whole"))
     rejected = [report.rejected for report in map(read, plan_at(root / "whole").shards)]
     result = {

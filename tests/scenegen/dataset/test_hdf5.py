@@ -168,15 +168,8 @@ def places_of_structure(content, path):
     return np.flatnonzero(structure)
 
 
-TELLING = [
-    b"\0" * 8,
-    b"\xff" * 8,
-    struct.pack("<Q", 96),
-    struct.pack("<Q", 2**63),
-    b"\1\0\0\0",
-    b"\xff\xff",
-    b"\0" * 50,
-]
+NUMBERS = [struct.pack("<Q", number) for number in (0, 96, 2**63, 2**64 - 1)]
+TELLING = [*NUMBERS, b"\1\0\0\0", b"\xff\xff", b"\0" * 50]
 
 
 def test_bytes_changed_anywhere_end_in_the_same_values_or_one_line(made, tmp_path):
@@ -189,12 +182,12 @@ def test_bytes_changed_anywhere_end_in_the_same_values_or_one_line(made, tmp_pat
     refusals = []
     begin = time.monotonic()
     peak = 0
-    for n in range(400):
+    for n in range(200):
         content = bytearray(whole)
         for _ in range(1 + n % 3):
             at = int(rng.choice(structure) if n % 4 else rng.integers(len(whole)))
             put = TELLING[int(rng.integers(len(TELLING)))] if n % 2 else rng.bytes(1)
-            if n % 5 == 0 and len(TELLING[0]) == len(put):  # a pointer to somewhere in the file
+            if n % 5 == 0 and len(put) == 8:  # a pointer to somewhere in the file
                 put = struct.pack("<Q", int(rng.choice(structure)))
             content[at : at + len(put)] = put
         target.write_bytes(
@@ -212,24 +205,18 @@ def test_bytes_changed_anywhere_end_in_the_same_values_or_one_line(made, tmp_pat
             peak = max(peak, tracemalloc.get_traced_memory()[1])
             tracemalloc.stop()
     assert not [line for line in refusals if "\n" in line or len(line) > 400]
-    assert 100 < len(refusals) < 400
+    assert 50 < len(refusals) < 200
     assert peak < 64 << 20
     assert time.monotonic() - begin < 120
 
 
 def end_it():
-    """The library's process, which this one has begun."""
+    """End the library's process, which this one has begun."""
     with open(__file__, "rb") as file, pytest.raises(hdf5.Hdf5Error, match="signature not found"):
         hdf5.read_index(file, 1)
     process = hdf5._LIBRARIES[os.getpid()]._process
     process.kill()
     process.wait()
-
-
-def test_a_process_that_somebody_ended_is_no_fault_of_the_file(made):
-    end_it()
-    path = made / "train-00000.h5"
-    assert by_index(path) == by_library(path)
 
 
 @pytest.mark.parametrize(

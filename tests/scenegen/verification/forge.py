@@ -10,9 +10,8 @@ import h5py
 import numpy as np
 
 from scenegen.dataset import manifest
-from scenegen.dataset.build import build
 from scenegen.dataset.shard import zip_reproducibly
-from tests.conftest import plan_of, small_recipe
+from tests.conftest import dataset_in, small_recipe
 
 COUNTS = {"train": 6, "val": 3, "test": 3}
 DIGESTED = ("ranges", "position", "quaternion", "origin", "world", "viewpoint")
@@ -21,9 +20,7 @@ Arrays = dict[str, np.ndarray]
 
 def make(folder, kind="pillar", *, counts=COUNTS, compact=False):
     recipe = small_recipe(kind)
-    plan = plan_of(folder, recipe, counts=counts, compact=compact, shard_samples=6)
-    assert build(plan).complete
-    return folder
+    return dataset_in(folder, recipe, counts=counts, compact=compact, shard_samples=6).folder
 
 
 def copy(folder, to):
@@ -89,9 +86,10 @@ def sign(folder, **changes):
 
 
 def edit_manifest(folder, **changes):
-    """Change the manifest alone."""
+    """Change the manifest alone; the folder."""
     path = folder / manifest.NAME
     path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
+    return folder
 
 
 def rezip(path, change):
