@@ -21,10 +21,10 @@ from scenegen import SPLITS
 from scenegen.dataset import build as module
 from scenegen.dataset import manifest
 from scenegen.dataset import shard as shards
-from scenegen.dataset.build import build, check_folder
+from scenegen.dataset.build import build
 from scenegen.dataset.hdf5 import with_index
 from scenegen.dataset.layout import ShardFile
-from scenegen.dataset.placed import NOTES, read_notes
+from scenegen.dataset.placed import read_notes
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.shard import ShardSpec, read_report
 from scenegen.draw import compile_truth
@@ -94,20 +94,18 @@ def test_a_chunk_is_the_same_wherever_a_threads_stack_lies():
     """The shorter it is, the more stacks ISA-L alone gives other bytes on: here one in some
     sixty."""
     values = np.frombuffer(b"abcdefgh" + bytes(range(24)) + b"abcdefgh", np.uint8)
-    found, threads = set(), 400
+    threads = 400
     together = threading.Barrier(threads)
 
-    def pack():
+    def pack(_):
         together.wait()
-        found.add(shards.compress(values))
+        return shards.compress(values)
 
     before = threading.stack_size(1 << 18)
     with ThreadPoolExecutor(threads) as pool:
-        for each in [pool.submit(pack) for _ in range(threads)]:
-            each.result()
+        (found,) = set(pool.map(pack, range(threads)))
     threading.stack_size(before)
-    assert len(found) == 1
-    assert zlib.decompress(found.pop()) == values.tobytes()
+    assert zlib.decompress(found) == values.tobytes()
 
 
 def test_shard_size_and_compactness_change_no_sample(tmp_path, whole, few):
@@ -181,21 +179,14 @@ def test_a_job_reads_its_own_part_and_the_last_one_hashes_no_samples_of_others(
     assert read == []
     build(parts, shard_range=(1, 4))
     assert read == [1, 2, 3]
+    assert len(read_notes(parts.folder, parts.shards[0].parameters)) == 4
+    assert read_notes(parts.folder, "0" * 64) == {}
+    (parts.folder / "dataset.part-0123456789ab.json").write_text("{")  # counts as not there
     read.clear()
     assert build(parts, shard_range=(4, 5)).complete
     assert sorted(read) == [0, 1, 2, 3]
     assert not checked
     assert content(tmp_path / "d") == undisturbed
-
-
-def test_a_job_s_note_is_of_its_dataset_and_one_that_is_damaged_is_none(tmp_path):
-    parts = plan(tmp_path / "d")
-    for first in (0, 1):
-        build(parts, shard_range=(first, first + 1))
-    assert len(read_notes(tmp_path / "d", parts.shards[0].parameters)) == 2
-    assert read_notes(tmp_path / "d", "0" * 64) == {}
-    next((tmp_path / "d").glob(NOTES)).write_text("{")
-    assert len(read_notes(tmp_path / "d", parts.shards[0].parameters)) == 1
 
 
 def test_what_is_finished_is_written_down_on_the_way(tmp_path, monkeypatch):
@@ -219,33 +210,22 @@ def test_the_format_is_the_contract(whole):
     there, sums = manifest.read(whole), content(whole)
     assert (there["format"], there["version"], there["complete"]) == ("scenegen-dataset", 1, True)
     assert there["grid"] == {"shape": [24, 24, 16], "voxel": 0.2, "truncation": 2.0}
-    expected = {
-        "observed": (bool, (24, 24, 16)),
-        "free": (bool, (24, 24, 16)),
-        "occupancy": (bool, (24, 24, 16)),
-        "tudf": (np.dtype("<f4"), (24, 24, 16)),
-        "ranges": (np.dtype("<f4"), (8, 24)),
-        "position": (np.dtype("<f8"), (3,)),
-        "quaternion": (np.dtype("<f8"), (4,)),
-        "origin": (np.dtype("<f8"), (3,)),
-        "world": (np.dtype("<i8"), ()),
-        "viewpoint": (np.dtype("<i8"), ()),
-    }
+    grid = (24, 24, 16)
+    expected = dict.fromkeys(("observed", "free", "occupancy"), (np.bool_, grid))
+    expected |= {"tudf": ("<f4", grid), "ranges": ("<f4", (8, 24))}
+    expected |= {"position": ("<f8", (3,)), "quaternion": ("<f8", (4,)), "origin": ("<f8", (3,))}
+    expected |= dict.fromkeys(("world", "viewpoint"), ("<i8", ()))
     assert there["fields"] == list(expected)
     for shard in there["shards"]:
-        path = whole / shard["file"]
-        for name, key in (("file", "sha256"), ("worlds", "worlds_sha256")):
-            assert sums[shard[name]] == shard[key]
-        with h5py.File(path) as file:
-            assert {item.shape[0] for item in file.values()} == {shard["samples"]}
+        assert sums[shard["file"]] == shard["sha256"]
+        assert sums[shard["worlds"]] == shard["worlds_sha256"]
+        with h5py.File(whole / shard["file"]) as file:
             assert file["world"][:].min() == shard["first_world"]
             for name, (dtype, shape) in expected.items():
-                assert file[name].dtype == dtype
-                assert file[name].shape[1:] == shape
-                assert file[name].chunks == (1, *shape)
-                assert file[name].compression in (None, "gzip")
-                assert not file[name].external
-                assert not file[name].is_virtual
+                stored = file[name]
+                assert (stored.dtype, stored.chunks) == (dtype, (1, *shape))
+                assert stored.shape == (shard["samples"], *shape)
+                assert stored.compression in (None, "gzip")
     assert sum(shard["samples"] for shard in there["shards"]) == sum(COUNTS.values())
 
 
@@ -376,18 +356,6 @@ def test_a_run_that_drew_nothing_stands_in_nobodys_way(tmp_path):
     assert make(tmp_path / "d").samples_written == 0 < before.samples_written
 
 
-def test_a_job_that_writes_its_manifest_while_another_looks_is_no_stranger(tmp_path, monkeypatch):
-    parts, original = plan(tmp_path / "d"), Path.iterdir
-    parts.folder.mkdir()
-
-    def begun_meanwhile(folder):
-        manifest.write(folder, manifest.assemble(parts.parameters, [], complete=False))
-        return original(folder)
-
-    monkeypatch.setattr(Path, "iterdir", begun_meanwhile)
-    check_folder(parts)
-
-
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
@@ -430,27 +398,22 @@ def test_a_shard_of_strange_content_counts_as_absent(folder):
     path = folder / shard.file
     whole = path.read_bytes()
 
-    def damaged(damage):
+    def damaged(change, *given, **more):
         path.write_bytes(whole)
         with h5py.File(path, "r+") as file:
-            damage(file)
+            change(file)(*given, **more)
             file.flush()
             content = with_index(file.id.get_file_image(), file, shard.samples)
         path.write_bytes(content)
         return read_report(shard, verify=True) is None
 
-    assert not damaged(lambda file: file.attrs.update({"note": "which nobody reads"}))
+    assert not damaged(lambda file: file.attrs.update, note="which nobody reads")
     for name, values in STRANGE.items():
-        assert damaged(lambda file, name=name: file.attrs.__delitem__(name))
+        assert damaged(lambda file: file.attrs.pop, name)
         for value in values:
-            assert damaged(
-                lambda file, name=name, value=value: file.attrs.__setitem__(name, value)
-            ), (name, value)
-    assert damaged(lambda file: file["world"].id.write_direct_chunk((0,), b"few"))
-    assert damaged(
-        lambda file: file["ranges"].id.write_direct_chunk((0, 0, 0), b"few", filter_mask=1)
-    )
-    assert damaged(lambda file: file["tudf"].id.write_direct_chunk((0, 0, 0, 0), b"few"))
+            assert damaged(lambda file: file.attrs.update, {name: value}), (name, value)
+    for name, place, mask in (("world", (0,), 0), ("ranges", (0, 0, 0), 1), ("tudf", (0,) * 4, 0)):
+        assert damaged(lambda file, of=name: file[of].id.write_direct_chunk, place, b"few", mask)
 
 
 def test_a_full_disk_ends_in_one_line_and_loses_nothing(tmp_path, monkeypatch, undisturbed):
@@ -479,19 +442,17 @@ def test_too_small_a_disk_is_noticed_before_the_work(tmp_path, monkeypatch):
         make(tmp_path / "d")
 
 
-def test_a_killed_worker_is_reported_and_the_rest_is_kept(tmp_path, monkeypatch, undisturbed):
-    def die_on_test_worlds(spec):
-        if spec.split == "test":
-            os.kill(os.getpid(), 9)
-        return original(spec)
+def die_of_test_worlds(spec):
+    if spec.split == "test":
+        os.kill(os.getpid(), 9)
+    return shards.write_shard(spec)
 
-    original = module.write_shard
-    monkeypatch.setattr(module, "write_shard", die_on_test_worlds)
-    globals()["die_on_test_worlds"] = die_on_test_worlds  # so that workers can find it by name
-    die_on_test_worlds.__qualname__ = "die_on_test_worlds"
-    with pytest.raises(GenerationError, match="worker process was killed"):
-        make(tmp_path / "d", workers=2)
-    monkeypatch.undo()
+
+def test_a_killed_worker_is_reported_and_the_rest_is_kept(tmp_path, monkeypatch, undisturbed):
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "write_shard", die_of_test_worlds)
+        with pytest.raises(GenerationError, match="worker process was killed"):
+            make(tmp_path / "d", workers=2)
     make(tmp_path / "d")
     assert content(tmp_path / "d") == undisturbed
 

@@ -19,7 +19,9 @@ from tests.scenegen.hub import TOKEN, Repository
 NAME = "hf://ada/small-pillars"
 
 
-@pytest.mark.parametrize("path", ["ada/pillar", "hf:/ada/pillar", "./hf:", "", "HF://a/b"])
+@pytest.mark.parametrize(
+    "path", ["ada/pillar", "hf:/ada/pillar", "./hf:", "", "HF://a/b", "./s3://b", "S3://b/x", "s3:"]
+)
 def test_a_path_stays_a_path(path, monkeypatch):
     def connect(*args):
         raise AssertionError("a connection")
@@ -27,6 +29,7 @@ def test_a_path_stays_a_path(path, monkeypatch):
     monkeypatch.setattr(socket.socket, "connect", connect)
     assert locate(path) == Path(path)
     assert locate(Path(path)) == Path(path)
+    assert locate(Path("s3://b/x")) == Path("s3:/b/x")
 
 
 @pytest.mark.parametrize(
