@@ -22,12 +22,10 @@ BAD_RECIPES = {
     "too many": ("[world]\ndensity = [90, 90]", "expected 20000 at most"),
     "no table": ("world = 3", "expected a table"),
     "wrong kind": ('kind = "geometric"', "is a recipe for kind 'geometric'"),
-    "not TOML": ("density = = 3", "not valid TOML"),
     "a key that prints": (
         '[world]\n"\\u001b[2Jall\\nright" = 1',
         "unknown parameter '\\x1b[2Jall\\nright'",
     ),
-    "an empty kind": ('kind = ""', "is a recipe for kind '', not for 'pillar'"),
     "more digits than int takes": (f"[grid]\nvoxel_m = {'9' * 9000}", "not valid TOML"),
     "deep arrays": (f"[grid]\nshape = {'[' * 5000}{']' * 5000}", "nested too deeply"),
     "deep keys": (f"{'a.' * 30_000}a = 1", "nested too deeply"),
@@ -38,10 +36,7 @@ BAD_RECIPES = {
         "[accept]\nmax_draws = 10000\n[flight]\nflights_per_world = 1000\niterations = 1000000",
         "expected 1000000000 at most; lower one of them",
     ),
-    "maps beyond what is read": (
-        "[grid]\nshape = [408, 408, 408]",
-        "67917312 voxels, expected 67108864 at most",
-    ),
+    "maps beyond what is read": ("[grid]\nshape = [408, 408, 408]", "67917312 voxels, expected"),
     "maps beyond memory": (
         "[grid]\nshape = [400, 400, 400]\n[flight]\nviewpoints = 17",
         "expected 16 at most",
@@ -53,10 +48,6 @@ BAD_RECIPES = {
     "a world as wide as a country": (
         "[world]\nsize_m = [1e6, 1e6, 10]\ndensity = [0, 0]",
         "size_m = [1000000.0, 10",
-    ),
-    "too dense": (
-        "[world]\ndensity = [4.0, 4.0]\n[accept]\nmax_draws = 2",
-        "lower world.density",
     ),
 }
 

@@ -54,20 +54,10 @@ def test_what_is_given_has_the_fields_type():
 @pytest.mark.parametrize(
     "words",
     [
-        *(
-            ("--width", "65"),
-            ("--width", "0"),
-            ("--width", "1.5"),
-            ("--stride", "3"),
-            ("--mode", "odd"),
-        ),
-        *(
-            ("--reach", "0"),
-            ("--reach", "-1"),
-            ("--reach", "many"),
-            ("--reach", "nan"),
-            ("--reach", "inf"),
-        ),
+        *(("--width", value) for value in ("65", "0", "1.5")),
+        *(("--reach", value) for value in ("0", "many", "nan", "inf")),
+        ("--stride", "3"),
+        ("--mode", "odd"),
     ],
 )
 def test_bounds_and_choices_are_the_fields(words):

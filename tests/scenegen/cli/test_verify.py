@@ -21,14 +21,11 @@ def test_verify_prints_a_table_and_ends_with_one_where_a_check_fails(tmp_path, c
     code, said, complaint = run(capsys, f"verify {folder} --quick --quiet")
     assert (code, said) == (1, "")
     assert complaint == "scenegen: verify: 3 of 10 checks failed: checksums, layout, digest\n"
-    code, said, complaint = run(capsys, f"verify {folder} --json --quick")
-    assert (code, json.loads(said)["failed"]) == (1, ["checksums", "layout", "digest"])
-    left = {
-        check["name"]: check["detail"] for check in json.loads(said)["checks"] if check["skipped"]
-    }
-    assert left == dict.fromkeys(
-        ["names", "centred", "laws"], "nothing that could be examined: see what failed"
-    )
+    code, said, _ = run(capsys, f"verify {folder} --json --quick")
+    report = json.loads(said)
+    assert (code, report["failed"]) == (1, ["checksums", "layout", "digest"])
+    left = [check["name"] for check in report["checks"] if check["skipped"]]
+    assert left == ["names", "centred", "laws"]
     code, said, complaint = run(capsys, "verify", tmp_path / "nowhere")
     assert (code, said) == (1, "")
     assert "not a dataset, there is no such folder" in complaint

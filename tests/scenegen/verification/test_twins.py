@@ -15,7 +15,7 @@ from scenegen.verification.splits import (
 )
 
 
-@pytest.mark.parametrize("shape", [(24, 24, 16), (80, 80, 40), (7, 9, 3), (1, 1, 1)])
+@pytest.mark.parametrize("shape", [(80, 80, 40), (7, 9, 3), (1, 1, 1)])
 def test_a_signature_counts_every_voxel_once(shape):
     occupancy = np.random.default_rng(0).random(shape) < 0.3
     blocks = signature(occupancy)
@@ -68,12 +68,8 @@ def test_a_floor_alone_makes_no_twins():
 
 
 def test_empty_maps_are_no_twins():
-    found, complete = candidates(
-        np.zeros((4, 320), np.uint32),
-        np.zeros((4, 128), np.uint64),
-        np.zeros(4, np.int64),
-        np.array([0, 1, 2, 0]),
-    )
+    empty = np.zeros((4, 320), np.uint32), np.zeros((4, 128), np.uint64), np.zeros(4, np.int64)
+    found, complete = candidates(*empty, np.array([0, 1, 2, 0]))
     assert (len(found), complete) == (0, True)
 
 
