@@ -76,8 +76,7 @@ def test_the_wheel_works_in_an_empty_environment_beside_a_users_own_files(tmp_pa
     small = "--n 5 --val 0 --test 5 --workers 1 --quiet"
     run(python, *f"-m scenegen generate --kind pillar {small}".split(), cwd=tmp_path)
     words = "-m scenegen bench --method returns --quick --workers 1"
-    bench = run(python, *words.split(), cwd=tmp_path)
-    assert "returns" in bench
+    assert "returns" in run(python, *words.split(), cwd=tmp_path)
 
 
 def test_what_figures_were_measured_with_is_allowed():
@@ -88,12 +87,9 @@ def test_what_figures_were_measured_with_is_allowed():
     measured = dict(line.split("==") for line in lines)
     extras = project["optional-dependencies"]
     (everything,) = map(Requirement, extras["all"])
-    for line in [
-        *project["dependencies"],
-        *(line for name in everything.extras for line in extras[name]),
-    ]:
-        needed = Requirement(line)
-        assert needed.specifier.contains(measured[needed.name]), line
+    lines = [line for name in everything.extras for line in extras[name]]
+    for needed in map(Requirement, [*project["dependencies"], *lines]):
+        assert needed.specifier.contains(measured[needed.name]), needed
 
 
 def test_who_cites_it_names_this_version():

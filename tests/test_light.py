@@ -6,27 +6,16 @@ import sys
 
 import pytest
 
-from tests.conftest import dataset_in, small_recipe
+from tests.conftest import dataset_in
 
-HEAVY = (
-    "mujoco",
-    "ompl",
-    "numba",
-    "scipy",
-    "trimesh",
-    "torch",
-    "pydantic",
-    "h5py",
-    "multiprocessing",
-)
+HEAVY = "mujoco", "ompl", "numba", "scipy", "trimesh", "torch", "h5py", "multiprocessing"
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    folder, recipe = tmp_path_factory.mktemp("light") / "d", small_recipe()
     counts = {"train": 3, "val": 0, "test": 0}
-    dataset_in(folder, recipe, counts=counts, compact=True)
-    return folder
+    folder = tmp_path_factory.mktemp("light") / "d"
+    return dataset_in(folder, counts=counts, compact=True).folder
 
 
 def imported(code):

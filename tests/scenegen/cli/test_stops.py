@@ -104,12 +104,9 @@ def answers(process):
 def test_while_a_command_begins(tmp_path):
     """Imports and the loading of kernels, at moments spread over them: four processes, two at a
     time."""
-    asked = "generate --kind pillar --n 20000 --quiet --workers 1 --shard-samples 1000"
+    asked = f"{sys.executable} cli.py generate --kind pillar --n 20000 --quiet --workers 1"
     for delays in ((0.0, 0.4), (0.9, 1.6)):
-        running = [
-            begin(sys.executable, "cli.py", *f"{asked} --out {tmp_path}/{it}".split())
-            for it in delays
-        ]
+        running = [begin(*f"{asked} --out {tmp_path}/{delay}".split()) for delay in delays]
         try:
             deadline = time.monotonic() + 60
             while not all(map(answers, running)):

@@ -309,13 +309,18 @@ def test_a_killed_ingest_goes_on_to_the_same_bits(tmp_path, monkeypatch):
 
 
 POSE = "1 0 0 0 0 1 0 0 0 0 1 0\n"
+FAR = "1 0 0 1e9 0 1 0 0 0 0 1 0\n"
 DAMAGE = {
     "no poses": ("poses.txt", None, "--poses"),
     "a pose too few": ("poses.txt", POSE * 4, "5 clouds and 4 poses"),
     "a word": ("poses.txt", POSE * 2 + "one two\n", "line 3"),
     "not a number": ("poses.txt", POSE * 2 + "nan " * 12, "line 3"),
     "no rotation": ("poses.txt", POSE + "2 " * 12, "line 2: expected a rotation"),
-    "beyond the world": ("poses.txt", POSE.replace("0 0 0", "0 0 1e9", 1), "subtract the first"),
+    "beyond the world": (
+        "poses.txt",
+        FAR * 5,
+        "subtract the first",
+    ),
     "five columns": ("poses.txt", "1 2 3 4 5\n" * 5, "5 columns"),
     "nothing": ("poses.txt", "", "no numbers"),
     "a time too few": ("times.txt", "1\n2\n", "2 times"),
