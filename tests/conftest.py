@@ -31,7 +31,7 @@ SMALL = {
     "world": {"size_m": (16.0, 16.0, 8.0)},
 }
 
-LONG = ("test_crash.py", "test_silence.py", "test_export.py", "test_train.py")
+LONG = ("test_silence.py", "test_export.py", "test_train.py")
 
 
 MANY = 300
