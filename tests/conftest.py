@@ -36,7 +36,7 @@ LONG = ("test_silence.py", "test_export.py", "test_train.py")
 
 MANY = 300
 """A run of this many tests needs most kernels."""
-ONE, COUNTS = {"train": 1, "val": 0, "test": 0}, {"train": 11, "val": 2, "test": 4}
+COUNTS, THREE = {"train": 11, "val": 2, "test": 4}, {"train": 3, "val": 0, "test": 0}
 
 
 @pytest.hookimpl(wrapper=True)
@@ -75,7 +75,7 @@ def compiled(request, once):
     """Kernels that most tests need, and no earlier run compiled: one worker of a long run draws and
     verifies a sample, and the others wait, lest each compile them."""
     if len(request.session.items) >= MANY:
-        once("compiled", lambda folder: verify(dataset_in(folder / "d", counts=ONE).folder))
+        once("compiled", lambda folder: verify(dataset_in(folder / "d").folder))
 
 
 TAKEN = ("in DataLoader worker", "/x\nscenegen: ")
@@ -100,9 +100,9 @@ def every_error_of_ours_is_one_line():
 
 
 def plan_of(folder, recipe=None, **options):
-    """What a dataset of worlds that a recipe draws will be."""
-    recipe = recipe or small_recipe()
-    return plan_dataset(folder, recipe, DrawnWorlds(recipe), **{"seed": 0} | options)
+    """What a dataset of worlds that a recipe draws will be; of three samples by default."""
+    recipe, usual = recipe or small_recipe(), {"seed": 0, "counts": THREE}
+    return plan_dataset(folder, recipe, DrawnWorlds(recipe), **usual | options)
 
 
 def dataset_in(folder, recipe=None, **options):

@@ -13,9 +13,7 @@ HEAVY = "mujoco", "ompl", "numba", "scipy", "trimesh", "torch", "h5py", "multipr
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    counts = {"train": 3, "val": 0, "test": 0}
-    folder = tmp_path_factory.mktemp("light") / "d"
-    return dataset_in(folder, counts=counts, compact=True).folder
+    return dataset_in(tmp_path_factory.mktemp("light") / "d", compact=True).folder
 
 
 def imported(code):

@@ -17,7 +17,7 @@ from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, SceneError
 from scenegen.source import read_scenes
 from scenegen.worlds.world import write_world
-from tests.conftest import scene_recipe
+from tests.conftest import THREE, scene_recipe
 
 SCENES = Path(__file__).parents[2] / "scenes"
 COUNTS = {"train": 9, "val": 3, "test": 3}
@@ -108,9 +108,8 @@ def test_assets_and_includes_travel_with_the_world(tmp_path):
         'euler="40 0 0"/><geom type="plane" size="1 1 1"/></worldbody></mujoco>'
     )
     direct = mujoco.MjModel.from_xml_path(str(tmp_path / "world.xml"))
-    counts = {"train": 3, "val": 0, "test": 0}
-    source = read_scenes(tmp_path / "world.xml", counts, seed=0)
-    build(plan_dataset(tmp_path / "d", scene_recipe(), source, seed=0, counts=counts))
+    source = read_scenes(tmp_path / "world.xml", THREE, seed=0)
+    build(plan_dataset(tmp_path / "d", scene_recipe(), source, seed=0, counts=THREE))
     taken = Dataset(tmp_path / "d").world("train", 0)
     (tmp_path / "out").mkdir()
     for name, content in taken.items():

@@ -28,12 +28,11 @@ def test_figures_fit_the_terminal_and_none_is_left_out(wide, monkeypatch, capsys
     heads = [f"metric_{n}" for n in range(12)]
     show_figures({"one": [f"{n}.5" for n in range(12)], "another": ["–"] * 12}, heads, "a title")
     lines = capsys.readouterr().out.splitlines()
-    narrowest = len("another") + 2 + len("metric_11")
-    assert max(map(len, lines)) <= max(wide, narrowest)
+    assert max(map(len, lines)) <= max(wide, len("another  metric_11"))
     assert " ".join(lines).count("–") == 12
     for n, head in enumerate(heads):
-        at = next(line for line in lines if head in line.split())
-        assert lines[lines.index(at) + 1].split()[1 + at.split().index(head)] == f"{n}.5"
+        at = next(number for number, line in enumerate(lines) if head in line.split())
+        assert lines[at + 1].split()[1 + lines[at].split().index(head)] == f"{n}.5"
 
 
 def test_a_curve_rises_and_falls_with_its_numbers():

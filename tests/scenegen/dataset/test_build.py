@@ -30,13 +30,12 @@ from scenegen.dataset.shard import ShardSpec, read_report
 from scenegen.draw import compile_truth
 from scenegen.errors import DatasetError, GenerationError
 from scenegen.sample import GROUPS
-from tests.conftest import DRAWN, picky_recipe, plan_of, small_recipe
+from tests.conftest import DRAWN, THREE, picky_recipe, plan_of, small_recipe
 
 pytestmark = pytest.mark.usefixtures("drawn_once")
 
 COUNTS = {"train": 13, "val": 3, "test": 4}
 MORE = {"train": 20, "val": 3, "test": 8}
-FEW = {"train": 3, "val": 0, "test": 0}
 SEED = 3
 """One at which every shard rejects worlds, and all but one viewpoints, too."""
 
@@ -69,7 +68,7 @@ def larger(once):
 @pytest.fixture(scope="session")
 def few(once):
     """Few samples of another seed."""
-    return once("build-few", lambda folder: make(folder, seed=5, counts=FEW))
+    return once("build-few", lambda folder: make(folder, seed=5, counts=THREE))
 
 
 @pytest.fixture
@@ -259,7 +258,7 @@ def test_force_replaces_a_dataset_and_none_of_a_users_files(folder, few):
     before = content(folder)
     make(folder)
     assert content(folder) == before
-    build(plan(folder, seed=5, counts=FEW), force=True)
+    build(plan(folder, seed=5, counts=THREE), force=True)
     assert content(folder) == content(few) | mine
 
 
@@ -294,9 +293,9 @@ def test_a_replacement_that_is_killed_goes_on(listed, killed_at, folder, few, mo
 
     monkeypatch.setattr(Path, "unlink", dies)
     with pytest.raises(KeyboardInterrupt):
-        build(plan(folder, seed=5, counts=FEW), force=True)
+        build(plan(folder, seed=5, counts=THREE), force=True)
     monkeypatch.undo()
-    build(plan(folder, seed=5, counts=FEW), force=True)
+    build(plan(folder, seed=5, counts=THREE), force=True)
     assert content(folder) == content(few)
 
 

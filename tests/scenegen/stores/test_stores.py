@@ -302,15 +302,13 @@ def test_copies_are_neither_taken_from_nor_put_where_others_may_write(
     assert {path.name for path in folder.iterdir()} == {"dataset.json"}
 
 
-@pytest.mark.parametrize("damage", [lambda whole: whole[:-9], lambda whole: whole[:-1] + b"?"])
-def test_a_copy_that_changed_is_fetched_again(damage, there, made):
+def test_a_copy_that_changed_is_fetched_again(there, made):
     folder, whole = locate(NAME, whole=True), files(made)
-    for name, content in whole.items():
-        (folder / name).write_bytes(damage(content))
+    for number, (name, content) in enumerate(whole.items()):
+        (folder / name).write_bytes(content[:-9] if number % 2 else content[:-1] + b"?")
     Path(f"{folder}.place").write_bytes(b"{")
     forget()
-    split = load(NAME, split="train")
-    assert split[4].sha256() == load(made, split="train")[4].sha256()
+    assert load(NAME)[4].sha256() == load(made)[4].sha256()
     fetched = {what.partition(" ")[2] for what in asked() if what.startswith("read")}
     assert fetched == {"dataset.json", "train-00001.h5"}
     locate(NAME, whole=True)

@@ -23,7 +23,7 @@ from scenegen.truth import distance_field
 from scenegen.verification import verify
 from scenegen.verification.folder import CHECKS
 from scenegen.worlds.world import compile_world
-from tests.conftest import SMALL, small_recipe
+from tests.conftest import SMALL, THREE, small_recipe
 from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
 
@@ -59,11 +59,10 @@ def test_a_dataset_as_made_passes_every_check_and_is_not_touched(
 
 @pytest.mark.parametrize("scene", ["forest.xml", "warehouse.xml"])
 def test_worlds_drawn_by_hand_pass(tmp_path, scene):
-    counts = {"train": 3, "val": 0, "test": 0}
     tables = {name: SMALL[name] for name in ("lidar", "grid")} | {"flight": {"viewpoints": 2}}
     recipe = make_recipe("scene", tables, where="test")
-    source = read_scenes(SCENES / scene, counts, seed=0)
-    build(plan_dataset(tmp_path, recipe, source, seed=0, counts=counts, shard_samples=2))
+    source = read_scenes(SCENES / scene, THREE, seed=0)
+    build(plan_dataset(tmp_path, recipe, source, seed=0, counts=THREE, shard_samples=2))
     report = verify(tmp_path)
     assert [check.detail for check in report.checks if not check.ok or check.skipped] == []
 

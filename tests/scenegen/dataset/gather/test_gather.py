@@ -130,9 +130,9 @@ def test_what_is_taken_is_what_a_plain_loop_would_take(first, second, tmp_path):
     found = taken(tmp_path / "t", tmp_path / "m", most=7, worlds=((0, 3), (4, 7)), where=where)
     for split in SPLITS:
         asked = [
-            sample
-            for n, sample in enumerate(whole.split(split))
-            if sample.occupancy.mean() >= level and n < 20 and sample.world in (0, 1, 2, 4, 5, 6)
+            one
+            for one in whole.split(split)[:20]
+            if one.occupancy.mean() >= level and one.world in (0, 1, 2, 4, 5, 6)
         ][:7]
         samples = found.split(split)
         assert [one.ranges.tobytes() for one in samples] == [one.ranges.tobytes() for one in asked]
