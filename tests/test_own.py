@@ -3,7 +3,7 @@ of the user's."""
 
 import pytest
 
-from tests.command_line import ROOT, SMALL, refused
+from tests.command_line import ROOT, SMALL, refused, rows
 
 EXAMPLES = {
     "my_worlds.py": "recipes.md",
@@ -63,72 +63,26 @@ def regenerated(table):
     return line
 
 
-LACKING = {
-    "kind without a module": (
-        "generate --quiet --kind absent:Fence",
-        "there is no module absent",
-    ),
-    "kind of another class": (
-        "generate --quiet --kind wrong:Other",
-        "lacks `version`, a whole number",
-    ),
-    "kind that is no dataclass": (
-        "generate --quiet --kind wrong:Bare",
-        "class Mine(scenegen.WorldKind)",
-    ),
-    "kind with odd values": (
-        "generate --quiet --kind wrong:Odd",
-        "cannot stand in a manifest",
-    ),
-    "a name beyond what readers take": (
-        f"generate --quiet --kind wrong:{'K' * 95}",
-        "at most 100 characters",
-    ),
-    "method without name": (
-        "bench DATASET --quiet --method wrong:Nameless",
-        "lacks a `name`, a string",
-    ),
-    "method with another signature": (
-        "bench DATASET --quiet --method wrong:Short",
-        "lacks a method `complete` that takes (observed, free, *, grid)",
-    ),
-    "method that needs arguments": ("bench DATASET --quiet --method wrong:Needy", "without arg"),
-    "command that is a plain function": ("wrong:plain", "lacks `make_context`"),
-    "command that is absent": ("trian", "did you mean 'train'?"),
-}
-FAILING = "line {} of wrong.py: KeyError: 'gone'"
-PILLAR = "generate --quiet --kind pillar --workers 1"
-LACKING |= {
-    "a kind that fails": (
-        "generate --quiet --kind wrong:Failing --workers 1",
-        FAILING.format(3),
-    ),
-    "a kind that fails in a worker": (
-        "generate --quiet --recipe fails.toml --n 99 --shard-samples 3 --workers 2",
-        FAILING.format(3),
-    ),
-    "a method that fails": (
-        "bench DATASET --quiet --method wrong:Broken",
-        FAILING.format(3),
-    ),
-    "a method whose error cannot travel": (
-        "bench DATASET --quiet --method wrong:Worse --workers 2",
-        "of wrong.py: Failed: two",
-    ),
-    "a command that fails": ("wrong:failing", FAILING.format(3)),
-    "a module that ends the process": (
-        "ends:all",
-        "importing it fails (line 2 of ends.py): SystemExit",
-    ),
-    "an engine that fails": (
-        f"{PILLAR} --engine wrong:Still",
-        FAILING.format(3),
-    ),
-    "an engine that lacks something": (
-        f"{PILLAR} --engine wrong:Short",
-        "`of`",
-    ),
-}
+LACKING = f"""
+generate --quiet --kind absent:Fence   → there is no module absent
+generate --quiet --kind wrong:Other    → lacks `version`, a whole number
+generate --quiet --kind wrong:Bare     → class Mine(scenegen.WorldKind)
+generate --quiet --kind wrong:Odd      → cannot stand in a manifest
+generate --quiet --kind wrong:{"K" * 95} → at most 100 characters
+bench DATASET --quiet --method wrong:Nameless → lacks a `name`, a string
+bench DATASET --quiet --method wrong:Short    → `complete` that takes (observed, free, *, grid)
+bench DATASET --quiet --method wrong:Needy    → without arguments
+wrong:plain                            → lacks `make_context`
+trian                                  → did you mean 'train'?
+generate --quiet --kind wrong:Failing --workers 1    → line 3 of wrong.py: KeyError: 'gone'
+generate --quiet --recipe fails.toml --n 99 --shard-samples 3 --workers 2 → line 3 of wrong.py: Key
+bench DATASET --quiet --method wrong:Broken   → line 3 of wrong.py: KeyError: 'gone'
+bench DATASET --quiet --method wrong:Worse --workers 2 → of wrong.py: Failed: two
+wrong:failing                          → line 3 of wrong.py: KeyError: 'gone'
+ends:all                               → importing it fails (line 2 of ends.py): SystemExit
+generate --quiet --kind pillar --workers 1 --engine wrong:Still → line 3 of wrong.py: KeyError
+generate --quiet --kind pillar --workers 1 --engine wrong:Short → `of`
+"""
 WRONG = f"""
 def gone():
     raise KeyError("gone")
@@ -171,11 +125,10 @@ class {"K" * 95}(Bare): pass
 """
 
 
-@pytest.mark.parametrize("what", LACKING)
-def test_one_that_lacks_something_is_told_in_one_line(what, here, standing, made, capsys):
-    words, told = LACKING[what]
+@pytest.mark.parametrize(("words", "told"), rows(LACKING))
+def test_one_that_lacks_something_is_told_in_one_line(words, told, standing, made, capsys):
     (standing / "wrong.py").write_text(WRONG)
     (standing / "ends.py").write_text("import sys\nsys.exit(3)\n")
     (standing / "fails.toml").write_text('kind = "wrong:Failing"')
-    assert told in refused(capsys, *words.replace("DATASET", str(made)).split())
+    assert told in refused(capsys, words.replace("DATASET", str(made)))
     assert not (standing / "data").exists()

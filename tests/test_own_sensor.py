@@ -3,11 +3,11 @@ command."""
 
 import re
 import shutil
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+from tests.command_line import ROOT, rows
+
 SMALL = """petals = 5.7
 rays = 300
 
@@ -63,33 +63,18 @@ def test_a_users_sensor_makes_a_dataset_that_nobody_needs_the_sensor_for(example
     assert one.read_bytes() == other.read_bytes()
 
 
-@pytest.mark.parametrize(
-    ("file", "find", "put", "told"),
-    [
-        ("my.toml", "my_sensor:Rosette", "my_senser:Rosette", "there is no module my_senser"),
-        (
-            "my.toml",
-            "my_sensor:Rosette",
-            "rastar",
-            "did you mean 'raster'?",
-        ),
-        (
-            "my.toml",
-            "petals",
-            "petal",
-            "did you mean 'petals'?",
-        ),
-        ("my_sensor.py", "def times_s", "def times", "lacks `times_s`, seconds after the scan"),
-        (
-            "my_sensor.py",
-            "return (self.rays,)",
-            "return (7,)",
-            "expected (7, 3)",
-        ),
-        ("my_sensor.py", "20.0", "'a' / 2", "[lidar] sensor Rosette: it fails: "),
-        ("my_sensor.py", "@dataclass(frozen=True, kw_only=True)\n", "", "expected a dataclass"),
-    ],
-)
+WRONG = """
+my.toml      → my_sensor:Rosette → my_senser:Rosette → there is no module my_senser
+my.toml      → my_sensor:Rosette → rastar    → unknown sensor 'rastar'; did you mean 'raster'?
+my.toml      → petals            → petal     → [lidar]: unknown parameter 'petal'; did you mean
+my_sensor.py → def times_s       → def times → lacks `times_s`, seconds after the scan begins
+my_sensor.py → (self.rays,)      → (7,)      → has shape (300, 3), expected (7, 3)
+my_sensor.py → 20.0              → 'a' / 2   → [lidar] sensor Rosette: it fails:
+my_sensor.py → @dataclass        → # @       → expected a dataclass
+"""
+
+
+@pytest.mark.parametrize(("file", "find", "put", "told"), rows(WRONG))
 def test_a_sensor_that_is_none_is_told_of_in_one_line(examples, shell, file, find, put, told):
     text = (examples / file).read_text()
     assert find in text

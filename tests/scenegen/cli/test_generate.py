@@ -11,7 +11,7 @@ from scenegen.cli.options import find_datasets
 from scenegen.cli.types import Named
 from scenegen.dataset import manifest
 from scenegen.dataset.read import Dataset
-from tests.command_line import ROOT, SMALL, refused, run
+from tests.command_line import ROOT, SMALL, refused, rows, run
 
 BOX = (
     '<mujoco><worldbody><geom name="{name}" type="box" size="1 1 1" pos="{x} 0 0" {more}/>'
@@ -58,23 +58,22 @@ def test_a_split_range_makes_its_shards_alone(small, tmp_path, capsys):
     assert (said["complete"], said["samples_written"]) == (True, 5)
 
 
-BAD_USE = {
-    "an unknown kind": ("--kind piller", "did you mean 'pillar'?"),
-    "a scene without its option": ("room.xml", "give it as --scene room.xml"),
-    "a kind given twice": ("pillar --kind pillar", "the kind is given twice"),
-    "no kind": ("", "no worlds are named; give a kind, such as --kind pillar"),
-    "no workers": ("--kind pillar --workers 0", "--workers"),
-    "kind and scene": ("--kind pillar --scene x.xml", "give one of the two"),
-    "a backward range": ("--kind pillar --split-range 5:2", "FIRST:STOP"),
-    "a range too far": ("--kind pillar --n 10 --split-range 0:99", "there are 3 shards"),
-    "an unknown option": ("--kin pillar", "--kind"),
-}
+BAD_USE = """
+--kind piller                → did you mean 'pillar'?
+room.xml                     → give it as --scene room.xml
+pillar --kind pillar         → the kind is given twice
+--workers 2                  → no worlds are named; give a kind, such as --kind pillar
+--kind pillar --workers 0    → --workers
+--kind pillar --scene x.xml  → give one of the two
+--kind pillar --split-range 5:2          → FIRST:STOP
+--kind pillar --n 10 --split-range 0:99  → there are 3 shards
+--kin pillar                 → --kind
+"""
 
 
-@pytest.mark.parametrize("what", BAD_USE)
-def test_bad_use_ends_in_one_line(what, tmp_path, capsys):
-    words, named = BAD_USE[what]
-    assert named in refused(capsys, f"generate {words} --out {tmp_path / 'd'} --quiet")
+@pytest.mark.parametrize(("words", "told"), rows(BAD_USE))
+def test_bad_use_ends_in_one_line(words, told, tmp_path, capsys):
+    assert told in refused(capsys, f"generate {words} --out {tmp_path / 'd'} --quiet")
     assert not (tmp_path / "d").exists()
 
 

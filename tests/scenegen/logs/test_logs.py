@@ -27,7 +27,7 @@ from scenegen.logs.write import matrix_of, write_log
 from scenegen.poses import read_poses
 from scenegen.source import read_world
 from scenegen.worlds.place import read_place
-from tests.command_line import refused, run
+from tests.command_line import refused, rows, run
 from tests.scenegen.run.everywhere import contents
 
 # no face of a solid lies where voxels meet
@@ -428,14 +428,14 @@ def test_times_of_poses_must_rise(tmp_path):
         read_poses(tmp_path / "poses.tum")
 
 
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        ("scan pillar --flight --moving", "go with --sequence"),
-        ("scan pillar --flight --sequence --every 1", "without --every"),
-        ("ingest log --voxel 0.01", "voxels"),
-    ],
-)
+BAD_USE = """
+scan pillar --flight --moving             → go with --sequence
+scan pillar --flight --sequence --every 1 → without --every
+ingest log --voxel 0.01                   → voxels
+"""
+
+
+@pytest.mark.parametrize(("words", "expected"), rows(BAD_USE))
 def test_bad_use_is_told(capsys, words, expected):
     code, _, err = run(capsys, words)
     assert code in (1, 2)
