@@ -2,7 +2,6 @@
 same worlds."""
 
 import dataclasses
-import re
 
 import h5py
 import numpy as np
@@ -28,7 +27,7 @@ from scenegen.verification import verify
 from scenegen.worlds.flight import Route
 from scenegen.worlds.labels import labels_by
 from scenegen.worlds.mapping import Mapper
-from tests.command_line import refused, run
+from tests.command_line import refused, rows, run
 from tests.conftest import COUNTS, dataset_in, small_recipe
 from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
@@ -227,28 +226,22 @@ def test_what_was_changed_in_earlier_scans_is_found(several, tmp_path, field, ch
     assert checks <= failed(folder).keys()
 
 
-@pytest.mark.parametrize(
-    ("entries", "told"),
-    [
-        ({"version": 1}, "version = 1: expected 1.3 with mapping"),
-        ({"mapping": None}, "version = 1.3: expected 1 with nothing of a minor version"),
-        ({"mapping": {"scans": 4}}, "mapping.fusion is missing"),
-        (
-            {"mapping": {"scans": 1}},
-            "mapping: expected exactly where `fields` names those of earlier",
-        ),
-        ({"mapping": {"scans": 5}}, "earlier_ranges is float32"),
-        ({"mapping": {"hit": 0.1}}, "mapping.hit = 0.1: expected"),
-        ({"mapping": {"odd": 1}}, "mapping: unknown parameter 'odd'"),
-        ({"mapping": {"map_ahead_m": [99.0, 0.0, 0.0]}}, "lies beyond the sensor's range"),
-    ],
-)
-def test_a_strangers_word_is_not_trusted(several, tmp_path, entries, told):
-    folder = forge.copy(several, tmp_path / "d")
-    if entries.get("mapping") not in (None, {"scans": 4}):
-        entries = {"mapping": manifest.read(folder)["mapping"] | entries["mapping"]}
-    forge.edit_manifest(folder, **entries)
-    with pytest.raises(DatasetError, match=re.escape(told)):
+WRONG = """
+version             → 1                → version = 1: expected 1.3 with mapping
+mapping             → null             → version = 1.3: expected 1 with nothing of a minor version
+mapping             → {"scans": 4}     → mapping.fusion is missing
+mapping.scans       → 1                → mapping: expected exactly where `fields` names those of
+mapping.scans       → 5                → earlier_ranges is float32
+mapping.hit         → 0.1              → mapping.hit = 0.1: expected
+mapping.odd         → 1                → mapping: unknown parameter 'odd'
+mapping.map_ahead_m → [99.0, 0.0, 0.0] → lies beyond the sensor's range
+"""
+
+
+@pytest.mark.parametrize(("path", "value", "told"), rows(WRONG))
+def test_a_strangers_word_is_not_trusted(several, tmp_path, path, value, told):
+    folder = forge.edit_at(forge.copy(several, tmp_path / "d"), path, value)
+    with pytest.raises(DatasetError, match=told):
         _ = Dataset(folder).split("train")[0].observed
 
 

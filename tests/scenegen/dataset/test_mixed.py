@@ -21,7 +21,7 @@ from scenegen.recipes import kind_names
 from scenegen.share.regenerate import recipe_text
 from scenegen.share.stage import Request, stage
 from scenegen.verification import verify
-from tests.command_line import refused, run
+from tests.command_line import refused, rows, run
 from tests.conftest import plan_of
 
 SMALL = """
@@ -189,37 +189,24 @@ def test_without_components_every_kind_has_the_same_weight():
     )
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "told"),
-    [
-        ("weight = 3\n", "", "component 1 ('pillar'): has no weight, and others have"),
-        ("weight = 3", "weight = -1", "weight of 'pillar' = -1: expected a number above 0"),
-        ('kind = "clutter"\n', "", "component 2: names no kind"),
-        ("density = [0.06, 0.06]", "density = [2, 1]", "[world] density = [2, 1]"),
-        ("[component.world]", "[domain.lidar]\nrows = 4\n[component.world]", "a list of values"),
-        ("[component.world]", '[domain.lidar]\nrows = "2..4"\n[component.world]', "domain.draws"),
-        ("[component.world]", "[domain]\ndraws = 2\n[component.world]", "domain.draws"),
-        (
-            "[component.world]",
-            '[domain]\ndraws = 1000000000\n[domain.lidar]\nrows = "2..4"\n[component.world]',
-            "combinations",
-        ),
-        ("[component.world]", "[domain]\nrows = [4]\n[component.world]", "tables of lists"),
-        (
-            "[component.world]",
-            "[component.lidar]\nrows = 3\n[domain.lidar]\nrows = [4]\n[component.world]",
-            "component 1: lidar.rows has a value and a domain",
-        ),
-        (
-            "[component.world]",
-            f"[domain.flight]\nviewpoints = {list(range(1, 1200))}\n[component.world]",
-            "combinations",
-        ),
-        ("[component.world]", "[component.grid]\nvoxel_m = 1\n[component.world]", "grid.voxel"),
-    ],
-)
+BAD = """
+weight = 3             →                  → component 1 ('pillar'): has no weight, and others have
+weight = 3             → weight = -1      → weight of 'pillar' = -1: expected a number above 0
+kind = "clutter"       →                  → component 2: names no kind
+density = [0.06, 0.06] → density = [2, 1] → [world] density = [2, 1]
+[grid]                 → domain.lidar.rows = 4; [grid]                 → a list of values
+[grid]                 → domain.lidar.rows = "2..4"; [grid]            → domain.draws
+[grid]                 → domain.draws = 2; [grid]                      → domain.draws
+[grid]                 → domain = {draws = 1000000000, lidar.rows = "2..4"}; [grid] → combinations
+[grid]                 → domain.rows = [4]; [grid]                     → tables of lists
+[component.world]      → [component.grid]; voxel_m = 1; [component.world]           → grid.voxel
+weight = 3             → weight = 3; lidar.rows = 3; [domain.lidar]; rows = [4]     → and a domain
+"""
+
+
+@pytest.mark.parametrize(("old", "new", "told"), rows(BAD))
 def test_a_bad_mixture_ends_in_one_line(tmp_path, old, new, told):
-    (tmp_path / "r.toml").write_text(RECIPE.replace(old, new, 1))
+    (tmp_path / "r.toml").write_text(RECIPE.replace(old, new.replace("; ", "\n"), 1))
     with pytest.raises(RecipeError, match=re.escape(told)):
         plan_generation(recipe=tmp_path / "r.toml", out=tmp_path / "d", **COUNTS)
 

@@ -1,8 +1,10 @@
 """A forger who knows the format: edits a dataset and rewrites every checksum and digest to
 match."""
 
+import functools
 import hashlib
 import json
+import operator
 import shutil
 import zipfile
 
@@ -89,6 +91,20 @@ def edit_manifest(folder, **changes):
     """Change the manifest alone; the folder."""
     path = folder / manifest.NAME
     path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
+    return folder
+
+
+def edit_at(folder, path, value):
+    """Put what the JSON `value` says at a dotted path of the manifest, or, if it says nothing,
+    delete what is there; the folder."""
+    found = manifest.read(folder)
+    *above, last = (int(step) if step.isdigit() else step for step in path.split("."))
+    place = functools.reduce(operator.getitem, above, found)
+    if value:
+        place[last] = json.loads(value)
+    else:
+        del place[last]
+    (folder / manifest.NAME).write_text(json.dumps(found))
     return folder
 
 

@@ -11,6 +11,7 @@ from scenegen.dataset import manifest
 from scenegen.errors import BrokenError
 from scenegen.limits import MOST_DOCUMENT_BYTES
 from scenegen.worlds.screen import screen
+from tests.command_line import rows
 from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
 
@@ -85,7 +86,15 @@ def geoms(count, more=""):
 
 
 MANY = " ".join(f"a{n}='1'" for n in range(101))
-HUGE = '<hfield name="h" nrow="100000" ncol="100000" size="1 1 1 1"/>'
+HARM = """
+<include file="/etc/passwd"/>                          → has <include>
+<asset><mesh file="/etc/passwd"/></asset>              → expected a file of the archive
+<asset><hfield nrow="100000" ncol="100000" size="1 1 1 1"/></asset> → nrow times
+<compiler meshdir="/etc"/>                             → expected files beside the document
+<size memory="100G"/>                                  → expected 1073741824 at most
+<custom><numeric name="a" size="2000000000"/></custom> → expected 100000 at most
+<extension><plugin plugin="x"/></extension>            → has <extension>
+"""
 DEEP = b"<mujoco><worldbody>" + b"<body>" * 300 + b"</body>" * 300 + b"</worldbody></mujoco>"
 IMAGE = b"\x89PNG\r\n\x1a\n" + bytes(8) + struct.pack(">II", 10**5, 10**5)
 LAUGHS = (
@@ -102,16 +111,7 @@ LAUGHS = (
         (world(b" " * (MOST_DOCUMENT_BYTES + 1)), f"expected {MOST_DOCUMENT_BYTES} at most"),
         (world(b"<mujoco>"), "000000.xml: is not plain XML"),
         (world(LAUGHS), "declares a document type or entities"),
-        (world(geoms(1, '<include file="/etc/passwd"/>')), "has <include>"),
-        (world(geoms(1, '<asset><mesh file="/etc/passwd"/></asset>')), "expected a file of the"),
-        (world(geoms(1, '<compiler meshdir="/etc"/>')), "expected files beside the document"),
-        (world(geoms(1, f"<asset>{HUGE}</asset>")), "nrow times"),
-        (world(geoms(1, '<size memory="100G"/>')), "expected 1073741824 at most"),
-        (
-            world(geoms(1, '<custom><numeric name="a" size="2000000000"/></custom>')),
-            "expected 100000 at most",
-        ),
-        (world(geoms(1, '<extension><plugin plugin="x"/></extension>')), "has <extension>"),
+        *((world(geoms(1, more)), said) for more, said in rows(HARM)),
         (world(DEEP), "200 levels"),
         (world(geoms(1_000_000)[:MOST_DOCUMENT_BYTES]), "more than 50000 geoms"),
         (

@@ -23,6 +23,7 @@ from scenegen.truth import distance_field
 from scenegen.verification import verify
 from scenegen.verification.folder import CHECKS
 from scenegen.worlds.world import compile_world
+from tests.command_line import rows
 from tests.conftest import SMALL, THREE, small_recipe
 from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
@@ -254,34 +255,26 @@ def test_a_missing_file_and_an_unlisted_one_are_named(folder):
     assert "train-00007.h5: in the folder, but dataset.json does not list it" in found["manifest"]
 
 
-@pytest.mark.parametrize(
-    ("changes", "check", "said"),
-    [
-        ({"seed": 1}, "manifest", f"{SHARD}: was written for other parameters than the manifest's"),
-        ({"digest": "0" * 64}, "digest", "dataset.json: digest 0000000000000000…"),
-        (
-            {"rejected": {"worlds": {"no_flight": 7}, "viewpoints": {}}},
-            "manifest",
-            "rejected.worlds = {'no_flight': 7}",
-        ),
-        (
-            {"counts": {"train": 7, "val": 3, "test": 3}},
-            "manifest",
-            "counts.train = 7, but its shards hold 6 samples",
-        ),
-        ({"complete": False}, "manifest", "complete is false"),
-        (
-            {"grid": {"shape": [24, 24, 15], "voxel": 0.2, "truncation": 2.0}},
-            "layout",
-            f"{SHARD}: observed is bool",
-        ),
-        ({"recipe": {"flight": {"speed": 1}}}, "manifest", "unknown parameter 'speed'"),
-        ({"kind": "scene"}, "manifest", "recipe.scenes = None"),
-    ],
-)
-def test_an_edited_manifest_is_named(folder, changes, check, said):
-    forge.edit_manifest(folder, **changes)
+EDITS = """
+seed          → 1            → manifest → h5: was written for other parameters than the manifest's
+rejected      → {"worlds": {"no_flight": 7}, "viewpoints": {}} → manifest → rejected.worlds = {'no_f
+counts.train  → 7            → manifest → counts.train = 7, but its shards hold 6 samples
+complete      → false        → manifest → complete is false
+grid.shape    → [24, 24, 15] → layout   → h5: observed is bool
+recipe.flight.speed → 1      → manifest → unknown parameter 'speed'
+kind          → "scene"      → manifest → recipe.scenes = None
+"""
+
+
+@pytest.mark.parametrize(("path", "value", "check", "said"), rows(EDITS))
+def test_an_edited_manifest_is_named(folder, path, value, check, said):
+    forge.edit_at(folder, path, value)
     assert said in failed(folder, quick=True)[check]
+
+
+def test_a_digest_of_other_samples_is_named(folder):
+    forge.edit_manifest(folder, digest="0" * 64)
+    assert "dataset.json: digest 0000000000000000…" in failed(folder, quick=True)["digest"]
 
 
 def test_a_recipe_edited_with_every_shard_is_caught_by_what_the_seed_gives(folder):

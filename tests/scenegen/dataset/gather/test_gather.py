@@ -1,6 +1,5 @@
 """Samples that are merged or taken stay what they were, and known by where they are from."""
 
-import json
 import shutil
 
 import numpy as np
@@ -20,6 +19,7 @@ from scenegen.share.stage import Request, examine
 from scenegen.source import read_scenes
 from scenegen.tables import named_noise
 from scenegen.verification import verify
+from tests.command_line import rows
 from tests.conftest import dataset_in, scene_recipe, small_recipe
 from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
@@ -202,31 +202,26 @@ def test_worlds_from_files_are_merged_where_they_are_in_one_split(tmp_path):
     sound(tmp_path / "t")
 
 
-@pytest.mark.parametrize(
-    ("damage", "said"),
-    [
-        (lambda it: it.update(sources=[]), "sources"),
-        (lambda it: it["sources"][0].pop("digest"), "digest is missing"),
-        (lambda it: it["sources"][0]["parameters"].update(sources=[]), "expected none"),
-        (lambda it: it["sources"][0]["parameters"]["grid"].update(voxel=0.3), "parameters.grid"),
-        (
-            lambda it: it["sources"][0]["parameters"]["recipe"]["flight"].pop("viewpoints"),
-            "viewpoints is missing",
-        ),
-        (lambda it: it["shards"][0].update(source=7), "source = 7"),
-        (lambda it: it["shards"][0].update(stop=10**6), "places"),
-        (lambda it: it["shards"][0].pop("start"), "start is missing"),
-        (lambda it: it.pop("sources"), "version = 1.4"),
-    ],
-)
-def test_a_strangers_sources_are_not_trusted(first, tmp_path, damage, said):
-    taken(tmp_path / "t", first, splits=("val",))
-    there = manifest.read(tmp_path / "t")
-    damage(there)
-    (tmp_path / "t" / manifest.NAME).write_text(json.dumps(there))
-    with pytest.raises(DatasetError, match=said):
-        Dataset(tmp_path / "t")
-    assert not verify(tmp_path / "t", quick=True).ok
+WRONG = """
+sources                                       → []      → sources
+sources                                       →         → version = 1.4
+sources.0.digest                              →         → digest is missing
+sources.0.parameters.sources                  → []      → expected none
+sources.0.parameters.grid.voxel               → 0.3     → parameters.grid
+sources.0.parameters.recipe.flight.viewpoints →         → viewpoints is missing
+shards.0.source                               → 7       → source = 7
+shards.0.stop                                 → 1000000 → places
+shards.0.start                                →         → start is missing
+"""
+
+
+@pytest.mark.parametrize(("path", "value", "told"), rows(WRONG))
+def test_a_strangers_sources_are_not_trusted(first, tmp_path, path, value, told):
+    folder = taken(tmp_path / "t", first, splits=("val",)).folder
+    forge.edit_at(folder, path, value)
+    with pytest.raises(DatasetError, match=told):
+        Dataset(folder)
+    assert not verify(folder, quick=True).ok
 
 
 def test_a_false_account_of_where_samples_are_from_does_not_pass(first, second, tmp_path):
