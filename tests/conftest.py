@@ -111,6 +111,12 @@ def dataset_in(folder, recipe=None, **options):
     return Dataset(folder)
 
 
+def contents(place):
+    """A file, or all files below a folder, by name."""
+    files = [place] if place.is_file() else [path for path in place.rglob("*") if path.is_file()]
+    return {str(path.relative_to(place)): path.read_bytes() for path in files}
+
+
 def small_recipe(kind="pillar", **tables):
     """The preset of `kind` with everything made small, and `tables` put in."""
     merged = {name: {**SMALL.get(name, {}), **tables.get(name, {})} for name in {*SMALL, *tables}}

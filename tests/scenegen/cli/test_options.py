@@ -51,18 +51,13 @@ def test_what_is_given_has_the_fields_type():
     )
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        *(("--width", value) for value in ("65", "0", "1.5")),
-        *(("--reach", value) for value in ("0", "many", "nan", "inf")),
-        ("--stride", "3"),
-        ("--mode", "odd"),
-    ],
-)
-def test_bounds_and_choices_are_the_fields(words):
-    code, said = run(*words)
-    assert (code, words[0] in said) == (2, True)
+BEYOND = "--width=65 --width=0 --width=1.5 --reach=0 --reach=many --reach=nan --reach=inf"
+
+
+@pytest.mark.parametrize("word", [*BEYOND.split(), "--stride=3", "--mode=odd"])
+def test_bounds_and_choices_are_the_fields(word):
+    code, said = run(word)
+    assert (code, word.partition("=")[0] in said) == (2, True)
 
 
 @pytest.mark.parametrize("word", ["-o", "--out", "--output"])

@@ -4,6 +4,7 @@ on either."""
 import dataclasses
 import hashlib
 import io
+import json
 import pickle
 import re
 import sys
@@ -22,6 +23,7 @@ from scenegen.errors import BrokenError, DatasetError, PublishError
 from scenegen.share.regenerate import check_source, source_file
 from scenegen.source import DrawnWorlds
 from scenegen.verification import verify
+from tests.command_line import rows
 from tests.conftest import plan_of, small_recipe
 from tests.scenegen.verification import forge
 
@@ -104,24 +106,27 @@ def test_a_damaged_table_ends_in_one_line(tmp_path, content, told):
         sensor_of(entry, tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        ({"sha256": "0" * 64}, "rays.npy: is not the file whose sha256 the manifest's lidar names"),
-        ({"sensor": "antigravity:Flight"}, "lidar.sensor = 'antigravity:Flight': expected table"),
-        ({"rays": "../../etc/passwd"}, "lidar.rays = '../../etc/passwd'"),
-        ({"shape": [10**6, 10**6]}, "1000000 rays at most"),
-        ({"max_range_m": float("nan")}, "max_range_m = nan"),
-        ({"made_by": "x" * 301}, "lidar.made_by"),
-        ({"rows": 16}, "lidar: unknown parameter 'rows'"),
-    ],
-)
-def test_a_strangers_word_on_a_table_is_not_trusted(tmp_path, change, told):
+WRONG = """
+sha256      → "0000"               → lidar.sha256
+sensor      → "antigravity:Flight" → lidar.sensor = 'antigravity:Flight': expected table
+rays        → "../../etc/passwd"   → lidar.rays = '../../etc/passwd'
+shape       → [1000000, 1000000]   → 1000000 rays at most
+max_range_m → NaN                  → max_range_m = nan
+made_by     → "two\\nlines"         → made_by
+rows        → 16                   → lidar: unknown parameter 'rows'
+"""
+
+
+def test_a_strangers_word_on_a_table_is_not_trusted(tmp_path):
     table = BeamTable(rays=UNIT)
     write_rays([table], tmp_path)
-    assert sensor_of(sensor_entry(table), tmp_path) == table
-    with pytest.raises(BrokenError, match=re.escape(told)):
-        sensor_of(read_sensor(sensor_entry(table) | change, {}), tmp_path)
+    entry = sensor_entry(table)
+    assert sensor_of(entry, tmp_path) == table
+    for name, value, told in rows(WRONG):
+        with pytest.raises(BrokenError, match=told):
+            sensor_of(read_sensor(entry | {name: json.loads(value)}, {}), tmp_path)
+    with pytest.raises(BrokenError, match=r"rays.npy: is not the file whose sha256 the manifest's"):
+        sensor_of(read_sensor(entry | {"sha256": "0" * 64}, {}), tmp_path)
 
 
 def test_no_reader_imports_what_a_manifest_names(made, tmp_path, monkeypatch):

@@ -28,7 +28,7 @@ from scenegen.poses import read_poses
 from scenegen.source import read_world
 from scenegen.worlds.place import read_place
 from tests.command_line import refused, rows, run
-from tests.scenegen.run.everywhere import contents
+from tests.conftest import contents
 
 # no face of a solid lies where voxels meet
 ROOM = """<mujoco><worldbody>
@@ -49,12 +49,11 @@ RECORD = (
 
 
 @pytest.fixture
-def here(tmp_path, monkeypatch):
+def here(standing):
     """A folder with a room and a sensor."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "room.xml").write_text(ROOM)
-    (tmp_path / "mine.toml").write_text(SENSOR)
-    return tmp_path
+    (standing / "room.xml").write_text(ROOM)
+    (standing / "mine.toml").write_text(SENSOR)
+    return standing
 
 
 @pytest.fixture

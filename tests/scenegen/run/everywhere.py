@@ -10,7 +10,7 @@ from scenegen.model.checkpoint import save_network
 from scenegen.model.config import NetworkConfig
 from scenegen.model.network import Network
 from tests.command_line import run
-from tests.conftest import dataset_in
+from tests.conftest import contents, dataset_in
 
 COUNTS = {"train": 4, "val": 2, "test": 4}
 SAMPLES = sum(COUNTS.values())
@@ -64,9 +64,3 @@ def outcome(capsys, here, words, out, *more):
 def checks(said):
     """A report's checks by name, without their time."""
     return {check.pop("name"): check | {"seconds": 0} for check in json.loads(said)["checks"]}
-
-
-def contents(place):
-    """A file, or all files below a folder."""
-    files = [place] if place.is_file() else [path for path in place.rglob("*") if path.is_file()]
-    return {str(path.relative_to(place)): path.read_bytes() for path in files}

@@ -14,7 +14,7 @@ from scenegen.run.remote import Outcome, sent
 from scenegen.run.software import identity
 from scenegen.run.workers import rank_of
 from tests.command_line import rows
-from tests.conftest import plan_of
+from tests.conftest import contents, plan_of
 from tests.scenegen.run.backwards import Backwards
 
 COUNTS = {"train": 14, "val": 3, "test": 4}
@@ -27,7 +27,7 @@ def plan(folder):
 def make(folder, place="local", workers=1):
     """The digest of a small dataset made at `place`, and all its files."""
     summary = build(plan(folder), execute=executor(place, workers))
-    return summary.digest, {path.name: path.read_bytes() for path in folder.iterdir()}
+    return summary.digest, contents(folder)
 
 
 def test_ranks_make_a_dataset_together_in_any_order(tmp_path, monkeypatch):

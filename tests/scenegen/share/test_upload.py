@@ -8,7 +8,7 @@ import pytest
 from scenegen import load
 from scenegen.errors import PublishError
 from scenegen.share.upload import publish
-from tests.conftest import dataset_in
+from tests.conftest import contents, dataset_in
 from tests.scenegen.conftest import Check
 from tests.scenegen.hub import TOKEN, Repository
 
@@ -19,8 +19,7 @@ def arrived(hub, asked, revision="main"):
     """Whether what lies in the repository is what was staged."""
     there = dict(hub.repositories[asked.repository].files(revision) or {})
     there.pop(".gitattributes")
-    staged = [path for path in asked.out.rglob("*") if path.is_file()]
-    return there == {str(path.relative_to(asked.out)): path.read_bytes() for path in staged}
+    return there == contents(asked.out)
 
 
 def test_what_arrives_is_the_folder_the_tag_comes_last_and_nothing_goes_twice(asked, hub):

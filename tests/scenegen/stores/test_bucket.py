@@ -21,6 +21,7 @@ from scenegen.errors import StoreError
 from scenegen.stores import StorePath
 from scenegen.verification import verify
 from tests.command_line import SMALL
+from tests.conftest import contents
 from tests.scenegen.stores.ceph import KEY, SECRET, Ceph, missing
 from tests.scenegen.stores.conftest import forget
 
@@ -105,10 +106,6 @@ def objects(bucket):
     return {name: content for name, content in found.items() if not name.endswith(SUFFIX)}
 
 
-def files(folder):
-    return {path.name: path.read_bytes() for path in folder.iterdir()}
-
-
 def wait_for(bucket, shards):
     """Wait until so many shards are there; how many are."""
     for _ in range(600):
@@ -151,7 +148,7 @@ def test_the_server_is_killed_and_begun_again_in_mid_write(ceph, bucket, here, t
         time.sleep(1.0)
         ceph.begin()
     run.ends(0)
-    assert objects(bucket) == files(here)
+    assert objects(bucket) == contents(here)
     one, other = (load(place, split="test")[5] for place in (f"s3://{bucket}/d", here))
     assert one.sha256() == other.sha256()
     assert verify(locate(f"s3://{bucket}/d", whole=True), quick=True).ok
@@ -170,4 +167,4 @@ def test_a_server_that_stays_away_ends_the_run_in_one_line_and_loses_nothing(
     ceph.begin()
     assert wait_for(bucket, there) < SHARDS
     Run(tmp_path, f"s3://{bucket}/d").ends(0)
-    assert objects(bucket) == files(here)
+    assert objects(bucket) == contents(here)

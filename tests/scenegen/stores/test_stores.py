@@ -23,8 +23,8 @@ from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, StoreError
 from scenegen.stores import ConflictError, StorePath, folder_of
 from scenegen.verification import verify
-from tests.command_line import run
-from tests.conftest import COUNTS, DRAWN, plan_of, small_recipe
+from tests.command_line import rows, run
+from tests.conftest import COUNTS, DRAWN, contents, plan_of, small_recipe
 from tests.scenegen.stores.conftest import forget
 from tests.scenegen.stores.kept import ROOM, Kept
 
@@ -55,10 +55,6 @@ def objects(store):
     return {
         path.name: path.read_bytes() for path in home.glob("*") if not path.name.endswith(SUFFIX)
     }
-
-
-def files(folder):
-    return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
 def asked():
@@ -107,7 +103,7 @@ def test_what_others_put_is_never_replaced_unread(store):
 def test_a_bucket_holds_the_bytes_of_a_folder(store, made):
     DRAWN.clear()  # which workers would inherit
     assert write(workers=2).digest == Dataset(made).manifest.digest
-    assert objects(store) == files(made)
+    assert objects(store) == contents(made)
 
 
 def test_a_store_that_is_full_after_any_put_loses_nothing(store, made, tmp_path, monkeypatch):
@@ -132,7 +128,7 @@ def test_a_store_that_is_full_after_any_put_loses_nothing(store, made, tmp_path,
         drawn += fresh
     assert ended > 7
     assert len(drawn) < 7
-    assert objects(store) == files(made)
+    assert objects(store) == contents(made)
 
 
 def test_a_resumed_run_reads_no_samples(store, made):
@@ -150,7 +146,7 @@ def test_a_resumed_run_reads_no_samples(store, made):
     (store / "lab" / "pillar" / f"train-00002{SUFFIX}").unlink()
     assert write().samples_written == 0
     assert [what for what in asked() if what.endswith(".h5")] == ["read train-00002.h5"]
-    assert objects(store) == files(made)
+    assert objects(store) == contents(made)
 
 
 def test_what_is_damaged_or_lost_is_made_again(store, made):
@@ -161,7 +157,7 @@ def test_what_is_damaged_or_lost_is_made_again(store, made):
     for name in ("val-00000.h5", "test-00001.worlds.zip", f"train-00002{SUFFIX}", "dataset.json"):
         (home / name).unlink()
     write()
-    assert objects(store) == files(made)
+    assert objects(store) == contents(made)
 
 
 def test_a_disk_without_room_for_a_copy_is_no_damage(store, made, monkeypatch):
@@ -180,7 +176,7 @@ def test_a_disk_without_room_for_a_copy_is_no_damage(store, made, monkeypatch):
         StoreError, match=r"train-00002.h5: cannot be .*\(No space left on device\)"
     ):
         write()
-    assert objects(store) == files(made)
+    assert objects(store) == contents(made)
 
 
 def test_two_drivers_at_once_end_with_equal_bits(store, made):
@@ -193,7 +189,7 @@ def test_two_drivers_at_once_end_with_equal_bits(store, made):
     forget()
     first = build(plan(folder_of(NAME)), on_shard=begin_another)
     assert first.digest == other[0].digest == Dataset(made).manifest.digest
-    assert objects(store) == files(made)
+    assert objects(store) == contents(made)
 
 
 def test_two_drivers_of_different_datasets_never_mix(there, store, made):
@@ -225,7 +221,7 @@ def test_it_grows_and_is_made_in_parts(store, made):
     build(plan(folder_of(NAME), train=5))
     for part in ((2, 5), (5, 7), (0, 2)):
         write(shard_range=part)
-    assert objects(store) == files(made)
+    assert objects(store) == contents(made)
 
 
 def test_a_table_of_rays_lies_there_too(store, tmp_path):
@@ -235,14 +231,14 @@ def test_a_table_of_rays_lies_there_too(store, tmp_path):
         for _ in range(2):
             build(plan_of(folder, recipe, seed=3, counts=COUNTS, shard_samples=6))
     assert "rays.npy" in objects(store)
-    assert objects(store) == files(tmp_path / "d")
+    assert objects(store) == contents(tmp_path / "d")
     assert np.array_equal(load(NAME).dataset.lidar.rays, recipe.lidar.rays)
 
 
 def test_force_replaces_another_dataset(store, made):
     build(plan(folder_of(NAME), seed=4, train=20))
     write(force=True)
-    assert objects(store) == files(made)
+    assert objects(store) == contents(made)
 
 
 def test_reading_copies_what_is_opened_once_and_verifies_it(there, made):
@@ -303,7 +299,7 @@ def test_copies_are_neither_taken_from_nor_put_where_others_may_write(
 
 
 def test_a_copy_that_changed_is_fetched_again(there, made):
-    folder, whole = locate(NAME, whole=True), files(made)
+    folder, whole = locate(NAME, whole=True), contents(made)
     for number, (name, content) in enumerate(whole.items()):
         (folder / name).write_bytes(content[:-9] if number % 2 else content[:-1] + b"?")
     Path(f"{folder}.place").write_bytes(b"{")
@@ -312,7 +308,7 @@ def test_a_copy_that_changed_is_fetched_again(there, made):
     fetched = {what.partition(" ")[2] for what in asked() if what.startswith("read")}
     assert fetched == {"dataset.json", "train-00001.h5"}
     locate(NAME, whole=True)
-    assert files(folder) == whole
+    assert contents(folder) == whole
     count = len(asked())
     assert load(folder, split="test")[0].sha256() == load(made, split="test")[0].sha256()
     assert len(asked()) == count  # what is whole is not asked for
@@ -345,7 +341,7 @@ def test_commands_take_a_place_and_refuse_it_where_they_cannot(
         code, _, wrong = run(capsys, words)
         assert code in (1, 2)
         assert told in wrong
-    assert objects(store) == files(made)
+    assert objects(store) == contents(made)
     assert {path.name for path in tmp_path.iterdir()} <= {"store", "copies"}
 
 
@@ -424,24 +420,24 @@ def test_an_odd_servers_answer_ends_in_one_line(bucket, monkeypatch):
         read(3)
 
 
-REFUSALS = {
-    (403, "QuotaExceeded"): "the store is full (403 QuotaExceeded)",
-    (507, "InsufficientStorage"): "the store is full",
-    (400, "ExpiredToken"): "the store refuses the credentials (400 ExpiredToken)",
-    (403, "AccessDenied"): "the store refuses the credentials (403 AccessDenied)",
-    (404, "NoSuchBucket"): "there is no such bucket (404 NoSuchBucket)",
-    (500, "InternalError"): "the store does not answer (500 InternalError)",
-    (412, "PreconditionFailed"): "somebody else has put it",
-}
+REFUSALS = """
+403 → QuotaExceeded       → the store is full (403 QuotaExceeded)
+507 → InsufficientStorage → the store is full
+400 → ExpiredToken        → the store refuses the credentials (400 ExpiredToken)
+403 → AccessDenied        → the store refuses the credentials (403 AccessDenied)
+404 → NoSuchBucket        → there is no such bucket (404 NoSuchBucket)
+500 → InternalError       → the store does not answer (500 InternalError)
+412 → PreconditionFailed  → somebody else has put it
+"""
 
 
 def test_a_refusal_is_told_in_one_line_without_what_the_server_repeats(bucket):
     from botocore.stub import Stubber
 
     said = "you sent\nAKIATOLD secret"
-    for (status, code), told in REFUSALS.items():
+    for status, code, told in rows(REFUSALS):
         with Stubber(bucket._client) as stub:
-            stub.add_client_error("put_object", code, said, http_status_code=status)
+            stub.add_client_error("put_object", code, said, http_status_code=int(status))
             with pytest.raises(StoreError) as refused:
                 bucket.put("train-00000.h5", b"", None)
         line = str(refused.value)

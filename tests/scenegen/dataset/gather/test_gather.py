@@ -20,7 +20,7 @@ from scenegen.source import read_scenes
 from scenegen.tables import named_noise
 from scenegen.verification import verify
 from tests.command_line import rows
-from tests.conftest import dataset_in, scene_recipe, small_recipe
+from tests.conftest import contents, dataset_in, scene_recipe, small_recipe
 from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
 
@@ -56,10 +56,6 @@ def merged(out, *folders, workers=1):
 def taken(out, folder, **choice):
     assert build(plan_take(Dataset(folder), out, Choice(**choice))).complete
     return Dataset(out)
-
-
-def content(folder):
-    return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
 def who(dataset):
@@ -120,7 +116,8 @@ def test_workers_and_interruptions_change_no_byte(first, second, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         build(plan, on_shard=stop)
     assert 0 < build(plan).samples_written < sum(COUNTS.values()) * 2
-    assert content(tmp_path / "m") == content(tmp_path / "two") == content(tmp_path / "cut")
+    one, two, cut = (contents(tmp_path / name) for name in ("m", "two", "cut"))
+    assert one == two == cut
 
 
 def test_what_is_taken_is_what_a_plain_loop_would_take(first, second, tmp_path):
