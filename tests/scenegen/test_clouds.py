@@ -118,28 +118,30 @@ def test_pcd_in_text_and_with_fields_of_any_kind_in_any_order(tmp_path):
         assert_array_equal(read_points(tmp_path / f"{name}.pcd"), points)
 
 
-@pytest.mark.parametrize(
-    ("name", "content"),
-    [
-        ("short.pcd", pcd("binary", 4) + bytes(3 * 21)),
-        ("packed.pcd", pcd("binary_compressed") + bytes(63)),
-        ("ends.pcd", pcd("binary_compressed") + struct.pack("<II", 3, 63) + b"\1\0\0"),
-        ("before.pcd", pcd("binary_compressed") + struct.pack("<II", 2, 63) + b"\x20\5"),
-        ("flat.pcd", pcd("binary", fields="intensity _ z y w") + bytes(63)),
-        ("many.pcd", pcd("binary", 10**12) + bytes(63)),
-        ("odd.pcd", pcd("binary", type="U U F F Q") + bytes(63)),
-        ("huge.pcd", pcd("binary", count="1 999999999 1 1 1") + bytes(63)),
-        ("below.pcd", pcd("binary", count="1 -3 1 1 1") + bytes(63)),
-        ("headless.pcd", b"DATA binary\n"),
-        ("odd.bin", bytes(17)),
-        ("empty.bin", b""),
-        ("none.npz", b"PK\x05\x06" + bytes(18)),
-    ],
-)
-def test_files_of_other_programs_that_hold_nothing_are_refused(tmp_path, name, content):
-    (tmp_path / name).write_bytes(content)
-    with pytest.raises(DatasetError, match=name):
-        read_points(tmp_path / name)
+PACKED, ROWS = pcd("binary_compressed"), bytes(63)
+NOTHING = [
+    (".pcd", pcd("binary", 4) + ROWS),
+    (".pcd", PACKED + ROWS),
+    (".pcd", PACKED + struct.pack("<II", 3, 63) + b"\1\0\0"),  # ends early
+    (".pcd", PACKED + struct.pack("<II", 2, 63) + b"\x20\5"),  # repeats what was before it
+    (".pcd", pcd("binary", fields="intensity _ z y w") + ROWS),
+    (".pcd", pcd("binary", 10**12) + ROWS),
+    (".pcd", pcd("binary", type="U U F F Q") + ROWS),
+    (".pcd", pcd("binary", count="1 999999999 1 1 1") + ROWS),
+    (".pcd", pcd("binary", count="1 -3 1 1 1") + ROWS),
+    (".pcd", b"DATA binary\n"),
+    (".bin", bytes(17)),
+    (".bin", b""),
+    (".npz", b"PK\x05\x06" + bytes(18)),
+]
+
+
+@pytest.mark.parametrize(("suffix", "content"), NOTHING)
+def test_files_of_other_programs_that_hold_nothing_are_refused(tmp_path, suffix, content):
+    path = tmp_path / f"it{suffix}"
+    path.write_bytes(content)
+    with pytest.raises(DatasetError, match=path.name):
+        read_points(path)
 
 
 def test_an_archive_that_unpacks_to_more_than_a_scan_is_refused(tmp_path, monkeypatch):

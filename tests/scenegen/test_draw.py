@@ -5,18 +5,16 @@ from collections import Counter
 import mujoco
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
 from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
-from lidarsim import MujocoEngine, Pose, cast, fuse, voxelize
-from lidarsim.solids.model import solids_of
+from lidarsim import MujocoEngine, Pose, cast, voxelize
 from scenegen.draw import draw_unit
 from scenegen.errors import GenerationError
 from scenegen.recipe import preset
 from scenegen.sample import GROUPS
 from scenegen.source import DrawnWorlds
-from scenegen.truth import distance_field, rasterize
+from scenegen.truth import rasterize
 from scenegen.worlds.world import compile_world
 from tests.conftest import picky_recipe, small_recipe
 
@@ -34,28 +32,6 @@ def same(a, b):
         for x, y in zip(a.samples, b.samples, strict=True)
         for name in GROUPS[""]
     )
-
-
-def test_what_is_derived_follows_from_what_is_stored(drawn):
-    recipe, _ = drawn
-    for sample in draw(drawn).samples:
-        scans = sample.scans(recipe.lidar)[::-1]
-        again = fuse(scans, recipe.grid, sample.origin, recipe.mapping)
-        assert_array_equal(sample.free, again.free)
-        distances = distance_field(sample.occupancy, recipe.grid)
-        assert_array_equal(sample.tudf, distances)
-
-
-def test_the_archived_document_alone_gives_the_same_scan_and_truth(drawn):
-    recipe, _ = drawn
-    unit = draw(drawn)
-    model = mujoco.MjModel.from_xml_string(unit.world.mjcf.decode())
-    for sample in unit.samples:
-        scan = cast(MujocoEngine.of(model), recipe.lidar, Pose(sample.position, sample.quaternion))
-        assert_array_equal(scan.ranges, sample.ranges)
-        assert_array_equal(
-            rasterize(solids_of(model), recipe.grid, sample.origin), sample.occupancy
-        )
 
 
 def test_a_unit_depends_on_its_numbers_alone(drawn):

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-import scenegen
 from lidarsim import Pose
 from lidarsim.engines.analytic import AnalyticEngine
 from lidarsim.noise.chain import Noise
@@ -19,7 +18,6 @@ from scenegen.dataset.rescan import plan_rescan, scan_again
 from scenegen.draw import UnitKey, draw_unit
 from scenegen.errors import DatasetError, GenerationError, RecipeError
 from scenegen.recipe import make_recipe, read_recipe
-from scenegen.sample import GROUPS
 from scenegen.share.regenerate import check_source, source_file
 from scenegen.source import DrawnWorlds
 from scenegen.truth import rasterize
@@ -159,14 +157,6 @@ def test_scanned_again_with_more_scans_the_flight_is_flown_again(made, several, 
     with pytest.raises(GenerationError, match="train flight 0 comes out otherwise here"):
         build(plan_rescan(Dataset(moved), tmp_path / "no", mapping={"scans": 2}))
     assert not (tmp_path / "no").exists()
-
-
-def test_a_stream_gives_the_same_samples(several):
-    stream = scenegen.stream(recipe_with(**SEVERAL), seed=3, engine="analytic")
-    for one, other in zip(Dataset(several).split("train")[:4], stream, strict=False):
-        for name in (*GROUPS[""], *GROUPS["earlier"]):
-            assert_array_equal(getattr(one, name), getattr(other, name))
-    assert stream.describe()["earlier_ranges"]["shape"] == (3, 8, 24)
 
 
 def test_labels_are_of_the_own_scan_and_the_digest_covers_all(tmp_path):

@@ -102,18 +102,3 @@ def test_a_dataset_that_fails_its_check_goes_nowhere(asked, hub, verified):
         publish(asked)
     assert hub.log == []
     assert not asked.out.exists()
-
-
-def test_a_dry_run_contacts_nobody(asked, monkeypatch):
-    import socket
-
-    def connect(*args):
-        raise AssertionError("a connection")
-
-    monkeypatch.setattr(socket.socket, "connect", connect)
-    monkeypatch.delenv("HF_TOKEN", raising=False)
-    seen = []
-    done = publish(asked, dry_run=True, on_staged=seen.append)
-    assert done[1] is None
-    assert seen == [done[0]]
-    assert (asked.out / "SHA256SUMS").is_file()
