@@ -130,7 +130,3 @@ def test_the_package_offers_names_that_no_room_takes():
     assert not offered & rooms_of("scenegen").keys()
     with pytest.raises(AttributeError, match="absent"):
         scenegen.absent  # noqa: B018
-    above = {name for name in imported(API) if name.startswith("scenegen.model")}
-    assert {name.rpartition(".")[2] for name in above if name.rpartition(".")[2] in offered} == {
-        *("Completer", "Output", "Prediction", "bench", "collate", "train")
-    }

@@ -10,11 +10,9 @@ import torch
 
 from scenegen.__main__ import PLACES
 from scenegen.files import whole
-from scenegen.model.checkpoint import save_network
-from scenegen.model.config import NetworkConfig
-from scenegen.model.network import Network
 from tests.command_line import ROOT, SMALL, rows, run
 from tests.conftest import dataset_in
+from tests.scenegen.run import everywhere
 
 FILES = f"""
 world d 0 -o w.xml                      → w.xml
@@ -62,11 +60,8 @@ def here(once, tmp_path, monkeypatch):
     """The working folder, with what the commands read: two datasets, a network and a scan."""
 
     def make(folder):
-        for name, seed in (("d", 1), ("e", 2)):
-            counts = {"train": 4, "val": 2, "test": 2}
-            grid = dataset_in(folder / name, seed=seed, counts=counts).grid
-        network = Network(NetworkConfig(width=2, height=grid.shape[2]))
-        save_network(folder / "n.safetensors", network, grid, {})
+        everywhere.make(folder)
+        dataset_in(folder / "e", seed=2, counts=everywhere.COUNTS)
         np.save(folder / "scan.npy", np.random.default_rng(0).normal(size=(50, 3)))
         (folder / "small.toml").write_text(SMALL)
 

@@ -253,16 +253,16 @@ def validate_yaml(page, hub, body):
 
 NAME, REVISION = r"([^/]+/[^/]+)", r"([^/]+)"
 ROUTES = (
-    (("POST",), r"/api/repos/create", create),
-    (("POST",), r"/api/validate-yaml", validate_yaml),
-    (("GET",), rf"/api/datasets/{NAME}", info),
-    (("GET",), rf"/api/datasets/{NAME}/revision/{REVISION}", info),
-    (("GET",), rf"/api/datasets/{NAME}/refs", refs),
-    (("GET",), rf"/api/datasets/{NAME}/tree/{REVISION}", tree),
-    (("POST",), rf"/api/datasets/{NAME}/preupload/{REVISION}", preupload),
-    (("POST",), rf"/datasets/{NAME}\.git/info/lfs/objects/batch", batch),
-    (("PUT",), r"/lfs/([0-9a-f]{64})", put),
-    (("POST",), rf"/api/datasets/{NAME}/commit/{REVISION}", commit),
-    (("POST",), rf"/api/datasets/{NAME}/tag/{REVISION}", tag),
-    (("GET", "HEAD"), rf"/datasets/{NAME}/resolve/{REVISION}/(.+)", resolve),
+    ("POST", r"/api/repos/create", create),
+    ("POST", r"/api/validate-yaml", validate_yaml),
+    ("GET", rf"/api/datasets/{NAME}", info),
+    ("GET", rf"/api/datasets/{NAME}/revision/{REVISION}", info),
+    ("GET", rf"/api/datasets/{NAME}/refs", refs),
+    ("GET", rf"/api/datasets/{NAME}/tree/{REVISION}", tree),
+    ("POST", rf"/api/datasets/{NAME}/preupload/{REVISION}", preupload),
+    ("POST", rf"/datasets/{NAME}\.git/info/lfs/objects/batch", batch),
+    ("PUT", r"/lfs/([0-9a-f]{64})", put),
+    ("POST", rf"/api/datasets/{NAME}/commit/{REVISION}", commit),
+    ("POST", rf"/api/datasets/{NAME}/tag/{REVISION}", tag),
+    ("GET HEAD", rf"/datasets/{NAME}/resolve/{REVISION}/(.+)", resolve),
 )

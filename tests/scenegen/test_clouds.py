@@ -12,9 +12,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scenegen.clouds import read_points, scans_in
 from scenegen.display.exchange.files import write_points
 from scenegen.errors import DatasetError
+from tests.command_line import rows
 
 POINTS = np.random.default_rng(0).normal(size=(50, 3)).astype(np.float32)
-HEAD = "element vertex {count}\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+XYZ = "property float x;property float y;property float z;end_header"
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "binary"])
@@ -51,26 +52,20 @@ def npy(header):
     return "\x93NUMPY\1\0\x50\0" + header.ljust(80)
 
 
-TEXT, BINARY = "ply\nformat ascii 1.0\n", "ply\nformat binary_little_endian 1.0\n"
+PLY = f"""
+ply;format ascii 1.0;element vertex 1000000000000;{XYZ};1 2 3;1 2 3;  → promises 1000000000000
+ply;format ascii 1.0;element vertex 5;{XYZ};1 2 3;1 2 3;1 2 3; → promises 5 points and holds 3
+ply;format binary_little_endian 1.0;element vertex 5;{XYZ};{"x" * 40} → holds 3
+ply;format ascii 1.0;element vertex -1;{XYZ};                         → promises -1 points
+ply;format zip 1.0;element vertex 1;{XYZ};                            → expected a header
+ply;format ascii 1.0;element vertex 1;property list uchar int x;end_header; → no lists
+ply;format ascii 1.0;element vertex 1;{XYZ.replace(" y", " x")};1 2 3;      → x, y and z
+{"ply;" * 10_000} → its header has no end
+"""
 PROMISED = [
-    (".ply", TEXT + HEAD.format(count=10**12) + "1 2 3\n" * 3, "promises 1000000000000"),
-    (".ply", TEXT + HEAD.format(count=5) + "1 2 3\n" * 3, "promises 5 points and holds 3"),
-    (
-        ".ply",
-        TEXT.replace("ascii", "binary_little_endian") + HEAD.format(count=5) + "x" * 40,
-        "holds",
-    ),
-    (".ply", TEXT + HEAD.format(count=-1), "promises -1 points"),
-    (".ply", "ply\nformat zip 1.0\n" + HEAD.format(count=1), "expected a header"),
-    (".ply", TEXT + "element vertex 1\nproperty list uchar int x\nend_header\n", "no lists"),
-    (".ply", TEXT + HEAD.format(count=1).replace(" y", " x") + "1 2 3\n", "x, y and z"),
-    (".ply", "ply\n" * 10_000, "its header has no end"),
+    *((".ply", content.replace(";", "\n"), said) for content, said in rows(PLY)),
     (".npy", "\x93NUMPY\1\0\x28\x23" + "(" * 9000, "cannot be read"),
-    (
-        ".npy",
-        npy("{'descr': '<f8', 'fortran_order': False, 'shape': (10000000, 3)}"),
-        "cannot be read",
-    ),
+    (".npy", npy("{'descr': '<f8', 'fortran_order': False, 'shape': (10000000, 3)}"), "cannot be"),
     (".npy", npy("{'descr': '|O', 'fortran_order': False, 'shape': (1, 3)}"), "Object arrays"),
     (".xyz", "", "expected (N, 3)"),
     (".xyz", "1 2 3\n1 2\n", "cannot be read"),

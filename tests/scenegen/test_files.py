@@ -122,15 +122,15 @@ def test_cleaning_takes_what_an_ended_process_left_and_nothing_else(tmp_path):
 
 
 def test_a_process_number_in_use_again_and_other_machines_are_told_apart(tmp_path, monkeypatch):
-    with monkeypatch.context() as patch:
-        patch.setattr(files, "_own_start", lambda pid: 12345)  # a former process of this number
-        reused = draft_of(tmp_path / "a")
-    reused.write_bytes(b"")
-    with monkeypatch.context() as patch:
-        patch.setattr(files, "_machine", lambda: "0123456789ab")
-        elsewhere, long_ago = draft_of(tmp_path / "a"), draft_of(tmp_path / "a")
-    elsewhere.write_bytes(b"")
-    long_ago.write_bytes(b"")
+    def draft(name, value):
+        with monkeypatch.context() as patch:
+            patch.setattr(files, name, lambda *asked: value)
+            path = draft_of(tmp_path / "a")
+        path.touch()
+        return path
+
+    draft("_own_start", 12345)  # of a former process of this number
+    elsewhere, long_ago = (draft("_machine", "0123456789ab") for _ in range(2))
     os.utime(long_ago, (time.time(), time.time() - files.STALE_S - 60))
     remove_drafts(tmp_path)
     assert list(tmp_path.iterdir()) == [elsewhere]

@@ -161,7 +161,6 @@ def test_a_difficulty_is_the_kinds_own_or_refused(tmp_path):
     assert read_recipe(path).world == dataclasses.replace(hard.world, round_share=0.5)
     for kind, level, told in (
         ("pillar", "harder", "expected one of easy, hard, medium"),
-        ("pillar", 3, "difficulty = 3"),
         ("scene", "hard", "worlds from MJCF files have none"),
     ):
         with pytest.raises(RecipeError, match=told):

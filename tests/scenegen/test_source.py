@@ -108,16 +108,13 @@ def test_assets_and_includes_travel_with_the_world(tmp_path):
         'euler="40 0 0"/><geom type="plane" size="1 1 1"/></worldbody></mujoco>'
     )
     direct = mujoco.MjModel.from_xml_path(str(tmp_path / "world.xml"))
-    source = read_scenes(tmp_path / "world.xml", THREE, seed=0)
-    build(plan_dataset(tmp_path / "d", scene_recipe(), source, seed=0, counts=THREE))
-    taken = Dataset(tmp_path / "d").world("train", 0)
-    (tmp_path / "out").mkdir()
-    for name, content in taken.items():
-        (tmp_path / "out" / name).write_bytes(content)
-    again = mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "world.xml"))
+    _, dataset = make(tmp_path / "world.xml", tmp_path / "d", THREE)
+    assets = dataset.world("train", 0)
+    document = assets.pop("world.xml").decode()
+    again = mujoco.MjModel.from_xml_string(document, assets)
     assert again.ngeom == direct.ngeom == 3
     assert_allclose(again.mesh_vert, direct.mesh_vert, atol=1e-7)
-    for sample in Dataset(tmp_path / "d").split("train"):
+    for sample in dataset.split("train"):
         assert not (sample.observed & ~sample.occupancy).any()
 
 

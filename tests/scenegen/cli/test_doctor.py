@@ -21,13 +21,13 @@ def short(monkeypatch):
 def spoil(monkeypatch, change):
     """Have the doctor draw units whose last sample is changed by `change`, which is told the number
     of the draw; the numbers of the units are noted."""
-    draws, asked = itertools.count(), []
+    asked = []
 
     def spoilt(*arguments, **named):
         asked.append(named["unit"])
         unit = draw_unit(*arguments, **named)
-        samples = (*unit.samples[:-1], change(next(draws), unit.samples[-1]))
-        return dataclasses.replace(unit, samples=samples)
+        *others, last = unit.samples
+        return dataclasses.replace(unit, samples=(*others, change(len(asked) - 1, last)))
 
     monkeypatch.setattr("scenegen.draw.draw_unit", spoilt)
     return asked

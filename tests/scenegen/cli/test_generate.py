@@ -6,9 +6,7 @@ from pathlib import Path
 import mujoco
 import pytest
 
-from lidarsim.engines import ENGINES
 from scenegen.cli.options import find_datasets
-from scenegen.cli.types import Named
 from scenegen.dataset import manifest
 from scenegen.dataset.read import Dataset
 from tests.command_line import ROOT, SMALL, refused, rows, run
@@ -42,7 +40,6 @@ def test_an_engine_and_a_sensor_are_taken_by_name(small, tmp_path, capsys):
     assert run(capsys, named) == (0, "", "")
     assert Dataset(out).manifest.engine == "mujoco"
     assert 'engine is "mujoco" there, "analytic" asked for' in refused(capsys, command)
-    assert [item.value for item in Named(ENGINES).shell_complete(None, None, "a")] == ["analytic"]
 
 
 def test_a_split_range_makes_its_shards_alone(small, tmp_path, capsys):
@@ -85,7 +82,7 @@ def test_a_grid_that_the_network_cannot_take_is_mentioned(small, tmp_path, capsy
 BAD_SCENES = """
 <mujoco><worldbody>  → not valid MJCF
 <mujoco/>            → no geom that rays can see
-<mujoco><worldbody><geom size="1"/></worldbody></mujoco> → no flight fits between the solids
+<mujoco><worldbody><geom type="box" size="1 1 1"/></worldbody></mujoco> → no flight fits between
 <mujoco><asset><mesh file="gone.obj"/></asset></mujoco>  → gone.obj
 <mujoco><worldbody><geom size="1"/><geom name="ghost" size="1" pos="9 0 0" rgba="1 1 1 0"/>\
 </worldbody></mujoco> → cannot see geom ghost

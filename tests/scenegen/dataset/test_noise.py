@@ -52,13 +52,13 @@ def test_noise_changes_ranges_alone_and_the_default_knows_nothing_of_it(made, no
     assert not plain.keys() & {"noise", "labels", "rescan"}
     assert faulty["version"] == 1.2
     assert faulty["noise"] == {"stages": SPELLED, "bound_m": 4 * 0.02}
-    for one, other in zip(Dataset(made).split("train"), Dataset(noisy).split("train"), strict=True):
+    both = (Dataset(folder).split("train") for folder in (made, noisy))
+    for one, other in zip(*both, strict=True):
         for name in ("occupancy", "tudf", "position", "quaternion", "origin", "world", "viewpoint"):
             assert_array_equal(getattr(one, name), getattr(other, name))
-        both = np.isfinite(one.ranges) & np.isfinite(other.ranges)
-        assert (np.isfinite(other.ranges) <= np.isfinite(one.ranges)).all()
-        off = np.abs(one.ranges[both] - other.ranges[both])
-        assert 0 < off.max() <= 0.08 + 1e-6
+        kept = np.isfinite(other.ranges)
+        assert (kept <= np.isfinite(one.ranges)).all()
+        assert 0 < np.abs(one.ranges - other.ranges)[kept].max() <= 0.08 + 1e-6
 
 
 @pytest.mark.parametrize("noise", ["", CHAIN])
@@ -75,21 +75,6 @@ def test_scanned_again_it_is_to_the_bit_what_would_have_been_drawn(made, noisy, 
     check_source(found, *source_file(found.manifest))
 
 
-def test_another_sensor_sees_the_same_worlds_from_the_same_poses(made, tmp_path):
-    rays = BeamTable.of(Lidar(rows=5, columns=40))
-    plan = plan_rescan(
-        Dataset(made), tmp_path / "again", lidar=rays, chain=Noise.parse("quantise:0.1")
-    )
-    build(plan)
-    one, other = Dataset(made).split("test")[2], Dataset(plan.folder).split("test")[2]
-    assert other.ranges.shape == (5, 40)
-    assert_array_equal(one.occupancy, other.occupancy)
-    assert_array_equal(one.quaternion, other.quaternion)
-    assert not failed(plan.folder)
-    with pytest.raises(DatasetError, match="is the dataset itself"):
-        plan_rescan(Dataset(made), made)
-
-
 @pytest.mark.usefixtures("undrawn")
 def test_what_was_scanned_again_is_published_with_the_command_that_does_so(made, tmp_path):
     how = {
@@ -99,6 +84,7 @@ def test_what_was_scanned_again_is_published_with_the_command_that_does_so(made,
     }
     original, out = Dataset(made), tmp_path / "out"
     build(plan_rescan(original, tmp_path / "again", **how))
+    assert not failed(tmp_path / "again")
     request = Request(dataset=tmp_path / "again", repository="ada/again", out=out)
     stage(request, (("files", "all there"),))
     found, card = Dataset(out), (out / "README.md").read_text()

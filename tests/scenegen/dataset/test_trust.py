@@ -5,7 +5,6 @@ import copy
 import json
 import math
 import resource
-import shutil
 import time
 import tracemalloc
 import zipfile
@@ -159,13 +158,9 @@ def test_an_archive_writes_nowhere_else_and_takes_no_memory(dataset, tmp_path, m
             archive.writestr("000000.xml", f'<mujoco file="{name}"/>')
             archive.writestr(name, "up")
         assert "expected a plain file name" in refused(lambda: Dataset(dataset).world("train", 0))
-    path.write_bytes(whole[: len(whole) // 2])
-    assert "not a whole zip file" in refused(lambda: Dataset(dataset).world("train", 0))
     path.write_bytes(whole)
     monkeypatch.setattr("scenegen.dataset.archive.MOST_DOCUMENT_BYTES", 10)
     assert "expected 10 at most" in refused(lambda: Dataset(dataset).world("train", 0))
-    shutil.rmtree(dataset)
-    assert "not a dataset" in refused(lambda: scenegen.load(dataset))
 
 
 def test_an_archive_unpacks_to_what_its_directory_says_and_no_further(dataset, monkeypatch):

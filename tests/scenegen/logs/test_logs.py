@@ -180,16 +180,16 @@ def test_every_layout_of_a_log_reads_back(tmp_path):
 
 
 def test_numbers_in_names_are_no_times(tmp_path):
-    scans, poses = written(tmp_path / "log", 9), tmp_path / "poses.tum"
-    lines = (tmp_path / "log" / "poses.tum").read_text().splitlines(keepends=True)
-    poses.write_text("".join(lines[::2]))
-    found = list(read_log(tmp_path / "log", poses=poses).scans())
+    log, poses = tmp_path / "log", tmp_path / "poses.tum"
+    scans = written(log, 9)
+    poses.write_text("".join((log / "poses.tum").read_text().splitlines(keepends=True)[::2]))
+    found = list(read_log(log, poses=poses).scans())
     assert [scan.time_s for scan in found] == [scan.time_s for scan in scans]
     for one, other in zip(found[::2], scans[::2], strict=True):
         assert np.allclose(matrix_of(one.pose), matrix_of(other.pose), atol=1e-8)
-    (tmp_path / "log" / "times.txt").unlink()
+    (log / "times.txt").unlink()
     with pytest.raises(DatasetError, match="9 clouds and 5 poses"):
-        read_log(tmp_path / "log", poses=poses)
+        read_log(log, poses=poses)
 
 
 @pytest.mark.parametrize("form", ["two.bag", "bag", "bag/bag.db3"])
@@ -214,8 +214,8 @@ def inverse(pose):
 
 def test_poses_come_from_a_chain_of_frames():
     def message(parent, child, time, pose):
-        place = SimpleNamespace(**dict(zip("xyz", pose.position, strict=True)))
-        turn = SimpleNamespace(**dict(zip("wxyz", pose.quaternion, strict=True)))
+        place = SimpleNamespace(**named("xyz", pose.position))
+        turn = SimpleNamespace(**named("wxyz", pose.quaternion))
         stamp = SimpleNamespace(sec=int(time), nanosec=round(1e9 * (time % 1)))
         posed = SimpleNamespace(position=place, orientation=turn, translation=place, rotation=turn)
         return SimpleNamespace(
@@ -239,10 +239,8 @@ def test_poses_come_from_a_chain_of_frames():
 
 def test_what_moves_on_is_free_and_jumps_are_counted(tmp_path):
     """A wall that is seen 100 times, something before it that is seen twice, and a jump."""
-    lidar = Lidar()
-    wall = 6.03 * lidar.directions_body.reshape(-1, 3)
-    near = wall.copy()
-    near[::2] *= 0.5
+    wall = 6.03 * Lidar().directions_body.reshape(-1, 3)
+    near = np.where(np.arange(len(wall))[:, None] % 2, wall, 0.5 * wall)
     here, far = Pose.level((0.0, 0.0, 0.0)), Pose.level((40.0, 0.0, 0.0))
     clouds = [(here, near if n in (5, 90) else wall) for n in range(100)] + [(far, wall)]
 
@@ -252,15 +250,14 @@ def test_what_moves_on_is_free_and_jumps_are_counted(tmp_path):
 
     log = Log(np.arange(101) / 10, tuple(pose for pose, _ in clouds), 0, scans)
     counts = ingest(log, tmp_path / "maps", Fusing(every=100))
-    assert counts["scans_without_overlap"] == 1
-    assert counts["returns_left_out"] == 2 * 101
+    assert (counts["scans_without_overlap"], counts["returns_left_out"]) == (1, 2 * 101)
     assert counts["moved_voxels"] > 100
     assert 0 <= counts["returns_outside_truth"] < counts["observed_returns"]
     voxels = read_place(tmp_path / "maps" / "place-000.npz").voxels
     occupied = np.argwhere(voxels.states == 2) * 0.2 + voxels.origin + 0.1
-    both = [np.linalg.norm(occupied - place, axis=1) for place in ((0, 0, 0), (40, 0, 0))]
-    ranges = np.minimum(*both)
-    assert (abs(ranges - 6.03) < 0.2).mean() > 0.999  # but for a ray along the voxels' faces
+    both = [np.linalg.norm(occupied - pose.position, axis=1) for pose in (here, far)]
+    off = abs(np.minimum(*both) - 6.03)
+    assert (off < 0.2).mean() > 0.999  # but for a ray along the voxels' faces
 
 
 def ingest_and_be_killed(log, out, at):
@@ -354,6 +351,10 @@ def test_a_log_without_a_finite_point_or_a_recording_without_data_makes_no_maps(
     assert not (tmp_path / "out").exists()
 
 
+def named(names, values):
+    return dict(zip(names, values, strict=True))
+
+
 CUSTOM = f"""std_msgs/Header header
 uint64 timebase\nuint32 point_num\nuint8 lidar_id\nuint8[3] rsvd\nCustomPoint[] points
 {_RULE}livox_ros_driver2/CustomPoint
@@ -363,7 +364,7 @@ uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 t
 
 
 def write_livox(path, scans, missing=0):
-    """Puts scans into CustomMsg, and their poses into odometry; `missing` more points are
+    """Puts scans into CustomMsg, and their poses into transforms; `missing` more points are
     promised."""
     from mcap_ros2.writer import Writer
 
@@ -372,28 +373,25 @@ def write_livox(path, scans, missing=0):
         custom = writer.register_msgdef(LIVOX[0], CUSTOM)
         transforms = writer.register_msgdef(TRANSFORMS, DEFINITIONS[TRANSFORMS])
         for scan in scans:
-            stamp = {"sec": int(scan.time_s), "nanosec": round(scan.time_s % 1 * 1e9)}
+            when = round(scan.time_s * 1e9)
+            stamp = {"sec": when // 10**9, "nanosec": when % 10**9}
             rows = zip(scan.points.tolist(), scan.more["t"].tolist(), strict=True)
             points = [
-                {"offset_time": round(1e9 * t), **dict(zip("xyz", p, strict=True)), "line": 3}
-                for p, t in rows
+                {"offset_time": round(1e9 * t), **named("xyz", p), "line": 3} for p, t in rows
             ]
             message = {
                 "header": {"stamp": stamp, "frame_id": "livox_frame"},
-                "timebase": round(scan.time_s * 1e9),
+                "timebase": when,
                 "point_num": len(points) + missing,
                 "rsvd": [0, 0, 0],
                 "points": points,
             }
+            turn = named("wxyz", scan.pose.quaternion)
             link = {
                 "header": {"stamp": stamp, "frame_id": "map"},
                 "child_frame_id": "livox_frame",
-                "transform": {
-                    "translation": dict(zip("xyz", scan.pose.position, strict=True)),
-                    "rotation": dict(zip("wxyz", scan.pose.quaternion, strict=True)),
-                },
+                "transform": {"translation": named("xyz", scan.pose.position), "rotation": turn},
             }
-            when = round(scan.time_s * 1e9)
             writer.write_message("/tf", transforms, {"transforms": [link]}, log_time=when)
             writer.write_message("/livox/lidar", custom, message, log_time=when)
         writer.finish()

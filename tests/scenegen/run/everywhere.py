@@ -14,17 +14,16 @@ from tests.conftest import contents, dataset_in
 
 COUNTS = {"train": 4, "val": 2, "test": 4}
 SAMPLES = sum(COUNTS.values())
-COMPLETE = ("complete", "d", "--weights", "n.safetensors", "--batch", 2, "--device", "cpu")
-METHODS = ("--weights", "n.safetensors", "--method", "returns", "--method", "truth")
-BENCH = ("bench", "d", "--quick", *METHODS)
-COMMANDS = (
-    ("verify", "d", "--json"),
-    ("convert", "d", "--to", "webdataset"),
-    ("rescan", "d", "--noise", "range:0.02"),
-    ("take", "d", "--n", 4),
-    COMPLETE,
-    BENCH,
-)
+COMMANDS = """
+verify d --json
+convert d --to webdataset
+rescan d --noise range:0.02
+take d --n 4
+complete d --weights n.safetensors --batch 2 --device cpu
+bench d --quick --weights n.safetensors --method returns --method truth
+"""
+COMMANDS = [line.split() for line in COMMANDS.strip().splitlines()]
+*_, COMPLETE, BENCH = COMMANDS
 
 
 def make(folder):

@@ -14,10 +14,8 @@ from scenegen.run.remote import Outcome, sent
 from scenegen.run.software import identity
 from scenegen.run.workers import rank_of
 from tests.command_line import rows
-from tests.conftest import contents, plan_of
+from tests.conftest import COUNTS, contents, plan_of
 from tests.scenegen.run.backwards import Backwards
-
-COUNTS = {"train": 14, "val": 3, "test": 4}
 
 
 def plan(folder):

@@ -89,8 +89,7 @@ def test_datasets_reads_it_offline_by_its_splits(out, tmp_path, monkeypatch):
 def test_croissant_is_valid_and_describes_what_is_there(out, made):
     import mlcroissant
 
-    found = mlcroissant.Dataset(str(out / "croissant.json"))
-    issues = found.metadata.ctx.issues
+    issues = mlcroissant.Dataset(str(out / "croissant.json")).metadata.ctx.issues
     assert (issues.errors, issues.warnings) == (set(), set())
     plain = json.loads((out / "croissant.json").read_text())
     assert plain["conformsTo"][0] == "http://mlcommons.org/croissant/1.1"

@@ -83,10 +83,9 @@ def test_shards_of_a_former_dataset_go_and_other_peoples_files_stay(asked, hub):
 def test_private_stays_private(asked, hub):
     publish(asked, private=True)
     assert hub.repositories[asked.repository].private
-    other = dataclasses.replace(asked, repository="ada/public")
-    publish(other)
+    hub.repositories[asked.repository].private = False
     with pytest.raises(PublishError, match="is there and public"):
-        publish(other, private=True)
+        publish(asked, private=True)
 
 
 def test_a_refused_token_is_one_line_that_does_not_show_it(asked, hub, monkeypatch, caplog):

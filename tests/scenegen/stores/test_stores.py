@@ -276,20 +276,18 @@ def test_other_bytes_than_the_manifests_are_refused_and_not_kept(there):
         locate(NAME, whole=True)
 
 
-@pytest.mark.parametrize("level", ["", "scenegen", "scenegen/places", "scenegen/places/{store}"])
-@pytest.mark.parametrize("what", ["open to others", "another user's"])
+@pytest.mark.parametrize("level", ["", "scenegen", "scenegen/places/{store}", "of another user"])
 def test_copies_are_neither_taken_from_nor_put_where_others_may_write(
-    level, what, there, tmp_path, monkeypatch
+    level, there, tmp_path, monkeypatch
 ):
-    folder = locate(NAME)
-    at = tmp_path / "copies" / level.format(store=folder.parent.name)
-    if what == "open to others":
-        at.chmod(0o777)
-    else:
+    folder, wrong = locate(NAME), tmp_path / "copies"
+    if level == "of another user":
         monkeypatch.setattr("lidarsim.jit.os.geteuid", lambda: 54321)
         monkeypatch.setattr("lidarsim.jit.ROOT", 54322)
+    else:
+        wrong /= level.format(store=folder.parent.name)
+        wrong.chmod(0o777)
     forget()
-    wrong = at if what == "open to others" else tmp_path / "copies"
     # by the store's name, and in another process
     for ask in (lambda: locate(NAME), lambda: load(folder)[0]):
         with pytest.raises(StoreError, match=r"others may write to|another user") as refused:

@@ -14,11 +14,12 @@ import pytest
 import scenegen
 from scenegen import SPLITS
 from scenegen.dataset.build import build, plan_dataset
-from scenegen.errors import DatasetError, GenerationError, RecipeError, SceneError, ScenegenError
+from scenegen.errors import DatasetError, GenerationError, SceneError, ScenegenError
 from scenegen.recipe import preset
 from scenegen.sample import GROUPS, Sample
 from scenegen.source import DrawnWorlds, read_scenes
 from scenegen.streams.mixture import Component
+from tests.command_line import rows
 from tests.conftest import dataset_in, picky_recipe, small_recipe
 
 SCENES = Path(__file__).parents[3] / "scenes"
@@ -188,27 +189,33 @@ def test_a_cache_gives_the_same_bits_and_makes_again_what_is_damaged(tmp_path, m
         check()
 
 
+FOREST = SCENES / "forest.xml"
+WRONG = """
+"pilar"                          → {}                  → unknown kind 'pilar'.*'pillar'
+[]                               → {}                  → nothing to draw from
+3                                → {}                  → expected a kind's name
+{"pillar": 0}                    → {}                  → weight of pillar = 0: expected a
+{"pillar": NaN}                  → {}                  → weight of pillar = nan
+{"pillar": 1e-9, "geometric": 1} → {}                  → come round after 1000000001 flights
+"pillar"                         → {"engine": "cuda3"} → cuda3
+"pillar"                         → {"cache": "/dev/null"} → expected a folder for the cache
+"absent.xml"                     → {}                  → no such file
+"""
+WRONG = [(json.loads(asked), json.loads(options), said) for asked, options, said in rows(WRONG)]
+
+
 @pytest.mark.parametrize(
     ("asked", "options", "said"),
     [
-        ("pilar", {}, "unknown kind 'pilar'.*'pillar'"),
-        ([], {}, "nothing to draw from"),
-        (3, {}, "expected a kind's name"),
-        ({"pillar": 0}, {}, "weight of pillar = 0: expected a number above 0"),
-        ({"pillar": float("nan")}, {}, "weight of pillar = nan"),
-        ({"pillar": 1e-9, "geometric": 1}, {}, "come round after 1000000001 flights"),
-        ([SCENES / "forest.xml"] * 2, {}, "is there twice"),
+        *WRONG,
+        ([FOREST] * 2, {}, "is there twice"),
         (["pillar", small_recipe()], {}, "one grid"),
-        ("pillar", {"engine": "cuda3"}, "cuda3"),
-        ("pillar", {"cache": __file__}, "expected a folder for the cache"),
-        (str(SCENES / "forest.xml"), {"split": "val"}, "no world of it is in the val split"),
-        (Path("absent"), {}, "no such file"),
+        (str(FOREST), {"split": "val"}, "no world of it is in the val split"),
     ],
 )
 def test_what_cannot_be_ends_in_a_line(asked, options, said):
-    with pytest.raises((RecipeError, SceneError, DatasetError), match=said) as caught:
+    with pytest.raises(ScenegenError, match=said):
         scenegen.stream(asked, **options)
-    assert isinstance(caught.value, ScenegenError)
 
 
 def test_an_index_that_is_none_ends_in_a_line():

@@ -20,11 +20,10 @@ from scenegen.source import read_scenes
 from scenegen.tables import named_noise
 from scenegen.verification import verify
 from tests.command_line import rows
-from tests.conftest import contents, dataset_in, scene_recipe, small_recipe
+from tests.conftest import COUNTS, contents, dataset_in, scene_recipe, small_recipe
 from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
 
-COUNTS = {"train": 11, "val": 4, "test": 5}
 WORLD = """<mujoco><worldbody><geom name="floor" type="plane" size="8 8 .1" pos="8 8 0"/>
 <geom type="cylinder" size=".4 2" pos="{x} 6 2"/><geom type="box" size=".5 .5 2" pos="9 {x} 2"/>
 <geom type="box" size="8 8 .1" pos="8 8 -.1"/></worldbody></mujoco>"""
