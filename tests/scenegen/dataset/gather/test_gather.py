@@ -172,6 +172,9 @@ def test_a_dataset_scanned_again_is_verified_as_far_as_its_flights_go(first, tmp
     taken(tmp_path / "t", tmp_path / "again", where=(Condition("viewpoint", "=", 1.0),))
     checks = sound(tmp_path / "t")
     assert "no flight" in checks["regenerated"].detail
+    assert manifest.read(tmp_path / "t")["version"] == 1.4, (
+        "the later of what noise and sources ask"
+    )
     taken(tmp_path / "u", tmp_path / "again", most=2)
     assert not sound(tmp_path / "u")["regenerated"].skipped
 
