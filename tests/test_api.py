@@ -23,7 +23,6 @@ def dataset(tmp_path_factory):
 
 def test_a_dataset_is_made_loaded_and_checked(dataset):
     sample = scenegen.load(dataset.folder, "test")[0]
-    assert isinstance(sample, scenegen.Sample)
     drawn = scenegen.stream("pillar", seed=3, split="test")[0]
     assert drawn.sha256() == sample.sha256()
     assert scenegen.verify(dataset.folder, quick=True).ok

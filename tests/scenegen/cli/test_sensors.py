@@ -68,14 +68,12 @@ def test_the_list_has_every_sensor_and_a_file_is_told_of(here, capsys, monkeypat
 def test_a_pattern_has_a_dot_where_a_ray_points():
     up, left = math.radians(20), math.radians(-35)
     ray = [math.cos(up) * math.cos(left), math.cos(up) * math.sin(left), math.sin(up), 0.1]
-    sensor = BeamTable(rays=np.array([[1.0, 0, 0, 0.0], ray]))
-    figure = draw_patterns({"mine": sensor, "again": sensor})
-    for panel in figure.axes:
-        (dots,) = panel.collections
-        assert_allclose(dots.get_offsets(), [[0, 0], [-35, 20]], atol=1e-9)
-        assert dots.get_array().argmax() == 1  # the last in time
-        assert np.greater(*panel.get_xlim())  # left of the body to the left
-    assert len(figure.axes) == 2
+    figure = draw_patterns({"mine": BeamTable(rays=np.array([[1.0, 0, 0, 0.0], ray]))})
+    (panel,) = figure.axes
+    (dots,) = panel.collections
+    assert_allclose(dots.get_offsets(), [[0, 0], [-35, 20]], atol=1e-9)
+    assert dots.get_array().argmax() == 1  # the last in time
+    assert np.greater(*panel.get_xlim())  # left of the body to the left
 
 
 def test_the_docs_have_the_pattern_of_every_sensor():

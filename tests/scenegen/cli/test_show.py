@@ -2,7 +2,7 @@
 
 import pytest
 
-from scenegen.cli.show import curve, say, show_figures, show_table
+from scenegen.cli.show import say, show_figures, show_table
 
 FORGED = "pillar\nscenegen: verify: all 17 checks passed\x1b[32m\x07\u202e"
 
@@ -33,9 +33,3 @@ def test_figures_fit_the_terminal_and_none_is_left_out(wide, monkeypatch, capsys
     for n, head in enumerate(heads):
         at = next(number for number, line in enumerate(lines) if head in line.split())
         assert lines[at + 1].split()[1 + lines[at].split().index(head)] == f"{n}.5"
-
-
-def test_a_curve_rises_and_falls_with_its_numbers():
-    assert curve([0.5, 0.1, 0.9])[1:] == "▁█"
-    assert curve([2.0, 2.0]) == "▁▁"
-    assert len(curve([1.0] * 1000)) == 60

@@ -57,6 +57,8 @@ def test_a_table_is_kept_read_verified_and_replaced(tmp_path, table):
     dataset = build_with(tmp_path, table)
     assert str(dataset.lidar) == "9 × 24 rays of a test, up to 10 m"
     assert dataset.lidar == pickle.loads(pickle.dumps(dataset.lidar)) == table
+    later = BeamTable(rays=np.add(table.rays, [0, 0, 0, 0.1]))
+    assert table not in (later, BeamTable(rays=table.rays, max_range_m=9.0))
     assert dataset.split("train")[0].ranges.shape == (9, 24)
     assert np.load(tmp_path / RAYS, allow_pickle=False).shape == (9, 24, 4)
     assert verify(tmp_path).ok

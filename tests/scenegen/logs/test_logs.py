@@ -149,23 +149,23 @@ def close(log, scans):
 
 
 def test_every_layout_of_a_log_reads_back(tmp_path):
-    log = tmp_path / "sequences" / "00"
+    log, clouds, csv = tmp_path / "sequences" / "00", tmp_path / "clouds", tmp_path / "poses.csv"
     log.parent.mkdir()
+    clouds.mkdir()
     scans = written(log)
     assert close(read_log(log), scans)
-    (tmp_path / "clouds").mkdir()
     for scan in scans:
-        write_points(tmp_path / "clouds" / f"{scan.time_s:.6f}.ply", scan.points)
-    lines = [line.split() for line in (log / "poses.tum").read_text().splitlines()]
-    csv = "z,y,x,qw,qx,qy,qz,t,note\n" + "".join(
-        ",".join([*line[3:0:-1], line[7], *line[4:7], line[0], "7"]) + "\n" for line in lines
-    )
-    (tmp_path / "poses.csv").write_text(csv)
-    for poses in (log / "poses.tum", tmp_path / "poses.csv"):
-        assert close(read_log(tmp_path / "clouds", poses=poses), scans)
+        write_points(clouds / f"{scan.time_s:.6f}.ply", scan.points)
+    rows = ["z,y,x,qw,qx,qy,qz,t,note"]
+    for line in (log / "poses.tum").read_text().splitlines():
+        time, x, y, z, *turn, w = line.split()
+        rows.append(",".join([z, y, x, w, *turn, time, "7"]))
+    csv.write_text("\n".join(rows))
+    for poses in (log / "poses.tum", csv):
+        assert close(read_log(clouds, poses=poses), scans)
     # more poses than clouds: found by time, those beyond the last one left out
-    shutil.copy(tmp_path / "clouds" / "2.000000.ply", tmp_path / "clouds" / "9.0.ply")
-    late = read_log(tmp_path / "clouds", poses=tmp_path / "poses.csv")
+    shutil.copy(clouds / "2.000000.ply", clouds / "9.0.ply")
+    late = read_log(clouds, poses=csv)
     assert late.without_pose == 1
     assert close(late, scans)
     # as KITTI's archives have it: poses of a camera, elsewhere

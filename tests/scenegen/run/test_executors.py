@@ -22,9 +22,9 @@ def plan(folder):
     return plan_of(folder, seed=5, counts=COUNTS, shard_samples=3)
 
 
-def make(folder, place="local", workers=1):
+def make(folder, place="local"):
     """The digest of a small dataset made at `place`, and all its files."""
-    summary = build(plan(folder), execute=executor(place, workers))
+    summary = build(plan(folder), execute=executor(place, 1))
     return summary.digest, contents(folder)
 
 

@@ -108,10 +108,9 @@ def objects(bucket):
 
 def wait_for(bucket, shards):
     """Wait until so many shards are there; how many are."""
+    store = StorePath(f"s3://{bucket}/d").store
     for _ in range(600):
-        there = sum(
-            item.name.endswith(".h5") for item in StorePath(f"s3://{bucket}/d").store.list()
-        )
+        there = sum(item.name.endswith(".h5") for item in store.list())
         if there >= shards:
             return there
         time.sleep(0.05)

@@ -228,4 +228,3 @@ def test_an_index_that_is_none_ends_in_a_line():
             stream[wrong]  # type: ignore[call-overload]
     assert stream[5:4] == []
     assert len(stream) == 9
-    assert len(scenegen.stream("pillar")) == 10**9

