@@ -45,7 +45,7 @@ def loaded(*words):
 PLACES_OF_COMMANDS = {place.partition(":")[0] for place in PLACES.values()}
 
 
-@pytest.mark.parametrize(("words", "commands"), [("", 0), ("bench", 1)])
+@pytest.mark.parametrize(("words", "commands"), [("", 0), ("bench", 1), ("generate", 1)])
 def test_help_imports_no_other_command_and_nothing_heavy(words, commands):
     found = loaded(*words.split(), "--help")
     assert not found & set(HEAVY)

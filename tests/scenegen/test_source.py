@@ -64,10 +64,13 @@ def test_fewer_samples_of_a_folder_are_the_first_of_more(folder, tmp_path):
         assert [sample.sha256() for sample in small.split(split)] == first
 
 
-def test_how_many_samples_are_asked_for_deals_no_world_otherwise(folder):
+def test_how_many_samples_are_asked_for_deals_no_world_otherwise(tmp_path):
+    for n in range(20):
+        (tmp_path / f"room{n:02d}.xml").write_text(ROOM.format(n=3 + n / 10))
+
     def dealt(n):
         counts = {"train": n, "val": max(n // 10, 1), "test": max(n // 5, 1)}
-        return read_scenes(folder, counts, seed=0).scenes
+        return read_scenes(tmp_path, counts, seed=0).scenes
 
     assert dealt(5) == dealt(45) == dealt(4500)
 

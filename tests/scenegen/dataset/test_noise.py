@@ -88,7 +88,8 @@ def test_what_was_scanned_again_is_published_with_the_command_that_does_so(made,
     request = Request(dataset=tmp_path / "again", repository="ada/again", out=out)
     stage(request, (("files", "all there"),))
     found, card = Dataset(out), (out / "README.md").read_text()
-    assert f"{found.manifest.lidar}" in card
+    assert found.manifest.lidar == how["lidar"]
+    assert f"{how['lidar']}" in card
     assert (
         f"`ORIGINAL` stands for that dataset, whose digest is `{original.manifest.digest}`" in card
     )

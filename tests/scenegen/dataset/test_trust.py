@@ -110,6 +110,9 @@ def test_what_is_no_manifest_is_refused(dataset):
     for content in (b"", b"[]", b"[" * 10**6, b"\xff\xfe", b'{"shards": 1}'):
         (dataset / manifest.NAME).write_bytes(content)
         assert manifest.NAME in refused(lambda: Dataset(dataset))
+    (dataset / manifest.NAME).unlink()
+    (dataset / manifest.NAME).symlink_to(dataset / manifest.NAME)
+    refused(lambda: Dataset(dataset))
     refused(lambda: inspect(dataset))
 
 

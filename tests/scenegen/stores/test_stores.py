@@ -312,35 +312,38 @@ def test_a_copy_that_changed_is_fetched_again(there, made):
     assert len(asked()) == count  # what is whole is not asked for
 
 
+TAKEN = f"""
+rescan {NAME} --noise range:0.02 -o s3://lab/again
+take {NAME} --split train -o s3://lab/train
+take {NAME} --split test -o s3://lab/test
+merge s3://lab/train s3://lab/test -o s3://lab/both
+"""
+NOT_TAKEN = f"""
+take {NAME} --n 1 -o {NAME} --force  → itself
+rescan {NAME} -o {NAME} --force      → itself
+convert {NAME} --to webdataset -o s3://lab/x → s3://… is not written to
+world {NAME} 0 -o s3://lab/w.xml     → s3://… is not written to
+generate pillar --out gs://lab/x     → gs://… is not written to
+inspect s3://lab/none                → s3://lab/none: not a dataset, it has no dataset.json
+"""
+
+
 def test_commands_take_a_place_and_refuse_it_where_they_cannot(
-    there, store, made, tmp_path, capsys, monkeypatch
+    there, store, made, standing, capsys
 ):
-    monkeypatch.chdir(tmp_path)
     code, said, _ = run(capsys, f"inspect {NAME} --json")
     assert code == 0
     assert json.loads(said)["bytes"] == sum(path.stat().st_size for path in made.iterdir())
-    for words in (
-        f"rescan {NAME} --noise range:0.02 -o s3://lab/again",
-        f"take {NAME} --split train -o s3://lab/train",
-        f"take {NAME} --split test -o s3://lab/test",
-        "merge s3://lab/train s3://lab/test -o s3://lab/both",
-    ):
+    for words in TAKEN.strip().splitlines():
         assert run(capsys, f"{words} --quiet")[::2] == (0, "")
     for name in ("again", "both"):
         assert verify(locate(f"s3://lab/{name}", whole=True), quick=True).ok
-    for words, told in (
-        (f"take {NAME} --n 1 -o {NAME} --force", "itself"),
-        (f"rescan {NAME} -o {NAME} --force", "itself"),
-        (f"convert {NAME} --to webdataset -o s3://lab/x", "s3://… is not written to"),
-        (f"world {NAME} 0 -o s3://lab/w.xml", "s3://… is not written to"),
-        ("generate pillar --out gs://lab/x", "gs://… is not written to"),
-        ("inspect s3://lab/none", "s3://lab/none: not a dataset, it has no dataset.json"),
-    ):
+    for words, told in rows(NOT_TAKEN):
         code, _, wrong = run(capsys, words)
         assert code in (1, 2)
         assert told in wrong
     assert objects(store) == contents(made)
-    assert {path.name for path in tmp_path.iterdir()} <= {"store", "copies"}
+    assert {path.name for path in standing.iterdir()} <= {"store", "copies"}
 
 
 def test_other_places_are_read_by_fsspec(made, tmp_path, monkeypatch):

@@ -114,6 +114,8 @@ def test_workers_and_interruptions_change_no_byte(first, second, tmp_path):
 
     with pytest.raises(KeyboardInterrupt):
         build(plan, on_shard=stop)
+    with pytest.raises(DatasetError, match="incomplete"):
+        Dataset(plan.folder)
     assert 0 < build(plan).samples_written < sum(COUNTS.values()) * 2
     one, two, cut = (contents(tmp_path / name) for name in ("m", "two", "cut"))
     assert one == two == cut
