@@ -4,15 +4,13 @@ and measured."""
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import scenegen
 from scenegen.errors import DatasetError
-
-ROOT = Path(__file__).parents[1]
+from tests.command_line import ROOT
 
 
 @pytest.fixture(scope="module")

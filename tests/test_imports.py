@@ -3,13 +3,12 @@
 import ast
 import re
 from functools import cache
-from pathlib import Path
 
 import pytest
 
 import scenegen
+from tests.command_line import ROOT
 
-ROOT = Path(__file__).parents[1]
 ORDER = {
     "lidarsim": (ROOT / "lidarsim", r"lidarsim\b"),
     "scenegen": (ROOT / "scenegen", r"scenegen\b(?!\.(model|__main__)\b)"),

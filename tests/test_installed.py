@@ -6,14 +6,13 @@ import sys
 import tomllib
 import venv
 import zipfile
-from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
 
 import scenegen
+from tests.command_line import ROOT
 
-ROOT = Path(__file__).parents[1]
 USERS = {
     "model.py": "mine = 'model'",
     "cli.py": "mine = 'cli'",

@@ -3,7 +3,6 @@ are one file."""
 
 import itertools
 from collections import Counter
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -17,9 +16,10 @@ from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, SceneError
 from scenegen.source import read_scenes
 from scenegen.worlds.world import write_world
+from tests.command_line import ROOT
 from tests.conftest import THREE, scene_recipe
 
-SCENES = Path(__file__).parents[2] / "scenes"
+SCENES = ROOT / "scenes"
 COUNTS = {"train": 9, "val": 3, "test": 3}
 ROOM = """<mujoco><custom><numeric name="flight_bounds" data="0 0 1 12 12 3"/></custom><worldbody>
 <geom type="plane" size="1 1 1"/><geom name="post{n}" type="cylinder" size="0.3 2" pos="{n} 6 2"/>

@@ -6,7 +6,6 @@ import pickle
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,10 +18,10 @@ from scenegen.recipe import preset
 from scenegen.sample import GROUPS, Sample
 from scenegen.source import DrawnWorlds, read_scenes
 from scenegen.streams.mixture import Component
-from tests.command_line import rows
+from tests.command_line import ROOT, rows
 from tests.conftest import dataset_in, picky_recipe, small_recipe
 
-SCENES = Path(__file__).parents[3] / "scenes"
+SCENES = ROOT / "scenes"
 
 
 def same(one, other):

@@ -1,15 +1,13 @@
 """docs/verify.md says of every check what the check says of itself, and how to write one's own."""
 
-from pathlib import Path
-
 import pytest
 
 from scenegen.errors import DatasetError
 from scenegen.verification import verify
 from scenegen.verification.folder import CHECKS
-from tests.command_line import run
+from tests.command_line import ROOT, run
 
-PAGE = Path(__file__).parents[3] / "docs" / "verify.md"
+PAGE = ROOT / "docs" / "verify.md"
 
 
 def test_the_table_is_that_of_the_checks():

@@ -3,7 +3,6 @@ checksums, too."""
 
 import json
 import os
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -23,13 +22,13 @@ from scenegen.truth import distance_field
 from scenegen.verification import verify
 from scenegen.verification.folder import CHECKS
 from scenegen.worlds.world import compile_world
-from tests.command_line import rows
+from tests.command_line import ROOT, rows
 from tests.conftest import SMALL, THREE, small_recipe
 from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
 
 SHARD = "train-00000.h5"
-SCENES = Path(__file__).parents[3] / "scenes"
+SCENES = ROOT / "scenes"
 
 
 @pytest.mark.parametrize(
