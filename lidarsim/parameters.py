@@ -68,21 +68,17 @@ class Bounds:
             if self.rising and count == 2
             else _COUNTED.get(count, str(count))
         )
-        parts = [f"a {what}" if count == 1 else f"{rising} {what}s"]
+        what = f"a {what}" if count == 1 else f"{rising} {what}s"
         if math.isfinite(self.least) and math.isfinite(self.most):
-            parts.append(f"from {self.least:.12g} to {self.most:.12g}")
-        else:
-            bounds = {
-                "above": self.above,
-                "at least": self.least,
-                "below": self.below,
-                "at most": self.most,
-            }
-            said = [
-                f"{name} {bound:.12g}" for name, bound in bounds.items() if math.isfinite(bound)
-            ]
-            parts += [" and ".join(said)] if said else []
-        return " ".join(parts)
+            return f"{what} from {self.least:.12g} to {self.most:.12g}"
+        bounds = {
+            "above": self.above,
+            "at least": self.least,
+            "below": self.below,
+            "at most": self.most,
+        }
+        said = [f"{name} {bound:.12g}" for name, bound in bounds.items() if math.isfinite(bound)]
+        return f"{what} {' and '.join(said)}".rstrip()
 
 
 def number(default: Any = dataclasses.MISSING, **bounds: Any) -> Any:

@@ -51,11 +51,10 @@ class Registry:
         try:
             chosen = getattr(found, attribute)
         except AttributeError:
-            there = ", ".join(item for item in vars(found) if not item.startswith("_")) or "nothing"
+            public = [one for one, it in vars(found).items() if callable(it) and one[0] != "_"]
             where = getattr(found, "__file__", None) or "no file"
-            raise ValueError(
-                f"{self.what} {name}: {where} has no {attribute}; it has {there[:MOST_NAMED]}"
-            ) from None
+            hint = suggestion(attribute, public)
+            raise ValueError(f"{self.what} {name}: {where} has no {attribute}; {hint}") from None
         self.check(chosen, name)
         return chosen
 

@@ -8,8 +8,8 @@ from scenegen.dataset.locate import locate
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
 from scenegen.model.completion.completer import Completer
-from scenegen.model.config import BenchConfig, TrainConfig
-from scenegen.model.evaluation.methods import Completed, Method, find_method
+from scenegen.model.config import USUAL, BenchConfig, TrainConfig
+from scenegen.model.evaluation.methods import check_rows, rows_of
 from scenegen.model.evaluation.report import build_report
 from scenegen.model.evaluation.run import bench as measure
 from scenegen.model.evaluation.run import tables_of
@@ -78,16 +78,17 @@ def train(
 
 
 def bench(
-    datasets: Any, methods: Sequence[Any] = (), *, workers: int | None = None, **settings: Any
+    datasets: Any, methods: Any = USUAL, *, workers: int | None = None, **settings: Any
 ) -> dict[str, Any]:
     """Measure how well methods complete the maps of datasets, and how well paths are planned on
     what they predict, as `scenegen bench` does.
 
     Args:
         datasets: A dataset's folder or name, or several of different kinds in a list.
-        methods: Names of `scenegen bench --method`, such as "extrude" or "my_methods:Grown"; or
-            completers: networks, and objects with a `name` and a method `complete(observed, free,
-            *, grid)` that gives a `scenegen.Prediction`. They travel to worker processes.
+        methods: One, or several in a list; by default the rows of `scenegen bench`. Names of its
+            `--method`, such as "extrude" or "my_methods:Grown"; or completers: networks, and
+            objects with a `name` and a method `complete(observed, free, *, grid)` that gives a
+            `scenegen.Prediction`. They travel to worker processes.
         workers: Processes of this machine; all cores by default.
         settings: Fields of `BenchConfig`: `split`, `samples`, `trials`, `seed`, `study`, `plan`, ….
 
@@ -99,18 +100,14 @@ def bench(
     Raises:
         DatasetError: A dataset is none, or its split is empty.
         PredictionError: What stands for a method is none, or predicts what cannot be.
+        ScenegenError: There is no such method, or two have one name.
     """
-    named = datasets if isinstance(datasets, list | tuple) else [datasets]
-    config = BenchConfig(**settings)
-    rows: list[Method] = []
-    for method in methods:
-        if isinstance(method, str):
-            rows.append(find_method(method))
-        else:
-            rows.append(method if isinstance(method, Completer) else Completed(method))
+    config, rows = BenchConfig(**settings), rows_of(_listed(methods))
+    measured = [Dataset(locate(name)) for name in _listed(datasets)]
+    check_rows(rows, measured, config.split)
     results = [
         measure(dataset, rows, config, kind=kind, execute=Local("", workers or cores()))
-        for dataset, kind in tables_of([Dataset(locate(name)) for name in named], config.split)
+        for dataset, kind in tables_of(measured, config.split)
     ]
     return build_report(results, seed=config.seed, about={"split": config.split})
 
@@ -120,6 +117,11 @@ def _samples(given: Any, split: str) -> list[Samples]:
     if isinstance(given, Mapping):
         return opened({locate(name): weight for name, weight in given.items()}, split)
     found: list[Samples] = []
-    for one in given if isinstance(given, list | tuple) else [given]:
+    for one in _listed(given):
         found += opened([locate(one)], split) if isinstance(one, str | Path) else [one]
     return found
+
+
+def _listed(given: Any) -> Sequence[Any]:
+    """What is `given` in a list, or alone."""
+    return given if isinstance(given, list | tuple) else [given]

@@ -27,6 +27,7 @@ from lidarsim import GridSpec
 from scenegen.errors import ScenegenError
 from scenegen.files import Json
 from scenegen.model.config import LEVELS, NETWORKS, TASKS, VARIANTS, NetworkConfig, named
+from scenegen.run.workers import processor
 
 Batch = dict[str, Tensor]
 """A named batch, (B, *grid.shape) each: a network's inputs. In training, the true ``occupancy`` and
@@ -69,6 +70,14 @@ def placed(network: nn.Module, device: torch.device | str) -> nn.Module:
         if layout := {4: torch.channels_last, 5: torch.channels_last_3d}.get(parameter.ndim):
             parameter.data = parameter.data.contiguous(memory_format=layout)
     return network
+
+
+def prefers_bfloat16() -> bool:
+    """Whether this machine's processor is faster in bfloat16 than in float32: with AMX, and one of
+    AMD's with AVX-512. Intel's with AVX-512 alone take 1.4 times as long (docs/log.md)."""
+    has: Any = getattr(torch.cpu, "get_capabilities", dict)()  # not in torch 2.10
+    slow = "Intel" in processor() and not has.get("amx_bf16")
+    return bool(has.get("avx512_bf16")) and not slow
 
 
 class Network(nn.Module):

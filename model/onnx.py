@@ -26,7 +26,7 @@ from scenegen.files import Json, check_ours, read_bounded, write_result
 from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_WEIGHTS_BYTES
 from scenegen.model.checkpoint import CheckpointError, check_own, network_from
 from scenegen.model.config import VARIANTS, NetworkConfig
-from scenegen.model.network import Batch, FinalUp, Network, Output
+from scenegen.model.network import Batch, FinalUp, Network, Output, prefers_bfloat16
 from scenegen.run.workers import guarded
 
 NAMES = {"occupancy": "logits", "tudf": "tudf"}
@@ -51,9 +51,9 @@ def load_onnx(
     holds.
 
     It runs on `threads` threads, 0 for all cores, by the fastest runtime that is installed, unless
-    `runtime` names one: OpenVINO computes in bfloat16 where the processor can, onnxruntime in
-    float32. Raises CheckpointError for a file that `export_onnx` did not write, and for inputs of a
-    user's own that are not in `own`; see `examine`.
+    `runtime` names one: OpenVINO computes in bfloat16 where that is faster, onnxruntime in float32.
+    Raises CheckpointError for a file that `export_onnx` did not write, and for inputs of a user's
+    own that are not in `own`; see `examine`.
     """
     content, found = examine(path, runtime)
     check_own(path, own, *found.config.inputs)
@@ -189,9 +189,11 @@ def _open(content: bytes, found: Examined, threads: int) -> Run:
     sys.modules.setdefault("openvino_telemetry", None)  # type: ignore[arg-type]
     import openvino
 
-    hints = {"PERFORMANCE_HINT": "LATENCY"} | (
-        {"INFERENCE_NUM_THREADS": threads} if threads else {}
-    )
+    hints = {
+        "PERFORMANCE_HINT": "LATENCY",
+        "INFERENCE_PRECISION_HINT": "bf16" if prefers_bfloat16() else "f32",
+        "INFERENCE_NUM_THREADS": threads,
+    }
     core = openvino.Core()
 
     @cache

@@ -30,8 +30,8 @@ of its map by the names of fields."""
 WORLD, FLIGHT, NOISE = 0, 1, 2
 """The streams of random numbers of a unit."""
 ADVICE = {
-    "no_flight": "no flight fits between the solids: lower {crowded} or flight.robot_radius_m",
-    "few_solids": "worlds are too empty: raise {crowded}, or lower accept.min_solids",
+    "no_flight": "no flight fits between the solids: {fewer}, or lower flight.robot_radius_m",
+    "few_solids": "worlds are too empty: {more}, or lower accept.min_solids",
     "few_viewpoints": "flights give too few viewpoints: lower flight.viewpoints, flight.spacing_m, "
     "accept.min_occupied_share or accept.min_returned_share; in a map of a real place, "
     "known.least_share, or raise known.most_marked_share",
@@ -118,12 +118,16 @@ def draw_unit(
             samples = samples_of(views, recipe, world, caster, key, names, derived)
             return Unit(number, world, samples, rejected)
     counted = ", ".join(f"{count} {reason}" for reason, count in rejected.worlds.items())
-    named = [] if recipe.world is None else [f"world.{name}" for name in recipe.world.crowded_by]
-    crowded = ", ".join(named) or "how many solids there are where it flies"
     advice = "; ".join(ADVICE[reason] for reason, _ in rejected.worlds.most_common())
+    crowded = () if recipe.world is None else recipe.world.crowded_by
+    fewer, more = (
+        ", ".join(f"{verbs[name[0] == '-']} world.{name.removeprefix('-')}" for name in crowded)
+        or f"{verbs[0]} how many solids there are where it flies"
+        for verbs in (("lower", "raise"), ("raise", "lower"))
+    )
     raise GenerationError(
         f"{split} world {number}: all {recipe.accept.max_draws} draws rejected ({counted}); "
-        f"{advice.format(crowded=crowded)}"
+        f"{advice.format(fewer=fewer, more=more)}"
     )
 
 

@@ -254,7 +254,7 @@ def _graded(kind: type[WorldKind], level: Any, at: str) -> dict[str, Any]:
     known: dict[str, dict[str, object]] = {**kind.graded, "medium": {}}
     if not isinstance(level, str) or level not in known:
         raise RecipeError(f"{at}difficulty = {short(level)}: expected one of {', '.join(known)}")
-    return dict(known[level])
+    return known[level]
 
 
 def make_recipe(
@@ -289,11 +289,12 @@ def make_recipe(
     if kind != "scene":
         with raised_as(RecipeError, at):
             parts["world"] = found = find_kind(kind)
-        defaults = {"flight": dict(found.flight_defaults), "accept": dict(found.accept_defaults)}
+        defaults = {"flight": found.flight_defaults, "accept": found.accept_defaults}
         defaults["world"] = _graded(found, level, at)
     elif level != "medium":
         raise RecipeError(f"{at}difficulty: worlds from MJCF files have none; leave it out")
-    tables = tables | ({"lidar": {}} if sensor is not None else {})
+    if sensor is not None:
+        tables["lidar"] = {}
     for name, table in tables.items():
         whose = [f"[{part}]" for part, made in parts.items() if name in field_names(made)]
         if whose and name not in parts and not isinstance(table, dict):
@@ -305,18 +306,16 @@ def make_recipe(
             raise RecipeError(
                 f"{at}{name} = {short(table)}: expected a table, [{name}], of parameters"
             )
-    given = {name: defaults.get(name, {}) | dict(tables.get(name, {})) for name in parts}
-    given_lidar = given.pop("lidar")
+    given = {name: defaults.get(name, {}) | tables.get(name, {}) for name in parts}
+    lidar = given.pop("lidar")
     built = {
         name: from_table(parts[name], table, f"{at}[{name}]", folder)
         for name, table in given.items()
     }
-    built["lidar"] = (
-        sensor if sensor is not None else sensor_of(given_lidar, f"{at}[lidar]", folder)
-    )
-    built["noise"] = named_noise(
-        built["noise"].stages or None, built["lidar"], at and f"{at}[noise]"
-    )
+    if sensor is None:
+        sensor = sensor_of(lidar, f"{at}[lidar]", folder)
+    noise = named_noise(built["noise"].stages or None, sensor, at and f"{at}[noise]")
+    built |= {"lidar": sensor, "noise": noise}
     odd = f"{at}[world] of kind {kind}: a parameter cannot stand in a manifest: "
     with raised_as(RecipeError, at), raised_as(RecipeError, odd, of=TypeError):
         recipe = Recipe(kind=kind, difficulty=level, **built)

@@ -67,10 +67,12 @@ class DrawnWorlds:
                 'kind "scene" draws no worlds; give the MJCF file or folder with --scene'
             )
         bounds = self.recipe.flight.bounds(kind.size_m)
+        # a user's own kind may draw what cannot be whatever the values
+        advice = "correct it" if ":" in self.recipe.kind else "take values nearer to the preset's"
         with raised_as(
             RecipeError,
             f"[world] of kind {self.recipe.kind!r} draws what cannot be: ",
-            "; take values nearer to the preset's",
+            f"; {advice}",
             of=(ValueError, BrokenError, SceneError),
         ):
             return write_world(lambda spec: kind.add_to(spec, rng=rng), flight_bounds=bounds)

@@ -16,7 +16,7 @@ from lidarsim import BeamTable, Sensor
 from lidarsim.noise.chain import Noise
 from lidarsim.parameters import FILE
 from lidarsim.registry import suggestion
-from lidarsim.sensors import CATALOGUE, FAMILIES, RASTER, SENSORS
+from lidarsim.sensors import FAMILIES, RASTER, SENSORS
 from scenegen.errors import DatasetError, RecipeError, printable, raised_as, short
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_DEPTH, MOST_RECIPE_BYTES, MOST_SOURCES
@@ -122,11 +122,9 @@ def sensor_of(table: Mapping[str, Any], where: str, folder: Path) -> Sensor:
             f"{where} sensor = {short(name)}: expected a dataclass, whose fields a recipe sets"
         )
     if isinstance(given.get("name"), str) and given["name"] in SENSORS.known:
-        whose = "one of the catalogue's" if given["name"] in CATALOGUE else "that of a family"
         raise RecipeError(
-            f"{where} name = {short(given['name'])}: is {whose}; give your sensor a name of its "
-            f"own, or take that one "
-            f'with sensor = "{given["name"]}"'
+            f"{where} name = {short(given['name'])}: is that of another; give your sensor a name "
+            f'of its own, or take that one with sensor = "{given["name"]}"'
         )
     if "sensor" not in table and (odd := sorted(given.keys() - field_names(found))):
         fit = [
@@ -143,16 +141,20 @@ def sensor_of(table: Mapping[str, Any], where: str, folder: Path) -> Sensor:
     if isinstance(own := getattr(made, "noise", None), str) and own:
         with raised_as(RecipeError, f"{where} "):
             Noise.parse(own)
+    if name not in SENSORS.known:
+        with raised_as(RecipeError):
+            beam_table(made, where)
     return made
 
 
-def beam_table(sensor: Sensor) -> BeamTable:
-    """The rays of any sensor. Raises ValueError, whatever a user's own code raises."""
+def beam_table(sensor: Sensor, where: str = "[lidar]") -> BeamTable:
+    """The rays of any sensor. Raises ValueError, which begins with `where`, whatever a user's own
+    code raises."""
     try:
         return BeamTable.of(sensor)
     except Exception as error:
         said = error if isinstance(error, ValueError) else f"it fails: {error!r}"
-        raise ValueError(f"[lidar] sensor {type(sensor).__name__}: {printable(said)}") from None
+        raise ValueError(f"{where} sensor {type(sensor).__name__}: {printable(said)}") from None
 
 
 def combinations(domain: Any, at: str, rng: np.random.Generator) -> list[dict[str, dict[str, Any]]]:

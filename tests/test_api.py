@@ -1,6 +1,7 @@
 """What `scenegen` offers goes together: from a dataset that is made to one that is checked, shown
 and measured."""
 
+import inspect
 import shutil
 import subprocess
 import sys
@@ -9,7 +10,8 @@ import numpy as np
 import pytest
 
 import scenegen
-from scenegen.errors import DatasetError
+from scenegen.errors import DatasetError, ScenegenError
+from scenegen.model.config import USUAL
 from tests.command_line import ROOT
 
 
@@ -54,8 +56,11 @@ def test_methods_are_measured(dataset):
         def complete(self, observed, free, *, grid):
             return scenegen.Prediction(occupancy_probability=np.float32(observed))
 
-    report = scenegen.bench(dataset.folder, [Mine()], workers=1, trials=4)
+    report = scenegen.bench(dataset.folder, Mine(), workers=1, trials=4)
     assert 0 < report["reconstruction"]["pillar"]["mine"]["iou"]["mean"] < 1
+    assert inspect.signature(scenegen.bench).parameters["methods"].default == USUAL
+    with pytest.raises(ScenegenError, match="two rows are called 'mine'"):
+        scenegen.bench(dataset.folder, [Mine(), Mine()])
 
 
 @pytest.mark.checkout

@@ -29,31 +29,31 @@ def here(tmp_path):
         (tmp_path / name).write_text("raise AssertionError('imported, and nobody asked for it')")
     for name, page in EXAMPLES.items():
         (tmp_path / name).write_text(example(page))
-    own = SMALL.replace('"pillar"', '"my_worlds:Fence"').replace("min_solids = 1", "min_solids = 0")
-    (tmp_path / "fence.toml").write_text(
-        own.replace("[accept]", "[accept]\nmin_occupied_share = 0")
-    )
+    own = SMALL.replace('"pillar"', '"my_worlds:Vineyard"\ndifficulty = "hard"')
+    (tmp_path / "vineyard.toml").write_text(own)
     return tmp_path
 
 
 def test_a_kind_a_method_and_a_command_of_ones_own(here, shell):
-    def done(*words):
-        return shell.done(*words, here=here)
+    def done(words):
+        return shell.done(*words.split(), here=here)
 
-    done("generate", "--recipe", "fence.toml", "-n", "6", "--workers", "2")
-    assert '"kind": "my_worlds:Fence"' in (here / "data" / "Fence" / "dataset.json").read_text()
-    assert "ok" in regenerated(
-        done("verify", "data/Fence", "--workers", "2", "--kind", "my_worlds:Fence")
-    )
-    assert "world 0, viewpoint" in done("my_commands:fill", "data/Fence")
+    folder = "data/Vineyard"
+    done("generate --recipe vineyard.toml -n 6 --workers 2 --labels class")
+    assert '"kind": "my_worlds:Vineyard"' in (here / folder / "dataset.json").read_text()
+    assert "ok" in regenerated(done(f"verify {folder} --workers 2 --kind my_worlds:Vineyard"))
+    assert "world 0, viewpoint" in done(f"my_commands:fill {folder}")
     (here / "my_worlds.py").write_text(
         "raise AssertionError('imported because a manifest names it')"
     )
-    words = ("--method", "my_methods:Grown", "--method", "returns", "--quick", "--workers", "2")
-    assert "grown" in done("bench", "data/Fence", *words)
-    assert "cannot be drawn again" in regenerated(done("verify", "data/Fence", "--workers", "2"))
-    done("world", "data/Fence", "0")
-    ended = shell.scenegen("publish", "data/Fence", "--repo", "ada/fence", "--dry-run", here=here)
+    methods = "--method my_methods:Grown --method returns"
+    assert "grown" in done(f"bench {folder} {methods} --quick --workers 2")
+    said = done(f"verify {folder} --workers 2")
+    assert "cannot be drawn again" in regenerated(said)
+    assert "18 passed, 1 skipped" in said
+    done(f"world {folder} 0")
+    publish = f"publish {folder} --repo ada/vineyard --dry-run"
+    ended = shell.scenegen(*publish.split(), here=here)
     assert (ended.code, "give --kind" in ended.err, ended.err.count("\n")) == (1, True, 1)
 
 
@@ -64,7 +64,7 @@ def regenerated(table):
 
 
 LACKING = f"""
-generate --quiet --kind absent:Fence   → there is no module absent
+generate --quiet --kind absent:Vineyard   → there is no module absent
 generate --quiet --kind wrong:Other    → lacks `version`, a whole number
 generate --quiet --kind wrong:Bare     → class Mine(scenegen.WorldKind)
 generate --quiet --kind wrong:Odd      → cannot stand in a manifest
@@ -80,6 +80,11 @@ bench DATASET --quiet --method wrong:Broken   → line 3 of wrong.py: KeyError: 
 bench DATASET --quiet --method wrong:Worse --workers 2 → of wrong.py: Failed: two
 wrong:failing                          → line 3 of wrong.py: KeyError: 'gone'
 ends:all                               → importing it fails (line 2 of ends.py): SystemExit
+generate --quiet --kind wrong:Leafy --workers 1 → unknown class 'vegetaton'; did you mean
+recipe wrong:Crowded                   → unknown parameter 'row'
+recipe wrong:Graded                    → unknown parameter 'size'; did you
+generate --quiet --kind wrong:Sparse --workers 1 → raise world.ground_m, lower world.size_m
+scan pillar --flight --lidar wrong:Ray → max_range_m = -3
 generate --quiet --kind pillar --workers 1 --engine wrong:Still → line 3 of wrong.py: KeyError
 generate --quiet --kind pillar --workers 1 --engine wrong:Short → `of`
 """
@@ -98,6 +103,20 @@ class Bare(Empty):
 @dataclass(frozen=True, kw_only=True)
 class Odd(Bare):
     label: object = 1j
+@dataclass(frozen=True, kw_only=True)
+class Sparse(Bare):
+    crowded_by = "ground_m", "-size_m"
+    def add_to(self, spec, *, rng): spec.add_geom(2, (1, 0, 0), (200, 0, 1))
+@dataclass(frozen=True, kw_only=True)
+class Crowded(Bare):
+    crowded_by = ("-row",)
+@dataclass(frozen=True, kw_only=True)
+class Graded(Bare):
+    graded = {{"hard": {{"size": (1, 1, 1)}}}}
+@dataclass(frozen=True, kw_only=True)
+class Leafy(Bare):
+    def add_to(self, spec, *, rng):
+        spec.add_geoms([2], [[1, 0, 0]], [[0, 0, 1]], classes=["vegetaton"])
 class Nameless:
     def complete(self, observed, free, *, grid): pass
 class Short:
@@ -117,6 +136,9 @@ class Worse(Short):
 class Still:
     of = classmethod(lambda cls, model, data=None: gone())
     cast = None
+@dataclass(frozen=True, kw_only=True)
+class Ray:
+    shape, times_s, directions_body, max_range_m = (1,), [0.0], [[1.0, 0.0, 0.0]], -3
 @dataclass(frozen=True, kw_only=True)
 class Failing(Bare):
     def add_to(self, spec, *, rng): gone()

@@ -35,6 +35,7 @@ def examples(tmp_path):
         "my_sensor.py",
         "my.toml",
         "my_lidar.toml",
+        "my_noise.py",
         "my_engine.py",
         "make.py",
     }

@@ -10,6 +10,7 @@ from lidarsim.engines import Caster
 from lidarsim.grid import Floats
 from lidarsim.noise import STAGES, Stage
 from lidarsim.noise.returns import Returns, View
+from lidarsim.registry import own_line
 from lidarsim.scan import Scan, check_ranges
 from lidarsim.sensors import Sensor
 
@@ -73,12 +74,24 @@ class Noise:
         `albedo` is that of `View`. Every stage has a stream of its own, so that one added at the
         end changes none before it.
 
-        Raises ValueError where a stage gives what are no ranges of the sensor.
+        Raises ValueError where a stage cannot be called, or gives what are no ranges of the sensor.
         """
         returns, view = Returns.of(scan), View(engine, scan.lidar, scan.pose, albedo)
         for stage, stream in zip(self.stages, rng.spawn(len(self.stages)), strict=True):
-            returns = stage.apply(returns, view, rng=stream)
-            check_ranges(returns.ranges, scan.lidar, f"noise stage {_text(stage)}")
+            name = f"noise stage {_text(stage)}"
+            try:
+                returns = stage.apply(returns, view, rng=stream)
+            except TypeError as error:
+                if own_line(error):  # within the user's method, which was called as it should be
+                    raise
+                raise ValueError(f"{name}: {error}; expected {STAGES.needs['apply']}") from None
+            given = returns.ranges.shape if isinstance(returns, Returns) else type(returns).__name__
+            if given[1:] != scan.ranges.shape:  # nor is the name of a type a shape
+                raise ValueError(
+                    f"{name} gave {given}; expected Returns, whose ranges are (echoes, *shape), "
+                    f"with shape = {scan.ranges.shape}"
+                )
+            check_ranges(returns.ranges, scan.lidar, name)
         return returns
 
     def bound_m(self, max_range_m: float) -> float:
@@ -109,6 +122,10 @@ def _stage(text: str) -> Stage:
             f"noise stage {name}: expected a dataclass, whose fields are its parameters"
         )
     fields = [item.name for item in dataclasses.fields(found)]
+    if "order" in fields:
+        raise ValueError(
+            f"noise stage {name}: `order` is a parameter; write it without annotation, as order = 2"
+        )
     given: dict[str, Any] = {}
     for place, word in enumerate(values):
         field, named, value = word.rpartition("=")
@@ -123,6 +140,7 @@ def _stage(text: str) -> Stage:
         given[field] = _number(value)
     try:
         made: Stage = STAGES.find(name)(**given)
+        made.bound_m(1.0)  # a user's own may take other arguments
     except (ValueError, TypeError) as error:
         raise ValueError(f"noise stage {name}: {error}") from None
     return made

@@ -136,11 +136,7 @@ class Motion(Fault):
         """See `Stage.apply`."""
         times = view.sensor.times_s
         length = float(times.max()) / self.poses
-        number_of = (
-            np.minimum(times // length, self.poses - 1).astype(np.int64)
-            if length
-            else np.zeros_like(times, int)
-        )
+        number_of = np.minimum(times // (length or 1.0), self.poses - 1).astype(np.int64)
         body = view.sensor.directions_body
         origins, directions = returns.origins.copy(), returns.directions.copy()
         for n in np.unique(number_of):

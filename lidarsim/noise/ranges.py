@@ -2,6 +2,7 @@
 several surfaces."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -31,13 +32,14 @@ class Range(Fault):
 
     def apply(self, returns: Returns, view: View, *, rng: np.random.Generator) -> Returns:
         """See `Stage.apply`."""
-        ranges = returns.ranges
-        sigma = _sigma(np.where(np.isfinite(ranges), ranges, 0.0), self)
-        return returns.but(ranges=_kept(ranges + sigma * _normal(ranges.shape, rng), view))
+        return _noisy(returns, view, self._sigma, rng=rng)
 
     def bound_m(self, max_range_m: float) -> float:
         """See `Stage.bound_m`."""
-        return SIGMAS * float(_sigma(np.array(max_range_m), self))
+        return SIGMAS * float(self._sigma(np.array(max_range_m)))
+
+    def _sigma(self, ranges: Floats) -> Floats:
+        return self.sigma_m + self.share * ranges + self.quadratic_per_m * ranges**2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,11 +59,9 @@ class Depth(Fault):
         rays = view.sensor.directions_body
         axis = rays.reshape(-1, 3).mean(axis=0)
         cosine = rays @ (axis / math.sqrt(float((axis**2).sum())))
-        ranges = returns.ranges
-        sigma = (
-            self.quadratic_per_m * np.where(np.isfinite(ranges), ranges, 0.0) ** 2 * np.abs(cosine)
+        return _noisy(
+            returns, view, lambda r: self.quadratic_per_m * r**2 * np.abs(cosine), rng=rng
         )
-        return returns.but(ranges=_kept(ranges + sigma * _normal(ranges.shape, rng), view))
 
     def bound_m(self, max_range_m: float) -> float:
         """See `Stage.bound_m`."""
@@ -98,12 +98,14 @@ class Near(Fault):
         )
 
 
-def _sigma(ranges: Floats, of: Range) -> Floats:
-    return of.sigma_m + of.share * ranges + of.quadratic_per_m * ranges**2
-
-
-def _normal(shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
-    return np.clip(normal(shape, rng=rng), -SIGMAS, SIGMAS)
+def _noisy(
+    returns: Returns, view: View, sigma: Callable[[Floats], Floats], *, rng: np.random.Generator
+) -> Returns:
+    """Returns with normal noise, whose standard deviation `sigma` gives for ranges."""
+    ranges = returns.ranges
+    noise = np.clip(normal(ranges.shape, rng=rng), -SIGMAS, SIGMAS)
+    spread = sigma(np.where(np.isfinite(ranges), ranges, 0.0))
+    return returns.but(ranges=_kept(ranges + spread * noise, view))
 
 
 def _kept(ranges: Floats, view: View) -> Floats:
@@ -153,9 +155,7 @@ class Divergence(Fault):
         means, weights = _echoes(np.sort(hits, axis=0), self.resolution_m)
         strongest = np.argmax(weights, axis=0)
         last = np.maximum(np.count_nonzero(weights, axis=0) - 1, 0)
-        chosen = {"strongest": strongest, "first": np.zeros_like(last), "last": last}.get(
-            self.returns, strongest
-        )
+        chosen = {"first": np.zeros_like(last), "last": last}.get(self.returns, strongest)
         ranges = np.take_along_axis(means, chosen[None], axis=0)
         if self.returns == "dual":
             second = np.where(
@@ -174,11 +174,7 @@ def _echoes(hits: Floats, resolution_m: float) -> tuple[Floats, Ints]:
     first; ``inf`` and 0 beyond the last."""
     means, weights = np.full(hits.shape, np.inf), np.zeros(hits.shape, np.int64)
     number = np.zeros(hits.shape[1:], np.int64)
-    begin, total, count = (
-        hits[0].copy(),
-        np.zeros(hits.shape[1:]),
-        np.zeros(hits.shape[1:], np.int64),
-    )
+    begin, total, count = hits[0], np.zeros(number.shape), number.copy()
     for hit in hits:
         met = np.isfinite(hit)
         new = met & (np.where(met, hit, 0.0) - np.where(met, begin, 0.0) > resolution_m)

@@ -87,9 +87,9 @@ class View:
         sensor's range."""
         ranges = np.empty(directions.shape[:-1])
         for group, origin in _by_origin(origins):
-            ranges[group] = np.asarray(
-                self.engine.cast(origin[None], directions[group][None], self.sensor.max_range_m)
-            ).reshape(ranges[group].shape)
+            (ranges[group],) = self.engine.cast(
+                origin[None], directions[group][None], self.sensor.max_range_m
+            )
         return ranges
 
     def surfaces(self, returns: Returns) -> tuple[Floats, Floats]:
@@ -101,15 +101,12 @@ class View:
                 f"noise: {type(self.engine).__name__} does not say what surface a ray meets; use "
                 "the engine analytic, or for a map only stages that change ranges"
             )
-        cosine, albedo = (
-            np.zeros(returns.directions.shape[:-1]),
-            np.zeros(returns.directions.shape[:-1]),
-        )
+        cosine, albedo = np.zeros((2, *returns.directions.shape[:-1]))
         for group, origin in _by_origin(returns.origins):
             directions = returns.directions[group]
             found = hits(origin[None], directions[None], self.sensor.max_range_m)
-            geoms = found.geoms.reshape(cosine[group].shape)
-            met = np.abs((found.normals.reshape(directions.shape) * directions).sum(axis=-1))
+            geoms = found.geoms[0]
+            met = np.abs((found.normals[0] * directions).sum(axis=-1))
             cosine[group] = np.where(geoms >= 0, np.nan_to_num(met), 0.0)
             light = np.full(geoms.shape, GREY) if self.albedo is None else self.albedo[geoms]
             albedo[group] = np.where(geoms >= 0, light, 0.0)

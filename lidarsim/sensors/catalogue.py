@@ -10,6 +10,7 @@ one point: where a sensor's beams do not, `error` says so.
 """
 
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 from lidarsim.sensors.nonrepetitive import Coil, Rosette
@@ -198,7 +199,8 @@ HELIOS_1615 = Spinning(
     min_range_m=0.2,
     noise="near:0.2,range:0.02,faint:90,quantise:0.0025",  # ± 2 cm; 90 m at 10 %
 )
-HELIOS_16P = Spinning(
+HELIOS_16P = replace(
+    HELIOS_1615,
     name="robosense-helios-16p",
     source="RoboSense RS-Helios-16P User Manual: specifications, 2° apart",
     checked="rs_driver, decoder_RSHELIOS_16P.hpp, and a user's recording: 16 channels, 55.56 µs, "
@@ -206,10 +208,7 @@ HELIOS_16P = Spinning(
     error="A unit tells its own angles in its DIFOP packets. Missing: firing times, up to 26 µs, "
     "which turn beams by 0.09°; beams begin 35 mm out from the axis by rs_driver, here on it",
     elevations_deg=_even(15.0, -15.0, 16),
-    columns=1800,
-    max_range_m=150.0,
-    min_range_m=0.2,
-    noise="near:0.2,range:0.02,faint:90,quantise:0.0025",
+    firing_times_s=(),
 )
 MID_360 = Coil(
     name="livox-mid-360",
@@ -257,7 +256,8 @@ D435 = Pinhole(
     min_range_m=0.28,
     noise="near:0.28,depth:0.01",  # 2 % at 2 m, growing with the square: 1 % of the depth a metre
 )
-D455 = Pinhole(
+D455 = replace(
+    D435,
     name="realsense-d455",
     source="Intel RealSense D400 Series data sheet, 337029: field of view 87° × 58°, modes, least "
     "depth, 2 % at 4 m",
@@ -265,10 +265,6 @@ D455 = Pinhole(
     "at 4 m, best up to 6 m; nothing below 0.5 m at 1280 × 720, 0.34 m at 848 × 480",
     error="Units differ by some 3° in the field of view, and smaller modes, as here, see nearer. "
     "An ideal pinhole: no distortion, no shadow between the two imagers",
-    width=424,
-    height=240,
-    horizontal_fov_deg=87.0,
-    vertical_fov_deg=58.0,
     max_range_m=20.0,
     min_range_m=0.52,
     noise="near:0.52,depth:0.005",

@@ -1,5 +1,6 @@
 """`scenegen fly`: a robot flies to goals through a world, closed loop, and is scored."""
 
+import dataclasses
 import json
 from collections.abc import Sequence
 from functools import partial
@@ -12,6 +13,7 @@ from lidarsim.registry import Registry
 from scenegen.cli.options import (
     WORLD,
     command,
+    flags_given,
     group,
     lidar_option,
     noise_option,
@@ -55,6 +57,11 @@ if TYPE_CHECKING:
 
 
 MOST_FLIGHTS = 10_000
+OF_WORLD = (
+    *("flights", "worlds", "difficulty", "lidar", "noise", "moving", "seed"),
+    *(item.name for kind in (Vehicle, Rules) for item in dataclasses.fields(kind)),
+)
+"""Options that courses of a suite do not take: theirs are frozen."""
 
 
 @command(
@@ -192,7 +199,11 @@ def fly(
     The world is a kind's name, an MJCF file, or a map of a real place.
     """
     if sum(one is not None for one in (world, recorded, suite, entries)) != 1:
-        raise click.UsageError("give a WORLD, --suite, --replay FILE, or --leaderboard FOLDER")
+        raise click.UsageError("give one of WORLD, --suite, --replay FILE, --leaderboard FOLDER")
+    if world is None and (odd := flags_given(OF_WORLD)):
+        raise click.UsageError(
+            f"{odd[0]}: says how a WORLD is flown through; leave it out, for courses are frozen"
+        )
     if suite is None and (quick or (world is not None and (hidden is not None or maps))):
         raise click.UsageError(
             "--quick, --hidden and --maps choose courses of a suite; give --suite, too"

@@ -256,12 +256,15 @@ def _prediction(file: h5py.File, row: int) -> Prediction:
     )
 
 
-def find_method(name: str) -> Method:
-    """The row called `name`: a known one, or ``module:Class`` of a completer.
+def find_method(name: Any) -> Method:
+    """The row called `name`: a known one, or ``module:Class`` of a completer; or that of an object:
+    itself, or a completer's.
 
     Raises ScenegenError for a name that leads to none, and for a completer that does not keep the
     protocol.
     """
+    if not isinstance(name, str):
+        return name if hasattr(name, "completion") else Completed(name)
     with raised_as(ScenegenError, "--method: "):
         found = METHODS.find(name)
     odd = f"--method {name}: cannot be made by calling it without arguments: "
@@ -272,10 +275,12 @@ def find_method(name: str) -> Method:
     return Completed(made)
 
 
-def rows_of(names: Sequence[str], weights: Sequence[str], predictions: Path | None) -> list[Method]:
-    """Rows by their names, those of networks, and that of a file of predictions. Raises
+def rows_of(
+    methods: Sequence[Any], weights: Sequence[str] = (), predictions: Path | None = None
+) -> list[Method]:
+    """Rows of `find_method`, those of networks, and that of a file of predictions. Raises
     ScenegenError where two have one name, and where a row cannot be."""
-    rows: list[Method] = [*map(find_method, names)]
+    rows = list(map(find_method, methods))
     if weights:
         from scenegen.model.completion.completer import Completer  # the other rows need no torch
 

@@ -82,12 +82,12 @@ class Metric:
 
 def _distance(title: str, of: Callable[[Sums], float], **more: Any) -> Metric:
     return Metric(
-        title=title, of=of, needs="distance", unit="m", paper=True, **{"better": "lower", **more}
+        title=title, of=of, needs="distance", unit="m", **{"better": "lower", "paper": True, **more}
     )
 
 
 def _occupancy(title: str, of: Callable[[Sums], float], **more: Any) -> Metric:
-    return Metric(title=title, of=of, needs="occupancy", better="higher", paper=True, **more)
+    return Metric(title=title, of=of, needs="occupancy", better="higher", **{"paper": True, **more})
 
 
 METRICS: dict[str, Metric] = {

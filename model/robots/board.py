@@ -28,10 +28,12 @@ class Column(NamedTuple):
     scale: Scale = "amount"
 
 
+USUAL = ("success", "collision", "timeout")
 BOARD = {
     "success": Column(lambda one: one.outcome == "success", scale="outcome"),
     "collision": Column(lambda one: one.outcome == "collision", scale="outcome"),
     "time-out": Column(lambda one: one.outcome == "timeout", scale="outcome"),
+    "other end": Column(lambda one: one.outcome not in USUAL, scale="outcome"),
     "score": Column(lambda one: one.score, 0.5),
     "SPL": Column(lambda one: one.spl),
     "least clearance, m": Column(lambda one: one.min_clearance_m),
@@ -96,7 +98,8 @@ def leaderboard(folder: Path, progress: Progress, hidden: int | None, maps: Path
         body += _table(f"{suite}, {title}", rows)
         body += _films(suite, part.track, rows, progress, hidden, maps)
     page = HEAD.replace("img-src", "script-src 'unsafe-inline'; img-src")
-    page += f"<title>Robots</title><style>{STYLE} th {{ cursor: pointer; }}</style></head>"
+    style = f"{STYLE} body {{ max-width: none; }} th {{ cursor: pointer; }}"
+    page += f"<title>Robots</title><style>{style}</style></head>"
     return f"{page}<body><h1>Robots</h1>{body}<script>{SORTED}</script></body></html>\n"
 
 

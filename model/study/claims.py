@@ -42,7 +42,7 @@ QUESTIONS = {
 ROWS = {"TUDF": "tudf", "OCC": "occ", "Proposed": "proposed"}
 """The paper's methods and the study's."""
 ABOUT = {
-    "Q1": tuple(METRICS),
+    "Q1": tuple(name for name, metric in METRICS.items() if metric.paper),
     "Q2": ("success",),
     "Q3": ("min_clearance", "avg_clearance", "length"),
 }
@@ -98,7 +98,8 @@ def claims() -> tuple[Claim, ...]:
         Claim(kind=kind, metric=metric, best=ROWS[best], other=ROWS[other])
         for tables, metrics in ((paper.RECONSTRUCTION, METRICS), (paper.PLANNING, PLAN_METRICS))
         for kind, rows in tables.items()
-        for metric in metrics
+        for metric, one in metrics.items()
+        if one.paper
         for losses in [{name: _loss(metric, row[metric][0]) for name, row in rows.items()}]
         for best, other in product(rows, rows)
         if losses[best] == min(losses.values()) < losses[other]

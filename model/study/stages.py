@@ -64,7 +64,7 @@ def reproduce(
         for _ in (ALONE if where.type == "cuda" else execute)(work, runs, start):
             shown.count(maps)
     networks = [str(out / "runs" / run.name) for run in runs]
-    methods = rows_of(("returns", "extrude", "truth", "seen"), networks, None)
+    methods = rows_of(("returns", "extrude", "truth", "seen"), networks)
     usual, measured = BenchConfig(trials=config.scaled(TRIALS), seed=config.seed), []
     for folder in folders:
         with progress(f"bench, {folder.name}") as shown:

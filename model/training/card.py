@@ -25,7 +25,7 @@ def read_rows(path: Path) -> list[dict[str, float]]:
     try:
         text = read_bounded(path, MOST_EPOCHS * MOST_LINE_BYTES).decode()
         rows = [
-            {name: float(value) for name, value in row.items()}
+            {name: float(value) for name, value in row.items() if value}  # some begin later
             for row in csv.DictReader(io.StringIO(text))
         ]
     except (ValueError, TypeError, AttributeError, csv.Error):

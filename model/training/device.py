@@ -14,6 +14,7 @@ from lidarsim import GridSpec
 from scenegen.errors import ScenegenError
 from scenegen.model.config import LEVELS
 from scenegen.model.losses import at_least_one
+from scenegen.model.network import prefers_bfloat16
 from scenegen.run.workers import processor
 
 FEWEST_CELLS = 32
@@ -54,23 +55,18 @@ def resolve_precision(
 ) -> torch.dtype:
     """The type that `precision` means on `device`, for maps of `shape`.
 
-    On a CPU "auto" is float32 for maps whose coarsest level has but a few cells: there oneDNN's
-    gradient of a convolution's filters in bfloat16 depends on what its memory held before
-    (docs/log.md).
+    "auto" is bfloat16 where that is faster. On a CPU it is float32 for maps whose coarsest level
+    has but a few cells, too: there oneDNN's gradient of a convolution's filters in bfloat16 depends
+    on what its memory held before (docs/log.md).
     """
-    if precision != "auto":
-        return torch.bfloat16 if precision == "bfloat16" else torch.float32
-    if device.type == "cuda":
-        return (
-            torch.bfloat16
-            if torch.cuda.is_bf16_supported(including_emulation=False)
-            else torch.float32
-        )
-    native = (
-        device.type == "cpu" and getattr(torch.cpu, "_is_avx512_bf16_supported", lambda: False)()
-    )
-    native = native and math.prod(edge // 2**LEVELS for edge in shape) >= FEWEST_CELLS
-    return torch.bfloat16 if native else torch.float32
+    if precision == "auto":
+        if device.type == "cuda":
+            faster = torch.cuda.is_bf16_supported(including_emulation=False)
+        else:
+            cells = math.prod(edge // 2**LEVELS for edge in shape)
+            faster = cells >= FEWEST_CELLS and prefers_bfloat16()
+        precision = "bfloat16" if faster else "float32"
+    return getattr(torch, precision)
 
 
 def autocast(device: torch.device, precision: torch.dtype) -> Any:

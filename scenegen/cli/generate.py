@@ -52,6 +52,9 @@ KIND = Named(
 NETWORK_EDGE = 8
 """The bundled networks' three halvings need edges of maps that are multiples of this."""
 COUNT = click.IntRange(min=1)
+BESIDE = (
+    "this as a recipe file, which says nothing of --labels, --compact, --engine, seed and sizes"
+)
 
 
 @command(
@@ -199,7 +202,7 @@ def _show_plan(plan: "Plan", as_json: bool) -> None:
     of_recipe = ("kind", "recipe", "lidar", "noise", "mapping", "grid", "sources")
     others = {key: value for key, value in plan.parameters.items() if key not in of_recipe}
     show_table(rows | flat(others), "would make")
-    say(f"\n{recipe_text(plan.parameters, 'this as a recipe file')}".rstrip())
+    say(f"\n{recipe_text(plan.parameters, BESIDE)}".rstrip())
 
 
 def make(

@@ -4,7 +4,7 @@ import dataclasses
 import math
 import re
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import reduce, wraps
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -287,8 +287,18 @@ def without(config: type, options: Mapping[str, Any]) -> dict[str, Any]:
 
 def was_given(name: str) -> bool:
     """Whether the user gave the current command's parameter `name`, by whatever means."""
-    context = click.get_current_context()
-    return context is not None and context.get_parameter_source(name) is not ParameterSource.DEFAULT
+    return bool(flags_given([name]))
+
+
+def flags_given(names: Collection[str]) -> list[str]:
+    """Those of the current command's parameters `names` that the user gave, as they are typed."""
+    context: Any = click.get_current_context()
+    source = context.get_parameter_source
+    return [
+        one.opts[0]
+        for one in context.command.params
+        if one.name in names and source(one.name) is not ParameterSource.DEFAULT
+    ]
 
 
 def open_dataset(dataset: Path | str, *, shown: bool, partial: bool = True) -> "Dataset":

@@ -30,7 +30,6 @@ from scenegen.cli.options import (
 from scenegen.cli.show import Progress, say, show_figures, show_table, show_written
 from scenegen.cli.types import Named, Number, Numbers
 from scenegen.display.exchange import Choices
-from scenegen.errors import raised_as
 from scenegen.limits import LEAST_DRAWN_M
 from scenegen.logs import Cruise
 from scenegen.worlds import CLOUDS, MAPS
@@ -61,12 +60,9 @@ def sensors(names: tuple[str, ...], out: Path | None, as_json: bool) -> None:
 
     Each goes into `scenegen generate --lidar NAME`, or into a recipe as `[lidar] sensor = "NAME"`.
     """
-    from scenegen.tables import beam_table, named_lidar
+    from scenegen.tables import named_lidar
 
     found = {name: named_lidar(name) for name in names or (RASTER, *CATALOGUE)}
-    for name in names:
-        with raised_as(click.ClickException, f"{name}: "):
-            beam_table(found[name])
     rows = {name: _facts(sensor) for name, sensor in found.items()}
     if out is not None:
         from scenegen.display.panels import to_bytes

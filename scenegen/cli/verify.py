@@ -92,4 +92,6 @@ def _show(report: "Report", seconds: float) -> None:
     show_table(rows, marks=marks)
     say(f"\n{report.samples} samples in {seconds:.1f} s, {report.samples / seconds:.0f} a second")
     if report.ok:
-        say(f"all {len(report.checks)} checks passed")
+        skipped = sum(check.skipped for check in report.checks)
+        passed = len(report.checks) - skipped
+        say(f"{passed} passed, {skipped} skipped" if skipped else f"all {passed} checks passed")

@@ -283,7 +283,7 @@ def parse(document: Mapping[str, Any], folder: Path, named: str | None = None) -
         named = there or "nothing of a minor version"
         raise BrokenError(f"version = {short(found['version'])}: expected {expected} with {named}")
     _check_fields(found["fields"], parts)
-    sources = _sources(found, folder)
+    sources = _sources(found, folder, named)
     shards = _entries(found["shards"], sources)
     for name, count in Counter(
         name for entry in shards for name in (entry.file, entry.worlds)
@@ -322,9 +322,9 @@ def _check_fields(names: Sequence[Any], parts: Mapping[str, Any]) -> None:
             )
 
 
-def _sources(found: Mapping[str, Any], folder: Path) -> tuple[Manifest, ...]:
-    """The datasets that the samples of a manifest, `found`, were made for, which agree with it.
-    Raises BrokenError."""
+def _sources(found: Mapping[str, Any], folder: Path, named: str | None) -> tuple[Manifest, ...]:
+    """The datasets that the samples of a manifest, `found`, were made for, which agree with it; see
+    `parse` for `named`. Raises BrokenError."""
     if found["sources"] is None:
         check(found, {"seed": whole(0, MOST_SEED)}, "")
     sources, every = [], []
@@ -338,8 +338,9 @@ def _sources(found: Mapping[str, Any], folder: Path) -> tuple[Manifest, ...]:
             if name not in manifest.MAY_DIFFER:
                 raise BrokenError(f"{at}.parameters.{name}: expected what the manifest itself says")
         whole_of = {"complete": True, "shards": [], "rejected": {"worlds": {}, "viewpoints": {}}}
+        whole_of["digest"] = entry["digest"]
         with raised_as(BrokenError, f"{at}.parameters: ", of=(BrokenError, KeyError)):
-            source = parse({**entry["parameters"], **whole_of, "digest": entry["digest"]}, folder)
+            source = parse({**entry["parameters"], **whole_of}, folder, named)
             source.numbering("train")
         sources.append(source)
     if (differ := manifest.differing(found, every) or None) != found["differ"]:

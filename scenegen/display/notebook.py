@@ -104,7 +104,7 @@ def show(
         looks.append(look_at(sample, its_grid, its_lidar, name))
     first = looks[0]
     named: Mapping[str, Any] = {"prediction": prediction}
-    if prediction is None or isinstance(prediction, Mapping):
+    if isinstance(prediction, Mapping | None):
         named = prediction or {}
     if path is not None and not named:
         named = {"truth": first.masks["occupancy"]}

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from scenegen.errors import printable
 from scenegen.fly.loop import RobotError
 from scenegen.fly.serve import encoded
 from scenegen.fly.simulation import Observation
@@ -65,11 +66,7 @@ class PipeRobot:
 
     def act(self, observation: Observation) -> Any:
         """See `Robot.act`."""
-        answer = self._ask("act", observation, self._seconds)
-        try:
-            return json.loads(answer)
-        except (ValueError, RecursionError):
-            return None
+        return self._ask("act", observation, self._seconds)
 
     def close(self) -> None:
         """End the process, and what it began: by its keeper, or else by its group."""
@@ -101,13 +98,19 @@ class PipeRobot:
             os.set_blocking(pipe.fileno(), False)
         return process
 
-    def _ask(self, what: str, arrays: Observation, seconds: float) -> bytes:
-        """The line that the process answers, which is all that it may say meanwhile."""
+    def _ask(self, what: str, arrays: Observation, seconds: float) -> Any:
+        """The line that the process answers, which is all that it may say meanwhile, as JSON; None
+        where it is none."""
         try:
-            return self._exchange(encoded(what, arrays), seconds)
+            answer = json.loads(self._exchange(encoded(what, arrays), seconds))
+            if isinstance(answer, dict) and "error" in answer:
+                raise RobotError("crashed", f"the robot ended: {printable(answer['error'])[:200]}")
+            return answer
         except RobotError:
             self.close()
             raise
+        except (ValueError, RecursionError):
+            return None
         except OSError as error:
             self.close()
             raise RobotError("crashed", f"the robot's process ended: {error.strerror}") from None

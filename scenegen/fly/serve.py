@@ -4,12 +4,14 @@
 Each message is a line of JSON, ``{"is": "reset" | "act", "arrays": [["ranges", "<f4", [16, 120]],
 ...]}``, and then the bytes of these arrays, one after the other, little-endian and in C order. To
 "reset", the process answers with an empty line once it is ready; to "act", with a line of JSON: an
-action, see `scenegen.fly.loop.Robot.act`, or null for none.
+action, see `scenegen.fly.loop.Robot.act`, or null for none. To either, ``{"error": "…"}`` says what
+went wrong, and ends the process.
 """
 
 import json
 import os
 import sys
+import traceback
 from collections.abc import Mapping
 from typing import IO, Any
 
@@ -17,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.registry import Registry
+from scenegen.errors import told
 
 ROBOTS = Registry(
     "robot",
@@ -49,17 +52,21 @@ def main() -> None:
     """Serve until there are no more messages. What the robot prints goes to standard error."""
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
-    try:
-        robot = ROBOTS.find(sys.argv[1])()
-    except ValueError as error:
-        sys.exit(str(error))
+    robot: Any = None
     while (message := decoded(sys.stdin.buffer)) is not None:
         what, arrays = message
-        answer = ""
-        if what == "reset":
-            robot.reset(arrays)
-        else:
-            answer = _answer(robot.act(arrays))
+        try:
+            if robot is None:
+                robot = ROBOTS.find(sys.argv[1])()
+            answer = ""
+            if what == "reset":
+                robot.reset(arrays)
+            else:
+                answer = _answer(robot.act(arrays))
+        except Exception as error:
+            if robot is not None:
+                traceback.print_exc()
+            answer = json.dumps({"error": str(told(error))})
         answers.write(answer.encode() + b"\n")
         answers.flush()
 

@@ -5,10 +5,11 @@ The file's name is the kind's name, and its class has that name with a capital. 
 the kinds: a new file here is a new kind. A user's own is named as ``module:Class``.
 """
 
+import itertools
 import pkgutil
 from typing import TYPE_CHECKING, Any
 
-from lidarsim.registry import Registry
+from lidarsim.registry import Registry, suggestion
 from scenegen.limits import MOST_KIND_NAME
 
 if TYPE_CHECKING:  # the command line asks for the kinds' names, and must not load MuJoCo for that
@@ -24,8 +25,8 @@ KINDS = Registry(
     {name: f"{__name__}.{name}:{name.capitalize()}" for name in _NAMES},
     needs={
         "version": "a whole number, raised whenever the same parameters would give other worlds",
-        "crowded_by": "a tuple of names: the parameters to lower when worlds are too crowded to "
-        "fly through",
+        "crowded_by": "a tuple of names: the parameters to lower, or with a minus before them to "
+        "raise, when worlds are too crowded to fly through",
         "add_to": "a method: (spec, *, rng), which draws one world and adds its solids to the "
         "MjSpec",
     },
@@ -63,4 +64,11 @@ def find_kind(name: str) -> "type[WorldKind]":
             "and a class as @dataclass(frozen=True, kw_only=True) class Mine(scenegen.WorldKind), "
             "with a method `add_to`"
         )
+    fields = found.__dataclass_fields__
+    for word in itertools.chain(found.crowded_by, *found.graded.values()):
+        if (plain := word.removeprefix("-")) not in fields:
+            raise ValueError(
+                f"kind {name}: crowded_by or graded has an unknown parameter {plain!a}; "
+                f"{suggestion(plain, fields)}"
+            )
     return found

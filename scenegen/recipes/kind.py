@@ -34,8 +34,8 @@ class WorldKind(ABC):
     """The preset's version: raised whenever the same parameters would give other worlds, or the
     defaults change."""
     crowded_by: ClassVar[tuple[str, ...]]
-    """The parameters to lower when worlds are too crowded to fly through, or to raise when they are
-    too empty."""
+    """The parameters to lower when worlds are too crowded to fly through, and to raise when they
+    are too empty; with a minus before it, one to raise and lower: ``("crown_m", "-row_m")``."""
     flight_defaults: ClassVar[dict[str, object]] = {}
     """Fields of `scenegen.worlds.flight.Flight` in which this kind's preset differs from the
     general default."""
@@ -61,10 +61,13 @@ class WorldKind(ABC):
             raise ValueError(f"{' + '.join(self.shares)} = {whole}: expected at most 1")
         most = self.most_solids()
         if most > MOST_DRAWN_SOLIDS:
-            given = ", ".join(f"{name} = {shown(getattr(self, name))}" for name in self.crowded_by)
+            given = ", ".join(
+                f"{(plain := name.removeprefix('-'))} = {shown(getattr(self, plain))}"
+                for name in self.crowded_by
+            )
             raise ValueError(
                 f"{given}: up to {most:.4g} solids in a world of {list(self.size_m)} metres, "
-                f"expected {MOST_DRAWN_SOLIDS} at most; lower them or size_m"
+                f"expected {MOST_DRAWN_SOLIDS} at most; have fewer, or lower size_m"
             )
 
     def most_solids(self) -> float:

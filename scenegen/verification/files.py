@@ -4,7 +4,6 @@ lists?"""
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -27,13 +26,20 @@ def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Mani
     folder holds no dataset at all, or one of another kind than that.
     """
     given = manifest.read(folder)
-    if kind is not None:
-        _check_named(kind, given.get("kind"))
     contract = None
     with ledger.checking("manifest") as page:
         page.count(files=1)
         with raised_as(BrokenError, f"{manifest.NAME}: ", of=BrokenError):
             found = trust.parse(given, folder, kind)
+            if kind is not None:
+                if kind not in (there := {home.kind for home in found.homes}):
+                    named = short(" or ".join(sorted(there)))
+                    raise DatasetError(
+                        f"--kind {kind}: the dataset's kind is {named}; leave --kind out, or give "
+                        "that"
+                    )
+                with raised_as(DatasetError, "--kind: "):
+                    find_kind(kind)
             for home in found.homes:
                 if home.kind == "scene" and home.scenes is None:
                     raise BrokenError("recipe.scenes = None: expected the worlds of each split")
@@ -42,16 +48,6 @@ def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Mani
         _check_shards(found, page)
         contract = found
     return contract
-
-
-def _check_named(kind: str, there: Any) -> None:
-    """Raise DatasetError unless the user's own `kind` is the manifest's, and can be imported."""
-    if kind != there:
-        raise DatasetError(
-            f"--kind {kind}: the dataset's kind is {short(there)}; leave --kind out, or give that"
-        )
-    with raised_as(DatasetError, "--kind: "):
-        find_kind(kind)
 
 
 def _check_shards(contract: Manifest, page: Page) -> None:

@@ -45,7 +45,7 @@ class Report:
     @property
     def ok(self) -> bool:
         """Whether no check failed."""
-        return all(check.ok for check in self.checks)
+        return not self.failed
 
     @property
     def failed(self) -> tuple[str, ...]:

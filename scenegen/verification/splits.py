@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from lidarsim.engines.voxels import VoxelMap
 from lidarsim.grid import Ints, Mask
 from lidarsim.jit import kernel
-from lidarsim.solids.shapes import Solids
 from scenegen import SPLITS
 from scenegen.dataset.layout import ShardFile, open_file, open_shard
 from scenegen.dataset.trust import Manifest
@@ -169,23 +168,18 @@ def _digest_worlds(worlds: Worlds, page: Page) -> None:
     for number in sorted(worlds.documents):
         page.count(worlds=1)
         try:
-            digest = (
-                worlds.outlines[number]
-                if worlds.task.quick
-                else _solids_digest(worlds.compile(number))
-            )
+            if worlds.task.quick:
+                digests.append(worlds.outlines[number])
+            elif isinstance(solids := worlds.compile(number), VoxelMap):
+                digests.append(map_digest(solids))
+            else:
+                digests.append(geometry_digest(solids))
+            numbers.append(number)
         except BrokenError as error:
             page.fault(str(error))
-            continue
-        digests.append(digest)
-        numbers.append(number)
     page.kept.append(
         (worlds.task.number, b"".join(digests), np.array(numbers, np.int32))
     )  # there may be millions
-
-
-def _solids_digest(solids: Solids | VoxelMap) -> bytes:
-    return map_digest(solids) if isinstance(solids, VoxelMap) else geometry_digest(solids)
 
 
 def _shared(contract: Manifest, page: Page) -> list[tuple[int, bytes, int]]:

@@ -3,6 +3,7 @@ bit for bit."""
 
 import hashlib
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -185,22 +186,17 @@ def _lawful(sample: Sample, page: Page) -> None:
 def _labelled(sample: Sample, page: Page) -> None:
     page.count(samples=1)
     assert sample.contract.labels is not None
-    there = {"voxel": sample.fields["occupancy"], "return": np.isfinite(sample.fields["ranges"])}
-    for what, known in there.items():
-        exact = sample.contract.noise is None and sample.contract.engine == DEFAULT
+    occupied, returned = sample.fields["occupancy"], np.isfinite(sample.fields["ranges"])
+    clean = sample.contract.noise is None and sample.contract.engine == DEFAULT
+    for what, known, exact, odd in (
+        ("voxel", occupied, True, "voxels have a geom and are not occupied"),
+        # noise may tell of a return where the ray itself met nothing
+        ("return", returned, clean, "rays have a geom and no return"),
+    ):
         geoms, classes = sample.fields[f"{what}_geom"], sample.fields[f"{what}_class"]
-        if what == "voxel":
-            wrong = np.count_nonzero((geoms >= 0) != known)
-            page.expect(
-                not wrong,
-                f"{sample.where}: {wrong} voxels have a geom and are not occupied, or the reverse",
-            )
-        else:  # noise may tell of a return where the ray itself met nothing
-            wrong = np.count_nonzero((geoms >= 0) > known)
-            wrong += np.count_nonzero((geoms < 0) & known) if exact else 0
-            page.expect(
-                not wrong, f"{sample.where}: {wrong} rays have a geom and no return, or the reverse"
-            )
+        wrong = np.count_nonzero((geoms >= 0) > known)
+        wrong += np.count_nonzero((geoms < 0) & known) if exact else 0
+        page.expect(not wrong, f"{sample.where}: {wrong} {odd}, or the reverse")
         wrong = np.count_nonzero((classes > 0) != (geoms >= 0)) + np.count_nonzero(
             classes >= len(sample.contract.labels["classes"])
         )
@@ -229,14 +225,9 @@ def _tudf(sample: Sample, page: Page) -> None:
     _same(sample, "tudf", again, "occupancy", page)
 
 
-def _observed(sample: Sample, page: Page) -> None:
+def _seen(name: str, sample: Sample, page: Page) -> None:
     page.count(samples=1)
-    _same(sample, "observed", sample.seen.observed, "ranges", page)
-
-
-def _free(sample: Sample, page: Page) -> None:
-    page.count(samples=1)
-    _same(sample, "free", sample.seen.free, "ranges", page)
+    _same(sample, name, getattr(sample.seen, name), "ranges", page)
 
 
 def _occupancy(sample: Sample, page: Page) -> None:
@@ -338,13 +329,13 @@ CHECKS = (
         name="voxels",
         proves="`observed` follows from the ranges and poses of all scans and the origin, bit for "
         "bit.",
-        sample=_observed,
+        sample=partial(_seen, "observed"),
     ),
     Check(
         name="free",
         proves="`free` follows from the ranges and poses of all scans and the origin, bit for bit.",
         field="free",
-        sample=_free,
+        sample=partial(_seen, "free"),
     ),
     Check(
         name="owners",

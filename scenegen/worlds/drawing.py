@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lidarsim.grid import Floats
+from lidarsim.registry import suggestion
 from lidarsim.solids.shapes import HFIELD, MESH, PLANE
 from scenegen.files import sha256_of
 from scenegen.worlds.classes import COLOURS
@@ -155,14 +156,16 @@ class Drawing:
         self._append(Solid(HFIELD, row, of_class, name))
 
     def _append(self, solid: Solid) -> None:
+        if (named := solid.material) and named not in self._classes:
+            if named not in COLOURS:
+                raise ValueError(f"unknown class {named!a}; {suggestion(named, COLOURS)}")
+            self._classes[named] = None
+            if self._spec is not None:
+                _add_class(self._spec, named)
         if self._spec is None:
             self._solids.append(solid)
-            self._classes[solid.material] = None
-            return
-        if solid.material and solid.material not in self._classes:
-            self._classes[solid.material] = None
-            _add_class(self._spec, solid.material)
-        _add(self._spec, solid)
+        else:
+            _add(self._spec, solid)
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
@@ -207,7 +210,7 @@ def _empty(
     spec.modelname = "scenegen"
     spec.default.geom.rgba = COLOUR
     spec.add_numeric(name=FLIGHT_BOUNDS, data=bounds, size=6)
-    for name in filter(None, classes):
+    for name in classes:
         _add_class(spec, name)
     for field in fields:
         _add_field(spec, field)

@@ -85,7 +85,7 @@ def test_scans_completions_of_them_and_runs_are_drawn(tmp_path, capsys, monkeypa
     (tmp_path / "run").mkdir()
     row = {"epoch": 0, "train_loss": 0.5, "val_loss": 0.6, "val_iou": 0.4, "val_near_mae": 0.2}
     (tmp_path / "run" / "metrics.csv").write_text(
-        f"{','.join(row)}\n{','.join(map(str, row.values()))}\n"
+        f"{','.join(row)},val_new\n{','.join(map(str, row.values()))},\n"
     )
     (tmp_path / "bad").mkdir()
     (tmp_path / "bad" / "metrics.csv").write_text("epoch,val_loss\n1,much\n")

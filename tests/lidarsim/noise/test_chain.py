@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import math
+import re
 
 import mujoco
 import numpy as np
@@ -15,6 +16,7 @@ from lidarsim.noise.chain import Noise
 from lidarsim.noise.losses import Dropout
 from lidarsim.noise.ranges import Divergence, Range
 from lidarsim.sensors import CATALOGUE, SENSORS
+from tests.command_line import ROOT
 
 ENGINE = AnalyticEngine.of(
     mujoco.MjModel.from_xml_string(
@@ -101,8 +103,10 @@ def test_stages_that_cast_come_first_and_once():
 
 
 def test_a_stage_of_ones_own(standing):
-    (standing / "my_noise.py").write_text("""
-from dataclasses import dataclass
+    (documented,) = re.findall(
+        r"```python\n(# my_noise.py.*?)```", (ROOT / "docs" / "sensor.md").read_text(), re.DOTALL
+    )
+    (standing / "my_noise.py").write_text(f"""{documented}
 from typing import ClassVar
 @dataclass(frozen=True, kw_only=True)
 class Shift:
@@ -110,17 +114,40 @@ class Shift:
     by_m: float = 0.1
     def apply(self, returns, view, *, rng): return returns.but(ranges=returns.ranges + self.by_m)
     def bound_m(self, max_range_m): return abs(self.by_m)
+class Signed(Shift):
+    def apply(self, returns, rng): return returns
+class Boundless(Shift):
+    def bound_m(self): return 0.0
+class Bare(Shift):
+    def apply(self, returns, view, *, rng): return returns.ranges
+class Single(Shift):
+    def apply(self, returns, view, *, rng): return returns.but(ranges=returns.ranges[0])
+@dataclass(frozen=True, kw_only=True)
+class Ranked(Shift):
+    order: int = 2
 """)
-    for text in ("my_noise:Shift:9.5,range:0", "my_noise:Shift:-9.5"):
-        with pytest.raises(
-            ValueError, match=r"noise stage my_noise:Shift:by_m=-?9.5 gave .* 0 to 10 m"
-        ):
+    for text, told in {
+        "Shift:9.5,range:0": ":by_m=9.5 gave .* 0 to 10 m",
+        "Shift:-9.5": ":by_m=-9.5 gave .* 0 to 10 m",
+        "Signed": r": .*'rng'; expected a method: \(returns, view, \*, rng\) -> returns",
+        "Bare": r" gave ndarray; expected Returns, .* shape = \(16, 120\)",
+        "Single": r" gave \(16, 120\); expected Returns",
+        "Boundless": "takes 1 positional argument",
+        "Ranked:0:5": "`order` is a parameter",
+    }.items():
+        text = f"my_noise:{text}"
+        with pytest.raises(ValueError, match=f"^noise stage my_noise:.*{told}"):
             Noise.parse(text).observe(SCAN, ENGINE, rng=np.random.default_rng(0))
     chain = Noise.parse("my_noise:Shift:-0.5,range:0")
     told = chain.observe(SCAN, ENGINE, rng=np.random.default_rng(0)).ranges[0]
     assert str(chain) == "my_noise:Shift:by_m=-0.5,range:sigma_m=0.0"
     left = np.isfinite(told)
     assert_allclose(told[left], SCAN.ranges[left] - 0.5, rtol=1e-6)
+    fog = Noise.parse("my_noise:Fog:10").observe(SCAN, ENGINE, rng=np.random.default_rng(0))
+    met, left = np.isfinite(SCAN.ranges), np.isfinite(fog.ranges[0])
+    expected = float(np.exp(-SCAN.ranges[met] / 5.0).sum())
+    assert (met >= left).all()
+    assert left.sum() == pytest.approx(expected, abs=4 * expected**0.5)
 
 
 @pytest.mark.parametrize(

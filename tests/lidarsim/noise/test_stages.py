@@ -39,11 +39,16 @@ def world(*geoms):
     )
 
 
+def observed(scan, engine, *stages, albedo=None):
+    """What stages make of a scan."""
+    return Noise(stages).observe(scan, engine, rng=np.random.default_rng(5), albedo=albedo)
+
+
 def applied(stage, ranges, sensor=None):
     """What a stage makes of ranges (n,) straight ahead."""
     ranges = np.asarray(ranges, np.float32)
     scan = Scan(ranges, LEVEL, sensor or ahead(len(ranges)))
-    return Noise((stage,)).observe(scan, Nowhere(), rng=np.random.default_rng(5)).ranges[0]
+    return observed(scan, Nowhere(), stage).ranges[0]
 
 
 @pytest.mark.parametrize("at_m", [2.0, 10.0])
@@ -115,14 +120,12 @@ def wall(turn_deg, grey=0.4):
     return f'<geom type="box" size="0.5 60 60" pos="10 0 0" {look}/>'
 
 
-def seen(stage, *geoms, rays=RAYS):
+def seen(stage, *geoms, rays=RAYS, then=()):
     """What rays straight ahead return of some geoms."""
     model = world(*geoms)
     engine = AnalyticEngine.of(model)
     scan = cast(engine, ahead(rays), LEVEL)
-    return Noise((stage,)).observe(
-        scan, engine, rng=np.random.default_rng(3), albedo=albedo_of(model)
-    )
+    return observed(scan, engine, stage, *then, albedo=albedo_of(model))
 
 
 @pytest.mark.parametrize(("turn_deg", "share"), [(0, 0.0), (60, 0.0), (80, 0.5), (85, 0.75)])
@@ -144,14 +147,11 @@ def test_faint_returns_are_lost_beyond_a_range_that_grows_with_albedo_and_cosine
 @pytest.mark.parametrize("turn_deg", [0, 30, 60])
 def test_intensity_is_albedo_times_cosine(turn_deg):
     clean = seen(Intensity(), wall(turn_deg), rays=9).intensity
-    assert clean == pytest.approx(np.full((1, 9), 0.4 * math.cos(math.radians(turn_deg))), abs=1e-6)
-    noisy = seen(Intensity(sigma=0.01), wall(turn_deg)).intensity
-    off = noisy[0] - 0.4 * math.cos(math.radians(turn_deg))
+    expected = 0.4 * math.cos(math.radians(turn_deg))
+    assert_allclose(clean, expected, atol=1e-6)
+    off = seen(Intensity(sigma=0.01), wall(turn_deg)).intensity[0] - expected
     assert stats.kstest(off / 0.01, "norm").pvalue > 0.01
-    lost = Noise((Intensity(), Dropout(share=0.5)))
-    model = world(wall(0))
-    engine = AnalyticEngine.of(model)
-    left = lost.observe(cast(engine, ahead(99), LEVEL), engine, rng=np.random.default_rng(0))
+    left = seen(Intensity(), wall(0), rays=99, then=[Dropout(share=0.5)])
     assert ((left.intensity > 0) == np.isfinite(left.ranges)).all()
 
 
@@ -176,10 +176,10 @@ def test_a_cone_over_an_edge_returns_the_near_the_far_or_a_mixed_range():
     def told(**values):
         return seen(Divergence(mrad=10, rays=200, **values), *edge(10.0, 20.0, 0.0), rays=20).ranges
 
-    assert told(returns="first")[0] == pytest.approx(np.full(20, 10.0), abs=1e-3)
-    assert told(returns="last")[0] == pytest.approx(np.full(20, 20.0), abs=1e-3)
-    mixed = told(resolution_m=50)[0]
-    assert mixed == pytest.approx(np.full(20, 15.0), abs=0.5)  # the edge goes through the axis
+    assert_allclose(told(returns="first"), 10.0, atol=1e-3)
+    assert_allclose(told(returns="last"), 20.0, atol=1e-3)
+    # the edge goes through the axis
+    assert_allclose(told(resolution_m=50), 15.0, atol=0.5)
     dual = told(returns="dual")
     assert dual.shape == (2, 20)
     both = np.sort(dual[:, np.isfinite(dual[1])], axis=0)
@@ -199,12 +199,9 @@ def test_the_share_of_a_cone_on_either_side_of_an_edge_is_that_of_a_disk(aside):
 
 def test_the_strongest_echo_is_the_one_of_most_light():
     stage = Divergence(mrad=10, rays=100)
-    assert seen(stage, *edge(10.0, 20.0, -0.02), rays=5).ranges[0] == pytest.approx(
-        np.full(5, 20.0), abs=1e-3
-    )
-    assert seen(stage, *edge(10.0, 20.0, 0.02), rays=5).ranges[0] == pytest.approx(
-        np.full(5, 10.0), abs=1e-3
-    )
+    for covered, strongest in ((-0.02, 20.0), (0.02, 10.0)):
+        told = seen(stage, *edge(10.0, 20.0, covered), rays=5).ranges
+        assert_allclose(told, strongest, atol=1e-3)
     alone = seen(dataclasses.replace(stage, returns="dual"), wall(0), rays=5)
     assert np.isinf(alone.ranges[1]).all()
     assert np.isinf(seen(stage, rays=5).ranges).all()
@@ -235,8 +232,8 @@ def test_a_corrected_scan_lies_on_the_walls_and_an_uncorrected_one_bends(engine_
     scan = cast(engine, turning(), pose)
 
     def off(stage):
-        told = Noise((stage,)).observe(scan, engine, rng=np.random.default_rng(0))
-        return np.abs(np.abs(told.points()[:, :2]).max(axis=1) - 10.0)
+        told = observed(scan, engine, stage).points()
+        return np.abs(np.abs(told[:, :2]).max(axis=1) - 10.0)
 
     assert off(dataclasses.replace(motion, corrected=True)).max() < 1e-6
     assert off(motion).max() > 0.2
@@ -251,7 +248,7 @@ def test_a_ray_along_the_motion_is_shorter_by_the_way_flown():
     scan = cast(engine, sensor, LEVEL)
 
     def told(stage):
-        return Noise((stage,)).observe(scan, engine, rng=np.random.default_rng(0)).ranges[0]
+        return observed(scan, engine, stage).ranges[0]
 
     assert told(Motion(forward_mps=3.0, poses=10_000)) == pytest.approx([10.0, 9.7], abs=1e-4)
     assert told(Motion(forward_mps=0.0, yaw_rate_deg_s=300, poses=10_000))[1] == pytest.approx(
@@ -277,7 +274,5 @@ def test_a_stage_that_asks_for_surfaces_needs_an_engine_that_knows_them():
     model = world(wall(0))
     engine = MujocoEngine.of(model)
     with pytest.raises(ValueError, match="use the engine analytic"):
-        Noise((Grazing(),)).observe(
-            cast(engine, ahead(3), LEVEL), engine, rng=np.random.default_rng(0)
-        )
+        observed(cast(engine, ahead(3), LEVEL), engine, Grazing())
     assert View(engine, ahead(3), LEVEL).albedo is None

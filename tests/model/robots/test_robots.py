@@ -358,12 +358,14 @@ def test_ones_own_robot_flies_and_what_a_bad_one_does_is_counted(capsys, tmp_pat
         (one,) = json.loads(out)["flights"]
         assert (code, one["invalid"], one["outcome"] in outcomes) == (0, invalid, True)
         assert (one["time_s"] > 1) == (one["trouble"] == "")
+        assert name != "my_bad:Dies" or "of my_bad.py: RuntimeError: at once" in one["trouble"]
 
 
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        ("fly", 2, "give a WORLD"),
+        ("fly", 2, "give one of WORLD"),
+        ("fly --suite aerial-1 --speed 2", 2, "--speed: says how a WORLD is flown"),
         ("fly pillar --robot optimist", 2, "did you mean 'optimistic'"),
         ("fly pillar --robot reactive --weights columns", 2, "leave out --robot"),
         ("fly pilar --robot reactive", 2, "did you mean 'pillar'"),

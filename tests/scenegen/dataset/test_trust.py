@@ -71,7 +71,7 @@ def test_no_value_in_a_manifest_ends_in_a_traceback(dataset):
 
 
 NEWER = """
-version      → 1.7         → 1.7
+version      → 1.99        → 1.99
 version      → "1.10"      → 1.10
 version      → 2           → 2
 fields.0     → "intensity" → intensity
