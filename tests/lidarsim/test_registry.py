@@ -43,7 +43,7 @@ def test_no_file_of_the_users_takes_the_place_of_a_librarys(standing):
             "engine absent:Engine: there is no module absent, neither installed nor in",
         ),
         ("absent.deep:Engine", "engine absent.deep:Engine: there is no module absent.deep"),
-        ("own:Missing", "own.py has no Missing; known: here, Empty"),
+        ("own:Missing", "own.py has no Missing; known: Empty"),
         ("own:here", "engine own:here: lacks `__call__`, so that it can be called"),
         (
             "broken:Engine",
