@@ -46,3 +46,8 @@ def refused(capsys, *words):
     code, said, line = run(capsys, *words)
     assert (code in (1, 2), said, line.count("\n")) == (True, "", 1), line
     return line
+
+
+def rows(table):
+    """The rows of a table that is written as text, with an arrow between its columns."""
+    return [tuple(map(str.strip, line.split("→"))) for line in table.strip().splitlines()]

@@ -4,6 +4,7 @@ import atexit
 import fcntl
 import gc
 import os
+import pickle
 import shutil
 import sys
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # processes share the cores, whatever they import
 
+from scenegen.dataset import shard
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.errors import ScenegenError
@@ -29,12 +31,12 @@ SMALL = {
     "world": {"size_m": (16.0, 16.0, 8.0)},
 }
 
-LONG = ("test_crash.py", "test_silence.py", "test_export.py", "test_train.py")
+LONG = ("test_silence.py", "test_export.py", "test_train.py")
 
 
 MANY = 300
 """A run of this many tests needs most kernels."""
-ONE, COUNTS = {"train": 1, "val": 0, "test": 0}, {"train": 11, "val": 2, "test": 4}
+COUNTS, THREE = {"train": 11, "val": 2, "test": 4}, {"train": 3, "val": 0, "test": 0}
 
 
 @pytest.hookimpl(wrapper=True)
@@ -73,7 +75,7 @@ def compiled(request, once):
     """Kernels that most tests need, and no earlier run compiled: one worker of a long run draws and
     verifies a sample, and the others wait, lest each compile them."""
     if len(request.session.items) >= MANY:
-        once("compiled", lambda folder: verify(dataset_in(folder / "d", counts=ONE).folder))
+        once("compiled", lambda folder: verify(dataset_in(folder / "d").folder))
 
 
 TAKEN = ("in DataLoader worker", "/x\nscenegen: ")
@@ -98,9 +100,9 @@ def every_error_of_ours_is_one_line():
 
 
 def plan_of(folder, recipe=None, **options):
-    """What a dataset of worlds that a recipe draws will be."""
-    recipe = recipe or small_recipe()
-    return plan_dataset(folder, recipe, DrawnWorlds(recipe), **{"seed": 0} | options)
+    """What a dataset of worlds that a recipe draws will be; of three samples by default."""
+    recipe, usual = recipe or small_recipe(), {"seed": 0, "counts": THREE}
+    return plan_dataset(folder, recipe, DrawnWorlds(recipe), **usual | options)
 
 
 def dataset_in(folder, recipe=None, **options):
@@ -109,10 +111,22 @@ def dataset_in(folder, recipe=None, **options):
     return Dataset(folder)
 
 
+def contents(place):
+    """A file, or all files below a folder, by name."""
+    files = [place] if place.is_file() else [path for path in place.rglob("*") if path.is_file()]
+    return {str(path.relative_to(place)): path.read_bytes() for path in files}
+
+
 def small_recipe(kind="pillar", **tables):
     """The preset of `kind` with everything made small, and `tables` put in."""
     merged = {name: {**SMALL.get(name, {}), **tables.get(name, {})} for name in {*SMALL, *tables}}
     return make_recipe(kind, merged, where="test")
+
+
+def scene_recipe():
+    """The same for worlds from files."""
+    tables = {name: SMALL[name] for name in ("flight", "lidar", "grid", "accept")}
+    return make_recipe("scene", tables, where="test")
 
 
 def picky_recipe():
@@ -131,6 +145,25 @@ def quarter(count):
     return pytest.mark.parametrize(
         "count", [count // 4, pytest.param(count, marks=pytest.mark.slow)]
     )
+
+
+DRAWN = {}
+"""Units that were drawn, by all that they depend on."""
+
+
+def remembered(*given, draw=shard.draw_unit, **more):
+    """`draw_unit`, but a unit is drawn once for all tests of a process; test_draw.py shows that its
+    arguments alone decide what it gives."""
+    key = pickle.dumps((given, more))
+    if key not in DRAWN:
+        DRAWN[key] = draw(*given, **more)
+    return DRAWN[key]
+
+
+@pytest.fixture
+def drawn_once(monkeypatch):
+    """Tests of what becomes of samples make datasets of units that are drawn already."""
+    monkeypatch.setattr(shard, "draw_unit", remembered)
 
 
 @pytest.fixture(scope="session")

@@ -18,8 +18,8 @@ import subprocess
 import sys
 import tempfile
 import traceback
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 COMMON = (
     *(f"scenegen.cli.{name}" for name in ("generate", "derive", "publish", "verify", "convert")),
@@ -43,8 +43,7 @@ COMMON = (
 torch."""
 
 
-@dataclass(frozen=True)
-class Ended:
+class Ended(NamedTuple):
     """How a process ended, and what it printed."""
 
     code: int

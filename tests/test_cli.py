@@ -2,7 +2,6 @@
 
 import inspect
 import json
-import os
 import subprocess
 import sys
 import warnings
@@ -22,11 +21,10 @@ from tests.command_line import ROOT, run
 def test_version_completion_and_doctor(capsys, monkeypatch):
     monkeypatch.setattr("scenegen.cli.doctor.SELF_TEST_S", 0.1)
     assert __version__ in run(capsys, "--version")[1] == run(capsys, "-V")[1]
-    assert "_SCENEGEN_COMPLETE" in run(capsys, "completion", "bash")[1]
-    code, said, _ = run(capsys, "doctor", "--json")
+    assert "_SCENEGEN_COMPLETE" in run(capsys, "completion bash")[1]
+    code, said, _ = run(capsys, "doctor --json")
     found = json.loads(said)
-    assert code == 0
-    assert found["ok"]
+    assert (code, found["ok"]) == (0, True)
     assert found["software"]["mujoco"] == mujoco.__version__
 
 
@@ -44,25 +42,17 @@ def loaded(*words):
     return set(ended.stderr.split())
 
 
-def test_help_imports_no_command():
-    found = loaded("--help")
-    assert not found & set(HEAVY)
-    assert not found & PLACES_OF_COMMANDS
-
-
-@pytest.mark.parametrize("name", ["generate", "bench"])
-def test_help_of_a_command_loads_nothing_heavy(name):
-    found = loaded(name, "--help")
-    assert not found & set(HEAVY)
-    assert len([name for name in found if name in PLACES_OF_COMMANDS]) == 1
-
-
 PLACES_OF_COMMANDS = {place.partition(":")[0] for place in PLACES.values()}
 
 
-def test_every_command_says_in_the_list_what_it_says_itself(
-    capsys,
-):
+@pytest.mark.parametrize(("words", "commands"), [("", 0), ("bench", 1), ("generate", 1)])
+def test_help_imports_no_other_command_and_nothing_heavy(words, commands):
+    found = loaded(*words.split(), "--help")
+    assert not found & set(HEAVY)
+    assert len(found & PLACES_OF_COMMANDS) == commands
+
+
+def test_every_command_says_in_the_list_what_it_says_itself(capsys):
     for name in app.registry.known:
         command = app.find(name)
         assert command.name == name
@@ -90,51 +80,38 @@ def test_examples_and_groups_on_help_pages_are_of_the_command_and_its_options():
 
 def test_what_stands_twice_is_the_same():
     """Where a command may not import what knows a default, or would take a second to."""
-    config, options = (
-        BenchConfig(),
-        {option.name: option.default for option in app.find("bench").params},
-    )
+    config = BenchConfig()
+    options = {option.name: option.default for option in app.find("bench").params}
     assert (options["split"], options["seed"]) == (config.split, config.seed)
     assert STRIDE == NETWORK_EDGE
 
 
-def completed(words):
-    """What the shell is offered for the last of `words`."""
-    environment = {
-        **os.environ,
-        "_SCENEGEN_COMPLETE": "bash_complete",
-        "COMP_WORDS": f"scenegen {words}",
-    }
-    environment["COMP_CWORD"] = str(len(words.split()) + words.endswith(" "))
-    script = "import sys; sys.argv = ['scenegen']; from scenegen.__main__ import main; main()"
-    ended = subprocess.run(
-        [sys.executable, "-c", script],
-        env=environment,
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    return [line.partition(",")[2] for line in ended.stdout.splitlines()]
+@pytest.fixture
+def completed(capsys, monkeypatch):
+    """What the shell is offered for the last of some words."""
+
+    def offered(words):
+        monkeypatch.setenv("_SCENEGEN_COMPLETE", "bash_complete")
+        monkeypatch.setenv("COMP_WORDS", f"scenegen {words}")
+        monkeypatch.setenv("COMP_CWORD", str(len(words.split()) + words.endswith(" ")))
+        return [line.partition(",")[2] for line in run(capsys, "")[1].splitlines()]
+
+    return offered
 
 
-def test_the_shell_completes_commands_options_kinds_and_networks():
+def test_the_shell_completes_commands_options_kinds_and_networks(completed):
     assert completed("comp") == ["complete", "completion"]
     assert "--epochs" in completed("train --e")
     assert completed("generate --kind pil") == ["pillar"]
     assert completed("bench --weights pro") == ["proposed"]
-    assert "generate" in completed(
-        "nowhere:command "
-    )  # which is not there, and nobody is told off for it
+    # which is not there, and nobody is told off for it
+    assert "generate" in completed("nowhere:command ")
 
 
-def test_printing_in_vain_changes_no_verdict(small, tmp_path, capsys):
+def test_printing_in_vain_changes_no_verdict(made):
     """Output that is lost is told and ends with 1; nobody need read standard error, nor all of the
     output."""
-    out = tmp_path / "d"
-    command = f"generate --recipe {small} --n 3 --out {out} --workers 1 --quiet"
-    assert run(capsys, command)[0] == 0
-    verify = f"{sys.executable} cli.py verify --quick {out}"
+    verify = f"{sys.executable} cli.py verify --quick {made}"
     script = f"{sys.executable} cli.py completion bash"
     lost = "scenegen: standard output: {}; what was to be printed is lost\n".format
     expected = {
@@ -143,24 +120,18 @@ def test_printing_in_vain_changes_no_verdict(small, tmp_path, capsys):
         f"{script} >/dev/full": (1, lost("No space left on device")),
         f"({script}; echo $? >&2) | true": (0, "0\n"),
     }
-    root = ROOT
-    running = [
-        subprocess.Popen(words, shell=True, cwd=root, stderr=subprocess.PIPE, text=True)
-        for words in expected
-    ]
+    how = {"shell": True, "cwd": ROOT, "stderr": subprocess.PIPE, "text": True}
+    running = [subprocess.Popen(words, **how) for words in expected]
     for process, (command, (code, error)) in zip(running, expected.items(), strict=True):
         assert (process.communicate(timeout=120)[1], process.returncode) == (error, code), command
 
 
 def test_names_from_files_print_no_lines_of_their_own(tmp_path, capsys):
     forged = "x\nscenegen: verify: all 17 checks passed\x1b[32m"
-    (tmp_path / forged).mkdir()
-    (tmp_path / forged / "dataset.json").write_text(json.dumps({"format": forged}))
-    for words in (
-        ("inspect", tmp_path / forged),
-        ("verify", tmp_path / forged),
-        ("train", "--variant", forged),
-    ):
+    folder = tmp_path / forged
+    folder.mkdir()
+    (folder / "dataset.json").write_text(json.dumps({"format": forged}))
+    for words in (("inspect", folder), ("verify", folder), ("train", "--variant", forged)):
         code, said, error = run(capsys, *words)
         assert code
         for line in (said + error).splitlines():

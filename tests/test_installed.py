@@ -6,14 +6,13 @@ import sys
 import tomllib
 import venv
 import zipfile
-from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
 
 import scenegen
+from tests.command_line import ROOT
 
-ROOT = Path(__file__).parents[1]
 USERS = {
     "model.py": "mine = 'model'",
     "cli.py": "mine = 'cli'",
@@ -76,8 +75,7 @@ def test_the_wheel_works_in_an_empty_environment_beside_a_users_own_files(tmp_pa
     small = "--n 5 --val 0 --test 5 --workers 1 --quiet"
     run(python, *f"-m scenegen generate --kind pillar {small}".split(), cwd=tmp_path)
     words = "-m scenegen bench --method returns --quick --workers 1"
-    bench = run(python, *words.split(), cwd=tmp_path)
-    assert "returns" in bench
+    assert "returns" in run(python, *words.split(), cwd=tmp_path)
 
 
 def test_what_figures_were_measured_with_is_allowed():
@@ -88,28 +86,11 @@ def test_what_figures_were_measured_with_is_allowed():
     measured = dict(line.split("==") for line in lines)
     extras = project["optional-dependencies"]
     (everything,) = map(Requirement, extras["all"])
-    for line in [
-        *project["dependencies"],
-        *(line for name in everything.extras for line in extras[name]),
-    ]:
-        needed = Requirement(line)
-        assert needed.specifier.contains(measured[needed.name]), line
+    lines = [line for name in everything.extras for line in extras[name]]
+    for needed in map(Requirement, [*project["dependencies"], *lines]):
+        assert needed.specifier.contains(measured[needed.name]), needed
 
 
 def test_who_cites_it_names_this_version():
     cited = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     assert f"\nversion: {scenegen.__version__}\n" in cited
-
-
-def test_an_editable_install_shows_our_two_packages_alone():
-    """Where this suite runs from such an install; the finder maps each package by itself, not the
-    checkout's folder."""
-    finders = [
-        path for entry in sys.path for path in Path(entry).glob("_editable_impl_scenegen*.py")
-    ]
-    if not finders:
-        pytest.skip("scenegen is not installed as editable here")
-    text = finders[0].read_text(encoding="utf-8")
-    assert "'scenegen'" in text
-    assert "'lidarsim'" in text
-    assert text.count("map_module") == 2

@@ -6,27 +6,14 @@ import sys
 
 import pytest
 
-from tests.conftest import dataset_in, small_recipe
+from tests.conftest import dataset_in
 
-HEAVY = (
-    "mujoco",
-    "ompl",
-    "numba",
-    "scipy",
-    "trimesh",
-    "torch",
-    "pydantic",
-    "h5py",
-    "multiprocessing",
-)
+HEAVY = "mujoco", "ompl", "numba", "scipy", "trimesh", "torch", "h5py", "multiprocessing"
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    folder, recipe = tmp_path_factory.mktemp("light") / "d", small_recipe()
-    counts = {"train": 3, "val": 0, "test": 0}
-    dataset_in(folder, recipe, counts=counts, compact=True)
-    return folder
+    return dataset_in(tmp_path_factory.mktemp("light") / "d", compact=True).folder
 
 
 def imported(code):

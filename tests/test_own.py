@@ -3,7 +3,7 @@ of the user's."""
 
 import pytest
 
-from tests.command_line import ROOT, SMALL, refused
+from tests.command_line import ROOT, SMALL, refused, rows
 
 EXAMPLES = {
     "my_worlds.py": "recipes.md",
@@ -35,30 +35,25 @@ def here(tmp_path):
 
 
 def test_a_kind_a_method_and_a_command_of_ones_own(here, shell):
-    def done(*words):
-        return shell.done(*words, here=here)
+    def done(words):
+        return shell.done(*words.split(), here=here)
 
-    done("generate", "--recipe", "vineyard.toml", "-n", "6", "--workers", "2", "--labels", "class")
-    assert (
-        '"kind": "my_worlds:Vineyard"' in (here / "data" / "Vineyard" / "dataset.json").read_text()
-    )
-    assert "ok" in regenerated(
-        done("verify", "data/Vineyard", "--workers", "2", "--kind", "my_worlds:Vineyard")
-    )
-    assert "world 0, viewpoint" in done("my_commands:fill", "data/Vineyard")
+    folder = "data/Vineyard"
+    done("generate --recipe vineyard.toml -n 6 --workers 2 --labels class")
+    assert '"kind": "my_worlds:Vineyard"' in (here / folder / "dataset.json").read_text()
+    assert "ok" in regenerated(done(f"verify {folder} --workers 2 --kind my_worlds:Vineyard"))
+    assert "world 0, viewpoint" in done(f"my_commands:fill {folder}")
     (here / "my_worlds.py").write_text(
         "raise AssertionError('imported because a manifest names it')"
     )
-    words = ("--method", "my_methods:Grown", "--method", "returns", "--quick", "--workers", "2")
-    assert "grown" in done("bench", "data/Vineyard", *words)
-    said = done("verify", "data/Vineyard", "--workers", "2")
+    methods = "--method my_methods:Grown --method returns"
+    assert "grown" in done(f"bench {folder} {methods} --quick --workers 2")
+    said = done(f"verify {folder} --workers 2")
     assert "cannot be drawn again" in regenerated(said)
     assert "18 passed, 1 skipped" in said
-    done("inspect", "data/Vineyard")
-    done("world", "data/Vineyard", "0")
-    ended = shell.scenegen(
-        "publish", "data/Vineyard", "--repo", "ada/vineyard", "--dry-run", here=here
-    )
+    done(f"world {folder} 0")
+    publish = f"publish {folder} --repo ada/vineyard --dry-run"
+    ended = shell.scenegen(*publish.split(), here=here)
     assert (ended.code, "give --kind" in ended.err, ended.err.count("\n")) == (1, True, 1)
 
 
@@ -68,102 +63,31 @@ def regenerated(table):
     return line
 
 
-LACKING = {
-    "kind without a module": (
-        "generate --quiet --kind absent:Vineyard",
-        "there is no module absent",
-    ),
-    "kind of another class": (
-        "generate --quiet --kind wrong:Other",
-        "lacks `version`, a whole number",
-    ),
-    "kind of no base": (
-        "generate --quiet --kind wrong:Loose",
-        "class Mine(scenegen.WorldKind)",
-    ),
-    "kind that is no dataclass": (
-        "generate --quiet --kind wrong:Bare",
-        "class Mine(scenegen.WorldKind)",
-    ),
-    "kind with odd values": (
-        "generate --quiet --kind wrong:Odd",
-        "cannot stand in a manifest",
-    ),
-    "a name beyond what readers take": (
-        f"generate --quiet --kind wrong:{'K' * 95}",
-        "at most 100 characters",
-    ),
-    "method without name": (
-        "bench DATASET --quiet --method wrong:Nameless",
-        "lacks a `name`, a string",
-    ),
-    "method with another signature": (
-        "bench DATASET --quiet --method wrong:Short",
-        "lacks a method `complete` that takes (observed, free, *, grid)",
-    ),
-    "method that needs arguments": (
-        "bench DATASET --quiet --method wrong:Needy",
-        "without arguments",
-    ),
-    "command that is a plain function": ("wrong:plain", "lacks `make_context`"),
-    "command that is absent": ("trian", "did you mean 'train'?"),
-    "another kind than the dataset's": (
-        "verify DATASET --quiet --kind my_worlds:Vineyard",
-        "the dataset's kind is 'pillar'",
-    ),
-}
-FAILING = "line {} of wrong.py: KeyError: 'gone'"
-PILLAR = "generate --quiet --kind pillar --workers 1"
-LACKING |= {
-    "a kind that fails": (
-        "generate --quiet --kind wrong:Failing --workers 1",
-        FAILING.format(3),
-    ),
-    "a kind that fails in a worker": (
-        "generate --quiet --recipe fails.toml --n 99 --shard-samples 3 --workers 2",
-        FAILING.format(3),
-    ),
-    "a method that fails": (
-        "bench DATASET --quiet --method wrong:Broken",
-        FAILING.format(3),
-    ),
-    "a method whose error cannot travel": (
-        "bench DATASET --quiet --method wrong:Worse --workers 2",
-        "of wrong.py: Failed: two",
-    ),
-    "a command that fails": ("wrong:failing", FAILING.format(3)),
-    "a module that ends the process": (
-        "ends:all",
-        "importing it fails (line 2 of ends.py): SystemExit",
-    ),
-    "an engine that fails": (
-        f"{PILLAR} --engine wrong:Still",
-        FAILING.format(3),
-    ),
-    "an engine that lacks something": (
-        f"{PILLAR} --engine wrong:Short",
-        "`of`",
-    ),
-    "a class that there is not": (
-        "generate --quiet --kind wrong:Leafy --workers 1",
-        "unknown class 'vegetaton'; did you mean 'vegetation'?; correct it",
-    ),
-    "a kind crowded by nothing": ("recipe wrong:Crowded", "unknown parameter 'row'"),
-    "a misspelt level": ("recipe wrong:Graded", "unknown parameter 'size'; did you"),
-    "a kind of empty worlds": (
-        "generate --quiet --kind wrong:Sparse --workers 1",
-        "raise world.ground_m, lower world.size_m, or lower accept.min_solids",
-    ),
-    "a sensor without a range": ("scan pillar --flight --lidar wrong:Ray", "max_range_m = -3"),
-    "a sensor beside another": (
-        "generate --recipe table.toml --sensor raster",
-        "leave one of the two",
-    ),
-    "an engine by a wrong name": (
-        "generate --kind pillar --engine mojuco",
-        "did you mean 'mujoco'?",
-    ),
-}
+LACKING = f"""
+generate --quiet --kind absent:Vineyard   → there is no module absent
+generate --quiet --kind wrong:Other    → lacks `version`, a whole number
+generate --quiet --kind wrong:Bare     → class Mine(scenegen.WorldKind)
+generate --quiet --kind wrong:Odd      → cannot stand in a manifest
+generate --quiet --kind wrong:{"K" * 95} → at most 100 characters
+bench DATASET --quiet --method wrong:Nameless → lacks a `name`, a string
+bench DATASET --quiet --method wrong:Short    → `complete` that takes (observed, free, *, grid)
+bench DATASET --quiet --method wrong:Needy    → without arguments
+wrong:plain                            → lacks `make_context`
+trian                                  → did you mean 'train'?
+generate --quiet --kind wrong:Failing --workers 1    → line 3 of wrong.py: KeyError: 'gone'
+generate --quiet --recipe fails.toml --n 99 --shard-samples 3 --workers 2 → line 3 of wrong.py: Key
+bench DATASET --quiet --method wrong:Broken   → line 3 of wrong.py: KeyError: 'gone'
+bench DATASET --quiet --method wrong:Worse --workers 2 → of wrong.py: Failed: two
+wrong:failing                          → line 3 of wrong.py: KeyError: 'gone'
+ends:all                               → importing it fails (line 2 of ends.py): SystemExit
+generate --quiet --kind wrong:Leafy --workers 1 → unknown class 'vegetaton'; did you mean
+recipe wrong:Crowded                   → unknown parameter 'row'
+recipe wrong:Graded                    → unknown parameter 'size'; did you
+generate --quiet --kind wrong:Sparse --workers 1 → raise world.ground_m, lower world.size_m
+scan pillar --flight --lidar wrong:Ray → max_range_m = -3
+generate --quiet --kind pillar --workers 1 --engine wrong:Still → line 3 of wrong.py: KeyError
+generate --quiet --kind pillar --workers 1 --engine wrong:Short → `of`
+"""
 WRONG = f"""
 def gone():
     raise KeyError("gone")
@@ -171,8 +95,6 @@ import click
 from dataclasses import dataclass
 from scenegen.recipes.kind import WorldKind
 class Other: pass
-class Loose:
-    version, crowded_by, add_to = 1, (), None
 @dataclass(frozen=True, kw_only=True)
 class Empty(WorldKind):
     version, crowded_by = 1, ()
@@ -211,8 +133,6 @@ class Broken(Short):
     def complete(self, observed, free, *, grid): gone()
 class Worse(Short):
     def complete(self, observed, free, *, grid): raise Failed("two", 2)
-class Unmade(Short):
-    def __init__(self): gone()
 class Still:
     of = classmethod(lambda cls, model, data=None: gone())
     cast = None
@@ -227,12 +147,10 @@ class {"K" * 95}(Bare): pass
 """
 
 
-@pytest.mark.parametrize("what", LACKING)
-def test_one_that_lacks_something_is_told_in_one_line(what, here, standing, made, capsys):
-    words, told = LACKING[what]
+@pytest.mark.parametrize(("words", "told"), rows(LACKING))
+def test_one_that_lacks_something_is_told_in_one_line(words, told, standing, made, capsys):
     (standing / "wrong.py").write_text(WRONG)
     (standing / "ends.py").write_text("import sys\nsys.exit(3)\n")
     (standing / "fails.toml").write_text('kind = "wrong:Failing"')
-    (standing / "table.toml").write_text('kind = "pillar"\n[lidar]\nsensor = "table"')
-    assert told in refused(capsys, *words.replace("DATASET", str(made)).split())
+    assert told in refused(capsys, words.replace("DATASET", str(made)))
     assert not (standing / "data").exists()

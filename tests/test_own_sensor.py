@@ -2,13 +2,12 @@
 command."""
 
 import re
-import shlex
 import shutil
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+from tests.command_line import ROOT, rows
+
 SMALL = """petals = 5.7
 rays = 300
 
@@ -46,8 +45,9 @@ def examples(tmp_path):
 
 
 def test_a_users_sensor_makes_a_dataset_that_nobody_needs_the_sensor_for(examples, shell):
-    made = ("generate", "--recipe", "my.toml", "--n", 6, "--val", 0, "--test", 3, "--workers", 2)
-    shell.done(*made, "--out", "data/rosette", "--shard-samples", 3, here=examples)
+    made = "--n 6 --val 0 --test 3 --shard-samples 3"
+    words = f"generate --recipe my.toml {made} --out data/rosette --workers 2"
+    shell.done(*words.split(), here=examples)
     (elsewhere := examples / "elsewhere").mkdir()
     shutil.move(examples / "data", elsewhere / "data")
     (elsewhere / "print_one.py").write_text(
@@ -56,56 +56,26 @@ def test_a_users_sensor_makes_a_dataset_that_nobody_needs_the_sensor_for(example
     )
     assert shell.python("print_one.py", here=elsewhere).out == "(300,) True\n"
     assert "regenerated  ok" in shell.done("verify", "data/rosette", "--workers", 1, here=elsewhere)
-    bench = ("bench", "data/rosette", "--quick", "--method", "returns", "--workers", 1)
-    assert "returns" in shell.done(*bench, here=elsewhere)
-    publish = shlex.split("publish data/rosette --repo a/b --out out --dry-run --workers 1")
-    assert "rays.npy" in shell.done(*publish, here=elsewhere)
-    again = shlex.split("--n 6 --val 0 --test 3 --shard-samples 3 --out ../again --workers 1")
-    shell.done("generate", "--recipe", "recipe.toml", *again, here=elsewhere / "out")
-    assert (elsewhere / "again" / "dataset.json").read_bytes() == (
-        elsewhere / "out" / "dataset.json"
-    ).read_bytes()
+    publish = "publish data/rosette --repo a/b --out out --dry-run --workers 1"
+    assert "rays.npy" in shell.done(*publish.split(), here=elsewhere)
+    again = f"generate --recipe recipe.toml {made} --out {elsewhere}/again --workers 1"
+    shell.done(*again.split(), here=elsewhere / "out")
+    one, other = (elsewhere / name / "dataset.json" for name in ("again", "out"))
+    assert one.read_bytes() == other.read_bytes()
 
 
-@pytest.mark.parametrize(
-    ("file", "find", "put", "told"),
-    [
-        ("my.toml", "my_sensor:Rosette", "my_senser:Rosette", "there is no module my_senser"),
-        (
-            "my.toml",
-            "my_sensor:Rosette",
-            "rastar",
-            "unknown sensor 'rastar'; did you mean 'raster'?",
-        ),
-        (
-            "my.toml",
-            "petals",
-            "petal",
-            "[lidar]: unknown parameter 'petal'; did you mean 'petals'?",
-        ),
-        (
-            "my_sensor.py",
-            "def times_s",
-            "def times",
-            "lacks `times_s`, seconds after the scan begins",
-        ),
-        (
-            "my_sensor.py",
-            "np.cos(away),",
-            "2 * np.cos(away),",
-            "[lidar] sensor Rosette: a ray's direction has length",
-        ),
-        (
-            "my_sensor.py",
-            "return (self.rays,)",
-            "return (7,)",
-            "directions_body has shape (300, 3), expected (7, 3)",
-        ),
-        ("my_sensor.py", "20.0", "'a' / 2", "[lidar] sensor Rosette: it fails: "),
-        ("my.toml", "rays = 300", "rays = 'many'", "[lidar] sensor Rosette: "),
-        ("my_sensor.py", "@dataclass(frozen=True, kw_only=True)\n", "", "expected a dataclass"),
-    ],
-)
+WRONG = """
+my.toml      → my_sensor:Rosette → my_senser:Rosette → there is no module my_senser
+my.toml      → my_sensor:Rosette → rastar    → unknown sensor 'rastar'; did you mean 'raster'?
+my.toml      → petals            → petal     → [lidar]: unknown parameter 'petal'; did you mean
+my_sensor.py → def times_s       → def times → lacks `times_s`, seconds after the scan begins
+my_sensor.py → (self.rays,)      → (7,)      → has shape (300, 3), expected (7, 3)
+my_sensor.py → 20.0              → 'a' / 2   → [lidar] sensor Rosette: it fails:
+my_sensor.py → @dataclass        → # @       → expected a dataclass
+"""
+
+
+@pytest.mark.parametrize(("file", "find", "put", "told"), rows(WRONG))
 def test_a_sensor_that_is_none_is_told_of_in_one_line(examples, shell, file, find, put, told):
     text = (examples / file).read_text()
     assert find in text

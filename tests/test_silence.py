@@ -95,49 +95,45 @@ accept = {min_solids = 1}
 lidar = {rows = 8, columns = 24}
 grid = {shape = [16, 16, 16]}
 """
-COMMANDS = {
-    "generate": ["--recipe small.toml --n 4 --val 40 --test 2 --out d --workers 1"],
-    "inspect": ["d"],
-    "world": ["d 0 -o w.xml"],
-    "verify": ["d --workers 1"],
-    "train": ["d --epochs 1 --width 1 --out run --device cpu"],
-    "complete": [
-        "d --weights run -o p --device cpu",
-        "scan.xyz --weights run -o s.h5 --device cpu",
-        "d --weights n.onnx -o o",
-    ],
-    "bench": ["d --weights run --predictions p --quick --workers 1"],
-    "fly": [
-        "w.xml --robot reactive --flights 1 --apart 4 --speed 4 -o f.json --picture f.png",
-        "--replay f.json",
-    ],
-    "publish": ["d --repo ada/d --dry-run --quick --workers 1"],
-    "doctor": [""],
-    "completion": ["bash"],
-    "export": ["run -o e.onnx"],
-    "calibrate": ["run d -o c.safetensors"],
-    "networks": [""],
-    "reproduce": ["--scale 0.001 --dry-run --device cpu --workers 1"],
-    "sensors": ["velodyne-vlp-16 -o p.png"],
-    "scan": [
-        "w.xml --flight --noise range:0.02 -o s.ply",
-        "w.xml --flight --sequence --length 3 -o log",
-    ],
-    "map": ["scan.xyz --assume-free -o m.npz"],
-    "ingest": ["log -o maps"],
-    "view": ["d --html v.html --weights run"],
-    "render": ["d --split test --predictions p -o r.png", "w.xml --flight -o r.png"],
-    "convert": ["d --to semantickitti -o k", "d --to webdataset -o t"],
-    "recipe": ["pillar"],
-    "rescan": ["d --noise range:0.02 -o again --workers 1"],
-    "take": [
-        "d --split train -o taken --workers 1",
-        "d --split test --where occupied>=0 -o others --workers 1",
-    ],
-    "merge": ["taken others -o merged --workers 1"],
-}
+COMMANDS = """
+generate --recipe small.toml --n 4 --val 40 --test 2 --out d --workers 1
+inspect d
+world d 0 -o w.xml
+verify d --workers 1
+train d --epochs 1 --width 1 --out run --device cpu
+complete d --weights run -o p --device cpu
+complete scan.xyz --weights run -o s.h5 --device cpu
+complete d --weights n.onnx -o o
+bench d --weights run --predictions p --quick --workers 1
+fly w.xml --robot reactive --flights 1 --apart 4 --speed 4 -o f.json --picture f.png
+fly --replay f.json
+publish d --repo ada/d --dry-run --quick --workers 1
+doctor
+completion bash
+export run -o e.onnx
+calibrate run d -o c.safetensors
+networks
+reproduce --scale 0.001 --dry-run --device cpu --workers 1
+sensors velodyne-vlp-16 -o p.png
+scan w.xml --flight --noise range:0.02 -o s.ply
+scan w.xml --flight --sequence --length 3 -o log
+map scan.xyz --assume-free -o m.npz
+ingest log -o maps
+view d --html v.html --weights run
+render d --split test --predictions p -o r.png
+render w.xml --flight -o r.png
+convert d --to semantickitti -o k
+convert d --to webdataset -o t
+recipe pillar
+rescan d --noise range:0.02 -o again --workers 1
+take d --split train -o taken --workers 1
+take d --split test --where occupied>=0 -o others --workers 1
+merge taken others -o merged --workers 1
+"""
 """Every command, in an order in which each finds what it needs."""
-DEAR = ("export", "networks")
+WORDS = [line.split() for line in COMMANDS.strip().splitlines()]
+NAMES = {words[0] for words in WORDS}
+DEAR = {"export", "networks"}
 """Commands that take ten seconds and more."""
 ASKED = (
     "again bench c.safetensors d e.onnx f.json f.png i.html k log m.npz maps merged n.onnx o "
@@ -235,7 +231,7 @@ def test_the_shim_sees_python_and_native_libraries(shim, tmp_path):
 def lines_of(names):
     """The command lines of these commands, as far as what they need is installed."""
     runtime = any(importlib.util.find_spec(name) for name in ("openvino", "onnxruntime"))
-    found = [(name, *line.split()) for name in COMMANDS if name in names for line in COMMANDS[name]]
+    found = [words for words in WORDS if words[0] in names]
     return [words for words in found if runtime or "n.onnx" not in words]
 
 
@@ -271,15 +267,15 @@ def check_silent(shim, folder, names):
 def test_no_command_connects_or_leaves_anything_behind(shim, tmp_path):
     if not importlib.util.find_spec("torch"):
         pytest.skip("needs torch")
-    assert set(COMMANDS) == set(app.registry.known), "a new command? say here how it is run"
-    check_silent(shim, tmp_path, tuple(name for name in COMMANDS if name not in DEAR))
+    assert set(app.registry.known) == NAMES, "a new command? say here how it is run"
+    check_silent(shim, tmp_path, NAMES - DEAR)
 
 
 @pytest.mark.slow
 def test_nor_do_the_dear_ones(shim, tmp_path):
     if not importlib.util.find_spec("onnxscript"):
         pytest.skip("needs onnxscript")
-    check_silent(shim, tmp_path, ("generate", "train", *DEAR))
+    check_silent(shim, tmp_path, {"generate", "train"} | DEAR)
 
 
 def main():

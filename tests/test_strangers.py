@@ -9,60 +9,48 @@ import pytest
 import torch
 
 from scenegen.__main__ import PLACES
-from scenegen.dataset.read import Dataset
 from scenegen.files import whole
-from scenegen.model.checkpoint import save_network
-from scenegen.model.config import NetworkConfig
-from scenegen.model.network import Network
-from tests.command_line import ROOT, SMALL, run
-from tests.conftest import dataset_in, small_recipe
+from tests.command_line import ROOT, SMALL, rows, run
+from tests.conftest import dataset_in
+from tests.scenegen.run import everywhere
 
-SCENE = ROOT / "scenes" / "forest.xml"
-SCAN = ("scan", SCENE, "--flight", "--quiet")
-BENCH = ("bench", "d", "--quick", "--method", "returns", "-o", "out")
-TRAIN = ("train", "d", "--out", "out", "--epochs", 1, "--device", "cpu")
-REPRODUCE = ("reproduce", "-o", "out", "--scale", 0.001)
-ASKED = "--recipe small.toml --n 3 --val 0 --test 0 --quiet --out out"
-GENERATE = ("generate", *ASKED.split())
-FILES = (
-    (("world", "d", 0, "-o", "w.xml"), "w.xml"),
-    (("world", "d", 0, "-o", "w.glb"), "w.glb"),
-    (("render", "d", "--quiet"), "sample.png"),
-    (("render", "d", "-o", "p.svg"), "p.svg"),
-    (SCAN, "scan.ply"),
-    ((*SCAN, "-o", "s.bin"), "s.bin"),
-    ((*SCAN, "--every", 5, "-o", "s.npz"), "s-001.npz"),
-    (("sensors", "raster", "-o", "s.png"), "s.png"),
-    (("recipe", "pillar", "-o", "new/r.toml"), "new/r.toml"),
-    (("view", "d", "--html", "v.html", "--n", 1), "v.html"),
-    (("export", "n.safetensors"), "n.onnx"),
-    (("calibrate", "n.safetensors", "d", "-o", "c.safetensors"), "c.safetensors"),
-    (("calibrate", "proposed", "d"), "proposed.safetensors"),
-    (
-        ("complete", "scan.npy", "--weights", "n.safetensors", "--device", "cpu"),
-        "scan.completed.h5",
-    ),
-    (("map", "scan.npy", "--assume-free"), "map.npz"),
-    (("fly", "pillar", "--robot", "reactive", "--flights", 1, "-o", "f.json"), "f.json"),
-)
+FILES = f"""
+world d 0 -o w.xml                      → w.xml
+render d --quiet                        → sample.png
+scan {ROOT}/scenes/forest.xml --flight --quiet                    → scan.ply
+scan {ROOT}/scenes/forest.xml --flight --quiet --every 5 -o s.npz → s-001.npz
+sensors raster -o s.png                 → s.png
+recipe pillar -o new/r.toml             → new/r.toml
+view d --html v.html --n 1              → v.html
+export n.safetensors                    → n.onnx
+calibrate n.safetensors d -o c.safetensors                    → c.safetensors
+complete scan.npy --weights n.safetensors --device cpu        → scan.completed.h5
+map scan.npy --assume-free              → map.npz
+fly pillar --robot reactive --flights 1 -o f.json             → f.json
+"""
 """Commands and a file that each writes."""
-FOLDERS = (
-    (BENCH, ("report.json", "report.md", "report.html")),
-    (TRAIN, ("card.md", "curve.png", "metrics.csv", "best.safetensors", "config.json")),
-    (REPRODUCE, ("settings.json", "study.json", "study.md")),
-    (GENERATE, ("train-00000.h5", "train-00099.h5", "rays.npy", "dataset.json", "notes.txt")),
-    (("rescan", "d", "-o", "out", "--noise", "range:0.02"), ("rays.npy",)),
-    (("merge", "d", "e", "-o", "out"), ("train-00000.h5",)),
-    (("take", "d", "--n", 1, "-o", "out"), ("train-00000.h5",)),
-    (("convert", "d", "--to", "npz", "-o", "out"), ("convert.json", "train/000000.npz")),
-    (
-        ("complete", "d", "--weights", "n.safetensors", "-o", "out"),
-        ("test-00000.h5", "predictions.json"),
-    ),
-    (("ingest", "log", "-o", "out"), ("map.npz",)),
-    (("publish", "d", "--repo", "ada/d", "--dry-run", "-o", "out"), ("README.md", "SHA256SUMS")),
-)
-"""Commands and names that each uses in the folder `out`."""
+GENERATE = "generate --recipe small.toml --n 3 --val 0 --test 0 --quiet --out out"
+FOLDERS = f"""
+bench d --quick --method returns -o out → report.json
+train d --out out --epochs 1 --device cpu → card.md
+train d --out out --epochs 1 --device cpu → best.safetensors
+reproduce -o out --scale 0.001          → study.md
+{GENERATE} → train-00000.h5
+{GENERATE} → rays.npy
+{GENERATE} → dataset.json
+{GENERATE} → notes.txt
+rescan d -o out --noise range:0.02      → rays.npy
+merge d e -o out                        → train-00000.h5
+take d --n 1 -o out                     → train-00000.h5
+convert d --to npz -o out               → convert.json
+convert d --to npz -o out               → train/000000.npz
+complete d --weights n.safetensors -o out                     → test-00000.h5
+complete d --weights n.safetensors -o out                     → predictions.json
+ingest log -o out                       → map.npz
+publish d --repo ada/d --dry-run -o out → README.md
+publish d --repo ada/d --dry-run -o out → SHA256SUMS
+"""
+"""Commands and a name that each uses in the folder `out`."""
 SILENT = ("completion", "datasets", "doctor", "inspect", "networks", "verify")
 """Commands that write no file."""
 
@@ -72,16 +60,8 @@ def here(once, tmp_path, monkeypatch):
     """The working folder, with what the commands read: two datasets, a network and a scan."""
 
     def make(folder):
-        recipe, counts = small_recipe(), {"train": 4, "val": 2, "test": 2}
-        for name, seed in (("d", 1), ("e", 2)):
-            dataset_in(folder / name, recipe, seed=seed, counts=counts)
-        grid = Dataset(folder / "d").grid
-        save_network(
-            folder / "n.safetensors",
-            Network(NetworkConfig(width=2, height=grid.shape[2])),
-            grid,
-            {},
-        )
+        everywhere.make(folder)
+        dataset_in(folder / "e", seed=2, counts=everywhere.COUNTS)
         np.save(folder / "scan.npy", np.random.default_rng(0).normal(size=(50, 3)))
         (folder / "small.toml").write_text(SMALL)
 
@@ -97,33 +77,28 @@ def begin_and_die(path):
         os.kill(os.getpid(), signal.SIGKILL)
 
 
-@pytest.mark.parametrize(
-    ("words", "name"),
-    [FILES[n] for n in (0, 8, 13)],
-    ids=lambda it: it if isinstance(it, str) else str(it[0]),
-)
+@pytest.mark.parametrize(("words", "name"), [rows(FILES)[n] for n in (0, 5, 9)])
 def test_what_a_killed_command_left_is_taken_away(words, name, here, capsys):
     (here / name).parent.mkdir(exist_ok=True)
     killed = multiprocessing.get_context("fork").Process(target=begin_and_die, args=(here / name,))
     killed.start()
     killed.join()
     assert list(here.rglob("*.tmp"))
-    assert run(capsys, *words)[0] == 0
+    assert run(capsys, words)[0] == 0
     assert not list(here.rglob("*.tmp"))
 
 
 def test_every_command_is_here():
-    assert {str(words[0]) for words, _ in (*FILES, *FOLDERS)} | set(SILENT) >= set(PLACES)
+    named = {words.split()[0] for words, _ in rows(FILES) + rows(FOLDERS)}
+    assert named | set(SILENT) >= set(PLACES)
 
 
-@pytest.mark.parametrize(
-    ("words", "name"), FILES, ids=lambda it: it if isinstance(it, str) else str(it[0])
-)
+@pytest.mark.parametrize(("words", "name"), rows(FILES))
 def test_a_strangers_file_is_not_replaced(words, name, here, capsys):
     (here / name).parent.mkdir(exist_ok=True)
     (here / name).write_bytes(b"mine")
     before = set(here.rglob("*"))
-    code, said, complaint = run(capsys, *words)
+    code, said, complaint = run(capsys, words)
     assert (code, said) in ((1, ""), (2, "")), complaint
     assert name in complaint
     assert complaint.count("\n") == 1
@@ -131,17 +106,13 @@ def test_a_strangers_file_is_not_replaced(words, name, here, capsys):
     assert set(here.rglob("*")) == before
 
 
-@pytest.mark.parametrize(
-    ("words", "name"),
-    [(words, name) for words, names in FOLDERS for name in names],
-    ids=lambda it: str(it).split("'")[1] if isinstance(it, tuple) else it,
-)
+@pytest.mark.parametrize(("words", "name"), rows(FOLDERS))
 def test_nor_one_in_a_folder(words, name, here, capsys):
     (here / "out" / name).parent.mkdir(parents=True)
     content = b"{}" if name.endswith(".json") else b"mine"
     (here / "out" / name).write_bytes(content)
     before = set(here.rglob("*"))
-    code, _, complaint = run(capsys, *words)
+    code, _, complaint = run(capsys, words)
     assert code in (1, 2), complaint
     assert "out" in complaint
     assert "Traceback" not in complaint
@@ -149,22 +120,18 @@ def test_nor_one_in_a_folder(words, name, here, capsys):
     assert set(here.rglob("*")) == before
 
 
-@pytest.mark.parametrize(
-    ("words", "name"),
-    [FILES[n] for n in (0, 1, 5, 7, 8)],
-    ids=lambda it: it if isinstance(it, str) else str(it[0]),
-)
+@pytest.mark.parametrize(("words", "name"), [rows(FILES)[n] for n in (0, 4, 5)])
 def test_its_own_is_replaced_until_somebody_changes_it(words, name, here, capsys):
     try:
         os.setxattr(here, "user.test", b"")
     except (AttributeError, OSError):
         pytest.skip("this file system keeps no attributes")
     for _ in range(2):
-        code, _, complaint = run(capsys, *words)
+        code, _, complaint = run(capsys, words)
         assert code == 0, complaint
     content = (here / name).read_bytes() + b"and mine"
     (here / name).write_bytes(content)
-    code, _, complaint = run(capsys, *words)
+    code, _, complaint = run(capsys, words)
     assert code in (1, 2)
     assert "not as scenegen wrote it" in complaint
     assert (here / name).read_bytes() == content

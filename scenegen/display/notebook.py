@@ -103,11 +103,11 @@ def show(
         name = f"world {sample.world}, viewpoint {sample.viewpoint}"
         looks.append(look_at(sample, its_grid, its_lidar, name))
     first = looks[0]
-    named: Mapping[str, Any]
-    if prediction is None:
-        named = {} if path is None else {"truth": first.masks["occupancy"]}
-    else:
-        named = prediction if isinstance(prediction, Mapping) else {"prediction": prediction}
+    named: Mapping[str, Any] = {"prediction": prediction}
+    if isinstance(prediction, Mapping | None):
+        named = prediction or {}
+    if path is not None and not named:
+        named = {"truth": first.masks["occupancy"]}
     guesses = [_guess(name, found, first.grid) for name, found in named.items()]
     if path is not None:
         guesses[0] = replace(guesses[0], route=_route(path))

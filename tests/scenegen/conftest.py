@@ -75,3 +75,12 @@ def hub(undrawn, tmp_path, monkeypatch):
     monkeypatch.setenv("HF_TOKEN", TOKEN)
     yield server
     server.close()
+
+
+@pytest.fixture
+def trap(standing, monkeypatch):
+    """The folder to stand in holds a module `trap`, which nobody imports."""
+    (standing / "trap.py").write_text("raise SystemExit('imported')")
+    monkeypatch.syspath_prepend(str(standing))
+    yield standing
+    assert "trap" not in sys.modules

@@ -23,15 +23,15 @@ class Repository:
     tags: dict[str, str] = field(default_factory=dict)
 
     def files(self, revision):
-        if revision == "main":
-            return self.commits[self.head]
-        return self.commits.get(self.tags.get(revision, revision))
+        return self.commits.get(self.sha(revision))
+
+    def sha(self, revision):
+        return self.head if revision in (None, "main") else self.tags.get(revision, revision)
 
     def commit(self, files):
         listing = {path: hashlib.sha256(content).hexdigest() for path, content in files.items()}
-        self.head = hashlib.sha1(
-            json.dumps([self.head, sorted(listing.items())]).encode()
-        ).hexdigest()
+        said = json.dumps([self.head, sorted(listing.items())])
+        self.head = hashlib.sha1(said.encode()).hexdigest()
         self.commits[self.head] = dict(files)
         return self.head
 
@@ -96,11 +96,8 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(sent)
 
     def _refuse(self, status, said, code=""):
-        self._answer(
-            {"error": said},
-            status,
-            **({"X_Error_Code": code, "X_Error_Message": said} if code else {}),
-        )
+        more = {"X_Error_Code": code, "X_Error_Message": said} if code else {}
+        self._answer({"error": said}, status, **more)
 
     def _handle(self):
         hub, path = self.server_hub, unquote(urlsplit(self.path).path)
@@ -146,11 +143,8 @@ def _entry(path, content):
     blob = hashlib.sha1(b"blob %d\0" % len(content) + content).hexdigest()
     entry = {"type": "file", "path": path, "size": len(content), "oid": blob}
     if path.endswith(LARGE):
-        entry["lfs"] = {
-            "oid": hashlib.sha256(content).hexdigest(),
-            "size": len(content),
-            "pointerSize": 134,
-        }
+        oid = hashlib.sha256(content).hexdigest()
+        entry["lfs"] = {"oid": oid, "size": len(content), "pointerSize": 134}
     return entry
 
 
@@ -159,15 +153,9 @@ def info(page, hub, body, name, revision=None):
     if files is None:
         return
     repository = hub.repositories[name]
-    sha = (
-        repository.head
-        if revision in (None, "main")
-        else repository.tags.get(str(revision), revision)
-    )
     siblings = [{"rfilename": path, "size": len(content)} for path, content in files.items()]
-    page._answer(
-        {"id": name, "sha": sha, "private": repository.private, "siblings": siblings, "tags": []}
-    )
+    said = {"id": name, "sha": repository.sha(revision), "private": repository.private}
+    page._answer(said | {"siblings": siblings, "tags": []})
 
 
 def tree(page, hub, body, name, revision):
@@ -242,7 +230,7 @@ def tag(page, hub, body, name, revision):
     asked = json.loads(body)["tag"]
     if asked in repository.tags:
         return page._refuse(409, "tag is there")
-    repository.tags[asked] = repository.head if revision == "main" else revision
+    repository.tags[asked] = repository.sha(revision)
     page._answer({})
 
 
@@ -254,11 +242,8 @@ def resolve(page, hub, body, name, revision, path):
         return page._refuse(404, "Entry not found", "EntryNotFound")
     entry = _entry(path, files[path])
     etag = entry.get("lfs", entry)["oid"]
-    repository = hub.repositories[name]
-    sha = repository.head if revision == "main" else repository.tags.get(revision, revision)
-    page._answer(
-        files[path], ETag=f'"{etag}"', X_Repo_Commit=sha, X_Linked_Size=str(len(files[path]))
-    )
+    sha, size = hub.repositories[name].sha(revision), str(len(files[path]))
+    page._answer(files[path], ETag=f'"{etag}"', X_Repo_Commit=sha, X_Linked_Size=size)
 
 
 def validate_yaml(page, hub, body):
@@ -268,16 +253,16 @@ def validate_yaml(page, hub, body):
 
 NAME, REVISION = r"([^/]+/[^/]+)", r"([^/]+)"
 ROUTES = (
-    (("POST",), r"/api/repos/create", create),
-    (("POST",), r"/api/validate-yaml", validate_yaml),
-    (("GET",), rf"/api/datasets/{NAME}", info),
-    (("GET",), rf"/api/datasets/{NAME}/revision/{REVISION}", info),
-    (("GET",), rf"/api/datasets/{NAME}/refs", refs),
-    (("GET",), rf"/api/datasets/{NAME}/tree/{REVISION}", tree),
-    (("POST",), rf"/api/datasets/{NAME}/preupload/{REVISION}", preupload),
-    (("POST",), rf"/datasets/{NAME}\.git/info/lfs/objects/batch", batch),
-    (("PUT",), r"/lfs/([0-9a-f]{64})", put),
-    (("POST",), rf"/api/datasets/{NAME}/commit/{REVISION}", commit),
-    (("POST",), rf"/api/datasets/{NAME}/tag/{REVISION}", tag),
-    (("GET", "HEAD"), rf"/datasets/{NAME}/resolve/{REVISION}/(.+)", resolve),
+    ("POST", r"/api/repos/create", create),
+    ("POST", r"/api/validate-yaml", validate_yaml),
+    ("GET", rf"/api/datasets/{NAME}", info),
+    ("GET", rf"/api/datasets/{NAME}/revision/{REVISION}", info),
+    ("GET", rf"/api/datasets/{NAME}/refs", refs),
+    ("GET", rf"/api/datasets/{NAME}/tree/{REVISION}", tree),
+    ("POST", rf"/api/datasets/{NAME}/preupload/{REVISION}", preupload),
+    ("POST", rf"/datasets/{NAME}\.git/info/lfs/objects/batch", batch),
+    ("PUT", r"/lfs/([0-9a-f]{64})", put),
+    ("POST", rf"/api/datasets/{NAME}/commit/{REVISION}", commit),
+    ("POST", rf"/api/datasets/{NAME}/tag/{REVISION}", tag),
+    ("GET HEAD", rf"/datasets/{NAME}/resolve/{REVISION}/(.+)", resolve),
 )

@@ -1,6 +1,7 @@
 """Clouds of points: what three formats hold comes back, and files that promise more than they hold
 are refused."""
 
+import re
 import struct
 
 import numpy as np
@@ -11,16 +12,15 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scenegen.clouds import read_points, scans_in
 from scenegen.display.exchange.files import write_points
 from scenegen.errors import DatasetError
+from tests.command_line import rows
 
 POINTS = np.random.default_rng(0).normal(size=(50, 3)).astype(np.float32)
-HEAD = "element vertex {count}\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+XYZ = "property float x;property float y;property float z;end_header"
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "binary"])
-@pytest.mark.parametrize("coloured", [False, True])
-def test_what_trimesh_writes_as_ply_comes_back(tmp_path, encoding, coloured):
-    colours = np.full((50, 4), 7, np.uint8) if coloured else None
-    cloud = trimesh.PointCloud(POINTS, colors=colours)
+def test_what_trimesh_writes_as_ply_comes_back(tmp_path, encoding):
+    cloud = trimesh.PointCloud(POINTS, colors=np.full((50, 4), 7, np.uint8))
     (tmp_path / "scan.ply").write_bytes(cloud.export(file_type="ply", encoding=encoding))
     assert_allclose(read_points(tmp_path / "scan.ply"), POINTS, atol=1e-7)
 
@@ -39,13 +39,10 @@ def test_big_endian_vertices_in_any_order_and_before_faces_come_back(tmp_path):
     assert_array_equal(read_points(tmp_path / "scan.ply"), POINTS)
 
 
-@pytest.mark.parametrize("order", ["C", "F"])
-def test_arrays_come_back(tmp_path, order):
-    np.save(tmp_path / "scan.npy", np.asarray(POINTS, order=order))
-    assert_array_equal(read_points(tmp_path / "scan.npy"), POINTS)
-
-
-def test_text_comes_back_by_spaces_or_commas(tmp_path):
+def test_arrays_and_text_come_back(tmp_path):
+    for order in "CF":
+        np.save(tmp_path / "scan.npy", np.asarray(POINTS, order=order))
+        assert_array_equal(read_points(tmp_path / "scan.npy"), POINTS)
     (tmp_path / "scan.xyz").write_text("# x y z\n1 2 3 9\n\n4,5,nan,9\n")
     assert_array_equal(read_points(tmp_path / "scan.xyz"), [[1, 2, 3], [4, 5, np.nan]])
 
@@ -55,87 +52,46 @@ def npy(header):
     return "\x93NUMPY\1\0\x50\0" + header.ljust(80)
 
 
+PLY = f"""
+ply;format ascii 1.0;element vertex 1000000000000;{XYZ};1 2 3;1 2 3;  → promises 1000000000000
+ply;format ascii 1.0;element vertex 5;{XYZ};1 2 3;1 2 3;1 2 3; → promises 5 points and holds 3
+ply;format binary_little_endian 1.0;element vertex 5;{XYZ};{"x" * 40} → holds 3
+ply;format ascii 1.0;element vertex -1;{XYZ};                         → promises -1 points
+ply;format zip 1.0;element vertex 1;{XYZ};                            → expected a header
+ply;format ascii 1.0;element vertex 1;property list uchar int x;end_header; → no lists
+ply;format ascii 1.0;element vertex 1;{XYZ.replace(" y", " x")};1 2 3;      → x, y and z
+{"ply;" * 10_000} → its header has no end
+"""
+PROMISED = [
+    *((".ply", content.replace(";", "\n"), said) for content, said in rows(PLY)),
+    (".npy", "\x93NUMPY\1\0\x28\x23" + "(" * 9000, "cannot be read"),
+    (".npy", npy("{'descr': '<f8', 'fortran_order': False, 'shape': (10000000, 3)}"), "cannot be"),
+    (".npy", npy("{'descr': '|O', 'fortran_order': False, 'shape': (1, 3)}"), "Object arrays"),
+    (".xyz", "", "expected (N, 3)"),
+    (".xyz", "1 2 3\n1 2\n", "cannot be read"),
+    (".xyz", "\0" * 1000, "cannot be read"),
+]
+
+
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize(
-    ("name", "content", "said"),
-    [
-        (
-            "a.ply",
-            "ply\nformat ascii 1.0\n" + HEAD.format(count=10**12) + "1 2 3\n" * 3,
-            "promises 1000000000000",
-        ),
-        (
-            "b.ply",
-            "ply\nformat ascii 1.0\n" + HEAD.format(count=5) + "1 2 3\n" * 3,
-            "promises 5 points and holds 3",
-        ),
-        (
-            "c.ply",
-            "ply\nformat binary_little_endian 1.0\n" + HEAD.format(count=5) + "x" * 40,
-            "holds 3",
-        ),
-        ("d.ply", "ply\nformat ascii 1.0\n" + HEAD.format(count=-1), "promises -1 points"),
-        ("e.ply", "ply\nformat zip 1.0\n" + HEAD.format(count=1), "expected a header"),
-        (
-            "f.ply",
-            "ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar int x\nend_header\n",
-            "no lists",
-        ),
-        (
-            "g.ply",
-            "ply\nformat ascii 1.0\n" + HEAD.format(count=1).replace(" y", " x") + "1 2 3\n",
-            "x, y and z",
-        ),
-        ("h.ply", "ply\n" * 10_000, "its header has no end"),
-        ("i.ply", "", "its header has no end"),
-        ("a.npy", "\x93NUMPY\1\0\x28\x23" + "(" * 9000, "cannot be read"),
-        (
-            "b.npy",
-            npy("{'descr': '<f8', 'fortran_order': False, 'shape': (10000000, 3)}"),
-            "cannot be read as .npy",
-        ),
-        (
-            "c.npy",
-            npy("{'descr': '|O', 'fortran_order': False, 'shape': (1, 3)}"),
-            "Object arrays cannot be loaded",
-        ),
-        ("d.npy", "", "cannot be read"),
-        ("a.xyz", "", "expected (N, 3)"),
-        ("b.xyz", "1 2\n", "cannot be read"),
-        ("c.xyz", "1 2 3\n1 2\n", "cannot be read"),
-        ("d.xyz", "one two three\n", "cannot be read"),
-        ("e.xyz", "\0" * 1000, "cannot be read"),
-    ],
-)
-def test_files_that_do_not_hold_what_they_promise_are_refused(tmp_path, name, content, said):
-    (tmp_path / name).write_bytes(content.encode("latin-1"))
-    with pytest.raises(DatasetError) as caught:
-        read_points(tmp_path / name)
-    assert said in str(caught.value)
+@pytest.mark.parametrize(("suffix", "content", "said"), PROMISED)
+def test_files_that_do_not_hold_what_they_promise_are_refused(tmp_path, suffix, content, said):
+    path = tmp_path / f"it{suffix}"
+    path.write_bytes(content.encode("latin-1"))
+    with pytest.raises(DatasetError, match=re.escape(said)):
+        read_points(path)
 
 
 @pytest.mark.parametrize("suffix", [".pcd", ".bin", ".npz", ".ply"])
 def test_what_scan_writes_comes_back(tmp_path, suffix):
-    points = np.random.default_rng(0).normal(size=(70, 3)).astype(np.float32)
-    for intensity in (None, np.linspace(0, 1, 70)):
-        write_points(tmp_path / f"scan{suffix}", points.astype(np.float64), intensity, {})
-        assert_array_equal(read_points(tmp_path / f"scan{suffix}"), points)
+    for intensity in (None, np.linspace(0, 1, 50)):
+        write_points(tmp_path / f"scan{suffix}", POINTS.astype(np.float64), intensity, {})
+        assert_array_equal(read_points(tmp_path / f"scan{suffix}"), POINTS)
 
 
-PCD = (
-    "VERSION .7\nFIELDS {fields}\nSIZE {size}\nTYPE {type}\nCOUNT {count}\n"
-    "WIDTH {n}\nPOINTS {n}\nDATA {form}\n"
-)
-
-
-def pcd(form, n=3, **said):
-    usual = {
-        "fields": "intensity _ z y x",
-        "size": "2 1 8 4 4",
-        "type": "U U F F F",
-        "count": "1 3 1 1 1",
-    }
-    return PCD.format(**{**usual, "form": form, "n": n, **said}).encode()
+def pcd(form, n=3, fields="intensity _ z y x", type="U U F F F", count="1 3 1 1 1"):
+    head = f"VERSION .7\nFIELDS {fields}\nSIZE 2 1 8 4 4\nTYPE {type}\nCOUNT {count}\n"
+    return f"{head}WIDTH {n}\nPOINTS {n}\nDATA {form}\n".encode()
 
 
 def test_pcd_in_text_and_with_fields_of_any_kind_in_any_order(tmp_path):
@@ -157,30 +113,30 @@ def test_pcd_in_text_and_with_fields_of_any_kind_in_any_order(tmp_path):
         assert_array_equal(read_points(tmp_path / f"{name}.pcd"), points)
 
 
-@pytest.mark.parametrize(
-    ("name", "content"),
-    [
-        ("short.pcd", pcd("binary", 4) + bytes(3 * 21)),
-        ("packed.pcd", pcd("binary_compressed") + bytes(63)),
-        ("ends.pcd", pcd("binary_compressed") + struct.pack("<II", 3, 63) + b"\1\0\0"),
-        ("before.pcd", pcd("binary_compressed") + struct.pack("<II", 2, 63) + b"\x20\5"),
-        ("none.pcd", pcd("binary_compressed") + b"\1"),
-        ("flat.pcd", pcd("binary", fields="intensity _ z y w") + bytes(63)),
-        ("twice.pcd", pcd("binary", fields="x _ z y x") + bytes(63)),
-        ("many.pcd", pcd("binary", 10**12) + bytes(63)),
-        ("odd.pcd", pcd("binary", type="U U F F Q") + bytes(63)),
-        ("huge.pcd", pcd("binary", count="1 999999999 1 1 1") + bytes(63)),
-        ("below.pcd", pcd("binary", count="1 -3 1 1 1") + bytes(63)),
-        ("headless.pcd", b"DATA binary\n"),
-        ("odd.bin", bytes(17)),
-        ("empty.bin", b""),
-        ("none.npz", b"PK\x05\x06" + bytes(18)),
-    ],
-)
-def test_files_of_other_programs_that_hold_nothing_are_refused(tmp_path, name, content):
-    (tmp_path / name).write_bytes(content)
-    with pytest.raises(DatasetError, match=name):
-        read_points(tmp_path / name)
+PACKED, ROWS = pcd("binary_compressed"), bytes(63)
+NOTHING = [
+    (".pcd", pcd("binary", 4) + ROWS),
+    (".pcd", PACKED + ROWS),
+    (".pcd", PACKED + struct.pack("<II", 3, 63) + b"\1\0\0"),  # ends early
+    (".pcd", PACKED + struct.pack("<II", 2, 63) + b"\x20\5"),  # repeats what was before it
+    (".pcd", pcd("binary", fields="intensity _ z y w") + ROWS),
+    (".pcd", pcd("binary", 10**12) + ROWS),
+    (".pcd", pcd("binary", type="U U F F Q") + ROWS),
+    (".pcd", pcd("binary", count="1 999999999 1 1 1") + ROWS),
+    (".pcd", pcd("binary", count="1 -3 1 1 1") + ROWS),
+    (".pcd", b"DATA binary\n"),
+    (".bin", bytes(17)),
+    (".bin", b""),
+    (".npz", b"PK\x05\x06" + bytes(18)),
+]
+
+
+@pytest.mark.parametrize(("suffix", "content"), NOTHING)
+def test_files_of_other_programs_that_hold_nothing_are_refused(tmp_path, suffix, content):
+    path = tmp_path / f"it{suffix}"
+    path.write_bytes(content)
+    with pytest.raises(DatasetError, match=path.name):
+        read_points(path)
 
 
 def test_an_archive_that_unpacks_to_more_than_a_scan_is_refused(tmp_path, monkeypatch):
@@ -191,16 +147,9 @@ def test_an_archive_that_unpacks_to_more_than_a_scan_is_refused(tmp_path, monkey
         read_points(tmp_path / "bomb.npz")
 
 
-def test_a_folder_s_scans_are_found_below_it(tmp_path):
-    for name in ("00/velodyne/000001.bin", "00/velodyne/000000.bin", "01/a.pcd", "01/times.txt"):
+def test_scans_are_found_below_a_folder_and_sorted_by_their_numbers(tmp_path):
+    names = "00/velodyne/2.bin", "00/velodyne/9.5.bin", "00/velodyne/10.bin", "01/a1.pcd"
+    for name in (*reversed(names), "01/times.txt"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_bytes(b"")
-    found = [str(path.relative_to(tmp_path)) for path in scans_in(tmp_path)]
-    assert found == ["00/velodyne/000000.bin", "00/velodyne/000001.bin", "01/a.pcd"]
-
-
-def test_scans_are_sorted_by_their_numbers(tmp_path):
-    names = ("2.ply", "9.5.ply", "10.ply", "10.5.ply", "a1.ply")
-    for name in reversed(names):
         (tmp_path / name).touch()
-    assert [path.name for path in scans_in(tmp_path)] == list(names)
+    assert [str(path.relative_to(tmp_path)) for path in scans_in(tmp_path)] == list(names)

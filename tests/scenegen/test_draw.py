@@ -1,23 +1,24 @@
 """Laws of a unit's samples: what was seen is there, and what was drawn once is drawn again."""
 
+from collections import Counter
+
 import mujoco
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
-from lidarsim import MujocoEngine, Pose, cast, fuse, voxelize
-from lidarsim.solids.model import solids_of
+from lidarsim import MujocoEngine, Pose, cast, voxelize
 from scenegen.draw import draw_unit
 from scenegen.errors import GenerationError
-from scenegen.recipe import Recipe, preset
+from scenegen.recipe import preset
 from scenegen.sample import GROUPS
 from scenegen.source import DrawnWorlds
-from scenegen.truth import distance_field, rasterize
+from scenegen.truth import rasterize
 from scenegen.worlds.world import compile_world
 from tests.conftest import picky_recipe, small_recipe
 
-Drawn = tuple[Recipe, DrawnWorlds]
+QUARTER = Rotation.from_euler("z", 90, degrees=True)
 
 
 def draw(drawn, unit=0, *, seed=0, split="train"):
@@ -33,28 +34,6 @@ def same(a, b):
     )
 
 
-def test_what_is_derived_follows_from_what_is_stored(drawn):
-    recipe, _ = drawn
-    for sample in draw(drawn).samples:
-        scans = sample.scans(recipe.lidar)[::-1]
-        again = fuse(scans, recipe.grid, sample.origin, recipe.mapping)
-        assert_array_equal(sample.free, again.free)
-        distances = distance_field(sample.occupancy, recipe.grid)
-        assert_array_equal(sample.tudf, distances)
-
-
-def test_the_archived_document_alone_gives_the_same_scan_and_truth(drawn):
-    recipe, _ = drawn
-    unit = draw(drawn)
-    model = mujoco.MjModel.from_xml_string(unit.world.mjcf.decode())
-    for sample in unit.samples:
-        scan = cast(MujocoEngine.of(model), recipe.lidar, Pose(sample.position, sample.quaternion))
-        assert_array_equal(scan.ranges, sample.ranges)
-        assert_array_equal(
-            rasterize(solids_of(model), recipe.grid, sample.origin), sample.occupancy
-        )
-
-
 def test_a_unit_depends_on_its_numbers_alone(drawn):
     alone = draw(drawn, 3)
     for unit in (5, 0, 4):
@@ -67,19 +46,22 @@ def test_a_unit_depends_on_its_numbers_alone(drawn):
 
 def test_viewpoints_are_level_apart_and_clear_of_solids(drawn):
     recipe, _ = drawn
-    for unit in range(5):
+    for unit in range(3):
         found = draw(drawn, unit)
         positions = np.array([sample.position for sample in found.samples])
-        distances = np.sqrt(((positions[:, None] - positions) ** 2).sum(-1))[
-            np.triu_indices(len(positions), 1)
-        ]
-        assert distances.min() >= recipe.flight.spacing_m
-        assert (positions >= found.world.flight_bounds[0]).all()
-        assert (positions <= found.world.flight_bounds[1]).all()
+        assert pdist(positions).min() >= recipe.flight.spacing_m
+        low, high = found.world.flight_bounds
+        assert ((positions >= low) & (positions <= high)).all()
         for sample in found.samples:
             assert sample.quaternion[1] == sample.quaternion[2] == 0
             clear = found.world.clearance.at(*sample.position)  # which test_clearance proves
             assert clear >= recipe.flight.robot_radius_m - 2e-3
+
+
+def turned(quaternion):
+    """An attitude, after a quarter turn to the left."""
+    attitude = Rotation.from_quat(quaternion.copy(), scalar_first=True)
+    return (QUARTER * attitude).as_quat(scalar_first=True)
 
 
 @pytest.mark.parametrize("kind", ["pillar", "geometric"])
@@ -87,54 +69,36 @@ def test_turning_the_world_by_a_right_angle_turns_the_sample(kind):
     recipe = preset(kind)
     unit = draw((recipe, DrawnWorlds(recipe)), 1)
     spec = mujoco.MjSpec.from_string(unit.world.mjcf.decode())
-    turn = Rotation.from_euler("z", 90, degrees=True)
     for geom in spec.geoms:
-        geom.pos = turn.apply(geom.pos)
-        geom.quat = (turn * Rotation.from_quat(geom.quat, scalar_first=True)).as_quat(
-            scalar_first=True
-        )
-    turned = compile_world(spec.to_xml().encode())
+        geom.pos, geom.quat = QUARTER.apply(geom.pos), turned(geom.quat)
+    world = compile_world(spec.to_xml().encode())
     cells = 0
     for sample in unit.samples:
-        attitude = (turn * Rotation.from_quat(sample.quaternion.copy(), scalar_first=True)).as_quat(
-            scalar_first=True
-        )
-        scan = cast(
-            MujocoEngine.of(turned.model),
-            recipe.lidar,
-            Pose(turn.apply(sample.position.copy()), attitude),
-        )
-        seen = voxelize(scan, recipe.grid)
-        truth = rasterize(turned.solids, recipe.grid, seen.origin)
+        pose = Pose(QUARTER.apply(sample.position.copy()), turned(sample.quaternion))
+        seen = voxelize(cast(MujocoEngine.of(world.model), recipe.lidar, pose), recipe.grid)
+        truth = rasterize(world.solids, recipe.grid, seen.origin)
         # MJCF prints six digits, so the turned world is off by some 1e-5 m and a few voxels may
         # differ
-        for ours, theirs in (
-            (seen.observed, sample.observed),
-            (seen.free, sample.free),
-            (truth, sample.occupancy),
-        ):
+        pairs = (seen.observed, sample.observed), (seen.free, sample.free)
+        for ours, theirs in (*pairs, (truth, sample.occupancy)):
             expected = np.rot90(theirs, axes=(0, 1))
             assert (ours != expected).mean() < 2e-4
             assert (ours & expected).sum() > 0.97 * expected.sum()
-        assert (
-            np.mean(distance_field(truth, recipe.grid) != np.rot90(sample.tudf, axes=(0, 1))) < 2e-3
-        )
         cells += int((truth != truth[:, ::-1]).sum())
     assert cells > 1000, "the world looks the same turned: the test shows nothing"
 
 
 def test_rejected_worlds_and_viewpoints_are_counted_by_reason():
     recipe = picky_recipe()
-    source = DrawnWorlds(recipe)
-    units = [draw((recipe, source), unit) for unit in range(12)]
-    worlds = sum((unit.rejected.worlds for unit in units), start=type(units[0].rejected.worlds)())
-    viewpoints = sum((unit.rejected.viewpoints for unit in units), start=type(worlds)())
-    assert worlds["few_solids"] > 0
-    assert viewpoints["few_occupied"] + viewpoints["few_returns"] > 0
-    for unit in units:
+    rejected = Counter()
+    for number in range(12):
+        unit = draw((recipe, DrawnWorlds(recipe)), number)
+        rejected += unit.rejected.worlds + unit.rejected.viewpoints
         for sample in unit.samples:
             assert sample.occupancy.mean() >= recipe.accept.min_occupied_share
             assert np.isfinite(sample.ranges).mean() >= recipe.accept.min_returned_share
+    assert rejected["few_solids"] > 0
+    assert rejected["few_occupied"] + rejected["few_returns"] > 0
 
 
 @pytest.mark.parametrize(

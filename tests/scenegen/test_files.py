@@ -49,16 +49,19 @@ def test_only_regular_files_are_replaced(tmp_path):
     (tmp_path / "target").write_bytes(b"mine")
     (tmp_path / "link").symlink_to(tmp_path / "target")
     (tmp_path / "nowhere").symlink_to(tmp_path / "absent")
-    before = {path.name: path.lstat().st_mode for path in tmp_path.iterdir()}
+
+    def modes():
+        return {path.name: path.lstat().st_mode for path in tmp_path.iterdir()}
+
+    before = modes()
     for name in ("pipe", "folder", "link", "nowhere"):
         with pytest.raises(DatasetError, match=r"is not a regular file|is a symbolic link"):
             write_whole(tmp_path / name, b"content")
         with pytest.raises(DatasetError), whole(tmp_path / name):
             raise AssertionError("work for nothing")
-    for device in ("/dev/null", "/dev/full"):
-        with pytest.raises(DatasetError, match="is not a regular file"):
-            check_target(Path(device))
-    assert {path.name: path.lstat().st_mode for path in tmp_path.iterdir()} == before
+    with pytest.raises(DatasetError, match="is not a regular file"):
+        check_target(Path("/dev/null"))
+    assert modes() == before
     assert (tmp_path / "target").read_bytes() == b"mine"
 
 
@@ -89,61 +92,45 @@ def test_a_draft_is_never_somebody_elses_file(tmp_path, monkeypatch):
     assert not (tmp_path / "a").exists()
 
 
-def left_behind(folder, *, content=b"half"):
-    """A draft, or a folder, of a process that has ended."""
-    place = str(folder / "a")
-    code = (
-        "from pathlib import Path; from scenegen.files import draft_of; "
-        f"print(draft_of(Path({place!r})))"
-    )
-    said = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    ).stdout.strip()
-    if content is None:
-        Path(said).mkdir()
-        (Path(said) / "within").write_bytes(b"half")
-    else:
-        Path(said).write_bytes(content)
-    return Path(said)
+def left_behind(folder):
+    """The path of a draft of a process that has ended."""
+    code = "import sys; from pathlib import Path; from scenegen.files import draft_of as draft; "
+    words = [sys.executable, "-c", f"{code}print(draft(Path(sys.argv[1])))", str(folder / "a")]
+    return Path(subprocess.check_output(words, text=True).strip())
 
 
-def test_cleaning_takes_what_an_ended_process_left_and_nothing_else(tmp_path, monkeypatch):
+def test_cleaning_takes_what_an_ended_process_left_and_nothing_else(tmp_path):
     """Among the rest are drafts as they were called once, of whatever age."""
-    gone, gone_folder = left_behind(tmp_path), left_behind(tmp_path, content=None)
-    kept = [draft_of(tmp_path / "a")]  # of this process, which lives
-    kept += [
-        tmp_path / name
-        for name in (".mine.tmp", ".notes.host-1.tmp", ".a.host-999999.former.tmp", "x.tmp")
-    ]
+    gone, gone_folder, link = (left_behind(tmp_path) for _ in range(3))
+    gone.write_bytes(b"half")
+    gone_folder.mkdir()
+    (gone_folder / "within").write_bytes(b"half")
+    link.symlink_to(tmp_path / "x.tmp")
+    names = ".mine.tmp", ".notes.host-1.tmp", ".a.host-999999.former.tmp", "x.tmp"
+    kept = [tmp_path / name for name in names]
+    kept.append(draft_of(tmp_path / "a"))  # of this process, which lives
     kept.append(gone.with_name(gone.name.replace(".tmp", "0.tmp")))
     for path in kept:
         path.write_bytes(b"")
         os.utime(path, (0, 0))
     (tmp_path / ".work.tmp").mkdir()
-    (tmp_path / ".work.tmp" / "thesis").write_bytes(b"")
     os.utime(tmp_path / ".work.tmp", (0, 0))
-    link = left_behind(tmp_path)
-    link.unlink()
-    link.symlink_to(tmp_path / "x.tmp")
     remove_drafts(tmp_path, "b")
     assert gone.exists(), "of another target"
     remove_drafts(tmp_path, "a")
-    assert {path.name for path in tmp_path.iterdir()} == {path.name for path in (*kept, link)} | {
-        ".work.tmp"
-    }
-    assert not gone_folder.exists()
+    assert set(tmp_path.iterdir()) == {*kept, link, tmp_path / ".work.tmp"}
 
 
 def test_a_process_number_in_use_again_and_other_machines_are_told_apart(tmp_path, monkeypatch):
-    with monkeypatch.context() as patch:
-        patch.setattr(files, "_own_start", lambda pid: 12345)  # a former process of this number
-        reused = draft_of(tmp_path / "a")
-    reused.write_bytes(b"")
-    with monkeypatch.context() as patch:
-        patch.setattr(files, "_machine", lambda: "0123456789ab")
-        elsewhere, long_ago = draft_of(tmp_path / "a"), draft_of(tmp_path / "a")
-    elsewhere.write_bytes(b"")
-    long_ago.write_bytes(b"")
+    def draft(name, value):
+        with monkeypatch.context() as patch:
+            patch.setattr(files, name, lambda *asked: value)
+            path = draft_of(tmp_path / "a")
+        path.touch()
+        return path
+
+    draft("_own_start", 12345)  # of a former process of this number
+    elsewhere, long_ago = (draft("_machine", "0123456789ab") for _ in range(2))
     os.utime(long_ago, (time.time(), time.time() - files.STALE_S - 60))
     remove_drafts(tmp_path)
     assert list(tmp_path.iterdir()) == [elsewhere]

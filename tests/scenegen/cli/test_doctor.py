@@ -21,13 +21,13 @@ def short(monkeypatch):
 def spoil(monkeypatch, change):
     """Have the doctor draw units whose last sample is changed by `change`, which is told the number
     of the draw; the numbers of the units are noted."""
-    draws, asked = itertools.count(), []
+    asked = []
 
     def spoilt(*arguments, **named):
         asked.append(named["unit"])
         unit = draw_unit(*arguments, **named)
-        samples = (*unit.samples[:-1], change(next(draws), unit.samples[-1]))
-        return dataclasses.replace(unit, samples=samples)
+        *others, last = unit.samples
+        return dataclasses.replace(unit, samples=(*others, change(len(asked) - 1, last)))
 
     monkeypatch.setattr("scenegen.draw.draw_unit", spoilt)
     return asked
@@ -58,8 +58,6 @@ def test_a_fit_machine_is_found_fit(monkeypatch, tmp_path):
     assert asked == [0, 0, *range(len(asked) - 2)], "the same unit twice, then one after the other"
     assert test["samples"] == 5 * (len(asked) - 2) > 0
     assert test["samples_per_second_per_core"] > 0
-    assert found["cores"] >= 1
-    assert found["software"]["numpy"] == np.__version__
     json.dumps(found, allow_nan=False)
 
 
@@ -78,9 +76,6 @@ def test_a_law_broken_once_is_not_forgotten(monkeypatch):
 def test_the_command_fails_where_a_law_is_broken(law, monkeypatch, capsys):
     spoil(monkeypatch, BROKEN[law])
     code, said, error = run(capsys, "doctor --json")
-    assert code == 1
-    assert "self-test failed" in error.splitlines()[-1]
+    assert (code, "self-test failed" in error.splitlines()[-1]) == (1, True)
     found = json.loads(said)["self_test"]
     assert {name: found[name] for name in BROKEN} == {name: name != law for name in BROKEN}
-    code, said, _ = run(capsys, "doctor")
-    assert (code, "✗" in said) == (1, True)

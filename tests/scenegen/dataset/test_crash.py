@@ -1,32 +1,69 @@
 """A run killed at any point leaves nothing half-written, and the same command finishes the same
 dataset."""
 
-import json
-import subprocess
+import multiprocessing
+import os
+import signal
 import sys
-from pathlib import Path
 
-ROOT = Path(__file__).parents[3]
+import h5py
+import pytest
+
+from scenegen.dataset import manifest
+from scenegen.dataset.build import build
+from scenegen.dataset.shard import read_report
+from tests.conftest import picky_recipe, plan_of
+
+COUNTS = {"train": 6, "val": 0, "test": 3}
+SEED = 19
+"""One at which every shard rejects at least one world and one viewpoint, and few more."""
+CHANGES = ("os.mkdir", "os.rename", "os.remove")
 
 
-def test_a_kill_between_any_two_file_operations_changes_nothing(tmp_path):
-    ran = subprocess.run(
-        [sys.executable, "-m", "tests.scenegen.dataset.crash", str(tmp_path)],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert ran.returncode == 0, ran.stderr[-2000:]
-    found = json.loads(ran.stdout)
-    assert found["every_shard_rejects"]
-    assert found["digest"]
-    kills = found["kills"]
-    assert len(kills) >= 36, "six files, at least six operations each"
-    assert {kill["digest"] for kill in kills} == {found["digest"]}
-    assert all(
-        kill["same_manifest"] and kill["whole_files"] and kill["left"] == [] for kill in kills
-    )
-    assert len({kill["written"] for kill in kills}) == 3, (
-        "kills fell before, between and after the two shards"
-    )
+def plan(folder):
+    return plan_of(folder, picky_recipe(), seed=SEED, counts=COUNTS, shard_samples=6)
+
+
+def build_and_die(folder, at):
+    """Build, and be killed just before the change numbered `at` of what lies in the folder."""
+    left = [None] * at
+
+    def changing(event, given):
+        written = event == "open" and given[2] & (os.O_WRONLY | os.O_RDWR)
+        if (written or event in CHANGES) and str(folder) in str(given[0]):
+            if not left:
+                os.kill(os.getpid(), signal.SIGKILL)
+            left.pop()
+
+    sys.addaudithook(changing)
+    build(plan(folder))
+
+
+def killed(folder, at):
+    run = multiprocessing.get_context("fork").Process(target=build_and_die, args=(folder, at))
+    run.start()
+    run.join()
+    assert run.exitcode in (0, -signal.SIGKILL)
+    return run.exitcode != 0
+
+
+@pytest.mark.usefixtures("drawn_once")
+def test_a_kill_before_any_change_of_a_file_changes_nothing(tmp_path):
+    whole, expected = plan(tmp_path / "whole"), build(plan(tmp_path / "whole"))
+    for shard in whole.shards:
+        rejected = read_report(shard).rejected
+        assert sum(rejected.worlds.values()) > 0 < sum(rejected.viewpoints.values())
+    written = []
+    while killed(folder := tmp_path / f"killed-{len(written)}", len(written)):
+        for path in folder.glob("*.h5"):
+            with h5py.File(path) as file:
+                assert len(file["world"]) > 0
+        resumed = build(plan(folder))
+        assert resumed.digest == expected.digest
+        assert manifest.read(folder) == manifest.read(whole.folder)
+        assert {path.name for path in folder.iterdir()} == {
+            path.name for path in whole.folder.iterdir()
+        }
+        written.append(resumed.samples_written)
+    assert len(written) >= 12, "six files, each begun and put in its place"
+    assert set(written) == {9, 3, 0}, "kills fell before, between and after the two shards"

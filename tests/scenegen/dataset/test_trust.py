@@ -1,12 +1,10 @@
 """Datasets from strangers: whatever stands in a manifest, a shard or an archive ends in one line,
 and soon."""
 
-import copy
-import dataclasses
+import itertools
 import json
 import math
 import resource
-import shutil
 import time
 import tracemalloc
 import zipfile
@@ -23,7 +21,8 @@ from scenegen.display.inspect import inspect
 from scenegen.errors import DatasetError
 from scenegen.sample import GROUPS
 from scenegen.verification import verify
-from tests.conftest import dataset_in, small_recipe
+from tests.command_line import rows
+from tests.conftest import dataset_in
 from tests.mutations.case import REFUSED
 from tests.mutations.damage_hdf5 import external, link, other_shape, other_type, virtual
 from tests.mutations.hdf5_chunks import (
@@ -33,8 +32,12 @@ from tests.mutations.hdf5_chunks import (
     unknown_filter,
 )
 from tests.scenegen.verification.conftest import failed
+from tests.scenegen.verification.forge import edit_at
+from tests.scenegen.verification.forge import edit_manifest as edit
 
-BAD = (None, 3, -1, 1e308, 10**12, "x", "../x", [], [[1]], {}, {"a": 1}, True)
+BAD = 'null 3 -1 1e308 1000000000000 "x" "../x" [] [[1]] {} {"a":1} true'
+BAD = [*BAD.split(), ""]
+"""JSON to put in place of what stands in a manifest, or that nothing stands there."""
 
 
 def refused(action):
@@ -50,50 +53,41 @@ def whole(sample):
 
 
 def test_no_value_in_a_manifest_ends_in_a_traceback(dataset):
-    good = manifest.read(dataset)
-    tables = [(), ("grid",), ("lidar",), ("recipe",), ("counts",), ("shards", 0), ("rejected",)]
-    count = 0
-    for table in tables:
-        keys = list(_at(good, table))
-        for key in keys:
-            for value in (*BAD, ...):
-                changed = copy.deepcopy(good)
-                if value is ...:
-                    del _at(changed, table)[key]
-                else:
-                    _at(changed, table)[key] = value
-                (dataset / manifest.NAME).write_text(json.dumps(changed))
-                try:
-                    split = scenegen.load(dataset)
-                    assert math.prod(split.describe()["tudf"]["shape"]) < 1 << 27
-                    assert split.names is not None
-                    assert len([whole(sample) for sample in split[:1]]) <= 1
-                except DatasetError:
-                    count += 1
+    good, count = manifest.read(dataset), 0
+    paths = [*good, *(f"shards.0.{key}" for key in good["shards"][0])]
+    for name in ("grid", "lidar", "recipe", "counts", "rejected"):
+        paths += [f"{name}.{key}" for key in good[name]]
+    for path, value in itertools.product(paths, BAD):
+        (dataset / manifest.NAME).write_text(json.dumps(good))
+        edit_at(dataset, path, value)
+        try:
+            split = scenegen.load(dataset)
+            assert math.prod(split.describe()["tudf"]["shape"]) < 1 << 27
+            assert split.names is not None
+            assert len([whole(sample) for sample in split[:1]]) <= 1
+        except DatasetError:
+            count += 1
     assert count == 550, "which of them are refused"
 
 
-@pytest.mark.parametrize(
-    ("at", "value", "said"),
-    [
-        (("version",), 1.99, "1.99"),
-        (("version",), "1.10", "1.10"),
-        (("version",), 2, "2"),
-        (("fields",), [*GROUPS[""], "intensity"], "intensity"),
-        (("grid", "colour"), 1, "colour"),
-        (("lidar", "colour"), 1, "lidar: unknown parameter 'colour': expected rows, columns, "),
-        (("software", "scenegen"), "99.1.0", "counts = 7"),
-    ],
-)
-def test_what_a_newer_scenegen_wrote_is_not_called_damaged(dataset, at, value, said):
-    found = manifest.read(dataset)
-    _at(found, at[:-1])[at[-1]] = value
-    if "software" in at:
-        found["counts"] = 7  # which means something there, for all that is known here
-    manifest.write(dataset, found)
+NEWER = """
+version      → 1.99        → 1.99
+version      → "1.10"      → 1.10
+version      → 2           → 2
+fields.0     → "intensity" → intensity
+grid.colour  → 1           → colour
+lidar.colour → 1           → lidar: unknown parameter 'colour': expected rows, columns,
+counts       → 7           → counts = 7
+"""
+
+
+@pytest.mark.parametrize(("path", "value", "said"), rows(NEWER))
+def test_what_a_newer_scenegen_wrote_is_not_called_damaged(dataset, path, value, said):
+    edit_at(dataset, path, value)
+    if path == "counts":  # which means something there, for all that is known here
+        edit_at(dataset, "software.scenegen", '"99.1.0"')
     line = refused(lambda: Dataset(dataset))
-    assert "newer scenegen" in line
-    assert "damaged" not in line
+    assert ("newer scenegen" in line, "damaged" in line) == (True, False)
     assert said in line
     assert not verified(dataset)
 
@@ -105,75 +99,33 @@ def verified(dataset):
         return False
 
 
-@pytest.mark.parametrize(
-    "version", [1.1, "1.1", "1.4", 1.6, "1", "1.x", "one", None, -1, [1, 4], "1.5.6", "9" * 9999]
-)
-def test_a_version_that_nobody_wrote_is_not_called_newer(dataset, version):
-    manifest.write(dataset, manifest.read(dataset) | {"version": version})
-    line = refused(lambda: Dataset(dataset))
-    assert "newer" not in line
-    assert "version" in line
+def test_a_version_that_nobody_wrote_is_not_called_newer(dataset):
+    for version in (1.1, "1.4", 1.6, "1", "1.x", None, -1, [1, 4], "1.5.6", "9" * 9999):
+        edit(dataset, version=version)
+        line = refused(lambda: Dataset(dataset))
+        assert ("newer" in line, "version" in line) == (False, True)
 
 
-def test_a_manifest_is_of_the_latest_version_that_an_entry_asks_for():
-    several = [{}, {"noise": 1}, {"sources": 1, "noise": 1}, {"known": 1, "sources": 1}]
-    assert [manifest.version_of(given) for given in several] == [1, 1.2, 1.4, "1.5"]
-
-
-def test_the_checked_manifest_is_what_the_file_says(dataset):
-    found, typed = manifest.read(dataset), Dataset(dataset).manifest
-    for name in (
-        "kind",
-        "seed",
-        "counts",
-        "complete",
-        "digest",
-        "rejected",
-        "software",
-        "generator",
-        "shard_samples",
-    ):
-        assert getattr(typed, name) == found[name], name
-    ends = dict.fromkeys(found["counts"], 0)
-    for entry, listed in zip(typed.shards, found["shards"], strict=True):
-        start = ends[entry.split]
-        ends[entry.split] = stop = start + entry.samples
-        assert vars(entry) == listed | {"source": 0, "start": start, "stop": stop}
-    assert (typed.grid.voxel_m, typed.grid.truncation_m) == (
-        found["grid"]["voxel"],
-        found["grid"]["truncation"],
-    )
-    assert typed.recipe == small_recipe()
-    assert typed.fingerprint == manifest.fingerprint(typed.parameters)
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        typed.seed = 4  # type: ignore[misc]
-
-
-def _at(found, path):
-    for step in path:
-        found = found[step]
-    return found
-
-
-@pytest.mark.parametrize(
-    "content", [b"", b"[]", b"[" * 10**6, b"\xff\xfe", b'{"shards": 1}', b"{" + b" " * 10**6]
-)
-def test_what_is_no_manifest_is_refused(dataset, content):
-    (dataset / manifest.NAME).write_bytes(content)
-    assert manifest.NAME in refused(lambda: Dataset(dataset))
+def test_what_is_no_manifest_is_refused(dataset):
+    for content in (b"", b"[]", b"[" * 10**6, b"\xff\xfe", b'{"shards": 1}'):
+        (dataset / manifest.NAME).write_bytes(content)
+        assert manifest.NAME in refused(lambda: Dataset(dataset))
+    (dataset / manifest.NAME).unlink()
+    (dataset / manifest.NAME).symlink_to(dataset / manifest.NAME)
+    refused(lambda: Dataset(dataset))
     refused(lambda: inspect(dataset))
 
 
 DAMAGES = {
     virtual: [0],
     external: [0],
-    link: [0, 1, 5],
-    other_type: [1, 5, 9, 17],
-    other_shape: [1, 2, 19],
+    link: [0, 5],
+    other_type: [1, 9, 17],
+    other_shape: [1, 19],
     unknown_filter: [0],
     chunk_missing: [0],
-    chunk_of_our_own: [5, 7, 13, 20, 25, 31],
-    shuffled_bomb: [0, 5],
+    chunk_of_our_own: [5, 13, 25, 31],
+    shuffled_bomb: [0],
 }
 """Of the campaign in tests/mutations, with seeds by which they come out otherwise."""
 
@@ -188,52 +140,44 @@ def test_no_shard_ends_in_a_traceback_or_takes_the_memory(dataset, damage, seed)
     assert "train-00000.h5" in refused(lambda: whole(scenegen.load(dataset)[0]))
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < before + (100 << 10)  # KB
     assert np.isfinite(scenegen.load(dataset)[3].tudf).all()  # the next shard
-    assert "train-00000.h5" in failed(dataset)["layout"]
+    assert "train-00000.h5" in failed(dataset, quick=True)["layout"]
 
 
 def test_an_archive_writes_nowhere_else_and_takes_no_memory(dataset, tmp_path, monkeypatch):
     path = dataset / "train-00000.worlds.zip"
     whole = path.read_bytes()
-    for name in ("../up.obj", "/tmp/up.obj", "a/b.obj", ".hidden"):
+    for name in ("../up.obj", ".hidden"):
         with zipfile.ZipFile(path, "w") as archive:
             archive.writestr("000000.xml", f'<mujoco file="{name}"/>')
             archive.writestr(name, "up")
         assert "expected a plain file name" in refused(lambda: Dataset(dataset).world("train", 0))
-    path.write_bytes(whole[: len(whole) // 2])
-    assert "not a whole zip file" in refused(lambda: Dataset(dataset).world("train", 0))
     path.write_bytes(whole)
     monkeypatch.setattr("scenegen.dataset.archive.MOST_DOCUMENT_BYTES", 10)
     assert "expected 10 at most" in refused(lambda: Dataset(dataset).world("train", 0))
-    shutil.rmtree(dataset)
-    assert "not a dataset" in refused(lambda: scenegen.load(dataset))
-
-
-def edit(folder, **changes):
-    manifest.write(folder, {**manifest.read(folder), **changes})
 
 
 def test_an_archive_unpacks_to_what_its_directory_says_and_no_further(dataset, monkeypatch):
     path = dataset / "train-00000.worlds.zip"
     document = b'<mujoco><asset><mesh file="mesh.obj"/></asset></mujoco>'
 
-    def put(members):
+    def put(**members):
         with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.writestr("000000.xml", document)
             for name, content in members.items():
-                archive.writestr(name, content)
+                archive.writestr(f"{name}.obj", content)
 
-    put({"000000.xml": document, "mesh.obj": b"v", "unused.obj": b"v", "esh.obj": b"v"})
-    assert Dataset(dataset).world("train", 0) == {"world.xml": document, "mesh.obj": b"v"}
+    def world():
+        return Dataset(dataset).world("train", 0)
+
+    put(mesh=b"v", unused=b"v", esh=b"v")
+    assert world() == {"world.xml": document, "mesh.obj": b"v"}
     monkeypatch.setattr("scenegen.dataset.archive.MOST_ARCHIVE_BYTES", 50 << 20)
-    put({"000000.xml": document, **{f"{n}.obj": bytes(20 << 20) for n in range(3)}})
-    assert "bytes unpacked, expected 52428800 at most" in refused(
-        lambda: Dataset(dataset).world("train", 0)
-    )
-    put({"000000.xml": document, "mesh.obj": bytes(40 << 20)})
+    put(a=bytes(20 << 20), b=bytes(20 << 20), c=bytes(20 << 20))
+    assert "bytes unpacked, expected 52428800 at most" in refused(world)
+    put(mesh=bytes(40 << 20))
     content = bytearray(path.read_bytes())
-    for place in (
-        content.index(b"PK\3\4", 10) + 22,
-        content.index(b"PK\1\2", content.index(b"PK\1\2") + 4) + 24,
-    ):
+    for mark, size_at in ((b"PK\3\4", 22), (b"PK\1\2", 24)):
+        place = content.index(mark, content.index(mark) + 4) + size_at
         content[place : place + 4] = (1000).to_bytes(4, "little")  # says 1000 bytes, holds 40 MB
     path.write_bytes(content)
     opened = Dataset(dataset)
@@ -243,20 +187,18 @@ def test_an_archive_unpacks_to_what_its_directory_says_and_no_further(dataset, m
     tracemalloc.stop()
     content[-42:-38] = b"PK\6\7"  # another directory
     path.write_bytes(content)
-    assert "not a whole zip file" in refused(lambda: Dataset(dataset).world("train", 0))
+    assert "not a whole zip file" in refused(world)
 
 
 def test_a_shard_belongs_to_the_manifest_that_it_was_written_for(dataset):
     """What a compact dataset leaves out is derived by the manifest's sensor and grid."""
     good = manifest.read(dataset)
     for name, changed in (
-        ("lidar", {**good["lidar"], "pitch_deg": 20.0}),
-        ("lidar", {**good["lidar"], "max_range_m": 9.0}),
-        ("grid", {**good["grid"], "voxel": 0.25}),
-        ("recipe", {**good["recipe"], "version": 99}),
+        ("lidar", good["lidar"] | {"max_range_m": 9.0}),
+        ("grid", good["grid"] | {"voxel": 0.25}),
         ("seed", 4),
     ):
-        edit(dataset, **{**good, name: changed})
+        edit(dataset, **good | {name: changed})
         assert "was written with parameters" in refused(lambda: scenegen.load(dataset)[0])
     (dataset / "train-00000.h5").write_bytes((dataset / "train-00001.h5").read_bytes())
     edit(dataset, **good)
@@ -286,23 +228,18 @@ def test_no_manifest_prints_lines_of_its_own_or_nests_without_end(dataset):
     good = manifest.read(dataset)
     for changed in (
         {"rejected": {"worlds": {line: "x"}, "viewpoints": {}}},
-        {"rejected": {line: {}}},
         {"fields": [line]},
         {"version": line},
         {"lidar": {line: 1}},
         {"kind": line},
     ):
-        manifest.write(dataset, {**good, **changed})
+        edit(dataset, **{**good, **changed})
         assert "\x1b" not in refused(lambda: Dataset(dataset))
     deep = 1
     for _ in range(300):
         deep = {"a": deep}
-    manifest.write(dataset, {**good, "recipe": {**good["recipe"], "world": deep}})
+    edit(dataset, **{**good, "recipe": {**good["recipe"], "world": deep}})
     assert "nests deeper than 200" in refused(lambda: Dataset(dataset))
-    (dataset / manifest.NAME).unlink()
-    (dataset / manifest.NAME).symlink_to(dataset / manifest.NAME)
-    refused(lambda: Dataset(dataset))
-    refused(lambda: inspect(dataset))
 
 
 @pytest.mark.parametrize(
@@ -314,9 +251,7 @@ def test_no_manifest_prints_lines_of_its_own_or_nests_without_end(dataset):
     ],
 )
 def test_a_compact_dataset_derives_nothing_from_a_broken_pose(tmp_path, field, value, said):
-    recipe = small_recipe()
-    counts = {"train": 3, "val": 0, "test": 0}
-    dataset_in(tmp_path / "d", recipe, seed=3, counts=counts, compact=True)
+    dataset_in(tmp_path / "d", seed=3, compact=True)
     with h5py.File(tmp_path / "d" / "train-00000.h5", "r+") as file:
         file[field][1] = value
     samples = scenegen.load(tmp_path / "d")

@@ -27,7 +27,8 @@ from scenegen.logs.write import matrix_of, write_log
 from scenegen.poses import read_poses
 from scenegen.source import read_world
 from scenegen.worlds.place import read_place
-from tests.command_line import refused, run
+from tests.command_line import refused, rows, run
+from tests.conftest import contents
 
 # no face of a solid lies where voxels meet
 ROOM = """<mujoco><worldbody>
@@ -47,33 +48,31 @@ RECORD = (
 )
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("logs")
-    (folder / "room.xml").write_text(ROOM)
-    (folder / "mine.toml").write_text(SENSOR)
-    return folder
+@pytest.fixture
+def here(standing):
+    """A folder with a room and a sensor."""
+    (standing / "room.xml").write_text(ROOM)
+    (standing / "mine.toml").write_text(SENSOR)
+    return standing
 
 
 @pytest.fixture
-def here(made, monkeypatch, capsys):
-    """A folder with a room, and the log `still` of a flight in it."""
-    monkeypatch.chdir(made)
-    if not (made / "still").exists():
-        assert run(capsys, f"{RECORD} -o still --quiet")[0] == 0
-    return made
+def ros():
+    """Needed to read and write recordings."""
+    pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed")
 
 
 def test_a_kind_s_world_is_scanned_by_its_seed(here, capsys):
-    for name in ("3", "3 again", "4"):
-        words = f"scan pillar --pose 20,20,4,0 --seed {name[0]} --quiet -o"
-        assert run(capsys, *words.split(), f"{name}.ply")[0] == 0
-    first, again, other = ((here / f"{name}.ply").read_bytes() for name in ("3", "3 again", "4"))
-    assert first == again != other
+    found = []
+    for n, seed in enumerate((3, 3, 4)):
+        words = f"scan pillar --pose 20,20,4,0 --seed {seed} --quiet -o {n}.ply"
+        assert run(capsys, words)[0] == 0
+        found.append((here / f"{n}.ply").read_bytes())
+    assert found[0] == found[1] != found[2]
 
 
-def test_a_long_flight_keeps_its_bounds(made):
-    world, cruise = read_world(made / "room.xml"), Cruise(length_m=60, speed_mps=3)
+def test_a_long_flight_keeps_its_bounds(here):
+    world, cruise = read_world(here / "room.xml"), Cruise(length_m=60, speed_mps=3)
     poses = cruise_poses(world, cruise, 0.1, seed=1)
     positions = np.array([pose.position for pose in poses])
     speeds = np.sqrt((np.diff(positions, axis=0) ** 2).sum(axis=1)) / 0.1
@@ -86,29 +85,25 @@ def test_a_long_flight_keeps_its_bounds(made):
     assert min(world.clearance.at(*point) for point in positions) >= 0.1
 
 
-@pytest.mark.parametrize("name", ["still", "still.mcap"])
-def test_a_log_that_is_recorded_and_ingested_agrees_with_its_world(here, capsys, name):
-    if name.endswith(".mcap"):
-        pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed")
-        assert run(capsys, f"{RECORD} -o {name} --quiet")[0] == 0
-    code, said, err = run(capsys, f"ingest {name} -o {name}-maps --rise 4 --every 20 --json")
+def test_a_log_that_is_recorded_and_ingested_agrees_with_its_world(here, capsys):
+    assert run(capsys, f"{RECORD} -o still --quiet")[0] == 0
+    code, said, err = run(capsys, "ingest still -o maps --rise 4 --every 20 --json")
     assert code == 0, err
-    told, out = json.loads(said), here / f"{name}-maps"
+    told, world = json.loads(said), read_world(here / "room.xml")
     assert told["scans"] > 50
     assert told["scans_without_overlap"] == told["scans_without_pose"] == 0
-    voxels = read_place(out / "place-000.npz").voxels
+    voxels = read_place(here / "maps" / "place-000.npz").voxels
+    free, occupied = voxels.states == 1, voxels.states == 2
     size = {"shape": voxels.states.shape, "voxel_m": voxels.voxel_m}
-    world = read_world(here / "room.xml")
     solid = world.truth(GridSpec(**size), voxels.origin)["occupancy"]
     surface = world.truth(GridSpec(**size, hollow=True), voxels.origin)["occupancy"]
-    assert not (solid[voxels.states == 1] & ~surface[voxels.states == 1]).any()
-    assert (voxels.states == 2).sum() > 1000
-    assert solid[voxels.states == 2].all()
-    assert told["moved_voxels"] < 0.05 * (voxels.states == 2).sum()
-    seen = sorted((out / "observations").glob("*.npz"))
+    assert not (solid & ~surface & free).any()
+    assert occupied.sum() > 1000
+    assert solid[occupied].all()
+    assert told["moved_voxels"] < 0.05 * occupied.sum()
+    seen = sorted((here / "maps" / "observations").glob("*.npz"))
     assert [path.stem for path in seen] == [f"{20 * n:06d}" for n in range(len(seen))]
-    for path in seen:
-        sample = np.load(path)
+    for sample in map(np.load, seen):
         assert not (sample["observed"] & sample["free"]).any()
         assert sample["known"][sample["occupancy"]].all()
         truth = world.truth(GridSpec(), sample["origin"])["occupancy"]
@@ -116,21 +111,19 @@ def test_a_log_that_is_recorded_and_ingested_agrees_with_its_world(here, capsys,
         assert sample["occupancy"][sample["observed"]].mean() > 0.9
 
 
-def test_what_a_moving_sensor_tells_is_put_right_by_its_times(here, capsys):
-    pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed")
-    found = {}
-    for name, more in (("raw.mcap", "--deskew"), ("right", ""), ("raw.mcap", "")):
-        if not (here / name).exists():
-            assert run(capsys, f"{RECORD} --length 3 --moving -o {name} --quiet")[0] == 0
-        log = read_log(here / name)
-        out = here / f"{name}{more}-maps"
-        ingest(log, out, Fusing(every=7, deskew=bool(more)))
-        found[name + more] = [
-            np.load(path)["points"] for path in sorted((out / "observations").glob("*"))
-        ]
-    for put_right, right in zip(found["raw.mcap--deskew"], found["right"], strict=True):
-        assert abs(put_right - right).max() < 0.01
-    assert abs(found["raw.mcap"][-1] - found["right"][-1]).max() > 0.05
+def test_what_a_moving_sensor_tells_is_put_right_by_its_times(here, capsys, ros):
+    for name in ("raw.mcap", "right"):
+        assert run(capsys, f"{RECORD} --length 3 --moving -o {name} --quiet")[0] == 0
+
+    def points(name, deskew):
+        out = here / f"{name}-{deskew}"
+        ingest(read_log(here / name), out, Fusing(every=7, deskew=deskew))
+        return [np.load(path)["points"] for path in sorted((out / "observations").glob("*"))]
+
+    right = points("right", False)
+    for one, other in zip(points("raw.mcap", True), right, strict=True):
+        assert abs(one - other).max() < 0.01
+    assert abs(points("raw.mcap", False)[-1] - right[-1]).max() > 0.05
 
 
 def written(folder, count=5):
@@ -156,25 +149,23 @@ def close(log, scans):
 
 
 def test_every_layout_of_a_log_reads_back(tmp_path):
-    log = tmp_path / "sequences" / "00"
+    log, clouds, csv = tmp_path / "sequences" / "00", tmp_path / "clouds", tmp_path / "poses.csv"
     log.parent.mkdir()
+    clouds.mkdir()
     scans = written(log)
     assert close(read_log(log), scans)
-    (tmp_path / "clouds").mkdir()
     for scan in scans:
-        write_points(tmp_path / "clouds" / f"{scan.time_s:.6f}.ply", scan.points)
-    lines = [line.split() for line in (log / "poses.tum").read_text().splitlines()]
-    csv = "z,y,x,qw,qx,qy,qz,t,note\n" + "".join(
-        ",".join([*line[3:0:-1], line[7], *line[4:7], line[0], "7"]) + "\n" for line in lines
-    )
-    (tmp_path / "poses.csv").write_text(csv)
-    for poses in (log / "poses.tum", tmp_path / "poses.csv"):
-        assert close(read_log(tmp_path / "clouds", poses=poses), scans)
+        write_points(clouds / f"{scan.time_s:.6f}.ply", scan.points)
+    rows = ["z,y,x,qw,qx,qy,qz,t,note"]
+    for line in (log / "poses.tum").read_text().splitlines():
+        time, x, y, z, *turn, w = line.split()
+        rows.append(",".join([z, y, x, w, *turn, time, "7"]))
+    csv.write_text("\n".join(rows))
+    for poses in (log / "poses.tum", csv):
+        assert close(read_log(clouds, poses=poses), scans)
     # more poses than clouds: found by time, those beyond the last one left out
-    (tmp_path / "clouds" / "9.0.ply").write_bytes(
-        (tmp_path / "clouds" / "2.000000.ply").read_bytes()
-    )
-    late = read_log(tmp_path / "clouds", poses=tmp_path / "poses.csv")
+    shutil.copy(clouds / "2.000000.ply", clouds / "9.0.ply")
+    late = read_log(clouds, poses=csv)
     assert late.without_pose == 1
     assert close(late, scans)
     # as KITTI's archives have it: poses of a camera, elsewhere
@@ -189,21 +180,20 @@ def test_every_layout_of_a_log_reads_back(tmp_path):
 
 
 def test_numbers_in_names_are_no_times(tmp_path):
-    scans, poses = written(tmp_path / "log", 9), tmp_path / "poses.tum"
-    lines = (tmp_path / "log" / "poses.tum").read_text().splitlines(keepends=True)
-    poses.write_text("".join(lines[::2]))
-    found = list(read_log(tmp_path / "log", poses=poses).scans())
+    log, poses = tmp_path / "log", tmp_path / "poses.tum"
+    scans = written(log, 9)
+    poses.write_text("".join((log / "poses.tum").read_text().splitlines(keepends=True)[::2]))
+    found = list(read_log(log, poses=poses).scans())
     assert [scan.time_s for scan in found] == [scan.time_s for scan in scans]
     for one, other in zip(found[::2], scans[::2], strict=True):
         assert np.allclose(matrix_of(one.pose), matrix_of(other.pose), atol=1e-8)
-    (tmp_path / "log" / "times.txt").unlink()
+    (log / "times.txt").unlink()
     with pytest.raises(DatasetError, match="9 clouds and 5 poses"):
-        read_log(tmp_path / "log", poses=poses)
+        read_log(log, poses=poses)
 
 
 @pytest.mark.parametrize("form", ["two.bag", "bag", "bag/bag.db3"])
-def test_recordings_of_either_ros_say_the_same(tmp_path, form):
-    pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed")
+def test_recordings_of_either_ros_say_the_same(tmp_path, form, ros):
     rosbags = pytest.importorskip("rosbags.convert", reason="rosbags is not installed")
     scans = written(tmp_path / "log.mcap")
     types = None
@@ -224,14 +214,15 @@ def inverse(pose):
 
 def test_poses_come_from_a_chain_of_frames():
     def message(parent, child, time, pose):
-        place = SimpleNamespace(**dict(zip("xyz", pose.position, strict=True)))
-        turn = SimpleNamespace(**dict(zip("wxyz", pose.quaternion, strict=True)))
+        place = SimpleNamespace(**named("xyz", pose.position))
+        turn = SimpleNamespace(**named("wxyz", pose.quaternion))
         stamp = SimpleNamespace(sec=int(time), nanosec=round(1e9 * (time % 1)))
+        posed = SimpleNamespace(position=place, orientation=turn, translation=place, rotation=turn)
         return SimpleNamespace(
             header=SimpleNamespace(frame_id=parent, stamp=stamp),
             child_frame_id=child,
-            pose=SimpleNamespace(pose=SimpleNamespace(position=place, orientation=turn)),
-            transform=SimpleNamespace(translation=place, rotation=turn),
+            pose=SimpleNamespace(pose=posed),
+            transform=posed,
         )
 
     links, mount = Links(), Pose.level((0.0, 0.0, 1.0), math.pi / 2)
@@ -247,30 +238,26 @@ def test_poses_come_from_a_chain_of_frames():
 
 
 def test_what_moves_on_is_free_and_jumps_are_counted(tmp_path):
-    """A wall that is seen 400 times, something before it that is seen twice, and a jump."""
-    lidar = Lidar()
-    wall = 6.03 * lidar.directions_body.reshape(-1, 3)
-    near = wall.copy()
-    near[::2] *= 0.5
+    """A wall that is seen 100 times, something before it that is seen twice, and a jump."""
+    wall = 6.03 * Lidar().directions_body.reshape(-1, 3)
+    near = np.where(np.arange(len(wall))[:, None] % 2, wall, 0.5 * wall)
     here, far = Pose.level((0.0, 0.0, 0.0)), Pose.level((40.0, 0.0, 0.0))
-    clouds = [(here, near if n in (5, 390) else wall) for n in range(400)] + [(far, wall)]
+    clouds = [(here, near if n in (5, 90) else wall) for n in range(100)] + [(far, wall)]
 
     def scans(first):
         for n, (pose, points) in enumerate(clouds):
             yield LogScan(n / 10, pose, np.concatenate([points, [[np.nan] * 3, [0, 0, 0.01]]]))
 
-    log = Log(np.arange(401) / 10, tuple(pose for pose, _ in clouds), 0, scans)
-    counts = ingest(log, tmp_path / "maps", Fusing(every=400))
-    assert counts["scans_without_overlap"] == 1
-    assert counts["returns_left_out"] == 2 * 401
+    log = Log(np.arange(101) / 10, tuple(pose for pose, _ in clouds), 0, scans)
+    counts = ingest(log, tmp_path / "maps", Fusing(every=100))
+    assert (counts["scans_without_overlap"], counts["returns_left_out"]) == (1, 2 * 101)
     assert counts["moved_voxels"] > 100
     assert 0 <= counts["returns_outside_truth"] < counts["observed_returns"]
     voxels = read_place(tmp_path / "maps" / "place-000.npz").voxels
     occupied = np.argwhere(voxels.states == 2) * 0.2 + voxels.origin + 0.1
-    ranges = np.minimum(
-        np.linalg.norm(occupied, axis=1), np.linalg.norm(occupied - (40, 0, 0), axis=1)
-    )
-    assert (abs(ranges - 6.03) < 0.2).mean() > 0.999  # but for a ray along the voxels' faces
+    both = [np.linalg.norm(occupied - pose.position, axis=1) for pose in (here, far)]
+    off = abs(np.minimum(*both) - 6.03)
+    assert (off < 0.2).mean() > 0.999  # but for a ray along the voxels' faces
 
 
 def ingest_and_be_killed(log, out, at):
@@ -288,9 +275,10 @@ def ingest_and_be_killed(log, out, at):
 def test_a_killed_ingest_goes_on_to_the_same_bits(tmp_path, monkeypatch):
     """Of a place that takes several maps."""
     monkeypatch.setattr(scenegen.logs.fuse, "MOST_PLACE_VOXELS", 12_000_000)
-    log, out, how = tmp_path / "log", tmp_path / "out", Fusing(every=2)
+    log, how = tmp_path / "log", Fusing(every=2)
+    whole, out, mended = (tmp_path / name for name in ("whole", "out", "mended"))
     written(log, 12)
-    counts = ingest(read_log(log), tmp_path / "whole", how)
+    counts = ingest(read_log(log), whole, how)
     assert counts["maps"] > 1
     for at in (7, 2):  # killed, and killed again
         child = os.fork()
@@ -304,66 +292,67 @@ def test_a_killed_ingest_goes_on_to_the_same_bits(tmp_path, monkeypatch):
     assert ingest(read_log(log), out, how, on_scan=done.append) == counts
     assert done[0] == 9
     assert not (tmp_path / "out.part").exists()
-    cloud, whole = log / "velodyne" / "000008.bin", tmp_path / "whole"
+    cloud = log / "velodyne" / "000008.bin"
     content = cloud.read_bytes()
     cloud.write_bytes(content[:7])
-    mended = tmp_path / "mended"
     with pytest.raises(DatasetError, match=r"000008\.bin: .*; mend it and .* from scan 8 of 12"):
         ingest(read_log(log), mended, how)
     cloud.write_bytes(content)
     assert ingest(read_log(log), mended, how) == counts
-    for one in (out, mended):
-        for path in whole.rglob("*.npz"):
-            assert path.read_bytes() == (one / path.relative_to(whole)).read_bytes()
-        assert len(list(one.rglob("*"))) == len(list(whole.rglob("*")))
+    assert contents(out) == contents(mended) == contents(whole)
 
 
-def line(number, text):
-    """Puts `text` in place of a line of the poses."""
-
-    def damage(log):
-        lines = (log / "poses.txt").read_text().splitlines()
-        lines[number] = text
-        (log / "poses.txt").write_text("\n".join(lines))
-
-    return damage
-
-
+POSE = "1 0 0 0 0 1 0 0 0 0 1 0\n"
+FAR = "1 0 0 1e9 0 1 0 0 0 0 1 0\n"
 DAMAGE = {
-    "no poses": (lambda log: (log / "poses.txt").unlink(), "--poses"),
-    "a pose too few": (line(4, ""), "5 clouds and 4 poses"),
-    "a word": (line(2, "one two"), "line 3"),
-    "not a number": (line(2, " ".join(["nan"] * 12)), "line 3"),
-    "no rotation": (line(1, " ".join(["2"] * 12)), "line 2: expected a rotation"),
-    "beyond the world": (line(1, "1 0 0 1e9 0 1 0 0 0 0 1 0"), "subtract the first"),
-    "no bag": (lambda log: (log / "poses.txt").rename(log / "metadata.yaml"), "recording of ROS"),
-    "five columns": (lambda log: (log / "poses.txt").write_text("1 2 3 4 5\n" * 5), "5 columns"),
-    "nothing": (lambda log: (log / "poses.txt").write_text(""), "no numbers"),
-    "a time too few": (lambda log: (log / "times.txt").write_text("1\n2\n"), "2 times"),
-    "a calibration": (lambda log: (log / "calib.txt").write_text("Tr: 1 2\n"), "12 numbers"),
-    "a calibration to nowhere": (
-        lambda log: (log / "calib.txt").write_text("Tr: 1 0 0 inf 0 1 0 0 0 0 1 0\n"),
-        "expected a rotation and a position",
+    "no poses": ("poses.txt", None, "--poses"),
+    "a pose too few": ("poses.txt", POSE * 4, "5 clouds and 4 poses"),
+    "a word": ("poses.txt", POSE * 2 + "one two\n", "line 3"),
+    "not a number": ("poses.txt", POSE * 2 + "nan " * 12, "line 3"),
+    "no rotation": ("poses.txt", POSE + "2 " * 12, "line 2: expected a rotation"),
+    "beyond the world": (
+        "poses.txt",
+        FAR * 5,
+        "subtract the first",
     ),
-    "no clouds": (lambda log: shutil.rmtree(log / "velodyne"), "no clouds"),
-    "no finite point": (
-        lambda log: [
-            path.write_bytes(np.full(40, np.nan, "<f4").tobytes())
-            for path in (log / "velodyne").iterdir()
-        ],
-        "no scan of the log",
-    ),
-    "no log": (shutil.rmtree, "expected a recording"),
+    "five columns": ("poses.txt", "1 2 3 4 5\n" * 5, "5 columns"),
+    "nothing": ("poses.txt", "", "no numbers"),
+    "a time too few": ("times.txt", "1\n2\n", "2 times"),
+    "a calibration": ("calib.txt", "Tr: 1 2\n", "12 numbers"),
+    "no clouds": ("velodyne", None, "no clouds"),
+    "no log": ("", None, "expected a recording"),
 }
+"""What stands in a file of a log, or that it is not there; and what is told."""
 
 
 @pytest.mark.parametrize("name", DAMAGE)
 def test_damaged_logs_end_in_one_line_and_leave_nothing(tmp_path, capsys, name):
-    damage, expected = DAMAGE[name]
+    file, content, expected = DAMAGE[name]
     written(tmp_path / "log")
-    damage(tmp_path / "log")
+    path = tmp_path / "log" / file
+    if content is not None:
+        path.write_text(content)
+    elif path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink()
     assert expected in refused(capsys, f"ingest {tmp_path}/log -o {tmp_path}/out --quiet")
     assert [path.name for path in tmp_path.iterdir() if path.name != "log"] == []
+
+
+def test_a_log_without_a_finite_point_or_a_recording_without_data_makes_no_maps(tmp_path, capsys):
+    ingested = f"ingest {tmp_path}/log -o {tmp_path}/out --quiet"
+    written(tmp_path / "log")
+    for path in (tmp_path / "log" / "velodyne").iterdir():
+        path.write_bytes(np.full(40, np.nan, "<f4").tobytes())
+    assert "no scan of the log" in refused(capsys, ingested)
+    (tmp_path / "log" / "poses.txt").rename(tmp_path / "log" / "metadata.yaml")
+    assert "recording of ROS" in refused(capsys, ingested)
+    assert not (tmp_path / "out").exists()
+
+
+def named(names, values):
+    return dict(zip(names, values, strict=True))
 
 
 CUSTOM = f"""std_msgs/Header header
@@ -375,7 +364,7 @@ uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 t
 
 
 def write_livox(path, scans, missing=0):
-    """Puts scans into CustomMsg, and their poses into odometry; `missing` more points are
+    """Puts scans into CustomMsg, and their poses into transforms; `missing` more points are
     promised."""
     from mcap_ros2.writer import Writer
 
@@ -384,60 +373,50 @@ def write_livox(path, scans, missing=0):
         custom = writer.register_msgdef(LIVOX[0], CUSTOM)
         transforms = writer.register_msgdef(TRANSFORMS, DEFINITIONS[TRANSFORMS])
         for scan in scans:
-            stamp = {"sec": int(scan.time_s), "nanosec": round(scan.time_s % 1 * 1e9)}
+            when = round(scan.time_s * 1e9)
+            stamp = {"sec": when // 10**9, "nanosec": when % 10**9}
             rows = zip(scan.points.tolist(), scan.more["t"].tolist(), strict=True)
             points = [
-                {"offset_time": round(1e9 * t), **dict(zip("xyz", p, strict=True)), "line": 3}
-                for p, t in rows
+                {"offset_time": round(1e9 * t), **named("xyz", p), "line": 3} for p, t in rows
             ]
             message = {
                 "header": {"stamp": stamp, "frame_id": "livox_frame"},
-                "timebase": round(scan.time_s * 1e9),
+                "timebase": when,
                 "point_num": len(points) + missing,
                 "rsvd": [0, 0, 0],
                 "points": points,
             }
+            turn = named("wxyz", scan.pose.quaternion)
             link = {
                 "header": {"stamp": stamp, "frame_id": "map"},
                 "child_frame_id": "livox_frame",
-                "transform": {
-                    "translation": dict(zip("xyz", scan.pose.position, strict=True)),
-                    "rotation": dict(zip("wxyz", scan.pose.quaternion, strict=True)),
-                },
+                "transform": {"translation": named("xyz", scan.pose.position), "rotation": turn},
             }
-            when = round(scan.time_s * 1e9)
             writer.write_message("/tf", transforms, {"transforms": [link]}, log_time=when)
             writer.write_message("/livox/lidar", custom, message, log_time=when)
         writer.finish()
 
 
-def test_livox_s_own_messages_are_read(tmp_path):
-    pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed")
+def test_livox_s_own_messages_are_read(tmp_path, ros):
     times = np.linspace(0, 0.1, 40)
     scans = [dataclasses.replace(scan, more={"t": times}) for scan in written(tmp_path / "log")]
     write_livox(tmp_path / "livox.mcap", scans)
     log = read_log(tmp_path / "livox.mcap")
     assert close(log, scans)
-    rosbags = pytest.importorskip("rosbags.convert", reason="rosbags is not installed")
-    source, chosen = [tmp_path / "livox.mcap"], ((), (), (), ())
-    rosbags.convert(source, tmp_path / "1.bag", "", 9, None, "message", None, None, *chosen)
-    assert close(read_log(tmp_path / "1.bag"), scans)
     assert [scan.more["t"] == pytest.approx(times, abs=1e-9) for scan in log.scans()] == [True] * 5
     write_livox(tmp_path / "short.mcap", scans, missing=1)
     with pytest.raises(DatasetError, match="promises 41 points and holds 40"):
         list(read_log(tmp_path / "short.mcap").scans())
 
 
-@pytest.mark.parametrize("cut", [0, 20, 1000, 2500, -1])
-def test_cut_recordings_end_in_one_line(tmp_path, capsys, cut):
-    pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is not installed")
-    written(tmp_path / "log.mcap")
-    content = (tmp_path / "log.mcap").read_bytes()
-    (tmp_path / "cut.mcap").write_bytes(content[:cut])
-    assert "cut.mcap: cannot be read as a recording" in refused(
-        capsys, f"ingest {tmp_path}/cut.mcap -o {tmp_path}/out --quiet"
-    )
-    assert not (tmp_path / "out").exists()
+@pytest.mark.parametrize("cut", [0, 20, 1000, -1])
+def test_cut_recordings_end_in_one_line(tmp_path, capsys, cut, ros):
+    path, out = tmp_path / "cut.mcap", tmp_path / "out"
+    written(path)
+    path.write_bytes(path.read_bytes()[:cut])
+    told = refused(capsys, f"ingest {path} -o {out} --quiet")
+    assert "cut.mcap: cannot be read as a recording" in told
+    assert not out.exists()
 
 
 def test_times_of_poses_must_rise(tmp_path):
@@ -446,14 +425,14 @@ def test_times_of_poses_must_rise(tmp_path):
         read_poses(tmp_path / "poses.tum")
 
 
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        ("scan pillar --flight --moving", "go with --sequence"),
-        ("scan pillar --flight --sequence --every 1", "without --every"),
-        ("ingest log --voxel 0.01", "voxels"),
-    ],
-)
+BAD_USE = """
+scan pillar --flight --moving             → go with --sequence
+scan pillar --flight --sequence --every 1 → without --every
+ingest log --voxel 0.01                   → voxels
+"""
+
+
+@pytest.mark.parametrize(("words", "expected"), rows(BAD_USE))
 def test_bad_use_is_told(capsys, words, expected):
     code, _, err = run(capsys, words)
     assert code in (1, 2)

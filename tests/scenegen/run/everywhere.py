@@ -6,43 +6,29 @@ import shutil
 
 import torch
 
-from scenegen.dataset.read import Dataset
 from scenegen.model.checkpoint import save_network
 from scenegen.model.config import NetworkConfig
 from scenegen.model.network import Network
 from tests.command_line import run
-from tests.conftest import dataset_in, small_recipe
+from tests.conftest import contents, dataset_in
 
 COUNTS = {"train": 4, "val": 2, "test": 4}
 SAMPLES = sum(COUNTS.values())
-COMPLETE = ("complete", "d", "--weights", "n.safetensors", "--batch", 2, "--device", "cpu")
-BENCH = (
-    "bench",
-    "d",
-    "--quick",
-    "--weights",
-    "n.safetensors",
-    "--method",
-    "returns",
-    "--method",
-    "truth",
-)
-COMMANDS = (
-    ("verify", "d", "--json"),
-    ("convert", "d", "--to", "npz"),
-    ("convert", "d", "--to", "webdataset"),
-    ("rescan", "d", "--noise", "range:0.02"),
-    ("take", "d", "--n", 4),
-    COMPLETE,
-    BENCH,
-)
+COMMANDS = """
+verify d --json
+convert d --to webdataset
+rescan d --noise range:0.02
+take d --n 4
+complete d --weights n.safetensors --batch 2 --device cpu
+bench d --quick --weights n.safetensors --method returns --method truth
+"""
+COMMANDS = [line.split() for line in COMMANDS.strip().splitlines()]
+*_, COMPLETE, BENCH = COMMANDS
 
 
 def make(folder):
     """`d`, a dataset of five shards, and `n.safetensors`, a network for it."""
-    recipe = small_recipe()
-    dataset_in(folder / "d", recipe, seed=5, counts=COUNTS, shard_samples=3)
-    grid = Dataset(folder / "d").grid
+    grid = dataset_in(folder / "d", seed=5, counts=COUNTS, shard_samples=3).grid
     torch.manual_seed(0)
     save_network(
         folder / "n.safetensors", Network(NetworkConfig(width=2, height=grid.shape[2])), grid, {}
@@ -58,13 +44,7 @@ def stand(folder, monkeypatch):
     monkeypatch.setattr("scenegen.model.completion.predictions.PART", 2)
 
 
-def outcome(
-    capsys,
-    here,
-    words,
-    out,
-    *more,
-):
+def outcome(capsys, here, words, out, *more):
     """What the command leaves at `out`, or says; without times, and without its own words."""
     writes = () if words[0] == "verify" else ("-o", out)
     code, said, complaint = run(capsys, *words, *writes, *more)
@@ -83,9 +63,3 @@ def outcome(
 def checks(said):
     """A report's checks by name, without their time."""
     return {check.pop("name"): check | {"seconds": 0} for check in json.loads(said)["checks"]}
-
-
-def contents(place):
-    """A file, or all files below a folder."""
-    files = [place] if place.is_file() else [path for path in place.rglob("*") if path.is_file()]
-    return {str(path.relative_to(place)): path.read_bytes() for path in files}

@@ -65,10 +65,8 @@ def free_port():
 def slurm(folder, nodes=1):
     """A cluster of this machine's cores, `nodes` times; files lie in `folder`. The process number
     of every node's daemon, by the node's name."""
-    for above in (
-        folder,
-        *folder.parents,
-    ):  # munge refuses sockets in folders that others cannot reach
+    # munge refuses sockets in folders that others cannot reach
+    for above in (folder, *folder.parents):
         if above.stat().st_uid == 0 and above != Path("/"):
             above.chmod(above.stat().st_mode | 0o755)
     (folder / "state").mkdir()
@@ -83,14 +81,8 @@ def slurm(folder, nodes=1):
     (folder / "key").chmod(0o400)
     before = os.environ.get("SLURM_CONF")
     os.environ["SLURM_CONF"] = str(folder / "slurm.conf")
-    flags = {
-        "key-file": "key",
-        "socket": "munge.socket",
-        "log-file": "log",
-        "pid-file": "pid",
-        "seed-file": "seed",
-    }
-    files = [f"--{flag}={folder}/{name}" for flag, name in flags.items()]
+    files = [f"--{name}-file={folder}/{name}" for name in ("key", "log", "pid", "seed")]
+    files.append(f"--socket={folder}/munge.socket")
     daemons = [subprocess.Popen(["munged", "-F", "-f", *files])]
     try:
         time.sleep(1)

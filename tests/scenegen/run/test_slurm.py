@@ -21,7 +21,7 @@ from scenegen.dataset.build import build
 from scenegen.errors import DatasetError, GenerationError
 from scenegen.run import executor
 from tests.command_line import ROOT
-from tests.conftest import plan_of, small_recipe
+from tests.conftest import contents, plan_of
 from tests.scenegen.run import everywhere, slurm_here
 
 pytest.importorskip("submitit")
@@ -37,8 +37,17 @@ def slurm(tmp_path_factory):
 
 
 def plan(folder):
-    recipe = small_recipe()
-    return plan_of(folder, recipe, seed=5, counts=COUNTS, shard_samples=3)
+    return plan_of(folder, seed=5, counts=COUNTS, shard_samples=3)
+
+
+def waited_for(*jobs):
+    """Whether the queue comes to hold these jobs alone."""
+    for _ in range(30):
+        left = subprocess.check_output(["squeue", "-h", "-o", "%i"], text=True).split()
+        if left == list(jobs):
+            return True
+        time.sleep(1)
+    return False
 
 
 @pytest.fixture
@@ -50,15 +59,11 @@ def here(slurm, tmp_path, monkeypatch):
 
 def test_a_job_array_makes_the_same_dataset(here):
     seen = []
-    there = build(
-        plan(here / "there"),
-        execute=executor("slurm", 2),
-        on_shard=lambda report, fresh: seen.append(fresh),
-    )
+    how = {"execute": executor("slurm", 2), "on_shard": lambda report, fresh: seen.append(fresh)}
+    there = build(plan(here / "there"), **how)
     assert there.digest == build(plan(here / "here")).digest
     assert seen == [True] * 10
-    for path in (here / "here").iterdir():
-        assert (here / "there" / path.name).read_bytes() == path.read_bytes()
+    assert contents(here / "there") == contents(here / "here")
     assert not list(here.glob("scenegen-slurm-*")), "nothing is left"
 
 
@@ -72,18 +77,10 @@ def test_commands_give_the_same_there(here, monkeypatch, capsys):
 
 
 def test_an_error_is_raised_here_names_the_node_and_ends_the_rest(here):
+    tasks = [Path(f"nowhere/{n}") for n in range(6)]
     with pytest.raises(DatasetError, match=rf"nowhere/0: .* \(on {socket.gethostname()}"):
-        list(
-            executor("slurm", 1)(
-                manifest.read, [Path(f"nowhere/{n}") for n in range(6)], lambda: None
-            )
-        )
-    for _ in range(30):
-        left = subprocess.run(["squeue", "-h"], capture_output=True, text=True, check=True).stdout
-        if not left:
-            break
-        time.sleep(1)
-    assert left == ""
+        list(executor("slurm", 1)(manifest.read, tasks, lambda: None))
+    assert waited_for()
 
 
 def test_a_job_that_somebody_cancels_is_told_of(here, monkeypatch):
@@ -100,32 +97,27 @@ def test_a_job_that_somebody_cancels_is_told_of(here, monkeypatch):
     assert "\n" not in str(caught.value)
 
 
+COMMAND = """
+import time
+from scenegen.cli import stops
+from scenegen.run import executor
+stops.answer()
+list(executor("slurm", 2)(time.sleep, [60] * 3, lambda: print("begun", flush=True)))
+"""
+
+
 @pytest.mark.parametrize(("stop", "code"), [(signal.SIGINT, 130), (signal.SIGKILL, -9)])
 def test_a_command_that_is_stopped_or_killed_leaves_no_jobs(here, stop, code):
     """Those of this run are cancelled, and no others."""
-    other = subprocess.run(
-        ["sbatch", "--parsable", "--wrap", "sleep 60"], capture_output=True, text=True, check=True
-    )
-    words = (
-        "import time\nfrom scenegen.run import executor\nfrom scenegen.cli import "
-        "stops\nstops.answer()\nlist(executor('slurm', 2)(time.sleep, [60] * 3, lambda: "
-        "print('begun', flush=True)))\n"
-    )
-    with subprocess.Popen(
-        [sys.executable, "-c", words], stdout=subprocess.PIPE, text=True
-    ) as running:
+    submit = ["sbatch", "--parsable", "--wrap", "sleep 60"]
+    other = subprocess.check_output(submit, text=True).strip()
+    words = [sys.executable, "-c", COMMAND]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as running:
         assert running.stdout.readline() == "begun\n"
         running.send_signal(stop)
         assert running.wait(20) == code
-    for _ in range(30):
-        left = subprocess.run(
-            ["squeue", "-h", "-o", "%i"], capture_output=True, text=True, check=True
-        ).stdout
-        if left.split() == other.stdout.split():
-            break
-        time.sleep(1)
-    subprocess.run(["scancel", other.stdout.strip()], check=True)
-    assert left.split() == other.stdout.split()
+    assert waited_for(other)
+    subprocess.run(["scancel", other], check=True)
 
 
 def twice(task):

@@ -14,6 +14,7 @@ import h5py
 import numpy as np
 import pytest
 
+from scenegen.cli.generate import generate
 from scenegen.dataset import manifest
 from scenegen.dataset.build import build
 from scenegen.dataset.read import Dataset
@@ -23,7 +24,7 @@ from scenegen.files import whole_folder
 from scenegen.recipe import read_recipe
 from scenegen.share import stage as folder_module
 from scenegen.share.stage import Request, stage
-from tests.conftest import COUNTS, dataset_in, plan_of, small_recipe
+from tests.conftest import COUNTS, contents, dataset_in, plan_of, small_recipe
 from tests.scenegen.display.test_page import Seen
 
 CHECKS = (("files", "14 files hold"),)
@@ -43,15 +44,8 @@ def section(card, language, title):
     return re.findall(rf"```{language}\n(.*?)```", body, flags=re.DOTALL)
 
 
-def test_it_is_still_the_dataset(out, made):
-    there, source = Dataset(out), Dataset(made)
-    assert there.manifest == source.manifest
-    assert there.split("test").names == source.split("test").names
-    assert np.array_equal(there.split("val")[1].tudf, source.split("val")[1].tudf)
-    assert there.world("train", 2) == source.world("train", 2)
-
-
-def test_every_file_is_listed_with_its_digest(out):
+def test_it_is_still_the_dataset_and_every_file_is_listed_with_its_digest(out, made):
+    assert contents(out).items() >= contents(made).items()
     lines = [line.split("  ") for line in (out / "SHA256SUMS").read_text().splitlines()]
     there = {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
     assert {name for _, name in lines} == there - {"SHA256SUMS"}
@@ -86,52 +80,33 @@ def test_datasets_reads_it_offline_by_its_splits(out, tmp_path, monkeypatch):
     found = datasets.load_dataset(str(out), cache_dir=str(tmp_path)).with_format("numpy")
     assert {name: len(split) for name, split in found.items()} == COUNTS
     for split in ("train", "test"):
-        mine = Dataset(out).split(split)
-        for index in (0, len(mine) - 1):
-            theirs = found[split][index]
-            for name in ("observed", "occupancy", "tudf", "ranges", "position", "world"):
-                value = np.asarray(getattr(mine[index], name))
-                assert np.array_equal(theirs[name], value.astype(theirs[name].dtype)), (
-                    name
-                )  # numpy's format has float32
+        mine, theirs = Dataset(out).split(split)[-1], found[split][COUNTS[split] - 1]
+        for name in ("observed", "occupancy", "tudf", "ranges", "position", "world"):
+            value = np.asarray(getattr(mine, name))  # numpy's format has float32
+            assert np.array_equal(theirs[name], value.astype(theirs[name].dtype)), name
 
 
 def test_croissant_is_valid_and_describes_what_is_there(out, made):
     import mlcroissant
 
-    found = mlcroissant.Dataset(str(out / "croissant.json"))
-    issues = found.metadata.ctx.issues
+    issues = mlcroissant.Dataset(str(out / "croissant.json")).metadata.ctx.issues
     assert (issues.errors, issues.warnings) == (set(), set())
     plain = json.loads((out / "croissant.json").read_text())
     assert plain["conformsTo"][0] == "http://mlcommons.org/croissant/1.1"
-    for name in (
-        "dataCollection",
-        "dataBiases",
-        "dataLimitations",
-        "dataUseCases",
-        "personalSensitiveInformation",
-    ):
-        assert plain[f"rai:{name}"]
-    files = {
-        item["@id"]: item["sha256"]
-        for item in plain["distribution"]
-        if item["@id"].endswith((".h5", ".zip"))
-    }
-    assert files == {
-        name: hashlib.sha256((out / name).read_bytes()).hexdigest()
-        for name in (path.name for path in out.iterdir() if path.suffix in (".h5", ".zip"))
-    }
+    about = "dataCollection dataBiases dataLimitations dataUseCases personalSensitiveInformation"
+    assert all(plain[f"rai:{name}"] for name in about.split())
+    files = {item["@id"]: item["sha256"] for item in plain["distribution"] if "sha256" in item}
+    for path in made.iterdir():
+        assert files[path.name] == hashlib.sha256(path.read_bytes()).hexdigest()
     with h5py.File(out / "test-00000.h5") as shard:
         described = {field["name"]: field for field in plain["recordSet"][2]["field"]}
         assert set(described) == set(shard)
+        kinds = {"b": "sc:Boolean", "u": "cr:UInt", "i": "cr:Int", "f": "cr:Float"}
         for name, stored in shard.items():
             shape = described[name].get("arrayShape", "")
             assert shape == ",".join(map(str, stored.shape[1:]))
-            kind = {"b": "sc:Boolean", "u": "cr:UInt", "i": "cr:Int", "f": "cr:Float"}[
-                stored.dtype.kind
-            ]
             bits = "" if stored.dtype.kind == "b" else str(8 * stored.dtype.itemsize)
-            assert described[name]["dataType"] == kind + bits
+            assert described[name]["dataType"] == kinds[stored.dtype.kind] + bits
 
 
 def test_the_card_says_what_the_files_hold(out, made):
@@ -140,10 +115,8 @@ def test_the_card_says_what_the_files_hold(out, made):
     assert "license: cc-by-4.0" in front
     assert '  - split: val\n    path: ["val-*.h5"]' in front
     statistics = inspect(made)["splits"]["train"]["statistics"]["occupied"]
-    assert (
-        f"| voxels occupied, % | {statistics['mean'] * 100:.2f} ± {statistics['std'] * 100:.2f} |"
-        in card
-    )
+    mean, std = (100 * statistics[name] for name in ("mean", "std"))
+    assert f"| voxels occupied, % | {mean:.2f} ± {std:.2f} |" in card
     assert Dataset(made).manifest.digest in card
     assert "- files: 14 files hold" in card
     with h5py.File(out / "train-00000.h5") as shard:
@@ -156,41 +129,33 @@ def test_the_card_says_what_the_files_hold(out, made):
 def test_its_command_makes_the_same_dataset(out, made, tmp_path):
     words = shlex.split(section((out / "README.md").read_text(), "", "Make it again")[0])
     assert words[:4] == ["scenegen", "generate", "--recipe", "recipe.toml"]
-    options = dict(zip(words[2::2], words[3::2], strict=True))
-    recipe = read_recipe(out / options["--recipe"])
+    asked = generate.make_context("generate", words[2:]).params
+    counts = {"train": asked["n"], "val": asked["val"], "test": asked["test"]}
     plan = plan_of(
-        tmp_path / options["--out"],
-        recipe,
-        seed=int(options["--seed"]),
-        counts={
-            "train": int(options["--n"]),
-            "val": int(options["--val"]),
-            "test": int(options["--test"]),
-        },
-        shard_samples=int(options["--shard-samples"]),
+        tmp_path / "again",
+        read_recipe(out / "recipe.toml"),
+        seed=asked["seed"],
+        counts=counts,
+        shard_samples=asked["shard_samples"],
     )
-    assert build(plan, workers=1).digest == Dataset(made).manifest.digest
+    assert build(plan).digest == Dataset(made).manifest.digest
 
 
-def test_a_recipe_that_this_version_reads_differently_is_refused(dataset, asked):
+@pytest.mark.parametrize(
+    ("damage", "told"),
+    [
+        (
+            lambda it: it["recipe"]["world"].update(colour=1),
+            r"not make the same dataset again.*'colour'",
+        ),
+        (lambda it: it.pop("generator"), r"with generator 1, or.*generator is 1 there"),
+    ],
+)
+def test_what_would_not_be_made_again_is_not_published(dataset, asked, damage, told):
     found = manifest.read(dataset)
-    found["recipe"]["world"]["colour"] = 1
+    damage(found)
     manifest.write(dataset, found)
-    with pytest.raises(PublishError, match=r"not make the same dataset again.*'colour'"):
-        stage(asked, CHECKS)
-    assert not asked.out.exists()
-
-
-def test_a_dataset_of_another_generator_is_not_published_as_one_that_can_be_made_again(
-    dataset, asked
-):
-    found = manifest.read(dataset)
-    del found["generator"]
-    manifest.write(dataset, found)
-    with pytest.raises(
-        PublishError,
-        match=r"with the one that made it, .* with generator 1, or.*generator is 1 there",
-    ):
+    with pytest.raises(PublishError, match=told):
         stage(asked, CHECKS)
     assert not asked.out.exists()
 
@@ -198,11 +163,8 @@ def test_a_dataset_of_another_generator_is_not_published_as_one_that_can_be_made
 def test_compact_datasets_and_absent_splits_publish_as_well(undrawn, tmp_path):
     import mlcroissant
 
-    recipe = small_recipe("geometric")
-    counts = {"train": 4, "val": 0, "test": 1}
-    made = tmp_path / "made"
-    dataset_in(made, recipe, counts=counts, compact=True)
-    out = tmp_path / "out"
+    recipe, made, out = small_recipe("geometric"), tmp_path / "made", tmp_path / "out"
+    dataset_in(made, recipe, counts={"train": 4, "val": 0, "test": 1}, compact=True)
     stage(Request(dataset=made, repository="ada/g", out=out, licence="cc0-1.0"), CHECKS)
     card = (out / "README.md").read_text()
     assert "--compact" in card
@@ -215,20 +177,15 @@ def test_compact_datasets_and_absent_splits_publish_as_well(undrawn, tmp_path):
 
 
 def test_the_same_request_gives_the_same_bytes_and_replaces_its_own_folder(asked):
-    def contents():
-        return {str(path): path.read_bytes() for path in asked.out.rglob("*") if path.is_file()}
-
     stage(asked, CHECKS)
     croissant = asked.out / "croissant.json"
-    dated = re.sub(
-        r'"datePublished": "[^"]*"', '"datePublished": "2001-02-03"', croissant.read_text()
-    )
-    croissant.write_text(dated)  # as if begun on another day
+    date = '"datePublished": "2001-02-03"'  # as if begun on another day
+    croissant.write_text(re.sub('"datePublished": "[^"]*"', date, croissant.read_text()))
     stage(asked, CHECKS)
-    first = contents()
+    first = contents(asked.out)
     stage(asked, CHECKS)
-    assert contents() == first
-    assert "2001-02-03" in croissant.read_text()
+    assert contents(asked.out) == first
+    assert date in croissant.read_text()
     assert [path.name for path in asked.out.parent.iterdir()] == [asked.out.name]
 
 
@@ -248,12 +205,7 @@ def test_a_damaged_shard_is_noticed_and_nothing_is_left(asked, dataset):
     content = bytearray(shard.read_bytes())
     content[len(content) // 2] ^= 1
     shard.write_bytes(content)
-    with pytest.raises(
-        PublishError, match=r"val-00000.h5: is not the file that dataset.json lists"
-    ):
-        stage(asked, CHECKS)
-    shard.unlink()
-    with pytest.raises(PublishError, match=r"val-00000.h5: is not the file"):
+    with pytest.raises(PublishError, match=r"val-00000.h5: is not the file that dataset.json"):
         stage(asked, CHECKS)
     assert list(asked.out.parent.iterdir()) == []
 
@@ -278,7 +230,7 @@ def test_where_links_are_not_possible_files_are_copied(asked, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "name", ["pillar", "ada/../x", "/etc", "a/b/c", "ada/", "ada/x y", "--repo", "ada/x.git"]
+    "name", ["pillar", "ada/../x", "/etc", "a/b/c", "ada/x y", "--repo", "ada/x.git"]
 )
 def test_a_repository_that_cannot_be_one_is_refused(name, tmp_path):
     with pytest.raises(PublishError, match="expected user/name"):

@@ -82,16 +82,11 @@ class Ceph:
         try:
             self._begin()
         except BaseException:
-            self.__exit__(None, None, None)
+            self.__exit__()
             raise
         return self
 
-    def __exit__(
-        self,
-        kind,
-        error,
-        trace,
-    ):
+    def __exit__(self, *error):
         for one in reversed(self._running.values()):
             with suppress(ProcessLookupError):
                 os.killpg(one.pid, signal.SIGKILL)
@@ -156,8 +151,6 @@ class Ceph:
         out.close()
 
     def _conf(self, program):
-        return (
-            ()
-            if program in ("ceph-authtool", "monmaptool")
-            else ("-c", str(self.home / "ceph.conf"))
-        )
+        if program in ("ceph-authtool", "monmaptool"):
+            return ()
+        return "-c", str(self.home / "ceph.conf")

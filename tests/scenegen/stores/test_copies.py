@@ -5,7 +5,7 @@ import hashlib
 import multiprocessing
 import os
 import shutil
-from contextlib import closing
+from contextlib import closing, nullcontext
 
 import numpy as np
 import pytest
@@ -55,13 +55,13 @@ def fetched(server):
 
 
 def read_parts(task):
-    """Read pieces of a copy all over, and say whether they are right."""
+    """Read pieces of a copy all over, as long as it has holes, and say whether they are right."""
     path, content, seed = task
     rng = np.random.default_rng(seed)
-    with closing(cache.open_copy(path, 5000) or path.open("rb")) as copy:
-        for begin, size in zip(rng.integers(0, SIZE, 200), rng.integers(0, 3000, 200), strict=True):
-            if isinstance(copy, copies.Copy):
-                assert copy.pread(int(size), int(begin)) == content[begin : begin + size]
+    copy = cache.open_copy(path, 5000)
+    with closing(copy) if copy else nullcontext():
+        for begin, size in rng.integers(0, (SIZE, 3000), (200 if copy else 0, 2)).tolist():
+            assert copy.pread(size, begin) == content[begin : begin + size]
     return True
 
 
@@ -108,14 +108,15 @@ def test_what_is_damaged_on_the_disk_is_fetched_again(server):
 
 def test_an_object_that_is_replaced_meanwhile_is_noticed(server):
     folder, held = objects(server, "a.h5")
+    told = f"{PLACE}/a.h5: is not the file that the manifest"
     with closing(cache.open_copy(folder / "a.h5", 5000)) as copy:
         copy.pread(100, 0)
         (folder_of(PLACE) / "a.h5").put(held["a.h5"][:-1] + b"?")
-        with pytest.raises(StoreError, match=f"{PLACE}/a.h5: is not the file that the manifest"):
+        with pytest.raises(StoreError, match=told):
             copy.pread(100, 200_000)
-    with pytest.raises(StoreError, match=f"{PLACE}/a.h5: is not the file that the manifest"):
+    with pytest.raises(StoreError, match=told):
         cache.fetch(folder / "a.h5")
-    assert not [path for path in folder.iterdir() if path.name != "dataset.json"]
+    assert [path.name for path in folder.iterdir()] == ["dataset.json"]
 
 
 def test_what_was_used_longest_ago_makes_room(server, monkeypatch):

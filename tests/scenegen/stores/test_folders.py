@@ -5,31 +5,28 @@ import pytest
 
 from scenegen import load
 from scenegen.dataset import manifest, rules
-from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.build import build
 from scenegen.dataset.choose import Choice
 from scenegen.dataset.gather import plan_merge, plan_take
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.rescan import plan_rescan
 from scenegen.files import names_in
-from scenegen.source import DrawnWorlds
 from scenegen.stores import folder_of
 from scenegen.verification import verify
-from tests.conftest import small_recipe
+from tests.conftest import plan_of
 from tests.scenegen.stores.conftest import forget
 
 DEEP = "train-0001x/train-00010.h5"
 
 
 @pytest.fixture(autouse=True)
-def ten(monkeypatch):
+def ten(drawn_once, monkeypatch):
     monkeypatch.setattr(rules, "DIGITS", 1)
 
 
 def plan(folder, train=36, seed=5):
-    recipe, counts = small_recipe(), {"train": train, "val": 3, "test": 3}
-    return plan_dataset(
-        folder, recipe, DrawnWorlds(recipe), seed=seed, counts=counts, shard_samples=3
-    )
+    counts = {"train": train, "val": 3, "test": 3}
+    return plan_of(folder, seed=seed, counts=counts, shard_samples=3)
 
 
 @pytest.fixture(scope="module")

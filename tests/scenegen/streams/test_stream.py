@@ -6,7 +6,6 @@ import pickle
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,14 +13,15 @@ import pytest
 import scenegen
 from scenegen import SPLITS
 from scenegen.dataset.build import build, plan_dataset
-from scenegen.errors import DatasetError, GenerationError, RecipeError, SceneError, ScenegenError
+from scenegen.errors import DatasetError, GenerationError, SceneError, ScenegenError
 from scenegen.recipe import preset
 from scenegen.sample import GROUPS, Sample
 from scenegen.source import DrawnWorlds, read_scenes
 from scenegen.streams.mixture import Component
+from tests.command_line import ROOT, rows
 from tests.conftest import dataset_in, picky_recipe, small_recipe
 
-SCENES = Path(__file__).parents[3] / "scenes"
+SCENES = ROOT / "scenes"
 
 
 def same(one, other):
@@ -38,48 +38,36 @@ def never(component, unit):
     raise AssertionError("drawn")
 
 
-@pytest.mark.parametrize("made_of", ["pillar", "geometric", "picky"])
-def test_its_first_samples_are_those_of_the_dataset(made_of, tmp_path):
+@pytest.mark.parametrize("recipe", [picky_recipe(), small_recipe("geometric")])
+def test_its_first_samples_are_those_of_the_dataset(recipe, tmp_path):
     """The picky recipe rejects some draws of most units."""
-    recipe = picky_recipe() if made_of == "picky" else small_recipe(made_of)
     counts = {"train": 8, "val": 2, "test": 4}
-    dataset_in(tmp_path / "d", recipe, seed=5, counts=counts, shard_samples=3)
+    made = dataset_in(tmp_path / "d", recipe, seed=5, counts=counts, shard_samples=3)
     for split in SPLITS:
-        stored, drawn = (
-            scenegen.load(tmp_path / "d", split),
-            scenegen.stream(recipe, seed=5, split=split),
-        )
+        stored, drawn = made.split(split), scenegen.stream(recipe, seed=5, split=split)
         assert drawn.describe() == stored.describe()
         order = np.random.default_rng(0).permutation(counts[split])
         assert all(same(drawn[int(n)], stored[int(n)]) for n in order)
-    manifest = scenegen.load(tmp_path / "d").dataset.manifest
-    assert (made_of != "picky") or sum(manifest.rejected["worlds"].values()) > 0
+    if recipe.kind == "pillar":
+        assert sum(made.manifest.rejected["worlds"].values()) > 0
 
 
 def test_a_folder_of_scenes_is_dealt_as_generate_deals_it(tmp_path):
-    drawn, scenes, counts = (
-        DrawnWorlds(small_recipe()),
-        tmp_path / "scenes",
-        {"train": 1, "val": 1, "test": 2},
-    )
+    drawn, scenes = DrawnWorlds(small_recipe()), tmp_path / "scenes"
     scenes.mkdir()
     for number in range(4):
         world = drawn.world("train", number, rng=np.random.default_rng(number))
         (scenes / f"{number}.xml").write_bytes(world.mjcf)
-    build(
-        plan_dataset(
-            tmp_path / "d",
-            preset("scene"),
-            read_scenes(scenes, counts, seed=2),
-            seed=2,
-            counts=counts,
-        )
+    asked = {"seed": 2, "counts": {"train": 1, "val": 1, "test": 2}}
+    source = read_scenes(scenes, asked["counts"], seed=2)
+    build(plan_dataset(tmp_path / "d", preset("scene"), source, **asked))
+    stream, stored = (
+        scenegen.stream(str(scenes), seed=2, split="test"),
+        scenegen.load(tmp_path / "d", "test"),
     )
-    stream = scenegen.stream(str(scenes), seed=2, split="test")
-    stored = scenegen.load(tmp_path / "d", "test")
     assert all(same(stream[n], stored[n]) for n in range(2))
-    (scenes / "0.xml").unlink()
-    (scenes / "1.xml").unlink()
+    for number in range(2):
+        (scenes / f"{number}.xml").unlink()
     with pytest.raises(SceneError, match="fewer than 3 worlds"):
         scenegen.stream(scenes)
 
@@ -100,31 +88,28 @@ def test_a_sample_depends_on_seed_split_and_number_alone():
     for other in (scenegen.stream(recipe, seed=1), scenegen.stream(recipe, split="val")):
         assert other.digest != stream.digest
         assert not same(other[0], stream[0])
-    assert scenegen.stream(recipe, seed=np.int64(0), samples=7, workers=1).digest == stream.digest
-    assert same(stream[123_456_789], scenegen.stream(recipe)[123_456_789])
+    again = scenegen.stream(recipe, seed=np.int64(0), samples=10**9, workers=1)
+    assert again.digest == stream.digest
+    assert same(stream[123_456_789], again[123_456_789])
+    again.close()
 
 
 def test_workers_make_what_one_process_makes_and_the_dead_are_replaced():
     recipe = small_recipe()
-    alone, helped = (
-        scenegen.stream(recipe, samples=60),
-        scenegen.stream(recipe, samples=60, workers=2),
-    )
-    order = [*range(9), 40, 3, 41, *range(20, 32)]
-    for index in order:
+    alone = scenegen.stream(recipe, samples=45)
+    helped = scenegen.stream(recipe, samples=45, workers=2)
+    for index in (*range(6), 40, 3, 41):
         assert same(helped[index], alone[index])
     for worker in helped._ahead._workers:
         os.kill(worker.process.pid, signal.SIGKILL)
-    assert all(same(one, other) for one, other in zip(helped[30:60], alone[30:60], strict=True))
+    assert all(same(one, other) for one, other in zip(helped[30:45], alone[30:45], strict=True))
     processes = [worker.process for worker in helped._ahead._workers]
     assert same(pickle.loads(pickle.dumps(helped))[5], alone[5])
     helped.close()
     assert not any(process.is_alive() for process in processes)
 
 
-def test_neighbours_are_made_ahead_of_need_and_hopeless_draws_end_when_asked_for(
-    monkeypatch,
-):
+def test_neighbours_are_made_ahead_of_need_and_hopeless_draws_end_when_asked_for(monkeypatch):
     original = Component.draw
 
     def draw(component, unit):
@@ -159,11 +144,10 @@ def test_reading_goes_on_where_a_state_says():
     assert len(everything) == len(stream)
     assert all(same(one, other) for one, other in zip(everything, stream, strict=True))
     for wrong in (
-        {**json.loads(state), "samples": 6},
-        {**json.loads(state), "stream": "0"},
+        json.loads(state) | {"samples": 6},
+        json.loads(state) | {"stream": "0"},
         {},
         None,
-        {"samples": -1},
     ):
         with pytest.raises(DatasetError, match=r"^state of a stream: "):
             reader.load_state_dict(wrong)
@@ -172,26 +156,20 @@ def test_reading_goes_on_where_a_state_says():
 def test_a_stream_that_nobody_closes_ends_without_a_word():
     """Also one that outlives the modules that it needs."""
     code = (
-        "import numpy, scenegen; "
-        "numpy.kept = scenegen.stream('pillar', seed=0, workers=2); numpy.kept[0]"
+        "import numpy, scenegen; numpy.kept = scenegen.stream('pillar', workers=2); numpy.kept[0]"
     )
-    ended = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=False
-    )
-    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "", "")
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, b"", b"")
 
 
 def test_a_cache_gives_the_same_bits_and_makes_again_what_is_damaged(tmp_path, monkeypatch):
     recipe, cache = small_recipe(), tmp_path / "cache"
     expected = scenegen.stream(recipe)[:6]
-    scenegen.stream(recipe, cache=cache)[:6]
 
     def check():
-        assert all(
-            same(a, b)
-            for a, b in zip(scenegen.stream(recipe, cache=cache)[:6], expected, strict=True)
-        )
+        assert all(map(same, scenegen.stream(recipe, cache=cache)[:6], expected))
 
+    check()
     with monkeypatch.context() as patched:
         patched.setattr(Component, "draw", never)
         check()
@@ -199,16 +177,8 @@ def test_a_cache_gives_the_same_bits_and_makes_again_what_is_damaged(tmp_path, m
             scenegen.stream(recipe, seed=1, cache=cache)[0]
     first, second = sorted(cache.rglob("*.unit"))
     content = first.read_bytes()
-    flipped = bytearray(content)
-    flipped[-1] ^= 1
-    for wrong in (
-        b"",
-        content[:-1],
-        content + b"\0",
-        bytes(flipped),
-        second.read_bytes(),
-        content[:60],
-    ):
+    flipped = content[:-1] + bytes([content[-1] ^ 1])
+    for wrong in (b"", content[:-1], content + b"\0", flipped, second.read_bytes()):
         first.write_bytes(wrong)
         check()
         assert first.read_bytes() == content
@@ -218,33 +188,37 @@ def test_a_cache_gives_the_same_bits_and_makes_again_what_is_damaged(tmp_path, m
         check()
 
 
+FOREST = SCENES / "forest.xml"
+WRONG = """
+"pilar"                          → {}                  → unknown kind 'pilar'.*'pillar'
+[]                               → {}                  → nothing to draw from
+3                                → {}                  → expected a kind's name
+{"pillar": 0}                    → {}                  → weight of pillar = 0: expected a
+{"pillar": NaN}                  → {}                  → weight of pillar = nan
+{"pillar": 1e-9, "geometric": 1} → {}                  → come round after 1000000001 flights
+"pillar"                         → {"engine": "cuda3"} → cuda3
+"pillar"                         → {"cache": "/dev/null"} → expected a folder for the cache
+"absent.xml"                     → {}                  → no such file
+"""
+WRONG = [(json.loads(asked), json.loads(options), said) for asked, options, said in rows(WRONG)]
+
+
 @pytest.mark.parametrize(
     ("asked", "options", "said"),
     [
-        ("pilar", {}, "unknown kind 'pilar'.*'pillar'"),
-        ([], {}, "nothing to draw from"),
-        (3, {}, "expected a kind's name"),
-        ({"pillar": 0}, {}, "weight of pillar = 0: expected a number above 0"),
-        ({"pillar": float("nan")}, {}, "weight of pillar = nan"),
-        ({"pillar": "2"}, {}, "weight of pillar = '2'"),
-        ({"pillar": 1e-9, "geometric": 1}, {}, "come round after 1000000001 flights"),
-        ([SCENES / "forest.xml"] * 2, {}, "is there twice"),
+        *WRONG,
+        ([FOREST] * 2, {}, "is there twice"),
         (["pillar", small_recipe()], {}, "one grid"),
-        ("pillar", {"seed": -1}, "seed = -1: expected a whole number"),
-        ("pillar", {"engine": "cuda3"}, "cuda3"),
-        ("pillar", {"cache": __file__}, "expected a folder for the cache"),
-        (str(SCENES / "forest.xml"), {"split": "val"}, "no world of it is in the val split"),
-        (Path("absent"), {}, "no such file"),
+        (str(FOREST), {"split": "val"}, "no world of it is in the val split"),
     ],
 )
 def test_what_cannot_be_ends_in_a_line(asked, options, said):
-    with pytest.raises((RecipeError, SceneError, DatasetError), match=said) as caught:
+    with pytest.raises(ScenegenError, match=said):
         scenegen.stream(asked, **options)
-    assert isinstance(caught.value, ScenegenError)
 
 
-def test_an_index_that_is_none_ends_in_a_line(drawn):
-    stream = scenegen.stream(drawn[0], samples=9)
+def test_an_index_that_is_none_ends_in_a_line():
+    stream = scenegen.stream("pillar", samples=9)
     for wrong in (-1, 9, 10**30):
         with pytest.raises(IndexError, match=r"sample -?\d+: expected 0 to 8$"):
             stream[wrong]
@@ -253,4 +227,3 @@ def test_an_index_that_is_none_ends_in_a_line(drawn):
             stream[wrong]  # type: ignore[call-overload]
     assert stream[5:4] == []
     assert len(stream) == 9
-    assert len(scenegen.stream(drawn[0])) == 10**9

@@ -7,9 +7,11 @@ from tests.scenegen.verification import forge
 
 
 @pytest.fixture(scope="session")
-def originals(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("originals")
-    return {kind: forge.make(folder / kind, kind) for kind in ("pillar", "geometric")}
+def originals(once):
+    """Datasets by their kind; not to be changed."""
+    kinds = "pillar", "geometric"
+    made = once("originals", lambda folder: [forge.make(folder / kind, kind) for kind in kinds])
+    return {kind: made / kind for kind in kinds}
 
 
 @pytest.fixture

@@ -1,8 +1,10 @@
 """A forger who knows the format: edits a dataset and rewrites every checksum and digest to
 match."""
 
+import functools
 import hashlib
 import json
+import operator
 import shutil
 import zipfile
 
@@ -10,9 +12,8 @@ import h5py
 import numpy as np
 
 from scenegen.dataset import manifest
-from scenegen.dataset.build import build
 from scenegen.dataset.shard import zip_reproducibly
-from tests.conftest import plan_of, small_recipe
+from tests.conftest import dataset_in, small_recipe
 
 COUNTS = {"train": 6, "val": 3, "test": 3}
 DIGESTED = ("ranges", "position", "quaternion", "origin", "world", "viewpoint")
@@ -21,9 +22,7 @@ Arrays = dict[str, np.ndarray]
 
 def make(folder, kind="pillar", *, counts=COUNTS, compact=False):
     recipe = small_recipe(kind)
-    plan = plan_of(folder, recipe, counts=counts, compact=compact, shard_samples=6)
-    assert build(plan).complete
-    return folder
+    return dataset_in(folder, recipe, counts=counts, compact=compact, shard_samples=6).folder
 
 
 def copy(folder, to):
@@ -89,9 +88,24 @@ def sign(folder, **changes):
 
 
 def edit_manifest(folder, **changes):
-    """Change the manifest alone."""
+    """Change the manifest alone; the folder."""
     path = folder / manifest.NAME
     path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
+    return folder
+
+
+def edit_at(folder, path, value):
+    """Put what the JSON `value` says at a dotted path of the manifest, or, if it says nothing,
+    delete what is there; the folder."""
+    found = manifest.read(folder)
+    *above, last = (int(step) if step.isdigit() else step for step in path.split("."))
+    place = functools.reduce(operator.getitem, above, found)
+    if value:
+        place[last] = json.loads(value)
+    else:
+        del place[last]
+    (folder / manifest.NAME).write_text(json.dumps(found))
+    return folder
 
 
 def rezip(path, change):

@@ -1,15 +1,13 @@
 """docs/verify.md says of every check what the check says of itself, and how to write one's own."""
 
-from pathlib import Path
-
 import pytest
 
 from scenegen.errors import DatasetError
 from scenegen.verification import verify
 from scenegen.verification.folder import CHECKS
-from tests.command_line import run
+from tests.command_line import ROOT, run
 
-PAGE = Path(__file__).parents[3] / "docs" / "verify.md"
+PAGE = ROOT / "docs" / "verify.md"
 
 
 def test_the_table_is_that_of_the_checks():
@@ -20,21 +18,21 @@ def test_the_table_is_that_of_the_checks():
     assert f"\n\n{table}\n\n" in PAGE.read_text(encoding="utf-8")
 
 
+OWN = """
+low = Check(name="low", proves="x", sample=lambda s, page: page.fault(s.where))
+bad = Check(name="bad", proves="x", sample=lambda s, page: 1 / 0)
+"""
+
+
 def test_a_check_of_ones_own(folder, tmp_path, monkeypatch, capsys):
     code = PAGE.read_text(encoding="utf-8").split("```python\n")[-1].split("```")[0]
-    (tmp_path / "my_checks.py").write_text(
-        code + "\nlow = Check(name='low', proves='x', sample=lambda s, page: page.fault(s.where))\n"
-        "def _fail(sample, page):\n    1 / 0\n\n\n"
-        "bad = Check(name='bad', proves='x', sample=_fail)\n"
-    )
+    (tmp_path / "my_checks.py").write_text(code + OWN)
     monkeypatch.chdir(tmp_path)
-    report = verify(folder, quick=True, own=["my_checks:high", "my_checks:low"])
-    high, low = report.checks[-2:]
+    own = [f"my_checks:{name}" for name in ("high", "low", "bad")]
+    high, low, bad = verify(folder, quick=True, own=own).checks[-3:]
     assert (high.name, high.ok, high.counts) == ("high", True, {"samples": 12})
-    assert (low.ok, low.faults) == (False, 12)
+    assert (low.ok, low.faults, bad.ok, bad.faults) == (False, 12, False, 12)
+    assert "of my_checks.py: ZeroDivisionError: division by zero" in bad.detail
     assert run(capsys, f"verify {folder} --quick --check my_checks:high")[0] == 0
     with pytest.raises(DatasetError, match=r"--check: .*none"):
         verify(folder, own=["my_checks:none"])
-    bad = verify(folder, quick=True, own=["my_checks:bad"]).checks[-1]
-    assert (bad.ok, bad.faults) == (False, 12)
-    assert "of my_checks.py: ZeroDivisionError: division by zero" in bad.detail

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from scenegen.dataset import manifest
 from scenegen.dataset.read import Dataset
 from scenegen.verification import verify
 from tests.scenegen.verification import forge
@@ -15,10 +14,7 @@ SHARD = "train-00000.h5"
 @pytest.fixture
 def older(folder):
     """A dataset that does not name its generator."""
-    given = manifest.read(folder)
-    del given["generator"]
-    manifest.write(folder, given)
-    forge.sign(folder)
+    forge.sign(forge.edit_at(folder, "generator", ""))
     return folder
 
 
@@ -28,8 +24,7 @@ def again(folder):
 
 def test_older_datasets_read_and_verify(older):
     assert Dataset(older).split("train")[0].tudf.size
-    report = verify(older)
-    assert [check.detail for check in report.checks if not check.ok] == []
+    assert failed(older) == {}
 
 
 def test_what_cannot_be_compared_is_counted_and_fails_nothing(older):
