@@ -102,6 +102,8 @@ def show(
         its_lidar = lidar or sample.scans()[0].lidar
         name = f"world {sample.world}, viewpoint {sample.viewpoint}"
         looks.append(look_at(sample, its_grid, its_lidar, name))
+    if not looks:
+        raise DatasetError("no samples to show; give one, or several")
     first = looks[0]
     named: Mapping[str, Any] = {"prediction": prediction}
     if isinstance(prediction, Mapping | None):
