@@ -44,6 +44,7 @@ def test_samples_are_shown(dataset, tmp_path):
         ((sample, sample.tudf), "expected occupied voxels"),
         ((sample, {}, path[0]), r"expected \(n, 3\)"),
         ((bare,), "grid"),
+        (([],), "no samples"),
     ):
         with pytest.raises(DatasetError, match=told):
             scenegen.show(*given)
