@@ -22,14 +22,8 @@ NUMBER = r"(\d[\d.]*)"
 RAY = r"ray +N +N +N +N +N\n" if find_spec("ray") else "ray: not measured"
 ODOMETRY = r"pillar +N m  N scans  N %" if find_spec("kiss_icp") else "not measured: kiss-icp"
 SCRIPTS = {
-    "against": ((BENCHMARKS.parent,), ("N ms a sample there, N here", "samples (equal)")),
     "anywhere": ((), (r"`geometric`, the default sensor \| N .* \| N", r"points alone \| – \| N")),
-    "calibrate": (("pillar",), ("truth +N ± N", "returns +N ± N")),
     "elsewhere": (("--out", "out"), (r"scaffold, default ra(n)ge:0\.05",)),
-    "ensemble": (
-        (DATA, *("--weights", "proposed") * 2),
-        ("iou +alone N N  together N", "brier +alone N N  together N"),
-    ),
     "executors": ((), (r"rank +N +N +N +N +N\n", RAY)),
     "extras": ((), (r"the core \| N \|", r"`\[train\]` \| N \|")),
     "fly": ((), ("takes N ms of processor time", r"`optimistic` \| N", r"`tortuosity` \| N")),
@@ -83,13 +77,13 @@ SCRIPTS = {
 }
 """Of every benchmark: what it is given, and figures that it prints; N stands for one."""
 LEARNED = {
-    *("elsewhere", "generalisation", "ensemble", "inference"),
+    *("elsewhere", "generalisation", "inference"),
     *("anywhere", "peers", "real", "training"),
 }
 """These import torch, which takes seconds: they run in this process, which has done so for other
 tests, and so do the commands that they run."""
 DEAR = LEARNED | {
-    *("against", "executors", "extras", "fly", "folders", "generate", "rehearsal"),
+    *("executors", "extras", "fly", "folders", "generate", "rehearsal"),
     *("gpu", "mutants", "study", "verify"),
 }
 """These take some seconds."""
