@@ -5,7 +5,7 @@ python benchmarks/study.py docs/results/study.json --out docs/pictures/study
 
 import io
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +19,7 @@ CURVES = {"val_loss": "validation loss", "val_iou": "IoU", "val_near_rmse": "Nea
 
 def draw(study: Mapping[str, Any]) -> dict[str, bytes]:
     """The study's pictures by file name, PNG."""
-    drawn = {"learning.png": learning, "claims.png": claims}
-    drawn |= {"choices.png": choices} if "contrasts" in study else {}
-    return {name: _png(make(study)) for name, make in drawn.items()}
+    return {"learning.png": _png(learning(study)), "claims.png": _png(claims(study))}
 
 
 def learning(study: Mapping[str, Any]) -> Any:
@@ -53,46 +51,23 @@ def claims(study: Mapping[str, Any]) -> Any:
     most = max((sum(claim["kind"] == kind for claim in tried) for kind in kinds), default=1)
     figure = _figure(12, 1.2 + 0.3 * most)
     for axes, kind in zip(figure.subplots(1, len(kinds), squeeze=False)[0], kinds, strict=True):
-        rows = [claim for claim in tried if claim["kind"] == kind]
-        names = [f"{_title(one['metric'])}: {one['best']} before {one['other']}" for one in rows]
-        _forest(axes, names, [[one] for one in rows], [COLOURS[one["verdict"]] for one in rows])
+        _forest(axes, [claim for claim in tried if claim["kind"] == kind])
         axes.set_title(f"{kind}: better by", fontsize="medium")
     figure.suptitle(", ".join(f"{name}: {colour}" for name, colour in COLOURS.items()))
     return figure
 
 
-def choices(study: Mapping[str, Any]) -> Any:
-    """What each choice of the short runs is worth against the run that lacks it."""
-    rows = study["contrasts"]
-    kinds, metrics = (list(dict.fromkeys(row[name] for row in rows)) for name in ("kind", "metric"))
-    figure = _figure(13, 1 + 0.28 * len({row["run"] for row in rows}))
-    panels = figure.subplots(1, max(len(metrics), 1), sharey=True, squeeze=False)[0]
-    for axes, metric in zip(panels, metrics, strict=False):
-        held = [row for row in rows if row["metric"] == metric]
-        pairs = list(dict.fromkeys((row["run"], row["against"]) for row in held))
-        found = [[row for row in held if row["run"] == run] for run, _ in pairs]
-        names = [f"{run} against {against}" for run, against in pairs]
-        _forest(axes, names, found, ["C0"] * len(names))
-        axes.set(title=f"{_title(metric)}: better by ({', '.join(kinds)})")
-    return figure
-
-
-def _forest(
-    axes: Any,
-    names: Sequence[str],
-    rows: Iterable[Sequence[Mapping[str, Any]]],
-    colours: Sequence[str],
-) -> None:
-    """A line a name, from the top; a point with an interval for each of its differences."""
-    for n, (found, colour) in enumerate(zip(rows, colours, strict=True)):
-        for m, one in enumerate(found):
-            if (mean := one["difference"]) is None:
-                continue
-            reach = [[0.0], [0.0]]
-            if one["low"] is not None:
-                reach = [[mean - one["low"]], [one["high"] - mean]]
-            at = n + 0.2 * (m - (len(found) - 1) / 2)
-            axes.errorbar(mean, at, xerr=reach, fmt="os"[m % 2], color=colour, markersize=4)
+def _forest(axes: Any, claims: Sequence[Mapping[str, Any]]) -> None:
+    """A line a claim, from the top: a point with its interval."""
+    for n, one in enumerate(claims):
+        if (mean := one["difference"]) is None:
+            continue
+        reach = [[0.0], [0.0]]
+        if one["low"] is not None:
+            reach = [[mean - one["low"]], [one["high"] - mean]]
+        colour = COLOURS[one["verdict"]]
+        axes.errorbar(mean, n, xerr=reach, fmt="o", color=colour, markersize=4)
+    names = [f"{_title(one['metric'])}: {one['best']} before {one['other']}" for one in claims]
     axes.axvline(0, color="grey", linewidth=0.8)
     axes.set_yticks(range(len(names)), names, fontsize="small")
     axes.invert_yaxis()
