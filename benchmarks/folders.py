@@ -1,24 +1,19 @@
 """What commands cost on a folder of very many samples: processor time, wall time, memory of the
-largest process; or at a store: requests, bytes, wall time.
+largest process.
 
     python benchmarks/folders.py --samples 20000 [--shard-samples 20] [--folder data/tiny]
     [--workers 2] [--forged]
-    python benchmarks/folders.py --store 0.02 --samples 5000 --shard-samples 100
 
 It makes a dataset of tiny maps in small shards, as sound as any, or goes on with that in --folder;
 runs every command on it in a process of its own; and prints what each took, and what a million
 samples would take, computed from that as if all of it beyond the first line, which any command
 takes, grew with the number of samples. With --forged, each shard has one map, and one flight is
 drawn for all: a shard's world differs from the others' in a digit, its pose in the last bits, so
-that 100,000 shards are made in ten minutes. With --store, the dataset is of the preset `pillar`,
-lies at a server of S3's protocol on this machine that answers after so many seconds, and no command
-finds copies of a former one.
+that 100,000 shards are made in ten minutes.
 """
 
 import multiprocessing
-import os
 import re
-import shutil
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace
@@ -28,7 +23,6 @@ from typing import Any
 
 import measuring
 from measuring import Cost
-from served import Served
 
 from scenegen.dataset.manifest import NAME
 
@@ -57,7 +51,6 @@ def main() -> None:
         "--folder", type=Path, help="where the dataset is kept; else in a folder that is removed"
     )
     parser.add_argument("--forged", action="store_true", help="as many shards as samples")
-    parser.add_argument("--store", type=float, help="seconds that a store takes to answer")
     asked = measuring.parse(parser, samples=20, shard_samples=10, workers=1)
     with tempfile.TemporaryDirectory() as here:
         folder = asked.folder or Path(here, "d")
@@ -71,9 +64,6 @@ def main() -> None:
             *f"generate --val {test} --test {test} --n {asked.samples - 2 * test} --quiet".split()
         ]
         words += f"--shard-samples {asked.shard_samples} --workers {asked.workers} --out".split()
-        if asked.store is not None:
-            _measure_store([*words, PLACE, "--kind", "pillar"], asked.store, Path(here))
-            return
         words += [folder, "--recipe", recipe, "--compact"]
         if asked.forged:  # by another process, since the memory of others counts that of this one
             options = {"recipe": recipe, "val": test, "test": test, "out": folder}
@@ -115,54 +105,16 @@ def _forge(unit: Any, task: tuple[int, Any]) -> None:
     put(spec, [(partial(getattr, sample), sample.sha256())], documents, Rejections())
 
 
-PLACE = "s3://lab/d"
-
-
-def _measure_store(again: list[object], wait_s: float, here: Path) -> None:
-    """Print what commands ask of a store."""
-    read = f"import scenegen; split = scenegen.load({PLACE!r}); "
-    rows: dict[str, tuple[object, ...]] = {
-        "open": ("-c", read),
-        "first sample": ("-c", f"{read}split[0].tudf"),
-        "occupancy of all": ("-c", f"{read}[one.occupancy for one in split]"),
-        "inspect": ("-m", "scenegen", "inspect", PLACE),
-        "verify --quick": ("-m", "scenegen", "verify", PLACE, "--quick", "--quiet"),
-        "resume, nothing to do": ("-m", "scenegen", *again),
-    }
-    with Served(here / "store", wait_s) as server:
-        os.environ |= server.environment | {"SCENEGEN_CACHE": str(here / "cache")}
-        command(*again)()
-        command("inspect", PLACE)()  # its kernels compile
-        command("verify", PLACE, "--quick")()
-        print("| | requests | MB | s |\n|---|---|---|---|")
-        for name, words in rows.items():
-            shutil.rmtree(here / "cache" / "scenegen" / "places", ignore_errors=True)
-            server.log.clear()
-            seconds = measuring.run(*words)[0].wall_s
-            megabytes = sum(size for _, size in server.log) / 1e6
-            print(f"| {name} | {len(server.log)} | {megabytes:.2f} | {seconds:.1f} |", flush=True)
-
-
 FORGET = """
 import sys
-from dataclasses import asdict
-from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 from scenegen.dataset import manifest
-from scenegen.dataset.placed import write_note
 from scenegen.dataset.trust import load
 folder = Path(sys.argv[1])
-there = load(folder)
-manifest.write(folder, manifest.assemble(there.parameters, [], complete=False))
-if sys.argv[2] == "noted":
-    files = [entry.file for entry in there.shards]
-    reports = [SimpleNamespace(entry=partial(asdict, entry)) for entry in there.shards]
-    write_note(folder, there.fingerprint, files, reports)
+manifest.write(folder, manifest.assemble(load(folder).parameters, [], complete=False))
 """
-"""Takes the list of shards out of a manifest, and writes it down as one job's of many, if asked
-to."""
-FORGOTTEN = {"resume, unlisted": "", "last job of many, noted": "noted"}
+"""Takes the list of shards out of a manifest."""
+UNLISTED = "resume, unlisted"
 
 
 def _measure(folder: Path, again: list[object], samples: int, workers: int, here: Path) -> None:
@@ -180,8 +132,7 @@ def _measure(folder: Path, again: list[object], samples: int, workers: int, here
         "nothing: `scenegen --version`": command("--version"),
         "open, read one sample": lambda: measuring.run("-c", opened)[0],
         "resume, listed": command(*again),
-        "resume, unlisted": command(*again),
-        "last job of many, noted": command(*again),
+        UNLISTED: command(*again),
         f"a range job of {some} shards": command(*again, "--split-range", f"0:{some}"),
         "inspect": command("inspect", folder),
         "inspect --all": command("inspect", folder, "--all", "--workers", workers),
@@ -197,8 +148,8 @@ def _measure(folder: Path, again: list[object], samples: int, workers: int, here
     )
     print("|---|---|---|---|")
     for name, run in rows.items():
-        if name in FORGOTTEN:
-            measuring.run("-c", FORGET, folder, FORGOTTEN[name])
+        if name == UNLISTED:
+            measuring.run("-c", FORGET, folder)
         used, seconds, memory = run()
         idle = idle or used
         of_million = (used - idle) * 1e6 / samples

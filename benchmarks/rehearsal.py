@@ -22,11 +22,12 @@ import time
 from pathlib import Path
 
 import measuring
-from folders import PLACE, RECIPE
+from folders import RECIPE
 from served import Served
 
 from lidarsim.jit import cache_root
 
+PLACE = "s3://lab/d"
 OTHER = "import sys, scenegen; scenegen.__version__ = '0'; sys.argv[0] = 'scenegen'; "
 OTHER += "from scenegen.__main__ import main; main()"
 """What a node runs whose scenegen is another one."""

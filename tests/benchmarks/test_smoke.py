@@ -31,7 +31,7 @@ SCRIPTS = {
         (),
         (
             r"--version` \| N, N \|",
-            r"last job of many, noted \| N, N \|",
+            r"resume, unlisted \| N, N \|",
             r"merge \| N, N \| N \| N \|",
         ),
     ),
