@@ -2,22 +2,16 @@
 run.
 
     python benchmarks/rays.py [--repeats 12] [--counts 50 200]
-    python benchmarks/rays.py --casts 100000    # does memory grow with the number of casts?
 
 A scan is the default sensor's, 1920 rays up to 10 m, from six poses. Times are the processor time
 of all threads, of which each engine has one, the best of several turns in which the engines
 alternate, so that other work on the machine weighs on all of them alike. `mj_multiRay` is MuJoCo's
-own function without anything of ours. `embreex`, Embree, is measured where it is installed, on the
-same solids as meshes, curved ones to 1 cm, building excluded.
+own function without anything of ours.
 """
 
 import functools
-import importlib
-import importlib.util
-import resource
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import measuring
@@ -29,14 +23,11 @@ from lidarsim import AnalyticEngine, Lidar, MujocoEngine, Pose
 from lidarsim.engines.hierarchy import Hierarchy
 from lidarsim.pose import rotate
 from lidarsim.solids.model import solids_of
-from lidarsim.solids.shapes import BOX, SPHERE, Solids
 
 COUNTS = 50, 200, 800, 3000, 20_000
 POSES = 6
 YAW_RAD = 0.3
 MAX_RANGE_M = 10.0
-CURVE_M = 0.01
-"""How far a peer's mesh may be from a curved solid."""
 Rays = NDArray[np.float64]
 
 
@@ -98,46 +89,6 @@ def raw(model: mujoco.MjModel) -> Callable[[Rays, Rays], Rays]:
     return cast
 
 
-def embree(solids: Solids) -> Callable[[Rays, Rays], Any]:
-    """Embree, with the limit of range, among the same solids as triangles; see `raw`."""
-    scene = importlib.import_module("embreex.rtcore_scene").EmbreeScene()
-    held = importlib.import_module("embreex.mesh_construction").TriangleMesh(
-        scene, meshed(solids).astype(np.float32)
-    )
-
-    def cast(origins: Rays, directions: Rays, held: Any = held) -> Rays:
-        starts = (
-            np.broadcast_to(origins[:, None], directions.shape).reshape(-1, 3).astype(np.float32)
-        )
-        rays = directions.reshape(-1, 3).astype(np.float32)
-        limits = np.full(len(rays), MAX_RANGE_M, np.float32)
-        ranges = scene.run(starts, rays, dists=limits, query="DISTANCE").reshape(
-            directions.shape[:2]
-        )
-        return np.where(ranges < MAX_RANGE_M, ranges, np.inf)
-
-    return cast
-
-
-def meshed(solids: Solids) -> Rays:
-    """The world's spheres, boxes and cylinders as triangles (T, 3, 3)."""
-    import trimesh
-
-    parts = []
-    for shape, size, place, turn in zip(
-        solids.shape, solids.size, solids.position, solids.rotation, strict=True
-    ):
-        corners = int(np.ceil(np.pi / np.arccos(1 - CURVE_M / size[0])))  # around a circle
-        if shape == BOX:
-            part = trimesh.creation.box(2 * size)
-        elif shape == SPHERE:
-            part = trimesh.creation.uv_sphere(size[0], count=[corners, corners])
-        else:
-            part = trimesh.creation.cylinder(size[0], 2 * size[1], sections=corners)
-        parts.append((part.vertices @ turn.T + place)[part.faces])
-    return np.concatenate(parts)
-
-
 def best_ms(tasks: dict[str, Callable[[], Any]], repeats: int) -> dict[str, float]:
     """Processor time, the least of `repeats` turns."""
     least = dict.fromkeys(tasks, np.inf)
@@ -154,32 +105,19 @@ def measure(
     count: int, repeats: int
 ) -> tuple[dict[str, float], dict[str, float], dict[str, int], int]:
     """Milliseconds a scan by engine, milliseconds of building, rays whose range is not
-    `mj_multiRay`'s in float32 (for a peer on meshes: not to 10 cm, which are 1 cm and an angle of
-    84°), and rays."""
+    `mj_multiRay`'s in float32, and rays."""
     model, side = world(count)
     solids, lidar = solids_of(model), Lidar()
     origins, directions = rays_of(lidar, side)
     ours, analytic = MujocoEngine.of(model), AnalyticEngine(solids, threads=1)
-    casters: dict[str, Callable[[Rays, Rays], Any]] = {
-        "mj_multiRay": raw(model),
-        "mujoco": lambda o, d: ours.cast(o, d, MAX_RANGE_M),
-        "analytic": lambda o, d: analytic.cast(
-            o, d.reshape(len(o), *lidar.shape, 3), MAX_RANGE_M
-        ).reshape(d.shape[:2]),
-    }
-    exact = len(casters)
-    if importlib.util.find_spec("embreex") and importlib.util.find_spec("trimesh"):
-        casters["embreex"] = embree(solids)
+    shaped = directions.reshape(POSES, *lidar.shape, 3)
     tasks: dict[str, Callable[[], Any]] = {
-        name: functools.partial(cast, origins, directions) for name, cast in casters.items()
+        "mj_multiRay": functools.partial(raw(model), origins, directions),
+        "mujoco": lambda: ours.cast(origins, directions, MAX_RANGE_M),
+        "analytic": lambda: analytic.cast(origins, shaped, MAX_RANGE_M).reshape(POSES, -1),
     }
-    ranges = {
-        name: np.minimum(task(), 2 * MAX_RANGE_M).astype(np.float32) for name, task in tasks.items()
-    }
-    differ = {
-        name: int((abs(found - ranges["mj_multiRay"]) > (0.0 if n < exact else 10 * CURVE_M)).sum())
-        for n, (name, found) in enumerate(ranges.items())
-    }
+    ranges = {name: task().astype(np.float32) for name, task in tasks.items()}
+    differ = {name: int((found != ranges["mj_multiRay"]).sum()) for name, found in ranges.items()}
     scans = {name: ms / POSES for name, ms in best_ms(tasks, repeats).items()}
     tree = Hierarchy.over(solids.lower, solids.upper)
     build = {
@@ -230,38 +168,12 @@ def first_scan(repeats: int) -> str:
     return f"the first scan of a process, kernels cached: {min(seconds):.2f} s (loads numba)"
 
 
-def growth(casts: int) -> str:
-    """By how much the memory of a process grows with so many casts in a world that moves, each
-    engine, the first tenth excepted."""
-    model, side = world(200)
-    origins, directions = rays_of(Lidar(rows=4, columns=8), side)
-    solids, data = solids_of(model), mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    analytic, ours, found = AnalyticEngine(solids), MujocoEngine(model, data), []
-    for turn in range(casts + 1):
-        if turn in (casts // 10, casts):
-            found.append(
-                int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
-            )
-        analytic.move(solids)
-        analytic.hits(origins, directions, MAX_RANGE_M)
-        ours.cast(origins[:1], directions[:1], MAX_RANGE_M)
-    few, many = (bytes_ / 1e6 for bytes_ in found[:2])
-    return f"memory after {casts // 10} and after {casts} casts: {few:.1f} and {many:.1f} MB"
-
-
 def main() -> None:
     """Print tables."""
     parser = measuring.options(__doc__)
     parser.add_argument("--repeats", type=int, default=12)
     parser.add_argument("--counts", type=int, nargs="+", default=COUNTS, help="how many solids")
-    parser.add_argument(
-        "--casts", type=int, help="cast so many scans, and say how memory grew; nothing else"
-    )
     given = measuring.parse(parser, counts=[50], repeats=1)
-    if given.casts:
-        print(growth(given.casts))
-        return
     for count in given.counts:
         report(count, given.repeats)
     print(f"\n{large_sensor()}\n{first_scan(min(given.repeats, 3))}")
