@@ -35,7 +35,6 @@ SCRIPTS = {
             r"merge \| N, N \| N \| N \|",
         ),
     ),
-    "generalisation": (("--out", "out"), (r"extrude: maze N", r"without maze: maze N")),
     "generate": (
         (),
         (
@@ -77,7 +76,7 @@ SCRIPTS = {
 }
 """Of every benchmark: what it is given, and figures that it prints; N stands for one."""
 LEARNED = {
-    *("elsewhere", "generalisation", "inference"),
+    *("elsewhere", "inference"),
     *("anywhere", "peers", "real", "training"),
 }
 """These import torch, which takes seconds: they run in this process, which has done so for other
