@@ -8,27 +8,23 @@ returns; and the default sensor's points alone, which say nothing of rays withou
 """
 
 import tempfile
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import measuring
-from scoring import RESULTS, drawn, tables, write_tables
+from scoring import CAREFUL, drawn, measured, networks, options, publish, tables
 
-from scenegen.dataset.read import Dataset, Split
-from scenegen.model.completion.completer import Completer
+from scenegen.dataset.read import Split
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.completion.unlearned import Extrude
-from scenegen.model.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Completed, Method, Truth
-from scenegen.model.evaluation.run import bench
+from scenegen.model.evaluation.run import DatasetResult
 from scenegen.model.inputs import PointScan, channels
 from scenegen.recipe import make_recipe
 from scenegen.sample import Sample
 
-PAGE = RESULTS / "anywhere.md"
-TABLES = {"iou": "IoU", "near_rmse": "Near-RMSE, m", "success": "Success"}
+TABLES = {"iou": "## IoU", "near_rmse": "## Near-RMSE, m", "success": "## Success"}
 KINDS = ("geometric", "pillar")
 CONDITIONS: dict[str, dict[str, Any]] = {
     "the default sensor": {},
@@ -39,7 +35,6 @@ CONDITIONS: dict[str, dict[str, Any]] = {
         "noise": {"stages": "datasheet,dropout:0.05"},
     },
 }
-POINTS = "points alone"
 
 
 @dataclass(frozen=True)
@@ -64,39 +59,23 @@ class PointsAlone:
 
 def main() -> None:
     """Measure every condition, and write the page's tables."""
-    parser = measuring.options(__doc__)
-    parser.add_argument("--network", action="append", help="a bundled one's name, or a run")
-    parser.add_argument("--maps", type=int, default=60, help="test maps a kind and condition")
-    parser.add_argument("--trials", type=int, default=240, help="planning trials of these")
-    parser.add_argument("--page", type=Path, default=PAGE)
+    parser = options(__doc__, "anywhere.md", maps=60, trials=240)
     given = measuring.parse(parser, maps=2, trials=2, network=["columns"])
-    names = given.network or ("anywhere", "columns", "proposed")
-    networks = [Completer.from_pretrained(name, threads=1) for name in names]
-    plain: list[Method] = [Completed(Extrude()), *networks, Truth()]
-    kinds = KINDS[:1] if given.smoke else KINDS
-    config = BenchConfig(trials=given.trials, plan=PlanConfig(planner="careful"))
-    results = {
-        f"`{kind}`, {condition}": bench(dataset, methods, config)
-        for kind, condition, methods, dataset in measured(kinds, given.maps, networks, plain)
-    }
-    lines = tables(TABLES, results, plain)
-    print("\n".join(lines))
-    if not given.smoke:
-        write_tables(given.page, lines)
-
-
-def measured(
-    kinds: Sequence[str], maps: int, networks: list[Completer], plain: list[Method]
-) -> Iterator[tuple[str, str, list[Method], Dataset]]:
-    """Every kind and condition with the methods that are measured, and its dataset."""
-    for kind in kinds:
-        for number, (condition, changed) in enumerate(CONDITIONS.items()):
+    learned = networks(given.network or ("anywhere", "columns", "proposed"))
+    methods: list[Method] = [Completed(Extrude()), *learned, Truth()]
+    results: dict[str, DatasetResult] = {}
+    for kind in KINDS[: 1 if given.smoke else None]:
+        for condition, changed in CONDITIONS.items():
             with tempfile.TemporaryDirectory() as folder:
                 recipe = make_recipe(kind, changed)
-                dataset = drawn(Path(folder, "data"), recipe, maps, seed=1, viewpoints=2)
-                yield kind, condition, plain, dataset
-                if number == 0:
-                    yield kind, POINTS, [PointsAlone(one) for one in networks], dataset
+                dataset = drawn(Path(folder, "data"), recipe, given.maps, seed=1, viewpoints=2)
+                place = {f"`{kind}`, {condition}": dataset}
+                results |= measured(place, methods, given.trials, CAREFUL)
+                if not changed:
+                    alone = [PointsAlone(one) for one in learned]
+                    place = {f"`{kind}`, points alone": dataset}
+                    results |= measured(place, alone, given.trials, CAREFUL)
+    publish(given, tables(TABLES, results, [one.name for one in methods]))
 
 
 if __name__ == "__main__":

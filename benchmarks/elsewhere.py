@@ -1,19 +1,17 @@
 """The bundled networks where they were never trained: other sensors, noise, and other worlds.
 
-    python benchmarks/elsewhere.py --data /tmp/elsewhere     # makes docs/results/elsewhere.json and
-    .md
-    python benchmarks/elsewhere.py --maps 5 --out /tmp/try   # a quick look
+    python benchmarks/elsewhere.py --data /tmp/elsewhere     # docs/results/elsewhere.md
+    python benchmarks/elsewhere.py --maps 5 --page /tmp/try.md   # a quick look
 
 Worlds are drawn and flown once; every sensor sees them again from the same poses (`scenegen
 rescan`), so that its rows are pairs, map by map, with those of the sensor of training. What was
 made in `--data` is used again. Exported networks (`scenegen export columns -o columns.onnx`, then
-`--weights columns.onnx`) take a fifth of the time.
+`--network columns.onnx`) take a fifth of the time.
 """
 
-import json
 import tempfile
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -21,23 +19,20 @@ import measuring
 import mujoco
 import numpy as np
 import scoring
-from scoring import RESULTS, Ahead
+from scoring import CAREFUL, RESULTS, ahead, measured, titled
 
 from lidarsim.sensors import RASTER, SENSORS
 from scenegen.dataset.build import build
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.rescan import plan_rescan
-from scenegen.files import Json
-from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.unlearned import Extrude, Returns
-from scenegen.model.config import BenchConfig, PlanConfig, bundled
+from scenegen.model.config import PlanConfig, bundled
 from scenegen.model.evaluation.methods import Completed, Method
-from scenegen.model.evaluation.report import REGIONS
-from scenegen.model.evaluation.run import DatasetResult, bench
+from scenegen.model.evaluation.metrics import PLAN_METRICS
+from scenegen.model.evaluation.run import DatasetResult
 from scenegen.model.evaluation.statistics import brief, figure, head, line
 from scenegen.recipe import preset
 from scenegen.recipes.kind import WorldKind, yaw_quaternion
-from scenegen.run.software import commit
 from scenegen.run.workers import Local
 from scenegen.sample import Sample
 from scenegen.tables import named_noise
@@ -63,14 +58,6 @@ SEEN = (
     "unknown voxels",
     "occupied voxels taken for free",
 )
-METRICS = ("iou", "near_rmse", "precision", "recall")
-TABLES: dict[str, Callable[[Json], Json]] = {
-    "IoU over unknown voxels": lambda found: found["unobserved"]["iou"],
-    "Near-RMSE over unknown voxels, m": lambda found: found["unobserved"]["near_rmse"],
-    "IoU over the whole map": lambda found: found["map"]["iou"],
-    "Success of planning": lambda found: found["success"],
-    "Success of the careful planner": lambda found: found["careful"],
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,96 +81,66 @@ class Scaffold(WorldKind):
         """See `WorldKind.add_to`."""
         self.add_ground(spec)
         count = round(rng.uniform(*self.beam_density) * self.size_m[0] * self.size_m[1])
-        low, high = zip(
-            *((0.0, edge) for edge in self.size_m[:2]), (0.5, 8.0), (0.0, np.pi), strict=True
-        )
+        low, high = (0.0, 0.0, 0.5, 0.0), (*self.size_m[:2], 8.0, np.pi)
         x, y, z, yaw = rng.uniform(low, high, (count, 4)).T
-        half = np.stack(
-            [rng.uniform(*span, count) for span in (self.half_length_m, *[self.half_edge_m] * 2)],
-            axis=1,
+        spans = (self.half_length_m, self.half_edge_m, self.half_edge_m)
+        half = np.stack([rng.uniform(*span, count) for span in spans], axis=1)
+        box, cylinder = (
+            np.full(count, int(shape))
+            for shape in (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER)
         )
-        turn = yaw_quaternion(yaw)
-        box = np.full(count, int(mujoco.mjtGeom.mjGEOM_BOX))
-        spec.add_geoms(box, half, np.stack([x, y, z], axis=1), turn)
-        along = np.stack(
-            [1 - 2 * turn[:, 3] ** 2, 2 * turn[:, 0] * turn[:, 3]], axis=1
-        )  # cos and sin of yaw
+        spec.add_geoms(box, half, np.stack([x, y, z], axis=1), yaw_quaternion(yaw))
+        along = half[:, :1] * np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
+        post = np.stack([np.full(count, 0.08), z / 2, np.zeros(count)], axis=1)
         for end in (-0.9, 0.9):
-            foot = np.stack([x, y], axis=1) + end * half[:, :1] * along
-            spec.add_geoms(
-                np.full(count, int(mujoco.mjtGeom.mjGEOM_CYLINDER)),
-                np.stack([np.full(count, 0.08), z / 2, np.zeros(count)], axis=1),
-                np.column_stack([foot, z / 2]),
-                np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
-            )
+            foot = np.column_stack([x, y, z / 2])
+            foot[:, :2] += end * along
+            spec.add_geoms(cylinder, post, foot, np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)))
+
+
+Results = dict[str, DatasetResult]
+"""By sensor; the first is that of training."""
+PLANNERS = {"careful": CAREFUL, "the paper's": PlanConfig()}
 
 
 def main() -> None:
     """Make the datasets, measure, and write."""
-    parser = measuring.options(__doc__)
-    parser.add_argument(
-        "--maps", type=int, default=60, help="test maps of every kind of world, five a flight"
-    )
-    parser.add_argument("--trials", type=int, default=240, help="planning trials of every dataset")
-    parser.add_argument(
-        "--data", type=Path, help="folder of the datasets  [default: one that is removed again]"
-    )
-    parser.add_argument("--out", type=Path, default=RESULTS)
+    parser = scoring.options(__doc__, "elsewhere.md", maps=60, trials=240)
+    parser.add_argument("--data", type=Path, help="where datasets are kept, to be used again")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--worlds", nargs="+", choices=WORLDS, default=WORLDS)
-    parser.add_argument(
-        "--sensors", type=int, default=len(SENSORS_SEEN), help="so many, that of training first"
-    )
-    parser.add_argument(
-        "--weights",
-        action="append",
-        help="a network, as `scenegen bench` takes it  [default: all bundled]",
-    )
-    given = measuring.parse(
-        parser, maps=5, trials=5, weights=["columns"], worlds=[SCAFFOLD], sensors=2
-    )
-    methods: list[Method] = [
-        Completed(Returns()),
-        Completed(Extrude()),
-        *(Completer.from_pretrained(one, threads=1) for one in given.weights or bundled()),
-    ]
-    found, execute = dict[str, Any](), Local("", given.workers)
-    ahead: dict[str, Ahead] = {}
+    parser.add_argument("--sensors", type=int, help="so many, that of training first")
+    smallest = {"maps": 5, "trials": 5, "network": ["columns"], "worlds": [SCAFFOLD], "sensors": 2}
+    given = measuring.parse(parser, **smallest)
+    networks = scoring.networks(given.network or bundled())
+    methods: list[Method] = [Completed(Returns()), Completed(Extrude()), *networks]
+    lines: list[str] = []
+    found: dict[str, dict[str, Results]] = {}
     with tempfile.TemporaryDirectory() as spare:
-        folder = given.data or Path(spare)
         for worlds in given.worlds:
-            title = worlds.rpartition(":")[2].lower()
-            original = drawn(worlds, folder / title, given.maps)
-            found[title] = {}
-            usual: DatasetResult | None = None
-            for sensor, noise in SENSORS_SEEN[: given.sensors]:
-                name = " ".join(filter(None, ("default" if sensor == RASTER else sensor, noise)))
-                seen = again(original, folder / f"{title} {name.replace(':', '')}", sensor, noise)
-                config = BenchConfig(trials=given.trials)
-                result = bench(seen, methods, config, execute=execute)
-                config = replace(config, plan=PlanConfig(planner="careful"))
-                careful = bench(seen, methods, config, execute=execute)
-                found[title][name] = figures(seen, result, usual or result, careful)
-                for place in places(worlds, usual is None):
-                    for planner, one in {"the paper's": result, "careful": careful}.items():
-                        pooled = ahead.setdefault(f"{place}; {planner}", Ahead(Extrude.name))
-                        pooled.add(one, [f"{title} {world}" for world in one.trial_worlds])
-                usual = usual or result
-                print(f"{title}, {name}", flush=True)
-    report = {"commit": commit(), "maps": given.maps, "trials": given.trials, "worlds": found}
-    report["ahead of extrude"] = {place: one.figures() for place, one in ahead.items()}
-    given.out.mkdir(parents=True, exist_ok=True)
-    rounded = json.loads(json.dumps(report), parse_float=lambda digits: round(float(digits), 4))
-    (given.out / "elsewhere.json").write_text(json.dumps(rounded, separators=(",", ":")) + "\n")
-    scoring.write_tables(given.out / "elsewhere.md", tables(report))
+            seen = as_seen(worlds, given.data or Path(spare), given.maps, given.sensors)
+            found[worlds] = {
+                planner: measured(seen, methods, given.trials, plan, Local("", given.workers))
+                for planner, plan in PLANNERS.items()
+            }
+            lines += tables(worlds, seen, found[worlds])
+    scoring.publish(given, [*pooled(found), *lines])
 
 
-def places(worlds: str, usual: bool) -> list[str]:
-    """The rows of the table of differences that a kind of worlds, seen by a sensor, belongs to."""
-    if worlds in HOME:
-        sensors = "as in training" if usual else "other sensors and noise"
-        return [f"`pillar` and `geometric`, {sensors}"]
-    return [f"{worlds.rpartition(':')[2].lower()}, all sensors", "both, all sensors"]
+def as_seen(worlds: str, folder: Path, maps: int, sensors: int | None) -> dict[str, Dataset]:
+    """Test maps of the kind `worlds` by sensor, all from the same poses."""
+    original = drawn(worlds, folder / titles(worlds), maps)
+    found = {}
+    for sensor, noise in SENSORS_SEEN[:sensors]:
+        name = " ".join(filter(None, ("default" if sensor == RASTER else sensor, noise)))
+        place = folder / f"{titles(worlds)} {name.replace(':', '')}"
+        found[name] = again(original, place, sensor, noise)
+    return found
+
+
+def titles(worlds: str) -> str:
+    """What a kind of worlds is called."""
+    return worlds.rpartition(":")[2].lower()
 
 
 def drawn(worlds: str, folder: Path, maps: int) -> Dataset:
@@ -203,38 +160,85 @@ def again(original: Dataset, folder: Path, sensor: str, noise: str | None) -> Da
     return Dataset(folder)
 
 
-def flights(dataset: Dataset) -> np.ndarray:
-    """The flight of every sample, (N,): what intervals draw again. A drawn world has one; a scene
-    has several."""
-    each = dataset.manifest.recipe.flight.viewpoints
-    samples = dataset.split("test")
-    return np.unique(
-        [(one.world, one.viewpoint // each) for one in samples], axis=0, return_inverse=True
-    )[1]
+def pooled(found: Mapping[str, Mapping[str, Results]]) -> list[str]:
+    """By how much planning succeeds oftener than with `extrude`, in several places together."""
+    pairs: dict[str, list[tuple[DatasetResult, list[str]]]] = {}
+    for worlds, planners in found.items():
+        for planner, results in planners.items():
+            for number, one in enumerate(results.values()):
+                groups = [f"{worlds} {world}" for world in one.trial_worlds]
+                for place in places(worlds, number == 0):
+                    pairs.setdefault(f"{place}; {planner}", []).append((one, groups))
+    rows = {place: ahead(some, Extrude.name) for place, some in sorted(pairs.items())}
+    lines = titled("## Success of planning, less that of `extrude`", next(iter(rows.values())))
+    return lines + [
+        line(place, [brief(each, "+.3f") for each in row.values()]) for place, row in rows.items()
+    ]
 
 
-def figures(
-    dataset: Dataset, result: DatasetResult, usual: DatasetResult, careful: DatasetResult
-) -> dict[str, Any]:
-    """What the sensor sees and what every method makes of it, with intervals, and how it fares with
-    the `careful` planner; and how much IoU over the whole map it loses against the `usual` sensor,
-    map by map."""
-    flight = flights(dataset)
-    seen = np.array([what_is_seen(sample) for sample in dataset.split("test")])
-    said: dict[str, Any] = {
-        "seen": {name: figure(seen[:, n], flight) for n, name in enumerate(SEEN)}
+def places(worlds: str, usual: bool) -> list[str]:
+    """The rows of the table of differences that a kind of worlds, seen by a sensor, belongs to."""
+    if worlds in HOME:
+        sensors = "as in training" if usual else "other sensors and noise"
+        return [f"`pillar` and `geometric`, {sensors}"]
+    return [f"{titles(worlds)}, all sensors", "both, all sensors"]
+
+
+def tables(worlds: str, seen: Mapping[str, Dataset], found: Mapping[str, Results]) -> list[str]:
+    """The tables of a kind of worlds: what was seen, then what was made of it."""
+    results, careful = found["the paper's"], found["careful"]
+    flight = flights(next(iter(seen.values())))
+    names = list(next(iter(results.values())).methods)
+
+    def groups(result: DatasetResult, metric: str) -> Any:
+        return result.trial_worlds if metric in PLAN_METRICS else flight
+
+    form: Any = {"groups": groups, "form": ".2f"}
+    unknown = {
+        "iou": "IoU over unknown voxels:",
+        "near_rmse": "Near-RMSE over unknown voxels, m:",
     }
-    for name, method in result.methods.items():
-        said[name] = {
-            region: {metric: figure(method.values(metric, n), flight) for metric in METRICS}
-            for n, region in enumerate(REGIONS)
-        }
-        lost = usual.methods[name].values("iou") - method.values("iou")
-        said[name]["iou_lost"] = figure(lost, flight)
-        for key, planned in {"success": result, "careful": careful}.items():
-            success = planned.methods[name].values("success")
-            said[name][key] = figure(success, planned.trial_worlds, "outcome")
-    return said
+    return [
+        *(
+            "",
+            f"## {titles(worlds)}",
+            "",
+            "What the sensors see, means over maps:",
+            "",
+            *head(SEEN),
+        ),
+        *(line(sensor, cells_of(dataset)) for sensor, dataset in seen.items()),
+        *scoring.tables(unknown, results, names, **form, region=1),
+        *scoring.tables({"iou": "IoU over the whole map:"}, results, names, **form),
+        *lost(results, names, flight),
+        *scoring.tables({"success": "Success of planning:"}, results, names, **form),
+        *scoring.tables({"success": "Success of the careful planner:"}, careful, names, **form),
+    ]
+
+
+def lost(results: Results, names: list[str], flight: list[str]) -> list[str]:
+    """How much IoU over the whole map each sensor costs, map by map."""
+    usual, *others = results
+    lines = titled("IoU over the whole map lost against the sensor of training:", names)
+    for sensor in others:
+        before, now = results[usual].methods, results[sensor].methods
+        gone = [before[name].values("iou") - now[name].values("iou") for name in names]
+        lines.append(line(sensor, [brief(figure(one, flight), ".2f") for one in gone]))
+    return lines
+
+
+def flights(dataset: Dataset) -> list[str]:
+    """The flight of every sample: what intervals draw again. A drawn world has one; a scene has
+    several. Whatever sensor sees the worlds, samples have the same flights."""
+    each = dataset.manifest.recipe.flight.viewpoints
+    return [f"{one.world} {one.viewpoint // each}" for one in dataset.split("test")]
+
+
+def cells_of(dataset: Dataset) -> list[str]:
+    """See `SEEN`."""
+    seen = [what_is_seen(sample) for sample in dataset.split("test")]
+    count, *shares = np.mean(seen, axis=0)
+    return [f"{count:.0f}", *(f"{share:.1%}" for share in shares)]
 
 
 def what_is_seen(sample: Sample) -> tuple[float, ...]:
@@ -248,28 +252,6 @@ def what_is_seen(sample: Sample) -> tuple[float, ...]:
         unknown / sample.observed.size,
         freed / max(occupied, 1),
     )
-
-
-def tables(report: dict[str, Any]) -> list[str]:
-    """The page's tables: for every kind of world, what was seen, then what was made of it."""
-    ahead = report["ahead of extrude"]
-    lines = ["", "## Success of planning, less that of `extrude`", ""]
-    lines += head(next(iter(ahead.values())))
-    for place, one in sorted(ahead.items()):
-        lines.append(line(place, [brief(each, "+.3f") for each in one.values()]))
-    for worlds, sensors in report["worlds"].items():
-        methods = [name for name in next(iter(sensors.values())) if name != "seen"]
-        lines += ["", f"## {worlds}", "", "What the sensors see, means over maps:", "", *head(SEEN)]
-        for sensor, found in sensors.items():
-            count, *shares = (found["seen"][name]["mean"] for name in SEEN)
-            lines.append(line(sensor, (f"{count:.0f}", *(f"{share:.1%}" for share in shares))))
-        for title, of in TABLES.items():
-            lines += ["", f"{title}:", "", *head(methods)]
-            lines += [
-                line(sensor, (brief(of(found[name]), ".2f") for name in methods))
-                for sensor, found in sensors.items()
-            ]
-    return lines
 
 
 if __name__ == "__main__":

@@ -18,17 +18,26 @@ import measuring
 import torch
 from inference import measure
 from real import maps_to_complete
-from scoring import RESULTS, Ahead, maps_of, split_of, tables, write_tables
+from scoring import (
+    CAREFUL,
+    ahead,
+    by_map,
+    maps_of,
+    measured,
+    networks,
+    options,
+    publish,
+    tables,
+    titled,
+)
 from torch import Tensor, nn
 
 from scenegen import Output
-from scenegen.dataset.read import Dataset
-from scenegen.model.completion.completer import Completer, open_network
+from scenegen.model.completion.completer import open_network
 from scenegen.model.completion.unlearned import Extrude
-from scenegen.model.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Completed, Method
-from scenegen.model.evaluation.run import bench
-from scenegen.model.evaluation.statistics import brief, head, line
+from scenegen.model.evaluation.run import DatasetResult
+from scenegen.model.evaluation.statistics import brief, line
 from scenegen.model.network import placed
 
 HERE = Path(__file__).parent
@@ -41,41 +50,39 @@ TRAINING = (
     *("--lambda-occupancy", 1, "--lovasz", 1, "--eikonal", 0, "--choose", "last"),
     *("--interval", 600, "--quiet"),
 )
-TABLES = {"iou": "IoU", "near_rmse": "Near-RMSE, m", "success": "Success of the careful planner"}
+TABLES = {
+    "iou": "## IoU",
+    "near_rmse": "## Near-RMSE, m",
+    "success": "## Success of the careful planner",
+}
 REAL = "real places, less `extrude`"
 
 
 def main() -> None:
     """Train what is missing, measure, and write the tables."""
-    parser = measuring.options(__doc__)
-    parser.add_argument("maps", type=Path, nargs="?", help="folder of the maps of real places")
+    parser = options(__doc__, "peers.md", maps=40, trials=120)
+    parser.add_argument("real", type=Path, nargs="?", metavar="MAPS", help="folder of the maps")
     parser.add_argument("--runs", type=Path, help="folder of the runs")
     parser.add_argument("--stream", default=HERE / "anywhere.toml", help="what they learn from")
     parser.add_argument("--learned", type=int, default=600, help="maps that each learns from")
-    parser.add_argument("--poses", type=int, default=40, help="test maps of each place, at most")
-    parser.add_argument("--trials", type=int, default=120, help="planning trials of each place")
     parser.add_argument("--rounds", type=int, default=5, help="of timing")
-    parser.add_argument("--peer", action="append", choices=PAPERS, help="  [default: all]")
-    given = measuring.parse(
-        parser, stream="pillar", learned=2, poses=2, trials=2, rounds=1, peer=["SSCNet"]
-    )
+    smallest: dict[str, Any] = {"stream": "pillar", "learned": 2, "maps": 2, "trials": 2}
+    given = measuring.parse(parser, **smallest, rounds=1)
     with tempfile.TemporaryDirectory() as spare:
         folder, runs = Path(spare), given.runs or Path(spare, "runs")
         names = {OURS: str(runs / OURS)}
-        names |= {one: f"peers:{one}@{runs / one}" for one in given.peer or PAPERS}
-        for name, weights in names.items():
-            train(weights.rpartition("@")[2], name, given)
-        places = maps_to_complete(given.maps, folder, given.poses, smoke=given.smoke)
-        networks = [Completer.from_pretrained(one, threads=1) for one in names.values()]
-        networks.append(Completer.from_pretrained("anywhere", threads=1))
-        lines = scored(places, [Completed(Extrude()), *networks], given.trials)
+        for one in ("SSCNet",) if given.smoke else PAPERS:
+            names[one] = f"peers:{one}@{runs / one}"
+        for name in names:
+            train(runs / name, name, given)
+        places = maps_to_complete(given, folder)
+        methods: list[Method] = [Completed(Extrude()), *networks((*names.values(), "anywhere"))]
+        lines = scored(measured(places, methods, given.trials, CAREFUL))
         lines += sizes(names, given.rounds)
-    print("\n".join(lines))
-    if not given.smoke:
-        write_tables(RESULTS / "peers.md", lines)
+    publish(given, lines)
 
 
-def train(out: str, name: str, given: Any) -> None:
+def train(out: Path, name: str, given: Any) -> None:
     """Train a network on so many maps, where its run has not seen them."""
     variant = name if name == OURS else f"peers:{name}"
     os.environ["PYTHONPATH"] = os.pathsep.join([str(HERE), os.environ.get("PYTHONPATH", "")])
@@ -84,17 +91,13 @@ def train(out: str, name: str, given: Any) -> None:
     measuring.run("-m", "scenegen", "train", *words)
 
 
-def scored(places: dict[str, Dataset], methods: list[Method], trials: int) -> list[str]:
+def scored(results: dict[str, DatasetResult]) -> list[str]:
     """A table for each of `TABLES`: a row a place, and one of all real places together."""
-    plan, ahead, results = PlanConfig(planner="careful"), Ahead(Extrude.name), {}
-    for place, dataset in places.items():
-        config = BenchConfig(split=split_of(dataset), trials=trials, plan=plan)
-        results[place] = bench(dataset, methods, config)
-        if not place.startswith("`"):
-            ahead.add(results[place], maps_of(results[place], place))
-    lines = tables(TABLES, results, methods, of_maps=True, form=".2f")
-    if ahead.groups:  # success is the last table
-        pooled = ahead.figures("gain").values()
+    names = list(next(iter(results.values())).methods)
+    lines = tables(TABLES, results, names, groups=by_map, form=".2f")
+    real = [(one, maps_of(one, place)) for place, one in results.items() if place[0] != "`"]
+    if real:  # success is the last table
+        pooled = ahead(real, Extrude.name, "gain").values()
         lines.append(line(REAL, [brief(one, "+.3f") for one in pooled]))
     return lines
 
@@ -102,11 +105,11 @@ def scored(places: dict[str, Dataset], methods: list[Method], trials: int) -> li
 def sizes(names: dict[str, str], rounds: int) -> list[str]:
     """How large the networks are, here and in their papers, and how long each takes for a map."""
     torch.set_num_threads(1)
-    networks = {name: placed(open_network(one)[0], "cpu") for name, one in names.items()}
-    times = measure(networks, ("observed", "free"), rounds)
-    lines = ["", "## Size and time", ""]
-    lines += head(("parameters", "at the paper's size", "in the paper", "ms a map", "ratio"))
-    for name, network in networks.items():
+    opened = {name: placed(open_network(one)[0], "cpu") for name, one in names.items()}
+    times = measure(opened, ("observed", "free"), rounds)
+    heads = ("parameters", "at the paper's size", "in the paper", "ms a map", "ratio")
+    lines = titled("## Size and time", heads)
+    for name, network in opened.items():
         paper = ["–", "–"]
         if name in PAPERS:
             height, classes, said = PAPERS[name]

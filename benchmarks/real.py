@@ -1,18 +1,17 @@
 """How completions of real places compare with those of drawn worlds.
 
     python benchmarks/real.py MAPS                          # docs/results/real.md
-    python benchmarks/real.py MAPS --network runs/mine --data /tmp/real
+    python benchmarks/real.py MAPS --network runs/mine
     python benchmarks/real.py MAPS --recordings LOGS        # logs in LOGS, of `recordings.py`
 
 MAPS is a folder with the maps of `PLACES`, which says where each comes from; one that is missing is
 left out, one with other bytes is refused. The paper's sensor looks from free space along flights of
 its own, one viewpoint each, and scores are over known voxels alone. Drawn kinds stand beside them,
-and logs that are flown in some of the worlds, as `scenegen ingest` reads them. What IoU is lost by
-is told apart by `GROUPS`, and a map of each place is drawn.
+and logs that are flown in some of the worlds, as `scenegen ingest` reads them.
 """
 
+import argparse
 import hashlib
-import io
 import sys
 import tempfile
 from pathlib import Path
@@ -21,41 +20,50 @@ from typing import Any, NamedTuple
 
 import measuring
 import numpy as np
-from counting import GROUPS, MISSED, THRESHOLDS, Counts, counted, groups_of
-from PIL import Image
-from recordings import GRID, Observed, observed
+from numpy.typing import NDArray
 from scipy.stats import mannwhitneyu
-from scoring import RESULTS, Ahead, drawn, maps_of, split_of, titled, write_tables
+from scoring import (
+    CAREFUL,
+    ahead,
+    drawn,
+    maps_of,
+    measured,
+    networks,
+    options,
+    publish,
+    split_of,
+    titled,
+)
 
+from lidarsim import GridSpec
 from scenegen.dataset.read import Dataset
-from scenegen.display.figures import draw_completions
-from scenegen.display.look import Guess, look_into
-from scenegen.display.panels import to_bytes
-from scenegen.model.completion.completer import Completer
+from scenegen.model.calibration import denial
 from scenegen.model.completion.unlearned import Conservative, Extrude, Returns
-from scenegen.model.config import BenchConfig, PlanConfig
+from scenegen.model.config import PlanConfig
 from scenegen.model.evaluation.methods import Completed, Method, Truth
-from scenegen.model.evaluation.run import bench
-from scenegen.model.evaluation.statistics import brief, figure, head, line
-from scenegen.model.evaluation.visibility import UNSCORED, scored_voxels
+from scenegen.model.evaluation.run import DatasetResult
+from scenegen.model.evaluation.statistics import brief, figure, line
+from scenegen.model.evaluation.uncertainty import REGIONS, count, reliability
+from scenegen.model.evaluation.visibility import scored_voxels
+from scenegen.model.inputs import PointScan
 from scenegen.recipe import preset
-from scenegen.sample import Sample
 
-PAGE = RESULTS / "real.md"
 NETWORKS = ("columns", "proposed", "occ", "tudf", "anywhere")
 KINDS = ("pillar", "geometric")
 POSES = 48
 """Of each place. The map of building 079 has room for these; one of 100 flights finds none."""
 PLANNERS = {
     "the paper's planner with edges checked": PlanConfig(edge_check=True),
-    "the careful planner": PlanConfig(planner="careful"),
+    "the careful planner": CAREFUL,
 }
 LOGS = ("pillar", "geb079", "fr_campus")
 """Worlds that logs are flown in."""
 FLOWN = "scan --flight --sequence --lidar ouster-os1-64 --noise range:0.02 --quiet --length"
-PICTURES = PAGE.parents[1] / "pictures" / "real"
-COLOURS = 96
-"""Of a picture: it is half as large as with all."""
+SCANS = 50
+"""Scans of a log that are completed, or up to twice as many."""
+GRID = GridSpec()
+"""Of the maps around a log's scans."""
+THRESHOLDS = np.arange(1, 20) / 20
 
 
 class Place(NamedTuple):
@@ -97,44 +105,25 @@ PLACES = {
 
 def main() -> None:
     """Score every place, and write the tables."""
-    parser = measuring.options(__doc__)
-    parser.add_argument("maps", type=Path, nargs="?", help="folder of the maps")
-    parser.add_argument("--poses", type=int, default=POSES, help="of each place, at most")
-    parser.add_argument("--trials", type=int, default=400, help="planning trials of each place")
+    parser = options(__doc__, "real.md", maps=POSES, trials=400)
+    parser.add_argument("real", type=Path, nargs="?", metavar="MAPS", help="folder of the maps")
     parser.add_argument("--length", type=int, default=60, help="of each log, metres")
     parser.add_argument("--recordings", type=Path, help="folder of logs as KITTI has them")
-    parser.add_argument("--network", action="append", help="a bundled one's name, or a run")
-    parser.add_argument("--data", type=Path, help="folder for the datasets")
-    parser.add_argument("--page", type=Path, default=PAGE)
-    given = measuring.parse(parser, poses=2, trials=2, length=1, network=["columns"])
-    with tempfile.TemporaryDirectory() as spare:
-        folder = given.data or Path(spare)
-        places = maps_to_complete(given.maps, folder, given.poses, smoke=given.smoke)
-        networks = [Completer.from_pretrained(one, threads=1) for one in given.network or NETWORKS]
-        pictures = folder if given.smoke else PICTURES
-        pictures.mkdir(exist_ok=True)
-        logs = {
-            f"log in {name}": observed(flown(world, folder / f"{name}-log", given.length), folder)
-            for name in LOGS
-            for world in ([name] if name in KINDS else (given.maps or folder).rglob(f"{name}.bt"))
-        }
-        for log in sorted(given.recordings.glob("*/poses.txt") if given.recordings else ()):
-            logs[f"recording `{log.parent.name}`"] = observed(log.parent, folder)
-        unlearned = [Completed(one) for one in (Extrude(), Returns(), Conservative())]
-        methods: list[Method] = [*unlearned, *networks]
-        tables = scored(places, logs, methods, given.trials, pictures)
-    print("\n".join(tables))
-    if not given.smoke:
-        write_tables(given.page, tables)
+    given = measuring.parse(parser, maps=2, trials=2, length=1, network=["columns"])
+    unlearned = [Completed(one) for one in (Extrude(), Returns(), Conservative())]
+    methods: list[Method] = [*unlearned, *networks(given.network or NETWORKS)]
+    with tempfile.TemporaryDirectory() as folder:
+        places = maps_to_complete(given, Path(folder))
+        logs = logs_to_complete(given, Path(folder))
+        publish(given, scored(places, logs, methods, given.trials))
 
 
-def maps_to_complete(
-    maps: Path | None, folder: Path, poses: int, *, smoke: bool
-) -> dict[str, Dataset]:
+def maps_to_complete(given: argparse.Namespace, folder: Path) -> dict[str, Dataset]:
     """Maps of drawn kinds, their names in backticks, and of real places, one a flight."""
-    kinds = KINDS[: 1 if smoke else None]
-    made = {f"`{kind}`": drawn(folder / kind, preset(kind), poses, viewpoints=1) for kind in kinds}
-    return made | real_places(maps, folder, poses)
+    made = {}
+    for kind in KINDS[: 1 if given.smoke else None]:
+        made[f"`{kind}`"] = drawn(folder / kind, preset(kind), given.maps, viewpoints=1)
+    return made | real_places(given.real, folder, given.maps)
 
 
 def real_places(maps: Path | None, folder: Path, poses: int) -> dict[str, Dataset]:
@@ -154,123 +143,155 @@ def real_places(maps: Path | None, folder: Path, poses: int) -> dict[str, Datase
     return found
 
 
-def flown(world: object, folder: Path, length: int) -> Path:
-    """A log that a sensor records in a world."""
-    measuring.run("-m", "scenegen", *FLOWN.split(), length, world, "-o", folder)
-    return folder
+class Scan(PointScan):
+    """A scan of a log that `scenegen ingest` kept, as methods are shown it."""
+
+    lidar = None
+
+
+Mask = NDArray[np.bool_]
+Seen = tuple[Any, Mask, Mask]
+"""A sample, or a scan; what is occupied around it, and what is known, (*grid.shape) each."""
+
+
+def logs_to_complete(given: argparse.Namespace, folder: Path) -> dict[str, list[Seen]]:
+    """Scans of logs that a sensor records in `LOGS`, and of those that are given."""
+    logs = {}
+    for name in LOGS:
+        for world in [name] if name in KINDS else (given.real or folder).rglob(f"{name}.bt"):
+            log = folder / f"{name}-log"
+            measuring.run("-m", "scenegen", *FLOWN.split(), given.length, world, "-o", log)
+            logs[f"log in {name}"] = observed(log, folder)
+    for poses in sorted(given.recordings.glob("*/poses.txt") if given.recordings else ()):
+        logs[f"recording `{poses.parent.name}`"] = observed(poses.parent, folder)
+    return logs
+
+
+def observed(log: Path, folder: Path) -> list[Seen]:
+    """Some fifty scans of a log, or all of a short one, with what the whole log knows."""
+    every = max(len(list(log.glob("velodyne/*"))) // SCANS, 1)
+    maps = folder / f"{log.name}.maps"
+    measuring.run("-m", "scenegen", "ingest", log, "--every", every, "--quiet", "-o", maps)
+    found = []
+    for path in sorted(maps.glob("observations/*.npz")):
+        with np.load(path) as it:
+            here, points = it["position"], it["position"] + it["points"]
+            scan = Scan(points=points, position=here, grid=GRID)
+            found.append((scan, it["occupancy"], it["known"]))
+    return found
+
+
+def scored(
+    places: dict[str, Dataset], logs: dict[str, list[Seen]], methods: list[Method], trials: int
+) -> list[str]:
+    """The lines of all tables."""
+    counts: Table = {}
+    for name, dataset in places.items():
+        samples = dataset.split(split_of(dataset))
+        seen = [
+            (one, one.occupancy, scored_voxels(one, dataset.grid, samples.home(n).tables))
+            for n, one in enumerate(samples)
+        ]
+        counts[name] = counted(seen, samples, methods)
+    for name, scans in logs.items():
+        around = SimpleNamespace(dataset=SimpleNamespace(grid=GRID))
+        counts[name] = counted(scans, around, methods)
+    names = [one.name for one in methods]
+    away = [name for name in places if is_mean(name)] or list(places)
+    lines = [*ious(counts, names, away), *titled("## Calibration", names)]
+    for name, found in counts.items():
+        lines.append(line(name, [values.ece for values in found.values()]))
+    home = [name for name in places if name.startswith("`")]
+    lines += told_apart(counts, names, away, home)
+    for title, plan in PLANNERS.items():
+        results = measured(places, [*methods, Truth()], trials, plan)
+        lines += planned(f"## Success of planning, {title}", results)
+    return lines
+
+
+class Counts(NamedTuple):
+    """What a method says of some maps."""
+
+    iou: NDArray[np.float64]
+    """(maps, thresholds), over known voxels."""
+    sure: NDArray[np.float64]
+    """Of each map, what `count` counts over known voxels."""
+    denied: NDArray[np.float64]
+    """Of each map, the share of its returns that is denied; see `denial`."""
+
+    @property
+    def ece(self) -> str:
+        """The expected calibration error as predicted, and calibrated where the method can."""
+        found = reliability(self.sure, np.arange(len(self.sure)))["map"]
+        cells = [brief(one | {"mean": one["ece"], "n": 1}) for one in found.values()]
+        return " → ".join(cells[::2])
 
 
 Table = dict[str, dict[str, Counts]]
 """What was counted, by place or log, and by method."""
 
 
-def scored(
-    places: dict[str, Dataset],
-    logs: dict[str, list[Observed]],
-    methods: list[Method],
-    trials: int,
-    pictures: Path,
-) -> list[str]:
-    """The lines of the tables; pictures of the last method are written."""
-    counts = all_counted(places, logs, methods)
-    away = [name for name in places if is_mean(name)] or list(places)
-    best = {
-        one.name: int(
-            np.mean([counts[name][one.name].iou.mean(axis=0) for name in away], 0).argmax()
-        )
-        for one in methods
+def counted(seen: list[Seen], samples: Any, methods: list[Method]) -> dict[str, Counts]:
+    """What every method says of maps."""
+    found = {}
+    for method in methods:
+        rows = []
+        for sample, there, known in seen:
+            guess = method.completion(sample, samples)
+            probability, calibrated = guess.occupancy_probability, guess.probability
+            if probability is None:  # of distances alone, a level for thresholds
+                grid = samples.dataset.grid
+                probability = 1 - guess.distance(None, grid) / grid.truncation_m
+            readings = [probability] if calibrated is None else [*[probability] * 2, calibrated]
+            inside = np.zeros((len(REGIONS), *known.shape), np.bool_)
+            inside[0] = known
+            weight = getattr(guess.uncertainty, "class_weight", 1.0)
+            said = [probability[known] >= threshold for threshold in THRESHOLDS]
+            rows.append(
+                (
+                    [iou_of(occupied, there[known]) for occupied in said],
+                    count(readings, there & known, inside),
+                    denial(probability, sample.observed, weight),
+                )
+            )
+        found[method.name] = Counts(*(np.array(column) for column in zip(*rows, strict=True)))
+    return found
+
+
+def iou_of(said: Mask, there: Mask) -> float:
+    """Intersection over union."""
+    return float((said & there).sum() / max((said | there).sum(), 1))
+
+
+def ious(counts: Table, names: list[str], away: list[str]) -> list[str]:
+    """A row for each place and log, each method at the threshold that is best for it in the mean of
+    the places `away`; and this mean."""
+    means = {
+        name: np.mean([counts[one][name].iou.mean(axis=0) for one in away], 0) for name in names
     }
-    lines = [*ious(counts, best, away), *titled("Calibration", methods)]
-    for name, found in counts.items():
-        lines.append(line(name, [values.ece for values in found.values()]))
-    home = [name for name in places if name.startswith("`")]
-    lines += told_apart(counts, methods, away, home)
-    lines += losses(counts, best, away)
-    for title, plan in PLANNERS.items():
-        lines += ["", f"## Success of planning, {title}", ""]
-        lines += planned(places, [*methods, Truth()], trials, plan)
-    last = methods[-1].name
-    lines += ["", "## Pictures", "", f"The map of each place in which `{last}` has the median IoU."]
-    for name in away:
-        order = np.argsort(counts[name][last].iou[:, best[last]])
-        median = int(order[len(order) // 2])
-        path = pictures / f"{name.strip('`')}.png"
-        path.write_bytes(drawn_map(places[name], median, methods[-1], best[last]))
-        lines += ["", f"![{name}](../pictures/real/{path.name})"]
-    return lines
+    best = {name: int(mean.argmax()) for name, mean in means.items()}
+    heads = ("maps", *(f"{name} at {THRESHOLDS[n]:g}" for name, n in best.items()))
+    lines = titled("## IoU", heads)
+    for place, found in counts.items():
+        reached = [found[name].iou[:, n] for name, n in best.items()]
+        cells = [brief(figure(one, range(len(one))), ".2f") for one in reached]
+        lines.append(line(place, [str(len(reached[0])), *cells]))
+    cells = [f"{means[name][n]:.3f}" for name, n in best.items()]
+    return [*lines, line("mean of the places", ["", *cells])]
 
 
-def all_counted(
-    places: dict[str, Dataset], logs: dict[str, list[Observed]], methods: list[Method]
-) -> Table:
-    """The voxels of all places and logs. Of a log it is known what is there and what is not, and
-    not how a scan saw it."""
-    counts: Table = {}
-    for name, dataset in places.items():
-        samples = dataset.split(split_of(dataset))
-        seen = [(sample, groups_of(samples, n)) for n, sample in enumerate(samples)]
-        counts[name] = counted(seen, samples, methods)
-    for name, scans in logs.items():
-        shown = [
-            (scan, np.where(known, np.where(there, 0, MISSED), UNSCORED).astype(np.uint8))
-            for scan, there, known in scans
-        ]
-        counts[name] = counted(shown, SimpleNamespace(dataset=SimpleNamespace(grid=GRID)), methods)
-    return counts
-
-
-def thresholds(best: dict[str, int]) -> list[str]:
-    """Every method with the threshold that is best for it."""
-    return [f"{name} at {THRESHOLDS[number]:g}" for name, number in best.items()]
-
-
-def ious(counts: Table, best: dict[str, int], away: list[str]) -> list[str]:
-    """A row for each place and log; last the mean of the places `away`."""
-    lines = ["", "## IoU", "", *head(("maps", *thresholds(best)))]
-    for name, found in counts.items():
-        cells = [str(len(next(iter(found.values())).iou))]
-        for method, values in found.items():
-            cells.append(brief(figure(values.iou[:, best[method]], range(len(values.iou))), ".2f"))
-        lines.append(line(name, cells))
-    means = [
-        np.mean([counts[name][method].iou[:, number].mean() for name in away])
-        for method, number in best.items()
-    ]
-    return [*lines, line("mean of the places", ["", *(f"{mean:.3f}" for mean in means)])]
-
-
-def told_apart(counts: Table, methods: list[Method], away: list[str], home: list[str]) -> list[str]:
+def told_apart(counts: Table, names: list[str], away: list[str], home: list[str]) -> list[str]:
     """How often a map of a place is denied more than one of the drawn kinds `home`: the area under
     the ROC curve."""
-    lines = titled("Told from the drawn kinds", methods)
-    for name in away:
+    lines = titled("## Told from the drawn kinds", names)
+    for place in away:
         cells = []
-        for one in methods:
-            here, there = (
-                np.concatenate([counts[place][one.name].denied for place in chosen])
-                for chosen in ([name], home)
-            )
+        for name in names:
+            here = counts[place][name].denied
+            there = np.concatenate([counts[one][name].denied for one in home])
             won = mannwhitneyu(here, there).statistic  # of all pairs, half of those that are equal
             cells.append(f"{won / (len(here) * len(there)):.2f}")
-        lines.append(line(name, cells))
-    return lines
-
-
-def losses(counts: Table, best: dict[str, int], away: list[str]) -> list[str]:
-    """What costs IoU, by group: for every method, then of the last one in every place."""
-    *_, last = best
-    lines = ["", "## What costs IoU", "", *head(("of what is occupied", *thresholds(best)))]
-    for n, group in enumerate(GROUPS):
-        cells = [f"{100 * np.mean([counts[name][last].size(n) for name in away]):.0f} %"]
-        for method, number in best.items():
-            shares = [counts[name][method].share(n, number) for name in away]
-            lost, recall = np.mean(np.array(shares), axis=0)
-            cells.append(f"{lost:.1f}" + (f" · {100 * recall:.0f} %" if n < MISSED else ""))
-        lines.append(line(group, cells if n < MISSED else ["", *cells[1:]]))
-    lines += ["", f"By place, `{last}`:", "", *head(away)]
-    for n, group in enumerate(GROUPS):
-        lost = [counts[name][last].share(n, best[last])[0] for name in away]
-        lines.append(line(group, [f"{one:.1f}" for one in lost]))
+        lines.append(line(place, cells))
     return lines
 
 
@@ -279,44 +300,24 @@ def is_mean(name: str) -> bool:
     return not name.startswith("`") and f"{name}.bt" not in MORE
 
 
-def planned(
-    places: dict[str, Dataset], methods: list[Method], trials: int, plan: PlanConfig
-) -> list[str]:
+def planned(title: str, results: dict[str, DatasetResult]) -> list[str]:
     """A table of success: a row a place, then by how much all real places together succeed oftener
-    than with the first method, trial by trial."""
-    lines = head(("trials", *(one.name for one in methods)))
-    ahead = Ahead(methods[0].name)
-    for name, dataset in places.items():
-        config = BenchConfig(split=split_of(dataset), trials=trials, plan=plan)
-        result = bench(dataset, methods, config)
-        # one flight a map, and one world a place: maps are what is drawn anew
-        maps = maps_of(result, name)
+    than with the first method, trial by trial. Each map is of a flight of its own, and each place
+    has one world: intervals are over maps."""
+    first, *_ = names = list(next(iter(results.values())).methods)
+    lines, pairs = titled(title, ("trials", *names)), []
+    for place, result in results.items():
+        maps = maps_of(result, place)
         success = (one.values("success") for one in result.methods.values())
         cells = [brief(figure(one, maps, "outcome"), ".2f") for one in success]
-        lines.append(line(name, [str(len(maps)), *cells]))
-        if is_mean(name):
-            ahead.add(result, maps)
-    if ahead.groups:
-        cells = [brief(one, "+.3f") for one in ahead.figures().values()]
-        lines.append(line(f"real places, less {methods[0].name}", [str(len(ahead.groups)), *cells]))
+        lines.append(line(place, [str(len(maps)), *cells]))
+        if is_mean(place):
+            pairs.append((result, maps))
+    if pairs:
+        cells = [brief(one, "+.3f") for one in ahead(pairs, first).values()]
+        trials = sum(len(maps) for _, maps in pairs)
+        lines.append(line(f"real places, less {first}", [str(trials), *cells]))
     return lines
-
-
-def drawn_map(dataset: Dataset, index: int, method: Method, threshold: int) -> bytes:
-    """A picture of a scan, the truth, and what a method says of known voxels."""
-
-    def guess(sample: Sample, samples: Any) -> list[Guess]:
-        said = method.completion(sample, samples)
-        probability: Any = said.occupancy_probability
-        here = scored_voxels(sample, dataset.grid, samples.home(index).tables)
-        occupied, tudf = probability >= THRESHOLDS[threshold], said.distance(None, dataset.grid)
-        return [Guess(name=method.name, occupied=occupied & here, tudf=tudf)]
-
-    shown = look_into(dataset.split(split_of(dataset)), index, guess)
-    file = io.BytesIO(to_bytes(draw_completions([shown], title=""), ".png"))
-    picture, small = Image.open(file).convert("RGB"), io.BytesIO()
-    picture.quantize(COLOURS).save(small, "PNG", optimize=True)
-    return small.getvalue()
 
 
 if __name__ == "__main__":

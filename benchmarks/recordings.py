@@ -22,10 +22,9 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from lidarsim import GridSpec, Pose
+from lidarsim import Pose
 from scenegen.logs import LogScan
 from scenegen.logs.write import write_log
-from scenegen.model.inputs import PointScan
 from scenegen.poses import pose_of_matrix
 
 STRIDE = 4
@@ -39,21 +38,8 @@ TILTS_DEG = np.arange(-30.0, 31.0, 1.0)
 """In which what is up is looked for, around the mean of the cameras' own."""
 LEVEL_M = 0.02
 """Points of a level are that near each other."""
-OBSERVED = 50
-"""Scans of a log that are completed, or up to twice as many."""
-GRID = GridSpec()
 TO_LEFT = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """From 3DTK's axes (right, up, forward) to forward, left, up."""
-
-
-class Scan(PointScan):
-    """A scan of a log that `scenegen ingest` kept, as methods are shown it."""
-
-    lidar = None
-
-
-Observed = tuple[Scan, NDArray[np.bool_], NDArray[np.bool_]]
-"""A scan; what is occupied around it, and what is known, by the whole log, (*GRID.shape) each."""
 
 
 def main() -> None:
@@ -120,20 +106,6 @@ def laser(source: Path) -> Iterator[LogScan]:
         pose[:3, 3] = TO_LEFT @ position / 100
         near = (points**2).sum(axis=1) < LASER_FAR_M**2
         yield LogScan(float(number), _placed(pose, file), points[near] @ TO_LEFT.T)
-
-
-def observed(log: Path, folder: Path) -> list[Observed]:
-    """Some fifty scans of a log, or all of a short one; its maps are made in `folder`."""
-    every = max(len(list(log.glob("velodyne/*"))) // OBSERVED, 1)
-    maps = folder / f"{log.name}.maps"
-    measuring.run("-m", "scenegen", "ingest", log, "--every", every, "--quiet", "-o", maps)
-    found = []
-    for path in sorted(maps.glob("observations/*.npz")):
-        with np.load(path) as it:
-            here, points = it["position"], it["position"] + it["points"]
-            scan = Scan(points=points, position=here, grid=GRID)
-            found.append((scan, it["occupancy"], it["known"]))
-    return found
 
 
 def _placed(matrix: NDArray[np.float64], file: Path) -> Pose:

@@ -14,7 +14,7 @@ from scenegen.recipe import preset
 from tests.conftest import dataset_in
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
-SHARED = {"counting", "measuring", "recordings", "scoring", "served"}
+SHARED = {"measuring", "recordings", "scoring", "served"}
 STUDY = BENCHMARKS.parent / "docs" / "results" / "study.json"
 DATA = "data"
 """Stands for a dataset's folder."""
@@ -23,10 +23,10 @@ RAY = r"ray +N +N +N +N +N\n" if find_spec("ray") else "ray: not measured"
 ODOMETRY = r"pillar +N m  N scans  N %" if find_spec("kiss_icp") else "not measured: kiss-icp"
 SCRIPTS = {
     "anywhere": ((), (r"`geometric`, the default sensor \| N .* \| N", r"points alone \| – \| N")),
-    "elsewhere": (("--out", "out"), (r"scaffold, default ra(n)ge:0\.05",)),
+    "elsewhere": ((), (r"default range:0\.05 \| N", r"scaffold, all sensors; careful \| \+N")),
     "executors": ((), (r"rank +N +N +N +N +N\n", RAY)),
     "extras": ((), (r"the core \| N \|", r"`\[train\]` \| N \|")),
-    "fly": ((), ("takes N ms of processor time", r"`optimistic` \| N", r"`tortuosity` \| N")),
+    "fly": ((), (r"`optimistic` \| N", r"`tortuosity` \| N")),
     "folders": (
         (),
         (
