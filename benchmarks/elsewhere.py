@@ -1,12 +1,12 @@
 """The bundled networks where they were never trained: other sensors, noise, and other worlds.
 
-    python benchmarks/elsewhere.py --data /tmp/elsewhere     # docs/results/elsewhere.md
+    python benchmarks/elsewhere.py                           # docs/results/elsewhere.md
     python benchmarks/elsewhere.py --maps 5 --page /tmp/try.md   # a quick look
 
 Worlds are drawn and flown once; every sensor sees them again from the same poses (`scenegen
-rescan`), so that its rows are pairs, map by map, with those of the sensor of training. What was
-made in `--data` is used again. Exported networks (`scenegen export columns -o columns.onnx`, then
-`--network columns.onnx`) take a fifth of the time.
+rescan`), so that its rows are pairs, map by map, with those of the sensor of training. Exported
+networks (`scenegen export columns -o columns.onnx`, then `--network columns.onnx`) take a fifth of
+the time.
 """
 
 import tempfile
@@ -33,7 +33,6 @@ from scenegen.model.evaluation.run import DatasetResult
 from scenegen.model.evaluation.statistics import brief, figure, head, line
 from scenegen.recipe import preset
 from scenegen.recipes.kind import WorldKind, yaw_quaternion
-from scenegen.run.workers import Local
 from scenegen.sample import Sample
 from scenegen.tables import named_noise
 
@@ -106,8 +105,6 @@ PLANNERS = {"careful": CAREFUL, "the paper's": PlanConfig()}
 def main() -> None:
     """Make the datasets, measure, and write."""
     parser = scoring.options(__doc__, "elsewhere.md", maps=60, trials=240)
-    parser.add_argument("--data", type=Path, help="where datasets are kept, to be used again")
-    parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--worlds", nargs="+", choices=WORLDS, default=WORLDS)
     parser.add_argument("--sensors", type=int, help="so many, that of training first")
     smallest = {"maps": 5, "trials": 5, "network": ["columns"], "worlds": [SCAFFOLD], "sensors": 2}
@@ -116,11 +113,11 @@ def main() -> None:
     methods: list[Method] = [Completed(Returns()), Completed(Extrude()), *networks]
     lines: list[str] = []
     found: dict[str, dict[str, Results]] = {}
-    with tempfile.TemporaryDirectory() as spare:
+    with tempfile.TemporaryDirectory() as folder:
         for worlds in given.worlds:
-            seen = as_seen(worlds, given.data or Path(spare), given.maps, given.sensors)
+            seen = as_seen(worlds, Path(folder), given.maps, given.sensors)
             found[worlds] = {
-                planner: measured(seen, methods, given.trials, plan, Local("", given.workers))
+                planner: measured(seen, methods, given.trials, plan)
                 for planner, plan in PLANNERS.items()
             }
             lines += tables(worlds, seen, found[worlds])

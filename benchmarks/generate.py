@@ -4,9 +4,8 @@ whole runs.
     python benchmarks/generate.py [--kind pillar] [--seconds 10] [--runs]
 
 The stages are those of the real pipeline, timed where it calls them, by processor time, user's and
-system's: that is what to compare on a machine that does other work. Two have a baseline in the same
-run: scipy's exact distance transform, and zlib at the same level. `--runs` also times the start of
-a process, and `scenegen generate --n 2500` on all cores; whole commands and rates stand there by
+system's: that is what to compare on a machine that does other work. `--runs` also times the start
+of a process, and `scenegen generate --n 2500` on all cores; whole commands and rates stand there by
 the clock, too, which alone counts the waiting for the disk.
 """
 
@@ -15,7 +14,6 @@ import resource
 import sys
 import tempfile
 import time
-import zlib
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -24,7 +22,6 @@ from typing import Any
 from unittest.mock import patch
 
 import measuring
-from scipy import ndimage
 
 import scenegen.dataset.shard as shard_module
 import scenegen.draw as draw_module
@@ -32,13 +29,11 @@ import scenegen.source as source_module
 import scenegen.worlds.flight as flight_module
 import scenegen.worlds.world as world_module
 from scenegen.dataset.build import plan_dataset
-from scenegen.draw import draw_unit
 from scenegen.recipe import preset
 from scenegen.recipes import kind_names
 from scenegen.run.workers import cores
 from scenegen.sample import Sample
 from scenegen.source import DrawnWorlds
-from scenegen.truth import distance_field
 
 STAGES: dict[str, tuple[Any, str]] = {
     "draw world, write MJCF, compile": (source_module, "write_world"),
@@ -111,33 +106,6 @@ def measure(kind: str, seconds: float) -> None:
         print(f"  {name:34} {ms:6.3f} ms {ms / total:5.0%}")
 
 
-def baselines(kind: str, worlds: int) -> None:
-    """The two stages that a library also has, on the maps of so many worlds."""
-    recipe = preset(kind)
-    source = DrawnWorlds(recipe)
-    units = [draw_unit(source, recipe, seed=0, split="train", unit=unit) for unit in range(worlds)]
-    samples = [sample for unit in units for sample in unit.samples]
-
-    def ms(function: Callable[[Any], Any]) -> float:
-        begin = time.process_time()
-        for sample in samples:
-            function(sample)
-        return (time.process_time() - begin) / len(samples) * 1e3
-
-    ours = ms(lambda sample: distance_field(sample.occupancy, recipe.grid))
-    scipys = ms(lambda sample: ndimage.distance_transform_edt(~sample.occupancy))
-    print(
-        f"  distance transform: {ours:.2f} ms, scipy's {scipys:.2f} ms, {scipys / ours:.0f} times "
-        f"as long"
-    )
-    ours = ms(lambda sample: shard_module.compress(sample.tudf))
-    zlibs = ms(lambda sample: zlib.compress(sample.tudf.tobytes(), 1))
-    print(
-        f"  compressing distances: {ours:.2f} ms, zlib's {zlibs:.2f} ms, {zlibs / ours:.0f} times "
-        f"as long"
-    )
-
-
 def time_runs(kind: str, count: int) -> None:
     """Whole commands on all cores: full and compact, each with its own start-up and its workers'
     memory."""
@@ -161,14 +129,12 @@ def main() -> None:
     parser = measuring.options(__doc__)
     parser.add_argument("--kind", choices=kind_names(), help="one kind instead of two")
     parser.add_argument("--seconds", type=float, default=10.0, help="how long to measure each kind")
-    parser.add_argument("--worlds", type=int, default=8, help="on whose maps the baselines are run")
     parser.add_argument("--runs", action="store_true", help="also time whole commands")
     parser.add_argument("--n", type=int, default=2500, help="training samples of a whole command")
-    given = measuring.parse(parser, kind="pillar", seconds=0, worlds=1, runs=True, n=5)
+    given = measuring.parse(parser, kind="pillar", seconds=0, runs=True, n=5)
     kinds = [given.kind] if given.kind else ["geometric", "pillar"]
     for kind in kinds:
         measure(kind, given.seconds)
-        baselines(kind, given.worlds)
     if given.runs:
         start = measuring.run("-m", "scenegen", "--version")[0]
         print(f"\nstart of a process: {start.processor_s:.2f} s of processor")

@@ -4,7 +4,7 @@
 
 A mutant is one operator, number or branch changed, as cosmic-ray draws them. It is made in a copy
 of the checkout, and killed if the tests of its room fail. Given again with the same `--out`, a run
-that was stopped goes on. `--whole` runs the whole suite on those that survived.
+that was stopped goes on.
 """
 
 import ast
@@ -90,22 +90,21 @@ def _spared(path: Path) -> list[tuple[tuple[int, int], tuple[int, int]]]:
     ]
 
 
-def tested(copy: Path, mutant: dict[str, Any], whole: bool) -> str:
+def tested(copy: Path, mutant: dict[str, Any]) -> str:
     """Make the mutant in `copy`, test, and undo it: "killed", "survived" or "no mutant"."""
     from cosmic_ray.mutating import use_mutation
     from cosmic_ray.plugins import get_operator
 
-    pytest = [sys.executable, "-m", "pytest", "-x", "-q"]
-    runs = [[]] if whole else [["-n", "0", test] for test in ROOMS[mutant["room"]][1]]
+    pytest = [sys.executable, "-m", "pytest", "-x", "-q", "-n", "0"]
     environment = os.environ | {"PYTHONPATH": str(copy), "OMP_NUM_THREADS": "1"}
     operator = get_operator(mutant["operator"])()
     with use_mutation(copy / mutant["file"], operator, mutant["occurrence"]) as (_, mutated):
         if mutated is None:
             return "no mutant"
-        for words in runs:
+        for tests in ROOMS[mutant["room"]][1]:
             try:
                 ended = subprocess.run(
-                    [*pytest, *words],
+                    [*pytest, tests],
                     cwd=copy,
                     env=environment,
                     capture_output=True,
@@ -125,7 +124,6 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("mutants.json"))
-    parser.add_argument("--whole", action="store_true")
     parser.add_argument("--rooms", nargs="*", default=list(ROOMS))
     given = measuring.parse(parser, count=1, rooms=["losses"])
     held = (
@@ -139,11 +137,8 @@ def main() -> None:
             ROOT, copy, symlinks=True, ignore=shutil.ignore_patterns(".git", ".venv", "data")
         )
         for mutant in held:
-            end = mutant.get("end")
-            if mutant["room"] in given.rooms and (
-                end is None or (given.whole and end == "survived")
-            ):
-                mutant["end"] = tested(copy, mutant, given.whole)
+            if mutant["room"] in given.rooms and "end" not in mutant:
+                mutant["end"] = tested(copy, mutant)
                 given.out.write_text(json.dumps(held, indent=0))
                 print(mutant["end"], mutant["file"], mutant["line"], mutant["operator"], flush=True)
     done = [mutant for mutant in held if mutant.get("end") in ("killed", "survived")]

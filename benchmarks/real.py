@@ -66,41 +66,28 @@ GRID = GridSpec()
 THRESHOLDS = np.arange(1, 20) / 20
 
 
-class Place(NamedTuple):
-    """A map of a place, by the name of its file."""
-
-    sha256: str
-    source: str
-
-
+OCTOMAP = "`octomap/share/data` of OctoMap, or Debian's `liboctomap-dev`, New BSD"
+FREIBURG = "the OctoMap data sets of the University of Freiburg, CC BY 3.0"
 FOREST = "`ethz-asl/forest_gen`, BSD"
+PLACES = {
+    "geb079.bt": ("7663c2466e2fe335a27d1d592f91766c8154511e63a9615aeecdad1defb04d3b", OCTOMAP),
+    "fr_campus.bt": ("7a23e0ac87d65690dae95611c9bedd8156611e266f36a69972a619c37b80c589", FREIBURG),
+    "forest_big.bt": ("ea7fdbcfe807f24c64b282b3e2b53b01fb4055c72083865ef255d75899d3d3e2", FOREST),
+    "forest0.bt": ("2c7a4fc959754ec9a5f4ce210a52d888eb735f97cec67083fbbcdb3715711a9f", FOREST),
+    "forest1.bt": ("c7ab7c8fc835e5a4bb3efda3afc09ba464b1b219cb31ecad65523d40068a8ad0", FOREST),
+    "forest2.bt": ("5b1bbeb594fff90b32206c341227f6c527c7c6c00856632774539982ba39de6f", FOREST),
+}
+"""Maps of places by the names of their files: their SHA-256 and their source."""
 MORE = {
-    "forest3.bt": "32641485aa6dab54f27f31accd97bdfebcd6b2f35aa9365b4e52ccd26427c1aa",
-    "forest4.bt": "ab081d93ea64c0554b015ca06176d161c9fe502ba85cb6190b5ef2c2566d2313",
-    "forest5.bt": "25abffd946601a5ae2d28dd3308877da8440a54db0a2c028bf1b0607aa65174b",
-    "forest7.bt": "8a9b87159e7c2a0c7a2b0093c6064202528da8923e43ccdcdac49bb1e02e1816",
-    "forest8.bt": "0a764418c61d2846d764a7f33fb3799a69878f02dd82aec93170e129b2f42f57",
-    "forest9.bt": "b69a9e4cf0737d3c0690c3953fb7a204b93e37d9b941766e51de03476c7def62",
+    "forest3.bt": ("32641485aa6dab54f27f31accd97bdfebcd6b2f35aa9365b4e52ccd26427c1aa", FOREST),
+    "forest4.bt": ("ab081d93ea64c0554b015ca06176d161c9fe502ba85cb6190b5ef2c2566d2313", FOREST),
+    "forest5.bt": ("25abffd946601a5ae2d28dd3308877da8440a54db0a2c028bf1b0607aa65174b", FOREST),
+    "forest7.bt": ("8a9b87159e7c2a0c7a2b0093c6064202528da8923e43ccdcdac49bb1e02e1816", FOREST),
+    "forest8.bt": ("0a764418c61d2846d764a7f33fb3799a69878f02dd82aec93170e129b2f42f57", FOREST),
+    "forest9.bt": ("b69a9e4cf0737d3c0690c3953fb7a204b93e37d9b941766e51de03476c7def62", FOREST),
 }
 """The other small forests, but the seventh, of which nothing is free. They have no part in means,
 nor in the choice of thresholds."""
-PLACES = {
-    "geb079.bt": Place(
-        "7663c2466e2fe335a27d1d592f91766c8154511e63a9615aeecdad1defb04d3b",
-        "`octomap/share/data` of OctoMap, or Debian's `liboctomap-dev`, New BSD",
-    ),
-    "fr_campus.bt": Place(
-        "7a23e0ac87d65690dae95611c9bedd8156611e266f36a69972a619c37b80c589",
-        "the OctoMap data sets of the University of Freiburg, CC BY 3.0",
-    ),
-    "forest_big.bt": Place(
-        "ea7fdbcfe807f24c64b282b3e2b53b01fb4055c72083865ef255d75899d3d3e2", FOREST
-    ),
-    "forest0.bt": Place("2c7a4fc959754ec9a5f4ce210a52d888eb735f97cec67083fbbcdb3715711a9f", FOREST),
-    "forest1.bt": Place("c7ab7c8fc835e5a4bb3efda3afc09ba464b1b219cb31ecad65523d40068a8ad0", FOREST),
-    "forest2.bt": Place("5b1bbeb594fff90b32206c341227f6c527c7c6c00856632774539982ba39de6f", FOREST),
-    **{name: Place(sha256, FOREST) for name, sha256 in MORE.items()},
-}
 
 
 def main() -> None:
@@ -127,16 +114,16 @@ def maps_to_complete(given: argparse.Namespace, folder: Path) -> dict[str, Datas
 
 
 def real_places(maps: Path | None, folder: Path, poses: int) -> dict[str, Dataset]:
-    """A dataset of each of `PLACES` whose map lies in the folder `maps`, by its name."""
+    """A dataset of each of `PLACES` and `MORE` whose map lies in the folder `maps`, by its name."""
     found: dict[str, Dataset] = {}
     if maps is None:
         return found
-    for name, place in PLACES.items():
+    for name, (sha256, source) in (PLACES | MORE).items():
         file = next(maps.rglob(name), None)
         if file is None:
-            print(f"{name}: is not there; it comes from {place.source}", file=sys.stderr)
-        elif hashlib.sha256(file.read_bytes()).hexdigest() != place.sha256:
-            sys.exit(f"{file}: is another map than was measured; it comes from {place.source}")
+            print(f"{name}: is not there; it comes from {source}", file=sys.stderr)
+        elif hashlib.sha256(file.read_bytes()).hexdigest() != sha256:
+            sys.exit(f"{file}: is another map than was measured; it comes from {source}")
         else:
             about: Any = {"scenes": file, "split": "train", "viewpoints": 1}
             found[file.stem] = drawn(folder / file.stem, preset("scene"), poses, **about)

@@ -19,8 +19,6 @@ from scenegen.model.evaluation.metrics import PLAN_METRICS
 from scenegen.model.evaluation.run import DatasetResult, bench
 from scenegen.model.evaluation.statistics import brief, figure, head, line
 from scenegen.recipe import Recipe
-from scenegen.run import Executor
-from scenegen.run.workers import ALONE
 from scenegen.source import DrawnWorlds, Source, read_scenes
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
@@ -74,22 +72,14 @@ def split_of(dataset: Dataset) -> Any:
 
 
 def measured(
-    places: Mapping[str, Dataset],
-    methods: Sequence[Method],
-    trials: int,
-    plan: PlanConfig,
-    execute: Executor = ALONE,
+    places: Mapping[str, Dataset], methods: Sequence[Method], trials: int, plan: PlanConfig
 ) -> dict[str, DatasetResult]:
     """What the bench finds in every place."""
-    return {
-        name: bench(
-            dataset,
-            methods,
-            BenchConfig(split=split_of(dataset), trials=trials, plan=plan),
-            execute=execute,
-        )
-        for name, dataset in places.items()
-    }
+    found = {}
+    for name, dataset in places.items():
+        config = BenchConfig(split=split_of(dataset), trials=trials, plan=plan)
+        found[name] = bench(dataset, methods, config)
+    return found
 
 
 def publish(given: argparse.Namespace, lines: Sequence[str]) -> None:

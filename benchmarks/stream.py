@@ -22,8 +22,6 @@ from scenegen.source import DrawnWorlds
 from scenegen.streams.stream import Stream
 
 BATCH = 8
-NETWORKS_MS = (1.0, 15.0, 80.0, 100.0)
-"""What a map may take a network, milliseconds: on a GPU, and on two cores."""
 
 
 def generate(kind: str, count: int, first: int) -> None:
@@ -97,12 +95,6 @@ def main() -> None:
                 f"  {name:24} {cpu / options.samples:6.2f} ({cpu / base:.2f})   "
                 f"{wall / options.samples:6.2f}"
             )
-        each = medians["stream, this process"].processor / options.samples
-        for cores in (2, 16):
-            said = ", ".join(
-                f"{each / cores / ms:.1%} of a network's {ms:g} ms" for ms in NETWORKS_MS
-            )
-            print(f"  computed, {cores} cores: {1e3 * cores / each:.0f} samples/s, {said}")
 
 
 if __name__ == "__main__":

@@ -4,7 +4,6 @@ import importlib
 import re
 import runpy
 import sys
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -19,12 +18,9 @@ STUDY = BENCHMARKS.parent / "docs" / "results" / "study.json"
 DATA = "data"
 """Stands for a dataset's folder."""
 NUMBER = r"(\d[\d.]*)"
-RAY = r"ray +N +N +N +N +N\n" if find_spec("ray") else "ray: not measured"
-ODOMETRY = r"pillar +N m  N scans  N %" if find_spec("kiss_icp") else "not measured: kiss-icp"
 SCRIPTS = {
     "anywhere": ((), (r"`geometric`, the default sensor \| N .* \| N", r"points alone \| – \| N")),
     "elsewhere": ((), (r"default range:0\.05 \| N", r"scaffold, all sensors; careful \| \+N")),
-    "executors": ((), (r"rank +N +N +N +N +N\n", RAY)),
     "extras": ((), (r"the core \| N \|", r"`\[train\]` \| N \|")),
     "fly": ((), (r"`optimistic` \| N", r"`tortuosity` \| N")),
     "folders": (
@@ -54,7 +50,6 @@ SCRIPTS = {
         ),
     ),
     "mutants": ((), (r"N of 1 killed",)),
-    "odometry": ((), (ODOMETRY,)),
     "peers": ((), (r"`pillar` \| N .* \| N", r"`SSC.et` \| N M \| 0.92 M \| N M \| N \| N")),
     "rays": ((), (r"analytic +N ms a scan", r"kernels cached: N s")),
     "real": ((), (r"`pillar` \| N \| N .* \| N", r"mean of the places")),
@@ -82,7 +77,7 @@ LEARNED = {
 """These import torch, which takes seconds: they run in this process, which has done so for other
 tests, and so do the commands that they run."""
 DEAR = LEARNED | {
-    *("executors", "extras", "fly", "folders", "generate", "rehearsal"),
+    *("extras", "fly", "folders", "generate", "rehearsal"),
     *("gpu", "mutants", "study", "verify"),
 }
 """These take some seconds."""
