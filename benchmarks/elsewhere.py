@@ -30,18 +30,21 @@ from scenegen.model.config import PlanConfig, bundled
 from scenegen.model.evaluation.methods import Completed, Method
 from scenegen.model.evaluation.metrics import PLAN_METRICS
 from scenegen.model.evaluation.run import DatasetResult
-from scenegen.model.evaluation.statistics import brief, figure, head, line
+from scenegen.model.evaluation.statistics import brief, figure, line
 from scenegen.recipe import preset
 from scenegen.recipes.kind import WorldKind, yaw_quaternion
 from scenegen.sample import Sample
 from scenegen.tables import named_noise
 
-SCAFFOLD = "elsewhere:Scaffold"
+WORLDS = {
+    "pillar": "pillar",
+    "geometric": "geometric",
+    "scaffold": "elsewhere:Scaffold",
+    "scenes": "scene",
+}
+"""Two kinds of training, drawn anew; a kind of no training; worlds drawn by hand: presets."""
 HOME = ("pillar", "geometric")
-WORLDS = (*HOME, SCAFFOLD, "scenes")
-"""Two kinds of training, drawn anew; a kind of no training; worlds drawn by hand."""
-SENSORS_SEEN = (
-    (RASTER, None),
+OTHERS = (
     (RASTER, "range:0.05"),
     (RASTER, "dropout:0.1"),
     ("ouster-os1-64", None),
@@ -50,7 +53,7 @@ SENSORS_SEEN = (
     ("realsense-d435", None),
     ("realsense-d435", "datasheet"),
 )
-"""Sensors and noise; the first is that of training."""
+"""Sensors and noise that are not those of training."""
 SEEN = (
     "observed voxels",
     "of these not occupied",
@@ -105,9 +108,15 @@ PLANNERS = {"careful": CAREFUL, "the paper's": PlanConfig()}
 def main() -> None:
     """Make the datasets, measure, and write."""
     parser = scoring.options(__doc__, "elsewhere.md", maps=60, trials=240)
-    parser.add_argument("--worlds", nargs="+", choices=WORLDS, default=WORLDS)
-    parser.add_argument("--sensors", type=int, help="so many, that of training first")
-    smallest = {"maps": 5, "trials": 5, "network": ["columns"], "worlds": [SCAFFOLD], "sensors": 2}
+    parser.add_argument("--worlds", nargs="+", choices=WORLDS, default=list(WORLDS))
+    parser.add_argument("--sensors", type=int, help="so many others than that of training")
+    smallest = {
+        "maps": 5,
+        "trials": 5,
+        "network": ["columns"],
+        "worlds": ["scaffold"],
+        "sensors": 1,
+    }
     given = measuring.parse(parser, **smallest)
     networks = scoring.networks(given.network or bundled())
     methods: list[Method] = [Completed(Returns()), Completed(Extrude()), *networks]
@@ -125,36 +134,18 @@ def main() -> None:
 
 
 def as_seen(worlds: str, folder: Path, maps: int, sensors: int | None) -> dict[str, Dataset]:
-    """Test maps of the kind `worlds` by sensor, all from the same poses."""
-    original = drawn(worlds, folder / titles(worlds), maps)
-    found = {}
-    for sensor, noise in SENSORS_SEEN[:sensors]:
+    """Test maps of `worlds` by sensor, all from the same poses."""
+    files = RESULTS.parents[1] / "scenes" if worlds == "scenes" else None
+    original = scoring.drawn(folder / worlds, preset(WORLDS[worlds]), maps, scenes=files)
+    found = {"default": original}
+    for sensor, noise in OTHERS[:sensors]:
         name = " ".join(filter(None, ("default" if sensor == RASTER else sensor, noise)))
-        place = folder / f"{titles(worlds)} {name.replace(':', '')}"
-        found[name] = again(original, place, sensor, noise)
+        place = folder / f"{worlds} {name.replace(':', '')}"
+        lidar = None if sensor == RASTER else SENSORS.find(sensor)
+        chain = named_noise(noise, lidar or original.lidar)
+        build(plan_rescan(original, place, lidar=lidar, chain=chain))
+        found[name] = Dataset(place)
     return found
-
-
-def titles(worlds: str) -> str:
-    """What a kind of worlds is called."""
-    return worlds.rpartition(":")[2].lower()
-
-
-def drawn(worlds: str, folder: Path, maps: int) -> Dataset:
-    """Test maps of the kind `worlds`, as the sensor of training sees them."""
-    if worlds != "scenes":
-        return scoring.drawn(folder, preset(worlds), maps)
-    return scoring.drawn(folder, preset("scene"), maps, scenes=RESULTS.parents[1] / "scenes")
-
-
-def again(original: Dataset, folder: Path, sensor: str, noise: str | None) -> Dataset:
-    """The same worlds from the same poses, as `sensor` sees them with `noise`."""
-    if (sensor, noise) == SENSORS_SEEN[0]:
-        return original
-    lidar = SENSORS.find(sensor) if sensor != RASTER else None
-    chain = named_noise(noise, lidar or original.lidar)
-    build(plan_rescan(original, folder, lidar=lidar, chain=chain))
-    return Dataset(folder)
 
 
 def pooled(found: Mapping[str, Mapping[str, Results]]) -> list[str]:
@@ -178,7 +169,7 @@ def places(worlds: str, usual: bool) -> list[str]:
     if worlds in HOME:
         sensors = "as in training" if usual else "other sensors and noise"
         return [f"`pillar` and `geometric`, {sensors}"]
-    return [f"{titles(worlds)}, all sensors", "both, all sensors"]
+    return [f"{worlds}, all sensors", "both, all sensors"]
 
 
 def tables(worlds: str, seen: Mapping[str, Dataset], found: Mapping[str, Results]) -> list[str]:
@@ -196,14 +187,7 @@ def tables(worlds: str, seen: Mapping[str, Dataset], found: Mapping[str, Results
         "near_rmse": "Near-RMSE over unknown voxels, m:",
     }
     return [
-        *(
-            "",
-            f"## {titles(worlds)}",
-            "",
-            "What the sensors see, means over maps:",
-            "",
-            *head(SEEN),
-        ),
+        *("", f"## {worlds}", *titled("What the sensors see, means over maps:", SEEN)),
         *(line(sensor, cells_of(dataset)) for sensor, dataset in seen.items()),
         *scoring.tables(unknown, results, names, **form, region=1),
         *scoring.tables({"iou": "IoU over the whole map:"}, results, names, **form),

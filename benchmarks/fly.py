@@ -36,8 +36,16 @@ Row = tuple[Course, Flown]
 Flights = dict[str, list[Row]]
 """By robot."""
 HARDER = {
-    **{"clearance_m": -1, "visibility_m": -1, "dispersion": 1, "passage_m": -1, "tortuosity": 1},
-    **{"traversability": -1, "gap": -1, "obstruction": 1, "occlusion": 1, "turning": 1},
+    "clearance_m": -1,
+    "visibility_m": -1,
+    "dispersion": 1,
+    "passage_m": -1,
+    "tortuosity": 1,
+    "traversability": -1,
+    "gap": -1,
+    "obstruction": 1,
+    "occlusion": 1,
+    "turning": 1,
 }
 """The figures of difficulty: 1 where more is harder, else -1."""
 FIGURES: dict[str, Callable[[Flown], float]] = {

@@ -111,8 +111,8 @@ def time_runs(kind: str, count: int) -> None:
     memory."""
     for flags in ((), ("--compact",)):
         with tempfile.TemporaryDirectory(dir=Path.cwd()) as folder:
-            words = ["generate", "--kind", kind, "--n", count, *flags, "--out", folder, "--json"]
-            cost, printed = measuring.run("-m", "scenegen", *words)
+            words = f"generate --kind {kind} --n {count} --json --out".split()
+            cost, printed = measuring.run("-m", "scenegen", *words, folder, *flags)
         said = json.loads(printed)
         made = sum(said["samples"].values())
         print(

@@ -36,7 +36,6 @@ from scenegen.source import DrawnWorlds
 from scenegen.truth import distance_field, rasterize
 from scenegen.worlds.world import solid
 
-PUBLISHED = {"mujoco-lidar (JAX)": 231e6, "OmniPerception (RTX 4090)": 328e6}
 CHECKED = 16
 """Worlds in which what the device gives is compared with what the processor gives."""
 THREE = """<mujoco><worldbody>
@@ -163,33 +162,21 @@ def main() -> None:
     given = measuring.parse(parser, kind=["pillar"], worlds=1, sensors=1, seconds=0, device="cpu")
     if given.device != "cpu" and (missing := WarpEngine.missing()):
         sys.exit(f"nothing measured: this {missing}")
-    figures: dict[str, dict[str, float]] = {}
+    print(f"{given.device}: {given.worlds} different worlds of each preset at once")
     for name in ("three solids", *given.kind):
         if name == "three solids":
             batch = three_solids(given.sensors, given.device)
         else:
             batch = preset_batch(name, given.worlds, given.device)
         differing = batch.differing()
-        launches, samples = (
-            per_second(batch.cast, given.seconds),
-            per_second(batch.sample, given.seconds),
-        )
-        figures[name] = {
-            "rays": launches * batch.rays.size,
-            "samples": samples * len(batch.poses),
-            "packed_ms": batch.packed_ms,
-            "differing": differing,
-        }
-    print(f"{batch.worlds.device}: {given.worlds} different worlds of each preset at once")
-    for name, one in figures.items():
+        rays = per_second(batch.cast, given.seconds) * batch.rays.size
+        samples = per_second(batch.sample, given.seconds) * len(batch.poses)
         print(
-            f"  {name:14} {one['rays'] / 1e6:9.1f} M rays/s  {one['samples']:9.0f} samples/s with "
-            f"truth  "
-            f"{one['packed_ms']:.2f} ms to pack a world  {one['differing']:.0f} values differ "
-            f"from the processor's"
+            f"  {name:14} {rays / 1e6:9.1f} M rays/s  {samples:9.0f} samples/s with truth  "
+            f"{batch.packed_ms:.2f} ms to pack a world  "
+            f"{differing} values differ from the processor's",
+            flush=True,
         )
-    for name, rays in PUBLISHED.items():
-        print(f"  {name:26} {rays / 1e6:.0f} M rays/s, published")
 
 
 if __name__ == "__main__":

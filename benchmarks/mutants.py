@@ -38,14 +38,15 @@ ROOMS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     ),
 }
 """What is mutated by room, and the tests that are run first to last."""
+SEED = 1
 TIMEOUT_S = 600
 
 
-def drawn(count: int, seed: int, rooms: list[str]) -> list[dict[str, Any]]:
+def drawn(count: int, rooms: list[str]) -> list[dict[str, Any]]:
     """`count` mutants, as many of every room."""
     from cosmic_ray.commands.init import _all_work_items
 
-    rng, found = random.Random(seed), list[dict[str, Any]]()
+    rng, found = random.Random(SEED), list[dict[str, Any]]()
     for number, room in enumerate(rooms):
         files = sorted(path for pattern in ROOMS[room][0] for path in ROOT.glob(pattern))
         pool = [item.mutations[0] for item in _all_work_items(files, {})]
@@ -122,14 +123,11 @@ def main() -> None:
     """Draw, test, and print the share that was killed, and the survivors."""
     parser = measuring.options(__doc__)
     parser.add_argument("--count", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("mutants.json"))
     parser.add_argument("--rooms", nargs="*", default=list(ROOMS))
     given = measuring.parse(parser, count=1, rooms=["losses"])
     held = (
-        json.loads(given.out.read_text())
-        if given.out.exists()
-        else drawn(given.count, given.seed, given.rooms)
+        json.loads(given.out.read_text()) if given.out.exists() else drawn(given.count, given.rooms)
     )
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         copy = Path(folder).resolve() / "copy"

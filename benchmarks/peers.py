@@ -45,16 +45,17 @@ OURS = "columns"
 PAPERS = {"LMSCNet": (32, 20, "0.35 M"), "SSCNet": (36, 12, "0.93 M")}
 """Voxels in height and classes in the paper, and how many parameters it counts."""
 TRAINING = (
-    *("--input", "observed", "--input", "free"),
-    *("--stream-seed", 7, "--points-share", 0.25, "--batch", 2, "--precision", "float32"),
-    *("--lambda-occupancy", 1, "--lovasz", 1, "--eikonal", 0, "--choose", "last"),
-    *("--interval", 600, "--quiet"),
+    "--input observed --input free --stream-seed 7 --points-share 0.25 --batch 2 "
+    "--precision float32 --lambda-occupancy 1 --lovasz 1 --eikonal 0 --choose last "
+    "--interval 600 --quiet"
 )
 TABLES = {
     "iou": "## IoU",
     "near_rmse": "## Near-RMSE, m",
     "success": "## Success of the careful planner",
 }
+ROUNDS = 5
+"""Of timing."""
 REAL = "real places, less `extrude`"
 
 
@@ -65,9 +66,8 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, help="folder of the runs")
     parser.add_argument("--stream", default=HERE / "anywhere.toml", help="what they learn from")
     parser.add_argument("--learned", type=int, default=600, help="maps that each learns from")
-    parser.add_argument("--rounds", type=int, default=5, help="of timing")
     smallest: dict[str, Any] = {"stream": "pillar", "learned": 2, "maps": 2, "trials": 2}
-    given = measuring.parse(parser, **smallest, rounds=1)
+    given = measuring.parse(parser, **smallest)
     with tempfile.TemporaryDirectory() as spare:
         folder, runs = Path(spare), given.runs or Path(spare, "runs")
         names = {OURS: str(runs / OURS)}
@@ -78,7 +78,7 @@ def main() -> None:
         places = maps_to_complete(given, folder)
         methods: list[Method] = [Completed(Extrude()), *networks((*names.values(), "anywhere"))]
         lines = scored(measured(places, methods, given.trials, CAREFUL))
-        lines += sizes(names, given.rounds)
+        lines += sizes(names, 1 if given.smoke else ROUNDS)
     publish(given, lines)
 
 
@@ -87,7 +87,7 @@ def train(out: Path, name: str, given: Any) -> None:
     variant = name if name == OURS else f"peers:{name}"
     os.environ["PYTHONPATH"] = os.pathsep.join([str(HERE), os.environ.get("PYTHONPATH", "")])
     maps = ("--maps", given.learned, "--val-maps", min(8, given.learned))
-    words = ("--variant", variant, "--stream", given.stream, *TRAINING, *maps, "--out", out)
+    words = ("--variant", variant, "--stream", given.stream, *TRAINING.split(), *maps, "--out", out)
     measuring.run("-m", "scenegen", "train", *words)
 
 

@@ -123,8 +123,6 @@ def measure(
     build = {
         "tree": lambda: Hierarchy.over(solids.lower, solids.upper),
         "refit": lambda: tree.refit(solids.lower, solids.upper),
-        "engine": lambda: AnalyticEngine(solids),
-        "solids": lambda: solids_of(model),
     }
     return scans, best_ms(build, 3), differ, directions.shape[0] * directions.shape[1]
 

@@ -45,13 +45,10 @@ TO_LEFT = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 def main() -> None:
     """Write the log."""
     parser = measuring.options(__doc__)
-    parser.add_argument("recording", choices=list(RECORDINGS), nargs="?", default="laser")
-    parser.add_argument("source", type=Path, nargs="?", help="the folder with its files")
-    parser.add_argument("out", type=Path, nargs="?", help="where the log is written")
+    parser.add_argument("recording", choices=list(RECORDINGS))
+    parser.add_argument("source", type=Path, help="the folder with its files")
+    parser.add_argument("out", type=Path, help="where the log is written")
     given = measuring.parse(parser)
-    if given.source is None:
-        print("recordings: not read; give the folder with the files of one")
-        return
     print(write_log(given.out, RECORDINGS[given.recording](given.source)))
 
 

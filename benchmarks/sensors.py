@@ -72,13 +72,11 @@ def main() -> None:
     given = measuring.parse(
         parser, samples=5, rounds=1, only=["default", "avia", "grazing", "labels", "ahead"]
     )
-    asked = recipes(given.kind)
-    if given.only:
-        asked = {
-            name: recipe
-            for name, recipe in asked.items()
-            if any(word in name for word in given.only)
-        }
+    asked = {
+        name: recipe
+        for name, recipe in recipes(given.kind).items()
+        if any(word in name for word in given.only or [""])
+    }
     for recipe in asked.values():
         cost_ms(recipe, recipe.flight.viewpoints)  # compiles, where nothing is cached
     spent: dict[str, list[float]] = {name: [] for name in asked}

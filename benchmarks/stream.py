@@ -6,10 +6,10 @@ How long training waits for one says `benchmarks/training.py --stream pillar`.
 """
 
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import measuring
 
@@ -49,24 +49,19 @@ def read(samples: Stream, count: int, first: int) -> None:
     samples.close()
 
 
-@contextmanager
-def ways(kind: str, workers: int) -> Iterator[dict[str, Callable[[int, int], None]]]:
+def ways(kind: str, workers: int, cache: Path) -> dict[str, Callable[[int, int], None]]:
     """What is compared, by name: functions of a count of samples and a round's number."""
-    with tempfile.TemporaryDirectory() as folder:
-        cached = Path(folder)
-        yield {
-            "generate --compact": lambda count, n: generate(kind, count, n),
-            "stream, this process": lambda count, n: read(scenegen.stream(kind), count, n),
-            f"stream, {workers} workers": lambda count, n: read(
-                scenegen.stream(kind, workers=workers), count, n
-            ),
-            "stream, cache written": lambda count, n: read(
-                scenegen.stream(kind, cache=cached), count, n
-            ),
-            "stream, cache read": lambda count, n: read(
-                scenegen.stream(kind, cache=cached), count, n
-            ),
-        }
+
+    def stream(**how: Any) -> Callable[[int, int], None]:
+        return lambda count, first: read(scenegen.stream(kind, **how), count, first)
+
+    return {
+        "generate --compact": partial(generate, kind),
+        "stream, this process": stream(),
+        f"stream, {workers} workers": stream(workers=workers),
+        "stream, cache written": stream(cache=cache),
+        "stream, cache read": stream(cache=cache),
+    }
 
 
 def main() -> None:
@@ -79,7 +74,8 @@ def main() -> None:
     options = measuring.parse(parser, kind="pillar", samples=8, rounds=1, workers=1)
     for kind in [options.kind] if options.kind else ["geometric", "pillar"]:
         generate(kind, 10, 0)  # kernels compile
-        with ways(kind, options.workers) as compared:
+        with tempfile.TemporaryDirectory() as cache:
+            compared = ways(kind, options.workers, Path(cache))
             found: dict[str, list[measuring.Time]] = {name: [] for name in compared}
             for number in range(options.rounds):
                 for name, way in compared.items():

@@ -3,7 +3,6 @@
 python benchmarks/study.py docs/results/study.json --out docs/pictures/study
 """
 
-import io
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,11 +14,6 @@ from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
 
 COLOURS = {"confirmed": "C0", "refuted": "C3", "contradicted": "C1", "undecided": "0.5"}
 CURVES = {"val_loss": "validation loss", "val_iou": "IoU", "val_near_rmse": "Near-RMSE, m"}
-
-
-def draw(study: Mapping[str, Any]) -> dict[str, bytes]:
-    """The study's pictures by file name, PNG."""
-    return {"learning.png": _png(learning(study)), "claims.png": _png(claims(study))}
 
 
 def learning(study: Mapping[str, Any]) -> Any:
@@ -84,12 +78,6 @@ def _figure(width: float, height: float) -> Any:
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def _png(figure: Any) -> bytes:
-    memory = io.BytesIO()
-    figure.savefig(memory, format="png", dpi=100)
-    return memory.getvalue()
-
-
 def main() -> None:
     """Draw a study."""
     parser = measuring.options(__doc__)
@@ -97,8 +85,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path())
     given = measuring.parse(parser)
     given.out.mkdir(parents=True, exist_ok=True)
-    for name, picture in draw(json.loads(given.study.read_text())).items():
-        (given.out / name).write_bytes(picture)
+    study = json.loads(given.study.read_text())
+    for name, drawn in {"learning.png": learning(study), "claims.png": claims(study)}.items():
+        drawn.savefig(given.out / name, dpi=100)
         print(given.out / name)
 
 

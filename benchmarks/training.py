@@ -32,9 +32,7 @@ def main() -> None:
     parser.add_argument("--batch", type=int, default=8)
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--device", default="auto")
-    parser.add_argument("--threads", type=int, default=torch.get_num_threads())
     options = measuring.parse(parser, variant=["occ"], stem_stride=[2], batch=1, rounds=1)
-    torch.set_num_threads(options.threads)
     device = choose_device(options.device)
     sources = [scenegen.stream(options.stream)] if options.stream else None
     maps = Maps(sources or opened(options.datasets, "train"), "train")
@@ -48,7 +46,7 @@ def main() -> None:
     loader(maps, batches)
     batch = next(load(maps, batches, workers=0, pinned=False))
     print(
-        f"steps on {device}, {options.threads} threads, batch {options.batch}; median of "
+        f"steps on {device}, {torch.get_num_threads()} threads, batch {options.batch}; median of "
         f"{options.rounds}"
     )
     for stride, variant in itertools.product(options.stem_stride, options.variant):

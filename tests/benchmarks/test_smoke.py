@@ -20,7 +20,7 @@ DATA = "data"
 NUMBER = r"(\d[\d.]*)"
 SCRIPTS = {
     "anywhere": ((), (r"`geometric`, the default sensor \| N .* \| N", r"points alone \| – \| N")),
-    "elsewhere": ((), (r"default range:0\.05 \| N", r"scaffold, all sensors; careful \| \+N")),
+    "elsewhere": ((), (r"default range:0\.05 \| N", r"scaffold, all sensors; careful \| [+-]N")),
     "extras": ((), (r"the core \| N \|", r"`\[train\]` \| N \|")),
     "fly": ((), (r"`optimistic` \| N", r"`tortuosity` \| N")),
     "folders": (
