@@ -161,10 +161,11 @@ def by_groups(found: Flights) -> list[str]:
         for what in BY_GROUP:
             lines += titled(f"## {what.capitalize()}, by {title}", groups)
             for name, rows in found.items():
-                parts = [[row for row in rows if key(row[0]) == group] for group in groups]
-                values = [np.array([FIGURES[what](one) for _, one in part]) for part in parts]
-                shown = [each[np.isfinite(each)] for each in values]
-                cells = [f"{each.mean():.2f}" if len(each) else "–" for each in shown]
+                cells = []
+                for group in groups:
+                    ours = [FIGURES[what](one) for course, one in rows if key(course) == group]
+                    finite = [value for value in ours if np.isfinite(value)]
+                    cells.append(f"{np.mean(finite):.2f}" if finite else "–")
                 lines.append(line(f"`{name}`", cells))
     return lines
 

@@ -174,8 +174,7 @@ def main() -> None:
         print(
             f"  {name:14} {rays / 1e6:9.1f} M rays/s  {samples:9.0f} samples/s with truth  "
             f"{batch.packed_ms:.2f} ms to pack a world  "
-            f"{differing} values differ from the processor's",
-            flush=True,
+            f"{differing} values differ from the processor's"
         )
 
 

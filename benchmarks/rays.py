@@ -36,11 +36,8 @@ def world(count: int) -> tuple[mujoco.MjModel, float]:
     one stands on 2 m²."""
     rng, spec = np.random.default_rng(0), mujoco.MjSpec()
     side = 40.0 * max(1.0, (count / 800) ** 0.5)
-    shapes = [
-        mujoco.mjtGeom.mjGEOM_SPHERE,
-        mujoco.mjtGeom.mjGEOM_BOX,
-        mujoco.mjtGeom.mjGEOM_CYLINDER,
-    ]
+    geom = mujoco.mjtGeom
+    shapes = geom.mjGEOM_SPHERE, geom.mjGEOM_BOX, geom.mjGEOM_CYLINDER
     for number in range(count):
         turn = rng.normal(size=4)
         size, place = rng.uniform(0.2, 0.8, 3), rng.uniform([0, 0, 0], [side, side, 5])
@@ -124,7 +121,7 @@ def measure(
         "tree": lambda: Hierarchy.over(solids.lower, solids.upper),
         "refit": lambda: tree.refit(solids.lower, solids.upper),
     }
-    return scans, best_ms(build, 3), differ, directions.shape[0] * directions.shape[1]
+    return scans, best_ms(build, 3), differ, directions[..., 0].size
 
 
 def report(count: int, repeats: int) -> None:
