@@ -83,13 +83,16 @@ def measured(
 
 
 def publish(given: argparse.Namespace, lines: Sequence[str]) -> None:
-    """Print the tables, and write them to the page, where what stands above them stays; not where
-    they mean nothing."""
+    """Print the tables, and write them to the page; not where they mean nothing."""
     print("\n".join(lines))
     if not given.smoke:
-        page = given.page
-        said = page.read_text().partition(MARK)[0] if page.is_file() else f"# {page.stem}\n\n"
-        page.write_text(f"{said}{MARK}\n" + "\n".join(lines) + "\n")
+        rewrite(given.page, lines)
+
+
+def rewrite(page: Path, lines: Sequence[str]) -> None:
+    """Write the tables of a page anew; what stands above them stays."""
+    said = page.read_text().partition(MARK)[0] if page.is_file() else f"# {page.stem}\n\n"
+    page.write_text(f"{said}{MARK}\n" + "\n".join(lines) + "\n")
 
 
 def titled(title: str, names: Iterable[str]) -> list[str]:

@@ -4,6 +4,7 @@ import importlib
 import re
 import runpy
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,7 @@ STUDY = BENCHMARKS.parent / "docs" / "results" / "study.json"
 DATA = "data"
 """Stands for a dataset's folder."""
 NUMBER = r"(\d[\d.]*)"
+ODOMETRY = r"pillar +N m  N scans  N %" if find_spec("kiss_icp") else "not measured: kiss-icp"
 SCRIPTS = {
     "anywhere": ((), (r"`geometric`, the default sensor \| N .* \| N", r"points alone \| – \| N")),
     "elsewhere": ((), (r"default range:0\.05 \| N", r"scaffold, all sensors; careful \| [+-]N")),
@@ -31,6 +33,7 @@ SCRIPTS = {
             r"merge \| N, N \| N \| N \|",
         ),
     ),
+    "generalisation": (("--out", "out"), (r"extrude: maze N", r"without maze: maze N")),
     "generate": (
         (),
         (
@@ -50,6 +53,7 @@ SCRIPTS = {
         ),
     ),
     "mutants": ((), (r"N of 1 killed",)),
+    "odometry": ((), (ODOMETRY,)),
     "peers": ((), (r"`pillar` \| N .* \| N", r"`SSC.et` \| N M \| 0.92 M \| N M \| N \| N")),
     "rays": ((), (r"analytic +N ms a scan", r"kernels cached: N s")),
     "real": ((), (r"`pillar` \| N \| N .* \| N", r"mean of the places")),
@@ -71,7 +75,7 @@ SCRIPTS = {
 }
 """Of every benchmark: what it is given, and figures that it prints; N stands for one."""
 LEARNED = {
-    *("elsewhere", "inference"),
+    *("elsewhere", "generalisation", "inference"),
     *("anywhere", "peers", "real", "training"),
 }
 """These import torch, which takes seconds: they run in this process, which has done so for other
