@@ -40,6 +40,12 @@ def rotation(quaternion_wxyz):
     return Rotation.from_quat([x, y, z, w])
 
 
+def unit(vectors):
+    """Unit vectors; along x, where there is no direction."""
+    length = np.sqrt((vectors * vectors).sum(axis=-1, keepdims=True))
+    return np.where(length > 0, vectors, [1.0, 0.0, 0.0]) / np.where(length > 0, length, 1.0)
+
+
 def random_quaternion(rng):
     """A uniformly random attitude as (w, x, y, z): four normal numbers, normalized."""
     q = rng.normal(size=4)

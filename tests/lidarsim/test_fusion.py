@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lidarsim import BeamTable, Fusion, GridSpec, Pose, Scan, fuse, voxelize
+from tests.lidarsim.reference import unit
 
 GRID = GridSpec(shape=(8, 7, 6), voxel_m=0.3)
 ORIGIN = np.array([-1.2, -1.0, -0.9])
@@ -18,10 +19,9 @@ def random_scans(seed, count):
     found = []
     for _ in range(count):
         rays = rng.normal(size=(40, 3))
-        table = np.column_stack([rays / np.linalg.norm(rays, axis=1, keepdims=True), np.zeros(40)])
-        ranges = np.where(rng.random(40) < 0.33, np.inf, rng.uniform(0.1, 1.5, 40)).astype(
-            np.float32
-        )
+        table = np.column_stack([unit(rays), np.zeros(40)])
+        ranges = np.where(rng.random(40) < 0.33, np.inf, rng.uniform(0.1, 1.5, 40))
+        ranges = ranges.astype(np.float32)
         pose = Pose.level(rng.uniform(-0.5, 0.5, 3), rng.uniform(-3, 3))
         found.append(Scan(ranges, pose, BeamTable(rays=table, max_range_m=2.0)))
     return found

@@ -12,6 +12,7 @@ from lidarsim import AnalyticEngine
 from lidarsim.engines import analytic
 from lidarsim.solids.model import solids_of
 from tests.lidarsim.engines.test_laws import model_of, random_model, random_rays
+from tests.lidarsim.reference import unit
 
 
 def from_mujoco(model, origin, rays):
@@ -26,7 +27,7 @@ def from_mujoco(model, origin, rays):
     return ranges, geoms, normals
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_hits_are_mujocos(seed):
     """Geoms, points and normals, of every shape at any attitude."""
     rng = np.random.default_rng(seed)
@@ -49,9 +50,7 @@ def test_hits_are_mujocos(seed):
 
 def test_an_empty_world_and_a_crowded_one():
     ray = [[[1.0, 0.0, 0.0]]]
-    nothing = AnalyticEngine.of(mujoco.MjModel.from_xml_string("<mujoco/>"))
-    assert nothing.cast([[0.0, 0.0, 0.0]], ray, 10.0) == np.inf
-    assert nothing.hits([[0.0, 0.0, 0.0]], ray, 10.0).geoms == -1
+    assert AnalyticEngine.of(model_of()).hits([[0.0, 0.0, 0.0]], ray, 10.0).geoms == -1
     one = solids_of(model_of('type="sphere" size="1" pos="5 0 0"'))
     many = 100_000
     fields = ("shape", "size", "position", "rotation", "lower", "upper")
@@ -69,15 +68,9 @@ def test_moved_solids_are_seen_where_they_are():
     rng = np.random.default_rng(6)
     origins, rays = random_rays(rng, 4, 500)
     first, second = (solids_of(random_model(np.random.default_rng(seed))) for seed in (7, 8))
-    at = {int(shape): np.flatnonzero(second.shape == shape) for shape in second.shape}
-    order = np.concatenate([at[shape][k : k + 1] for shape, k in counted(first.shape)])
-    moved = replace(
-        first,
-        **{
-            name: getattr(second, name)[order]
-            for name in ("size", "position", "rotation", "lower", "upper")
-        },
-    )
+    assert_array_equal(first.shape, second.shape)
+    taken = ("size", "position", "rotation", "lower", "upper")
+    moved = replace(first, **{name: getattr(second, name) for name in taken})
     engine = AnalyticEngine(first)
     before = engine.cast(origins, rays, 12.0)
     engine.move(moved)
@@ -89,12 +82,7 @@ def test_moved_solids_are_seen_where_they_are():
         engine.move(solids_of(model_of('type="sphere" size="1"')))
 
 
-def counted(shapes):
-    """Each shape, and how many of it came before."""
-    return [(int(shape), int((shapes[:n] == shape).sum())) for n, shape in enumerate(shapes)]
-
-
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_rays_in_packets_meet_what_each_meets_alone(seed):
     """To the bit: neighbours in a sensor's shape, in a row, apart, and along the axes."""
     rng = np.random.default_rng(seed)
@@ -104,7 +92,7 @@ def test_rays_in_packets_meet_what_each_meets_alone(seed):
     level = np.cos(pitch)
     rays = np.stack([level * np.cos(yaw), level * np.sin(yaw), np.sin(pitch)], axis=-1)
     rays[8] = rays[8].round(9)  # some of its slopes are 0
-    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    rays = unit(rays)
     for shape in (rays.shape, (-1, 3)):
         for order in (np.arange(rays.size // 3), rng.permutation(rays.size // 3)):
             shown = rays.reshape(-1, 3)[order]

@@ -19,7 +19,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import Lidar, MujocoEngine, Pose, cast
 from tests.lidarsim import reference
-from tests.lidarsim.reference import Body, Geom
+from tests.lidarsim.engines.test_laws import PROCESSORS, made
+from tests.lidarsim.reference import Body, Geom, unit
 
 SOLIDS = ("sphere", "box", "cylinder", "capsule", "ellipsoid")
 GHOST = 'contype="0" conaffinity="0"'
@@ -34,24 +35,6 @@ def engine_of(xml):
 def ranges_of(engine, position, rays, reach):
     """Ranges from one position."""
     return engine.cast(np.asarray(position)[None], np.asarray(rays)[None], reach)[0]
-
-
-def random_rays(rng, count):
-    """Directions uniform on the sphere."""
-    rays = rng.normal(size=(count, 3))
-    return rays / np.linalg.norm(rays, axis=1, keepdims=True)
-
-
-def aimed_rays(
-    rng,
-    position,
-    target,
-    spread,
-    count,
-):
-    """Directions from a position to points scattered normally about a target."""
-    rays = np.asarray(target) + spread * rng.normal(size=(count, 3)) - np.asarray(position)
-    return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
 
 def assert_same_ranges(got, expected, returns_at_least=1):
@@ -85,12 +68,8 @@ def random_world(rng):
     return geoms, bodies
 
 
-# ------------------------------------------------------------------------------- the analytic
-# references
-
-
 @pytest.mark.parametrize("level", [True, False])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_scan_of_a_random_world_matches_the_analytic_ranges(seed, level):
     """The whole way from pose to float32 ranges; layout and intersections both come from the
     reference."""
@@ -112,10 +91,6 @@ def test_a_scan_of_a_random_world_matches_the_analytic_ranges(seed, level):
     assert_allclose(scan.ranges[seen], expected[seen], rtol=0, atol=1.5e-6)
     points = position + expected[seen][:, None] * rays[seen]
     assert_allclose(scan.points(), points, rtol=0, atol=2e-6)
-
-
-# -------------------------------------------------------------------------------------------- no
-# returns
 
 
 def test_the_maximum_range_divides_returns_from_infinity():
@@ -143,7 +118,7 @@ def test_an_engine_over_data_sees_the_configuration_of_the_data():
     data = mujoco.MjData(model)
     data.qpos[:] = (*moved.position, *moved.quaternion)
     mujoco.mj_forward(model, data)
-    rays = random_rays(rng, 2000)
+    rays = unit(rng.normal(size=(2000, 3)))
     for engine, body in ((MujocoEngine.of(model, data), moved), (MujocoEngine.of(model), started)):
         expected = reference.ranges([], [body], np.zeros(3), rays, 10.0)
         assert_same_ranges(
@@ -155,7 +130,7 @@ def test_an_engine_over_data_sees_the_configuration_of_the_data():
 # mj_multiRay
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_rays_just_inside_a_boxs_edges_hit_it_in_every_direction_of_view(seed):
     """Edges reach beyond the angles that the corners span, most near the zenith; azimuth wraps
     behind."""
@@ -173,41 +148,38 @@ def test_rays_just_inside_a_boxs_edges_hit_it_in_every_direction_of_view(seed):
         on_edges = rng.uniform(-1, 1, size=(400, 3))
         fixed = rng.permuted(np.tile([True, True, False], (400, 1)), axis=1)
         on_edges = np.where(fixed, np.sign(on_edges) * (1 - 1e-4), on_edges) * np.array(geom.size)
-        rays = reference.rotation(geom.quaternion).apply(on_edges) + np.array(geom.position)
-        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        rays = unit(reference.rotation(geom.quaternion).apply(on_edges) + np.array(geom.position))
         expected = reference.ranges([geom], [], np.zeros(3), rays, 30.0)
         got = ranges_of(engine_of(reference.world_xml([geom])), np.zeros(3), rays, 30.0)
         assert_same_ranges(got, expected, returns_at_least=400)
 
 
-@pytest.mark.parametrize("kind", SOLIDS)
 @pytest.mark.parametrize("owner", ["world", "body", "free body"])
-def test_geoms_without_collisions_outside_their_bodys_colliding_extent_are_seen(kind, owner):
+def test_geoms_without_collisions_outside_their_bodys_colliding_extent_are_seen(owner):
     """`mj_multiRay` never tests these: it sets bodies aside by a sphere about colliding geoms
     alone."""
     rng = np.random.default_rng(21)
-    size = {"sphere": 1, "box": 3, "cylinder": 2, "capsule": 2, "ellipsoid": 3}[kind]
     attitude = tuple(reference.random_quaternion(rng))
     pair = (
-        Geom(kind, (0.9, 0.7, 0.8)[:size], (-5.0, 1.0, 0.5), attitude, GHOST),
+        Geom("ellipsoid", (0.9, 0.7, 0.8), (-5.0, 1.0, 0.5), attitude, GHOST),
         Geom("box", (0.1, 0.1, 0.1), (4.0, 0.0, 0.0)),
     )
     joint = "<freejoint/>" if owner == "free body" else ""
     yawed = tuple(reference.level_quaternion(0.1))
-    geoms, bodies = (
-        (list(pair), []) if owner == "world" else ([], [Body(pair, (0.2, 0.3, 0.4), yawed, joint)])
-    )
-    position = np.array([0.1, 0.0, 0.2])
-    rays = np.concatenate(
-        [aimed_rays(rng, position, pair[0].position, 0.8, 300), random_rays(rng, 500)]
-    )
+    geoms, bodies = pair, []
+    if owner != "world":
+        geoms, bodies = [], [Body(pair, (0.2, 0.3, 0.4), yawed, joint)]
+    position, around = np.array([0.1, 0.0, 0.2]), rng.normal(size=(800, 3))
+    around[:300] = pair[0].position + 0.8 * around[:300] - position
+    rays = unit(around)
     expected = reference.ranges(geoms, bodies, position, rays, 10.0)
     got = ranges_of(engine_of(reference.world_xml(geoms, bodies)), position, rays, 10.0)
     assert_same_ranges(got, expected, returns_at_least=80)
 
 
+@pytest.mark.parametrize("name", PROCESSORS)
 @pytest.mark.parametrize("colliding", ["", GHOST])
-def test_geoms_and_materials_of_alpha_zero_are_not_seen(colliding):
+def test_geoms_and_materials_of_alpha_zero_are_not_seen(name, colliding):
     """Glass walls around the sensor, invisible in both ways, and a visible sphere behind each of
     them."""
     materials = '<material name="clear" rgba="1 0 0 0"/><material name="faint" rgba="1 0 0 0.01"/>'
@@ -225,9 +197,8 @@ def test_geoms_and_materials_of_alpha_zero_are_not_seen(colliding):
     ]
     behind = [Geom("sphere", (0.5,), tuple(5.0 * np.array(side))) for side in looks]
     rays = np.array(list(looks), dtype=np.float64)
-    engine = engine_of(reference.world_xml(walls + behind, assets=materials))
-    expected = [1.5 if seen else 4.5 for _, seen in looks.values()]
-    assert_allclose(ranges_of(engine, np.zeros(3), rays, 10.0), expected, rtol=0, atol=1e-9)
-    alone = engine_of(reference.world_xml(walls, assets=materials))
-    expected = [1.5 if seen else np.inf for _, seen in looks.values()]
-    assert_allclose(ranges_of(alone, np.zeros(3), rays, 10.0), expected, rtol=0, atol=1e-9)
+    for geoms, beyond in ((walls + behind, 4.5), (walls, np.inf)):
+        xml = reference.world_xml(geoms, assets=materials)
+        engine = made(name, mujoco.MjModel.from_xml_string(xml))
+        expected = [1.5 if seen else beyond for _, seen in looks.values()]
+        assert_allclose(ranges_of(engine, np.zeros(3), rays, 10.0), expected, rtol=0, atol=1e-9)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelEngine, VoxelMap
+from tests.lidarsim.reference import unit
 
 STEP_M = 5e-4
 
@@ -26,14 +27,14 @@ def states_along(voxels, start, ray, far_m):
     return found
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_rays_meet_what_points_along_them_do(seed):
     voxels, rng, far_m = a_map(seed), np.random.default_rng(seed), 4.0
     low, high = voxels.bounds
     starts = rng.uniform(low - 1, high + 1, (40, 3))
     rays = rng.normal(size=(40, 3))
     rays[:6] = np.repeat(np.eye(3), 2, axis=0) * np.tile([1, -1], 3)[:, None]
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    rays = unit(rays)
     asked = starts, rays[:, None], far_m
     ranges, unknown = VoxelEngine(voxels).cross(*asked)
     for limits in itertools.product((0.0, 0.6, 2.0), (0.2, 0.5, 0.9)):  # what says yes walks all
