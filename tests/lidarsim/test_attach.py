@@ -10,7 +10,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import Lidar, Pose, attach
 from lidarsim.noise.chain import Noise
-from tests.lidarsim.engines.test_laws import HFIELD, MESHES
+from tests.lidarsim import reference
+from tests.lidarsim.engines.test_laws import HFIELD, MESHES, from_mujoco
 
 WORLD = f"""<mujoco><asset>{HFIELD}{MESHES}</asset><worldbody>
 <geom type="plane" size="0 0 1"/>
@@ -40,33 +41,21 @@ def data(model):
     return found
 
 
-def by_mujoco(model, data, pose, without):
-    """Ranges, geoms and normals of `LIDAR` by `mj_multiRay`, attitudes as matrices by MuJoCo,
-    too."""
-    turn, count = np.empty(9), LIDAR.rows * LIDAR.columns
-    mujoco.mju_quat2Mat(turn, pose.quaternion)
-    rays = LIDAR.directions_body.reshape(-1, 3) @ turn.reshape(3, 3).T
-    geoms, ranges, normals = np.empty(count, np.int32), np.empty(count), np.empty((count, 3))
-    reach, found = LIDAR.max_range_m, (geoms, ranges, normals.reshape(-1))
-    given = pose.position, rays.ravel(), None, True, without
-    mujoco.mj_multiRay(model, data, *given, *found, count, reach)
-    missed = (geoms < 0) | (ranges > reach)
-    ranges[missed], geoms[missed], normals[missed] = np.inf, -1, np.nan
-    return tuple(each.reshape(*LIDAR.shape, *each.shape[1:]) for each in (ranges, geoms, normals))
-
-
-def test_a_falling_robot_sees_what_mj_multi_ray_sees_of_the_same_data(model):
+def test_a_falling_robot_sees_what_mujocos_rays_see_of_the_same_data(model):
     data, offset = mujoco.MjData(model), Pose.level((0.1, 0.05, 0.15), 0.4)
     mounted = attach(model, "robot", LIDAR, offset=offset)
     body, heights, met = model.body("robot").id, [], set()
+    rays_body = np.array(LIDAR.directions_body.reshape(-1, 3))
     for _ in range(12):
         mujoco.mj_step(model, data, 40)
         pose = Pose(
             data.xpos[body] + data.xmat[body].reshape(3, 3) @ offset.position,
             mounted.poses(data)[0].quaternion,
         )
-        ranges, geoms, normals = by_mujoco(model, data, pose, without=body)
+        rays = reference.rotation(pose.quaternion).apply(rays_body)
+        found = from_mujoco(model, data, pose.position, rays, LIDAR.max_range_m, without=body)
         hits, (also, named) = mounted.hits(data), mounted.cast(data)
+        ranges, geoms, normals = (a.reshape(*LIDAR.shape, *a.shape[1:]) for a in found)
         assert_allclose(hits.ranges[0], ranges, rtol=0, atol=1e-6)
         assert_array_equal(hits.geoms[0], geoms)
         seen = geoms >= 0

@@ -39,7 +39,9 @@ def random_rule(rng):
 
 
 RNG = np.random.default_rng(3)
-RULES = [Fusion(), Fusion(fusion="log-odds"), *(random_rule(RNG) for _ in range(4))]
+BOUNDED = Fusion(fusion="log-odds", hit=0.95, miss=0.05, least=0.2, most=0.8, occupied=0.5)
+"""A hit and a miss each reach a bound, from which the next one leads across."""
+RULES = [Fusion(), Fusion(fusion="log-odds"), BOUNDED, *(random_rule(RNG) for _ in range(3))]
 
 
 @pytest.mark.parametrize("rule", RULES)

@@ -11,20 +11,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from lidarsim import AnalyticEngine
 from lidarsim.engines import analytic
 from lidarsim.solids.model import solids_of
-from tests.lidarsim.engines.test_laws import model_of, random_model, random_rays
+from tests.lidarsim.engines.test_laws import from_mujoco, model_of, random_model, random_rays
 from tests.lidarsim.reference import unit
-
-
-def from_mujoco(model, origin, rays):
-    """Ranges, geoms and normals by `mj_ray`, one ray at a time."""
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    ranges, geoms, normals = np.empty(len(rays)), np.empty(len(rays), int), np.empty(rays.shape)
-    for n, ray in enumerate(rays):
-        geom, normal = np.zeros(1, np.int32), np.zeros(3)
-        found = mujoco.mj_ray(model, data, origin, ray, None, True, -1, geom, normal)
-        ranges[n], geoms[n], normals[n] = (found if found >= 0 else np.inf), geom[0], normal
-    return ranges, geoms, normals
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -33,9 +21,11 @@ def test_hits_are_mujocos(seed):
     rng = np.random.default_rng(seed)
     model = random_model(rng)
     origins, rays = random_rays(rng, 2, 500)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
     hits = AnalyticEngine.of(model).hits(origins, rays, 1e7)
     for p in range(2):
-        ranges, geoms, normals = from_mujoco(model, origins[p], rays[p])
+        ranges, geoms, normals = from_mujoco(model, data, origins[p], rays[p])
         assert_array_equal(hits.geoms[p], geoms)
         assert_allclose(hits.ranges[p], ranges, rtol=0, atol=1e-6)
         seen = np.isfinite(ranges)

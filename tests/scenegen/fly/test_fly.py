@@ -410,10 +410,7 @@ def test_an_entry_keeps_to_its_suite():
     forged = [
         replace(courses[0], vehicle=small),
         replace(courses[0], rules=Rules(apart_m=1.0)),
-        replace(courses[0], lidar="ouster-os1-128"),
-        replace(courses[0], seed=11),
         replace(courses[0], document=""),
-        replace(courses[0], flights=1),
         courses[1],
         hidden[0],
     ]
