@@ -100,29 +100,11 @@ def test_random_rays_match_on_small_grids_of_any_shape_and_place():
 
 
 component = st.one_of(
-    st.sampled_from(
-        [
-            0.0,
-            -0.0,
-            1.0,
-            -1.0,
-            1e-17,
-            -1e-17,
-            1e-12,
-            -1e-12,
-            1e-9,
-            0.5,
-            -2.0,
-            1e-300,
-            -1e-300,
-            1 / 3,
-        ]
-    ),
-    st.floats(-1, 1),
+    st.sampled_from([0.0, -0.0, 1.0, -1.0, 1e-17, -1e-12, 1e-9, 0.5, -1e-300]), st.floats(-1, 1)
 )
 ray = st.tuples(component, component, component).filter(lambda d: max(map(abs, d)) > 1e-3)
 reach = st.one_of(
-    st.sampled_from([np.inf, 0.0, 1e-30, 1e-12, 1e-7, 1e-3, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 50.0]),
+    st.sampled_from([np.inf, 0.0, 1e-12, 1e-7, 0.15, 0.3, 0.45, 0.6, 50.0]),
     st.floats(0, 4, width=32),
 )
 place = st.sampled_from([(0.0, 0.0, 0.0), (0.1, 0.2, 0.3), (-7.3, 100.7, 1.5), (0.15, 0.15, -0.15)])
@@ -131,13 +113,9 @@ grids = st.sampled_from(
 )
 
 
-@settings(max_examples=250, deadline=None, derandomize=True)
+@settings(max_examples=200, deadline=None, derandomize=True)
 @given(rays=st.lists(st.tuples(ray, reach), min_size=1, max_size=4), position=place, grid=grids)
-@example(
-    rays=[((1.0, -5e-324, 1.0), np.inf)],
-    position=(0.0, 0.0, 0.0),
-    grid=GridSpec(shape=(8, 8, 8), voxel_m=0.25),
-)
+@example(rays=[((1.0, -5e-324, 1.0), np.inf)], position=(0.0, 0.0, 0.0), grid=DYADIC)
 def test_special_rays_on_small_grids_match_rational_arithmetic(rays, position, grid):
     """Parallel, all but parallel, diagonal, tiny and endless rays. The exact answer lies between
     the two float64 references, which are thereby checked too, and so must the answer under test."""

@@ -166,6 +166,11 @@ def wrong_rays(name, model, rays_at):
     return np.array([wrong.sum(), np.isfinite(found).sum(), len(found)])
 
 
+def assert_right(name, kind, wrong, hits, count):
+    assert 0.1 * count < hits
+    assert wrong <= SLIPS.get((name, kind), 0.0) * count
+
+
 def at_features(rng, count):
     return lambda kind, size: aimed(rng, *features(rng, kind, size, count), float(size.max()))
 
@@ -183,9 +188,7 @@ def test_one_solid_of_any_size_from_anywhere(name, kind):
             size[:2] *= rng.random(2) < 0.7
         model = turned(rng, [Geom(kind, tuple(size))], far=n % 2)
         total += wrong_rays(name, model, at_features(rng, 400))
-    wrong, hits, count = total
-    assert 0.1 * count < hits
-    assert wrong <= SLIPS.get((name, kind), 0.0) * count
+    assert_right(name, kind, *total)
 
 
 @pytest.mark.parametrize("name", PROCESSORS)
@@ -209,9 +212,7 @@ def test_solids_that_share_surfaces(name):
             )
         ]
         total += wrong_rays(name, turned(rng, geoms, far=n % 2), at_features(rng, 100))
-    wrong, hits, count = total
-    assert 0.1 * count < hits
-    assert wrong <= SLIPS.get((name, "many"), 0.0) * count
+    assert_right(name, "many", *total)
 
 
 @pytest.mark.parametrize("name", PROCESSORS)

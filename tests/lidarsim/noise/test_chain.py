@@ -14,8 +14,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from lidarsim import AnalyticEngine, Lidar, Pose, cast
 from lidarsim.noise import STAGES
 from lidarsim.noise.chain import Noise
-from lidarsim.noise.losses import Dropout
-from lidarsim.noise.ranges import Divergence, Range
 from lidarsim.sensors import CATALOGUE, SENSORS
 from tests.command_line import ROOT
 
@@ -32,16 +30,6 @@ def test_no_noise_gives_the_clean_bits():
     clean = Noise().observe(SCAN, ENGINE, rng=np.random.default_rng(0))
     assert clean.ranges[0].astype(np.float32).tobytes() == SCAN.ranges.tobytes()
     assert_array_equal(clean.points(), SCAN.points())
-
-
-def test_a_text_becomes_stages_and_they_become_it():
-    chain = Noise.parse("divergence:2.5:returns=last, range:0.01:share=0.002,dropout")
-    assert chain.stages == (
-        Divergence(mrad=2.5, returns="last"),
-        Range(sigma_m=0.01, share=0.002),
-        Dropout(),
-    )
-    assert str(chain) == "divergence:mrad=2.5:returns=last,range:sigma_m=0.01:share=0.002,dropout"
 
 
 @pytest.mark.parametrize("name", STAGES.known)
@@ -134,7 +122,7 @@ class Ranked(Shift):
         text = f"my_noise:{text}"
         with pytest.raises(ValueError, match=f"^noise stage my_noise:.*{told}"):
             Noise.parse(text).observe(SCAN, ENGINE, rng=np.random.default_rng(0))
-    chain = Noise.parse("my_noise:Shift:-0.5,range:0")
+    chain = Noise.parse("my_noise:Shift:-0.5, range:0")
     told = chain.observe(SCAN, ENGINE, rng=np.random.default_rng(0)).ranges[0]
     assert str(chain) == "my_noise:Shift:by_m=-0.5,range:sigma_m=0.0"
     left = np.isfinite(told)
