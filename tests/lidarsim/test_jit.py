@@ -117,17 +117,16 @@ def test_a_kernel_is_compiled_anew_when_one_that_it_calls_changes(package):
 
 def test_the_cache_lies_where_the_environment_says(package, monkeypatch):
     at = package.parent
-    places = {"SCENEGEN_CACHE": at / "own", "XDG_CACHE_HOME": at / "xdg"}
-    for name, place in places.items():
-        monkeypatch.setenv(name, str(place))
-    assert folder_now().is_relative_to(places["SCENEGEN_CACHE"])
-    monkeypatch.delenv("SCENEGEN_CACHE")
-    assert folder_now().is_relative_to(places["XDG_CACHE_HOME"])
-    monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setenv("HOME", str(at))
-    assert folder_now().is_relative_to(at / ".cache")
-    monkeypatch.setenv("XDG_CACHE_HOME", "relative")  # as its specification says, void
-    assert folder_now().is_relative_to(at / ".cache")
+    for own, users, place in (
+        (at / "own", at / "xdg", "own"),
+        ("", at / "xdg", "xdg"),
+        ("", "", ".cache"),
+        ("", "relative", ".cache"),  # as its specification says, void
+    ):
+        monkeypatch.setenv("SCENEGEN_CACHE", str(own))
+        monkeypatch.setenv("XDG_CACHE_HOME", str(users))
+        assert folder_now().is_relative_to(at / place)
 
 
 @pytest.mark.parametrize("level", ["", "scenegen", "scenegen/kernels", "scenegen/kernels/{name}"])

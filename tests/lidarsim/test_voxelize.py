@@ -53,22 +53,15 @@ def assert_right(scan, grid, got):
     return must, may
 
 
-def random_lidar_scan(rng, lidar, position=None):
-    """Ranges drawn at random, three in ten without return, from a random place and attitude."""
-    reach = rng.uniform(0.05, lidar.max_range_m, (lidar.rows, lidar.columns)).astype(np.float32)
+@pytest.mark.parametrize("away_m", [0.0, 50.0])
+def test_full_scans_on_the_default_grid_match_the_slab_test_of_every_voxel(away_m):
+    """Three rays in ten return nothing."""
+    rng, lidar = np.random.default_rng(1), Lidar()
+    reach = rng.uniform(0.05, lidar.max_range_m, lidar.shape).astype(np.float32)
     reach[rng.random(reach.shape) < 0.3] = np.inf
-    place = rng.uniform(-50, 50, 3) if position is None else np.asarray(position, float)
-    return Scan(
-        ranges=reach,
-        pose=Pose(position=place, quaternion=reference.random_quaternion(rng)),
-        lidar=lidar,
-    )
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_full_scans_on_the_default_grid_match_the_slab_test_of_every_voxel(seed):
-    rng = np.random.default_rng(seed)
-    scan = random_lidar_scan(rng, Lidar(), position=(0.0, 0.0, 0.0) if seed == 0 else None)
+    attitude = reference.random_quaternion(rng)
+    pose = Pose(position=rng.uniform(-away_m, away_m, 3), quaternion=attitude)
+    scan = Scan(reach, pose, lidar)
     grid = GridSpec()
     got = voxelize(scan, grid)
     must, may = assert_right(scan, grid, got)
@@ -170,3 +163,18 @@ def test_a_tiny_range_is_observed_at_the_sensor_and_frees_nothing():
     got = voxelize(scan_of([[0.6, 0.5, 0.4]] * 4, [0.0, 1e-45, 1e-7, 1e-3]), DYADIC)
     assert np.argwhere(got.observed).tolist() == [[4, 4, 4]]
     assert not got.free.any()
+
+
+def test_returns_on_grid_planes_lie_where_the_floor_formula_says():
+    """At multiples of the voxel along axes and diagonals: the last bit decides."""
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        grid = GridSpec(shape=(20, 20, 20), voxel_m=float(rng.choice([0.1, 0.2, 0.3, 0.25])))
+        rays = rng.choice([-1.0, 0.0, 1.0, 0.5], (300, 3))
+        rays[:, 0] += (rays == 0).all(axis=1)
+        steps = rng.integers(1, 12, 300) * np.linalg.norm(rays, axis=1)
+        scan = scan_of(rays, steps * np.float32(grid.voxel_m), rng.choice([0.0, 1.0, 0.1, -7.7], 3))
+        got = voxelize(scan, grid)
+        expected = reference.observed(*inputs(scan, grid, got), scan.ranges)
+        assert_array_equal(got.observed, expected)
+        assert expected.sum() > 50

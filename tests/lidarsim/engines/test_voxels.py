@@ -69,9 +69,8 @@ def test_a_ray_returns_from_the_middle_of_its_way():
     cases = {
         (0.1, 1.0, 10.0): (1.15, 0.5),
         (0.1, 1.0, 1.1): (np.inf, 0.5),  # the range ends before the middle
-        (2.4, -1.0, 10.0): (1.15, 0.4),  # what lies beyond the map is unknown
         (1.2, 1.0, 10.0): (0.15, 0.0),  # from within
-        (0.1, -1.0, 3.0): (np.inf, 2.9),
+        (0.1, -1.0, 3.0): (np.inf, 2.9),  # what lies beyond the map is unknown
     }
     for (x, along, far_m), expected in cases.items():
         found = engine.cross([[x, 0.25, 0.25]], [[[along, 0.0, 0.0]]], far_m)

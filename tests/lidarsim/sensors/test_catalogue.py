@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from lidarsim import BeamTable, Lidar, MujocoEngine, Pose, cast
+from lidarsim import BeamTable, MujocoEngine, Pose, cast
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.ranges import Range
 from lidarsim.sensors import CATALOGUE, FAMILIES, SENSORS, device
@@ -232,7 +232,6 @@ IMPOSSIBLE = [
         TWO | {"elevations_deg": tuple(np.radians(range(-15, 16, 2)))},
         "look like radians",
     ),
-    (Lidar, {"pitch_deg": 0.5236}, "is 30 degrees in radians"),
     (Spinning, TWO | {"firing_times_s": (0.0, 0.5)}, "within the cycle"),
     (Spinning, TWO | {"columns": 1_000_000}, "2 × 1000000 rays"),
     (Pinhole, {"vertical_fov_deg": 1.0}, "expected degrees"),
