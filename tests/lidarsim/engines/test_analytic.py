@@ -8,34 +8,39 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from lidarsim import AnalyticEngine
+from lidarsim import AnalyticEngine, MujocoEngine
 from lidarsim.engines import analytic
 from lidarsim.solids.model import solids_of
 from tests.lidarsim.engines.test_laws import from_mujoco, model_of, random_model, random_rays
 from tests.lidarsim.reference import unit
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", range(4))
 def test_hits_are_mujocos(seed):
-    """Geoms, points and normals, of every shape at any attitude."""
+    """Geoms, points and normals, of every shape at any attitude; and ranges, those of the engine
+    of MuJoCo's many-ray function too."""
     rng = np.random.default_rng(seed)
     model = random_model(rng)
-    origins, rays = random_rays(rng, 2, 500)
+    origins, rays = random_rays(rng, 4, 2000)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     hits = AnalyticEngine.of(model).hits(origins, rays, 1e7)
     for p in range(2):
-        ranges, geoms, normals = from_mujoco(model, data, origins[p], rays[p])
-        assert_array_equal(hits.geoms[p], geoms)
-        assert_allclose(hits.ranges[p], ranges, rtol=0, atol=1e-6)
+        first = slice(300)
+        ranges, geoms, normals = from_mujoco(model, data, origins[p], rays[p, first])
+        assert_array_equal(hits.geoms[p, first], geoms)
+        assert_allclose(hits.ranges[p, first], ranges, rtol=0, atol=1e-6)
         seen = np.isfinite(ranges)
-        assert seen.sum() > 100
-        assert_allclose(
-            hits.points[p][seen], (origins[p] + ranges[:, None] * rays[p])[seen], atol=1e-6
-        )
-        assert_allclose(hits.normals[p][seen], normals[seen], rtol=0, atol=1e-5)
-        assert np.isnan(hits.points[p][~seen]).all()
-        assert np.isnan(hits.normals[p][~seen]).all()
+        points = (origins[p] + ranges[:, None] * rays[p, first])[seen]
+        assert_allclose(hits.points[p, first][seen], points, atol=1e-6)
+        assert_allclose(hits.normals[p, first], normals, rtol=0, atol=1e-5)
+        assert np.isnan(hits.points[p, first][~seen]).all()
+    for reach in (6.0, 12.0):
+        within = np.where(hits.ranges <= reach, hits.ranges, np.inf)
+        assert 100 < np.isfinite(within).sum() < within.size - 100
+        for engine in (MujocoEngine, AnalyticEngine):
+            found = engine.of(model).cast(origins, rays, reach)
+            assert_allclose(found, within, rtol=0, atol=1e-6)
 
 
 def test_an_empty_world_and_a_crowded_one():
