@@ -47,8 +47,9 @@ def test_an_engine_over_data_sees_the_configuration_of_the_data():
     data = mujoco.MjData(model)
     data.qpos[:] = (*went, *reference.random_quaternion(rng))
     rays = unit(rng.normal(size=(2000, 3)))
-    with pytest.raises(ValueError, match="never forwarded"):  # it would be an empty world
-        MujocoEngine.of(model, data).cast(CENTRE, rays[None], 30.0)
+    for engine in (MujocoEngine, AnalyticEngine):
+        with pytest.raises(ValueError, match="never forwarded"):  # it would be an empty world
+            engine.of(model, data).cast(CENTRE, rays[None], 30.0)
     mujoco.mj_forward(model, data)
     for place, found in ((began, seen(model, rays)), (went, seen(model, rays, data))):
         towards = rays[np.isfinite(found)] @ unit(place)
