@@ -13,7 +13,7 @@ form that is affordable:
   length of
   an intersection of three slabs - for every voxel and every ray, in float64 with a margin (`swept`)
   or in
-  rational arithmetic on the exact values of the float64 inputs (`exact_overlaps`).
+  rational arithmetic on the exact values of the float64 inputs (`exact_swept`).
 """
 
 from dataclasses import dataclass
@@ -22,8 +22,6 @@ from itertools import product
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-
-Voxel = tuple[int, int, int]
 
 TOUCH_M = 1e-9
 """Overlaps shorter than this, and rays nearer than this to a grid plane, may be answered either
@@ -40,16 +38,16 @@ def rotation(quaternion_wxyz):
     return Rotation.from_quat([x, y, z, w])
 
 
+def unit(vectors):
+    """Unit vectors; along x, where there is no direction."""
+    length = np.sqrt((vectors * vectors).sum(axis=-1, keepdims=True))
+    return np.where(length > 0, vectors, [1.0, 0.0, 0.0]) / np.where(length > 0, length, 1.0)
+
+
 def random_quaternion(rng):
     """A uniformly random attitude as (w, x, y, z): four normal numbers, normalized."""
     q = rng.normal(size=4)
     return q / np.linalg.norm(q)
-
-
-def level_quaternion(yaw_rad):
-    """The attitude of a level body that looks along `yaw_rad` (w, x, y, z): half-angle formula
-    about z."""
-    return np.array([np.cos(yaw_rad / 2), 0.0, 0.0, np.sin(yaw_rad / 2)])
 
 
 def sensor_direction(elevation_deg, azimuth_deg):
@@ -204,69 +202,6 @@ def interval(kind, size, start, along):
     return np.where(hit, near, np.inf), np.where(hit, far, -np.inf)
 
 
-def _first_hit(geom, start, along):
-    """Distance to the surface in the geom's own frame: where the ray enters or, from inside, where
-    it leaves.
-
-    A plane is MuJoCo's: seen from its +z side only, and within its half sizes where these are not
-    zero.
-    """
-    if geom.kind == "plane":
-        facing = along[..., 2] < 0
-        reach = np.where(facing, -start[..., 2] / np.where(facing, along[..., 2], 1.0), np.inf)
-        at = start + np.where(np.isfinite(reach), reach, 0.0)[..., None] * along
-        for axis in range(2):
-            if geom.size[axis] > 0:
-                reach = np.where(np.abs(at[..., axis]) <= geom.size[axis], reach, np.inf)
-        return np.where(reach >= 0, reach, np.inf)
-    near, far = interval(geom.kind, geom.size, start, along)
-    return np.where(near >= 0, near, np.where(far >= 0, far, np.inf))
-
-
-def _seen_from(geom, position, directions):
-    turn = rotation(geom.quaternion).inv()
-    start = np.broadcast_to(turn.apply(position - np.asarray(geom.position)), directions.shape)
-    return _first_hit(geom, start, turn.apply(directions))
-
-
-def ranges(
-    geoms,
-    bodies,
-    position,
-    directions,
-    max_range_m,
-):
-    """Distance along each ray to the nearest surface of the world, inf beyond `max_range_m`.
-
-    The rays are taken into each body's frame, then into each geom's, by scipy rotations.
-    """
-    flat = np.asarray(directions, dtype=np.float64).reshape(-1, 3)
-    point = np.asarray(position, dtype=np.float64)
-    nearest = np.full(len(flat), np.inf)
-    for geom in geoms:
-        nearest = np.minimum(nearest, _seen_from(geom, point, flat))
-    for body in bodies:
-        turn = rotation(body.quaternion).inv()
-        local_point, local_rays = turn.apply(point - np.asarray(body.position)), turn.apply(flat)
-        for geom in body.geoms:
-            nearest = np.minimum(nearest, _seen_from(geom, local_point, local_rays))
-    nearest = np.where(nearest <= max_range_m, nearest, np.inf)
-    return nearest.reshape(np.shape(directions)[:-1])
-
-
-def random_geom(rng, kinds, spread, largest=2.5):
-    """A random primitive: log-uniform sizes, a place in a cube of half side `spread`, any
-    attitude."""
-    kind = str(rng.choice(list(kinds)))
-    count = {"sphere": 1, "box": 3, "cylinder": 2, "capsule": 2, "ellipsoid": 3, "plane": 3}[kind]
-    size = np.exp(rng.uniform(np.log(0.1), np.log(largest), size=count))
-    if kind == "plane":  # half without end, half finite
-        size = np.array([0.0, 0.0, 1.0]) if rng.random() < 0.5 else np.append(3 * size[:2], 1.0)
-    return Geom(
-        kind, tuple(size), tuple(rng.uniform(-spread, spread, 3)), tuple(random_quaternion(rng))
-    )
-
-
 # ----------------------------------------------------------------------------------------------
 # voxels
 
@@ -372,51 +307,6 @@ def free_bounds(
     return must, may
 
 
-def exact_overlaps(
-    origin,
-    voxel_m,
-    shape,
-    position,
-    direction,
-    reach,
-):
-    """Every voxel that one segment meets with positive length, and that length, in rational
-    arithmetic.
-
-    The float64 inputs are taken at their exact values and the grid's planes lie at origin + k *
-    voxel exactly. Voxels are half-open, which decides rays that run within a plane. Lengths are in
-    units of the direction's length.
-    """
-    size, end = Fraction(float(voxel_m)), Fraction(float(reach))
-    axes = []
-    for count, p, d, o in zip(
-        shape, *(np.asarray(a).tolist() for a in (position, direction, origin)), strict=True
-    ):
-        point, along, low = Fraction(p), Fraction(d), Fraction(o)
-        spans = []
-        for index in range(count):
-            below, above = low + index * size - point, low + (index + 1) * size - point
-            if along == 0:
-                if below <= 0 < above:
-                    spans.append((index, Fraction(0), end))
-                continue
-            first, last = sorted((below / along, above / along))
-            first, last = max(first, Fraction(0)), min(last, end)
-            if first < last:
-                spans.append((index, first, last))
-        axes.append(spans)
-    out = {}
-    for (i, a0, a1), (j, b0, b1) in product(axes[0], axes[1]):
-        c0, c1 = max(a0, b0), min(a1, b1)
-        if c0 >= c1:
-            continue
-        for k, d0, d1 in axes[2]:
-            length = min(c1, d1) - max(c0, d0)
-            if length > 0:
-                out[i, j, k] = length
-    return out
-
-
 def exact_swept(
     origin,
     voxel_m,
@@ -427,12 +317,34 @@ def exact_swept(
     at_least=0.0,
 ):
     """Voxels that some segment meets with positive length of at least `at_least`, in rational
-    arithmetic."""
+    arithmetic.
+
+    The float64 inputs are taken at their exact values and the grid's planes lie at origin + k *
+    voxel exactly. Voxels are half-open, which decides rays that run within a plane. Lengths are in
+    units of the direction's length.
+    """
     out = np.zeros(shape, dtype=bool)
-    least = Fraction(at_least)
     flat = np.asarray(directions, dtype=np.float64).reshape(-1, 3)
-    for ray, end in zip(flat, np.asarray(reach).ravel(), strict=True):
-        for index, length in exact_overlaps(origin, voxel_m, shape, position, ray, end).items():
-            if length >= least:
-                out[index] = True
+    for ray, end in zip(flat.tolist(), np.asarray(reach).ravel().tolist(), strict=True):
+        axes = zip(shape, position, ray, origin, strict=True)
+        spans = [list(_exact_spans(voxel_m, *axis, Fraction(end))) for axis in axes]
+        for (i, a0, a1), (j, b0, b1) in product(*spans[:2]):
+            if max(a0, b0) < min(a1, b1):
+                for k, c0, c1 in spans[2]:
+                    length = min(a1, b1, c1) - max(a0, b0, c0)
+                    out[i, j, k] |= length > 0 and length >= at_least
     return out
+
+
+def _exact_spans(voxel_m, count, start, along, low, end):
+    """Of each voxel along one axis that a segment meets: its number, and where, as fractions."""
+    size, start, along, low = (Fraction(float(x)) for x in (voxel_m, start, along, low))
+    for index in range(count):
+        below, above = low + index * size - start, low + (index + 1) * size - start
+        if along == 0:
+            first, last = Fraction(0), end if below <= 0 < above else Fraction(0)
+        else:
+            first, last = sorted((below / along, above / along))
+        first, last = max(first, Fraction(0)), min(last, end)
+        if first < last:
+            yield index, first, last

@@ -4,7 +4,6 @@ with its bounds."""
 from __future__ import annotations
 
 import dataclasses
-import datetime
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
@@ -31,7 +30,6 @@ class Sensor:
     mount: Literal["tilt", "band"] = "tilt"
     spin: bool = True
     name: str = "vlp"
-    plain: float = 1.0
     anything: Any = None
 
     def __post_init__(self):
@@ -40,24 +38,16 @@ class Sensor:
 
 TAKEN = [
     ("rows", 1, 1),
-    ("rows", 1000.0, 1000),
     ("rows", np.int32(7), 7),
-    ("range_m", 3, 3.0),
     ("range_m", np.float32(0.5), 0.5),
     ("range_m", 5e-324, 5e-324),
-    ("tilt_deg", -90, -90.0),
     ("shape", [1, 2.0, 10**12], (1, 2, 10**12)),
-    ("shape", np.array([1, 2, 3]), (1, 2, 3)),
     ("span_m", (2, 2), (2.0, 2.0)),
     ("edges_m", [], ()),
     ("edges_m", [1, 2, 3], (1.0, 2.0, 3.0)),
-    ("even", -4, -4.0),
     ("limit", None, None),
-    ("limit", 3, 3.0),
     ("mount", "band", "band"),
     ("spin", False, False),
-    ("name", "", ""),
-    ("anything", "text", "text"),
     ("anything", {"a": 1}, {"a": 1}),
 ]
 
@@ -71,39 +61,24 @@ def test_what_fits_becomes_the_annotated_type(name, value, kept):
         assert [type(one) for one in found] == [type(one) for one in kept]
 
 
-HUGE = 1 << 100_000
-"""Of more digits than Python turns into text."""
 REFUSED = [
     ("rows", 0, "rows = 0: expected a whole number from 1 to 1000"),
     ("rows", 2.5, "rows = 2.5: expected a whole number from 1 to 1000"),
     ("rows", True, "rows = True: expected a whole number"),
     ("rows", "16", "rows = '16': expected a whole number"),
-    ("rows", None, "rows = None: expected a whole number"),
-    ("rows", HUGE, "rows = a value of type int: expected a whole number"),
-    ("rows", math.nan, "rows = nan: expected a whole number"),
-    (
-        "rows",
-        datetime.date(1979, 5, 27),
-        "rows = datetime.date(1979, 5, 27): expected a whole number",
-    ),
     ("range_m", 0.0, "range_m = 0.0: expected a finite number above 0"),
     ("range_m", math.inf, "range_m = inf: expected a finite number above 0"),
     ("range_m", 10**400, "range_m = 1000"),
-    ("range_m", [1.0], "range_m = [1.0]: expected a finite number above 0"),
-    ("range_m", 1j, "range_m = 1j: expected a finite number above 0"),
     ("tilt_deg", 90, "tilt_deg = 90: expected a finite number at least -90 and below 90"),
     ("shape", (8, 8), "shape = [8, 8]: expected three whole numbers at least 1, such as [8, 8, 4]"),
-    ("shape", 8, "shape = 8: expected three whole numbers"),
     ("shape", "888", "shape = '888': expected three whole numbers"),
     ("shape", {8: 8, 9: 9, 4: 4}, "expected three whole numbers"),
     ("shape", [8, [8], 4], "shape = [8, [8], 4]: expected three whole numbers"),
-    ("shape", [8] * 10_000, "shape = [8, 8, "),
     (
         "span_m",
         (2.0, 1.0),
         "span_m = [2.0, 1.0]: expected [low, high] with low <= high, finite numbers from 0 to 9",
     ),
-    ("span_m", (1.0, math.nan), "span_m = [1.0, nan]: expected [low, high]"),
     ("edges_m", (1.0, 0.0), "edges_m = [1.0, 0.0]: expected a list, each a finite number above 0"),
     ("even", 2.5, "even = 2.5: expected a whole number"),
     ("limit", 0, "limit = 0: expected a finite number above 0 or none"),
@@ -111,28 +86,22 @@ REFUSED = [
     ("mount", ["tilt"], "mount = ['tilt']: expected 'tilt' or 'band'"),
     ("spin", 1, "spin = 1: expected true or false"),
     ("name", 3, "name = 3: expected text"),
-    ("plain", math.inf, "plain = inf: expected a finite number"),
     ("anything", [1.0, [math.nan]], "anything = [1.0, [nan]]: expected a finite number"),
 ]
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "line"),
-    REFUSED,
-    ids=lambda value: str(value)[:30] if value != HUGE else "huge",
-)
+@pytest.mark.parametrize(("name", "value", "line"), REFUSED)
 def test_what_does_not_fit_is_named_with_its_bounds(name, value, line):
     with pytest.raises(ValueError) as error:
         Sensor(**{name: value})
-    assert str(error.value).startswith(line) or line in str(error.value)
-    assert len(str(error.value)) < 200
+    assert line in str(error.value)
 
 
 def test_a_value_is_shown_on_one_short_line():
-    nested = []
+    huge, nested = 1 << 100_000, []  # the one of more digits than Python turns into text
     for _ in range(100_000):
         nested = [nested]
-    for value in ("a\nb\x1b[2J" * 100, HUGE, nested, ["\u202e"]):
+    for value in ("a\nb\x1b[2J" * 100, huge, nested, ["\u202e"]):
         said = shown(value)
         assert said.isprintable()
         assert said.isascii()
@@ -168,7 +137,7 @@ def test_fields_without_bounds_have_those_of_their_name():
 
 @pytest.mark.parametrize(
     ("value", "degrees"),
-    [(6.283, 360), (6.28, 360), (math.pi / 2, 90), (-0.5236, -30), (0.785, 45)],
+    [(6.28, 360), (math.pi / 2, 90), (-0.5236, -30)],
 )
 def test_angles_in_radians_are_told_from_degrees(value, degrees):
     @dataclass(frozen=True, kw_only=True)

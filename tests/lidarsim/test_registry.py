@@ -11,12 +11,6 @@ ENGINES = Registry(
 )
 
 
-def test_what_is_known_is_imported_by_its_name():
-    from lidarsim.scan import cast
-
-    assert ENGINES.find("plain") is cast
-
-
 def test_a_users_own_is_found_where_the_user_stands(standing):
     (standing / "own_engines.py").write_text("def fast(): return 7")
     (standing / "shed").mkdir()
@@ -42,7 +36,6 @@ def test_no_file_of_the_users_takes_the_place_of_a_librarys(standing):
             "absent:Engine",
             "engine absent:Engine: there is no module absent, neither installed nor in",
         ),
-        ("absent.deep:Engine", "engine absent.deep:Engine: there is no module absent.deep"),
         ("own:Missing", "own.py has no Missing; known: Empty"),
         ("own:here", "engine own:here: lacks `__call__`, so that it can be called"),
         (

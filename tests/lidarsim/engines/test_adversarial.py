@@ -22,7 +22,7 @@ from lidarsim import AnalyticEngine
 from lidarsim.solids.model import solids_of
 from tests.lidarsim import reference
 from tests.lidarsim.engines.test_laws import HFIELD, PROCESSORS, made
-from tests.lidarsim.reference import Body, Geom
+from tests.lidarsim.reference import Body, Geom, unit
 
 FAR_M = 9e5
 SIZES = {"sphere": 1, "capsule": 2, "ellipsoid": 3, "cylinder": 2, "box": 3}
@@ -44,12 +44,6 @@ def tolerance_m(name, size, distance_m):
     """
     reach = distance_m + np.linalg.norm(size)
     return ROUNDINGS * EPSILON * (reach if name == "analytic" else reach**2 / size.min())
-
-
-def unit(vectors):
-    """Unit vectors; along x, where there is no direction."""
-    length = np.sqrt((vectors * vectors).sum(axis=-1, keepdims=True))
-    return np.where(length > 0, vectors, [1.0, 0.0, 0.0]) / np.where(length > 0, length, 1.0)
 
 
 def features(rng, kind, size, count):
@@ -172,36 +166,37 @@ def wrong_rays(name, model, rays_at):
     return np.array([wrong.sum(), np.isfinite(found).sum(), len(found)])
 
 
+def assert_right(name, kind, wrong, hits, count):
+    assert 0.1 * count < hits
+    assert wrong <= SLIPS.get((name, kind), 0.0) * count
+
+
 def at_features(rng, count):
     return lambda kind, size: aimed(rng, *features(rng, kind, size, count), float(size.max()))
 
 
-@pytest.mark.parametrize("far", [False, True])
 @pytest.mark.parametrize("kind", [*SIZES, "plane"])
 @pytest.mark.parametrize("name", PROCESSORS)
-def test_one_solid_of_any_size_from_anywhere(name, kind, far):
+def test_one_solid_of_any_size_from_anywhere(name, kind):
     rng = np.random.default_rng(sum(map(ord, kind)))
     total = np.zeros(3, dtype=int)
-    for _ in range(12):
+    for n in range(16):
         size = np.exp(rng.uniform(np.log(LEAST_M), np.log(MOST_M), SIZES.get(kind, 3)))
         if rng.random() < 0.5:  # as long as wide, or almost
             size = np.clip(size[0] * rng.uniform(0.5, 2.0, len(size)), LEAST_M, MOST_M)
         if kind == "plane":
             size[:2] *= rng.random(2) < 0.7
-        model = turned(rng, [Geom(kind, tuple(size))], far)
+        model = turned(rng, [Geom(kind, tuple(size))], far=n % 2)
         total += wrong_rays(name, model, at_features(rng, 400))
-    wrong, hits, count = total
-    assert 0.1 * count < hits
-    assert wrong <= SLIPS.get((name, kind), 0.0) * count
+    assert_right(name, kind, *total)
 
 
-@pytest.mark.parametrize("far", [False, True])
 @pytest.mark.parametrize("name", PROCESSORS)
-def test_solids_that_share_surfaces(name, far):
+def test_solids_that_share_surfaces(name):
     """On a floor: faces in faces, balls and rounds that touch them, a twin, one inside another."""
     rng = np.random.default_rng(5)
     total = np.zeros(3, dtype=int)
-    for scale in np.exp(np.linspace(np.log(LEAST_M), np.log(MOST_M / 3), 12)):
+    for n, scale in enumerate(np.geomspace(LEAST_M, MOST_M / 3, 16)):
         geoms = [
             Geom(kind, tuple(scale * np.array(size)), tuple(scale * np.array(place)))
             for kind, size, place in (
@@ -216,14 +211,12 @@ def test_solids_that_share_surfaces(name, far):
                 ("ellipsoid", (0.5, 0.3, 0.5), (0, 1.3, 0.5)),
             )
         ]
-        total += wrong_rays(name, turned(rng, geoms, far), at_features(rng, 100))
-    wrong, hits, count = total
-    assert 0.1 * count < hits
-    assert wrong <= SLIPS.get((name, "many"), 0.0) * count
+        total += wrong_rays(name, turned(rng, geoms, far=n % 2), at_features(rng, 100))
+    assert_right(name, "many", *total)
 
 
 @pytest.mark.parametrize("name", PROCESSORS)
-@pytest.mark.parametrize("stray", [-9e-7, -4.9e-7, 4.9e-7, 9e-7, "float32"])
+@pytest.mark.parametrize("stray", [-9e-7, 4.9e-7, "float32"])
 def test_units_to_a_millionth_give_the_metres_of_units(name, stray):
     """Balls of 3 cm up to 400 m away, each met head on."""
     rng = np.random.default_rng(8)

@@ -47,23 +47,17 @@ def boxes(rng, count, kind):
 
 
 @pytest.mark.parametrize("kind", ["scattered", "coincident", "on a line", "ever farther"])
-@pytest.mark.parametrize("count", [0, 1, 2, 4, 5, 17, 300])
+@pytest.mark.parametrize("count", [0, 1, 5, 300])
 def test_every_item_lies_in_one_leaf_within_its_boxes(kind, count):
     lower, upper = boxes(np.random.default_rng(count), count, kind)
     tree = Hierarchy.over(lower, upper)
     items, depth = leaves(tree, lower, upper)
     assert sorted(items) == list(range(count))
     assert depth <= LEVELS + 32
+    assert kind != "coincident" or depth <= count.bit_length(), "coincident items, a deep tree"
     moved = np.random.default_rng(1).uniform(-3, 3, (count, 3))
     tree.refit(lower + moved, upper + moved)
     assert leaves(tree, lower + moved, upper + moved) == (items, depth)
-
-
-def test_many_coincident_items_make_a_shallow_tree():
-    lower = np.zeros((100_000, 3))
-    items, depth = leaves(Hierarchy.over(lower, lower + 1.0), lower, lower + 1.0)
-    assert len(set(items)) == len(lower)
-    assert depth <= 17
 
 
 def test_neighbours_share_leaves():

@@ -5,12 +5,13 @@ from importlib.util import find_spec
 import mujoco
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 
 from lidarsim import Lidar, Pose, cast
 from lidarsim.engines import ENGINES
 from lidarsim.gpu import WarpEngine
 from lidarsim.solids.model import solids_of
+from tests.lidarsim.reference import unit
 
 needs_warp = pytest.mark.skipif(not find_spec("warp"), reason="NVIDIA Warp is not installed")
 HFIELD = """<hfield name="h" nrow="3" ncol="4" size="2 1.5 1 0.3"
@@ -57,25 +58,24 @@ def random_rays(rng, poses, *shape):
     origins = 6.0 * rng.integers(0, 3, (poses, 3)) + 3.0
     origins[:, 2] = rng.uniform(-2, 2, poses)
     rays = rng.normal(size=(poses, *shape, 3))
-    return origins, rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    return origins, unit(rays)
+
+
+def from_mujoco(model, data, origin, rays, reach=np.inf, without=-1):
+    """Ranges (n,), geoms and normals by `mj_ray`, one ray (n, 3) at a time; a body is left out."""
+    ranges, geoms, normals = np.empty(len(rays)), np.empty(len(rays), int), np.empty(rays.shape)
+    for n, ray in enumerate(rays):
+        geom, normal = np.zeros(1, np.int32), np.zeros(3)
+        found = mujoco.mj_ray(model, data, origin, ray, None, True, without, geom, normal)
+        seen = 0 <= found <= reach
+        ranges[n], geoms[n], normals[n] = (found, geom[0], normal) if seen else (np.inf, -1, np.nan)
+    return ranges, geoms, normals
 
 
 def made(name, model):
     if name == "warp":
         return WarpEngine(solids_of(model), device="cpu")
     return ENGINES.find(name).of(model)
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_two_engines_see_the_same_world_with_meshes_and_height_fields(seed):
-    rng = np.random.default_rng(seed)
-    model = random_model(rng)
-    origins, rays = random_rays(rng, 6, 2000)
-    for reach in (4.0, 12.0):
-        one, other = (made(name, model).cast(origins, rays, reach) for name in PROCESSORS)
-        assert 100 < np.isfinite(one).sum() < one.size - 100
-        assert_array_equal(np.isfinite(one), np.isfinite(other))
-        assert_allclose(one, other, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", EVERY)
@@ -104,22 +104,10 @@ def test_any_shape_and_memory_layout_of_rays_will_do(name):
     )
     assert_array_equal(engine.cast(origins, rays[:, ::-2], 12.0), flat[:, ::-2])
     assert_array_equal(engine.cast(origins, np.asfortranarray(rays), 12.0), flat)
-    assert_array_equal(engine.cast(origins, rays[:, 7], 12.0), flat[:, 7])
-    assert_array_equal(engine.cast(origins.tolist(), rays.tolist(), 12.0), flat)
     rays.setflags(write=False)
     assert_array_equal(engine.cast(origins, rays, 12.0), flat)
     assert engine.cast(origins, np.empty((2, 0, 3)), 12.0).shape == (2, 0)
     assert engine.cast(np.empty((0, 3)), np.empty((0, 7, 3)), 12.0).shape == (0, 7)
-
-
-@pytest.mark.parametrize("name", PROCESSORS)
-def test_data_that_were_never_forwarded_are_refused_and_not_taken_for_an_empty_world(name):
-    model = model_of('type="box" size="1 1 1" pos="3 0 0"')
-    data, lidar, pose = mujoco.MjData(model), Lidar(), Pose.level((0, 0, 0))
-    with pytest.raises(ValueError, match="never forwarded"):
-        cast(ENGINES.find(name).of(model, data), lidar, pose)
-    mujoco.mj_forward(model, data)
-    assert np.isfinite(cast(ENGINES.find(name).of(model, data), lidar, pose).ranges).sum() > 50
 
 
 class Odd:
@@ -138,7 +126,7 @@ class Odd:
         (np.ones((16, 120)), r"Odd.cast gave ranges of shape \(16, 120\), expected \(1, 16, 120\)"),
         *(
             (np.full((1, 16, 120), wrong), "Odd.cast gave 1920 ranges that are not from 0 to 10 m")
-            for wrong in (np.nan, -1.0, -np.inf, 10.00001, 1e300)
+            for wrong in (np.nan, -1.0, 10.00001, 1e300)
         ),
     ],
 )
@@ -169,33 +157,5 @@ def test_what_is_no_direction_and_no_place_meets_nothing_and_harms_no_other_ray(
     for place in ([np.nan, 0.0, 0.0], [0.0, np.inf, 0.0]):
         both = engine.cast([place, [0.0, 0.0, 2.0]], [[good, down]] * 2, 10.0)
         assert_array_equal(both, [[np.inf, np.inf], [np.inf, 1.0]])
-
-
-@pytest.mark.parametrize("name", EVERY)
-def test_a_plane_is_seen_from_its_front_and_on_it_within_its_size(name):
-    """MuJoCo's planes have a front, +z, and half sizes of which 0 means without end."""
-    floor, tile = (
-        made(name, model_of(f'type="plane" size="{size}"')) for size in ("0 0 1", "1 2 1")
-    )
-    down = np.array(
-        [[[0.0, 0.0, -1.0], [0.6, 0.0, -0.8], [0.0, 0.6, -0.8], [0.8, 0.0, -0.6], [0.0, 0.0, 1.0]]]
-    )
-    far = [1.5, 1.875, 1.875, 2.5, np.inf]
-    assert_allclose(floor.cast([[0.0, 0.0, 1.5]], down, 9.0), [far], rtol=1e-12)
-    far[1] = far[3] = np.inf
-    assert_allclose(tile.cast([[0.0, 0.0, 1.5]], down, 9.0), [far], rtol=1e-12)
-    for engine in (floor, tile):
-        assert np.isinf(engine.cast([[0.0, 0.0, -1.5]], -down, 9.0)).all()
-        assert_array_equal(
-            engine.cast([[0.5, 0.5, 0.0]], down, 9.0), [[0.0, 0.0, 0.0, 0.0, np.inf]]
-        )
-
-
-@pytest.mark.parametrize("name", PROCESSORS)
-@pytest.mark.parametrize(
-    "world",
-    ["<mujoco/>", '<mujoco><worldbody><geom size="1" rgba="1 1 1 0"/></worldbody></mujoco>'],
-)
-def test_a_world_with_nothing_to_see_gives_no_returns(name, world):
-    scan = cast(made(name, mujoco.MjModel.from_xml_string(world)), Lidar(), Pose.level((0, 0, 0)))
-    assert np.isinf(scan.ranges).all()
+    assert engine.cast([[5.0, 0.0, -3.0]], [[down]], 10.0) == 0.0, "on the plane"
+    assert np.isinf(made(name, model_of()).cast(np.zeros((1, 3)), [[good, down]], 10.0)).all()

@@ -14,6 +14,7 @@ from lidarsim.gpu import WarpEngine
 from lidarsim.pose import rotate
 from lidarsim.solids.model import solids_of
 from tests.lidarsim.engines.test_laws import SIZES, model_of, random_model, random_rays
+from tests.lidarsim.reference import unit
 
 wp = pytest.importorskip("warp", reason="NVIDIA Warp is not installed: pip install -e '.[gpu]'")
 
@@ -36,7 +37,7 @@ def test_many_worlds_at_once_give_the_analytic_engines_bits():
     for p, world in enumerate(which):  # at corners, where triangles meet
         corners = solids[world].triangles.reshape(-1, 3)[:100]
         rays[p, 220 : 220 + len(corners)] = corners - origins[p]
-    rays[:, 6:320] /= np.linalg.norm(rays[:, 6:320], axis=-1, keepdims=True)
+    rays = unit(rays)
     rays[:, 200:220] *= 1 + np.linspace(-9e-7, 9e-7, 20)[:, None]  # units to a millionth
     for reach in (6.0, 1e7):
         ranges = cast(Worlds(solids, device="cpu"), origins, rays, reach, which=which).numpy()

@@ -4,6 +4,7 @@ import dataclasses
 import itertools
 import math
 import re
+from contextlib import nullcontext
 
 import mujoco
 import numpy as np
@@ -13,8 +14,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from lidarsim import AnalyticEngine, Lidar, Pose, cast
 from lidarsim.noise import STAGES
 from lidarsim.noise.chain import Noise
-from lidarsim.noise.losses import Dropout
-from lidarsim.noise.ranges import Divergence, Range
 from lidarsim.sensors import CATALOGUE, SENSORS
 from tests.command_line import ROOT
 
@@ -33,16 +32,6 @@ def test_no_noise_gives_the_clean_bits():
     assert_array_equal(clean.points(), SCAN.points())
 
 
-def test_a_text_becomes_stages_and_they_become_it():
-    chain = Noise.parse("divergence:2.5:returns=last, range:0.01:share=0.002,dropout")
-    assert chain.stages == (
-        Divergence(mrad=2.5, returns="last"),
-        Range(sigma_m=0.01, share=0.002),
-        Dropout(),
-    )
-    assert str(chain) == "divergence:mrad=2.5:returns=last,range:sigma_m=0.01:share=0.002,dropout"
-
-
 @pytest.mark.parametrize("name", STAGES.known)
 def test_every_stage_reads_back_from_its_text(name):
     stage = STAGES.find(name)()
@@ -56,12 +45,11 @@ def test_every_stage_reads_back_from_its_text(name):
     assert str(Noise((stage,))) == name
 
 
-@pytest.mark.parametrize("name", CATALOGUE)
-def test_the_noise_of_a_data_sheet_is_a_chain(name):
-    sensor = SENSORS.find(name)
-    chain = Noise.parse("datasheet", sensor)
-    assert Noise.parse(sensor.noise) == chain
-    assert 0 < chain.bound_m(10.0) < 10
+def test_the_noise_of_a_data_sheet_is_a_chain():
+    for sensor in map(SENSORS.find, CATALOGUE):
+        chain = Noise.parse("datasheet", sensor)
+        assert Noise.parse(sensor.noise) == chain
+        assert 0 < chain.bound_m(10.0) < 10
 
 
 def test_the_same_seed_gives_the_same_bits_and_a_further_stage_changes_none_before_it():
@@ -77,8 +65,7 @@ def test_the_same_seed_gives_the_same_bits_and_a_further_stage_changes_none_befo
 
 
 @pytest.mark.parametrize(
-    "text",
-    ["range:0.05:share=0.01", "range,quantise:0.1,dropout,far", "grazing,faint,near:3,depth"],
+    "text", ["range:0.05:share=0.01,quantise:0.1,dropout,far", "grazing,faint,near:3,depth"]
 )
 def test_no_return_moves_further_than_the_bound(text):
     chain = Noise.parse(text)
@@ -94,12 +81,10 @@ def test_no_return_moves_further_than_the_bound(text):
 def test_stages_that_cast_come_first_and_once():
     ranks = {"motion": 0, "divergence": 1, "range": 2, "dropout": 2}
     for pair in itertools.product(ranks, repeat=2):
-        fits = ranks[pair[0]] < ranks[pair[1]] or ranks[pair[0]] == ranks[pair[1]] == 2
-        if fits:
+        one, other = (ranks[name] for name in pair)
+        refused = pytest.raises(ValueError, match="put motion first, then divergence")
+        with nullcontext() if one < other or one == other == 2 else refused:
             Noise.parse(",".join(pair))
-        else:
-            with pytest.raises(ValueError, match="put motion first, then divergence"):
-                Noise.parse(",".join(pair))
 
 
 def test_a_stage_of_ones_own(standing):
@@ -128,7 +113,6 @@ class Ranked(Shift):
 """)
     for text, told in {
         "Shift:9.5,range:0": ":by_m=9.5 gave .* 0 to 10 m",
-        "Shift:-9.5": ":by_m=-9.5 gave .* 0 to 10 m",
         "Signed": r": .*'rng'; expected a method: \(returns, view, \*, rng\) -> returns",
         "Bare": r" gave ndarray; expected Returns, .* shape = \(16, 120\)",
         "Single": r" gave \(16, 120\); expected Returns",
@@ -138,7 +122,7 @@ class Ranked(Shift):
         text = f"my_noise:{text}"
         with pytest.raises(ValueError, match=f"^noise stage my_noise:.*{told}"):
             Noise.parse(text).observe(SCAN, ENGINE, rng=np.random.default_rng(0))
-    chain = Noise.parse("my_noise:Shift:-0.5,range:0")
+    chain = Noise.parse("my_noise:Shift:-0.5, range:0")
     told = chain.observe(SCAN, ENGINE, rng=np.random.default_rng(0)).ranges[0]
     assert str(chain) == "my_noise:Shift:by_m=-0.5,range:sigma_m=0.0"
     left = np.isfinite(told)
@@ -154,17 +138,13 @@ class Ranked(Shift):
     ("text", "told"),
     [
         ("", "an empty stage; expected stages, as"),
-        ("range,", "an empty stage"),
         ("rnage:0.02", "did you mean 'range'"),
         ("range:20", "noise stage range: sigma_m = 20: expected a finite number from 0 to 1"),
-        ("range:nan", "sigma_m = nan"),
         ("range:0.1:0.2:0.3:0.4", "expected values of sigma_m, share, quadratic_per_m"),
         ("range:sigma=1", "'sigma=1'"),
         ("range:0.1:sigma_m=0.2", "each once"),
         ("divergence:returns=best", "'strongest' or 'first' or 'last' or 'dual'"),
-        ("dropout:1.5", "share = 1.5"),
         ("datasheet", "comes with none"),
-        ("my_absent:Fog", "there is no module my_absent"),
         (",".join(["dropout"] * 21), "20 at most"),
     ],
 )
