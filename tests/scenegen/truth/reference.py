@@ -25,6 +25,7 @@ import mujoco
 import numba
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 NEAR = 0.5e-6
 FAR = 3e-6
@@ -42,6 +43,7 @@ KINDS = {
 }
 
 Floats = NDArray[np.float64]
+_NO_HULL = np.zeros((1, 3))
 
 
 def rotation(quat):
@@ -151,29 +153,6 @@ def _beside(size, rot, pos, dx, dy, dz, cx, cy, cz):
 
 
 @numba.njit(cache=True, nogil=True)
-def _inside(kind, size, rot, pos, x, y, z):
-    """Whether a world point satisfies the inequality that defines the solid."""
-    x, y, z = x - pos[0], y - pos[1], z - pos[2]
-    lx = rot[0, 0] * x + rot[1, 0] * y + rot[2, 0] * z
-    ly = rot[0, 1] * x + rot[1, 1] * y + rot[2, 1] * z
-    lz = rot[0, 2] * x + rot[1, 2] * y + rot[2, 2] * z
-    if kind == SPHERE:
-        return lx * lx + ly * ly + lz * lz <= size[0] * size[0]
-    if kind == CAPSULE:
-        over = max(abs(lz) - size[1], 0.0)
-        return lx * lx + ly * ly + over * over <= size[0] * size[0]
-    if kind == ELLIPSOID:
-        return (lx / size[0]) ** 2 + (ly / size[1]) ** 2 + (lz / size[2]) ** 2 <= 1.0
-    if kind == CYLINDER:
-        return lx * lx + ly * ly <= size[0] * size[0] and abs(lz) <= size[1]
-    if kind == BOX:
-        return abs(lx) <= size[0] and abs(ly) <= size[1] and abs(lz) <= size[2]
-    if kind == PLANE:
-        return lz <= 0.0
-    return False
-
-
-@numba.njit(cache=True, nogil=True)
 def _at_least(kind, size, rot, pos, x, y, z):
     """A lower bound of the distance from a world point to the solid.
 
@@ -220,11 +199,6 @@ def _dot(w, i, j):
 
 
 @numba.njit(cache=True, nogil=True)
-def _clear(lam):
-    lam[0] = lam[1] = lam[2] = lam[3] = 0.0
-
-
-@numba.njit(cache=True, nogil=True)
 def _offer(w, lam, best_lam, best):
     """Keep the weights ``lam`` if they name a point of the simplex nearer to the origin than the
     best."""
@@ -259,7 +233,7 @@ def _nearest_on_simplex(w, n, lam, best_lam):
     """
     best = np.inf
     for i in range(n):
-        _clear(lam)
+        lam[:] = 0.0
         lam[i] = 1.0
         best = _offer(w, lam, best_lam, best)
         for j in range(i + 1, n):
@@ -267,7 +241,7 @@ def _nearest_on_simplex(w, n, lam, best_lam):
             length = ii - 2.0 * ij + jj
             if length > 0.0 and 0.0 < ii - ij < length:
                 t = (ii - ij) / length
-                _clear(lam)
+                lam[:] = 0.0
                 lam[i], lam[j] = 1.0 - t, t
                 best = _offer(w, lam, best_lam, best)
             for k in range(j + 1, n):
@@ -279,7 +253,7 @@ def _nearest_on_simplex(w, n, lam, best_lam):
                 lk = _triple(w, i, j, nx, ny, nz)
                 total = li + lj + lk
                 if total > 0.0 and li >= 0.0 and lj >= 0.0 and lk >= 0.0:
-                    _clear(lam)
+                    lam[:] = 0.0
                     lam[i], lam[j], lam[k] = li / total, lj / total, lk / total
                     best = _offer(w, lam, best_lam, best)
     if n == 4:
@@ -297,13 +271,14 @@ def _nearest_on_simplex(w, n, lam, best_lam):
 
 
 @numba.njit(cache=True, nogil=True)
-def _bracket(kind, size, rot, pos, hull, margin, cx, cy, cz, half, w, lam, best_lam, near, far):
+def _bracket(kind, size, rot, pos, hull, margin, cx, cy, cz, half):
     """Certified bounds (low, high) of the distance of solid and cube, as tight as a verdict needs.
 
     ``high`` is |sum lam_i w_i| for weights >= 0 that add up to 1 and w_i differences of points of
     the two; ``low`` is the width of the slab that separates them. The search ends when they decide
     the verdict.
     """
+    w, lam, best_lam = np.zeros((4, 3)), np.zeros(4), np.zeros(4)
     low, high = -np.inf, np.inf
     vx, vy, vz = pos[0] - cx, pos[1] - cy, pos[2] - cz
     if kind == HULL:
@@ -313,15 +288,12 @@ def _bracket(kind, size, rot, pos, hull, margin, cx, cy, cz, half, w, lam, best_
     n = 0
     for _ in range(400):
         sx, sy, sz = _support(kind, size, rot, pos, hull, -vx, -vy, -vz)
-        ox, oy, oz = (
-            cx + math.copysign(half, vx),
-            cy + math.copysign(half, vy),
-            cz + math.copysign(half, vz),
-        )
+        ox, oy = cx + math.copysign(half, vx), cy + math.copysign(half, vy)
+        oz = cz + math.copysign(half, vz)
         sx, sy, sz = sx - ox, sy - oy, sz - oz
         norm = math.sqrt(vx * vx + vy * vy + vz * vz)
         low = max(low, (vx * sx + vy * sy + vz * sz) / norm - margin)
-        if low >= far or (low >= near and high <= far):
+        if low >= FAR or (low >= NEAR and high <= FAR):
             return low, high
         if kind == CYLINDER:
             # All along the side that faces the cube points are nearly as far; one at an end, metres
@@ -346,7 +318,7 @@ def _bracket(kind, size, rot, pos, hull, margin, cx, cy, cz, half, w, lam, best_
         for i in range(kept, 4):
             w[i, 0] = w[i, 1] = w[i, 2] = 0.0
         high = min(high, math.sqrt(square) - margin)
-        if high <= near or kept == 4:
+        if high <= NEAR or kept == 4:
             return low, high
         n = kept
         vx = vy = vz = 0.0
@@ -360,94 +332,43 @@ def _bracket(kind, size, rot, pos, hull, margin, cx, cy, cz, half, w, lam, best_
 
 
 @numba.njit(cache=True, nogil=True)
-def _verdict(low, high, near, far):
-    if high <= near:
+def _verdict(low, high):
+    if high <= NEAR:
         return OCCUPIED
-    if low >= far:
+    if low >= FAR:
         return FREE
-    if low >= near and high <= far:
+    if low >= NEAR and high <= FAR:
         return EITHER
     return UNDECIDED
 
 
 @numba.njit(cache=True, nogil=True)
-def _sweep(kind, size, rot, pos, hull, margin, shape, voxel, origin, near, far, verdict, boundary):
-    """Judge every voxel of a map against one convex solid, and mark those near its surface.
+def _sweep(kind, size, rot, pos, hull, margin, voxel, origin, deep, verdict, boundary):
+    """Judge every voxel of a map against one primitive, and mark those near its surface.
 
-    A voxel is off the boundary when all its corners are inside (the solid is convex) or its centre
-    is farther away than a corner of it is; only boundary voxels need the search.
+    A voxel is off the boundary when it is `deep`, all its corners inside (the solid is convex), or
+    its centre is farther away than a corner of it is; only boundary voxels need the search.
     """
-    w = np.zeros((4, 3))
-    lam = np.zeros(4)
-    best_lam = np.zeros(4)
     half = voxel / 2
-    reach = math.sqrt(3.0) * half + far
-    nx, ny, nz = shape
-    corner = np.zeros((nx + 1, ny + 1, nz + 1), np.bool_)
-    if kind != HULL:
-        for i in range(nx + 1):
-            for j in range(ny + 1):
-                for k in range(nz + 1):
-                    corner[i, j, k] = _inside(
-                        kind,
-                        size,
-                        rot,
-                        pos,
-                        origin[0] + i * voxel,
-                        origin[1] + j * voxel,
-                        origin[2] + k * voxel,
-                    )
-    for i in range(nx):
+    reach = math.sqrt(3.0) * half + FAR
+    for i, j, k in np.ndindex(verdict.shape):
         cx = origin[0] + (i + 0.5) * voxel
-        for j in range(ny):
-            cy = origin[1] + (j + 0.5) * voxel
-            for k in range(nz):
-                cz = origin[2] + (k + 0.5) * voxel
-                boundary[i, j, k] = False
-                if kind != HULL:
-                    if _at_least(kind, size, rot, pos, cx, cy, cz) > reach:
-                        verdict[i, j, k] = FREE
-                        continue
-                    if (
-                        corner[i, j, k]
-                        and corner[i + 1, j, k]
-                        and corner[i, j + 1, k]
-                        and corner[i, j, k + 1]
-                        and corner[i + 1, j + 1, k]
-                        and corner[i + 1, j, k + 1]
-                        and corner[i, j + 1, k + 1]
-                        and corner[i + 1, j + 1, k + 1]
-                    ):
-                        verdict[i, j, k] = OCCUPIED
-                        continue
-                boundary[i, j, k] = True
-                if kind == PLANE:
-                    low = np.inf
-                    for corner_id in range(8):
-                        sx = half if corner_id & 1 else -half
-                        sy = half if corner_id & 2 else -half
-                        sz = half if corner_id & 4 else -half
-                        low = min(low, _at_least(kind, size, rot, pos, cx + sx, cy + sy, cz + sz))
-                    verdict[i, j, k] = _verdict(low, max(low, 0.0), near, far)
-                    continue
-                low, high = _bracket(
-                    kind,
-                    size,
-                    rot,
-                    pos,
-                    hull,
-                    margin,
-                    cx,
-                    cy,
-                    cz,
-                    half,
-                    w,
-                    lam,
-                    best_lam,
-                    near,
-                    far,
-                )
-                verdict[i, j, k] = _verdict(low, high, near, far)
+        cy = origin[1] + (j + 0.5) * voxel
+        cz = origin[2] + (k + 0.5) * voxel
+        away = _at_least(kind, size, rot, pos, cx, cy, cz)
+        if away > reach:
+            verdict[i, j, k] = FREE
+            continue
+        if deep[i, j, k]:
+            verdict[i, j, k] = OCCUPIED
+            continue
+        boundary[i, j, k] = True
+        if kind == PLANE:
+            low = away - half * (abs(rot[0, 2]) + abs(rot[1, 2]) + abs(rot[2, 2]))
+            verdict[i, j, k] = _verdict(low, max(low, 0.0))
+            continue
+        low, high = _bracket(kind, size, rot, pos, hull, margin, cx, cy, cz, half)
+        verdict[i, j, k] = _verdict(low, high)
 
 
 @dataclass(frozen=True)
@@ -456,10 +377,6 @@ class Judged:
 
     verdict: NDArray[np.uint8]
     boundary: NDArray[np.bool_]
-
-    @staticmethod
-    def of_nothing(shape):
-        return Judged(np.full(shape, FREE, np.uint8), np.zeros(shape, bool))
 
     def __or__(self, other):
         """The union of two solids: occupied wherever either is, free only where both are."""
@@ -482,9 +399,6 @@ def disagreements(answer, truth):
     return np.argwhere(wrong)
 
 
-_NO_HULL = np.zeros((1, 3))
-
-
 def _core(shape):
     kind = KINDS[shape.kind]
     return kind, (shape.size[0] if kind in (SPHERE, CAPSULE) else 0.0)
@@ -493,22 +407,13 @@ def _core(shape):
 def judge(shape, grid_shape, voxel, origin):
     """The truth about one primitive, for every voxel of a map."""
     kind, margin = _core(shape)
-    result = Judged.of_nothing(grid_shape)
-    _sweep(
-        kind,
-        np.asarray(shape.size, float),
-        shape.rot,
-        np.asarray(shape.pos, float),
-        _NO_HULL,
-        margin,
-        grid_shape,
-        float(voxel),
-        np.asarray(origin, float),
-        NEAR,
-        FAR,
-        result.verdict,
-        result.boundary,
-    )
+    result = Judged(np.full(grid_shape, FREE, np.uint8), np.zeros(grid_shape, bool))
+    size, pos, origin = (np.asarray(it, float) for it in (shape.size, shape.pos, origin))
+    corners = origin + np.moveaxis(np.indices(np.add(grid_shape, 1)), 0, -1) * voxel
+    inside = points_inside(shape, corners)
+    deep = np.lib.stride_tricks.sliding_window_view(inside, (2, 2, 2)).all(axis=(3, 4, 5))
+    given = kind, size, shape.rot, pos, _NO_HULL, margin, float(voxel), origin, deep
+    _sweep(*given, result.verdict, result.boundary)
     return result
 
 
@@ -559,56 +464,23 @@ def voxel_centres(grid_shape, voxel, origin):
 
 
 @numba.njit(cache=True, nogil=True)
-def _sweep_hulls(kind, hulls, shape, voxel, origin, near, far, verdict):
-    """Judge the voxels that the bounding box of each hull (n, points, 3) meets; a hit is final.
+def _sweep_hulls(kind, hulls, first, end, voxel, origin, verdict):
+    """Judge the voxels from `first` to `end` (n, 3) of each hull (n, points, 3); a hit is final.
 
     `kind`, HULL, is an argument: for a constant, numba would compile the search once more.
     """
-    w = np.zeros((4, 3))
-    lam = np.zeros(4)
-    best_lam = np.zeros(4)
-    half = voxel / 2
-    zero = np.zeros(3)
-    eye = np.eye(3)
-    low_index = np.zeros(3, np.int64)
-    high_index = np.zeros(3, np.int64)
-    for t in range(hulls.shape[0]):
-        hull = hulls[t]
-        for axis in range(3):
-            bottom, top = np.inf, -np.inf
-            for i in range(hull.shape[0]):
-                bottom, top = (
-                    min(bottom, hull[i, axis] - 2 * far),
-                    max(top, hull[i, axis] + 2 * far),
-                )
-            low_index[axis] = max(math.floor((bottom - origin[axis]) / voxel) - 1, 0)
-            high_index[axis] = min(math.floor((top - origin[axis]) / voxel) + 2, shape[axis])
-        for i in range(low_index[0], high_index[0]):
+    half, zero, eye = voxel / 2, np.zeros(3), np.eye(3)
+    for t in range(len(hulls)):
+        for i in range(first[t, 0], end[t, 0]):
             cx = origin[0] + (i + 0.5) * voxel
-            for j in range(low_index[1], high_index[1]):
+            for j in range(first[t, 1], end[t, 1]):
                 cy = origin[1] + (j + 0.5) * voxel
-                for k in range(low_index[2], high_index[2]):
+                for k in range(first[t, 2], end[t, 2]):
                     if verdict[i, j, k] == OCCUPIED:
                         continue
                     cz = origin[2] + (k + 0.5) * voxel
-                    low, high = _bracket(
-                        kind,
-                        zero,
-                        eye,
-                        zero,
-                        hull,
-                        0.0,
-                        cx,
-                        cy,
-                        cz,
-                        half,
-                        w,
-                        lam,
-                        best_lam,
-                        near,
-                        far,
-                    )
-                    found = _verdict(low, high, near, far)
+                    low, high = _bracket(kind, zero, eye, zero, hulls[t], 0.0, cx, cy, cz, half)
+                    found = _verdict(low, high)
                     if found == OCCUPIED or (found != FREE and verdict[i, j, k] != UNDECIDED):
                         verdict[i, j, k] = found
 
@@ -618,22 +490,14 @@ def judge_hulls(hulls, grid_shape, voxel, origin):
 
     Every occupied voxel counts as boundary, and so do its neighbours.
     """
-    result = Judged.of_nothing(grid_shape)
-    _sweep_hulls(
-        HULL,
-        np.ascontiguousarray(hulls, float),
-        grid_shape,
-        float(voxel),
-        np.asarray(origin, float),
-        NEAR,
-        FAR,
-        result.verdict,
-    )
-    padded = np.pad(result.verdict != FREE, 1)
-    near = np.zeros(grid_shape, bool)
-    for shift in np.ndindex(3, 3, 3):
-        near |= padded[tuple(slice(s, s + n) for s, n in zip(shift, grid_shape, strict=True))]
-    return Judged(result.verdict, near)
+    verdict = np.full(grid_shape, FREE, np.uint8)
+    hulls, origin = np.ascontiguousarray(hulls, float), np.asarray(origin, float)
+    # the voxels that its bounding box meets, and one more all around
+    first = np.floor((hulls.min(axis=1) - origin) / voxel).astype(int) - 1
+    end = np.floor((hulls.max(axis=1) - origin) / voxel).astype(int) + 2
+    first, end = np.maximum(first, 0), np.minimum(end, grid_shape)
+    _sweep_hulls(HULL, hulls, first, end, float(voxel), origin, verdict)
+    return Judged(verdict, ndimage.binary_dilation(verdict != FREE, np.ones((3, 3, 3))))
 
 
 def winding_number(triangles, points):
@@ -654,14 +518,7 @@ def winding_number(triangles, points):
     return total / (4 * np.pi)
 
 
-def judge_mesh(
-    triangles,
-    grid_shape,
-    voxel,
-    origin,
-    *,
-    filled,
-):
+def judge_mesh(triangles, grid_shape, voxel, origin, *, filled):
     """The truth about a triangle mesh given in the world: its surface, and what it encloses if
     ``filled``.
 
@@ -699,11 +556,3 @@ def hfield_prisms(heights, size, pos, quat):
                 top = [(xs[j], ys[i], heights[i, j]) for i, j in (low, high, third)]
                 prisms.append(top + [(x, y, -size[3]) for x, y, _ in top])
     return np.asarray(prisms) @ rotation(quat).T + np.asarray(pos, float)
-
-
-def union(judged, grid_shape):
-    """The truth about several solids together."""
-    total = Judged.of_nothing(grid_shape)
-    for one in judged:
-        total = total | one
-    return total

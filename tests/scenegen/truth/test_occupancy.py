@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import trimesh
 from numpy.testing import assert_array_equal
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lidarsim import GridSpec
@@ -24,7 +23,6 @@ from tests.scenegen.truth.reference import (
     EITHER,
     FREE,
     OCCUPIED,
-    Floats,
     Shape,
     disagreements,
     judge,
@@ -45,9 +43,14 @@ def grid_of(shape, voxel):
     return GridSpec(shape=shape, voxel_m=voxel, truncation_m=2.0)
 
 
-def occupied(model, shape, voxel, origin):
-    """The answer under test."""
-    return rasterize(solids_of(model), grid_of(shape, voxel), np.asarray(origin, float))
+def agreed(solids, truth, voxel, origin, *where):
+    """The answer under test, which must be the reference's, wherever the case is from."""
+    origin = np.asarray(origin, float)
+    answer = rasterize(solids, grid_of(truth.verdict.shape, voxel), origin)
+    wrong = disagreements(answer, truth)
+    assert truth.undecided == 0, where
+    assert not len(wrong), f"{len(wrong)} voxels, first {wrong[0]}, {where} {voxel} {origin}"
+    return answer
 
 
 def compiled(shapes):
@@ -172,12 +175,8 @@ def test_gaps_of_a_micrometre_decide(kind, count):
         index = rng.integers(0, grid_shape)
         if kind == "plane":
             normal = shape.rot[:, 2]
-            corner = np.where(normal > 0, -0.5, 0.5)
-            touch, lowest = (
-                origin + (index + 0.5 + corner) * voxel,
-                shape.rot[:, :2] @ rng.uniform(-9, 9, 2),
-            )
-            normal = -normal
+            touch = origin + (index + 0.5 + np.where(normal > 0, -0.5, 0.5)) * voxel
+            normal, lowest = -normal, shape.rot[:, :2] @ rng.uniform(-9, 9, 2)
         else:
             touch, normal = cube_feature(index, voxel, origin, rng)
             if rng.random() < 0.5:
@@ -190,12 +189,10 @@ def test_gaps_of_a_micrometre_decide(kind, count):
                 continue  # it would come out at the other side
             moved = origin - gap * normal
             expected = gap in TOUCHING
-            truth = judge(shape, grid_shape, voxel, moved)
-            answer = rasterize(solids, grid_of(grid_shape, voxel), moved)
             where = (shape, voxel, moved, index, gap)
+            truth = judge(shape, grid_shape, voxel, moved)
             assert truth.verdict[tuple(index)] == (OCCUPIED if expected else FREE), where
-            assert answer[tuple(index)] == expected, where
-            assert not len(disagreements(answer, truth)), where
+            assert agreed(solids, truth, voxel, moved, *where)[tuple(index)] == expected, where
             cubes += 1
     assert cubes > 6 * count
 
@@ -236,27 +233,8 @@ def test_primitives_at_many_attitudes_occupy_the_cubes_they_touch(kind, count):
 def check(shape, solids, grid_shape, voxel, origin):
     """Assert that the answer for one shape, compiled to `solids`, is the reference's."""
     truth = judge(shape, grid_shape, voxel, origin)
-    answer = rasterize(solids, grid_of(grid_shape, voxel), np.asarray(origin, float))
-    wrong = disagreements(answer, truth)
-    assert truth.undecided == 0, (shape, voxel, origin)
-    assert not len(wrong), (
-        f"{len(wrong)} voxels, first {wrong[0]}, of {shape} voxel {voxel} origin "
-        f"{list(np.asarray(origin))}"
-    )
+    agreed(solids, truth, voxel, origin, shape)
     return truth
-
-
-def right_angles():
-    """The 24 attitudes in which axes lie along axes, as quaternions."""
-    seen = []
-    root = math.sqrt(0.5)
-    for quat in map(np.array, itertools.product((0, 1, -1, 0.5, -0.5, root, -root), repeat=4)):
-        if abs(quat @ quat - 1) > 1e-12 or any(abs(abs(q @ quat) - 1) < 1e-9 for q in seen):
-            continue
-        if np.abs(reference.rotation(quat)).max(axis=0) == pytest.approx([1, 1, 1]):
-            seen.append(quat)
-    assert len(seen) == 24
-    yield from seen
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -264,7 +242,7 @@ def test_right_angled_attitudes_on_and_off_the_lattice(kind):
     """All 24 of them, touching voxel faces, edges and corners exactly, and a little off."""
     rng = np.random.default_rng(16)
     shapes, voxels = [], []
-    for quat in right_angles():
+    for quat in Rotation.create_group("O").as_quat(scalar_first=True):
         for voxel, shift in itertools.product((0.2, 0.25), (0.0, 2e-7, 0.5, rng.uniform(0, 1))):
             size = tuple(float(v) for v in rng.integers(1, 4, 3) * voxel / rng.choice([1, 2]))
             pos = np.full(3, 5 * voxel) + (shift * voxel if shift > 1e-3 else shift)
@@ -287,14 +265,11 @@ def test_a_hair_off_upright_is_not_upright(kind, count):
     decided = 0
     for tilt in (1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2):
         for _ in range(count):
-            quat = np.zeros(4)
-            about = rng.uniform(0, 2 * math.pi)
-            yaw = rng.uniform(0, 2 * math.pi)
-            half = math.sin(tilt / 2)
-            lean = np.array([math.cos(tilt / 2), half * math.cos(about), half * math.sin(about), 0])
-            mujoco.mju_mulQuat(quat, lean, np.array([math.cos(yaw / 2), 0, 0, math.sin(yaw / 2)]))
-            size = (float(rng.uniform(5, 25)), float(rng.uniform(5, 25)), float(rng.uniform(5, 25)))
-            shape = Shape(kind, size, quat=quat)
+            about, yaw = rng.uniform(0, 2 * math.pi, 2)
+            lean = Rotation.from_rotvec([tilt * math.cos(about), tilt * math.sin(about), 0])
+            turn = lean * Rotation.from_rotvec([0, 0, yaw])
+            size = tuple(rng.uniform(5, 25, 3).tolist())
+            shape = Shape(kind, size, quat=turn.as_quat(scalar_first=True))
             solids = solids_of(reference.world_of(shape))
             for axis, sign, gap in itertools.product(range(3), (-1, 1), (4e-6, 1.2e-5)):
                 outward = np.zeros(3)
@@ -323,19 +298,19 @@ def test_solids_smaller_than_a_voxel_leave_a_mark(kind, count):
     rng = np.random.default_rng(19)
     for voxel in VOXELS:
         for _ in range(count):
-            size = tuple(float(v) for v in log_uniform(rng, 1e-4, 2e-2))
+            size = tuple(log_uniform(rng, 1e-4, 2e-2).tolist())
             index = rng.integers(0, 4, 3)
             shape = Shape(kind, size, quat=rng.normal(size=4))
             reach = [reference.support_point(shape, axis)[k] for k, axis in enumerate(np.eye(3))]
             room = voxel / 2 - np.array(reach) - 1e-5
             shape = shape.at((index + 0.5) * voxel + room * rng.uniform(-1, 1, 3))
-            answer = occupied(reference.world_of(shape), (4, 4, 4), voxel, np.zeros(3))
-            assert_array_equal(np.argwhere(answer), [index])
             on_corner = shape.at(np.array([1, 2, 3]) * voxel)
-            answer = occupied(reference.world_of(on_corner), (4, 4, 4), voxel, np.zeros(3))
-            expected = np.zeros((4, 4, 4), bool)
-            expected[0:2, 1:3, 2:4] = True
-            assert_array_equal(answer, expected)
+            within, around = (
+                rasterize(solids, grid_of((4, 4, 4), voxel), np.zeros(3))
+                for solids in compiled([shape, on_corner])
+            )
+            assert_array_equal(np.argwhere(within), [index])
+            assert_array_equal(np.argwhere(around), np.add([0, 1, 2], [*np.ndindex(2, 2, 2)]))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -346,11 +321,11 @@ def test_solids_larger_than_the_map_and_partly_or_wholly_outside_it(kind, count)
     rng = np.random.default_rng(20)
     kinds_seen = {"full": 0, "part": 0, "empty": 0}
     for k in range(count):
-        grid_shape = (int(rng.integers(1, 12)), int(rng.integers(1, 12)), int(rng.integers(1, 12)))
+        grid_shape = tuple(rng.integers(1, 12, 3).tolist())
         voxel = float(rng.choice(VOXELS))
         origin = rng.uniform(-200, 200, 3)
         extent = np.array(grid_shape) * voxel
-        size = tuple(float(v) for v in rng.uniform(0.5, 6, 3))
+        size = tuple(rng.uniform(0.5, 6, 3).tolist())
         away = rng.uniform(0.2, 12) * unit(rng) if k % 3 else rng.uniform(-0.05, 0.05, 3)
         shape = Shape(kind, size, origin + extent / 2 + away, rng.normal(size=4))
         truth = check(shape, solids_of(reference.world_of(shape)), grid_shape, voxel, origin)
@@ -359,46 +334,9 @@ def test_solids_larger_than_the_map_and_partly_or_wholly_outside_it(kind, count)
     assert min(kinds_seen.values()) >= count / 24
 
 
-def test_solids_stand_where_their_bodies_put_them_at_qpos0():
-    """Nested bodies, a hinge and a slide with a reference, a free body: the pose is the model's at
-    rest."""
-    spec = mujoco.MjSpec()
-    outer = spec.worldbody.add_body(pos=[1, 0.5, 0.3], quat=[0.9, 0.1, -0.3, 0.2])
-    outer.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1], ref=0.7)
-    inner = outer.add_body(pos=[0.4, -0.2, 0.6], quat=[0.5, -0.5, 0.1, 0.7])
-    inner.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0], ref=-0.4)
-    free = spec.worldbody.add_body(pos=[-0.7, 0.8, 1.1], quat=[0.2, 0.4, 0.6, 0.1])
-    free.add_freejoint()
-    local = Shape(
-        "box", (0.3, 0.2, 0.5), np.array([0.1, 0.2, -0.1]), np.array([0.3, 0.8, 0.1, 0.4])
-    )
-    for body in (outer, inner, free):
-        local.add_to(body)
-    model = spec.compile()
-
-    def posed(*frames):
-        pos, quat = local.pos, local.quat
-        for at, turn in reversed(frames):
-            pos = np.asarray(at, float) + reference.rotation(turn) @ pos
-            product = np.zeros(4)
-            mujoco.mju_mulQuat(product, np.asarray(turn, float), np.asarray(quat, float))
-            quat = product
-        return Shape("box", local.size, pos, quat)
-
-    frames = [(b.pos, b.quat) for b in (outer, inner, free)]
-    shapes = [posed(frames[0]), posed(frames[0], frames[1]), posed(frames[2])]
-    grid_shape, origin = (24, 24, 24), np.array([-2.0, -1.6, -1.2])
-    truth = reference.union((judge(s, grid_shape, 0.2, origin) for s in shapes), grid_shape)
-    assert truth.undecided == 0
-    assert not len(disagreements(occupied(model, grid_shape, 0.2, origin), truth))
-    assert (truth.verdict == OCCUPIED).sum() > 200
-
-
 # ------------------------------------------------------------------------------------------
 # Meshes
 # ------------------------------------------------------------------------------------------
-
-Mesh = tuple[Floats, NDArray[np.intp]]
 
 
 def cuboid(low, high):
@@ -461,13 +399,23 @@ def punctured_ball():
     return np.asarray(ball.vertices), np.asarray(ball.faces)[1:]
 
 
+def slivers():
+    """A dozen folded squares at random, half of them so thin that they slip past every centre."""
+    rng = np.random.default_rng(23)
+    corners = rng.uniform(-1, 1, (12, 4, 3))
+    corners[:6, 1] = corners[:6, 0] + rng.normal(scale=0.05, size=(6, 3))
+    faces = np.arange(0, 48, 4)[:, None, None] + [(0, 1, 2), (0, 2, 3)]
+    return corners.reshape(-1, 3), faces.reshape(-1, 3)
+
+
 WATERTIGHT = {
     "bracket": bracket_shape,
     "ring": ring,
     "hollow_box": hollow_box,
     "two_blocks": two_blocks,
 }
-OPEN = {"open_box": open_box, "fan": fan, "punctured_ball": punctured_ball}
+OPEN = {"open_box": open_box, "fan": fan, "punctured_ball": punctured_ball, "slivers": slivers}
+MESHES = WATERTIGHT | OPEN
 
 
 def mesh_model(mesh, pos, quat, **attributes):
@@ -495,58 +443,28 @@ def mesh_triangles(mesh, pos, quat):
     return (vertices @ reference.rotation(quat).T + np.asarray(pos, float))[mesh[1]]
 
 
-@pytest.mark.parametrize("name", [*WATERTIGHT, *OPEN])
-@pytest.mark.parametrize(
-    "count", [3, pytest.param(6, marks=pytest.mark.slow)]
-)  # one of each voxel, at least
-def test_closed_meshes_are_filled_and_open_ones_are_their_surface(name, count):
-    """At random attitudes; hollows and holes stay free."""
-    rng = np.random.default_rng(22)
-    closed = name in WATERTIGHT
-    mesh = (WATERTIGHT | OPEN)[name]()
-    grid_shape = (20, 20, 20)
-    enclosed = 0
-    for k in range(count):
-        voxel = (0.1, 0.2, 0.25)[k % 3] if name != "ring" else 0.2
-        quat = rng.normal(size=4) if k else np.array([1.0, 0, 0, 0])
-        origin = rng.uniform(-5, 5, 3)
-        pos = origin + np.array(grid_shape) * voxel / 2 + rng.uniform(-0.4, 0.4, 3)
-        triangles = mesh_triangles(mesh, pos, quat)
-        truth = reference.judge_mesh(triangles, grid_shape, voxel, origin, filled=closed)
-        shell = reference.judge_mesh(triangles, grid_shape, voxel, origin, filled=False)
-        answer = occupied(mesh_model(mesh, pos, quat), grid_shape, voxel, origin)
-        wrong = disagreements(answer, truth)
-        assert truth.undecided == 0
-        assert not len(wrong), (
-            f"{len(wrong)} voxels, first {wrong[0]}, {name} pos {pos} quat {quat} voxel {voxel}"
-        )
-        enclosed += int((truth.verdict != shell.verdict).sum())
-    assert (enclosed > 8 * count) == closed
-
-
-@pytest.mark.parametrize("name", [*WATERTIGHT, *OPEN])
+@pytest.mark.parametrize("name", MESHES)
 @quarter(150)
-def test_a_map_that_cuts_or_lies_within_a_mesh_is_filled_alike(name, count):
-    """Small maps anywhere in and around it: what is inside does not depend on how much the map
-    shows."""
-    rng = np.random.default_rng(26)
-    closed = name in WATERTIGHT
-    mesh = (WATERTIGHT | OPEN)[name]()
-    pos, quat = rng.uniform(-3, 3, 3), rng.normal(size=4)
-    triangles = mesh_triangles(mesh, pos, quat)
-    solids = solids_of(mesh_model(mesh, pos, quat))
-    low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
-    solid_maps = 0
-    for _ in range(count):
-        voxel = float(rng.choice([0.025, 0.1, 0.2]))
-        grid_shape = (int(rng.integers(1, 7)), int(rng.integers(1, 7)), int(rng.integers(1, 7)))
-        origin = rng.uniform(low, high) - np.array(grid_shape) * voxel / 2
-        truth = reference.judge_mesh(triangles, grid_shape, voxel, origin, filled=closed)
-        answer = rasterize(solids, grid_of(grid_shape, voxel), origin)
-        assert truth.undecided == 0
-        assert not len(disagreements(answer, truth)), (grid_shape, voxel, origin)
-        solid_maps += bool((truth.verdict == OCCUPIED).all()) and answer.size > 20
-    assert (solid_maps > 0) == closed
+def test_closed_meshes_are_filled_and_open_ones_are_their_surface(name, count):
+    """In maps of all of it and in small ones anywhere in and around it: hollows and holes stay
+    free, and what is inside does not depend on how much the map shows."""
+    rng = np.random.default_rng(22)
+    mesh, solid_maps = MESHES[name](), 0
+    for whole_voxel in VOXELS:
+        pos, quat = rng.uniform(-5, 5, 3), rng.normal(size=4)
+        triangles = mesh_triangles(mesh, pos, quat)
+        solids = solids_of(mesh_model(mesh, pos, quat))
+        low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+        maps = [((20, 20, 20), whole_voxel, pos + rng.uniform(-0.4, 0.4, 3))]
+        for _ in range(count // 3):
+            shape, voxel = tuple(rng.integers(1, 7, 3).tolist()), rng.choice([0.025, 0.1, 0.2])
+            maps.append((shape, float(voxel), rng.uniform(low, high)))
+        for shape, voxel, middle in maps:
+            origin = middle - np.array(shape) * voxel / 2
+            truth = reference.judge_mesh(triangles, shape, voxel, origin, filled=name in WATERTIGHT)
+            answer = agreed(solids, truth, voxel, origin, pos, quat)
+            solid_maps += bool(answer.all()) and answer.size > 20
+    assert (solid_maps > 0) == (name in WATERTIGHT)
 
 
 @pytest.mark.parametrize(
@@ -570,9 +488,7 @@ def test_a_watertight_mesh_is_filled_however_it_is_scaled_mirrored_and_listed(sc
         "inward": (vertices, faces[:, ::-1]),
         "mixed": (vertices, np.where(some, faces[:, ::-1], faces)),
     }[listed]
-    answer = occupied(mesh_model(mesh, pos, quat, scale=scale), (20, 20, 20), 0.2, np.zeros(3))
-    assert truth.undecided == 0
-    assert not len(disagreements(answer, truth))
+    agreed(solids_of(mesh_model(mesh, pos, quat, scale=scale)), truth, 0.2, np.zeros(3))
 
 
 @quarter(100)
@@ -587,19 +503,17 @@ def test_gaps_of_a_micrometre_decide_for_meshes_and_height_fields(count):
     grid_shape = (3, 2, 4)
     cubes = 0
     for k in range(count):
-        name = (*WATERTIGHT, *OPEN, "hfield")[k % 8]
+        name = (*MESHES, "hfield")[k % 9]
         quat = rng.normal(size=4)
         if name == "hfield":
             elevation, size = random_elevation(rng, 4, 5), (0.8, 0.6, 0.7, 0.2)
             model = hfield_model(elevation, size, np.zeros(3), quat)
-            points = reference.hfield_prisms(elevation * size[2], size, np.zeros(3), quat).reshape(
-                -1, 3
-            )
+            points = reference.hfield_prisms(elevation * size[2], size, np.zeros(3), quat)
         else:
-            mesh = (WATERTIGHT | OPEN)[name]()
+            mesh = MESHES[name]()
             model = mesh_model(mesh, np.zeros(3), quat)
-            points = mesh_triangles(mesh, np.zeros(3), quat).reshape(-1, 3)
-        solids = solids_of(model)
+            points = mesh_triangles(mesh, np.zeros(3), quat)
+        solids, points = solids_of(model), points.reshape(-1, 3)
         voxel = float(rng.choice(VOXELS))
         index = rng.integers(0, grid_shape)
         touch, normal = cube_feature(index, voxel, np.zeros(3), rng)
@@ -610,28 +524,6 @@ def test_gaps_of_a_micrometre_decide_for_meshes_and_height_fields(count):
             assert answer[tuple(index)] == (gap < 1e-6), (name, quat, voxel, origin, index, gap)
             cubes += 1
     assert cubes == 7 * count
-
-
-@quarter(150)
-def test_a_triangle_occupies_the_cubes_it_grazes(count):
-    """Open meshes of one sliver or large triangle at random, each voxel; thin ones slip past every
-    centre."""
-    rng = np.random.default_rng(23)
-    boundary = 0
-    for _ in range(count):
-        corners = rng.uniform(0, 2, (4, 3)).astype(np.float32)
-        if rng.random() < 0.5:
-            corners[1] = corners[0] + rng.normal(scale=0.05, size=3)
-        mesh = corners.astype(float), np.array([(0, 1, 2), (0, 2, 3)])
-        triangles = mesh_triangles(mesh, np.zeros(3), [1, 0, 0, 0])
-        truth = reference.judge_mesh(triangles, (10, 10, 10), 0.2, np.zeros(3), filled=False)
-        answer = occupied(
-            mesh_model(mesh, np.zeros(3), [1, 0, 0, 0]), (10, 10, 10), 0.2, np.zeros(3)
-        )
-        assert truth.undecided == 0
-        assert not len(disagreements(answer, truth)), (mesh, disagreements(answer, truth)[0])
-        boundary += int(truth.boundary.sum())
-    assert boundary > 133 * count
 
 
 @quarter(200)
@@ -688,23 +580,17 @@ def test_height_fields_are_filled_down_to_their_base(turned):
     rng = np.random.default_rng(25)
     grid_shape, voxel = (16, 16, 16), 0.2
     probed = 0
-    for k in range(12):
-        rows, cols = int(rng.integers(2, 12)), int(rng.integers(2, 12))
+    for _ in range(12):
+        rows, cols = rng.integers(2, 12, 2)
         elevation = random_elevation(rng, rows, cols)
-        size = tuple(float(v) for v in rng.uniform([0.4, 0.4, 0.05, 0.01], [1.6, 1.6, 1.2, 0.6]))
+        size = tuple(rng.uniform([0.4, 0.4, 0.05, 0.01], [1.6, 1.6, 1.2, 0.6]).tolist())
         quat = rng.normal(size=4) if turned else np.array([1.0, 0, 0, 0])
         origin = rng.uniform(-5, 5, 3)
         pos = origin + 1.6 + rng.uniform(-0.3, 0.3, 3)
         model = hfield_model(elevation, size, pos, quat)
         prisms = reference.hfield_prisms(elevation * size[2], size, pos, quat)
         truth = reference.judge_hulls(prisms, grid_shape, voxel, origin)
-        answer = occupied(model, grid_shape, voxel, origin)
-        wrong = disagreements(answer, truth)
-        assert truth.undecided == 0
-        assert not len(wrong), (
-            f"case {k}: {len(wrong)} voxels, first {wrong[0]}, {rows}x{cols} {size} {pos} {quat}"
-        )
-
+        answer = agreed(solids_of(model), truth, voxel, origin, rows, cols, size, pos, quat)
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
         rot = reference.rotation(quat)
@@ -721,8 +607,3 @@ def test_height_fields_are_filled_down_to_their_base(turned):
                     assert answer[tuple(index)]
                     probed += 1
     assert probed > 1000
-
-
-# ------------------------------------------------------------------------------------------
-# What rays see
-# ------------------------------------------------------------------------------------------
