@@ -20,13 +20,18 @@ A = f'<geom type="box" size="1 2 3"{PLACE} quat="0.8 0.6 0 0"/>'
 B = '<geom type="cylinder" size="1 2" pos="4 0 0"/>'
 
 
+HINGE = '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><joint axis="0 0 1" ref="40"/>'
+"""A geom stands where its body does in the reference configuration."""
+
+
 @pytest.mark.parametrize(
     "same",
     [
         B + A,
         A.replace("<geom", '<geom name="x" rgba="1 0 0 1"') + B,
         A.replace("0.8 0.6 0 0", "-0.8 -0.6 0 0") + B,
-        f'<body pos="1 0 0"><body pos="0 2 3">{A.replace(PLACE, "")}</body></body>{B}',
+        f'<body pos="1 0 0">{HINGE}<body pos="0 2 3">{A.replace(PLACE, "")}</body></body>{B}',
+        f'{A}<body pos="4 0 0"><freejoint/>{B.replace("4 0 0", "0 0 0")}</body>',
         A.replace('size="1 2 3"', 'size="2 1 3"').replace(
             'quat="0.8 0.6 0 0"', 'xyaxes="0 0.28 0.96 -1 0 0"'
         )
