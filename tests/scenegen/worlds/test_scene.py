@@ -158,10 +158,10 @@ def test_what_only_dresses_geoms_is_not_needed(tmp_path):
 
 def test_memory_that_a_file_asks_for_beside_its_geoms_is_not_taken(tmp_path):
     """MuJoCo would fill gigabytes, for as long as a reader's limits let it."""
-    path = tmp_path / "w.xml"
-    path.write_text(
+    path = write(
+        tmp_path,
         '<mujoco><size nuserdata="2000000000" nkey="100000000"/><worldbody>'
-        '<geom type="box" size="1 1 1"/></worldbody></mujoco>'
+        '<geom type="box" size="1 1 1"/></worldbody></mujoco>',
     )
     assert len(compile_world(load_scene(path).mjcf).solids) == 1
 
@@ -214,7 +214,6 @@ def test_boxes_that_share_an_edge_are_filled_and_open_meshes_are_told_of(tmp_pat
 
 GEOMS = {
     '<geom size="1" pos="nan 0 0"/>': "numbers that are NaN",
-    '<geom size="1"pos=\'nan 0 0\'type="sphere"/>': "numbers that are NaN",
     '<geom size="1" pos="&#110;an 0 0"/>': "numbers that are NaN",
     '<geom size="1" quat="1 0 NaN 0"/>': "numbers that are NaN",
     '<body pos="0 0 -inf"><geom size="1"/></body>': "inf",
@@ -222,7 +221,6 @@ GEOMS = {
     '<body pos="9e5 0 0"><geom name="far" size="1" pos="9e5 0 0"/></body>': "geom far: pos",
     '<replicate count="1000000000" offset="1 0 0"><geom size="1"/></replicate>': "more than 50000",
     '<include file="pipe.xml"/>': "pipe.xml: is not a regular file",
-    '<include file="/dev/zero"/>': "/dev/zero: is not a regular file",
 }
 ASSETS = {
     MESH.format('vertex="0 0 0 1 0 0 0 1 0 0 0 1" scale="nan 1 1"'): "NaN",
@@ -230,7 +228,7 @@ ASSETS = {
     HFIELD.format('file="nan.bin"'): "heights: expected finite numbers",
     HFIELD.format('file="huge.bin"'): "",
     HFIELD.format('nrow="1200" ncol="1200"'): f"expected {MOST_TRIANGLES} at most",
-    MESH.format('file="pipe.stl"'): "took too long; 2 s and 1 GB are allowed",
+    MESH.format('file="pipe.stl"'): "took too long; 1 s and 1 GB are allowed",
 }
 WHOLE = {f"<mujoco><worldbody>{geom}</worldbody></mujoco>": said for geom, said in GEOMS.items()}
 
@@ -247,8 +245,8 @@ def test_what_no_world_can_have_ends_in_one_line(tmp_path, monkeypatch, text, sa
         os.mkfifo(tmp_path / name)
     monkeypatch.setattr(scenegen.source, "SCENE_BYTES", 1 << 30)
     if said.endswith("allowed"):
-        monkeypatch.setattr(scenegen.source, "SCENE_SECONDS", 2.0)
-    with pytest.raises(SceneError, match=r"\.xml: |zero: ") as caught:
+        monkeypatch.setattr(scenegen.source, "SCENE_SECONDS", 1.0)
+    with pytest.raises(SceneError, match=r"\.xml: ") as caught:
         read_scenes(write(tmp_path, text), ONE, seed=0)
     assert said in str(caught.value)
     assert len(str(caught.value).splitlines()) == 1
@@ -307,6 +305,9 @@ def test_the_screen_refuses_what_generate_refuses(element, said):
     assert said in str(caught.value)
 
 
+NOWHERE = '<mujoco><worldbody><geom size="1" pos="nan 0 0"/></worldbody></mujoco>'
+
+
 def test_a_users_own_handler_of_warnings_comes_back():
     before = mujoco.get_mju_user_warning()
     own = []
@@ -315,14 +316,10 @@ def test_a_users_own_handler_of_warnings_comes_back():
         with quiet_mujoco() as told:
             with quiet_mujoco():
                 pass
-            mujoco.MjModel.from_xml_string(
-                '<mujoco><worldbody><geom size="1" pos="nan 0 0"/></worldbody></mujoco>'
-            )
+            mujoco.MjModel.from_xml_string(NOWHERE)
         assert len(told) >= 1
         assert own == []
-        mujoco.MjModel.from_xml_string(
-            '<mujoco><worldbody><geom size="1" pos="nan 0 0"/></worldbody></mujoco>'
-        )
+        mujoco.MjModel.from_xml_string(NOWHERE)
         assert own
     finally:
         mujoco.set_mju_user_warning(before)
