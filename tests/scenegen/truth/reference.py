@@ -152,40 +152,38 @@ def _beside(size, rot, pos, dx, dy, dz, cx, cy, cz):
     )
 
 
-@numba.njit(cache=True, nogil=True)
-def _at_least(kind, size, rot, pos, x, y, z):
-    """A lower bound of the distance from a world point to the solid.
+def at_least(shape, points):
+    """A lower bound of the distance from world points (..., 3) to a primitive, not above 0 where
+    they satisfy the inequality that defines it.
 
     Exact for all but the ellipsoid, for which the gauge G is convex, so that G(y) >= G(x) + dG(x)(y
     - x) puts the surface G = 1 at least (G(x) - 1) / |dG(x)| away.
     """
-    x, y, z = x - pos[0], y - pos[1], z - pos[2]
-    lx = abs(rot[0, 0] * x + rot[1, 0] * y + rot[2, 0] * z)
-    ly = abs(rot[0, 1] * x + rot[1, 1] * y + rot[2, 1] * z)
-    lz = rot[0, 2] * x + rot[1, 2] * y + rot[2, 2] * z
-    if kind == PLANE:
-        return lz
-    lz = abs(lz)
-    if kind == SPHERE:
-        return math.sqrt(lx * lx + ly * ly + lz * lz) - size[0]
-    if kind == CAPSULE:
-        over = max(lz - size[1], 0.0)
-        return math.sqrt(lx * lx + ly * ly + over * over) - size[0]
-    if kind == CYLINDER:
-        over = max(lz - size[1], 0.0)
-        side = max(math.sqrt(lx * lx + ly * ly) - size[0], 0.0)
-        return math.sqrt(side * side + over * over)
-    ex, ey, ez = max(lx - size[0], 0.0), max(ly - size[1], 0.0), max(lz - size[2], 0.0)
-    bound = math.sqrt(ex * ex + ey * ey + ez * ez)
-    if kind == ELLIPSOID:
-        gx, gy, gz = lx / size[0], ly / size[1], lz / size[2]
-        gauge = math.sqrt(gx * gx + gy * gy + gz * gz)
-        if gauge > 1.0:
-            slope = (
-                math.sqrt((gx / size[0]) ** 2 + (gy / size[1]) ** 2 + (gz / size[2]) ** 2) / gauge
-            )
-            bound = max(bound, (gauge - 1.0) / slope)
+    local = (points - shape.pos) @ shape.rot
+    if shape.kind == "plane":
+        return local[..., 2]
+    local, size = np.abs(local), np.array(shape.size)
+    side = np.hypot(local[..., 0], local[..., 1])
+    match shape.kind:
+        case "sphere":
+            return np.linalg.norm(local, axis=-1) - size[0]
+        case "capsule":
+            return np.hypot(side, np.maximum(local[..., 2] - size[1], 0)) - size[0]
+        case "cylinder":
+            over = np.maximum(local[..., 2] - size[1], 0)
+            return np.hypot(np.maximum(side - size[0], 0), over)
+    bound = np.linalg.norm(np.maximum(local - size, 0), axis=-1)
+    if shape.kind == "ellipsoid":
+        scaled = local / size
+        gauge = np.linalg.norm(scaled, axis=-1)
+        slope = np.linalg.norm(scaled / size, axis=-1) / np.maximum(gauge, 1)
+        bound = np.maximum(bound, np.where(gauge > 1, (gauge - 1) / np.maximum(slope, 1e-9), 0))
     return bound
+
+
+def points_inside(shape, points):
+    """Whether world points (..., 3) satisfy the inequality that defines a primitive."""
+    return at_least(shape, points) <= 0
 
 
 # ------------------------------------------------------------------------------------------
@@ -343,32 +341,14 @@ def _verdict(low, high):
 
 
 @numba.njit(cache=True, nogil=True)
-def _sweep(kind, size, rot, pos, hull, margin, voxel, origin, deep, verdict, boundary):
-    """Judge every voxel of a map against one primitive, and mark those near its surface.
-
-    A voxel is off the boundary when it is `deep`, all its corners inside (the solid is convex), or
-    its centre is farther away than a corner of it is; only boundary voxels need the search.
-    """
-    half = voxel / 2
-    reach = math.sqrt(3.0) * half + FAR
-    for i, j, k in np.ndindex(verdict.shape):
-        cx = origin[0] + (i + 0.5) * voxel
-        cy = origin[1] + (j + 0.5) * voxel
-        cz = origin[2] + (k + 0.5) * voxel
-        away = _at_least(kind, size, rot, pos, cx, cy, cz)
-        if away > reach:
-            verdict[i, j, k] = FREE
-            continue
-        if deep[i, j, k]:
-            verdict[i, j, k] = OCCUPIED
-            continue
-        boundary[i, j, k] = True
-        if kind == PLANE:
-            low = away - half * (abs(rot[0, 2]) + abs(rot[1, 2]) + abs(rot[2, 2]))
-            verdict[i, j, k] = _verdict(low, max(low, 0.0))
-            continue
-        low, high = _bracket(kind, size, rot, pos, hull, margin, cx, cy, cz, half)
-        verdict[i, j, k] = _verdict(low, high)
+def _verdicts(kind, size, rot, pos, hull, margin, centres, half):
+    """The verdict on the cube around each of the centres (n, 3), against one primitive."""
+    found = np.empty(len(centres), np.uint8)
+    for n in range(len(centres)):
+        x, y, z = centres[n]
+        low, high = _bracket(kind, size, rot, pos, hull, margin, x, y, z, half)
+        found[n] = _verdict(low, high)
+    return found
 
 
 @dataclass(frozen=True)
@@ -405,16 +385,27 @@ def _core(shape):
 
 
 def judge(shape, grid_shape, voxel, origin):
-    """The truth about one primitive, for every voxel of a map."""
+    """The truth about one primitive, for every voxel of a map.
+
+    A voxel is off the boundary when all its corners are inside (the solid is convex), or its centre
+    is farther away than a corner of it is; only boundary voxels need the search.
+    """
     kind, margin = _core(shape)
-    result = Judged(np.full(grid_shape, FREE, np.uint8), np.zeros(grid_shape, bool))
-    size, pos, origin = (np.asarray(it, float) for it in (shape.size, shape.pos, origin))
+    size, pos, half = np.asarray(shape.size, float), np.asarray(shape.pos, float), voxel / 2
     corners = origin + np.moveaxis(np.indices(np.add(grid_shape, 1)), 0, -1) * voxel
     inside = points_inside(shape, corners)
     deep = np.lib.stride_tricks.sliding_window_view(inside, (2, 2, 2)).all(axis=(3, 4, 5))
-    given = kind, size, shape.rot, pos, _NO_HULL, margin, float(voxel), origin, deep
-    _sweep(*given, result.verdict, result.boundary)
-    return result
+    centres = voxel_centres(grid_shape, voxel, origin)
+    away = at_least(shape, centres)
+    boundary = ~deep & (away <= math.sqrt(3.0) * half + FAR)
+    verdict = np.where(deep, OCCUPIED, FREE).astype(np.uint8)
+    if kind == PLANE:
+        lows = away[boundary] - half * np.abs(shape.rot[:, 2]).sum()
+        verdict[boundary] = [_verdict(low, max(low, 0.0)) for low in lows]
+    else:
+        given = kind, size, shape.rot, pos, _NO_HULL, margin
+        verdict[boundary] = _verdicts(*given, centres[boundary], half)
+    return Judged(verdict, boundary)
 
 
 def support_point(shape, direction):
@@ -426,27 +417,6 @@ def support_point(shape, direction):
     size, pos = np.asarray(shape.size, float), np.asarray(shape.pos, float)
     core = _support(kind, size, shape.rot, pos, _NO_HULL, float(d[0]), float(d[1]), float(d[2]))
     return np.array(core) + margin * d
-
-
-def points_inside(shape, points):
-    """Whether world points (..., 3) satisfy the inequality that defines a primitive."""
-    local = (points - shape.pos) @ shape.rot
-    x, y, z = np.moveaxis(local, -1, 0)
-    s = shape.size
-    match shape.kind:
-        case "sphere":
-            return x * x + y * y + z * z <= s[0] ** 2
-        case "capsule":
-            return x * x + y * y + np.maximum(np.abs(z) - s[1], 0) ** 2 <= s[0] ** 2
-        case "ellipsoid":
-            return (x / s[0]) ** 2 + (y / s[1]) ** 2 + (z / s[2]) ** 2 <= 1
-        case "cylinder":
-            return (x * x + y * y <= s[0] ** 2) & (np.abs(z) <= s[1])
-        case "box":
-            return (np.abs(x) <= s[0]) & (np.abs(y) <= s[1]) & (np.abs(z) <= s[2])
-        case "plane":
-            return z <= 0
-    raise ValueError(shape.kind)
 
 
 def voxel_centres(grid_shape, voxel, origin):

@@ -428,12 +428,8 @@ def mesh_model(mesh, pos, quat, **attributes):
         inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
         **attributes,
     )
-    spec.worldbody.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_MESH,
-        meshname="m",
-        pos=list(np.asarray(pos)),
-        quat=list(np.asarray(quat)),
-    )
+    geom = mujoco.mjtGeom.mjGEOM_MESH
+    spec.worldbody.add_geom(type=geom, meshname="m", pos=pos, quat=quat)
     return spec.compile()
 
 
@@ -554,12 +550,8 @@ def hfield_model(elevation, size, pos, quat):
     spec.add_hfield(
         name="h", nrow=rows, ncol=cols, size=list(size), userdata=elevation.ravel().tolist()
     )
-    spec.worldbody.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_HFIELD,
-        hfieldname="h",
-        pos=list(np.asarray(pos)),
-        quat=list(np.asarray(quat)),
-    )
+    geom = mujoco.mjtGeom.mjGEOM_HFIELD
+    spec.worldbody.add_geom(type=geom, hfieldname="h", pos=pos, quat=quat)
     return spec.compile()
 
 
