@@ -74,20 +74,13 @@ class Shape:
     def at(self, pos):
         return Shape(self.kind, self.size, np.asarray(pos, float), self.quat)
 
-    def add_to(self, body):
-        return body.add_geom(
-            type=getattr(mujoco.mjtGeom, f"mjGEOM_{self.kind.upper()}"),
-            size=list(self.size),
-            pos=list(self.pos),
-            quat=list(self.quat),
-        )
-
 
 def world_of(*shapes):
     """A compiled model whose world body holds these shapes and nothing else."""
     spec = mujoco.MjSpec()
     for shape in shapes:
-        shape.add_to(spec.worldbody)
+        geom = getattr(mujoco.mjtGeom, f"mjGEOM_{shape.kind.upper()}")
+        spec.worldbody.add_geom(type=geom, size=shape.size, pos=shape.pos, quat=shape.quat)
     return spec.compile()
 
 
