@@ -351,12 +351,6 @@ class Judged:
     verdict: NDArray[np.uint8]
     boundary: NDArray[np.bool_]
 
-    def __or__(self, other):
-        """The union of two solids: occupied wherever either is, free only where both are."""
-        rank = np.array([0, 3, 1, 2], np.uint8)  # FREE < EITHER < UNDECIDED < OCCUPIED
-        a, b = self.verdict, other.verdict
-        return Judged(np.where(rank[a] >= rank[b], a, b), self.boundary | other.boundary)
-
     @property
     def undecided(self):
         return int((self.verdict == UNDECIDED).sum())

@@ -346,11 +346,16 @@ def hollow_box():
     return np.concatenate([outer, inner]), np.concatenate([faces, faces[:, ::-1] + 8])
 
 
-def two_blocks():
-    """One mesh of two closed pieces that do not touch."""
-    a, faces = cuboid([-1, -0.3, -0.3], [-0.2, 0.4, 0.5])
-    b, _ = cuboid([0.3, -0.5, -0.2], [1.1, 0.4, 0.3])
-    return np.concatenate([a, b]), np.concatenate([faces, faces + 8])
+def touching_blocks():
+    """One mesh of two closed pieces that share an edge."""
+    a, b = (
+        trimesh.creation.box(bounds=(low, high))
+        for low, high in (([-1, -0.3, -0.3], [-0.2, 0.4, 0.5]), ([-0.2, 0.4, -0.3], [0.8, 1, 0.5]))
+    )
+    both = trimesh.util.concatenate([a, b])
+    both.merge_vertices()
+    assert len(both.vertices) == 14
+    return np.asarray(both.vertices), np.asarray(both.faces)
 
 
 def open_box():
@@ -378,7 +383,7 @@ WATERTIGHT = {
     "bracket": bracket_shape,
     "ring": ring,
     "hollow_box": hollow_box,
-    "two_blocks": two_blocks,
+    "touching_blocks": touching_blocks,
 }
 OPEN = {"open_box": open_box, "punctured_ball": punctured_ball, "slivers": slivers}
 MESHES = WATERTIGHT | OPEN

@@ -1,9 +1,11 @@
 """A world's digest sees its solids and nothing else."""
 
+import mujoco
 import numpy as np
 import pytest
 
-from scenegen.worlds.world import compile_world, geometry_digest
+from lidarsim.solids.model import solids_of
+from scenegen.worlds.world import geometry_digest
 
 FIELD = '<hfield name="h" nrow="2" ncol="2" size="1 1 1 1" elevation="0 {} 0 1"/>'
 ASSETS = '<asset><mesh name="m" vertex="{}"/>' + FIELD + "</asset>"
@@ -12,7 +14,7 @@ ASSETS = '<asset><mesh name="m" vertex="{}"/>' + FIELD + "</asset>"
 def digest(body, *, vertices="0 0 0 1 0 0 0 1 0 0 0 1", height=0.5):
     assets = ASSETS.format(vertices, height)
     world = f"<mujoco>{assets}<worldbody>{body}</worldbody></mujoco>"
-    return geometry_digest(compile_world(world.encode()).solids)
+    return geometry_digest(solids_of(mujoco.MjModel.from_xml_string(world)))
 
 
 PLACE = ' pos="1 2 3"'
