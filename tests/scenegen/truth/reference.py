@@ -500,7 +500,7 @@ def hfield_prisms(heights, size, pos, quat):
 
     ``heights`` (rows along y, columns along x) are metres above the geom's frame. Each cell is cut
     along the diagonal from its (low x, low y) corner to its (high x, high y) corner;
-    ``test_occupancy`` establishes with rays that MuJoCo cuts it there.
+    ``tests/lidarsim/engines/test_laws.py`` establishes with rays that MuJoCo cuts it there.
     """
     rows, cols = heights.shape
     xs = np.linspace(-size[0], size[0], cols)

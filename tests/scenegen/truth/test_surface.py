@@ -26,7 +26,7 @@ from scenegen.verification import verify
 from tests.conftest import plan_of, small_recipe
 from tests.scenegen.truth import reference
 from tests.scenegen.truth.reference import Shape
-from tests.scenegen.truth.test_occupancy import bracket_shape, compiled, mesh_model, placed
+from tests.scenegen.truth.test_occupancy import compiled, placed
 
 EDGE = 24
 CORNERS = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
@@ -84,17 +84,6 @@ def test_cubes_that_share_a_face_with_the_surface_touch_it(proud_m, inner):
     shape = Shape("box", (0.625 + proud_m,) * 3, pos=np.full(3, 1.375))
     solid, surface = both(solids_of(reference.world_of(shape)), (12, 12, 12), 0.25, np.zeros(3))
     assert (solid.sum(), (solid & ~surface).sum()) == (7**3, inner**3)
-
-
-def test_a_closed_mesh_is_its_surface():
-    solids = solids_of(mesh_model(bracket_shape(), (0, 0, 0), (0.9, 0.2, 0.3, 0.1)))
-    assert solids.mesh_filled.all()
-    low = solids.triangles.min(axis=(0, 1)) - 0.05
-    voxel = float((solids.triangles.max(axis=(0, 1)) - low).max()) / 30
-    solid, surface = both(solids, (32, 32, 32), voxel, low)
-    opened = dataclasses.replace(solids, mesh_filled=np.zeros(len(solids.mesh_filled), bool))
-    assert_array_equal(surface, both(opened, (32, 32, 32), voxel, low)[0])
-    assert 0 < surface.sum() < solid.sum()
 
 
 def test_every_return_lies_in_a_surface_voxel_and_scans_do_not_depend_on_truth():
