@@ -60,10 +60,7 @@ def write(folder, text, name="world.xml"):
 
 def own_rays(path, origin, directions):
     """MuJoCo's own rays in MuJoCo's own model of a file, planes infinite."""
-    spec = mujoco.MjSpec.from_file(str(path))
-    for skin in list(spec.skins):
-        spec.delete(skin)
-    model = spec.compile()
+    model = mujoco.MjModel.from_xml_path(str(path))
     model.geom_size[model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE, :2] = 0
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
