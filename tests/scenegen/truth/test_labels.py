@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.spatial.transform import Rotation
 
 from lidarsim import GridSpec
 from lidarsim.noise.chain import Noise
@@ -23,6 +24,7 @@ from scenegen.verification import verify
 from scenegen.worlds.labels import NONE, SHAPES, class_names, labels_by, owners
 from scenegen.worlds.world import compile_world
 from tests.conftest import COUNTS, plan_of, small_recipe
+from tests.scenegen.truth.reference import Shape, at_least
 
 CUBE = " ".join(f"{x} {y} {z}" for x in (-0.5, 0.5) for y in (-0.4, 0.4) for z in (-0.3, 0.3))
 WORLD = f"""<mujoco><asset><mesh name="cube" vertex="{CUBE}"/></asset><worldbody>
@@ -35,29 +37,16 @@ WORLD = f"""<mujoco><asset><mesh name="cube" vertex="{CUBE}"/></asset><worldbody
 </worldbody></mujoco>"""
 
 
-def distances(points):
-    """From points (n, 3) to the six geoms of `WORLD`, (6, n); 0 inside."""
-
-    def box(p, half):
-        return np.linalg.norm(np.maximum(np.abs(p) - half, 0.0), axis=1)
-
-    turn = np.radians(30.0)
-    away = points - [0.9, 0.2, 0.6]
-    ahead = np.cos(turn) * away[:, 0] + np.sin(turn) * away[:, 1]
-    aside = np.cos(turn) * away[:, 1] - np.sin(turn) * away[:, 0]
-    ball = np.maximum(np.linalg.norm(points - [-0.3, 0.0, 0.7], axis=1) - 0.4, 0.0)
-    pill = points - [0.4, 1.1, 0.9]
-    pill[:, 2] -= np.clip(pill[:, 2], -0.3, 0.3)
-    return np.stack(
-        [
-            box(np.column_stack([ahead, aside, away[:, 2]]), (0.35, 0.3, 0.5)),
-            np.maximum(points[:, 2], 0.0),
-            ball,
-            ball,
-            box(points - [-0.6, -0.9, 0.6], (0.5, 0.4, 0.3)),
-            np.maximum(np.linalg.norm(pill, axis=1) - 0.15, 0.0),
-        ]
-    )
+TURNED = Rotation.from_euler("z", 30, degrees=True).as_quat(scalar_first=True)
+BALL = Shape("sphere", (0.4, 0, 0)).at((-0.3, 0, 0.7))
+SOLIDS = [
+    Shape("box", (0.35, 0.3, 0.5), quat=TURNED).at((0.9, 0.2, 0.6)),
+    Shape("plane", (0, 0, 1)),
+    *(BALL, BALL),
+    Shape("box", (0.5, 0.4, 0.3)).at((-0.6, -0.9, 0.6)),
+    Shape("capsule", (0.15, 0.3, 0)).at((0.4, 1.1, 0.9)),
+]
+"""The six geoms of `WORLD`."""
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.037])
@@ -68,7 +57,8 @@ def test_a_voxel_belongs_to_the_nearest_solid_and_of_two_to_the_first(shift):
     owner = owners(world.solids, occupancy, grid, origin)
     assert_array_equal(owner != NONE, occupancy)
     cells = np.argwhere(occupancy)
-    there = distances(origin + (cells + 0.5) * grid.voxel_m)
+    centres = origin + (cells + 0.5) * grid.voxel_m
+    there = np.stack([np.maximum(at_least(solid, centres), 0.0) for solid in SOLIDS])
     found = owner[tuple(cells.T)]
     least = there.min(axis=0)
     assert_allclose(

@@ -22,7 +22,7 @@ from scenegen.source import read_world
 from scenegen.verification import verify
 from scenegen.worlds.cloud import Survey, map_clouds
 from scenegen.worlds.world import World
-from tests.command_line import refused, run
+from tests.command_line import refused, rows, run
 from tests.scenegen.worlds.test_place import ORIGIN, RECIPE, VOXEL_M, hall
 
 TRUTH = VoxelMap(hall(), VOXEL_M, np.array(ORIGIN))
@@ -182,30 +182,29 @@ def test_a_dataset_of_a_cloud_passes_every_check(tmp_path):
     assert report.ok, [check.detail for check in report.checks]
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "options", "said"),
-    [
-        ("a.xyz", b"1 2 3\n", [], "does not say where its sensor was"),
-        ("a.xyz", b"nan 1 2\n1 inf 2\n", ["--sensor", "nan", "1", "2"], "nan"),
-        ("a.xyz", b"nan 1 2\n1 inf 2\n", ["--assume-free"], "no point in it is finite"),
-        ("a.xyz", b"0 0 0\n1e30 0 0\n", ["--assume-free"], "give a larger --voxel"),
-        ("a.xyz", b"0 0 0\n1e300 0 0\n", ["--sensor", "0", "0", "0"], "give a larger --voxel"),
-        ("a.xyz", b"0 0 0\n", ["--assume-free", "--box", *"555666"], "lies in the box"),
-        ("a.xyz", b"0 0 0\n", ["--poses", "none.txt"], "none.txt"),
-        ("a.xyz", b"0 0 0\n", ["--poses", "two.txt"], "2 poses, expected 1"),
-        ("a.xyz", b"0 0 0\n", ["--poses", "flat.txt"], "line 1: expected a rotation"),
-        ("a.xyz", b"0 0 0\n", ["--poses", "a.bt"], "holds no numbers"),
-        ("a.bt", b"words\n", ["--assume-free"], "expected one of .ply"),
-        ("a.las", b"LASF" + bytes(400), ["--assume-free"], "cannot be read as .las"),
-    ],
-)
-def test_what_is_no_map_ends_in_a_line(tmp_path, monkeypatch, capsys, name, content, options, said):
-    monkeypatch.chdir(tmp_path)
+NO_MAPS = """
+a.xyz → 1 2 3            →                                 → does not say where its sensor was
+a.xyz → nan 1 2; 1 inf 2 → --sensor nan 1 2                → nan
+a.xyz → nan 1 2; 1 inf 2 → --assume-free                   → no point in it is finite
+a.xyz → 0 0 0; 1e30 0 0  → --assume-free                   → give a larger --voxel
+a.xyz → 0 0 0; 1e300 0 0 → --sensor 0 0 0                  → give a larger --voxel
+a.xyz → 0 0 0            → --assume-free --box 5 5 5 6 6 6 → lies in the box
+a.xyz → 0 0 0            → --poses none.txt                → none.txt
+a.xyz → 0 0 0            → --poses two.txt                 → 2 poses, expected 1
+a.xyz → 0 0 0            → --poses flat.txt                → line 1: expected a rotation
+a.xyz → 0 0 0            → --poses words.txt               → holds no numbers
+a.bt  → words            → --assume-free                   → expected one of .ply
+a.las → LASF             → --assume-free                   → cannot be read as .las
+"""
+
+
+@pytest.mark.parametrize(("name", "lines", "options", "said"), rows(NO_MAPS))
+def test_what_is_no_map_ends_in_a_line(standing, capsys, name, lines, options, said):
     Path("two.txt").write_text("0 0 0\n0 0 1\n")
     Path("flat.txt").write_text("0 " * 12)
-    Path("a.bt").write_text("words")
-    Path(name).write_bytes(content)
-    assert said in refused(capsys, "map", name, *options)
+    Path("words.txt").write_text("words")
+    Path(name).write_text(lines.replace("; ", "\n"))
+    assert said in refused(capsys, "map", name, *options.split())
     assert not Path("map.npz").exists()
 
 
