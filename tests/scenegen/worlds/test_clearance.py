@@ -219,19 +219,22 @@ def test_a_motion_among_meshes_is_free_where_its_points_keep_the_radius():
     check_motions(clearance, distances, 0, count=10, longest_m=1.5)
 
 
-def test_a_world_without_solids_is_all_free():
+def alone(kind, size, place):
+    """The clearance around one solid."""
     spec = mujoco.MjSpec()
-    spec.worldbody.add_geom(type=Geom.mjGEOM_SPHERE, size=[1, 0, 0], pos=[50, 50, 50])
-    empty = Clearance(solids_of(spec.compile()), BOUNDS)
+    spec.worldbody.add_geom(type=kind, size=size, pos=place)
+    return Clearance(solids_of(spec.compile()), BOUNDS)
+
+
+def test_a_world_without_solids_is_all_free():
+    empty = alone(Geom.mjGEOM_SPHERE, [1, 0, 0], [50, 50, 50])
     assert empty.at(*BOUNDS.mean(axis=0)) == CAP_M
     assert empty.motion_is_free(tuple(BOUNDS[0]), tuple(BOUNDS[1]), 0.9)
 
 
 def test_a_motion_may_be_blocked_at_its_ends_alone():
     """A ball of 0.3 m against a thin plate, as near to either end as can be."""
-    spec = mujoco.MjSpec()
-    spec.worldbody.add_geom(type=Geom.mjGEOM_BOX, size=[0.01, 1, 1], pos=[0, 0, 2])
-    clearance = Clearance(solids_of(spec.compile()), BOUNDS)
+    clearance = alone(Geom.mjGEOM_BOX, [0.01, 1, 1], [0, 0, 2])
     for length in (0.0005, 0.4, 3.0):
         for gap, free in ((0.305, True), (0.295, False)):
             at, away = (0.01 + gap, 0.0, 2.0), (0.01 + gap + length, 0.0, 2.0)
@@ -244,9 +247,7 @@ def test_a_motion_may_be_blocked_at_its_ends_alone():
 def test_a_motion_that_grazes_a_post_is_seen_wherever_its_steps_fall():
     """A ball of 5 cm past a post of 2 cm: they meet over 4 cm of a long way, or pass with 3 mm
     between them."""
-    spec = mujoco.MjSpec()
-    spec.worldbody.add_geom(type=Geom.mjGEOM_CYLINDER, size=[0.02, 1, 0], pos=[0, 0, 2])
-    clearance = Clearance(solids_of(spec.compile()), BOUNDS)
+    clearance = alone(Geom.mjGEOM_CYLINDER, [0.02, 1, 0], [0, 0, 2])
     for start in np.random.default_rng(0).uniform(-2.0, -0.5, 50):
         for y, free in ((0.067, False), (0.073, True)):
             assert clearance.motion_is_free((start, y, 2.0), (1.5, y, 2.0), 0.05) is free
