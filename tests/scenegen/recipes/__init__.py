@@ -1,6 +1,7 @@
 """What the tests of kinds share: a world's solids as a recipe adds them, measured without the
 recipe's own formulas."""
 
+import itertools
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -44,9 +45,7 @@ class Solid:
         if self.shape == Geom.mjGEOM_SPHERE:
             return self.position[2] - self.size[0], self.position[2] + self.size[0]
         if self.shape == Geom.mjGEOM_BOX:
-            corners = np.stack(
-                np.meshgrid(*([-half, half] for half in self.size)), axis=-1
-            ).reshape(-1, 3)
+            corners = self.size * [*itertools.product((-1, 1), repeat=3)]
         else:
             turn = np.linspace(0.0, 2 * np.pi, 2000)
             rim = np.stack([self.size[0] * np.cos(turn), self.size[0] * np.sin(turn)], axis=1)

@@ -40,9 +40,7 @@ version of the kind."""
 
 
 @pytest.mark.parametrize("name", kind_names())
-def test_a_world_of_a_preset_is_flown_through_and_is_the_one_that_its_version_promises(
-    name,
-):
+def test_a_world_of_a_preset_is_flown_through_and_is_the_one_that_its_version_promises(name):
     recipe = preset(name)
     unit = draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="train", unit=0)
     first = recipe.version, hashlib.sha256(unit.world.mjcf).hexdigest()[:12]
@@ -65,10 +63,9 @@ def test_easy_medium_and_hard_are_so(name, count):
         source, found = DrawnWorlds(recipe), []
         for unit in range(count):
             drawn = draw_unit(source, recipe, seed=0, split="val", unit=unit)
-            found += [
-                difficulty(one.occupancy, one.tudf, recipe.grid.voxel_m).visibility_m
-                for one in drawn.samples
-            ]
+            for one in drawn.samples:
+                hard = difficulty(one.occupancy, one.tudf, recipe.grid.voxel_m)
+                found.append(hard.visibility_m)
         visible.append(np.nanmean(found))
     assert visible[0] > visible[1] > visible[2]
 
@@ -117,13 +114,15 @@ def test_what_does_not_go_together_is_refused(name, given):
         drawn.world("train", 0, rng=np.random.default_rng(0))
 
 
+def world_of(kind, seed):
+    bounds = np.array([[0.0, 0, 0], [1, 1, 1]])
+    rng = np.random.default_rng(seed)
+    return write_world(lambda spec: kind.add_to(spec, rng=rng), flight_bounds=bounds)
+
+
 @pytest.mark.parametrize("name", sorted(set(kind_names()) - {"pillar", "geometric"}))
 def test_every_solid_is_of_a_class(name):
-    kind = find_kind(name)()
-    world = write_world(
-        lambda spec: kind.add_to(spec, rng=np.random.default_rng(3)),
-        flight_bounds=np.array([[0.0, 0, 0], [1, 1, 1]]),
-    )
+    world = world_of(find_kind(name)(), 3)
     named = class_names(world.model, "class")
     # what has no material would be of the class of its shape
     assert named == class_names(world.model, "material") or name == "clutter"
@@ -179,10 +178,7 @@ def test_bounds_that_a_name_does_not_tell_are_kept(kind, given):
 @KINDS
 def test_the_truth_of_a_turned_world_is_the_turned_truth(kind):
     """Solids of whatever class, attitude and shape; flat ground and height fields among them."""
-    world = write_world(
-        lambda spec: kind().add_to(spec, rng=np.random.default_rng(1)),
-        flight_bounds=np.array([[0.0, 0, 0], [1, 1, 1]]),
-    )
+    world = world_of(kind(), 1)
     body = b'<body quat="0.7071067811865476 0 0 0.7071067811865476">'
     turned = world.mjcf.replace(b"<worldbody>", b"<worldbody>" + body, 1)
     turned = turned.replace(b"</worldbody>", b"</body></worldbody>", 1)

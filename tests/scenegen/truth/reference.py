@@ -25,6 +25,7 @@ import mujoco
 import numba
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 NEAR = 0.5e-6
 FAR = 3e-6
@@ -42,6 +43,7 @@ KINDS = {
 }
 
 Floats = NDArray[np.float64]
+_NO_HULL = np.zeros((1, 3))
 
 
 def rotation(quat):
@@ -72,20 +74,13 @@ class Shape:
     def at(self, pos):
         return Shape(self.kind, self.size, np.asarray(pos, float), self.quat)
 
-    def add_to(self, body):
-        return body.add_geom(
-            type=getattr(mujoco.mjtGeom, f"mjGEOM_{self.kind.upper()}"),
-            size=list(self.size),
-            pos=list(self.pos),
-            quat=list(self.quat),
-        )
-
 
 def world_of(*shapes):
     """A compiled model whose world body holds these shapes and nothing else."""
     spec = mujoco.MjSpec()
     for shape in shapes:
-        shape.add_to(spec.worldbody)
+        geom = getattr(mujoco.mjtGeom, f"mjGEOM_{shape.kind.upper()}")
+        spec.worldbody.add_geom(type=geom, size=shape.size, pos=shape.pos, quat=shape.quat)
     return spec.compile()
 
 
@@ -150,63 +145,38 @@ def _beside(size, rot, pos, dx, dy, dz, cx, cy, cz):
     )
 
 
-@numba.njit(cache=True, nogil=True)
-def _inside(kind, size, rot, pos, x, y, z):
-    """Whether a world point satisfies the inequality that defines the solid."""
-    x, y, z = x - pos[0], y - pos[1], z - pos[2]
-    lx = rot[0, 0] * x + rot[1, 0] * y + rot[2, 0] * z
-    ly = rot[0, 1] * x + rot[1, 1] * y + rot[2, 1] * z
-    lz = rot[0, 2] * x + rot[1, 2] * y + rot[2, 2] * z
-    if kind == SPHERE:
-        return lx * lx + ly * ly + lz * lz <= size[0] * size[0]
-    if kind == CAPSULE:
-        over = max(abs(lz) - size[1], 0.0)
-        return lx * lx + ly * ly + over * over <= size[0] * size[0]
-    if kind == ELLIPSOID:
-        return (lx / size[0]) ** 2 + (ly / size[1]) ** 2 + (lz / size[2]) ** 2 <= 1.0
-    if kind == CYLINDER:
-        return lx * lx + ly * ly <= size[0] * size[0] and abs(lz) <= size[1]
-    if kind == BOX:
-        return abs(lx) <= size[0] and abs(ly) <= size[1] and abs(lz) <= size[2]
-    if kind == PLANE:
-        return lz <= 0.0
-    return False
-
-
-@numba.njit(cache=True, nogil=True)
-def _at_least(kind, size, rot, pos, x, y, z):
-    """A lower bound of the distance from a world point to the solid.
+def at_least(shape, points):
+    """A lower bound of the distance from world points (..., 3) to a primitive, not above 0 where
+    they satisfy the inequality that defines it.
 
     Exact for all but the ellipsoid, for which the gauge G is convex, so that G(y) >= G(x) + dG(x)(y
     - x) puts the surface G = 1 at least (G(x) - 1) / |dG(x)| away.
     """
-    x, y, z = x - pos[0], y - pos[1], z - pos[2]
-    lx = abs(rot[0, 0] * x + rot[1, 0] * y + rot[2, 0] * z)
-    ly = abs(rot[0, 1] * x + rot[1, 1] * y + rot[2, 1] * z)
-    lz = rot[0, 2] * x + rot[1, 2] * y + rot[2, 2] * z
-    if kind == PLANE:
-        return lz
-    lz = abs(lz)
-    if kind == SPHERE:
-        return math.sqrt(lx * lx + ly * ly + lz * lz) - size[0]
-    if kind == CAPSULE:
-        over = max(lz - size[1], 0.0)
-        return math.sqrt(lx * lx + ly * ly + over * over) - size[0]
-    if kind == CYLINDER:
-        over = max(lz - size[1], 0.0)
-        side = max(math.sqrt(lx * lx + ly * ly) - size[0], 0.0)
-        return math.sqrt(side * side + over * over)
-    ex, ey, ez = max(lx - size[0], 0.0), max(ly - size[1], 0.0), max(lz - size[2], 0.0)
-    bound = math.sqrt(ex * ex + ey * ey + ez * ez)
-    if kind == ELLIPSOID:
-        gx, gy, gz = lx / size[0], ly / size[1], lz / size[2]
-        gauge = math.sqrt(gx * gx + gy * gy + gz * gz)
-        if gauge > 1.0:
-            slope = (
-                math.sqrt((gx / size[0]) ** 2 + (gy / size[1]) ** 2 + (gz / size[2]) ** 2) / gauge
-            )
-            bound = max(bound, (gauge - 1.0) / slope)
+    local = (points - shape.pos) @ shape.rot
+    if shape.kind == "plane":
+        return local[..., 2]
+    local, size = np.abs(local), np.array(shape.size)
+    side = np.hypot(local[..., 0], local[..., 1])
+    match shape.kind:
+        case "sphere":
+            return np.linalg.norm(local, axis=-1) - size[0]
+        case "capsule":
+            return np.hypot(side, np.maximum(local[..., 2] - size[1], 0)) - size[0]
+        case "cylinder":
+            over = np.maximum(local[..., 2] - size[1], 0)
+            return np.hypot(np.maximum(side - size[0], 0), over)
+    bound = np.linalg.norm(np.maximum(local - size, 0), axis=-1)
+    if shape.kind == "ellipsoid":
+        scaled = local / size
+        gauge = np.linalg.norm(scaled, axis=-1)
+        slope = np.linalg.norm(scaled / size, axis=-1) / np.maximum(gauge, 1)
+        bound = np.maximum(bound, np.where(gauge > 1, (gauge - 1) / np.maximum(slope, 1e-9), 0))
     return bound
+
+
+def points_inside(shape, points):
+    """Whether world points (..., 3) satisfy the inequality that defines a primitive."""
+    return at_least(shape, points) <= 0
 
 
 # ------------------------------------------------------------------------------------------
@@ -217,11 +187,6 @@ def _at_least(kind, size, rot, pos, x, y, z):
 @numba.njit(cache=True, nogil=True)
 def _dot(w, i, j):
     return w[i, 0] * w[j, 0] + w[i, 1] * w[j, 1] + w[i, 2] * w[j, 2]
-
-
-@numba.njit(cache=True, nogil=True)
-def _clear(lam):
-    lam[0] = lam[1] = lam[2] = lam[3] = 0.0
 
 
 @numba.njit(cache=True, nogil=True)
@@ -259,7 +224,7 @@ def _nearest_on_simplex(w, n, lam, best_lam):
     """
     best = np.inf
     for i in range(n):
-        _clear(lam)
+        lam[:] = 0.0
         lam[i] = 1.0
         best = _offer(w, lam, best_lam, best)
         for j in range(i + 1, n):
@@ -267,7 +232,7 @@ def _nearest_on_simplex(w, n, lam, best_lam):
             length = ii - 2.0 * ij + jj
             if length > 0.0 and 0.0 < ii - ij < length:
                 t = (ii - ij) / length
-                _clear(lam)
+                lam[:] = 0.0
                 lam[i], lam[j] = 1.0 - t, t
                 best = _offer(w, lam, best_lam, best)
             for k in range(j + 1, n):
@@ -279,7 +244,7 @@ def _nearest_on_simplex(w, n, lam, best_lam):
                 lk = _triple(w, i, j, nx, ny, nz)
                 total = li + lj + lk
                 if total > 0.0 and li >= 0.0 and lj >= 0.0 and lk >= 0.0:
-                    _clear(lam)
+                    lam[:] = 0.0
                     lam[i], lam[j], lam[k] = li / total, lj / total, lk / total
                     best = _offer(w, lam, best_lam, best)
     if n == 4:
@@ -297,13 +262,14 @@ def _nearest_on_simplex(w, n, lam, best_lam):
 
 
 @numba.njit(cache=True, nogil=True)
-def _bracket(kind, size, rot, pos, hull, margin, cx, cy, cz, half, w, lam, best_lam, near, far):
+def _bracket(kind, size, rot, pos, hull, margin, cx, cy, cz, half):
     """Certified bounds (low, high) of the distance of solid and cube, as tight as a verdict needs.
 
     ``high`` is |sum lam_i w_i| for weights >= 0 that add up to 1 and w_i differences of points of
     the two; ``low`` is the width of the slab that separates them. The search ends when they decide
     the verdict.
     """
+    w, lam, best_lam = np.zeros((4, 3)), np.zeros(4), np.zeros(4)
     low, high = -np.inf, np.inf
     vx, vy, vz = pos[0] - cx, pos[1] - cy, pos[2] - cz
     if kind == HULL:
@@ -313,15 +279,12 @@ def _bracket(kind, size, rot, pos, hull, margin, cx, cy, cz, half, w, lam, best_
     n = 0
     for _ in range(400):
         sx, sy, sz = _support(kind, size, rot, pos, hull, -vx, -vy, -vz)
-        ox, oy, oz = (
-            cx + math.copysign(half, vx),
-            cy + math.copysign(half, vy),
-            cz + math.copysign(half, vz),
-        )
+        ox, oy = cx + math.copysign(half, vx), cy + math.copysign(half, vy)
+        oz = cz + math.copysign(half, vz)
         sx, sy, sz = sx - ox, sy - oy, sz - oz
         norm = math.sqrt(vx * vx + vy * vy + vz * vz)
         low = max(low, (vx * sx + vy * sy + vz * sz) / norm - margin)
-        if low >= far or (low >= near and high <= far):
+        if low >= FAR or (low >= NEAR and high <= FAR):
             return low, high
         if kind == CYLINDER:
             # All along the side that faces the cube points are nearly as far; one at an end, metres
@@ -346,7 +309,7 @@ def _bracket(kind, size, rot, pos, hull, margin, cx, cy, cz, half, w, lam, best_
         for i in range(kept, 4):
             w[i, 0] = w[i, 1] = w[i, 2] = 0.0
         high = min(high, math.sqrt(square) - margin)
-        if high <= near or kept == 4:
+        if high <= NEAR or kept == 4:
             return low, high
         n = kept
         vx = vy = vz = 0.0
@@ -360,94 +323,25 @@ def _bracket(kind, size, rot, pos, hull, margin, cx, cy, cz, half, w, lam, best_
 
 
 @numba.njit(cache=True, nogil=True)
-def _verdict(low, high, near, far):
-    if high <= near:
+def _verdict(low, high):
+    if high <= NEAR:
         return OCCUPIED
-    if low >= far:
+    if low >= FAR:
         return FREE
-    if low >= near and high <= far:
+    if low >= NEAR and high <= FAR:
         return EITHER
     return UNDECIDED
 
 
 @numba.njit(cache=True, nogil=True)
-def _sweep(kind, size, rot, pos, hull, margin, shape, voxel, origin, near, far, verdict, boundary):
-    """Judge every voxel of a map against one convex solid, and mark those near its surface.
-
-    A voxel is off the boundary when all its corners are inside (the solid is convex) or its centre
-    is farther away than a corner of it is; only boundary voxels need the search.
-    """
-    w = np.zeros((4, 3))
-    lam = np.zeros(4)
-    best_lam = np.zeros(4)
-    half = voxel / 2
-    reach = math.sqrt(3.0) * half + far
-    nx, ny, nz = shape
-    corner = np.zeros((nx + 1, ny + 1, nz + 1), np.bool_)
-    if kind != HULL:
-        for i in range(nx + 1):
-            for j in range(ny + 1):
-                for k in range(nz + 1):
-                    corner[i, j, k] = _inside(
-                        kind,
-                        size,
-                        rot,
-                        pos,
-                        origin[0] + i * voxel,
-                        origin[1] + j * voxel,
-                        origin[2] + k * voxel,
-                    )
-    for i in range(nx):
-        cx = origin[0] + (i + 0.5) * voxel
-        for j in range(ny):
-            cy = origin[1] + (j + 0.5) * voxel
-            for k in range(nz):
-                cz = origin[2] + (k + 0.5) * voxel
-                boundary[i, j, k] = False
-                if kind != HULL:
-                    if _at_least(kind, size, rot, pos, cx, cy, cz) > reach:
-                        verdict[i, j, k] = FREE
-                        continue
-                    if (
-                        corner[i, j, k]
-                        and corner[i + 1, j, k]
-                        and corner[i, j + 1, k]
-                        and corner[i, j, k + 1]
-                        and corner[i + 1, j + 1, k]
-                        and corner[i + 1, j, k + 1]
-                        and corner[i, j + 1, k + 1]
-                        and corner[i + 1, j + 1, k + 1]
-                    ):
-                        verdict[i, j, k] = OCCUPIED
-                        continue
-                boundary[i, j, k] = True
-                if kind == PLANE:
-                    low = np.inf
-                    for corner_id in range(8):
-                        sx = half if corner_id & 1 else -half
-                        sy = half if corner_id & 2 else -half
-                        sz = half if corner_id & 4 else -half
-                        low = min(low, _at_least(kind, size, rot, pos, cx + sx, cy + sy, cz + sz))
-                    verdict[i, j, k] = _verdict(low, max(low, 0.0), near, far)
-                    continue
-                low, high = _bracket(
-                    kind,
-                    size,
-                    rot,
-                    pos,
-                    hull,
-                    margin,
-                    cx,
-                    cy,
-                    cz,
-                    half,
-                    w,
-                    lam,
-                    best_lam,
-                    near,
-                    far,
-                )
-                verdict[i, j, k] = _verdict(low, high, near, far)
+def _verdicts(kind, size, rot, pos, hull, margin, centres, half):
+    """The verdict on the cube around each of the centres (n, 3), against one primitive."""
+    found = np.empty(len(centres), np.uint8)
+    for n in range(len(centres)):
+        x, y, z = centres[n]
+        low, high = _bracket(kind, size, rot, pos, hull, margin, x, y, z, half)
+        found[n] = _verdict(low, high)
+    return found
 
 
 @dataclass(frozen=True)
@@ -456,16 +350,6 @@ class Judged:
 
     verdict: NDArray[np.uint8]
     boundary: NDArray[np.bool_]
-
-    @staticmethod
-    def of_nothing(shape):
-        return Judged(np.full(shape, FREE, np.uint8), np.zeros(shape, bool))
-
-    def __or__(self, other):
-        """The union of two solids: occupied wherever either is, free only where both are."""
-        rank = np.array([0, 3, 1, 2], np.uint8)  # FREE < EITHER < UNDECIDED < OCCUPIED
-        a, b = self.verdict, other.verdict
-        return Judged(np.where(rank[a] >= rank[b], a, b), self.boundary | other.boundary)
 
     @property
     def undecided(self):
@@ -482,34 +366,33 @@ def disagreements(answer, truth):
     return np.argwhere(wrong)
 
 
-_NO_HULL = np.zeros((1, 3))
-
-
 def _core(shape):
     kind = KINDS[shape.kind]
     return kind, (shape.size[0] if kind in (SPHERE, CAPSULE) else 0.0)
 
 
 def judge(shape, grid_shape, voxel, origin):
-    """The truth about one primitive, for every voxel of a map."""
+    """The truth about one primitive, for every voxel of a map.
+
+    A voxel is off the boundary when all its corners are inside (the solid is convex), or its centre
+    is farther away than a corner of it is; only boundary voxels need the search.
+    """
     kind, margin = _core(shape)
-    result = Judged.of_nothing(grid_shape)
-    _sweep(
-        kind,
-        np.asarray(shape.size, float),
-        shape.rot,
-        np.asarray(shape.pos, float),
-        _NO_HULL,
-        margin,
-        grid_shape,
-        float(voxel),
-        np.asarray(origin, float),
-        NEAR,
-        FAR,
-        result.verdict,
-        result.boundary,
-    )
-    return result
+    size, pos, half = np.asarray(shape.size, float), np.asarray(shape.pos, float), voxel / 2
+    corners = origin + np.moveaxis(np.indices(np.add(grid_shape, 1)), 0, -1) * voxel
+    inside = points_inside(shape, corners)
+    deep = np.lib.stride_tricks.sliding_window_view(inside, (2, 2, 2)).all(axis=(3, 4, 5))
+    centres = voxel_centres(grid_shape, voxel, origin)
+    away = at_least(shape, centres)
+    boundary = ~deep & (away <= math.sqrt(3.0) * half + FAR)
+    verdict = np.where(deep, OCCUPIED, FREE).astype(np.uint8)
+    if kind == PLANE:
+        lows = away[boundary] - half * np.abs(shape.rot[:, 2]).sum()
+        verdict[boundary] = [_verdict(low, max(low, 0.0)) for low in lows]
+    else:
+        given = kind, size, shape.rot, pos, _NO_HULL, margin
+        verdict[boundary] = _verdicts(*given, centres[boundary], half)
+    return Judged(verdict, boundary)
 
 
 def support_point(shape, direction):
@@ -521,27 +404,6 @@ def support_point(shape, direction):
     size, pos = np.asarray(shape.size, float), np.asarray(shape.pos, float)
     core = _support(kind, size, shape.rot, pos, _NO_HULL, float(d[0]), float(d[1]), float(d[2]))
     return np.array(core) + margin * d
-
-
-def points_inside(shape, points):
-    """Whether world points (..., 3) satisfy the inequality that defines a primitive."""
-    local = (points - shape.pos) @ shape.rot
-    x, y, z = np.moveaxis(local, -1, 0)
-    s = shape.size
-    match shape.kind:
-        case "sphere":
-            return x * x + y * y + z * z <= s[0] ** 2
-        case "capsule":
-            return x * x + y * y + np.maximum(np.abs(z) - s[1], 0) ** 2 <= s[0] ** 2
-        case "ellipsoid":
-            return (x / s[0]) ** 2 + (y / s[1]) ** 2 + (z / s[2]) ** 2 <= 1
-        case "cylinder":
-            return (x * x + y * y <= s[0] ** 2) & (np.abs(z) <= s[1])
-        case "box":
-            return (np.abs(x) <= s[0]) & (np.abs(y) <= s[1]) & (np.abs(z) <= s[2])
-        case "plane":
-            return z <= 0
-    raise ValueError(shape.kind)
 
 
 def voxel_centres(grid_shape, voxel, origin):
@@ -559,56 +421,23 @@ def voxel_centres(grid_shape, voxel, origin):
 
 
 @numba.njit(cache=True, nogil=True)
-def _sweep_hulls(kind, hulls, shape, voxel, origin, near, far, verdict):
-    """Judge the voxels that the bounding box of each hull (n, points, 3) meets; a hit is final.
+def _sweep_hulls(kind, hulls, first, end, voxel, origin, verdict):
+    """Judge the voxels from `first` to `end` (n, 3) of each hull (n, points, 3); a hit is final.
 
     `kind`, HULL, is an argument: for a constant, numba would compile the search once more.
     """
-    w = np.zeros((4, 3))
-    lam = np.zeros(4)
-    best_lam = np.zeros(4)
-    half = voxel / 2
-    zero = np.zeros(3)
-    eye = np.eye(3)
-    low_index = np.zeros(3, np.int64)
-    high_index = np.zeros(3, np.int64)
-    for t in range(hulls.shape[0]):
-        hull = hulls[t]
-        for axis in range(3):
-            bottom, top = np.inf, -np.inf
-            for i in range(hull.shape[0]):
-                bottom, top = (
-                    min(bottom, hull[i, axis] - 2 * far),
-                    max(top, hull[i, axis] + 2 * far),
-                )
-            low_index[axis] = max(math.floor((bottom - origin[axis]) / voxel) - 1, 0)
-            high_index[axis] = min(math.floor((top - origin[axis]) / voxel) + 2, shape[axis])
-        for i in range(low_index[0], high_index[0]):
+    half, zero, eye = voxel / 2, np.zeros(3), np.eye(3)
+    for t in range(len(hulls)):
+        for i in range(first[t, 0], end[t, 0]):
             cx = origin[0] + (i + 0.5) * voxel
-            for j in range(low_index[1], high_index[1]):
+            for j in range(first[t, 1], end[t, 1]):
                 cy = origin[1] + (j + 0.5) * voxel
-                for k in range(low_index[2], high_index[2]):
+                for k in range(first[t, 2], end[t, 2]):
                     if verdict[i, j, k] == OCCUPIED:
                         continue
                     cz = origin[2] + (k + 0.5) * voxel
-                    low, high = _bracket(
-                        kind,
-                        zero,
-                        eye,
-                        zero,
-                        hull,
-                        0.0,
-                        cx,
-                        cy,
-                        cz,
-                        half,
-                        w,
-                        lam,
-                        best_lam,
-                        near,
-                        far,
-                    )
-                    found = _verdict(low, high, near, far)
+                    low, high = _bracket(kind, zero, eye, zero, hulls[t], 0.0, cx, cy, cz, half)
+                    found = _verdict(low, high)
                     if found == OCCUPIED or (found != FREE and verdict[i, j, k] != UNDECIDED):
                         verdict[i, j, k] = found
 
@@ -618,22 +447,14 @@ def judge_hulls(hulls, grid_shape, voxel, origin):
 
     Every occupied voxel counts as boundary, and so do its neighbours.
     """
-    result = Judged.of_nothing(grid_shape)
-    _sweep_hulls(
-        HULL,
-        np.ascontiguousarray(hulls, float),
-        grid_shape,
-        float(voxel),
-        np.asarray(origin, float),
-        NEAR,
-        FAR,
-        result.verdict,
-    )
-    padded = np.pad(result.verdict != FREE, 1)
-    near = np.zeros(grid_shape, bool)
-    for shift in np.ndindex(3, 3, 3):
-        near |= padded[tuple(slice(s, s + n) for s, n in zip(shift, grid_shape, strict=True))]
-    return Judged(result.verdict, near)
+    verdict = np.full(grid_shape, FREE, np.uint8)
+    hulls, origin = np.ascontiguousarray(hulls, float), np.asarray(origin, float)
+    # the voxels that its bounding box meets, and one more all around
+    first = np.floor((hulls.min(axis=1) - origin) / voxel).astype(int) - 1
+    end = np.floor((hulls.max(axis=1) - origin) / voxel).astype(int) + 2
+    first, end = np.maximum(first, 0), np.minimum(end, grid_shape)
+    _sweep_hulls(HULL, hulls, first, end, float(voxel), origin, verdict)
+    return Judged(verdict, ndimage.binary_dilation(verdict != FREE, np.ones((3, 3, 3))))
 
 
 def winding_number(triangles, points):
@@ -654,14 +475,7 @@ def winding_number(triangles, points):
     return total / (4 * np.pi)
 
 
-def judge_mesh(
-    triangles,
-    grid_shape,
-    voxel,
-    origin,
-    *,
-    filled,
-):
+def judge_mesh(triangles, grid_shape, voxel, origin, *, filled):
     """The truth about a triangle mesh given in the world: its surface, and what it encloses if
     ``filled``.
 
@@ -686,7 +500,7 @@ def hfield_prisms(heights, size, pos, quat):
 
     ``heights`` (rows along y, columns along x) are metres above the geom's frame. Each cell is cut
     along the diagonal from its (low x, low y) corner to its (high x, high y) corner;
-    ``test_occupancy`` establishes with rays that MuJoCo cuts it there.
+    ``tests/lidarsim/engines/test_laws.py`` establishes with rays that MuJoCo cuts it there.
     """
     rows, cols = heights.shape
     xs = np.linspace(-size[0], size[0], cols)
@@ -699,11 +513,3 @@ def hfield_prisms(heights, size, pos, quat):
                 top = [(xs[j], ys[i], heights[i, j]) for i, j in (low, high, third)]
                 prisms.append(top + [(x, y, -size[3]) for x, y, _ in top])
     return np.asarray(prisms) @ rotation(quat).T + np.asarray(pos, float)
-
-
-def union(judged, grid_shape):
-    """The truth about several solids together."""
-    total = Judged.of_nothing(grid_shape)
-    for one in judged:
-        total = total | one
-    return total

@@ -1,6 +1,8 @@
 """The distance field is the exact distance between voxel centres, truncated, rounded once to
 float32."""
 
+import math
+
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
@@ -10,7 +12,6 @@ from lidarsim import GridSpec
 from scenegen.truth import distance_field
 
 VOXELS = (0.1, 0.2, 0.25)
-TRUNCATIONS = (1.0, 2.0, 3.4)
 
 
 def squares(occupancy):
@@ -42,14 +43,13 @@ def field(occupancy, voxel, truncation):
 
 
 @pytest.mark.parametrize("voxel", VOXELS)
-@pytest.mark.parametrize("truncation", TRUNCATIONS)
-@pytest.mark.parametrize("density", [0.0001, 0.001, 0.02, 0.3, 0.97])
-def test_the_field_is_scipys_to_the_last_bit(voxel, truncation, density):
+@pytest.mark.parametrize("density", [0.0, 0.0001, 0.001, 0.02, 0.3, 0.97])
+def test_the_field_is_scipys_to_the_last_bit(voxel, density):
     rng = np.random.default_rng(31)
     for shape in ((23, 31, 17), (40, 9, 26), (5, 60, 40), (1, 33, 8), (12, 1, 1)):
         occupancy = rng.random(shape) < density
-        expected = expected_field(squares(occupancy), voxel, truncation)
-        assert_array_equal(field(occupancy, voxel, truncation), expected)
+        expected = expected_field(squares(occupancy), voxel, 2.0)
+        assert_array_equal(field(occupancy, voxel, 2.0), expected)
 
 
 @pytest.mark.parametrize("voxel", VOXELS)
@@ -61,18 +61,12 @@ def test_truncations_of_every_reach_are_exact(voxel):
     occupancy[4, 20, 7] = True
     k = squares(occupancy)
     lengths = [0.5, 1, 1.5, 2, 3, 7, 10, 11, 12, 15, 16, 17, 20, 25, 90, 127, 128, 180, 182, 300]
-    for reach in [
-        *lengths,
-        *np.sqrt([2, 3, 5, 126, 127, 128, 129, 255, 256, 257]),
-        *rng.uniform(0, 40, 20),
-    ]:
-        for truncation in (
-            reach * voxel,
-            np.nextafter(reach * voxel, 0),
-            np.nextafter(reach * voxel, 999),
-        ):
-            answer = field(occupancy, voxel, float(truncation))
-            assert_array_equal(answer, expected_field(k, voxel, float(truncation)))
+    roots = np.sqrt([2, 3, 5, 126, 127, 128, 129, 255, 256, 257])
+    for reach in [*lengths, *roots, *rng.uniform(0, 40, 20)]:
+        metres = float(reach * voxel)
+        for truncation in (metres, math.nextafter(metres, 0), math.nextafter(metres, 999)):
+            answer = field(occupancy, voxel, truncation)
+            assert_array_equal(answer, expected_field(k, voxel, truncation))
 
 
 def test_the_field_ignores_how_the_map_lies_in_memory():

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.spatial.transform import Rotation
 
 from lidarsim import GridSpec
 from lidarsim.noise.chain import Noise
@@ -22,7 +23,8 @@ from scenegen.truth import rasterize
 from scenegen.verification import verify
 from scenegen.worlds.labels import NONE, SHAPES, class_names, labels_by, owners
 from scenegen.worlds.world import compile_world
-from tests.conftest import COUNTS, dataset_in, plan_of, small_recipe
+from tests.conftest import COUNTS, plan_of, small_recipe
+from tests.scenegen.truth.reference import Shape, at_least
 
 CUBE = " ".join(f"{x} {y} {z}" for x in (-0.5, 0.5) for y in (-0.4, 0.4) for z in (-0.3, 0.3))
 WORLD = f"""<mujoco><asset><mesh name="cube" vertex="{CUBE}"/></asset><worldbody>
@@ -35,33 +37,16 @@ WORLD = f"""<mujoco><asset><mesh name="cube" vertex="{CUBE}"/></asset><worldbody
 </worldbody></mujoco>"""
 
 
-def distances(points):
-    """From points (n, 3) to the six geoms of `WORLD`, (6, n); 0 inside."""
-
-    def box(p, half):
-        return np.linalg.norm(np.maximum(np.abs(p) - half, 0.0), axis=1)
-
-    turn = np.radians(30.0)
-    away = points - [0.9, 0.2, 0.6]
-    turned = np.stack(
-        [
-            np.cos(turn) * away[:, 0] + np.sin(turn) * away[:, 1],
-            np.cos(turn) * away[:, 1] - np.sin(turn) * away[:, 0],
-        ]
-    )
-    ball = np.maximum(np.linalg.norm(points - [-0.3, 0.0, 0.7], axis=1) - 0.4, 0.0)
-    pill = points - [0.4, 1.1, 0.9]
-    pill[:, 2] -= np.clip(pill[:, 2], -0.3, 0.3)
-    return np.stack(
-        [
-            box(np.column_stack([*turned, away[:, 2]]), (0.35, 0.3, 0.5)),
-            np.maximum(points[:, 2], 0.0),
-            ball,
-            ball,
-            box(points - [-0.6, -0.9, 0.6], (0.5, 0.4, 0.3)),
-            np.maximum(np.linalg.norm(pill, axis=1) - 0.15, 0.0),
-        ]
-    )
+TURNED = Rotation.from_euler("z", 30, degrees=True).as_quat(scalar_first=True)
+BALL = Shape("sphere", (0.4, 0, 0)).at((-0.3, 0, 0.7))
+SOLIDS = [
+    Shape("box", (0.35, 0.3, 0.5), quat=TURNED).at((0.9, 0.2, 0.6)),
+    Shape("plane", (0, 0, 1)),
+    *(BALL, BALL),
+    Shape("box", (0.5, 0.4, 0.3)).at((-0.6, -0.9, 0.6)),
+    Shape("capsule", (0.15, 0.3, 0)).at((0.4, 1.1, 0.9)),
+]
+"""The six geoms of `WORLD`."""
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.037])
@@ -72,7 +57,8 @@ def test_a_voxel_belongs_to_the_nearest_solid_and_of_two_to_the_first(shift):
     owner = owners(world.solids, occupancy, grid, origin)
     assert_array_equal(owner != NONE, occupancy)
     cells = np.argwhere(occupancy)
-    there = distances(origin + (cells + 0.5) * grid.voxel_m)
+    centres = origin + (cells + 0.5) * grid.voxel_m
+    there = np.stack([np.maximum(at_least(solid, centres), 0.0) for solid in SOLIDS])
     found = owner[tuple(cells.T)]
     least = there.min(axis=0)
     assert_allclose(
@@ -92,12 +78,8 @@ def test_classes_come_from_names_shapes_or_groups():
         GenerationError, match="geom 'wall_2' is of class 'wall', which was not known"
     ):
         labels_by("name", ()).of(compile_world(WORLD.encode()))
-    assert [
-        SHAPES[int(code)] for code in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_MESH)
-    ] == [
-        "plane",
-        "mesh",
-    ]
+    codes = mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_MESH
+    assert [SHAPES[int(code)] for code in codes] == ["plane", "mesh"]
 
 
 def test_labels_add_fields_and_change_none_and_their_digest_covers_them():
@@ -119,26 +101,32 @@ def test_labels_add_fields_and_change_none_and_their_digest_covers_them():
     assert (more.return_geom >= 0).sum() == np.isfinite(plain.ranges).sum()
 
 
-@pytest.mark.parametrize("noise", ["", "spurious:0.05,range"])
-def test_a_dataset_with_labels_is_kept_verified_and_scanned_again(tmp_path, noise):
+def test_a_dataset_with_labels_is_kept_verified_published_and_scanned_again(undrawn, tmp_path):
     recipe = dataclasses.replace(small_recipe(), labels=labels_by("group", ()))
     folder = tmp_path / "data"
     plan = plan_of(folder, recipe, seed=3, counts=COUNTS, compact=True)
     build(plan)
     build(plan)  # which finds every shard as it was
-    again = plan_rescan(
-        Dataset(folder), tmp_path / "again", chain=Noise.parse(noise) if noise else None
-    )
-    build(again)
-    for place in (folder, again.folder):
-        report = verify(place)
+    dataset = Dataset(folder)
+    scans = [
+        plan_rescan(dataset, tmp_path / f"again{n}", chain=chain)
+        for n, chain in enumerate((None, Noise.parse("spurious:0.05,range")))
+    ]
+    for one in (plan, *scans):
+        build(one)
+        report = verify(one.folder)
         assert report.ok, report.failed
         assert {"labels", "owners"} <= {check.name for check in report.checks}
-    same = Dataset(folder).manifest.digest == Dataset(again.folder).manifest.digest
-    assert same == (not noise)
-    sample = Dataset(folder).split("train")[0]
+    digest = dataset.manifest.digest
+    assert [Dataset(one.folder).manifest.digest == digest for one in scans] == [True, False]
+    sample = dataset.split("train")[0]
     assert sample.voxel_class.max() == 1  # type: ignore[attr-defined]
-    assert Dataset(folder).split("train").describe()["voxel_geom"]["dtype"] == "int32"
+    assert dataset.split("train").describe()["voxel_geom"]["dtype"] == "int32"
+    request = Request(dataset=folder, repository="ada/small", out=tmp_path / "out")
+    stage(request, (("files", "all there"),))
+    card = (tmp_path / "out" / "README.md").read_text()
+    for said in ('"nothing", "group 0"', "`voxel_class`", "--labels group"):
+        assert said in card
 
 
 DRESSED = """<mujoco><asset>
@@ -184,18 +172,3 @@ def test_a_scenes_materials_make_classes_and_their_archive_keeps_them(tmp_path):
         assert_array_equal(material.return_class, wanted[material.return_geom])
         assert_array_equal(group.voxel_class, np.array([1, 4, 1, 1, 0])[group.voxel_geom])
     assert met == {-1, 0, 1, 2, 3}
-
-
-def test_a_dataset_with_labels_can_be_published(undrawn, tmp_path):
-    recipe = dataclasses.replace(
-        small_recipe(), labels=labels_by("name", ()), noise=Noise.parse("range")
-    )
-    counts = {"train": 3, "val": 3, "test": 3}
-    dataset_in(tmp_path / "data", recipe, seed=3, counts=counts)
-    request = Request(dataset=tmp_path / "data", repository="ada/small", out=tmp_path / "out")
-    stage(request, (("files", "all there"),))
-    card = (tmp_path / "out" / "README.md").read_text()
-    assert '"nothing", "plane"' in card
-    assert "`voxel_class`" in card
-    assert "--labels name" in card
-    assert "with simulated noise, `range:sigma_m=0.02" in card

@@ -1,6 +1,7 @@
 """Distances and motion checks against MuJoCo's own for primitives, and against triangles and
 winding numbers."""
 
+import functools
 import itertools
 from collections.abc import Callable
 
@@ -110,29 +111,23 @@ def check_motions(clearance, distances, seed, *, count, longest_m):
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_distances_to_primitives_are_those_of_mujoco(seed):
+def test_distances_to_primitives_are_those_of_mujoco_and_motions_keep_them(seed):
     model, data = primitive_world(seed)
     clearance = Clearance(solids_of(model), BOUNDS)
+
+    def distances(points):
+        return distances_by_mujoco(model, data, points)
+
     points = np.random.default_rng(seed).uniform(BOUNDS[0], BOUNDS[1], (250, 3))
-    expected = np.minimum(distances_by_mujoco(model, data, points), CAP_M)
+    expected = np.minimum(distances(points), CAP_M)
     found = np.array([clearance.at(*p) for p in points])
     assert_allclose(found, expected, rtol=0, atol=ROUNDING_M)
     assert (found[expected == 0] == 0).all()
     between = (expected > 0) & (expected < CAP_M)
     assert min((expected == 0).sum(), (expected == CAP_M).sum(), between.sum()) > 5
-
-
-@pytest.mark.parametrize("seed", [0, 1])
-def test_a_motion_among_primitives_is_free_where_its_points_keep_the_radius(seed):
-    model, data = primitive_world(seed)
-    clearance = Clearance(solids_of(model), BOUNDS)
-    check_motions(
-        clearance,
-        lambda points: distances_by_mujoco(model, data, points),
-        seed,
-        count=60,
-        longest_m=4.0,
-    )
+    check_motions(clearance, distances, seed, count=60, longest_m=4.0)
+    for p in points[:100]:  # motions of no length
+        assert clearance.motion_is_free(tuple(p), tuple(p), 0.3) == (clearance.at(*p) >= 0.3)
 
 
 def torus(share=1.0):
@@ -200,9 +195,7 @@ def distances_to(shapes, points):
 @pytest.mark.parametrize(
     "names", [("ring",), ("half a ring",), ("hill",), ("hill", "ring", "half a ring", "ring")]
 )
-def test_distances_to_meshes_and_height_fields_are_those_of_their_triangles(
-    names,
-):
+def test_distances_to_meshes_and_height_fields_are_those_of_their_triangles(names):
     clearance, shapes = bent_world(names, seed=len(names[0]))
     rng = np.random.default_rng(0)
     corners = np.concatenate([np.asarray(shape.vertices) for shape, _ in shapes])
@@ -222,28 +215,26 @@ def test_distances_to_meshes_and_height_fields_are_those_of_their_triangles(
 
 def test_a_motion_among_meshes_is_free_where_its_points_keep_the_radius():
     clearance, shapes = bent_world(("hill", "ring", "half a ring"), 0)
-    check_motions(
-        clearance, lambda points: distances_to(shapes, points), 0, count=10, longest_m=1.5
-    )
+    distances = functools.partial(distances_to, shapes)
+    check_motions(clearance, distances, 0, count=10, longest_m=1.5)
 
 
-def test_motions_of_no_length_and_worlds_without_solids():
-    model, _ = primitive_world(0)
-    clearance = Clearance(solids_of(model), BOUNDS)
+def alone(kind, size, place):
+    """The clearance around one solid."""
     spec = mujoco.MjSpec()
-    spec.worldbody.add_geom(type=Geom.mjGEOM_SPHERE, size=[1, 0, 0], pos=[50, 50, 50])
-    empty = Clearance(solids_of(spec.compile()), BOUNDS)
-    for p in np.random.default_rng(0).uniform(BOUNDS[0], BOUNDS[1], (100, 3)):
-        assert clearance.motion_is_free(tuple(p), tuple(p), 0.3) == (clearance.at(*p) >= 0.3)
-        assert empty.at(*p) == CAP_M
+    spec.worldbody.add_geom(type=kind, size=size, pos=place)
+    return Clearance(solids_of(spec.compile()), BOUNDS)
+
+
+def test_a_world_without_solids_is_all_free():
+    empty = alone(Geom.mjGEOM_SPHERE, [1, 0, 0], [50, 50, 50])
+    assert empty.at(*BOUNDS.mean(axis=0)) == CAP_M
     assert empty.motion_is_free(tuple(BOUNDS[0]), tuple(BOUNDS[1]), 0.9)
 
 
 def test_a_motion_may_be_blocked_at_its_ends_alone():
     """A ball of 0.3 m against a thin plate, as near to either end as can be."""
-    spec = mujoco.MjSpec()
-    spec.worldbody.add_geom(type=Geom.mjGEOM_BOX, size=[0.01, 1, 1], pos=[0, 0, 2])
-    clearance = Clearance(solids_of(spec.compile()), BOUNDS)
+    clearance = alone(Geom.mjGEOM_BOX, [0.01, 1, 1], [0, 0, 2])
     for length in (0.0005, 0.4, 3.0):
         for gap, free in ((0.305, True), (0.295, False)):
             at, away = (0.01 + gap, 0.0, 2.0), (0.01 + gap + length, 0.0, 2.0)
@@ -256,9 +247,7 @@ def test_a_motion_may_be_blocked_at_its_ends_alone():
 def test_a_motion_that_grazes_a_post_is_seen_wherever_its_steps_fall():
     """A ball of 5 cm past a post of 2 cm: they meet over 4 cm of a long way, or pass with 3 mm
     between them."""
-    spec = mujoco.MjSpec()
-    spec.worldbody.add_geom(type=Geom.mjGEOM_CYLINDER, size=[0.02, 1, 0], pos=[0, 0, 2])
-    clearance = Clearance(solids_of(spec.compile()), BOUNDS)
+    clearance = alone(Geom.mjGEOM_CYLINDER, [0.02, 1, 0], [0, 0, 2])
     for start in np.random.default_rng(0).uniform(-2.0, -0.5, 50):
         for y, free in ((0.067, False), (0.073, True)):
             assert clearance.motion_is_free((start, y, 2.0), (1.5, y, 2.0), 0.05) is free

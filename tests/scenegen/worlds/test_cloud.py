@@ -22,8 +22,8 @@ from scenegen.source import read_world
 from scenegen.verification import verify
 from scenegen.worlds.cloud import Survey, map_clouds
 from scenegen.worlds.world import World
-from tests.command_line import refused, run
-from tests.scenegen.worlds.test_place import ORIGIN, VOXEL_M, hall
+from tests.command_line import refused, rows, run
+from tests.scenegen.worlds.test_place import ORIGIN, RECIPE, VOXEL_M, hall
 
 TRUTH = VoxelMap(hall(), VOXEL_M, np.array(ORIGIN))
 VOXELS = Survey(voxel_m=VOXEL_M)
@@ -84,34 +84,25 @@ def write_las(path, points, sensors=None):
 
 def surveyed(folder, scans, how):
     """The map of scans that say in one of these ways where they were made."""
-    places = np.stack([sensor for sensor, _ in scans])
     every, sensors = joined(scans)
-    files, poses = [], folder / "poses.txt"
     if how in (".las", ".laz"):
         return map_clouds([write_las(folder / f"a{how}", every, sensors)], VOXELS).voxels
     if how == "fields":
         return map_clouds([write_ply(folder / "a.ply", every, sensors)], VOXELS).voxels
-    turn = Pose.level((0, 0, 0), 0.7).quaternion
-    for n, (sensor, points) in enumerate(scans):
-        files.append(folder / f"{n}.{'pcd' if how == 'viewpoint' else 'npy'}")
-        if how == "viewpoint":
-            write_points(files[-1], points, None, {"frame": "world", "position": sensor})
-        elif how == "places":
-            np.save(files[-1], points)
-        else:
-            np.save(files[-1], rotate(turn * (1, -1, -1, -1), points - sensor))
-    w, x, y, z = turn
-    rows = {
-        "places": places,
-        "tum": [[time, *place, x, y, z, w] for time, place in enumerate(places)],
-        "kitti": [
-            np.concatenate([rotate(turn, np.eye(3)).T, place[:, None]], axis=1).reshape(-1)
-            for place in places
-        ],
-    }
-    if how != "viewpoint":
-        np.savetxt(poses, rows[how])
-    return map_clouds(files, VOXELS, poses=None if how == "viewpoint" else poses).voxels
+    files = [folder / f"{n}.{'pcd' if how == 'viewpoint' else 'npy'}" for n in range(len(scans))]
+    if how == "viewpoint":
+        for file, (sensor, points) in zip(files, scans, strict=True):
+            write_points(file, points, None, {"frame": "world", "position": sensor})
+        return map_clouds(files, VOXELS).voxels
+    turn, rows = Pose.level((0, 0, 0), 0.7).quaternion, []
+    for time, (file, (sensor, points)) in enumerate(zip(files, scans, strict=True)):
+        own = points if how == "places" else rotate(turn * (1, -1, -1, -1), points - sensor)
+        np.save(file, own)
+        axes = np.column_stack([rotate(turn, np.eye(3)).T, sensor])
+        poses = {"places": sensor, "tum": [time, *sensor, *np.roll(turn, -1)], "kitti": axes}
+        rows.append(np.ravel(poses[how]))
+    np.savetxt(folder / "poses.txt", rows)
+    return map_clouds(files, VOXELS, poses=folder / "poses.txt").voxels
 
 
 @pytest.mark.parametrize("how", ["fields", "viewpoint", "places", "tum", "kitti", ".las", ".laz"])
@@ -179,53 +170,41 @@ def test_what_is_assumed_free_lies_above_the_lowest_point(scans, tmp_path):
 
 
 def test_a_dataset_of_a_cloud_passes_every_check(tmp_path):
-    every, sensors = joined(scanned(12, 40_000))
-    write_ply(tmp_path / "a.ply", every, sensors)
-    said = []
+    every, sensors = joined(scanned(12, 10_000))
+    cloud, recipe = write_ply(tmp_path / "a.ply", every, sensors), tmp_path / "recipe.toml"
+    recipe.write_text(RECIPE)
+    given, said = {"scene": cloud, "recipe": recipe, "out": tmp_path / "data"}, []
     for _ in range(2):  # the second time, nothing is left to do
-        plan = plan_generation(
-            None, 4, scene=tmp_path / "a.ply", out=tmp_path / "data", tell=said.append
-        )
-        summary = build(plan, workers=1)
+        summary = build(plan_generation(None, 4, **given, tell=said.append), workers=1)
     assert summary.samples_written == 0
     assert f"{len(every)} points become voxels of 0.2 m" in said[0]
     report = verify(tmp_path / "data")
     assert report.ok, [check.detail for check in report.checks]
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "options", "said"),
-    [
-        ("a.xyz", b"1 2 3\n", [], "does not say where its sensor was"),
-        ("a.xyz", b"nan 1 2\n1 inf 2\n", ["--sensor", "nan", "1", "2"], "nan"),
-        ("a.xyz", b"nan 1 2\n1 inf 2\n", ["--assume-free"], "no point in it is finite"),
-        ("a.xyz", b"0 0 0\n1e30 0 0\n", ["--assume-free"], "give a larger --voxel"),
-        ("a.xyz", b"0 0 0\n1e300 0 0\n", ["--sensor", "0", "0", "0"], "give a larger --voxel"),
-        ("a.xyz", b"0 0 0\n", ["--assume-free", "--box", *"555666"], "lies in the box"),
-        ("a.xyz", b"0 0 0\n", ["--poses", "none.txt"], "none.txt"),
-        ("a.xyz", b"0 0 0\n", ["--poses", "two.txt"], "2 poses, expected 1"),
-        ("a.xyz", b"0 0 0\n", ["--poses", "flat.txt"], "line 1: expected a rotation"),
-        ("a.xyz", b"0 0 0\n", ["--poses", "a.bt"], "holds no numbers"),
-        ("a.bt", b"words\n", ["--assume-free"], "expected one of .ply"),
-        ("a.las", b"LASF" + bytes(400), ["--assume-free"], "cannot be read as .las"),
-        ("a.laz", b"", ["--assume-free"], "cannot be read as .laz"),
-    ],
-)
-def test_what_is_no_map_ends_in_a_line(
-    tmp_path,
-    monkeypatch,
-    capsys,
-    name,
-    content,
-    options,
-    said,
-):
-    monkeypatch.chdir(tmp_path)
+NO_MAPS = """
+a.xyz → 1 2 3            →                                 → does not say where its sensor was
+a.xyz → nan 1 2; 1 inf 2 → --sensor nan 1 2                → nan
+a.xyz → nan 1 2; 1 inf 2 → --assume-free                   → no point in it is finite
+a.xyz → 0 0 0; 1e30 0 0  → --assume-free                   → give a larger --voxel
+a.xyz → 0 0 0; 1e300 0 0 → --sensor 0 0 0                  → give a larger --voxel
+a.xyz → 0 0 0            → --assume-free --box 5 5 5 6 6 6 → lies in the box
+a.xyz → 0 0 0            → --poses none.txt                → none.txt
+a.xyz → 0 0 0            → --poses two.txt                 → 2 poses, expected 1
+a.xyz → 0 0 0            → --poses flat.txt                → line 1: expected a rotation
+a.xyz → 0 0 0            → --poses words.txt               → holds no numbers
+a.bt  → words            → --assume-free                   → expected one of .ply
+a.las → LASF             → --assume-free                   → cannot be read as .las
+"""
+
+
+@pytest.mark.parametrize(("name", "lines", "options", "said"), rows(NO_MAPS))
+def test_what_is_no_map_ends_in_a_line(standing, capsys, name, lines, options, said):
     Path("two.txt").write_text("0 0 0\n0 0 1\n")
     Path("flat.txt").write_text("0 " * 12)
-    Path("a.bt").write_text("words")
-    Path(name).write_bytes(content)
-    assert said in refused(capsys, "map", name, *options)
+    Path("words.txt").write_text("words")
+    Path(name).write_text(lines.replace("; ", "\n"))
+    assert said in refused(capsys, "map", name, *options.split())
     assert not Path("map.npz").exists()
 
 

@@ -63,9 +63,7 @@ def flights():
     return found
 
 
-def test_a_whole_flight_keeps_the_clearance_and_the_bounds(
-    flights,
-):
+def test_a_whole_flight_keeps_the_clearance_the_bounds_and_the_step(flights):
     tight = []
     for columns, path in flights:
         assert path.shape[1] == 3
@@ -76,16 +74,8 @@ def test_a_whole_flight_keeps_the_clearance_and_the_bounds(
             apart = np.linalg.norm(points[:, None, :2] - columns[:, :2], axis=2) - columns[:, 2]
             tight.append(apart.min())
             assert tight[-1] >= FLIGHT.robot_radius_m - 2e-3
-    assert min(tight) < FLIGHT.robot_radius_m + 0.1, (
-        "no flight passes close to a column: the test shows nothing"
-    )
-
-
-def test_legs_are_short_and_flights_spread_over_the_box(
-    flights,
-):
-    for _, path in flights:
         assert np.linalg.norm(np.diff(path, axis=0), axis=1).max() <= FLIGHT.step_m + 1e-9
+    assert min(tight) < FLIGHT.robot_radius_m + 0.1, "no flight passes close to a column"
     ends = np.array([end for _, path in flights for end in (path[0], path[-1])])
     assert (np.ptp(ends, axis=0) > 0.6 * (BOUNDS[1] - BOUNDS[0])).all()
 
@@ -100,17 +90,7 @@ def test_start_and_goal_are_the_least_distance_apart_or_a_third_of_the_diagonal(
     assert least_m - FLIGHT.goal_tolerance_m <= min(lengths) < least_m + 1.5
 
 
-def test_a_flight_depends_on_the_state_of_the_generator_alone():
-    _, clearance = forest(3)
-    first = plan(clearance, BOUNDS, FLIGHT, rng=np.random.default_rng(3))
-    other = plan(clearance, BOUNDS, FLIGHT, rng=np.random.default_rng(4))
-    again = plan(clearance, BOUNDS, FLIGHT, rng=np.random.default_rng(3))
-    assert len(first) > 2, "a straight flight shows nothing"
-    assert_array_equal(first, again)
-    assert other is None or not np.array_equal(first, other)
-
-
-def test_the_search_uses_the_generator_too_not_its_ends_alone():
+def test_the_generator_alone_decides_the_ends_and_the_search_between_them():
     """With start and goal the same, another seed for OMPL gives another path."""
     _, clearance = forest(3)
 
@@ -124,9 +104,10 @@ def test_the_search_uses_the_generator_too_not_its_ends_alone():
         def integers(self, *bounds):
             return self._seed
 
-    paths = [plan(clearance, BOUNDS, FLIGHT, rng=Reseeded(seed)) for seed in (1, 2)]
-    assert_array_equal(paths[0][0], paths[1][0])
-    assert not np.array_equal(*paths)
+    one, again, other = (plan(clearance, BOUNDS, FLIGHT, rng=Reseeded(seed)) for seed in (1, 1, 2))
+    assert_array_equal(one, again)
+    assert_array_equal(one[0], other[0])
+    assert not np.array_equal(one, other)
 
 
 @pytest.mark.parametrize("iterations", [1, 40, 400])
@@ -139,27 +120,6 @@ def test_a_divided_world_gives_up_after_its_iterations(iterations):
         clearance.asked = 0
         assert plan(clearance, bounds, flight, rng=np.random.default_rng(seed)) is None
         assert 0.9 * iterations <= clearance.asked <= iterations
-
-
-def test_a_wall_with_a_gap_is_flown_through_by_what_is_thin_enough():
-    spec = mujoco.MjSpec()
-    for y in (-50.6, 50.6):  # leaves 1.2 m about y = 0
-        spec.worldbody.add_geom(type=Geom.mjGEOM_BOX, size=[0.2, 50, 50], pos=[8, y, 0])
-    bounds = np.array([[6.0, -0.5, 0.5], [10.0, 0.5, 1.5]])
-    clearance = Clearance(solids_of(spec.compile()), bounds)
-    crossed = {}
-    for radius in (0.3, 0.7):
-        flight = dataclasses.replace(
-            FLIGHT, robot_radius_m=radius, min_distance_m=1.4, goal_tolerance_m=0.05
-        )
-        paths = [
-            plan(clearance, bounds, flight, rng=np.random.default_rng(seed)) for seed in range(20)
-        ]
-        crossed[radius] = sum(
-            path is not None and (path[0, 0] - 8) * (path[-1, 0] - 8) < 0 for path in paths
-        )
-    assert crossed[0.3] > 5
-    assert crossed[0.7] == 0
 
 
 CORNERS = "0 0 0, 0 0 2, 3 0 2, 3 4 2, 3 4 5, 3 4 3, 3 1 7, 3 1 8, -2 -4 8"
@@ -182,12 +142,14 @@ def leg_of(point, path):
 
 
 @pytest.mark.parametrize("spacing", [0.25, 1.0, 1.7])
-def test_viewpoints_lie_on_the_path_a_spacing_apart(spacing):
+def test_viewpoints_lie_on_the_path_a_spacing_apart_in_an_order_that_the_generator_decides(spacing):
     lengths = np.linalg.norm(np.diff(PATH, axis=0), axis=1)
     ends = np.concatenate([[0.0], np.cumsum(lengths)])
-    firsts = []
+    firsts, orders = [], set()
     for seed in range(20):
-        views = viewpoints(PATH, spacing, rng=np.random.default_rng(seed))
+        views, again = (viewpoints(PATH, spacing, rng=np.random.default_rng(seed)) for _ in "12")
+        assert_array_equal(views.flown_m, again.flown_m)
+        orders.add(tuple(np.argsort(views.flown_m)))
         flown = np.sort(views.flown_m)
         firsts.append(flown[0])
         assert_allclose(np.diff(flown), spacing, rtol=0, atol=1e-9)
@@ -198,6 +160,7 @@ def test_viewpoints_lie_on_the_path_a_spacing_apart(spacing):
             expected = np.interp(views.flown_m, ends, PATH[:, axis])
             assert_allclose(views.positions[:, axis], expected, rtol=0, atol=1e-9)
     assert np.ptp(firsts) > 0.5 * spacing
+    assert len(orders) == 20
 
 
 def test_viewpoints_look_along_their_leg_and_are_level():
@@ -214,16 +177,6 @@ def test_viewpoints_look_along_their_leg_and_are_level():
             assert min(np.abs(forward - one).max() for one in ahead) < 1e-9
             assert_allclose(up, [0.0, 0.0, 1.0], rtol=0, atol=1e-12)
     assert seen == set(range(len(HEADINGS)))
-
-
-def test_viewpoints_come_in_random_order_that_the_generator_alone_decides():
-    first, again, other = (
-        viewpoints(PATH, 0.5, rng=np.random.default_rng(seed)) for seed in (1, 1, 2)
-    )
-    for name in ("flown_m", "positions"):
-        assert_array_equal(getattr(first, name), getattr(again, name))
-    assert (np.argsort(first.flown_m) != np.arange(len(first))).any()
-    assert (np.argsort(first.flown_m) != np.argsort(other.flown_m)[: len(first)]).any()
 
 
 @pytest.mark.parametrize("value", [-1e9, math.nan, True, (3.0, 1.0)])

@@ -1,9 +1,11 @@
 """A world's digest sees its solids and nothing else."""
 
+import mujoco
 import numpy as np
 import pytest
 
-from scenegen.worlds.world import compile_world, geometry_digest
+from lidarsim.solids.model import solids_of
+from scenegen.worlds.world import geometry_digest
 
 FIELD = '<hfield name="h" nrow="2" ncol="2" size="1 1 1 1" elevation="0 {} 0 1"/>'
 ASSETS = '<asset><mesh name="m" vertex="{}"/>' + FIELD + "</asset>"
@@ -12,12 +14,16 @@ ASSETS = '<asset><mesh name="m" vertex="{}"/>' + FIELD + "</asset>"
 def digest(body, *, vertices="0 0 0 1 0 0 0 1 0 0 0 1", height=0.5):
     assets = ASSETS.format(vertices, height)
     world = f"<mujoco>{assets}<worldbody>{body}</worldbody></mujoco>"
-    return geometry_digest(compile_world(world.encode()).solids)
+    return geometry_digest(solids_of(mujoco.MjModel.from_xml_string(world)))
 
 
 PLACE = ' pos="1 2 3"'
 A = f'<geom type="box" size="1 2 3"{PLACE} quat="0.8 0.6 0 0"/>'
 B = '<geom type="cylinder" size="1 2" pos="4 0 0"/>'
+
+
+HINGE = '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><joint axis="0 0 1" ref="40"/>'
+"""A geom stands where its body does in the reference configuration."""
 
 
 @pytest.mark.parametrize(
@@ -26,7 +32,8 @@ B = '<geom type="cylinder" size="1 2" pos="4 0 0"/>'
         B + A,
         A.replace("<geom", '<geom name="x" rgba="1 0 0 1"') + B,
         A.replace("0.8 0.6 0 0", "-0.8 -0.6 0 0") + B,
-        f'<body pos="1 0 0"><body pos="0 2 3">{A.replace(PLACE, "")}</body></body>{B}',
+        f'<body pos="1 0 0">{HINGE}<body pos="0 2 3">{A.replace(PLACE, "")}</body></body>{B}',
+        f'{A}<body pos="4 0 0"><freejoint/>{B.replace("4 0 0", "0 0 0")}</body>',
         A.replace('size="1 2 3"', 'size="2 1 3"').replace(
             'quat="0.8 0.6 0 0"', 'xyaxes="0 0.28 0.96 -1 0 0"'
         )

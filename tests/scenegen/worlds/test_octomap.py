@@ -52,7 +52,7 @@ def written(states, corner, suffix):
 
 
 @pytest.mark.parametrize("suffix", [".bt", ".ot"])
-@pytest.mark.parametrize("corner", [(-3, -9, 2), (0, 0, 0), (31000, -32768, -5)])
+@pytest.mark.parametrize("corner", [(-3, -9, 2), (31000, -32768, -5)])
 def test_a_map_is_read_as_it_was_written(suffix, corner):
     rng = np.random.default_rng(0)
     states = rng.choice([UNKNOWN, FREE, OCCUPIED], (13, 6, 9)).astype(np.uint8)
@@ -64,30 +64,29 @@ def test_a_map_is_read_as_it_was_written(suffix, corner):
     assert found.origin == pytest.approx(np.array(corner) * 0.1)
 
 
-WHOLE = {
-    suffix: written(np.full((3, 2, 1), OCCUPIED, np.uint8), (0, 0, 0), suffix)
-    for suffix in (".bt", ".ot")
-}
-DEEP = WHOLE[".bt"][: WHOLE[".bt"].index(b"\ndata\n") + 6]
+BT, OT = (
+    written(np.full((3, 2, 1), OCCUPIED, np.uint8), (0, 0, 0), suffix) for suffix in (".bt", ".ot")
+)
+DEEP = BT[: BT.index(b"\ndata\n") + 6]
 
 
 @pytest.mark.parametrize(
     ("content", "said"),
     [
         (b"", "not an OctoMap"),
-        (WHOLE[".bt"].replace(b"\ndata\n", b"\n"), "not an OctoMap"),
-        (WHOLE[".bt"].replace(b"id OcTree", b"id ColorOcTree"), "ColorOcTree"),
-        (WHOLE[".bt"].replace(b"res 0.1", b"res -1"), "a voxel of"),
-        (WHOLE[".bt"].replace(b"res 0.1", b"res nan"), "a voxel of"),
-        (WHOLE[".bt"].replace(b"res 0.1", b"res"), "a voxel of"),
-        (WHOLE[".bt"][:-1], "ends within its tree"),
-        (WHOLE[".ot"][:-1], "ends within its tree"),
-        (WHOLE[".bt"] + b"\0", "goes on behind"),
-        (WHOLE[".ot"] + b"\0", "goes on behind"),
+        (BT.replace(b"\ndata\n", b"\n"), "not an OctoMap"),
+        (BT.replace(b"id OcTree", b"id ColorOcTree"), "ColorOcTree"),
+        (BT.replace(b"res 0.1", b"res -1"), "a voxel of"),
+        (BT.replace(b"res 0.1", b"res nan"), "a voxel of"),
+        (BT.replace(b"res 0.1", b"res"), "a voxel of"),
+        (BT[:-1], "ends within its tree"),
+        (OT[:-1], "ends within its tree"),
+        (BT + b"\0", "goes on behind"),
+        (OT + b"\0", "goes on behind"),
         (DEEP + b"\xff\xff" * 20, "more than 16 levels"),
         (DEEP + b"\0\0", "empty map"),
         (DEEP + b"\x02\x80", "at most"),  # two opposite eighths of everything
-        (WHOLE[".ot"][:-5] + struct.pack("<fB", np.nan, 0), "NaN"),
+        (OT[:-5] + struct.pack("<fB", np.nan, 0), "NaN"),
     ],
 )
 def test_a_damaged_map_ends_in_a_line(content, said):
@@ -97,7 +96,7 @@ def test_a_damaged_map_ends_in_a_line(content, said):
 
 def test_any_damage_ends_in_a_line_or_in_a_map():
     rng = np.random.default_rng(0)
-    for suffix, whole in WHOLE.items():
+    for suffix, whole in ((".bt", BT), (".ot", OT)):
         begin = whole.index(b"\ndata\n") + 6
         for _ in range(200):
             damaged = bytearray(whole)

@@ -236,10 +236,8 @@ def test_what_a_map_lacks_ends_in_a_line(dataset, tmp_path, capsys, options, sai
     [
         ({"states": np.full((4, 4, 4), 3, np.uint8)}, "0, 1 and 2"),
         ({"states": np.ones((4, 4), np.uint8)}, "expected uint8 of 3 axes"),
-        ({"states": np.ones((4, 4, 4))}, "expected uint8"),
         ({"voxel_m": np.float64(0)}, "a voxel of 0 m"),
-        ({"origin": np.array([0.0, np.nan, 0.0])}, "finite"),
-        ({"origin": np.array([0.0, 0.0])}, "three finite"),
+        ({"origin": np.array([0.0, np.nan, 0.0])}, "three finite"),
         ({"states": np.zeros((4, 4, 4), np.uint8)}, "nothing in it is free"),
     ],
 )

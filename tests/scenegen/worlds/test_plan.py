@@ -7,7 +7,7 @@ from scenegen.errors import SceneError
 from scenegen.source import read_world
 from scenegen.worlds.place import Place, read_place
 from scenegen.worlds.plan import read_plan
-from tests.command_line import run
+from tests.command_line import rows, run
 
 Image = pytest.importorskip("PIL.Image", reason="Pillow is not installed")
 
@@ -46,21 +46,21 @@ def test_every_cell_is_what_its_shade_says(tmp_path):
     assert voxels.states.shape[:2] == tuple((np.ptp(known, axis=0) + 1)[::-1])
 
 
-@pytest.mark.parametrize("form", ["block list", "negated", "png", "quoted"])
-def test_other_spellings_are_the_same_map(form, tmp_path):
+@pytest.mark.parametrize(
+    ("old", "new", "picture"),
+    [
+        ("[-1.5, 2.0, 0.0]", "\n  - -1.5\n  - 2.0\n  - 0.0", SHADES),
+        ("negate: 0", "negate: true", 255 - SHADES),
+        (".pgm", ".png", SHADES),
+        ("plan.pgm", '"plan.pgm"', SHADES),
+    ],
+)
+def test_other_spellings_are_the_same_map(old, new, picture, tmp_path):
+    Image.fromarray(SHADES).save(tmp_path / "plan.png")
     expected = read_plan(write(tmp_path)).voxels
-    if form == "block list":
-        text = YAML.replace("[-1.5, 2.0, 0.0]", "\n  - -1.5\n  - 2.0\n  - 0.0")
-        found = read_plan(write(tmp_path, text))
-    elif form == "negated":
-        found = read_plan(write(tmp_path, YAML.replace("negate: 0", "negate: true"), 255 - SHADES))
-    elif form == "png":
-        Image.fromarray(SHADES).save(tmp_path / "plan.png")
-        found = read_plan(write(tmp_path, YAML.replace(".pgm", ".png")))
-    else:
-        found = read_plan(write(tmp_path, YAML.replace("plan.pgm", '"plan.pgm"')))
-    assert (found.voxels.states == expected.states).all()
-    assert (found.voxels.origin == expected.origin).all()
+    found = read_plan(write(tmp_path, YAML.replace(old, new), picture)).voxels
+    assert (found.states == expected.states).all()
+    assert (found.origin == expected.origin).all()
 
 
 def test_a_plan_is_a_world_as_high_as_it_is_said_to_be(tmp_path, capsys, monkeypatch):
@@ -78,27 +78,27 @@ def test_a_plan_is_a_world_as_high_as_it_is_said_to_be(tmp_path, capsys, monkeyp
         assert "is given alone, with --height" in " ".join(err.split())
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ("resolution: 0.25\n", "", "'resolution'"),
-        ("0.25", "0", "a voxel of 0 m"),
-        ("0.0]", "0.1]", "a yaw of 0"),
-        ("2.0,", "inf,", "finite metres"),
-        ("2.0, ", "", "expected 3, got 2"),
-        ("negate: 0", "negate: 7", "'7'"),
-        ("0.196", "0.7", "free_thresh below"),
-        ("trinary", "scale", "mode 'scale'"),
-        ("plan.pgm", "other.pgm", "other.pgm"),
-        ("plan.pgm", "plan.yaml", "expected a grey picture"),
-        ("plan.pgm", "alpha.png", "expected a grey picture"),
-        ("plan.pgm", "huge.pgm", "expected a grey picture"),
-        ("plan.pgm", "cut.pgm", "expected a grey picture"),
-        ("plan.pgm", "grey.pgm", "nothing in it is known"),
-        ("plan.pgm", "full.pgm", "nothing in it is free"),
-        (YAML[: YAML.index("0.25") + 4], "image: wide.pgm\nresolution: 1e-3", "a lower --height"),
-    ],
-)
+DAMAGED = """
+resolution: 0.25 →                     → 'resolution'
+0.25             → 0                   → a voxel of 0 m
+0.0]             → 0.1]                → a yaw of 0
+2.0,             → inf,                → finite metres
+2.0,             →                     → expected 3, got 2
+negate: 0        → negate: 7           → '7'
+0.196            → 0.7                 → free_thresh below
+trinary          → scale               → mode 'scale'
+plan.pgm         → other.pgm           → other.pgm
+plan.pgm         → plan.yaml           → expected a grey picture
+plan.pgm         → alpha.png           → expected a grey picture
+plan.pgm         → huge.pgm            → expected a grey picture
+plan.pgm         → cut.pgm             → expected a grey picture
+plan.pgm         → grey.pgm            → nothing in it is known
+plan.pgm         → full.pgm            → nothing in it is free
+"""
+WIDE = YAML[: YAML.index("0.25") + 4], "image: wide.pgm\nresolution: 1e-3", "a lower --height"
+
+
+@pytest.mark.parametrize(("old", "new", "said"), [*rows(DAMAGED), WIDE])
 def test_a_damaged_plan_ends_in_a_line(tmp_path, old, new, said):
     path = write(tmp_path, YAML.replace(old, new))
     Image.fromarray(np.zeros((4, 4, 4), np.uint8)).save(tmp_path / "alpha.png")

@@ -13,7 +13,6 @@ from numpy.testing import assert_allclose
 import scenegen.source
 from lidarsim import MujocoEngine
 from lidarsim.parameters import MOST_TRIANGLES
-from lidarsim.solids.model import solids_of
 from scenegen.errors import BrokenError, SceneError
 from scenegen.source import read_scenes
 from scenegen.worlds.scene import load_scene
@@ -61,10 +60,7 @@ def write(folder, text, name="world.xml"):
 
 def own_rays(path, origin, directions):
     """MuJoCo's own rays in MuJoCo's own model of a file, planes infinite."""
-    spec = mujoco.MjSpec.from_file(str(path))
-    for skin in list(spec.skins):
-        spec.delete(skin)
-    model = spec.compile()
+    model = mujoco.MjModel.from_xml_path(str(path))
     model.geom_size[model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE, :2] = 0
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -158,71 +154,48 @@ def test_what_only_dresses_geoms_is_not_needed(tmp_path):
 
 def test_memory_that_a_file_asks_for_beside_its_geoms_is_not_taken(tmp_path):
     """MuJoCo would fill gigabytes, for as long as a reader's limits let it."""
-    path = tmp_path / "w.xml"
-    path.write_text(
+    path = write(
+        tmp_path,
         '<mujoco><size nuserdata="2000000000" nkey="100000000"/><worldbody>'
-        '<geom type="box" size="1 1 1"/></worldbody></mujoco>'
+        '<geom type="box" size="1 1 1"/></worldbody></mujoco>',
     )
     assert len(compile_world(load_scene(path).mjcf).solids) == 1
 
 
 def test_plugins_that_move_things_are_left_out_of_what_is_archived(tmp_path):
-    path = write(
-        tmp_path,
-        '<mujoco><extension><plugin plugin="mujoco.pid"/></extension><compiler '
-        'settotalmass="3"/><worldbody><body>'
-        '<joint name="j"/><geom size="1"/></body></worldbody><actuator><plugin joint="j" '
-        'plugin="mujoco.pid"/>'
-        "</actuator></mujoco>",
-    )
-    (scene,) = read_scenes(path, ONE, seed=0).scenes["train"]
+    text = """<mujoco><extension><plugin plugin="mujoco.pid"/></extension>
+    <compiler settotalmass="3"/><worldbody><body><joint name="j"/><geom size="1"/></body>
+    </worldbody><actuator><plugin joint="j" plugin="mujoco.pid"/></actuator></mujoco>"""
+    (scene,) = read_scenes(write(tmp_path, text), ONE, seed=0).scenes["train"]
     screen(scene.mjcf, scene.assets, "taken")
     assert b"plugin" not in scene.mjcf
 
 
-def test_boxes_that_share_an_edge_are_filled_and_open_meshes_are_told_of(tmp_path):
+def test_boxes_that_share_an_edge_are_closed_and_open_meshes_are_told_of(tmp_path):
     one, other = trimesh.creation.box((2, 2, 2)), trimesh.creation.box((2, 2, 2))
     other.apply_translation((2, 2, 0))
     touching = trimesh.util.concatenate([one, other])
     touching.merge_vertices()
     touching.export(tmp_path / "touching.obj")
     trimesh.Trimesh(one.vertices, one.faces[2:]).export(tmp_path / "open.obj")
-    path = write(
-        tmp_path,
-        '<mujoco><asset><mesh name="touching" file="touching.obj"/><mesh name="open" '
-        'file="open.obj" inertia="shell"/>'
-        '</asset><worldbody><geom type="mesh" mesh="touching"/><geom type="mesh" mesh="open" '
-        'pos="9 0 0"/></worldbody>'
-        "</mujoco>",
-    )
-    scene = load_scene(path)
+    text = """<mujoco><asset><mesh name="touching" file="touching.obj"/>
+    <mesh name="open" file="open.obj" inertia="shell"/></asset><worldbody>
+    <geom type="mesh" mesh="touching"/><geom type="mesh" mesh="open" pos="9 0 0"/></worldbody>
+    </mujoco>"""
+    scene = load_scene(write(tmp_path, text))
     solids = compile_world(scene.mjcf, scene.assets).solids
     assert solids.mesh_filled.tolist() == [True, False]
     assert len(scene.notes) == 1
     assert "mesh open is not closed" in scene.notes[0]
-    from lidarsim import GridSpec
-    from scenegen.truth import rasterize
-
-    # a mesh's own frame is about its centre, a corner of each box
-    inside = rasterize(
-        solids, GridSpec(shape=(8, 8, 4), voxel_m=0.5), solids.triangles[:24].min(axis=(0, 1))
-    )
-    assert inside[:4, :4].all()
-    assert inside[4:, 4:].all()
-    assert not inside[5:, :3].any()
 
 
 GEOMS = {
     '<geom size="1" pos="nan 0 0"/>': "numbers that are NaN",
-    '<geom size="1"pos=\'nan 0 0\'type="sphere"/>': "numbers that are NaN",
-    '<geom size="1" pos="&#110;an 0 0"/>': "numbers that are NaN",
-    '<geom size="1" quat="1 0 NaN 0"/>': "numbers that are NaN",
     '<body pos="0 0 -inf"><geom size="1"/></body>': "inf",
     '<geom size="1e7"/>': "size = [10000000.0",
     '<body pos="9e5 0 0"><geom name="far" size="1" pos="9e5 0 0"/></body>': "geom far: pos",
     '<replicate count="1000000000" offset="1 0 0"><geom size="1"/></replicate>': "more than 50000",
     '<include file="pipe.xml"/>': "pipe.xml: is not a regular file",
-    '<include file="/dev/zero"/>': "/dev/zero: is not a regular file",
 }
 ASSETS = {
     MESH.format('vertex="0 0 0 1 0 0 0 1 0 0 0 1" scale="nan 1 1"'): "NaN",
@@ -230,7 +203,7 @@ ASSETS = {
     HFIELD.format('file="nan.bin"'): "heights: expected finite numbers",
     HFIELD.format('file="huge.bin"'): "",
     HFIELD.format('nrow="1200" ncol="1200"'): f"expected {MOST_TRIANGLES} at most",
-    MESH.format('file="pipe.stl"'): "took too long; 2 s and 1 GB are allowed",
+    MESH.format('file="pipe.stl"'): "took too long; 1 s and 1 GB are allowed",
 }
 WHOLE = {f"<mujoco><worldbody>{geom}</worldbody></mujoco>": said for geom, said in GEOMS.items()}
 
@@ -247,8 +220,8 @@ def test_what_no_world_can_have_ends_in_one_line(tmp_path, monkeypatch, text, sa
         os.mkfifo(tmp_path / name)
     monkeypatch.setattr(scenegen.source, "SCENE_BYTES", 1 << 30)
     if said.endswith("allowed"):
-        monkeypatch.setattr(scenegen.source, "SCENE_SECONDS", 2.0)
-    with pytest.raises(SceneError, match=r"\.xml: |zero: ") as caught:
+        monkeypatch.setattr(scenegen.source, "SCENE_SECONDS", 1.0)
+    with pytest.raises(SceneError, match=r"\.xml: ") as caught:
         read_scenes(write(tmp_path, text), ONE, seed=0)
     assert said in str(caught.value)
     assert len(str(caught.value).splitlines()) == 1
@@ -275,23 +248,11 @@ def test_parts_of_a_folder_are_no_worlds(tmp_path):
         read_scenes(folder / "part.xml", ONE, seed=0)
 
 
-def test_the_truth_takes_no_numbers_that_a_kernel_cannot():
-    model = mujoco.MjModel.from_xml_string(HFIELD.format('nrow="3" ncol="3"'))
-    model.hfield_data[4] = np.nan
-    with pytest.raises(ValueError, match="heights: expected finite numbers"):
-        solids_of(model)
-    model = mujoco.MjModel.from_xml_string(
-        '<mujoco><worldbody><geom name="g" size="1" pos="1 2 3"/></worldbody></mujoco>'
-    )
-    model.geom_pos[0, 1] = np.nan
-    with pytest.raises(ValueError, match=r"geom g: pos = \[nan, nan, nan\]"):
-        solids_of(model)
-
-
 @pytest.mark.parametrize(
     ("element", "said"),
     [
-        ('<geom size="1" pos="0 nan 0"/>', "<geom pos='0 nan 0'>"),
+        ('<geom size="1" pos="0 NaN 0"/>', "<geom pos='0 NaN 0'>"),
+        ('<geom size="1" quat="0 &#110;an 0 1"/>', "<geom quat='0 nan 0 1'>"),
         ('<geom size="1 2000000"/>', "'2000000', expected numbers up to 1e+06"),
         ('<mesh name="m" builtin="supersphere" params="3000 1 1"/>', "expected 300 at most"),
         (
@@ -307,6 +268,9 @@ def test_the_screen_refuses_what_generate_refuses(element, said):
     assert said in str(caught.value)
 
 
+NOWHERE = '<mujoco><worldbody><geom size="1" pos="nan 0 0"/></worldbody></mujoco>'
+
+
 def test_a_users_own_handler_of_warnings_comes_back():
     before = mujoco.get_mju_user_warning()
     own = []
@@ -315,14 +279,10 @@ def test_a_users_own_handler_of_warnings_comes_back():
         with quiet_mujoco() as told:
             with quiet_mujoco():
                 pass
-            mujoco.MjModel.from_xml_string(
-                '<mujoco><worldbody><geom size="1" pos="nan 0 0"/></worldbody></mujoco>'
-            )
+            mujoco.MjModel.from_xml_string(NOWHERE)
         assert len(told) >= 1
         assert own == []
-        mujoco.MjModel.from_xml_string(
-            '<mujoco><worldbody><geom size="1" pos="nan 0 0"/></worldbody></mujoco>'
-        )
+        mujoco.MjModel.from_xml_string(NOWHERE)
         assert own
     finally:
         mujoco.set_mju_user_warning(before)
