@@ -14,6 +14,7 @@ import sys
 import traceback
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from types import ModuleType
 from typing import Any
 
 MOST_NAMED = 100
@@ -51,9 +52,15 @@ class Registry:
         try:
             chosen = getattr(found, attribute)
         except AttributeError:
-            public = [one for one, it in vars(found).items() if callable(it) and one[0] != "_"]
+            there = [
+                one
+                for one, it in vars(found).items()
+                if not one.startswith("_")
+                and not isinstance(it, ModuleType)
+                and (not hasattr(it, "__qualname__") or it.__module__ == module)  # not imported
+            ]
             where = getattr(found, "__file__", None) or "no file"
-            hint = suggestion(attribute, public)
+            hint = suggestion(attribute, there or ["nothing"])[: 2 * MOST_NAMED]
             raise ValueError(f"{self.what} {name}: {where} has no {attribute}; {hint}") from None
         self.check(chosen, name)
         return chosen

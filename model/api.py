@@ -1,6 +1,6 @@
 """Training and the bench in one call each: `scenegen.train` and `scenegen.bench`."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +9,7 @@ from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
 from scenegen.model.completion.completer import Completer
 from scenegen.model.config import USUAL, BenchConfig, TrainConfig
-from scenegen.model.evaluation.methods import check_rows, rows_of
+from scenegen.model.evaluation.methods import Completed, check_rows, rows_of
 from scenegen.model.evaluation.report import build_report
 from scenegen.model.evaluation.run import bench as measure
 from scenegen.model.evaluation.run import tables_of
@@ -102,7 +102,11 @@ def bench(
         PredictionError: What stands for a method is none, or predicts what cannot be.
         ScenegenError: There is no such method, or two have one name.
     """
-    config, rows = BenchConfig(**settings), rows_of(_listed(methods))
+    config = BenchConfig(**settings)
+    every = [methods] if isinstance(methods, str) or not isinstance(methods, Iterable) else methods
+    rows = rows_of(
+        [one if isinstance(one, str | Completer) else Completed(one) for one in every] or USUAL
+    )
     measured = [Dataset(locate(name)) for name in _listed(datasets)]
     check_rows(rows, measured, config.split)
     results = [

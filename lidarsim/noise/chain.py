@@ -85,13 +85,7 @@ class Noise:
                 if own_line(error):  # within the user's method, which was called as it should be
                     raise
                 raise ValueError(f"{name}: {error}; expected {STAGES.needs['apply']}") from None
-            given = returns.ranges.shape if isinstance(returns, Returns) else type(returns).__name__
-            if given[1:] != scan.ranges.shape:  # nor is the name of a type a shape
-                raise ValueError(
-                    f"{name} gave {given}; expected Returns, whose ranges are (echoes, *shape), "
-                    f"with shape = {scan.ranges.shape}"
-                )
-            check_ranges(returns.ranges, scan.lidar, name)
+            _check_returns(returns, scan, name)
         return returns
 
     def bound_m(self, max_range_m: float) -> float:
@@ -105,6 +99,21 @@ class Noise:
     def spelled(self) -> str:
         """The same with every value, so that no later default changes what it says."""
         return ",".join(_text(stage, every=True) for stage in self.stages)
+
+
+def _check_returns(returns: Any, scan: Scan, name: str) -> None:
+    """Raise ValueError unless a stage, called `name`, gave returns of the scan's rays."""
+    if not isinstance(returns, Returns):
+        raise ValueError(f"{name} gave {type(returns).__name__}; expected Returns")
+    for part in ("ranges", "intensity"):
+        values = getattr(returns, part)
+        shape = getattr(values, "shape", ())
+        if values is not None and (not all(shape) or shape[1:] != scan.ranges.shape):
+            raise ValueError(
+                f"{name} gave {part} of shape {shape}; expected an array (echoes, *shape), with "
+                f"shape = {scan.ranges.shape}"
+            )
+    check_ranges(returns.ranges, scan.lidar, name)
 
 
 def _stage(text: str) -> Stage:
@@ -140,7 +149,8 @@ def _stage(text: str) -> Stage:
         given[field] = _number(value)
     try:
         made: Stage = STAGES.find(name)(**given)
-        made.bound_m(1.0)  # a user's own may take other arguments
+        if not made.bound_m(1.0) >= 0:  # a user's own may also take other arguments
+            raise ValueError("its bound_m gives no metres")
     except (ValueError, TypeError) as error:
         raise ValueError(f"noise stage {name}: {error}") from None
     return made

@@ -202,7 +202,7 @@ def fly(
         raise click.UsageError("give one of WORLD, --suite, --replay FILE, --leaderboard FOLDER")
     if world is None and (odd := flags_given(OF_WORLD)):
         raise click.UsageError(
-            f"{odd[0]}: says how a WORLD is flown through; leave it out, for courses are frozen"
+            f"{odd[0]}: says how a WORLD is flown through, and none is given; leave it out"
         )
     if suite is None and (quick or (world is not None and (hidden is not None or maps))):
         raise click.UsageError(

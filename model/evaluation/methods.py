@@ -257,14 +257,13 @@ def _prediction(file: h5py.File, row: int) -> Prediction:
 
 
 def find_method(name: Any) -> Method:
-    """The row called `name`: a known one, or ``module:Class`` of a completer; or that of an object:
-    itself, or a completer's.
+    """The row called `name`: a known one, or ``module:Class`` of a completer. A row is itself.
 
     Raises ScenegenError for a name that leads to none, and for a completer that does not keep the
     protocol.
     """
     if not isinstance(name, str):
-        return name if hasattr(name, "completion") else Completed(name)
+        return name
     with raised_as(ScenegenError, "--method: "):
         found = METHODS.find(name)
     odd = f"--method {name}: cannot be made by calling it without arguments: "

@@ -28,12 +28,13 @@ class Column(NamedTuple):
     scale: Scale = "amount"
 
 
-USUAL = ("success", "collision", "timeout")
+ENDS = ("success", "collision", "timeout")
+"""How flights end of whose robots nothing is wrong; others crash, hang or leave the bounds."""
 BOARD = {
     "success": Column(lambda one: one.outcome == "success", scale="outcome"),
     "collision": Column(lambda one: one.outcome == "collision", scale="outcome"),
     "time-out": Column(lambda one: one.outcome == "timeout", scale="outcome"),
-    "other end": Column(lambda one: one.outcome not in USUAL, scale="outcome"),
+    "other end": Column(lambda one: one.outcome not in ENDS, scale="outcome"),
     "score": Column(lambda one: one.score, 0.5),
     "SPL": Column(lambda one: one.spl),
     "least clearance, m": Column(lambda one: one.min_clearance_m),

@@ -66,7 +66,7 @@ def resolve_precision(
             cells = math.prod(edge // 2**LEVELS for edge in shape)
             faster = cells >= FEWEST_CELLS and prefers_bfloat16()
         precision = "bfloat16" if faster else "float32"
-    return getattr(torch, precision)
+    return torch.bfloat16 if precision == "bfloat16" else torch.float32
 
 
 def autocast(device: torch.device, precision: torch.dtype) -> Any:

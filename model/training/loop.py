@@ -44,7 +44,7 @@ from scenegen.model.training.device import (
     device_name,
     resolve_precision,
 )
-from scenegen.model.training.run_folder import LEVEL, Progress, RunFolder
+from scenegen.model.training.run_folder import CONFIG, LEVEL, Progress, RunFolder
 from scenegen.run.software import commit, installed, software
 
 PACKAGES = ("torch", "safetensors")
@@ -92,7 +92,10 @@ def train(
     maps = Maps(training, "train", config.network.inputs)
     checks = Maps(checking, "val", config.network.inputs)
     config = fitted(config, maps.grid)
-    precision = resolve_precision(config.precision, where, maps.grid.shape)
+    chosen: str = config.precision
+    if chosen == "auto" and (out / CONFIG).exists():  # a run keeps what it was begun with
+        chosen = RunFolder(out).settings().get("precision", "auto")
+    precision = resolve_precision(chosen, where, maps.grid.shape)
     group = Group(where, precision)
     with group, closing(RunFolder(out, writes=group.first)) as folder:
         check_maps(maps, checks, config, group.size)

@@ -52,9 +52,7 @@ KIND = Named(
 NETWORK_EDGE = 8
 """The bundled networks' three halvings need edges of maps that are multiples of this."""
 COUNT = click.IntRange(min=1)
-BESIDE = (
-    "this as a recipe file, which says nothing of --labels, --compact, --engine, seed and sizes"
-)
+BESIDE = "this as a recipe file, without --scene, --labels, --compact, --engine, seed and sizes"
 
 
 @command(

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from scenegen.errors import printable
+from scenegen.errors import MOST_REPEATED, printable
 from scenegen.fly.loop import RobotError
 from scenegen.fly.serve import encoded
 from scenegen.fly.simulation import Observation
@@ -104,7 +104,9 @@ class PipeRobot:
         try:
             answer = json.loads(self._exchange(encoded(what, arrays), seconds))
             if isinstance(answer, dict) and "error" in answer:
-                raise RobotError("crashed", f"the robot ended: {printable(answer['error'])[:200]}")
+                raise RobotError(
+                    "crashed", f"the robot ended: {printable(answer['error'])[:MOST_REPEATED]}"
+                )
             return answer
         except RobotError:
             self.close()

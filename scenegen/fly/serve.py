@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.registry import Registry
-from scenegen.errors import told
+from scenegen.errors import MOST_REPEATED, told
 
 ROBOTS = Registry(
     "robot",
@@ -66,7 +66,7 @@ def main() -> None:
         except Exception as error:
             if robot is not None:
                 traceback.print_exc()
-            answer = json.dumps({"error": str(told(error))})
+            answer = json.dumps({"error": str(told(error))[:MOST_REPEATED]})
         answers.write(answer.encode() + b"\n")
         answers.flush()
 

@@ -5,6 +5,7 @@ The file's name is the kind's name, and its class has that name with a capital. 
 the kinds: a new file here is a new kind. A user's own is named as ``module:Class``.
 """
 
+import dataclasses
 import itertools
 import pkgutil
 from typing import TYPE_CHECKING, Any
@@ -64,11 +65,12 @@ def find_kind(name: str) -> "type[WorldKind]":
             "and a class as @dataclass(frozen=True, kw_only=True) class Mine(scenegen.WorldKind), "
             "with a method `add_to`"
         )
-    fields = found.__dataclass_fields__
-    for word in itertools.chain(found.crowded_by, *found.graded.values()):
-        if (plain := word.removeprefix("-")) not in fields:
+    known = [item.name for item in dataclasses.fields(found)]
+    crowded = (word.removeprefix("-") for word in found.crowded_by)
+    for word in itertools.chain(crowded, *found.graded.values()):
+        if word not in known:
             raise ValueError(
-                f"kind {name}: crowded_by or graded has an unknown parameter {plain!a}; "
-                f"{suggestion(plain, fields)}"
+                f"kind {name}: crowded_by or graded has an unknown parameter {word!a}; "
+                f"{suggestion(word, known)}"
             )
     return found

@@ -36,7 +36,7 @@ def test_no_file_of_the_users_takes_the_place_of_a_librarys(standing):
             "absent:Engine",
             "engine absent:Engine: there is no module absent, neither installed nor in",
         ),
-        ("own:Missing", "own.py has no Missing; known: Empty"),
+        ("own:Missing", "own.py has no Missing; known: here, Empty"),
         ("own:here", "engine own:here: lacks `__call__`, so that it can be called"),
         (
             "broken:Engine",

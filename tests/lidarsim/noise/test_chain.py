@@ -105,6 +105,10 @@ class Boundless(Shift):
     def bound_m(self): return 0.0
 class Bare(Shift):
     def apply(self, returns, view, *, rng): return returns.ranges
+class Empty(Shift):
+    def apply(self, returns, view, *, rng): return returns.but(ranges=returns.ranges[:0])
+class Without(Shift):
+    def bound_m(self, max_range_m): return None
 class Single(Shift):
     def apply(self, returns, view, *, rng): return returns.but(ranges=returns.ranges[0])
 @dataclass(frozen=True, kw_only=True)
@@ -114,8 +118,10 @@ class Ranked(Shift):
     for text, told in {
         "Shift:9.5,range:0": ":by_m=9.5 gave .* 0 to 10 m",
         "Signed": r": .*'rng'; expected a method: \(returns, view, \*, rng\) -> returns",
-        "Bare": r" gave ndarray; expected Returns, .* shape = \(16, 120\)",
-        "Single": r" gave \(16, 120\); expected Returns",
+        "Bare": " gave ndarray; expected Returns",
+        "Single": r" gave ranges of shape \(16, 120\); expected .* shape = \(16, 120\)",
+        "Empty": r" gave ranges of shape \(0, 16, 120\)",
+        "Without": "'>=' not supported",
         "Boundless": "takes 1 positional argument",
         "Ranked:0:5": "`order` is a parameter",
     }.items():

@@ -123,6 +123,13 @@ def test_a_stopped_run_ends_where_an_uninterrupted_one_does(folders, tmp_path, u
     assert figures(tmp_path / "run") == figures(uninterrupted)
 
 
+def test_a_run_keeps_the_precision_that_it_was_begun_with(folders, tmp_path, uninterrupted):
+    shutil.copytree(uninterrupted, tmp_path / "run")
+    config = tmp_path / "run" / "config.json"
+    config.write_text(config.read_text().replace('"float32"', '"bfloat16"'))
+    train(folders, dataclasses.replace(SMALL, precision="auto"), tmp_path / "run", device="cpu")
+
+
 def train_and_be_killed(folders, out):
     """SIGKILL after the ninth step, with every step saved."""
     torch.set_num_threads(1)

@@ -445,3 +445,32 @@ def test_a_refusal_is_told_in_one_line_without_what_the_server_repeats(bucket):
         assert line.startswith(f"s3://lab/x/train-00000.h5: {told}")
         assert line.isprintable()
         assert not {"AKIATOLD", "secret"} & set(line.split())
+
+
+def test_an_answer_that_is_cut_off_is_asked_for_again(monkeypatch):
+    botocore = pytest.importorskip("botocore")
+    from scenegen.stores import bucket as module
+
+    class Cut(io.BytesIO):
+        left = 2
+
+        def read(self, size=-1):
+            if self.tell() and Cut.left:
+                Cut.left -= 1
+                raise botocore.exceptions.IncompleteReadError(actual_bytes=1, expected_bytes=2)
+            return super().read(1)
+
+    monkeypatch.setattr(module.time, "sleep", lambda seconds: None)
+    bucket = module.Bucket("s3://lab/x")
+    answer = {"ContentLength": 4, "ETag": "e"}
+    monkeypatch.setattr(
+        bucket._client, "get_object", lambda **asked: {**answer, "Body": Cut(b"abcd")}
+    )
+    file = io.BytesIO()
+    assert bucket.read("y", file, 4) == ("y", 4, "e")
+    assert file.getvalue() == b"abcd"
+    Cut.left = 100
+    with pytest.raises(StoreError, match="s3://lab/x/y: the store does not answer"):
+        bucket.read("y", file, 4)
+    with pytest.raises(DatasetError, match="4 bytes, expected 3 at most"):
+        bucket.read("y", file, 3)
