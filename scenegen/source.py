@@ -7,6 +7,7 @@ flight and its samples.
 import dataclasses
 import functools
 import itertools
+import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -248,7 +249,7 @@ def _read_files(files: Sequence[Path], materials: bool) -> tuple[dict[Path, Scen
     that this process loads again. Maps and clouds are read here, by code that is bounded itself.
     """
     read: Limited[Path, Reading] = Limited(
-        functools.partial(read_file, materials=materials),
+        functools.partial(_read_alone, materials=materials),
         lambda _: SCENE_SECONDS,
         SCENE_BYTES,
         _given_up,
@@ -267,6 +268,13 @@ def _read_files(files: Sequence[Path], materials: bool) -> tuple[dict[Path, Scen
         else:
             scenes[reading.path] = reading.outcome
     return scenes, parts
+
+
+def _read_alone(path: Path, *, materials: bool) -> Reading:
+    """`read_file` in a process of its own, where Qhull may print: MuJoCo tells what is wrong."""
+    with open(os.devnull, "w") as nowhere:
+        os.dup2(nowhere.fileno(), 2)
+    return read_file(path, materials=materials)
 
 
 def _given_up(path: Path, reason: str) -> Reading:

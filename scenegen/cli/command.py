@@ -135,7 +135,8 @@ def _end(error: BaseException) -> tuple[int, str]:
         case OSError():
             named = isinstance(error.filename, str | bytes)
             name = os.fsdecode(error.filename) if named else "the system"
-            return 1, f"{name}: {error.strerror or error}; nothing finished is lost"
+            reason = error.strerror or error
+            return 1, f"{name[:MOST_REPEATED]}: {reason}; nothing finished is lost"
     raise error
 
 

@@ -212,12 +212,12 @@ def inspect_world(path: Path) -> Json:
 
 def map_facts(voxels: VoxelMap) -> Json:
     """How large a map of a real place is, and which shares of its voxels are known."""
-    states = np.bincount(voxels.states.reshape(-1), minlength=3) / voxels.states.size
+    shares = [float((voxels.states == state).mean()) for state in range(3)]
     return {
         "voxel_m": voxels.voxel_m,
         "shape": list(voxels.states.shape),
         "bounds": voxels.bounds.tolist(),
-        **dict(zip(("unknown", "free", "occupied"), states.tolist(), strict=True)),
+        **dict(zip(("unknown", "free", "occupied"), shares, strict=True)),
     }
 
 
