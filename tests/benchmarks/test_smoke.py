@@ -22,6 +22,7 @@ NUMBER = r"(\d[\d.]*)"
 ODOMETRY = r"pillar +N m  N scans  N %" if find_spec("kiss_icp") else "not measured: kiss-icp"
 SCRIPTS = {
     "anywhere": ((), (r"`geometric`, the default sensor \| N .* \| N", r"points alone \| – \| N")),
+    "costs": ((), (r"missed: inside \| N % \| N", r"invented: elsewhere \| +\| N")),
     "elsewhere": ((), (r"default range:0\.05 \| N", r"scaffold, all sensors; careful \| [+-]N")),
     "extras": ((), (r"the core \| N \|", r"`\[train\]` \| N \|")),
     "fly": ((), (r"`optimistic` \| N", r"`tortuosity` \| N")),
@@ -75,7 +76,7 @@ SCRIPTS = {
 }
 """Of every benchmark: what it is given, and figures that it prints; N stands for one."""
 LEARNED = {
-    *("elsewhere", "generalisation", "inference"),
+    *("costs", "elsewhere", "generalisation", "inference"),
     *("anywhere", "peers", "real", "training"),
 }
 """These import torch, which takes seconds: they run in this process, which has done so for other
