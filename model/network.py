@@ -76,8 +76,7 @@ def prefers_bfloat16() -> bool:
     """Whether this machine's processor is faster in bfloat16 than in float32: with AMX, and one of
     AMD's with AVX-512. Intel's with AVX-512 alone take 1.4 times as long (docs/log.md)."""
     has: Any = getattr(torch.cpu, "get_capabilities", dict)()  # not in torch 2.10
-    slow = "Intel" in processor() and not has.get("amx_bf16")
-    return bool(has.get("avx512_bf16")) and not slow
+    return bool(has.get("amx_bf16" if "Intel" in processor() else "avx512_bf16"))
 
 
 class Network(nn.Module):

@@ -120,11 +120,7 @@ def draw_unit(
     counted = ", ".join(f"{count} {reason}" for reason, count in rejected.worlds.items())
     advice = "; ".join(ADVICE[reason] for reason, _ in rejected.worlds.most_common())
     crowded = () if recipe.world is None else recipe.world.crowded_by
-    fewer, more = (
-        ", ".join(f"{verbs[name[0] == '-']} world.{name.removeprefix('-')}" for name in crowded)
-        or f"{verbs[0]} how many solids there are where it flies"
-        for verbs in (("lower", "raise"), ("raise", "lower"))
-    )
+    fewer, more = _turned(crowded, "lower", "raise"), _turned(crowded, "raise", "lower")
     raise GenerationError(
         f"{split} world {number}: all {recipe.accept.max_draws} draws rejected ({counted}); "
         f"{advice.format(fewer=fewer, more=more)}"
@@ -177,6 +173,15 @@ def _fly(
         reason = "few_viewpoints"
     rejected.worlds[reason] += 1
     return None
+
+
+def _turned(crowded: tuple[str, ...], verb: str, opposite: str) -> str:
+    """What to do to the parameters by which worlds are `crowded`: "lower world.leaves_m, raise
+    world.row_m"."""
+    said = ", ".join(
+        f"{opposite if name[0] == '-' else verb} world.{name.removeprefix('-')}" for name in crowded
+    )
+    return said or f"{verb} how many solids there are where it flies"
 
 
 def _look(

@@ -32,11 +32,10 @@ def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Mani
         with raised_as(BrokenError, f"{manifest.NAME}: ", of=BrokenError):
             found = trust.parse(given, folder, kind)
             if kind is not None:
-                if kind not in (there := {home.kind for home in found.homes}):
-                    named = short(" or ".join(sorted(there)))
+                if kind not in (there := sorted({home.kind for home in found.homes})):
                     raise DatasetError(
-                        f"--kind {kind}: the dataset's kind is {named}; leave --kind out, or give "
-                        "that"
+                        f"--kind {kind}: the dataset's kind is {short(' or '.join(there))}; leave "
+                        "--kind out, or give that"
                     )
                 with raised_as(DatasetError, "--kind: "):
                     find_kind(kind)
