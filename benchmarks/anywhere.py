@@ -13,16 +13,14 @@ from pathlib import Path
 from typing import Any
 
 import measuring
-from scoring import CAREFUL, drawn, measured, networks, options, publish, tables
+from scoring import CAREFUL, Options, drawn, measured, publish, tables
 
+from scenegen import Prediction, Sample
 from scenegen.dataset.read import Split
-from scenegen.model.completion.protocol import Prediction
-from scenegen.model.completion.unlearned import Extrude
-from scenegen.model.evaluation.methods import Completed, Method, Truth
+from scenegen.model.evaluation.methods import Truth, rows_of
 from scenegen.model.evaluation.run import DatasetResult
 from scenegen.model.inputs import PointScan, channels
 from scenegen.recipe import make_recipe
-from scenegen.sample import Sample
 
 TABLES = {"iou": "## IoU", "near_rmse": "## Near-RMSE, m", "success": "## Success"}
 KINDS = ("geometric", "pillar")
@@ -59,10 +57,8 @@ class PointsAlone:
 
 def main() -> None:
     """Measure every condition, and write the page's tables."""
-    parser = options(__doc__, "anywhere.md", maps=60, trials=240)
-    given = measuring.parse(parser, maps=2, trials=2, network=["columns"])
-    learned = networks(given.network or ("anywhere", "columns", "proposed"))
-    methods: list[Method] = [Completed(Extrude()), *learned, Truth()]
+    given = measuring.parse(Options, __doc__, maps=2, trials=2, network=["columns"])
+    methods = [*rows_of(["extrude"], given.network), Truth()]
     results: dict[str, DatasetResult] = {}
     for kind in KINDS[: 1 if given.smoke else None]:
         for condition, changed in CONDITIONS.items():
@@ -72,7 +68,7 @@ def main() -> None:
                 place = {f"`{kind}`, {condition}": dataset}
                 results |= measured(place, methods, given.trials, CAREFUL)
                 if not changed:
-                    alone = [PointsAlone(one) for one in learned]
+                    alone = [PointsAlone(one) for one in methods[1:-1]]
                     place = {f"`{kind}`, points alone": dataset}
                     results |= measured(place, alone, given.trials, CAREFUL)
     publish(given, tables(TABLES, results, [one.name for one in methods]))

@@ -10,31 +10,28 @@ the time.
 """
 
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import measuring
-import mujoco
 import numpy as np
 import scoring
-from scoring import CAREFUL, RESULTS, ahead, measured, titled
+from scoring import CAREFUL, RESULTS, ahead, measured, titled, told
 
-from lidarsim.sensors import RASTER, SENSORS
+from lidarsim.sensors import SENSORS
+from lidarsim.solids.shapes import BOX, CYLINDER
+from scenegen import Dataset, Sample, WorldKind, preset
 from scenegen.dataset.build import build
-from scenegen.dataset.read import Dataset
 from scenegen.dataset.rescan import plan_rescan
-from scenegen.model.completion.unlearned import Extrude, Returns
 from scenegen.model.config import PlanConfig, bundled
-from scenegen.model.evaluation.methods import Completed, Method
+from scenegen.model.evaluation.methods import rows_of
 from scenegen.model.evaluation.metrics import PLAN_METRICS
 from scenegen.model.evaluation.run import DatasetResult
-from scenegen.model.evaluation.statistics import brief, figure, line
-from scenegen.recipe import preset
-from scenegen.recipes.kind import WorldKind, yaw_quaternion
-from scenegen.sample import Sample
+from scenegen.recipes.kind import Range, yaw_quaternion
 from scenegen.tables import named_noise
+from scenegen.worlds.drawing import Drawing
 
 WORLDS = {
     "pillar": "pillar",
@@ -45,13 +42,13 @@ WORLDS = {
 """Two kinds of training, drawn anew; a kind of no training; worlds drawn by hand: presets."""
 HOME = ("pillar", "geometric")
 OTHERS = (
-    (RASTER, "range:0.05"),
-    (RASTER, "dropout:0.1"),
-    ("ouster-os1-64", None),
-    ("ouster-os1-64", "datasheet,dropout:0.05"),
-    ("livox-mid-360", None),
-    ("realsense-d435", None),
-    ("realsense-d435", "datasheet"),
+    "default range:0.05",
+    "default dropout:0.1",
+    "ouster-os1-64",
+    "ouster-os1-64 datasheet,dropout:0.05",
+    "livox-mid-360",
+    "realsense-d435",
+    "realsense-d435 datasheet",
 )
 """Sensors and noise that are not those of training."""
 SEEN = (
@@ -67,19 +64,19 @@ class Scaffold(WorldKind):
     """Thin beams, level and crossing, at any height on slender posts: hardly a solid like those of
     the presets."""
 
-    version: ClassVar[int] = 1
-    crowded_by: ClassVar[tuple[str, ...]] = ("beam_density",)
-    flight_defaults: ClassVar[dict[str, object]] = {"altitude_m": (2.0, 5.0)}
+    version = 1
+    crowded_by = ("beam_density",)
+    flight_defaults: ClassVar = {"altitude_m": (2.0, 5.0)}
 
     ground: bool = True
-    beam_density: tuple[float, float] = (0.03, 0.10)
+    beam_density: Range = (0.03, 0.10)
     """Beams per square metre; one value a world. Every beam has two posts."""
-    half_length_m: tuple[float, float] = (1.5, 5.0)
+    half_length_m: Range = (1.5, 5.0)
     """Half of a beam's length, metres."""
-    half_edge_m: tuple[float, float] = (0.1, 0.3)
+    half_edge_m: Range = (0.1, 0.3)
     """Half of the edges of a beam's cross-section, metres."""
 
-    def add_to(self, spec: Any, *, rng: np.random.Generator) -> None:
+    def add_to(self, spec: Drawing, *, rng: np.random.Generator) -> None:
         """See `WorldKind.add_to`."""
         self.add_ground(spec)
         count = round(rng.uniform(*self.beam_density) * self.size_m[0] * self.size_m[1])
@@ -87,17 +84,13 @@ class Scaffold(WorldKind):
         x, y, z, yaw = rng.uniform(low, high, (count, 4)).T
         spans = (self.half_length_m, self.half_edge_m, self.half_edge_m)
         half = np.stack([rng.uniform(*span, count) for span in spans], axis=1)
-        box, cylinder = (
-            np.full(count, int(shape))
-            for shape in (mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER)
-        )
-        spec.add_geoms(box, half, np.stack([x, y, z], axis=1), yaw_quaternion(yaw))
-        along = half[:, :1] * np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
+        middle = np.stack([x, y, z], axis=1)
+        spec.add_geoms(np.full(count, BOX), half, middle, yaw_quaternion(yaw))
         post = np.stack([np.full(count, 0.08), z / 2, np.zeros(count)], axis=1)
+        along = half[:, :1] * np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
         for end in (-0.9, 0.9):
-            foot = np.column_stack([x, y, z / 2])
-            foot[:, :2] += end * along
-            spec.add_geoms(cylinder, post, foot, np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)))
+            foot = np.column_stack([middle[:, :2] + end * along, z / 2])
+            spec.add_geoms(np.full(count, CYLINDER), post, foot)
 
 
 Results = dict[str, DatasetResult]
@@ -105,21 +98,22 @@ Results = dict[str, DatasetResult]
 PLANNERS = {"careful": CAREFUL, "the paper's": PlanConfig()}
 
 
+@dataclass(kw_only=True)
+class Options(scoring.Options):
+    """Those of `scoring`, and what is looked at."""
+
+    network: Sequence[str] = tuple(bundled())
+    worlds: Sequence[Annotated[str, WORLDS]] = tuple(WORLDS)
+    sensors: int | None = None
+    """so many others than that of training"""
+
+
 def main() -> None:
     """Make the datasets, measure, and write."""
-    parser = scoring.options(__doc__, "elsewhere.md", maps=60, trials=240)
-    parser.add_argument("--worlds", nargs="+", choices=WORLDS, default=list(WORLDS))
-    parser.add_argument("--sensors", type=int, help="so many others than that of training")
-    smallest = {
-        "maps": 5,
-        "trials": 5,
-        "network": ["columns"],
-        "worlds": ["scaffold"],
-        "sensors": 1,
-    }
-    given = measuring.parse(parser, **smallest)
-    networks = scoring.networks(given.network or bundled())
-    methods: list[Method] = [Completed(Returns()), Completed(Extrude()), *networks]
+    smallest: dict[str, Any] = {"maps": 5, "trials": 5, "network": ["columns"]}
+    smallest |= {"worlds": ["scaffold"], "sensors": 1}
+    given = measuring.parse(Options, __doc__, **smallest)
+    methods = rows_of(["returns", "extrude"], given.network)
     lines: list[str] = []
     found: dict[str, dict[str, Results]] = {}
     with tempfile.TemporaryDirectory() as folder:
@@ -138,11 +132,11 @@ def as_seen(worlds: str, folder: Path, maps: int, sensors: int | None) -> dict[s
     files = RESULTS.parents[1] / "scenes" if worlds == "scenes" else None
     original = scoring.drawn(folder / worlds, preset(WORLDS[worlds]), maps, scenes=files)
     found = {"default": original}
-    for sensor, noise in OTHERS[:sensors]:
-        name = " ".join(filter(None, ("default" if sensor == RASTER else sensor, noise)))
+    for name in OTHERS[:sensors]:
+        sensor, _, noise = name.partition(" ")
         place = folder / f"{worlds} {name.replace(':', '')}"
-        lidar = None if sensor == RASTER else SENSORS.find(sensor)
-        chain = named_noise(noise, lidar or original.lidar)
+        lidar = None if sensor == "default" else SENSORS.find(sensor)
+        chain = named_noise(noise or None, lidar or original.lidar)
         build(plan_rescan(original, place, lidar=lidar, chain=chain))
         found[name] = Dataset(place)
     return found
@@ -157,11 +151,10 @@ def pooled(found: Mapping[str, Mapping[str, Results]]) -> list[str]:
                 groups = [f"{worlds} {world}" for world in one.trial_worlds]
                 for place in places(worlds, number == 0):
                     pairs.setdefault(f"{place}; {planner}", []).append((one, groups))
-    rows = {place: ahead(some, Extrude.name) for place, some in sorted(pairs.items())}
-    lines = titled("## Success of planning, less that of `extrude`", next(iter(rows.values())))
-    return lines + [
-        line(place, [brief(each, "+.3f") for each in row.values()]) for place, row in rows.items()
-    ]
+    rows = {place: ahead(some, "extrude") for place, some in sorted(pairs.items())}
+    names = next(iter(rows.values()))
+    cells = ((place, row.values()) for place, row in rows.items())
+    return titled("## Success of planning, less that of `extrude`", names, cells)
 
 
 def places(worlds: str, usual: bool) -> list[str]:
@@ -186,9 +179,9 @@ def tables(worlds: str, seen: Mapping[str, Dataset], found: Mapping[str, Results
         "iou": "IoU over unknown voxels:",
         "near_rmse": "Near-RMSE over unknown voxels, m:",
     }
+    shares = ((sensor, what_is_seen(dataset)) for sensor, dataset in seen.items())
     return [
-        *("", f"## {worlds}", *titled("What the sensors see, means over maps:", SEEN)),
-        *(line(sensor, cells_of(dataset)) for sensor, dataset in seen.items()),
+        *("", f"## {worlds}", *titled("What the sensors see, means over maps:", SEEN, shares)),
         *scoring.tables(unknown, results, names, **form, region=1),
         *scoring.tables({"iou": "IoU over the whole map:"}, results, names, **form),
         *lost(results, names, flight),
@@ -199,13 +192,14 @@ def tables(worlds: str, seen: Mapping[str, Dataset], found: Mapping[str, Results
 
 def lost(results: Results, names: list[str], flight: list[str]) -> list[str]:
     """How much IoU over the whole map each sensor costs, map by map."""
-    usual, *others = results
-    lines = titled("IoU over the whole map lost against the sensor of training:", names)
-    for sensor in others:
-        before, now = results[usual].methods, results[sensor].methods
-        gone = [before[name].values("iou") - now[name].values("iou") for name in names]
-        lines.append(line(sensor, [brief(figure(one, flight), ".2f") for one in gone]))
-    return lines
+    usual, *others = (
+        {name: result.methods[name].values("iou") for name in names} for result in results.values()
+    )
+    rows = (
+        (sensor, [told(usual[name] - now[name], flight, ".2f") for name in names])
+        for sensor, now in zip([*results][1:], others, strict=True)
+    )
+    return titled("IoU over the whole map lost against the sensor of training:", names, rows)
 
 
 def flights(dataset: Dataset) -> list[str]:
@@ -215,23 +209,20 @@ def flights(dataset: Dataset) -> list[str]:
     return [f"{one.world} {one.viewpoint // each}" for one in dataset.split("test")]
 
 
-def cells_of(dataset: Dataset) -> list[str]:
-    """See `SEEN`."""
-    seen = [what_is_seen(sample) for sample in dataset.split("test")]
-    count, *shares = np.mean(seen, axis=0)
+def what_is_seen(dataset: Dataset) -> list[str]:
+    """See `SEEN`: the means over a dataset's maps."""
+    count, *shares = np.mean([seen_of(sample) for sample in dataset.split("test")], axis=0)
     return [f"{count:.0f}", *(f"{share:.1%}" for share in shares)]
 
 
-def what_is_seen(sample: Sample) -> tuple[float, ...]:
+def seen_of(sample: Sample) -> tuple[float, ...]:
     """See `SEEN`."""
-    parts = (sample.observed, sample.observed & ~sample.occupancy, ~(sample.observed | sample.free))
-    observed, wrong, unknown = (int(part.sum()) for part in parts)
-    occupied, freed = int(sample.occupancy.sum()), int((sample.free & sample.occupancy).sum())
+    observed, occupied, free = sample.observed, sample.occupancy, sample.free
     return (
-        observed,
-        wrong / max(observed, 1),
-        unknown / sample.observed.size,
-        freed / max(occupied, 1),
+        observed.sum(),
+        (observed & ~occupied).sum() / max(observed.sum(), 1),
+        (~(observed | free)).mean(),
+        (free & occupied).sum() / max(occupied.sum(), 1),
     )
 
 

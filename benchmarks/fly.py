@@ -11,80 +11,91 @@ alone. Decisions are timed in this process alone.
 """
 
 import tempfile
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 import measuring
 import numpy as np
-from scoring import RESULTS, publish, titled
+from numpy.typing import NDArray
+from scoring import RESULTS, publish, titled, told
 
 from scenegen.cli.show import Progress
 from scenegen.fly.course import Course
 from scenegen.fly.loop import Flown
 from scenegen.fly.suite import DIFFICULTIES, MAPS, courses_of, map_courses
-from scenegen.model.evaluation.statistics import brief, figure, line
 from scenegen.model.robots.flights import FORGETFUL, NAMES, fly_course, fly_courses
 from scenegen.recipes import kind_names
 from scenegen.run.workers import ALONE
+from scenegen.truth.difficulty import Difficulty
 
 ROBOTS = (*NAMES, "proposed", "columns", "anywhere")
 BASELINES = ("optimistic", "extrude")
-Row = tuple[Course, Flown]
-Flights = dict[str, list[Row]]
-"""By robot."""
-HARDER = {
-    "clearance_m": -1,
-    "visibility_m": -1,
-    "dispersion": 1,
-    "passage_m": -1,
-    "tortuosity": 1,
-    "traversability": -1,
-    "gap": -1,
-    "obstruction": 1,
-    "occlusion": 1,
-    "turning": 1,
-}
-"""The figures of difficulty: 1 where more is harder, else -1."""
+Found = dict[str, dict[str, NDArray[np.float64]]]
+"""By robot and figure, of every flight, (flights,)."""
+EASIER = ("clearance_m", "visibility_m", "passage_m", "traversability", "gap")
+"""The figures of difficulty of which less is harder."""
+DECISION = "decision, ms"
+"""Told without an interval: by the clock, beside other work."""
 FIGURES: dict[str, Callable[[Flown], float]] = {
-    "success": lambda one: float(one.outcome == "success"),
-    "collision": lambda one: float(one.outcome == "collision"),
+    "success": lambda one: one.outcome == "success",
+    "collision": lambda one: one.outcome == "collision",
     "score": lambda one: one.score,
     "path ratio": lambda one: one.ratio if one.outcome == "success" else np.nan,
     "time, s": lambda one: one.time_s if one.outcome == "success" else np.nan,
     "mean clearance, m": lambda one: one.mean_clearance_m,
     "jerk, m/s³": lambda one: one.jerk_mps3,
+    DECISION: lambda one: 1e3 * one.step_s,
 }
-
+OUTCOMES = ("success", "collision")
+"""Figures that are 1 or 0."""
 GAINS = ("success", "score")
 """Figures of which differences are told."""
 BY_GROUP = ("success", "time, s", "mean clearance, m")
 """Figures that are told for every difficulty and kind, too."""
 
 
+@dataclass
+class Options(measuring.Options):
+    """Who flies, and where."""
+
+    entries: Path | None = None
+    """folder of the entries"""
+    _: KW_ONLY
+    every: int = 10
+    """one of so many courses"""
+    maps: Path | None = None
+    """folder of the real maps, to fly these"""
+    robots: Sequence[str] = ROBOTS
+    dynamics: Literal["kinematic", "mujoco"] = "kinematic"
+    """of the vehicle"""
+    page: Path | None = None
+
+
 def main() -> None:
     """Fly what is missing; print the tables, and write them to the page."""
-    parser = measuring.options(__doc__)
-    parser.add_argument("entries", type=Path, nargs="?", help="folder of the entries")
-    parser.add_argument("--every", type=int, default=10, help="one of so many courses")
-    parser.add_argument("--maps", type=Path, help="folder of the real maps, to fly these")
-    parser.add_argument("--robots", nargs="*", default=list(ROBOTS))
-    parser.add_argument("--dynamics", default="kinematic", help="of the vehicle")
-    parser.add_argument("--page", type=Path)
-    given = measuring.parse(parser, every=300, robots=["reactive", "optimistic"])
+    given = measuring.parse(Options, __doc__, every=300, robots=["reactive", "optimistic"])
     given.page = given.page or RESULTS / ("fly-real.md" if given.maps else "fly.md")
     with tempfile.TemporaryDirectory() as spare:
-        courses = map_courses(given.maps) if given.maps else courses_of("aerial-1")[:: given.every]
+        every = map_courses(given.maps) if given.maps else courses_of("aerial-1")[:: given.every]
         courses = [
-            replace(one, vehicle=replace(one.vehicle, dynamics=given.dynamics)) for one in courses
+            replace(one, vehicle=replace(one.vehicle, dynamics=given.dynamics)) for one in every
         ]
-        found: Flights = {}
+        found: Found = {}
         for name in given.robots:
-            found[called(name)] = flown(name, courses, given.entries or Path(spare))
-    differences = [part for base in BASELINES if base in found for part in less(base, found)]
-    publish(given, [*robots(found), *differences, *by_groups(found), *how_hard(found)])
+            flights = flown(name, courses, given.entries or Path(spare))
+            found[called(name)] = {
+                title: np.array([of(one) for one in flights], float)
+                for title, of in FIGURES.items()
+            }
+    of_each = [course for course in courses for _ in range(course.flights)]
+    worlds = [course.sha256 for course in of_each]
+    lines = robots(found, worlds)
+    for base in BASELINES:
+        lines += less(base, found, worlds) if base in found else []
+    publish(given, [*lines, *by_groups(found, of_each), *how_hard(found, courses)])
 
 
 def parts(name: str) -> tuple[str, str | None]:
@@ -103,7 +114,7 @@ def called(name: str) -> str:
     return Path(network).stem + (", last scan" if robot == FORGETFUL else "")
 
 
-def flown(name: str, courses: Sequence[Course], entries: Path) -> list[Row]:
+def flown(name: str, courses: Sequence[Course], entries: Path) -> list[Flown]:
     """The flights of a robot through all courses; those that its entry holds are not flown."""
     entries.mkdir(parents=True, exist_ok=True)
     entry = entries / f"{called(name)}.json"
@@ -111,89 +122,74 @@ def flown(name: str, courses: Sequence[Course], entries: Path) -> list[Row]:
     work = partial(fly_course, robot=robot, weights=weights)
     with Progress(name, shown=False) as progress:
         done = fly_courses(courses, work, name, "aerial-1", entry, ALONE, progress)
-    print(f"{name}: {sum(len(flights) for _, flights in done)} flights", flush=True)
-    return [(course, one) for course, flights in done for one in flights]
+    flights = [one for _, several in done for one in several]
+    print(f"{name}: {len(flights)} flights", flush=True)
+    return flights
 
 
-def told(rows: Sequence[Row], values: Iterable[float], form: str, scale: Any = "amount") -> str:
-    """A figure of flights; its interval is over worlds."""
-    return brief(figure([*values], [course.sha256 for course, _ in rows], scale), form)
+def robots(found: Found, worlds: Sequence[str]) -> list[str]:
+    """Every robot's figures; intervals are over worlds."""
+    rows = []
+    for name, figures in found.items():
+        cells = [
+            told(values, worlds, ".3f", "outcome" if title in OUTCOMES else "amount")
+            for title, values in figures.items()
+        ]
+        cells[-1] = f"{figures[DECISION].mean():.1f}"
+        rows.append((f"`{name}`", cells))
+    return titled("## Robots", FIGURES, rows)
 
 
-def robots(found: Flights) -> list[str]:
-    """Every robot's figures."""
-    lines = titled("## Robots", [*FIGURES, "decision, ms"])
-    for name, rows in found.items():
-        cells = []
-        for title, of in FIGURES.items():
-            scale = "outcome" if title in ("success", "collision") else "amount"
-            cells.append(told(rows, (of(one) for _, one in rows), ".3f", scale))
-        step = np.mean([one.step_s for _, one in rows]) * 1e3
-        lines.append(line(f"`{name}`", [*cells, f"{step:.1f}"]))
-    return lines
-
-
-def less(base: str, found: Flights) -> list[str]:
+def less(base: str, found: Found, worlds: Sequence[str]) -> list[str]:
     """What every robot gains on the robot `base`, flight by flight."""
-    lines = titled(f"## Flight by flight, less `{base}`", GAINS)
-    for name, rows in found.items():
-        pairs = list(zip(rows, found[base], strict=True))
-        cells = []
-        for of in (FIGURES[title] for title in GAINS):
-            cells.append(
-                told(rows, (of(one) - of(other) for (_, one), (_, other) in pairs), "+.3f")
-            )
-        lines.append(line(f"`{name}`", cells))
-    return lines
+    rows = (
+        (f"`{name}`", [told(one[what] - found[base][what], worlds, "+.3f") for what in GAINS])
+        for name, one in found.items()
+    )
+    return titled(f"## Flight by flight, less `{base}`", GAINS, rows)
 
 
-def by_groups(found: Flights) -> list[str]:
+def by_groups(found: Found, courses: Sequence[Course]) -> list[str]:
     """Some figures by difficulty and kind, or by map."""
     lines = []
-    first = next(iter(found.values()))
-    for title, groups, key in (
-        ("difficulty", DIFFICULTIES, lambda course: course.difficulty),
-        ("kind", kind_names(), lambda course: course.world),
-        ("map", tuple(MAPS), lambda course: Path(course.world).name),
+    for title, groups, keys in (
+        ("difficulty", DIFFICULTIES, [course.difficulty for course in courses]),
+        ("kind", kind_names(), [course.world for course in courses]),
+        ("map", tuple(MAPS), [Path(course.world).name for course in courses]),
     ):
-        if not any(key(course) in groups for course, _ in first):
-            continue
-        for what in BY_GROUP:
-            lines += titled(f"## {what.capitalize()}, by {title}", groups)
-            for name, rows in found.items():
-                cells = []
-                for group in groups:
-                    ours = [FIGURES[what](one) for course, one in rows if key(course) == group]
-                    finite = [value for value in ours if np.isfinite(value)]
-                    cells.append(f"{np.mean(finite):.2f}" if finite else "–")
-                lines.append(line(f"`{name}`", cells))
+        for what in BY_GROUP if {*groups} & {*keys} else ():
+            rows = []
+            for name, figures in found.items():
+                of_groups = [figures[what][np.array(keys) == group] for group in groups]
+                rows.append((f"`{name}`", [mean_of(values) for values in of_groups]))
+            lines += titled(f"## {what.capitalize()}, by {title}", groups, rows)
     return lines
 
 
-def how_hard(found: Flights) -> list[str]:
+def mean_of(values: NDArray[np.float64]) -> str:
+    """The mean of what is told of some flights; a dash where nothing is."""
+    return f"{np.nanmean(values):.2f}" if np.isfinite(values).any() else "–"
+
+
+def how_hard(found: Found, courses: Sequence[Course]) -> list[str]:
     """The figures of difficulty by level, and success in the third of the flights that each figure
     calls easiest, and in the hardest third."""
-    courses = dict.fromkeys(course for course, _ in next(iter(found.values())))
-    grades = [(course.difficulty, grade) for course in courses for grade in course.graded()]
-    levels = [one for one in (*DIFFICULTIES, None) if one in {level for level, _ in grades}]
-    lines = titled("## How hard the flights are", [one or "all" for one in levels])
-    for name in HARDER:
-        of_level = [[getattr(it, name) for level, it in grades if level == one] for one in levels]
-        lines.append(line(f"`{name}`", [f"{np.nanmean(values):.2f}" for values in of_level]))
-    reached = {
-        name: np.array([FIGURES["success"](one) for _, one in rows])
-        for name, rows in found.items()
-        if name != "truth"
-    }
-    title = "Success in the easiest third, by the figure · in the hardest:"
-    lines += titled(title, [f"`{name}`" for name in reached])
-    for name, harder in HARDER.items():
-        order = np.argsort([harder * getattr(it, name) for _, it in grades], kind="stable")
+    grades = [grade for course in courses for grade in course.graded()]
+    level_of = np.array([course.difficulty for course in courses for _ in range(course.flights)])
+    levels = [one for one in (*DIFFICULTIES, None) if one in level_of]
+    success = {name: one["success"] for name, one in found.items() if name != "truth"}
+    by_level, by_third = [], []
+    for name, values in zip(Difficulty._fields, np.transpose(grades), strict=True):
+        means = (np.nanmean(values[level_of == level]) for level in levels)
+        by_level.append((f"`{name}`", [f"{mean:.2f}" for mean in means]))
+        order = np.argsort(-values if name in EASIER else values, kind="stable")
         third = max(len(order) // 3, 1)
         ends = order[:third], order[-third:]
-        cells = [" · ".join(f"{one[end].mean():.2f}" for end in ends) for one in reached.values()]
-        lines.append(line(f"`{name}`", cells))
-    return lines
+        cells = [" · ".join(f"{one[end].mean():.2f}" for end in ends) for one in success.values()]
+        by_third.append((f"`{name}`", cells))
+    lines = titled("## How hard the flights are", [one or "all" for one in levels], by_level)
+    title = "Success in the easiest third, by the figure · in the hardest:"
+    return lines + titled(title, [f"`{name}`" for name in success], by_third)
 
 
 if __name__ == "__main__":

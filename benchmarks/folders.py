@@ -12,17 +12,16 @@ drawn for all: a shard's world differs from the others' in a digit, its pose in 
 that 100,000 shards are made in ten minutes.
 """
 
-import multiprocessing
 import re
+import shlex
 import tempfile
-from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import measuring
-from measuring import Cost
 
 from scenegen.dataset.manifest import NAME
 
@@ -36,53 +35,66 @@ grid = {shape = [16, 16, 16]}
 """
 
 
-def command(*words: object) -> Callable[[], Cost]:
-    """A command of scenegen, to be measured."""
-    return lambda: measuring.run("-m", "scenegen", *words)[0]
+FORGET = """
+import sys
+from pathlib import Path
+from scenegen.dataset import manifest
+from scenegen.dataset.trust import load
+folder = Path(sys.argv[1])
+manifest.write(folder, manifest.assemble(load(folder).parameters, [], complete=False))
+"""
+"""Takes the list of shards out of a manifest."""
+OPEN = "import scenegen, sys; scenegen.load(sys.argv[1])[0].ranges"
+UNLISTED = "resume, unlisted"
+
+
+@dataclass(kw_only=True)
+class Options(measuring.Options):
+    """What the dataset is."""
+
+    samples: int = 20_000
+    shard_samples: int = 20
+    workers: int = 2
+    folder: Path | None = None
+    """where the dataset is kept; else in a folder that is removed"""
+    forged: bool = False
+    """as many shards as samples"""
 
 
 def main() -> None:
     """Make the dataset, and print the table."""
-    parser = measuring.options(__doc__)
-    parser.add_argument("--samples", type=int, default=20_000)
-    parser.add_argument("--shard-samples", type=int, default=20)
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument(
-        "--folder", type=Path, help="where the dataset is kept; else in a folder that is removed"
-    )
-    parser.add_argument("--forged", action="store_true", help="as many shards as samples")
-    asked = measuring.parse(parser, samples=20, shard_samples=10, workers=1)
-    with tempfile.TemporaryDirectory() as here:
-        folder = asked.folder or Path(here, "d")
-        recipe = Path(here, "tiny.toml")
+    given = measuring.parse(Options, __doc__, samples=20, shard_samples=10, workers=1)
+    with tempfile.TemporaryDirectory() as name:
+        here = Path(name)
+        folder, recipe = given.folder or here / "d", here / "tiny.toml"
         recipe.write_text(RECIPE)
-        if asked.forged:
-            asked.shard_samples = 1
+        test = given.samples // 10
+        train = given.samples - 2 * test
+        if given.forged:
+            given.shard_samples = 1
             recipe.write_text(RECIPE.replace("viewpoints = 5", "viewpoints = 1"))
-        test = asked.samples // 10
-        words: list[object] = [
-            *f"generate --val {test} --test {test} --n {asked.samples - 2 * test} --quiet".split()
-        ]
-        words += f"--shard-samples {asked.shard_samples} --workers {asked.workers} --out".split()
-        words += [folder, "--recipe", recipe, "--compact"]
-        if asked.forged:  # by another process, since the memory of others counts that of this one
-            options = {"recipe": recipe, "val": test, "test": test, "out": folder}
-            made = multiprocessing.get_context("spawn").Process(
-                target=forge, args=(asked.samples - 2 * test, options, asked.workers)
-            )
+            # by another process, since the memory of others counts that of this one
+            forged = (folder, recipe, train, test, given.workers)
+            made = get_context("spawn").Process(target=forge, args=forged)
             made.start()
             made.join()
-        command(*words)()  # the kernels compile
-        _measure(folder, words, asked.samples, asked.workers, Path(here))
+        generate = (
+            f"-m scenegen generate --recipe {recipe} --n {train} --val {test} --test {test} "
+            f"--shard-samples {given.shard_samples} --compact --workers {given.workers} --quiet "
+            f"--out {shlex.quote(str(folder))}"
+        )
+        measuring.run(*shlex.split(generate))  # the kernels compile
+        _measure(folder, generate, given, here)
 
 
-def forge(train: int, options: dict[str, Any], workers: int) -> None:
+def forge(folder: Path, recipe: Path, train: int, test: int, workers: int) -> None:
     """A folder of shards of one sample each, which no manifest lists yet."""
     from scenegen.dataset.generation import plan_generation
     from scenegen.dataset.state import State
     from scenegen.run.workers import run
 
-    plan = plan_generation(n=train, compact=True, shard_samples=1, **options)
+    counts: Any = {"n": train, "val": test, "test": test, "shard_samples": 1}
+    plan = plan_generation(recipe=recipe, out=folder, compact=True, **counts)
     State(plan).open()
     first: Any = plan.shards[0]
     for _ in run(partial(_forge, first.draw(0)), list(enumerate(plan.shards)), workers):
@@ -105,52 +117,38 @@ def _forge(unit: Any, task: tuple[int, Any]) -> None:
     put(spec, [(partial(getattr, sample), sample.sha256())], documents, Rejections())
 
 
-FORGET = """
-import sys
-from pathlib import Path
-from scenegen.dataset import manifest
-from scenegen.dataset.trust import load
-folder = Path(sys.argv[1])
-manifest.write(folder, manifest.assemble(load(folder).parameters, [], complete=False))
-"""
-"""Takes the list of shards out of a manifest."""
-UNLISTED = "resume, unlisted"
-
-
-def _measure(folder: Path, again: list[object], samples: int, workers: int, here: Path) -> None:
-    size = (folder / NAME).stat().st_size
+def _measure(folder: Path, generate: str, given: Options, here: Path) -> None:
+    """Print what commands take."""
     files = [path.stat().st_size for path in folder.rglob("*") if path.is_file()]
     some = min(100, len(list(folder.glob("*.h5"))))
+    samples, workers, data = given.samples, given.workers, shlex.quote(str(folder))
     print(
         f"{samples} samples of {sum(files) / samples / 1e3:.1f} KB, {len(files)} files; {NAME} "
-        f"has {size} bytes"
+        f"has {(folder / NAME).stat().st_size} bytes"
     )
-
-    opened = f"import scenegen; scenegen.load({str(folder)!r})[0].ranges"
-    quiet = "--quiet", "--workers", workers
-    rows: dict[str, Callable[[], Cost]] = {
-        "nothing: `scenegen --version`": command("--version"),
-        "open, read one sample": lambda: measuring.run("-c", opened)[0],
-        "resume, listed": command(*again),
-        UNLISTED: command(*again),
-        f"a range job of {some} shards": command(*again, "--split-range", f"0:{some}"),
-        "inspect": command("inspect", folder),
-        "inspect --all": command("inspect", folder, "--all", "--workers", workers),
-        "verify --quick": command("verify", folder, "--quick", *quiet),
-        "take --split train": command("take", folder, "--split", "train", "-o", here / "a", *quiet),
-        "take --split test": command("take", folder, "--split", "test", "-o", here / "b", *quiet),
-        "merge": command("merge", here / "a", here / "b", "-o", here / "c", *quiet),
+    quiet = f"--quiet --workers {workers}"
+    rows = {
+        "nothing: `scenegen --version`": "-m scenegen --version",
+        "open, read one sample": f"-c {shlex.quote(OPEN)} {data}",
+        "resume, listed": generate,
+        UNLISTED: generate,
+        f"a range job of {some} shards": f"{generate} --split-range 0:{some}",
+        "inspect": f"-m scenegen inspect {data}",
+        "inspect --all": f"-m scenegen inspect {data} --all --workers {workers}",
+        "verify --quick": f"-m scenegen verify {data} --quick {quiet}",
+        "take --split train": f"-m scenegen take {data} --split train -o {here}/a {quiet}",
+        "take --split test": f"-m scenegen take {data} --split test -o {here}/b {quiet}",
+        "merge": f"-m scenegen merge {here}/a {here}/b -o {here}/c {quiet}",
     }
     idle = 0.0
     print(
         f"\n| {workers} workers | processor s, clock s | a million samples, processor s | largest "
-        f"process, MB |"
+        f"process, MB |\n|---|---|---|---|"
     )
-    print("|---|---|---|---|")
-    for name, run in rows.items():
+    for name, words in rows.items():
         if name == UNLISTED:
             measuring.run("-c", FORGET, folder)
-        used, seconds, memory = run()
+        used, seconds, memory = measuring.run(*shlex.split(words))[0]
         idle = idle or used
         of_million = (used - idle) * 1e6 / samples
         print(

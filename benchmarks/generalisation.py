@@ -16,25 +16,25 @@ alone.
 import json
 import tempfile
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import measuring
 import numpy as np
 from real import POSES, real_places
-from scoring import RESULTS, by_map, drawn, measured, networks, rewrite
+from scoring import RESULTS, by_map, drawn, measured, rewrite, titled
 
-from scenegen.dataset.read import Dataset
-from scenegen.model.completion.unlearned import Extrude
+from scenegen import Dataset, preset
 from scenegen.model.config import PlanConfig
-from scenegen.model.evaluation.methods import Completed, Method, Truth
+from scenegen.model.evaluation.methods import Method, rows_of
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
-from scenegen.model.evaluation.statistics import brief, figure, head, line
-from scenegen.recipe import preset
+from scenegen.model.evaluation.statistics import brief, figure, table
 from scenegen.recipes import kind_names
 from scenegen.run.software import commit
 
 BUNDLED = "columns"
+FILE = "generalisation.json"
 NETWORK = (
     *("--variant", "columns", "--input", "observed", "--input", "free"),
     *("--lambda-occupancy", 1, "--lovasz", 1, "--eikonal", 0),
@@ -48,18 +48,30 @@ TITLES = {
 }
 
 
+@dataclass(kw_only=True)
+class Options(measuring.Options):
+    """What is held out, and how much is measured."""
+
+    held: Sequence[Annotated[str, kind_names()]] = kind_names()
+    """kinds to hold out"""
+    maps: int = 5000
+    """maps that a network learns from"""
+    tests: int = 100
+    """test maps of every kind"""
+    trials: int = 400
+    """planning trials of every kind"""
+    data: Path | None = None
+    """folder of datasets and runs"""
+    real: Path | None = None
+    """folder of maps of real places"""
+    out: Path = RESULTS
+    page: bool = False
+    """write the page anew, no more"""
+
+
 def main() -> None:
     """Train, measure, and write what is there."""
-    parser = measuring.options(__doc__)
-    parser.add_argument("--held", action="append", choices=kind_names(), help="a kind to hold out")
-    parser.add_argument("--maps", type=int, default=5000, help="maps that a network learns from")
-    parser.add_argument("--tests", type=int, default=100, help="test maps of every kind")
-    parser.add_argument("--trials", type=int, default=400, help="planning trials of every kind")
-    parser.add_argument("--data", type=Path, help="folder of datasets and runs")
-    parser.add_argument("--real", type=Path, help="folder of maps of real places")
-    parser.add_argument("--out", type=Path, default=RESULTS)
-    parser.add_argument("--page", action="store_true", help="write the page anew, no more")
-    given = measuring.parse(parser, maps=2, tests=2, trials=2, held=["maze"])
+    given = measuring.parse(Options, __doc__, maps=2, tests=2, trials=2, held=["maze"])
     if given.page:
         return write_page(given.out)
     with tempfile.TemporaryDirectory() as spare:
@@ -67,22 +79,20 @@ def main() -> None:
         kinds = ("maze", "pillar") if given.smoke else kind_names()
         tests = {kind: drawn(folder / kind, preset(kind), given.tests) for kind in kinds}
         tests |= real_places(given.real, folder, min(given.tests, POSES))
-        there = rows_of(given.out, given)
-        (columns,) = networks([BUNDLED])
-        known: dict[str, Method] = {"truth": Truth(), "extrude": Completed(Extrude())}
-        for name, method in (known | {BUNDLED: columns}).items():
-            if left := missing(there, name, tests):
-                put(given.out, given, name, figures(method, left, given.trials))
-        for held in given.held or kinds:
-            if left := missing(there, row := f"without {held}", tests):
+        for method in rows_of(["truth", "extrude"], [BUNDLED]):
+            if left := missing(given, method.name, tests):
+                put(given, method.name, figures(method, left, given.trials))
+        for held in given.held:
+            if left := missing(given, row := f"without {held}", tests):
                 run = train(folder / row.replace(" ", "-"), [k for k in kinds if k != held], given)
-                (network,) = networks([str(run)])
-                put(given.out, given, row, figures(network, left, given.trials))
+                (network,) = rows_of([], [str(run)])
+                put(given, row, figures(network, left, given.trials))
 
 
-def missing(there: dict[str, Any], row: str, tests: dict[str, Dataset]) -> dict[str, Dataset]:
+def missing(given: Options, row: str, tests: dict[str, Dataset]) -> dict[str, Dataset]:
     """The datasets on which a row was not measured yet."""
-    return {kind: dataset for kind, dataset in tests.items() if kind not in there.get(row, ())}
+    there = measured_rows(given).get(row, ())
+    return {kind: dataset for kind, dataset in tests.items() if kind not in there}
 
 
 def train(out: Path, kinds: Sequence[str], given: Any) -> Path:
@@ -112,30 +122,30 @@ def figures(method: Method, tests: dict[str, Dataset], trials: int) -> dict[str,
     return found
 
 
-def rows_of(out: Path, given: Any) -> dict[str, Any]:
+def measured_rows(given: Options) -> dict[str, Any]:
     """The rows that were measured with the same numbers of maps and trials."""
-    file = out / "generalisation.json"
+    file = given.out / FILE
     report = json.loads(file.read_text()) if file.exists() else {}
     same = all(report.get(name) == getattr(given, name) for name in LENGTHS)
     return dict(report["rows"]) if same else {}
 
 
-def put(out: Path, given: Any, row: str, found: dict[str, Any]) -> None:
+def put(given: Options, row: str, found: dict[str, Any]) -> None:
     """Add a row to the results, and write the page anew."""
-    out.mkdir(parents=True, exist_ok=True)
-    file = out / "generalisation.json"
-    report = {"commit": commit(), **{name: getattr(given, name) for name in LENGTHS}}
-    report["rows"] = rows_of(out, given)
+    given.out.mkdir(parents=True, exist_ok=True)
+    rows = measured_rows(given)
     more = json.loads(json.dumps(found), parse_float=lambda digits: round(float(digits), 4))
-    report["rows"][row] = report["rows"].get(row, {}) | more
-    file.write_text(json.dumps(report, separators=(",", ":")) + "\n")
-    write_page(out)
+    rows[row] = rows.get(row, {}) | more
+    lengths = {name: getattr(given, name) for name in LENGTHS}
+    report = {"commit": commit(), **lengths, "rows": rows}
+    (given.out / FILE).write_text(json.dumps(report, separators=(",", ":")) + "\n")
+    write_page(given.out)
     print(f"{row}: " + ", ".join(f"{kind} {one['iou']['mean']:.3f}" for kind, one in found.items()))
 
 
 def write_page(out: Path) -> None:
     """Write the page's tables anew from the results."""
-    rows = json.loads((out / "generalisation.json").read_text())["rows"]
+    rows = json.loads((out / FILE).read_text())["rows"]
     rewrite(out / "generalisation.md", tables(rows))
 
 
@@ -149,38 +159,36 @@ def tables(rows: dict[str, Any]) -> list[str]:
     places = [place for place in tested if place not in kinds]
     lines = []
     for name, title in TITLES.items():
-        heads = ("seen in training", "held out", f"the bundled `{BUNDLED}`", "`extrude`")
-        lines += ["", f"## {title}", "", *head(heads)]
+        found = {(row, one): rows[row][one][name] for row in shown for one in rows[row]}
+        summary, matrix = [], []
         for kind in kinds:
+            others = (f"without {kind}", BUNDLED, "extrude")
             saw = [
-                rows[row][kind][name]["mean"]
+                found[row, kind]["mean"]
                 for row in networks
-                if row != f"without {kind}" and kind in rows.get(row, ())
+                if row != others[0] and (row, kind) in found
             ]
             mean = f"{sum(saw) / len(saw):.3f} (of {len(saw)})" if saw else "–"
-            others = (f"without {kind}", BUNDLED, "extrude")
-            lines.append(
-                line(f"`{kind}`", (mean, *(_cell(rows, one, kind, name) for one in others)))
-            )
-        lines += ["", *head([f"`{one}`" for one in (*kinds, *places)])]
+            cells = [brief(found.get((one, kind), {"n": 0})) for one in others]
+            summary.append((f"`{kind}`", [mean, *cells]))
         for row in shown:
             cells = []
             for one in (*kinds, *places):
-                mean = f"{rows[row][one][name]['mean']:.2f}" if one in rows[row] else "–"
+                mean = f"{found[row, one]['mean']:.2f}" if (row, one) in found else "–"
                 cells.append(f"**{mean}**" if row == f"without {one}" else mean)
-            lines.append(line(row, cells))
+            matrix.append((row, cells))
+        heads = ("seen in training", "held out", f"the bundled `{BUNDLED}`", "`extrude`")
+        lines += titled(f"## {title}", heads, summary)
+        lines += ["", table([f"`{one}`" for one in (*kinds, *places)], matrix)]
+    means = {
+        row: [np.mean([rows[row][place][name]["mean"] for place in places]) for name in TITLES]
+        for row in shown
+        if rows[row].keys() >= {*places}
+    }
     if places:
-        lines += ["", "## Mean of the real places", "", *head(TITLES.values())]
-        for row in (row for row in shown if all(place in rows[row] for place in places)):
-            found = ([rows[row][place][title]["mean"] for place in places] for title in TITLES)
-            lines.append(line(row, (f"{np.mean(values):.3f}" for values in found)))
+        rounded = ((row, [f"{mean:.3f}" for mean in several]) for row, several in means.items())
+        lines += titled("## Mean of the real places", TITLES.values(), rounded)
     return lines
-
-
-def _cell(rows: dict[str, Any], row: str, kind: str, name: str) -> str:
-    if row not in rows or kind not in rows[row]:
-        return "–"
-    return brief(rows[row][kind][name])
 
 
 if __name__ == "__main__":

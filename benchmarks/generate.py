@@ -10,46 +10,42 @@ the clock, too, which alone counts the waiting for the disk.
 """
 
 import json
+import pkgutil
 import resource
 import sys
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 from unittest.mock import patch
 
 import measuring
 
-import scenegen.dataset.shard as shard_module
-import scenegen.draw as draw_module
-import scenegen.source as source_module
-import scenegen.worlds.flight as flight_module
-import scenegen.worlds.world as world_module
-from scenegen.dataset.build import plan_dataset
-from scenegen.recipe import preset
+from scenegen.dataset.generation import plan_generation
+from scenegen.dataset.shard import write_shard
 from scenegen.recipes import kind_names
 from scenegen.run.workers import cores
-from scenegen.sample import Sample
-from scenegen.source import DrawnWorlds
 
-STAGES: dict[str, tuple[Any, str]] = {
-    "draw world, write MJCF, compile": (source_module, "write_world"),
-    "  of which compile, read solids": (world_module, "compile_world"),
-    "plan flight": (draw_module, "fly"),
-    "  of which RRT": (flight_module, "connect"),
-    "make engine": (world_module.World, "caster"),
-    "cast rays": (draw_module, "cast"),
-    "occupancy": (world_module, "rasterize"),
-    "observed and free": (draw_module, "fuse"),
-    "distance": (draw_module, "distance_field"),
-    "compress": (shard_module, "compress"),
-    "sample digest": (Sample, "sha256"),
-    "file digest": (shard_module, "sha256_of"),
-    "write and sync": (shard_module, "write_whole"),
+STAGES = {
+    "draw world, write MJCF, compile": "scenegen.source.write_world",
+    "  of which compile, read solids": "scenegen.worlds.world.compile_world",
+    "plan flight": "scenegen.draw.fly",
+    "  of which RRT": "scenegen.worlds.flight.connect",
+    "make engine": "scenegen.worlds.world.World.caster",
+    "cast rays": "scenegen.draw.cast",
+    "occupancy": "scenegen.worlds.world.rasterize",
+    "observed and free": "scenegen.draw.fuse",
+    "distance": "scenegen.draw.distance_field",
+    "compress": "scenegen.dataset.shard.compress",
+    "sample digest": "scenegen.sample.Sample.sha256",
+    "file digest": "scenegen.dataset.shard.sha256_of",
+    "write and sync": "scenegen.dataset.shard.write_whole",
 }
+ELSE = "everything else"
 
 
 @contextmanager
@@ -68,23 +64,21 @@ def stopwatch() -> Iterator[defaultdict[str, float]]:
         return stand_in
 
     with ExitStack() as stack:
-        for name, (owner, attribute) in STAGES.items():
-            stand_in = timed(name, getattr(owner, attribute))
-            stack.enter_context(patch.object(owner, attribute, stand_in))
+        for name, target in STAGES.items():
+            stand_in = timed(name, pkgutil.resolve_name(target))
+            stack.enter_context(patch(target, stand_in))
         yield seconds
 
 
 def measure(kind: str, seconds: float) -> None:
     """Write shards in this process for `seconds`, and print what they and their stages took."""
-    recipe = preset(kind)
-    counts = {"train": 100_000, "val": 0, "test": 0}
     with tempfile.TemporaryDirectory(dir=Path.cwd()) as folder, stopwatch() as spent:
-        plan = plan_dataset(Path(folder), recipe, DrawnWorlds(recipe), seed=0, counts=counts)
-        shard_module.write_shard(plan.shards[0])  # kernels compile, caches fill
+        plan = plan_generation(kind, 100_000, val=0, test=0, out=folder)
+        write_shard(plan.shards[0])  # kernels compile, caches fill
         spent.clear()
         begin, used, samples, size = time.perf_counter(), measuring.processor_s(), 0, 0
         for shard in plan.shards[1:]:
-            report = shard_module.write_shard(shard)
+            report = write_shard(shard)
             samples, size = samples + report.samples, size + report.size
             if time.perf_counter() - begin > seconds:
                 break
@@ -98,12 +92,10 @@ def measure(kind: str, seconds: float) -> None:
         f"{wall / samples * 1e3:.2f} ms a sample ({used / samples * 1e3:.2f} of processor), "
         f"{size / samples / 1e3:.1f} KB a sample, peak memory {peak:.0f} MB"
     )
-    stages = {name: spent[name] / samples * 1e3 for name in STAGES}
-    whole = {name: ms for name, ms in stages.items() if not name.startswith("  ")}
-    total = used / samples * 1e3
-    whole["everything else"] = total - sum(whole.values())
-    for name, ms in (stages | whole).items():
-        print(f"  {name:34} {ms:6.3f} ms {ms / total:5.0%}")
+    whole = sum(taken for name, taken in spent.items() if not name.startswith("  "))
+    for name in (*STAGES, ELSE):
+        taken = used - whole if name == ELSE else spent[name]
+        print(f"  {name:34} {1e3 * taken / samples:6.3f} ms {taken / used:5.0%}")
 
 
 def time_runs(kind: str, count: int) -> None:
@@ -124,21 +116,28 @@ def time_runs(kind: str, count: int) -> None:
         )
 
 
+@dataclass(kw_only=True)
+class Options(measuring.Options):
+    """What is measured."""
+
+    kind: Sequence[Annotated[str, kind_names()]] = ("geometric", "pillar")
+    seconds: float = 10.0
+    """how long to measure each kind"""
+    runs: bool = False
+    """also time whole commands"""
+    n: int = 2500
+    """training samples of a whole command"""
+
+
 def main() -> None:
     """Parse and measure."""
-    parser = measuring.options(__doc__)
-    parser.add_argument("--kind", choices=kind_names(), help="one kind instead of two")
-    parser.add_argument("--seconds", type=float, default=10.0, help="how long to measure each kind")
-    parser.add_argument("--runs", action="store_true", help="also time whole commands")
-    parser.add_argument("--n", type=int, default=2500, help="training samples of a whole command")
-    given = measuring.parse(parser, kind="pillar", seconds=0, runs=True, n=5)
-    kinds = [given.kind] if given.kind else ["geometric", "pillar"]
-    for kind in kinds:
+    given = measuring.parse(Options, __doc__, kind=["pillar"], seconds=0, runs=True, n=5)
+    for kind in given.kind:
         measure(kind, given.seconds)
     if given.runs:
         start = measuring.run("-m", "scenegen", "--version")[0]
         print(f"\nstart of a process: {start.processor_s:.2f} s of processor")
-        for kind in kinds:
+        for kind in given.kind:
             time_runs(kind, given.n)
 
 

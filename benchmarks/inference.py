@@ -6,10 +6,11 @@ the same run.
 """
 
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import measuring
 import torch
@@ -18,48 +19,48 @@ from measuring import Time
 from lidarsim import GridSpec
 from scenegen.model.config import VARIANTS, NetworkConfig
 from scenegen.model.network import Network, placed
-from scenegen.model.onnx import RUNTIMES, Runtime, export_onnx, load_onnx
+from scenegen.model.onnx import RUNTIMES, export_onnx, load_onnx
 from scenegen.model.training.device import autocast, resolve_precision
 
 INPUTS = {"columns": ("observed", "free")}
 """What a variant is shown, where it is not `observed` alone: as the bundled one."""
 BURST = 4
-"""Maps that a way completes in a row; the first is not timed, for threads of the way before it
-still wait for work."""
+"""Maps that a way completes in a row."""
 GRID = GridSpec()
 Way = Callable[[dict[str, torch.Tensor]], Any]
 """A network by some runtime: what it gives for maps by name."""
 
 
+@dataclass(kw_only=True)
+class Options(measuring.Options):
+    """What is measured."""
+
+    variant: Sequence[Annotated[str, VARIANTS]] = tuple(VARIANTS)
+    stem_stride: Sequence[Literal[1, 2]] = (2, 1)
+    threads: int = torch.get_num_threads()
+    no_compile: bool = False
+    runtime: Sequence[Annotated[str, RUNTIMES]] = RUNTIMES
+    rounds: int = 10
+
+
 def main() -> None:
     """Print one table."""
-    parser = measuring.options(__doc__)
-    parser.add_argument("--variant", nargs="*", choices=VARIANTS, default=VARIANTS)
-    parser.add_argument("--stem-stride", nargs="*", type=int, choices=(2, 1), default=(2, 1))
-    parser.add_argument("--threads", type=int, default=torch.get_num_threads())
-    parser.add_argument("--no-compile", action="store_true")
-    parser.add_argument("--runtime", nargs="*", choices=RUNTIMES, default=RUNTIMES)
-    parser.add_argument("--rounds", type=int, default=10)
-    options = measuring.parse(
-        parser, variant=["occ"], stem_stride=[2], runtime=["openvino"], rounds=1, no_compile=True
-    )
-    torch.set_num_threads(options.threads)
+    smallest: Any = {"variant": ["occ"], "stem_stride": [2], "runtime": ["openvino"]}
+    given = measuring.parse(Options, __doc__, rounds=1, no_compile=True, **smallest)
+    torch.set_num_threads(given.threads)
     print(
-        f"{options.threads} threads, one map of {GRID.shape}, median of {options.rounds} bursts "
+        f"{given.threads} threads, one map of {GRID.shape}, median of {given.rounds} bursts "
         f"in turn;"
     )
     print("milliseconds by the clock, ratio to eager, milliseconds of processor time")
-    for stride in options.stem_stride:
-        for variant in options.variant:
-            network = Network(
-                NetworkConfig(
-                    variant=variant, inputs=INPUTS.get(variant, ("observed",)), stem_stride=stride
-                )
-            ).eval()
-            ways = runners(
-                network, options.threads, options.runtime, compiled=not options.no_compile
-            )
-            found = measure(ways, network.config.inputs, options.rounds)
+    for stride in given.stem_stride:
+        for variant in given.variant:
+            inputs = INPUTS.get(variant, ("observed",))
+            config = NetworkConfig(variant=variant, inputs=inputs, stem_stride=stride)
+            ways = runners(Network(config).eval(), given.threads, given.runtime)
+            if not given.no_compile:
+                ways["compiled"] = torch.compile(ways["eager"])
+            found = measure(ways, inputs, given.rounds)
             eager = found["eager"].wall
             cells = "  ".join(
                 f"{name} {ms.wall:6.1f} ms ({ms.wall / eager:.2f}; {ms.processor:.1f})"
@@ -68,12 +69,10 @@ def main() -> None:
             print(f"{variant:<9} stem {stride}:  {cells}", flush=True)
 
 
-def runners(
-    network: Network, threads: int, runtimes: Iterable[Runtime], *, compiled: bool
-) -> dict[str, Way]:
-    """Every way to run `network`, by name."""
-    folder = Path(tempfile.mkdtemp())
-    export_onnx(network, GRID, folder / "net.onnx", about={})
+def runners(network: Network, threads: int, runtimes: Iterable[Any]) -> dict[str, Way]:
+    """Ways to run `network`, by name."""
+    file = Path(tempfile.mkdtemp(), "net.onnx")
+    export_onnx(network, GRID, file, about={})
     placed(network, "cpu")
     device = torch.device("cpu")
     ways: dict[str, Way] = {"eager": network}
@@ -84,27 +83,18 @@ def runners(
                 return network(maps)
 
         ways["eager bf16"] = in_bfloat16
-    if compiled:
-        ways["compiled"] = torch.compile(network)
     for runtime in runtimes:
-        ways[runtime] = load_onnx(folder / "net.onnx", runtime=runtime, threads=threads)[0]
+        ways[runtime] = load_onnx(file, runtime=runtime, threads=threads)[0]
     return ways
 
 
 @torch.inference_mode()
 def measure(ways: dict[str, Way], inputs: tuple[str, ...], rounds: int) -> dict[str, Time]:
-    """Medians of each for one map of the `inputs`; the ways take turns, so that all meet the same
-    machine."""
+    """Medians of each for one map of the `inputs`."""
     noise = torch.Generator().manual_seed(0)
     maps = {name: (torch.rand(1, *GRID.shape, generator=noise) < 0.02).float() for name in inputs}
-    for run in ways.values():
-        run(maps)
-    times: dict[str, list[Time]] = {name: [] for name in ways}
-    for _ in range(rounds):
-        for name, run in ways.items():
-            run(maps)
-            times[name] += [measuring.timed(partial(run, maps)) for _ in range(BURST - 1)]
-    return {name: measuring.median(found) for name, found in times.items()}
+    tasks = {name: partial(run, maps) for name, run in ways.items()}
+    return measuring.in_turn(tasks, rounds, burst=BURST)
 
 
 if __name__ == "__main__":

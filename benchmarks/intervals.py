@@ -7,88 +7,74 @@ network by world, and the paired differences of two networks. What is told of ea
 intervals that hold the population's mean.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lidarsim.grid import Floats, Ints
 from scenegen.model.evaluation.statistics import Scale, figure
 
 WORLDS = (3, 10, 30)
+REPEATS = 10_000
 Rng = np.random.Generator
 
 
 @dataclass(frozen=True)
 class Population:
-    """Samples of worlds that differ."""
+    """Samples of worlds that differ: outcomes of trials, in worlds that have shares of success;
+    gains, where one of two methods alone wins, in shares that differ by half of themselves from
+    world to world; or shares and amounts, by map, that differ within a world, too."""
 
     name: str
     scale: Scale
-    mean: float
     samples: tuple[int, int]
     """The least and the most samples of a world."""
-    draw: Callable[[Rng, NDArray[np.int64], int], NDArray[Any]]
-    """Makes the samples of `worlds` (N,), a number for each sample, of so many worlds."""
+    mean: float
+    spread: float = 0.0
+    """Standard deviation of the worlds' means."""
+    within: float = 0.0
+    """That within a world."""
+    lost: float = 0.0
+    """Of gains, the share in which the second method wins."""
+
+    def draw(self, rng: Rng, worlds: Ints, count: int) -> Any:
+        """Samples of `worlds` (N,), a number for each sample, of so many worlds."""
+        match self.scale:
+            case "outcome":
+                return rng.random(len(worlds)) < self._shares(rng, count)[worlds]
+            case "gain":
+                shares = (self.mean + self.lost, self.lost)
+                more, fewer = (share * rng.gamma(4, 0.25, count)[worlds] for share in shares)
+                chance = rng.random(len(worlds))
+                return (chance < more).astype(int) - (chance > 1 - fewer)
+            case "share":
+                middle = self._shares(rng, count)[worlds]
+                sharp = np.maximum(middle * (1 - middle) / self.within**2 - 1, 0.5)
+                return rng.beta(middle * sharp, (1 - middle) * sharp)
+        of_worlds = rng.normal(0, self.spread, count)[worlds]
+        return self.mean + of_worlds + rng.normal(0, self.within, len(worlds))
+
+    def _shares(self, rng: Rng, count: int) -> Floats:
+        """Worlds' shares, (count,)."""
+        sharp = self.mean * (1 - self.mean) / self.spread**2 - 1
+        return rng.beta(self.mean * sharp, (1 - self.mean) * sharp, count)
 
 
-def success(name: str, mean: float, spread: float, samples: tuple[int, int]) -> Population:
-    """Trials in worlds whose shares of success have this mean and standard deviation."""
-
-    def draw(rng: Rng, worlds: NDArray[np.int64], count: int) -> NDArray[Any]:
-        return rng.random(len(worlds)) < _shares(rng, mean, spread, count)[worlds]
-
-    return Population(name, "outcome", mean, samples, draw)
-
-
-def gain(name: str, won: float, lost: float, samples: tuple[int, int]) -> Population:
-    """Trials that one of two methods alone wins, in shares that differ by half of themselves from
-    world to world."""
-
-    def draw(rng: Rng, worlds: NDArray[np.int64], count: int) -> NDArray[Any]:
-        more, fewer = (share * rng.gamma(4, 0.25, count)[worlds] for share in (won, lost))
-        chance = rng.random(len(worlds))
-        return (chance < more).astype(int) - (chance > 1 - fewer)
-
-    return Population(name, "gain", won - lost, samples, draw)
-
-
-def iou(name: str, mean: float, spread: float, within: float) -> Population:
-    """Maps of worlds whose mean IoU has this standard deviation, and that of maps within a
-    world."""
-
-    def draw(rng: Rng, worlds: NDArray[np.int64], count: int) -> NDArray[Any]:
-        middle = _shares(rng, mean, spread, count)[worlds]
-        sharp = np.maximum(middle * (1 - middle) / within**2 - 1, 0.5)
-        return rng.beta(middle * sharp, (1 - middle) * sharp)
-
-    return Population(name, "share", mean, (4, 5), draw)
-
-
-def difference(name: str, mean: float, spread: float, within: float) -> Population:
-    """Differences, map by map, that vary so much from world to world and within one."""
-
-    def draw(rng: Rng, worlds: NDArray[np.int64], count: int) -> NDArray[Any]:
-        return mean + rng.normal(0, spread, count)[worlds] + rng.normal(0, within, len(worlds))
-
-    return Population(name, "amount", mean, (4, 5), draw)
-
-
-USUAL, FEW = (15, 25), (3, 5)
+USUAL, FEW, MAPS = (15, 25), (3, 5), (4, 5)
 POPULATIONS = (
-    success("success, geometric", 0.83, 0.15, USUAL),
-    success("success, pillar", 0.91, 0.06, USUAL),
-    success("success, pillar, of 200 trials", 0.91, 0.06, (50, 80)),
-    gain("difference of success", 0.06, 0.03, USUAL),
-    iou("IoU, geometric", 0.74, 0.14, 0.05),
-    iou("IoU, pillar", 0.58, 0.05, 0.067),
-    difference("difference of IoU", 0.008, 0.007, 0.01),
+    Population("success, geometric", "outcome", USUAL, 0.83, 0.15),
+    Population("success, pillar", "outcome", USUAL, 0.91, 0.06),
+    Population("success, pillar, of 200 trials", "outcome", (50, 80), 0.91, 0.06),
+    Population("difference of success", "gain", USUAL, 0.03, lost=0.03),
+    Population("IoU, geometric", "share", MAPS, 0.74, 0.14, 0.05),
+    Population("IoU, pillar", "share", MAPS, 0.58, 0.05, 0.067),
+    Population("difference of IoU", "amount", MAPS, 0.008, 0.007, 0.01),
 )
 SPARSE = (
-    success("success, geometric, few trials", 0.83, 0.15, FEW),
-    success("success, pillar, few trials", 0.91, 0.06, FEW),
-    gain("difference of success, few trials", 0.06, 0.03, FEW),
+    Population("success, geometric, few trials", "outcome", FEW, 0.83, 0.15),
+    Population("success, pillar, few trials", "outcome", FEW, 0.91, 0.06),
+    Population("difference of success, few trials", "gain", FEW, 0.03, lost=0.03),
 )
 """Three to five trials a world: so few outcomes that no interval can hold exactly 95 % of the
 time."""
@@ -97,31 +83,23 @@ time."""
 def coverage(population: Population, worlds: int, repeats: int, seed: int = 0) -> float:
     """The share of `repeats` intervals from `worlds` worlds that hold the mean of `population`."""
     rng, held = np.random.default_rng(seed), 0
+    least, most = population.samples
     for _ in range(repeats):
-        least, most = population.samples
         member = np.repeat(np.arange(worlds), rng.integers(least, most + 1, worlds))
         found = figure(population.draw(rng, member, worlds), member, population.scale)
-        assert found["low"] is not None
-        assert found["high"] is not None
         held += found["low"] <= population.mean <= found["high"]
     return held / repeats
-
-
-def _shares(rng: Rng, mean: float, spread: float, count: int) -> NDArray[np.float64]:
-    sharp = mean * (1 - mean) / spread**2 - 1
-    return rng.beta(mean * sharp, (1 - mean) * sharp, count)
 
 
 def main() -> None:
     """Print a row for each population."""
     import measuring  # beside this file; the test of intervals imports the rest without it
 
-    parser = measuring.options(__doc__)
-    parser.add_argument("--repeats", type=int, default=10_000)
-    options = measuring.parse(parser, repeats=20)
+    given = measuring.parse(measuring.Options, __doc__)
+    repeats = 20 if given.smoke else REPEATS
     print(f"{'worlds':34}", *(f"{worlds:6}" for worlds in WORLDS))
     for population in (*POPULATIONS, *SPARSE):
-        cells = (f"{coverage(population, worlds, options.repeats):6.3f}" for worlds in WORLDS)
+        cells = (f"{coverage(population, worlds, repeats):6.3f}" for worlds in WORLDS)
         print(f"{population.name:34}", *cells, flush=True)
 
 

@@ -14,23 +14,39 @@ import itertools
 import time
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
+from typing import Annotated
 
 import measuring
 import numpy as np
 
+from scenegen import preset
 from scenegen.draw import draw_unit
-from scenegen.recipe import preset
 from scenegen.recipes import kind_names
 from scenegen.source import DrawnWorlds
-from scenegen.truth.difficulty import Difficulty, difficulty
+from scenegen.truth.difficulty import difficulty
 from scenegen.worlds.world import solid
+
+BASE = "geometric"
+"""The pace is a multiple of that of this kind."""
+
+
+@dataclass
+class Options(measuring.Options):
+    """What is measured."""
+
+    kinds: Sequence[str] = kind_names()
+    _: KW_ONLY
+    worlds: int = 100
+    difficulty: Sequence[Annotated[str, ("easy", "medium", "hard")]] = ("medium",)
+    """repeatable"""
 
 
 def measure(kinds: Sequence[str], worlds: int, level: str) -> dict[str, dict[str, float]]:
     """The figures of the kinds' presets of a difficulty over so many flights. Kinds take turns, so
     that whatever else the machine does slows all of them."""
     recipes = {kind: preset(kind, difficulty=level) for kind in kinds}
-    found: dict[str, list[list[float]]] = {kind: [] for kind in kinds}
+    found: dict[str, list[dict[str, float]]] = {kind: [] for kind in kinds}
     rejected, taken = Counter[str](), dict.fromkeys(kinds, 0.0)
     for number, kind in itertools.product(range(-1, worlds), kinds):
         recipe, begin = recipes[kind], time.process_time()
@@ -43,11 +59,11 @@ def measure(kinds: Sequence[str], worlds: int, level: str) -> dict[str, dict[str
         for one in unit.samples:
             hard = difficulty(one.occupancy, one.tudf, recipe.grid.voxel_m)
             unknown = 1 - (one.observed | one.free).mean()
-            found[kind].append([*hard, solids, one.occupancy.mean(), unknown])
-    names = (*Difficulty._fields, "solids", "occupied", "unknown")
+            about = {"solids": solids, "occupied": one.occupancy.mean(), "unknown": unknown}
+            found[kind].append(hard._asdict() | about)
     return {
         kind: {
-            **dict(zip(names, np.nanmean(rows, axis=0).tolist(), strict=True)),
+            **{name: float(np.nanmean([row[name] for row in rows])) for name in rows[0]},
             "samples a second": len(rows) / taken[kind],
             "rejected": rejected[kind] / (rejected[kind] + worlds),
         }
@@ -57,15 +73,9 @@ def measure(kinds: Sequence[str], worlds: int, level: str) -> dict[str, dict[str
 
 def main() -> None:
     """Print the tables."""
-    parser = measuring.options(__doc__)
-    parser.add_argument("kinds", nargs="*", help="  [default: all]")
-    parser.add_argument("--worlds", type=int, default=100)
-    levels = ("easy", "medium", "hard")
-    parser.add_argument("--difficulty", action="append", choices=levels, help="repeatable")
-    given = measuring.parse(parser, kinds=["maze"], worlds=1)
-    names = list(dict.fromkeys(("geometric", *(given.kinds or kind_names()))))
-    chosen = given.difficulty or ["medium"]
-    graded = {level: measure(names, given.worlds, level) for level in chosen}
+    given = measuring.parse(Options, __doc__, kinds=["maze"], worlds=1)
+    names = list(dict.fromkeys((BASE, *given.kinds)))
+    graded = {level: measure(names, given.worlds, level) for level in given.difficulty}
     for level, found in graded.items():
         print(f"\n{level}\n")
         show(found)
@@ -81,7 +91,7 @@ def main() -> None:
 
 def show(found: dict[str, dict[str, float]]) -> None:
     """Print two tables of a difficulty, a line a kind."""
-    base = found["geometric"]["samples a second"]
+    base = found[BASE]["samples a second"]
     print("| kind | solids | occupied · unknown | rejected · pace |\n|---|---|---|---|")
     for kind, row in found.items():
         print(

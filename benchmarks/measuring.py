@@ -1,14 +1,18 @@
 """What all benchmarks share: their options, and what a command takes."""
 
 import argparse
+import inspect
 import os
+import re
 import resource
 import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple
+import typing
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, Literal, NamedTuple, TypeVar
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command does, before torch is loaded
 
@@ -31,30 +35,64 @@ class Cost(NamedTuple):
     """Memory of the largest of them."""
 
 
-def options(doc: str | None) -> argparse.ArgumentParser:
-    """A parser whose help is `doc`, the first lines of a benchmark."""
+@dataclass(kw_only=True)
+class Options:
+    """What every benchmark is given. A benchmark's own options are the fields of a subclass: a
+    field's type says what is given, and the text below it what for. Fields that are not
+    keyword-only are given without their names."""
+
+    smoke: bool = False
+    """as little as can be: does it run? Its figures mean nothing"""
+
+
+Given = TypeVar("Given", bound=Options)
+
+
+def parse(kind: type[Given], doc: str | None, /, **smallest: Any) -> Given:
+    """What was given, as an instance of `kind`; with --smoke, the `smallest` values are the
+    defaults. The help begins with `doc`, the first lines of a benchmark."""
     parser = argparse.ArgumentParser(
-        description=doc, formatter_class=argparse.RawDescriptionHelpFormatter
+        description=doc,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        argument_default=argparse.SUPPRESS,
     )
-    parser.add_argument(
-        "--smoke",
-        action="store_true",
-        help="as little as can be: does it run? Its figures mean nothing",
-    )
-    return parser
+    types, helps = typing.get_type_hints(kind, include_extras=True), _helps(kind)
+    for one in fields(kind):
+        flag = "--" + one.name.replace("_", "-") if one.kw_only else one.name
+        more = _settings(types[one.name])
+        if one.default is None and not one.kw_only:
+            more |= {"nargs": "?", "default": None}
+        parser.add_argument(flag, help=helps.get(one.name), **more)
+    given = vars(parser.parse_args())
+    return kind(**(smallest if "smoke" in given else {}) | given)
 
 
-def parse(parser: argparse.ArgumentParser, **smallest: Any) -> argparse.Namespace:
-    """What was given; with --smoke, the `smallest` values are the defaults."""
-    if "--smoke" in sys.argv:
-        parser.set_defaults(**smallest)
-    return parser.parse_args()
+def _settings(hint: Any) -> dict[str, Any]:
+    """What argparse is told of an option whose type is `hint`: of a sequence, several words are
+    taken; of `Annotated[type, choices]` or a literal, one of the choices."""
+    if hint is bool:
+        return {"action": "store_true"}
+    several = typing.get_origin(hint) is Sequence
+    if several or type(None) in typing.get_args(hint):  # of a type and None, it is the first
+        hint = typing.get_args(hint)[0]
+    more = {"action": "extend", "nargs": "*"} if several else {}
+    choices = getattr(hint, "__metadata__", [None])[0]
+    if typing.get_origin(hint) is Literal:
+        choices = typing.get_args(hint)
+        return {"type": type(choices[0]), "choices": choices, **more}
+    return {"type": getattr(hint, "__origin__", hint), "choices": choices, **more}
+
+
+def _helps(kind: type) -> dict[str, str]:
+    """The texts that stand below the fields of a class, and of those that it comes from."""
+    sources = (inspect.getsource(one) for one in reversed(kind.__mro__[:-1]))
+    return dict(re.findall(r'(\w+):[^\n]*\n    """(.*?)"""', "".join(sources), re.DOTALL))
 
 
 def processor_s() -> float:
     """User and system time of this process and of its children that ended."""
-    used = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    return sum(one.ru_utime + one.ru_stime for one in used)
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.process_time() + children.ru_utime + children.ru_stime
 
 
 def timed(task: Callable[[], object]) -> Time:
@@ -64,9 +102,23 @@ def timed(task: Callable[[], object]) -> Time:
     return Time((time.perf_counter() - begin) * 1e3, (processor_s() - used) * 1e3)
 
 
-def median(times: Iterable[Time]) -> Time:
-    """The medians of both clocks."""
-    return Time(*map(statistics.median, zip(*times, strict=True)))
+def in_turn(
+    tasks: Mapping[str, Callable[[], object]],
+    rounds: int,
+    *,
+    burst: int = 1,
+    of: Callable[[Iterable[float]], float] = statistics.median,
+) -> dict[str, Time]:
+    """What each task takes: the medians `of` all rounds. Tasks take turns, so that all meet the
+    same machine. A round before the first one, in which kernels compile, does not count. Each is
+    done so many times in a row, of which the first does not count where there are more: threads of
+    the task before still wait for work."""
+    found: dict[str, list[Time]] = {name: [] for name in tasks}
+    for turn in range(rounds + 1):
+        for name, task in tasks.items():
+            times = [timed(task) for _ in range(burst)]
+            found[name] += (times[1:] or times) if turn else []
+    return {name: Time(*map(of, zip(*times, strict=True))) for name, times in found.items()}
 
 
 def run(*command: object) -> tuple[Cost, str]:

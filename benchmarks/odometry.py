@@ -12,6 +12,8 @@ over all ways of 100, 200 … 800 m. Its own choice is a hundredth of the sensor
 
 import itertools
 import tempfile
+from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -22,29 +24,41 @@ from scenegen.logs.read import read_log
 from scenegen.logs.write import matrix_of
 
 
+@dataclass
+class Options(measuring.Options):
+    """What flies where."""
+
+    kinds: Sequence[str] = ("pillar", "forest", "street", "warehouse")
+    _: KW_ONLY
+    length: float = 210
+    speed: float = 5
+    """metres a second"""
+    lidar: str = "ouster-os1-64"
+    seeds: int = 1
+    """worlds of each kind"""
+    moving: bool = False
+    voxels: Sequence[float] = (1.0,)
+    """edges, metres"""
+
+
 def main() -> None:
     """Print a line for each kind and seed."""
-    parser = measuring.options(__doc__)
-    parser.add_argument("kinds", nargs="*", default=["pillar", "forest", "street", "warehouse"])
-    parser.add_argument("--length", default="210")
-    parser.add_argument("--speed", default="5", help="metres a second")
-    parser.add_argument("--lidar", default="ouster-os1-64")
-    parser.add_argument("--seeds", type=int, default=1, help="worlds of each kind")
-    parser.add_argument("--moving", action="store_true")
-    parser.add_argument("--voxels", type=float, nargs="*", default=[1.0], help="edges, metres")
-    options = measuring.parse(parser, kinds=["pillar"], length="110", lidar="velodyne-vlp-16")
+    small = {"kinds": ["pillar"], "length": 110, "lidar": "velodyne-vlp-16"}
+    given = measuring.parse(Options, __doc__, **small)
     if not find_spec("kiss_icp"):
         print("not measured: kiss-icp is not installed")
         return
-    for kind, seed in itertools.product(options.kinds, range(options.seeds)):
+    for kind, seed in itertools.product(given.kinds, range(given.seeds)):
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder, "log.mcap")
-            words = f"scan {kind} --seed {seed} --flight --sequence --length {options.length}"
-            words += f" --speed {options.speed} --lidar {options.lidar} --noise datasheet"
-            more = ["--quiet", *["--moving"] * options.moving]
-            measuring.run("-m", "scenegen", *words.split(), *more, "-o", path)
-            for voxel_m in options.voxels:
-                said = _measured(path, options.moving, voxel_m)
+            words = (
+                f"scan {kind} --seed {seed} --flight --sequence --length {given.length} --speed "
+                f"{given.speed} --lidar {given.lidar} --noise datasheet --quiet"
+            )
+            moving = ["--moving"] * given.moving
+            measuring.run("-m", "scenegen", *words.split(), *moving, "-o", path)
+            for voxel_m in given.voxels:
+                said = _measured(path, given.moving, voxel_m)
                 print(f"{kind:10} {seed}  {voxel_m} m  {said}", flush=True)
 
 

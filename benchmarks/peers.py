@@ -10,34 +10,24 @@ learned for far longer.
 
 import os
 import tempfile
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import measuring
+import scoring
 import torch
 from inference import measure
 from real import maps_to_complete
-from scoring import (
-    CAREFUL,
-    ahead,
-    by_map,
-    maps_of,
-    measured,
-    networks,
-    options,
-    publish,
-    tables,
-    titled,
-)
+from scoring import CAREFUL, ahead, by_map, maps_of, measured, publish, tables, titled
 from torch import Tensor, nn
 
 from scenegen import Output
 from scenegen.model.completion.completer import open_network
-from scenegen.model.completion.unlearned import Extrude
-from scenegen.model.evaluation.methods import Completed, Method
+from scenegen.model.evaluation.methods import rows_of
 from scenegen.model.evaluation.run import DatasetResult
-from scenegen.model.evaluation.statistics import brief, line
+from scenegen.model.evaluation.statistics import line
 from scenegen.model.network import placed
 
 HERE = Path(__file__).parent
@@ -59,15 +49,26 @@ ROUNDS = 5
 REAL = "real places, less `extrude`"
 
 
+@dataclass
+class Options(scoring.Options):
+    """Those of `scoring`, and how networks are trained."""
+
+    real: Path | None = None
+    """folder of the maps"""
+    _: KW_ONLY
+    maps: int = 40
+    trials: int = 120
+    runs: Path | None = None
+    """folder of the runs"""
+    stream: str = str(HERE / "anywhere.toml")
+    """what they learn from"""
+    learned: int = 600
+    """maps that each learns from"""
+
+
 def main() -> None:
     """Train what is missing, measure, and write the tables."""
-    parser = options(__doc__, "peers.md", maps=40, trials=120)
-    parser.add_argument("real", type=Path, nargs="?", metavar="MAPS", help="folder of the maps")
-    parser.add_argument("--runs", type=Path, help="folder of the runs")
-    parser.add_argument("--stream", default=HERE / "anywhere.toml", help="what they learn from")
-    parser.add_argument("--learned", type=int, default=600, help="maps that each learns from")
-    smallest: dict[str, Any] = {"stream": "pillar", "learned": 2, "maps": 2, "trials": 2}
-    given = measuring.parse(parser, **smallest)
+    given = measuring.parse(Options, __doc__, stream="pillar", learned=2, maps=2, trials=2)
     with tempfile.TemporaryDirectory() as spare:
         folder, runs = Path(spare), given.runs or Path(spare, "runs")
         names = {OURS: str(runs / OURS)}
@@ -75,14 +76,13 @@ def main() -> None:
             names[one] = f"peers:{one}@{runs / one}"
         for name in names:
             train(runs / name, name, given)
-        places = maps_to_complete(given, folder)
-        methods: list[Method] = [Completed(Extrude()), *networks((*names.values(), "anywhere"))]
-        lines = scored(measured(places, methods, given.trials, CAREFUL))
-        lines += sizes(names, 1 if given.smoke else ROUNDS)
+        methods = rows_of(["extrude"], [*names.values(), "anywhere"])
+        results = measured(maps_to_complete(given, folder), methods, given.trials, CAREFUL)
+        lines = scored(results) + sizes(names, 1 if given.smoke else ROUNDS)
     publish(given, lines)
 
 
-def train(out: Path, name: str, given: Any) -> None:
+def train(out: Path, name: str, given: Options) -> None:
     """Train a network on so many maps, where its run has not seen them."""
     variant = name if name == OURS else f"peers:{name}"
     os.environ["PYTHONPATH"] = os.pathsep.join([str(HERE), os.environ.get("PYTHONPATH", "")])
@@ -97,8 +97,7 @@ def scored(results: dict[str, DatasetResult]) -> list[str]:
     lines = tables(TABLES, results, names, groups=by_map, form=".2f")
     real = [(one, maps_of(one, place)) for place, one in results.items() if place[0] != "`"]
     if real:  # success is the last table
-        pooled = ahead(real, Extrude.name, "gain").values()
-        lines.append(line(REAL, [brief(one, "+.3f") for one in pooled]))
+        lines.append(line(REAL, ahead(real, "extrude", "gain").values()))
     return lines
 
 
@@ -107,8 +106,7 @@ def sizes(names: dict[str, str], rounds: int) -> list[str]:
     torch.set_num_threads(1)
     opened = {name: placed(open_network(one)[0], "cpu") for name, one in names.items()}
     times = measure(opened, ("observed", "free"), rounds)
-    heads = ("parameters", "at the paper's size", "in the paper", "ms a map", "ratio")
-    lines = titled("## Size and time", heads)
+    rows = []
     for name, network in opened.items():
         paper = ["–", "–"]
         if name in PAPERS:
@@ -116,9 +114,14 @@ def sizes(names: dict[str, str], rounds: int) -> list[str]:
             as_there = SimpleNamespace(inputs=("observed",), height=height)
             paper = [counted(globals()[name](as_there, classes)), said]
         ms = times[name].wall
-        cells = [counted(network), *paper, f"{ms:.0f}", f"{ms / times[OURS].wall:.2f}"]
-        lines.append(line(f"`{name}`", cells))
-    return lines
+        rows.append(
+            (
+                f"`{name}`",
+                [counted(network), *paper, f"{ms:.0f}", f"{ms / times[OURS].wall:.2f}"],
+            )
+        )
+    heads = ("parameters", "at the paper's size", "in the paper", "ms a map", "ratio")
+    return titled("## Size and time", heads, rows)
 
 
 def counted(network: nn.Module) -> str:

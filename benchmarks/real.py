@@ -10,44 +10,34 @@ its own, one viewpoint each, and scores are over known voxels alone. Drawn kinds
 and logs that are flown in some of the worlds, as `scenegen ingest` reads them.
 """
 
-import argparse
-import hashlib
 import sys
 import tempfile
+from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import measuring
 import numpy as np
+import scoring
 from numpy.typing import NDArray
 from scipy.stats import mannwhitneyu
-from scoring import (
-    CAREFUL,
-    ahead,
-    drawn,
-    maps_of,
-    measured,
-    networks,
-    options,
-    publish,
-    split_of,
-    titled,
-)
+from scoring import CAREFUL, ahead, drawn, maps_in, maps_of, measured, publish, titled, told
 
-from lidarsim import GridSpec
-from scenegen.dataset.read import Dataset
+from lidarsim.grid import GridSpec, Mask
+from scenegen import Dataset, Prediction, preset
+from scenegen.files import sha256_of
 from scenegen.model.calibration import denial
-from scenegen.model.completion.unlearned import Conservative, Extrude, Returns
 from scenegen.model.config import PlanConfig
-from scenegen.model.evaluation.methods import Completed, Method, Truth
+from scenegen.model.evaluation.methods import Method, Truth, rows_of
 from scenegen.model.evaluation.run import DatasetResult
-from scenegen.model.evaluation.statistics import brief, figure, line
+from scenegen.model.evaluation.statistics import brief
 from scenegen.model.evaluation.uncertainty import REGIONS, count, reliability
 from scenegen.model.evaluation.visibility import scored_voxels
 from scenegen.model.inputs import PointScan
-from scenegen.recipe import preset
 
+UNLEARNED = ("extrude", "returns", "conservative")
 NETWORKS = ("columns", "proposed", "occ", "tudf", "anywhere")
 KINDS = ("pillar", "geometric")
 POSES = 48
@@ -90,22 +80,33 @@ MORE = {
 nor in the choice of thresholds."""
 
 
+@dataclass
+class Options(scoring.Options):
+    """Those of `scoring`, and what else is completed."""
+
+    real: Path | None = None
+    """folder of the maps"""
+    _: KW_ONLY
+    network: Sequence[str] = NETWORKS
+    maps: int = POSES
+    trials: int = 400
+    length: int = 60
+    """of each log, metres"""
+    recordings: Path | None = None
+    """folder of logs as KITTI has them"""
+
+
 def main() -> None:
     """Score every place, and write the tables."""
-    parser = options(__doc__, "real.md", maps=POSES, trials=400)
-    parser.add_argument("real", type=Path, nargs="?", metavar="MAPS", help="folder of the maps")
-    parser.add_argument("--length", type=int, default=60, help="of each log, metres")
-    parser.add_argument("--recordings", type=Path, help="folder of logs as KITTI has them")
-    given = measuring.parse(parser, maps=2, trials=2, length=1, network=["columns"])
-    unlearned = [Completed(one) for one in (Extrude(), Returns(), Conservative())]
-    methods: list[Method] = [*unlearned, *networks(given.network or NETWORKS)]
+    given = measuring.parse(Options, __doc__, maps=2, trials=2, length=1, network=["columns"])
+    methods = rows_of(UNLEARNED, given.network)
     with tempfile.TemporaryDirectory() as folder:
         places = maps_to_complete(given, Path(folder))
         logs = logs_to_complete(given, Path(folder))
         publish(given, scored(places, logs, methods, given.trials))
 
 
-def maps_to_complete(given: argparse.Namespace, folder: Path) -> dict[str, Dataset]:
+def maps_to_complete(given: Any, folder: Path) -> dict[str, Dataset]:
     """Maps of drawn kinds, their names in backticks, and of real places, one a flight."""
     made = {}
     for kind in KINDS[: 1 if given.smoke else None]:
@@ -122,7 +123,7 @@ def real_places(maps: Path | None, folder: Path, poses: int) -> dict[str, Datase
         file = next(maps.rglob(name), None)
         if file is None:
             print(f"{name}: is not there; it comes from {source}", file=sys.stderr)
-        elif hashlib.sha256(file.read_bytes()).hexdigest() != sha256:
+        elif sha256_of(file.read_bytes()) != sha256:
             sys.exit(f"{file}: is another map than was measured; it comes from {source}")
         else:
             about: Any = {"scenes": file, "split": "train", "viewpoints": 1}
@@ -136,12 +137,11 @@ class Scan(PointScan):
     lidar = None
 
 
-Mask = NDArray[np.bool_]
 Seen = tuple[Any, Mask, Mask]
 """A sample, or a scan; what is occupied around it, and what is known, (*grid.shape) each."""
 
 
-def logs_to_complete(given: argparse.Namespace, folder: Path) -> dict[str, list[Seen]]:
+def logs_to_complete(given: Options, folder: Path) -> dict[str, list[Seen]]:
     """Scans of logs that a sensor records in `LOGS`, and of those that are given."""
     logs = {}
     for name in LOGS:
@@ -174,21 +174,19 @@ def scored(
     """The lines of all tables."""
     counts: Table = {}
     for name, dataset in places.items():
-        samples = dataset.split(split_of(dataset))
+        samples = maps_in(dataset)
         seen = [
             (one, one.occupancy, scored_voxels(one, dataset.grid, samples.home(n).tables))
             for n, one in enumerate(samples)
         ]
         counts[name] = counted(seen, samples, methods)
-    for name, scans in logs.items():
-        around = SimpleNamespace(dataset=SimpleNamespace(grid=GRID))
-        counts[name] = counted(scans, around, methods)
+    around = SimpleNamespace(dataset=SimpleNamespace(grid=GRID))
+    counts |= {name: counted(scans, around, methods) for name, scans in logs.items()}
     names = [one.name for one in methods]
-    away = [name for name in places if is_mean(name)] or list(places)
-    lines = [*ious(counts, names, away), *titled("## Calibration", names)]
-    for name, found in counts.items():
-        lines.append(line(name, [values.ece for values in found.values()]))
     home = [name for name in places if name.startswith("`")]
+    away = [name for name in places if is_mean(name)] or home
+    errors = ((name, [one.ece for one in found.values()]) for name, found in counts.items())
+    lines = ious(counts, away) + titled("## Calibration", names, errors)
     lines += told_apart(counts, names, away, home)
     for title, plan in PLANNERS.items():
         results = measured(places, [*methods, Truth()], trials, plan)
@@ -214,7 +212,7 @@ class Counts(NamedTuple):
         return " → ".join(cells[::2])
 
 
-Table = dict[str, dict[str, Counts]]
+Table = dict[str, dict[str, Any]]
 """What was counted, by place or log, and by method."""
 
 
@@ -225,10 +223,7 @@ def counted(seen: list[Seen], samples: Any, methods: list[Method]) -> dict[str, 
         rows = []
         for sample, there, known in seen:
             guess = method.completion(sample, samples)
-            probability, calibrated = guess.occupancy_probability, guess.probability
-            if probability is None:  # of distances alone, a level for thresholds
-                grid = samples.dataset.grid
-                probability = 1 - guess.distance(None, grid) / grid.truncation_m
+            probability, calibrated = level_of(guess, samples.dataset.grid), guess.probability
             readings = [probability] if calibrated is None else [*[probability] * 2, calibrated]
             inside = np.zeros((len(REGIONS), *known.shape), np.bool_)
             inside[0] = known
@@ -241,8 +236,16 @@ def counted(seen: list[Seen], samples: Any, methods: list[Method]) -> dict[str, 
                     denial(probability, sample.observed, weight),
                 )
             )
-        found[method.name] = Counts(*(np.array(column) for column in zip(*rows, strict=True)))
+        found[method.name] = Counts(*map(np.array, zip(*rows, strict=True)))
     return found
+
+
+def level_of(guess: Prediction, grid: GridSpec) -> Any:
+    """What thresholds are compared with, (*grid.shape): the probability; of distances alone one
+    less their share of the truncation."""
+    if guess.occupancy_probability is not None:
+        return guess.occupancy_probability
+    return 1 - guess.distance(None, grid) / grid.truncation_m
 
 
 def iou_of(said: Mask, there: Mask) -> float:
@@ -250,36 +253,42 @@ def iou_of(said: Mask, there: Mask) -> float:
     return float((said & there).sum() / max((said | there).sum(), 1))
 
 
-def ious(counts: Table, names: list[str], away: list[str]) -> list[str]:
+def best_in(counts: Table, places: list[str]) -> dict[str, tuple[int, float]]:
+    """The threshold that is best for each method in the mean of places, by its number, and the IoU
+    that it reaches there."""
+    best = {}
+    for name in counts[places[0]]:
+        mean = np.mean([counts[place][name].iou.mean(axis=0) for place in places], axis=0)
+        best[name] = int(mean.argmax()), float(mean.max())
+    return best
+
+
+def ious(counts: Table, away: list[str]) -> list[str]:
     """A row for each place and log, each method at the threshold that is best for it in the mean of
     the places `away`; and this mean."""
-    means = {
-        name: np.mean([counts[one][name].iou.mean(axis=0) for one in away], 0) for name in names
-    }
-    best = {name: int(mean.argmax()) for name, mean in means.items()}
-    heads = ("maps", *(f"{name} at {THRESHOLDS[n]:g}" for name, n in best.items()))
-    lines = titled("## IoU", heads)
+    best = best_in(counts, away)
+    heads = ("maps", *(f"{name} at {THRESHOLDS[n]:g}" for name, (n, _) in best.items()))
+    rows = []
     for place, found in counts.items():
-        reached = [found[name].iou[:, n] for name, n in best.items()]
-        cells = [brief(figure(one, range(len(one))), ".2f") for one in reached]
-        lines.append(line(place, [str(len(reached[0])), *cells]))
-    cells = [f"{means[name][n]:.3f}" for name, n in best.items()]
-    return [*lines, line("mean of the places", ["", *cells])]
+        reached = [found[name].iou[:, n] for name, (n, _) in best.items()]
+        maps = len(reached[0])
+        rows.append((place, [str(maps), *(told(one, range(maps), ".2f") for one in reached)]))
+    rows.append(("mean of the places", ["", *(f"{iou:.3f}" for _, iou in best.values())]))
+    return titled("## IoU", heads, rows)
 
 
 def told_apart(counts: Table, names: list[str], away: list[str], home: list[str]) -> list[str]:
     """How often a map of a place is denied more than one of the drawn kinds `home`: the area under
     the ROC curve."""
-    lines = titled("## Told from the drawn kinds", names)
-    for place in away:
-        cells = []
-        for name in names:
-            here = counts[place][name].denied
-            there = np.concatenate([counts[one][name].denied for one in home])
-            won = mannwhitneyu(here, there).statistic  # of all pairs, half of those that are equal
-            cells.append(f"{won / (len(here) * len(there)):.2f}")
-        lines.append(line(place, cells))
-    return lines
+
+    def share(place: str, name: str) -> str:
+        here = counts[place][name].denied
+        there = np.concatenate([counts[one][name].denied for one in home])
+        won = mannwhitneyu(here, there).statistic  # of all pairs, half of those that are equal
+        return f"{won / (len(here) * len(there)):.2f}"
+
+    rows = ((place, [share(place, name) for name in names]) for place in away)
+    return titled("## Told from the drawn kinds", names, rows)
 
 
 def is_mean(name: str) -> bool:
@@ -292,19 +301,18 @@ def planned(title: str, results: dict[str, DatasetResult]) -> list[str]:
     than with the first method, trial by trial. Each map is of a flight of its own, and each place
     has one world: intervals are over maps."""
     first, *_ = names = list(next(iter(results.values())).methods)
-    lines, pairs = titled(title, ("trials", *names)), []
+    rows, pairs = [], []
     for place, result in results.items():
         maps = maps_of(result, place)
         success = (one.values("success") for one in result.methods.values())
-        cells = [brief(figure(one, maps, "outcome"), ".2f") for one in success]
-        lines.append(line(place, [str(len(maps)), *cells]))
+        cells = [told(one, maps, ".2f", "outcome") for one in success]
+        rows.append((place, [str(len(maps)), *cells]))
         if is_mean(place):
             pairs.append((result, maps))
     if pairs:
-        cells = [brief(one, "+.3f") for one in ahead(pairs, first).values()]
         trials = sum(len(maps) for _, maps in pairs)
-        lines.append(line(f"real places, less {first}", [str(trials), *cells]))
-    return lines
+        rows.append((f"real places, less {first}", [str(trials), *ahead(pairs, first).values()]))
+    return titled(title, ("trials", *names), rows)
 
 
 if __name__ == "__main__":

@@ -11,18 +11,19 @@ poses do not know what is up: the direction near the cameras' in which most poin
 `laser` is three scans of a tilting SICK scanner with the robot's own odometry, from `3DTK/3DTK`.
 """
 
-import io
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import measuring
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from lidarsim import Pose
+from lidarsim.grid import Floats
 from scenegen.logs import LogScan
 from scenegen.logs.write import write_log
 from scenegen.poses import pose_of_matrix
@@ -42,14 +43,22 @@ TO_LEFT = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """From 3DTK's axes (right, up, forward) to forward, left, up."""
 
 
+@dataclass
+class Options(measuring.Options):
+    """What is made of what."""
+
+    recording: Annotated[str, ("room", "laser")]
+    source: Path
+    """the folder with its files"""
+    out: Path
+    """where the log is written"""
+
+
 def main() -> None:
     """Write the log."""
-    parser = measuring.options(__doc__)
-    parser.add_argument("recording", choices=list(RECORDINGS))
-    parser.add_argument("source", type=Path, help="the folder with its files")
-    parser.add_argument("out", type=Path, help="where the log is written")
-    given = measuring.parse(parser)
-    print(write_log(given.out, RECORDINGS[given.recording](given.source)))
+    given = measuring.parse(Options, __doc__)
+    scans = room if given.recording == "room" else laser
+    print(write_log(given.out, scans(given.source)))
 
 
 def room(source: Path) -> Iterator[LogScan]:
@@ -60,8 +69,8 @@ def room(source: Path) -> Iterator[LogScan]:
     rays = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1)
     frames = sorted(source.glob("*.depth.png"))
 
-    def seen(frame: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        pixels = np.asarray(Image.open(io.BytesIO(frame.read_bytes())), np.float64)
+    def seen(frame: Path) -> tuple[Floats, Floats]:
+        pixels = np.asarray(Image.open(frame), np.float64)
         depth = pixels[::STRIDE, ::STRIDE] / 1000
         pose = np.loadtxt(frame.with_name(frame.name.replace("depth.png", "pose.txt")))
         return pose, (rays * depth[..., None])[(depth > 0) & (depth < FAR_M)]
@@ -72,23 +81,26 @@ def room(source: Path) -> Iterator[LogScan]:
         yield LogScan(number * FRAME_S, _placed(turn @ pose, frame), points)
 
 
-def _levelled(seen: list[tuple[NDArray[np.float64], NDArray[np.float64]]]) -> NDArray[np.float64]:
+def _levelled(seen: list[tuple[Floats, Floats]]) -> Floats:
     """The turn (4, 4) after which z points up: of all directions near the cameras' own the one in
     which most pairs of points lie on a level."""
     up = np.mean([-pose[:3, 1] for pose, _ in seen], axis=0)
     points = np.concatenate([points @ pose[:3, :3].T + pose[:3, 3] for pose, points in seen])
     aside = np.cross(up, [1.0, 0.0, 0.0])
-    most, best = 0.0, up
-    for one, other in itertools.product(np.tan(np.radians(TILTS_DEG)), repeat=2):
-        tried = up + one * aside + other * np.cross(up, aside)
-        heights = points[::20] @ (tried / np.linalg.norm(tried))
+    leant = (
+        up + one * aside + other * np.cross(up, aside)
+        for one, other in itertools.product(np.tan(np.radians(TILTS_DEG)), repeat=2)
+    )
+
+    def pairs(tried: Floats) -> int:
+        heights = points[::20] @ tried
         bins = np.arange(heights.min(), heights.max() + LEVEL_M, LEVEL_M)
-        pairs = float((np.histogram(heights, bins)[0] ** 2).sum())
-        if pairs > most:
-            most, best = pairs, tried / np.linalg.norm(tried)
+        return int((np.histogram(heights, bins)[0] ** 2).sum())
+
+    best = max((tried / np.linalg.norm(tried) for tried in leant), key=pairs)
+    ahead = np.cross(best, aside) / np.linalg.norm(np.cross(best, aside))
     turn = np.eye(4)
-    turn[0, :3] = np.cross(best, aside) / np.linalg.norm(np.cross(best, aside))
-    turn[1, :3], turn[2, :3] = np.cross(best, turn[0, :3]), best
+    turn[:3, :3] = ahead, np.cross(best, ahead), best
     return turn
 
 
@@ -105,11 +117,8 @@ def laser(source: Path) -> Iterator[LogScan]:
         yield LogScan(float(number), _placed(pose, file), points[near] @ TO_LEFT.T)
 
 
-def _placed(matrix: NDArray[np.float64], file: Path) -> Pose:
+def _placed(matrix: Floats, file: Path) -> Pose:
     return pose_of_matrix(matrix[:3].reshape(-1), str(file))
-
-
-RECORDINGS: dict[str, Callable[[Path], Iterator[LogScan]]] = {"room": room, "laser": laser}
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ answers. One node more has another version of scenegen, and must be refused. Map
 digest in the end is held against that of a folder which one process filled undisturbed.
 """
 
-import argparse
 import json
 import os
 import random
@@ -19,6 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import measuring
@@ -33,49 +33,57 @@ OTHER += "from scenegen.__main__ import main; main()"
 """What a node runs whose scenegen is another one."""
 
 
+@dataclass(kw_only=True)
+class Options(measuring.Options):
+    """How large the run is."""
+
+    samples: int = 100_000
+    shard_samples: int = 200
+    nodes: int = 50
+    at_once: int = 4
+    """nodes; the others wait"""
+    kill_s: float = 10.0
+    """between two kills"""
+
+
 def main() -> None:
     """Make the dataset undisturbed, then among disturbances, and print what both took."""
-    parser = measuring.options(__doc__)
-    parser.add_argument("--samples", type=int, default=100_000)
-    parser.add_argument("--shard-samples", type=int, default=200)
-    parser.add_argument("--nodes", type=int, default=50)
-    parser.add_argument("--at-once", type=int, default=4, help="nodes; the others wait")
-    parser.add_argument("--kill-s", type=float, default=10.0, help="between two kills")
-    asked = measuring.parse(parser, samples=60, shard_samples=5, nodes=4, kill_s=9.0)
+    small = {"samples": 60, "shard_samples": 5, "nodes": 4, "kill_s": 9.0}
+    given = measuring.parse(Options, __doc__, **small)
     with tempfile.TemporaryDirectory() as name, Served(Path(name, "s"), fail_every=50) as server:
         here = Path(name)
         os.environ |= server.environment | {"SCENEGEN_CACHE": str(cache_root())}
         (here / "tiny.toml").write_text(RECIPE)
-        words = f"generate --n {asked.samples} --val 0 --test 0 --compact --json --out".split()
-        more = f"--recipe {here}/tiny.toml --shard-samples {asked.shard_samples} --workers 1"
-        undisturbed, said = measuring.run("-m", "scenegen", *words, here / "d", *more.split())
-        command = [*words, PLACE, *more.split()]
-        cost, killed = disturbed([*command, "--on", "rank"], asked, here)
-        found = json.loads(measuring.run("-m", "scenegen", *command)[1])
+        words = (
+            f"-m scenegen generate --n {given.samples} --val 0 --test 0 --compact --json --recipe "
+            f"{here}/tiny.toml --shard-samples {given.shard_samples} --workers 1 --out"
+        )
+        generate = words.split()
+        undisturbed, said = measuring.run(*generate, here / "d")
+        cost, killed = disturbed([*generate, PLACE, "--on", "rank"], given, here)
+        found = json.loads(measuring.run(*generate, PLACE)[1])
         measuring.run("-m", "scenegen", "verify", PLACE, "--quick", "--quiet")
         assert found["digest"] == json.loads(said)["digest"], "the same bits"
-    each = server.fail_every
-    print(f"{asked.samples} samples in {found['shards']} shards, digest {found['digest'][:12]}")
+    print(f"{given.samples} samples in {found['shards']} shards, digest {found['digest'][:12]}")
     print("| | processor s | clock s |\n|---|---|---|")
     print(f"| one process, a folder | {undisturbed.processor_s:.0f} | {undisturbed.wall_s:.0f} |")
-    print(f"| {asked.nodes} nodes, a bucket | {cost.processor:.0f} | {cost.wall:.0f} |")
+    print(f"| {given.nodes} nodes, a bucket | {cost.processor:.0f} | {cost.wall:.0f} |")
     print(f"{killed} nodes killed; one of another version refused")
-    print(f"{len(server.log)} requests, {len(server.log) // each} of them refused or cut off")
+    failed = len(server.log) // server.fail_every
+    print(f"{len(server.log)} requests, {failed} of them refused or cut off")
 
 
-def disturbed(
-    command: list[str], asked: argparse.Namespace, here: Path
-) -> tuple[measuring.Time, int]:
+def disturbed(command: list[str], given: Options, here: Path) -> tuple[measuring.Time, int]:
     """What it takes, seconds, until every node has ended well, and how often one was killed."""
-    rng, size, killed = random.Random(0), asked.nodes // 2, 0
+    rng, size, killed = random.Random(0), given.nodes // 2, 0
     begin, used = time.perf_counter(), measuring.processor_s()
 
-    def node(number: int, *program: str) -> "subprocess.Popen[str]":
+    def node(number: int, words: list[str]) -> "subprocess.Popen[str]":
         home = here / f"node{number}"
         home.mkdir(exist_ok=True)
         own = {"HOME": str(home), "SCENEGEN_RANK": str(number % size)}
         return subprocess.Popen(
-            [sys.executable, *program, *command],
+            [sys.executable, *words],
             env={**os.environ, **own, "SCENEGEN_WORLD_SIZE": str(size)},
             cwd=home,
             stdout=subprocess.DEVNULL,
@@ -83,15 +91,15 @@ def disturbed(
             text=True,
         )
 
-    waiting, last = list(range(asked.nodes)), begin
+    waiting, last = list(range(given.nodes)), begin
     rng.shuffle(waiting)
     running: dict[int, subprocess.Popen[str]] = {}
     while waiting or running:
-        for number in waiting[: asked.at_once - len(running)]:
-            running[number] = node(number, "-m", "scenegen")
-            waiting.remove(number)
+        while waiting and len(running) < given.at_once:
+            number = waiting.pop(0)
+            running[number] = node(number, command)
         time.sleep(0.1)
-        if time.perf_counter() - last > asked.kill_s:
+        if time.perf_counter() - last > given.kill_s:
             last = time.perf_counter()
             running[rng.choice(list(running))].kill()
         for number, process in list(running.items()):
@@ -103,7 +111,7 @@ def disturbed(
                     waiting.append(number)
                 elif process.returncode:
                     sys.exit(f"node {number}: {wrong}")
-    other = node(asked.nodes, "-c", OTHER)
+    other = node(given.nodes, ["-c", OTHER, *command[2:]])
     assert "software.scenegen is" in other.communicate()[1], "another version was not refused"
     spent = measuring.processor_s() - used
     return measuring.Time(time.perf_counter() - begin, spent), killed

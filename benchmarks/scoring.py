@@ -1,24 +1,22 @@
 """What benchmarks of networks share: options, datasets of places, the bench in each, and tables."""
 
-import argparse
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import measuring
 import numpy as np
 
+from scenegen import Dataset, Recipe
 from scenegen.dataset.build import build, plan_dataset
-from scenegen.dataset.read import Dataset
-from scenegen.files import Json
-from scenegen.model.completion.completer import Completer
+from scenegen.dataset.read import Split
 from scenegen.model.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Method
 from scenegen.model.evaluation.metrics import PLAN_METRICS
 from scenegen.model.evaluation.run import DatasetResult, bench
-from scenegen.model.evaluation.statistics import brief, figure, head, line
-from scenegen.recipe import Recipe
+from scenegen.model.evaluation.statistics import Scale, brief, figure, table
 from scenegen.source import DrawnWorlds, Source, read_scenes
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
@@ -27,20 +25,19 @@ MARK = "<!-- tables -->"
 CAREFUL = PlanConfig(planner="careful")
 
 
-def options(doc: str | None, page: str, *, maps: int, trials: int) -> argparse.ArgumentParser:
-    """A parser for a benchmark that measures networks on `maps` of each place, and planning on
-    them, and writes the `page` of docs/results."""
-    parser = measuring.options(doc)
-    parser.add_argument("--network", action="append", help="a bundled one's name, a file or a run")
-    parser.add_argument("--maps", type=int, default=maps, help="test maps of each place, at most")
-    parser.add_argument("--trials", type=int, default=trials, help="planning trials of each place")
-    parser.add_argument("--page", type=Path, default=RESULTS / page)
-    return parser
+@dataclass(kw_only=True)
+class Options(measuring.Options):
+    """Of a benchmark that measures networks on maps of each place, and planning on them, and writes
+    a page."""
 
-
-def networks(names: Iterable[str]) -> list[Completer]:
-    """Networks by name, of one thread each."""
-    return [Completer.from_pretrained(name, threads=1) for name in names]
+    network: Sequence[str] = ("anywhere", "columns", "proposed")
+    """a bundled one's name, a file or a run"""
+    maps: int = 60
+    """test maps of each place, at most"""
+    trials: int = 240
+    """planning trials of each place"""
+    page: Path = RESULTS / f"{Path(sys.argv[0]).stem}.md"
+    """where the tables are written"""
 
 
 def drawn(
@@ -66,9 +63,9 @@ def drawn(
     return Dataset(folder)
 
 
-def split_of(dataset: Dataset) -> Any:
-    """The split that holds a dataset's maps: of a map of a real place, all is train."""
-    return "test" if len(dataset.split("test")) else "train"
+def maps_in(dataset: Dataset) -> Split:
+    """A dataset's maps: of a map of a real place, all are in the train split."""
+    return dataset.split("test" if len(dataset.split("test")) else "train")
 
 
 def measured(
@@ -77,12 +74,13 @@ def measured(
     """What the bench finds in every place."""
     found = {}
     for name, dataset in places.items():
-        config = BenchConfig(split=split_of(dataset), trials=trials, plan=plan)
+        split: Any = maps_in(dataset).name
+        config = BenchConfig(split=split, trials=trials, plan=plan)
         found[name] = bench(dataset, methods, config)
     return found
 
 
-def publish(given: argparse.Namespace, lines: Sequence[str]) -> None:
+def publish(given: Any, lines: Sequence[str]) -> None:
     """Print the tables, and write them to the page; not where they mean nothing."""
     print("\n".join(lines))
     if not given.smoke:
@@ -95,9 +93,18 @@ def rewrite(page: Path, lines: Sequence[str]) -> None:
     page.write_text(f"{said}{MARK}\n" + "\n".join(lines) + "\n")
 
 
-def titled(title: str, names: Iterable[str]) -> list[str]:
-    """A title, and the head of a table with a column for each name."""
-    return ["", title, "", *head([*names])]
+def titled(
+    title: str,
+    heads: Iterable[str],
+    rows: Iterable[tuple[str, Iterable[str]]],
+) -> list[str]:
+    """A table below its title: a column for each of `heads`, and rows by name."""
+    return ["", title, "", table([*heads], rows)]
+
+
+def told(values: Any, groups: Any, form: str, scale: Scale = "amount") -> str:
+    """The mean of values (N,) in this form, and its interval over their groups (N,)."""
+    return brief(figure(values, groups, scale), form)
 
 
 Groups = Callable[[DatasetResult, str], Any]
@@ -120,19 +127,22 @@ def tables(
 ) -> list[str]:
     """A table for each metric of `titles`: a line for each of `results`, with what the methods
     `names` reached in a region of the maps; a dash for a method that was not measured."""
+
+    def cell(name: str, metric: str, result: DatasetResult) -> str:
+        if name not in result.methods:
+            return "–"
+        scale: Scale = "outcome" if metric in PLAN_METRICS else "amount"
+        return told(
+            result.methods[name].values(metric, region), groups(result, metric), form, scale
+        )
+
     lines = []
     for metric, title in titles.items():
-        scale: Any = "outcome" if metric in PLAN_METRICS else "amount"
-        lines += titled(title, names)
-        for place, result in results.items():
-            found = (result.methods.get(name) for name in names)
-            cells = [
-                "–"
-                if one is None
-                else brief(figure(one.values(metric, region), groups(result, metric), scale), form)
-                for one in found
-            ]
-            lines.append(line(place, cells))
+        rows = (
+            (place, [cell(name, metric, result) for name in names])
+            for place, result in results.items()
+        )
+        lines += titled(title, names, rows)
     return lines
 
 
@@ -142,17 +152,17 @@ def maps_of(result: DatasetResult, place: str = "") -> list[str]:
 
 
 def ahead(
-    pairs: Iterable[tuple[DatasetResult, Sequence[str]]], base: str, scale: Any = "amount"
-) -> dict[str, Json]:
-    """By how much planning succeeds oftener than with the method `base`, trial by trial of several
-    results together; each comes with the group of every trial, over which intervals are."""
+    pairs: Iterable[tuple[DatasetResult, Sequence[str]]], base: str, scale: Scale = "amount"
+) -> dict[str, str]:
+    """By how much planning with each method succeeds oftener than with the method `base`, trial by
+    trial of several results together; each comes with the group of every trial, over which
+    intervals are."""
     results, groups = zip(*pairs, strict=True)
-
-    def figure_of(name: str) -> Json:
-        gains = [
-            one.methods[name].values("success") - one.methods[base].values("success")
-            for one in results
-        ]
-        return figure(np.concatenate(gains), np.concatenate(groups), scale)
-
-    return {name: figure_of(name) for name in results[0].methods}
+    success = {
+        name: np.concatenate([one.methods[name].values("success") for one in results])
+        for name in results[0].methods
+    }
+    return {
+        name: told(values - success[base], np.concatenate(groups), "+.3f", scale)
+        for name, values in success.items()
+    }

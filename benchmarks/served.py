@@ -2,14 +2,10 @@
 for, and fails as often as it is told to."""
 
 import hashlib
-import time
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Lock, Thread
 from urllib.parse import parse_qs, unquote, urlsplit
-
-PAGE = 1000
-"""Objects of one listing."""
 
 
 class Served(ThreadingHTTPServer):
@@ -18,9 +14,9 @@ class Served(ThreadingHTTPServer):
     request_queue_size = 100
     daemon_threads = True
 
-    def __init__(self, home: Path, wait_s: float = 0.0, fail_every: int = 0):
+    def __init__(self, home: Path, fail_every: int = 0):
         super().__init__(("127.0.0.1", 0), Answer)
-        self.home, self.wait_s, self.fail_every = home, wait_s, fail_every
+        self.home, self.fail_every = home, fail_every
         self.log: list[tuple[str, int]] = []
         """What was asked for, "GET train-00000.h5" or "LIST", and the bytes of each answer."""
         self.alone = Lock()
@@ -58,7 +54,6 @@ class Answer(BaseHTTPRequestHandler):
         with server.alone:
             server.log.append((what, 0))
             number = len(server.log)
-        time.sleep(server.wait_s)
         fails = bool(server.fail_every) and number % server.fail_every == 0
         wanted, part = self.headers.get("If-Match"), self.headers.get("Range")
         refuses = fails and number // server.fail_every % 2
@@ -70,18 +65,18 @@ class Answer(BaseHTTPRequestHandler):
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_bytes(body)
         if refuses:
-            self._send(503, b"")
+            self._send(503)
         elif query:
             self._send(200, listing(path, query))
         elif other:
-            self._send(412, b"")
+            self._send(412)
         elif self.command == "PUT":
-            self._send(200, b"", ETag=tag_of(body))
+            self._send(200, ETag=tag_of(body))
         elif self.command == "DELETE":
             path.unlink(missing_ok=True)
-            self._send(204, b"")
+            self._send(204)
         elif content is None:
-            self._send(404, b"")
+            self._send(404)
         else:
             asked, first = part_of(content, part)
             about = f"bytes {first}-{first + len(asked) - 1}/{len(content)}"
@@ -91,7 +86,7 @@ class Answer(BaseHTTPRequestHandler):
 
     do_GET = do_PUT = do_HEAD = do_DELETE = _answer  # noqa: N815
 
-    def _send(self, status: int, content: bytes, cut: bool = False, **headers: str) -> None:
+    def _send(self, status: int, content: bytes = b"", cut: bool = False, **headers: str) -> None:
         self.send_response(status)
         for name, value in {"Content-Length": str(len(content)), **headers}.items():
             self.send_header(name, value)
@@ -117,19 +112,14 @@ def part_of(content: bytes, asked: str | None) -> tuple[bytes, int]:
 
 
 def listing(bucket: Path, asked: dict[str, list[str]]) -> bytes:
-    """The answer to a request for a list, as XML."""
+    """The answer to a request for a list, as XML: all objects at once."""
     prefix = asked.get("prefix", [""])[0]
-    after = asked.get("continuation-token", [""])[0]
-    there = sorted(path for path in (bucket / prefix).glob("*") if path.is_file())
-    rest = [path for path in there if path.name > after]
     rows = [
         f"<Contents><Key>{prefix}{path.name}</Key><Size>{path.stat().st_size}</Size>"
         f"<ETag>{tag_of(path.read_bytes())}</ETag></Contents>"
-        for path in rest[:PAGE]
+        for path in sorted((bucket / prefix).glob("*"))
+        if path.is_file()
     ]
-    rows.append(f"<IsTruncated>{str(len(rest) > PAGE).lower()}</IsTruncated>")
-    rows += [
-        f"<NextContinuationToken>{one.name}</NextContinuationToken>"
-        for one in rest[PAGE - 1 : PAGE]
-    ]
-    return f"<ListBucketResult>{''.join(rows)}</ListBucketResult>".encode()
+    return (
+        f"<ListBucketResult>{''.join(rows)}<IsTruncated>false</IsTruncated></ListBucketResult>"
+    ).encode()

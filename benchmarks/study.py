@@ -4,11 +4,13 @@ python benchmarks/study.py docs/results/study.json --out docs/pictures/study
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Any
 
 import measuring
+from matplotlib.figure import Figure
 
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
 
@@ -16,16 +18,26 @@ COLOURS = {"confirmed": "C0", "refuted": "C3", "contradicted": "C1", "undecided"
 CURVES = {"val_loss": "validation loss", "val_iou": "IoU", "val_near_rmse": "Near-RMSE, m"}
 
 
-def learning(study: Mapping[str, Any]) -> Any:
+@dataclass
+class Options(measuring.Options):
+    """The study."""
+
+    study: Path
+    _: KW_ONLY
+    out: Path = Path()
+
+
+def learning(study: Mapping[str, Any]) -> Figure:
     """Loss, IoU and Near-RMSE on validation by maps seen; runs with the whole budget."""
-    figure = _figure(12, 3.6)
+    figure = Figure(figsize=(12, 3.6), layout="constrained")
     shown = {name: run for name, run in study["runs"].items() if name[-3:-1] == "-s"}
     kinds = list(dict.fromkeys(name[:-3] for name in shown))
     for axes, (column, title) in zip(figure.subplots(1, len(CURVES)), CURVES.items(), strict=True):
         for name, run in shown.items():
-            points = [(row["maps"], row[column]) for row in run["curve"] if column in row]
+            rows = [row for row in run["curve"] if column in row]
             axes.plot(
-                *zip(*points, strict=True),
+                [row["maps"] for row in rows],
+                [row[column] for row in rows],
                 "-" if run["seed"] == 0 else ":",
                 marker=".",
                 color=f"C{kinds.index(name[:-3])}",
@@ -38,52 +50,41 @@ def learning(study: Mapping[str, Any]) -> Any:
     return figure
 
 
-def claims(study: Mapping[str, Any]) -> Any:
-    """Every claim's difference with its interval over worlds and seeds."""
-    tried = [claim for claim in study["claims"] if claim["pairs"]]
-    kinds = list(study["worlds"])
-    most = max((sum(claim["kind"] == kind for claim in tried) for kind in kinds), default=1)
-    figure = _figure(12, 1.2 + 0.3 * most)
-    for axes, kind in zip(figure.subplots(1, len(kinds), squeeze=False)[0], kinds, strict=True):
-        _forest(axes, [claim for claim in tried if claim["kind"] == kind])
+def claims(study: Mapping[str, Any]) -> Figure:
+    """Every claim's difference with its interval over worlds and seeds: a line a claim, from the
+    top, a point with its interval."""
+    kinds = {
+        kind: [claim for claim in study["claims"] if claim["pairs"] and claim["kind"] == kind]
+        for kind in study["worlds"]
+    }
+    most = max(map(len, kinds.values()), default=1)
+    figure = Figure(figsize=(12, 1.2 + 0.3 * most), layout="constrained")
+    panels = figure.subplots(1, len(kinds), squeeze=False)[0]
+    for axes, (kind, tried) in zip(panels, kinds.items(), strict=True):
+        for n, one in enumerate(tried):
+            if (mean := one["difference"]) is None:
+                continue
+            reach = [[0.0], [0.0]]
+            if one["low"] is not None:
+                reach = [[mean - one["low"]], [one["high"] - mean]]
+            colour = COLOURS[one["verdict"]]
+            axes.errorbar(mean, n, xerr=reach, fmt="o", color=colour, markersize=4)
+        names = [
+            f"{(METRICS | PLAN_METRICS)[one['metric']].label}: {one['best']} before {one['other']}"
+            for one in tried
+        ]
+        axes.axvline(0, color="grey", linewidth=0.8)
+        axes.set_yticks(range(len(names)), names, fontsize="small")
+        axes.invert_yaxis()
+        axes.grid(alpha=0.3)
         axes.set_title(f"{kind}: better by", fontsize="medium")
     figure.suptitle(", ".join(f"{name}: {colour}" for name, colour in COLOURS.items()))
     return figure
 
 
-def _forest(axes: Any, claims: Sequence[Mapping[str, Any]]) -> None:
-    """A line a claim, from the top: a point with its interval."""
-    for n, one in enumerate(claims):
-        if (mean := one["difference"]) is None:
-            continue
-        reach = [[0.0], [0.0]]
-        if one["low"] is not None:
-            reach = [[mean - one["low"]], [one["high"] - mean]]
-        colour = COLOURS[one["verdict"]]
-        axes.errorbar(mean, n, xerr=reach, fmt="o", color=colour, markersize=4)
-    names = [f"{_title(one['metric'])}: {one['best']} before {one['other']}" for one in claims]
-    axes.axvline(0, color="grey", linewidth=0.8)
-    axes.set_yticks(range(len(names)), names, fontsize="small")
-    axes.invert_yaxis()
-    axes.grid(alpha=0.3)
-
-
-def _title(metric: str) -> str:
-    return (METRICS | PLAN_METRICS)[metric].label
-
-
-def _figure(width: float, height: float) -> Any:
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained")
-
-
 def main() -> None:
     """Draw a study."""
-    parser = measuring.options(__doc__)
-    parser.add_argument("study", type=Path)
-    parser.add_argument("--out", type=Path, default=Path())
-    given = measuring.parse(parser)
+    given = measuring.parse(Options, __doc__)
     given.out.mkdir(parents=True, exist_ok=True)
     study = json.loads(given.study.read_text())
     for name, drawn in {"learning.png": learning(study), "claims.png": claims(study)}.items():

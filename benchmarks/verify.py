@@ -9,17 +9,25 @@ what to compare on a machine that does other work. Memory is that of the largest
 """
 
 import json
+from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 
 import measuring
 
 
+@dataclass
+class Options(measuring.Options):
+    """What is checked."""
+
+    datasets: Sequence[Path]
+    _: KW_ONLY
+    workers: int = 1
+
+
 def main() -> None:
     """Print a table for every dataset."""
-    parser = measuring.options(__doc__)
-    parser.add_argument("datasets", nargs="+", type=Path)
-    parser.add_argument("--workers", type=int, default=1)
-    given = measuring.parse(parser)
+    given = measuring.parse(Options, __doc__)
     for folder in given.datasets:
         for path in folder.iterdir():
             path.read_bytes()
