@@ -13,13 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import measuring
-from scoring import CAREFUL, Options, drawn, measured, publish, tables
+from real import Scan
+from scoring import CAREFUL, Options, Results, drawn, measured, publish, tables
 
 from scenegen import Prediction, Sample
 from scenegen.dataset.read import Split
 from scenegen.model.evaluation.methods import Truth, rows_of
-from scenegen.model.evaluation.run import DatasetResult
-from scenegen.model.inputs import PointScan, channels
 from scenegen.recipe import make_recipe
 
 TABLES = {"iou": "## IoU", "near_rmse": "## Near-RMSE, m", "success": "## Success"}
@@ -40,37 +39,32 @@ class PointsAlone:
     """A network that is shown the points of a sample, and nothing of rays without a return."""
 
     network: Any
+    name: str
     learned: bool = True
-
-    @property
-    def name(self) -> str:
-        """The network's."""
-        return str(self.network.name)
 
     def completion(self, sample: Sample, split: Split) -> Prediction:
         """See `Method.completion`."""
         grid = split.dataset.grid
-        scan = PointScan(points=sample.points(), position=sample.position, grid=grid)
-        said: Prediction = self.network(channels(self.network.inputs, scan, grid))
+        scan = Scan(points=sample.points(), position=sample.position, grid=grid)
+        said: Prediction = self.network.completion(scan, split)
         return said
 
 
 def main() -> None:
     """Measure every condition, and write the page's tables."""
-    given = measuring.parse(Options, __doc__, maps=2, trials=2, network=["columns"])
+    given = measuring.parse(Options, maps=2, trials=2, network=["columns"])
     methods = [*rows_of(["extrude"], given.network), Truth()]
-    results: dict[str, DatasetResult] = {}
+    alone = [PointsAlone(one, one.name) for one in methods[1:-1]]
+    results: Results = {}
     for kind in KINDS[: 1 if given.smoke else None]:
         for condition, changed in CONDITIONS.items():
             with tempfile.TemporaryDirectory() as folder:
                 recipe = make_recipe(kind, changed)
                 dataset = drawn(Path(folder, "data"), recipe, given.maps, seed=1, viewpoints=2)
-                place = {f"`{kind}`, {condition}": dataset}
-                results |= measured(place, methods, given.trials, CAREFUL)
-                if not changed:
-                    alone = [PointsAlone(one) for one in methods[1:-1]]
-                    place = {f"`{kind}`, points alone": dataset}
-                    results |= measured(place, alone, given.trials, CAREFUL)
+                shown = {condition: methods} | ({} if changed else {"points alone": alone})
+                for what, rows in shown.items():
+                    place = {f"`{kind}`, {what}": dataset}
+                    results |= measured(place, rows, given.trials, CAREFUL)
     publish(given, tables(TABLES, results, [one.name for one in methods]))
 
 

@@ -10,13 +10,11 @@ place.
 import io
 import tempfile
 from collections.abc import Sequence
-from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 import measuring
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 from real import (
     NETWORKS,
@@ -32,6 +30,7 @@ from real import (
 from scipy import ndimage
 from scoring import maps_in, titled
 
+from lidarsim.grid import Floats, Ints
 from scenegen import Dataset, Sample
 from scenegen.dataset.read import Split
 from scenegen.display.figures import draw_completions
@@ -64,23 +63,21 @@ COLOURS = 96
 class Counts(NamedTuple):
     """What some maps lose, by threshold and by group."""
 
-    iou: NDArray[np.float64]
+    iou: Floats
     """(maps, thresholds)."""
-    lost: NDArray[np.float64]
+    lost: Floats
     """(maps, thresholds, groups): points of IoU that a group's wrong voxels cost."""
-    there: NDArray[np.int64]
+    there: Ints
     """(groups,): the voxels of all maps."""
-    said: NDArray[np.int64]
+    said: Ints
     """(thresholds, groups): those of them that are said to be occupied."""
 
 
-@dataclass
 class Options(measuring.Options):
     """What is completed."""
 
     real: Path | None = None
     """folder of the maps"""
-    _: KW_ONLY
     network: Sequence[str] = NETWORKS
     """a bundled one's name, a file or a run"""
     maps: int = POSES
@@ -91,13 +88,13 @@ class Options(measuring.Options):
 
 def main() -> None:
     """Print the tables, and draw the pictures."""
-    given = measuring.parse(Options, __doc__, maps=2, network=["columns"], pictures=Path())
+    given = measuring.parse(Options, "real", maps=2, network=["columns"], pictures=Path())
     methods = rows_of(UNLEARNED, given.network)
     with tempfile.TemporaryDirectory() as folder:
         every = maps_to_complete(given, Path(folder))
         places = {name: one for name, one in every.items() if is_mean(name)} or every
         counts: Table = {name: counted(dataset, methods) for name, dataset in places.items()}
-        best = {name: number for name, (number, _) in best_in(counts, list(places)).items()}
+        best = best_in(counts, list(places))
         print("\n".join(tables(counts, best)))
         last = methods[-1].name
         if given.pictures is None:
@@ -128,12 +125,12 @@ def counted(dataset: Dataset, methods: list[Method]) -> dict[str, Counts]:
     return found
 
 
-def sums(groups: NDArray[np.uint8]) -> NDArray[np.int64]:
+def sums(groups: Ints) -> Ints:
     """How many voxels are of each group."""
     return np.bincount(groups.ravel(), minlength=len(GROUPS))[: len(GROUPS)]
 
 
-def groups_of(samples: Split, index: int) -> NDArray[np.uint8]:
+def groups_of(samples: Split, index: int) -> Ints:
     """What each voxel (*grid.shape) of a sample would be if it were wrong, an index into `GROUPS`;
     `UNSCORED` where no score counts it."""
     sample, grid = samples[index], samples.dataset.grid
@@ -151,7 +148,7 @@ def groups_of(samples: Split, index: int) -> NDArray[np.uint8]:
         np.select([beside, is_of["crossed"]], (first, first + 1), first + 2),
     )
     scored_here = scored_voxels(sample, grid, samples.home(index).tables)
-    return np.where(scored_here, groups, UNSCORED).astype(np.uint8)
+    return np.where(scored_here, groups, UNSCORED)
 
 
 def tables(counts: Table, best: dict[str, int]) -> list[str]:

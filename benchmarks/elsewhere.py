@@ -10,6 +10,7 @@ the time.
 """
 
 import tempfile
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +19,7 @@ from typing import Annotated, Any, ClassVar
 import measuring
 import numpy as np
 import scoring
-from scoring import CAREFUL, RESULTS, ahead, measured, titled, told
+from scoring import CAREFUL, RESULTS, Results, ahead, measured, titled, told
 
 from lidarsim.sensors import SENSORS
 from lidarsim.solids.shapes import BOX, CYLINDER
@@ -93,12 +94,9 @@ class Scaffold(WorldKind):
             spec.add_geoms(np.full(count, CYLINDER), post, foot)
 
 
-Results = dict[str, DatasetResult]
-"""By sensor; the first is that of training."""
 PLANNERS = {"careful": CAREFUL, "the paper's": PlanConfig()}
 
 
-@dataclass(kw_only=True)
 class Options(scoring.Options):
     """Those of `scoring`, and what is looked at."""
 
@@ -110,9 +108,9 @@ class Options(scoring.Options):
 
 def main() -> None:
     """Make the datasets, measure, and write."""
-    smallest: dict[str, Any] = {"maps": 5, "trials": 5, "network": ["columns"]}
-    smallest |= {"worlds": ["scaffold"], "sensors": 1}
-    given = measuring.parse(Options, __doc__, **smallest)
+    given = measuring.parse(
+        Options, maps=5, trials=5, network=["columns"], worlds=["scaffold"], sensors=1
+    )
     methods = rows_of(["returns", "extrude"], given.network)
     lines: list[str] = []
     found: dict[str, dict[str, Results]] = {}
@@ -144,25 +142,21 @@ def as_seen(worlds: str, folder: Path, maps: int, sensors: int | None) -> dict[s
 
 def pooled(found: Mapping[str, Mapping[str, Results]]) -> list[str]:
     """By how much planning succeeds oftener than with `extrude`, in several places together."""
-    pairs: dict[str, list[tuple[DatasetResult, list[str]]]] = {}
+    pairs = defaultdict(list)
     for worlds, planners in found.items():
         for planner, results in planners.items():
-            for number, one in enumerate(results.values()):
+            for sensor, one in results.items():
                 groups = [f"{worlds} {world}" for world in one.trial_worlds]
-                for place in places(worlds, number == 0):
-                    pairs.setdefault(f"{place}; {planner}", []).append((one, groups))
+                seen = "as in training" if sensor == "default" else "other sensors and noise"
+                places = [f"{worlds}, all sensors", "both, all sensors"]
+                if worlds in HOME:
+                    places = [f"`pillar` and `geometric`, {seen}"]
+                for place in places:
+                    pairs[f"{place}; {planner}"].append((one, groups))
     rows = {place: ahead(some, "extrude") for place, some in sorted(pairs.items())}
     names = next(iter(rows.values()))
     cells = ((place, row.values()) for place, row in rows.items())
     return titled("## Success of planning, less that of `extrude`", names, cells)
-
-
-def places(worlds: str, usual: bool) -> list[str]:
-    """The rows of the table of differences that a kind of worlds, seen by a sensor, belongs to."""
-    if worlds in HOME:
-        sensors = "as in training" if usual else "other sensors and noise"
-        return [f"`pillar` and `geometric`, {sensors}"]
-    return [f"{worlds}, all sensors", "both, all sensors"]
 
 
 def tables(worlds: str, seen: Mapping[str, Dataset], found: Mapping[str, Results]) -> list[str]:
@@ -192,13 +186,11 @@ def tables(worlds: str, seen: Mapping[str, Dataset], found: Mapping[str, Results
 
 def lost(results: Results, names: list[str], flight: list[str]) -> list[str]:
     """How much IoU over the whole map each sensor costs, map by map."""
-    usual, *others = (
-        {name: result.methods[name].values("iou") for name in names} for result in results.values()
+    (_, usual), *others = (
+        (sensor, np.array([result.methods[name].values("iou") for name in names]))
+        for sensor, result in results.items()
     )
-    rows = (
-        (sensor, [told(usual[name] - now[name], flight, ".2f") for name in names])
-        for sensor, now in zip([*results][1:], others, strict=True)
-    )
+    rows = ((sensor, [told(gone, flight, ".2f") for gone in usual - now]) for sensor, now in others)
     return titled("IoU over the whole map lost against the sensor of training:", names, rows)
 
 

@@ -35,7 +35,7 @@ def megabytes(it: Distribution) -> float:
 
 def main() -> None:
     """Print the table."""
-    measuring.parse(measuring.Options, __doc__)
+    measuring.parse(measuring.Options)
     core: dict[str, Distribution] = {}
     closure(PROJECT, "", core)
     sizes = {name: megabytes(it) for name, it in core.items()}

@@ -12,16 +12,16 @@ alone. Decisions are timed in this process alone.
 
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Literal
 
 import measuring
 import numpy as np
-from numpy.typing import NDArray
 from scoring import RESULTS, publish, titled, told
 
+from lidarsim.grid import Floats
 from scenegen.cli.show import Progress
 from scenegen.fly.course import Course
 from scenegen.fly.loop import Flown
@@ -33,7 +33,7 @@ from scenegen.truth.difficulty import Difficulty
 
 ROBOTS = (*NAMES, "proposed", "columns", "anywhere")
 BASELINES = ("optimistic", "extrude")
-Found = dict[str, dict[str, NDArray[np.float64]]]
+Found = dict[str, dict[str, Floats]]
 """By robot and figure, of every flight, (flights,)."""
 EASIER = ("clearance_m", "visibility_m", "passage_m", "traversability", "gap")
 """The figures of difficulty of which less is harder."""
@@ -57,13 +57,11 @@ BY_GROUP = ("success", "time, s", "mean clearance, m")
 """Figures that are told for every difficulty and kind, too."""
 
 
-@dataclass
 class Options(measuring.Options):
     """Who flies, and where."""
 
     entries: Path | None = None
     """folder of the entries"""
-    _: KW_ONLY
     every: int = 10
     """one of so many courses"""
     maps: Path | None = None
@@ -76,7 +74,7 @@ class Options(measuring.Options):
 
 def main() -> None:
     """Fly what is missing; print the tables, and write them to the page."""
-    given = measuring.parse(Options, __doc__, every=300, robots=["reactive", "optimistic"])
+    given = measuring.parse(Options, "entries", every=300, robots=["reactive", "optimistic"])
     given.page = given.page or RESULTS / ("fly-real.md" if given.maps else "fly.md")
     with tempfile.TemporaryDirectory() as spare:
         every = map_courses(given.maps) if given.maps else courses_of("aerial-1")[:: given.every]
@@ -85,11 +83,7 @@ def main() -> None:
         ]
         found: Found = {}
         for name in given.robots:
-            flights = flown(name, courses, given.entries or Path(spare))
-            found[called(name)] = {
-                title: np.array([of(one) for one in flights], float)
-                for title, of in FIGURES.items()
-            }
+            found |= flown(name, courses, given.entries or Path(spare))
     of_each = [course for course in courses for _ in range(course.flights)]
     worlds = [course.sha256 for course in of_each]
     lines = robots(found, worlds)
@@ -98,33 +92,30 @@ def main() -> None:
     publish(given, [*lines, *by_groups(found, of_each), *how_hard(found, courses)])
 
 
-def parts(name: str) -> tuple[str, str | None]:
-    """The robot and the network that a name of --robots stands for."""
+def parts(name: str) -> tuple[str, str | None, str]:
+    """The robot and the network that a name of --robots stands for, and what this robot is called
+    in tables and in the name of its entry."""
     if name in NAMES:
-        return name, None
+        return name, None, name
     network = name.removeprefix(f"{FORGETFUL}:")
-    return ("optimistic" if network == name else FORGETFUL), network
+    title = Path(network).stem
+    if network == name:
+        return "optimistic", network, title
+    return FORGETFUL, network, f"{title}, last scan"
 
 
-def called(name: str) -> str:
-    """What a robot is called in tables and in the name of its entry."""
-    robot, network = parts(name)
-    if network is None:
-        return robot
-    return Path(network).stem + (", last scan" if robot == FORGETFUL else "")
-
-
-def flown(name: str, courses: Sequence[Course], entries: Path) -> list[Flown]:
-    """The flights of a robot through all courses; those that its entry holds are not flown."""
+def flown(name: str, courses: Sequence[Course], entries: Path) -> Found:
+    """The figures of a robot's flights through all courses; those that its entry holds are not
+    flown."""
+    robot, weights, title = parts(name)
     entries.mkdir(parents=True, exist_ok=True)
-    entry = entries / f"{called(name)}.json"
-    robot, weights = parts(name)
+    entry = entries / f"{title}.json"
     work = partial(fly_course, robot=robot, weights=weights)
     with Progress(name, shown=False) as progress:
         done = fly_courses(courses, work, name, "aerial-1", entry, ALONE, progress)
     flights = [one for _, several in done for one in several]
     print(f"{name}: {len(flights)} flights", flush=True)
-    return flights
+    return {title: {what: np.array([*map(of, flights)], float) for what, of in FIGURES.items()}}
 
 
 def robots(found: Found, worlds: Sequence[str]) -> list[str]:
@@ -160,15 +151,14 @@ def by_groups(found: Found, courses: Sequence[Course]) -> list[str]:
         for what in BY_GROUP if {*groups} & {*keys} else ():
             rows = []
             for name, figures in found.items():
-                of_groups = [figures[what][np.array(keys) == group] for group in groups]
-                rows.append((f"`{name}`", [mean_of(values) for values in of_groups]))
+                of_groups = (figures[what][np.array(keys) == group] for group in groups)
+                means = [
+                    f"{np.nanmean(values):.2f}" if np.isfinite(values).any() else "–"
+                    for values in of_groups
+                ]
+                rows.append((f"`{name}`", means))
             lines += titled(f"## {what.capitalize()}, by {title}", groups, rows)
     return lines
-
-
-def mean_of(values: NDArray[np.float64]) -> str:
-    """The mean of what is told of some flights; a dash where nothing is."""
-    return f"{np.nanmean(values):.2f}" if np.isfinite(values).any() else "–"
 
 
 def how_hard(found: Found, courses: Sequence[Course]) -> list[str]:

@@ -15,7 +15,7 @@ that 100,000 shards are made in ten minutes.
 import re
 import shlex
 import tempfile
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -48,7 +48,6 @@ OPEN = "import scenegen, sys; scenegen.load(sys.argv[1])[0].ranges"
 UNLISTED = "resume, unlisted"
 
 
-@dataclass(kw_only=True)
 class Options(measuring.Options):
     """What the dataset is."""
 
@@ -63,7 +62,7 @@ class Options(measuring.Options):
 
 def main() -> None:
     """Make the dataset, and print the table."""
-    given = measuring.parse(Options, __doc__, samples=20, shard_samples=10, workers=1)
+    given = measuring.parse(Options, samples=20, shard_samples=10, workers=1)
     with tempfile.TemporaryDirectory() as name:
         here = Path(name)
         folder, recipe = given.folder or here / "d", here / "tiny.toml"
@@ -93,8 +92,15 @@ def forge(folder: Path, recipe: Path, train: int, test: int, workers: int) -> No
     from scenegen.dataset.state import State
     from scenegen.run.workers import run
 
-    counts: Any = {"n": train, "val": test, "test": test, "shard_samples": 1}
-    plan = plan_generation(recipe=recipe, out=folder, compact=True, **counts)
+    plan = plan_generation(
+        n=train,
+        val=test,
+        test=test,
+        out=folder,
+        recipe=recipe,
+        compact=True,
+        shard_samples=1,
+    )
     State(plan).open()
     first: Any = plan.shards[0]
     for _ in run(partial(_forge, first.draw(0)), list(enumerate(plan.shards)), workers):
@@ -120,7 +126,6 @@ def _forge(unit: Any, task: tuple[int, Any]) -> None:
 def _measure(folder: Path, generate: str, given: Options, here: Path) -> None:
     """Print what commands take."""
     files = [path.stat().st_size for path in folder.rglob("*") if path.is_file()]
-    some = min(100, len(list(folder.glob("*.h5"))))
     samples, workers, data = given.samples, given.workers, shlex.quote(str(folder))
     print(
         f"{samples} samples of {sum(files) / samples / 1e3:.1f} KB, {len(files)} files; {NAME} "
@@ -132,7 +137,6 @@ def _measure(folder: Path, generate: str, given: Options, here: Path) -> None:
         "open, read one sample": f"-c {shlex.quote(OPEN)} {data}",
         "resume, listed": generate,
         UNLISTED: generate,
-        f"a range job of {some} shards": f"{generate} --split-range 0:{some}",
         "inspect": f"-m scenegen inspect {data}",
         "inspect --all": f"-m scenegen inspect {data} --all --workers {workers}",
         "verify --quick": f"-m scenegen verify {data} --quick {quiet}",

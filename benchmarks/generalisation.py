@@ -16,9 +16,8 @@ alone.
 import json
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import measuring
 import numpy as np
@@ -36,8 +35,7 @@ from scenegen.run.software import commit
 BUNDLED = "columns"
 FILE = "generalisation.json"
 NETWORK = (
-    *("--variant", "columns", "--input", "observed", "--input", "free"),
-    *("--lambda-occupancy", 1, "--lovasz", 1, "--eikonal", 0),
+    "--variant columns --input observed --input free --lambda-occupancy 1 --lovasz 1 --eikonal 0"
 )
 """As the bundled network was trained."""
 LENGTHS = ("maps", "tests", "trials")
@@ -48,11 +46,10 @@ TITLES = {
 }
 
 
-@dataclass(kw_only=True)
 class Options(measuring.Options):
     """What is held out, and how much is measured."""
 
-    held: Sequence[Annotated[str, kind_names()]] = kind_names()
+    held: Sequence[measuring.Kind] = kind_names()
     """kinds to hold out"""
     maps: int = 5000
     """maps that a network learns from"""
@@ -71,7 +68,7 @@ class Options(measuring.Options):
 
 def main() -> None:
     """Train, measure, and write what is there."""
-    given = measuring.parse(Options, __doc__, maps=2, tests=2, trials=2, held=["maze"])
+    given = measuring.parse(Options, maps=2, tests=2, trials=2, held=["maze"])
     if given.page:
         return write_page(given.out)
     with tempfile.TemporaryDirectory() as spare:
@@ -97,10 +94,10 @@ def missing(given: Options, row: str, tests: dict[str, Dataset]) -> dict[str, Da
 
 def train(out: Path, kinds: Sequence[str], given: Any) -> Path:
     """The folder of a run that learned from these kinds."""
-    words = [word for kind in kinds for word in ("--stream", kind)]
-    looks = max(given.maps // 5, 1)
-    lengths = ("--maps", given.maps, "--interval", looks, "--val-maps", min(200, given.maps))
-    measuring.run("-m", "scenegen", "train", *words, *NETWORK, *lengths, "--quiet", "--out", out)
+    streams = " ".join(f"--stream {kind}" for kind in kinds)
+    lengths = f"--maps {given.maps} --interval {max(given.maps // 5, 1)} "
+    lengths += f"--val-maps {min(200, given.maps)}"
+    measuring.command(f"train {streams} {NETWORK} {lengths} --quiet --out", out)
     return out
 
 

@@ -18,16 +18,14 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 from unittest.mock import patch
 
 import measuring
 
 from scenegen.dataset.generation import plan_generation
 from scenegen.dataset.shard import write_shard
-from scenegen.recipes import kind_names
 from scenegen.run.workers import cores
 
 STAGES = {
@@ -93,9 +91,9 @@ def measure(kind: str, seconds: float) -> None:
         f"{size / samples / 1e3:.1f} KB a sample, peak memory {peak:.0f} MB"
     )
     whole = sum(taken for name, taken in spent.items() if not name.startswith("  "))
+    spent[ELSE] = used - whole
     for name in (*STAGES, ELSE):
-        taken = used - whole if name == ELSE else spent[name]
-        print(f"  {name:34} {1e3 * taken / samples:6.3f} ms {taken / used:5.0%}")
+        print(f"  {name:34} {1e3 * spent[name] / samples:6.3f} ms {spent[name] / used:5.0%}")
 
 
 def time_runs(kind: str, count: int) -> None:
@@ -103,8 +101,8 @@ def time_runs(kind: str, count: int) -> None:
     memory."""
     for flags in ((), ("--compact",)):
         with tempfile.TemporaryDirectory(dir=Path.cwd()) as folder:
-            words = f"generate --kind {kind} --n {count} --json --out".split()
-            cost, printed = measuring.run("-m", "scenegen", *words, folder, *flags)
+            words = f"generate --kind {kind} --n {count} --json --out"
+            cost, printed = measuring.command(words, folder, *flags)
         said = json.loads(printed)
         made = sum(said["samples"].values())
         print(
@@ -116,11 +114,10 @@ def time_runs(kind: str, count: int) -> None:
         )
 
 
-@dataclass(kw_only=True)
 class Options(measuring.Options):
     """What is measured."""
 
-    kind: Sequence[Annotated[str, kind_names()]] = ("geometric", "pillar")
+    kind: Sequence[measuring.Kind] = ("geometric", "pillar")
     seconds: float = 10.0
     """how long to measure each kind"""
     runs: bool = False
@@ -131,11 +128,11 @@ class Options(measuring.Options):
 
 def main() -> None:
     """Parse and measure."""
-    given = measuring.parse(Options, __doc__, kind=["pillar"], seconds=0, runs=True, n=5)
+    given = measuring.parse(Options, kind=["pillar"], seconds=0, runs=True, n=5)
     for kind in given.kind:
         measure(kind, given.seconds)
     if given.runs:
-        start = measuring.run("-m", "scenegen", "--version")[0]
+        start = measuring.command("--version")[0]
         print(f"\nstart of a process: {start.processor_s:.2f} s of processor")
         for kind in given.kind:
             time_runs(kind, given.n)

@@ -16,17 +16,14 @@ the exit status is 1.
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 import measuring
 import numpy as np
 
 from lidarsim.gpu import WarpEngine
-from lidarsim.pose import rotate
 from scenegen import Sample, preset
 from scenegen.draw import draw_unit
-from scenegen.recipes import kind_names
 from scenegen.source import DrawnWorlds
 from scenegen.worlds.world import solid
 
@@ -34,13 +31,12 @@ CHECKED = 16
 """Worlds in which what the device gives is compared with what the processor gives."""
 
 
-@dataclass(kw_only=True)
 class Options(measuring.Options):
     """What is measured, and where."""
 
     worlds: int = 1024
     """different worlds at once, of each preset"""
-    kind: Sequence[Annotated[str, kind_names()]] = ("geometric", "pillar")
+    kind: Sequence[measuring.Kind] = ("geometric", "pillar")
     seconds: float = 3.0
     """for each figure"""
     device: str = "cuda"
@@ -70,16 +66,19 @@ class Batch:
         from lidarsim.gpu.worlds import Worlds, wp
 
         recipe = preset(kind)
-        self.lidar, self.grid, source = recipe.lidar, recipe.grid, DrawnWorlds(recipe)
+        self.grid, self.far_m = recipe.grid, recipe.lidar.max_range_m
         self.drawn: list[Sample] = []
         """What the processor gives in the first worlds."""
         solids, origins, rays = [], [], []
         for n in range(worlds):
-            unit = draw_unit(source, recipe, seed=0, split="train", unit=n, derived=n < CHECKED)
+            unit = draw_unit(
+                DrawnWorlds(recipe), recipe, seed=0, split="train", unit=n, derived=n < CHECKED
+            )
             sample = unit.samples[0]
+            (scan,) = sample.scans()
             solids.append(solid(unit.world, "drawn").solids)
-            origins.append(sample.position)
-            rays.append(rotate(sample.quaternion, self.lidar.directions_body).reshape(-1, 3))
+            origins.append(scan.pose.position)
+            rays.append(scan.directions.reshape(-1, 3))
             self.drawn += [sample] if n < CHECKED else []
         begin = time.perf_counter()
         self.worlds = Worlds(solids, device=device)
@@ -93,7 +92,7 @@ class Batch:
         """Ranges (P, R)."""
         from lidarsim.gpu.rays import cast
 
-        return cast(self.worlds, self.origins, self.rays, self.lidar.max_range_m)
+        return cast(self.worlds, self.origins, self.rays, self.far_m)
 
     def sample(self) -> dict[str, Any]:
         """What the processor's samples have by these names, too."""
@@ -101,7 +100,7 @@ class Batch:
         from scenegen.truth import gpu
 
         ranges = self.cast()
-        scan = (ranges, self.origins, self.rays, self.lidar.max_range_m)
+        scan = (ranges, self.origins, self.rays, self.far_m)
         observed, free = voxelize(*scan, grid=self.grid, corners=self.corners)
         occupancy = gpu.rasterize(self.worlds, self.grid, self.corners)
         return {
@@ -124,7 +123,7 @@ class Batch:
 
 def main() -> None:
     """Print a table."""
-    given = measuring.parse(Options, __doc__, kind=["pillar"], worlds=1, seconds=0, device="cpu")
+    given = measuring.parse(Options, kind=["pillar"], worlds=1, seconds=0, device="cpu")
     if given.device != "cpu" and (missing := WarpEngine.missing()):
         sys.exit(f"nothing measured: this {missing}")
     print(f"{given.device}: {given.worlds} different worlds of each preset at once")

@@ -7,7 +7,6 @@ the same run.
 
 import tempfile
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -20,7 +19,7 @@ from lidarsim import GridSpec
 from scenegen.model.config import VARIANTS, NetworkConfig
 from scenegen.model.network import Network, placed
 from scenegen.model.onnx import RUNTIMES, export_onnx, load_onnx
-from scenegen.model.training.device import autocast, resolve_precision
+from scenegen.model.training.device import resolve_precision
 
 INPUTS = {"columns": ("observed", "free")}
 """What a variant is shown, where it is not `observed` alone: as the bundled one."""
@@ -31,7 +30,6 @@ Way = Callable[[dict[str, torch.Tensor]], Any]
 """A network by some runtime: what it gives for maps by name."""
 
 
-@dataclass(kw_only=True)
 class Options(measuring.Options):
     """What is measured."""
 
@@ -45,8 +43,14 @@ class Options(measuring.Options):
 
 def main() -> None:
     """Print one table."""
-    smallest: Any = {"variant": ["occ"], "stem_stride": [2], "runtime": ["openvino"]}
-    given = measuring.parse(Options, __doc__, rounds=1, no_compile=True, **smallest)
+    given = measuring.parse(
+        Options,
+        variant=["occ"],
+        stem_stride=[2],
+        runtime=["openvino"],
+        rounds=1,
+        no_compile=True,
+    )
     torch.set_num_threads(given.threads)
     print(
         f"{given.threads} threads, one map of {GRID.shape}, median of {given.rounds} bursts "
@@ -74,15 +78,9 @@ def runners(network: Network, threads: int, runtimes: Iterable[Any]) -> dict[str
     file = Path(tempfile.mkdtemp(), "net.onnx")
     export_onnx(network, GRID, file, about={})
     placed(network, "cpu")
-    device = torch.device("cpu")
     ways: dict[str, Way] = {"eager": network}
-    if resolve_precision("auto", device) == torch.bfloat16:
-
-        def in_bfloat16(maps: dict[str, torch.Tensor]) -> Any:
-            with autocast(device, torch.bfloat16):
-                return network(maps)
-
-        ways["eager bf16"] = in_bfloat16
+    if resolve_precision("auto", torch.device("cpu")) == torch.bfloat16:
+        ways["eager bf16"] = torch.autocast("cpu", torch.bfloat16)(network)
     for runtime in runtimes:
         ways[runtime] = load_onnx(file, runtime=runtime, threads=threads)[0]
     return ways

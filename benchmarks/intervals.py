@@ -95,8 +95,7 @@ def main() -> None:
     """Print a row for each population."""
     import measuring  # beside this file; the test of intervals imports the rest without it
 
-    given = measuring.parse(measuring.Options, __doc__)
-    repeats = 20 if given.smoke else REPEATS
+    repeats = 20 if measuring.parse(measuring.Options).smoke else REPEATS
     print(f"{'worlds':34}", *(f"{worlds:6}" for worlds in WORLDS))
     for population in (*POPULATIONS, *SPARSE):
         cells = (f"{coverage(population, worlds, repeats):6.3f}" for worlds in WORLDS)

@@ -14,8 +14,7 @@ import itertools
 import time
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import KW_ONLY, dataclass
-from typing import Annotated
+from typing import Literal
 
 import measuring
 import numpy as np
@@ -31,14 +30,12 @@ BASE = "geometric"
 """The pace is a multiple of that of this kind."""
 
 
-@dataclass
 class Options(measuring.Options):
     """What is measured."""
 
     kinds: Sequence[str] = kind_names()
-    _: KW_ONLY
     worlds: int = 100
-    difficulty: Sequence[Annotated[str, ("easy", "medium", "hard")]] = ("medium",)
+    difficulty: Sequence[Literal["easy", "medium", "hard"]] = ("medium",)
     """repeatable"""
 
 
@@ -73,7 +70,7 @@ def measure(kinds: Sequence[str], worlds: int, level: str) -> dict[str, dict[str
 
 def main() -> None:
     """Print the tables."""
-    given = measuring.parse(Options, __doc__, kinds=["maze"], worlds=1)
+    given = measuring.parse(Options, "kinds", kinds=["maze"], worlds=1)
     names = list(dict.fromkeys((BASE, *given.kinds)))
     graded = {level: measure(names, given.worlds, level) for level in given.difficulty}
     for level, found in graded.items():

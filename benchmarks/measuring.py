@@ -12,7 +12,9 @@ import time
 import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
+
+from scenegen.recipes import kind_names
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command does, before torch is loaded
 
@@ -35,32 +37,37 @@ class Cost(NamedTuple):
     """Memory of the largest of them."""
 
 
+@typing.dataclass_transform(kw_only_default=True)
 @dataclass(kw_only=True)
 class Options:
-    """What every benchmark is given. A benchmark's own options are the fields of a subclass: a
-    field's type says what is given, and the text below it what for. Fields that are not
-    keyword-only are given without their names."""
+    """What every benchmark is given. A benchmark's own options are the fields of a subclass, which
+    is a dataclass, too: a field's type says what is given, and the text below it what for."""
 
     smoke: bool = False
     """as little as can be: does it run? Its figures mean nothing"""
 
+    def __init_subclass__(cls) -> None:
+        dataclass(kw_only=True)(cls)
 
+
+Kind = Annotated[str, kind_names()]
+"""A kind of worlds."""
 Given = TypeVar("Given", bound=Options)
 
 
-def parse(kind: type[Given], doc: str | None, /, **smallest: Any) -> Given:
-    """What was given, as an instance of `kind`; with --smoke, the `smallest` values are the
-    defaults. The help begins with `doc`, the first lines of a benchmark."""
+def parse(kind: type[Given], /, *unnamed: str, **smallest: Any) -> Given:
+    """What was given, as an instance of `kind`: some fields `unnamed`, all others as --field. With
+    --smoke, the `smallest` values are the defaults. The help begins as the script does."""
     parser = argparse.ArgumentParser(
-        description=doc,
+        description=sys.modules["__main__"].__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         argument_default=argparse.SUPPRESS,
     )
     types, helps = typing.get_type_hints(kind, include_extras=True), _helps(kind)
     for one in fields(kind):
-        flag = "--" + one.name.replace("_", "-") if one.kw_only else one.name
+        flag = one.name if one.name in unnamed else "--" + one.name.replace("_", "-")
         more = _settings(types[one.name])
-        if one.default is None and not one.kw_only:
+        if one.default is None and one.name in unnamed:
             more |= {"nargs": "?", "default": None}
         parser.add_argument(flag, help=helps.get(one.name), **more)
     given = vars(parser.parse_args())
@@ -79,14 +86,14 @@ def _settings(hint: Any) -> dict[str, Any]:
     choices = getattr(hint, "__metadata__", [None])[0]
     if typing.get_origin(hint) is Literal:
         choices = typing.get_args(hint)
-        return {"type": type(choices[0]), "choices": choices, **more}
+        hint = type(choices[0])
     return {"type": getattr(hint, "__origin__", hint), "choices": choices, **more}
 
 
 def _helps(kind: type) -> dict[str, str]:
     """The texts that stand below the fields of a class, and of those that it comes from."""
-    sources = (inspect.getsource(one) for one in reversed(kind.__mro__[:-1]))
-    return dict(re.findall(r'(\w+):[^\n]*\n    """(.*?)"""', "".join(sources), re.DOTALL))
+    source = "".join(inspect.getsource(one) for one in reversed(kind.__mro__[:-1]))
+    return dict(re.findall(r'(\w+):[^\n]*\n    """(.*?)"""', source, re.DOTALL))
 
 
 def processor_s() -> float:
@@ -138,3 +145,9 @@ def run(*command: object) -> tuple[Cost, str]:
         raise RuntimeError(f"{' '.join(words[1:])}: ended with {process.returncode}")
     wall = time.perf_counter() - begin
     return Cost(used.ru_utime + used.ru_stime, wall, used.ru_maxrss / 1024), said
+
+
+def command(words: str, *more: object) -> tuple[Cost, str]:
+    """Run a command of scenegen, as `run` does: its words, and then `more`, which may have
+    spaces."""
+    return run("-m", "scenegen", *words.split(), *more)

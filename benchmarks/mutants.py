@@ -15,7 +15,6 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +44,6 @@ SEED = 1
 TIMEOUT_S = 600
 
 
-@dataclass(kw_only=True)
 class Options(measuring.Options):
     """How many, and where."""
 
@@ -92,13 +90,14 @@ def tested(mutant: dict[str, Any]) -> str:
 
 def main() -> None:
     """Draw, test, and print the share that was killed, and the survivors."""
-    given = measuring.parse(Options, __doc__, count=1, rooms=["losses"])
+    given = measuring.parse(Options, count=1, rooms=["losses"])
     out = given.out.resolve()
     held = json.loads(out.read_text()) if out.exists() else drawn(given.count, given.rooms)
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         copy = Path(folder).resolve() / "copy"
-        left_out = shutil.ignore_patterns(".git", ".venv", "data")
-        shutil.copytree(ROOT, copy, symlinks=True, ignore=left_out)
+        shutil.copytree(
+            ROOT, copy, symlinks=True, ignore=shutil.ignore_patterns(".git", ".venv", "data")
+        )
         os.environ |= {"PYTHONPATH": str(copy), "OMP_NUM_THREADS": "1"}
         os.chdir(copy)
         for mutant in held:

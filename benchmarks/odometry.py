@@ -13,7 +13,6 @@ over all ways of 100, 200 … 800 m. Its own choice is a hundredth of the sensor
 import itertools
 import tempfile
 from collections.abc import Sequence
-from dataclasses import KW_ONLY, dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -24,12 +23,10 @@ from scenegen.logs.read import read_log
 from scenegen.logs.write import matrix_of
 
 
-@dataclass
 class Options(measuring.Options):
     """What flies where."""
 
     kinds: Sequence[str] = ("pillar", "forest", "street", "warehouse")
-    _: KW_ONLY
     length: float = 210
     speed: float = 5
     """metres a second"""
@@ -43,8 +40,7 @@ class Options(measuring.Options):
 
 def main() -> None:
     """Print a line for each kind and seed."""
-    small = {"kinds": ["pillar"], "length": 110, "lidar": "velodyne-vlp-16"}
-    given = measuring.parse(Options, __doc__, **small)
+    given = measuring.parse(Options, "kinds", kinds=["pillar"], length=110, lidar="velodyne-vlp-16")
     if not find_spec("kiss_icp"):
         print("not measured: kiss-icp is not installed")
         return
@@ -53,13 +49,15 @@ def main() -> None:
             path = Path(folder, "log.mcap")
             words = (
                 f"scan {kind} --seed {seed} --flight --sequence --length {given.length} --speed "
-                f"{given.speed} --lidar {given.lidar} --noise datasheet --quiet"
+                f"{given.speed} --lidar {given.lidar} --noise datasheet --quiet "
+                f"{'--moving' * given.moving}"
             )
-            moving = ["--moving"] * given.moving
-            measuring.run("-m", "scenegen", *words.split(), *moving, "-o", path)
+            measuring.command(words, "-o", path)
             for voxel_m in given.voxels:
-                said = _measured(path, given.moving, voxel_m)
-                print(f"{kind:10} {seed}  {voxel_m} m  {said}", flush=True)
+                print(
+                    f"{kind:10} {seed}  {voxel_m} m  {_measured(path, given.moving, voxel_m)}",
+                    flush=True,
+                )
 
 
 def _measured(path: Path, moving: bool, voxel_m: float) -> str:

@@ -10,7 +10,6 @@ learned for far longer.
 
 import os
 import tempfile
-from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -20,13 +19,12 @@ import scoring
 import torch
 from inference import measure
 from real import maps_to_complete
-from scoring import CAREFUL, ahead, by_map, maps_of, measured, publish, tables, titled
+from scoring import CAREFUL, Results, ahead, by_map, maps_of, measured, publish, tables, titled
 from torch import Tensor, nn
 
 from scenegen import Output
 from scenegen.model.completion.completer import open_network
 from scenegen.model.evaluation.methods import rows_of
-from scenegen.model.evaluation.run import DatasetResult
 from scenegen.model.evaluation.statistics import line
 from scenegen.model.network import placed
 
@@ -44,18 +42,14 @@ TABLES = {
     "near_rmse": "## Near-RMSE, m",
     "success": "## Success of the careful planner",
 }
-ROUNDS = 5
-"""Of timing."""
 REAL = "real places, less `extrude`"
 
 
-@dataclass
 class Options(scoring.Options):
     """Those of `scoring`, and how networks are trained."""
 
     real: Path | None = None
     """folder of the maps"""
-    _: KW_ONLY
     maps: int = 40
     trials: int = 120
     runs: Path | None = None
@@ -64,11 +58,13 @@ class Options(scoring.Options):
     """what they learn from"""
     learned: int = 600
     """maps that each learns from"""
+    rounds: int = 5
+    """of timing"""
 
 
 def main() -> None:
     """Train what is missing, measure, and write the tables."""
-    given = measuring.parse(Options, __doc__, stream="pillar", learned=2, maps=2, trials=2)
+    given = measuring.parse(Options, "real", stream="pillar", learned=2, maps=2, trials=2, rounds=1)
     with tempfile.TemporaryDirectory() as spare:
         folder, runs = Path(spare), given.runs or Path(spare, "runs")
         names = {OURS: str(runs / OURS)}
@@ -78,7 +74,7 @@ def main() -> None:
             train(runs / name, name, given)
         methods = rows_of(["extrude"], [*names.values(), "anywhere"])
         results = measured(maps_to_complete(given, folder), methods, given.trials, CAREFUL)
-        lines = scored(results) + sizes(names, 1 if given.smoke else ROUNDS)
+        lines = scored(results) + sizes(names, given.rounds)
     publish(given, lines)
 
 
@@ -86,12 +82,11 @@ def train(out: Path, name: str, given: Options) -> None:
     """Train a network on so many maps, where its run has not seen them."""
     variant = name if name == OURS else f"peers:{name}"
     os.environ["PYTHONPATH"] = os.pathsep.join([str(HERE), os.environ.get("PYTHONPATH", "")])
-    maps = ("--maps", given.learned, "--val-maps", min(8, given.learned))
-    words = ("--variant", variant, "--stream", given.stream, *TRAINING.split(), *maps, "--out", out)
-    measuring.run("-m", "scenegen", "train", *words)
+    words = f"train --variant {variant} --maps {given.learned} --val-maps {min(8, given.learned)}"
+    measuring.command(f"{words} {TRAINING} --out", out, "--stream", given.stream)
 
 
-def scored(results: dict[str, DatasetResult]) -> list[str]:
+def scored(results: Results) -> list[str]:
     """A table for each of `TABLES`: a row a place, and one of all real places together."""
     names = list(next(iter(results.values())).methods)
     lines = tables(TABLES, results, names, groups=by_map, form=".2f")

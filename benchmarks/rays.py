@@ -9,7 +9,6 @@ weighs on them alike.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 
 import measuring
@@ -98,8 +97,10 @@ def report(count: int, repeats: int) -> None:
     )
     print(f"\n{count} solids, {lidar.directions_body[..., 0].size} rays a scan")
     for name, ms in scans.items():
-        times = scans["mj_multiRay"] / ms
-        print(f"  {name:12} {ms / POSES:8.3f} ms a scan   {times:6.1f} times mj_multiRay")
+        print(
+            f"  {name:12} {ms / POSES:8.3f} ms a scan   "
+            f"{scans['mj_multiRay'] / ms:6.1f} times mj_multiRay"
+        )
     print("  building: " + ", ".join(f"{name} {ms:.3f} ms" for name, ms in building.items()))
 
 
@@ -130,7 +131,6 @@ def first_scan(repeats: int) -> str:
     return f"the first scan of a process, kernels cached: {min(seconds):.2f} s (loads numba)"
 
 
-@dataclass(kw_only=True)
 class Options(measuring.Options):
     """How often, and where."""
 
@@ -141,7 +141,7 @@ class Options(measuring.Options):
 
 def main() -> None:
     """Print tables."""
-    given = measuring.parse(Options, __doc__, counts=[50], repeats=1)
+    given = measuring.parse(Options, counts=[50], repeats=1)
     for count in given.counts:
         report(count, given.repeats)
     print(f"\n{large_sensor()}\n{first_scan(min(given.repeats, 3))}")

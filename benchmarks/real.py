@@ -4,16 +4,16 @@
     python benchmarks/real.py MAPS --network runs/mine
     python benchmarks/real.py MAPS --recordings LOGS        # logs in LOGS, of `recordings.py`
 
-MAPS is a folder with the maps of `PLACES`, which says where each comes from; one that is missing is
-left out, one with other bytes is refused. The paper's sensor looks from free space along flights of
-its own, one viewpoint each, and scores are over known voxels alone. Drawn kinds stand beside them,
-and logs that are flown in some of the worlds, as `scenegen ingest` reads them.
+MAPS is a folder with the maps of `places.toml`, which says where each comes from; one that is
+missing is left out, one with other bytes is refused. The paper's sensor looks from free space along
+flights of its own, one viewpoint each, and scores are over known voxels alone. Drawn kinds stand
+beside them, and logs that are flown in some of the worlds, as `scenegen ingest` reads them.
 """
 
 import sys
 import tempfile
+import tomllib
 from collections.abc import Sequence
-from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -21,17 +21,27 @@ from typing import Any, NamedTuple
 import measuring
 import numpy as np
 import scoring
-from numpy.typing import NDArray
 from scipy.stats import mannwhitneyu
-from scoring import CAREFUL, ahead, drawn, maps_in, maps_of, measured, publish, titled, told
+from scoring import (
+    CAREFUL,
+    Results,
+    ahead,
+    drawn,
+    maps_in,
+    maps_of,
+    measured,
+    publish,
+    titled,
+    told,
+)
 
-from lidarsim.grid import GridSpec, Mask
+from lidarsim.grid import Floats, GridSpec, Mask
 from scenegen import Dataset, Prediction, preset
 from scenegen.files import sha256_of
+from scenegen.fly.suite import MAPS
 from scenegen.model.calibration import denial
 from scenegen.model.config import PlanConfig
 from scenegen.model.evaluation.methods import Method, Truth, rows_of
-from scenegen.model.evaluation.run import DatasetResult
 from scenegen.model.evaluation.statistics import brief
 from scenegen.model.evaluation.uncertainty import REGIONS, count, reliability
 from scenegen.model.evaluation.visibility import scored_voxels
@@ -54,39 +64,15 @@ SCANS = 50
 GRID = GridSpec()
 """Of the maps around a log's scans."""
 THRESHOLDS = np.arange(1, 20) / 20
+PLACES = tomllib.loads((Path(__file__).parent / "places.toml").read_text())
+"""Maps of places; those that robots fly through have a part in means, too."""
 
 
-OCTOMAP = "`octomap/share/data` of OctoMap, or Debian's `liboctomap-dev`, New BSD"
-FREIBURG = "the OctoMap data sets of the University of Freiburg, CC BY 3.0"
-FOREST = "`ethz-asl/forest_gen`, BSD"
-PLACES = {
-    "geb079.bt": ("7663c2466e2fe335a27d1d592f91766c8154511e63a9615aeecdad1defb04d3b", OCTOMAP),
-    "fr_campus.bt": ("7a23e0ac87d65690dae95611c9bedd8156611e266f36a69972a619c37b80c589", FREIBURG),
-    "forest_big.bt": ("ea7fdbcfe807f24c64b282b3e2b53b01fb4055c72083865ef255d75899d3d3e2", FOREST),
-    "forest0.bt": ("2c7a4fc959754ec9a5f4ce210a52d888eb735f97cec67083fbbcdb3715711a9f", FOREST),
-    "forest1.bt": ("c7ab7c8fc835e5a4bb3efda3afc09ba464b1b219cb31ecad65523d40068a8ad0", FOREST),
-    "forest2.bt": ("5b1bbeb594fff90b32206c341227f6c527c7c6c00856632774539982ba39de6f", FOREST),
-}
-"""Maps of places by the names of their files: their SHA-256 and their source."""
-MORE = {
-    "forest3.bt": ("32641485aa6dab54f27f31accd97bdfebcd6b2f35aa9365b4e52ccd26427c1aa", FOREST),
-    "forest4.bt": ("ab081d93ea64c0554b015ca06176d161c9fe502ba85cb6190b5ef2c2566d2313", FOREST),
-    "forest5.bt": ("25abffd946601a5ae2d28dd3308877da8440a54db0a2c028bf1b0607aa65174b", FOREST),
-    "forest7.bt": ("8a9b87159e7c2a0c7a2b0093c6064202528da8923e43ccdcdac49bb1e02e1816", FOREST),
-    "forest8.bt": ("0a764418c61d2846d764a7f33fb3799a69878f02dd82aec93170e129b2f42f57", FOREST),
-    "forest9.bt": ("b69a9e4cf0737d3c0690c3953fb7a204b93e37d9b941766e51de03476c7def62", FOREST),
-}
-"""The other small forests, but the seventh, of which nothing is free. They have no part in means,
-nor in the choice of thresholds."""
-
-
-@dataclass
 class Options(scoring.Options):
     """Those of `scoring`, and what else is completed."""
 
     real: Path | None = None
     """folder of the maps"""
-    _: KW_ONLY
     network: Sequence[str] = NETWORKS
     maps: int = POSES
     trials: int = 400
@@ -98,7 +84,7 @@ class Options(scoring.Options):
 
 def main() -> None:
     """Score every place, and write the tables."""
-    given = measuring.parse(Options, __doc__, maps=2, trials=2, length=1, network=["columns"])
+    given = measuring.parse(Options, "real", maps=2, trials=2, length=1, network=["columns"])
     methods = rows_of(UNLEARNED, given.network)
     with tempfile.TemporaryDirectory() as folder:
         places = maps_to_complete(given, Path(folder))
@@ -115,24 +101,24 @@ def maps_to_complete(given: Any, folder: Path) -> dict[str, Dataset]:
 
 
 def real_places(maps: Path | None, folder: Path, poses: int) -> dict[str, Dataset]:
-    """A dataset of each of `PLACES` and `MORE` whose map lies in the folder `maps`, by its name."""
+    """A dataset of each of `PLACES` whose map lies in the folder `maps`, by its name."""
     found: dict[str, Dataset] = {}
     if maps is None:
         return found
-    for name, (sha256, source) in (PLACES | MORE).items():
+    for name, about in PLACES.items():
         file = next(maps.rglob(name), None)
         if file is None:
-            print(f"{name}: is not there; it comes from {source}", file=sys.stderr)
-        elif sha256_of(file.read_bytes()) != sha256:
-            sys.exit(f"{file}: is another map than was measured; it comes from {source}")
+            print(f"{name}: is not there; it comes from {about['source']}", file=sys.stderr)
+        elif sha256_of(file.read_bytes()) != about["sha256"]:
+            sys.exit(f"{file}: is another map than was measured; it comes from {about['source']}")
         else:
-            about: Any = {"scenes": file, "split": "train", "viewpoints": 1}
-            found[file.stem] = drawn(folder / file.stem, preset("scene"), poses, **about)
+            place, recipe = folder / file.stem, preset("scene")
+            found[file.stem] = drawn(place, recipe, poses, scenes=file, split="train", viewpoints=1)
     return found
 
 
 class Scan(PointScan):
-    """A scan of a log that `scenegen ingest` kept, as methods are shown it."""
+    """Points alone, as methods are shown them."""
 
     lidar = None
 
@@ -147,7 +133,7 @@ def logs_to_complete(given: Options, folder: Path) -> dict[str, list[Seen]]:
     for name in LOGS:
         for world in [name] if name in KINDS else (given.real or folder).rglob(f"{name}.bt"):
             log = folder / f"{name}-log"
-            measuring.run("-m", "scenegen", *FLOWN.split(), given.length, world, "-o", log)
+            measuring.command(FLOWN, given.length, world, "-o", log)
             logs[f"log in {name}"] = observed(log, folder)
     for poses in sorted(given.recordings.glob("*/poses.txt") if given.recordings else ()):
         logs[f"recording `{poses.parent.name}`"] = observed(poses.parent, folder)
@@ -158,7 +144,7 @@ def observed(log: Path, folder: Path) -> list[Seen]:
     """Some fifty scans of a log, or all of a short one, with what the whole log knows."""
     every = max(len(list(log.glob("velodyne/*"))) // SCANS, 1)
     maps = folder / f"{log.name}.maps"
-    measuring.run("-m", "scenegen", "ingest", log, "--every", every, "--quiet", "-o", maps)
+    measuring.command(f"ingest --every {every} --quiet -o", maps, log)
     found = []
     for path in sorted(maps.glob("observations/*.npz")):
         with np.load(path) as it:
@@ -197,11 +183,11 @@ def scored(
 class Counts(NamedTuple):
     """What a method says of some maps."""
 
-    iou: NDArray[np.float64]
+    iou: Floats
     """(maps, thresholds), over known voxels."""
-    sure: NDArray[np.float64]
+    sure: Floats
     """Of each map, what `count` counts over known voxels."""
-    denied: NDArray[np.float64]
+    denied: Floats
     """Of each map, the share of its returns that is denied; see `denial`."""
 
     @property
@@ -228,10 +214,10 @@ def counted(seen: list[Seen], samples: Any, methods: list[Method]) -> dict[str, 
             inside = np.zeros((len(REGIONS), *known.shape), np.bool_)
             inside[0] = known
             weight = getattr(guess.uncertainty, "class_weight", 1.0)
-            said = [probability[known] >= threshold for threshold in THRESHOLDS]
+            said, true = probability[known] >= THRESHOLDS[:, None], there[known]
             rows.append(
                 (
-                    [iou_of(occupied, there[known]) for occupied in said],
+                    (said & true).sum(axis=1) / np.maximum((said | true).sum(axis=1), 1),
                     count(readings, there & known, inside),
                     denial(probability, sample.observed, weight),
                 )
@@ -248,33 +234,28 @@ def level_of(guess: Prediction, grid: GridSpec) -> Any:
     return 1 - guess.distance(None, grid) / grid.truncation_m
 
 
-def iou_of(said: Mask, there: Mask) -> float:
-    """Intersection over union."""
-    return float((said & there).sum() / max((said | there).sum(), 1))
-
-
-def best_in(counts: Table, places: list[str]) -> dict[str, tuple[int, float]]:
-    """The threshold that is best for each method in the mean of places, by its number, and the IoU
-    that it reaches there."""
-    best = {}
-    for name in counts[places[0]]:
-        mean = np.mean([counts[place][name].iou.mean(axis=0) for place in places], axis=0)
-        best[name] = int(mean.argmax()), float(mean.max())
-    return best
+def best_in(counts: Table, places: list[str]) -> dict[str, int]:
+    """The threshold that is best for each method in the mean of places, by its number."""
+    means = {
+        name: np.mean([counts[place][name].iou.mean(axis=0) for place in places], axis=0)
+        for name in counts[places[0]]
+    }
+    return {name: int(mean.argmax()) for name, mean in means.items()}
 
 
 def ious(counts: Table, away: list[str]) -> list[str]:
     """A row for each place and log, each method at the threshold that is best for it in the mean of
     the places `away`; and this mean."""
     best = best_in(counts, away)
-    heads = ("maps", *(f"{name} at {THRESHOLDS[n]:g}" for name, (n, _) in best.items()))
-    rows = []
+    heads = ("maps", *(f"{name} at {THRESHOLDS[n]:g}" for name, n in best.items()))
+    rows, means = [], []
     for place, found in counts.items():
-        reached = [found[name].iou[:, n] for name, (n, _) in best.items()]
+        reached = [found[name].iou[:, n] for name, n in best.items()]
         maps = len(reached[0])
         rows.append((place, [str(maps), *(told(one, range(maps), ".2f") for one in reached)]))
-    rows.append(("mean of the places", ["", *(f"{iou:.3f}" for _, iou in best.values())]))
-    return titled("## IoU", heads, rows)
+        means += [[one.mean() for one in reached]] if place in away else []
+    mean = [f"{iou:.3f}" for iou in np.mean(means, axis=0)]
+    return titled("## IoU", heads, [*rows, ("mean of the places", ["", *mean])])
 
 
 def told_apart(counts: Table, names: list[str], away: list[str], home: list[str]) -> list[str]:
@@ -292,11 +273,11 @@ def told_apart(counts: Table, names: list[str], away: list[str], home: list[str]
 
 
 def is_mean(name: str) -> bool:
-    """Whether a place has a part in means: it is neither drawn nor one of `MORE`."""
-    return not name.startswith("`") and f"{name}.bt" not in MORE
+    """Whether a place has a part in means: it is neither drawn nor a further small forest."""
+    return f"{name}.bt" in MAPS
 
 
-def planned(title: str, results: dict[str, DatasetResult]) -> list[str]:
+def planned(title: str, results: Results) -> list[str]:
     """A table of success: a row a place, then by how much all real places together succeed oftener
     than with the first method, trial by trial. Each map is of a flight of its own, and each place
     has one world: intervals are over maps."""
@@ -305,7 +286,7 @@ def planned(title: str, results: dict[str, DatasetResult]) -> list[str]:
     for place, result in results.items():
         maps = maps_of(result, place)
         success = (one.values("success") for one in result.methods.values())
-        cells = [told(one, maps, ".2f", "outcome") for one in success]
+        cells = (told(one, maps, ".2f", "outcome") for one in success)
         rows.append((place, [str(len(maps)), *cells]))
         if is_mean(place):
             pairs.append((result, maps))

@@ -13,16 +13,14 @@ poses do not know what is up: the direction near the cameras' in which most poin
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Literal
 
 import measuring
 import numpy as np
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from lidarsim import Pose
 from lidarsim.grid import Floats
 from scenegen.logs import LogScan
 from scenegen.logs.write import write_log
@@ -43,11 +41,10 @@ TO_LEFT = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """From 3DTK's axes (right, up, forward) to forward, left, up."""
 
 
-@dataclass
 class Options(measuring.Options):
     """What is made of what."""
 
-    recording: Annotated[str, ("room", "laser")]
+    recording: Literal["room", "laser"]
     source: Path
     """the folder with its files"""
     out: Path
@@ -56,7 +53,7 @@ class Options(measuring.Options):
 
 def main() -> None:
     """Write the log."""
-    given = measuring.parse(Options, __doc__)
+    given = measuring.parse(Options, "recording", "source", "out")
     scans = room if given.recording == "room" else laser
     print(write_log(given.out, scans(given.source)))
 
@@ -65,8 +62,8 @@ def room(source: Path) -> Iterator[LogScan]:
     """Frames of a depth camera: millimetres, and the camera's pose, x right and z forward."""
     focal = np.loadtxt(source / "camera-intrinsics.txt")
     rows, columns = np.mgrid[0:480:STRIDE, 0:640:STRIDE]
-    rays = np.stack([columns - focal[0, 2], rows - focal[1, 2]], axis=-1) / focal[0, 0]
-    rays = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1)
+    ahead = np.full(rows.shape, focal[0, 0])
+    rays = np.dstack([columns - focal[0, 2], rows - focal[1, 2], ahead]) / focal[0, 0]
     frames = sorted(source.glob("*.depth.png"))
 
     def seen(frame: Path) -> tuple[Floats, Floats]:
@@ -78,7 +75,9 @@ def room(source: Path) -> Iterator[LogScan]:
     turn = _levelled([seen(frame) for frame in frames[:: max(len(frames) // 50, 1)]])
     for number, frame in enumerate(frames):
         pose, points = seen(frame)
-        yield LogScan(number * FRAME_S, _placed(turn @ pose, frame), points)
+        yield LogScan(
+            number * FRAME_S, pose_of_matrix((turn @ pose)[:3].reshape(-1), str(frame)), points
+        )
 
 
 def _levelled(seen: list[tuple[Floats, Floats]]) -> Floats:
@@ -114,11 +113,9 @@ def laser(source: Path) -> Iterator[LogScan]:
         pose[:3, :3] = TO_LEFT @ turn @ TO_LEFT.T
         pose[:3, 3] = TO_LEFT @ position / 100
         near = (points**2).sum(axis=1) < LASER_FAR_M**2
-        yield LogScan(float(number), _placed(pose, file), points[near] @ TO_LEFT.T)
-
-
-def _placed(matrix: Floats, file: Path) -> Pose:
-    return pose_of_matrix(matrix[:3].reshape(-1), str(file))
+        yield LogScan(
+            float(number), pose_of_matrix(pose[:3].reshape(-1), str(file)), points[near] @ TO_LEFT.T
+        )
 
 
 if __name__ == "__main__":

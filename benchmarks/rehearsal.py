@@ -18,7 +18,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import measuring
@@ -33,7 +32,6 @@ OTHER += "from scenegen.__main__ import main; main()"
 """What a node runs whose scenegen is another one."""
 
 
-@dataclass(kw_only=True)
 class Options(measuring.Options):
     """How large the run is."""
 
@@ -48,29 +46,27 @@ class Options(measuring.Options):
 
 def main() -> None:
     """Make the dataset undisturbed, then among disturbances, and print what both took."""
-    small = {"samples": 60, "shard_samples": 5, "nodes": 4, "kill_s": 9.0}
-    given = measuring.parse(Options, __doc__, **small)
+    given = measuring.parse(Options, samples=60, shard_samples=5, nodes=4, kill_s=9.0)
     with tempfile.TemporaryDirectory() as name, Served(Path(name, "s"), fail_every=50) as server:
         here = Path(name)
         os.environ |= server.environment | {"SCENEGEN_CACHE": str(cache_root())}
         (here / "tiny.toml").write_text(RECIPE)
         words = (
-            f"-m scenegen generate --n {given.samples} --val 0 --test 0 --compact --json --recipe "
+            f"generate --n {given.samples} --val 0 --test 0 --compact --json --recipe "
             f"{here}/tiny.toml --shard-samples {given.shard_samples} --workers 1 --out"
         )
-        generate = words.split()
-        undisturbed, said = measuring.run(*generate, here / "d")
-        cost, killed = disturbed([*generate, PLACE, "--on", "rank"], given, here)
-        found = json.loads(measuring.run(*generate, PLACE)[1])
-        measuring.run("-m", "scenegen", "verify", PLACE, "--quick", "--quiet")
+        undisturbed, said = measuring.command(words, here / "d")
+        cost, killed = disturbed(f"{words} {PLACE} --on rank".split(), given, here)
+        found = json.loads(measuring.command(words, PLACE)[1])
+        measuring.command(f"verify {PLACE} --quick --quiet")
         assert found["digest"] == json.loads(said)["digest"], "the same bits"
     print(f"{given.samples} samples in {found['shards']} shards, digest {found['digest'][:12]}")
     print("| | processor s | clock s |\n|---|---|---|")
     print(f"| one process, a folder | {undisturbed.processor_s:.0f} | {undisturbed.wall_s:.0f} |")
     print(f"| {given.nodes} nodes, a bucket | {cost.processor:.0f} | {cost.wall:.0f} |")
     print(f"{killed} nodes killed; one of another version refused")
-    failed = len(server.log) // server.fail_every
-    print(f"{len(server.log)} requests, {failed} of them refused or cut off")
+    asked = len(server.log)
+    print(f"{asked} requests, {asked // server.fail_every} of them refused or cut off")
 
 
 def disturbed(command: list[str], given: Options, here: Path) -> tuple[measuring.Time, int]:
@@ -78,13 +74,17 @@ def disturbed(command: list[str], given: Options, here: Path) -> tuple[measuring
     rng, size, killed = random.Random(0), given.nodes // 2, 0
     begin, used = time.perf_counter(), measuring.processor_s()
 
-    def node(number: int, words: list[str]) -> "subprocess.Popen[str]":
+    def node(number: int, *program: str) -> "subprocess.Popen[str]":
         home = here / f"node{number}"
         home.mkdir(exist_ok=True)
-        own = {"HOME": str(home), "SCENEGEN_RANK": str(number % size)}
+        own = {
+            "HOME": str(home),
+            "SCENEGEN_RANK": str(number % size),
+            "SCENEGEN_WORLD_SIZE": str(size),
+        }
         return subprocess.Popen(
-            [sys.executable, *words],
-            env={**os.environ, **own, "SCENEGEN_WORLD_SIZE": str(size)},
+            [sys.executable, *program, *command],
+            env=os.environ | own,
             cwd=home,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
@@ -97,7 +97,7 @@ def disturbed(command: list[str], given: Options, here: Path) -> tuple[measuring
     while waiting or running:
         while waiting and len(running) < given.at_once:
             number = waiting.pop(0)
-            running[number] = node(number, command)
+            running[number] = node(number, "-m", "scenegen")
         time.sleep(0.1)
         if time.perf_counter() - last > given.kill_s:
             last = time.perf_counter()
@@ -111,7 +111,7 @@ def disturbed(command: list[str], given: Options, here: Path) -> tuple[measuring
                     waiting.append(number)
                 elif process.returncode:
                     sys.exit(f"node {number}: {wrong}")
-    other = node(given.nodes, ["-c", OTHER, *command[2:]])
+    other = node(given.nodes, "-c", OTHER)
     assert "software.scenegen is" in other.communicate()[1], "another version was not refused"
     spent = measuring.processor_s() - used
     return measuring.Time(time.perf_counter() - begin, spent), killed

@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +23,10 @@ RESULTS = Path(__file__).parents[1] / "docs" / "results"
 MARK = "<!-- tables -->"
 """In a page: below it, all is written anew."""
 CAREFUL = PlanConfig(planner="careful")
+Results = dict[str, DatasetResult]
+"""By place."""
 
 
-@dataclass(kw_only=True)
 class Options(measuring.Options):
     """Of a benchmark that measures networks on maps of each place, and planning on them, and writes
     a page."""
@@ -70,7 +71,7 @@ def maps_in(dataset: Dataset) -> Split:
 
 def measured(
     places: Mapping[str, Dataset], methods: Sequence[Method], trials: int, plan: PlanConfig
-) -> dict[str, DatasetResult]:
+) -> Results:
     """What the bench finds in every place."""
     found = {}
     for name, dataset in places.items():
@@ -107,10 +108,6 @@ def told(values: Any, groups: Any, form: str, scale: Scale = "amount") -> str:
     return brief(figure(values, groups, scale), form)
 
 
-Groups = Callable[[DatasetResult, str], Any]
-"""What intervals of a metric are over: a group for each map or trial of a result."""
-
-
 def by_map(result: DatasetResult, metric: str) -> Any:
     """Intervals over maps, where each is of a flight of its own."""
     return maps_of(result) if metric in PLAN_METRICS else range(len(result.worlds))
@@ -118,15 +115,16 @@ def by_map(result: DatasetResult, metric: str) -> Any:
 
 def tables(
     titles: Mapping[str, str],
-    results: Mapping[str, DatasetResult],
+    results: Results,
     names: Sequence[str],
     *,
-    groups: Groups = DatasetResult.worlds_of,
+    groups: Callable[[DatasetResult, str], Any] = DatasetResult.worlds_of,
     form: str = ".3f",
     region: int = 0,
 ) -> list[str]:
     """A table for each metric of `titles`: a line for each of `results`, with what the methods
-    `names` reached in a region of the maps; a dash for a method that was not measured."""
+    `names` reached in a region of the maps; a dash for a method that was not measured. `groups`
+    tells the group of each map or trial, which intervals are over."""
 
     def cell(name: str, metric: str, result: DatasetResult) -> str:
         if name not in result.methods:

@@ -8,15 +8,13 @@ whole shards, in turn.
 import math
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, Any
+from typing import Any
 
 import measuring
 
 from scenegen.dataset.generation import plan_generation
 from scenegen.dataset.shard import write_shard
-from scenegen.recipes import kind_names
 
 SENSORS = ("velodyne-vlp-16", "ouster-os1-64", "livox-mid-360", "livox-avia", "realsense-d435")
 NOISES = ("range", "dropout", "divergence,range", "grazing", "faint")
@@ -32,11 +30,10 @@ DATASETS: dict[str, dict[str, Any]] = {
 """What is asked of `scenegen.generate`."""
 
 
-@dataclass(kw_only=True)
 class Options(measuring.Options):
     """What is measured."""
 
-    kind: Annotated[str, kind_names()] = "pillar"
+    kind: measuring.Kind = "pillar"
     samples: int = 20
     rounds: int = 3
     only: Sequence[str] = ("",)
@@ -45,8 +42,9 @@ class Options(measuring.Options):
 
 def main() -> None:
     """Measure and print."""
-    few = ["default", "avia", "grazing", "ahead"]
-    given = measuring.parse(Options, __doc__, samples=5, rounds=1, only=few)
+    given = measuring.parse(
+        Options, samples=5, rounds=1, only=["default", "avia", "grazing", "ahead"]
+    )
     shards: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder:
         for name, asked in DATASETS.items():

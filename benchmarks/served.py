@@ -20,6 +20,7 @@ class Served(ThreadingHTTPServer):
         self.log: list[tuple[str, int]] = []
         """What was asked for, "GET train-00000.h5" or "LIST", and the bytes of each answer."""
         self.alone = Lock()
+        Thread(target=self.serve_forever, args=(0.01,), daemon=True).start()
 
     @property
     def environment(self) -> dict[str, str]:
@@ -30,13 +31,10 @@ class Served(ThreadingHTTPServer):
     def handle_error(self, *about: object) -> None:
         """Nothing: who asked was killed."""
 
-    def __enter__(self) -> "Served":
-        Thread(target=self.serve_forever, args=(0.01,), daemon=True).start()
-        return self
-
-    def __exit__(self, *error: object) -> None:
+    def server_close(self) -> None:
+        """Ends the server, as the block's end does."""
         self.shutdown()
-        self.server_close()
+        super().server_close()
 
 
 class Answer(BaseHTTPRequestHandler):
@@ -79,8 +77,8 @@ class Answer(BaseHTTPRequestHandler):
             self._send(404)
         else:
             asked, first = part_of(content, part)
-            about = f"bytes {first}-{first + len(asked) - 1}/{len(content)}"
-            more = {"Content-Range": about} if part else {}
+            span = f"bytes {first}-{first + len(asked) - 1}/{len(content)}"
+            more = {"Content-Range": span} if part else {}
             self._send(206 if part else 200, asked, cut=fails, ETag=tag, **more)
             server.log[number - 1] = what, len(asked)
 

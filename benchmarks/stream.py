@@ -8,25 +8,22 @@ How long training waits for one says `benchmarks/training.py --stream pillar`.
 import itertools
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import measuring
 
 import scenegen
 from scenegen.dataset.generation import plan_generation
 from scenegen.dataset.shard import write_shard
-from scenegen.recipes import kind_names
 
 BATCH = 8
 
 
-@dataclass(kw_only=True)
 class Options(measuring.Options):
     """What is measured."""
 
-    kind: Sequence[Annotated[str, kind_names()]] = ("geometric", "pillar")
+    kind: Sequence[measuring.Kind] = ("geometric", "pillar")
     samples: int = 100
     """samples of a round"""
     rounds: int = 7
@@ -37,8 +34,15 @@ class Options(measuring.Options):
 def generate(kind: str, count: int, turn: int) -> None:
     """Write `count` samples as a shard, compact as a network needs it; others in each turn."""
     with tempfile.TemporaryDirectory() as folder:
-        more: Any = {"out": Path(folder), "compact": True, "shard_samples": count}
-        plan = plan_generation(kind, (turn + 1) * count, val=0, test=0, **more)
+        plan = plan_generation(
+            kind,
+            (turn + 1) * count,
+            val=0,
+            test=0,
+            out=folder,
+            compact=True,
+            shard_samples=count,
+        )
         write_shard(plan.shards[turn])
 
 
@@ -70,7 +74,7 @@ def ways(given: Options, kind: str, cache: Path) -> dict[str, Callable[[], None]
 
 def main() -> None:
     """Parse, measure in turn, and print."""
-    given = measuring.parse(Options, __doc__, kind=["pillar"], samples=8, rounds=1, workers=1)
+    given = measuring.parse(Options, kind=["pillar"], samples=8, rounds=1, workers=1)
     for kind in given.kind:
         with tempfile.TemporaryDirectory() as cache:
             medians = measuring.in_turn(ways(given, kind, Path(cache)), given.rounds)

@@ -4,8 +4,6 @@ python benchmarks/study.py docs/results/study.json --out docs/pictures/study
 """
 
 import json
-from collections.abc import Mapping
-from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,16 +16,14 @@ COLOURS = {"confirmed": "C0", "refuted": "C3", "contradicted": "C1", "undecided"
 CURVES = {"val_loss": "validation loss", "val_iou": "IoU", "val_near_rmse": "Near-RMSE, m"}
 
 
-@dataclass
 class Options(measuring.Options):
     """The study."""
 
     study: Path
-    _: KW_ONLY
     out: Path = Path()
 
 
-def learning(study: Mapping[str, Any]) -> Figure:
+def learning(study: dict[str, Any]) -> Figure:
     """Loss, IoU and Near-RMSE on validation by maps seen; runs with the whole budget."""
     figure = Figure(figsize=(12, 3.6), layout="constrained")
     shown = {name: run for name, run in study["runs"].items() if name[-3:-1] == "-s"}
@@ -50,7 +46,7 @@ def learning(study: Mapping[str, Any]) -> Figure:
     return figure
 
 
-def claims(study: Mapping[str, Any]) -> Figure:
+def claims(study: dict[str, Any]) -> Figure:
     """Every claim's difference with its interval over worlds and seeds: a line a claim, from the
     top, a point with its interval."""
     kinds = {
@@ -84,7 +80,7 @@ def claims(study: Mapping[str, Any]) -> Figure:
 
 def main() -> None:
     """Draw a study."""
-    given = measuring.parse(Options, __doc__)
+    given = measuring.parse(Options, "study")
     given.out.mkdir(parents=True, exist_ok=True)
     study = json.loads(given.study.read_text())
     for name, drawn in {"learning.png": learning(study), "claims.png": claims(study)}.items():

@@ -7,7 +7,6 @@ precision; or how long steps wait for a stream.
 
 import time
 from collections.abc import Sequence
-from dataclasses import KW_ONLY, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -24,12 +23,10 @@ from scenegen.model.training.device import Group, choose_device
 from scenegen.model.training.loop import Step, optimizer_of
 
 
-@dataclass
 class Options(measuring.Options):
     """What is trained, and on what."""
 
     datasets: Sequence[Path] = ()
-    _: KW_ONLY
     stream: str | None = None
     """in place of datasets, a kind"""
     steps: int = 60
@@ -42,7 +39,7 @@ class Options(measuring.Options):
 
 def main() -> None:
     """Print the loader's rate and one table of steps, or a line for each number of loaders."""
-    given = measuring.parse(Options, __doc__, variant=["occ"], batch=1, rounds=1)
+    given = measuring.parse(Options, "datasets", variant=["occ"], batch=1, rounds=1)
     if given.stream:
         maps = Maps([scenegen.stream(given.stream)], "train")
         for workers in (0, 1, 2):
@@ -50,7 +47,12 @@ def main() -> None:
         return
     maps = Maps(opened(given.datasets, "train"), "train")
     batches = list(Course(maps, TrainConfig(batch=given.batch)).batches(0, given.steps))
-    loader(maps, batches)
+    read = measuring.timed(lambda: sum(1 for _ in load(maps, batches, workers=0, pinned=False)))
+    count = 1e3 * sum(map(len, batches))
+    print(
+        f"loader, one process: {count / read.wall:.0f} samples/s, {count / read.processor:.0f} per "
+        f"second of CPU time"
+    )
     batch = next(load(maps, batches, workers=0, pinned=False))
     print(
         f"steps on {choose_device(given.device)}, {torch.get_num_threads()} threads, batch "
@@ -93,16 +95,6 @@ def waits(learn: Step, maps: Maps, workers: int, steps: int) -> None:
     waited, stepped = (1e3 * total / (len(found) - 1) / config.batch for total in totals)
     print(
         f"{workers} loaders: waits {waited:.1f} ms a map, steps {stepped:.1f} ms a map", flush=True
-    )
-
-
-def loader(maps: Maps, batches: list[list[tuple[int, int]]]) -> None:
-    """Print samples a second in one process."""
-    took = measuring.timed(lambda: list(load(maps, batches, workers=0, pinned=False)))
-    count = 1e3 * sum(map(len, batches))
-    print(
-        f"loader, one process: {count / took.wall:.0f} samples/s, {count / took.processor:.0f} per "
-        f"second of CPU time"
     )
 
 

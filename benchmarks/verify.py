@@ -10,30 +10,27 @@ what to compare on a machine that does other work. Memory is that of the largest
 
 import json
 from collections.abc import Sequence
-from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 
 import measuring
 
 
-@dataclass
 class Options(measuring.Options):
     """What is checked."""
 
     datasets: Sequence[Path]
-    _: KW_ONLY
     workers: int = 1
 
 
 def main() -> None:
     """Print a table for every dataset."""
-    given = measuring.parse(Options, __doc__)
+    given = measuring.parse(Options, "datasets")
     for folder in given.datasets:
         for path in folder.iterdir():
             path.read_bytes()
         for mode in ((), ("--quick",)):
-            words = ["verify", folder, "--json", "--workers", given.workers, *mode]
-            cost, said = measuring.run("-m", "scenegen", *words)
+            words = f"verify --json --workers {given.workers}"
+            cost, said = measuring.command(words, folder, *mode)
             found = json.loads(said)
             samples, seconds = found["samples"], found["seconds"]
             rate = samples / seconds / given.workers
