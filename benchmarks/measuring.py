@@ -11,7 +11,7 @@ import sys
 import time
 import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 from scenegen.recipes import kind_names
@@ -69,6 +69,8 @@ def parse(kind: type[Given], /, *unnamed: str, **smallest: Any) -> Given:
         more = _settings(types[one.name])
         if one.default is None and one.name in unnamed:
             more |= {"nargs": "?", "default": None}
+        elif one.default is MISSING and "nargs" in more:
+            more["nargs"] = "+"
         parser.add_argument(flag, help=helps.get(one.name), **more)
     given = vars(parser.parse_args())
     return kind(**(smallest if "smoke" in given else {}) | given)
