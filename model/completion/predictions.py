@@ -71,14 +71,17 @@ def predict_split(
         raise DatasetError(f"{folder}: {empty_split(split)}, or give another --split")
     about = {"dataset": dataset.manifest.digest, "split": split, "method": completer.name}
     there = _begun(out, completer, about)
-    parts = [Rows(split, range(n, min(n + PART, count))) for n in range(0, count, PART)]
+    parts = [
+        (f"{stem_of(split, number)}.h5", Rows(split, range(first, min(first + PART, count))))
+        for number, first in enumerate(range(0, count, PART))
+    ]
     get: Callable[[], Completer] = lambda: completer  # noqa: E731
     if execute is None:
         execute = ALONE
     elif completer.opened is not None:
         get = partial(opened_once, *completer.opened)
-    tasks = [part for part in execute.mine(parts) if _file(part) not in there]
-    begin = partial(on_start, sum(len(part.numbers) for part in tasks))
+    tasks = [(file, part) for file, part in execute.mine(parts) if file not in there]
+    begin = partial(on_start, sum(len(part.numbers) for _, part in tasks))
     work = partial(_write, get, samples, out, about)
     away: list[float] = []
     with closing(execute(work, tasks, begin)) as results:
@@ -108,18 +111,18 @@ def _begun(out: Path, completer: Completer, about: Mapping[str, Any]) -> Contain
     return there
 
 
-def _file(part: Rows) -> str:
-    """What the file of a part is called in the folder."""
-    return f"{stem_of(part.split, part.numbers[0] // PART)}.h5"
-
-
 def _write(
-    get: Callable[[], Completer], samples: Split, out: Path, about: Mapping[str, Any], part: Rows
+    get: Callable[[], Completer],
+    samples: Split,
+    out: Path,
+    about: Mapping[str, Any],
+    task: tuple[str, Rows],
 ) -> tuple[int, list[float]]:
     """Write the predictions of a part, completed by what `get` gives, into its file, whole or
     not. How many they are, and how far from home each is."""
+    file_name, part = task
     completer, grid, count = get(), samples.dataset.grid, len(part.numbers)
-    path = out / _file(part)
+    path = out / file_name
     who: list[tuple[int, int]] = []
     away: list[float] = []
     make_parent(path)

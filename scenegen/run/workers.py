@@ -142,15 +142,26 @@ class Limited(Generic[Task, Result]):
     and what happened."""
 
     def __call__(self, task: Task) -> Result:
-        """The result, from a process that ends with the task: for executors that call functions in
-        processes of their own, which may run threads."""
-        worker = Worker(self, "spawn")
+        """The result, from a process that is kept for the next task: for executors that call
+        functions in processes of their own, which may run threads."""
+        worker = _kept.pop() if _kept else Worker(self, "spawn")
+        if worker.limits is not self or not worker.process.is_alive():
+            worker.end()
+            worker = Worker(self, "spawn")
         try:
             worker.give(task)
             _ready([worker])
-            return worker.take(1)
+            result: Result = worker.take(1)
+            if worker.alive:
+                _kept.append(worker)
+            return result
         finally:
-            worker.end()
+            if worker not in _kept:
+                worker.end()
+
+
+_kept: list["Worker"] = []
+"""The process of the function with limits that was called here last, if there is one."""
 
 
 def run(
@@ -242,7 +253,7 @@ class Worker:
     def __init__(self, function: Function, start: str = "fork"):
         context: Any = multiprocessing.get_context(start)
         self.pipe, theirs = context.Pipe()
-        self._limits = limits = function if isinstance(function, Limited) else None
+        self.limits = limits = function if isinstance(function, Limited) else None
         given = (function, None) if limits is None else (limits.function, limits.memory_bytes)
         self.process = context.Process(
             target=_serve, args=(*given, theirs, os.getpid()), daemon=True
@@ -254,7 +265,7 @@ class Worker:
 
     def give(self, task: Any) -> None:
         """Have a task worked off; its time begins."""
-        seconds = self._limits.seconds(task) if self._limits else math.inf
+        seconds = self.limits.seconds(task) if self.limits else math.inf
         self._task, self._deadline = task, time.monotonic() + seconds
         self.pipe.send(task)
 
@@ -271,7 +282,7 @@ class Worker:
             succeeded, value = self.pipe.recv() if self.pipe.poll() else (False, None)
         except (EOFError, ConnectionResetError):
             self.alive = False
-            if self._limits is None:
+            if self.limits is None:
                 raise GenerationError(
                     "a worker process was killed (out of memory?); finished shards are kept: give "
                     f"the same command again to go on, with fewer --workers than {workers} if it "
@@ -281,12 +292,12 @@ class Worker:
         else:
             if succeeded:
                 return value
-            if self._limits is None:
+            if self.limits is None:
                 raise value
             self.alive = value is not None
             said = " ".join(str(value).split())[:200]
             reason = f"ended in {type(value).__name__}: {said}" if self.alive else "took too long"
-        return self._limits.given_up(self._task, reason)
+        return self.limits.given_up(self._task, reason)
 
     def end(self) -> None:
         """Whatever it is doing."""

@@ -58,13 +58,27 @@ def test_too_many_deaths_end_the_run_but_not_the_caller(monkeypatch):
     assert "was not examined" in results[-1]
 
 
-def test_called_by_itself_a_limited_function_runs_in_a_process_of_its_own():
-    """As executors on other machines call it."""
-    limited = Limited(process, lambda task: 60.0, 1 << 30, lambda task, why: -1)
+def test_called_by_itself_a_limited_function_runs_in_a_process_that_it_keeps():
+    """As executors on other machines call it, task by task; one that died is begun again, and
+    another function has its own."""
+    limited, other = (
+        Limited(process, lambda task: 60.0, 1 << 30, lambda task, why: -1) for _ in range(2)
+    )
     before = set(multiprocessing.active_children())
-    assert limited("a") != os.getpid()
+
+    def process_of(function):
+        assert function("a") != os.getpid()
+        (found,) = set(multiprocessing.active_children()) - before
+        return found
+
+    first = process_of(limited)
+    assert process_of(limited) is first
     assert limited("die") == -1
-    assert set(multiprocessing.active_children()) == before
+    second = process_of(limited)
+    second.kill()
+    second.join()
+    assert process_of(limited) not in (first, second)
+    process_of(other)  # the last one's alone is left
 
 
 def process(task):
