@@ -1,6 +1,8 @@
 """The command line as users meet it, for tests: run a command in this process, on small worlds."""
 
+import re
 import shlex
+import subprocess
 import sys
 from pathlib import Path
 
@@ -41,11 +43,41 @@ def run(capsys, *words):
     return int(ended.value.code or 0), said.out, said.err
 
 
+def done(capsys, *words):
+    """What a command prints, which ends well; see `run`."""
+    code, said, error = run(capsys, *words)
+    assert code == 0, error
+    return said
+
+
 def refused(capsys, *words):
     """The one line in which a command ends that cannot be done; see `run`."""
     code, said, line = run(capsys, *words)
     assert (code in (1, 2), said, line.count("\n")) == (True, "", 1), line
     return line
+
+
+def python(*words, timeout=600, **more):
+    """How the interpreter ends in a process of its own, and it ends well."""
+    words = [sys.executable, *map(str, words)]
+    ended = subprocess.run(
+        words, capture_output=True, text=True, timeout=timeout, check=False, **more
+    )
+    assert ended.returncode == 0, f"{ended.stdout[-2000:]}\n{ended.stderr[-4000:]}"
+    return ended
+
+
+def modules_after(code):
+    """The modules that a process of its own has imported by the end of some code."""
+    told = "import atexit, sys; atexit.register(lambda: print(*sys.modules, file=sys.stderr))"
+    return set(python("-c", f"{told}\n{code}", cwd=ROOT).stderr.split())
+
+
+def example(page, words):
+    """The one block of code on a page of the docs that holds some words."""
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    (found,) = (one for one in re.findall(r"```\w+\n(.*?)```", text, re.DOTALL) if words in one)
+    return found
 
 
 def rows(table):

@@ -3,22 +3,19 @@ of the user's."""
 
 import pytest
 
-from tests.command_line import ROOT, SMALL, refused, rows
+from tests.command_line import SMALL, example, refused, rows
 
-EXAMPLES = {
-    "my_worlds.py": "recipes.md",
-    "my_methods.py": "bench.md",
-    "my_commands.py": "commands.md",
-}
+EXAMPLES = """
+my_worlds.py   → recipes.md  → class Vineyard
+my_methods.py  → bench.md    → class Grown
+my_commands.py → commands.md → def fill
+"""
 OTHERS = ("model.py", "cli.py", "data.py", "tests/__init__.py", "tests/helpers.py")
 """Modules of the user's that have nothing to do with it, under names that are common in the
 field."""
 
 
-def example(page):
-    """The last Python file that a page of the docs shows: a block that begins with a docstring."""
-    blocks = (ROOT / "docs" / page).read_text().split("```python\n")
-    return [block for block in blocks if block.startswith('"""')][-1].split("```")[0]
+
 
 
 @pytest.fixture
@@ -27,8 +24,8 @@ def here(tmp_path):
     for name in OTHERS:
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text("raise AssertionError('imported, and nobody asked for it')")
-    for name, page in EXAMPLES.items():
-        (tmp_path / name).write_text(example(page))
+    for name, page, words in rows(EXAMPLES):
+        (tmp_path / name).write_text(example(page, words))
     own = SMALL.replace('"pillar"', '"my_worlds:Vineyard"\ndifficulty = "hard"')
     (tmp_path / "vineyard.toml").write_text(own)
     return tmp_path

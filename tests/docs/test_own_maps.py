@@ -1,20 +1,17 @@
 """Recorded maps of a user's own are trained on as the page says."""
 
-import re
-
 import numpy as np
 
 from lidarsim import GridSpec
 from scenegen.model.checkpoint import load_network
-from tests.command_line import ROOT
+from tests.command_line import example
 
 
 def test_the_documented_maps_train(tmp_path, monkeypatch):
     """With a smaller grid and network."""
     monkeypatch.chdir(tmp_path)
     rng = np.random.default_rng(0)
-    page = (ROOT / "docs" / "training.md").read_text(encoding="utf-8")
-    (text,) = re.findall(r"```python\n(# recorded.py.*?)```", page, re.DOTALL)
+
     for name in ("train", "val"):
         occupancy = rng.random((4, 16, 16, 16)) < 0.1
         np.savez(
@@ -23,7 +20,8 @@ def test_the_documented_maps_train(tmp_path, monkeypatch):
             occupancy=occupancy,
         )
     small = 'maps=8, width=4, precision="float32"'
-    text = text.replace("GridSpec()", "GridSpec(shape=(16, 16, 16))").replace("maps=5000", small)
+    text = example("training.md", "# recorded.py").replace("maps=5000", small)
+    text = text.replace("GridSpec()", "GridSpec(shape=(16, 16, 16))")
     exec(text, {})
     network, grid, about = load_network(tmp_path / "runs" / "yard" / "best.safetensors")
     assert (network.config.width, grid, about["settings"]["kinds"]) == (

@@ -1,23 +1,19 @@
 """A planner of one's own, as docs/bench.md shows it."""
 
-import re
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from scenegen.model.evaluation.planning.measure import run_trial
+from tests.command_line import example
 from tests.model.conftest import make_dataset
-
-PAGE = Path(__file__).parents[2] / "docs" / "bench.md"
 
 
 def test_the_example_judges_as_the_bench_does(tmp_path, monkeypatch):
-    (text,) = re.findall(r"## Your own planner.*?```python\n(.*?)```", PAGE.read_text(), re.S)
+
     make_dataset(tmp_path / "data" / "pillar")
     monkeypatch.chdir(tmp_path)
     ran = {}
-    exec(compile(text, str(PAGE), "exec"), ran)
+    exec(example("bench.md", "def straight"), ran)
     goals = ran["trials"].goals
     assert len(goals) > 3
     start, truth = ran["sample"].position - ran["sample"].origin, ran["truth"]

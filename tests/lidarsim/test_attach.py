@@ -1,8 +1,5 @@
 """A sensor on a body follows it, and sees what MuJoCo's own rays see of the same data."""
 
-import re
-from pathlib import Path
-
 import mujoco
 import numpy as np
 import pytest
@@ -10,6 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import Lidar, Pose, attach
 from lidarsim.noise.chain import Noise
+from tests.command_line import example
 from tests.lidarsim import reference
 from tests.lidarsim.engines.test_laws import HFIELD, MESHES, from_mujoco
 
@@ -131,13 +129,7 @@ def test_noise_sees_what_the_sensor_does_and_passes_the_carrier_as_its_rays_do(m
 
 
 def test_the_documented_example_runs():
-    text = (Path(__file__).parents[2] / "docs" / "sensor.md").read_text(encoding="utf-8")
-    (example,) = (
-        block
-        for block in re.findall(r"```python\n(.*?)```", text, re.DOTALL)
-        if "import Lidar, Pose, attach" in block
-    )
     names = {}
-    exec(example, names)
+    exec(example("sensor.md", "import Lidar, Pose, attach"), names)
     assert np.isfinite(names["scan"].ranges).sum() > 300
     assert set(np.unique(names["hits"].geoms)) == {-1, 0, 1}

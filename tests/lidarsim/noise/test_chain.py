@@ -3,7 +3,6 @@
 import dataclasses
 import itertools
 import math
-import re
 from contextlib import nullcontext
 
 import mujoco
@@ -15,7 +14,7 @@ from lidarsim import AnalyticEngine, Lidar, Pose, cast
 from lidarsim.noise import STAGES
 from lidarsim.noise.chain import Noise
 from lidarsim.sensors import CATALOGUE, SENSORS
-from tests.command_line import ROOT
+from tests.command_line import example
 
 ENGINE = AnalyticEngine.of(
     mujoco.MjModel.from_xml_string(
@@ -88,10 +87,7 @@ def test_stages_that_cast_come_first_and_once():
 
 
 def test_a_stage_of_ones_own(standing):
-    (documented,) = re.findall(
-        r"```python\n(# my_noise.py.*?)```", (ROOT / "docs" / "sensor.md").read_text(), re.DOTALL
-    )
-    (standing / "my_noise.py").write_text(f"""{documented}
+    (standing / "my_noise.py").write_text(f"""{example("sensor.md", "# my_noise.py")}
 from typing import ClassVar
 @dataclass(frozen=True, kw_only=True)
 class Shift:
