@@ -23,9 +23,8 @@ from scenegen.model.evaluation.methods import Predicted
 from scenegen.model.evaluation.metrics import METRICS, Metric
 from scenegen.model.inputs import PointScan, centres, channels
 from scenegen.model.network import Network
-from scenegen.model.training.data import Maps, opened
-from scenegen.model.training.loop import train
 from tests.model.conftest import saved_network
+from tests.model.training.runs import maps_of, train
 
 GRID = GridSpec(shape=(16, 24, 8))
 BOTH = ("observed", "free")
@@ -41,9 +40,7 @@ def test_free_space_and_a_new_metric_go_all_the_way(folders, tmp_path, monkeypat
     config = TrainConfig(
         network=NetworkConfig(width=4, inputs=BOTH), epochs=1, batch=12, precision="float32"
     )
-    (row,) = train(
-        opened(folders, "train"), opened(folders, "val"), config, tmp_path / "run", device="cpu"
-    )
+    (row,) = train(folders, config, tmp_path / "run")
     assert 0 <= row["val_alarms"] <= 1
     assert "| alarms |" in (tmp_path / "run" / "card.md").read_text()
 
@@ -137,7 +134,7 @@ def test_inputs_of_a_sample_by_their_definitions(folders):
 
 
 def test_channels_turn_with_their_map(folders):
-    maps = Maps(opened(folders, "train"), "train", ("observed", "ahead"))
+    maps = maps_of(folders, ("observed", "ahead"))
     plain, quarter = maps[3], maps[3, 1]
     for name in ("observed", "occupancy", "ahead"):
         assert torch.equal(quarter[name], torch.rot90(plain[name], 1, (0, 1)))

@@ -1,7 +1,6 @@
 """A network, a loss and an input of a user's own: the page as it stands, and what a file may not
 do."""
 
-import csv
 import re
 from pathlib import Path
 
@@ -15,8 +14,8 @@ from scenegen.model.checkpoint import CheckpointError, load_tensors, save_tensor
 from scenegen.model.completion.completer import Completer
 from scenegen.model.config import LossConfig, NetworkConfig, TrainConfig
 from scenegen.model.inputs import input_called
-from tests.command_line import ROOT, refused, run
-from tests.model.training.runs import train
+from tests.command_line import ROOT, done, example, refused, run
+from tests.model.training.runs import figures, train
 
 PAGE = (ROOT / "docs" / "own-network.md").read_text(encoding="utf-8")
 OWN = "my_net:Net,my_input:rise"
@@ -26,8 +25,8 @@ pytestmark = pytest.mark.usefixtures("undrawn")
 @pytest.fixture
 def here(folders, standing):
     """A user's folder with the page's files, to stand in."""
-    for text, name in re.findall(r"```python\n(# (my_\w+\.py)\n.*?)```", PAGE, re.DOTALL):
-        (standing / name).write_text(text)
+    for name in ("my_net.py", "my_loss.py", "my_input.py"):
+        (standing / name).write_text(example("own-network.md", f"# {name}"))
     (standing / "data").mkdir()
     (standing / "data" / "pillar").symlink_to(folders[0])
     yield standing
@@ -38,21 +37,19 @@ def test_the_page_trains_resumes_completes_benches_and_exports(here, capsys):
     commands = [line.split()[1:] for line in re.findall(r"^scenegen .*$", PAGE, re.MULTILINE)]
     assert [words[0] for words in commands] == ["train", "complete", "bench", "export", "complete"]
     for words in commands:
-        code, _, error = run(capsys, *words)
-        assert code == 0, error
+        done(capsys, *words)
     with h5py.File("predictions/test-00000.h5") as said, h5py.File("again/test-00000.h5") as again:
         for name in ("occupancy_probability", "tudf"):
             assert_allclose(said[name], again[name], atol=5e-2)
-    code, said, _ = run(capsys, *commands[0][:-1], 3)  # goes on
-    assert (code, "epoch 3:" in said, "epoch 1:" in said) == (0, True, False)
-    with open("runs/Net/metrics.csv") as file:
-        rows = list(csv.DictReader(file))
+    said = done(capsys, *commands[0][:-1], 3)  # goes on
+    assert ("epoch 3:" in said, "epoch 1:" in said) == (True, False)
+    rows = figures(Path("runs/Net"))
     assert float(rows[-1]["train_entropy"]) < float(rows[0]["train_entropy"])
-    code, _, error = run(capsys, *(word.replace("my_loss:loss", "coupled") for word in commands[0]))
-    assert (code, "objective is" in error) == (1, True)
+    other = [word.replace("my_loss:loss", "coupled") for word in commands[0]]
+    assert "objective is" in refused(capsys, *other)
     words = f"train data/pillar --weights {OWN}@runs/Net --loss my_loss:loss --maps 1"
-    assert run(capsys, f"{words} --out runs/tuned")[0] == 0
-    exec(PAGE.split("```python\n")[-1].split("```")[0], {})
+    done(capsys, f"{words} --out runs/tuned")
+    exec(example("own-network.md", "scenegen.train("), {})
     assert Path("runs/wide/best.safetensors").exists()
 
 
@@ -65,7 +62,7 @@ def trapped(here):
     config = TrainConfig(
         network=NetworkConfig(variant="my_net:Net", inputs=("my_input:rise",)), epochs=1
     )
-    train([here / "data" / "pillar"], config, here / "run", device="cpu")
+    train([here / "data" / "pillar"], config, here / "run")
     tensors, header = load_tensors(here / "run" / "best.safetensors")
     for name, changed in (
         ("net", {"variant": "trap:Net", "inputs": ["observed"]}),
@@ -157,7 +154,7 @@ def test_what_is_wrong_with_own_code_is_told_in_one_line(here, network, loss, mo
     (here / "wrong.py").write_text(WRONG)
     config = TrainConfig(network=NetworkConfig(**network), loss=LossConfig(**loss), **more)
     with pytest.raises(ScenegenError, match=said):
-        train([here / "data" / "pillar"], config, here / "run", device="cpu")
+        train([here / "data" / "pillar"], config, here / "run")
     assert not (here / "run").exists()
 
 
@@ -171,8 +168,8 @@ def test_an_error_of_ones_own_network_names_its_line(here, capsys):
 def test_one_task_and_a_scalar_loss_will_do_and_are_exported(here, capsys):
     (here / "wrong.py").write_text(WRONG)
     words = ("train", "data/pillar", "--epochs", 1, "--device", "cpu", "--quiet", "--variant")
-    assert run(capsys, *words, "wrong:Seeing", "--loss", "wrong:Scaled", "--workers", 1)[0] == 0
-    assert run(capsys, "export wrong:Seeing@runs/Seeing")[0] == 0
+    done(capsys, *words, "wrong:Seeing", "--loss", "wrong:Scaled", "--workers", 1)
+    done(capsys, "export wrong:Seeing@runs/Seeing")
     assert Completer.from_pretrained("Seeing.onnx")(np.zeros((24, 24, 16), bool)).tudf is None
-    assert run(capsys, *words, "wrong:Branching")[0] == 0
+    done(capsys, *words, "wrong:Branching")
     assert "wrong:Branching" in refused(capsys, "export wrong:Branching@runs/Branching")

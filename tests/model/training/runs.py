@@ -1,21 +1,45 @@
-"""A small run, and processes for more of them."""
+"""A small run, what it leaves, and processes for more of them."""
 
+import csv
 import multiprocessing
 
 import torch
 
 import scenegen.model.training.loop
+from scenegen.model.checkpoint import load_tensors
 from scenegen.model.config import NetworkConfig, TrainConfig
-from scenegen.model.training.data import opened
+from scenegen.model.training.data import Maps, opened
 
 SMALL = TrainConfig(network=NetworkConfig(width=4), epochs=3, batch=4, precision="float32")
 
 
-def train(folders, config, out, **more):
+def train(folders, config, out, device="cpu", **more):
     """Train on datasets, as the command does."""
     return scenegen.model.training.loop.train(
-        opened(folders, "train"), opened(folders, "val"), config, out, **more
+        opened(folders, "train"), opened(folders, "val"), config, out, device=device, **more
     )
+
+
+def maps_of(folders, *inputs):
+    """The maps to train on of datasets."""
+    return Maps(opened(folders, "train"), "train", *inputs)
+
+
+def same(one, other):
+    """Whether two files hold the same weights."""
+    (first, _), (second, _) = load_tensors(one), load_tensors(other)
+    return first.keys() == second.keys() and all(
+        torch.equal(first[name], second[name]) for name in first
+    )
+
+
+def figures(out):
+    """The rows of a run's metrics.csv, less how long they took."""
+    with open(out / "metrics.csv") as file:
+        rows = list(csv.DictReader(file))
+    for row in rows:
+        del row["seconds"]
+    return rows
 
 
 def elsewhere(function, *given):

@@ -95,7 +95,7 @@ def test_a_stall_begins_the_decay_and_the_run_ends_at_its_end(
 
     monkeypatch.setattr(scenegen.model.training.loop, "validate", stalling)
     config = dataclasses.replace(TINY, epochs=100, patience=2, decay_share=0.5)
-    rows = train(folders, config, tmp_path / "run", device="cpu")
+    rows = train(folders, config, tmp_path / "run")
     steps = rows[0]["maps"]
     assert [row["maps"] / steps for row in rows] == list(range(1, 9))
 
@@ -106,18 +106,18 @@ def test_a_run_begins_with_given_weights_of_its_own_network(undrawn, folders, tm
         dataclasses.replace(TINY, epochs=1, lr=lr, seed=seed)
         for lr, seed in ((1e-2, 0), (1e-30, 1))
     )
-    train(folders, once, tmp_path / "first", device="cpu")
+    train(folders, once, tmp_path / "first")
     weights = tmp_path / "first" / "best.safetensors"
-    train(folders, still, tmp_path / "second", device="cpu", weights=weights)
+    train(folders, still, tmp_path / "second", weights=weights)
     first, second = (
         load_tensors(tmp_path / name / "best.safetensors")[0] for name in ("first", "second")
     )
     learned = [name for name in first if "running" not in name and "tracked" not in name]
     assert all(torch.equal(first[name], second[name]) for name in learned)
     with pytest.raises(CheckpointError, match=r"variant is .* there"):
-        train(folders, SMALL, tmp_path / "third", device="cpu", weights=weights)
+        train(folders, SMALL, tmp_path / "third", weights=weights)
     with pytest.raises(DatasetError, match="begun with other settings"):
-        train(folders, still, tmp_path / "second", device="cpu")
+        train(folders, still, tmp_path / "second")
 
 
 def test_a_budget_grows_from_where_the_rate_was_level(undrawn, folders, tmp_path):
@@ -126,20 +126,15 @@ def test_a_budget_grows_from_where_the_rate_was_level(undrawn, folders, tmp_path
     short, long = (
         dataclasses.replace(TINY, epochs=n, warmup_share=0.0, decay_share=0.5) for n in (2, 4)
     )
-    straight = train(folders, long, tmp_path / "straight", device="cpu")
-    train(folders, short, tmp_path / "grown", device="cpu")
+    straight = train(folders, long, tmp_path / "straight")
+    train(folders, short, tmp_path / "grown")
     earlier = (tmp_path / "grown" / "best.safetensors").read_bytes()
-    grown = train(folders, long, tmp_path / "grown", device="cpu")
+    grown = train(folders, long, tmp_path / "grown")
     assert [{**row, "seconds": 0} for row in grown] == [{**row, "seconds": 0} for row in straight]
     assert [path.read_bytes() for path in (tmp_path / "grown").glob("best-*.safetensors")] == [
         earlier
     ]
     with pytest.raises(DatasetError, match="epochs is 4 there, 2 asked for"):
-        train(folders, short, tmp_path / "grown", device="cpu")
+        train(folders, short, tmp_path / "grown")
     with pytest.raises(DatasetError, match="epochs is 4 there, 9 asked for"):
-        train(
-            folders,
-            dataclasses.replace(long, epochs=9, schedule="cosine"),
-            tmp_path / "grown",
-            device="cpu",
-        )
+        train(folders, dataclasses.replace(long, epochs=9, schedule="cosine"), tmp_path / "grown")

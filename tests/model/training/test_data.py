@@ -30,10 +30,11 @@ from scenegen.model.training.data import (
 )
 from scenegen.model.training.loop import origin
 from tests.model.conftest import COUNTS, make_dataset
+from tests.model.training.runs import maps_of
 
 
 def test_maps_are_the_samples_of_all_datasets_in_order(folders):
-    maps = Maps(opened(folders, "train"), "train")
+    maps = maps_of(folders)
     samples = [sample for folder in folders for sample in Dataset(folder).split("train")]
     assert len(maps) == len(samples) == 2 * COUNTS["train"]
     for number, sample in enumerate(samples):
@@ -48,7 +49,7 @@ def test_maps_are_the_samples_of_all_datasets_in_order(folders):
 
 
 def test_loader_workers_read_the_same_after_their_parent_has_read(folders):
-    maps = Maps(opened(folders, "train"), "train")
+    maps = maps_of(folders)
     batches = [[5, 1, 20], [23, 0, 7], [12, 13, 3]]
     here = list(load(maps, batches, workers=0, pinned=False))
     forked = list(load(maps, batches, workers=3, pinned=False))
@@ -61,7 +62,7 @@ def test_damage_is_named(folders, tmp_path):
     copy = shutil.copytree(folders[0], tmp_path / "copy")
     with h5py.File(copy / "train-00000.h5", "r+") as file:
         file["occupancy"].id.write_direct_chunk((1, 0, 0, 0), b"not a chunk")
-    maps = Maps(opened([copy], "train"), "train")
+    maps = maps_of([copy])
     maps[0]
     said = r"^\S*train-00000\.h5: sample 1: occupancy cannot be unpacked"
     with pytest.raises(DatasetError, match=said):
@@ -79,7 +80,7 @@ def test_damage_is_named(folders, tmp_path):
 def test_a_loader_process_that_dies_is_named(folders, monkeypatch):
     monkeypatch.setattr(Maps, "__getitem__", lambda self, key: os.kill(os.getpid(), signal.SIGKILL))
     with pytest.raises(LoaderError, match="--workers 0"):
-        list(load(Maps(opened(folders, "train"), "train"), [[0], [1]], workers=1, pinned=False))
+        list(load(maps_of(folders), [[0], [1]], workers=1, pinned=False))
 
 
 def test_datasets_that_do_not_go_together_are_refused(folders, tmp_path):
@@ -87,7 +88,7 @@ def test_datasets_that_do_not_go_together_are_refused(folders, tmp_path):
     refused = {other_grid: "its grid", folders[0]: "the same samples"}
     for wrong, named in refused.items():
         with pytest.raises(DatasetError, match=named):
-            Maps(opened([folders[0], wrong], "train"), "train")
+            maps_of([folders[0], wrong])
     with pytest.raises(DatasetError, match="no dataset given"):
         Maps([], "train")
 
@@ -95,7 +96,7 @@ def test_datasets_that_do_not_go_together_are_refused(folders, tmp_path):
 def test_sensors_and_mappings_may_differ_and_are_remembered(folders, tmp_path):
     few = make_dataset(tmp_path / "sensor", lidar={"rows": 4, "columns": 30})
     fused = make_dataset(tmp_path / "fused", mapping={"scans": 2})
-    maps = Maps(opened([folders[0], few, fused], "train"), "train", ("observed", "ahead"))
+    maps = maps_of([folders[0], few, fused], ("observed", "ahead"))
     assert {tuple(maps[n]["ahead"].shape) for n in range(len(maps))} == {maps.grid.shape}
     about = origin(maps, "", torch.device("cpu"))
     assert [one["lidar"]["rows"] for one in about["also"]] == [4, about["lidar"]["rows"]]
@@ -105,7 +106,7 @@ def test_sensors_and_mappings_may_differ_and_are_remembered(folders, tmp_path):
 
 
 def test_points_alone_free_less_and_hold_the_same_returns(folders):
-    maps = Maps(opened(folders[:1], "train"), "train", ("observed", "free"))
+    maps = maps_of(folders[:1], ("observed", "free"))
     fewer = 0
     for n in range(len(maps)):
         whole, points = maps[n], maps[n, SYMMETRIES]
@@ -128,7 +129,7 @@ def passes(maps, count, *, seed=0):
 
 def test_weighted_datasets_come_in_proportion_and_every_map_before_any_comes_again(folders):
     weighted = {folders[0]: 3, folders[1]: 1}
-    maps = Maps(opened(weighted, "train"), "train")
+    maps = maps_of(weighted)
     seen = passes(maps, 7)
     assert seen == passes(maps, 7) != passes(maps, 7, seed=1)
     size = COUNTS["train"]
@@ -140,14 +141,14 @@ def test_weighted_datasets_come_in_proportion_and_every_map_before_any_comes_aga
         for one in own:
             np.add.at(counted, np.array(one) - number * size, 1)
             assert counted.max() - counted.min() <= 1
-    plain = Maps(opened([(folder, None) for folder in folders], "train"), "train")
+    plain = maps_of([(folder, None) for folder in folders])
     assert sorted(passes(plain, 1)[0]) == list(range(len(maps))), "without weights, each once"
 
 
 @pytest.mark.parametrize("weight", [0, -1, float("nan"), "2", True, 1e-3])
 def test_weights_that_are_no_proportion_are_refused(folders, weight):
     with pytest.raises(ScenegenError, match="weight") as error:
-        Maps(opened([(folders[0], weight), folders[1]], "train"), "train")
+        maps_of([(folders[0], weight), folders[1]])
     assert str(folders[0]) in str(error.value)
 
 

@@ -10,10 +10,9 @@ import torch
 from scenegen.model.checkpoint import load_tensors, save_tensors
 from scenegen.model.config import LossConfig
 from scenegen.model.network import Network
-from scenegen.model.training.data import Maps, opened
 from scenegen.model.training.device import Group, autocast, resolve_precision
 from scenegen.model.training.loop import Step, TrainingError, check_maps
-from tests.model.training.runs import SMALL, elsewhere
+from tests.model.training.runs import SMALL, elsewhere, maps_of
 from tests.scenegen.run.slurm_here import free_port
 
 
@@ -24,7 +23,7 @@ def take_a_step(folders, out, environment):
     os.environ.update(environment)
     device = torch.device("cpu")
     with Group(device) as group:
-        maps = Maps(opened(folders, "train"), "train")
+        maps = maps_of(folders)
         torch.manual_seed(0)
         config = dataclasses.replace(SMALL, loss=LossConfig(eikonal=1.0, lovasz=1.0))
         network = Network(config.network)
@@ -42,7 +41,7 @@ def take_a_step(folders, out, environment):
 
 def test_processes_get_equal_shares(folders):
     """Samples that are fewer than a batch are one, which has to divide, too."""
-    maps = Maps(opened(folders, "train"), "train")
+    maps = maps_of(folders)
     processes = len(maps) - 1
     config = dataclasses.replace(SMALL, batch=2 * processes)
     with pytest.raises(

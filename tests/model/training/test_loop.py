@@ -1,6 +1,5 @@
 """Training learns, can be interrupted anywhere, and ends in one line when it cannot go on."""
 
-import csv
 import dataclasses
 import fcntl
 import math
@@ -20,18 +19,18 @@ from scenegen.model.config import LossConfig, NetworkConfig, TrainConfig
 from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.losses import Coupled
 from scenegen.model.network import Network
-from scenegen.model.training.data import Maps, opened
+from scenegen.model.training.data import opened
 from scenegen.model.training.device import TrainingError
 from scenegen.model.training.loop import Watcher
 from scenegen.truth import distance_field
 from tests.model.conftest import make_dataset
-from tests.model.training.runs import SMALL, elsewhere, train
+from tests.model.training.runs import SMALL, elsewhere, figures, maps_of, same, train
 
 
 def test_one_batch_is_learned_by_heart(folders):
     """IoU above .99 at the paper's threshold, and distances within a tenth of a voxel on
     average."""
-    maps = Maps(opened(folders, "train"), "train")
+    maps = maps_of(folders)
     batch = {name: torch.stack([maps[0][name], maps[12][name]])[:, 8:16, 8:16] for name in maps[0]}
     occupancy = batch["occupancy"]
     grid = GridSpec(shape=(8, 8, 16))
@@ -56,31 +55,11 @@ def test_one_batch_is_learned_by_heart(folders):
     pytest.fail(f"after {step + 1} steps IoU {iou:.3f}, {error_m:.3f} m")
 
 
-def weights(path):
-    return load_tensors(path)[0]
-
-
-def same(one, other):
-    first, second = weights(one), weights(other)
-    return first.keys() == second.keys() and all(
-        torch.equal(first[name], second[name]) for name in first
-    )
-
-
-def figures(out):
-    """The rows of metrics.csv, less how long they took."""
-    with open(out / "metrics.csv") as file:
-        return [
-            {name: value for name, value in row.items() if name != "seconds"}
-            for row in csv.DictReader(file)
-        ]
-
-
 @pytest.fixture(scope="module")
 def uninterrupted(folders, once):
     """The run that none interrupts; not to be changed, nor to be locked."""
     torch.set_num_threads(1)
-    return once("run", lambda out: train(folders, SMALL, out, device="cpu", command="test"))
+    return once("run", lambda out: train(folders, SMALL, out, command="test"))
 
 
 @pytest.fixture(autouse=True)
@@ -89,13 +68,12 @@ def curveless(uninterrupted, undrawn):
 
 
 def test_a_run_leaves_its_settings_figures_and_best_network(uninterrupted, folders):
-    with open(uninterrupted / "metrics.csv") as file:
-        rows = list(csv.DictReader(file))
+    rows = figures(uninterrupted)
     assert [float(row["epoch"]) for row in rows] == [1, 2, 3]
     assert float(rows[-1]["train_loss"]) < float(rows[0]["train_loss"])
     network, grid, about = load_network(uninterrupted / "best.safetensors")
     assert network.config == SMALL.network
-    assert grid == Maps(opened(folders, "val"), "val").grid
+    assert grid == maps_of(folders).grid
     assert about["figures"]["val_loss"] == pytest.approx(
         min(float(row["val_loss"]) for row in rows), rel=1e-5
     )
@@ -116,8 +94,8 @@ def test_a_stopped_run_ends_where_an_uninterrupted_one_does(folders, tmp_path, u
     for stop in (4, 6, 7):
         watcher = Watcher(on_step=count, stop=lambda stop=stop: steps >= stop)
         with pytest.raises(StoppedError, match="the same command goes on"):
-            train(folders, SMALL, tmp_path / "run", device="cpu", watcher=watcher)
-    train(folders, SMALL, tmp_path / "run", device="cpu")
+            train(folders, SMALL, tmp_path / "run", watcher=watcher)
+    train(folders, SMALL, tmp_path / "run")
     for name in ("best.safetensors", "last.safetensors"):
         assert same(tmp_path / "run" / name, uninterrupted / name)
     assert figures(tmp_path / "run") == figures(uninterrupted)
@@ -127,7 +105,7 @@ def test_a_run_keeps_the_precision_that_it_was_begun_with(folders, tmp_path, uni
     shutil.copytree(uninterrupted, tmp_path / "run")
     config = tmp_path / "run" / "config.json"
     config.write_text(config.read_text().replace('"float32"', '"bfloat16"'))
-    train(folders, dataclasses.replace(SMALL, precision="auto"), tmp_path / "run", device="cpu")
+    train(folders, dataclasses.replace(SMALL, precision="auto"), tmp_path / "run")
 
 
 def train_and_be_killed(folders, out):
@@ -142,7 +120,7 @@ def train_and_be_killed(folders, out):
         if len(losses) == 9:
             os.kill(os.getpid(), signal.SIGKILL)
 
-    train(folders, SMALL, out, device="cpu", watcher=Watcher(on_step=count))
+    train(folders, SMALL, out, watcher=Watcher(on_step=count))
 
 
 def test_a_killed_run_ends_where_an_uninterrupted_one_does(folders, tmp_path, uninterrupted):
@@ -153,7 +131,7 @@ def test_a_killed_run_ends_where_an_uninterrupted_one_does(folders, tmp_path, un
     assert (
         load_tensors(out / "last.safetensors")[1]["step"] == 2
     )  # the third step of the second epoch was lost
-    train(folders, SMALL, out, device="cpu")
+    train(folders, SMALL, out)
     for name in ("best.safetensors", "last.safetensors"):
         assert same(out / name, uninterrupted / name)
 
@@ -165,13 +143,13 @@ def test_a_run_is_not_continued_by_mistake_nor_once_it_is_finished(
     with (out / "config.json").open() as held:
         fcntl.flock(held, fcntl.LOCK_EX)
         with pytest.raises(DatasetError, match="another process trains this run"):
-            train(folders, SMALL, out, device="cpu")
+            train(folders, SMALL, out)
     with pytest.raises(DatasetError, match=r"lr is 0\.001 there, 0\.1 asked for"):
-        train(folders, dataclasses.replace(SMALL, lr=0.1), out, device="cpu")
+        train(folders, dataclasses.replace(SMALL, lr=0.1), out)
     with pytest.raises(DatasetError, match="datasets is"):
-        train(folders[:1], SMALL, out, device="cpu")
+        train(folders[:1], SMALL, out)
     before = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
-    assert len(train(folders, SMALL, out, device="cpu")) == 3
+    assert len(train(folders, SMALL, out)) == 3
     assert {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()} == before
 
 
@@ -184,7 +162,7 @@ def test_training_ends_after_so_many_epochs_without_improvement(folders, tmp_pat
         scenegen.model.training.loop, "validate", lambda *given: {**fixed, "loss": next(losses)}
     )
     config = dataclasses.replace(SMALL, epochs=50, patience=3, schedule="cosine")
-    rows = train(folders[:1], config, tmp_path / "run", device="cpu")
+    rows = train(folders[:1], config, tmp_path / "run")
     assert [row["val_loss"] for row in rows] == [3.0, 2.0, 2.0, 4.0, 2.5]
     assert load_network(tmp_path / "run" / "best.safetensors")[2]["figures"]["epoch"] == 2
 
@@ -204,11 +182,10 @@ def test_divergence_names_the_batch_and_keeps_the_last_good_state(folders, tmp_p
     monkeypatch.setattr(Coupled, "__call__", poisoned)
     said = r"epoch 2, step 3: loss nan.*train sample \d+; .*train sample \d+"
     with pytest.raises(TrainingError, match=said):
-        train(folders, SMALL, out, device="cpu")
+        train(folders, SMALL, out)
     assert len(load_tensors(out / "last.safetensors")[1]["rows"]) == 1
-    assert all(
-        torch.isfinite(tensor).all() for tensor in weights(out / "best.safetensors").values()
-    )
+    best = load_tensors(out / "best.safetensors")[0]
+    assert all(torch.isfinite(tensor).all() for tensor in best.values())
 
 
 def test_running_out_of_memory_says_what_fits(folders, tmp_path, monkeypatch):
@@ -222,24 +199,24 @@ def test_running_out_of_memory_says_what_fits(folders, tmp_path, monkeypatch):
     monkeypatch.setattr(Coupled, "__call__", hungry)
     config = dataclasses.replace(SMALL, batch=12)
     with pytest.raises(TrainingError, match="a batch of 12 does not fit; --batch 3 does"):
-        train(folders, config, tmp_path / "run", device="cpu")
+        train(folders, config, tmp_path / "run")
 
 
 def test_what_cannot_be_trained_on_is_refused(folders, tmp_path):
     odd = make_dataset(tmp_path / "odd", grid={"shape": (20, 24, 16)})
     with pytest.raises(DatasetError, match="multiple of 8"):
-        train([odd], SMALL, tmp_path / "run", device="cpu")
+        train([odd], SMALL, tmp_path / "run")
     empty = make_dataset(tmp_path / "empty", counts={"train": 2, "val": 0, "test": 0})
     with pytest.raises(
         DatasetError,
         match=r"its val split is empty; generate with --val \(scenes are split by world",
     ):
-        train([empty], SMALL, tmp_path / "run", device="cpu")
+        train([empty], SMALL, tmp_path / "run")
     with pytest.raises(TrainingError, match="--device tpu"):
         train(folders, SMALL, tmp_path / "run", device="tpu")
     (tmp_path / "file").write_text("")
     with pytest.raises(DatasetError, match="choose another place"):
-        train(folders, SMALL, tmp_path / "file" / "run", device="cpu")
+        train(folders, SMALL, tmp_path / "file" / "run")
 
 
 def test_impossible_settings_are_refused():

@@ -6,13 +6,12 @@ python -m pytest -m slow tests/model/training/test_nodes.py
 """
 
 import os
-import subprocess
 import sys
 
 import pytest
 
-from scenegen.model.checkpoint import load_tensors
-from tests.command_line import ROOT
+from tests.command_line import ROOT, process
+from tests.model.training.runs import figures, same
 from tests.scenegen.run import slurm_here
 from tests.scenegen.run.slurm_here import free_port
 
@@ -31,38 +30,20 @@ def words(folders):
 def alone(words, tmp_path):
     """The run by two processes of one node."""
     out = tmp_path / "alone"
-    run([*TORCHRUN, "--standalone", "--nproc-per-node", "2", *words, str(out)])
+    run(*TORCHRUN, "--standalone", "--nproc-per-node", 2, *words, out)
     return out
 
 
-def run(command, **more):
-    environment = os.environ | {
-        "PYTHONPATH": str(ROOT),
-        "OMP_NUM_THREADS": "1",
-        "PYTHONFAULTHANDLER": "1",
-        **more,
-    }
-    ended = subprocess.run(
-        command, env=environment, capture_output=True, text=True, check=False, timeout=200
-    )
-    assert ended.returncode == 0, f"{ended.stdout[-2000:]}\n{ended.stderr[-4000:]}"
+def run(*words):
+    more = {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "PYTHONFAULTHANDLER": "1"}
+    process(*words, env=os.environ | more, timeout=200)
 
 
 def check_same(one, other):
     """The same weights, and the same figures but for the time that they took."""
-    (weights, _), (theirs, _) = (load_tensors(out / "best.safetensors") for out in (one, other))
-    assert weights.keys() == theirs.keys()
-    assert all((weights[name] == theirs[name]).all() for name in weights)
-    figures = [
-        [row.split(",") for row in (out / "metrics.csv").read_text().splitlines()]
-        for out in (one, other)
-    ]
-    at = figures[0][0].index("seconds")
-    for rows in figures:
-        assert len(rows) == 3
-        for row in rows:
-            del row[at]
-    assert figures[0] == figures[1]
+    assert same(one / "best.safetensors", other / "best.safetensors")
+    assert figures(one) == figures(other)
+    assert len(figures(one)) == 2
 
 
 @slurm_here.NEEDED
@@ -73,7 +54,7 @@ def test_two_nodes_of_slurm_train_what_one_does(alone, words, tmp_path):
     launch = ["srun", "--nodes=2", "--ntasks-per-node=1", *TORCHRUN, *nodes.split()]
     (tmp_path / "cluster").mkdir()
     with slurm_here.slurm(tmp_path / "cluster", nodes=2):
-        run([*launch, *words, str(out)])
+        run(*launch, *words, out)
     check_same(alone, out)
 
 
@@ -85,7 +66,7 @@ def test_two_nodes_of_ray_train_what_one_does(alone, words, tmp_path):
     try:
         cluster.add_node(num_cpus=1)
         launch = f"{ROOT}/docs/torchrun_on_ray.py --address {cluster.address} --nodes 2 --"
-        run([sys.executable, *launch.split(), *words, str(tmp_path / "ray")])
+        run(sys.executable, *launch.split(), *words, tmp_path / "ray")
     finally:
         cluster.shutdown()
     check_same(alone, tmp_path / "ray")

@@ -10,9 +10,8 @@ from scenegen import files
 from scenegen.errors import DatasetError
 from scenegen.model.checkpoint import CheckpointError, load_tensors, save_tensors
 from scenegen.model.network import Network
-from scenegen.model.training.data import Maps, opened
 from scenegen.model.training.run_folder import Progress, RunFolder
-from tests.model.training.runs import SMALL, train
+from tests.model.training.runs import SMALL, maps_of, train
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +21,7 @@ def begun(folders, once):
         patch.setattr(RunFolder, "draw_rows", lambda folder, rows: None)
         return once(
             "begun",
-            lambda out: train(folders, dataclasses.replace(SMALL, epochs=1), out, device="cpu"),
+            lambda out: train(folders, dataclasses.replace(SMALL, epochs=1), out),
         )
 
 
@@ -54,7 +53,7 @@ def test_a_full_disk_ends_the_run_and_leaves_the_last_state(folders, begun, tmp_
     def full(path, mode):
         raise OSError(28, "No space left on device", str(path))
 
-    network, grid = Network(SMALL.network), Maps(opened(folders, "val"), "val").grid
+    network, grid = Network(SMALL.network), maps_of(folders).grid
     folder = RunFolder(out)
     folder.restore(network, torch.optim.AdamW(network.parameters()))
     monkeypatch.setattr(files, "open", full, raising=False)

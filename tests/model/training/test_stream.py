@@ -17,7 +17,7 @@ from scenegen.model.training.loop import Watcher
 from scenegen.streams.mixture import Component
 from tests.conftest import small_recipe
 from tests.model.training.runs import SMALL
-from tests.model.training.test_loop import same as same_run
+from tests.model.training.runs import same as same_run
 from tests.scenegen.streams.test_stream import same
 
 pytestmark = pytest.mark.usefixtures("undrawn")

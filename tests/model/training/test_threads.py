@@ -2,10 +2,10 @@
 
 import os
 import re
-import subprocess
-import sys
 
 import pytest
+
+from tests.command_line import python
 
 COMMAND = """
 import rich_click as click
@@ -30,9 +30,6 @@ def test_torch_is_loaded_with_threads_that_wait_asleep(given, found, tmp_path):
         for name, value in os.environ.items()
         if name not in ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT")
     }
-    words = [sys.executable, "-m", "scenegen", "mine:load"]
     environment = {**plain, **given, "OMP_DISPLAY_ENV": "verbose"}
-    said = subprocess.run(
-        words, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
-    ).stderr
+    said = python("-m", "scenegen", "mine:load", cwd=tmp_path, env=environment).stderr
     assert re.findall(r"GOMP_SPINCOUNT = '(\d+)'", said) == [found]
