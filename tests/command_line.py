@@ -4,6 +4,7 @@ import re
 import shlex
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -57,14 +58,15 @@ def refused(capsys, *words):
     return line
 
 
-def python(*words, timeout=600, **more):
-    """How the interpreter ends in a process of its own, and it ends well."""
-    words = [sys.executable, *map(str, words)]
-    ended = subprocess.run(
-        words, capture_output=True, text=True, timeout=timeout, check=False, **more
-    )
+def process(*words, timeout=600, **more):
+    """How a process ends, which ends well."""
+    words, how = list(map(str, words)), {"capture_output": True, "text": True, "check": False}
+    ended = subprocess.run(words, timeout=timeout, **how, **more)
     assert ended.returncode == 0, f"{ended.stdout[-2000:]}\n{ended.stderr[-4000:]}"
     return ended
+
+
+python = partial(process, sys.executable)
 
 
 def modules_after(code):

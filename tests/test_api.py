@@ -3,8 +3,6 @@ and measured."""
 
 import inspect
 import shutil
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -12,7 +10,7 @@ import pytest
 import scenegen
 from scenegen.errors import DatasetError, ScenegenError
 from scenegen.model.config import USUAL
-from tests.command_line import ROOT
+from tests.command_line import ROOT, python
 
 
 @pytest.fixture(scope="module")
@@ -75,6 +73,4 @@ def test_a_checkout_without_links_works(tmp_path):
     link.unlink()
     link.write_text("../model")
     code = "import scenegen.model.config as it, scenegen; print(it.__file__, scenegen.Prediction)"
-    words = [sys.executable, "-c", code]
-    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=True)
-    assert done.stdout.startswith(str(tmp_path / "model" / "config.py"))
+    assert python("-c", code, cwd=tmp_path).stdout.startswith(str(tmp_path / "model" / "config.py"))

@@ -3,17 +3,14 @@ hidden."""
 
 import json
 import os
-import subprocess
-import sys
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.bits import of_datasets, of_processor
+from tests.command_line import ROOT, python
 
-ROOT = Path(__file__).parent.parent
 NUMPY = np._core._multiarray_umath
 FEATURES = [name for name in NUMPY.__cpu_dispatch__ if NUMPY.__cpu_features__.get(name)]
 HIDDEN = {
@@ -37,16 +34,8 @@ def check(*parts):
     """The digests are the same where these parts of the processor are hidden, though others are
     not."""
     hidden = {name: value for part in parts for name, value in HIDDEN[part].items()}
-    run = subprocess.run(
-        [sys.executable, "-W", "ignore", "-m", "tests.bits"],
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT), **hidden},
-        capture_output=True,
-        text=True,
-        timeout=600,
-    )
-    assert run.returncode == 0, run.stderr[-2000:]
-    there = json.loads(run.stdout)
+    environment = os.environ | {"PYTHONPATH": str(ROOT)} | hidden
+    there = json.loads(python("-W", "ignore", "-m", "tests.bits", env=environment).stdout)
     assert there["datasets"] == here()
     if parts != ("numba",) and there["processor"] == of_processor():
         pytest.skip(f"sines, arctangents and products are the same without {', '.join(parts)}")

@@ -1,7 +1,6 @@
 """Installed, scenegen shows two packages, `scenegen` and `lidarsim`, and no user's file of any name
 gets in its way."""
 
-import subprocess
 import sys
 import tomllib
 import venv
@@ -11,7 +10,7 @@ import pytest
 from packaging.requirements import Requirement
 
 import scenegen
-from tests.command_line import ROOT
+from tests.command_line import ROOT, process
 
 USERS = {
     "model.py": "mine = 'model'",
@@ -41,19 +40,13 @@ def environment(folder):
     return folder / "bin" / "python"
 
 
-def run(*words, cwd):
-    """What a command prints; it must end well."""
-    ended = subprocess.run(
-        list(map(str, words)), cwd=cwd, capture_output=True, text=True, timeout=300, check=False
-    )
-    assert ended.returncode == 0, ended.stdout + ended.stderr
-    return ended.stdout
-
-
 @pytest.mark.slow
 def test_the_wheel_works_in_an_empty_environment_beside_a_users_own_files(tmp_path):
+    def run(*words):
+        return process(*words, cwd=tmp_path).stdout
+
     pip = f"{sys.executable} -m pip"
-    run(*f"{pip} wheel -q --no-deps -w {tmp_path}/dist {ROOT}".split(), cwd=tmp_path)
+    run(*f"{pip} wheel -q --no-deps -w {tmp_path}/dist {ROOT}".split())
     (wheel,) = (tmp_path / "dist").glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
         top = {name.split("/")[0] for name in archive.namelist() if "dist-info" not in name}
@@ -63,19 +56,19 @@ def test_the_wheel_works_in_an_empty_environment_beside_a_users_own_files(tmp_pa
     assert top == {"scenegen", "lidarsim"}
     python = environment(tmp_path / "env")
     (site,) = (tmp_path / "env" / "lib").glob("python*/site-packages")
-    run(*f"{pip} install -q --no-deps --target {site} {wheel}".split(), cwd=tmp_path)
+    run(*f"{pip} install -q --no-deps --target {site} {wheel}".split())
     for name, content in USERS.items():
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text(content)
     (tmp_path / "mine.py").write_text(SCRIPT)
-    assert run(python, "mine.py", cwd=tmp_path).startswith("extrude")
-    assert "Usage: scenegen" in run(python, "-m", "scenegen", "--help", cwd=tmp_path)
+    assert run(python, "mine.py").startswith("extrude")
+    assert "Usage: scenegen" in run(python, "-m", "scenegen", "--help")
     told = "from scenegen.errors import needs; print(needs('torch', 'train'))"
-    assert f"'{wheel}[train]'" in run(python, "-c", told, cwd=tmp_path)
+    assert f"'{wheel}[train]'" in run(python, "-c", told)
     small = "--n 5 --val 0 --test 5 --workers 1 --quiet"
-    run(python, *f"-m scenegen generate --kind pillar {small}".split(), cwd=tmp_path)
+    run(python, *f"-m scenegen generate --kind pillar {small}".split())
     words = "-m scenegen bench --method returns --quick --workers 1"
-    assert "returns" in run(python, *words.split(), cwd=tmp_path)
+    assert "returns" in run(python, *words.split())
 
 
 def test_what_figures_were_measured_with_is_allowed():

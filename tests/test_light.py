@@ -1,14 +1,12 @@
 """Importing, loading and reading what is stored import nothing that draws, casts, derives or
 learns."""
 
-import subprocess
-import sys
-
 import pytest
 
+from tests.command_line import modules_after
 from tests.conftest import dataset_in
 
-HEAVY = "mujoco", "ompl", "numba", "scipy", "trimesh", "torch", "h5py", "multiprocessing"
+HEAVY = {"mujoco", "ompl", "numba", "scipy", "trimesh", "torch", "h5py", "multiprocessing"}
 
 
 @pytest.fixture(scope="module")
@@ -16,19 +14,10 @@ def folder(tmp_path_factory):
     return dataset_in(tmp_path_factory.mktemp("light") / "d", compact=True).folder
 
 
-def imported(code):
-    """Which of the heavy modules a new process has imported after `code`."""
-    report = f"import sys; print(*(name for name in {HEAVY!r} if name in sys.modules))"
-    done = subprocess.run(
-        [sys.executable, "-c", f"{code}\n{report}"], capture_output=True, text=True, check=True
-    )
-    return set(done.stdout.split())
-
-
 def test_importing_is_light():
     """Where all together import nothing heavy, neither does any alone."""
     modules = "scenegen, lidarsim, scenegen.model.config, scenegen.__main__"
-    assert imported(f"import {modules}, scenegen.dataset.read") == set()
+    assert not modules_after(f"import {modules}, scenegen.dataset.read") & HEAVY
 
 
 def test_loading_and_reading_what_is_stored_is_light(folder):
@@ -38,7 +27,7 @@ samples = scenegen.load({str(folder)!r})
 samples[0].observed, samples[1].ranges, samples[2].position, samples.names, samples.describe()
 samples.dataset.manifest.grid, samples.dataset.manifest.lidar, samples.dataset.world("train", 0)
 """
-    assert imported(code) == set()
+    assert not modules_after(code) & HEAVY
 
 
 def test_streaming_inspecting_and_viewing_need_no_torch(folder, tmp_path):
@@ -52,9 +41,10 @@ next(iter(stream)).tudf
 app.main(["inspect", {str(folder)!r}], standalone_mode=False)
 app.main(["view", {str(folder)!r}, "-o", {str(tmp_path / "page.html")!r}], standalone_mode=False)
 """
-    assert "torch" not in imported(code)
+    assert "torch" not in modules_after(code)
 
 
 def test_what_casts_is_imported_then():
-    assert "mujoco" in imported("from lidarsim import MujocoEngine")
-    assert imported("import lidarsim; assert not hasattr(lidarsim, 'absent')") == set()
+    assert "mujoco" in modules_after("from lidarsim import MujocoEngine")
+    code = "import lidarsim; assert not hasattr(lidarsim, 'absent')"
+    assert not modules_after(code) & HEAVY

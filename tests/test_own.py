@@ -15,9 +15,6 @@ OTHERS = ("model.py", "cli.py", "data.py", "tests/__init__.py", "tests/helpers.p
 field."""
 
 
-
-
-
 @pytest.fixture
 def here(tmp_path):
     """A user's folder, with the examples of the docs."""

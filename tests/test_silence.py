@@ -9,14 +9,13 @@ import importlib.util
 import json
 import os
 import shutil
-import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
 from lidarsim.jit import cache_folder
 from scenegen.__main__ import app
+from tests.command_line import ROOT, process, python
 
 SHIM = r"""
 #define _GNU_SOURCE
@@ -155,7 +154,7 @@ def shim(tmp_path_factory):
     for name, source in (("shim", SHIM), ("native", NATIVE)):
         (folder / f"{name}.c").write_text(source)
         made = f"{folder}/{name}.so {folder}/{name}.c"
-        subprocess.run(f"{compiler} -shared -fPIC -w -o {made} -ldl".split(), check=True)
+        process(*f"{compiler} -shared -fPIC -w -o {made} -ldl".split())
     return folder / "shim.so"
 
 
@@ -173,7 +172,7 @@ def environment(shim, folder):
         "HOME": str(folder / "home"),
         "TMPDIR": str(folder / "temporary"),
         "SCENEGEN_CACHE": str(cache_folder("scenegen").parents[2]),
-        "PYTHONPATH": str(Path(__file__).parents[1]),
+        "PYTHONPATH": str(ROOT),
         "LD_PRELOAD": str(shim),
         "SILENCE_LOG": str(folder / "log"),
     }
@@ -187,17 +186,8 @@ def noted(folder):
 
 def run_all(shim, folder, lines):
     """Run command lines in one process, each of which must succeed."""
-    ended = subprocess.run(
-        [sys.executable, "-m", "tests.test_silence"],
-        input=json.dumps(lines),
-        env=environment(shim, folder),
-        cwd=folder / "here",
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
-    assert ended.returncode == 0, f"{ended.stdout[-1000:]}\n{ended.stderr[-3000:]}"
+    where = {"env": environment(shim, folder), "cwd": folder / "here"}
+    python("-m", "tests.test_silence", input=json.dumps(lines), **where)
 
 
 def test_the_shim_sees_python_and_native_libraries(shim, tmp_path):
@@ -217,9 +207,7 @@ def test_the_shim_sees_python_and_native_libraries(shim, tmp_path):
         "one.sendall(b'near')\n"
         "assert other.recv(4) == b'near'\n"
     )
-    subprocess.run(
-        [sys.executable, "-c", reach], env=environment(shim, tmp_path), check=True, timeout=60
-    )
+    python("-c", reach, env=environment(shim, tmp_path))
     seen = noted(tmp_path)
     assert "getaddrinfo native.invalid" in seen
     assert "getaddrinfo 127.0.0.1" in seen

@@ -1,33 +1,23 @@
 """The site of the docs is built without a warning, and its reference holds what people import."""
 
 import os
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 
 import lidarsim
 import scenegen
+from tests.command_line import ROOT, python
 
 pytestmark = [pytest.mark.checkout, pytest.mark.slow]
 
 pytest.importorskip("mkdocs")
-ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("site")
-    built = subprocess.run(
-        [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", folder],
-        cwd=ROOT,
-        env=os.environ | {"NO_MKDOCS_2_WARNING": "1"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert built.returncode == 0, built.stderr
+    quiet = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
+    python("-m", "mkdocs", "build", "--strict", "--site-dir", folder, cwd=ROOT, env=quiet)
     return folder
 
 
