@@ -30,18 +30,22 @@ shape = [24, 24, 16]
 """
 
 
-def run(capsys, *words):
-    """Exit code, standard output and standard error of a command: its words, or one line as a user
-    types it."""
-    if len(words) == 1:
-        words = tuple(shlex.split(str(words[0])))
+def code_of(*words):
+    """The exit code of a command that runs in this process."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONSAFEPATH", "1")  # as the command line has it, and as it was afterwards
         patch.setattr(sys, "argv", ["scenegen", *map(str, words)])
         with pytest.raises(SystemExit) as ended:
             cli.main()
+    return int(ended.value.code or 0)
+
+
+def run(capsys, *words):
+    """Exit code, standard output and standard error of a command: its words, or one line as a user
+    types it."""
+    code = code_of(*(words if len(words) > 1 else shlex.split(str(words[0]))))
     said = capsys.readouterr()
-    return int(ended.value.code or 0), said.out, said.err
+    return code, said.out, said.err
 
 
 def done(capsys, *words):

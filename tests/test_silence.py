@@ -15,7 +15,7 @@ import pytest
 
 from lidarsim.jit import cache_folder
 from scenegen.__main__ import app
-from tests.command_line import ROOT, process, python
+from tests.command_line import ROOT, code_of, process, python
 
 SHIM = r"""
 #define _GNU_SOURCE
@@ -270,20 +270,14 @@ def main():
     """Run the command lines that standard input lists, one after another, in this process."""
     import time
 
-    from scenegen import __main__ as cli
     from scenegen.cli import doctor
     from scenegen.display import panels, pictures
 
     doctor.SELF_TEST_S = 0.1  # which draws as many samples as it finds time for
     pictures.PIXELS, panels.DPI = 200, 50  # pictures have their own tests
     for words in json.load(sys.stdin):
-        sys.argv = ["scenegen", *words]
         begin = time.process_time()
-        try:
-            cli.main()
-        except SystemExit as ended:
-            if ended.code:
-                sys.exit(f"{words} ended with {ended.code}")
+        assert code_of(*words) == 0, words
         print(f"{time.process_time() - begin:.1f} s for {' '.join(words)}", file=sys.stderr)
 
 

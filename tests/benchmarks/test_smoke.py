@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from scenegen import __main__ as cli
 from scenegen.recipe import preset
+from tests.command_line import code_of
 from tests.conftest import dataset_in
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
@@ -106,11 +106,7 @@ def data(once):
 def in_this_process(*words):
     """Run the command of scenegen that a benchmark measures."""
     assert words[:2] == ("-m", "scenegen")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", [*map(str, words[1:])])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-    assert not ended.value.code
+    assert code_of(*words[2:]) == 0
 
 
 @pytest.mark.parametrize(

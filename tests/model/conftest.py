@@ -19,7 +19,7 @@ def one_thread():
 def saved_network(path, grid, about=None, **config):
     """A small network of random weights, always the same, and saved."""
     torch.manual_seed(0)
-    network = Network(NetworkConfig(width=4, **config)).eval()
+    network = Network(NetworkConfig(**{"width": 4} | config)).eval()
     path.parent.mkdir(exist_ok=True)
     save_network(path, network, grid, about or {})
     return network

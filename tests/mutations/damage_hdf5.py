@@ -7,25 +7,19 @@ mean.
 import h5py
 import numpy as np
 
-from tests.mutations.case import REFUSED, SAME, VALID
+from tests.mutations.case import REFUSED, SAME, VALID, words
 from tests.mutations.dataset_commands import read_dataset
 from tests.mutations.datasets import sign
 from tests.mutations.hdf5_chunks import (
     chunk_missing,
     chunk_of_our_own,
     shuffled_bomb,
+    taken,
     unknown_filter,
 )
 from tests.mutations.nasty import ESCAPES
 
 PACKED = ("observed", "occupancy", "ranges", "free", "tudf")
-
-
-def _remade(file, name, values=None, **options):
-    """The dataset anew, with `values` and creation options in place of its own."""
-    old = file[name][()]
-    del file[name]
-    return file.create_dataset(name, data=old if values is None else values, **options)
 
 
 def virtual(file, name, random):
@@ -41,11 +35,9 @@ def virtual(file, name, random):
 
 
 def external(file, name, random):
-    old = file[name]
-    shape, dtype = old.shape, old.dtype
-    del file[name]
+    old = taken(file, name)
     other = random.choice(("/etc/passwd", "/dev/zero", "recipe.toml"))
-    file.create_dataset(name, shape, dtype, external=[(other, 0, h5py.h5f.UNLIMITED)])
+    file.create_dataset(name, old.shape, old.dtype, external=[(other, 0, h5py.h5f.UNLIMITED)])
     return f"stored in {other}", REFUSED
 
 
@@ -59,56 +51,36 @@ def link(file, name, random):
 
 
 def other_type(file, name, random):
-    shape = file[name].shape
-    kinds = (
-        "f2",
-        "f8",
-        ">f4",
-        "u1",
-        "i8",
-        ">i8",
-        "c16",
-        "S8",
-        h5py.string_dtype(),
-        "V16",
-        h5py.ref_dtype,
-    )
-    kind = random.choice(
-        [k for k in (*kinds, [("x", "f4"), ("y", "i2")]) if np.dtype(k) != file[name].dtype]
-    )
-    del file[name]
-    file.create_dataset(name, shape, kind, chunks=(1, *shape[1:]))
+    old = taken(file, name)
+    plain = words("f2 f8 >f4 u1 i8 >i8 c16 S8 V16")
+    kinds = (*plain, h5py.string_dtype(), h5py.ref_dtype, [("x", "f4"), ("y", "i2")])
+    kind = random.choice([one for one in kinds if np.dtype(one) != old.dtype])
+    file.create_dataset(name, old.shape, kind, chunks=(1, *old.shape[1:]))
     return f"of type {np.dtype(kind)}", REFUSED
 
 
 def other_shape(file, name, random):
-    values = file[name][()]
-    many, dtype = (1 << 40, *values.shape[1:]), values.dtype
-    kind = random.randrange(6)
+    values = taken(file, name)
+    many, chunks = (1 << 40, *values.shape[1:]), (1, *values.shape[1:])
+    kind = random.randrange(4)
     if kind == 0:
-        del file[name]
-        file.create_dataset(name, many, dtype, chunks=(1, *values.shape[1:]), compression="gzip")
+        file.create_dataset(name, many, values.dtype, chunks=chunks, compression="gzip")
         return f"of shape {many}", REFUSED
     if kind == 1:
-        del file[name]
         file.create_group(name)
         return "a group", REFUSED
     if kind == 2:
-        del file[name]
-        file.create_dataset(name, data=h5py.Empty(dtype))
+        file[name] = h5py.Empty(values.dtype)
         return "empty", REFUSED
-    others = {
-        3: values[:0],
-        4: np.concatenate([values, values]),
-        5: values.reshape(-1)[: values.size - 1],
-    }
-    _remade(file, name, others[kind])
-    return f"of shape {others[kind].shape}", REFUSED
+    doubled = np.concatenate([values, values])
+    file[name] = other = random.choice((values[:0], doubled, values.reshape(-1)[:-1]))
+    return f"of shape {other.shape}", REFUSED
 
 
 def other_layout(file, name, random):
     """Other chunks or filters, which HDF5 itself undoes."""
-    shape = file[name].shape
+    old = taken(file, name)
+    shape = old.shape
     options = random.choice(
         (
             {},
@@ -120,7 +92,7 @@ def other_layout(file, name, random):
             {"chunks": (1, *shape[1:]), "compression": "gzip", "fletcher32": True},
         )
     )
-    _remade(file, name, **options)
+    file.create_dataset(name, data=old, **options)
     return f"laid out by {options}", SAME
 
 
@@ -180,19 +152,8 @@ def more(file, name, random):
 OF_CHUNKS = (chunk_of_our_own, shuffled_bomb)
 """Those that need a packed field."""
 STRUCTURAL = (
-    *(
-        virtual,
-        external,
-        link,
-        other_type,
-        other_shape,
-        other_layout,
-        other_layout,
-        unknown_filter,
-        more,
-        chunk_missing,
-    ),
-    *(chunk_of_our_own, chunk_of_our_own, chunk_of_our_own, shuffled_bomb),
+    *(virtual, external, link, other_type, other_shape, other_layout, other_layout),
+    *(unknown_filter, more, chunk_missing, shuffled_bomb, *[chunk_of_our_own] * 3),
 )
 DAMAGES = (*STRUCTURAL, number, number, attribute, attribute)
 

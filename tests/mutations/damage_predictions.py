@@ -6,7 +6,7 @@ import h5py
 from tests.mutations import damage_hdf5
 from tests.mutations.case import REFUSED, SAME, VALID, Attempt, refuses, words
 from tests.mutations.damage_bytes import damage
-from tests.mutations.valid import scores
+from tests.mutations.valid import BENCH, scores
 
 FIELDS = ("occupancy_probability", "tudf")
 
@@ -34,10 +34,7 @@ def attempt(random, valid, here):
         return ""
 
     return Attempt(
-        words=(
-            *words("bench d --quick --workers 1 --quiet --method returns --predictions"),
-            path.name,
-        ),
+        words=words(BENCH),
         damage=f"{path.name}: {said}",
         makes=("bench", "bench/*"),
         holds=refuses(said) if expected == REFUSED else same,

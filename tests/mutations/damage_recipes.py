@@ -14,7 +14,7 @@ def attempt(random, valid, here):
     """A recipe, damaged, and a sample made by it."""
     content, done = random.choice((_numbers, _numbers, _values))(random)
     (here / "r.toml").write_bytes(content.encode(errors="surrogateescape"))
-    return generated(("--recipe", "r.toml"), f"r.toml: {done}")
+    return generated("--recipe r.toml", f"r.toml: {done}")
 
 
 def _full():

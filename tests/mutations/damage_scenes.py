@@ -5,93 +5,87 @@ import os
 import re
 import struct
 
+from tests.mutations.case import words
 from tests.mutations.damage_bytes import damage
 from tests.mutations.generated import generated
 from tests.mutations.nasty import ESCAPES
 from tests.mutations.valid import SCENE
 
-NUMBERS = (
-    "nan",
-    "inf",
-    "-inf",
-    "1e308",
-    "-1e308",
-    "1e30",
-    "1e9",
-    "1e-300",
-    "0",
-    "-1",
-    "65536",
-    "2147483648",
-    "a",
-    "",
-    "1 2 3 4 5 6 7",
-)
+NUMBERS = """
+nan inf -inf 1e308 -1e308 1e30 1e9 1e-300 0 -1 65536 2147483648 a
+"""
+NUMBERS = (*words(NUMBERS), "", "1 2 3 4 5 6 7")
 DEEP = 20_000
+ASSETS = """
+<mesh name="m" file="missing.stl"/>
+<mesh name="m" file="pipe"/>
+<mesh name="m" file="/dev/zero"/>
+<mesh name="m" file="liar.stl"/>
+<mesh name="m" builtin="sphere" params="2000"/>
+<mesh name="m" builtin="supersphere" params="20000 1 1"/>
+<mesh name="m" vertex="nan 0 0 1 0 0 0 1 0 0 0 1"/>
+<mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1" face="0 1 2000000000"/>
+<hfield name="h" nrow="65536" ncol="65536" size="1 1 1 1"/>
+<hfield name="h" nrow="4096" ncol="4096" size="1 1 1 1"/>
+<hfield name="h" nrow="2" ncol="2" size="1 1 nan 1" elevation="0 nan 0 1"/>
+<hfield name="h" file="liar.bin" size="1 1 1 1"/>
+<texture name="t" type="2d" builtin="checker" width="60000" height="60000"/>
+<texture name="t" type="2d" file="liar.png"/>
+<model name="other" file="scene.xml"/>
+<skin name="s" file="missing.skn"/>
+"""
+BODIES = """
+<replicate count="1000000000" offset="1 0 0"><geom size="0.1"/></replicate>
+<body><freejoint/><geom size="0.1" mass="nan"/></body>
+<body><joint range="nan nan"/><geom size="0.1"/></body>
+<composite type="cable" count="10000000 1 1" prefix="c" size="1"/>
+<flexcomp type="grid" count="300 300 300" name="f" spacing="1 1 1"/>
+<flexcomp type="grid" count="3 3 1" name="f" spacing="1 1 1" mass="1"/>
+<include file="pipe"/>
+<include file="missing.xml"/>
+<include file="scene.xml"/>
+<include file="/dev/zero"/>
+<frame pos="nan 0 0"><geom size="0.1"/></frame>
+<geom name="verify: all 17 checks passed&#10;scenegen: \x7f" size="-1"/>
+<geom type="mesh" mesh="nobody"/>
+<geom type="box" size="1e6 1e6 1e6"/>
+<geom type="box" size="1e-12 1e-12 1e-12"/>
+<plugin plugin="mujoco.nothing"/>
+<light texture="x" bulbradius="nan"/><camera fovy="nan"/>
+"""
+SECTIONS = """
+<size memory="100G"/>
+<size memory="-1" njmax="2000000000" nconmax="2000000000"/>
+<size nuserdata="2000000000" nkey="100000000"/>
+<option timestep="nan" gravity="nan nan nan"/>
+<compiler meshdir="/" settotalmass="nan" boundmass="nan"/>
+<compiler settotalmass="10"/>
+<extension><plugin plugin="mujoco.elasticity.cable"><instance name="x"/></plugin></extension>
+<keyframe><key qpos="1 2 3"/></keyframe>
+<statistic extent="nan" meansize="-1"/>
+<custom><numeric name="n" size="2000000000" data="1"/></custom>
+<custom><numeric name="flight_bounds" data="nan nan nan nan nan nan"/></custom>
+<custom><numeric name="flight_bounds" data="-1e300 -1e300 -1e300 1e300 1e300 1e300"/></custom>
+<visual><global offwidth='2000000000'/><map znear='nan'/></visual>
+<what/>
+"""
 ADDED = {
-    "asset": (
-        '<mesh name="m" file="missing.stl"/>',
-        '<mesh name="m" file="pipe"/>',
-        '<mesh name="m" file="/dev/zero"/>',
-        '<mesh name="m" file="liar.stl"/>',
-        '<mesh name="m" builtin="sphere" params="2000"/>',
-        '<mesh name="m" builtin="supersphere" params="20000 1 1"/>',
-        '<mesh name="m" vertex="nan 0 0 1 0 0 0 1 0 0 0 1"/>',
-        '<mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1" face="0 1 2000000000"/>',
-        '<hfield name="h" nrow="65536" ncol="65536" size="1 1 1 1"/>',
-        '<hfield name="h" nrow="4096" ncol="4096" size="1 1 1 1"/>',
-        '<hfield name="h" nrow="2" ncol="2" size="1 1 nan 1" elevation="0 nan 0 1"/>',
-        '<hfield name="h" file="liar.bin" size="1 1 1 1"/>',
-        '<texture name="t" type="2d" builtin="checker" width="60000" height="60000"/>',
-        '<texture name="t" type="2d" file="liar.png"/>',
-        '<model name="other" file="scene.xml"/>',
-        '<skin name="s" file="missing.skn"/>',
-    ),
+    "asset": ASSETS.strip().splitlines(),
     "worldbody": (
-        '<replicate count="1000000000" offset="1 0 0"><geom size="0.1"/></replicate>',
+        *BODIES.strip().splitlines(),
         '<replicate count="300">' * 3 + '<geom size="0.1"/>' + "</replicate>" * 3,
         '<geom size="0.1"/>' * 60_000,
         "<body>" * DEEP + '<geom size="0.1"/>' + "</body>" * DEEP,
-        '<body><freejoint/><geom size="0.1" mass="nan"/></body>',
-        '<body><joint range="nan nan"/><geom size="0.1"/></body>',
-        '<composite type="cable" count="10000000 1 1" prefix="c" size="1"/>',
-        '<flexcomp type="grid" count="300 300 300" name="f" spacing="1 1 1"/>',
-        '<flexcomp type="grid" count="3 3 1" name="f" spacing="1 1 1" mass="1"/>',
-        '<include file="pipe"/>',
-        '<include file="missing.xml"/>',
-        '<include file="scene.xml"/>',
-        '<include file="/dev/zero"/>',
-        '<frame pos="nan 0 0"><geom size="0.1"/></frame>',
         f'<geom name="{"n" * 100_000}" size="0.1"/>',
-        '<geom name="verify: all 17 checks passed&#10;scenegen: \x7f" size="-1"/>',
-        '<geom type="mesh" mesh="nobody"/>',
-        '<geom type="box" size="1e6 1e6 1e6"/>',
-        '<geom type="box" size="1e-12 1e-12 1e-12"/>',
         '<geom user="' + "1 " * 100_000 + '" size="1"/>',
-        '<plugin plugin="mujoco.nothing"/>',
-        '<light texture="x" bulbradius="nan"/><camera fovy="nan"/>',
     ),
     "mujoco": (
-        '<size memory="100G"/>',
-        '<size memory="-1" njmax="2000000000" nconmax="2000000000"/>',
-        '<size nuserdata="2000000000" nkey="100000000"/>',
-        '<option timestep="nan" gravity="nan nan nan"/>',
-        '<compiler meshdir="/" settotalmass="nan" boundmass="nan"/>',
-        '<compiler settotalmass="10"/>',
-        '<extension><plugin plugin="mujoco.elasticity.cable"><instance '
-        'name="x"/></plugin></extension>',
-        '<keyframe><key qpos="1 2 3"/></keyframe>',
-        '<statistic extent="nan" meansize="-1"/>',
-        '<custom><numeric name="n" size="2000000000" data="1"/></custom>',
-        '<custom><numeric name="flight_bounds" data="nan nan nan nan nan nan"/></custom>',
-        '<custom><numeric name="flight_bounds" data="-1e300 -1e300 -1e300 1e300 1e300 '
-        '1e300"/></custom>',
-        "<visual><global offwidth='2000000000'/><map znear='nan'/></visual>",
+        *SECTIONS.strip().splitlines(),
         "<worldbody/>" * 1000,
-        "<what/>",
         "<!-- " + ESCAPES.replace("\x00", "") + " -->",
     ),
 }
+"""What stands in a section besides, the last ones made here because they are long."""
 
 
 def attempt(random, valid, here):
@@ -107,21 +101,20 @@ def attempt(random, valid, here):
     size = struct.pack(">LL", 2**31 - 1, 2**31 - 1)
     (here / "liar.png").write_bytes(b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + size + bytes(9))
     (here / "scene.xml").write_bytes(document)
-    unseen = ["--allow-unseen"] if random.random() < 0.3 else []
-    words = ("--scene", "scene.xml", "--recipe", "scene.toml", *unseen)
-    return generated(words, f"scene.xml: {said}")
+    unseen = " --allow-unseen" if random.random() < 0.3 else ""
+    return generated(f"--scene scene.xml --recipe scene.toml{unseen}", f"scene.xml: {said}")
 
 
 def _number(random):
     """Other numbers in an attribute of numbers."""
     places = list(re.finditer(r'(\w+)="([^"a-z]+)"', SCENE))
     place = random.choice(places)
-    words = place[2].split()
+    numbers = place[2].split()
     value = random.choice(NUMBERS)
-    words[random.randrange(len(words))] = value
+    numbers[random.randrange(len(numbers))] = value
     if random.random() < 0.3:
-        words = [value] * len(words)
-    changed = SCENE[: place.start(2)] + " ".join(words) + SCENE[place.end(2) :]
+        numbers = [value] * len(numbers)
+    changed = SCENE[: place.start(2)] + " ".join(numbers) + SCENE[place.end(2) :]
     line = SCENE[: place.start()].count("\n")
     return changed.encode(), changed.splitlines()[line][:150]
 
@@ -129,7 +122,7 @@ def _number(random):
 def _added(random):
     """Something more in one of the sections."""
     section = random.choice(list(ADDED))
-    more = random.choice(ADDED[section])
+    more, placed = random.choice(ADDED[section]), SCENE
     if section == "asset" and random.random() < 0.7:
         kind, name = re.match(r'<(\w+) name="(\w+)"', more).groups()  # type: ignore[union-attr]
         use = {
@@ -137,9 +130,7 @@ def _added(random):
             "hfield": f'<geom type="hfield" hfield="{name}"/>',
         }
         use["model"] = f'<attach model="{name}" body="cart" prefix="p"/>'
-        placed = SCENE.replace("</worldbody>", use.get(kind, "") + "</worldbody>")
-    else:
-        placed = SCENE
+        placed = placed.replace("</worldbody>", use.get(kind, "") + "</worldbody>")
     return placed.replace(
         f"</{section}>", more + f"</{section}>"
     ).encode(), f"{more[:100]} in <{section}>"

@@ -20,7 +20,7 @@ def attempt(random, valid, here):
     content, said = random.choice((_header, _header, _layout, _bytes))(name, random, valid)
     (here / name).write_bytes(content)
     return Attempt(
-        words=("complete", "scan.npy", "--weights", name, *words("--quiet --device cpu -o out.h5")),
+        words=words(f"complete scan.npy --weights {name} --quiet --device cpu -o out.h5"),
         damage=f"{name}: {said}",
         makes=("out.h5",),
         after=lambda: finite_prediction(Path("out.h5")),
@@ -30,9 +30,7 @@ def attempt(random, valid, here):
 
 def holds(result):
     """A completion of the valid network's size, whose numbers can be such."""
-    fine = result.after and all(
-        shape == [EDGE] * 3 and fits for shape, fits, _ in result.after.values()
-    )
+    fine = result.after and all(one == [[EDGE] * 3, True] for one in result.after.values())
     return NOTHING if fine else f"completed to what cannot be: {result.after}"
 
 

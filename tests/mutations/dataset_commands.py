@@ -37,15 +37,15 @@ def _inspect(random, valid, here, name, damage, expected):
         found = json.loads(result.stdout)["splits"]
         return "" if found == valid.inspected[name]["splits"] else "inspect gave other figures"
 
-    words = ("inspect", name, "--json")
-    return Attempt(words=words, damage=damage, holds=_holds(expected, same, damage))
+    asked = words(f"inspect {name} --json")
+    return Attempt(words=asked, damage=damage, holds=_holds(expected, same, damage))
 
 
 def _verify(quick):
     def attempt(random, valid, here, name, damage, expected):
         truth = datasets.stored(valid.folder / name, derived=not quick)
         return Attempt(
-            words=("verify", name, "--workers", "1", "--quiet", *(["--quick"] if quick else [])),
+            words=words(f"verify {name} --workers 1 --quiet{' --quick' * quick}"),
             damage=damage,
             after=lambda: datasets.stored(Path(name), derived=not quick),
             holds=equals(truth),
@@ -66,7 +66,7 @@ def _resume(random, valid, here, name, damage, expected):
         return f"generate went on and left another {', '.join(changed)}" if changed else ""
 
     return Attempt(
-        words=(*GENERATE, name, *(["--compact"] if name == "c" else [])),
+        words=words(f"{GENERATE} {name}{' --compact' * (name == 'c')}"),
         damage=damage,
         makes=(f"{name}/*",),
         after=lambda: datasets.files_of(Path(name)),
@@ -76,7 +76,7 @@ def _resume(random, valid, here, name, damage, expected):
 
 def _world(random, valid, here, name, damage, expected):
     return Attempt(
-        words=("world", name, str(random.choice((0, 0, 1, 7))), "-o", "w.xml"),
+        words=words(f"world {name} {random.choice((0, 0, 1, 7))} -o w.xml"),
         damage=damage,
         makes=("w.*", "w/*", "w"),
     )

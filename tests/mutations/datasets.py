@@ -9,17 +9,9 @@ import numpy as np
 
 from scenegen import SPLITS
 from scenegen.errors import ScenegenError
+from tests.mutations.case import words
 
-COVERED = (
-    "observed",
-    "occupancy",
-    "ranges",
-    "position",
-    "quaternion",
-    "origin",
-    "world",
-    "viewpoint",
-)
+COVERED = words("observed occupancy ranges position quaternion origin world viewpoint")
 """Fields that a sample's digest covers."""
 DERIVED = ("free", "tudf")
 
@@ -93,17 +85,11 @@ def sign(folder):
 
 def finite_prediction(path):
     """What a file of predictions holds: shapes, and whether its numbers can be such."""
+    found = {}
     with h5py.File(path, "r") as file:
-        found = {}
         for name, most in (("occupancy_probability", 1.0), ("tudf", 2.0)):
             if name in file:
                 values = file[name][()]
-                fits = bool(
-                    np.isfinite(values).all() and values.min() >= 0 and values.max() <= most
-                )
-                found[name] = [
-                    list(values.shape),
-                    fits,
-                    hashlib.sha256(values.tobytes()).hexdigest(),
-                ]
-        return found
+                fits = ((values >= 0) & (values <= most)).all()  # and no NaN is
+                found[name] = [list(values.shape), bool(fits)]
+    return found

@@ -8,17 +8,11 @@ import numpy as np
 from tests.mutations.case import Attempt, words
 
 
-def generated(asked, damage, *, samples=1):
+def generated(asked, damage):
     """A dataset made by the words `asked`; where that succeeds, `verify --quick` passes it and its
     numbers can be such."""
     return Attempt(
-        words=(
-            "generate",
-            *asked,
-            "--n",
-            str(samples),
-            *words("--val 0 --test 0 --out out --workers 1 --quiet"),
-        ),
+        words=words(f"generate {asked} --n 1 --val 0 --test 0 --out out --workers 1 --quiet"),
         damage=damage,
         makes=("out", "out/*"),
         after=_examine,

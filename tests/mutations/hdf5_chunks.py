@@ -9,6 +9,13 @@ from tests.mutations import bombs
 from tests.mutations.case import REFUSED, SAME, VALID
 
 
+def taken(file, name):
+    """A dataset's values, which are no longer in the file."""
+    values = file[name][()]
+    del file[name]
+    return values
+
+
 def unknown_filter(file, name, random):
     values = file[name][()]
     made = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
@@ -33,17 +40,10 @@ def unknown_filter(file, name, random):
 
 
 def chunk_missing(file, name, random):
-    values = file[name][()]
-    del file[name]
+    values = taken(file, name)
+    how = {"chunks": (1, *values.shape[1:]), "compression": "gzip"}
     fill = random.choice((None, 1))
-    made = file.create_dataset(
-        name,
-        values.shape,
-        values.dtype,
-        chunks=(1, *values.shape[1:]),
-        compression="gzip",
-        fillvalue=fill,
-    )
+    made = file.create_dataset(name, values.shape, values.dtype, fillvalue=fill, **how)
     for row in range(1, len(values)):
         made[row] = values[row]
     return "first chunk never written", REFUSED
@@ -81,12 +81,9 @@ def chunk_of_our_own(file, name, random):
 
 
 def shuffled_bomb(file, name, random):
-    data = file[name]
-    shape, dtype = data.shape, data.dtype
-    del file[name]
-    made = file.create_dataset(
-        name, shape, dtype, chunks=(1, *shape[1:]), compression="gzip", shuffle=True
-    )
+    old = taken(file, name)
+    how = {"chunks": (1, *old.shape[1:]), "compression": "gzip", "shuffle": True}
+    made = file.create_dataset(name, old.shape, old.dtype, **how)
     content = bombs.zlibbed(random.choice((1, 1, 200, 1024)))
-    made.id.write_direct_chunk((0,) * len(shape), content, 0)
+    made.id.write_direct_chunk((0,) * old.ndim, content, 0)
     return f"shuffled chunk of {len(content)} bytes that unpacks to far more", REFUSED

@@ -67,33 +67,18 @@ def text(random):
     return random.choice(TEXT).replace("\x00", "").replace("\ud800", "\udcff")
 
 
-def places(tree, at=()):
-    """The path of everything in nested tables and lists."""
-    found = [at] if at else []
-    items = (
-        tree.items()
-        if isinstance(tree, dict)
-        else enumerate(tree)
-        if isinstance(tree, list)
-        else ()
-    )
-    for step, value in items:
-        found += places(value, (*at, step))
-    return found
-
-
-def parent_of(tree, at):
-    """What holds the thing at `at`."""
-    for step in at[:-1]:
-        tree = tree[step]
-    return tree
+def places(tree, name=""):
+    """Everything in nested tables and lists: what holds it, its key there, and its name."""
+    keys = range(len(tree)) if isinstance(tree, list) else tree if isinstance(tree, dict) else ()
+    for key in keys:
+        yield tree, key, f"{name}.{key}"
+        yield from places(tree[key], f"{name}.{key}")
 
 
 def spoil(tree, random, values=nasty):
     """Change something in nested tables and lists, and say what."""
-    at = random.choice(places(tree))
-    holder, step, how = parent_of(tree, at), at[-1], random.random()
-    where = ".".join(map(str, at))
+    holder, step, where = random.choice([*places(tree)])
+    how = random.random()
     if how < 0.7:
         holder[step] = values(random)
         return f"{where} = {ascii(holder[step])[:80]}"

@@ -5,8 +5,8 @@ import contextlib
 import dataclasses
 import io
 import json
+import os
 import shutil
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from lidarsim import GridSpec
-from scenegen import __main__ as cli
+from tests.command_line import code_of
 from tests.conftest import SMALL
 from tests.mutations import datasets
 from tests.mutations.case import words
@@ -56,9 +56,10 @@ SCENE = """<mujoco model="small">
 </mujoco>
 """
 GENERATE = (
-    *words("generate --recipe recipe.toml --n 4 --val 2 --test 2 --shard-samples 2"),
-    *("--workers", "1", "--quiet", "--out"),
+    "generate --recipe recipe.toml --n 4 --val 2 --test 2 --shard-samples 2 "
+    "--workers 1 --quiet --out"
 )
+BENCH = "bench d --quick --workers 1 --quiet --method returns --predictions predictions.h5"
 INGEST = "-o out --every 2 --rise 2 --reach 4 --quiet"
 """How logs are ingested."""
 
@@ -88,32 +89,28 @@ class Valid:
 
 def make_valid(folder):
     """Make them in `folder`, an empty one, which becomes the current folder."""
-    import os
-
     os.chdir(folder)
     (folder / "recipe.toml").write_text(to_toml(RECIPE))
     (folder / "scene.toml").write_text(to_toml(SCENE_RECIPE))
-    run(*GENERATE, "d")
-    run(*GENERATE, "c", "--compact")
+    run(f"{GENERATE} d")
+    run(f"{GENERATE} c --compact")
     (folder / "scene.xml").write_text(SCENE)
-    of_one = words("--n 1 --val 0 --test 0 --workers 1 --quiet")
-    run(*words("generate --scene scene.xml --recipe scene.toml"), *of_one, "--out", "s")
+    of_one = "--n 1 --val 0 --test 0 --workers 1 --quiet"
+    run(f"generate --scene scene.xml --recipe scene.toml {of_one} --out s")
     _write_networks(folder)
     _write_scans_and_maps(folder)
     _write_logs(folder)
-    run(*words("verify d --workers 1 --quiet"))
-    run(*words("complete d --weights n.safetensors --quiet --device cpu"))
+    run("verify d --workers 1 --quiet")
+    run("complete d --weights n.safetensors --quiet --device cpu")
     Path("predictions/test-00000.h5").rename("predictions.h5")
     for scan in Path().glob("scan.*"):
-        run("complete", str(scan), *words("--weights n.safetensors --quiet -o out.h5 --device cpu"))
-    run(*words("complete scan.npy --weights n.onnx --quiet -o out.h5"))
-    run(
-        *words("bench d --quick --workers 1 --quiet --method returns --predictions predictions.h5"),
-    )
+        run(f"complete {scan} --weights n.safetensors --quiet -o out.h5 --device cpu")
+    run("complete scan.npy --weights n.onnx --quiet -o out.h5")
+    run(BENCH)
     return Valid(
         folder=folder,
         loaded={name: _loaded(name) for name in "dc"},
-        inspected={name: json.loads(run("inspect", name, "--json")) for name in "dc"},
+        inspected={name: json.loads(run(f"inspect {name} --json")) for name in "dc"},
         stored={name: datasets.stored(folder / name, derived=True) for name in "dc"},
         files={name: datasets.files_of(folder / name) for name in "dc"},
         scored=scores(folder / "bench"),
@@ -150,22 +147,14 @@ def _write_logs(folder):
         written(folder / "log.mcap", 3)
         write_livox(folder / "log.livox.mcap", scans)
     for path in Path().glob("log.*"):
-        run("ingest", str(path), *words(INGEST))
+        run(f"ingest {path} {INGEST}")
         shutil.rmtree("out")
 
 
-def run(*words):
-    """A command in this process that must succeed; what it prints."""
-    said = io.StringIO()
-    before, sys.argv = sys.argv, ["scenegen", *words]
-    try:
-        with contextlib.redirect_stdout(said):
-            cli.main()
-    except SystemExit as ended:
-        if ended.code:
-            raise RuntimeError(f"{words} ended with {ended.code}") from None
-    finally:
-        sys.argv = before
+def run(line):
+    """What a command prints in this process; it must succeed."""
+    with contextlib.redirect_stdout(io.StringIO()) as said:
+        assert code_of(*words(line)) == 0, line
     return said.getvalue()
 
 
@@ -178,44 +167,26 @@ def scores(folder):
 
 
 def to_toml(tables):
-    """A recipe as TOML; values that TOML cannot say become strings."""
-    top = {name: value for name, value in tables.items() if not isinstance(value, dict)}
-    text = "".join(f"{_key(name)} = {_value(value)}\n" for name, value in top.items())
-    for name, table in tables.items():
-        if isinstance(table, dict):
-            text += f"[{_key(name)}]\n" + "".join(
-                f"{_key(key)} = {_value(value)}\n" for key, value in table.items()
-            )
-    return text
+    """A recipe as TOML; what TOML cannot say stands there as JSON says it."""
+    return "".join(f"{line}\n" for line in _lines(tables))
 
 
-def _key(name):
-    return name if name.isidentifier() and name.isascii() else json.dumps(name)
+def _lines(table):
+    return [f"{json.dumps(key)} = {_value(value)}" for key, value in table.items()]
 
 
 def _value(value):
     if isinstance(value, float):
         return repr(value)
-    if isinstance(value, bool | int):
-        return (
-            str(value).lower()
-            if isinstance(value, bool)
-            else hex(value)
-            if value > 10**100
-            else str(value)
-        )
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_value, value))}]"
     if isinstance(value, dict):
-        return (
-            "{" + ", ".join(f"{_key(key)} = {_value(inner)}" for key, inner in value.items()) + "}"
-        )
+        return f"{{{', '.join(_lines(value))}}}"
     return json.dumps(value).replace("\\ud800", "\ufffd")
 
 
 def _loaded(name):
-    said = io.StringIO()
-    with contextlib.redirect_stdout(said):
+    with contextlib.redirect_stdout(io.StringIO()) as said:
         assert datasets.print_load(name) == 0
     return said.getvalue().strip()
 
@@ -223,17 +194,9 @@ def _loaded(name):
 def _write_networks(folder):
     import torch
 
-    from scenegen.model.checkpoint import save_network
-    from scenegen.model.config import NetworkConfig
-    from scenegen.model.network import Network
+    from tests.model.conftest import saved_network
     from tests.mutations.onnx_files import write_onnx
 
     torch.set_num_threads(1)
-    torch.manual_seed(0)
-    save_network(
-        folder / "n.safetensors",
-        Network(NetworkConfig(width=1)),
-        GridSpec(shape=(EDGE, EDGE, EDGE)),
-        {},
-    )
+    saved_network(folder / "n.safetensors", GridSpec(shape=(EDGE, EDGE, EDGE)), width=1)
     write_onnx(folder / "n.onnx")

@@ -17,7 +17,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from tests.command_line import code_of
 from tests.mutations.case import Attempt, Result, checksum, random_of
+from tests.mutations.datasets import print_load
 from tests.mutations.verdict import MEMORY_BYTES, PROCESSOR_SECONDS, SECONDS, verdict
 
 MOST_WRITTEN_BYTES = 512 << 20
@@ -111,17 +113,7 @@ def _run(attempt, folder):
 
 
 def _command(words):
-    if words[0] == "load":
-        from tests.mutations.datasets import print_load
-
-        return print_load(words[1])
-    from scenegen import __main__ as cli
-
-    sys.argv = ["scenegen", *words]
-    try:
-        cli.main()
-    except SystemExit as ended:
-        return ended.code if isinstance(ended.code, int) else int(ended.code is not None)
+    return print_load(words[1]) if words[0] == "load" else code_of(*words)
 
 
 def _ended(case, *, keep):
