@@ -27,8 +27,7 @@ from scenegen.model.study.claims import (
     seed_variance,
     waited,
 )
-from tests.command_line import refused
-from tests.command_line import run as command
+from tests.command_line import done, refused
 
 WORLDS = np.repeat(np.arange(40), 5)
 CLAIM = Claim(kind="pillar", metric="iou", best="proposed", other="occ")
@@ -190,11 +189,9 @@ def test_verdicts_follow_from_the_file(tmp_path, capsys):
     agreeing = [claim | {"verdict": "refuted"} for claim in first["claims"]]
     assert {one["verdict"] for one in answers(agreeing).values()} == {"refuted"}
     file.write_text(json.dumps(whole()))
-    code, out, _ = command(capsys, f"reproduce --from {file} --json")
-    assert (code, json.loads(out)) == (0, json.loads(json.dumps(first)))
-    code, out, _ = command(capsys, f"reproduce --from {file}")
-    assert code == 0
-    assert "confirmed" in out
+    out = done(capsys, f"reproduce --from {file} --json")
+    assert json.loads(out) == json.loads(json.dumps(first))
+    assert "confirmed" in done(capsys, f"reproduce --from {file}")
     content = file.read_bytes()
     for damage in (b"", content[:300], b"{}", content.replace(b'"iou"', b'"uoi"')):
         file.write_bytes(damage)

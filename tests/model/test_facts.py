@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from scenegen.display.exchange.files import write_points
-from tests.command_line import refused, run
+from tests.command_line import done, refused, run
 
 POINTS = np.random.default_rng(0).uniform(-5, 5, (500, 3))
 ROWS = """epoch,train_loss,val_loss,val_iou,val_near_mae,val_new
@@ -44,9 +44,7 @@ def here(tmp_path):
 
 def test_a_scan_predictions_and_a_run_are_told(here, capsys):
     def told(name):
-        code, said, noted = run(capsys, f"inspect {here}/{name} --json")
-        assert (code, noted) == (0, "")
-        return json.loads(said)
+        return json.loads(done(capsys, f"inspect {here}/{name} --json"))
 
     found = told("scan.pcd")
     assert (found["points"], found["returns"]) == (500, 500)

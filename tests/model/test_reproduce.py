@@ -11,7 +11,7 @@ from scenegen.model.checkpoint import load_tensors
 from scenegen.model.study.report import to_markdown
 from scenegen.model.study.runs import RUNS, ReproduceConfig, chosen
 from scenegen.model.study.stages import STUDY, TEXT, begin
-from tests.command_line import run as command
+from tests.command_line import done
 
 JUDGED = ("verdicts", "claims", "beside", "paths", "means")
 
@@ -42,18 +42,17 @@ def test_a_small_part_of_the_study_is_made_and_goes_on_where_it_was(capsys, tmp_
     only = [run.name for run in RUNS if run.name[:-3] in ("occ", "columns")][:4]
     words = ["reproduce", "--scale", "0.005", "--device", "cpu", "--out", out, "--quiet"]
     words += [word for name in only for word in ("--only", name)]
-    assert command(capsys, *words)[0] == 0
+    done(capsys, *words)
     first = json.loads((out / STUDY).read_text())
     assert list(first["runs"]) == only
     assert (out / TEXT).read_text() == to_markdown(first)
-    code, text, _ = command(capsys, "reproduce", "--from", out / STUDY, "--json")
-    assert (code, json.loads(text)) == (0, first)
+    assert json.loads(done(capsys, "reproduce", "--from", out / STUDY, "--json")) == first
     held = {path: path.stat().st_mtime_ns for path in out.rglob("best.safetensors")}
     damaged = out / "runs" / "occ-s0" / "last.safetensors"
     best = damaged.with_name("best.safetensors")
     weights = load_tensors(best)[0]
     damaged.write_bytes(b"damaged")
-    assert command(capsys, *words, "--on", "tests.scenegen.run.backwards:Backwards")[0] == 0
+    done(capsys, *words, "--on", "tests.scenegen.run.backwards:Backwards")
     again = json.loads((out / STUDY).read_text())
     assert [again[part] for part in JUDGED] == [first[part] for part in JUDGED]
     assert {path for path in held if path.stat().st_mtime_ns != held[path]} == {best}

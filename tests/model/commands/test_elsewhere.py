@@ -3,14 +3,16 @@ and complete."""
 
 import pytest
 
-from tests.command_line import refused, run
+from tests.command_line import done, refused, run
+from tests.conftest import contents
 from tests.scenegen.run import everywhere
 from tests.scenegen.run.backwards import die_of_one
-from tests.scenegen.run.everywhere import SAMPLES, checks, contents
+from tests.scenegen.run.everywhere import SAMPLES, checks
 
 AWAY = ("--on", "tests.scenegen.run.backwards:Backwards")
 CUT_OFF = (*AWAY[:1], f"{AWAY[1]}://1")
 """The second task is lost."""
+CONVERT = ("convert", "d", "--to", "webdataset")
 RANKS = 3
 
 
@@ -48,18 +50,14 @@ def as_ranks(capsys, monkeypatch, *words):
 def test_verify(here, capsys, monkeypatch):
     """Ranks examine every sample once, together, and skip what compares all shards."""
     words = ("verify", "d", "--json")
-    code, said, _ = run(capsys, *words, "--workers", 1)
-    assert code == 0
-    whole = checks(said)
+    whole = checks(done(capsys, *words, "--workers", 1))
     parts = [checks(said) for code, said, _ in as_ranks(capsys, monkeypatch, *words) if code == 0]
     assert len(parts) == RANKS
     for name, check in whole.items():
         for what, count in check["counts"].items():
             if what != "compared" and not (name == "manifest" and what == "files"):
-                assert sum(part[name]["counts"].get(what, 0) for part in parts) in (count, 0), (
-                    name,
-                    what,
-                )
+                total = sum(part[name]["counts"].get(what, 0) for part in parts)
+                assert total in (count, 0), (name, what)
     assert parts[0]["splits"]["skipped"]
     assert not parts[0]["checksums"]["skipped"]
 
@@ -75,18 +73,17 @@ def test_verify_names_the_file_that_crashes_its_process(here, capsys, monkeypatc
     assert "ended its process: it crashed" in examined["detail"]
 
 
-def test_convert(here, capsys, monkeypatch):
-    """Ranks fill one folder; a run that lost a task goes on."""
-    words = ("convert", "d", "--to", "webdataset")
-    code, said, _ = run(capsys, *words, "-o", "whole", "--workers", 2)
-    assert (code, said) == (0, f"whole: {SAMPLES} samples written, 0 were there\n")
-    said = [said for _, said, _ in as_ranks(capsys, monkeypatch, *words, "-o", "ranks")]
-    assert all("are for the other ranks to write there" in one for one in said)
+@pytest.mark.parametrize("words", [CONVERT, everywhere.COMPLETE], ids="/".join)
+def test_ranks_fill_one_folder_and_a_run_that_lost_a_task_goes_on(here, capsys, monkeypatch, words):
+    whole = done(capsys, *words, "-o", "whole", "--workers", 2)
     assert "lost with its node" in refused(capsys, *words, "-o", "again", "--quiet", *CUT_OFF)
-    code, said, _ = run(capsys, *words, "-o", "again")
-    assert (code, ", 0 were there" in said) == (0, False)
-    whole = contents(here / "whole")
-    assert contents(here / "ranks") == contents(here / "again") == whole
+    again = done(capsys, *words, "-o", "again")
+    told = [said for _, said, _ in as_ranks(capsys, monkeypatch, *words, "-o", "ranks")]
+    assert contents(here / "ranks") == contents(here / "again") == contents(here / "whole")
+    if words is CONVERT:
+        assert whole == f"whole: {SAMPLES} samples written, 0 were there\n"
+        assert ", 0 were there" not in again
+        assert all("are for the other ranks to write there" in said for said in told)
 
 
 def test_scans_are_completed_here(here, capsys):
@@ -94,17 +91,6 @@ def test_scans_are_completed_here(here, capsys):
     assert "complete a dataset's split" in refused(
         capsys, "complete", "scan.xyz", "--weights", "n.safetensors", *AWAY
     )
-
-
-def test_complete(here, capsys, monkeypatch):
-    """Ranks fill one folder; a run that lost a task goes on."""
-    words = (*everywhere.COMPLETE, "--quiet", "-o")
-    assert run(capsys, *words, "whole")[0] == 0
-    refused(capsys, *words, "again", *CUT_OFF)
-    assert run(capsys, *words, "again", "--workers", 2)[0] == 0
-    as_ranks(capsys, monkeypatch, *words, "ranks")
-    assert contents(here / "ranks") == contents(here / "again") == contents(here / "whole")
-    assert len(contents(here / "whole")) == 3
 
 
 def test_ranks_that_bring_nothing_together_are_refused(here, capsys, monkeypatch):

@@ -16,7 +16,7 @@ from scenegen.display.exchange.files import write_points
 from scenegen.model.checkpoint import load_network, save_network
 from scenegen.model.config import LossConfig
 from scenegen.model.evaluation.metrics import METRICS
-from tests.command_line import refused, run
+from tests.command_line import done, refused, rows, run
 from tests.model.commands.test_bench import here
 from tests.model.training.runs import elsewhere
 
@@ -25,39 +25,27 @@ QUICK = ("--width", 4, "--batch", 2, "--device", "cpu", "--precision", "float32"
 
 
 def test_train_complete_and_bench_work_together(here, capsys):
-    code, said, _ = run(capsys, "train", "--epochs", 2, "--lambda-occupancy", 0.7, *QUICK)
-    assert code == 0
+    said = done(capsys, "train", "--epochs", 2, "--lambda-occupancy", 0.7, *QUICK)
     assert "best: epoch" in said
     settings = json.loads((here / "runs" / "proposed" / "config.json").read_text())
     assert settings["settings"]["network"]["width"] == 4
     network, grid, about = load_network(here / "runs" / "proposed" / "best.safetensors")
     about["settings"]["loss"] |= {"near_m": 0.9, "jaccard": 1.0}  # which no option says
     save_network(here / "runs" / "proposed" / "best.safetensors", network, grid, about)
-    words = [
-        "train",
-        "--weights",
-        "runs/proposed",
-        "--maps",
-        "1",
-        "--beta",
-        "2",
-        "--out",
-        "runs/tuned",
-    ]
-    code, _, _ = run(capsys, *words, *QUICK[2:])
+    words = "train --weights runs/proposed --maps 1 --beta 2 --out runs/tuned"
+    done(capsys, *words.split(), *QUICK[2:])
     tuned = json.loads((here / "runs" / "tuned" / "config.json").read_text())["settings"]["loss"]
-    assert (code, LossConfig(**tuned)) == (0, LossConfig(occupancy=0.7, beta_m=2, near_m=0.9)), (
-        "the network's own, but for what is given"
-    )
-    code, said, _ = run(capsys, "complete data/pillar --weights runs/proposed --device cpu")
-    assert (code, said) == (0, "written: predictions\n")
+    # the network's own, but for what is given
+    assert LossConfig(**tuned) == LossConfig(occupancy=0.7, beta_m=2, near_m=0.9)
+    said = done(capsys, "complete data/pillar --weights runs/proposed --device cpu")
+    assert said == "written: predictions\n"
     assert "another dataset, split or network" in refused(
         capsys, "complete data/pillar --weights runs/tuned --quiet"
     )
     with h5py.File("predictions/test-00000.h5") as file:
         assert set(file) == {"occupancy_probability", "tudf", "world", "viewpoint"}
     words = "bench --weights runs/proposed --predictions predictions --method returns --quick"
-    assert run(capsys, f"{words} --workers 1")[0] == 0
+    done(capsys, f"{words} --workers 1")
     report = json.loads((here / "bench" / "report.json").read_text())["reconstruction"]["pillar"]
     assert report["proposed"]["near_mae"]["mean"] == pytest.approx(
         report["predictions"]["near_mae"]["mean"], abs=1e-4
@@ -65,8 +53,8 @@ def test_train_complete_and_bench_work_together(here, capsys):
     scans = [here / "drive" / "velodyne" / f"{n:06d}.bin" for n in range(2)]
     for scan in scans:
         write_points(scan, np.random.default_rng(0).uniform(-1, 1, (50, 3)), None, {})
-    words = ("complete", "drive", "--weights", "runs/proposed", "--device", "cpu")
-    assert run(capsys, *words)[0] == 0
+    words = "complete drive --weights runs/proposed --device cpu"
+    done(capsys, words)
     made = sorted((here / "drive.completed").rglob("*.h5"))
     assert [path.relative_to(here / "drive.completed") for path in made] == [
         scan.relative_to(here / "drive").with_suffix(".h5") for scan in scans
@@ -74,7 +62,7 @@ def test_train_complete_and_bench_work_together(here, capsys):
     made[0].unlink()
     kept = made[1].stat().st_mtime_ns
     (here / "drive" / "broken.pcd").write_bytes(b"")
-    code, _, said = run(capsys, *words, "--quiet")  # goes on
+    code, _, said = run(capsys, f"{words} --quiet")  # goes on
     assert (code, said.count("\n")) == (1, 2)
     assert "broken.pcd" in said
     assert made[0].exists()
@@ -86,38 +74,35 @@ def test_a_stream_trains_without_a_dataset(here, small, capsys):
     mixed = f"--stream {small}=2 --stream geometric.toml --stream-seed 3 --interval 8"
     words = (*mixed.split(), *QUICK)
     (here / "geometric.toml").write_text(small.read_text().replace("pillar", "geometric"))
-    code, said, _ = run(capsys, "train", *words, "--maps", 16, "--val-maps", 6)
-    assert code == 0
-    assert said.count("epoch ") == 3
+    assert done(capsys, "train", *words, "--maps", 16, "--val-maps", 6).count("epoch ") == 3
     settings = json.loads((here / "runs" / "proposed" / "config.json").read_text())["settings"]
     assert settings["kinds"] == ["pillar+geometric"]
 
 
+BAD_USE = """
+train --variant propose                 → did you mean 'proposed'?
+train --lr -1                           → '--lr': -1 is not a finite number above 0
+train --stream pillar                   → how many maps to see with --maps
+train --stream pillar=much --maps 8     → expected NAME or NAME=WEIGHT
+train data/pillar --stream pillar --maps 8 --val-maps 8 → leave one of the two out
+train data/pillar=2 --stream pillar --maps 8 → datasets validate, and have no weights
+train data/pillar --stream pillar --maps 8   → seed 0: its grid is
+complete pickle.pt -o new.pt            → nor a scan
+complete data/pillar -o /dev/null       → /dev/null: is not a regular file
+complete data/pillar --weights pickle.pt     → pickled checkpoint
+bench --method returns --method returns → two rows are called 'returns'
+bench data/pillar --method extrud       → did you mean 'extrude'?
+bench data/pillar data/pillar           → two datasets of one kind
+
+"""
+
+
 def test_bad_use_ends_in_one_line(here, capsys):
     (here / "pickle.pt").write_bytes(b"\x80\x04nothing")
-    for words, named in (
-        (("train", "--variant", "propose"), "did you mean 'proposed'?"),
-        (("train", "--lr", "-1"), "'--lr': -1 is not a finite number above 0"),
-        (("train", "--stream", "pillar"), "how many maps to see with --maps"),
-        (("train", "--stream", "pillar=much", "--maps", 8), "expected NAME or NAME=WEIGHT"),
-        (
-            ("train", "data/pillar", "--stream", "pillar", "--maps", 8, "--val-maps", 8),
-            "leave one of the two out",
-        ),
-        (
-            ("train", "data/pillar=2", "--stream", "pillar", "--maps", 8),
-            "datasets validate, and have no weights",
-        ),
-        (("train", "data/pillar", "--stream", "pillar", "--maps", 8), "seed 0: its grid is"),
-        (("complete", "pickle.pt", "-o", "new.pt"), "nor a scan"),
-        (("complete", "data/pillar", "-o", "/dev/null"), "/dev/null: is not a regular file"),
-        (("complete", "data/pillar", "--weights", "pickle.pt"), "pickled checkpoint"),
-        (
-            ("bench", "--method", "returns", "--method", "returns"),
-            "two rows are called 'returns'",
-        ),
-    ):
-        assert named in refused(capsys, *words)
+    for words, told in rows(BAD_USE):
+        assert told in refused(capsys, words)
+    (here / "data").rename("elsewhere")
+    assert "none under data/" in refused(capsys, "bench")
 
 
 WITHOUT = (

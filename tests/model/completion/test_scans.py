@@ -3,6 +3,7 @@
 import h5py
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 import scenegen
 from lidarsim import GridSpec, Pose
@@ -11,7 +12,7 @@ from scenegen.display.exchange.files import write_points
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.scans import height_above_returns, predict_scan, read_scan
 from scenegen.worlds.place import FREE, OCCUPIED, VoxelMap, encode_map
-from tests.command_line import run
+from tests.command_line import done, run
 
 TILT = Pose(
     position=np.array([3.0, -2.0, 1.2]),
@@ -46,7 +47,7 @@ def test_scans_of_a_log_stand_upright_in_its_frame(tmp_path, points, capsys):
     level = read_scan(tmp_path / "level.npy", TILT.position)
     predict_scan(Completer.from_pretrained("anywhere"), level, tmp_path / "level.h5")
     with h5py.File(tmp_path / "out" / "000002.h5") as file, h5py.File(tmp_path / "level.h5") as own:
-        np.testing.assert_allclose(file.attrs["origin"], own.attrs["origin"], atol=1e-6)
+        assert_allclose(file.attrs["origin"], own.attrs["origin"], atol=1e-6)
         alike = np.asarray(file["observed"]) == np.asarray(own["observed"])
     assert alike.mean() > 0.999  # but where float32 moves a point over a voxel's face
 
@@ -79,14 +80,13 @@ def test_a_map_is_flown_through_and_what_is_seen_is_completed(tmp_path, capsys):
     (tmp_path / "hall.npz").write_bytes(content)
     out = tmp_path / "out"
     words = ("complete", tmp_path / "hall.npz", "--n", 2, "-o", out, "--device", "cpu")
-    code, _, noted = run(capsys, *words)
-    assert code == 0, noted
+    done(capsys, *words)
     seen = scenegen.load(out / "seen")
     with h5py.File(out / "predictions/train-00000.h5") as file:
         said = file["occupancy_probability"][:]
     complete = Completer.from_pretrained("anywhere")
     found = [complete(one) for one in seen]
-    np.testing.assert_allclose(said, [one.occupancy_probability for one in found], atol=1e-3)
+    assert_allclose(said, [one.occupancy_probability for one in found], atol=1e-3)
     assert "hall" in (out / "index.html").read_text()
     assert run(capsys, *words[:3], 3, *words[4:])[0] == 1
     assert len(scenegen.load(out / "seen")) == 2, "nothing was added to what is completed"

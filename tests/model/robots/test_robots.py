@@ -26,7 +26,7 @@ from scenegen.model.robots.flights import NAMES, robot_maker
 from scenegen.model.robots.mapping import MappingRobot
 from scenegen.run import undo_all
 from scenegen.worlds.place import encode_map
-from tests.command_line import refused, run
+from tests.command_line import done, refused, rows, run
 from tests.scenegen.display.test_page import Seen
 
 DEAR = ("pessimistic", "extrude")
@@ -142,9 +142,7 @@ def test_the_command_flies_records_and_flies_again(capsys, tmp_path):
     film, log = tmp_path / "flight.gif", tmp_path / "log"
     words = "fly pillar --robot reactive --flights 1 --worlds 1 --workers 1"
     more = f"-o {file} --picture {picture} --film {film} --log {log} --json"
-    code, out, _ = run(capsys, f"{words} {more}")
-    told = json.loads(out)
-    assert code == 0
+    told = json.loads(done(capsys, f"{words} {more}"))
     assert picture.read_bytes()[:4] == b"\x89PNG"
     ((course, (flown,)),) = Recording.read(file).courses
     with Image.open(film) as shown:
@@ -159,14 +157,12 @@ def test_the_command_flies_records_and_flies_again(capsys, tmp_path):
         assert len(within) > 20
         assert max(course.drawn.clearance.at(*point) for point in within) < 1e-4
     again = tmp_path / "again.gif"
-    code, out, _ = run(capsys, f"fly --replay {file} --robot reactive --film {again} --json")
-    assert code == 0
+    out = done(capsys, f"fly --replay {file} --robot reactive --film {again} --json")
     assert again.read_bytes() == film.read_bytes()
     again = json.loads(out)
     assert [one["digest"] for one in again["flights"]] == [one["digest"] for one in told["flights"]]
     assert again["anew, equal to the bit"] == "1 of 1 flights"
-    code, _, complaint = run(capsys, f"{words} --log {log}")
-    assert (code, str(log) in complaint) == (1, True)  # and nothing is flown in vain
+    assert str(log) in refused(capsys, f"{words} --log {log}")  # and nothing is flown in vain
 
 
 def test_a_page_plays_a_flight_to_its_end():
@@ -192,11 +188,11 @@ def test_an_entry_to_a_suite_goes_on_and_is_not_lost(capsys, tmp_path, monkeypat
     monkeypatch.setattr(suite, "chosen_courses", lambda *_, **__: asked.pop(0))
     file = tmp_path / "entry.json"
     words = f"fly --suite aerial-1 --robot reactive --workers 1 -o {file}"
-    assert run(capsys, words)[0] == 0
+    done(capsys, words)
     (first,) = Recording.read(file).courses
     assert not Recording.read(file).complete
     file.write_bytes(file.read_bytes())  # as a copy from another machine: without our mark
-    assert run(capsys, words)[0] == 0
+    done(capsys, words)
     every = Recording.read(file).courses
     assert [course.seed for course, _ in every] == [course.seed for course in chosen]
     assert every[0][1][0].step_s == first[1][0].step_s  # by the clock: no second flight has it
@@ -207,8 +203,8 @@ def test_an_entry_to_a_suite_goes_on_and_is_not_lost(capsys, tmp_path, monkeypat
     ):
         assert told in refused(capsys, again)
         assert file.read_bytes() == kept
-    code, out, _ = run(capsys, f"fly --replay {file} --workers 2")
-    assert (code, f"{len(chosen)} of 300 courses, incomplete" in out) == (0, True)
+    told = f"{len(chosen)} of 300 courses, incomplete"
+    assert told in done(capsys, f"fly --replay {file} --workers 2")
     better = Recording.read(file)
     best = [(course, [replace(one, outcome="success", score=9.0)]) for course, (one,) in every]
     better = replace(better, robot="<b>better</b>", courses=best[::-1])
@@ -218,9 +214,9 @@ def test_an_entry_to_a_suite_goes_on_and_is_not_lost(capsys, tmp_path, monkeypat
     worse = replace(better, robot="worse", courses=[(best[0][0], [lost]), *best[1:]])
     (tmp_path / "worse.json").write_bytes(worse.encoded())
     page = tmp_path / "page.html"
-    assert run(capsys, f"fly --leaderboard {tmp_path} -o {page}")[0] == 0
+    done(capsys, f"fly --leaderboard {tmp_path} -o {page}")
     shown = page.read_text()
-    assert f"own: {len(chosen)} of 300 courses, incomplete" in shown
+    assert f"own: {told}" in shown
     assert shown.index("&lt;b&gt;better") < shown.index("reactive")
     assert "9.0" not in shown, "scores follow from what was flown"
     assert shown.count("data:image/gif") == 2, "a film of every robot that flew"
@@ -271,16 +267,15 @@ def test_hidden_and_real_tracks_are_flown_again_by_who_has_their_worlds(
     for given, wrong in (("--hidden 77", "--hidden 78"), (f"--maps {tmp_path}", "")):
         file = tmp_path / f"{len(given)}.json"
         words = f"fly --suite aerial-1 --robot reactive --workers 1 -o {file}"
-        assert run(capsys, f"{words} {given}")[0] == 0
+        done(capsys, f"{words} {given}")
         entry = json.loads(file.read_text())
         assert entry["complete"]
         for n, one in enumerate(entry["courses"]):
             assert one["course"]["seed"] == n
             assert "/" not in one["course"]["world"]
-        code, out, _ = run(capsys, f"fly --replay {file} {given} --json")
+        again = json.loads(done(capsys, f"fly --replay {file} {given} --json"))
         flights = [one["flights"][0]["digest"] for one in entry["courses"]]
-        assert code == 0
-        assert [one["digest"] for one in json.loads(out)["flights"]] == flights
+        assert [one["digest"] for one in again["flights"]] == flights
         assert run(capsys, f"fly --replay {file} {wrong}")[0] == 1
 
 
@@ -322,19 +317,21 @@ def test_ones_own_robot_flies_and_its_bad_answers_are_counted(capsys, tmp_path, 
         ("Dies", 0, "crashed", "of my_bad.py: RuntimeError: at once"),
         ("Babbles", 3, "collision", ""),
     ):
-        code, out, _ = run(capsys, words + name)
-        (one,) = json.loads(out)["flights"]
-        assert (code, one["invalid"], one["outcome"]) == (0, invalid, outcome)
+        (one,) = json.loads(done(capsys, words + name))["flights"]
+        assert (one["invalid"], one["outcome"]) == (invalid, outcome)
         assert trouble in one["trouble"]
         assert (one["time_s"] > 1) == (one["trouble"] == "")
 
 
-def test_bad_use_ends_in_a_line(capsys):
-    for words, said in (
-        ("fly", "give one of WORLD"),
-        ("fly --suite aerial-1 --speed 2", "--speed: says how a WORLD is flown"),
-        ("fly pillar --robot optimist", "did you mean 'optimistic'"),
-        ("fly pillar --robot reactive --weights columns", "leave out --robot"),
-        ("fly pillar --robot no_such:Robot --flights 1", "never begins"),
-    ):
-        assert said in refused(capsys, words)
+BAD_USE = """
+fly                                           → give one of WORLD
+fly --suite aerial-1 --speed 2                → --speed: says how a WORLD is flown
+fly pillar --robot optimist                   → did you mean 'optimistic'
+fly pillar --robot reactive --weights columns → leave out --robot
+fly pillar --robot no_such:Robot --flights 1  → never begins
+"""
+
+
+@pytest.mark.parametrize(("words", "told"), rows(BAD_USE))
+def test_bad_use_ends_in_a_line(capsys, words, told):
+    assert told in refused(capsys, words)
