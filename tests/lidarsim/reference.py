@@ -50,40 +50,23 @@ def random_quaternion(rng):
     return q / np.linalg.norm(q)
 
 
-def sensor_direction(elevation_deg, azimuth_deg):
-    """A ray of the sensor frame, built from x forward by two turns: up by the elevation, left by
-    the azimuth.
-
-    A right-handed turn about y takes x down, so looking up by e is a turn of -e about y.
-    """
-    return Rotation.from_euler("yz", [-elevation_deg, azimuth_deg], degrees=True).apply(
-        [1.0, 0.0, 0.0]
-    )
-
-
-def lidar_directions(
-    quaternion,
-    *,
-    rows=16,
-    columns=120,
-    vertical_fov_deg=60.0,
-    pitch_deg=30.0,
-    mount="tilt",
-):
-    """World directions of a full-circle lidar, ray by ray, from the specification's angles.
+def lidar_directions(quaternion, *, rows, columns, vertical_fov_deg, pitch_deg, mount):
+    """World directions of a full-circle lidar, from the specification's angles.
 
     Row r has elevation -fov/2 + r * fov / (rows - 1) and column c has azimuth -180 + c * 360 /
     columns. A tilted sensor is turned nose down by `pitch_deg` about y; a band sensor is level and
     has every elevation lowered by `pitch_deg`.
+
+    A ray is x forward turned twice: up by the elevation, left by the azimuth. A right-handed turn
+    about y takes x down, so looking up by e is a turn of -e about y.
     """
-    body = rotation(quaternion)
-    mounting = Rotation.from_euler("y", pitch_deg if mount == "tilt" else 0.0, degrees=True)
-    shift = 0.0 if mount == "tilt" else pitch_deg
-    out = np.empty((rows, columns, 3))
-    for r, c in product(range(rows), range(columns)):
-        elevation = -vertical_fov_deg / 2 + r * vertical_fov_deg / (rows - 1) - shift
-        out[r, c] = sensor_direction(elevation, -180.0 + c * 360.0 / columns)
-    return body.apply(mounting.apply(out.reshape(-1, 3))).reshape(out.shape)
+    tilt, shift = (pitch_deg, 0.0) if mount == "tilt" else (0.0, pitch_deg)
+    elevations = -vertical_fov_deg / 2 + np.arange(rows) * vertical_fov_deg / (rows - 1) - shift
+    azimuths = -180.0 + np.arange(columns) * 360.0 / columns
+    turns = Rotation.from_euler("yz", [*product(-elevations, azimuths)], degrees=True)
+    mounting = Rotation.from_euler("y", tilt, degrees=True)
+    world = rotation(quaternion) * mounting * turns
+    return world.apply([1.0, 0.0, 0.0]).reshape(rows, columns, 3)
 
 
 # ----------------------------------------------------------------------------------------- ray
@@ -206,47 +189,24 @@ def interval(kind, size, start, along):
 # voxels
 
 
-def observed(
-    origin,
-    voxel_m,
-    shape,
-    position,
-    directions,
-    ranges32,
-):
-    """Voxels holding a return: the specification's floor formula, return by return, in Python
-    floats."""
-    out = np.zeros(shape, dtype=bool)
-    start, low = [float(x) for x in np.asarray(position)], [float(x) for x in np.asarray(origin)]
-    flat = np.asarray(directions, dtype=np.float64).reshape(-1, 3)
-    for ray, reach in zip(flat.tolist(), np.asarray(ranges32).ravel().tolist(), strict=True):
-        if reach == float("inf"):
-            continue
-        point = [s + reach * d for s, d in zip(start, ray, strict=True)]
-        index = tuple(
-            int(np.floor((p - o) / float(voxel_m))) for p, o in zip(point, low, strict=True)
-        )
-        if all(0 <= i < n for i, n in zip(index, shape, strict=True)):
-            out[index] = True
+def observed(origin, voxel_m, shape, position, directions, ranges32):
+    """Voxels holding a return: the specification's floor formula, in float64."""
+    out, returned = np.zeros(shape, dtype=bool), np.isfinite(ranges32)
+    reach = ranges32[returned].astype(np.float64)
+    points = position + reach[:, None] * directions[returned]
+    index = np.floor((points - origin) / voxel_m)
+    inside = ((index >= 0) & (index < shape)).all(axis=1)
+    out[tuple(index[inside].astype(int).T)] = True
     return out
 
 
 def lengths(ranges32, max_range_m):
     """How far each ray is known to run: to its return, or to the maximum range where nothing
     returned."""
-    reach = np.asarray(ranges32).astype(np.float64)
-    return np.where(np.isinf(reach), float(max_range_m), reach)
+    return np.where(np.isinf(ranges32), max_range_m, ranges32.astype(np.float64))
 
 
-def swept(
-    origin,
-    voxel_m,
-    shape,
-    position,
-    directions,
-    reach,
-    margin_m,
-):
+def swept(origin, voxel_m, shape, position, directions, reach, margin_m):
     """Voxels that some segment meets with positive length, each voxel grown by `margin_m` on every
     side.
 
@@ -257,14 +217,12 @@ def swept(
     when grown must not. A shrunk voxel must also be met for longer than 1e-9 m.
     """
     out = np.zeros(shape, dtype=bool)
-    start, low = np.asarray(position, dtype=np.float64), np.asarray(origin, dtype=np.float64)
     threshold = TOUCH_M if margin_m < 0 else 0.0
     bounds = []
-    for axis, count in enumerate(shape):
-        planes = low[axis] + voxel_m * np.arange(count + 1)
-        bounds.append((planes[:-1] - margin_m - start[axis], planes[1:] + margin_m - start[axis]))
-    flat = np.asarray(directions, dtype=np.float64).reshape(-1, 3)
-    for ray, end in zip(flat, np.asarray(reach).ravel(), strict=True):
+    for count, low, start in zip(shape, origin, position, strict=True):
+        planes = low + voxel_m * np.arange(count + 1)
+        bounds.append((planes[:-1] - margin_m - start, planes[1:] + margin_m - start))
+    for ray, end in zip(directions.reshape(-1, 3), reach.ravel(), strict=True):
         slabs = []
         for (below, above), along in zip(bounds, ray, strict=True):
             if along == 0:
@@ -287,35 +245,7 @@ def swept(
     return out
 
 
-def free_bounds(
-    origin,
-    voxel_m,
-    shape,
-    position,
-    directions,
-    ranges32,
-    max_range_m,
-    margin_m=TOUCH_M,
-):
-    """The voxels that must be free and those that may be: they differ only in touched voxels."""
-    seen = observed(origin, voxel_m, shape, position, directions, ranges32)
-    reach = lengths(ranges32, max_range_m)
-    must, may = (
-        swept(origin, voxel_m, shape, position, directions, reach, sign * margin_m) & ~seen
-        for sign in (-1, 1)
-    )
-    return must, may
-
-
-def exact_swept(
-    origin,
-    voxel_m,
-    shape,
-    position,
-    directions,
-    reach,
-    at_least=0.0,
-):
+def exact_swept(origin, voxel_m, shape, position, directions, reach, at_least=0.0):
     """Voxels that some segment meets with positive length of at least `at_least`, in rational
     arithmetic.
 
@@ -324,8 +254,7 @@ def exact_swept(
     units of the direction's length.
     """
     out = np.zeros(shape, dtype=bool)
-    flat = np.asarray(directions, dtype=np.float64).reshape(-1, 3)
-    for ray, end in zip(flat.tolist(), np.asarray(reach).ravel().tolist(), strict=True):
+    for ray, end in zip(directions.reshape(-1, 3), reach.ravel(), strict=True):
         axes = zip(shape, position, ray, origin, strict=True)
         spans = [list(_exact_spans(voxel_m, *axis, Fraction(end))) for axis in axes]
         for (i, a0, a1), (j, b0, b1) in product(*spans[:2]):

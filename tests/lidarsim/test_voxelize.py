@@ -22,16 +22,11 @@ side."""
 
 def scan_of(rays, ranges, position=(0.0, 0.0, 0.0), max_range_m=10.0):
     """A scan with given world directions (n, 3), made unit, and ranges (n,)."""
-    directions = np.asarray(rays, dtype=np.float64).reshape(-1, 1, 3)
-    longest = np.abs(directions).max(axis=-1, keepdims=True)
-    directions = directions / longest
-    directions = directions / np.sqrt(np.sum(directions**2, axis=-1, keepdims=True))
-    reach = np.broadcast_to(
-        np.asarray(ranges, dtype=np.float32).reshape(-1, 1), (len(directions), 1)
-    )
-    rays = np.concatenate([directions, np.zeros((len(directions), 1, 1))], axis=-1)
-    lidar = BeamTable(rays=rays, max_range_m=max_range_m)
-    return Scan(reach.copy(), Pose.level(position), lidar)
+    rays = np.array(rays, dtype=np.float64)
+    rays = reference.unit(rays / np.abs(rays).max(axis=-1, keepdims=True))
+    table = np.pad(rays, ((0, 0), (0, 1)))[:, None]  # all at once
+    lidar = BeamTable(rays=table, max_range_m=max_range_m)
+    return Scan(np.float32(ranges)[:, None], Pose.level(position), lidar)
 
 
 def inputs(scan, grid, got):
@@ -45,7 +40,9 @@ def assert_right(scan, grid, got):
     assert got.observed.shape == got.free.shape == grid.shape
     assert got.observed.dtype == got.free.dtype == np.bool_
     assert_array_equal(got.observed, reference.observed(*given_, scan.ranges))
-    must, may = reference.free_bounds(*given_, scan.ranges, scan.lidar.max_range_m)
+    reach = reference.lengths(scan.ranges, scan.lidar.max_range_m)
+    bounds = (-reference.TOUCH_M, reference.TOUCH_M)
+    must, may = (reference.swept(*given_, reach, by) & ~got.observed for by in bounds)
     missed, extra = np.argwhere(must & ~got.free), np.argwhere(got.free & ~may)
     assert len(missed) == 0, f"not free but crossed: {missed[:5].tolist()}"
     assert len(extra) == 0, f"free but not crossed: {extra[:5].tolist()}"
