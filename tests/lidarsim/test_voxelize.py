@@ -70,6 +70,7 @@ def test_full_scans_on_the_default_grid_match_the_slab_test_of_every_voxel(away_
 def test_random_rays_match_on_small_grids_of_any_shape_and_place():
     """Around the sensor, or with an `origin` of their own: rays then enter the map from outside, or
     miss it."""
+    sure = unsure = 0
     for seed in range(120):
         rng = np.random.default_rng(seed)
         grid = GridSpec(
@@ -86,7 +87,9 @@ def test_random_rays_match_on_small_grids_of_any_shape_and_place():
         scan = scan_of(rays, reach, position, max_range_m=float(rng.uniform(0.1, 20)))
         got = voxelize(scan, grid, origin)
         assert_array_equal(got.origin, grid.origin_at(position) if origin is None else origin)
-        assert_right(scan, grid, got)
+        must, may = assert_right(scan, grid, got)
+        sure, unsure = sure + must.sum(), unsure + (may & ~must).sum()
+    assert unsure < 0.01 * sure, "the margin excuses next to nothing"
 
 
 component = st.one_of(
@@ -118,29 +121,10 @@ def test_special_rays_on_small_grids_match_rational_arithmetic(rays, position, g
     assert not (exact & ~may).any()
 
 
-def assert_exact(scan, grid, origin=None):
-    """Free is what rational arithmetic finds, with no margin: none of these rays comes within
-    1e-9 m of an edge, so there is one answer. The exact grid is handed back."""
-    got = voxelize(scan, grid, origin)
-    given_, length = inputs(scan, grid, got), reference.lengths(scan.ranges, 10.0)
-    exact = reference.exact_swept(*given_, length)
-    assert_array_equal(exact, reference.exact_swept(*given_, length, at_least=1e-9))
-    assert_array_equal(got.observed, reference.observed(*given_, scan.ranges))
-    assert_array_equal(got.free, exact & ~got.observed)
-    return exact
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_random_rays_free_exactly_the_voxels_that_rational_arithmetic_finds(seed):
-    rng = np.random.default_rng(100 + seed)
-    reach = np.where(rng.random(25) < 0.3, np.inf, rng.uniform(0, 2, 25))
-    scan = scan_of(rng.normal(size=(25, 3)), reach, rng.uniform(-9, 9, 3))
-    assert assert_exact(scan, GridSpec(shape=(11, 9, 7))).sum() > 60
-
-
 def test_rays_within_a_plane_free_the_voxels_above_it_alone():
     """On a grid exact in float64 the sensor's planes are no matter of rounding: voxels are
-    half-open, and so is the map, of which the sensor may lie on a border."""
+    half-open, and so is the map, of which the sensor may lie on a border. Free is what rational
+    arithmetic finds, with no margin: none of these rays comes within 1e-9 m of an edge."""
     crossed = 0
     for seed in range(40):
         rng = np.random.default_rng(seed)
@@ -149,17 +133,16 @@ def test_rays_within_a_plane_free_the_voxels_above_it_alone():
         rays[:2] *= np.eye(3)[rng.integers(0, 3, 2)]  # along an axis, within two planes
         rays[:2, 0] += (rays[:2] == 0).all(axis=1)
         reach = np.where(rng.random(6) < 0.5, np.inf, rng.uniform(0.1, 1.5, 6))
-        origin = rng.choice([-2.0, -1.0, 0.0], 3, p=[0.15, 0.7, 0.15])
-        crossed += assert_exact(scan_of(rays, reach), DYADIC, origin).sum()
+        reach[rng.random(6) < 0.1] = rng.choice([0.0, 1e-7, 1e-3])
+        scan, origin = scan_of(rays, reach), rng.choice([-2.0, -1.0, 0.0], 3, p=[0.15, 0.7, 0.15])
+        got = voxelize(scan, DYADIC, origin)
+        given_, length = inputs(scan, DYADIC, got), reference.lengths(scan.ranges, 10.0)
+        exact = reference.exact_swept(*given_, length)
+        assert_array_equal(exact, reference.exact_swept(*given_, length, at_least=1e-9))
+        assert_array_equal(got.observed, reference.observed(*given_, scan.ranges))
+        assert_array_equal(got.free, exact & ~got.observed)
+        crossed += exact.sum()
     assert crossed > 400
-
-
-def test_a_tiny_range_is_observed_at_the_sensor_and_frees_nothing():
-    """Along a ray into the upper voxels the return is in the sensor's own voxel, which is not free
-    then."""
-    got = voxelize(scan_of([[0.6, 0.5, 0.4]] * 4, [0.0, 1e-45, 1e-7, 1e-3]), DYADIC)
-    assert np.argwhere(got.observed).tolist() == [[4, 4, 4]]
-    assert not got.free.any()
 
 
 def test_returns_on_grid_planes_lie_where_the_floor_formula_says():
