@@ -69,20 +69,3 @@ def test_both_rules_are_those_of_a_slow_reference(rule):
             assert got.free[voxel] == (any(hits + misses) and not observed)
             both += any(hits) and any(misses)
     assert both > 25, "hardly a voxel is hit by one scan and crossed by another"
-
-
-@pytest.mark.parametrize(
-    ("values", "named"),
-    [
-        ({"fusion": "average"}, "fusion = 'average': expected 'visibility' or 'log-odds'"),
-        ({"hit": 0.5}, "hit = 0.5: expected"),
-        ({"miss": 0.5}, "miss = 0.5: expected"),
-        ({"least": 0.6}, "least = 0.6: expected"),
-        ({"most": float("nan")}, "most = nan: expected"),
-        ({"occupied": 0.4}, "occupied = 0.4: expected"),
-        ({"occupied": 0.98}, "occupied = 0.98: expected at most `most`, 0.971"),
-    ],
-)
-def test_bad_values_are_named(values, named):
-    with pytest.raises(ValueError, match="^" + named.replace("(", r"\(")):
-        Fusion(**values)

@@ -40,17 +40,3 @@ def test_a_face_belongs_to_the_voxel_above_it():
 def test_the_default_grid_is_the_papers():
     assert_allclose(GridSpec().extent_m, [16.0, 16.0, 8.0], rtol=1e-12)
     assert_allclose(GridSpec().origin_at([10, 20, 5]), [2.0, 12.0, 1.0], rtol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("shape", (80, 0, 40)),
-        ("shape", (80, 80.5, 40)),
-        ("voxel_m", 0.0),
-        ("truncation_m", -1.0),
-    ],
-)
-def test_bad_values_are_named(name, value):
-    with pytest.raises(ValueError, match=name):
-        GridSpec(**{name: value})
