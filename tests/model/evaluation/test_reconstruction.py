@@ -36,75 +36,51 @@ def samples_of(recipe):
     return draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="val", unit=1).samples
 
 
-def score(occupied, distance, truth):
-    """Metrics by name over the whole map."""
-    true_distance = distance_field(truth, GridSpec(shape=truth.shape))
-    whole = np.zeros(truth.shape, np.uint8)
-    rows = measure(
-        occupied,
-        distance,
-        truth,
-        true_distance,
-        classes=whole,
-        class_count=1,
-        union=[0],
-    )
-    assert_array_equal(rows[[0, 0]], rows[1:])
-    return dict(zip(METRICS, rows[0], strict=True))
+def written_out(occupied, truth, error, near):
+    """The metrics of some voxels by name: their definitions."""
+    found = {}
+    for part, name in ((error, ""), (error[near], "near_")):
+        found[f"{name}rmse"] = np.sqrt(np.mean(part**2))
+        found[f"{name}mae"] = np.abs(part).mean()
+        found[f"{name}bias"] = part.mean()
+    (_, misses), (alarms, hits) = stats.contingency.crosstab(occupied, truth).count
+    found["iou"] = hits / (hits + misses + alarms)
+    precision, recall = hits / (hits + alarms), hits / (hits + misses)
+    return found | {
+        "precision": precision,
+        "recall": recall,
+        "f1": stats.hmean([precision, recall]),
+    }
 
 
-def random_maps(seed):
+@pytest.mark.parametrize("seed", range(5))
+def test_metrics_of_the_map_a_union_and_every_class_are_their_definitions(seed):
     rng = np.random.default_rng(seed)
-    truth = rng.random((9, 8, 7)) < 0.01  # so that some voxels are just 1 m from it
-    return rng.random(truth.shape) < 0.2, rng.uniform(0, 2, truth.shape).astype(np.float32), truth
-
-
-def test_metrics_agree_with_definitions_written_out():
-    for seed in range(5):
-        occupied, distance, truth = random_maps(seed)
-        found = score(occupied, distance, truth)
-        true_distance = distance_field(truth, GridSpec(shape=truth.shape))
-        error = distance.astype(float) - true_distance
-        near = true_distance <= 1.0
-        for part, name in ((error, ""), (error[near], "near_")):
-            assert found[f"{name}rmse"] == pytest.approx(np.sqrt(np.mean(part**2)))
-            assert found[f"{name}mae"] == pytest.approx(np.abs(part).mean())
-            assert found[f"{name}bias"] == pytest.approx(part.mean())
-        table = stats.contingency.crosstab(occupied.ravel(), truth.ravel()).count
-        (_, misses), (alarms, hits) = table
-        assert found["iou"] == pytest.approx(hits / (hits + misses + alarms))
-        assert found["precision"] == pytest.approx(hits / (hits + alarms))
-        assert found["recall"] == pytest.approx(hits / (hits + misses))
-        assert found["f1"] == pytest.approx(stats.hmean([found["precision"], found["recall"]]))
-
-
-def test_classes_and_their_union_are_measured_on_their_voxels_alone():
-    occupied, distance, truth = random_maps(7)
-    classes = np.random.default_rng(7).integers(0, 3, truth.shape).astype(np.uint8)
-    true_distance = distance_field(truth, GridSpec(shape=truth.shape))
-    rows = measure(
-        occupied,
-        distance,
-        truth,
-        true_distance,
-        classes=classes,
-        class_count=3,
-        union=[0, 2],
-    )
-    for row, chosen in zip(
-        rows[1:], [classes != 1, *(classes == c for c in range(3))], strict=True
-    ):
-        found = dict(zip(METRICS, row, strict=True))
-        assert found["mae"] == pytest.approx(
-            np.abs(distance.astype(float) - true_distance)[chosen].mean()
-        )
-        hits = (occupied & truth & chosen).sum()
-        assert found["iou"] == pytest.approx(hits / ((occupied | truth) & chosen).sum())
+    grid = GridSpec(shape=(18, 16, 14))
+    truth = rng.random(grid.shape) < 0.01  # so that some voxels are just 1 m from it
+    occupied, classes = rng.random(grid.shape) < 0.2, rng.integers(0, 3, grid.shape, np.uint8)
+    distance, true = 2 * rng.random(grid.shape, np.float32), distance_field(truth, grid)
+    assert (true == 1.0).any()
+    how = {"classes": classes, "class_count": 3, "union": [0, 2]}
+    rows = measure(occupied, distance, truth, true, **how)
+    parts = [classes < 3, classes != 1, *(classes == c for c in range(3))]
+    for row, part in zip(rows, parts, strict=True):
+        error = (distance.astype(float) - true)[part]
+        expected = written_out(occupied[part], truth[part], error, true[part] <= 1.0)
+        assert dict(zip(METRICS, row, strict=True)) == pytest.approx(expected)
 
 
 def test_nothing_occupied_and_nothing_predicted_are_defined():
     none, some = np.zeros((2, 2, 2), bool), np.ones((2, 2, 2), bool)
     far = np.full((2, 2, 2), 2.0, np.float32)
+
+    def score(occupied, distance, truth):
+        field = distance_field(truth, GridSpec(shape=truth.shape))
+        whole = {"classes": np.zeros(truth.shape, np.uint8), "class_count": 1}
+        return dict(
+            zip(METRICS, measure(occupied, distance, truth, field, **whole)[0], strict=True)
+        )
+
     assert [score(none, far, none)[name] for name in SHARES] == [1, 1, 1, 1]
     assert [score(some, far, none)[name] for name in SHARES] == [0, 0, 0, 0]
     assert [score(none, far, some)[name] for name in SHARES] == [0, 0, 0, 0]
