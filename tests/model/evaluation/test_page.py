@@ -2,11 +2,9 @@
 
 import dataclasses
 
-import numpy as np
 import pytest
 
 from scenegen.dataset.read import Dataset
-from scenegen.model.completion.protocol import Prediction
 from scenegen.model.completion.unlearned import Returns
 from scenegen.model.config import BenchConfig
 from scenegen.model.evaluation import paper
@@ -15,24 +13,17 @@ from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
 from scenegen.model.evaluation.report import best, build_report, to_html
 from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.shown import draw_charts, draw_failures, failing
+from tests.model.evaluation.test_bench import Nothing
 from tests.scenegen.display.test_page import Seen
 
 HOSTILE = "</td><script>alert(1)</script><img src=x onerror=alert(2)>&amp;"
 
 
-class Blind:
-    """A completer that is taken for a learned one, and sees nothing: its paths go through
-    everything."""
-
-    name = HOSTILE
-
-    def complete(self, observed, free, *, grid):
-        return Prediction(occupancy_probability=np.zeros(grid.shape, np.float32))
-
-
 @pytest.fixture(scope="module")
 def measured(made):
-    methods = [Truth(), Completed(Returns()), Completed(Blind())]
+    blind = Nothing()  # is taken for a learned one, and its paths go through everything
+    blind.name = HOSTILE
+    methods = [Truth(), Completed(Returns()), Completed(blind)]
     dataset = Dataset(made)
     return bench(dataset, methods, BenchConfig(split="train", trials=40)), dataset, methods
 

@@ -5,21 +5,24 @@ import dataclasses
 import numpy as np
 import pytest
 
-from scenegen.model.calibration import Calibration, UncertaintyError
+from scenegen.model.calibration import UncertaintyError
 from scenegen.model.config import PlanConfig
-from scenegen.model.evaluation.calibrate import (
-    STEP_M,
-    count_scores,
-    fit_margins,
-    near_bins,
-    path_risks,
-)
+from scenegen.model.evaluation.calibrate import count_scores, path_risks
 from scenegen.model.evaluation.planning.astar import plan_path
-from scenegen.model.evaluation.planning.measure import draw_trials, judge, met, plan_trial
+from scenegen.model.evaluation.planning.measure import judge, met, plan_trial
 from scenegen.truth import distance_field
-from tests.model.evaluation.planning.test_measure import EAST, FAR, FREE, GRID, scattered
+from tests.model.evaluation.planning.test_measure import (
+    EAST,
+    FAR,
+    FREE,
+    GRID,
+    PLAN,
+    scattered,
+    trials_in,
+)
+from tests.model.uncertainty.test_fit import bounds_of
 
-PLAN, CAREFUL = PlanConfig(), PlanConfig(planner="careful")
+CAREFUL = PlanConfig(planner="careful")
 
 
 def planned(blocked, field, goal, risk=None):
@@ -33,9 +36,7 @@ def test_it_never_enters_what_its_map_holds_occupied():
     for seed in range(20):
         occupied = scattered(seed)
         field = distance_field(occupied, GRID)
-        for goal in draw_trials(
-            occupied, GRID, PLAN, count=4, rng=np.random.default_rng(seed)
-        ).goals:
+        for goal in trials_in(occupied, 4, seed).goals:
             plan, path, voxels = planned(occupied, field, goal)
             found += path is not None
             assert not occupied.reshape(-1)[voxels].any()
@@ -67,7 +68,7 @@ def test_the_risk_asked_is_the_risk_had():
     """A method that sees all obstacles of a world shrunk alike, in some worlds to nothing:
     calibrated on some worlds, and given other ones."""
     rng = np.random.default_rng(0)
-    shrunk_m, share = [0.0, 0.4, 0.8, 1.2, 1.6], [0.2, 0.2, 0.2, 0.2, 0.2]
+    shrunk_m, share = [0.0, 0.4, 0.8, 1.2, 1.6], [0.2] * 5
 
     def world(seed):
         truth = scattered(seed)
@@ -75,7 +76,7 @@ def test_the_risk_asked_is_the_risk_had():
         return truth, np.minimum(tudf + rng.choice(shrunk_m, p=share), 2).astype(np.float32)
 
     def collisions(found, truth, said, seed):
-        goals = draw_trials(truth, GRID, PLAN, count=2, rng=np.random.default_rng(seed)).goals
+        goals = trials_in(truth, 2, seed).goals
         lows = [found.low(said, None, risk) for risk in found.risks]
         voxels = [[planned(low <= 0, low, goal)[2] for goal in goals] for low in lows]
         return np.array([np.mean([truth.reshape(-1)[one].any() for one in row]) for row in voxels])
@@ -86,29 +87,17 @@ def test_the_risk_asked_is_the_risk_had():
         count_scores(said, None, distance_field(truth, GRID), everywhere, GRID)
         for truth, said in known
     ]
-    risks, margins = fit_margins(np.stack(counts), near_bins(GRID, ()), (0.7, 0.5, 0.4, 0.3, 0.1))
-    found = Calibration(
-        worlds=80,
-        class_weight=1,
-        temperature=None,
-        step_m=STEP_M,
-        chances=(),
-        risks=risks,
-        margins=margins,
-    )
+    found = bounds_of(counts, GRID, (0.7, 0.5, 0.4, 0.3, 0.1))
     promised = path_risks(
         np.array([collisions(found, *one, seed) for seed, one in enumerate(known)])
     )
     found = dataclasses.replace(found, path_risks=promised)
     had = np.array([collisions(found, *one, seed) for seed, one in enumerate(new)])
     error = had.std(axis=0) / len(new) ** 0.5
-    asked = (0.04, 0.1, 0.2)
+    asked, mean = (0.04, 0.1, 0.2), had.mean(axis=0)
     chosen = [found.risks.index(found.for_paths(risk)) for risk in asked]
-    assert (had.mean(axis=0)[chosen] <= asked + 2 * error[chosen]).all(), (
-        promised,
-        had.mean(axis=0),
-    )
+    assert (mean[chosen] <= asked + 2 * error[chosen]).all(), (promised, mean)
     assert len(set(chosen)) > 1, "risk is what is chosen between"
-    assert had.mean(axis=0)[0] > 0.1
+    assert mean[0] > 0.1
     with pytest.raises(UncertaintyError, match=r"promises down to 0\.0"):
         found.for_paths(0.001)

@@ -18,6 +18,7 @@ LATTICE = Lattice(
     GRID, 3
 )  # nodes at voxels 2, 5 ... 38 in x and y, at 1, 4 ... 19 in z; the start is (20, 20, 10)
 EAST = LATTICE.centres([12, 6, 3])  # voxel (38, 20, 10): straight along x
+PLAN = PlanConfig()
 FREE = np.zeros(GRID.shape, bool)
 FAR = np.full(GRID.shape, 2.0, np.float32)
 
@@ -31,6 +32,12 @@ def scattered(seed):
         occupied[x : x + 2, y : y + 2, z : z + rng.integers(2, 20)] = True
     occupied[18:23, 18:23] = False
     return occupied
+
+
+def trials_in(truth, count, seed, config=PLAN, **more):
+    """Trials of a stream of its own."""
+    rng = np.random.default_rng(seed)
+    return draw_trials(truth, GRID, config, count=count, rng=rng, **more)
 
 
 def points_of(path):
@@ -48,7 +55,6 @@ def is_clear(path, truth):
 def test_measurements_are_those_of_a_slow_reference():
     """Every leg cut into pieces of at most 0.05 m, read by scipy, averaged along the path."""
     axes = [(np.arange(n) + 0.5) * 0.2 for n in GRID.shape]
-    config = PlanConfig()
     outcomes = set()
     for seed in range(12):
         truth, pred = scattered(seed), scattered(100 + seed)
@@ -62,16 +68,15 @@ def test_measurements_are_those_of_a_slow_reference():
         read = RegularGridInterpolator(
             axes, tudf.astype(float), bounds_error=False, fill_value=None
         )
-        goals = draw_trials(truth, GRID, config, count=5, rng=np.random.default_rng(seed)).goals
-        for goal in goals:
-            result = run_trial(pred, tudf_pred, truth, tudf, goal, GRID, config)
-            initial, reason = plan_path(pred, goal, GRID, config)
+        for goal in trials_in(truth, 5, seed).goals:
+            result = run_trial(pred, tudf_pred, truth, tudf, goal, GRID, PLAN)
+            initial, reason = plan_path(pred, goal, GRID, PLAN)
             if initial is None:
                 assert (result.success, result.cause) == (False, reason)
                 assert np.isnan(result.length_m)
                 outcomes.add(reason)
                 continue
-            path = refine(initial, tudf_pred, GRID, config)
+            path = refine(initial, tudf_pred, GRID, PLAN)
             distances, weights = [], []
             for points in points_of(path):
                 found = read(points)
@@ -91,8 +96,7 @@ def test_measurements_are_those_of_a_slow_reference():
 
 
 def test_maps_of_another_shape_are_refused():
-    for place, name in enumerate(("occupied", "tudf", "occupancy_truth", "tudf_truth")):
-        maps = [FREE, FAR, FREE, FAR]
-        maps[place] = maps[place][1:]
+    maps = {"occupied": FREE, "tudf": FAR, "occupancy_truth": FREE, "tudf_truth": FAR}
+    for name, given in maps.items():
         with pytest.raises(ValueError, match=f"{name}: shape"):
-            run_trial(maps[0], maps[1], maps[2], maps[3], EAST, GRID, PlanConfig())
+            run_trial(*(maps | {name: given[1:]}).values(), EAST, GRID, PLAN)

@@ -5,12 +5,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from lidarsim import GridSpec
 from scenegen.model.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import plan_path
-from scenegen.model.evaluation.planning.measure import draw_trials
-
-GRID = GridSpec(shape=(40, 40, 20))
+from tests.model.evaluation.planning.test_measure import FREE, GRID, trials_in
 
 
 def scattered(seed, density):
@@ -23,7 +20,7 @@ def scattered(seed, density):
 def test_goals_are_free_reachable_different_nodes_of_the_faces(faces):
     truth = scattered(1, 0.3)
     config = PlanConfig(goal_faces=faces)  # type: ignore[arg-type]
-    trials = draw_trials(truth, GRID, config, count=80, rng=np.random.default_rng(0))
+    trials = trials_in(truth, 80, 0, config)
     assert trials.goals.shape == (80, 3)
     voxels = np.floor(trials.goals / 0.2).astype(int)
     assert not truth[tuple(voxels.T)].any()
@@ -38,8 +35,7 @@ def test_goals_are_free_reachable_different_nodes_of_the_faces(faces):
 def test_goals_follow_from_the_stream_alone_and_more_of_them_begin_alike():
     truth = scattered(2, 0.2)
     first, again, other, more = (
-        draw_trials(truth, GRID, PlanConfig(), count=count, rng=np.random.default_rng(seed))
-        for seed, count in ((5, 20), (5, 20), (6, 20), (5, 40))
+        trials_in(truth, count, seed) for seed, count in ((5, 20), (5, 20), (6, 20), (5, 40))
     )
     assert_array_equal(first.goals, again.goals)
     assert_array_equal(first.goals, more.goals[:20])
@@ -50,12 +46,10 @@ def test_goals_follow_from_the_stream_alone_and_more_of_them_begin_alike():
 def test_every_goal_left_is_found_and_the_rest_are_counted_by_reason():
     """A wall cuts off the layer x = 38 (49 + 28 goals in it); one of the others lies in an
     obstacle."""
-    truth = np.zeros(GRID.shape, bool)
+    truth = FREE.copy()
     truth[35] = True
     truth[2, 2, 1] = True
-    trials = draw_trials(
-        truth, GRID, PlanConfig(goal_faces="lateral"), count=10_000, rng=np.random.default_rng(0)
-    )
+    trials = trials_in(truth, 10_000, 0, PlanConfig(goal_faces="lateral"))
     layer = 13 * 7
     rim = 4 * 12 * 7  # nodes of the outermost layer in x or y
     assert len(trials.goals) == rim - layer - 2 * 7 - 1
@@ -66,13 +60,7 @@ def test_every_goal_left_is_found_and_the_rest_are_counted_by_reason():
 def test_goals_keep_within_bounds():
     """As the world ends at a height of 2.5 m and at x = 6 m of this map."""
     bounds = [[-1.0, -9.0, 1.0], [6.0, 99.0, 2.5]]
-    free = np.zeros(GRID.shape, bool)
-    goals, everywhere = (
-        draw_trials(
-            free, GRID, PlanConfig(), count=10_000, rng=np.random.default_rng(0), bounds=given
-        ).goals
-        for given in (bounds, None)
-    )
+    goals, everywhere = (trials_in(FREE, 10_000, 0, bounds=given).goals for given in (bounds, None))
     x, _, z = everywhere.T
     inside = everywhere[(x <= 6) & (z >= 1) & (z <= 2.5)]
     assert 0 < len(goals) < len(everywhere)
