@@ -1,26 +1,22 @@
 """The tables of parameters in the docs are those of the dataclasses; no table is wider than it can
 be read."""
 
-import importlib.util
-from pathlib import Path
+import runpy
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from scenegen.recipes import kind_names
+from tests.command_line import ROOT
 
-ROOT = Path(__file__).parents[2]
 PAGES = [
     ROOT / "README.md",
     *sorted((ROOT / "docs").glob("*.md")),
     *sorted((ROOT / "scenes").glob("*.md")),
 ]
 
-spec = importlib.util.spec_from_file_location("tables", ROOT / "docs" / "tables.py")
-assert spec is not None
-assert spec.loader is not None
-tables = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(tables)
+tables = SimpleNamespace(**runpy.run_path(str(ROOT / "docs" / "tables.py")))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

@@ -1,24 +1,21 @@
 """The tutorial: its command lines parse, its pictures are there, its notebook is the script's;
 slow: all of it runs."""
 
-import importlib.util
 import json
+import runpy
 import shlex
-from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from scenegen.__main__ import app
+from tests.command_line import ROOT
 
-DOCS = Path(__file__).parents[2] / "docs"
+DOCS = ROOT / "docs"
 MOST_BYTES = 1_200_000
 """Of the notebook, pictures included."""
 
-spec = importlib.util.spec_from_file_location("tutorial", DOCS / "tutorial.py")
-assert spec is not None
-assert spec.loader is not None
-tutorial = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(tutorial)
+tutorial = SimpleNamespace(**runpy.run_path(str(DOCS / "tutorial.py")))
 PAGE = tutorial.PAGE.read_text(encoding="utf-8")
 
 

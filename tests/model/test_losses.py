@@ -7,20 +7,19 @@ import math
 
 import numpy as np
 import pytest
+import torch
 from numpy.testing import assert_allclose, assert_array_equal
 
-torch = pytest.importorskip("torch")
-
-from lidarsim import GridSpec  # noqa: E402
-from scenegen.model.config import LossConfig  # noqa: E402
-from scenegen.model.losses import (  # noqa: E402
+from lidarsim import GridSpec
+from scenegen.model.config import LossConfig
+from scenegen.model.losses import (
     Coupled,
     eikonal_loss,
     lovasz_loss,
     occupancy_loss,
     regression_loss,
 )
-from scenegen.model.network import Output  # noqa: E402
+from scenegen.model.network import Output
 
 SHAPE = (3, 5, 4, 6)  # three maps, no two axes alike
 

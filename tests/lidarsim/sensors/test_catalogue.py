@@ -16,28 +16,30 @@ from lidarsim.sensors import CATALOGUE, FAMILIES, SENSORS, device
 from lidarsim.sensors.nonrepetitive import Coil, Rosette
 from lidarsim.sensors.raster import Pinhole
 from lidarsim.sensors.spinning import Spinning
+from tests.command_line import rows
 
 NAMED = {name: SENSORS.find(name) for name in CATALOGUE}
-SPINNING = {
-    # beams, lowest and highest beam in degrees, degrees from column to column at 10 Hz, points a
-    # second
-    "velodyne-vlp-16": (16, -15.0, 15.0, 0.199, 0.289e6),
-    "velodyne-hdl-32e": (32, -30.67, 10.67, 0.166, 0.695e6),
-    "velodyne-hdl-64e": (64, -24.33, 2.0, 0.1728, 1.333e6),
-    **{
-        f"ouster-{model}-{beams}": (beams, low, high, 360 / 1024, beams * 10240)
-        for model, low, highest in (
-            ("os0", -46.26, (43.47, 44.7, 45.75)),
-            ("os1", -21.82, (20.03, 20.67, 20.95)),
-            ("os2", -11.09, (10.24, 10.58, 10.76)),
-        )
-        for beams, high in zip((32, 64, 128), highest, strict=True)
-    },
-    "hesai-xt-32": (32, -16.0, 15.0, 0.18, 0.64e6),
-    "hesai-qt-128": (128, -52.627, 52.627, 0.4, 1.152e6),
-    "robosense-helios-1615": (32, -16.0, 15.0, 0.2, 0.576e6),
-    "robosense-helios-16p": (16, -15.0, 15.0, 0.2, 0.288e6),
-}
+SPINNING = """
+velodyne-vlp-16       →  16 → -15     → 15     → 0.199    →  289000
+velodyne-hdl-32e      →  32 → -30.67  → 10.67  → 0.166    →  695000
+velodyne-hdl-64e      →  64 → -24.33  → 2      → 0.1728   → 1333000
+ouster-os0-32         →  32 → -46.26  → 43.47  → 0.351563 →  327680
+ouster-os0-64         →  64 → -46.26  → 44.7   → 0.351563 →  655360
+ouster-os0-128        → 128 → -46.26  → 45.75  → 0.351563 → 1310720
+ouster-os1-32         →  32 → -21.82  → 20.03  → 0.351563 →  327680
+ouster-os1-64         →  64 → -21.82  → 20.67  → 0.351563 →  655360
+ouster-os1-128        → 128 → -21.82  → 20.95  → 0.351563 → 1310720
+ouster-os2-32         →  32 → -11.09  → 10.24  → 0.351563 →  327680
+ouster-os2-64         →  64 → -11.09  → 10.58  → 0.351563 →  655360
+ouster-os2-128        → 128 → -11.09  → 10.76  → 0.351563 → 1310720
+hesai-xt-32           →  32 → -16     → 15     → 0.18     →  640000
+hesai-qt-128          → 128 → -52.627 → 52.627 → 0.4      → 1152000
+robosense-helios-1615 →  32 → -16     → 15     → 0.2      →  576000
+robosense-helios-16p  →  16 → -15     → 15     → 0.2      →  288000
+"""
+"""Beams, lowest and highest beam in degrees, degrees from column to column at 10 Hz, points a
+second."""
+SPINNING = {name: list(map(float, rest)) for name, *rest in rows(SPINNING)}
 RANGES_M = {
     "velodyne-vlp-16": 100,
     "velodyne-hdl-64e": 120,

@@ -2,10 +2,12 @@
 
 import csv
 import multiprocessing
+from dataclasses import dataclass
 
 import torch
 
 import scenegen.model.training.loop
+from lidarsim import GridSpec
 from scenegen.model.checkpoint import load_tensors
 from scenegen.model.config import NetworkConfig, TrainConfig
 from scenegen.model.training.data import Maps, opened
@@ -18,6 +20,22 @@ def train(folders, config, out, device="cpu", **more):
     return scenegen.model.training.loop.train(
         opened(folders, "train"), opened(folders, "val"), config, out, device=device, **more
     )
+
+
+@dataclass
+class Counted:
+    """So many maps of a grid, seen in passes."""
+
+    count: int
+    grid: GridSpec = GridSpec()  # noqa: RUF009
+    shares: None = None
+    mirrored: bool = True
+
+    def __len__(self):
+        return self.count
+
+    def order(self, batch):
+        """None: these are seen in passes."""
 
 
 def maps_of(folders, *inputs):

@@ -13,27 +13,9 @@ from scenegen.model.checkpoint import CheckpointError, load_tensors
 from scenegen.model.config import NetworkConfig, TrainConfig
 from scenegen.model.training.course import Course
 from scenegen.model.training.data import epoch_batches
-from tests.model.training.runs import SMALL, train
+from tests.model.training.runs import SMALL, Counted, train
 
 TINY = dataclasses.replace(SMALL, network=NetworkConfig(width=1, heads=1, variant="occ"), batch=12)
-
-
-class Counted:
-    """As many maps as it is told."""
-
-    class grid:  # noqa: N801
-        shape = (80, 80, 40)
-
-    shares, mirrored = None, True
-
-    def __init__(self, count):
-        self._count = count
-
-    def __len__(self):
-        return self._count
-
-    def order(self, batch):
-        """None: these are seen in passes."""
 
 
 def course(count=80, **settings):

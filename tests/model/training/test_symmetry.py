@@ -2,24 +2,21 @@
 distance field."""
 
 import itertools
-from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-torch = pytest.importorskip("torch")
-
-from lidarsim import GridSpec, Lidar  # noqa: E402
-from lidarsim.sensors import SENSORS  # noqa: E402
-from scenegen.model.config import TrainConfig  # noqa: E402
-from scenegen.model.inputs import turned  # noqa: E402
-from scenegen.model.training.data import epoch_batches, is_mirrored  # noqa: E402
-from scenegen.truth import distance_field  # noqa: E402
+from lidarsim import GridSpec, Lidar
+from lidarsim.sensors import SENSORS
+from scenegen.model.config import TrainConfig
+from scenegen.model.inputs import turned
+from scenegen.model.training.data import epoch_batches, is_mirrored
+from scenegen.truth import distance_field
+from tests.model.training.runs import Counted
 
 ALL = range(8)
-SQUARE = GridSpec(shape=(8, 8, 4))
 
 
 def numbered(*shape):
@@ -59,19 +56,6 @@ def test_the_field_of_a_turned_map_is_the_turned_field(symmetry):
 
 
 # The epochs.
-
-
-@dataclass
-class Counted:
-    """So many maps, of this grid."""
-
-    count: int
-    grid: GridSpec = SQUARE
-    shares: None = None
-    mirrored: bool = True
-
-    def __len__(self):
-        return self.count
 
 
 @pytest.mark.parametrize(("count", "batch"), [(23, 5), (5, 5), (3, 5)])

@@ -1,9 +1,6 @@
 """What the bundled network promises, kept on worlds that neither training nor calibration saw."""
 
 import numpy as np
-import pytest
-
-pytest.importorskip("torch")
 
 import scenegen
 from scenegen.model.completion.completer import Completer
