@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from scenegen.model.checkpoint import save_network
+from scenegen.model.completion.completer import Completer
 from scenegen.model.config import NetworkConfig
 from scenegen.model.network import Network
 from tests.conftest import dataset_in, small_recipe
@@ -23,6 +24,12 @@ def saved_network(path, grid, about=None, **config):
     path.parent.mkdir(exist_ok=True)
     save_network(path, network, grid, about or {})
     return network
+
+
+def completer_of(path, grid, about=None, **config):
+    """Such a network, loaded to complete maps."""
+    saved_network(path, grid, about, **config)
+    return Completer.from_pretrained(path)
 
 
 def make_dataset(folder, kind="pillar", *, compact=False, counts=COUNTS, **tables):

@@ -5,7 +5,6 @@ import itertools
 import math
 from contextlib import nullcontext
 
-import mujoco
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -15,13 +14,9 @@ from lidarsim.noise import STAGES
 from lidarsim.noise.chain import Noise
 from lidarsim.sensors import CATALOGUE, SENSORS
 from tests.command_line import example
+from tests.lidarsim.engines.test_laws import model_of
 
-ENGINE = AnalyticEngine.of(
-    mujoco.MjModel.from_xml_string(
-        '<mujoco><worldbody><geom type="plane" size="9 9 1"/><geom size="1" pos="4 0 '
-        '1"/></worldbody></mujoco>'
-    )
-)
+ENGINE = AnalyticEngine.of(model_of('type="plane" size="9 9 1"', 'size="1" pos="4 0 1"'))
 SCAN = cast(ENGINE, Lidar(), Pose.level((0.0, 0.0, 2.0)))
 
 

@@ -4,7 +4,6 @@ seed."""
 import dataclasses
 import math
 
-import mujoco
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -15,6 +14,7 @@ from lidarsim.noise.chain import Noise
 from lidarsim.noise.losses import Dropout, Faint, Far, Grazing, Motion, Spurious
 from lidarsim.noise.ranges import Depth, Divergence, Near, Quantise, Range
 from lidarsim.noise.returns import Intensity, View, albedo_of
+from tests.lidarsim.engines.test_laws import model_of
 
 RAYS = 20_000
 REACH_M = 50.0
@@ -31,12 +31,6 @@ class Nowhere:
 def ahead(count):
     """A sensor whose rays all go straight ahead."""
     return BeamTable(rays=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), max_range_m=REACH_M)
-
-
-def world(*geoms):
-    return mujoco.MjModel.from_xml_string(
-        f"<mujoco><worldbody>{''.join(geoms)}</worldbody></mujoco>"
-    )
 
 
 def observed(scan, engine, *stages, albedo=None):
@@ -60,6 +54,7 @@ def test_range_noise_is_normal_with_the_stated_deviation(stage):
     sigma = stage.sigma_m + stage.share * at_m + stage.quadratic_per_m * at_m**2
     assert moved.std() == pytest.approx(sigma, rel=0.02)
     assert stats.kstest(moved / sigma, "norm").pvalue > 0.01
+
     assert np.abs(moved).max() <= stage.bound_m(at_m) + 1e-12
     assert stage.bound_m(at_m) == pytest.approx(4 * sigma)
 
@@ -109,12 +104,12 @@ def test_returns_are_lost_with_the_stated_probability(stage, at_m, share):
 def wall(turn_deg, grey=0.4):
     """A wide wall 10 m ahead, its normal turned by `turn_deg` away from the sensor."""
     look = f'euler="0 0 {turn_deg}" rgba="{grey} {grey} {grey} 1"'
-    return f'<geom type="box" size="0.5 60 60" pos="10 0 0" {look}/>'
+    return f'type="box" size="0.5 60 60" pos="10 0 0" {look}'
 
 
 def seen(stage, *geoms, rays=RAYS, then=()):
     """What rays straight ahead return of some geoms."""
-    model = world(*geoms)
+    model = model_of(*geoms)
     engine = AnalyticEngine.of(model)
     scan = cast(engine, ahead(rays), LEVEL)
     return observed(scan, engine, stage, *then, albedo=albedo_of(model))
@@ -159,8 +154,8 @@ def edge(near_m, far_m, covered):
     """A wall at `far_m`, and one at `near_m` whose upper edge lies so that it stands `covered` m
     above the axis."""
     return (
-        f'<geom type="box" size="0.5 60 60" pos="{far_m + 0.5} 0 0"/>',
-        f'<geom type="box" size="0.01 60 30" pos="{near_m + 0.01} 0 {covered - 30}"/>',
+        f'type="box" size="0.5 60 60" pos="{far_m + 0.5} 0 0"',
+        f'type="box" size="0.01 60 30" pos="{near_m + 0.01} 0 {covered - 30}"',
     )
 
 
@@ -205,17 +200,14 @@ def turning():
     return BeamTable(rays=np.stack(columns, axis=-1), max_range_m=REACH_M)
 
 
-ROOM = [
-    f'<geom type="box" size="{s}" pos="{p}"/>'
-    for s, p in (("1 20 5", "11 0 0"), ("1 20 5", "-11 0 0"))
-]
-ROOM += [f'<geom type="box" size="20 1 5" pos="0 {side} 0"/>' for side in (11, -11)]
+ROOM = [f'type="box" size="1 20 5" pos="{side} 0 0"' for side in (11, -11)]
+ROOM += [f'type="box" size="20 1 5" pos="0 {side} 0"' for side in (11, -11)]
 
 
 @pytest.mark.parametrize("turned", [0.0, 200.0])
 def test_a_corrected_scan_lies_on_the_walls_and_an_uncorrected_one_bends(turned):
     """The room is 20 m wide: a point on a wall has 10 m for its greater coordinate."""
-    engine = MujocoEngine.of(world(*ROOM))
+    engine = MujocoEngine.of(model_of(*ROOM))
     motion = Motion(forward_mps=8.0, left_mps=-2.0, yaw_rate_deg_s=turned, poses=400)
     pose = Pose.level((1.0, -2.0, 0.5), yaw_rad=0.4)
     scan = cast(engine, turning(), pose)
@@ -233,7 +225,7 @@ def test_a_ray_along_the_motion_is_shorter_by_the_way_flown():
     """One ray at 0.1 s, straight at the wall 10 m ahead, at 3 m/s; and beside it, turned by the yaw
     meanwhile."""
     sensor = BeamTable(rays=np.array([[1.0, 0, 0, 0.0], [1.0, 0, 0, 0.1]]), max_range_m=REACH_M)
-    engine = AnalyticEngine.of(world(*ROOM))
+    engine = AnalyticEngine.of(model_of(*ROOM))
     scan = cast(engine, sensor, LEVEL)
 
     def told(stage):
@@ -260,8 +252,7 @@ def test_the_arc_of_a_motion_is_the_sum_of_small_steps(rate):
 
 
 def test_a_stage_that_asks_for_surfaces_needs_an_engine_that_knows_them():
-    model = world(wall(0))
-    engine = MujocoEngine.of(model)
+    engine = MujocoEngine.of(model_of(wall(0)))
     with pytest.raises(ValueError, match="use the engine analytic"):
         observed(cast(engine, ahead(3), LEVEL), engine, Grazing())
     assert View(engine, ahead(3), LEVEL).albedo is None

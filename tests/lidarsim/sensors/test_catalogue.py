@@ -4,7 +4,6 @@ that cannot be."""
 import dataclasses
 import math
 
-import mujoco
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -17,6 +16,7 @@ from lidarsim.sensors.nonrepetitive import Coil, Rosette
 from lidarsim.sensors.raster import Pinhole
 from lidarsim.sensors.spinning import Spinning
 from tests.command_line import rows
+from tests.lidarsim.engines.test_laws import model_of
 
 NAMED = {name: SENSORS.find(name) for name in CATALOGUE}
 SPINNING = """
@@ -213,10 +213,8 @@ def test_a_depth_cameras_rays_meet_a_plane_in_a_square_grid(name):
 def test_a_lever_arm_moves_the_origin_of_the_rays_with_the_body():
     """At a yaw of 90° the body's x axis is the world's y axis."""
     sensor = Spinning(elevations_deg=(0.0,), columns=4, lever_arm_m=(0.5, 0.0, 0.2))
-    model = mujoco.MjModel.from_xml_string(
-        '<mujoco><worldbody><geom size="1" pos="1 7 3.2"/></worldbody></mujoco>'
-    )
-    scan = cast(MujocoEngine.of(model), sensor, Pose.level((1.0, 2.0, 3.0), yaw_rad=math.pi / 2))
+    engine = MujocoEngine.of(model_of('size="1" pos="1 7 3.2"'))
+    scan = cast(engine, sensor, Pose.level((1.0, 2.0, 3.0), yaw_rad=math.pi / 2))
     assert scan.pose.position == pytest.approx([1.0, 2.5, 3.2])
     assert scan.ranges[np.isfinite(scan.ranges)] == pytest.approx([3.5])
     assert scan.points() == pytest.approx(np.array([[1.0, 6.0, 3.2]]))

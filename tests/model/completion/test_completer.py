@@ -18,7 +18,7 @@ from scenegen.model.completion.protocol import PredictionError
 from scenegen.model.config import BUNDLED, bundled
 from scenegen.model.training.card import card
 from scenegen.worlds.mapping import Mapper
-from tests.model.conftest import saved_network
+from tests.model.conftest import completer_of, saved_network
 
 GRID = GridSpec(shape=(16, 24, 8))
 
@@ -37,21 +37,19 @@ def test_a_batch_is_completed_as_the_network_says(tmp_path, observed, variant):
     with torch.no_grad():
         output = network({"observed": torch.from_numpy(observed)})
     found = Completer.from_pretrained(tmp_path / "net.safetensors", batch=2)(observed)
-    if variant == "tudf":
-        assert found.occupancy_probability is None
-    else:
-        assert found.occupancy_probability.dtype == np.float32
-        assert_allclose(found.occupancy_probability, output.logits.sigmoid(), atol=1e-5)
-    if variant == "occ":
-        assert found.tudf is None
-    else:
-        assert found.tudf.dtype == np.float32
-        assert_allclose(found.tudf, output.tudf.clamp(max=2.0), atol=1e-5)
+    expected = (
+        None if variant == "tudf" else output.logits.sigmoid(),
+        None if variant == "occ" else output.tudf.clamp(max=2.0),
+    )
+    for one, other in zip((found.occupancy_probability, found.tudf), expected, strict=True):
+        assert (one is None) == (other is None)
+        if one is not None:
+            assert one.dtype == np.float32
+            assert_allclose(one, other, atol=1e-5)
 
 
 def test_what_goes_in_decides_what_comes_out(tmp_path, observed):
-    save(tmp_path / "net.safetensors")
-    completer = Completer.from_pretrained(tmp_path / "net.safetensors")
+    completer = completer_of(tmp_path / "net.safetensors", GRID)
     batch = completer(observed)
     for given in (np.flip(np.flip(observed[2])), observed[2].astype(np.float64)):
         single = completer(given)
@@ -81,8 +79,7 @@ def test_distances_end_at_the_truncation_and_completions_that_are_no_numbers_are
 
 
 def test_other_maps_are_refused(tmp_path):
-    save(tmp_path / "net.safetensors")
-    completer = Completer.from_pretrained(tmp_path / "net.safetensors")
+    completer = completer_of(tmp_path / "net.safetensors", GRID)
     for wrong, named in (
         (np.zeros((24, 16, 8), bool), r"expected \(16, 24, 8\)"),
         (np.full(GRID.shape, 0.5), "other than 0 and 1"),

@@ -13,29 +13,23 @@ from numpy.testing import assert_allclose
 from lidarsim import GridSpec
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
-from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.predictions import predict_split
 from scenegen.model.completion.scans import predict_scan, read_scan
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.methods import Predicted
-from tests.model.conftest import saved_network
-
-
-def completer(tmp_path, grid, variant="proposed"):
-    saved_network(tmp_path / "net.safetensors", grid, variant=variant)
-    return Completer.from_pretrained(tmp_path / "net.safetensors")
+from tests.model.conftest import completer_of
 
 
 @pytest.fixture
 def net(folders, tmp_path):
-    return completer(tmp_path, Dataset(folders[0]).grid)
+    return completer_of(tmp_path / "net.safetensors", Dataset(folders[0]).grid)
 
 
 @pytest.mark.parametrize("variant", ["proposed", "tudf"])
 def test_predictions_are_what_the_bench_takes(folders, tmp_path, variant, monkeypatch):
     monkeypatch.setattr("scenegen.model.completion.predictions.PART", 2)
     dataset = Dataset(folders[1])
-    net = completer(tmp_path, dataset.grid, variant)
+    net = completer_of(tmp_path / "net.safetensors", dataset.grid, variant=variant)
     told: list[int] = []
     tell = {"on_start": told.append, "on_done": told.append}
     predict_split(net, folders[1], "test", tmp_path / "p", **tell)
@@ -43,10 +37,7 @@ def test_predictions_are_what_the_bench_takes(folders, tmp_path, variant, monkey
     method = Predicted(tmp_path / "p")
     method.check(dataset, "test")
     for sample in dataset.split("test"):
-        read, direct = (
-            method.completion(sample, dataset.split("test")),
-            net(sample.observed),
-        )
+        read, direct = method.completion(sample, dataset.split("test")), net(sample.observed)
         assert_allclose(read.tudf, direct.tudf, atol=1e-5)
         if variant == "tudf":
             assert read.occupancy_probability is None
@@ -55,27 +46,23 @@ def test_predictions_are_what_the_bench_takes(folders, tmp_path, variant, monkey
 
 
 def test_maps_of_another_grid_are_refused(folders, tmp_path):
-    net = completer(tmp_path, GridSpec(shape=(16, 16, 16)))
+    net = completer_of(tmp_path / "net.safetensors", GridSpec(shape=(16, 16, 16)))
     with pytest.raises(DatasetError, match="train a network on this grid"):
         predict_split(net, folders[0], "test", tmp_path / "p")
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".npy"])
-def test_a_scan_of_a_sample_is_completed_as_the_sample_is(folders, tmp_path, suffix):
+def test_a_scan_of_a_sample_is_completed_as_the_sample_is(folders, net, tmp_path, suffix):
     dataset = Dataset(folders[0])
     sample = dataset.split("train")[0]
-    net = completer(tmp_path, dataset.grid)
     points = dataset.grid.centres(sample.origin)[sample.observed]
-    path = tmp_path / f"scan{suffix}"
+    path, out, count = tmp_path / f"scan{suffix}", tmp_path / "out.h5", len(points)
     if suffix == ".ply":
         trimesh.PointCloud(points).export(path)
     else:
-        np.save(path, np.vstack([points, np.full((1, 3), np.nan)]))  # a ray without return
-    out = tmp_path / "out.h5"
+        np.save(path, np.pad(points, ((0, 1), (0, 0)), constant_values=np.nan))  # without a return
     given = read_scan(path, sample.position)
-    used = predict_scan(net, given, out)
-    lost = int(suffix == ".npy")
-    count = len(points)
+    used, lost = predict_scan(net, given, out), int(suffix == ".npy")
     assert (used.inside, used.points, used.without) == (count, count + lost, lost)
     expected = net(sample.observed)
     with h5py.File(out) as file:
