@@ -5,76 +5,71 @@ import re
 import runpy
 import sys
 from importlib.util import find_spec
-from pathlib import Path
 
 import pytest
 
 from scenegen.recipe import preset
-from tests.command_line import code_of
+from tests.command_line import ROOT, code_of, rows
 from tests.conftest import dataset_in
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+BENCHMARKS = ROOT / "benchmarks"
 SHARED = {"measuring", "recordings", "scoring", "served"}
-STUDY = BENCHMARKS.parent / "docs" / "results" / "study.json"
+STUDY = ROOT / "docs" / "results" / "study.json"
 DATA = "data"
 """Stands for a dataset's folder."""
 NUMBER = r"(\d[\d.]*)"
 ODOMETRY = r"pillar +N m  N scans  N %" if find_spec("kiss_icp") else "not measured: kiss-icp"
-SCRIPTS = {
-    "anywhere": ((), (r"`geometric`, the default sensor \| N .* \| N", r"points alone \| – \| N")),
-    "costs": ((), (r"missed: inside \| N % \| N", r"invented: elsewhere \| +\| N")),
-    "elsewhere": ((), (r"default range:0\.05 \| N", r"scaffold, all sensors; careful \| [+-]N")),
-    "extras": ((), (r"the core \| N \|", r"`\[train\]` \| N \|")),
-    "fly": ((), (r"`optimistic` \| N", r"`tortuosity` \| N")),
-    "folders": (
-        (),
-        (
-            r"--version` \| N, N \|",
-            r"resume, unlisted \| N, N \|",
-            r"merge \| N, N \| N \| N \|",
-        ),
-    ),
-    "generalisation": (("--out", "out"), (r"extrude: maze N", r"without maze: maze N")),
-    "generate": (
-        (),
-        (
-            "N samples a second and core",
-            "everything else",
-            r"--compact: N samples in N s .* N s of proc",
-        ),
-    ),
-    "gpu": ((), (r"pillar +N M rays/s +N samples/s", r" (0) values differ")),
-    "inference": ((), (r"occ +stem 2:  eager +N ms", r"openvino +N ms")),
-    "intervals": ((), (r"success, geometric +N +N +N",)),
-    "kinds": (
-        ("--difficulty", "easy", "--difficulty", "hard"),
-        (
-            r"`geometric` \| N \| N% · N% \| N% · N \|",
-            r"`maze` \| N · N \| N · N \| N · N; N% · N%",
-        ),
-    ),
-    "mutants": ((), (r"N of 1 killed",)),
-    "odometry": ((), (ODOMETRY,)),
-    "peers": ((), (r"`pillar` \| N .* \| N", r"`SSC.et` \| N M \| 0.92 M \| N M \| N \| N")),
-    "rays": ((), (r"analytic +N ms a scan", r"kernels cached: N s")),
-    "real": ((), (r"`pillar` \| N \| N .* \| N", r"mean of the places")),
-    "rehearsal": ((), (r"N nodes, a bucket \| N \| N \|", "N requests")),
-    "sensors": ((), (r"livox-avia +N ms a sample", r"map ahead +N ms a sample")),
-    "stream": ((), (r"generate --compact +N \(1\.00\) +N", r"cache read +N \(N\) +N")),
-    "study": ((STUDY, "--out", "out"), (r"out/(c)laims\.png", r"out/(l)earning\.png")),
-    "training": (
-        (DATA,),
-        (
-            r"loader, one process: N samples/s",
-            r"float32 +N ms a map, N of processor; +bfloat16 +N ms",
-        ),
-    ),
-    "verify": (
-        (DATA,),
-        (r": N samples, (no) check failed", r"by processor time +N samples a second"),
-    ),
-}
+FIGURES = rf"""
+anywhere  → `geometric`, the default sensor \| N .* \| N
+anywhere  → points alone \| – \| N
+costs     → missed: inside \| N % \| N
+costs     → invented: elsewhere \| +\| N
+elsewhere → default range:0\.05 \| N
+elsewhere → scaffold, all sensors; careful \| [+-]N
+extras    → the core \| N \|
+extras    → `\[train\]` \| N \|
+fly       → `optimistic` \| N
+fly       → `tortuosity` \| N
+folders   → --version` \| N, N \|
+folders   → resume, unlisted \| N, N \|
+folders   → merge \| N, N \| N \| N \|
+generalisation --out out → extrude: maze N
+generalisation --out out → without maze: maze N
+generate  → N samples a second and core
+generate  → everything else
+generate  → --compact: N samples in N s .* N s of proc
+gpu       → pillar +N M rays/s +N samples/s
+gpu       → \b(0) values differ
+inference → occ +stem 2:  eager +N ms
+inference → openvino +N ms
+intervals → success, geometric +N +N +N
+kinds --difficulty easy --difficulty hard → `geometric` \| N \| N% · N% \| N% · N \|
+kinds --difficulty easy --difficulty hard → `maze` \| N · N \| N · N \| N · N; N% · N%
+mutants   → N of 1 killed
+odometry  → {ODOMETRY}
+peers     → `pillar` \| N .* \| N
+peers     → `SSC.et` \| N M \| 0.92 M \| N M \| N \| N
+rays      → analytic +N ms a scan
+rays      → kernels cached: N s
+real      → `pillar` \| N \| N .* \| N
+real      → mean of the places
+rehearsal → N nodes, a bucket \| N \| N \|
+rehearsal → N requests
+sensors   → livox-avia +N ms a sample
+sensors   → map ahead +N ms a sample
+stream    → generate --compact +N \(1\.00\) +N
+stream    → cache read +N \(N\) +N
+study {STUDY} --out out → out/(c)laims\.png
+study {STUDY} --out out → out/(l)earning\.png
+training {DATA} → loader, one process: N samples/s
+training {DATA} → float32 +N ms a map, N of processor; +bfloat16 +N ms
+verify {DATA}   → : N samples, (no) check failed
+verify {DATA}   → by processor time +N samples a second
+"""
 """Of every benchmark: what it is given, and figures that it prints; N stands for one."""
+SCRIPTS = {}
+for _command, _figure in rows(FIGURES):
+    SCRIPTS.setdefault(_command, []).append(_figure)
 LEARNED = {
     *("costs", "elsewhere", "generalisation", "inference"),
     *("anywhere", "peers", "real", "training"),
@@ -89,7 +84,8 @@ DEAR = LEARNED | {
 
 
 def test_every_benchmark_is_here():
-    assert {path.stem for path in BENCHMARKS.glob("*.py")} == SCRIPTS.keys() | SHARED
+    named = {command.split()[0] for command in SCRIPTS}
+    assert {path.stem for path in BENCHMARKS.glob("*.py")} == named | SHARED
 
 
 @pytest.fixture(scope="session")
@@ -109,21 +105,17 @@ def in_this_process(*words):
     assert code_of(*words[2:]) == 0
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=pytest.mark.slow) if name in DEAR else name for name in SCRIPTS],
-)
+def marks(command):
+    return [pytest.mark.slow] * (command.split()[0] in DEAR)
+
+
+@pytest.mark.parametrize("command", [pytest.param(one, marks=marks(one)) for one in SCRIPTS])
 def test_a_benchmark_runs_and_prints_its_figures(
-    name,
-    data,
-    tmp_path,
-    shell,
-    monkeypatch,
-    capsys,
+    command, data, tmp_path, shell, monkeypatch, capsys
 ):
-    words, figures = SCRIPTS[name]
+    name, *words = command.split()
     script = str(BENCHMARKS / f"{name}.py")
-    given = [*(str(data if word == DATA else word) for word in words), "--smoke"]
+    given = [*(str(data) if word == DATA else word for word in words), "--smoke"]
     if name in LEARNED:
         monkeypatch.chdir(tmp_path)
         monkeypatch.setattr(sys, "argv", [script, *given])
@@ -137,5 +129,5 @@ def test_a_benchmark_runs_and_prints_its_figures(
         assert ended.code == 0, ended.err
         said = ended.out
     assert not re.search(r"\b(nan|inf)\b", said)
-    for figure in figures:
+    for figure in SCRIPTS[command]:
         assert re.search(figure.replace("N", NUMBER), said), f"no {figure!r} in {said}"
