@@ -42,11 +42,15 @@ def exported(once):
     return folder / "net.onnx", load_network(folder / "net.safetensors")[0]
 
 
-@pytest.mark.parametrize("runtime", RUNTIMES)
+@pytest.fixture(params=RUNTIMES)
+def runtime(request):
+    pytest.importorskip(request.param)
+    return request.param
+
+
 def test_runtimes_agree_with_torch(exported, runtime):
     """For one map and for several; onnxruntime to rounding, OpenVINO to bfloat16's, where the
     processor has it."""
-    pytest.importorskip(runtime)
     path, network = exported
     forward, held = load_onnx(path, runtime=runtime, threads=1)
     assert (held.grid, held.about, held.config) == (GRID, {"seed": 0}, network.config)
@@ -60,9 +64,7 @@ def test_runtimes_agree_with_torch(exported, runtime):
         torch.testing.assert_close(found.tudf, expected.tudf, atol=tolerance, rtol=tolerance)
 
 
-@pytest.mark.parametrize("runtime", RUNTIMES)
 def test_threads_get_the_answer_to_their_own_map(exported, runtime):
-    pytest.importorskip(runtime)
     forward, _ = load_onnx(exported[0], runtime=runtime, threads=1)
     asked = [seen(1) for _ in range(24)]
     expected = [forward(maps) for maps in asked]
@@ -128,9 +130,7 @@ def swap_outputs(model):
     second.ParseFromString(kept)
 
 
-@pytest.mark.parametrize("runtime", RUNTIMES)
 def test_outputs_go_by_name_and_not_by_place(exported, tmp_path, runtime):
-    pytest.importorskip(runtime)
     path = tmp_path / "swapped.onnx"
     path.write_bytes(changed(exported[0], swap_outputs))
     maps = seen(1)

@@ -1,6 +1,8 @@
 """What a network is shown: trained on, completed from and exported by name; a new channel takes one
 entry."""
 
+from dataclasses import replace
+
 import h5py
 import numpy as np
 import pytest
@@ -18,13 +20,14 @@ from scenegen.model.checkpoint import (
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.predictions import predict_split
 from scenegen.model.completion.scans import predict_scan, read_scan
-from scenegen.model.config import INPUTS, NetworkConfig, TrainConfig
+from scenegen.model.config import INPUTS, NetworkConfig
 from scenegen.model.evaluation.methods import Predicted
-from scenegen.model.evaluation.metrics import METRICS, Metric
+from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.inputs import PointScan, centres, channels
 from scenegen.model.network import Network
 from tests.model.conftest import saved_network
-from tests.model.training.runs import maps_of, train
+from tests.model.evaluation.test_metrics import ALARMS
+from tests.model.training.runs import SMALL, maps_of, train
 
 GRID = GridSpec(shape=(16, 24, 8))
 BOTH = ("observed", "free")
@@ -33,13 +36,8 @@ BOTH = ("observed", "free")
 @pytest.mark.usefixtures("undrawn")
 def test_free_space_and_a_new_metric_go_all_the_way(folders, tmp_path, monkeypatch):
     """Two steps of training, validation, card, then a split, a row of the bench and a scan."""
-    alarms = Metric(
-        title="alarms", of=lambda s: s.share(s.alarms, s.voxels), needs="occupancy", better="lower"
-    )
-    monkeypatch.setitem(METRICS, "alarms", alarms)
-    config = TrainConfig(
-        network=NetworkConfig(width=4, inputs=BOTH), epochs=1, batch=12, precision="float32"
-    )
+    monkeypatch.setitem(METRICS, "alarms", ALARMS)
+    config = replace(SMALL, network=NetworkConfig(width=4, inputs=BOTH), epochs=1, batch=12)
     (row,) = train(folders, config, tmp_path / "run")
     assert 0 <= row["val_alarms"] <= 1
     assert "| alarms |" in (tmp_path / "run" / "card.md").read_text()
@@ -47,35 +45,31 @@ def test_free_space_and_a_new_metric_go_all_the_way(folders, tmp_path, monkeypat
     network, grid, _ = load_network(tmp_path / "run" / "best.safetensors")
     assert network.config.inputs == BOTH
     completer = Completer.from_pretrained(tmp_path / "run")
-    dataset = Dataset(folders[1])
-    sample = dataset.split("test")[0]
-    maps = {
-        "observed": torch.from_numpy(sample.observed[None]),
-        "free": torch.from_numpy(sample.free[None]),
-    }
+    split = Dataset(folders[1]).split("test")
+    sample = split[0]
+    maps = {name: torch.from_numpy(getattr(sample, name)[None]) for name in BOTH}
     with torch.no_grad():
         expected = network(maps).logits.sigmoid()[0].numpy()
         blind = network({**maps, "free": torch.zeros(1, *grid.shape)}).logits.sigmoid()[0].numpy()
     assert not np.allclose(expected, blind, atol=1e-4), "the second channel counts"
 
     predict_split(completer, folders[1], "test", tmp_path / "p")
+    alone = Completer.from_pretrained(tmp_path / "run", threads=1)
     for found in (
-        Predicted(tmp_path / "p").completion(sample, dataset.split("test")),
-        Completer.from_pretrained(tmp_path / "run", threads=1).completion(
-            sample, dataset.split("test")
-        ),
+        Predicted(tmp_path / "p").completion(sample, split),
+        alone.completion(sample, split),
         completer.complete(sample.observed, sample.free, grid=grid),
+        completer(sample),
     ):
         assert_allclose(found.occupancy_probability, expected, atol=1e-5)
     with pytest.raises(ValueError, match="run takes observed, free; free is not given"):
         completer({"observed": sample.observed})
-    assert_allclose(completer(sample).occupancy_probability, expected, atol=1e-5)
     with pytest.warns(UserWarning, match="run takes observed, free, and derives what is not given"):
-        alone = completer(sample.observed).tudf
+        blind = completer(sample.observed).tudf
     rays = channels(BOTH, centres(sample.observed, grid), grid)
     assert np.array_equal(rays["observed"], sample.observed)
     assert rays["free"].sum() < sample.free.sum()
-    assert_allclose(completer(rays).tudf, alone, atol=1e-5)
+    assert_allclose(completer(rays).tudf, blind, atol=1e-5)
 
     np.save(tmp_path / "scan.npy", grid.centres(sample.origin)[sample.observed])
     predict_scan(completer, read_scan(tmp_path / "scan.npy", sample.position), tmp_path / "s.h5")

@@ -12,6 +12,7 @@ from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.shown import guesses
 from scenegen.truth import distance_field
 from tests.command_line import refused, run
+from tests.model.evaluation.test_bench import write_predictions
 from tests.scenegen.display.test_page import Seen, unpacked
 
 
@@ -20,12 +21,9 @@ def test_a_page_holds_what_is_predicted(made, tmp_path, capsys):
     samples = dataset.split("test")
     rng = np.random.default_rng(0)
     guesses = rng.random((len(samples), *dataset.grid.shape)).astype(np.float32)
-    with h5py.File(tmp_path / "p.h5", "w") as file:
-        file.attrs.update({"dataset": dataset.manifest.digest, "split": "test"})
-        file["occupancy_probability"] = guesses
-        for name in ("world", "viewpoint"):
-            file[name] = np.array([getattr(sample, name) for sample in samples], np.int64)
-        file["tudf"] = np.stack([distance_field(guess > 0.85, dataset.grid) for guess in guesses])
+    with h5py.File(write_predictions(tmp_path / "p.h5", dataset), "a") as file:
+        file["occupancy_probability"][:] = guesses
+        file["tudf"][:] = [distance_field(guess > 0.85, dataset.grid) for guess in guesses]
     words = f"view {made} --predictions {tmp_path}/p.h5 -o {tmp_path}/page.html --quiet"
     assert run(capsys, f"{words} --split test") == (0, "", "")
     shown = Seen((tmp_path / "page.html").read_text(encoding="utf-8")).data()["samples"]

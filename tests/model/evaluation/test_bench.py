@@ -69,14 +69,11 @@ def write_predictions(path, dataset, *, drop=0):
     """The truth of the test split as a predictions file."""
     samples = list(dataset.split("test"))[drop:]
     with h5py.File(path, "w") as file:
-        file.attrs["dataset"] = dataset.manifest.digest
-        file.attrs["split"] = "test"
-        file["world"] = np.array([sample.world for sample in samples], dtype=np.int64)
-        file["viewpoint"] = np.array([sample.viewpoint for sample in samples], dtype=np.int64)
-        file["tudf"] = np.array([sample.tudf for sample in samples])
-        file["occupancy_probability"] = np.array(
-            [sample.occupancy for sample in samples], dtype=np.float32
-        )
+        file.attrs.update({"dataset": dataset.manifest.digest, "split": "test"})
+        for name in ("world", "viewpoint", "tudf"):
+            file[name] = np.array([getattr(sample, name) for sample in samples])
+        occupied = [sample.occupancy for sample in samples]
+        file["occupancy_probability"] = np.array(occupied, np.float32)
     return path
 
 
@@ -110,16 +107,8 @@ def test_workers_and_other_rows_change_no_figure(dataset):
 
 def report_of(dataset, out, **options):
     """What the command makes of one dataset."""
-    given = {
-        "names": (),
-        "predictions": None,
-        "split": "test",
-        "quick": True,
-        "seed": 0,
-        "execute": Local("", 1),
-        **options,
-    }
-    return run_bench([dataset.folder], out=out, **given)
+    usual = {"names": (), "predictions": None, "split": "test", "quick": True, "seed": 0}
+    return run_bench([dataset.folder], out=out, execute=Local("", 1), **usual | options)
 
 
 def test_the_report_holds_every_figure_in_its_place(dataset, tmp_path):
