@@ -21,24 +21,12 @@ import traceback
 from pathlib import Path
 from typing import NamedTuple
 
-COMMON = (
-    *(f"scenegen.cli.{name}" for name in ("generate", "derive", "publish", "verify", "convert")),
-    *(
-        "scenegen.model.commands.bench",
-        "scenegen.model.evaluation.run",
-        "scenegen.draw",
-        "scenegen.verification.folder",
-    ),
-    *(
-        "h5py",
-        "lidarsim.engines.mujoco",
-        "numba",
-        "ompl.base",
-        "ompl.geometric",
-        "scipy.ndimage",
-        "trimesh",
-    ),
-)
+COMMON = """
+scenegen.cli.generate scenegen.cli.derive scenegen.cli.publish scenegen.cli.verify
+scenegen.cli.convert scenegen.draw scenegen.verification.folder
+scenegen.model.commands.bench scenegen.model.evaluation.run
+lidarsim.engines.mujoco h5py numba ompl.base ompl.geometric scipy.ndimage trimesh
+"""
 """What is imported beforehand. A user's module is not among it, nor `scenegen.__main__`, nor
 torch."""
 
@@ -66,11 +54,8 @@ class Shell:
 
     def python(self, file, *words, here):
         """How ``python file words`` ends in the folder `here`."""
-        print(
-            json.dumps([str(here), str(here / file), *map(str, words)]),
-            file=self._server.stdin,
-            flush=True,
-        )
+        asked = json.dumps([str(here), str(here / file), *map(str, words)])
+        print(asked, file=self._server.stdin, flush=True)
         return Ended(*json.loads(self._server.stdout.readline()))
 
     def scenegen(self, *words, here):
@@ -92,7 +77,7 @@ class Shell:
 def serve():
     """For every line on standard input, a folder, a file and its arguments, run the file in a copy
     of this process."""
-    for name in COMMON:
+    for name in COMMON.split():
         importlib.import_module(name)
     assert not {"scenegen.__main__", "torch"} & sys.modules.keys()
     root = str(Path.cwd())

@@ -2,16 +2,13 @@
 
 import dataclasses
 import json
-import zlib
 from collections.abc import Callable
 from pathlib import Path
-from random import Random
 from typing import Any
 
 SAME, VALID, REFUSED = "same", "valid", "refused"
 """What exit code 0 may mean: the samples of the undamaged input; any valid result; nothing, it must
 not be."""
-NOTHING = ""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -48,7 +45,7 @@ class Attempt:
     after: Callable[[], Any] | None = None
     """Run in the command's process when that ended with 0; what it returns, as JSON, goes to
     `holds`."""
-    holds: Callable[[Result], str] = lambda result: NOTHING
+    holds: Callable[[Result], str] = lambda result: ""
     """What is wrong with a result of exit code 0: a sentence, or nothing."""
     may_lack_memory: bool = False
     """Whether "out of memory" is a good end: the user asked for much, no stranger did."""
@@ -57,11 +54,6 @@ class Attempt:
 def words(line):
     """A command line's words."""
     return tuple(line.split())
-
-
-def random_of(seed, name):
-    """The random numbers of the case `name`, family/number."""
-    return Random(f"{seed} {name}")
 
 
 def refuses(damage):
@@ -73,15 +65,7 @@ def equals(expected):
     """For results that the damage must not change: what `after` found is `expected`."""
 
     def holds(result):
-        if result.after == expected:
-            return NOTHING
-        return (
-            f"ended with another result than without the damage: {json.dumps(result.after)[:300]}"
-        )
+        other = f"ended with another result than without the damage: {json.dumps(result.after)}"
+        return "" if result.after == expected else other[:350]
 
     return holds
-
-
-def checksum(content):
-    """A short name for bytes."""
-    return zlib.crc32(content)

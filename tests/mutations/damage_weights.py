@@ -5,7 +5,7 @@ import json
 import struct
 from pathlib import Path
 
-from tests.mutations.case import NOTHING, Attempt, words
+from tests.mutations.case import Attempt, words
 from tests.mutations.damage_bytes import damage
 from tests.mutations.datasets import finite_prediction
 from tests.mutations.nasty import nasty, number, spoil
@@ -31,7 +31,7 @@ def attempt(random, valid, here):
 def holds(result):
     """A completion of the valid network's size, whose numbers can be such."""
     fine = result.after and all(one == [[EDGE] * 3, True] for one in result.after.values())
-    return NOTHING if fine else f"completed to what cannot be: {result.after}"
+    return "" if fine else f"completed to what cannot be: {result.after}"
 
 
 def _parts(valid):

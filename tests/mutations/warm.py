@@ -15,10 +15,12 @@ import time
 import traceback
 from dataclasses import dataclass, replace
 from pathlib import Path
+from random import Random
 from typing import Any
+from zlib import crc32
 
 from tests.command_line import code_of
-from tests.mutations.case import Attempt, Result, checksum, random_of
+from tests.mutations.case import Attempt, Result
 from tests.mutations.datasets import print_load
 from tests.mutations.verdict import MEMORY_BYTES, PROCESSOR_SECONDS, SECONDS, verdict
 
@@ -71,7 +73,7 @@ def _start(name, families, valid, seed, base):
     here = folder / "here"
     here.mkdir()
     try:
-        attempt = families[name.partition("/")[0]](random_of(seed, name), valid, here)
+        attempt = families[name.partition("/")[0]](Random(f"{seed} {name}"), valid, here)
     except Exception as error:
         raise RuntimeError(f"{name} with seed {seed} cannot be made") from error
     before = _look(here)
@@ -190,5 +192,5 @@ def _look(folder):
             kind = stat.S_IFMT(status.st_mode)
             content = path.read_bytes() if stat.S_ISREG(kind) and status.st_size < 1 << 26 else b""
             target = str(path.readlink()) if stat.S_ISLNK(kind) else ""
-            found[str(path.relative_to(folder))] = (kind, checksum(content), target, status.st_rdev)
+            found[str(path.relative_to(folder))] = (kind, crc32(content), target, status.st_rdev)
     return found

@@ -109,23 +109,23 @@ def test_a_spinning_sensors_rays_are_as_documented(name):
     assert sensor.times_s.max() < 1 / sensor.rate_hz
 
 
-@pytest.mark.parametrize(
-    ("name", "row", "elevation", "azimuth"),
-    [
-        ("ouster-os0-32", 31, -46.26, -11.35),
-        ("ouster-os1-128", 64, -0.64, 4.22),
-        ("ouster-os1-64", 0, 20.67, 1.41),
-        ("ouster-os2-128", 127, -11.09, -2.04),
-        ("hesai-qt-128", 0, -52.62676282, 10.10830596),
-        ("hesai-qt-128", 96, 19.19081372, -6.25017485),
-    ],
-)
+STAGGERED = """
+ouster-os0-32  →  31 → -46.26       → -11.35
+ouster-os1-128 →  64 →  -0.64       →   4.22
+ouster-os1-64  →   0 →  20.67       →   1.41
+ouster-os2-128 → 127 → -11.09       →  -2.04
+hesai-qt-128   →   0 → -52.62676282 →  10.10830596
+hesai-qt-128   →  96 →  19.19081372 →  -6.25017485
+"""
+
+
+@pytest.mark.parametrize(("name", "row", "elevation", "azimuth"), rows(STAGGERED))
 def test_staggered_beams_point_where_the_makers_drivers_place_them(name, row, elevation, azimuth):
     """Ouster's own formula, and Hesai's: column c at 2π c / columns, azimuths clockwise, begun at
     the rear."""
-    sensor = NAMED[name]
+    sensor, row = NAMED[name], int(row)
     turned = 360 / sensor.shape[1] * np.arange(sensor.shape[1]) + 360 * 10 * sensor.times_s[row, 0]
-    around, up = np.radians(180 - turned - azimuth), math.radians(elevation)
+    around, up = np.radians(180 - turned - float(azimuth)), math.radians(float(elevation))
     level, high = math.cos(up), np.full_like(around, math.sin(up))
     expected = np.stack([level * np.cos(around), level * np.sin(around), high], axis=-1)
     assert_allclose(sensor.directions_body[row], expected, atol=2e-5)

@@ -22,6 +22,7 @@ from scenegen.model.training.data import opened
 from scenegen.model.training.device import TrainingError
 from scenegen.model.training.loop import Watcher
 from scenegen.truth import distance_field
+from tests.conftest import contents
 from tests.model.conftest import make_dataset
 from tests.model.training.runs import SMALL, elsewhere, figures, maps_of, same, train
 
@@ -147,9 +148,9 @@ def test_a_run_is_not_continued_by_mistake_nor_once_it_is_finished(
         train(folders, dataclasses.replace(SMALL, lr=0.1), out)
     with pytest.raises(DatasetError, match="datasets is"):
         train(folders[:1], SMALL, out)
-    before = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
+    before = contents(out)
     assert len(train(folders, SMALL, out)) == 3
-    assert {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()} == before
+    assert contents(out) == before
 
 
 def test_training_ends_after_so_many_epochs_without_improvement(folders, tmp_path, monkeypatch):

@@ -11,6 +11,7 @@ from scenegen.errors import DatasetError
 from scenegen.model.checkpoint import CheckpointError, load_tensors, save_tensors
 from scenegen.model.network import Network
 from scenegen.model.training.run_folder import Progress, RunFolder
+from tests.conftest import contents
 from tests.model.training.runs import SMALL, maps_of, train
 
 
@@ -29,12 +30,13 @@ def test_a_damaged_state_is_refused_in_one_line(begun, tmp_path):
     tensors, header = load_tensors(begun / "last.safetensors")
     state = tmp_path / "last.safetensors"
     network = Network(SMALL.network)
-    save_tensors(state, tensors, header | {"more": 1})
-    with pytest.raises(CheckpointError, match="not the state of this run"):
-        RunFolder(tmp_path).restore(network, torch.optim.AdamW(network.parameters()))
-    state.write_bytes(b"\xff" * 5000)
-    with pytest.raises(CheckpointError, match="remove it to begin again"):
-        RunFolder(tmp_path).restore(network, torch.optim.AdamW(network.parameters()))
+    for damage, told in (
+        (lambda: save_tensors(state, tensors, header | {"more": 1}), "not the state of this run"),
+        (lambda: state.write_bytes(b"\xff" * 5000), "remove it to begin again"),
+    ):
+        damage()
+        with pytest.raises(CheckpointError, match=told):
+            RunFolder(tmp_path).restore(network, torch.optim.AdamW(network.parameters()))
 
 
 @pytest.mark.parametrize(
@@ -48,7 +50,7 @@ def test_settings_that_cannot_be_read_are_refused_in_one_line(tmp_path, content)
 
 def test_a_full_disk_ends_the_run_and_leaves_the_last_state(folders, begun, tmp_path, monkeypatch):
     out = shutil.copytree(begun, tmp_path / "run")
-    before = {path.name: path.read_bytes() for path in out.glob("*.safetensors")}
+    before = contents(out)
 
     def full(path, mode):
         raise OSError(28, "No space left on device", str(path))
@@ -56,14 +58,13 @@ def test_a_full_disk_ends_the_run_and_leaves_the_last_state(folders, begun, tmp_
     network, grid = Network(SMALL.network), maps_of(folders).grid
     folder = RunFolder(out)
     folder.restore(network, torch.optim.AdamW(network.parameters()))
-    monkeypatch.setattr(files, "open", full, raising=False)
-    rows = [{"epoch": 1.0, "val_loss": 1.0}]
-    with pytest.raises(DatasetError, match="the disk is full"):
-        folder.save(Progress())
-    with pytest.raises(DatasetError, match="the disk is full"):
-        folder.close_round(Progress(rows=rows), network, grid, {}, "loss")
-    monkeypatch.undo()
-    assert before == {path.name: path.read_bytes() for path in out.glob("*.safetensors")}
+    progress = Progress(rows=[{"epoch": 1.0, "val_loss": 1.0}])
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "open", full, raising=False)
+        for write, more in ((folder.save, ()), (folder.close_round, (network, grid, {}, "loss"))):
+            with pytest.raises(DatasetError, match="the disk is full"):
+                write(progress, *more)
+    assert before == contents(out)
 
 
 def test_rows_may_gain_metrics_on_the_way(tmp_path):
