@@ -13,7 +13,7 @@ from lidarsim import AnalyticEngine, Lidar, Pose, cast
 from lidarsim.noise import STAGES
 from lidarsim.noise.chain import Noise
 from lidarsim.sensors import CATALOGUE, SENSORS
-from tests.command_line import example
+from tests.command_line import example, rows
 from tests.lidarsim.engines.test_laws import model_of
 
 ENGINE = AnalyticEngine.of(model_of('type="plane" size="9 9 1"', 'size="1" pos="4 0 1"'))
@@ -131,20 +131,20 @@ class Ranked(Shift):
     assert left.sum() == pytest.approx(expected, abs=4 * expected**0.5)
 
 
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        ("", "an empty stage; expected stages, as"),
-        ("rnage:0.02", "did you mean 'range'"),
-        ("range:20", "noise stage range: sigma_m = 20: expected a finite number from 0 to 1"),
-        ("range:0.1:0.2:0.3:0.4", "expected values of sigma_m, share, quadratic_per_m"),
-        ("range:sigma=1", "'sigma=1'"),
-        ("range:0.1:sigma_m=0.2", "each once"),
-        ("divergence:returns=best", "'strongest' or 'first' or 'last' or 'dual'"),
-        ("datasheet", "comes with none"),
-        (",".join(["dropout"] * 21), "20 at most"),
-    ],
-)
+WRONG = f"""
+                        → an empty stage; expected stages, as
+rnage:0.02              → did you mean 'range'
+range:20                → noise stage range: sigma_m = 20: expected a finite number from 0 to 1
+range:0.1:0.2:0.3:0.4   → expected values of sigma_m, share, quadratic_per_m
+range:sigma=1           → 'sigma=1'
+range:0.1:sigma_m=0.2   → each once
+divergence:returns=best → 'strongest' or 'first' or 'last' or 'dual'
+datasheet               → comes with none
+{"dropout," * 20}dropout → 20 at most
+"""
+
+
+@pytest.mark.parametrize(("text", "told"), rows(WRONG))
 def test_a_text_that_is_none_is_told_of_in_one_line(text, told):
     with pytest.raises(ValueError, match=r"^[^\n]*$") as error:
         Noise.parse(text)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from lidarsim import AnalyticEngine, GridSpec
+from lidarsim import GridSpec
 from lidarsim.engines.voxels import FREE, OCCUPIED, VoxelMap
 from lidarsim.pose import rotate
 from scenegen.cli.show import Progress
@@ -17,7 +17,6 @@ from scenegen.fly import Vehicle, suite
 from scenegen.fly.course import Course, Recording
 from scenegen.fly.loop import fly
 from scenegen.fly.missions import Mission
-from scenegen.fly.simulation import Simulation
 from scenegen.logs.read import read_log
 from scenegen.model.completion.unlearned import Conservative, Returns
 from scenegen.model.robots import flights
@@ -71,26 +70,14 @@ DEAD_END = """<mujoco>
 </worldbody></mujoco>"""
 
 
-def test_a_dead_end_deeper_than_the_window_is_left(tmp_path):
+def test_a_dead_end_deeper_than_the_window_is_left(tmp_path, monkeypatch):
     """At its mouth, its end is 12 m behind: farther than the window reaches."""
     (tmp_path / "dead.xml").write_text(DEAD_END)
     course = Course(world=str(tmp_path / "dead.xml"), vehicle=Vehicle(speed_mps=4.0))
-    mission = Mission(
-        start=(1.0, 0.0, 1.2),
-        goal=(16.0, 0.0, 1.2),
-        shortest_m=25.0,
-        bounds=((-4.0, -9.0, 0.5), (18.0, 9.0, 2.0)),
-    )
-    flying = course.simulation(0)
-    flying = Simulation(
-        flying.world,
-        flying.world.caster(AnalyticEngine.of),
-        mission,
-        sensor=course.sensor,
-        vehicle=course.vehicle,
-        rules=course.rules,
-    )
-    flown = fly(flying, MappingRobot(Returns()))
+    bounds = ((-4.0, -9.0, 0.5), (18.0, 9.0, 2.0))
+    mission = Mission(start=(1.0, 0.0, 1.2), goal=(16.0, 0.0, 1.2), shortest_m=25.0, bounds=bounds)
+    monkeypatch.setattr(Course, "missions", [mission])
+    flown = fly(course.simulation(0), MappingRobot(Returns()))
     assert flown.outcome == "success"
     assert flown.path[:, 0].min() < 0, "around the walls"
 

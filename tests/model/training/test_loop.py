@@ -112,7 +112,7 @@ def train_and_be_killed(folders, out):
     """SIGKILL after the ninth step, with every step saved."""
     torch.set_num_threads(1)
     scenegen.model.training.run_folder.SAVE_EVERY_S = 0.0
-    scenegen.model.training.run_folder.RunFolder.draw_rows = lambda folder, rows: None
+
     losses = []
 
     def count(maps, loss):
