@@ -5,6 +5,7 @@ import sys
 import pytest
 
 from lidarsim.registry import Registry
+from tests.command_line import rows
 
 ENGINES = Registry(
     "engine", {"plain": "lidarsim.scan:cast"}, needs={"__call__": "so that it can be called"}
@@ -26,28 +27,22 @@ def test_no_file_of_the_users_takes_the_place_of_a_librarys(standing):
     assert callable(ENGINES.find("own:called"))
 
 
-@pytest.mark.parametrize(
-    ("name", "told"),
-    [
-        ("plian", "unknown engine 'plian'; did you mean 'plain'?"),
-        ("lidar\n", "unknown engine 'lidar\\n'; known: plain (or one's own, as module:Object)"),
-        ("os.system('ls'):x", "unknown engine"),
-        (
-            "absent:Engine",
-            "engine absent:Engine: there is no module absent, neither installed nor in",
-        ),
-        ("own:Missing", "own.py has no Missing; known: here, Empty"),
-        ("own:here", "engine own:here: lacks `__call__`, so that it can be called"),
-        (
-            "broken:Engine",
-            "engine broken:Engine: importing it fails (line 2 of broken.py): ZeroDivisionError(",
-        ),
-        (
-            "needy:Engine",
-            "engine needy:Engine: importing it fails (line 1 of needy.py): ModuleNotFoundError(",
-        ),
-    ],
+WRONG = """
+plian             → unknown engine 'plian'; did you mean 'plain'?
+os.system('ls'):x → unknown engine
+absent:Engine     → engine absent:Engine: there is no module absent, neither installed nor in
+own:Missing       → own.py has no Missing; known: here, Empty
+own:here          → engine own:here: lacks `__call__`, so that it can be called
+broken:Engine     → broken:Engine: importing it fails (line 2 of broken.py): ZeroDivisionError(
+needy:Engine      → needy:Engine: importing it fails (line 1 of needy.py): ModuleNotFoundError(
+"""
+OF_TWO_LINES = (
+    "lidar\n",
+    "unknown engine 'lidar\\n'; known: plain (or one's own, as module:Object)",
 )
+
+
+@pytest.mark.parametrize(("name", "told"), [*rows(WRONG), OF_TWO_LINES])
 def test_what_is_missing_is_told_in_one_line(standing, name, told):
     (standing / "own.py").write_text("here = 1\nclass Empty: pass")
     (standing / "broken.py").write_text("\n1 / 0")

@@ -24,8 +24,7 @@ from scenegen.model.config import INPUTS, NetworkConfig
 from scenegen.model.evaluation.methods import Predicted
 from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.inputs import PointScan, centres, channels
-from scenegen.model.network import Network
-from tests.model.conftest import saved_network
+from tests.model.conftest import completer_of, saved_network
 from tests.model.evaluation.test_metrics import ALARMS
 from tests.model.training.runs import SMALL, maps_of, train
 
@@ -138,21 +137,20 @@ def test_channels_turn_with_their_map(folders):
 def test_inputs_that_nobody_knows_are_refused(inputs, tmp_path):
     with pytest.raises((ValueError, TypeError)):
         NetworkConfig(inputs=inputs)
-    saved_network(tmp_path / "net.safetensors", GRID)
-    tensors, header = load_tensors(tmp_path / "net.safetensors")
-    save_tensors(
-        tmp_path / "net.safetensors", tensors, header | {"network": {"width": 4, "inputs": inputs}}
-    )
+    path = tmp_path / "net.safetensors"
+    saved_network(path, GRID)
+    tensors, header = load_tensors(path)
+    save_tensors(path, tensors, header | {"network": {"width": 4, "inputs": inputs}})
     with pytest.raises(CheckpointError, match="do not fit"):
-        load_network(tmp_path / "net.safetensors")
+        load_network(path)
     del header["network"]["inputs"]  # as networks of earlier commits lack it
-    save_tensors(tmp_path / "net.safetensors", tensors, header)
-    assert load_network(tmp_path / "net.safetensors")[0].config.inputs == ("observed",)
+    save_tensors(path, tensors, header)
+    assert load_network(path)[0].config.inputs == ("observed",)
 
 
-def test_maps_that_an_input_cannot_be_are_refused():
-    network = Network(NetworkConfig(width=4, inputs=("observed", "distance"))).eval()
-    completer = Completer(network, GRID, name="net", inputs=network.config.inputs)
+def test_maps_that_an_input_cannot_be_are_refused(tmp_path):
+    inputs = ("observed", "distance")
+    completer = completer_of(tmp_path / "net.safetensors", GRID, inputs=inputs)
     seen, metres = np.zeros(GRID.shape, bool), np.full(GRID.shape, 0.5, np.float32)
     assert completer({"observed": seen, "distance": metres}).tudf.shape == GRID.shape
     for wrong, said in (

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 from scenegen.errors import DatasetError
 from scenegen.model.calibration import KEY, Calibration
-from scenegen.model.checkpoint import CheckpointError, load_network, save_network
+from scenegen.model.checkpoint import CheckpointError, load_network
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.predictions import predict_split
 from scenegen.model.evaluation import calibrate as module
@@ -32,33 +32,26 @@ def weights(dataset, tmp_path, monkeypatch):
 
 def test_a_file_carries_its_calibration(dataset, weights, tmp_path):
     before = load_network(weights)[0].state_dict()
-    found = calibrate(
-        weights, [dataset.folder], tmp_path / "sure.safetensors", split="test", trials=1
-    )
-    network, grid, about = load_network(tmp_path / "sure.safetensors")
+    sure, done = tmp_path / "sure.safetensors", {"split": "test", "trials": 1}
+    found = calibrate(weights, [dataset.folder], sure, **done)
+    network, grid, about = load_network(sure)
     assert Calibration.of(about, grid) == found
     assert {name: value for name, value in about.items() if name != KEY} == TRAINED
     assert all(torch.equal(value, before[name]) for name, value in network.state_dict().items())
-    assert (found.worlds, found.class_weight, found.datasets) == (
-        3,
-        5.0,
-        (str(dataset.manifest.digest),),
-    )
+    assert (found.worlds, found.class_weight) == (3, 5.0)
+    assert found.datasets == (str(dataset.manifest.digest),)
     assert found.risks == (0.5, 0.4, 0.3)
-    done = {"split": "test", "trials": 1, "execute": Backwards("", 1)}
-    again = calibrate(tmp_path / "sure.safetensors", [dataset.folder], weights, **done)
+    again = calibrate(sure, [dataset.folder], weights, **done, execute=Backwards("", 1))
     assert again == found, "it depends neither on what was there nor on where it is done"
 
-    completer = Completer.from_pretrained(tmp_path / "sure.safetensors")
+    completer = Completer.from_pretrained(sure)
     samples = dataset.split("test")
     said = completer(samples[0].observed)
     low, known = said.low(0.3), samples[0].tudf
     assert (known >= low - 1e-4).mean() > 0.6
     assert (said.low(0.5) >= low).all()
     away = predict_split(completer, dataset.folder, "test", tmp_path / "p")
-    assert away == [
-        said.away(one.observed) for one in samples for said in (completer(one.observed),)
-    ]
+    assert away == [completer(one.observed).away(one.observed) for one in samples]
     assert max(away) < 1, "it was calibrated on these"
     with h5py.File(tmp_path / "p/test-00000.h5") as file:
         assert "tudf_low" not in file, "three worlds promise no .95"
@@ -73,21 +66,13 @@ def test_bounds_of_others_are_a_row_of_the_study(dataset, weights, tmp_path, mon
         file["tudf_low"] = 0.5 * np.array([sample.tudf for sample in dataset.split("test")])
         file.attrs["risk"] = 0.1
     Predicted(tmp_path / "p").check(dataset, "test")
-    report = report_of(
-        dataset,
-        tmp_path / "bench",
-        names=("truth",),
-        predictions=tmp_path / "p",
-        study=True,
-    )
-    (row,) = report["study"]["pillar"]["p"]["bounds"]["risks"]
+    asked = {"names": ("truth",), "predictions": tmp_path / "p", "study": True}
+    study = report_of(dataset, tmp_path / "bench", **asked)["study"]["pillar"]["p"]
+    (row,) = study["bounds"]["risks"]
     assert (row["risk"], row["unobserved"]["coverage"]["mean"]) == (0.1, 1.0)
-    (planned,) = (
-        one for one in report["study"]["pillar"]["p"]["risk"]["settings"] if one["by"] == "risk"
-    )
-    assert (planned["value"], planned["collided"]["mean"]) == (0.1, 0.0), (
-        "where bounds are true, no path collides"
-    )
+    (planned,) = (one for one in study["risk"]["settings"] if one["by"] == "risk")
+    # where bounds are true, no path collides
+    assert (planned["value"], planned["collided"]["mean"]) == (0.1, 0.0)
     for wrong in (0.0, "much", float("nan")):
         with h5py.File(tmp_path / "p/test-00000.h5", "a") as file:
             file.attrs["risk"] = wrong
@@ -96,14 +81,14 @@ def test_bounds_of_others_are_a_row_of_the_study(dataset, weights, tmp_path, mon
 
 
 def test_what_cannot_be_calibrated_is_said(dataset, weights, tmp_path, monkeypatch):
-    network, grid, _ = load_network(weights)
+    odd = tmp_path / "odd.safetensors"
     for about in ({}, {"settings": {"loss": {"occupied_weight": 0}}}):
-        save_network(tmp_path / "odd.safetensors", network, grid, about)
+        saved_network(odd, dataset.grid, about)
         with pytest.raises(CheckpointError, match="no class weight above 0"):
-            calibrate(tmp_path / "odd.safetensors", [dataset.folder], weights)
-    save_network(tmp_path / "odd.safetensors", network, grid, TRAINED | {KEY: {"worlds": -1}})
+            calibrate(odd, [dataset.folder], weights)
+    saved_network(odd, dataset.grid, TRAINED | {KEY: {"worlds": -1}})
     with pytest.raises(CheckpointError, match="its calibration is damaged"):
-        Completer.from_pretrained(tmp_path / "odd.safetensors")
+        Completer.from_pretrained(odd)
     monkeypatch.setattr(module, "LEAST_WORLDS", 20)
     with pytest.raises(DatasetError, match="worlds in split test, expected 20 at least"):
         calibrate(weights, [dataset.folder], tmp_path / "none.safetensors", split="test")
