@@ -13,6 +13,8 @@ import pytest
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # processes share the cores, whatever they import
 
+import numpy as np
+
 from scenegen.dataset import shard
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
@@ -207,6 +209,12 @@ def drawn(request):
     """A small recipe of each kind, and its source."""
     recipe = small_recipe(request.param)
     return recipe, DrawnWorlds(recipe)
+
+
+@pytest.fixture
+def rng():
+    """Random numbers, the same for every test."""
+    return np.random.default_rng(0)
 
 
 @pytest.fixture

@@ -7,10 +7,9 @@ from scenegen.model.checkpoint import load_network
 from tests.command_line import example
 
 
-def test_the_documented_maps_train(tmp_path, monkeypatch):
+def test_the_documented_maps_train(tmp_path, monkeypatch, rng):
     """With a smaller grid and network."""
     monkeypatch.chdir(tmp_path)
-    rng = np.random.default_rng(0)
 
     for name in ("train", "val"):
         occupancy = rng.random((4, 16, 16, 16)) < 0.1

@@ -72,8 +72,8 @@ def test_claims_are_the_bold_cells_against_each_other_row(monkeypatch):
         assert better[(METRICS | PLAN_METRICS)[claim.metric].better]
 
 
-def test_a_gain_is_positive_where_the_first_is_better():
-    base = np.random.default_rng(0).normal(0.5, 0.2, 200)
+def test_a_gain_is_positive_where_the_first_is_better(rng):
+    base = rng.normal(0.5, 0.2, 200)
     for metric, sign in (("iou", 1), ("rmse", -1)):
         found = gain(measured({"a": base + 0.1, "b": base}, metric), metric, [("a", "b")])
         assert found.value == pytest.approx(sign * 0.1)
@@ -134,8 +134,8 @@ def test_intervals_hold_the_difference_of_methods_whatever_seeds_and_worlds_are_
     assert np.mean([verdict != "undecided" for verdict in equal]) < 0.09
 
 
-def test_errors_of_worlds_and_seeds_add_up_as_satterthwaite_has_it():
-    one = found(study(np.random.default_rng(0), 0.5, 0.4, seeds=3, training=0.01))
+def test_errors_of_worlds_and_seeds_add_up_as_satterthwaite_has_it(rng):
+    one = found(study(rng, 0.5, 0.4, seeds=3, training=0.01))
     assert len(one["pairs"]) == 9
     assert one["difference"] == pytest.approx(
         np.mean([pair["difference"] for pair in one["pairs"]])

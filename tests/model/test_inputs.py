@@ -79,11 +79,11 @@ def test_free_space_and_a_new_metric_go_all_the_way(folders, tmp_path, monkeypat
     assert_allclose(completer(held).tudf, held["tudf"], atol=1e-5)
 
 
-def test_free_space_of_points_is_what_lies_on_the_way_to_them(folders):
+def test_free_space_of_points_is_what_lies_on_the_way_to_them(folders, rng):
     """Against steps of a hundredth of a voxel, which pass over corners alone; and of rays without a
     return it knows nothing."""
     sample = Dataset(folders[0]).split("test")[0]
-    centre, rng = sample.position, np.random.default_rng(0)
+    centre = sample.position
     points = centre + rng.normal(size=(50, 3)) * [2.0, 3.0, 0.7]
     scan = PointScan(points=np.vstack([points, centre]), position=centre, grid=GRID)
     found = channels(BOTH, scan, GRID)
@@ -97,7 +97,7 @@ def test_free_space_of_points_is_what_lies_on_the_way_to_them(folders):
     assert not (found["free"] & found["observed"]).any()
 
 
-def test_inputs_of_a_sample_by_their_definitions(folders):
+def test_inputs_of_a_sample_by_their_definitions(folders, rng):
     """`occluded` against the rays' points taken far, `distance` against every pair, `ahead` voxel
     by voxel."""
     dataset = Dataset(folders[0])
@@ -114,7 +114,7 @@ def test_inputs_of_a_sample_by_their_definitions(folders):
     ).mean() < 1e-3  # every ray that met something goes on behind it
     assert np.array_equal(points["distance"], found["distance"])
     voxels = np.argwhere(sample.observed)
-    for at in np.random.default_rng(0).integers(0, grid.shape, (40, 3)):
+    for at in rng.integers(0, grid.shape, (40, 3)):
         nearest = grid.voxel_m * np.sqrt(((voxels - at) ** 2).sum(axis=1).min())
         assert found["distance"][tuple(at)] == pytest.approx(min(nearest, grid.truncation_m))
         to = grid.centres(sample.origin)[tuple(at)] - sample.position

@@ -16,10 +16,9 @@ from tests.model.evaluation.test_bench import write_predictions
 from tests.scenegen.display.test_page import Seen, unpacked
 
 
-def test_a_page_holds_what_is_predicted(made, tmp_path, capsys):
+def test_a_page_holds_what_is_predicted(made, tmp_path, capsys, rng):
     dataset = Dataset(made)
     samples = dataset.split("test")
-    rng = np.random.default_rng(0)
     guesses = rng.random((len(samples), *dataset.grid.shape)).astype(np.float32)
     with h5py.File(write_predictions(tmp_path / "p.h5", dataset), "a") as file:
         file["occupancy_probability"][:] = guesses

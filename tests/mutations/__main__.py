@@ -3,6 +3,7 @@
 import argparse
 import collections
 import os
+import pprint
 import shlex
 import shutil
 import sys
@@ -75,12 +76,8 @@ def print_table(ends):
 
 
 def _print_whole(ended):
-    result = ended.result
-    print(f"damage:  {ended.attempt.damage}\ncommand: scenegen {shlex.join(ended.attempt.words)}")
-    print(f"folder:  {result.folder}")
-    print(f"code {result.code} after {result.seconds:.2f} s\nstdout: {result.stdout[:2000]}")
-    print(f"stderr: {result.stderr[:5000]}".encode("unicode_escape").decode().replace("\\n", "\n"))
-    print(f"changed: {', '.join(result.changed)}\nverdict: {ended.wrong or 'ended well'}")
+    pprint.pprint({"damage": ended.attempt.damage, "words": ended.attempt.words})
+    pprint.pprint(vars(ended.result) | {"verdict": ended.wrong or "ended well"})
 
 
 if __name__ == "__main__":

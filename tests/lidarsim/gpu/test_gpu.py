@@ -24,8 +24,7 @@ from lidarsim.gpu.worlds import Worlds  # noqa: E402
 AXES = np.concatenate([np.eye(3), -np.eye(3)])
 
 
-def test_many_worlds_at_once_give_the_analytic_engines_bits():
-    rng = np.random.default_rng(0)
+def test_many_worlds_at_once_give_the_analytic_engines_bits(rng):
     solids = [solids_of(random_model(rng)) for _ in range(4)]
     plane_alone = model_of('type="plane" size="2 0 1"')
     solids += [solids_of(model_of()), solids_of(plane_alone)]  # no solid, no box

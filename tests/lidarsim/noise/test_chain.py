@@ -20,8 +20,13 @@ ENGINE = AnalyticEngine.of(model_of('type="plane" size="9 9 1"', 'size="1" pos="
 SCAN = cast(ENGINE, Lidar(), Pose.level((0.0, 0.0, 2.0)))
 
 
-def test_no_noise_gives_the_clean_bits():
-    clean = Noise().observe(SCAN, ENGINE, rng=np.random.default_rng(0))
+def noisy(text, seed=0):
+    """The scan as a chain of stages tells it."""
+    return Noise.parse(text).observe(SCAN, ENGINE, rng=np.random.default_rng(seed))
+
+
+def test_no_noise_gives_the_clean_bits(rng):
+    clean = Noise().observe(SCAN, ENGINE, rng=rng)
     assert clean.ranges[0].astype(np.float32).tobytes() == SCAN.ranges.tobytes()
     assert_array_equal(clean.points(), SCAN.points())
 
@@ -47,12 +52,10 @@ def test_the_noise_of_a_data_sheet_is_a_chain():
 
 
 def test_the_same_seed_gives_the_same_bits_and_a_further_stage_changes_none_before_it():
-    def ranges(text, seed=1):
-        return Noise.parse(text).observe(SCAN, ENGINE, rng=np.random.default_rng(seed)).ranges
-
-    assert ranges("range,dropout:0.2").tobytes() == ranges("range,dropout:0.2").tobytes()
-    assert ranges("range").tobytes() != ranges("range", seed=2).tobytes()
-    both, one = ranges("range,dropout:0.2"), ranges("range")
+    both, again = (noisy("range,dropout:0.2").ranges for _ in range(2))
+    one, other = (noisy("range", seed).ranges for seed in (0, 2))
+    assert both.tobytes() == again.tobytes()
+    assert one.tobytes() != other.tobytes()
     left = np.isfinite(both)
     assert 0 < left.sum() < np.isfinite(one).sum()
     assert (both[left] == one[left]).all()
@@ -63,7 +66,7 @@ def test_the_same_seed_gives_the_same_bits_and_a_further_stage_changes_none_befo
 )
 def test_no_return_moves_further_than_the_bound(text):
     chain = Noise.parse(text)
-    told = chain.observe(SCAN, ENGINE, rng=np.random.default_rng(0)).ranges[0]
+    told = noisy(text).ranges[0]
     left = np.isfinite(told)
     assert left.sum() > 50
     assert np.isfinite(SCAN.ranges[left]).all()
@@ -118,14 +121,13 @@ class Ranked(Shift):
     }.items():
         text = f"my_noise:{text}"
         with pytest.raises(ValueError, match=f"^noise stage my_noise:.*{told}"):
-            Noise.parse(text).observe(SCAN, ENGINE, rng=np.random.default_rng(0))
-    chain = Noise.parse("my_noise:Shift:-0.5, range:0")
-    told = chain.observe(SCAN, ENGINE, rng=np.random.default_rng(0)).ranges[0]
-    assert str(chain) == "my_noise:Shift:by_m=-0.5,range:sigma_m=0.0"
+            noisy(text)
+    text = "my_noise:Shift:-0.5, range:0"
+    assert str(Noise.parse(text)) == "my_noise:Shift:by_m=-0.5,range:sigma_m=0.0"
+    told = noisy(text).ranges[0]
     left = np.isfinite(told)
     assert_allclose(told[left], SCAN.ranges[left] - 0.5, rtol=1e-6)
-    fog = Noise.parse("my_noise:Fog:10").observe(SCAN, ENGINE, rng=np.random.default_rng(0))
-    met, left = np.isfinite(SCAN.ranges), np.isfinite(fog.ranges[0])
+    met, left = np.isfinite(SCAN.ranges), np.isfinite(noisy("my_noise:Fog:10").ranges[0])
     expected = float(np.exp(-SCAN.ranges[met] / 5.0).sum())
     assert (met >= left).all()
     assert left.sum() == pytest.approx(expected, abs=4 * expected**0.5)

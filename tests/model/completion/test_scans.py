@@ -52,9 +52,8 @@ def test_scans_of_a_log_stand_upright_in_its_frame(tmp_path, points, capsys):
     assert alike.mean() > 0.999  # but where float32 moves a point over a voxel's face
 
 
-def test_an_observation_is_scored_over_what_its_log_knows(tmp_path, points):
+def test_an_observation_is_scored_over_what_its_log_knows(tmp_path, points, rng):
     grid = GridSpec()
-    rng = np.random.default_rng(0)
     truth = {name: rng.random(grid.shape) < 0.5 for name in ("occupancy", "known")}
     np.savez(tmp_path / "seen.npz", points=points, voxel_m=grid.voxel_m, **truth)
     np.savez(tmp_path / "other.npz", points=points, voxel_m=0.1, **truth)

@@ -99,9 +99,8 @@ def test_predictions_that_cannot_be_are_refused_in_one_line(dataset, tmp_path, c
     assert str(caught.value).isprintable()
 
 
-def test_a_cut_or_scrambled_predictions_file_is_refused_in_one_line(dataset, tmp_path):
+def test_a_cut_or_scrambled_predictions_file_is_refused_in_one_line(dataset, tmp_path, rng):
     whole = write_predictions(tmp_path / "p.h5", dataset).read_bytes()
-    rng = np.random.default_rng(0)
     for n in range(6):
         content = bytearray(whole)
         if n % 2:

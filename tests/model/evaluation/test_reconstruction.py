@@ -107,7 +107,7 @@ def test_classes_part_the_map_and_mean_what_they_say(kind):
         assert counts["occluded"] > 0
 
 
-def test_nothing_below_the_ground_counts():
+def test_nothing_below_the_ground_counts(rng):
     recipe = small_recipe("geometric", flight={"altitude_m": (0.5, 1.0)})
     low = samples_of(recipe)[0]
     grid, tables = recipe.grid, recipe.resolved()
@@ -119,7 +119,7 @@ def test_nothing_below_the_ground_counts():
     assert 0 < scored.sum() < scored.size
     classes = classify(low, lidar=recipe.lidar, grid=grid, scored=scored)
     assert_array_equal(classes == UNSCORED, ~scored)
-    rng, rows = np.random.default_rng(0), []
+    rows = []
     said = rng.random(grid.shape) < 0.2
     for below in (False, True):
         said[~scored] = below
@@ -132,10 +132,10 @@ def test_nothing_below_the_ground_counts():
     assert scored_voxels(low, grid, tables).all()
 
 
-def test_what_is_not_known_counts_nowhere_and_is_solid_for_plans():
+def test_what_is_not_known_counts_nowhere_and_is_solid_for_plans(rng):
     recipe = small_recipe("geometric")
     drawn = samples_of(recipe)[0]
-    grid, rng = recipe.grid, np.random.default_rng(0)
+    grid = recipe.grid
     assert certain_distances(drawn, grid) is None
     known = rng.random(grid.shape) < 0.9
     sample = replace(drawn, known=known, ray_known=np.ones(drawn.ranges.shape, bool))

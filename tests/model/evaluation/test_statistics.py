@@ -22,8 +22,8 @@ def test_mean_spread_and_count_are_those_of_the_samples():
     )
 
 
-def test_the_interval_of_as_many_samples_a_world_is_students_of_the_worlds_means():
-    values = np.random.default_rng(0).normal(3, 1, (7, 4))
+def test_the_interval_of_as_many_samples_a_world_is_students_of_the_worlds_means(rng):
+    values = rng.normal(3, 1, (7, 4))
     found = figure(values.ravel(), np.repeat(np.arange(7), 4))
     means = values.mean(axis=1)
     expected = stats.t.interval(0.95, 6, means.mean(), stats.sem(means))

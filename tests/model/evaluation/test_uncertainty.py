@@ -87,8 +87,8 @@ def test_regions_are_told_by_the_nearest_obstacle():
     }
 
 
-def test_sparsification():
-    error, doubt = np.random.default_rng(0).random((2, 400))
+def test_sparsification(rng):
+    error, doubt = rng.random((2, 400))
     assert ause(error, error) == pytest.approx(0, abs=1e-9)
     shares = [
         np.mean(error[np.argsort(doubt)][: int(s * 400)]) - np.mean(np.sort(error)[: int(s * 400)])
@@ -102,8 +102,8 @@ def test_sparsification():
     assert ause(np.zeros(4), np.arange(4)) == 0
 
 
-def test_coverage_and_width_are_counted_by_region():
-    shape, rng = (6, 6, 6), np.random.default_rng(0)
+def test_coverage_and_width_are_counted_by_region(rng):
+    shape = (6, 6, 6)
     true, distance = 2 * rng.random(shape, np.float32), 2 * rng.random(shape, np.float32)
     low = (distance * rng.random(shape, np.float32)).astype(np.float32)
     inside = rng.random((len(REGIONS), *shape)) < 0.5

@@ -105,7 +105,7 @@ def test_sensors_and_mappings_may_differ_and_are_remembered(folders, tmp_path):
     assert "another sensor" in unlike("net", about, Lidar(rows=5))
 
 
-def test_points_alone_free_less_and_hold_the_same_returns(folders):
+def test_points_alone_free_less_and_hold_the_same_returns(folders, rng):
     maps = maps_of(folders[:1], ("observed", "free"))
     fewer = 0
     for n in range(len(maps)):
@@ -114,7 +114,7 @@ def test_points_alone_free_less_and_hold_the_same_returns(folders):
         assert not (points["free"] & ~whole["free"] & ~whole["observed"]).any()
         fewer += int((whole["free"] & ~points["free"]).sum())
     assert fewer
-    shown = views(maps, TrainConfig(points_share=0.5), 400, np.random.default_rng(0))
+    shown = views(maps, TrainConfig(points_share=0.5), 400, rng)
     assert 150 < (shown >= SYMMETRIES).sum() < 250
 
 

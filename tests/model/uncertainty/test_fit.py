@@ -38,10 +38,9 @@ def bounds_of(counts, grid, *asked):
     return Calibration(worlds=len(counts), risks=risks, margins=margins, **plain)
 
 
-def test_new_worlds_are_covered_as_promised_and_not_much_better():
+def test_new_worlds_are_covered_as_promised_and_not_much_better(rng):
     """Over many calibrations: a mean of 20 x 40 worlds, each with the same word."""
-    rng, worlds = np.random.default_rng(0), 40
-    rows = []
+    worlds, rows = 40, []
     for _ in range(20):
         known = (world(rng) for _ in range(worlds))
         scores = [count_scores(said, None, true, ALL[: len(said)], GRID) for said, true in known]
@@ -60,8 +59,7 @@ def test_new_worlds_are_covered_as_promised_and_not_much_better():
     assert (np.diff(covered[:, 0]) >= 0).all()
 
 
-def test_a_bins_shape_is_its_quantile():
-    rng = np.random.default_rng(0)
+def test_a_bins_shape_is_its_quantile(rng):
     scores = rng.integers(0, 50, (4, 500))
     counts = np.stack([np.bincount(row, minlength=60) for row in scores])
     for risk in (0.5, 0.1, 0.01):
@@ -71,9 +69,8 @@ def test_a_bins_shape_is_its_quantile():
 
 
 @pytest.mark.parametrize("temperature", [0.5, 2.5])
-def test_the_temperature_is_found(temperature):
+def test_the_temperature_is_found(temperature, rng):
     """Of one that says what is, and of others that are as sure again, or less; by a weight of 5."""
-    rng = np.random.default_rng(0)
     logit = rng.normal(-1, 2, 200_000)
     occupied = rng.random(len(logit)) < 1 / (1 + np.exp(-logit))
     said = (1 / (1 + np.exp(-(temperature * logit + np.log(5))))).astype(np.float32)
@@ -82,8 +79,7 @@ def test_the_temperature_is_found(temperature):
     assert fit_temperature(counts) == pytest.approx(temperature, rel=0.03)
 
 
-def test_only_unknown_voxels_count():
-    rng = np.random.default_rng(0)
+def test_only_unknown_voxels_count(rng):
     said, chance, true = rng.random((3, 3000), np.float32)
     unknown = rng.random(3000) < 0.3
     assert count_scores(said, chance, true, unknown, GRID).sum() == unknown.sum()
@@ -91,10 +87,10 @@ def test_only_unknown_voxels_count():
     assert count_logits(chance, true > 0.5, unknown, 5.0).sum() == unknown.sum()
 
 
-def test_paths_of_new_worlds_collide_no_more_than_was_promised():
+def test_paths_of_new_worlds_collide_no_more_than_was_promised(rng):
     """Conformal risk control on losses that are not monotone; over many calibrations of 30
     worlds."""
-    rng, risks = np.random.default_rng(0), np.linspace(0.6, 0.0, 12)
+    risks = np.linspace(0.6, 0.0, 12)
 
     def losses(count):
         chance = np.clip(

@@ -64,10 +64,9 @@ def test_it_goes_round_what_is_likely_occupied():
     assert risk.reshape(-1)[voxels].max() <= 0.5
 
 
-def test_the_risk_asked_is_the_risk_had():
+def test_the_risk_asked_is_the_risk_had(rng):
     """A method that sees all obstacles of a world shrunk alike, in some worlds to nothing:
     calibrated on some worlds, and given other ones."""
-    rng = np.random.default_rng(0)
     shrunk_m, share = [0.0, 0.4, 0.8, 1.2, 1.6], [0.2] * 5
 
     def world(seed):
