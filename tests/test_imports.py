@@ -17,6 +17,8 @@ ORDER = {
     "command": (ROOT / "scenegen" / "__main__.py", r"(cli|scenegen\.__main__)\b"),
 }
 """Every part, the lowest first: where it is, and how it is imported."""
+NAMES = {"lidarsim": "lidarsim", "scenegen": "scenegen", "model": "scenegen.model"}
+"""The parts that are packages, by the names under which they are imported."""
 API = ROOT / "scenegen" / "__init__.py"
 """The one file that names what stands above it: what it offers is looked up when asked for."""
 
@@ -90,7 +92,7 @@ def test_a_part_imports_none_above_it():
 
 def rooms_of(part):
     """Every room of a package, a file or a folder at its top, with the rooms that it imports."""
-    place, prefix = ORDER[part][0], "scenegen.model." if part == "model" else f"{part}."
+    place, prefix = ORDER[part][0], f"{NAMES[part]}."
     found = {}
     for path in files_of(part):
         room = path.relative_to(place).parts[0].removesuffix(".py")
@@ -102,7 +104,7 @@ def rooms_of(part):
     return found
 
 
-@pytest.mark.parametrize("part", ["lidarsim", "scenegen", "model"])
+@pytest.mark.parametrize("part", NAMES)
 def test_inside_a_part_no_room_imports_one_that_imports_it(part):
     rooms = rooms_of(part)
     assert len(rooms) > 5
@@ -112,11 +114,10 @@ def test_inside_a_part_no_room_imports_one_that_imports_it(part):
 def test_no_file_imports_one_that_imports_it():
     """Types alone may go in a circle: they are imported by nobody who runs the file."""
     names = {}
-    for part in ("lidarsim", "scenegen", "model"):
-        place, prefix = ORDER[part][0], "scenegen.model" if part == "model" else part
+    for part, name in NAMES.items():
         for path in files_of(part):
-            inner = path.relative_to(place).with_suffix("").parts
-            names[".".join([prefix, *inner]).removesuffix(".__init__")] = path
+            inner = path.relative_to(ORDER[part][0]).with_suffix("").parts
+            names[".".join([name, *inner]).removesuffix(".__init__")] = path
     below = {name: imported(path, typing=False) & names.keys() for name, path in names.items()}
     assert len(below) > 100
     assert circles(below) == set()

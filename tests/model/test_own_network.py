@@ -76,11 +76,8 @@ def trapped(here):
 
 def test_a_file_has_nothing_imported_by_itself(trapped, capsys):
     for name in ("net", "input"):
-        with pytest.raises(
-            CheckpointError, match=r"imported only if you name it.*trap:\w+@"
-        ) as caught:
+        with pytest.raises(CheckpointError, match=r"imported only if you name it.*trap:\w+@"):
             Completer.from_pretrained(f"{name}.safetensors")
-        assert "\n" not in str(caught.value)
         with pytest.raises(CheckpointError, match="trap"):
             Completer.from_pretrained(f"my_net:Net@{name}.safetensors")
     for words in (

@@ -45,6 +45,15 @@ def applied(stage, ranges, sensor=None):
     return observed(scan, Nowhere(), stage).ranges[0]
 
 
+def is_normal(values):
+    return stats.kstest(values, "norm").pvalue > 0.01
+
+
+def as_often(chosen, share):
+    """Whether rays (n,) may have been chosen with this probability."""
+    return stats.binomtest(int(chosen.sum()), chosen.size, share).pvalue > 0.01
+
+
 @pytest.mark.parametrize(
     "stage", [Range(sigma_m=0.03), Range(sigma_m=0.0, share=0.01), Range(quadratic_per_m=0.002)]
 )
@@ -53,7 +62,7 @@ def test_range_noise_is_normal_with_the_stated_deviation(stage):
     moved = applied(stage, np.full(RAYS, at_m)) - at_m
     sigma = stage.sigma_m + stage.share * at_m + stage.quadratic_per_m * at_m**2
     assert moved.std() == pytest.approx(sigma, rel=0.02)
-    assert stats.kstest(moved / sigma, "norm").pvalue > 0.01
+    assert is_normal(moved / sigma)
 
     assert np.abs(moved).max() <= stage.bound_m(at_m) + 1e-12
     assert stage.bound_m(at_m) == pytest.approx(4 * sigma)
@@ -69,7 +78,7 @@ def test_depth_noise_grows_with_the_square_of_the_depth_and_not_of_the_range():
     depth = 8.0 * math.cos(tilt)
     in_depth = moved * math.cos(tilt)
     assert in_depth.std() == pytest.approx(0.005 * depth**2, rel=0.02)
-    assert stats.kstest(in_depth / (0.005 * depth**2), "norm").pvalue > 0.01
+    assert is_normal(in_depth / (0.005 * depth**2))
 
 
 def test_quantised_ranges_are_the_nearest_steps():
@@ -94,10 +103,10 @@ def test_nothing_returns_from_nearer_than_the_least_range():
 )
 def test_returns_are_lost_with_the_stated_probability(stage, at_m, share):
     left = applied(stage, np.full(RAYS, at_m))
-    lost = int(np.isinf(left).sum())
-    assert stats.binomtest(lost, RAYS, share).pvalue > 0.01
-    assert (left[np.isfinite(left)] == at_m).all()
-    runs = np.flatnonzero(np.diff(np.isinf(left)))  # a lost one tells nothing of the next
+    lost = np.isinf(left)
+    assert as_often(lost, share)
+    assert (left[~lost] == at_m).all()
+    runs = np.flatnonzero(np.diff(lost))  # a lost one tells nothing of the next
     assert len(runs) == pytest.approx(2 * share * (1 - share) * RAYS, rel=0.1, abs=1)
 
 
@@ -117,8 +126,7 @@ def seen(stage, *geoms, rays=RAYS, then=()):
 
 @pytest.mark.parametrize(("turn_deg", "share"), [(60, 0.0), (80, 0.5), (85, 0.75)])
 def test_flat_angles_are_lost_with_the_stated_probability(turn_deg, share):
-    lost = int(np.isinf(seen(Grazing(from_deg=70), wall(turn_deg)).ranges).sum())
-    assert stats.binomtest(lost, RAYS, share).pvalue > 0.01
+    assert as_often(np.isinf(seen(Grazing(from_deg=70), wall(turn_deg)).ranges), share)
 
 
 def test_faint_returns_are_lost_beyond_a_range_that_grows_with_albedo_and_cosine():
@@ -126,9 +134,9 @@ def test_faint_returns_are_lost_beyond_a_range_that_grows_with_albedo_and_cosine
     sharp = Faint(range_m=5.5, softness=0)
     for surface, found in ((wall(0), True), (wall(60), False), (wall(0, grey=0.1), False)):
         assert (np.isfinite(seen(sharp, surface, rays=9).ranges) == found).all()
-    found = int(np.isfinite(seen(Faint(range_m=4.5, softness=0.1), wall(0)).ranges).sum())
+    found = np.isfinite(seen(Faint(range_m=4.5, softness=0.1), wall(0)).ranges)
     reach = 4.5 * math.sqrt(0.4 / 0.1)
-    assert stats.binomtest(found, RAYS, float(stats.norm.sf((9.5 / reach - 1) / 0.1))).pvalue > 0.01
+    assert as_often(found, float(stats.norm.sf((9.5 / reach - 1) / 0.1)))
 
 
 @pytest.mark.parametrize("turn_deg", [0, 60])
@@ -137,7 +145,7 @@ def test_intensity_is_albedo_times_cosine(turn_deg):
     expected = 0.4 * math.cos(math.radians(turn_deg))
     assert_allclose(clean, expected, atol=1e-6)
     off = seen(Intensity(sigma=0.01), wall(turn_deg)).intensity[0] - expected
-    assert stats.kstest(off / 0.01, "norm").pvalue > 0.01
+    assert is_normal(off / 0.01)
     left = seen(Intensity(), wall(0), rays=99, then=[Dropout(share=0.5)])
     assert ((left.intensity > 0) == np.isfinite(left.ranges)).all()
 
@@ -146,7 +154,7 @@ def test_intensity_is_albedo_times_cosine(turn_deg):
 def test_spurious_returns_are_even_along_the_way(at_m):
     told = applied(Spurious(share=0.3), np.full(RAYS, at_m))
     chosen = told != at_m
-    assert stats.binomtest(int(chosen.sum()), RAYS, 0.3).pvalue > 0.01
+    assert as_often(chosen, 0.3)
     assert stats.kstest(told[chosen] / min(at_m, REACH_M), "uniform").pvalue > 0.01
 
 
