@@ -1,7 +1,6 @@
 """What a case is: a command on a damaged input, and what counts as a good end."""
 
 import dataclasses
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -59,13 +58,3 @@ def words(line):
 def refuses(damage):
     """For damage that must not go unnoticed."""
     return lambda result: f"was taken, in spite of: {damage}"
-
-
-def equals(expected):
-    """For results that the damage must not change: what `after` found is `expected`."""
-
-    def holds(result):
-        other = f"ended with another result than without the damage: {json.dumps(result.after)}"
-        return "" if result.after == expected else other[:350]
-
-    return holds

@@ -1,10 +1,11 @@
 """Commands that read a damaged dataset, each with what may come of it."""
 
 import json
+from functools import partial
 from pathlib import Path
 
 from tests.mutations import datasets
-from tests.mutations.case import REFUSED, SAME, Attempt, equals, refuses, words
+from tests.mutations.case import REFUSED, SAME, Attempt, refuses, words
 from tests.mutations.valid import GENERATE
 
 ALL = words("load load inspect quick verify resume world")
@@ -41,17 +42,14 @@ def _inspect(random, valid, here, name, damage, expected):
     return Attempt(words=asked, damage=damage, holds=_holds(expected, same, damage))
 
 
-def _verify(quick):
-    def attempt(random, valid, here, name, damage, expected):
-        truth = datasets.stored(valid.folder / name, derived=not quick)
-        return Attempt(
-            words=words(f"verify {name} --workers 1 --quiet{' --quick' * quick}"),
-            damage=damage,
-            after=lambda: datasets.stored(Path(name), derived=not quick),
-            holds=equals(truth),
-        )
-
-    return attempt
+def _verify(random, valid, here, name, damage, expected, *, quick=False):
+    truth = datasets.stored(valid.folder / name, derived=not quick)
+    return Attempt(
+        words=words(f"verify {name} --workers 1 --quiet{' --quick' * quick}"),
+        damage=damage,
+        after=lambda: datasets.stored(Path(name), derived=not quick),
+        holds=lambda result: "" if result.after == truth else "verify passed other samples",
+    )
 
 
 def _resume(random, valid, here, name, damage, expected):
@@ -85,8 +83,8 @@ def _world(random, valid, here, name, damage, expected):
 _COMMANDS = {
     "load": _load,
     "inspect": _inspect,
-    "quick": _verify(True),
-    "verify": _verify(False),
+    "quick": partial(_verify, quick=True),
+    "verify": _verify,
     "resume": _resume,
     "world": _world,
 }
