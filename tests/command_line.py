@@ -79,10 +79,15 @@ def modules_after(code):
     return set(python("-c", f"{told}\n{code}", cwd=ROOT).stderr.split())
 
 
-def example(page, words):
+def page(name):
+    """The text of a page of the docs."""
+    return (ROOT / "docs" / name).read_text(encoding="utf-8")
+
+
+def example(name, words):
     """The one block of code on a page of the docs that holds some words."""
-    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
-    (found,) = (one for one in re.findall(r"```\w+\n(.*?)```", text, re.DOTALL) if words in one)
+    blocks = re.findall(r"```\w+\n(.*?)```", page(name), re.DOTALL)
+    (found,) = (block for block in blocks if words in block)
     return found
 
 

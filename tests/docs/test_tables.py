@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from scenegen.recipes import kind_names
-from tests.command_line import ROOT
+from tests.command_line import ROOT, page
 
 PAGES = [
     ROOT / "README.md",
@@ -19,9 +19,9 @@ PAGES = [
 tables = SimpleNamespace(**runpy.run_path(str(ROOT / "docs" / "tables.py")))
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_the_tables_of_parameters_are_those_of_the_code(page):
-    text = page.read_text()
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
+def test_the_tables_of_parameters_are_those_of_the_code(path):
+    text = path.read_text()
     assert text.count("<!-- parameters of") == len(tables.ASKED.findall(text))
     assert tables.filled(text) == text, "run python docs/tables.py"
 
@@ -37,6 +37,5 @@ def test_no_table_hangs_on_the_last_bit_of_an_arctangent(monkeypatch):
 def test_pages_list_every_table_of_a_recipe():
     kinds = " ".join(map(str.capitalize, kind_names()))
     others = "Flight Acceptance Lidar GridSpec Faults Mapper"
-    for page, names in (("recipes", others), ("worlds", kinds)):
-        text = (ROOT / "docs" / f"{page}.md").read_text()
-        assert {name for _, _, name, _ in tables.ASKED.findall(text)} == set(names.split())
+    for name, names in (("recipes.md", others), ("worlds.md", kinds)):
+        assert {one for _, _, one, _ in tables.ASKED.findall(page(name))} == set(names.split())

@@ -1,13 +1,12 @@
 """The network's shape, its equations, and what sets its variants apart."""
 
-from pathlib import Path
-
 import pytest
 import torch
 from torch import nn
 
 from scenegen.model.config import VARIANTS, NetworkConfig
 from scenegen.model.network import Columns, Conv3d, CrossFusion, FinalUp, Network, cost
+from tests.command_line import page
 
 SHAPE = (16, 24, 8)
 
@@ -159,9 +158,7 @@ def test_costs_are_what_the_layers_add_up_to():
 
 
 def test_the_docs_name_every_variant_as_it_is():
-    text = (Path(__file__).parents[2] / "docs" / "network.md").read_text(encoding="utf-8")
+    text = page("network.md")
     for name, one in VARIANTS.items():
-        assert (
-            f"| `{name}` | {', '.join(one.decoders) or 'none'} | {', '.join(one.tasks)} | "
-            f"{one.meaning} |\n" in text
-        )
+        decoders, tasks = (", ".join(names) or "none" for names in (one.decoders, one.tasks))
+        assert f"| `{name}` | {decoders} | {tasks} | {one.meaning} |\n" in text

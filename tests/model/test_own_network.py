@@ -14,10 +14,9 @@ from scenegen.model.checkpoint import CheckpointError, load_tensors, save_tensor
 from scenegen.model.completion.completer import Completer
 from scenegen.model.config import LossConfig, NetworkConfig, TrainConfig
 from scenegen.model.inputs import input_called
-from tests.command_line import ROOT, done, example, refused, run
+from tests.command_line import done, example, page, refused, run
 from tests.model.training.runs import figures, train
 
-PAGE = (ROOT / "docs" / "own-network.md").read_text(encoding="utf-8")
 OWN = "my_net:Net,my_input:rise"
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -34,7 +33,8 @@ def here(folders, standing):
 
 
 def test_the_page_trains_resumes_completes_benches_and_exports(here, capsys):
-    commands = [line.split()[1:] for line in re.findall(r"^scenegen .*$", PAGE, re.MULTILINE)]
+    lines = re.findall(r"^scenegen .*$", page("own-network.md"), re.MULTILINE)
+    commands = [line.split()[1:] for line in lines]
     assert [words[0] for words in commands] == ["train", "complete", "bench", "export", "complete"]
     for words in commands:
         done(capsys, *words)
