@@ -23,19 +23,24 @@ assert here  # the fixture
 QUICK = ("--width", 4, "--batch", 2, "--device", "cpu", "--precision", "float32")
 
 
+def settings_of(run):
+    """What a run was begun with."""
+    return json.loads((run / "config.json").read_text())["settings"]
+
+
 def test_train_complete_and_bench_work_together(here, capsys):
     said = done(capsys, "train", "--epochs", 2, "--lambda-occupancy", 0.7, *QUICK)
     assert "best: epoch" in said
-    settings = json.loads((here / "runs" / "proposed" / "config.json").read_text())
-    assert settings["settings"]["network"]["width"] == 4
-    network, grid, about = load_network(here / "runs" / "proposed" / "best.safetensors")
+    assert settings_of(here / "runs" / "proposed")["network"]["width"] == 4
+    best = here / "runs" / "proposed" / "best.safetensors"
+    network, grid, about = load_network(best)
     about["settings"]["loss"] |= {"near_m": 0.9, "jaccard": 1.0}  # which no option says
-    save_network(here / "runs" / "proposed" / "best.safetensors", network, grid, about)
+    save_network(best, network, grid, about)
     words = "train --weights runs/proposed --maps 1 --beta 2 --out runs/tuned"
     done(capsys, *words.split(), *QUICK[2:])
-    tuned = json.loads((here / "runs" / "tuned" / "config.json").read_text())["settings"]["loss"]
+    tuned = LossConfig(**settings_of(here / "runs" / "tuned")["loss"])
     # the network's own, but for what is given
-    assert LossConfig(**tuned) == LossConfig(occupancy=0.7, beta_m=2, near_m=0.9)
+    assert tuned == LossConfig(occupancy=0.7, beta_m=2, near_m=0.9)
     said = done(capsys, "complete data/pillar --weights runs/proposed --device cpu")
     assert said == "written: predictions\n"
     assert "another dataset, split or network" in refused(
@@ -74,8 +79,7 @@ def test_a_stream_trains_without_a_dataset(here, small, capsys):
     words = (*mixed.split(), *QUICK)
     (here / "geometric.toml").write_text(small.read_text().replace("pillar", "geometric"))
     assert done(capsys, "train", *words, "--maps", 16, "--val-maps", 6).count("epoch ") == 3
-    settings = json.loads((here / "runs" / "proposed" / "config.json").read_text())["settings"]
-    assert settings["kinds"] == ["pillar+geometric"]
+    assert settings_of(here / "runs" / "proposed")["kinds"] == ["pillar+geometric"]
 
 
 BAD_USE = """

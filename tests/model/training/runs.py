@@ -43,14 +43,6 @@ def maps_of(folders, *inputs):
     return Maps(opened(folders, "train"), "train", *inputs)
 
 
-def same(one, other):
-    """Whether two files hold the same weights."""
-    (first, _), (second, _) = load_tensors(one), load_tensors(other)
-    return first.keys() == second.keys() and all(
-        torch.equal(first[name], second[name]) for name in first
-    )
-
-
 def figures(out):
     """The rows of a run's metrics.csv, less how long they took."""
     with open(out / "metrics.csv") as file:
@@ -58,6 +50,15 @@ def figures(out):
     for row in rows:
         del row["seconds"]
     return rows
+
+
+def check_same(one, other):
+    """Two runs leave the same weights and, but for times, the same figures."""
+    for name in ("best.safetensors", "last.safetensors"):
+        (first, _), (second, _) = load_tensors(one / name), load_tensors(other / name)
+        assert first.keys() == second.keys()
+        assert all(torch.equal(first[key], second[key]) for key in first)
+    assert figures(one) == figures(other)
 
 
 def elsewhere(function, *given):

@@ -24,7 +24,7 @@ from scenegen.model.training.loop import Watcher
 from scenegen.truth import distance_field
 from tests.conftest import contents
 from tests.model.conftest import make_dataset
-from tests.model.training.runs import SMALL, elsewhere, figures, maps_of, same, train
+from tests.model.training.runs import SMALL, check_same, elsewhere, figures, maps_of, train
 
 
 def test_one_batch_is_learned_by_heart(folders):
@@ -96,9 +96,7 @@ def test_a_stopped_run_ends_where_an_uninterrupted_one_does(folders, tmp_path, u
         with pytest.raises(StoppedError, match="the same command goes on"):
             train(folders, SMALL, tmp_path / "run", watcher=watcher)
     train(folders, SMALL, tmp_path / "run")
-    for name in ("best.safetensors", "last.safetensors"):
-        assert same(tmp_path / "run" / name, uninterrupted / name)
-    assert figures(tmp_path / "run") == figures(uninterrupted)
+    check_same(tmp_path / "run", uninterrupted)
 
 
 def test_a_run_keeps_the_precision_that_it_was_begun_with(folders, tmp_path, uninterrupted):
@@ -132,8 +130,7 @@ def test_a_killed_run_ends_where_an_uninterrupted_one_does(folders, tmp_path, un
         load_tensors(out / "last.safetensors")[1]["step"] == 2
     )  # the third step of the second epoch was lost
     train(folders, SMALL, out)
-    for name in ("best.safetensors", "last.safetensors"):
-        assert same(out / name, uninterrupted / name)
+    check_same(out, uninterrupted)
 
 
 def test_a_run_is_not_continued_by_mistake_nor_once_it_is_finished(

@@ -11,7 +11,7 @@ import sys
 import pytest
 
 from tests.command_line import ROOT, process
-from tests.model.training.runs import figures, same
+from tests.model.training.runs import check_same, figures
 from tests.scenegen.run import slurm_here
 from tests.scenegen.run.slurm_here import free_port
 
@@ -31,19 +31,13 @@ def alone(words, tmp_path):
     """The run by two processes of one node."""
     out = tmp_path / "alone"
     run(*TORCHRUN, "--standalone", "--nproc-per-node", 2, *words, out)
+    assert len(figures(out)) == 2
     return out
 
 
 def run(*words):
     more = {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "PYTHONFAULTHANDLER": "1"}
     process(*words, env=os.environ | more, timeout=200)
-
-
-def check_same(one, other):
-    """The same weights, and the same figures but for the time that they took."""
-    assert same(one / "best.safetensors", other / "best.safetensors")
-    assert figures(one) == figures(other)
-    assert len(figures(one)) == 2
 
 
 @slurm_here.NEEDED

@@ -16,8 +16,7 @@ from scenegen.model.training.data import Maps, load, opened
 from scenegen.model.training.loop import Watcher
 from scenegen.streams.mixture import Component
 from tests.conftest import small_recipe
-from tests.model.training.runs import SMALL
-from tests.model.training.runs import same as same_run
+from tests.model.training.runs import SMALL, check_same
 from tests.scenegen.streams.test_stream import same
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -63,8 +62,7 @@ def test_a_stopped_run_ends_where_an_uninterrupted_one_does(tmp_path):
     with pytest.raises(StoppedError):
         run(tmp_path / "parts", watcher=Watcher(on_step=count, stop=lambda: seen >= 12))
     run(tmp_path / "parts", workers=1)
-    for name in ("best.safetensors", "last.safetensors"):
-        assert same_run(tmp_path / "whole" / name, tmp_path / "parts" / name)
+    check_same(tmp_path / "whole", tmp_path / "parts")
 
 
 def test_maps_are_the_streams_each_once_and_turned_by_seed():
