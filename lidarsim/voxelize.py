@@ -109,16 +109,6 @@ def _weigh(observed, free, odds, hit, miss, least, most):
             odds[n] = max(odds[n] + miss, least)
 
 
-def crossed(
-    sensor: Floats,
-    points: Floats,
-    grid: GridSpec,
-    origin: Floats,
-) -> Mask:
-    """The free voxels (*shape) of rays known by their returns alone, see `sort_points`."""
-    return sort_points(sensor, points, grid, origin).free
-
-
 def sort_points(
     sensor: Floats,
     points: Floats,
@@ -186,11 +176,9 @@ def clear(position, direction, end, origin, voxel_m, nx, ny, nz, free):
     Every crossing is computed from its boundary's own number, never by adding up steps, so that
     errors do not grow.
     """
-    sx, sy, sz = (
-        (position[0] - origin[0]) / voxel_m,
-        (position[1] - origin[1]) / voxel_m,
-        (position[2] - origin[2]) / voxel_m,
-    )
+    sx = (position[0] - origin[0]) / voxel_m
+    sy = (position[1] - origin[1]) / voxel_m
+    sz = (position[2] - origin[2]) / voxel_m
     px, in_x, out_x = slab(sx, direction[0], nx, voxel_m)
     py, in_y, out_y = slab(sy, direction[1], ny, voxel_m)
     pz, in_z, out_z = slab(sz, direction[2], nz, voxel_m)
