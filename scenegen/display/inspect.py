@@ -76,10 +76,16 @@ def inspect(
     """
     dataset = Dataset(folder, partial=not keep)
     it = dataset.manifest
-    found: Json = {"kind": it.graded}
-    found |= {name: getattr(it, name) for name in ("seed", "complete", "digest", "rejected")}
-    fields, mapping = list(it.fields), it.parameters.get("mapping")
-    found |= {"fields": fields, "grid": it.parameters["grid"], "mapping": mapping}
+    found: Json = {
+        "kind": it.graded,
+        "seed": it.seed,
+        "complete": it.complete,
+        "digest": it.digest,
+        "rejected": it.rejected,
+        "fields": list(it.fields),
+        "grid": it.parameters["grid"],
+        "mapping": it.parameters.get("mapping"),
+    }
     if it.sources:
         differ = it.parameters.get("differ", ())
         named = [dict(zip(("lidar", "mapping", "noise"), one, strict=True)) for one in it.settings]
@@ -235,8 +241,9 @@ def scan_facts(path: Path) -> Json:
         found |= {
             "lower_m": returned.min(axis=0).tolist(),
             "upper_m": returned.max(axis=0).tolist(),
+            "mean_range_m": float(ranges.mean()),
+            "max_range_m": float(ranges.max()),
         }
-        found |= {"mean_range_m": float(ranges.mean()), "max_range_m": float(ranges.max())}
     return found
 
 
