@@ -26,8 +26,7 @@ from scenegen.cli.show import Progress
 from scenegen.fly.course import Course
 from scenegen.fly.loop import Flown
 from scenegen.fly.suite import DIFFICULTIES, MAPS, courses_of, map_courses
-from scenegen.model.robots import FORGETFUL, NAMES
-from scenegen.model.robots.flights import fly_course, fly_courses
+from scenegen.model.robots.flights import FORGETFUL, NAMES, fly_course, fly_courses
 from scenegen.recipes import kind_names
 from scenegen.run.workers import ALONE
 from scenegen.truth.difficulty import Difficulty
