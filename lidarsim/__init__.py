@@ -68,8 +68,7 @@ def __getattr__(name: str) -> Any:
     for module, names in _PLACES.items():
         if name in names:
             found = importlib.import_module(f"lidarsim.{module}")
-            globals().update(
-                {each: getattr(found, each) for each in names}
-            )  # of `voxelize`, the function stays
+            # of `voxelize`, the function stays
+            globals().update({each: getattr(found, each) for each in names})
             return globals()[name]
     raise AttributeError(f"module 'lidarsim' has no attribute {name!r}")

@@ -2,12 +2,12 @@
 moved."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from functools import partial
+from types import SimpleNamespace
 from typing import Any, Literal, get_args
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike
 
 from lidarsim.engines.analytic import AnalyticEngine, Hits
 from lidarsim.grid import Floats, Ints
@@ -140,7 +140,7 @@ class Attached:
         stages do."""
         scans, engine, albedo = self.scans(data), self._engine, albedo_of(self._model)
         assert engine is not None
-        past: list[Any] = [_Past(engine, int(carrier)) for carrier in self._through]
+        past = [_past(engine, int(carrier)) for carrier in self._through]
         return tuple(
             noise.observe(scan, one, rng=stream, albedo=albedo)
             for scan, one, stream in zip(scans, past, rng.spawn(len(scans)), strict=True)
@@ -162,22 +162,10 @@ class Attached:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class _Past:
-    """The engine as a sensor has it that does not see its carrier."""
-
-    engine: AnalyticEngine
-    carrier: int
-
-    def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> Floats:
-        """See `Engine.cast`."""
-        return self.hits(origins, directions, max_range_m).ranges
-
-    def hits(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> Hits:
-        """See `AnalyticEngine.hits`."""
-        return self.engine.hits(
-            origins, directions, max_range_m, through=[self.carrier] * len(np.asarray(origins))
-        )
+def _past(engine: AnalyticEngine, carrier: int) -> Any:
+    """The engine as a sensor has it that does not see its carrier; see `View.engine`."""
+    hits = partial(engine.hits, through=[carrier])
+    return SimpleNamespace(hits=hits, cast=lambda *rays: hits(*rays).ranges)
 
 
 def _numbered(model: mujoco.MjModel, name: str) -> int:

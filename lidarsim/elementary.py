@@ -8,6 +8,7 @@ the true value but for one in some 10^12.
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -34,17 +35,18 @@ def sin_cos(angle: ArrayLike) -> tuple[Floats, Floats]:
 
 def exp(value: ArrayLike) -> Floats:
     """e to the power of `value` (...)."""
-    given = np.asarray(value, dtype=np.float64)
-    result = np.empty(given.shape)
-    _exp(np.ravel(given), result.reshape(-1))
-    return result
+    return _each(_exp, value)
 
 
 def log(value: ArrayLike) -> Floats:
     """The natural logarithm of `value` (...); -inf of 0, NaN of what is negative."""
+    return _each(_log, value)
+
+
+def _each(fill: Callable[..., None], value: ArrayLike) -> Floats:
     given = np.asarray(value, dtype=np.float64)
     result = np.empty(given.shape)
-    _log(np.ravel(given), result.reshape(-1))
+    fill(np.ravel(given), result.reshape(-1))
     return result
 
 

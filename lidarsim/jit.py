@@ -65,9 +65,8 @@ def _compiled(function: Callable[..., Any], **options: bool) -> Any:
     meets."""
     numba = _numba()
     package = function.__module__.split(".")[0]
-    kept = not cache_trouble(
-        package
-    )  # else compiled anew by every process: slower to start, but right
+    # else compiled anew by every process: slower to start, but right
+    kept = not cache_trouble(package)
     # numba does not look at options when it looks a kernel up: each has a folder of its own
     folder = cache_folder(package).joinpath(*options)
     previous, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder)

@@ -135,11 +135,8 @@ def _radians(value: float) -> int:
     """The multiple of 15 degrees that `value` is in radians, to a thousandth; 0 for none up to a
     turn."""
     steps = round(value / (math.pi / 12))
-    return (
-        15 * steps
-        if abs(steps) <= 24 and math.isclose(value, steps * math.pi / 12, rel_tol=1e-3)
-        else 0
-    )
+    is_near = abs(steps) <= 24 and math.isclose(value, steps * math.pi / 12, rel_tol=1e-3)
+    return 15 * steps if is_near else 0
 
 
 def shown(value: Any) -> str:
@@ -223,12 +220,10 @@ def _words(kind: Any, bounds: Bounds) -> str:
         return " or ".join(repr(option) for option in options)
     if origin is tuple and options[1:] != (...,) and set(options) <= {int, float}:
         return bounds.words(whole=bounds.whole or set(options) == {int}, count=len(options))
+    if origin is tuple and options[1:] == (...,):
+        return f"a list, each {_words(options[0], bounds)}"
     if origin is tuple:
-        return (
-            f"a list, each {_words(options[0], bounds)}"
-            if options[1:] == (...,)
-            else f"{len(options)} values"
-        )
+        return f"{len(options)} values"
     if origin in (Union, UnionType):
         return " or ".join(_words(option, bounds) for option in options)
     return bounds.words(whole=bounds.whole or kind is int)

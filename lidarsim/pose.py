@@ -32,9 +32,8 @@ class Pose:
         length = float(np.sqrt((self.quaternion**2).sum()))
         if abs(length - 1.0) > 1e-6:
             raise ValueError(f"pose: quaternion has length {length:g}, expected 1 (w x y z)")
-        if (
-            abs(length - 1.0) > 1e-12
-        ):  # a unit quaternion keeps its bits, so that a stored pose reads as it was
+        # a unit quaternion keeps its bits, so that a stored pose reads as it was
+        if abs(length - 1.0) > 1e-12:
             unit = self.quaternion / length
             unit.setflags(write=False)
             object.__setattr__(self, "quaternion", unit)
@@ -64,7 +63,12 @@ class Pose:
 
     def to_body(self, points: Floats) -> Floats:
         """Points (..., 3) of the world, metres, in the body's frame."""
-        return rotate(self.quaternion * (1.0, -1.0, -1.0, -1.0), points - self.position)
+        return rotate(self.back, points - self.position)
+
+    @property
+    def back(self) -> Floats:
+        """The quaternion that turns the other way, (4,): from the world's axes to the body's."""
+        return self.quaternion * (1.0, -1.0, -1.0, -1.0)
 
 
 def chained(parent: Pose, child: Pose) -> Pose:
@@ -80,9 +84,8 @@ def chained(parent: Pose, child: Pose) -> Pose:
 def rotate(quaternion: ArrayLike, vectors: ArrayLike) -> Floats:
     """`vectors` (..., 3) turned by the unit `quaternion` (4,), w x y z."""
     given = np.ascontiguousarray(vectors, dtype=np.float64).view()
-    given.setflags(
-        write=False
-    )  # the kernel is compiled once, for what may be written to and for what may not
+    # the kernel is compiled once, for what may be written to and for what may not
+    given.setflags(write=False)
     turned = np.empty(given.shape)
     _rotate(np.array(quaternion, dtype=np.float64), given.reshape(-1, 3), turned.reshape(-1, 3))
     return turned

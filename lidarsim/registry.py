@@ -83,9 +83,8 @@ class Registry:
         """A user's module: an installed one, or a file in the folder where the user stands."""
         here = os.getcwd()  # noqa: PTH109 (sys.path holds strings)
         if here not in sys.path:
-            sys.path.append(
-                here
-            )  # last, so that no file of the user's takes the place of a library's
+            # last, so that no file of the user's takes the place of a library's
+            sys.path.append(here)
         _own.update({here, module.partition(".")[0]})
         try:
             if importlib.util.find_spec(module) is None:

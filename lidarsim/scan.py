@@ -30,9 +30,8 @@ class Scan:
     def points(self) -> Floats:
         """The returns, (M, 3) in the world, in ray order."""
         hit = np.isfinite(self.ranges)
-        return (
-            self.pose.position + self.ranges[hit].astype(np.float64)[:, None] * self.directions[hit]
-        )
+        ranges = self.ranges[hit].astype(np.float64)[:, None]
+        return self.pose.position + ranges * self.directions[hit]
 
 
 def cast(engine: Caster, lidar: Sensor, pose: Pose) -> Scan:

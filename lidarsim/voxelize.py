@@ -109,16 +109,6 @@ def _weigh(observed, free, odds, hit, miss, least, most):
             odds[n] = max(odds[n] + miss, least)
 
 
-def crossed(
-    sensor: Floats,
-    points: Floats,
-    grid: GridSpec,
-    origin: Floats,
-) -> Mask:
-    """The free voxels (*shape) of rays known by their returns alone, see `sort_points`."""
-    return sort_points(sensor, points, grid, origin).free
-
-
 def sort_points(
     sensor: Floats,
     points: Floats,
@@ -186,22 +176,16 @@ def clear(position, direction, end, origin, voxel_m, nx, ny, nz, free):
     Every crossing is computed from its boundary's own number, never by adding up steps, so that
     errors do not grow.
     """
-    sx, sy, sz = (
-        (position[0] - origin[0]) / voxel_m,
-        (position[1] - origin[1]) / voxel_m,
-        (position[2] - origin[2]) / voxel_m,
-    )
-    px, in_x, out_x = slab(sx, direction[0], nx, voxel_m)
-    py, in_y, out_y = slab(sy, direction[1], ny, voxel_m)
-    pz, in_z, out_z = slab(sz, direction[2], nz, voxel_m)
+    sx, px, in_x, out_x = slab(position[0], origin[0], direction[0], nx, voxel_m)
+    sy, py, in_y, out_y = slab(position[1], origin[1], direction[1], ny, voxel_m)
+    sz, pz, in_z, out_z = slab(position[2], origin[2], direction[2], nz, voxel_m)
     t = max(max(in_x, in_y), max(in_z, 0.0))
     leave = min(min(out_x, out_y), min(out_z, end))
     if not leave - t > TOUCH_M:
         return
-    i, bx, tx = enter(sx, t, px, nx)
-    j, by, ty = enter(sy, t, py, ny)
-    k, bz, tz = enter(sz, t, pz, nz)
-    ux, uy, uz = 1.0 if px > 0.0 else -1.0, 1.0 if py > 0.0 else -1.0, 1.0 if pz > 0.0 else -1.0
+    i, ux, bx, tx = enter(sx, t, px, nx)
+    j, uy, by, ty = enter(sy, t, py, ny)
+    k, uz, bz, tz = enter(sz, t, pz, nz)
     dx, dy, dz = int(ux) * ny * nz, int(uy) * nz, int(uz)
     cell = (i * ny + j) * nz + k
     while True:

@@ -120,10 +120,10 @@ def _samples(given: Any, split: str) -> list[Samples]:
     """The samples of one split of all that is `given`."""
     if isinstance(given, Mapping):
         return opened({locate(name): weight for name, weight in given.items()}, split)
-    found: list[Samples] = []
-    for one in _listed(given):
-        found += opened([locate(one)], split) if isinstance(one, str | Path) else [one]
-    return found
+    found = _listed(given)
+    # all at once, so that two datasets that share samples are found
+    there = iter(opened([locate(one) for one in found if isinstance(one, str | Path)], split))
+    return [next(there) if isinstance(one, str | Path) else one for one in found]
 
 
 def _listed(given: Any) -> Sequence[Any]:

@@ -158,8 +158,7 @@ class NetworkConfig:
         if self.width * 2 ** (LEVELS - 1) % self.heads:
             raise ValueError(
                 f"width = {self.width}, heads = {self.heads}: {2 ** (LEVELS - 1)} times the width "
-                f"must be a multiple "
-                "of the heads"
+                "must be a multiple of the heads"
             )
 
     def check_map(self, shape: tuple[int, ...]) -> None:
@@ -167,8 +166,7 @@ class NetworkConfig:
         if (known := VARIANTS.get(self.variant)) and any(edge % STRIDE for edge in shape):
             raise ValueError(
                 f"maps of {shape} voxels; the network halves them three times, so every edge must "
-                f"be a multiple of "
-                f"{STRIDE}"
+                f"be a multiple of {STRIDE}"
             )
         if known and known.columns and shape[2] != self.height:
             raise ValueError(

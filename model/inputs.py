@@ -18,7 +18,7 @@ from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
 from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.pose import rotate
 from lidarsim.scan import Scan
-from lidarsim.voxelize import crossed, fuse
+from lidarsim.voxelize import fuse, sort_points
 from scenegen.errors import DatasetError, told
 from scenegen.model.config import INPUTS, named
 from scenegen.sample import Sample
@@ -65,7 +65,7 @@ class PointScan:
     def free(self) -> Mask:
         """(*grid.shape): what rays that returned something crossed; of others points say
         nothing."""
-        return crossed(self.position, self.points, self.grid, self.origin) & ~self.observed
+        return self._crossed(self.points) & ~self.observed
 
     def behind(self) -> Mask:
         """(*grid.shape): what lies beyond every return, to the map's end."""
@@ -75,7 +75,10 @@ class PointScan:
         extent, away = self.grid.extent_m, self.position - self.origin
         reach = float(np.linalg.norm(extent) + np.linalg.norm(away))
         ends = self.position + rays[there] * (reach / lengths[there, None])
-        return crossed(self.position, ends, self.grid, self.origin) & ~self.free & ~self.observed
+        return self._crossed(ends) & ~self.free & ~self.observed
+
+    def _crossed(self, ends: Floats) -> Mask:
+        return sort_points(self.position, ends, self.grid, self.origin).free
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -28,15 +28,16 @@ and ``tudf``), to scalars: what is minimised, as ``loss``, and its terms by name
 of real places has ``known``, too, the voxels whose occupancy counts, and ``certain``, those whose
 distance does."""
 
+Divisor = Callable[[Tensor], Tensor]
+"""From how many voxels count, a scalar, to what their sum is divided by for their mean."""
+
 
 def at_least_one(count: Tensor) -> Tensor:
-    """What a sum over `count` voxels is divided by for its mean."""
+    """The divisor of a process that is alone."""
     return count.clamp(min=1)
 
 
-def loss_of(
-    config: LossConfig, grid: GridSpec, divisor: Callable[[Tensor], Tensor] = at_least_one
-) -> Loss:
+def loss_of(config: LossConfig, grid: GridSpec, divisor: Divisor = at_least_one) -> Loss:
     """The loss that `config` names: the paper's, or one's own as docs/own-network.md says.
 
     `divisor` is for batches of which several processes have a part each; see `eikonal_loss`.
@@ -62,7 +63,7 @@ class Coupled:
 
     config: LossConfig
     grid: GridSpec
-    divisor: Callable[[Tensor], Tensor] = at_least_one
+    divisor: Divisor = at_least_one
 
     def __call__(self, output: Output, batch: Batch) -> dict[str, Tensor]:
         """Scalars; see `Loss`."""
@@ -95,7 +96,7 @@ class Coupled:
         return {"loss": total, **parts}
 
 
-def _mean(loss: Tensor, over: Tensor | None, divisor: Callable[[Tensor], Tensor]) -> Tensor:
+def _mean(loss: Tensor, over: Tensor | None, divisor: Divisor) -> Tensor:
     """The mean over all voxels, or `over` those that count; 0 over none."""
     if over is None:
         return loss.mean()
@@ -108,7 +109,7 @@ def occupancy_loss(
     known: Tensor | None = None,
     *,
     occupied_weight: float,
-    divisor: Callable[[Tensor], Tensor] = at_least_one,
+    divisor: Divisor = at_least_one,
 ) -> Tensor:
     """Eq. 8: binary cross-entropy over all voxels, or the `known` ones, occupied ones weighted;
     `occupancy` is bool.
@@ -161,7 +162,7 @@ def regression_loss(
     near_m: float,
     near_weight: float,
     beta_m: float,
-    divisor: Callable[[Tensor], Tensor] = at_least_one,
+    divisor: Divisor = at_least_one,
 ) -> Tensor:
     """Eq. 9: Smooth-L1 over all voxels, or those whose distance is `certain`, those within `near_m`
     of a surface weighted; metres."""
@@ -176,15 +177,14 @@ def eikonal_loss(
     *,
     voxel_m: float,
     truncation_m: float,
-    divisor: Callable[[Tensor], Tensor] = at_least_one,
+    divisor: Divisor = at_least_one,
 ) -> Tensor:
     """Eq. 10: how far the predicted field's slope is from 1, over voxels whose true distance lies
     strictly between 0 and the truncation; by forward differences, so the last voxel of every line
     has none. 0 over no voxel.
 
-    How many such voxels there are differs from map to map. `divisor` makes of their number, a
-    scalar, what their sum is divided by: `Group.divisor` makes the mean of several processes'
-    losses that of all their maps.
+    How many such voxels there are differs from map to map: `Group.divisor` makes the mean of
+    several processes' losses that of all their maps.
     """
     d = predicted.float()
     here = d[:, :-1, :-1, :-1]
@@ -195,4 +195,4 @@ def eikonal_loss(
     mask = (tudf > 0) & (tudf < truncation_m)
     mask = mask if certain is None else mask & certain
     mask = mask[:, :-1, :-1, :-1]
-    return torch.where(mask, (slope - 1).abs(), 0).sum() / divisor(mask.sum())
+    return _mean((slope - 1).abs(), mask, divisor)

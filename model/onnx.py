@@ -101,12 +101,11 @@ def _examined(content: bytes, runtime: Runtime | None) -> Examined:
         raise CheckpointError(needs(runtime or " or ".join(RUNTIMES), "export"))
     memory = GUARD_BYTES + 4 * len(content)
     try:
-        header = guarded(read_graph, content, seconds=GUARD_S, memory_bytes=memory)
+        graph = guarded(read_graph, content, seconds=GUARD_S, memory_bytes=memory)
     except GuardError as error:
         raise CheckpointError(f"is not an ONNX file that can be read ({error})") from None
-    config, grid = network_from(header)
-    found = Examined(usable[0], config, grid, header["about"], tuple(header["outputs"]))
-    features = config.width * int(np.prod(grid.shape))
+    found = Examined(usable[0], *graph)
+    features = found.config.width * int(np.prod(found.grid.shape))
     memory += BYTES_A_FEATURE * features
     try:
         guarded(_try, (content, found), seconds=GUARD_S + features / 1e6, memory_bytes=memory)
@@ -115,17 +114,14 @@ def _examined(content: bytes, runtime: Runtime | None) -> Examined:
     return found
 
 
-def read_graph(content: bytes) -> Json:
-    """The header of an ONNX file, and its ``outputs``.
+def read_graph(content: bytes) -> tuple[NetworkConfig, GridSpec, Json, tuple[str, ...]]:
+    """What `Examined` tells of an ONNX file.
 
-    Raises CheckpointError where it has none, loops, or is not whole.
+    Raises CheckpointError where it has none, loops, or is not whole, and what `onnx` does.
     """
     import onnx
 
-    try:
-        model = onnx.load_model_from_string(content)
-    except Exception as error:  # protobuf's errors share no base
-        raise CheckpointError(f"is not an ONNX file ({printable(error)[:200]})") from None
+    model = onnx.load_model_from_string(content)
     headers = [entry.value for entry in model.metadata_props if entry.key == HEADER]
     if not headers:
         raise CheckpointError(
@@ -133,8 +129,7 @@ def read_graph(content: bytes) -> Json:
         )
     try:
         header = dict(json.loads(headers[-1]))
-        config, _ = network_from(header)
-        header["about"] = dict(header.get("about", {}))
+        (config, grid), about = network_from(header), dict(header.get("about", {}))
     except (KeyError, TypeError, ValueError, RecursionError) as error:
         raise CheckpointError(
             f"its header is damaged ({printable(error)[:200]}); export it again"
@@ -153,18 +148,16 @@ def read_graph(content: bytes) -> Json:
             f"gives {' and '.join(tasks) or 'nothing'}, where {config.variant} gives "
             f"{' and '.join(known.tasks)}; export it again"
         )
-    return header | {"outputs": [NAMES[task] for task in tasks]}
+    return config, grid, about, tuple(NAMES[task] for task in tasks)
 
 
 def _try(task: tuple[bytes, Examined]) -> None:
-    """Complete two empty maps. Raises CheckpointError where the file cannot."""
+    """Complete two empty maps. Raises CheckpointError where what comes is no completion, and what
+    the runtime does."""
     content, found = task
     shape = (2, *found.grid.shape)  # a file may take one alone
-    try:
-        run = _open(content, found, threads=1)
-        values = run({name: np.zeros(shape, np.float32) for name in found.config.inputs})
-    except Exception as error:  # each runtime has its own
-        raise CheckpointError(f"{found.runtime} cannot run it: {printable(error)[:200]}") from None
+    run = _open(content, found, threads=1)
+    values = run({name: np.zeros(shape, np.float32) for name in found.config.inputs})
     good = [
         value.shape == shape and value.dtype == np.float32 and np.isfinite(value).all()
         for value in values

@@ -293,9 +293,8 @@ def _read_las(content: bytes) -> NDArray[np.generic]:
 def _unpack_las(content: bytes) -> Floats:
     import laspy
 
-    os.dup2(
-        os.open(os.devnull, os.O_WRONLY), 2
-    )  # this process's own: its decoder prints as it dies
+    # this process's own: its decoder prints as it dies
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     with laspy.open(io.BytesIO(content), read_evlrs=False) as file:
         count = file.header.point_count
         if count > MOST_POINTS:
@@ -353,8 +352,14 @@ def encode_npz(fields: Mapping[str, Any], level: int = 1) -> bytes:
 PCD_TYPES = {"I": "<i", "U": "<u", "F": "<f"}
 """How numpy's names of a PCD's types begin, by TYPE; its SIZE ends them."""
 READERS = {
-    **{".ply": _read_ply, ".pcd": _read_pcd, ".bin": _read_bin, ".npz": _read_npz},
-    **{".xyz": _read_xyz, ".npy": read_npy, ".las": _read_las, ".laz": _read_las},
+    ".ply": _read_ply,
+    ".pcd": _read_pcd,
+    ".bin": _read_bin,
+    ".npz": _read_npz,
+    ".xyz": _read_xyz,
+    ".npy": read_npy,
+    ".las": _read_las,
+    ".laz": _read_las,
 }
 """File types of scans."""
 NAMED = (".ply", ".pcd", ".las", ".laz")

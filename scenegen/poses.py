@@ -57,8 +57,7 @@ def between(one: Pose, other: Pose, share: float) -> Pose:
 
 def inverse(pose: Pose) -> Pose:
     """The pose of the world in the frame of what stands at `pose`."""
-    back = pose.quaternion * (1.0, -1.0, -1.0, -1.0)
-    return Pose(-rotate(back, pose.position), back)
+    return Pose(-rotate(pose.back, pose.position), pose.back)
 
 
 def read_poses(path: Path) -> Track:

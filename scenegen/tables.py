@@ -69,10 +69,7 @@ def from_table(part: Any, table: dict[str, Any], where: str, folder: Path) -> An
             raise RecipeError(f"{where} {name}: is missing, and has no default; give it a value")
     try:
         return part(**values) if isinstance(part, type) else dataclasses.replace(part, **values)
-    except (
-        ValueError,
-        TypeError,
-    ) as error:  # a user's own sensor may check its values in either way
+    except (ValueError, TypeError) as error:  # a user's own sensor may raise either
         raise RecipeError(f"{where} {printable(error)}") from None
 
 

@@ -66,9 +66,8 @@ class AnalyticEngine:
     @classmethod
     def of(cls, model: "mujoco.MjModel", data: "mujoco.MjData | None" = None) -> Self:
         """See `lidarsim.engines.Engine.of`. Raises ValueError as `solids_of` does."""
-        from lidarsim.solids.model import (
-            solids_of,  # loads MuJoCo, which an engine over known solids does not need
-        )
+        # loads MuJoCo, which an engine over known solids does not need
+        from lidarsim.solids.model import solids_of
 
         return cls(solids_of(model, data))
 
@@ -192,9 +191,8 @@ class AnalyticEngine:
         return ranges, items
 
     def _take(self, solids: Solids) -> None:
-        planes = (
-            solids.shape == PLANE
-        )  # nothing bounds them: the tree holds the rest, and every ray meets each of them
+        # nothing bounds planes: the tree holds the rest, and every ray meets each of them
+        planes = solids.shape == PLANE
         count = len(solids.shape) + len(solids.triangles)
         self._solids = solids
         self._planes = np.flatnonzero(planes).astype(np.uint64)

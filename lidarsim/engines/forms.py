@@ -127,13 +127,19 @@ def _in_cylinder(radius, half, px, py, pz, dx, dy, dz):
 
 
 @kernel
+def axes(x, y, z):
+    """The axis w along which a vector runs farthest, behind u and v, the other two."""
+    w = np.uint64(1 if abs(y) > abs(x) else 0)
+    w = np.uint64(2) if abs(z) > max(abs(x), abs(y)) else w
+    return (w + np.uint64(1)) % np.uint64(3), (w + np.uint64(2)) % np.uint64(3), w
+
+
+@kernel
 def upright(origin, ray):
     """What `meet_triangle` takes for a ray (3,) from `origin` (3,): w, the axis along which it runs
     fastest, behind u and v, the other two; the origin's coordinates along u, v, w; how far the ray
     runs along u and v for a metre along w; how far along w for a metre of its own."""
-    w = np.uint64(1 if abs(ray[1]) > abs(ray[0]) else 0)
-    w = np.uint64(2) if abs(ray[2]) > abs(ray[w]) else w
-    u, v = (w + np.uint64(1)) % np.uint64(3), (w + np.uint64(2)) % np.uint64(3)
+    u, v, w = axes(ray[0], ray[1], ray[2])
     return u, v, w, origin[u], origin[v], origin[w], ray[u] / ray[w], ray[v] / ray[w], ray[w]
 
 
@@ -195,11 +201,8 @@ def normal(shape, a, b, c, px, py, pz):
     """Outward unit normal (x, y, z) of the shape at p, a point on its surface, in its own frame."""
     x, y, z = 0.0, 0.0, 1.0  # a plane's
     if shape == BOX:
-        u, v, w = (
-            abs(px) - a,
-            abs(py) - b,
-            abs(pz) - c,
-        )  # how far outside each pair of faces: the greatest is 0
+        # how far outside each pair of faces: the greatest is 0
+        u, v, w = abs(px) - a, abs(py) - b, abs(pz) - c
         if u >= v and u >= w:
             x, y, z = px, 0.0, 0.0
         elif v >= w:

@@ -102,12 +102,8 @@ def _build(lower, upper):
                 links[node, k], ends[node, k] = part[k], part[k + 1]
                 continue
             links[node, k] = nodes
-            waiting[left, 0], waiting[left, 1], waiting[left, 2], waiting[left, 3] = (
-                part[k],
-                part[k + 1],
-                nodes,
-                level + 1,
-            )
+            waiting[left, 0], waiting[left, 1] = part[k], part[k + 1]
+            waiting[left, 2], waiting[left, 3] = nodes, level + 1
             left, nodes = left + 1, nodes + 1
     return boxes[:nodes].copy(), links[:nodes].copy(), ends[:nodes].copy(), order.astype(np.uint64)
 
@@ -144,10 +140,8 @@ def _cut(lower, upper, centre, order, begin, end, middle):
         b = min(int((centre[g, axis] - first) * scale), BINS - 1)
         held[b] += 1
         for a in range(3):
-            bins[b, a], bins[b, 3 + a] = (
-                min(bins[b, a], lower[g, a]),
-                max(bins[b, 3 + a], upper[g, a]),
-            )
+            bins[b, a] = min(bins[b, a], lower[g, a])
+            bins[b, 3 + a] = max(bins[b, 3 + a], upper[g, a])
     beyond = np.zeros(BINS)  # the cost of what lies from this bin on
     box, count = np.empty(6), 0
     box[:3], box[3:] = np.inf, -np.inf
@@ -155,11 +149,8 @@ def _cut(lower, upper, centre, order, begin, end, middle):
         count += held[b]
         beyond[b] = _grown(box, bins[b]) * count
     box[:3], box[3:] = np.inf, -np.inf
-    least, last, count = (
-        np.inf,
-        0,
-        0,
-    )  # the first bin holds the item of least centre, the last that of the greatest
+    # the first bin holds the item of least centre, the last that of the greatest
+    least, last, count = np.inf, 0, 0
     for b in range(BINS - 1):
         count += held[b]
         cost = _grown(box, bins[b]) * count + beyond[b + 1]
@@ -200,7 +191,5 @@ def _refit(lower, upper, boxes, links, ends, order):
                 _hull(lower, upper, order, link, end, boxes[node, :, k])
             elif link > 0:  # else there is no such child: none is the root
                 for a in range(3):
-                    boxes[node, a, k], boxes[node, 3 + a, k] = (
-                        boxes[link, a].min(),
-                        boxes[link, 3 + a].max(),
-                    )
+                    boxes[node, a, k] = boxes[link, a].min()
+                    boxes[node, 3 + a, k] = boxes[link, 3 + a].max()

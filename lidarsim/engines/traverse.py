@@ -11,7 +11,15 @@ import math
 
 import numpy as np
 
-from lidarsim.engines.forms import meet, meet_ball, meet_plane, meet_triangle, normal, upright
+from lidarsim.engines.forms import (
+    axes,
+    meet,
+    meet_ball,
+    meet_plane,
+    meet_triangle,
+    normal,
+    upright,
+)
 from lidarsim.engines.hierarchy import WAITING, WIDTH
 from lidarsim.jit import kernel
 from lidarsim.solids.shapes import SPHERE
@@ -243,9 +251,7 @@ def _pack(directions, turn, ray, lanes):
             directions[n, 0], directions[n, 1], directions[n, 2] = dx, dy, dz
         ray[0, count], ray[1, count], ray[2, count], lanes[count] = dx, dy, dz, n
         x, y, z, count = x + dx, y + dy, z + dz, count + np.uint64(1)
-    w = np.uint64(1 if abs(y) > abs(x) else 0)
-    w = np.uint64(2) if abs(z) > max(abs(x), abs(y)) else w
-    u, v = (w + np.uint64(1)) % np.uint64(3), (w + np.uint64(2)) % np.uint64(3)
+    u, v, w = axes(x, y, z)
     sign = 1.0 if ray[w, 0] > 0.0 else -1.0
     u0, u1, v0, v1, slowest, fastest = math.inf, -math.inf, math.inf, -math.inf, math.inf, 0.0
     for i in range(count):
@@ -293,13 +299,19 @@ def meet_solid(g, shape, size, rotation, sx, sy, sz, x, y, z):
     which is no plane; inf where it is not met."""
     if shape[g] == SPHERE:
         return meet_ball(sx, sy, sz, x, y, z, size[g, 0])
-    px = rotation[g, 0, 0] * sx + rotation[g, 1, 0] * sy + rotation[g, 2, 0] * sz
-    py = rotation[g, 0, 1] * sx + rotation[g, 1, 1] * sy + rotation[g, 2, 1] * sz
-    pz = rotation[g, 0, 2] * sx + rotation[g, 1, 2] * sy + rotation[g, 2, 2] * sz
-    dx = rotation[g, 0, 0] * x + rotation[g, 1, 0] * y + rotation[g, 2, 0] * z
-    dy = rotation[g, 0, 1] * x + rotation[g, 1, 1] * y + rotation[g, 2, 1] * z
-    dz = rotation[g, 0, 2] * x + rotation[g, 1, 2] * y + rotation[g, 2, 2] * z
+    px, py, pz = _within(rotation, g, sx, sy, sz)
+    dx, dy, dz = _within(rotation, g, x, y, z)
     return meet(shape[g], size[g, 0], size[g, 1], size[g, 2], px, py, pz, dx, dy, dz)
+
+
+@kernel
+def _within(rotation, g, x, y, z):
+    """A vector of the world along the axes of primitive g."""
+    return (
+        rotation[g, 0, 0] * x + rotation[g, 1, 0] * y + rotation[g, 2, 0] * z,
+        rotation[g, 0, 1] * x + rotation[g, 1, 1] * y + rotation[g, 2, 1] * z,
+        rotation[g, 0, 2] * x + rotation[g, 1, 2] * y + rotation[g, 2, 2] * z,
+    )
 
 
 @kernel

@@ -155,21 +155,17 @@ def _first(position, direction, max_range_m, states, voxel_m, origin, most_unkno
     """The range of one ray, and the metres of unknown space on its way; only that these are more
     than `most_unknown_m`, where they are."""
     nx, ny, nz = states.shape
-    sx = (position[0] - origin[0]) / voxel_m
-    sy = (position[1] - origin[1]) / voxel_m
-    sz = (position[2] - origin[2]) / voxel_m
-    px, in_x, out_x = slab(sx, direction[0], nx, voxel_m)
-    py, in_y, out_y = slab(sy, direction[1], ny, voxel_m)
-    pz, in_z, out_z = slab(sz, direction[2], nz, voxel_m)
+    sx, px, in_x, out_x = slab(position[0], origin[0], direction[0], nx, voxel_m)
+    sy, py, in_y, out_y = slab(position[1], origin[1], direction[1], ny, voxel_m)
+    sz, pz, in_z, out_z = slab(position[2], origin[2], direction[2], nz, voxel_m)
     t = max(max(in_x, in_y), max(in_z, 0.0))
     leave = min(min(out_x, out_y), out_z)
     if not leave > t or t >= max_range_m:
         return math.inf, max_range_m
     unknown = t
-    i, bx, tx = enter(sx, t, px, nx)
-    j, by, ty = enter(sy, t, py, ny)
-    k, bz, tz = enter(sz, t, pz, nz)
-    ux, uy, uz = 1.0 if px > 0.0 else -1.0, 1.0 if py > 0.0 else -1.0, 1.0 if pz > 0.0 else -1.0
+    i, ux, bx, tx = enter(sx, t, px, nx)
+    j, uy, by, ty = enter(sy, t, py, ny)
+    k, uz, bz, tz = enter(sz, t, pz, nz)
     dx, dy, dz = int(ux) * ny * nz, int(uy) * nz, int(uz)
     cells, cell = states.reshape(-1), (i * ny + j) * nz + k
     while True:
@@ -207,23 +203,25 @@ an infinite way, and infinity times no way at all is NaN."""
 
 
 @kernel
-def slab(start, direction, count, voxel_m):
-    """Metres of ray per voxel along one axis (0 for a ray that stands still there), and where it
-    enters and leaves."""
+def slab(position, origin, direction, count, voxel_m):
+    """Along one axis: where a ray starts, counted in voxels from a grid's origin; metres of ray per
+    voxel (0 for a ray that stands still there); and where it enters and leaves the grid."""
+    start = (position - origin) / voxel_m
     if abs(direction) < STILL:
         inside = 0.0 <= start < float(count)
-        return 0.0, -math.inf if inside else math.inf, math.inf if inside else -math.inf
+        return start, 0.0, -math.inf if inside else math.inf, math.inf if inside else -math.inf
     pace = voxel_m / direction
     first, last = (0.0 - start) * pace, (float(count) - start) * pace
-    return pace, min(first, last), max(first, last)
+    return start, pace, min(first, last), max(first, last)
 
 
 @kernel
 def enter(start, t, pace, count):
-    """The voxel's number along one axis at distance `t`, the boundary ahead of it, and where the
-    ray crosses that."""
+    """The voxel's number along one axis at distance `t`, in which sense it changes, the boundary
+    ahead of it, and where the ray crosses that."""
     if pace == 0.0:
-        return math.floor(start), 0.0, math.inf
+        return math.floor(start), 0.0, 0.0, math.inf
     at = min(max(math.floor(start + t / pace), 0), count - 1)
-    ahead = float(at + 1 if pace > 0.0 else at)
-    return at, ahead, (ahead - start) * pace
+    if pace > 0.0:
+        return at, 1.0, float(at + 1), (float(at + 1) - start) * pace
+    return at, -1.0, float(at), (float(at) - start) * pace

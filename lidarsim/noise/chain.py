@@ -38,8 +38,7 @@ class Noise:
             if stage.order < max(before.order, 2 * (before.order == stage.order)):
                 raise ValueError(
                     f"noise: {_text(stage)} casts rays anew, so it comes before {_text(before)}, "
-                    f"and once; "
-                    "put motion first, then divergence, then the rest"
+                    "and once; put motion first, then divergence, then the rest"
                 )
 
     @classmethod
@@ -143,8 +142,7 @@ def _stage(text: str) -> Stage:
         if field not in fields or field in given:
             raise ValueError(
                 f"noise stage {name}: {word[:40]!a}: expected values of {', '.join(fields)}, each "
-                f"once, in this "
-                "order or as name=value"
+                "once, in this order or as name=value"
             )
         given[field] = _number(value)
     try:

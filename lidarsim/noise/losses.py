@@ -3,6 +3,7 @@ shutter."""
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -16,20 +17,33 @@ TEN_PERCENT = 0.1
 """The reflectivity for which data sheets give a range."""
 
 
+class Loss(Fault):
+    """Returns are lost, each by a chance of its own."""
+
+    def apply(self, returns: Returns, view: View, *, rng: np.random.Generator) -> Returns:
+        """See `Stage.apply`."""
+        lost = rng.random(returns.ranges.shape) < self.chance(returns, view)
+        return returns.but(ranges=np.where(lost, np.inf, returns.ranges))
+
+    def chance(self, returns: Returns, view: View) -> Any:
+        """The probability, (echoes, *shape) or one for all."""
+        raise NotImplementedError
+
+
 @dataclass(frozen=True, kw_only=True)
-class Dropout(Fault):
+class Dropout(Loss):
     """Every return is lost with the same probability."""
 
     share: float = number(0.05, least=0, most=1)
     """The probability."""
 
-    def apply(self, returns: Returns, view: View, *, rng: np.random.Generator) -> Returns:
-        """See `Stage.apply`."""
-        return _lost(returns, self.share, rng)
+    def chance(self, returns: Returns, view: View) -> Any:
+        """See `Loss.chance`."""
+        return self.share
 
 
 @dataclass(frozen=True, kw_only=True)
-class Far(Fault):
+class Far(Loss):
     """A return at range r is lost with probability ``share · (r / max_range_m)^power``."""
 
     share: float = number(0.5, least=0, most=1)
@@ -37,26 +51,24 @@ class Far(Fault):
     power: float = number(2.0, least=0, most=10)
     """How it grows: 1 evenly, 2 with the square."""
 
-    def apply(self, returns: Returns, view: View, *, rng: np.random.Generator) -> Returns:
-        """See `Stage.apply`."""
+    def chance(self, returns: Returns, view: View) -> Any:
+        """See `Loss.chance`."""
         part = np.minimum(returns.ranges / view.sensor.max_range_m, 1.0)
-        return _lost(returns, self.share * part**self.power, rng)
+        return self.share * part**self.power
 
 
 @dataclass(frozen=True, kw_only=True)
-class Grazing(Fault):
+class Grazing(Loss):
     """Returns of surfaces met at a flat angle are lost: none up to `from_deg` off the normal, all
     at 90°, and with a probability that grows evenly between."""
 
     from_deg: float = number(75.0, least=0, below=90)
     """Angle between ray and normal from which returns are lost, degrees."""
 
-    def apply(self, returns: Returns, view: View, *, rng: np.random.Generator) -> Returns:
-        """See `Stage.apply`."""
+    def chance(self, returns: Returns, view: View) -> Any:
+        """See `Loss.chance`."""
         angle = np.degrees(np.arccos(np.clip(view.surfaces(returns)[0], 0.0, 1.0)))
-        return _lost(
-            returns, np.clip((angle - self.from_deg) / (90.0 - self.from_deg), 0.0, 1.0), rng
-        )
+        return np.clip((angle - self.from_deg) / (90.0 - self.from_deg), 0.0, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,13 +112,6 @@ class Spurious(Fault):
     def bound_m(self, max_range_m: float) -> float:
         """See `Stage.bound_m`."""
         return math.inf
-
-
-def _lost(returns: Returns, share: float | Floats, rng: np.random.Generator) -> Returns:
-    """Returns of which each is lost with the probability `share`, one for all or one for each
-    ray."""
-    lost = rng.random(returns.ranges.shape) < share
-    return returns.but(ranges=np.where(lost, np.inf, returns.ranges))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,6 @@
 several surfaces."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -18,8 +17,23 @@ SIGMAS = 4.0
 it."""
 
 
+class Spread(Fault):
+    """Ranges with normal noise."""
+
+    def apply(self, returns: Returns, view: View, *, rng: np.random.Generator) -> Returns:
+        """See `Stage.apply`."""
+        ranges = returns.ranges
+        noise = np.clip(normal(ranges.shape, rng=rng), -SIGMAS, SIGMAS)
+        sigma = self.sigma(np.where(np.isfinite(ranges), ranges, 0.0), view)
+        return returns.but(ranges=_kept(ranges + sigma * noise, view))
+
+    def sigma(self, ranges: Floats, view: View) -> Floats:
+        """The standard deviation of each of `ranges`, metres."""
+        raise NotImplementedError
+
+
 @dataclass(frozen=True, kw_only=True)
-class Range(Fault):
+class Range(Spread):
     """Normal noise along the ray, of standard deviation ``sigma_m + share · r + quadratic_per_m ·
     r²``."""
 
@@ -30,20 +44,17 @@ class Range(Fault):
     quadratic_per_m: float = number(0.0, least=0, most=1)
     """The part that grows with its square, 1/metres."""
 
-    def apply(self, returns: Returns, view: View, *, rng: np.random.Generator) -> Returns:
-        """See `Stage.apply`."""
-        return _noisy(returns, view, self._sigma, rng=rng)
+    def sigma(self, ranges: Floats, view: View | None = None) -> Floats:
+        """See `Spread.sigma`."""
+        return self.sigma_m + self.share * ranges + self.quadratic_per_m * ranges**2
 
     def bound_m(self, max_range_m: float) -> float:
         """See `Stage.bound_m`."""
-        return SIGMAS * float(self._sigma(np.array(max_range_m)))
-
-    def _sigma(self, ranges: Floats) -> Floats:
-        return self.sigma_m + self.share * ranges + self.quadratic_per_m * ranges**2
+        return SIGMAS * float(self.sigma(np.array(max_range_m)))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Depth(Fault):
+class Depth(Spread):
     """Noise of a stereo camera: that of disparity is even, so that of depth z grows as
     ``quadratic_per_m · z²``.
 
@@ -54,14 +65,12 @@ class Depth(Fault):
     quadratic_per_m: float = number(0.01, least=0, most=1)
     """Standard deviation of depth over its square, 1/metres: 0.005 is 2 % at 4 m."""
 
-    def apply(self, returns: Returns, view: View, *, rng: np.random.Generator) -> Returns:
-        """See `Stage.apply`."""
+    def sigma(self, ranges: Floats, view: View) -> Floats:
+        """See `Spread.sigma`."""
         rays = view.sensor.directions_body
         axis = rays.reshape(-1, 3).mean(axis=0)
         cosine = rays @ (axis / math.sqrt(float((axis**2).sum())))
-        return _noisy(
-            returns, view, lambda r: self.quadratic_per_m * r**2 * np.abs(cosine), rng=rng
-        )
+        return self.quadratic_per_m * ranges**2 * np.abs(cosine)
 
     def bound_m(self, max_range_m: float) -> float:
         """See `Stage.bound_m`."""
@@ -96,16 +105,6 @@ class Near(Fault):
         return returns.but(
             ranges=np.where(returns.ranges < self.min_range_m, np.inf, returns.ranges)
         )
-
-
-def _noisy(
-    returns: Returns, view: View, sigma: Callable[[Floats], Floats], *, rng: np.random.Generator
-) -> Returns:
-    """Returns with normal noise, whose standard deviation `sigma` gives for ranges."""
-    ranges = returns.ranges
-    noise = np.clip(normal(ranges.shape, rng=rng), -SIGMAS, SIGMAS)
-    spread = sigma(np.where(np.isfinite(ranges), ranges, 0.0))
-    return returns.but(ranges=_kept(ranges + spread * noise, view))
 
 
 def _kept(ranges: Floats, view: View) -> Floats:

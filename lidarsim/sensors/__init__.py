@@ -7,6 +7,8 @@ in a user's folder.
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from lidarsim.registry import Registry
@@ -54,20 +56,11 @@ FAMILIES = {
     "pinhole": "lidarsim.sensors.raster:Pinhole",
 }
 """Families: dataclasses whose fields are the parameters."""
+TEXT = Path(__file__).with_name("catalogue.toml").read_text(encoding="utf-8")
+"""The catalogue, whose names can be told without all of it being parsed."""
 CATALOGUE = {
-    **{
-        f"velodyne-{name.lower().replace('_', '-')}": name
-        for name in ("VLP_16", "HDL_32E", "HDL_64E")
-    },
-    **{f"ouster-os{n}-{beams}": f"OS{n}_{beams}" for n in (0, 1, 2) for beams in (32, 64, 128)},
-    **{"hesai-xt-32": "XT_32", "hesai-qt-128": "QT_128"},
-    **{"robosense-helios-1615": "HELIOS_1615", "robosense-helios-16p": "HELIOS_16P"},
-    **{
-        "livox-mid-360": "MID_360",
-        "livox-avia": "AVIA",
-        "realsense-d435": "D435",
-        "realsense-d455": "D455",
-    },
+    name: name.partition("-")[2].replace("-", "_").upper()
+    for name in re.findall(r"^\[(.+)\]$", TEXT, re.MULTILINE)
 }
 """Sensors that people have: names, each with its object in `lidarsim.sensors.catalogue`."""
 

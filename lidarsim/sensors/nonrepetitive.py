@@ -102,8 +102,7 @@ class Coil(Windowed):
         if self.highest_deg - self.lowest_deg < 4:
             raise ValueError(
                 f"lowest_deg = {self.lowest_deg:g}, highest_deg = {self.highest_deg:g}: expected "
-                f"degrees, the highest "
-                "4 or more above the lowest"
+                "degrees, the highest 4 or more above the lowest"
             )
 
     @property

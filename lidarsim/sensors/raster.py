@@ -144,9 +144,8 @@ class Pinhole(Device):
         left = wide * (1 - (2 * np.arange(self.width) + 1) / self.width)
         up = high * (1 - (2 * np.arange(self.height) + 1) / self.height)
         rays = np.stack(np.broadcast_arrays(1.0, left, up[:, None]), axis=-1)
-        return (
-            rays / np.sqrt((rays[..., 0] ** 2 + rays[..., 1] ** 2) + rays[..., 2] ** 2)[..., None]
-        )
+        length2 = (rays[..., 0] ** 2 + rays[..., 1] ** 2) + rays[..., 2] ** 2
+        return rays / np.sqrt(length2)[..., None]
 
 
 def _tangent(angle_deg: float) -> float:

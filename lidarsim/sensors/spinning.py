@@ -52,8 +52,7 @@ class Spinning(Device):
         if (self.columns == 0) == (self.firing_cycle_s == 0):
             raise ValueError(
                 f"columns = {self.columns}, firing_cycle_s = {self.firing_cycle_s}: expected one "
-                f"of the two, and the "
-                "other 0"
+                "of the two, and the other 0"
             )
         super().__post_init__()
         for name in ("azimuth_offsets_deg", "firing_times_s"):
@@ -61,16 +60,8 @@ class Spinning(Device):
                 raise ValueError(
                     f"{name}: {count} numbers for {beams} beams; expected one for each, or none"
                 )
-        if (
-            len(
-                set(
-                    zip(
-                        self.elevations_deg, self.azimuth_offsets_deg or (0.0,) * beams, strict=True
-                    )
-                )
-            )
-            < beams
-        ):
+        ways = zip(self.elevations_deg, self.azimuth_offsets_deg or (0.0,) * beams, strict=True)
+        if len(set(ways)) < beams:
             raise ValueError(
                 "elevations_deg: two beams point the same way; expected different ones"
             )
@@ -83,8 +74,7 @@ class Spinning(Device):
         if self.firing_times_s and max(self.firing_times_s) >= self.cycle_s:
             raise ValueError(
                 f"firing_times_s: up to {max(self.firing_times_s):g} s, in a cycle of "
-                f"{self.cycle_s:g} s; expected "
-                "seconds within the cycle"
+                f"{self.cycle_s:g} s; expected seconds within the cycle"
             )
 
     @property
@@ -104,17 +94,14 @@ class Spinning(Device):
     def times_s(self) -> Floats:
         """See `Sensor.times_s`."""
         beams, columns = self.shape
-        return (
-            np.array(self.firing_times_s or (0.0,) * beams)[:, None]
-            + np.arange(columns) * self.cycle_s
-        )
+        fired = np.array(self.firing_times_s or (0.0,) * beams)
+        return fired[:, None] + np.arange(columns) * self.cycle_s
 
     @property
     def directions_sensor(self) -> Floats:
         """See `Device.directions_sensor`."""
-        apart = (
-            self.firing_times_s or self.azimuth_offsets_deg
-        )  # else one beam's azimuths serve all
+        # else one beam's azimuths serve all
+        apart = self.firing_times_s or self.azimuth_offsets_deg
         offsets = np.array(self.azimuth_offsets_deg or (0.0,))[:, None]
         times = self.times_s if apart else self.times_s[:1]
         turned = 360.0 * self.rate_hz * times - self.horizontal_fov_deg / 2

@@ -93,10 +93,8 @@ class BeamTable:
         """The table of any sensor's rays, with the same bits. Raises ValueError where the sensor is
         none."""
         shape = tuple(int(count) for count in sensor.shape)
-        directions, times = (
-            _numbers(sensor.directions_body, "directions_body"),
-            _numbers(sensor.times_s, "times_s"),
-        )
+        directions = _numbers(sensor.directions_body, "directions_body")
+        times = _numbers(sensor.times_s, "times_s")
         for name, there, expected in (
             ("directions_body", directions.shape, (*shape, 3)),
             ("times_s", times.shape, shape),

@@ -49,10 +49,8 @@ class ModelSolids:
         self._filled = np.array([closed for *_, closed in self._surfaces], dtype=np.bool_)
         self.geom = np.concatenate([self._plain, self._bent])
         """(n + m,): see `Solids.geom`."""
-        self._triangles, self._placed = (
-            np.empty((int(self._start[-1]), 3, 3)),
-            np.full((len(self._bent), 12), np.nan),
-        )
+        self._triangles = np.empty((int(self._start[-1]), 3, 3))
+        self._placed = np.full((len(self._bent), 12), np.nan)
 
     def at(self, data: mujoco.MjData) -> Solids:
         """The solids where `data` has them; triangles are computed anew for geoms that moved since
@@ -67,7 +65,8 @@ class ModelSolids:
                 f"data of that model"
             )
         check_forwarded(self._model, data)
-        _check_places(self._model, data, self._seen)
+        for what, values in (("pos", data.geom_xpos), ("axes", data.geom_xmat)):
+            _check_numbers(self._model, what, values, self._seen)
         position = data.geom_xpos[self._plain].astype(np.float64)
         rotation = data.geom_xmat[self._plain].reshape(-1, 3, 3).astype(np.float64)
         lower, upper = bounding_boxes(self._shape, self._size, position, rotation)
@@ -118,14 +117,9 @@ def visible_geoms(model: mujoco.MjModel) -> Mask:
     return alpha != 0
 
 
-def _check_places(model: mujoco.MjModel, data: mujoco.MjData, seen: Mask) -> None:
-    """Raise ValueError for geoms that are nowhere, or too far away."""
-    for what, values in (("pos", data.geom_xpos), ("axes", data.geom_xmat)):
-        _check_numbers(model, what, values, seen)
-
-
 def _check_numbers(model: mujoco.MjModel, what: str, values: Floats, seen: Mask) -> None:
-    """Raise ValueError for `values` (ngeom, n) of geoms that are not finite, or too large."""
+    """Raise ValueError for `values` (ngeom, n) of geoms that are not finite, or too large: geoms
+    that are nowhere, or too far away."""
     odd = seen & ~(np.abs(values) <= MOST_LENGTH_M).all(axis=1)  # a NaN is not
     if odd.any():
         value = values[np.argmax(odd)].tolist()
@@ -220,8 +214,5 @@ def height_field(model: mujoco.MjModel, field: int) -> tuple[Floats, Ints, bool]
     walls = np.concatenate(
         [np.stack([rim, rim + under, ahead], 1), np.stack([ahead, rim + under, ahead + under], 1)]
     )
-    return (
-        np.concatenate([above, below]),
-        np.concatenate([surface, surface[:, ::-1] + under, walls]),
-        True,
-    )
+    faces = np.concatenate([surface, surface[:, ::-1] + under, walls])
+    return np.concatenate([above, below]), faces, True

@@ -23,7 +23,7 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import Progress, announce_compilation, note, say, show_figures
 from scenegen.cli.types import FILE, Named
-from scenegen.files import Json
+from scenegen.files import Json, check_ours, write_result
 from scenegen.model.commands.weights import Weights
 from scenegen.model.config import METHODS, USUAL, BenchConfig, PlanConfig
 from scenegen.run import Executor
@@ -129,7 +129,6 @@ def run_bench(
     method.
     """
     from scenegen.dataset.read import Dataset
-    from scenegen.files import check_ours, write_result
     from scenegen.model.evaluation.methods import check_rows, rows_of
     from scenegen.model.evaluation.report import build_report, to_html, to_markdown
     from scenegen.model.evaluation.run import bench as measure

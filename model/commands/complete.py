@@ -21,16 +21,17 @@ from scenegen.cli.options import (
 from scenegen.cli.show import Progress, note, say
 from scenegen.cli.types import FILE, DatasetPath, Number, OutputFile
 from scenegen.errors import DatasetError, printable
+from scenegen.files import make_parent, make_way, real_path, remove_drafts, write_result
 from scenegen.limits import MOST_BATCH
 from scenegen.model.commands.weights import Weights
 from scenegen.model.config import DEFAULT_NETWORK
+from scenegen.run import Executor, executor
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from scenegen.model.completion.completer import Completer
     from scenegen.model.completion.scans import Task
-    from scenegen.run import Executor
 
 MOST_SHOWN = 24
 """Completions on the page of a folder, a log or a map, evenly spread."""
@@ -113,12 +114,10 @@ def complete(
     """
     from scenegen.dataset.locate import locate
     from scenegen.dataset.manifest import NAME
-    from scenegen.files import make_way, real_path
     from scenegen.logs.read import is_log
     from scenegen.model.completion.completer import Completer
     from scenegen.model.completion.scans import predict_scan, read_scan
     from scenegen.model.training.device import choose_device
-    from scenegen.run import executor
     from scenegen.worlds import is_map
 
     elsewhere = was_given("on") or was_given("workers")
@@ -131,8 +130,8 @@ def complete(
             f"{found}: --on and --workers complete a dataset's split; leave them out for scans"
         )
     several = not stored and (found.is_dir() or is_log(found) or scans["poses"] is not None)
-    tasks = _tasks(found, **scans) if several else None
     completer = Completer.from_pretrained(weights, device=chosen, batch=batch)
+    tasks = _tasks(found, **scans) if several else None
     if tasks is not None or is_map(found):
         name = found.stem if found.is_file() else real_path(found).name
         out = out or Path(f"{name}.completed")
@@ -159,7 +158,7 @@ def _complete_split(
     folder: Path,
     split: str,
     out: Path,
-    execute: "Executor | None",
+    execute: Executor | None,
     quiet: bool,
 ) -> None:
     """Complete a dataset's split into the folder `out`, and say where its maps are unlike those of
@@ -243,7 +242,6 @@ def _complete_all(
     not be completed.
     """
     from scenegen.display.look import evenly
-    from scenegen.files import make_parent, remove_drafts, write_result
     from scenegen.model.completion.scans import page_of, predict_scan, summary
 
     count, scans = tasks

@@ -32,23 +32,7 @@ from scenegen.errors import DatasetError, raised_as
 from scenegen.files import check_free, write_result
 from scenegen.fly import SUITES, Rules, Vehicle
 from scenegen.model.commands.weights import Weights
-from scenegen.model.robots.flights import (
-    FORGETFUL,
-    MAPPING,
-    NAMES,
-    REACTIVE,
-    check_begins,
-    flown_again,
-    flown_anew,
-    fly_course,
-    fly_courses,
-    graded,
-    network_digest,
-    read_recording,
-    real_course,
-    robot_maker,
-    summary,
-)
+from scenegen.model.robots import FORGETFUL, MAPPING, NAMES, REACTIVE
 from scenegen.run import Executor, executor
 
 if TYPE_CHECKING:
@@ -58,7 +42,13 @@ if TYPE_CHECKING:
 
 MOST_FLIGHTS = 10_000
 OF_WORLD = (
-    *("flights", "worlds", "difficulty", "lidar", "noise", "moving", "seed"),
+    "flights",
+    "worlds",
+    "difficulty",
+    "lidar",
+    "noise",
+    "moving",
+    "seed",
     *(item.name for kind in (Vehicle, Rules) for item in dataclasses.fields(kind)),
 )
 """Options that courses of a suite do not take: theirs are frozen."""
@@ -214,6 +204,19 @@ def fly(
         _write_board(entries, out, hidden, maps, talk)
         return
     _check(robot, weights, log, out, recorded)
+    from scenegen.model.robots.flights import (
+        check_begins,
+        flown_again,
+        flown_anew,
+        fly_course,
+        fly_courses,
+        network_digest,
+        read_recording,
+        real_course,
+        robot_maker,
+        summary,
+    )
+
     if talk:
         announce_compilation()
     is_given = weights is not None or was_given("robot")
@@ -239,7 +242,7 @@ def fly(
 
                 courses = chosen_courses(suite, hidden, maps, quick=quick)
                 about["track"] = track_name(hidden, maps)
-            if weights is None and robot not in NAMES:
+            if weights is None:
                 check_begins(robot, real_course(courses[0], hidden))
             found = fly_courses(courses, fly_one, name, suite, out, execute, progress, **about)
     if picture or film or log:
@@ -305,6 +308,8 @@ def _rows(
     found: "Flights", hidden: int | None, execute: Executor, progress: Progress
 ) -> list[dict[str, Any]]:
     """What `--json` tells of each flight."""
+    from scenegen.model.robots.flights import graded
+
     grades = graded([course for course, _ in found], hidden, execute, progress)
     return [
         one.row() | {"seed": course.seed, "difficulty": difficulty._asdict()}

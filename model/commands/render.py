@@ -19,6 +19,7 @@ from scenegen.cli.options import (
 from scenegen.cli.show import note, say
 from scenegen.cli.types import Choice, DatasetPath, Number, Written
 from scenegen.errors import short
+from scenegen.files import write_result
 from scenegen.model.commands.weights import chosen, shown_options
 from scenegen.worlds import MESHES
 
@@ -127,15 +128,15 @@ def render(
             f"--{film}: shows one sample or flight, without --sheet, --figure and --paper"
         )
     from scenegen.display.panels import for_paper, to_bytes
-    from scenegen.files import write_result
 
     notes: list[str] = []
     made = _draw_file(source, seed if flight else None) if isinstance(source, Path) else None
     if made and (options["paper"] or LEAST_WIDE) < LEAST_WIDE:
         raise click.UsageError("--paper: only samples fit into less than 140 mm; give two, or more")
     if made is None:
-        film += out.suffix if film else ""
-        made, notes = _draw_samples(source, shown=not quiet, film=film, **options)
+        made, notes = _draw_samples(
+            source, shown=not quiet, film=film, suffix=out.suffix, **options
+        )
     if options["paper"]:
         for_paper(made, options["paper"], font_size)
     content = made if isinstance(made, bytes) else to_bytes(made, out.suffix)
@@ -197,6 +198,7 @@ def _draw_samples(
     count: int | None,
     figure: str | None,
     film: str,
+    suffix: str,
     paper: float | None,
     **predicted: Any,
 ) -> tuple[Any, list[str]]:
@@ -211,16 +213,15 @@ def _draw_samples(
     guesses, methods = (None, ()) if bare else chosen(found, split, **predicted)
     figure = figure or ("completions" if methods else "sample")
     numbers = indices or (spread(found, split, count) if count else (0,))
-    what, _, suffix = film.partition(".")
-    if what == "flight":
+    if film == "flight":
         numbers = _same_world(found, split, numbers[0])
     seen, notes = looks(found, split, numbers, guesses)
     title = plain(title_of(found))
     alone = len(seen) == 1 and not count
     told = "" if paper else f"{title}, {seen[0].name}" if alone else title
-    if what == "turn":
+    if film == "turn":
         return draw_turn(seen[0], title=told, suffix=suffix), notes
-    if what == "flight":
+    if film == "flight":
         return draw_flight(seen, title=title, suffix=suffix), notes
     if figure == "world":
         return _draw_archived(found, split, numbers[0], told), notes

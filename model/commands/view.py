@@ -16,6 +16,7 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import note, say
 from scenegen.cli.types import OutputFile
+from scenegen.files import write_result
 from scenegen.model.commands.weights import chosen, shown_options
 
 if TYPE_CHECKING:
@@ -24,17 +25,6 @@ if TYPE_CHECKING:
 
 MOST_SHOWN = 200
 """The most samples in a file."""
-
-
-def _address(ctx: Any, parameter: Any, value: str) -> str:
-    from ipaddress import ip_address
-
-    try:
-        return value if value == "localhost" else str(ip_address(value))
-    except ValueError:
-        raise click.BadParameter(
-            f"{value!r} is no IP address; give one of this machine's, such as 127.0.0.1"
-        ) from None
 
 
 @command(
@@ -69,7 +59,6 @@ def _address(ctx: Any, parameter: Any, value: str) -> str:
 )
 @click.option(
     "--host",
-    callback=_address,
     default="127.0.0.1",
     help="Address to serve on; with 0.0.0.0 all who reach this machine can look.",
 )
@@ -133,7 +122,6 @@ def write_page(
     evenly spread."""
     from scenegen.display.look import looks, spread, title_of
     from scenegen.display.page import check_grid, page
-    from scenegen.files import write_result
 
     check_grid(found.grid)
     shown, notes = looks(found, split, indices or spread(found, split, count), guesses)

@@ -202,8 +202,7 @@ class Completer:
             return {"observed": observed}
         warnings.warn(
             f"{self.name} takes {', '.join(self.inputs)}, and derives what is not given from the "
-            f"observed voxels, "
-            "which say less; give it a sample, or all of these by name",
+            "observed voxels, which say less; give it a sample, or all of these by name",
             stacklevel=3,
         )
         flat = seen.reshape(-1, *self.grid.shape).bool().numpy(force=True)

@@ -34,7 +34,7 @@ from scenegen.model.completion.completer import Completer, locate, opened_once
 from scenegen.model.completion.protocol import PARTS, SURE
 from scenegen.model.config import PREDICTIONS
 from scenegen.model.inputs import channels
-from scenegen.run import Executor
+from scenegen.run import Counted, Executor, unheard
 from scenegen.run.workers import ALONE
 
 PACKED = {"compression": "gzip", "compression_opts": 1}
@@ -51,8 +51,8 @@ def predict_split(
     out: Path,
     *,
     execute: Executor | None = None,
-    on_start: Callable[[int], None] = lambda total: None,
-    on_done: Callable[[int], None] = lambda samples: None,
+    on_start: Counted = unheard,
+    on_done: Counted = unheard,
 ) -> list[float]:
     """Complete every sample of a split and write what docs/bench.md calls predictions to the folder
     `out`: files called as shards are, of `PART` samples each, whole or not. Those that are there
@@ -183,22 +183,17 @@ def prediction_facts(path: Path) -> Json:
 
 
 def _facts(path: Path) -> Json:
-    try:
-        with h5py.File(path, "r") as file:
-            about = {
-                name: printable(file.attrs[name])[:100]
-                for name in ("method", "split", "dataset")
-                if name in file.attrs
-            }
-            parts = {name: list(file[name].shape) for name in (*PARTS, *SURE) if name in file}
-            if "occupancy" in file:  # the truth, which no predictions hold
-                raise DatasetError(
-                    f"{path}: is a shard of a dataset; inspect its folder, {path.parent}"
-                )
-    except DatasetError:
-        raise
-    except Exception as error:  # h5py's errors share no base
-        raise DatasetError(f"{path}: cannot be read as HDF5: {printable(error)[:200]}") from None
+    with h5py.File(path, "r") as file:
+        about = {
+            name: printable(file.attrs[name])[:100]
+            for name in ("method", "split", "dataset")
+            if name in file.attrs
+        }
+        parts = {name: list(file[name].shape) for name in (*PARTS, *SURE) if name in file}
+        if "occupancy" in file:  # the truth, which no predictions hold
+            raise DatasetError(
+                f"{path}: is a shard of a dataset; inspect its folder, {path.parent}"
+            )
     if not parts:
         raise DatasetError(f"{path}: holds no predictions; expected {' or '.join(PARTS)}")
     return {

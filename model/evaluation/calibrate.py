@@ -30,10 +30,11 @@ from scenegen.model.checkpoint import CheckpointError, save_network
 from scenegen.model.completion.completer import Completer, open_network
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import PlanConfig, Thresholds
-from scenegen.model.evaluation.planning.measure import draw_trials, met, plan_trial
+from scenegen.model.evaluation.planning.measure import draw_trials
 from scenegen.model.evaluation.run import check_middle, check_whole, filled
+from scenegen.model.evaluation.study import TOLD, Setting, run_settings
 from scenegen.model.evaluation.visibility import UNOBSERVED, classify, scored_voxels
-from scenegen.run import Executor, check_together
+from scenegen.run import Counted, Executor, check_together, unheard
 from scenegen.run.workers import ALONE
 from scenegen.sample import Sample, rng_of
 
@@ -172,7 +173,6 @@ def _logits() -> Floats:
     return np.arange(-MOST_LOGIT + 0.5 * LOGIT, MOST_LOGIT, LOGIT)
 
 
-CAREFUL = PlanConfig(planner="careful")
 LEAST_WORLDS = 20
 """Fewer promise no bound of a risk of .05, nor a temperature."""
 CHUNK = 10
@@ -192,7 +192,7 @@ def calibrate(
     seed: int = 0,
     execute: Executor = ALONE,
     on_start: Callable[[str, int], None] = lambda what, total: None,
-    on_done: Callable[[int], None] = lambda samples: None,
+    on_done: Counted = unheard,
 ) -> Calibration:
     """Calibrate the network at `weights`, a .safetensors file, on `split` of the datasets, at most
     `samples` maps of each, evenly spread, with `trials` planned on each map at every risk; and
@@ -309,11 +309,7 @@ def _collisions(
     """How many of a map's trials collide at each risk, and how many there are."""
     rng = rng_of(seed, int(sample.world), int(sample.viewpoint))
     goals = draw_trials(sample.occupancy, grid, PlanConfig(), count=trials, rng=rng).goals
-    collided = np.zeros(len(found.risks))
-    distance = said.distance(Thresholds(), grid)
-    for n, risk in enumerate(found.risks):
-        low = found.low(distance, said.occupancy_probability, risk)
-        for goal in goals:
-            _, path = plan_trial(low <= 0, low, None, goal, grid, CAREFUL)
-            collided[n] += path is not None and sample.occupancy.reshape(-1)[met(path, grid)].any()
-    return collided, len(goals)
+    risks = [Setting(by="risk", value=risk) for risk in found.risks]
+    sure, truth = replace(said, uncertainty=found, grid=grid), (sample.occupancy, sample.tudf)
+    came = run_settings(risks, sure, truth, goals, grid, PlanConfig())
+    return came[:, :, TOLD.index("collided")].sum(axis=0), len(goals)

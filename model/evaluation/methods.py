@@ -86,18 +86,16 @@ class Completed:
         return check_prediction(found, split.dataset.grid.shape, self.name)
 
 
-@dataclass(frozen=True)
 class Truth:
     """The truth as if it had been predicted: the ceiling, and what the planner itself loses."""
 
-    name: str = "truth"
-    learned: bool = False
+    name = "truth"
+    learned = False
 
     def completion(self, sample: Sample, split: Split) -> Prediction:
         """See `Method.completion`."""
-        return Prediction(
-            occupancy_probability=sample.occupancy.astype(np.float32)
-        )  # whose transform is the distance
+        # whose transform is the distance
+        return Prediction(occupancy_probability=sample.occupancy.astype(np.float32))
 
 
 WHO = ("world", "viewpoint")
@@ -164,33 +162,27 @@ def _check_file(path: Path, *, dataset: Dataset, split: str, most: int) -> list[
     """The samples, (world, viewpoint), that the file at `path` predicts. Raises DatasetError unless
     they are at most so many, of `split` of `dataset`, on its maps."""
     digest, shape = str(dataset.manifest.digest), dataset.grid.shape
-    try:
-        with h5py.File(path, "r") as file:
-            said = [str(file.attrs.get(name)) for name in ("dataset", "split")]
-            if said[0] != digest:
-                raise DatasetError(
-                    f"predicts dataset {printable(said[0])[:12]}…, not {dataset.folder} "
-                    f"({digest[:12]}…); predict this one, and copy its digest into the attribute "
-                    "`dataset`"
-                )
-            if said[1] != split:
-                raise DatasetError(f"predicts split {short(said[1])}, expected {split!r}")
-            risk = file.attrs.get("risk", RISK)
-            if not (np.ndim(risk) == 0 and np.asarray(risk).dtype.kind in "fiu" and 0 < risk < 1):
-                raise DatasetError(
-                    f"attribute `risk` is {short(risk)}, expected a number between 0 and 1"
-                )
-            _check_arrays(file, split, most, shape)
-            found = _pairs(file)
-            for row in range(len(found)):
-                check_prediction(_prediction(file, row), shape, f"row {row}")
-            return found
-    except (DatasetError, PredictionError) as error:
-        raise DatasetError(f"{path}: {error}") from None
-    except Exception as error:  # h5py's errors share no base
-        raise DatasetError(
-            f"{path}: cannot be read as HDF5 predictions: {printable(error)[:200]}"
-        ) from None
+    wrong = raised_as(DatasetError, f"{path}: ", of=(DatasetError, PredictionError))
+    with wrong, h5py.File(path, "r") as file:
+        said = [str(file.attrs.get(name)) for name in ("dataset", "split")]
+        if said[0] != digest:
+            raise DatasetError(
+                f"predicts dataset {printable(said[0])[:12]}…, not {dataset.folder} "
+                f"({digest[:12]}…); predict this one, and copy its digest into the attribute "
+                "`dataset`"
+            )
+        if said[1] != split:
+            raise DatasetError(f"predicts split {short(said[1])}, expected {split!r}")
+        risk = file.attrs.get("risk", RISK)
+        if not (np.ndim(risk) == 0 and np.asarray(risk).dtype.kind in "fiu" and 0 < risk < 1):
+            raise DatasetError(
+                f"attribute `risk` is {short(risk)}, expected a number between 0 and 1"
+            )
+        _check_arrays(file, split, most, shape)
+        found = _pairs(file)
+        for row in range(len(found)):
+            check_prediction(_prediction(file, row), shape, f"row {row}")
+        return found
 
 
 def _check_arrays(file: h5py.File, split: str, most: int, shape: tuple[int, ...]) -> None:

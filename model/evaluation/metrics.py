@@ -63,8 +63,6 @@ class Metric:
     found a path."""
     better: Literal["higher", "lower", "nearer to 0"]
     unit: str = ""
-    paper: bool = False
-    """Whether the paper's table has it (`scenegen.model.evaluation.paper`)."""
     tested: tuple[Literal["map", "unobserved"], ...] = ()
     """The voxels over which methods are compared in pairs by it: of the whole map, or the unknown
     ones; in planning, "map" means all trials."""
@@ -81,13 +79,11 @@ class Metric:
 
 
 def _distance(title: str, of: Callable[[Sums], float], **more: Any) -> Metric:
-    return Metric(
-        title=title, of=of, needs="distance", unit="m", **{"better": "lower", "paper": True, **more}
-    )
+    return Metric(title=title, of=of, needs="distance", unit="m", **{"better": "lower", **more})
 
 
 def _occupancy(title: str, of: Callable[[Sums], float], **more: Any) -> Metric:
-    return Metric(title=title, of=of, needs="occupancy", better="higher", **{"paper": True, **more})
+    return Metric(title=title, of=of, needs="occupancy", better="higher", **more)
 
 
 METRICS: dict[str, Metric] = {
@@ -117,7 +113,7 @@ def _trial(title: str, of: Callable[[Measurement], float], **more: Any) -> Metri
     return Metric(
         title=title,
         of=of,
-        **{"needs": "path", "better": "higher", "paper": True, "unit": "m", **more},
+        **{"needs": "path", "better": "higher", "unit": "m", **more},
     )
 
 

@@ -112,14 +112,15 @@ def finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _figures(
+def figures(
     found: MethodResult,
     result: DatasetResult,
     metrics: Mapping[str, Metric],
     region: int = 0,
     chosen: Any = True,
 ) -> Json:
-    """The figures of what `MethodResult.values` gives, of the `chosen` trials alone."""
+    """The figures of what `MethodResult.values` gives, of the `chosen` trials alone, each {mean,
+    std, low, high, n}."""
     return {
         name: figure(
             np.where(chosen, found.values(name, region), np.nan),
@@ -132,7 +133,7 @@ def _figures(
 
 def _reconstruction(found: MethodResult, result: DatasetResult) -> Json:
     whole, unobserved, *by_class, tuned = (
-        _figures(found, result, METRICS, region) for region in range(len(CLASSES) + 3)
+        figures(found, result, METRICS, region) for region in range(len(CLASSES) + 3)
     )
     return {
         **whole,
@@ -148,9 +149,9 @@ def _planning(found: MethodResult, result: DatasetResult) -> Json:
     learned = [other for other in rows if other.learned] or rows
     ours, *theirs = ([trial.success for trial in one.trials] for one in (found, *learned))
     return {
-        **_figures(found, result, PLAN_METRICS),
-        "successes": _figures(found, result, on_paths, chosen=ours),
-        "all_succeed": _figures(found, result, on_paths, chosen=np.all(theirs, axis=0)),
+        **figures(found, result, PLAN_METRICS),
+        "successes": figures(found, result, on_paths, chosen=ours),
+        "all_succeed": figures(found, result, on_paths, chosen=np.all(theirs, axis=0)),
         "failures": dict(Counter(trial.cause for trial in found.trials if trial.cause is not None)),
     }
 
@@ -191,9 +192,7 @@ def tables(report: Json, kind: str) -> Iterator[tuple[str, Mapping[str, Metric],
     for name, metric in METRICS.items():
         metrics[name] = metric
         if name == "iou":
-            metrics[BEST_IOU] = dataclasses.replace(
-                metric, title="IoU at its best threshold", paper=False
-            )
+            metrics[BEST_IOU] = dataclasses.replace(metric, title="IoU at its best threshold")
     rows = {}
     for method, row in report["reconstruction"][kind].items():
         tuned = row["tuned"]
@@ -232,7 +231,7 @@ def shown(report: Json, kind: str) -> Iterator[str | Table]:
     for title, metrics, rows, reference in tables(report, kind):
         ours = [(name, [cell(row[m]) for m in metrics]) for name, row in rows.items()]
         theirs = [
-            (name, [with_std(*row[m]) if one.paper else "–" for m, one in metrics.items()])
+            (name, [with_std(*row[m]) if m in row else "–" for m in metrics])
             for name, row in reference.items()
         ]
         heads = [f"{metric.label}{ARROWS[metric.better]}" for metric in metrics.values()]
@@ -334,7 +333,7 @@ def to_html(report: Json, pictures: Mapping[str, Sequence[tuple[str, bytes]]]) -
     body = [f"<h1>Bench</h1><dl>{about}</dl>"]
     for kind in report["datasets"]:
         body.append(f"<h2>{_text(kind)}</h2>")
-        body += [_block(block) for block in shown(report, kind)]
+        body += [block(one) for one in shown(report, kind)]
         body.append(framed(pictures.get(kind, ()), "webp"))
     head = f"{HEAD}<title>Bench</title><style>{STYLE}</style></head>"
     return f"{head}<body>{''.join(body)}</body></html>\n"
@@ -350,21 +349,21 @@ def framed(pictures: Sequence[tuple[str, bytes]], kind: str) -> str:
     return f"<div class='charts'>{''.join(images)}</div>"
 
 
-def _block(block: str | Table) -> str:
+def block(shown: str | Table) -> str:
     """A sentence or a table; the spread of a figure stands below it."""
-    if isinstance(block, str):
-        return f"<p>{_text(block)}</p>"
+    if isinstance(shown, str):
+        return f"<p>{_text(shown)}</p>"
     lines = ""
-    for row, (name, cells) in enumerate((*block.rows, *block.paper)):
-        mark, told = " class='paper'" * (row >= len(block.rows)), ""
+    for row, (name, cells) in enumerate((*shown.rows, *shown.paper)):
+        mark, told = " class='paper'" * (row >= len(shown.rows)), ""
         for n, one in enumerate(cells):
             figure, _, more = one.partition(" ")
-            best = " class='best'" if not mark and (name, n) in block.best else ""
+            best = " class='best'" if not mark and (name, n) in shown.best else ""
             told += f"<td{best}>{_text(figure)}<small>{_text(more)}</small></td>"
         lines += f"<tr{mark}><th>{_text(name)}</th>{told}</tr>"
-    heads = "".join(f"<th>{_text(one)}</th>" for one in block.heads)
+    heads = "".join(f"<th>{_text(one)}</th>" for one in shown.heads)
     return (
-        f"<h3>{_text(block.title)}</h3><div class='wide'><table><thead><tr><th></th>{heads}</tr>"
+        f"<h3>{_text(shown.title)}</h3><div class='wide'><table><thead><tr><th></th>{heads}</tr>"
         f"</thead><tbody>{lines}</tbody></table></div>"
     )
 

@@ -4,7 +4,7 @@ cores."""
 import dataclasses
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
@@ -38,7 +38,7 @@ from scenegen.model.evaluation.visibility import (
     seen_occupancy,
     walled,
 )
-from scenegen.run import Executor, check_together
+from scenegen.run import Counted, Executor, check_together, unheard
 from scenegen.run.workers import ALONE
 from scenegen.sample import Sample, rng_of
 from scenegen.truth import distance_field
@@ -61,8 +61,6 @@ class MethodResult:
     thresholds: Thresholds
     """The tuned ones."""
     trials: tuple[Measurement, ...]
-    planned: dict[str, Floats]
-    """The metrics of planning by name, of every trial."""
     learned: bool
     """Whether the method was trained, or may have been: see `Method.learned`."""
     studies: tuple[Study, ...]
@@ -73,8 +71,8 @@ class MethodResult:
     def values(self, metric: str, region: int = 0) -> Floats:
         """A metric by its name: of every map, (N,), over a region of `reconstruction`, or of every
         trial, (trials,)."""
-        if metric in self.planned:
-            return self.planned[metric]
+        if metric in PLAN_METRICS:
+            return np.array([PLAN_METRICS[metric].of(trial) for trial in self.trials], np.float64)
         return self.reconstruction[:, region, [*METRICS].index(metric)]
 
 
@@ -160,8 +158,8 @@ def bench(
     *,
     kind: str | None = None,
     execute: Executor = ALONE,
-    on_start: Callable[[int], None] = lambda total: None,
-    on_done: Callable[[int], None] = lambda samples: None,
+    on_start: Counted = unheard,
+    on_done: Counted = unheard,
 ) -> DatasetResult:
     """Measure `methods` on `dataset`, or on its samples of one `kind` of worlds, with the same
     goals for every method.
@@ -200,15 +198,10 @@ def bench(
         """What all samples gave of one method."""
         given = [one.methods[m] for one in found]
         studies = tuple(one.study for one in given if one.study is not None)
-        trials = tuple(given[n].trials[turn] for turn, n in turns)
         return MethodResult(
             reconstruction=np.array([one.reconstruction for one in given]),
             thresholds=tuned[m],
-            trials=trials,
-            planned={
-                name: np.array([metric.of(trial) for trial in trials], np.float64)
-                for name, metric in PLAN_METRICS.items()
-            },
+            trials=tuple(given[n].trials[turn] for turn, n in turns),
             learned=methods[m].learned,
             studies=studies,
             careful=[studies[n].careful[turn] for turn, n in turns if studies],

@@ -76,7 +76,6 @@ def route_to(
         goal=sample.origin + goal,
         points=None if refined is None else sample.origin + refined,
         told=told,
-        fails=not measured.success,
         hit=None
         if measured.hit is None
         else grid.centres(sample.origin).reshape(-1, 3)[measured.hit],

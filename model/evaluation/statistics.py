@@ -54,11 +54,9 @@ class Estimate:
         no interval."""
         if not math.isfinite(self.value + self.reach):
             return None
-        return (
-            2 * float(stdtr(self.freedom, -abs(self.value) / self.error))
-            if self.error
-            else float(self.value == 0)
-        )
+        if not self.error:
+            return float(self.value == 0)
+        return 2 * float(stdtr(self.freedom, -abs(self.value) / self.error))
 
 
 def estimate(sums: ArrayLike, worlds: ArrayLike, of: Callable[[Floats], Floats]) -> Estimate:
@@ -198,6 +196,6 @@ def interval(figure: Json, form: str) -> str:
     return "[–]" if figure["low"] is None else f"[{figure['low']:{form}}, {figure['high']:{form}}]"
 
 
-def with_std(mean: float, std: float | None) -> str:
+def with_std(mean: float, std: float | None = None) -> str:
     """A mean with its standard deviation, where there is one."""
     return f"{mean:.3f}" if std is None else f"{mean:.3f} ± {std:.3f}"

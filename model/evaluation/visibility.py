@@ -89,9 +89,8 @@ def classify(
         in_view, np.uint8(CLASSES.index("occluded")), np.uint8(CLASSES.index("out_of_view"))
     )
     six = ndimage.generate_binary_structure(3, 1)
-    inside = ndimage.binary_erosion(
-        sample.occupancy, six, border_value=1
-    )  # beyond the map counts as occupied
+    # beyond the map counts as occupied
+    inside = ndimage.binary_erosion(sample.occupancy, six, border_value=1)
     classes[inside] = CLASSES.index("interior")
     classes[sample.free] = CLASSES.index("crossed")
     classes[sample.observed] = CLASSES.index("observed")
@@ -124,10 +123,8 @@ def seen_occupancy(sample: Sample, split: Split) -> Mask:
     dataset = split.dataset
     solids, engine = _world(dataset.folder, split.name, int(sample.world))
     scans = sample.scans()
-    origins, directions = (
-        np.array([scan.pose.position for scan in scans]),
-        np.array([scan.directions for scan in scans]),
-    )
+    origins = np.array([scan.pose.position for scan in scans])
+    directions = np.array([scan.directions for scan in scans])
     hits = engine.hits(origins, directions, scans[0].lidar.max_range_m)
     geoms = hits.geoms[np.isfinite([scan.ranges for scan in scans])]
     return rasterize(some_of(solids, np.unique(geoms)), dataset.grid, sample.origin)

@@ -13,7 +13,7 @@ from scenegen.files import Json
 from scenegen.fly.course import Course, Recording
 from scenegen.fly.loop import Flown, marks
 from scenegen.fly.suite import Part, frozen_courses, named, part_of, track_name
-from scenegen.model.evaluation.report import HEAD, STYLE, framed
+from scenegen.model.evaluation.report import HEAD, STYLE, Table, block, framed
 from scenegen.model.evaluation.statistics import Scale, brief, figure
 from scenegen.model.robots.film import film
 from scenegen.model.robots.flights import real_course
@@ -119,27 +119,18 @@ def _row(entry: Recording) -> Row:
 
 def _table(title: str, rows: Sequence[Row]) -> str:
     """A table of entries that flew the same courses, the best first."""
-    lines = "".join(_line(row, rows[0]) for row in rows)
-    heads = "".join(f"<th>{name}</th>" for name in ("robot", "flights", *BOARD, BEST))
-    return (
-        f"<h2>{html.escape(title)}</h2><div class='wide'><table><thead><tr>{heads}</tr></thead>"
-        f"<tbody>{lines}</tbody></table></div>"
-    )
+    cells = [(row.robot, _cells(row, rows[0])) for row in rows]
+    return block(Table(title, ("flights", *BOARD, BEST), cells))
 
 
-def _line(row: Row, best: Row) -> str:
-    """A row of a table."""
+def _cells(row: Row, best: Row) -> list[str]:
     cells = [str(len(row.flights))]
     for column in BOARD.values():
         found = figure([column.of(one) for one in row.flights], row.worlds, column.scale)
         cells.append(brief(_within(found, column.most)))
-    if row is best:
-        cells.append("–")
-    else:
-        pairs = zip(row.scores, best.scores, strict=True)
-        cells.append(brief(figure([one - other for one, other in pairs], row.worlds), "+.3f"))
-    told = "".join(f"<td>{text}</td>" for text in cells)
-    return f"<tr><th>{html.escape(row.robot)}</th>{told}</tr>"
+    pairs = zip(row.scores, best.scores, strict=True)
+    less = figure([one - other for one, other in pairs], row.worlds)
+    return [*cells, "–" if row is best else brief(less, "+.3f")]
 
 
 def _films(

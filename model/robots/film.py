@@ -10,6 +10,7 @@ from PIL import Image, ImageDraw
 from lidarsim import GridSpec
 from lidarsim.grid import Floats, Mask
 from lidarsim.pose import rotate
+from lidarsim.voxelize import sort_points
 from scenegen.display.colours import GOAL, INVENTED, SENSOR
 from scenegen.display.look import Guess, Look, Route
 from scenegen.display.page import page
@@ -83,8 +84,9 @@ class _Scene:
         bounds = self.simulation.mission.bounds
         self.grid, self.first = within(bounds, getattr(robot, "grid", GridSpec()))
         """The grid, and its least voxel (3,), counted from the world's origin."""
-        corner = self.first * np.float64(self.grid.voxel_m)
-        self.truth: Mask = course.simulated.truth(self.grid, corner)["occupancy"]
+        self.origin = self.first * np.float64(self.grid.voxel_m)
+        """Its least corner (3,), world metres."""
+        self.truth: Mask = course.simulated.truth(self.grid, self.origin)["occupancy"]
         """What is occupied, of the grid's shape."""
 
     def moments(self) -> Iterator[_Moment]:
@@ -157,9 +159,7 @@ def flight_page(
         seen = moment.seen
         at, hits = seen["position"], seen["points"][np.isfinite(seen["ranges"])]
         returns = at + rotate(seen["quaternion"], hits.astype(np.float64))
-        observed = np.zeros_like(scene.truth)
-        met = np.floor(returns / scene.grid.voxel_m).astype(np.int64) - scene.first
-        observed[tuple(met[((met >= 0) & (met < scene.grid.shape)).all(axis=1)].T)] = True
+        observed = sort_points(at, returns, scene.grid, scene.origin).observed
         ahead = np.empty((0, 3)) if moment.plan is None else moment.plan[1:]
         told = "under way" if moment is not moments[-1] else scene.flown.outcome
         route = Route(
@@ -167,7 +167,6 @@ def flight_page(
             goal=goal,
             points=np.concatenate([moment.way, ahead]),
             told=f"{told}, {len(moment.way)} of {len(scene.watched.way)} periods flown",
-            fails=told not in ("success", "under way"),
             hit=at if told == "collision" else None,
         )
         held = observed if moment.taken is None else moment.taken
@@ -175,7 +174,7 @@ def flight_page(
             Look(
                 name=f"{seen['time_s'][0]:.1f} s",
                 grid=scene.grid,
-                origin=scene.first * np.float64(scene.grid.voxel_m),
+                origin=scene.origin,
                 position=at,
                 quaternion=seen["quaternion"],
                 masks={"occupancy": scene.truth, "observed": observed},

@@ -8,39 +8,46 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from scenegen.cli.show import Progress
 from scenegen.errors import DatasetError, ScenegenError, raised_as
-from scenegen.files import check_ours, write_result, write_whole
+from scenegen.files import check_ours, sha256_of, write_result, write_whole
+from scenegen.fly.course import Course, Flights, Recording, replay
+from scenegen.fly.loop import Flown, RobotError
+from scenegen.fly.loop import fly as fly_mission
+from scenegen.fly.pipe import own_robot
+from scenegen.fly.suite import (
+    QUICK,
+    frozen_courses,
+    hidden_course,
+    is_whole,
+    named,
+    part_of,
+    track_name,
+    track_of,
+)
+from scenegen.model.completion.unlearned import Conservative, Extrude, Returns
+from scenegen.model.robots import FORGETFUL as FORGETFUL  # benchmarks look for these two here
+from scenegen.model.robots import NAMES as NAMES
+from scenegen.model.robots import REACTIVE
+from scenegen.model.robots.mapping import MappingRobot, TruthRobot
+from scenegen.model.robots.steering import ReactiveRobot
 from scenegen.run import Executor, undone_if_stopped
+from scenegen.truth.difficulty import Difficulty
 
-if TYPE_CHECKING:  # the command line imports this before it knows what to do
-    from scenegen.fly.course import Course, Flights, Recording
-    from scenegen.fly.loop import Flown
-    from scenegen.truth.difficulty import Difficulty
-
-FORGETFUL = "returns"
-"""The one that remembers nothing."""
-MAPPING = (FORGETFUL, "optimistic", "pessimistic", "extrude", "truth")
-"""Robots that map and plan; see `robot_maker`."""
-REACTIVE = "reactive"
-"""The one without a map."""
-NAMES = (*MAPPING, REACTIVE)
 RATIOS = ("score", "spl", "ratio", "speed_mps", "mean_clearance_m", "jerk_mps3", "step_s")
 """Figures of which the mean over flights is told."""
 COUNTS = ("late", "invalid", "speeding")
 """Those of which the sum is."""
 
 
-def robot_maker(name: str, weights: str | None) -> "Callable[[Course], Any]":
+def robot_maker(name: str, weights: str | None) -> Callable[[Course], Any]:
     """What makes the robot for a course: one of `NAMES`; one that maps and has the network called
     `weights` complete, from the last scan alone where its name is "returns"; or one's own, which
     runs in a process of its own."""
-    from scenegen.fly.pipe import own_robot
-    from scenegen.model.completion.unlearned import Conservative, Extrude, Returns
-    from scenegen.model.robots.mapping import MappingRobot, TruthRobot
-    from scenegen.model.robots.steering import ReactiveRobot
 
     if weights is not None:
         from scenegen.model.completion.completer import opened_once
@@ -67,19 +74,17 @@ def robot_maker(name: str, weights: str | None) -> "Callable[[Course], Any]":
     return known.get(name) or (lambda course: own_robot(name))
 
 
-def real_course(course: "Course", hidden: int | None) -> "Course":
+def real_course(course: Course, hidden: int | None) -> Course:
     """The course to fly: of a hidden track, the one that the number `hidden` draws."""
-    from scenegen.fly.suite import hidden_course
 
     return course if hidden is None else hidden_course(course, hidden)
 
 
 def fly_course(
-    course: "Course", *, robot: str, weights: str | None, hidden: int | None = None
-) -> "tuple[Course, Sequence[Flown]]":
+    course: Course, *, robot: str, weights: str | None, hidden: int | None = None
+) -> tuple[Course, Sequence[Flown]]:
     """All flights of a course, one after the other, by the same robot; with the course, which then
     has its world's hash. For `hidden` see `real_course`."""
-    from scenegen.fly.loop import fly as fly_mission
 
     real = real_course(course, hidden)
     made = robot_maker(robot, weights)(real)
@@ -91,23 +96,23 @@ def fly_course(
 
 
 def graded(
-    courses: "Sequence[Course]", hidden: int | None, execute: Executor, progress: Progress
-) -> "dict[Course, list[Difficulty]]":
+    courses: Sequence[Course], hidden: int | None, execute: Executor, progress: Progress
+) -> dict[Course, list[Difficulty]]:
     """How hard the missions of courses are."""
     total = sum(course.flights for course in courses)
     work = partial(_graded, hidden=hidden)
     return dict(_counted(execute, work, courses, progress, "grade", total))
 
 
-def _graded(course: "Course", *, hidden: int | None) -> "tuple[Course, list[Difficulty]]":
+def _graded(course: Course, *, hidden: int | None) -> tuple[Course, list[Difficulty]]:
     return course, real_course(course, hidden).graded()
 
 
-def check_begins(robot: str, course: "Course") -> None:
+def check_begins(robot: str, course: Course) -> None:
     """Raise ScenegenError where a robot of one's own ends before it is ready for its first flight,
     so that a word mistyped is not flown 1500 times."""
-    from scenegen.fly.loop import RobotError
-    from scenegen.fly.pipe import own_robot
+    if robot in NAMES:
+        return
 
     made = own_robot(robot)
     try:
@@ -119,9 +124,8 @@ def check_begins(robot: str, course: "Course") -> None:
         made.close()
 
 
-def summary(name: str, flown: "Sequence[Flown]") -> dict[str, Any]:
+def summary(name: str, flown: Sequence[Flown]) -> dict[str, Any]:
     """What is told of flights, together."""
-    import numpy as np
 
     ends = Counter(one.outcome for one in flown)
     row: dict[str, Any] = {"robot": name, "flights": len(flown)}
@@ -134,7 +138,7 @@ def summary(name: str, flown: "Sequence[Flown]") -> dict[str, Any]:
     return row | {part: sum(getattr(one, part) for one in flown) for part in COUNTS}
 
 
-Work = Callable[["Course"], tuple["Course", Sequence["Flown"]]]
+Work = Callable[[Course], tuple[Course, Sequence[Flown]]]
 """What flies a course."""
 SAVED_S = 20.0
 """How often the entry to a suite is written, seconds."""
@@ -143,14 +147,13 @@ NOTHING_KEPT = "stopped; no flight is kept"
 
 def network_digest(weights: str | None) -> str:
     """SHA-256 of a network's file; "" for none."""
-    from scenegen.files import sha256_of
     from scenegen.model.completion.completer import locate
 
     return "" if weights is None else sha256_of(locate(weights).read_bytes())
 
 
 def fly_courses(
-    courses: "Sequence[Course]",
+    courses: Sequence[Course],
     work: Work,
     name: str,
     suite: str | None,
@@ -160,11 +163,9 @@ def fly_courses(
     *,
     track: str = "",
     network: str = "",
-) -> "Flights":
+) -> Flights:
     """The flights through all courses, in their order. What `out` holds of a suite's entry is not
     flown again; the entry is written every `SAVED_S` seconds, and when the run is stopped."""
-    from scenegen.fly.course import Recording
-    from scenegen.fly.suite import is_whole, named
 
     entry = Recording(robot=name, suite=suite, track=track, network=network, courses=())
     keys = [named(course) for course in courses]
@@ -202,12 +203,10 @@ def fly_courses(
 
 
 def _kept(
-    out: Path | None, entry: "Recording", keys: "Sequence[Course]"
-) -> "dict[Course, tuple[Course, Sequence[Flown]]]":
+    out: Path | None, entry: Recording, keys: Sequence[Course]
+) -> dict[Course, tuple[Course, Sequence[Flown]]]:
     """The flights that `out` holds of an entry, by their courses' names. Raises ScenegenError where
     anything would be lost."""
-    from scenegen.fly.course import Recording
-    from scenegen.fly.suite import named, track_of
 
     if out is None or not out.exists():
         return {}
@@ -233,15 +232,13 @@ def _kept(
 
 
 def read_recording(
-    path: "Path", hidden: int | None, maps: "Path | None"
-) -> "tuple[Recording, dict[str, str]]":
+    path: Path, hidden: int | None, maps: Path | None
+) -> tuple[Recording, dict[str, str]]:
     """A recording to fly again, with its maps where they are; and what is to be told of an entry.
 
     Raises ScenegenError where `hidden` or `maps` are not those of the entry, or a course is not one
     of its suite's.
     """
-    from scenegen.fly.course import Recording
-    from scenegen.fly.suite import frozen_courses, named, part_of, track_name
 
     recording, track = Recording.read(path), track_name(hidden, maps)
     if recording.suite is None:
@@ -265,8 +262,8 @@ def read_recording(
 
 
 def flown_again(
-    recording: "Recording", hidden: int | None, execute: Executor, progress: Progress
-) -> "Flights":
+    recording: Recording, hidden: int | None, execute: Executor, progress: Progress
+) -> Flights:
     """The flights of a recording, flown again. Raises DatasetError where one is not as it was."""
     work, courses = partial(_replayed, hidden=hidden), recording.courses
     count = sum(len(flights) for _, flights in courses)
@@ -274,9 +271,8 @@ def flown_again(
     return [(course, found[course]) for course, _ in courses]
 
 
-def flown_anew(recording: "Recording", work: Work, execute: Executor, progress: Progress) -> str:
+def flown_anew(recording: Recording, work: Work, execute: Executor, progress: Progress) -> str:
     """How many flights of every sixteenth course a robot flies to the bit as they were recorded."""
-    from scenegen.fly.suite import QUICK, named
 
     some = recording.courses[::QUICK]
     before = {named(course): flights for course, flights in some}
@@ -303,10 +299,9 @@ def _counted(
 
 
 def _replayed(
-    recorded: "tuple[Course, Sequence[Flown]]", *, hidden: int | None
-) -> "tuple[Course, Sequence[Flown]]":
+    recorded: tuple[Course, Sequence[Flown]], *, hidden: int | None
+) -> tuple[Course, Sequence[Flown]]:
     """The recorded flights of a course, flown again: see `scenegen.fly.course.replay`."""
-    from scenegen.fly.course import replay
 
     course, flights = recorded
     return course, replay(real_course(course, hidden), flights)

@@ -23,8 +23,10 @@ from scenegen.files import Json
 from scenegen.model.config import TrainConfig
 from scenegen.model.evaluation import paper
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
+from scenegen.model.evaluation.report import figures
 from scenegen.model.evaluation.run import DatasetResult
-from scenegen.model.evaluation.statistics import Estimate, estimate, figure, holm
+from scenegen.model.evaluation.statistics import Estimate, estimate, holm
+from scenegen.model.study.runs import STUDY
 
 PATIENCE = TrainConfig().patience
 """Epochs without a lower validation loss after which the paper stops. What networks show that did
@@ -32,45 +34,14 @@ not train so long may be the other way round later: a claim is contradicted by t
 refuted."""
 LEVEL = 0.05
 """The probability that any verdict is decided where all differences are chance."""
-QUESTIONS = {
-    "Q1": "Does learning occupancy and TUDF jointly improve reconstruction over single-task "
-    "baselines?",
-    "Q2": "Does the better reconstruction benefit planning in unknown environments?",
-    "Q3": "Does a better reconstructed field give better trajectories?",
-}
-"""The paper's questions, in our words."""
 ROWS = {"TUDF": "tudf", "OCC": "occ", "Proposed": "proposed"}
 """The paper's methods and the study's."""
-ABOUT = {
-    "Q1": tuple(name for name, metric in METRICS.items() if metric.paper),
-    "Q2": ("success",),
-    "Q3": ("min_clearance", "avg_clearance", "length"),
-}
-"""The metrics by which a question is answered; other cells are judged, and answer none."""
-BESIDE = (
-    ("proposed-1", "proposed"),
-    ("proposed-1", "occ"),
-    ("proposed-1", "tudf"),
-    ("no-eikonal", "proposed"),
-    ("no-eikonal", "occ"),
-    ("columns", "occ"),
-    ("columns", "proposed"),
-    ("columns", "proposed-1"),
-)
-"""What is judged beside the paper's claims, by `BESIDE_BY`: the first before the second."""
-BESIDE_BY = ("rmse", "mae", "near_rmse", "near_mae", "iou", "f1", "success")
 ALL = METRICS | PLAN_METRICS
 
 
 def means(result: DatasetResult) -> dict[str, Json]:
     """Every metric of every row, {mean, std, low, high, n}."""
-    return {
-        name: {
-            metric: figure(row.values(metric), result.worlds_of(metric), one.scale)
-            for metric, one in ALL.items()
-        }
-        for name, row in result.methods.items()
-    }
+    return {name: figures(row, result, ALL) for name, row in result.methods.items()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,10 +56,9 @@ class Claim:
 
     @property
     def question(self) -> str | None:
-        """The question that it helps to answer: one of `QUESTIONS`, for claims that `proposed` is
-        best."""
-        asked = [question for question, metrics in ABOUT.items() if self.metric in metrics]
-        return asked[0] if asked and self.best == "proposed" else None
+        """The question that it helps to answer, for claims that `proposed` is best."""
+        asked = (name for name, one in STUDY["questions"].items() if self.metric in one["metrics"])
+        return next(asked, None) if self.best == "proposed" else None
 
 
 def claims() -> tuple[Claim, ...]:
@@ -96,10 +66,9 @@ def claims() -> tuple[Claim, ...]:
     better than the other."""
     return tuple(
         Claim(kind=kind, metric=metric, best=ROWS[best], other=ROWS[other])
-        for tables, metrics in ((paper.RECONSTRUCTION, METRICS), (paper.PLANNING, PLAN_METRICS))
+        for tables in (paper.RECONSTRUCTION, paper.PLANNING)
         for kind, rows in tables.items()
-        for metric, one in metrics.items()
-        if one.paper
+        for metric in next(iter(rows.values()))
         for losses in [{name: _loss(metric, row[metric][0]) for name, row in rows.items()}]
         for best, other in product(rows, rows)
         if losses[best] == min(losses.values()) < losses[other]
@@ -111,11 +80,12 @@ def asked(measured: Sequence[DatasetResult]) -> dict[str, list[Json]]:
     asks ``beside`` them; and ``paths``, those about paths again. The tables answer these by the
     paths that each method has, so that a method that has none in the tight trials has the better
     ones for it: here, on those trials where both of a pair have one."""
+    pairs, metrics = STUDY["beside"]["pairs"], STUDY["beside"]["metrics"]
     beside = [
         Claim(kind=kind, metric=metric, best=best, other=other)
-        for kind, (best, other), metric in product(paper.PLANNING, BESIDE, BESIDE_BY)
+        for kind, (best, other), metric in product(paper.PLANNING, pairs, metrics)
     ]
-    paths = [claim for claim in claims() if claim.metric in ABOUT["Q3"]]
+    paths = [claim for claim in claims() if claim.metric in STUDY["questions"]["Q3"]["metrics"]]
     parts = {"claims": claims(), "beside": beside, "paths": paths}
     return {
         part: [
@@ -256,10 +226,10 @@ def answers(found: Sequence[Json]) -> dict[str, Json]:
     """What `judged` claims, of all kinds, say to each question: how many are confirmed, refuted and
     undecided, and the verdict on which all of them agree, or else "undecided"."""
     answered = {}
-    for question, text in QUESTIONS.items():
+    for question, about in STUDY["questions"].items():
         said = Counter(claim["verdict"] for claim in found if claim["question"] == question)
         agreed = next(iter(said)) if len(said) == 1 else "undecided"
-        answered[question] = {"asks": text, "verdict": agreed, "claims": dict(said)}
+        answered[question] = {"asks": about["asks"], "verdict": agreed, "claims": dict(said)}
     return answered
 
 

@@ -1,13 +1,17 @@
 """How large a study is, and which networks it trains."""
 
+import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from lidarsim.parameters import Checked, number
 from scenegen.errors import DatasetError, printable
 from scenegen.limits import MOST_MAPS, MOST_SEED
 
+STUDY = tomllib.loads(Path(__file__).with_name("study.toml").read_text(encoding="utf-8"))
+"""What the study trains and asks: see the file."""
 KINDS = ("geometric", "pillar")
 """The kinds of worlds that every network is trained on."""
 TRIALS = 2000
@@ -23,30 +27,15 @@ class Run:
     asks: str
     """What it is for."""
     seed: int
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, Any]
     """What it has in place of other settings of `scenegen.train`."""
 
 
-METHODS: tuple[tuple[str, int, str, dict[str, Any]], ...] = (
-    ("occ", 3, "the paper's OCC-only", {"variant": "occ"}),
-    ("proposed", 3, "the paper's network, λ_occ 0.1", {}),
-    ("proposed-1", 3, "λ_occ 1: distances leave occupancy its share", {"occupancy": 1.0}),
-    ("tudf", 2, "the paper's TUDF-only", {"variant": "tudf"}),
-    ("no-eikonal", 2, "the paper's without the Eikonal term", {"eikonal": 0.0}),
-    (
-        "columns",
-        2,
-        "columns seen whole, free space",
-        {"variant": "columns", "inputs": ("observed", "free"), "occupancy": 1.0},
-    ),
-)
-"""Every method: its name, its number of training seeds, what it is for, and its settings. No
-ordering is claimed from one seed."""
 RUNS = tuple(
-    Run(name=f"{name}-s{seed}", asks=asks, seed=seed, settings=settings)
-    for seed in range(max(count for _, count, _, _ in METHODS))
-    for name, count, asks, settings in METHODS
-    if seed < count
+    Run(name=f"{name}-s{seed}", seed=seed, asks=method["asks"], settings=method["settings"])
+    for seed in range(max(method["seeds"] for method in STUDY["methods"].values()))
+    for name, method in STUDY["methods"].items()
+    if seed < method["seeds"]
 )
 
 

@@ -136,8 +136,6 @@ def _sure(about: Json) -> str:
     temperature = "" if held["temperature"] is None else f", temperature {held['temperature']:.3f}"
     return (
         f"`occupancy_probability` is as it was learned, {learned}; `probability`, bounds of "
-        f"distance and the risk of "
-        f"paths are calibrated, on {held['worlds']} worlds of validation{temperature}, down to a "
-        f"risk of "
-        f"{min(held['risks']):g}."
+        f"distance and the risk of paths are calibrated, on {held['worlds']} worlds of "
+        f"validation{temperature}, down to a risk of {min(held['risks']):g}."
     )

@@ -188,9 +188,8 @@ class Maps(Dataset):
             if len(self) and not (count and len(source)):
                 raise DatasetError(
                     f"{source.name}: of its {len(source)} samples, weight {short(str(share))} "
-                    f"would have {count} come "
-                    f"in a pass of {len(self)}, expected one at least of each dataset; give other "
-                    f"weights"
+                    f"would have {count} come in a pass of {len(self)}, expected one at least of "
+                    "each dataset; give other weights"
                 )
         return counts
 

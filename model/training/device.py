@@ -71,11 +71,9 @@ def resolve_precision(
 
 def autocast(device: torch.device, precision: torch.dtype) -> Any:
     """Where the network computes in `precision`."""
-    return (
-        nullcontext()
-        if precision == torch.float32
-        else torch.autocast(device.type, dtype=precision)
-    )
+    if precision == torch.float32:
+        return nullcontext()
+    return torch.autocast(device.type, dtype=precision)
 
 
 def device_name(device: torch.device) -> str:

@@ -324,8 +324,7 @@ def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device
         if not isinstance(value, Tensor) or value.ndim or name in {*METRICS, "largest", "gradient"}:
             raise TrainingError(
                 f"loss {objective}: {name} is {value!r:.60}; expected a scalar tensor, or a dict "
-                f"of "
-                "such under names that no metric has"
+                "of such under names that no metric has"
             )
     if config.choose not in (*terms, "last"):
         raise TrainingError(

@@ -265,9 +265,8 @@ def _set_state(
             weights[name] = value
             continue
         name, _, key = name.rpartition("/")
-        like = parameters[
-            name
-        ]  # a step count is a lone number; moments lie in memory as their weights do
+        # a step count is a lone number; moments lie in memory as their weights do
+        like = parameters[name]
         optimizer.state[like][key] = torch.empty_like(like).copy_(value) if value.ndim else value
     network.load_state_dict(weights)
 

@@ -2,7 +2,7 @@
 does not fit."""
 
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from contextlib import closing
 from functools import partial
 from pathlib import Path
@@ -29,6 +29,7 @@ from scenegen.dataset.trust import Entry, load
 from scenegen.display.look import spread
 from scenegen.errors import DatasetError, printable
 from scenegen.files import Json, write_whole
+from scenegen.run import Counted, unheard
 from scenegen.run.workers import run
 from scenegen.stores.cache import bytes_in
 
@@ -49,8 +50,8 @@ def inspect(
     most: int | None = MOST_MEASURED,
     keep: bool = False,
     workers: int = 1,
-    on_start: Callable[[int], None] = lambda samples: None,
-    on_done: Callable[[int], None] = lambda samples: None,
+    on_start: Counted = unheard,
+    on_done: Counted = unheard,
 ) -> Json:
     """Sums a dataset up.
 
@@ -75,16 +76,24 @@ def inspect(
     """
     dataset = Dataset(folder, partial=not keep)
     it = dataset.manifest
-    found: Json = {"kind": it.graded}
-    found |= {name: getattr(it, name) for name in ("seed", "complete", "digest", "rejected")}
-    fields, mapping = list(it.fields), it.parameters.get("mapping")
-    found |= {"fields": fields, "grid": it.parameters["grid"], "mapping": mapping}
+    found: Json = {
+        "kind": it.graded,
+        "seed": it.seed,
+        "complete": it.complete,
+        "digest": it.digest,
+        "rejected": it.rejected,
+        "fields": list(it.fields),
+        "grid": it.parameters["grid"],
+        "mapping": it.parameters.get("mapping"),
+    }
     if it.sources:
         differ = it.parameters.get("differ", ())
         named = [dict(zip(("lidar", "mapping", "noise"), one, strict=True)) for one in it.settings]
         found["sources"] = [
             {
-                **{"kind": one.graded, "seed": one.seed, "digest": one.digest},
+                "kind": one.graded,
+                "seed": one.seed,
+                "digest": one.digest,
                 **{name: str(part) for name, part in parts.items() if name in differ},
                 "taken": entry["taken"],
                 "samples": _counts(shard for shard in it.shards if it.home(shard) is one),
@@ -232,8 +241,9 @@ def scan_facts(path: Path) -> Json:
         found |= {
             "lower_m": returned.min(axis=0).tolist(),
             "upper_m": returned.max(axis=0).tolist(),
+            "mean_range_m": float(ranges.mean()),
+            "max_range_m": float(ranges.max()),
         }
-        found |= {"mean_range_m": float(ranges.mean()), "max_range_m": float(ranges.max())}
     return found
 
 

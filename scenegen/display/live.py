@@ -71,13 +71,18 @@ class Live(ThreadingHTTPServer):
             for dataset, splits in zip(datasets, self.splits, strict=True)
         ]
         self.page = live_page(counts, split=split, index=index, methods=methods).encode()
-        place = ipaddress.ip_address("127.0.0.1" if host == LOCAL else host)
+        try:
+            place = ipaddress.ip_address("127.0.0.1" if host == LOCAL else host)
+        except ValueError:
+            raise ScenegenError(
+                f"--host {host}: is no IP address; give one of this machine's, such as 127.0.0.1"
+            ) from None
         self.address_family = socket.AF_INET6 if place.version == 6 else socket.AF_INET
         self.on_loopback = place.is_loopback
         """Whether other machines cannot reach it."""
         try:
             super().__init__((str(place), port), _Handler)
-        except (OSError, OverflowError) as error:
+        except OSError as error:
             why = getattr(error, "strerror", None) or error
             raise ScenegenError(
                 f"{host}, port {port}: cannot be served on ({why}); give another --port, or 0 for "

@@ -28,8 +28,6 @@ class Route:
     """The path (n, 3); None where none was found."""
     told: str
     """What came of it, in a few words."""
-    fails: bool
-    """Whether no path was found, or one that meets an obstacle."""
     hit: Floats | None = None
     """The centre of the first voxel in which it does (3,)."""
 

@@ -148,4 +148,4 @@ def _route(path: Any) -> Route:
         raise DatasetError(f"path: an array {points.shape}; expected (n, 3), metres in the world")
     length = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
     told = f"{length:.2f} m"
-    return Route(start=points[0], goal=points[-1], points=points, told=told, fails=False)
+    return Route(start=points[0], goal=points[-1], points=points, told=told)

@@ -82,12 +82,10 @@ def draw_sample(
     return grid.finish()
 
 
-def draw_sheet(
-    looks: Sequence[Look], *, title: str, columns: int = 4, width: float | None = None
-) -> Figure:
+def draw_sheet(looks: Sequence[Look], *, title: str, width: float | None = None) -> Figure:
     """Draws many samples on one sheet: occupied voxels with the returns over them. Raises
     DatasetError as `draw_voxels`."""
-    columns = across(min(columns, len(looks)), width)
+    columns = across(min(4, len(looks)), width)
     grid = Grid(-(-len(looks) // columns), columns, title, MARKS, width=width)
     for panel, look in zip(grid.panels.flat, looks, strict=False):
         _with_returns(panel, look, VIEW, 0.6, look.name)

@@ -9,7 +9,7 @@ for LeRobot.
 from dataclasses import dataclass
 from typing import Literal
 
-from lidarsim.parameters import check, number
+from lidarsim.parameters import Checked, number
 
 SUITES = ("aerial-1",)
 """Courses that never change."""
@@ -20,7 +20,7 @@ PERIOD_S = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
-class Vehicle:
+class Vehicle(Checked):
     """The quadrotor: a ball that may touch nothing, and what bounds its motion."""
 
     radius_m: float = number(0.3, above=0, below=1)
@@ -40,12 +40,9 @@ class Vehicle:
     """Whether it moves as these bounds say, or as a quadrotor of MuJoCo's that tracks such a
     motion: with inertia, rotors' lag and drag, and bits that are those of one machine."""
 
-    def __post_init__(self) -> None:
-        check(self)
-
 
 @dataclass(frozen=True, kw_only=True)
-class Rules:
+class Rules(Checked):
     """Which starts and goals are drawn, and when a flight ends."""
 
     apart_m: float = number(15.0, above=0, most=1000)
@@ -58,6 +55,3 @@ class Rules:
     """A flight succeeds this near to its goal, metres."""
     patience: float = number(10.0, least=1, most=1000)
     """A flight ends after so many times the shortest way at full speed."""
-
-    def __post_init__(self) -> None:
-        check(self)

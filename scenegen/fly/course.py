@@ -4,20 +4,20 @@ processes; and a recording of flights through one, which are flown again from it
 import dataclasses
 import hashlib
 import json
-import math
 import platform
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim import AnalyticEngine, Pose, Sensor
 from lidarsim.noise.chain import Noise
+from lidarsim.parameters import check
 from lidarsim.sensors import RASTER
 from scenegen import __version__
 from scenegen.errors import DatasetError, GenerationError, printable
@@ -25,7 +25,7 @@ from scenegen.files import read_bounded
 from scenegen.fly import PERIOD_S, Rules, Vehicle
 from scenegen.fly.loop import ROBOTS_END, Flown, scored, unlike
 from scenegen.fly.missions import Mission, draw_missions, graded
-from scenegen.fly.simulation import Observation, Outcome, Simulation, bounded
+from scenegen.fly.simulation import Observation, Simulation, bounded
 from scenegen.limits import MOST_MANIFEST_BYTES
 from scenegen.logs import LogScan
 from scenegen.run.workers import processor
@@ -159,10 +159,18 @@ class Recording:
             about["world"] = Path(course.world).name if self.suite else course.world
             found.append({"course": about, "flights": rows})
         text = {
-            **{"format": FORMAT, "scenegen": __version__, "python": platform.python_version()},
-            **{"numpy": np.__version__, "machine": platform.platform(), "cpu": processor()},
-            **{"robot": self.robot, "network": self.network, "suite": self.suite},
-            **{"track": self.track, "complete": self.complete, "courses": found},
+            "format": FORMAT,
+            "scenegen": __version__,
+            "python": platform.python_version(),
+            "numpy": np.__version__,
+            "machine": platform.platform(),
+            "cpu": processor(),
+            "robot": self.robot,
+            "network": self.network,
+            "suite": self.suite,
+            "track": self.track,
+            "complete": self.complete,
+            "courses": found,
         }
         return (json.dumps(text) + "\n").encode()
 
@@ -193,16 +201,7 @@ def _flown(row: dict[str, Any]) -> Flown:
     """A flight of a recording. Raises ValueError for figures that cannot be."""
     commands = np.array(row["commands"], np.float32).reshape(-1, 4)
     flown = Flown(**row | {"commands": commands, "path": np.empty((0, 3))})
-    for part in dataclasses.fields(Flown):
-        value = getattr(flown, part.name)
-        if part.type in (float, int, str) and type(value) is not part.type:
-            raise ValueError(f"{part.name} = {value!a}, expected {part.type.__name__}")
-        if isinstance(value, float) and not math.isfinite(value):
-            raise ValueError(f"{part.name} = {value}, expected a finite number")
-    if flown.shortest_m <= 0:
-        raise ValueError(f"shortest_m = {flown.shortest_m}, expected more than 0")
-    if flown.outcome not in get_args(Outcome):
-        raise ValueError(f"outcome = {flown.outcome!a}, expected {', '.join(get_args(Outcome))}")
+    check(flown)
     if not -1e-6 < len(commands) * PERIOD_S - flown.time_s < PERIOD_S:
         raise ValueError(f"time_s = {flown.time_s} with {len(commands)} commands")
     return flown

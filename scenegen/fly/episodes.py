@@ -1,7 +1,7 @@
 """Recorded flights as episodes of a LeRobotDataset, for programs that learn from demonstrations."""
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from scenegen.files import whole_folder
 from scenegen.fly import EPISODES, PERIOD_S
 from scenegen.fly.course import Course, Recording, flown_again
 from scenegen.fly.loop import Flown
+from scenegen.run import Counted, unheard
 
 STATE = ("position", "quaternion", "velocity", "goal")
 """Parts of an observation that make `observation.state`, in order."""
@@ -22,9 +23,7 @@ NAMES = {
 """What the numbers of these are called."""
 
 
-def write_episodes(
-    recording: Recording, out: Path, on_flight: Callable[[int], None] = lambda count: None
-) -> dict[str, int]:
+def write_episodes(recording: Recording, out: Path, on_flight: Counted = unheard) -> dict[str, int]:
     """Fly recorded flights again and write each as an episode, by LeRobot's own library.
 
     A frame is a tenth of a second. All its values are float32, or bool:

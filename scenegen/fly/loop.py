@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.grid import Floats
+from lidarsim.parameters import number
 from scenegen.errors import ScenegenError
 from scenegen.fly import PERIOD_S
 from scenegen.fly.simulation import Observation, Outcome, Simulation, bounded
@@ -54,7 +55,7 @@ class Flown:
     """Time flown, seconds."""
     ratio: float
     """Length flown over that of the shortest way."""
-    shortest_m: float
+    shortest_m: float = number(above=0)
     """Length of the shortest way, metres."""
     flown_m: float
     """Length flown, metres."""
@@ -101,13 +102,8 @@ HOVER = np.zeros((1, 4), np.float32)
 def fly(simulation: Simulation, robot: Robot) -> Flown:
     """Let `robot` fly the mission. Whatever it does is counted, and raises nothing: without an
     action of its own, the vehicle flies the rest of the plan that it gave last, and then hovers."""
-    plan, commands, times, counts = (
-        HOVER,
-        list[NDArray[np.float32]](),
-        list[float](),
-        Counter[str](),
-    )
-    trouble = ""
+    commands, times = list[NDArray[np.float32]](), list[float]()
+    plan, counts, trouble = HOVER, Counter[str](), ""
     try:
         _asked(robot.reset, simulation.about())
         while simulation.outcome is None:

@@ -1,8 +1,10 @@
 """How the quadrotor moves: velocities are followed with bounded acceleration and jerk, with the
-same bits on every processor."""
+same bits on every processor; or a quadrotor with mass, rotors and drag, simulated by MuJoCo, tracks
+this motion."""
 
 import math
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,6 +12,7 @@ from lidarsim import Pose
 from lidarsim.elementary import sin_cos
 from lidarsim.grid import Floats
 from lidarsim.jit import kernel
+from lidarsim.pose import rotate
 from scenegen.fly import PERIOD_S, Vehicle
 from scenegen.worlds.flight import GRAVITY, leaning
 
@@ -92,3 +95,96 @@ def _advance(state, wanted, cosine, sine, bounds, states):
         x, y = x / length, y / length
         states[n, 0:3], states[n, 3:6], states[n, 6:9] = position, velocity, pull
         states[n, 9], states[n, 10] = x, y
+
+
+ARM_M, TORQUE_M = 0.12, 0.02
+"""A rotor's distance from the axes, and its torque by its thrust, metres."""
+MASS_KG, INERTIA = 1.0, (0.008, 0.008, 0.014)
+"""Of a vehicle half a metre wide; kg m²."""
+MOST_THRUST = 2.0
+"""All rotors' thrust at most, by the weight."""
+LAG_S = 0.03
+"""Time constant of a rotor, seconds."""
+SUBSTEPS = 2
+"""Steps of MuJoCo in one of the motion's."""
+STIFF, DAMPED = 6.0, 4.5
+"""What is answered to a lack of position and of velocity, 1/s² and 1/s."""
+TURN_STIFF, TURN_DAMPED = 200.0, 22.0
+"""The same of attitude and rate, 1/s² and 1/s."""
+SIGNS = np.array([[1, 1, 1], [1, -1, -1], [-1, -1, 1], [-1, 1, -1]])
+"""Of each rotor: its side along x and y, and the sense of its torque."""
+
+
+def _model() -> mujoco.MjModel:
+    sites = "".join(
+        f'<site name="r{n}" pos="{ARM_M * x} {ARM_M * y} 0"/>' for n, (x, y, _) in enumerate(SIGNS)
+    )
+    most = MOST_THRUST * MASS_KG * GRAVITY / len(SIGNS)
+    rotors = "".join(
+        f'<general site="r{n}" gear="0 0 1 0 0 {TORQUE_M * turn}" ctrlrange="0 {most}" '
+        f'ctrllimited="true" dyntype="filterexact" dynprm="{LAG_S}"/>'
+        for n, (_, _, turn) in enumerate(SIGNS)
+    )
+    return mujoco.MjModel.from_xml_string(
+        f'<mujoco><option timestep="{STEP_S / SUBSTEPS}" gravity="0 0 {-GRAVITY}" density="1.2" '
+        f'viscosity="1.8e-5"/><worldbody><body><freejoint/><inertial pos="0 0 0" mass="{MASS_KG}" '
+        f'diaginertia="{" ".join(map(str, INERTIA))}"/>{sites}</body></worldbody>'
+        f"<actuator>{rotors}</actuator></mujoco>"
+    )
+
+
+class Quadrotor:
+    """Flies behind a vehicle of the kinematic motion, by a geometric controller (Lee et al. 2010):
+    thrust for the acceleration that is wanted, torque for the attitude that this takes."""
+
+    most_pull = (MOST_THRUST + 1) * GRAVITY
+    """The most acceleration of thrust and weight, metres a second squared."""
+
+    def __init__(self, state: Floats, vehicle: Vehicle):
+        """At rest at a `state` (11,), and level."""
+        self._leads, self._vehicle = state, vehicle
+        self._model = _model()
+        self._data = mujoco.MjData(self._model)
+        level = Pose.facing(state[POSITION], state[HEADING])
+        self._data.qpos[:] = *level.position, *level.quaternion
+        self._data.act[:] = MASS_KG * GRAVITY / len(SIGNS)
+        # thrusts of the rotors, of the total and of the three torques
+        forces = np.column_stack([np.ones(4), SIGNS[:, 1], -SIGNS[:, 0], SIGNS[:, 2]])
+        self._mix = np.linalg.inv(forces.T * [[1], [ARM_M], [ARM_M], [TORQUE_M]])
+
+    @property
+    def pose(self) -> Pose:
+        """Of the body, now."""
+        return Pose(self._data.qpos[:3].copy(), self._data.qpos[3:].copy())
+
+    def advance(self, command: NDArray[np.float32]) -> Floats:
+        """The states (STEPS, 11) after each step of one period; see `advance`, whose states
+        it tracks. The acceleration is that of thrust and weight."""
+        leads = advance(self._leads, command, self._vehicle)
+        states = np.empty((STEPS, 11))
+        for lead, state in zip(leads, states, strict=True):
+            self._data.ctrl[:] = self._mix @ self._wanted(lead)
+            mujoco.mj_step(self._model, self._data, SUBSTEPS)
+            x, _, up = self._axes()
+            state[POSITION], state[VELOCITY] = self._data.qpos[:3], self._data.qvel[:3]
+            state[ACCELERATION] = up * (self._data.act.sum() / MASS_KG) - [0, 0, GRAVITY]
+            state[HEADING] = x[:2] / math.hypot(x[0], x[1])
+        self._leads = leads[-1]
+        return states
+
+    def _axes(self) -> Floats:
+        """Of the body in the world, a row each."""
+        return rotate(self._data.qpos[3:].copy(), np.eye(3))
+
+    def _wanted(self, lead: Floats) -> Floats:
+        """Thrust (N) and torques (N m) that lead to a state (11,)."""
+        pull = lead[ACCELERATION] + STIFF * (lead[POSITION] - self._data.qpos[:3])
+        pull += DAMPED * (lead[VELOCITY] - self._data.qvel[:3]) + [0, 0, GRAVITY]
+        axes, up = self._axes(), pull / np.linalg.norm(pull)
+        left = np.cross(up, [*lead[HEADING], 0.0])
+        left /= np.linalg.norm(left)
+        turned = axes @ np.column_stack([np.cross(left, up), left, up])
+        lack = 0.5 * (turned - turned.T)
+        error = np.array([lack[2, 1], lack[0, 2], lack[1, 0]])
+        torque = INERTIA * (TURN_STIFF * error - TURN_DAMPED * self._data.qvel[3:])
+        return np.array([MASS_KG * pull @ axes[2], *torque])

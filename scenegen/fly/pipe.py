@@ -147,8 +147,8 @@ class PipeRobot:
         return said
 
 
-def own_robot(name: str, **limits: Any) -> PipeRobot:
+def own_robot(name: str) -> PipeRobot:
     """One's own robot: ``module:Class``, served by this Python, or a command in quotes."""
     served = [sys.executable, "-m", "scenegen.fly.serve", name]
     command = shlex.split(name) if " " in name or "/" in name else served
-    return PipeRobot(command, **limits)
+    return PipeRobot(command)

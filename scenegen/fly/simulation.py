@@ -15,13 +15,13 @@ from lidarsim.noise.losses import Motion
 from lidarsim.pose import rotate
 from scenegen.draw import observed
 from scenegen.fly import PERIOD_S, Rules, Vehicle
-from scenegen.fly.dynamics import Quadrotor
 from scenegen.fly.missions import Mission
 from scenegen.fly.motion import (
     ACCELERATION,
     POSITION,
     STEP_S,
     VELOCITY,
+    Quadrotor,
     advance,
     most_pull,
     pose_of,
@@ -117,8 +117,7 @@ class Simulation:
         pose = self._body.pose if self._body else pose_of(self.state, self.vehicle)
         chain = self.noise
         if self._moving:
-            back = pose.quaternion * (1.0, -1.0, -1.0, -1.0)
-            forward, left, up = rotate(back, self.state[None, VELOCITY])[0].tolist()
+            forward, left, up = rotate(pose.back, self.state[None, VELOCITY])[0].tolist()
             turning = math.degrees(self._turning)
             pace: Any = Motion(
                 forward_mps=forward, left_mps=left, up_mps=up, yaw_rate_deg_s=turning

@@ -27,6 +27,7 @@ from scenegen.limits import MOST_PLACE_VOXELS
 from scenegen.logs import Fusing, LogScan
 from scenegen.logs.read import Log
 from scenegen.poses import between
+from scenegen.run import Counted, unheard
 from scenegen.truth.voxels import resample
 from scenegen.worlds.place import box_of, encode_map
 
@@ -59,9 +60,7 @@ class _Window:
     """Points that are left out: not finite, or nearer than `Fusing.least_m`."""
 
 
-def ingest(
-    log: Log, out: Path, how: Fusing, *, on_scan: Callable[[int], None] = lambda count: None
-) -> Counter[str]:
+def ingest(log: Log, out: Path, how: Fusing, *, on_scan: Counted = unheard) -> Counter[str]:
     """Write the maps of a log, ``place-000.npz`` and on, and its observations into a new folder
     `out`. Until all is there, it is called as `out` with ``.part`` behind: where a run was stopped
     or killed, or met a scan that cannot be read, the same call goes on from what it saved last, to
@@ -102,7 +101,7 @@ def ingest(
 class _Run:
     """A log that becomes maps in a folder, which holds what a run that goes on needs."""
 
-    def __init__(self, log: Log, how: Fusing, folder: Path, on_scan: Callable[[int], None]):
+    def __init__(self, log: Log, how: Fusing, folder: Path, on_scan: Counted):
         """Begins, or goes on from what was saved in `folder`. Raises DatasetError where that is not
         of this log."""
         self._log, self._how, self._folder, self._on_scan = log, how, folder, on_scan

@@ -1,6 +1,6 @@
 """Logs on disk: in the layout of KITTI's odometry benchmark, or as MCAP with ROS 2 messages."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import mujoco
@@ -18,6 +18,7 @@ from scenegen.display.exchange.recordings import (
 )
 from scenegen.files import check_free, make_way, whole, whole_folder
 from scenegen.logs import LogScan
+from scenegen.run import Counted, unheard
 
 FRAME, SENSOR = "map", "lidar"
 """ROS frames: the world's, and the sensor's."""
@@ -25,9 +26,7 @@ CALIBRATION = "".join(f"{name}: 1 0 0 0 0 1 0 0 0 0 1 0\n" for name in ("P0", "T
 """A KITTI calibration whose camera is the sensor: poses are the sensor's own."""
 
 
-def write_log(
-    out: Path, scans: Iterable[LogScan], on_scan: Callable[[int], None] = lambda count: None
-) -> dict[str, int]:
+def write_log(out: Path, scans: Iterable[LogScan], on_scan: Counted = unheard) -> dict[str, int]:
     """Write a log, whole or not at all: a file where `out` ends in .mcap, a folder otherwise.
 
     A folder holds ``velodyne/000000.bin`` (x, y, z, intensity as float32; intensity is 0 where none

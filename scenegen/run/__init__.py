@@ -18,6 +18,12 @@ Begun = Callable[[], None]
 """What is called once the work has begun."""
 Results = Generator[Any, None, None]
 """Results as they come."""
+Counted = Callable[[int], None]
+"""What is told how many samples there are, or that so many more are done."""
+
+
+def unheard(samples: int) -> None:
+    """Where nobody wants to be told."""
 
 
 class Executor(Protocol):

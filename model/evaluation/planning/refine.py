@@ -81,37 +81,32 @@ def _cell(at, voxel_m, count):
 
 
 @kernel
-def _cost(path, tudf, voxel_m, safety_m, weight):
+def _cost(path, tudf, voxel_m, safety_m, weight, slope):
     """J = sum |p[i+1] - 2 p[i] + p[i-1]|^2 + lambda_c sum max(0, d_s - D(p[i]))^2, m^2, over the
-    waypoints between the ends (the paper's section "Planning Evaluation"). D is `field_at`'s."""
+    waypoints between the ends (the paper's section "Planning Evaluation"). D is `field_at`'s.
+
+    Its gradient is written to `slope` (n, 3), metres; 0 at the ends. On a kink of the interpolated
+    field, it is that of one side.
+    """
     total = 0.0
-    for i in range(1, len(path) - 1):
-        for axis in range(3):
-            bend = path[i + 1, axis] - 2.0 * path[i, axis] + path[i - 1, axis]
-            total += bend * bend
-        lack = max(safety_m - field_at(tudf, path[i, 0], path[i, 1], path[i, 2], voxel_m)[0], 0.0)
-        total += weight * lack * lack
-    return total
-
-
-@kernel
-def _gradient(path, tudf, voxel_m, safety_m, weight, slope):
-    """Write the gradient of `_cost` to `slope` (n, 3), metres; 0 at the ends. On a kink of the
-    interpolated field, it is that of one side."""
     slope[:] = 0.0
     for i in range(1, len(path) - 1):
         for axis in range(3):
             bend = path[i + 1, axis] - 2.0 * path[i, axis] + path[i - 1, axis]
+            total += bend * bend
             slope[i - 1, axis] += 2.0 * bend
             slope[i, axis] -= 4.0 * bend
             slope[i + 1, axis] += 2.0 * bend
         value, by_x, by_y, by_z = field_at(tudf, path[i, 0], path[i, 1], path[i, 2], voxel_m)
-        push = -2.0 * weight * max(safety_m - value, 0.0)
+        lack = max(safety_m - value, 0.0)
+        total += weight * lack * lack
+        push = -2.0 * weight * lack
         slope[i, 0] += push * by_x
         slope[i, 1] += push * by_y
         slope[i, 2] += push * by_z
     slope[0] = 0.0
     slope[-1] = 0.0
+    return total
 
 
 @kernel
@@ -119,11 +114,10 @@ def _descend(path, tudf, voxel_m, safety_m, weight, iterations):
     """Projected gradient descent (Bertsekas 1976): a step t to p' must bring ARMIJO / t * |p' -
     p|^2 at least."""
     path = path.copy()
-    slope, trial = np.empty_like(path), path.copy()
-    here = _cost(path, tudf, voxel_m, safety_m, weight)
+    slope, ahead, trial = np.empty_like(path), np.empty_like(path), path.copy()
+    here = _cost(path, tudf, voxel_m, safety_m, weight, slope)
     step = FIRST_STEP * SHRINK
     for _ in range(iterations):
-        _gradient(path, tudf, voxel_m, safety_m, weight, slope)
         step /= SHRINK
         while True:
             moved = 0.0
@@ -136,12 +130,12 @@ def _descend(path, tudf, voxel_m, safety_m, weight, iterations):
                     moved += (trial[i, axis] - path[i, axis]) ** 2
             if moved == 0.0:
                 return path
-            there = _cost(trial, tudf, voxel_m, safety_m, weight)
+            there = _cost(trial, tudf, voxel_m, safety_m, weight, ahead)
             if there <= here - ARMIJO / step * moved:
                 break
             step *= SHRINK
             if step < SHORTEST_STEP:
                 return path
-        path, trial = trial, path
+        path, trial, slope, ahead = trial, path, ahead, slope
         here = there
     return path

@@ -3,7 +3,7 @@ where it was."""
 
 import dataclasses
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
@@ -14,7 +14,7 @@ from scenegen.dataset.read import Dataset, Rows, Split
 from scenegen.display.exchange import FORMATS, Choices
 from scenegen.errors import DatasetError, printable
 from scenegen.files import make_parent, remove_drafts, write_whole
-from scenegen.run import Executor
+from scenegen.run import Counted, Executor, unheard
 from scenegen.run.workers import Local
 from scenegen.sample import Sample
 
@@ -45,8 +45,8 @@ def convert(
     choices: Choices,
     splits: Sequence[str],
     execute: Executor | None = None,
-    on_start: Callable[[int], None] = lambda total: None,
-    on_sample: Callable[[int], None] = lambda count: None,
+    on_start: Counted = unheard,
+    on_sample: Counted = unheard,
 ) -> Converted:
     """Writes every sample of some splits in another format.
 

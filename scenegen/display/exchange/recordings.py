@@ -17,14 +17,6 @@ from scenegen.display.exchange.files import Together
 from scenegen.display.look import MASKS
 from scenegen.sample import Sample
 
-_RULE = "\n" + 80 * "=" + "\nMSG: "
-_TIME = f"{_RULE}builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
-_HEADER = f"{_RULE}std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n{_TIME}"
-_POSE = f"""
-{_RULE}geometry_msgs/Pose\ngeometry_msgs/Point position\ngeometry_msgs/Quaternion orientation
-{_RULE}geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z
-{_RULE}geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w
-"""
 CLOUD, POSE, VOXEL_GRID, TRANSFORMS = (
     "sensor_msgs/msg/PointCloud2",
     "geometry_msgs/msg/PoseStamped",
@@ -32,27 +24,11 @@ CLOUD, POSE, VOXEL_GRID, TRANSFORMS = (
     "tf2_msgs/msg/TFMessage",
 )
 DEFINITIONS = {
-    CLOUD: f"""std_msgs/Header header
-uint32 height\nuint32 width\nsensor_msgs/PointField[] fields\nbool is_bigendian
-uint32 point_step\nuint32 row_step\nuint8[] data\nbool is_dense
-{_RULE}sensor_msgs/PointField\nstring name\nuint32 offset\nuint8 datatype\nuint32 count
-{_HEADER}""",
-    POSE: f"std_msgs/Header header\ngeometry_msgs/Pose pose\n{_POSE}{_HEADER}",
-    VOXEL_GRID: f"""builtin_interfaces/Time timestamp\nstring frame_id\ngeometry_msgs/Pose pose
-uint32 row_count\nuint32 column_count\ngeometry_msgs/Vector3 cell_size
-uint32 slice_stride\nuint32 row_stride\nuint32 cell_stride
-foxglove_msgs/PackedElementField[] fields\nuint8[] data
-{_RULE}geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z
-{_RULE}foxglove_msgs/PackedElementField\nstring name\nuint32 offset\nuint8 type
-{_POSE}{_TIME}""",
-    TRANSFORMS: f"""geometry_msgs/TransformStamped[] transforms
-{_RULE}geometry_msgs/TransformStamped
-std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform
-{_RULE}geometry_msgs/Transform
-geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation
-{_RULE}geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z
-{_RULE}geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w
-{_HEADER}""",
+    name: Path(__file__)
+    .with_name("messages")
+    .joinpath(f"{name.rpartition('/')[2]}.msg")
+    .read_text()
+    for name in (CLOUD, POSE, VOXEL_GRID, TRANSFORMS)
 }
 """ROS's common interfaces and Foxglove's VoxelGrid, as far as they are used."""
 POINT_TYPES = ("", "i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")

@@ -126,7 +126,7 @@ def test_the_viewer_steps_through_datasets_and_splits_and_tells_what_is_damaged(
 
     def guesses(sample, samples):
         ends = sample.origin + np.array([[1.0, 1.0, 1.0], [3.0, 3.0, 2.0]])
-        route = Route(start=ends[0], goal=ends[1], points=ends, told="2.9 m", fails=False)
+        route = Route(start=ends[0], goal=ends[1], points=ends, told="2.9 m")
         return [Guess(name=HOSTILE, occupied=sample.observed, tudf=sample.tudf, route=route)]
 
     with served([dataset, made], index=2, guesses=guesses, methods=(HOSTILE,)) as server:

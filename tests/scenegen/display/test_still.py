@@ -199,7 +199,7 @@ def predicted(made):
     guess[-4:, :4, -4:] = True
     ends = look.origin + np.array([[0.5, 0.5, 0.5], [4.0, 4.0, 2.5]])
     paths = [
-        Route(start=ends[0], goal=ends[1], points=ends + shift, told="", fails=False)
+        Route(start=ends[0], goal=ends[1], points=ends + shift, told="")
         for shift in (0.0, [0, 0, 1])
     ]
     names = ("occ", "$own$")

@@ -21,10 +21,9 @@ from lidarsim.pose import rotate
 from scenegen.errors import DatasetError, GenerationError
 from scenegen.fly import Rules, Vehicle, suite
 from scenegen.fly.course import Course, Recording, replay
-from scenegen.fly.dynamics import Quadrotor
 from scenegen.fly.loop import fly, scored
 from scenegen.fly.missions import Mission, draw_missions
-from scenegen.fly.motion import STEP_S, advance, most_pull, pose_of
+from scenegen.fly.motion import STEP_S, Quadrotor, advance, most_pull, pose_of
 from scenegen.fly.pipe import PipeRobot
 from scenegen.fly.simulation import Simulation, bounded
 from scenegen.fly.suite import chosen_courses, courses_of, hidden_course, part_of, track_name

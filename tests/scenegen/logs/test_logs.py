@@ -16,7 +16,7 @@ import scenegen.logs.fuse
 from lidarsim import GridSpec, Lidar, Pose
 from lidarsim.pose import chained, rotate
 from scenegen.display.exchange.files import write_points
-from scenegen.display.exchange.recordings import _HEADER, _RULE, DEFINITIONS, TRANSFORMS
+from scenegen.display.exchange.recordings import DEFINITIONS, TRANSFORMS
 from scenegen.errors import DatasetError
 from scenegen.logs import Cruise, Fusing, LogScan
 from scenegen.logs.bags import LIVOX, ODOMETRY, Links
@@ -355,11 +355,13 @@ def named(names, values):
     return dict(zip(names, values, strict=True))
 
 
+RULE = f"\n{80 * '='}\nMSG: "
+HEADER = "".join(DEFINITIONS[TRANSFORMS].partition(f"{RULE}std_msgs/Header")[1:])
 CUSTOM = f"""std_msgs/Header header
 uint64 timebase\nuint32 point_num\nuint8 lidar_id\nuint8[3] rsvd\nCustomPoint[] points
-{_RULE}livox_ros_driver2/CustomPoint
+{RULE}livox_ros_driver2/CustomPoint
 uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line
-{_HEADER}"""
+{HEADER}"""
 """The definition of Livox's CustomMsg (github.com/Livox-SDK/livox_ros_driver2, msg)."""
 
 

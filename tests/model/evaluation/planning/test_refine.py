@@ -9,7 +9,7 @@ from scipy.interpolate import RegularGridInterpolator
 from lidarsim import GridSpec
 from scenegen.model.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import Lattice, plan_path
-from scenegen.model.evaluation.planning.refine import _cost, _gradient, refine
+from scenegen.model.evaluation.planning.refine import _cost, refine
 from scenegen.truth import distance_field
 from tests.model.test_losses import finite_differences
 
@@ -29,18 +29,17 @@ def reference_cost(path, tudf, grid, safety_m, weight):
     return float((bends**2).sum() + weight * (lack**2).sum())
 
 
+def cost_and_gradient(path, tudf, grid, config):
+    slope, settings = np.empty_like(path), (config.safety_m, config.clearance_weight)
+    return _cost(path, tudf.astype(np.float32), grid.voxel_m, *settings, slope), slope
+
+
 def cost(path, tudf, grid, config):
-    return _cost(
-        path, tudf.astype(np.float32), grid.voxel_m, config.safety_m, config.clearance_weight
-    )
+    return cost_and_gradient(path, tudf, grid, config)[0]
 
 
 def gradient(path, tudf, grid, config):
-    slope = np.empty_like(path)
-    _gradient(
-        path, tudf.astype(np.float32), grid.voxel_m, config.safety_m, config.clearance_weight, slope
-    )
-    return slope
+    return cost_and_gradient(path, tudf, grid, config)[1]
 
 
 def searched(rng, grid, density):
