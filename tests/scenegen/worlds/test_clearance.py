@@ -11,7 +11,6 @@ import pytest
 import trimesh
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from lidarsim.solids.model import solids_of
 from scenegen.worlds.clearance import CAP_M, Clearance
@@ -140,8 +139,7 @@ def torus(share=1.0):
 
 def hill():
     """A height field of 5 x 6 points over 2.4 x 3.6 m, as the prisms that it is."""
-    size = (1.2, 1.8, 1.5, 0.4)
-    prisms = reference.hfield_prisms(ELEVATION * 1.5, size, np.zeros(3), np.array([1.0, 0, 0, 0]))
+    prisms = reference.hfield_prisms(ELEVATION * HILL[2], HILL, np.zeros(3), [1, 0, 0, 0])
     return trimesh.util.concatenate([trimesh.convex.convex_hull(one) for one in prisms])
 
 
@@ -149,6 +147,7 @@ ELEVATION = (
     (np.random.default_rng(7).permutation(30).reshape(5, 6) / 29.0).astype(np.float32).astype(float)
 )
 """From 0 to 1, both reached, or else MuJoCo would stretch it."""
+HILL = (1.2, 1.8, 1.5, 0.4)
 BENT = {"ring": torus(), "half a ring": torus(0.5), "hill": hill()}
 FILLED = ("ring", "hill")
 
@@ -159,23 +158,14 @@ def bent_world(names, seed):
     rng = np.random.default_rng(seed)
     spec = mujoco.MjSpec()
     shapes = []
-    for n, name in enumerate(names):
-        at = {"pos": rng.uniform(BOUNDS[0] + 1.0, BOUNDS[1] - 1.0), "quat": rng.normal(size=4)}
+    for name in names:
+        at = rng.uniform(BOUNDS[0] + 1.0, BOUNDS[1] - 1.0), rng.normal(size=4)
         if name == "hill":
-            user = ELEVATION.ravel().tolist()
-            spec.add_hfield(name=f"{n}", nrow=5, ncol=6, size=[1.2, 1.8, 1.5, 0.4], userdata=user)
-            spec.worldbody.add_geom(type=Geom.mjGEOM_HFIELD, hfieldname=f"{n}", **at)
+            reference.add_hfield(spec, ELEVATION, HILL, *at)
         else:
-            mesh = spec.add_mesh(
-                name=f"{n}",
-                uservert=BENT[name].vertices.ravel(),
-                userface=BENT[name].faces.ravel().tolist(),
-            )
-            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-            spec.worldbody.add_geom(type=Geom.mjGEOM_MESH, meshname=f"{n}", **at)
+            reference.add_mesh(spec, BENT[name], *at)
         pose = np.eye(4)
-        pose[:3, :3] = Rotation.from_quat(at["quat"], scalar_first=True).as_matrix()
-        pose[:3, 3] = at["pos"]
+        pose[:3, 3], pose[:3, :3] = at[0], reference.rotation(at[1])
         shapes.append((BENT[name].copy().apply_transform(pose), name in FILLED))
     return Clearance(solids_of(spec.compile()), BOUNDS), shapes
 
