@@ -2,14 +2,46 @@
 
 import shutil
 import sys
+import time
 import types
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
+from scenegen.dataset.build import build
+from scenegen.dataset.read import Dataset
+from scenegen.draw import draw_unit
 from scenegen.share.stage import Request
+from scenegen.source import DrawnWorlds
+from tests.command_line import run
 from tests.scenegen.hub import TOKEN, Hub
+
+
+def drawn_unit(recipe, unit=0, *, seed=0, split="train"):
+    """A unit of the worlds that a recipe draws."""
+    return draw_unit(DrawnWorlds(recipe), recipe, seed=seed, split=split, unit=unit)
+
+
+def built(plan, **options):
+    """The dataset of a plan, made."""
+    build(plan, **options)
+    return Dataset(plan.folder)
+
+
+def done(capsys, *words):
+    """What a command prints; it must end well. See `run`."""
+    code, said, complaint = run(capsys, *words)
+    assert code == 0, complaint
+    return said
+
+
+def wait_for(condition, seconds=60):
+    """Wait until something holds."""
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "has waited too long"
+        time.sleep(0.05)
 
 
 @dataclass

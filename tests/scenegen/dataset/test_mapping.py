@@ -15,11 +15,10 @@ from scenegen.dataset import manifest
 from scenegen.dataset.build import build
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.rescan import plan_rescan, scan_again
-from scenegen.draw import UnitKey, draw_unit
+from scenegen.draw import UnitKey
 from scenegen.errors import DatasetError, GenerationError, RecipeError
 from scenegen.recipe import make_recipe, read_recipe
 from scenegen.share.regenerate import check_source, source_file
-from scenegen.source import DrawnWorlds
 from scenegen.truth import rasterize
 from scenegen.verification import verify
 from scenegen.worlds.flight import Route
@@ -27,6 +26,7 @@ from scenegen.worlds.labels import labels_by
 from scenegen.worlds.mapping import Mapper
 from tests.command_line import refused, rows, run
 from tests.conftest import COUNTS, dataset_in, small_recipe
+from tests.scenegen.conftest import built, done, drawn_unit
 from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
 
@@ -111,7 +111,7 @@ def test_such_a_dataset_passes_every_check_whoever_makes_it(tmp_path, mapping, c
 
 def test_noise_of_earlier_scans_is_their_own_and_that_of_the_last_stays():
     plain, faulty, alone = (
-        draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="val", unit=2).samples
+        drawn_unit(recipe, 2, split="val").samples
         for recipe in (
             recipe_with(**SEVERAL),
             recipe_with("range:0.05", **SEVERAL),
@@ -161,7 +161,7 @@ def test_labels_are_of_the_own_scan_and_the_digest_covers_all(tmp_path):
     recipe = recipe_with(**SEVERAL)
     labelled = dataclasses.replace(recipe, labels=labels_by("name", ()))
     unit, plain = (
-        draw_unit(DrawnWorlds(each), each, seed=0, split="train", unit=0).samples[1]
+        drawn_unit(each).samples[1]
         for each in (labelled, recipe)
     )
     assert_array_equal(unit.return_geom >= 0, np.isfinite(unit.ranges))
@@ -179,8 +179,7 @@ def test_a_map_that_lies_ahead_is_a_shifted_window_of_the_same_truth(heading, sh
     recipe = small_recipe(
         mapping={"map_ahead_m": (1.0, 0.4, -0.2)}, world={"density": (0.15, 0.15)}
     )
-    key = UnitKey(0, "train", 0)
-    unit = draw_unit(DrawnWorlds(recipe), recipe, **key._asdict())
+    key, unit = UnitKey(0, "train", 0), drawn_unit(recipe)
     pose = Pose.facing(unit.samples[0].position, heading)
     again = {"names": (0, 0), "engine": AnalyticEngine.of}
     (sample,) = scan_again(unit.world, [[pose]], recipe, key, **again).samples

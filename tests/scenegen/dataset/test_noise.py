@@ -17,16 +17,15 @@ from scenegen.dataset import manifest
 from scenegen.dataset.build import build
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.rescan import plan_rescan
-from scenegen.draw import draw_unit
 from scenegen.errors import DatasetError, GenerationError, PublishError, RecipeError
 from scenegen.recipe import preset, read_recipe
 from scenegen.share.regenerate import check_source, source_file
 from scenegen.share.stage import Request, examine, stage
-from scenegen.source import DrawnWorlds
 from scenegen.tables import named_lidar, named_noise
 from scenegen.verification import verify
 from tests.command_line import rows
 from tests.conftest import COUNTS, dataset_in, small_recipe
+from tests.scenegen.conftest import built, drawn_unit
 from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
 
@@ -193,7 +192,7 @@ def test_corrected_motion_is_refused_and_motion_that_bends_walls_is_not():
         recipe = dataclasses.replace(
             small_recipe(), lidar=BeamTable(rays=rays), noise=Noise.parse(noise)
         )
-        return draw_unit(DrawnWorlds(recipe), recipe, seed=1, split="train", unit=0).samples[0]
+        return drawn_unit(recipe, seed=1).samples[0]
 
     assert (drawn("dropout:0").ranges != drawn("motion:5").ranges).mean() > 0.3
     with pytest.raises(GenerationError, match="rays begin where the scan does"):

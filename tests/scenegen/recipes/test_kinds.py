@@ -8,7 +8,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 from lidarsim import GridSpec
-from scenegen.draw import draw_unit
 from scenegen.errors import RecipeError
 from scenegen.recipe import make_recipe, preset
 from scenegen.recipes import find_kind, kind_names
@@ -19,6 +18,7 @@ from scenegen.truth.difficulty import difficulty
 from scenegen.worlds.classes import CLASSES
 from scenegen.worlds.labels import class_names, labels_by
 from scenegen.worlds.world import compile_world, write_world
+from tests.scenegen.conftest import drawn_unit
 from tests.scenegen.recipes import Geom, draw
 
 KINDS = pytest.mark.parametrize("kind", [find_kind(name) for name in kind_names()])
@@ -42,7 +42,7 @@ version of the kind."""
 @pytest.mark.parametrize("name", kind_names())
 def test_a_world_of_a_preset_is_flown_through_and_is_the_one_that_its_version_promises(name):
     recipe = preset(name)
-    unit = draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="train", unit=0)
+    unit = drawn_unit(recipe)
     first = recipe.version, hashlib.sha256(unit.world.mjcf).hexdigest()[:12]
     assert FIRST.get(name) == first, "a new kind adds this to FIRST; an old one raises its version"
     for sample in unit.samples:
@@ -60,12 +60,11 @@ def test_easy_medium_and_hard_are_so(name, count):
     for level in ("easy", "medium", "hard"):
         recipe = preset(name, difficulty=level)
         assert (recipe.world == preset(name).world) == (level == "medium")
-        source, found = DrawnWorlds(recipe), []
-        for unit in range(count):
-            drawn = draw_unit(source, recipe, seed=0, split="val", unit=unit)
-            for one in drawn.samples:
-                hard = difficulty(one.occupancy, one.tudf, recipe.grid.voxel_m)
-                found.append(hard.visibility_m)
+        found = [
+            difficulty(one.occupancy, one.tudf, recipe.grid.voxel_m).visibility_m
+            for unit in range(count)
+            for one in drawn_unit(recipe, unit, split="val").samples
+        ]
         visible.append(np.nanmean(found))
     assert visible[0] > visible[1] > visible[2]
 

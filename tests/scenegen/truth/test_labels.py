@@ -14,16 +14,16 @@ from lidarsim.noise.chain import Noise
 from scenegen.dataset.build import build, plan_dataset
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.rescan import plan_rescan
-from scenegen.draw import draw_unit
 from scenegen.errors import GenerationError
 from scenegen.sample import GROUPS
 from scenegen.share.stage import Request, stage
-from scenegen.source import DrawnWorlds, read_scenes
+from scenegen.source import read_scenes
 from scenegen.truth import rasterize
 from scenegen.verification import verify
 from scenegen.worlds.labels import NONE, SHAPES, class_names, labels_by, owners
 from scenegen.worlds.world import compile_world
 from tests.conftest import COUNTS, plan_of, small_recipe
+from tests.scenegen.conftest import built, drawn_unit
 from tests.scenegen.truth.reference import Shape, at_least
 
 CUBE = " ".join(f"{x} {y} {z}" for x in (-0.5, 0.5) for y in (-0.4, 0.4) for z in (-0.3, 0.3))
@@ -86,7 +86,7 @@ def test_labels_add_fields_and_change_none_and_their_digest_covers_them():
     recipe = small_recipe()
     with_labels = dataclasses.replace(recipe, labels=labels_by("name", ()))
     plain, more = (
-        draw_unit(DrawnWorlds(it), it, seed=1, split="train", unit=0).samples[0]
+        drawn_unit(it, seed=1).samples[0]
         for it in (recipe, with_labels)
     )
     assert set(more.names) == set(plain.names) | set(GROUPS["labels"])
