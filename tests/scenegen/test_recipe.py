@@ -1,11 +1,11 @@
 """Recipes of any values either end in one line, or make a manifest that every reader takes."""
 
 import dataclasses
-import datetime
 import itertools
 import json
 import math
 import random
+import tomllib
 from collections import Counter
 from pathlib import Path
 
@@ -22,12 +22,12 @@ from scenegen.source import DrawnWorlds
 from scenegen.verification.files import read_contract
 from scenegen.verification.report import Ledger
 
-NASTY = (
-    0, 1, -1, 2.5, 1e-300, 1e-7, 1e9, 1e308, 10**30, 1 << 20_000, math.nan, math.inf, -math.inf,
-    True, False, None, "", "5", "\x1b[2J\n", [], [1], [1, 2], [2, 1], [8, 8, 8], [1e9, 1e9],
-    [math.nan, 1], [[1], 2], [1] * 999, {}, {"a": 1}, datetime.date(1979, 5, 27),
-    datetime.time(7, 32), datetime.datetime(1979, 5, 27)
-)  # fmt: skip
+NASTY = """nasty = [
+0, 1, -1, 2.5, 1e-300, 1e-7, 1e9, 1e308, 1000000000000000000000000000000, nan, inf, -inf, true,
+false, "", "5", "\\u001b[2J\\n", [], [1], [1, 2], [2, 1], [8, 8, 8], [1e9, 1e9], [nan, 1], [[1], 2],
+{}, {a = 1}, 1979-05-27, 07:32:00, 1979-05-27T00:00:00
+]"""
+NASTY = [*tomllib.loads(NASTY)["nasty"], None, 1 << 20_000, [1] * 999]
 """Values as TOML could give them, and worse."""
 
 

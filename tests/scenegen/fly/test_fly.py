@@ -1,6 +1,7 @@
 """The loop: motion within its bounds, exact collisions, bits, and robots that behave badly."""
 
 import hashlib
+import json
 import math
 import sys
 import time
@@ -30,6 +31,7 @@ from scenegen.fly.simulation import Simulation, bounded
 from scenegen.fly.suite import chosen_courses, courses_of, hidden_course, part_of, track_name
 from scenegen.worlds.place import encode_map
 from scenegen.worlds.world import compile_world
+from tests.command_line import rows
 
 VEHICLE = Vehicle()
 DIGEST = "3cd1afbdf9bc5a23758ff3686f50abbf63dc08240ea10b2ef25c1e3ece71af49"
@@ -186,20 +188,21 @@ def test_outcomes_and_scores():
     assert late.flown_m == 0.0
 
 
-@pytest.mark.parametrize(
-    ("said", "invalid", "speeding"),
-    [
-        ([math.nan, 0, 0, 0], 1, 0),
-        ([1, 0, 0], 1, 0),
-        ([[0, 0, 0, 0]] * 11, 1, 0),
-        ("fast", 1, 0),
-        ([3, 4, 0, 0], 0, 1),
-        ([0, 0, 0, 9], 0, 1),
-    ],
-)
+SAID = f"""
+[NaN, 0, 0, 0] → 1 → 0
+[1, 0, 0]      → 1 → 0
+"fast"         → 1 → 0
+[3, 4, 0, 0]   → 0 → 1
+[0, 0, 0, 9]   → 0 → 1
+[{"[0, 0, 0, 0], " * 10} [0, 0, 0, 0]] → 1 → 0
+"""
+"""How many commands are invalid, and how many too fast."""
+
+
+@pytest.mark.parametrize(("said", "invalid", "speeding"), rows(SAID))
 def test_what_a_robot_says_is_counted_and_bounded(said, invalid, speeding):
-    flown = flown_by(Scripted([said, None]))
-    assert (flown.invalid - 1, flown.speeding) == (invalid, speeding)
+    flown = flown_by(Scripted([json.loads(said), None]))
+    assert (flown.invalid - 1, flown.speeding) == (int(invalid), int(speeding))
     assert np.linalg.norm(flown.commands[:, :3], axis=1).max() <= VEHICLE.speed_mps
 
 
@@ -236,19 +239,19 @@ while line := raw.readline():
 """
 
 
-@pytest.mark.parametrize(
-    ("what", "outcome"),
-    [
-        ("hangs", "hung"),
-        ("dies", "crashed"),
-        ("kills", "crashed"),
-        ("eats", "crashed"),
-        ("floods", "flooded"),
-        ("says twice", "flooded"),
-        ("says NaN", "collision"),
-        ("babbles", "collision"),
-    ],
-)
+ENDS = """
+hangs      → hung
+dies       → crashed
+kills      → crashed
+eats       → crashed
+floods     → flooded
+says twice → flooded
+says NaN   → collision
+babbles    → collision
+"""
+
+
+@pytest.mark.parametrize(("what", "outcome"), rows(ENDS))
 def test_a_robot_of_its_own_is_cut_off_and_counted(what, outcome, tmp_path):
     file = tmp_path / "robot.py"
     file.write_text(ROBOT)

@@ -242,18 +242,18 @@ def test_a_mesh_is_the_world_that_it_was_made_of(tmp_path, suffix):
     )
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "said"),
-    [
-        ("a.glb", b"", "cannot be read as .glb"),
-        ("a.stl", b"solid\n" * 9, "a.stl"),
-        ("a.obj", b"v 0 0 0\n", "a.obj"),
-        ("a.obj", b"v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not finite"),
-        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "a.obj"),
-        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "a.obj"),
-    ],
-)
+NO_MESHES = """
+a.glb →                                              → cannot be read as .glb
+a.stl → solid; solid; solid; solid; solid; solid     → a.stl
+a.obj → v 0 0 0                                      → a.obj
+a.obj → v 0 0 nan; v 1 0 0; v 0 1 0; f 1 2 3         → not finite
+a.obj → v 0 0 0; v 1 0 0; v 0 1 0; f 1 2 9           → a.obj
+a.obj → v 0 0 0; v 1 0 0; v 2 0 0; f 1 2 3           → a.obj
+"""
+
+
+@pytest.mark.parametrize(("name", "content", "said"), rows(NO_MESHES))
 def test_what_is_no_mesh_ends_in_a_line(tmp_path, name, content, said):
-    (tmp_path / name).write_bytes(content)
+    (tmp_path / name).write_text(content.replace("; ", "\n"))
     with pytest.raises((SceneError, DatasetError), match=said):
         read_world(tmp_path / name)
