@@ -1,5 +1,6 @@
 """Laws of a unit's samples: what was seen is there, and what was drawn once is drawn again."""
 
+import json
 from collections import Counter
 
 import mujoco
@@ -14,6 +15,7 @@ from scenegen.recipe import preset
 from scenegen.sample import GROUPS
 from scenegen.truth import rasterize
 from scenegen.worlds.world import compile_world
+from tests.command_line import rows
 from tests.conftest import picky_recipe, small_recipe
 from tests.scenegen.conftest import drawn_unit
 
@@ -96,16 +98,18 @@ def test_rejected_worlds_and_viewpoints_are_counted_by_reason():
     assert rejected["few_occupied"] + rejected["few_returns"] > 0
 
 
-@pytest.mark.parametrize(
-    ("tables", "named"),
-    [
-        ({"world": {"density": (6.0, 6.0)}}, "world.density"),
-        ({"accept": {"min_solids": 1e6}}, "accept.min_solids"),
-        ({"accept": {"min_returned_share": 1.0}}, "accept.min_returned_share"),
-        ({"flight": {"viewpoints": 500}}, "flight.viewpoints"),
-    ],
-)
+IMPOSSIBLE = """
+{"world": {"density": [6, 6]}}           → world.density
+{"accept": {"min_solids": 1e6}}          → accept.min_solids
+{"accept": {"min_returned_share": 1}}    → accept.min_returned_share
+{"flight": {"viewpoints": 500}}          → flight.viewpoints
+"""
+
+
+@pytest.mark.parametrize(("tables", "named"), rows(IMPOSSIBLE))
 def test_impossible_parameters_end_and_are_named(tables, named):
-    recipe = small_recipe(**tables | {"accept": {"max_draws": 4} | tables.get("accept", {})})
+    tables = {"accept": {}} | json.loads(tables)
+    tables["accept"]["max_draws"] = 4
+    recipe = small_recipe(**tables)
     with pytest.raises(GenerationError, match=named):
         drawn_unit(recipe)

@@ -3,6 +3,7 @@ for another."""
 
 import errno
 import hashlib
+import json
 import multiprocessing
 import os
 import shutil
@@ -360,19 +361,19 @@ def test_a_run_that_drew_nothing_stands_in_nobodys_way(tmp_path):
     assert make(tmp_path / "d").samples_written == 0 < before.samples_written
 
 
-@pytest.mark.parametrize(
-    ("asked", "said"),
-    [
-        ({"counts": COUNTS | {"train": 10**9}}, "shards of 6; give 5001 or more"),
-        ({"counts": COUNTS | {"train": 10**30}}, "^--n 10+: expected a whole number from"),
-        ({"counts": COUNTS | {"val": 10**12}}, "^--val 10+: expected a whole number from"),
-        ({"seed": 10**40}, "^--seed 10+: expected a whole number from"),
-        ({"shard_samples": 10**12}, "^--shard-samples 10+: expected a whole number from"),
-    ],
-)
+BEYOND = """
+{"counts": {"train": 1000000000, "val": 3, "test": 4}} → shards of 6; give 5001 or more
+{"counts": {"train": 1000000000000000000000, "val": 3, "test": 4}} → ^--n 10+: expected a whole
+{"counts": {"train": 9, "val": 1000000000000, "test": 4}} → ^--val 10+: expected a whole number
+{"seed": 1000000000000000000000000000000}                 → ^--seed 10+: expected a whole number
+{"shard_samples": 1000000000000}                 → ^--shard-samples 10+: expected a whole number
+"""
+
+
+@pytest.mark.parametrize(("asked", "said"), rows(BEYOND))
 def test_numbers_beyond_those_that_readers_take_are_refused_at_once(tmp_path, asked, said):
     with pytest.raises(DatasetError, match=said):
-        plan(tmp_path / "d", **asked)
+        plan(tmp_path / "d", **json.loads(asked))
 
 
 def test_a_folder_that_is_no_dataset_is_left_alone(tmp_path):

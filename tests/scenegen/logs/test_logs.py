@@ -302,42 +302,34 @@ def test_a_killed_ingest_goes_on_to_the_same_bits(tmp_path, monkeypatch):
     assert contents(out) == contents(mended) == contents(whole)
 
 
-POSE = "1 0 0 0 0 1 0 0 0 0 1 0\n"
-FAR = "1 0 0 1e9 0 1 0 0 0 0 1 0\n"
-DAMAGE = {
-    "no poses": ("poses.txt", None, "--poses"),
-    "a pose too few": ("poses.txt", POSE * 4, "5 clouds and 4 poses"),
-    "a word": ("poses.txt", POSE * 2 + "one two\n", "line 3"),
-    "not a number": ("poses.txt", POSE * 2 + "nan " * 12, "line 3"),
-    "no rotation": ("poses.txt", POSE + "2 " * 12, "line 2: expected a rotation"),
-    "beyond the world": (
-        "poses.txt",
-        FAR * 5,
-        "subtract the first",
-    ),
-    "five columns": ("poses.txt", "1 2 3 4 5\n" * 5, "5 columns"),
-    "nothing": ("poses.txt", "", "no numbers"),
-    "a time too few": ("times.txt", "1\n2\n", "2 times"),
-    "a calibration": ("calib.txt", "Tr: 1 2\n", "12 numbers"),
-    "no clouds": ("velodyne", None, "no clouds"),
-    "no log": ("", None, "expected a recording"),
-}
+POSE = "1 0 0 0 0 1 0 0 0 0 1 0;"
+DAMAGE = f"""
+poses.txt → gone                                → --poses
+poses.txt → {POSE * 4}                          → 5 clouds and 4 poses
+poses.txt → {POSE * 2} one two                  → line 3
+poses.txt → {POSE * 2} {"nan " * 12}            → line 3
+poses.txt → {POSE} {"2 " * 12}                  → line 2: expected a rotation
+poses.txt → {"1 0 0 1e9 0 1 0 0 0 0 1 0;" * 5}  → subtract the first
+poses.txt → {"1 2 3 4 5;" * 5}                  → 5 columns
+poses.txt →                                     → no numbers
+times.txt → 1; 2                                → 2 times
+calib.txt → Tr: 1 2                             → 12 numbers
+velodyne  → gone                                → no clouds
+.         → gone                                → expected a recording
+"""
 """What stands in a file of a log, or that it is not there; and what is told."""
 
 
-@pytest.mark.parametrize("name", DAMAGE)
-def test_damaged_logs_end_in_one_line_and_leave_nothing(tmp_path, capsys, name):
-    file, content, expected = DAMAGE[name]
+@pytest.mark.parametrize(("file", "content", "expected"), rows(DAMAGE))
+def test_damaged_logs_end_in_one_line_and_leave_nothing(tmp_path, capsys, file, content, expected):
     written(tmp_path / "log")
     path = tmp_path / "log" / file
-    if content is not None:
-        path.write_text(content)
-    elif path.is_dir():
-        shutil.rmtree(path)
+    if content == "gone":
+        path.rename(tmp_path / "aside")
     else:
-        path.unlink()
+        path.write_text(content.replace(";", "\n"))
     assert expected in refused(capsys, f"ingest {tmp_path}/log -o {tmp_path}/out --quiet")
-    assert [path.name for path in tmp_path.iterdir() if path.name != "log"] == []
+    assert {path.name for path in tmp_path.iterdir()} <= {"log", "aside"}
 
 
 def test_a_log_without_a_finite_point_or_a_recording_without_data_makes_no_maps(tmp_path, capsys):

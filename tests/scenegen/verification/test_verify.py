@@ -85,10 +85,6 @@ def move_a_return(arrays):
     arrays["ranges"][row].ravel()[ray] -= 0.01
 
 
-def flip_rays(arrays):
-    arrays["ranges"] = np.ascontiguousarray(arrays["ranges"][:, :, ::-1])
-
-
 def nudge_tudf(arrays):
     arrays["tudf"][5, 0, 0, 0] = np.nextafter(arrays["tudf"][5, 0, 0, 0], np.float32(1))
 
@@ -123,11 +119,7 @@ def rename(arrays):
 
 
 def lengthen(arrays):
-    arrays["ranges"][0, 0, 0] = 10.5
-
-
-def not_a_number(arrays):
-    arrays["ranges"][0, 0, 0] = np.nan
+    arrays["ranges"][0, 0, :2] = 10.5, np.nan
 
 
 def stretch_the_attitude(arrays):
@@ -146,7 +138,6 @@ def change_everything_alike(arrays):
     [
         (roll, "voxels", "sample 1: observed is not what follows from ranges", False),
         (move_a_return, "rays", "sample 2: 1 of 192 rays differ", False),
-        (flip_rays, "rays", "rays differ", False),
         (nudge_tudf, "tudf", "sample 5: tudf is not what follows from occupancy: 1", False),
         (free_the_observed, "laws", "sample 3", False),
         (lose_free, "free", "sample 3: free is not what follows from ranges: 1", False),
@@ -155,8 +146,7 @@ def change_everything_alike(arrays):
         (move_the_grid, "centred", "sample 4: origin is 1e-09 m from position less half", True),
         (stretch_the_attitude, "centred", "sample 1: quaternion has length 1.001", True),
         (rename, "names", "sample 0: is world 0, viewpoint 1, expected (0, 0)", True),
-        (lengthen, "laws", "sample 0: 1 ranges are not from 0 to 10 m, or inf", True),
-        (not_a_number, "laws", "sample 0: 1 ranges are not from 0 to 10 m, or inf", True),
+        (lengthen, "laws", "sample 0: 2 ranges are not from 0 to 10 m, or inf", True),
     ],
 )
 def test_a_forger_who_rewrites_every_digest_is_caught_by_name(folder, change, check, said, quick):

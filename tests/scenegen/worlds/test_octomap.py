@@ -9,6 +9,7 @@ import pytest
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
 from scenegen.errors import SceneError
 from scenegen.worlds.octomap import parse_octomap
+from tests.command_line import rows
 
 HALF = 1 << 15
 
@@ -60,6 +61,13 @@ def test_a_map_is_read_as_it_was_written(suffix, corner):
 BT, OT = (
     written(np.full((3, 2, 1), OCCUPIED, np.uint8), (0, 0, 0), suffix) for suffix in (".bt", ".ot")
 )
+HEADS = """
+data   → date          → not an OctoMap
+id Oc  → id ColorOc    → ColorOcTree
+0.1    → -1            → a voxel of
+0.1    → nan           → a voxel of
+0.1    →               → a voxel of
+"""
 DEEP = BT[: BT.index(b"\ndata\n") + 6]
 
 
@@ -67,11 +75,7 @@ DEEP = BT[: BT.index(b"\ndata\n") + 6]
     ("content", "said"),
     [
         (b"", "not an OctoMap"),
-        (BT.replace(b"\ndata\n", b"\n"), "not an OctoMap"),
-        (BT.replace(b"id OcTree", b"id ColorOcTree"), "ColorOcTree"),
-        (BT.replace(b"res 0.1", b"res -1"), "a voxel of"),
-        (BT.replace(b"res 0.1", b"res nan"), "a voxel of"),
-        (BT.replace(b"res 0.1", b"res"), "a voxel of"),
+        *((BT.replace(old.encode(), new.encode()), said) for old, new, said in rows(HEADS)),
         (BT[:-1], "ends within its tree"),
         (OT[:-1], "ends within its tree"),
         (BT + b"\0", "goes on behind"),
