@@ -316,20 +316,6 @@ class Judged:
     verdict: NDArray[np.uint8]
     boundary: NDArray[np.bool_]
 
-    @property
-    def undecided(self):
-        return int((self.verdict == UNDECIDED).sum())
-
-
-def disagreements(answer, truth):
-    """The indices of the voxels at which an occupancy map contradicts the reference."""
-    if answer.shape != truth.verdict.shape or answer.dtype != np.bool_:
-        raise AssertionError(
-            f"not an occupancy map of {truth.verdict.shape}: {answer.dtype}{answer.shape}"
-        )
-    wrong = (answer & (truth.verdict == FREE)) | (~answer & (truth.verdict == OCCUPIED))
-    return np.argwhere(wrong)
-
 
 def _core(shape):
     """What the search takes of a primitive."""

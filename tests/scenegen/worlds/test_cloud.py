@@ -19,10 +19,11 @@ from scenegen.display.exchange.files import write_points
 from scenegen.display.exchange.glb import encode_world
 from scenegen.errors import DatasetError, SceneError
 from scenegen.source import read_world
-from scenegen.verification import verify
 from scenegen.worlds.cloud import Survey, map_clouds
 from scenegen.worlds.world import World
-from tests.command_line import refused, rows, run
+from tests.command_line import refused, rows
+from tests.scenegen.conftest import done
+from tests.scenegen.verification.conftest import failed
 from tests.scenegen.worlds.test_place import ORIGIN, RECIPE, VOXEL_M, hall
 
 TRUTH = VoxelMap(hall(), VOXEL_M, np.array(ORIGIN))
@@ -178,8 +179,7 @@ def test_a_dataset_of_a_cloud_passes_every_check(tmp_path):
         summary = build(plan_generation(None, 4, **given, tell=said.append), workers=1)
     assert summary.samples_written == 0
     assert f"{len(every)} points become voxels of 0.2 m" in said[0]
-    report = verify(tmp_path / "data")
-    assert report.ok, [check.detail for check in report.checks]
+    assert not failed(tmp_path / "data")
 
 
 NO_MAPS = """
@@ -211,14 +211,16 @@ def test_what_is_no_map_ends_in_a_line(standing, capsys, name, lines, options, s
 def test_the_command_says_what_it_made(scans, tmp_path, capsys):
     sensor, points = scans[0]
     write_points(tmp_path / "a.pcd", points, None, {"frame": "world", "position": sensor})
-    code, told, error = run(capsys, f"map {tmp_path}/a.pcd --voxel 0.5 -o {tmp_path}/b.npz --json")
-    assert code == 0, error
-    code, again, _ = run(capsys, f"inspect {tmp_path}/b.npz --json")
-    said, found = json.loads(told), json.loads(again)
+    said, found = (
+        json.loads(done(capsys, f"{words} --json"))
+        for words in (
+            f"map {tmp_path}/a.pcd --voxel 0.5 -o {tmp_path}/b.npz",
+            f"inspect {tmp_path}/b.npz",
+        )
+    )
     assert said["points"] == len(points)
-    assert {key: said[key] for key in ("shape", "free", "voxel_m")} == {
-        key: found[key] for key in ("shape", "free", "voxel_m")
-    }
+    for name in ("shape", "free", "voxel_m"):
+        assert said[name] == found[name]
 
 
 @pytest.mark.parametrize("suffix", [".glb", ".obj", ".stl"])

@@ -11,7 +11,6 @@ import torch.nn.functional as F  # noqa: N812 (its usual name)
 import scenegen
 from lidarsim import Lidar, Pose, cast
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
-from scenegen.dataset.build import build
 from scenegen.dataset.generation import plan_generation
 from scenegen.dataset.read import Dataset
 from scenegen.errors import SceneError
@@ -26,6 +25,7 @@ from scenegen.verification.rays import MapAuditor
 from scenegen.worlds.flight import Flight, fly
 from scenegen.worlds.place import parse_npz, read_place
 from tests.command_line import refused, run
+from tests.scenegen.conftest import built, done
 
 RECIPE = """
 kind = "scene"
@@ -73,8 +73,7 @@ def dataset(tmp_path_factory):
         "pos='9 0 3'/><geom type='box' size='9 1 3' pos='0 9 3'/></worldbody></mujoco>"
     )
     (folder / "recipe.toml").write_text(RECIPE)
-    build(planned(folder, folder / "data", shard_samples=10), workers=1)
-    return folder / "data"
+    return built(planned(folder, folder / "data", shard_samples=10), workers=1).folder
 
 
 def planned(folder, out, **more):
@@ -155,17 +154,13 @@ def test_samples_say_what_is_known(dataset):
 
 
 def test_the_same_bits_however_they_are_made(dataset, tmp_path):
-    plan = planned(dataset.parent, tmp_path / "again", shard_samples=5)
-    build(plan, workers=2)
-    digests = {scenegen.Dataset(folder).manifest.digest for folder in (dataset, plan.folder)}
-    assert len(digests) == 1
+    again = built(planned(dataset.parent, tmp_path / "again", shard_samples=5), workers=2)
+    assert again.manifest.digest == Dataset(dataset).manifest.digest
 
 
 def test_a_stream_mixes_maps_with_drawn_worlds(dataset):
     mixed = scenegen.stream([str(dataset.parent / "hall-0.npz"), "pillar"], seed=0, samples=10)
-    known = [sample.known for sample in mixed]
-    assert all(one is not None for one in known)
-    assert {bool(one.all()) for one in known if one is not None} == {True, False}
+    assert {bool(sample.known.all()) for sample in mixed} == {True, False}
 
 
 def test_of_a_map_more_flights_are_drawn_where_nobody_says_how_many(dataset, tmp_path):
@@ -180,8 +175,7 @@ def test_of_a_map_more_flights_are_drawn_where_nobody_says_how_many(dataset, tmp
 def test_bench_scores_what_is_known(dataset, tmp_path, capsys):
     out = tmp_path / "bench"
     words = f"bench {dataset} --quick --split train --workers 1 --method truth --method extrude"
-    code, said, error = run(capsys, f"{words} -o {out}")
-    assert code == 0, error
+    said = done(capsys, f"{words} -o {out}")
     report = json.loads((out / "report.json").read_text())
     assert report["planning"]["scene"]["truth"]["success"]["mean"] > 0.8
     assert report["reconstruction"]["scene"]["truth"]["iou"]["mean"] == 1.0
