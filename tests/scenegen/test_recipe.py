@@ -3,7 +3,6 @@
 import dataclasses
 import itertools
 import json
-import math
 import random
 import tomllib
 from collections import Counter

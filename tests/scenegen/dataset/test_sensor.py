@@ -22,7 +22,7 @@ from scenegen.share.regenerate import check_source, source_file
 from scenegen.verification import verify
 from tests.command_line import rows
 from tests.conftest import plan_of, small_recipe
-from tests.scenegen.conftest import built, drawn_unit
+from tests.scenegen.conftest import drawn_unit
 from tests.scenegen.verification import forge
 
 

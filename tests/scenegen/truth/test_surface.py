@@ -87,8 +87,7 @@ def test_every_return_lies_in_a_surface_voxel_and_scans_do_not_depend_on_truth()
     plain = preset("geometric")
     grid = dataclasses.replace(plain.grid, hollow=True)
     solid, surface = (
-        drawn_unit(recipe).samples
-        for recipe in (plain, dataclasses.replace(plain, grid=grid))
+        drawn_unit(recipe).samples for recipe in (plain, dataclasses.replace(plain, grid=grid))
     )
     for one, other in zip(solid, surface, strict=True):
         assert_array_equal(one.ranges, other.ranges)
