@@ -177,15 +177,12 @@ def test_a_robot_sees_nothing_that_its_sensor_does_not():
 def test_outcomes_and_scores():
     aside = world_of('<geom type="sphere" pos="4 5 2" size=".1"/>')
     done = fly(simulation(aside), Scripted(straight()))
-    assert done.outcome == "success"
-    assert done.score == pytest.approx(0.5)
-    assert done.spl == 1.0
+    assert (done.outcome, done.score, done.spl) == ("success", pytest.approx(0.5), 1.0)
     assert 4.0 < done.time_s < 5.0
     left = flown_by(Scripted(iter(lambda: [0, -2, 0, 0], None)))
     assert (left.outcome, left.score, left.spl) == ("left", 0.0, 0.0)
     late = flown_by(Scripted(iter(lambda: None, 0)))
-    assert (late.outcome, late.invalid) == ("timeout", len(late.commands))
-    assert late.flown_m == 0.0
+    assert (late.outcome, late.invalid, late.flown_m) == ("timeout", len(late.commands), 0.0)
 
 
 SAID = f"""

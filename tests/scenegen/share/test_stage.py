@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from scenegen.cli.generate import generate
-from scenegen.dataset import manifest
 from scenegen.dataset.build import build
 from scenegen.dataset.read import Dataset
 from scenegen.display.inspect import inspect
@@ -24,8 +23,10 @@ from scenegen.files import whole_folder
 from scenegen.recipe import read_recipe
 from scenegen.share import stage as folder_module
 from scenegen.share.stage import Request, stage
+from tests.command_line import rows
 from tests.conftest import COUNTS, contents, dataset_in, plan_of, small_recipe
 from tests.scenegen.display.test_page import Seen
+from tests.scenegen.verification.forge import edit_at
 
 CHECKS = (("files", "14 files hold"),)
 
@@ -141,20 +142,15 @@ def test_its_command_makes_the_same_dataset(out, made, tmp_path):
     assert build(plan).digest == Dataset(made).manifest.digest
 
 
-@pytest.mark.parametrize(
-    ("damage", "told"),
-    [
-        (
-            lambda it: it["recipe"]["world"].update(colour=1),
-            r"not make the same dataset again.*'colour'",
-        ),
-        (lambda it: it.pop("generator"), r"with generator 1, or.*generator is 1 there"),
-    ],
-)
-def test_what_would_not_be_made_again_is_not_published(dataset, asked, damage, told):
-    found = manifest.read(dataset)
-    damage(found)
-    manifest.write(dataset, found)
+UNMADE = """
+recipe.world.colour → 1 → not make the same dataset again.*'colour'
+generator           →   → with generator 1, or.*generator is 1 there
+"""
+
+
+@pytest.mark.parametrize(("path", "value", "told"), rows(UNMADE))
+def test_what_would_not_be_made_again_is_not_published(dataset, asked, path, value, told):
+    edit_at(dataset, path, value)
     with pytest.raises(PublishError, match=told):
         stage(asked, CHECKS)
     assert not asked.out.exists()
