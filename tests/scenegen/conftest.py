@@ -7,11 +7,13 @@ import types
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from scenegen.dataset.build import build
 from scenegen.dataset.read import Dataset
 from scenegen.draw import draw_unit
+from scenegen.sample import GROUPS
 from scenegen.share.stage import Request
 from scenegen.source import DrawnWorlds
 from tests.command_line import run
@@ -21,6 +23,12 @@ from tests.scenegen.hub import TOKEN, Hub
 def drawn_unit(recipe, unit=0, *, seed=0, split="train"):
     """A unit of the worlds that a recipe draws."""
     return draw_unit(DrawnWorlds(recipe), recipe, seed=seed, split=split, unit=unit)
+
+
+def same(one, other):
+    """Whether two samples have the same fields, bit for bit and of the same type."""
+    pairs = ((np.asarray(getattr(it, name)) for it in (one, other)) for name in GROUPS[""])
+    return all((a.dtype, a.shape, a.tobytes()) == (b.dtype, b.shape, b.tobytes()) for a, b in pairs)
 
 
 def built(plan, **options):
@@ -107,6 +115,15 @@ def hub(undrawn, tmp_path, monkeypatch):
     monkeypatch.setenv("HF_TOKEN", TOKEN)
     yield server
     server.close()
+
+
+@pytest.fixture
+def elsewhere(tmp_path, monkeypatch):
+    """A folder to stand in, in which nothing is left."""
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    yield
+    assert list((tmp_path / "elsewhere").iterdir()) == []
 
 
 @pytest.fixture

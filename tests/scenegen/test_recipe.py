@@ -57,14 +57,13 @@ def random_tables(chance, recipe):
         name = chance.choice(("world", "flight", "accept", "lidar", "grid"))
         part = getattr(recipe, name)
         parameter = chance.choice([item.name for item in dataclasses.fields(part)])
-        there = getattr(part, parameter)
-        scale = 10.0 ** chance.uniform(-6, 8)
-        scaled = [type(one)(one * scale) for one in there] if isinstance(there, tuple) else there
-        if isinstance(there, int | float) and not isinstance(there, bool):
-            scaled = type(there)(there * scale)
-        tables.setdefault(name, {})[parameter] = chance.choice(
-            (scaled, scaled, chance.choice(NASTY))
-        )
+        scaled, scale = getattr(part, parameter), 10.0 ** chance.uniform(-6, 8)
+        if isinstance(scaled, tuple):
+            scaled = [type(one)(one * scale) for one in scaled]
+        elif type(scaled) in (int, float):
+            scaled = type(scaled)(scaled * scale)
+        value = chance.choice((scaled, scaled, chance.choice(NASTY)))
+        tables.setdefault(name, {})[parameter] = value
     if chance.random() < 0.05:
         tables[chance.choice(("wrld", "\x1b[2J", "world", ""))] = chance.choice(NASTY)
     return tables

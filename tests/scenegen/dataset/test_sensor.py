@@ -14,7 +14,6 @@ from numpy.testing import assert_array_equal
 
 from lidarsim import BeamTable, Lidar
 from scenegen.dataset import manifest
-from scenegen.dataset.build import build
 from scenegen.dataset.parts import RAYS, read_sensor, sensor_entry, sensor_of, write_rays
 from scenegen.dataset.read import Dataset
 from scenegen.errors import BrokenError, DatasetError, PublishError
@@ -22,7 +21,7 @@ from scenegen.share.regenerate import check_source, source_file
 from scenegen.verification import verify
 from tests.command_line import rows
 from tests.conftest import plan_of, small_recipe
-from tests.scenegen.conftest import drawn_unit
+from tests.scenegen.conftest import built, drawn_unit
 from tests.scenegen.verification import forge
 
 
@@ -36,8 +35,7 @@ def table():
 
 def build_with(folder, lidar, engine="mujoco", *, force=False):
     recipe = dataclasses.replace(small_recipe(), lidar=lidar)
-    build(plan_of(folder, recipe, seed=5, engine=engine), force=force)
-    return Dataset(folder)
+    return built(plan_of(folder, recipe, seed=5, engine=engine), force=force)
 
 
 def test_the_table_of_a_rasters_rays_gives_the_rasters_samples_to_the_bit():

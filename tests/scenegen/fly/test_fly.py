@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal, assert_equal
 
 from lidarsim import AnalyticEngine, GridSpec, Lidar
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelMap
@@ -169,9 +169,7 @@ def test_a_robot_sees_nothing_that_its_sensor_does_not():
     ends = seen["ranges"][hit, None] * flying.sensor.directions_body[hit]
     assert np.allclose(seen["points"][hit], ends, atol=1e-5)
     assert hit.any()
-    for one, other in zip(*flights, strict=True):
-        assert one.keys() == other.keys()
-        assert all(np.array_equal(one[name], other[name]) for name in one)
+    assert_equal(*flights)
 
 
 def test_outcomes_and_scores():

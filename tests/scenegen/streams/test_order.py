@@ -16,7 +16,7 @@ from scenegen.streams.mixture import Component, Mixture
 from scenegen.streams.stream import Stream
 from tests.command_line import rows
 from tests.conftest import small_recipe
-from tests.scenegen.streams.test_stream import same
+from tests.scenegen.conftest import same
 
 VIEWPOINTS = (1, 2, 3, 5, 6)
 COMPONENTS = {

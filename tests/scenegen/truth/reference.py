@@ -36,14 +36,7 @@ FREE, EITHER, UNDECIDED, OCCUPIED = range(4)
 """Of a union's parts, the greatest verdict is the union's."""
 
 SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX, PLANE, HULL = range(7)
-KINDS = {
-    "sphere": SPHERE,
-    "capsule": CAPSULE,
-    "ellipsoid": ELLIPSOID,
-    "cylinder": CYLINDER,
-    "box": BOX,
-    "plane": PLANE,
-}
+KINDS = "sphere", "capsule", "ellipsoid", "cylinder", "box", "plane"
 
 Floats = NDArray[np.float64]
 jit = numba.njit(cache=True)
@@ -319,7 +312,7 @@ class Judged:
 
 def _core(shape):
     """What the search takes of a primitive."""
-    kind = KINDS[shape.kind]
+    kind = KINDS.index(shape.kind)
     margin = shape.size[0] if kind in (SPHERE, CAPSULE) else 0.0
     return kind, np.array([shape.size], float), margin
 

@@ -18,9 +18,8 @@ from scenegen.truth.occupancy import _fill_surface
 from scenegen.truth.triangles import inside_columns, triangle_touches
 from tests.conftest import quarter
 from tests.scenegen.truth import reference
-from tests.scenegen.truth.reference import EITHER, FREE, OCCUPIED, UNDECIDED, Shape, judge
+from tests.scenegen.truth.reference import EITHER, FREE, KINDS, OCCUPIED, UNDECIDED, Shape, judge
 
-KINDS = tuple(reference.KINDS)
 VOXELS = (0.1, 0.2, 0.25)
 
 THINNEST, THICKEST = 0.01, 5.0  # metres across

@@ -106,13 +106,17 @@ def surveyed(folder, scans, how):
     return map_clouds(files, VOXELS, poses=folder / "poses.txt").voxels
 
 
+def within(part, whole):
+    """The slices of a map that hold a part of it."""
+    corner = np.rint((part.origin - whole.origin) / VOXEL_M).astype(int)
+    assert_allclose(part.origin, whole.origin + corner * VOXEL_M, atol=1e-9)
+    return tuple(map(slice, corner, corner + part.states.shape))
+
+
 @pytest.mark.parametrize("how", ["fields", "viewpoint", "places", "tum", "kitti", ".las", ".laz"])
 def test_a_cloud_s_map_is_the_place_where_rays_went(scans, tmp_path, how):
     voxels = surveyed(tmp_path, scans, how)
-    corner = np.rint((voxels.origin - ORIGIN) / VOXEL_M).astype(int)
-    assert_allclose(voxels.origin, ORIGIN + corner * VOXEL_M, atol=1e-9)
-    there = tuple(slice(a, a + n) for a, n in zip(corner, voxels.states.shape, strict=True))
-    truth = TRUTH.states[there]
+    truth = TRUTH.states[within(voxels, TRUTH)]
     assert (truth[voxels.states == OCCUPIED] == OCCUPIED).all()
     # a ray may pass through less than 0.1 mm of what it does not see
     assert (truth[voxels.states == FREE] == OCCUPIED).mean() < 1e-3
@@ -138,17 +142,17 @@ def meets(sensor, points, low):
 
 def test_units_axes_and_offsets_change_no_voxel(scans, tmp_path):
     sensor, points = scans[0]
-    plain = map_clouds([write_ply(tmp_path / "a.ply", points)], VOXELS, sensor=sensor)
-    inches, stand = points[:, [0, 2, 1]] * (1, 1, -1) / 0.0254, sensor[[0, 2, 1]] * (1, 1, -1)
-    turned = map_clouds(
-        [write_ply(tmp_path / "b.ply", inches)],
-        Survey(voxel_m=VOXEL_M, unit_m=0.0254, up="y"),
-        sensor=stand / 0.0254,
+
+    def mapped(points, sensor, survey=VOXELS, **more):
+        return map_clouds([write_ply(tmp_path / "a.ply", points)], survey, sensor=sensor, **more)
+
+    plain, inches = mapped(points, sensor), Survey(voxel_m=VOXEL_M, unit_m=0.0254, up="y")
+    turned = mapped(
+        *(its[..., [0, 2, 1]] * (1, 1, -1) / 0.0254 for its in (points, sensor)), inches
     )
     away = np.array([652_000.0, 5_403_000.0, 0.0])
-    far = map_clouds([write_ply(tmp_path / "c.ply", points + away)], VOXELS, sensor=sensor + away)
-    low, high = points.min(axis=0), points.max(axis=0)
-    boxed = map_clouds([tmp_path / "a.ply"], VOXELS, sensor=sensor, box=(*(low + 2), *(high - 2)))
+    far = mapped(points + away, sensor + away)
+    boxed = mapped(points, sensor, box=(*(points.min(axis=0) + 2), *(points.max(axis=0) - 2)))
     assert plain.offset.tolist() == [0, 0, 0]
     for other in (turned, far):
         assert_array_equal(other.voxels.states, plain.voxels.states)
@@ -156,8 +160,7 @@ def test_units_axes_and_offsets_change_no_voxel(scans, tmp_path):
             other.voxels.origin + other.offset - plain.voxels.origin, away * other.offset.any()
         )
     assert 0 < boxed.points < plain.points == len(points)
-    corner = np.rint((boxed.voxels.origin - plain.voxels.origin) / VOXEL_M).astype(int)
-    part = tuple(slice(a, a + n) for a, n in zip(corner, boxed.voxels.states.shape, strict=True))
+    part = within(boxed.voxels, plain.voxels)
     assert_array_equal(boxed.voxels.states, plain.voxels.states[part])
 
 

@@ -24,7 +24,7 @@ from scenegen.verification import verify
 from scenegen.verification.rays import MapAuditor
 from scenegen.worlds.flight import Flight, fly
 from scenegen.worlds.place import parse_npz, read_place
-from tests.command_line import refused, run
+from tests.command_line import refused, rows, run
 from tests.scenegen.conftest import built, done
 
 RECIPE = """
@@ -215,28 +215,27 @@ def test_networks_learn_from_what_is_known(dataset, tmp_path):
     assert 0 <= row["val_iou"] <= 1
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [("--labels class", "has no solids"), ("--engine mujoco", "no engine but its own")],
-)
-def test_what_a_map_lacks_ends_in_a_line(dataset, tmp_path, capsys, options, said):
-    world = dataset.parent / "hall-0.npz"
-    assert said in refused(capsys, f"generate --scene {world} {options} -o {tmp_path}/no")
+def test_what_a_map_lacks_ends_in_a_line(dataset, tmp_path, capsys):
+    words = f"generate --scene {dataset.parent}/hall-0.npz -o {tmp_path}/no"
+    assert "has no solids" in refused(capsys, f"{words} --labels class")
+    assert "no engine but its own" in refused(capsys, f"{words} --engine mujoco")
     assert not (tmp_path / "no").exists()
 
 
-@pytest.mark.parametrize(
-    ("changed", "said"),
-    [
-        ({"states": np.full((4, 4, 4), 3, np.uint8)}, "0, 1 and 2"),
-        ({"states": np.ones((4, 4), np.uint8)}, "expected uint8 of 3 axes"),
-        ({"voxel_m": np.float64(0)}, "a voxel of 0 m"),
-        ({"origin": np.array([0.0, np.nan, 0.0])}, "three finite"),
-        ({"states": np.zeros((4, 4, 4), np.uint8)}, "nothing in it is free"),
-    ],
-)
-def test_a_damaged_npz_map_ends_in_a_line(tmp_path, changed, said):
-    path = write_map(tmp_path / "map.npz", **{"states": hall()} | changed)
+DAMAGED = """
+states  → [[[3]]]        → 0, 1 and 2
+states  → [[1]]          → expected uint8 of 3 axes
+voxel_m → 0              → a voxel of 0 m
+origin  → [0.0, NaN, 0]  → three finite
+states  → [[[0]]]        → nothing in it is free
+"""
+
+
+@pytest.mark.parametrize(("name", "value", "said"), rows(DAMAGED))
+def test_a_damaged_npz_map_ends_in_a_line(tmp_path, name, value, said):
+    kind = np.uint8 if name == "states" else np.float64
+    changed = {"states": hall(), name: np.array(json.loads(value), kind)}
+    path = write_map(tmp_path / "map.npz", **changed)
     with pytest.raises(SceneError, match=said) as raised:
         read_place(path)
     assert "map.npz" in str(raised.value)

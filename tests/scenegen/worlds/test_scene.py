@@ -37,11 +37,8 @@ ROBOT = """<mujoco><compiler meshdir="parts"/><asset>
 
 
 @pytest.fixture(autouse=True)
-def no_trace(tmp_path, monkeypatch, capfd):
+def no_trace(elsewhere, capfd):
     """Nothing is printed, nothing left in the working folder, no warning raised."""
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    monkeypatch.chdir(elsewhere)
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         warnings.filterwarnings(
@@ -50,7 +47,6 @@ def no_trace(tmp_path, monkeypatch, capfd):
         yield
     assert [str(warning.message) for warning in told] == []
     assert "".join(capfd.readouterr()) == ""
-    assert list(elsewhere.iterdir()) == []
 
 
 def write(folder, text, name="world.xml"):
