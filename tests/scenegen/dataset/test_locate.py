@@ -14,6 +14,7 @@ from scenegen.dataset.locate import locate
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, ScenegenError
 from scenegen.model.completion.completer import locate as locate_network
+from tests.scenegen.conftest import names
 from tests.scenegen.hub import TOKEN, Repository
 
 NAME = "hf://ada/small-pillars"
@@ -52,8 +53,8 @@ def test_what_was_published_is_read_back_by_revision(published, made, capfd):
     assert capfd.readouterr() == ("", "")  # a library does not print
     assert split.names == Dataset(made).split("test").names
     assert split[0].sha256() == Dataset(made).split("test")[0].sha256()
-    there = {path.name for path in split.dataset.folder.iterdir()}
-    assert there == {path.name for path in made.iterdir()}
+    there = names(split.dataset.folder)
+    assert there == names(made)
     for name, told in (
         (NAME, "not a scenegen dataset, it has no dataset.json"),
         (f"{NAME}@v9", "v9"),

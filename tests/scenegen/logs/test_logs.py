@@ -29,7 +29,7 @@ from scenegen.source import read_world
 from scenegen.worlds.place import read_place
 from tests.command_line import refused, rows
 from tests.conftest import contents
-from tests.scenegen.conftest import done
+from tests.scenegen.conftest import done, names
 
 # no face of a solid lies where voxels meet
 ROOM = """<mujoco><worldbody>
@@ -328,7 +328,7 @@ def test_damaged_logs_end_in_one_line_and_leave_nothing(tmp_path, capsys, file, 
     else:
         path.write_text(content.replace(";", "\n"))
     assert expected in refused(capsys, f"ingest {tmp_path}/log -o {tmp_path}/out --quiet")
-    assert {path.name for path in tmp_path.iterdir()} <= {"log", "aside"}
+    assert names(tmp_path) <= {"log", "aside"}
 
 
 def test_a_log_without_a_finite_point_or_a_recording_without_data_makes_no_maps(tmp_path, capsys):

@@ -26,28 +26,28 @@ from tests.scenegen.recipes import Geom, draw
 
 KINDS = pytest.mark.parametrize("kind", [find_kind(name) for name in kind_names()])
 SLABS = pytest.mark.parametrize("kind", [Pillar, Geometric, find_kind("clutter")])
-FIRST = {
-    "cave": (1, "ad9fc0a1c523"),
-    "clutter": (1, "4c7483af1d1f"),
-    "forest": (1, "21481d986a00"),
-    "geometric": (2, "ad60acea7e21"),
-    "industrial": (1, "bfdab9997ef6"),
-    "maze": (2, "9dd10403b24c"),
-    "pillar": (2, "5f2a09a7f6a7"),
-    "rooms": (2, "8e9801a3a4eb"),
-    "street": (1, "c19322e14dc3"),
-    "warehouse": (1, "fb3a9857dd4b"),
-}
-"""The first digits of the SHA-256 of the first world of every preset. Who changes one raises the
-version of the kind."""
+FIRST = """
+cave       → 1 → ad9fc0a1c523
+clutter    → 1 → 4c7483af1d1f
+forest     → 1 → 21481d986a00
+geometric  → 2 → ad60acea7e21
+industrial → 1 → bfdab9997ef6
+maze       → 2 → 9dd10403b24c
+pillar     → 2 → 5f2a09a7f6a7
+rooms      → 2 → 8e9801a3a4eb
+street     → 1 → c19322e14dc3
+warehouse  → 1 → fb3a9857dd4b
+"""
+"""The version of every kind, and the first digits of the SHA-256 of its preset's first world. Who
+changes one raises the version of the kind."""
 
 
 @pytest.mark.parametrize("name", kind_names())
 def test_a_world_of_a_preset_is_flown_through_and_is_the_one_that_its_version_promises(name):
     recipe = preset(name)
     unit = drawn_unit(recipe)
-    first = recipe.version, hashlib.sha256(unit.world.mjcf).hexdigest()[:12]
-    assert FIRST.get(name) == first, "a new kind adds this to FIRST; an old one raises its version"
+    first = name, str(recipe.version), hashlib.sha256(unit.world.mjcf).hexdigest()[:12]
+    assert first in rows(FIRST), "a new kind adds this to FIRST; an old one raises its version"
     for sample in unit.samples:
         returns = sample.points()
         cell = np.floor((returns - sample.origin) / recipe.grid.voxel_m).astype(int)

@@ -25,6 +25,7 @@ from scenegen.share import stage as folder_module
 from scenegen.share.stage import Request, stage
 from tests.command_line import rows
 from tests.conftest import COUNTS, contents, dataset_in, plan_of, small_recipe
+from tests.scenegen.conftest import names
 from tests.scenegen.display.test_page import Seen
 from tests.scenegen.verification.forge import edit_at
 
@@ -182,7 +183,7 @@ def test_the_same_request_gives_the_same_bytes_and_replaces_its_own_folder(asked
     stage(asked, CHECKS)
     assert contents(asked.out) == first
     assert date in croissant.read_text()
-    assert [path.name for path in asked.out.parent.iterdir()] == [asked.out.name]
+    assert names(asked.out.parent) == {asked.out.name}
 
 
 def test_a_folder_of_somebody_elses_is_let_be(asked, dataset):
@@ -241,4 +242,4 @@ def test_what_comes_into_the_folder_meanwhile_stays(asked):
     ):
         (asked.out / "notes.md").write_text("mine")
     assert (asked.out / "notes.md").read_text() == "mine"
-    assert [path.name for path in asked.out.parent.iterdir()] == [asked.out.name]
+    assert names(asked.out.parent) == {asked.out.name}

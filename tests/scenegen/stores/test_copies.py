@@ -15,6 +15,7 @@ from scenegen import load
 from scenegen.dataset import layout
 from scenegen.errors import DatasetError, StoreError
 from scenegen.stores import cache, copies, folder_of
+from tests.scenegen.conftest import names
 from tests.scenegen.stores.conftest import forget
 
 PLACE = "s3://lab/d"
@@ -121,7 +122,7 @@ def test_an_object_that_is_replaced_meanwhile_is_noticed(server):
             copy.pread(100, 200_000)
     with pytest.raises(StoreError, match=told):
         cache.fetch(folder / "a.h5")
-    assert [path.name for path in folder.iterdir()] == ["dataset.json"]
+    assert names(folder) == {"dataset.json"}
 
 
 def test_what_was_used_longest_ago_makes_room(server, monkeypatch):
@@ -131,7 +132,7 @@ def test_what_was_used_longest_ago_makes_room(server, monkeypatch):
         cache.fetch(folder / name)
         os.utime(folder / name, ns=(len(server.log) * 10**9, SIZE))
         assert (folder / name).read_bytes() == held[name]
-    assert {path.name for path in folder.iterdir()} == {"dataset.json", "a", "d"}
+    assert names(folder) == {"dataset.json", "a", "d"}
     monkeypatch.setenv(copies.ROOM, "much")
     monkeypatch.setattr(copies, "_left", 0)
     with pytest.raises(StoreError, match=f"{copies.ROOM}=much: expected gigabytes, such as 50"):

@@ -26,7 +26,7 @@ from scenegen.stores import ConflictError, StorePath, folder_of
 from scenegen.verification import verify
 from tests.command_line import rows, run
 from tests.conftest import COUNTS, DRAWN, contents, plan_of, small_recipe
-from tests.scenegen.conftest import done
+from tests.scenegen.conftest import done, names
 from tests.scenegen.stores.conftest import forget
 from tests.scenegen.stores.kept import ROOM, Kept
 
@@ -241,9 +241,9 @@ def test_force_replaces_another_dataset(store, made):
 def test_reading_copies_what_is_opened_once_and_verifies_it(there, made):
     split, here = load(NAME, split="train"), load(made, split="train")
     folder = split.dataset.folder
-    assert {path.name for path in folder.iterdir()} == {"dataset.json"}
+    assert names(folder) == {"dataset.json"}
     assert split[4].sha256() == here[4].sha256()
-    assert {path.name for path in folder.iterdir()} == {"dataset.json", "train-00001.h5"}
+    assert names(folder) == {"dataset.json", "train-00001.h5"}
     assert split.dataset.world("train", 1) == here.dataset.world("train", 1)
     assert locate(NAME) == folder
     shutil.rmtree(there)
@@ -268,7 +268,7 @@ def test_other_bytes_than_the_manifests_are_refused_and_not_kept(there):
     told = f"{NAME}/test-00000.h5: is not the file that the manifest lists"
     with pytest.raises(StoreError, match=told):
         split[0]
-    assert {path.name for path in split.dataset.folder.iterdir()} == {"dataset.json"}
+    assert names(split.dataset.folder) == {"dataset.json"}
     with pytest.raises(StoreError, match=told):
         locate(NAME, whole=True)
 
@@ -290,7 +290,7 @@ def test_copies_are_neither_taken_from_nor_put_where_others_may_write(
         with pytest.raises(StoreError, match=r"others may write to|another user") as refused:
             ask()
         assert str(wrong) in str(refused.value)
-    assert {path.name for path in folder.iterdir()} == {"dataset.json"}
+    assert names(folder) == {"dataset.json"}
 
 
 def test_a_copy_that_changed_is_fetched_again(there, made):
@@ -339,7 +339,7 @@ def test_commands_take_a_place_and_refuse_it_where_they_cannot(
         assert code in (1, 2)
         assert told in wrong
     assert objects(store) == contents(made)
-    assert {path.name for path in standing.iterdir()} <= {"store", "copies"}
+    assert names(standing) <= {"store", "copies"}
 
 
 def test_other_places_are_read_by_fsspec(made, tmp_path, monkeypatch):

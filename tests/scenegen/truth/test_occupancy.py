@@ -16,6 +16,7 @@ from lidarsim.solids.model import solids_of
 from scenegen.truth import rasterize
 from scenegen.truth.occupancy import _fill_surface
 from scenegen.truth.triangles import inside_columns, triangle_touches
+from tests.command_line import rows
 from tests.conftest import quarter
 from tests.scenegen.truth import reference
 from tests.scenegen.truth.reference import EITHER, FREE, KINDS, OCCUPIED, UNDECIDED, Shape, judge
@@ -380,18 +381,22 @@ def test_closed_meshes_are_filled_and_open_ones_are_their_surface(name, count):
     assert (solid_maps > 0) == (name in WATERTIGHT)
 
 
-@pytest.mark.parametrize(
-    ("scale", "order"),
-    [
-        *[((0.5, 1.3, 0.8), "whole"), ((1, -1, 1), "whole"), ((-0.7, -0.7, -0.7), "whole")],
-        *[((1, 1, 1), "apart"), ((1, 1, 1), "inward"), ((1, 1, 1), "mixed")],
-    ],
-)
+ORDERS = """
+0.5 1.3 0.8    → whole
+1 -1 1         → whole
+-0.7 -0.7 -0.7 → whole
+1 1 1          → apart
+1 1 1          → inward
+1 1 1          → mixed
+"""
+
+
+@pytest.mark.parametrize(("scale", "order"), rows(ORDERS))
 def test_a_watertight_mesh_is_filled_however_it_is_scaled_mirrored_and_listed(scale, order):
     """Vertices not shared between faces, or faces wound the wrong way round, enclose the same
     space."""
     mesh, at = ring(), (np.array([2.0, 2.1, 1.9]), np.array([0.3, 0.5, -0.2, 0.7]))
-    points, faces = mesh.vertices, mesh.faces
+    points, faces, scale = mesh.vertices, mesh.faces, np.array(scale.split(), float)
     triangles = mesh_triangles(listed(points * scale, faces), *at)
     surface = reference.judge_hulls(triangles, (20, 20, 20), 0.2, np.zeros(3))
     truth = reference.filled(surface, triangles, 0.2, np.zeros(3))

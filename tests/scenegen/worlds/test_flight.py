@@ -123,7 +123,7 @@ def test_a_divided_world_gives_up_after_its_iterations(iterations):
 
 
 CORNERS = "0 0 0, 0 0 2, 3 0 2, 3 4 2, 3 4 5, 3 4 3, 3 1 7, 3 1 8, -2 -4 8"
-PATH = np.array([corner.split() for corner in CORNERS.split(",")], dtype=float)
+PATH = np.loadtxt(CORNERS.split(","))
 """Climbs at once, turns left, climbs and sinks in between, turns back while climbing, climbs, and
 leaves to the south west."""
 HEADINGS = np.radians([0, 0, 90, 90, 90, -90, -90, -135])
