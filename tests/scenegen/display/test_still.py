@@ -204,10 +204,11 @@ def predicted(made):
     guess = truth.copy()
     guess[:, :, truth.shape[2] // 2 :] = False
     guess[-4:, :4, -4:] = True
-    ends, tudf = [*look.origin, [0.5, 0.5, 0.5], [4.0, 4.0, 2.5]], np.zeros(truth.shape, "f4")
+    ends = np.add(look.origin, [[0.5, 0.5, 0.5], [4.0, 4.0, 2.5]])
+    tudf = np.zeros(truth.shape, np.float32)
     route = Route(start=ends[0], goal=ends[1], points=ends, told="", fails=False)
     occ = Guess(name="occ", occupied=guess, tudf=tudf, route=route)
-    own = replace(occ, name="$own$", route=replace(route, points=[*ends, 0, 0, 1]))
+    own = replace(occ, name="$own$", route=replace(route, points=np.add(ends, [0, 0, 1])))
     return replace(look, guesses=(occ, own))
 
 

@@ -150,8 +150,8 @@ def test_a_scenes_materials_make_classes_and_their_archive_keeps_them(tmp_path):
     classes = list(dressed.manifest.labels["classes"])
     assert classes == ["nothing", *SHAPES, "oak", "steel"]
     assert verify(dressed.folder).ok
-    place = {name: number for number, name in enumerate(classes)}
-    wanted = np.array([place[name] for name in ("steel", "oak", "oak", "cylinder", "nothing")])
+    named = "steel", "oak", "oak", "cylinder", "nothing"
+    wanted = np.array([classes.index(name) for name in named])
     met = set()
     for n in range(counts["train"]):
         bare, material, group = (it.split("train")[n] for it in (plain, dressed, grouped))

@@ -242,7 +242,8 @@ def test_a_hair_off_upright_is_not_upright(kind, count):
     for tilt in (0, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2):
         for _ in range(count):
             about, yaw = rng.uniform(0, 2 * math.pi, 2)
-            lean = Rotation.from_rotvec([tilt * math.cos(about), tilt * math.sin(about), 0])
+            axis_of_lean = np.array([math.cos(about), math.sin(about), 0])
+            lean = Rotation.from_rotvec(tilt * axis_of_lean)
             turn = lean * Rotation.from_rotvec([0, 0, yaw])
             size = tuple(rng.uniform(5, 25, 3).tolist())
             shape = Shape(kind, size, quat=turn.as_quat(scalar_first=True))
@@ -251,7 +252,7 @@ def test_a_hair_off_upright_is_not_upright(kind, count):
                 outward = np.zeros(3)
                 outward[axis] = sign
                 if kind == "plane":
-                    reach = shape.rot @ np.array([20 * math.cos(about), 20 * math.sin(about), 0])
+                    reach = shape.rot @ (20 * axis_of_lean)
                 else:
                     reach = reference.support_point(shape, outward)
                 voxel = 0.2

@@ -37,13 +37,10 @@ def primitive_world(seed):
     spec = mujoco.MjSpec()
     names = ("SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER", "BOX")
     shapes = [getattr(Geom, f"mjGEOM_{name}") for name in names]
-    for n in range(30):
-        spec.worldbody.add_geom(
-            type=shapes[n % 5],
-            size=rng.uniform(0.1, 0.9, 3),
-            pos=rng.uniform(BOUNDS[0] - 1.2, BOUNDS[1] + 1.2),
-            quat=rng.normal(size=4),
-        )
+    for shape in shapes * 6:
+        size, quat = rng.uniform(0.1, 0.9, 3), rng.normal(size=4)
+        pos = rng.uniform(BOUNDS[0] - 1.2, BOUNDS[1] + 1.2)
+        spec.worldbody.add_geom(type=shape, size=size, pos=pos, quat=quat)
     spec.worldbody.add_geom(
         type=Geom.mjGEOM_PLANE, size=[0, 0, 1], pos=[0, 0, 0.2], quat=[1, 0.1, 0.1, 0]
     )
@@ -60,11 +57,9 @@ def distances_by_mujoco(model, data, points):
     1.5 m is inf."""
     probe, far_m = model.ngeom - 1, 1.5
     found = np.full(len(points), np.inf)
-    gaps = (
-        np.linalg.norm(points[:, None] - data.geom_xpos[:probe], axis=2) - model.geom_rbound[:probe]
-    )
-    gaps[:, model.geom_type[:probe] == Geom.mjGEOM_PLANE] = 0.0
-    for n, geom in np.argwhere(gaps < far_m):
+    gaps = np.linalg.norm(points[:, None] - data.geom_xpos, axis=2) - model.geom_rbound
+    gaps[:, model.geom_type == Geom.mjGEOM_PLANE] = 0.0
+    for n, geom in np.argwhere(gaps[:, :probe] < far_m):
         data.geom_xpos[probe] = points[n]
         apart = mujoco.mj_geomDistance(model, data, geom, probe, far_m, None)
         found[n] = min(found[n], max(apart + TINY_M, 0.0) if apart < far_m else np.inf)

@@ -13,7 +13,7 @@ from tests.scenegen.conftest import done
 Image = pytest.importorskip("PIL.Image", reason="Pillow is not installed")
 
 SHADES = np.random.default_rng(0).choice([0, 88, 90, 205, 206, 254], (7, 11)).astype(np.uint8)
-SHADES[0] = SHADES[:, 10] = 205  # nothing known: cut off
+SHADES[[0, 6]] = SHADES[:, [0, 10]] = 205  # nothing known: cut off
 YAML = """image: plan.pgm
 mode: trinary  # as Nav2 writes it
 resolution: 0.25
