@@ -12,6 +12,7 @@ import pytest
 
 from scenegen.dataset.build import build
 from scenegen.dataset.read import Dataset
+from scenegen.display.look import looks
 from scenegen.draw import draw_unit
 from scenegen.sample import GROUPS
 from scenegen.share.stage import Request
@@ -69,6 +70,13 @@ class Check:
 def dataset(made, tmp_path):
     """A copy of it, to change."""
     return Path(shutil.copytree(made, tmp_path / "data" / "pillar"))
+
+
+@pytest.fixture
+def look(made):
+    """What is shown of one of its samples."""
+    (shown,), _ = looks(Dataset(made), "train", [1])
+    return shown
 
 
 @pytest.fixture

@@ -25,7 +25,7 @@ from scenegen.display.colours import (
     path_colours,
 )
 from scenegen.display.figures import FIGURES
-from scenegen.display.look import Guess, Route, looks
+from scenegen.display.look import Guess, Route
 from scenegen.display.oblique import SHADES, VIEW, View, visible_faces
 from scenegen.display.panels import to_bytes
 from scenegen.display.pictures import CUT, draw_sample, draw_turn, see
@@ -126,9 +126,8 @@ def drawn(figure):
     return imread(io.BytesIO(to_bytes(figure, ".png")), format="png")[..., :3]
 
 
-def test_a_sample_becomes_a_picture_with_its_sensor(made, monkeypatch):
+def test_a_sample_becomes_a_picture_with_its_sensor(look, monkeypatch):
     monkeypatch.setattr("scenegen.display.panels.DPI", 60)
-    (look,), _ = looks(Dataset(made), "train", [1])
     less = replace(look, tudf=None, masks={"observed": look.masks["observed"]})
     image, poorer = drawn(draw_sample(look)), drawn(draw_sample(less))
     assert image.shape[1] == round(60 * 12.5875)
@@ -182,9 +181,8 @@ def test_a_flight_is_a_film_of_its_samples(made, tmp_path, capsys, monkeypatch):
         assert (film.format, film.n_frames) == ("GIF", worlds.count(worlds[1]))
 
 
-def test_a_turntable_turns_once_around(made, monkeypatch):
+def test_a_turntable_turns_once_around(look, monkeypatch):
     monkeypatch.setattr("scenegen.display.pictures.TURN_DPI", 40)
-    (look,), _ = looks(Dataset(made), "train", [1])
     with Image.open(io.BytesIO(draw_turn(look, title="small", frames=4))) as film:
         assert (film.format, film.n_frames, film.size) == ("WEBP", 4, (256, 192))
         shown = []
@@ -196,10 +194,9 @@ def test_a_turntable_turns_once_around(made, monkeypatch):
     assert min(differ[1:]) > 0.02
 
 
-def predicted(made):
+def predicted(look):
     """A sample of which the upper half is missed, and a block is invented, with a path through the
     map."""
-    (look,), _ = looks(Dataset(made), "train", [1])
     truth = look.masks["occupancy"]
     guess = truth.copy()
     guess[:, :, truth.shape[2] // 2 :] = False
@@ -213,10 +210,10 @@ def predicted(made):
 
 
 @pytest.mark.parametrize("name", list(FIGURES))
-def test_the_paper_s_figures_show_methods_errors_and_paths(made, name, monkeypatch):
+def test_the_paper_s_figures_show_methods_errors_and_paths(look, name, monkeypatch):
     monkeypatch.setattr("scenegen.display.panels.DPI", 60)
     monkeypatch.setattr("scenegen.display.colours.PALE", 1.0)  # errors in full, however near
-    look = predicted(made)
+    look = predicted(look)
 
     def page(shown):
         return drawn(FIGURES[name]([shown], title=""))[:-40, :-60]
