@@ -10,7 +10,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import Pose
 from lidarsim.engines.analytic import AnalyticEngine
-from lidarsim.noise.chain import Noise
 from scenegen.dataset import manifest
 from scenegen.dataset.build import build
 from scenegen.dataset.read import Dataset
@@ -36,9 +35,7 @@ SAME = ("occupancy", "tudf", "ranges", "position", "quaternion", "origin", "worl
 
 
 def recipe_with(noise="", **mapping):
-    return dataclasses.replace(
-        small_recipe(mapping=mapping), noise=Noise.parse(noise) if noise else Noise()
-    )
+    return small_recipe(mapping=mapping, noise={"stages": noise})
 
 
 def made_with(folder, recipe, *, compact=False, **options):

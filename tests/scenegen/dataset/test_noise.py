@@ -35,7 +35,7 @@ SPELLED = "range:sigma_m=0.02:share=0.0:quadratic_per_m=0.0,dropout:share=0.05"
 
 def made_with(folder, noise):
     """The dataset of `made`, with noise."""
-    recipe = dataclasses.replace(small_recipe(), noise=Noise.parse(noise))
+    recipe = small_recipe(noise={"stages": noise})
     return dataset_in(folder, recipe, seed=3, counts=COUNTS, shard_samples=5)
 
 

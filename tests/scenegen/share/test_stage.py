@@ -88,11 +88,16 @@ def test_datasets_reads_it_offline_by_its_splits(out, tmp_path, monkeypatch):
             assert np.array_equal(theirs[name], value.astype(theirs[name].dtype)), name
 
 
-def test_croissant_is_valid_and_describes_what_is_there(out, made):
+def croissant_issues(out):
+    """What Croissant's own library has against the description."""
     import mlcroissant
 
     issues = mlcroissant.Dataset(str(out / "croissant.json")).metadata.ctx.issues
-    assert (issues.errors, issues.warnings) == (set(), set())
+    return issues.errors | issues.warnings
+
+
+def test_croissant_is_valid_and_describes_what_is_there(out, made):
+    assert not croissant_issues(out)
     plain = json.loads((out / "croissant.json").read_text())
     assert plain["conformsTo"][0] == "http://mlcommons.org/croissant/1.1"
     about = "dataCollection dataBiases dataLimitations dataUseCases personalSensitiveInformation"
@@ -158,8 +163,6 @@ def test_what_would_not_be_made_again_is_not_published(dataset, asked, path, val
 
 
 def test_compact_datasets_and_absent_splits_publish_as_well(undrawn, tmp_path):
-    import mlcroissant
-
     recipe, made, out = small_recipe("geometric"), tmp_path / "made", tmp_path / "out"
     dataset_in(made, recipe, counts={"train": 4, "val": 0, "test": 1}, compact=True)
     stage(Request(dataset=made, repository="ada/g", out=out, licence="cc0-1.0"), CHECKS)
@@ -168,8 +171,7 @@ def test_compact_datasets_and_absent_splits_publish_as_well(undrawn, tmp_path):
     assert "split: val" not in card
     assert "`free` and `tudf` follow from these" in card
     assert "license: cc0-1.0" in card
-    issues = mlcroissant.Dataset(str(out / "croissant.json")).metadata.ctx.issues
-    assert (issues.errors, issues.warnings) == (set(), set())
+    assert not croissant_issues(out)
     assert Dataset(out).split("test")[0].tudf.shape == recipe.grid.shape
 
 
