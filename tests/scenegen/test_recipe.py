@@ -100,10 +100,11 @@ def test_a_recipe_of_any_values_ends_in_one_line_or_makes_a_manifest_that_reader
 @pytest.mark.parametrize("kind", [*kind_names(), "scene"])
 def test_every_preset_keeps_its_own_rules_and_reads_back(kind):
     recipe = preset(kind)
-    parts = [
-        name for name in ("flight", "accept", "lidar", "grid", "world") if getattr(recipe, name)
-    ]
-    plain = {name: dataclasses.asdict(getattr(recipe, name)) for name in parts}
+    plain = {
+        name: dataclasses.asdict(part)
+        for name in ("flight", "accept", "lidar", "grid", "world")
+        if (part := getattr(recipe, name))
+    }
     assert make_recipe(kind, json.loads(json.dumps(plain)), where="test") == recipe
 
 

@@ -25,6 +25,9 @@ SCENE = """
 """
 
 
+MODEL = "geom_pos geom_quat geom_size mesh_vert mesh_face hfield_data"
+
+
 @pytest.fixture
 def files(tmp_path):
     """A world with a mesh and a height field, as `Dataset.world` gives it."""
@@ -46,11 +49,7 @@ def test_its_files_go_into_a_folder_of_their_own_and_it_compiles_to_the_same(fil
     assets = {name: content for name, content in files.items() if name != DOCUMENT}
     archived = mujoco.MjModel.from_xml_string(files[DOCUMENT].decode(), assets)
     taken = mujoco.MjModel.from_xml_path(str(output))
-    geoms, others = (
-        ("geom_pos", "geom_quat", "geom_size"),
-        ("mesh_vert", "mesh_face", "hfield_data"),
-    )
-    for name in (*geoms, *others):
+    for name in MODEL.split():
         assert_array_equal(getattr(archived, name), getattr(taken, name), strict=True)
 
 

@@ -14,6 +14,7 @@ from scenegen.dataset.locate import locate
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, ScenegenError
 from scenegen.model.completion.completer import locate as locate_network
+from tests.conftest import contents
 from tests.scenegen.conftest import names
 from tests.scenegen.hub import TOKEN, Repository
 
@@ -43,7 +44,7 @@ def test_a_name_that_cannot_be_is_refused(name):
 def published(hub, made):
     """A repository of the dataset, as it was tagged; emptied since."""
     hub.repositories["ada/small-pillars"] = found = Repository()
-    found.tags["v1"] = found.commit({path.name: path.read_bytes() for path in made.iterdir()})
+    found.tags["v1"] = found.commit(contents(made))
     found.commit({"README.md": b"emptied since"})
     return found
 
