@@ -51,7 +51,7 @@ def plan(folder):
 
 
 def test_a_cluster_makes_the_same_dataset_though_a_node_dies(connected, tmp_path):
-    here = build(plan(tmp_path / "here"))
+    build(plan(tmp_path / "here"))
     killed = []
 
     def kill_one(report, fresh):
@@ -59,9 +59,8 @@ def test_a_cluster_makes_the_same_dataset_though_a_node_dies(connected, tmp_path
             killed.append(connected.nodes.pop())
             connected.remove_node(killed[0], allow_graceful=False)
 
-    there = build(plan(tmp_path / "there"), execute=executor("ray", 1), on_shard=kill_one)
+    build(plan(tmp_path / "there"), execute=executor("ray", 1), on_shard=kill_one)
     assert killed
-    assert there.digest == here.digest
     assert contents(tmp_path / "there") == contents(tmp_path / "here")
     assert ray.is_initialized(), "what was there before is left"
 

@@ -56,8 +56,8 @@ def here(slurm, tmp_path, monkeypatch):
 def test_a_job_array_makes_the_same_dataset(here):
     seen = []
     how = {"execute": executor("slurm", 2), "on_shard": lambda report, fresh: seen.append(fresh)}
-    there = build(plan(here / "there"), **how)
-    assert there.digest == build(plan(here / "here")).digest
+    build(plan(here / "there"), **how)
+    build(plan(here / "here"))
     assert seen == [True] * 10
     assert contents(here / "there") == contents(here / "here")
     assert not list(here.glob("scenegen-slurm-*")), "nothing is left"
