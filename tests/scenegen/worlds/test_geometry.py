@@ -36,7 +36,9 @@ OTHERS = f"""
 <geom {A}/>
 <geom {A}/> <geom {B}/> <geom {B}/>
 <geom {A.replace("1 2 3", "1 2 3.0001", 1)}/> <geom {B}/>
-<geom {A.replace("1 2 3", "1 2 3.0001")}/> <geom {B}/>
+<geom {A.replace(PLACE, 'pos="1 2 3.001"')}/> <geom {B}/>
+<geom {A}/> <geom {B.replace("1 2", "1.001 2")}/>
+<geom {A}/> <geom {B.replace("1 2", "1 2.001")}/>
 <geom {A}/> <geom {B.replace("cylinder", "capsule")}/>
 <geom {A.replace("0.8 0.6", "0.6 0.8")}/> <geom {B}/>
 <geom {A.replace("0.8 0.6", "0.8 -0.6")}/> <geom {B}/>
