@@ -2,14 +2,60 @@
 
 import shutil
 import sys
+import time
 import types
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from scenegen.dataset.build import build
+from scenegen.dataset.read import Dataset
+from scenegen.display.look import looks
+from scenegen.draw import draw_unit
+from scenegen.sample import GROUPS
 from scenegen.share.stage import Request
+from scenegen.source import DrawnWorlds
+from tests.command_line import run
 from tests.scenegen.hub import TOKEN, Hub
+
+
+def drawn_unit(recipe, unit=0, *, seed=0, split="train"):
+    """A unit of the worlds that a recipe draws."""
+    return draw_unit(DrawnWorlds(recipe), recipe, seed=seed, split=split, unit=unit)
+
+
+def same(one, other):
+    """Whether two samples have the same fields, bit for bit and of the same type."""
+    pairs = ((np.asarray(getattr(it, name)) for it in (one, other)) for name in GROUPS[""])
+    return all((a.dtype, a.shape, a.tobytes()) == (b.dtype, b.shape, b.tobytes()) for a, b in pairs)
+
+
+def built(plan, **options):
+    """The dataset of a plan, made."""
+    build(plan, **options)
+    return Dataset(plan.folder)
+
+
+def done(capsys, *words):
+    """What a command prints; it must end well. See `run`."""
+    code, said, complaint = run(capsys, *words)
+    assert code == 0, complaint
+    return said
+
+
+def names(folder):
+    """What lies in it."""
+    return {path.name for path in folder.iterdir()}
+
+
+def wait_for(condition, seconds=60):
+    """Wait until something holds."""
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "has waited too long"
+        time.sleep(0.05)
 
 
 @dataclass
@@ -24,6 +70,13 @@ class Check:
 def dataset(made, tmp_path):
     """A copy of it, to change."""
     return Path(shutil.copytree(made, tmp_path / "data" / "pillar"))
+
+
+@pytest.fixture
+def look(made):
+    """What is shown of one of its samples."""
+    (shown,), _ = looks(Dataset(made), "train", [1])
+    return shown
 
 
 @pytest.fixture
@@ -63,18 +116,27 @@ def hub(undrawn, tmp_path, monkeypatch):
     from huggingface_hub import constants
 
     server = Hub()
-    monkeypatch.setattr(constants, "ENDPOINT", server.url)
-    monkeypatch.setattr(constants, "HF_HUB_DISABLE_XET", True)
-    monkeypatch.setattr(
-        constants,
-        "HUGGINGFACE_CO_URL_TEMPLATE",
-        server.url + "/{repo_id}/resolve/{revision}/{filename}",
-    )
-    monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(constants, "HF_TOKEN_PATH", str(tmp_path / "no-token"))
+    address = server.url + "/{repo_id}/resolve/{revision}/{filename}"
+    for name, value in {
+        "ENDPOINT": server.url,
+        "HF_HUB_DISABLE_XET": True,
+        "HUGGINGFACE_CO_URL_TEMPLATE": address,
+        "HF_HUB_CACHE": str(tmp_path / "cache"),
+        "HF_TOKEN_PATH": str(tmp_path / "no-token"),
+    }.items():
+        monkeypatch.setattr(constants, name, value)
     monkeypatch.setenv("HF_TOKEN", TOKEN)
     yield server
     server.close()
+
+
+@pytest.fixture
+def elsewhere(tmp_path, monkeypatch):
+    """A folder to stand in, in which nothing is left."""
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    yield
+    assert list((tmp_path / "elsewhere").iterdir()) == []
 
 
 @pytest.fixture

@@ -114,17 +114,20 @@ def test_pcd_in_text_and_with_fields_of_any_kind_in_any_order(tmp_path):
 
 
 PACKED, ROWS = pcd("binary_compressed"), bytes(63)
+PCDS = [
+    pcd("binary", 4) + ROWS,
+    PACKED + ROWS,
+    PACKED + struct.pack("<II", 3, 63) + b"\1\0\0",  # ends early
+    PACKED + struct.pack("<II", 2, 63) + b"\x20\5",  # repeats what was before it
+    pcd("binary", fields="intensity _ z y w") + ROWS,
+    pcd("binary", 10**12) + ROWS,
+    pcd("binary", type="U U F F Q") + ROWS,
+    pcd("binary", count="1 999999999 1 1 1") + ROWS,
+    pcd("binary", count="1 -3 1 1 1") + ROWS,
+    b"DATA binary\n",
+]
 NOTHING = [
-    (".pcd", pcd("binary", 4) + ROWS),
-    (".pcd", PACKED + ROWS),
-    (".pcd", PACKED + struct.pack("<II", 3, 63) + b"\1\0\0"),  # ends early
-    (".pcd", PACKED + struct.pack("<II", 2, 63) + b"\x20\5"),  # repeats what was before it
-    (".pcd", pcd("binary", fields="intensity _ z y w") + ROWS),
-    (".pcd", pcd("binary", 10**12) + ROWS),
-    (".pcd", pcd("binary", type="U U F F Q") + ROWS),
-    (".pcd", pcd("binary", count="1 999999999 1 1 1") + ROWS),
-    (".pcd", pcd("binary", count="1 -3 1 1 1") + ROWS),
-    (".pcd", b"DATA binary\n"),
+    *((".pcd", content) for content in PCDS),
     (".bin", bytes(17)),
     (".bin", b""),
     (".npz", b"PK\x05\x06" + bytes(18)),

@@ -1,5 +1,6 @@
 """Laws of a unit's samples: what was seen is there, and what was drawn once is drawn again."""
 
+import json
 from collections import Counter
 
 import mujoco
@@ -9,45 +10,34 @@ from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
 from lidarsim import MujocoEngine, Pose, cast, voxelize
-from scenegen.draw import draw_unit
 from scenegen.errors import GenerationError
 from scenegen.recipe import preset
-from scenegen.sample import GROUPS
-from scenegen.source import DrawnWorlds
 from scenegen.truth import rasterize
 from scenegen.worlds.world import compile_world
+from tests.command_line import rows
 from tests.conftest import picky_recipe, small_recipe
+from tests.scenegen.conftest import drawn_unit, same
 
 QUARTER = Rotation.from_euler("z", 90, degrees=True)
 
 
-def draw(drawn, unit=0, *, seed=0, split="train"):
-    recipe, source = drawn
-    return draw_unit(source, recipe, seed=seed, split=split, unit=unit)
-
-
-def same(a, b):
-    return a.world.mjcf == b.world.mjcf and all(
-        np.array_equal(getattr(x, name), getattr(y, name))
-        for x, y in zip(a.samples, b.samples, strict=True)
-        for name in GROUPS[""]
-    )
-
-
 def test_a_unit_depends_on_its_numbers_alone(drawn):
-    alone = draw(drawn, 3)
-    for unit in (5, 0, 4):
-        draw(drawn, unit)
-    assert same(alone, draw(drawn, 3))
-    for other in (draw(drawn, 4), draw(drawn, 3, seed=1), draw(drawn, 3, split="val")):
-        assert not same(alone, other)
+    recipe, _ = drawn
+    alone = drawn_unit(recipe, 3)
+    others = [drawn_unit(recipe, unit) for unit in (5, 0, 4)]
+    again = drawn_unit(recipe, 3)
+    assert alone.world.mjcf == again.world.mjcf
+    assert all(map(same, alone.samples, again.samples))
+    others += drawn_unit(recipe, 3, seed=1), drawn_unit(recipe, 3, split="val")
+    for other in others:
+        assert not any(map(same, alone.samples, other.samples))
         assert alone.world.mjcf != other.world.mjcf
 
 
 def test_viewpoints_are_level_apart_and_clear_of_solids(drawn):
     recipe, _ = drawn
     for unit in range(3):
-        found = draw(drawn, unit)
+        found = drawn_unit(recipe, unit)
         positions = np.array([sample.position for sample in found.samples])
         assert pdist(positions).min() >= recipe.flight.spacing_m
         low, high = found.world.flight_bounds
@@ -67,7 +57,7 @@ def turned(quaternion):
 @pytest.mark.parametrize("kind", ["pillar", "geometric"])
 def test_turning_the_world_by_a_right_angle_turns_the_sample(kind):
     recipe = preset(kind)
-    unit = draw((recipe, DrawnWorlds(recipe)), 1)
+    unit = drawn_unit(recipe, 1)
     spec = mujoco.MjSpec.from_string(unit.world.mjcf.decode())
     for geom in spec.geoms:
         geom.pos, geom.quat = QUARTER.apply(geom.pos), turned(geom.quat)
@@ -92,7 +82,7 @@ def test_rejected_worlds_and_viewpoints_are_counted_by_reason():
     recipe = picky_recipe()
     rejected = Counter()
     for number in range(12):
-        unit = draw((recipe, DrawnWorlds(recipe)), number)
+        unit = drawn_unit(recipe, number)
         rejected += unit.rejected.worlds + unit.rejected.viewpoints
         for sample in unit.samples:
             assert sample.occupancy.mean() >= recipe.accept.min_occupied_share
@@ -101,16 +91,18 @@ def test_rejected_worlds_and_viewpoints_are_counted_by_reason():
     assert rejected["few_occupied"] + rejected["few_returns"] > 0
 
 
-@pytest.mark.parametrize(
-    ("tables", "named"),
-    [
-        ({"world": {"density": (6.0, 6.0)}}, "world.density"),
-        ({"accept": {"min_solids": 1e6}}, "accept.min_solids"),
-        ({"accept": {"min_returned_share": 1.0}}, "accept.min_returned_share"),
-        ({"flight": {"viewpoints": 500}}, "flight.viewpoints"),
-    ],
-)
+IMPOSSIBLE = """
+{"world": {"density": [6, 6]}}           → world.density
+{"accept": {"min_solids": 1e6}}          → accept.min_solids
+{"accept": {"min_returned_share": 1}}    → accept.min_returned_share
+{"flight": {"viewpoints": 500}}          → flight.viewpoints
+"""
+
+
+@pytest.mark.parametrize(("tables", "named"), rows(IMPOSSIBLE))
 def test_impossible_parameters_end_and_are_named(tables, named):
-    recipe = small_recipe(**{**tables, "accept": {"max_draws": 4, **tables.get("accept", {})}})
-    with pytest.raises(GenerationError, match=named.replace(".", r"\.")):
-        draw((recipe, DrawnWorlds(recipe)))
+    tables = {"accept": {}} | json.loads(tables)
+    tables["accept"]["max_draws"] = 4
+    recipe = small_recipe(**tables)
+    with pytest.raises(GenerationError, match=named):
+        drawn_unit(recipe)

@@ -1,11 +1,10 @@
 """Recipes of any values either end in one line, or make a manifest that every reader takes."""
 
 import dataclasses
-import datetime
 import itertools
 import json
-import math
 import random
+import tomllib
 from collections import Counter
 from pathlib import Path
 
@@ -22,12 +21,12 @@ from scenegen.source import DrawnWorlds
 from scenegen.verification.files import read_contract
 from scenegen.verification.report import Ledger
 
-NASTY = (
-    0, 1, -1, 2.5, 1e-300, 1e-7, 1e9, 1e308, 10**30, 1 << 20_000, math.nan, math.inf, -math.inf,
-    True, False, None, "", "5", "\x1b[2J\n", [], [1], [1, 2], [2, 1], [8, 8, 8], [1e9, 1e9],
-    [math.nan, 1], [[1], 2], [1] * 999, {}, {"a": 1}, datetime.date(1979, 5, 27),
-    datetime.time(7, 32), datetime.datetime(1979, 5, 27)
-)  # fmt: skip
+NASTY = """nasty = [
+0, 1, -1, 2.5, 1e-300, 1e-7, 1e9, 1e308, 1000000000000000000000000000000, nan, inf, -inf, true,
+false, "", "5", "\\u001b[2J\\n", [], [1], [1, 2], [2, 1], [8, 8, 8], [1e9, 1e9], [nan, 1], [[1], 2],
+{}, {a = 1}, 1979-05-27, 07:32:00, 1979-05-27T00:00:00
+]"""
+NASTY = [*tomllib.loads(NASTY)["nasty"], None, 1 << 20_000, [1] * 999]
 """Values as TOML could give them, and worse."""
 
 
@@ -58,14 +57,13 @@ def random_tables(chance, recipe):
         name = chance.choice(("world", "flight", "accept", "lidar", "grid"))
         part = getattr(recipe, name)
         parameter = chance.choice([item.name for item in dataclasses.fields(part)])
-        there = getattr(part, parameter)
-        scale = 10.0 ** chance.uniform(-6, 8)
-        scaled = [type(one)(one * scale) for one in there] if isinstance(there, tuple) else there
-        if isinstance(there, int | float) and not isinstance(there, bool):
-            scaled = type(there)(there * scale)
-        tables.setdefault(name, {})[parameter] = chance.choice(
-            (scaled, scaled, chance.choice(NASTY))
-        )
+        scaled, scale = getattr(part, parameter), 10.0 ** chance.uniform(-6, 8)
+        if isinstance(scaled, tuple):
+            scaled = [type(one)(one * scale) for one in scaled]
+        elif type(scaled) in (int, float):
+            scaled = type(scaled)(scaled * scale)
+        value = chance.choice((scaled, scaled, chance.choice(NASTY)))
+        tables.setdefault(name, {})[parameter] = value
     if chance.random() < 0.05:
         tables[chance.choice(("wrld", "\x1b[2J", "world", ""))] = chance.choice(NASTY)
     return tables
@@ -102,10 +100,11 @@ def test_a_recipe_of_any_values_ends_in_one_line_or_makes_a_manifest_that_reader
 @pytest.mark.parametrize("kind", [*kind_names(), "scene"])
 def test_every_preset_keeps_its_own_rules_and_reads_back(kind):
     recipe = preset(kind)
-    parts = [
-        name for name in ("flight", "accept", "lidar", "grid", "world") if getattr(recipe, name)
-    ]
-    plain = {name: dataclasses.asdict(getattr(recipe, name)) for name in parts}
+    plain = {
+        name: dataclasses.asdict(part)
+        for name in ("flight", "accept", "lidar", "grid", "world")
+        if (part := getattr(recipe, name))
+    }
     assert make_recipe(kind, json.loads(json.dumps(plain)), where="test") == recipe
 
 

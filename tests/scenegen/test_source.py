@@ -11,13 +11,13 @@ import trimesh
 from numpy.testing import assert_allclose
 
 from scenegen import SPLITS
-from scenegen.dataset.build import build, plan_dataset
-from scenegen.dataset.read import Dataset
+from scenegen.dataset.build import plan_dataset
 from scenegen.errors import DatasetError, SceneError
 from scenegen.source import read_scenes
 from scenegen.worlds.world import write_world
 from tests.command_line import ROOT
 from tests.conftest import THREE, scene_recipe
+from tests.scenegen.conftest import built
 
 SCENES = ROOT / "scenes"
 COUNTS = {"train": 9, "val": 3, "test": 3}
@@ -39,8 +39,8 @@ def folder(tmp_path):
 
 def make(folder, out, counts=COUNTS):
     source = read_scenes(folder, counts, seed=0)
-    build(plan_dataset(out, scene_recipe(), source, seed=0, counts=counts, shard_samples=3))
-    return source, Dataset(out)
+    plan = plan_dataset(out, scene_recipe(), source, seed=0, counts=counts, shard_samples=3)
+    return source, built(plan)
 
 
 def test_a_folder_is_split_by_world_and_visited_in_turn(folder, tmp_path):

@@ -10,25 +10,25 @@ from scenegen.cli.options import find_datasets
 from scenegen.dataset import manifest
 from scenegen.dataset.read import Dataset
 from tests.command_line import ROOT, SMALL, refused, rows, run
+from tests.scenegen.conftest import done
 
 
 def test_generate_inspect_and_world_work_together(small, tmp_path, capsys):
     out = tmp_path / "d"
     command = f"generate --recipe {small} --n 12 --out {out} --workers 1"
-    code, said, _ = run(capsys, f"{command} --dry-run --json")
-    assert (code, json.loads(said)["samples"], out.exists()) == (0, 15, False)
-    code, said, _ = run(capsys, command)
-    digest = Dataset(out).manifest.digest
-    assert (code, digest in said, f"scenegen inspect {out}" in said) == (0, True, True)
-    assert json.loads(run(capsys, f"{command} --json")[1])["complete"]
+    assert json.loads(done(capsys, f"{command} --dry-run --json"))["samples"] == 15
+    assert not out.exists()
+    said, digest = done(capsys, command), Dataset(out).manifest.digest
+    assert (digest in said, f"scenegen inspect {out}" in said) == (True, True)
+    assert json.loads(done(capsys, f"{command} --json"))["complete"]
     assert run(capsys, f"{command} --quiet") == (0, "", "")
-    found = json.loads(run(capsys, f"inspect {out} --json")[1])
+    found = json.loads(done(capsys, f"inspect {out} --json"))
     assert [split["samples"] for split in found["splits"].values()] == [12, 1, 2]
     assert found["digest"] == digest
     assert 0 < found["splits"]["train"]["statistics"]["occupied"]["mean"] < 0.5
-    assert "12 samples of 4 worlds" in run(capsys, f"inspect {out}")[1]
+    assert "12 samples of 4 worlds" in done(capsys, f"inspect {out}")
     assert "ends in .xml or .glb" in run(capsys, f"world {out} 3 -o {tmp_path}/world.usd")[2]
-    assert run(capsys, f"world {out} 3 --split train -o {tmp_path}/world.xml")[0] == 0
+    done(capsys, f"world {out} 3 --split train -o {tmp_path}/world.xml")
     assert mujoco.MjModel.from_xml_path(str(tmp_path / "world.xml")).ngeom > 0
 
 
@@ -37,7 +37,7 @@ def test_an_engine_and_a_sensor_are_taken_by_name(small, tmp_path, capsys):
     out = tmp_path / "d"
     command = f"generate --recipe {small} --n 3 --val 0 --test 0 --workers 1 --out {out}"
     named = f"{command} --quiet --engine mujoco --sensor raster"
-    assert run(capsys, named) == (0, "", "")
+    done(capsys, named)
     assert Dataset(out).manifest.engine == "mujoco"
     assert 'engine is "mujoco" there, "analytic" asked for' in refused(capsys, command)
 
@@ -106,20 +106,19 @@ def test_what_a_scene_leaves_out_is_said_once(tmp_path, capfd):
 
 def test_a_dry_run_prints_a_recipe_file_that_asks_for_the_same(small, tmp_path, capsys):
     command, pasted = f"generate -n 6 --out {tmp_path}/d --dry-run --recipe", tmp_path / "it.toml"
-    said = run(capsys, f"{command} {small}")[1]
+    said = done(capsys, f"{command} {small}")
     pasted.write_text(said[said.index("# this") :])
-    one, other = (run(capsys, f"{command} {path} --json")[1] for path in (small, pasted))
-    assert json.loads(one) == json.loads(other)
+    one, other = (done(capsys, f"{command} {path} --json") for path in (small, pasted))
+    assert one == other
 
 
 def test_a_world_of_ones_own_as_the_docs_show_it(tmp_path, capsys):
     page = (ROOT / "docs" / "recipes.md").read_text()
     (tmp_path / "yard.xml").write_text(page.split("```xml\n")[1].split("```")[0])
     command = f"generate --scene {tmp_path}/yard.xml --n 2 --workers 1 --out {tmp_path}/d"
-    assert run(capsys, f"{command} --quiet") == (0, "", "")
+    done(capsys, f"{command} --quiet")
     assert len(Dataset(tmp_path / "d").split("train")) == 2
-    code, said, _ = run(capsys, command)
-    assert (code, "nothing was left to make" in said) == (0, True)
+    assert "nothing was left to make" in done(capsys, command)
 
 
 def test_folders_under_data_without_samples_are_left_out(made, tmp_path, monkeypatch, capsys):

@@ -13,7 +13,8 @@ from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
 from lidarsim.sensors import CATALOGUE
 from scenegen.dataset.read import Dataset
 from scenegen.display.pictures import draw_patterns
-from tests.command_line import ROOT, SMALL, refused, rows, run
+from tests.command_line import ROOT, SMALL, refused, rows
+from tests.scenegen.conftest import done
 from tests.scenegen.worlds.test_octomap import written
 
 ROOM = """<mujoco><worldbody>
@@ -55,10 +56,9 @@ def here(standing):
 def test_the_list_has_every_sensor_and_a_file_is_told_of(here, capsys, monkeypatch):
     some = "velodyne-vlp-16", "livox-mid-360"
     monkeypatch.setattr("scenegen.cli.scan.CATALOGUE", some)
-    code, said, _ = run(capsys, "sensors")
-    assert code == 0
-    assert {line.split(" ")[0] for line in said.splitlines()} >= {"raster", *some}
-    listed = json.loads(run(capsys, "sensors mine.toml ouster-os1-128 --json --out p.png")[1])
+    lines = done(capsys, "sensors").splitlines()
+    assert {line.split(" ")[0] for line in lines} >= {"raster", *some}
+    listed = json.loads(done(capsys, "sensors mine.toml ouster-os1-128 --json --out p.png"))
     assert listed["ouster-os1-128"]["elevation_deg"] == [-21.82, 20.95]
     told = listed["mine.toml"]
     assert (told["shape"], told["elevation_deg"]) == ([2, 8], [-5.0, 5.0])
@@ -83,23 +83,23 @@ def test_the_docs_have_the_pattern_of_every_sensor():
 
 def test_a_dataset_by_a_sensors_name_says_what_made_it(here, capsys):
     command = "generate -n 3 --val 0 --test 0 --quiet --workers 1 --recipe"
-    assert run(capsys, f"{command} bare.toml --lidar robosense-helios-16p --out d")[0] == 0
+    done(capsys, f"{command} bare.toml --lidar robosense-helios-16p --out d")
     made = Dataset(here / "d").manifest.parameters["lidar"]
     assert (made["made_by"], made["shape"]) == ("robosense-helios-16p", [16, 1800])
     lidar = '[lidar]\nsensor = "robosense-helios-16p"\nmax_range_m = 20'
     (here / "in.toml").write_text((here / "bare.toml").read_text() + lidar)
-    assert run(capsys, f"{command} in.toml --out e")[0] == 0
+    done(capsys, f"{command} in.toml --out e")
     made = Dataset(here / "e").manifest.parameters["lidar"]
     assert made["made_by"] == "robosense-helios-16p(max_range_m=20.0)"
 
 
 def test_a_scan_without_noise_lies_on_the_walls_and_with_it_near_them(here, capsys):
     at, noise = f"{AT} --lidar mine.toml --frame world --json -o", "--noise datasheet,intensity"
-    assert json.loads(run(capsys, f"{at} clean.npz")[1])["returns"] == 16
+    assert json.loads(done(capsys, f"{at} clean.npz"))["returns"] == 16
     points = np.load(here / "clean.npz")["points"]
     assert_allclose(np.abs(points[:, :2]).max(axis=1), 10.0, atol=1e-5)
     for name in ("noisy.npz", "again.npz", "noisy.bin"):
-        assert run(capsys, f"{at} {name} {noise}")[0] == 0
+        done(capsys, f"{at} {name} {noise}")
     noisy = np.load(here / "noisy.npz")
     off = np.abs(np.abs(noisy["points"][:, :2]).max(axis=1) - 10.0)
     assert 0.001 < off.max() < 0.08
@@ -111,7 +111,7 @@ def test_a_scan_without_noise_lies_on_the_walls_and_with_it_near_them(here, caps
 
 def test_a_scan_in_flight_is_at_the_seeds_place(here, capsys):
     def place(seed):
-        said = run(capsys, f"scan room.xml --flight --seed {seed} --json")[1]
+        said = done(capsys, f"scan room.xml --flight --seed {seed} --json")
         return json.loads(said)["position"]
 
     assert place(1) == place(1) != place(2)
@@ -119,7 +119,7 @@ def test_a_scan_in_flight_is_at_the_seeds_place(here, capsys):
 
 def test_a_sequence_follows_one_flight(here, capsys):
     command = "scan room.xml --flight --every 0.5 --seed 2 --noise range --json -o walk.npz"
-    scans = json.loads(run(capsys, command)[1])["scans"]
+    scans = json.loads(done(capsys, command))["scans"]
     assert [scan["file"] for scan in scans] == [f"walk-{n:03d}.npz" for n in range(len(scans))]
     stored = [np.load(here / scan["file"]) for scan in scans]
     steps = np.linalg.norm(np.diff([each["position"] for each in stored], axis=0), axis=1)
@@ -160,13 +160,11 @@ def test_a_map_of_a_real_place_is_scanned_and_told_of(standing, capsys):
     states[1:-1, 1:-1, 1:-1] = FREE
     states[30:-1, 20:-1, 1:-1] = UNKNOWN
     room.write_bytes(written(states, (0, 0, 0), ".bt"))
-    facts = json.loads(run(capsys, "inspect room.bt --json")[1])
+    facts = json.loads(done(capsys, "inspect room.bt --json"))
     assert facts["bounds"] == [[0, 0, 0], pytest.approx([4, 4, 2])]
     assert facts["unknown"] == pytest.approx((states == UNKNOWN).mean())
     scan = "scan room.bt --pose 1,2,1,0"
-    code, said, _ = run(capsys, f"{scan} --lidar velodyne-vlp-16 --frame world -o a.npz --json")
-    row = json.loads(said)
-    assert code == 0
+    row = json.loads(done(capsys, f"{scan} --lidar velodyne-vlp-16 --frame world -o a.npz --json"))
     assert row["returns"] == row["rays"], "the room is closed"
     index = np.floor(np.load("a.npz")["points"] / 0.1 + 1e-6).astype(int)
     assert (states[tuple(index.T)] == OCCUPIED).all()

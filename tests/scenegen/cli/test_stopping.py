@@ -3,23 +3,21 @@
 import os
 import signal
 import sys
-import time
 from pathlib import Path
 
 import pytest
 
 from tests.scenegen.cli.test_stops import begin
+from tests.scenegen.conftest import wait_for
 
 
 def start(small, out):
     """A run with workers that lasts until it is stopped, well under way."""
     options = f"--recipe {small} --n 200000 --out {out} --workers 2 --shard-samples 30"
     process = begin(sys.executable, "-m", "cli", "generate", *options.split())
-    deadline = time.monotonic() + 150  # with nothing cached, kernels compile first
-    while len(list(out.glob("*.h5"))) < 3:
-        assert process.poll() is None, process.stderr.read() if process.stderr else ""
-        assert time.monotonic() < deadline, "no shard was written"
-        time.sleep(0.05)
+    # with nothing cached, kernels compile first
+    wait_for(lambda: process.poll() is not None or len(list(out.glob("*.h5"))) > 2, 150)
+    assert process.poll() is None, process.stderr.read()
     return process
 
 
@@ -44,10 +42,7 @@ def test_a_stopped_run_leaves_no_process_and_whole_files(number, small, tmp_path
     assert len(descendants(process.pid)) >= 2
     os.killpg(process.pid, number) if number == signal.SIGINT else process.send_signal(number)
     _, error = process.communicate(timeout=20)
-    deadline = time.monotonic() + 10
-    while descendants(process.pid) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert descendants(process.pid) == []
+    wait_for(lambda: descendants(process.pid) == [], 10)
     if number != signal.SIGKILL:
         assert process.returncode == 130
         assert "nothing finished is lost" in error

@@ -1,5 +1,6 @@
 """A stop at any moment is one line; what hangs still dies."""
 
+import functools
 import signal
 import subprocess
 import sys
@@ -10,6 +11,7 @@ import pytest
 
 from scenegen.cli.stops import STOPPED
 from tests.command_line import ROOT
+from tests.scenegen.conftest import wait_for
 
 LINE = f"scenegen: {STOPPED}\n"
 CALLBACK = """
@@ -106,10 +108,7 @@ def test_while_a_command_begins(tmp_path):
     asked = f"{sys.executable} cli.py generate --kind pillar --n 20000 --quiet --workers 1"
     for delay in (0.0, 0.4, 1.2):
         running = begin(*f"{asked} --out {tmp_path}/{delay}".split())
-        deadline = time.monotonic() + 60
-        while not answers(running):
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
+        wait_for(functools.partial(answers, running))
         time.sleep(delay)
         running.send_signal(signal.SIGINT)
         try:

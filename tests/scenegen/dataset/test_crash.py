@@ -13,6 +13,7 @@ from scenegen.dataset import manifest
 from scenegen.dataset.build import build
 from scenegen.dataset.shard import read_report
 from tests.conftest import picky_recipe, plan_of
+from tests.scenegen.conftest import names
 
 COUNTS = {"train": 6, "val": 0, "test": 3}
 SEED = 19
@@ -61,9 +62,7 @@ def test_a_kill_before_any_change_of_a_file_changes_nothing(tmp_path):
         resumed = build(plan(folder))
         assert resumed.digest == expected.digest
         assert manifest.read(folder) == manifest.read(whole.folder)
-        assert {path.name for path in folder.iterdir()} == {
-            path.name for path in whole.folder.iterdir()
-        }
+        assert names(folder) == names(whole.folder)
         written.append(resumed.samples_written)
     assert len(written) >= 12, "six files, each begun and put in its place"
     assert set(written) == {9, 3, 0}, "kills fell before, between and after the two shards"

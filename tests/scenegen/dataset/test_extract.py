@@ -11,6 +11,7 @@ from PIL import Image
 from scenegen.dataset.archive import DOCUMENT, write_extracted
 from scenegen.errors import DatasetError
 from scenegen.worlds.scene import load_scene
+from tests.scenegen.conftest import names
 
 SCENE = """
 <mujoco>
@@ -22,6 +23,9 @@ SCENE = """
   </worldbody>
 </mujoco>
 """
+
+
+MODEL = "geom_pos geom_quat geom_size mesh_vert mesh_face hfield_data"
 
 
 @pytest.fixture
@@ -40,18 +44,12 @@ def test_its_files_go_into_a_folder_of_their_own_and_it_compiles_to_the_same(fil
     output = tmp_path / "new" / "my world.xml"
     for _ in range(2):  # what is there already, and the same, is no hindrance
         write_extracted(files, output)
-    assert {path.name for path in output.parent.iterdir()} == {"my world.xml", "my world.files"}
-    assert {path.name for path in output.with_suffix(".files").iterdir()} == files.keys() - {
-        DOCUMENT
-    }
+    assert names(output.parent) == {"my world.xml", "my world.files"}
+    assert names(output.with_suffix(".files")) == files.keys() - {DOCUMENT}
     assets = {name: content for name, content in files.items() if name != DOCUMENT}
     archived = mujoco.MjModel.from_xml_string(files[DOCUMENT].decode(), assets)
     taken = mujoco.MjModel.from_xml_path(str(output))
-    geoms, others = (
-        ("geom_pos", "geom_quat", "geom_size"),
-        ("mesh_vert", "mesh_face", "hfield_data"),
-    )
-    for name in (*geoms, *others):
+    for name in MODEL.split():
         assert_array_equal(getattr(archived, name), getattr(taken, name), strict=True)
 
 

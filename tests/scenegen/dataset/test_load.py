@@ -95,9 +95,8 @@ def test_many_threads_and_few_open_files_read_the_same(made, monkeypatch):
     split = scenegen.load(made)
     expected = [digest((split, index)) for index in range(11)]
     assert len(split._open) == 2
-    order = [int(index) for index in np.random.default_rng(0).integers(0, 11, 200)]
+    order = np.random.default_rng(0).integers(0, 11, 200).tolist()
     with ThreadPoolExecutor(8) as pool:
-        assert list(pool.map(digest, [(split, index) for index in order])) == [
-            expected[index] for index in order
-        ]
+        found = list(pool.map(digest, [(split, index) for index in order]))
+    assert found == [expected[index] for index in order]
     assert len(split._open) == 2

@@ -14,6 +14,8 @@ from scenegen.dataset.locate import locate
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError, ScenegenError
 from scenegen.model.completion.completer import locate as locate_network
+from tests.conftest import contents
+from tests.scenegen.conftest import names
 from tests.scenegen.hub import TOKEN, Repository
 
 NAME = "hf://ada/small-pillars"
@@ -42,7 +44,7 @@ def test_a_name_that_cannot_be_is_refused(name):
 def published(hub, made):
     """A repository of the dataset, as it was tagged; emptied since."""
     hub.repositories["ada/small-pillars"] = found = Repository()
-    found.tags["v1"] = found.commit({path.name: path.read_bytes() for path in made.iterdir()})
+    found.tags["v1"] = found.commit(contents(made))
     found.commit({"README.md": b"emptied since"})
     return found
 
@@ -52,8 +54,8 @@ def test_what_was_published_is_read_back_by_revision(published, made, capfd):
     assert capfd.readouterr() == ("", "")  # a library does not print
     assert split.names == Dataset(made).split("test").names
     assert split[0].sha256() == Dataset(made).split("test")[0].sha256()
-    there = {path.name for path in split.dataset.folder.iterdir()}
-    assert there == {path.name for path in made.iterdir()}
+    there = names(split.dataset.folder)
+    assert there == names(made)
     for name, told in (
         (NAME, "not a scenegen dataset, it has no dataset.json"),
         (f"{NAME}@v9", "v9"),

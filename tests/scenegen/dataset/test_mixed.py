@@ -9,7 +9,6 @@ import pytest
 import scenegen
 from lidarsim import fuse
 from scenegen.dataset import manifest, trust
-from scenegen.dataset.build import build
 from scenegen.dataset.choose import Choice
 from scenegen.dataset.gather import plan_merge, plan_take
 from scenegen.dataset.generation import plan_generation, read_components
@@ -21,8 +20,9 @@ from scenegen.recipes import kind_names
 from scenegen.share.regenerate import recipe_text
 from scenegen.share.stage import Request, stage
 from scenegen.verification import verify
-from tests.command_line import refused, rows, run
+from tests.command_line import refused, rows
 from tests.conftest import plan_of
+from tests.scenegen.conftest import built, done
 
 SMALL = """
 kind = "mixed"
@@ -100,11 +100,10 @@ def test_samples_come_by_weight_and_know_their_kind(mixed):
 def test_a_component_has_the_samples_that_it_has_by_itself(mixed, recipe):
     (pillars, _), *_ = read_components(recipe)
     counts = {"train": 12, "val": 3, "test": 3}
-    plan = plan_of(recipe.parent / "alone", pillars, seed=4, counts=counts)
-    build(plan)
+    alone = built(plan_of(recipe.parent / "alone", pillars, seed=4, counts=counts))
     for split, count in counts.items():
-        alone, ours = Dataset(plan.folder).split(split), mixed.split(split)
-        assert [one.sha256() for one in alone] == [ours[n].sha256() for n in range(count)]
+        ours, theirs = ([one.sha256() for one in its.split(split)] for its in (mixed, alone))
+        assert ours[:count] == theirs
 
 
 def test_what_is_lost_is_made_again_by_any_number_of_workers(mixed, recipe):
@@ -117,17 +116,15 @@ def test_what_is_lost_is_made_again_by_any_number_of_workers(mixed, recipe):
 
 def test_it_is_verified_inspected_measured_and_gathered(mixed, tmp_path, capsys):
     folder = mixed.folder
-    code, said, _ = run(capsys, f"verify {folder} --kind clutter")
-    assert (code, "failed" in said) == (0, False), said
+    done(capsys, f"verify {folder} --kind clutter")
     named = trust.parse(manifest.read(folder), folder, "clutter")
     assert {home.named for home in named.homes} == {"clutter"}
-    code, said, _ = run(capsys, f"inspect {folder}")
-    assert (code, "clutter, seed 4, train 4, val 1, test 1" in said) == (0, True), said
-    assert run(capsys, f"bench {folder} --method returns --quick --quiet -o {tmp_path}/b")[0] == 0
+    assert "clutter, seed 4, train 4, val 1, test 1" in done(capsys, f"inspect {folder}")
+    done(capsys, f"bench {folder} --method returns --quick --quiet -o {tmp_path}/b")
     report = (tmp_path / "b" / "report.md").read_text()
-    assert [f"## {kind}\n" in report for kind in ("pillar", "clutter", "maze-hard")] == [True] * 3
+    assert {"pillar", "clutter", "maze-hard"} <= {*re.findall(r"^## (.*)$", report, re.M)}
     take = f"take {folder} --quiet -o {tmp_path}/two --kind"
-    assert run(capsys, f"{take} maze-hard --kind clutter")[0] == 0
+    done(capsys, f"{take} maze-hard --kind clutter")
     assert kinds(Dataset(tmp_path / "two"), "train") == ["clutter"] * 4 + ["maze-hard"] * 4
     assert "no sample is as asked for (--kind cave)" in refused(capsys, f"{take} cave --force")
 
@@ -167,17 +164,17 @@ def test_one_dataset_holds_several_sensors_noises_and_scan_counts(tmp_path, caps
     assert {len(maps[n]) for n in range(len(maps))} == {4}  # two inputs, occupancy and distances
     assert len(set(maps.settings)) == 3
     assert verify(found.folder).ok
-    said = run(capsys, f"inspect {found.folder}")[1]
+    said = done(capsys, f"inspect {found.folder}")
     assert ("velodyne-vlp-16" in said, "dropout" in said) == (True, True)
     request = Request(dataset=found.folder, repository="ada/mixed", out=tmp_path / "p")
     stage(request, checks=(("splits", "apart"),))
-    for name, kinds in (("maze", ("maze-hard",)), ("rest", ("pillar", "clutter"))):
-        build(plan_take(found, tmp_path / name, Choice(kinds=kinds)))
-    few, rest = Dataset(tmp_path / "maze"), Dataset(tmp_path / "rest")
+    few, rest = (
+        built(plan_take(found, tmp_path / kinds[0], Choice(kinds=kinds)))
+        for kinds in (("maze-hard",), ("pillar", "clutter"))
+    )
     assert few.manifest.parameters.get("differ") is None
     assert [path.name for path in few.folder.glob("rays*.npy")] == ["rays.npy"]
-    build(plan_merge([rest, few], tmp_path / "again"))
-    again = Dataset(tmp_path / "again").split("train")
+    again = built(plan_merge([rest, few], tmp_path / "again")).split("train")
     assert {one.sha256() for one in again} == {one.sha256() for one in samples}
 
 

@@ -17,16 +17,15 @@ from scenegen.dataset import manifest
 from scenegen.dataset.build import build
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.rescan import plan_rescan
-from scenegen.draw import draw_unit
 from scenegen.errors import DatasetError, GenerationError, PublishError, RecipeError
 from scenegen.recipe import preset, read_recipe
 from scenegen.share.regenerate import check_source, source_file
 from scenegen.share.stage import Request, examine, stage
-from scenegen.source import DrawnWorlds
 from scenegen.tables import named_lidar, named_noise
 from scenegen.verification import verify
 from tests.command_line import rows
 from tests.conftest import COUNTS, dataset_in, small_recipe
+from tests.scenegen.conftest import built, drawn_unit
 from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
 
@@ -36,7 +35,7 @@ SPELLED = "range:sigma_m=0.02:share=0.0:quadratic_per_m=0.0,dropout:share=0.05"
 
 def made_with(folder, noise):
     """The dataset of `made`, with noise."""
-    recipe = dataclasses.replace(small_recipe(), noise=Noise.parse(noise))
+    recipe = small_recipe(noise={"stages": noise})
     return dataset_in(folder, recipe, seed=3, counts=COUNTS, shard_samples=5)
 
 
@@ -68,8 +67,8 @@ def test_scanned_again_it_is_to_the_bit_what_would_have_been_drawn(made, noisy, 
     build(plan, shard_range=(0, 3))
     (tmp_path / "again" / "train-00001.h5").unlink()
     assert not Dataset(plan.folder, partial=True).manifest.complete
-    summary, found = build(plan), Dataset(plan.folder)
-    assert summary.digest == Dataset(noisy if noise else made).manifest.digest
+    found = built(plan)
+    assert found.manifest.digest == Dataset(noisy if noise else made).manifest.digest
     assert found.manifest.rescan == {"digest": Dataset(made).manifest.digest}
     assert not failed(plan.folder)
     check_source(found, *source_file(found.manifest))
@@ -193,7 +192,7 @@ def test_corrected_motion_is_refused_and_motion_that_bends_walls_is_not():
         recipe = dataclasses.replace(
             small_recipe(), lidar=BeamTable(rays=rays), noise=Noise.parse(noise)
         )
-        return draw_unit(DrawnWorlds(recipe), recipe, seed=1, split="train", unit=0).samples[0]
+        return drawn_unit(recipe, seed=1).samples[0]
 
     assert (drawn("dropout:0").ranges != drawn("motion:5").ranges).mean() > 0.3
     with pytest.raises(GenerationError, match="rays begin where the scan does"):

@@ -14,16 +14,14 @@ from numpy.testing import assert_array_equal
 
 from lidarsim import BeamTable, Lidar
 from scenegen.dataset import manifest
-from scenegen.dataset.build import build
 from scenegen.dataset.parts import RAYS, read_sensor, sensor_entry, sensor_of, write_rays
 from scenegen.dataset.read import Dataset
-from scenegen.draw import draw_unit
 from scenegen.errors import BrokenError, DatasetError, PublishError
 from scenegen.share.regenerate import check_source, source_file
-from scenegen.source import DrawnWorlds
 from scenegen.verification import verify
 from tests.command_line import rows
 from tests.conftest import plan_of, small_recipe
+from tests.scenegen.conftest import built, drawn_unit
 from tests.scenegen.verification import forge
 
 
@@ -37,17 +35,13 @@ def table():
 
 def build_with(folder, lidar, engine="mujoco", *, force=False):
     recipe = dataclasses.replace(small_recipe(), lidar=lidar)
-    build(plan_of(folder, recipe, seed=5, engine=engine), force=force)
-    return Dataset(folder)
+    return built(plan_of(folder, recipe, seed=5, engine=engine), force=force)
 
 
 def test_the_table_of_a_rasters_rays_gives_the_rasters_samples_to_the_bit():
     recipe = small_recipe("geometric")
     other = dataclasses.replace(recipe, lidar=BeamTable.of(recipe.lidar))
-    one, two = (
-        draw_unit(DrawnWorlds(it), it, seed=1, split="train", unit=2).samples
-        for it in (recipe, other)
-    )
+    one, two = (drawn_unit(it, 2, seed=1).samples for it in (recipe, other))
     assert len(one) == 3
     assert [sample.sha256() for sample in one] == [sample.sha256() for sample in two]
     assert_array_equal(one[0].free, two[0].free)

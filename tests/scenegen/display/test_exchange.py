@@ -16,7 +16,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import GridSpec
 from lidarsim.engines.voxels import FREE, OCCUPIED
-from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 from scenegen.dataset.read import Dataset
 from scenegen.display.exchange import Choices
 from scenegen.display.exchange.convert import convert
@@ -27,7 +26,8 @@ from scenegen.recipe import preset
 from scenegen.source import read_world
 from scenegen.worlds.octomap import parse_octomap
 from tests.command_line import refused, run
-from tests.conftest import dataset_in
+from tests.conftest import contents, dataset_in
+from tests.scenegen.conftest import done
 from tests.test_silence import environment, noted, shim  # noqa: F401 (shim is a fixture)
 
 MASKS = ("observed", "free", "occupancy")
@@ -44,27 +44,27 @@ def samples_of(made):
         yield f"{number:06d}", sample
 
 
+def unpacked(content, shape):
+    """Bits as the development kit unpacks them: the first voxel is the highest."""
+    bits = np.unpackbits(np.frombuffer(content, np.uint8))
+    return bits[: np.prod(shape)].reshape(shape)
+
+
 @pytest.mark.parametrize("unseen", [False, True])
 def test_semantickitti(made, tmp_path, unseen):
-    """Bits as the development kit unpacks them: the first voxel is the highest."""
     out = converted(made, tmp_path / "out", "semantickitti", unseen_invalid=unseen)
     for number, sample in samples_of(made):
-        stem, shape = out / "sequences" / "08" / "voxels" / number, sample.observed.shape
-        observed, invalid, occluded = (
-            np.unpackbits(np.fromfile(stem.with_suffix(suffix), np.uint8))[: np.prod(shape)]
-            for suffix in (".bin", ".invalid", ".occluded")
-        )
-        labels = np.fromfile(stem.with_suffix(".label"), np.uint16)
-        assert_array_equal(observed.reshape(shape), sample.observed)
-        assert_array_equal(labels.reshape(shape), 50 * sample.occupancy)
+        stem = out / "sequences" / "08" / "voxels" / number
         unknown = ~(sample.observed | sample.free)
-        assert_array_equal(invalid.reshape(shape), unknown & unseen)
-        assert_array_equal(occluded.reshape(shape), unknown)
-    known = np.arange(unknown.size).reshape(shape) % 3 > 0  # as of a real place
+        masks = {".bin": sample.observed, ".invalid": unknown & unseen, ".occluded": unknown}
+        for suffix, mask in masks.items():
+            assert_array_equal(unpacked(stem.with_suffix(suffix).read_bytes(), mask.shape), mask)
+        labels = np.fromfile(stem.with_suffix(".label"), np.uint16)
+        assert_array_equal(labels, 50 * sample.occupancy.ravel())
+    known = np.arange(unknown.size).reshape(unknown.shape) % 3 > 0  # as of a real place
     place = dataclasses.replace(sample, known=known)
     invalid = SemanticKitti(Choices()).encode(place, Dataset(made).grid, Dataset(made).lidar)[2]
-    bits = np.unpackbits(np.frombuffer(invalid, np.uint8))[: known.size]
-    assert_array_equal(bits.reshape(shape), ~known)
+    assert_array_equal(unpacked(invalid, known.shape), ~known)
 
 
 def test_semantickitti_s_splits_are_dealt_to_all_of_their_sequences():
@@ -122,6 +122,20 @@ def test_semantickitti_s_own_loader_reads_it(tmp_path):
                 assert not read["invalid"].any()
 
 
+PCD = """VERSION 0.7
+FIELDS x y z
+SIZE 4 4 4
+TYPE F F F
+COUNT 1 1 1
+WIDTH {n}
+HEIGHT 1
+VIEWPOINT 0 0 0 1 0 0 0
+POINTS {n}
+DATA binary
+"""
+"""As https://pointclouds.org/documentation/tutorials/pcd_file_format.html says."""
+
+
 @pytest.mark.parametrize("frame", ["body", "world"])
 def test_clouds(made, tmp_path, frame):
     for to in ("ply", "pcd", "npz"):
@@ -132,24 +146,13 @@ def test_clouds(made, tmp_path, frame):
         assert len(expected)
         path = tmp_path / "ply" / "val" / f"{number}.ply"
         assert_array_equal(trimesh.load(path).vertices, single)
-        path = tmp_path / "pcd" / "val" / f"{number}.pcd"
-        assert_array_equal(read_pcd(path), single)
+        content = PCD.format(n=len(single)).encode() + single.astype("<f4").tobytes()
+        assert (tmp_path / "pcd" / "val" / f"{number}.pcd").read_bytes() == content
         path = tmp_path / "npz" / "val" / f"{number}.npz"
         with np.load(path, allow_pickle=False) as found:
             assert_array_equal(found["points"], expected)
             for name in (*MASKS, "tudf", "ranges", "position", "quaternion", "origin", "world"):
                 assert_array_equal(found[name], getattr(sample, name))
-
-
-def read_pcd(path):
-    """Points of a binary PCD, by its own header."""
-    head, _, body = path.read_bytes().partition(b"DATA binary\n")
-    said = {words[0]: words[1:] for words in (line.split() for line in head.decode().splitlines())}
-    assert said["VERSION"] == ["0.7"]
-    sizes = [f"{kind.lower()}{size}" for kind, size in zip(said["TYPE"], said["SIZE"], strict=True)]
-    table = np.frombuffer(body, np.dtype(list(zip(said["FIELDS"], sizes, strict=True))))
-    assert said["POINTS"] == said["WIDTH"] == [str(len(table))]
-    return np.stack([table[name] for name in "xyz"], axis=1)
 
 
 def test_octomap(made, tmp_path):
@@ -183,10 +186,7 @@ def test_a_stopped_conversion_goes_on(made, tmp_path, monkeypatch):
     assert (done.written, done.there) == (2, 0)
     done = go_on()
     assert (done.written, done.there) == (0, 2)
-    whole = converted(made, tmp_path / "whole", to)
-    files = sorted(path.relative_to(whole) for path in whole.rglob("*") if path.is_file())
-    assert files == sorted(path.relative_to(out) for path in out.rglob("*") if path.is_file())
-    assert all((whole / path).read_bytes() == (out / path).read_bytes() for path in files)
+    assert contents(converted(made, tmp_path / "whole", to)) == contents(out)
     for other, choices in ((to, {"label": 70}), ("ply", {})):
         with pytest.raises(DatasetError, match="another conversion"):
             converted(made, out, other, **choices)
@@ -213,7 +213,7 @@ def test_a_format_of_ones_own(made, tmp_path, monkeypatch, capsys):
     )
     monkeypatch.chdir(tmp_path)
     command = f"convert {made} --to my_format_of_tests:Counts -o out --quiet"
-    assert run(capsys, command) == (0, "", "")
+    done(capsys, command)
     for number, sample in enumerate(Dataset(made).split("test")):
         assert int((tmp_path / "out" / f"test-{number}.txt").read_text()) == sample.occupancy.sum()
 
@@ -358,25 +358,25 @@ SHAPES = """<mujoco><custom><numeric name='flight_bounds' data='0 0 0 10 8 4'/><
 <geom type='cylinder' size='.5 1' pos='1 1 1'/>
 <geom type='capsule' size='.4 .8' pos='6 6 2' euler='40 0 0'/>
 <geom type='ellipsoid' size='.4 .8 1.2' pos='2 6 2'/></worldbody></mujoco>"""
-VOLUMES = {SPHERE: 4.18879, BOX: 1.68, CYLINDER: 1.5708, CAPSULE: 1.07233, ELLIPSOID: 1.60850}
+VOLUMES = 1.07233, 1.5708, 1.60850, 1.68, 4.18879
 
 
 def test_a_world_s_surfaces_are_where_its_solids_are(made, tmp_path, capsys):
     """Of every shape, against another reader of meshes' volumes and bounds; y is up there."""
     document, surfaces = tmp_path / "w.xml", tmp_path / "w.glb"
     document.write_text(SHAPES)
-    assert run(capsys, f"world {document} -o {surfaces}")[0] == 0
+    done(capsys, f"world {document} -o {surfaces}")
     scene = trimesh.load(surfaces, file_type="glb")
     solids = read_world(document).solids
-    lower, upper = solids.boxes
-    assert len(scene.geometry) == len(solids)
-    for n, shape in enumerate(solids.shape):
+    volumes = []
+    for n, bounds in enumerate(zip(*solids.boxes, strict=True)):
         transform, name = scene.graph[f"solid {n}"]
         mesh = scene.geometry[name].copy()
         mesh.apply_transform(transform)
         mesh.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0)))
-        assert_allclose(mesh.bounds, [lower[n], upper[n]], atol=0.02)
+        assert_allclose(mesh.bounds, bounds, atol=0.02)
         assert mesh.is_watertight
-        assert 0.96 < mesh.volume / VOLUMES[int(shape)] < 1.0001
+        volumes.append(mesh.volume)
+    assert_allclose(np.sort(volumes) / VOLUMES, 0.98, atol=0.0201)
     for words in (f"{made} -o {tmp_path}/x.glb", f"{document} 0 -o {tmp_path}/x.glb"):
         assert "number" in refused(capsys, f"world {words}")

@@ -16,6 +16,7 @@ from scenegen.display.look import looks
 from scenegen.truth.difficulty import Difficulty, difficulty
 from tests.command_line import run
 from tests.conftest import dataset_in, picky_recipe
+from tests.scenegen.conftest import done
 from tests.scenegen.dataset.test_mixed import RECIPE
 
 COUNTS = {"train": 11, "val": 0, "test": 4}
@@ -112,8 +113,8 @@ def test_figures_that_are_kept_are_read_and_no_others(full, tmp_path, monkeypatc
     """A table for another dataset has another name; a cut one is measured anew."""
     folder = shutil.copytree(full, tmp_path / "kept")
     words = f"take {folder} --where visibility_m>2.2 -o {tmp_path}"
-    assert run(capsys, f"{words}/measured")[0] == 0
-    assert run(capsys, f"inspect {folder} --keep")[0] == 0
+    done(capsys, f"{words}/measured")
+    done(capsys, f"inspect {folder} --keep")
     every = inspect(full, most=None)["splits"]
     (told,) = folder.glob("figures-*.json")
     assert json.loads(told.read_text()) == every
@@ -122,7 +123,7 @@ def test_figures_that_are_kept_are_read_and_no_others(full, tmp_path, monkeypatc
     with monkeypatch.context() as patch:
         patch.setattr("scenegen.dataset.choose.difficulty", None)  # nothing measures
         assert inspect(folder, most=1)["splits"] == every
-        assert run(capsys, f"{words}/read")[0] == 0
+        done(capsys, f"{words}/read")
     taken = [Dataset(tmp_path / name).manifest.digest for name in ("read", "measured")]
     assert taken[0] == taken[1]
     stored = fields(full, "train")
@@ -130,7 +131,7 @@ def test_figures_that_are_kept_are_read_and_no_others(full, tmp_path, monkeypatc
     least = sorted(shares.values())[1] - 1e-9
     assert every["train"]["world_means"]["occupied"]["max"] == pytest.approx(max(shares.values()))
     words = f"--split train --where world_occupied>={least} -o {tmp_path}"
-    assert run(capsys, f"take {folder} {words}/worlds")[0] == 0
+    done(capsys, f"take {folder} {words}/worlds")
     worlds, _ = Dataset(tmp_path / "worlds").split("train").numbers
     assert set(worlds) == {n for n, share in shares.items() if share > least}
     assert "--keep" in run(capsys, f"take {full} {words}/none")[2]
@@ -149,8 +150,7 @@ def test_a_split_without_returns_gives_valid_json(full, tmp_path, capsys):
     statistics = found["splits"]["test"]["statistics"]
     assert statistics["range_m"] == {"mean": None, "std": None, "min": None, "max": None}
     assert statistics["returned"] == {"mean": 0, "std": 0, "min": 0, "max": 0}
-    code, said, _ = run(capsys, f"inspect {folder}")
-    assert (code, "nan" in said.lower()) == (0, False)
+    assert "nan" not in done(capsys, f"inspect {folder}").lower()
 
 
 def test_a_folder_of_datasets_is_listed(full, tmp_path, capsys):
@@ -158,9 +158,7 @@ def test_a_folder_of_datasets_is_listed(full, tmp_path, capsys):
     (tmp_path / "bad").mkdir()
     (tmp_path / "bad" / "dataset.json").write_text("{")
     (tmp_path / "else").mkdir()
-    code, said, _ = run(capsys, f"inspect {tmp_path} --json")
-    assert code == 0
-    bad, good = json.loads(said)
+    bad, good = json.loads(done(capsys, f"inspect {tmp_path} --json"))
     assert good["samples"] == COUNTS
     assert good["digest"] == inspect(full)["digest"]
     assert "dataset.json" in bad["fault"]
@@ -184,6 +182,5 @@ def test_a_world_is_told(tmp_path, capsys):
         "<mujoco><worldbody><geom size='1' pos='0 0 5'/><geom type='box' size='1 1 1'/>"
         "<geom type='box' size='9 9 .1'/></worldbody></mujoco>"
     )
-    code, said, _ = run(capsys, f"inspect {tmp_path}/w.xml --json")
-    assert code == 0
-    assert json.loads(said)["solids"] == {"sphere": 1, "box": 2}
+    said = json.loads(done(capsys, f"inspect {tmp_path}/w.xml --json"))
+    assert said["solids"] == {"sphere": 1, "box": 2}

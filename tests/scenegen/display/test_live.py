@@ -23,6 +23,7 @@ from scenegen.display.page import packed
 from scenegen.errors import ScenegenError
 from tests.command_line import refused
 from tests.scenegen.display.test_page import HOSTILE, Seen
+from tests.scenegen.verification.forge import edit_manifest
 
 
 @contextmanager
@@ -111,10 +112,7 @@ def test_a_stranger_s_name_is_refused(made):
 
 def test_what_is_damaged_is_told_and_the_rest_is_served(dataset):
     (dataset / "train-00001.h5").unlink()  # samples 3 to 5
-    manifest = json.loads((dataset / "dataset.json").read_text())
-    (dataset / "dataset.json").write_text(
-        json.dumps(manifest | {"complete": False, "digest": None})
-    )
+    edit_manifest(dataset, complete=False, digest=None)
     with served(dataset) as server:
         status, _, text = ask(server, "/sample/0/train/4")
         assert status == 404

@@ -72,13 +72,10 @@ def test_a_page_holds_what_its_samples_hold(made):
         assert packed["figures"]["returns"] == f"{len(points)} of {sample.ranges.size} rays"
 
 
-def test_a_hostile_dataset_runs_no_script(made):
-    (look,), _ = looks(Dataset(made), "train", [0])
+def test_a_hostile_dataset_runs_no_script(look):
     hostile = replace(look, name=HOSTILE, masks={HOSTILE: look.masks["free"]})
-    good, bad = (
-        Seen(page([look], title="good")),
-        Seen(page([hostile], title=HOSTILE, notes=[HOSTILE])),
-    )
+    good = Seen(page([look], title="good"))
+    bad = Seen(page([hostile], title=HOSTILE, notes=[HOSTILE]))
     tags = [[(tag, sorted(names)) for tag, names, _ in one.found] for one in (good, bad)]
     assert tags[0] == tags[1]
     data = bad.data()
@@ -94,12 +91,12 @@ def test_a_hostile_dataset_runs_no_script(made):
         assert word not in script
 
 
-def test_the_renderer_is_unmodified_and_its_licence_is_in_the_page(made):
+def test_the_renderer_is_unmodified_and_its_licence_is_in_the_page(look):
     listed = HERE.joinpath("three", "README.md").read_text(encoding="utf-8")
     for name in ("three.module.min.js", "OrbitControls.js", "LICENSE"):
         digest = hashlib.sha256(HERE.joinpath("three", name).read_bytes()).hexdigest()
         assert f"| `{name}` | {digest} |" in listed
-    text = page(looks(Dataset(made), "train", [0])[0], title="small")
+    text = page([look], title="small")
     elements = {names.get("id"): text for _, names, text in Seen(text).found}
     for part in ("three", "orbit"):
         assert hashlib.sha256(unpacked(elements[part])).hexdigest() in listed
@@ -127,10 +124,9 @@ def test_a_damaged_dataset_is_shown_as_far_as_it_is_sound(dataset, tmp_path, cap
     assert not (tmp_path / "no.html").exists()
 
 
-def test_what_cannot_be_shown_is_an_error(made):
+def test_what_cannot_be_shown_is_an_error(made, look):
     """A grid that no browser takes, and a pose that is none."""
     dataset = Dataset(made)
-    (look,), _ = looks(dataset, "train", [0])
     with pytest.raises(DatasetError, match=f"{MOST_VOXELS} at most"):
         page([replace(look, grid=GridSpec(shape=(256, 256, 128)))], title="")
     sample = dataset.split("train")[0]

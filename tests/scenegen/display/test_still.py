@@ -25,13 +25,14 @@ from scenegen.display.colours import (
     path_colours,
 )
 from scenegen.display.figures import FIGURES
-from scenegen.display.look import Guess, Route, looks
+from scenegen.display.look import Guess, Route
 from scenegen.display.oblique import SHADES, VIEW, View, visible_faces
 from scenegen.display.panels import to_bytes
 from scenegen.display.pictures import CUT, draw_sample, draw_turn, see
 from scenegen.errors import DatasetError
 from scenegen.worlds.world import compile_world
-from tests.command_line import ROOT, refused, run
+from tests.command_line import ROOT, refused, rows
+from tests.scenegen.conftest import done
 
 
 def test_no_colour_means_two_things():
@@ -120,47 +121,52 @@ def test_a_world_is_what_another_engine_meets():
     assert 0 < (image == CUT).all(axis=2).mean() < 0.2, "where the box's lid cuts the pillar"
 
 
-def test_a_sample_becomes_a_picture_with_its_sensor(made, monkeypatch):
+def drawn(figure):
+    """Its pixels, from 0 to 1."""
+    return imread(io.BytesIO(to_bytes(figure, ".png")), format="png")[..., :3]
+
+
+def test_a_sample_becomes_a_picture_with_its_sensor(look, monkeypatch):
     monkeypatch.setattr("scenegen.display.panels.DPI", 60)
-    (look,), _ = looks(Dataset(made), "train", [1])
-    image = imread(io.BytesIO(to_bytes(draw_sample(look), ".png")), format="png")
-    assert image.shape[1] == round(60 * 12.5875)
-    red = np.abs(image[..., :3] * 255 - SENSOR).max(axis=2) < 3
-    assert red.sum() > 40
     less = replace(look, tudf=None, masks={"observed": look.masks["observed"]})
-    poorer = imread(io.BytesIO(to_bytes(draw_sample(less), ".png")), format="png")
-    assert (poorer[:, :, :3] == 1).all(axis=2).mean() > (image[:, :, :3] == 1).all(axis=2).mean()
+    image, poorer = drawn(draw_sample(look)), drawn(draw_sample(less))
+    assert image.shape[1] == round(60 * 12.5875)
+    assert (np.abs(image * 255 - SENSOR).max(axis=2) < 3).sum() > 40
+    assert (poorer == 1).all(axis=2).mean() > (image == 1).all(axis=2).mean()
 
 
-def test_the_command_draws_samples_sheets_and_worlds(made, tmp_path, capsys, monkeypatch):
+REFUSED = """
+MADE -o x.gif                → expected a name that ends in
+MADE --flight --sheet 2      → --flight: shows one sample or flight
+MADE --paper 40 -o x.png     → too narrow
+MADE --figure paths -o x.png → give --weights or --predictions
+MADE --turn -o x.png         → ends in .webp
+. -o x.png                   → dataset.json
+"""
+
+
+def test_the_command_draws_samples_sheets_and_worlds(made, standing, capsys, monkeypatch):
     monkeypatch.setattr("scenegen.display.pictures.PIXELS", 200)
     monkeypatch.setattr("scenegen.display.panels.DPI", 50)
     room = ROOT / "scenes" / "room_with_gap.xml"
-    picture = tmp_path / "deep" / "x.png"
+    picture = standing / "deep" / "x.png"
     for words in (
         f"{made} --index 2",
         f"{made} --sheet 5 --split test",
         f"{made} --index 1 --figure world",
         f"{room} --flight",
     ):
-        assert run(capsys, f"render {words} -o {picture} --quiet") == (0, "", "")
+        done(capsys, f"render {words} -o {picture} --quiet")
         assert picture.read_bytes().startswith(b"\x89PNG")
         picture.unlink()
-    for words, part in (
-        (f"{made} -o {tmp_path}/x.gif", "expected a name that ends in"),
-        (f"{made} --flight --sheet 2", "--flight: shows one sample or flight"),
-        (f"{made} --paper 40 -o {tmp_path}/x.png", "too narrow"),
-        (f"{made} --figure paths -o {tmp_path}/x.png", "give --weights or --predictions"),
-        (f"{made} --turn -o {tmp_path}/x.png", "ends in .webp"),
-        (f"{tmp_path} -o {tmp_path}/x.png", "dataset.json"),
-    ):
-        assert part in refused(capsys, f"render {words}")
-    assert not list(tmp_path.glob("x.*"))
+    for words, part in rows(REFUSED):
+        assert part in refused(capsys, f"render {words.replace('MADE', str(made))}")
+    assert not list(standing.glob("x.*"))
 
 
 def test_a_figure_for_a_paper_is_as_wide_and_its_letters_are_letters(made, tmp_path, capsys):
     picture = tmp_path / "x.svg"
-    assert run(capsys, f"render {made} --paper one --font-size 6 -o {picture} --quiet")[0] == 0
+    done(capsys, f"render {made} --paper one --font-size 6 -o {picture} --quiet")
     text = picture.read_text(encoding="utf-8")
     assert f'width="{88 / 25.4 * 72:.6f}pt"' in text
     assert ">observed</text>" in text
@@ -169,15 +175,14 @@ def test_a_figure_for_a_paper_is_as_wide_and_its_letters_are_letters(made, tmp_p
 
 def test_a_flight_is_a_film_of_its_samples(made, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("scenegen.display.pictures.TURN_DPI", 40)
-    assert run(capsys, f"render {made} --index 1 --flight -o {tmp_path}/x.gif --quiet")[0] == 0
+    done(capsys, f"render {made} --index 1 --flight -o {tmp_path}/x.gif --quiet")
     worlds = [world for _, world, _ in Dataset(made).split("train").names]
     with Image.open(tmp_path / "x.gif") as film:
         assert (film.format, film.n_frames) == ("GIF", worlds.count(worlds[1]))
 
 
-def test_a_turntable_turns_once_around(made, monkeypatch):
+def test_a_turntable_turns_once_around(look, monkeypatch):
     monkeypatch.setattr("scenegen.display.pictures.TURN_DPI", 40)
-    (look,), _ = looks(Dataset(made), "train", [1])
     with Image.open(io.BytesIO(draw_turn(look, title="small", frames=4))) as film:
         assert (film.format, film.n_frames, film.size) == ("WEBP", 4, (256, 192))
         shown = []
@@ -189,53 +194,46 @@ def test_a_turntable_turns_once_around(made, monkeypatch):
     assert min(differ[1:]) > 0.02
 
 
-def predicted(made):
+def predicted(look):
     """A sample of which the upper half is missed, and a block is invented, with a path through the
     map."""
-    (look,), _ = looks(Dataset(made), "train", [1])
     truth = look.masks["occupancy"]
     guess = truth.copy()
     guess[:, :, truth.shape[2] // 2 :] = False
     guess[-4:, :4, -4:] = True
-    ends = look.origin + np.array([[0.5, 0.5, 0.5], [4.0, 4.0, 2.5]])
-    paths = [
-        Route(start=ends[0], goal=ends[1], points=ends + shift, told="")
-        for shift in (0.0, [0, 0, 1])
-    ]
-    names = ("occ", "$own$")
-    said = [
-        Guess(name=name, occupied=guess, tudf=np.zeros(truth.shape, np.float32), route=route)
-        for name, route in zip(names, paths, strict=True)
-    ]
-    return replace(look, guesses=tuple(said)), guess
+    ends = np.add(look.origin, [[0.5, 0.5, 0.5], [4.0, 4.0, 2.5]])
+    tudf = np.zeros(truth.shape, np.float32)
+    route = Route(start=ends[0], goal=ends[1], points=ends, told="")
+    occ = Guess(name="occ", occupied=guess, tudf=tudf, route=route)
+    own = replace(occ, name="$own$", route=replace(route, points=np.add(ends, [0, 0, 1])))
+    return replace(look, guesses=(occ, own))
 
 
 @pytest.mark.parametrize("name", list(FIGURES))
-def test_the_paper_s_figures_show_methods_errors_and_paths(made, name, monkeypatch):
+def test_the_paper_s_figures_show_methods_errors_and_paths(look, name, monkeypatch):
     monkeypatch.setattr("scenegen.display.panels.DPI", 60)
     monkeypatch.setattr("scenegen.display.colours.PALE", 1.0)  # errors in full, however near
-    look, _ = predicted(made)
+    look = predicted(look)
 
-    def drawn(shown):
-        page = to_bytes(FIGURES[name]([shown], title=""), ".png")
-        return imread(io.BytesIO(page), format="png")[:-40, :-60, :3]
+    def page(shown):
+        return drawn(FIGURES[name]([shown], title=""))[:-40, :-60]
 
     def share(image, colour, near=6):
         shades = [np.array(colour) * light for light in SHADES]  # which sides of cubes have
         far = np.min([np.abs(image * 255 - one).max(axis=2) for one in shades], axis=0)
         return float((far < near).mean())
 
-    shown = drawn(look)
+    shown = page(look)
     if name == "completions":
         truth = look.masks["occupancy"]
-        right = drawn(
+        right = page(
             replace(look, guesses=tuple(replace(one, occupied=truth) for one in look.guesses))
         )
         assert share(shown, MISSED) > share(right, MISSED) + 0.002
         assert share(shown, INVENTED, 40) > share(right, INVENTED, 40)
     if name in ("paths", "example"):
         ends = [replace(one, route=replace(one.route, points=None)) for one in look.guesses]
-        bare = drawn(replace(look, guesses=tuple(ends)))
+        bare = page(replace(look, guesses=tuple(ends)))
         for colour in path_colours(["occ", "$own^$"]):
             assert share(shown, colour) > share(bare, colour)
     if name == "distances":

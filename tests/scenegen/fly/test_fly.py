@@ -1,6 +1,7 @@
 """The loop: motion within its bounds, exact collisions, bits, and robots that behave badly."""
 
 import hashlib
+import json
 import math
 import sys
 import time
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal, assert_equal
 
 from lidarsim import AnalyticEngine, GridSpec, Lidar
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelMap
@@ -29,6 +30,7 @@ from scenegen.fly.simulation import Simulation, bounded
 from scenegen.fly.suite import chosen_courses, courses_of, hidden_course, part_of, track_name
 from scenegen.worlds.place import encode_map
 from scenegen.worlds.world import compile_world
+from tests.command_line import rows
 
 VEHICLE = Vehicle()
 DIGEST = "3cd1afbdf9bc5a23758ff3686f50abbf63dc08240ea10b2ef25c1e3ece71af49"
@@ -166,39 +168,35 @@ def test_a_robot_sees_nothing_that_its_sensor_does_not():
     ends = seen["ranges"][hit, None] * flying.sensor.directions_body[hit]
     assert np.allclose(seen["points"][hit], ends, atol=1e-5)
     assert hit.any()
-    for one, other in zip(*flights, strict=True):
-        assert one.keys() == other.keys()
-        assert all(np.array_equal(one[name], other[name]) for name in one)
+    assert_equal(*flights)
 
 
 def test_outcomes_and_scores():
     aside = world_of('<geom type="sphere" pos="4 5 2" size=".1"/>')
     done = fly(simulation(aside), Scripted(straight()))
-    assert done.outcome == "success"
-    assert done.score == pytest.approx(0.5)
-    assert done.spl == 1.0
+    assert (done.outcome, done.score, done.spl) == ("success", pytest.approx(0.5), 1.0)
     assert 4.0 < done.time_s < 5.0
     left = flown_by(Scripted(iter(lambda: [0, -2, 0, 0], None)))
     assert (left.outcome, left.score, left.spl) == ("left", 0.0, 0.0)
     late = flown_by(Scripted(iter(lambda: None, 0)))
-    assert (late.outcome, late.invalid) == ("timeout", len(late.commands))
-    assert late.flown_m == 0.0
+    assert (late.outcome, late.invalid, late.flown_m) == ("timeout", len(late.commands), 0.0)
 
 
-@pytest.mark.parametrize(
-    ("said", "invalid", "speeding"),
-    [
-        ([math.nan, 0, 0, 0], 1, 0),
-        ([1, 0, 0], 1, 0),
-        ([[0, 0, 0, 0]] * 11, 1, 0),
-        ("fast", 1, 0),
-        ([3, 4, 0, 0], 0, 1),
-        ([0, 0, 0, 9], 0, 1),
-    ],
-)
+SAID = f"""
+[NaN, 0, 0, 0] → 1 → 0
+[1, 0, 0]      → 1 → 0
+"fast"         → 1 → 0
+[3, 4, 0, 0]   → 0 → 1
+[0, 0, 0, 9]   → 0 → 1
+[{"[0, 0, 0, 0], " * 10} [0, 0, 0, 0]] → 1 → 0
+"""
+"""How many commands are invalid, and how many too fast."""
+
+
+@pytest.mark.parametrize(("said", "invalid", "speeding"), rows(SAID))
 def test_what_a_robot_says_is_counted_and_bounded(said, invalid, speeding):
-    flown = flown_by(Scripted([said, None]))
-    assert (flown.invalid - 1, flown.speeding) == (invalid, speeding)
+    flown = flown_by(Scripted([json.loads(said), None]))
+    assert (flown.invalid - 1, flown.speeding) == (int(invalid), int(speeding))
     assert np.linalg.norm(flown.commands[:, :3], axis=1).max() <= VEHICLE.speed_mps
 
 
@@ -235,19 +233,19 @@ while line := raw.readline():
 """
 
 
-@pytest.mark.parametrize(
-    ("what", "outcome"),
-    [
-        ("hangs", "hung"),
-        ("dies", "crashed"),
-        ("kills", "crashed"),
-        ("eats", "crashed"),
-        ("floods", "flooded"),
-        ("says twice", "flooded"),
-        ("says NaN", "collision"),
-        ("babbles", "collision"),
-    ],
-)
+ENDS = """
+hangs      → hung
+dies       → crashed
+kills      → crashed
+eats       → crashed
+floods     → flooded
+says twice → flooded
+says NaN   → collision
+babbles    → collision
+"""
+
+
+@pytest.mark.parametrize(("what", "outcome"), rows(ENDS))
 def test_a_robot_of_its_own_is_cut_off_and_counted(what, outcome, tmp_path):
     file = tmp_path / "robot.py"
     file.write_text(ROBOT)
@@ -323,9 +321,9 @@ def test_a_recording_flies_again(tmp_path):
     assert Recording.read(file).robot == "scripted"
     again = replay(*Recording.read(file).courses[0])
     assert [one.digest for one in again] == [one.digest for one in flown]
-    text, changes = file.read_text(), {'"radius_m": 0.3': '"radius_m": -1'}
-    changes['"flights": 2'] = '"flights": 3'
-    for wrong in ("{}", "[1]", "x", *(text.replace(*change) for change in changes.items())):
+    text = file.read_text()
+    shrunk = text.replace('"radius_m": 0.3', '"radius_m": -1')
+    for wrong in ("{}", "[1]", "x", shrunk, text.replace('"flights": 2', '"flights": 3')):
         file.write_text(wrong)
         with pytest.raises(DatasetError, match=r"fly again|format"):
             Recording.read(file)

@@ -1,7 +1,6 @@
 """What the tests of kinds share: a world's solids as a recipe adds them, measured without the
 recipe's own formulas."""
 
-import itertools
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -41,19 +40,15 @@ class Solid:
 
     @cached_property
     def span(self):
-        """Its lowest and highest z, by its corners, or by many points around its rims."""
-        if self.shape == Geom.mjGEOM_SPHERE:
-            return self.position[2] - self.size[0], self.position[2] + self.size[0]
-        if self.shape == Geom.mjGEOM_BOX:
-            corners = self.size * [*itertools.product((-1, 1), repeat=3)]
-        else:
-            turn = np.linspace(0.0, 2 * np.pi, 2000)
-            rim = np.stack([self.size[0] * np.cos(turn), self.size[0] * np.sin(turn)], axis=1)
-            corners = np.concatenate(
-                [np.insert(rim, 2, z, axis=1) for z in (-self.size[1], self.size[1])]
-            )
-        heights = self.position[2] + corners @ self.rotation[2]
-        return float(heights.min()), float(heights.max())
+        """Its lowest and highest z, by its support function."""
+        radius, half, _ = self.size
+        *level, up = np.abs(self.rotation[2])
+        reach = {
+            Geom.mjGEOM_SPHERE: radius,
+            Geom.mjGEOM_BOX: self.size @ [*level, up],
+            Geom.mjGEOM_CYLINDER: radius * np.hypot(*level) + half * up,
+        }[self.shape]
+        return self.position[2] - reach, self.position[2] + reach
 
 
 def draw(kind, seed=0):

@@ -53,6 +53,7 @@ NODE = (
     "NodeName={name} NodeHostname={host} NodeAddr=127.0.0.1 Port={port} CPUs={cpus} State=UNKNOWN\n"
 )
 WAIT_S = 60
+IDLE = "sinfo -h -N -o %T"
 
 
 def free_port():
@@ -79,31 +80,27 @@ def slurm(folder, nodes=1):
     (folder / "slurm.conf").write_text(text)
     (folder / "key").write_bytes(os.urandom(1024))
     (folder / "key").chmod(0o400)
-    before = os.environ.get("SLURM_CONF")
-    os.environ["SLURM_CONF"] = str(folder / "slurm.conf")
+    patch = pytest.MonkeyPatch()
+    patch.setenv("SLURM_CONF", str(folder / "slurm.conf"))
     files = [f"--{name}-file={folder}/{name}" for name in ("key", "log", "pid", "seed")]
     files.append(f"--socket={folder}/munge.socket")
     daemons = [subprocess.Popen(["munged", "-F", "-f", *files])]
     try:
         time.sleep(1)
-        daemons += [subprocess.Popen(["slurmctld", "-D"])]
-        daemons += [subprocess.Popen(["slurmd", "-D", "-N", name]) for name in names]
+        for command in ("slurmctld -D", *(f"slurmd -D -N {name}" for name in names)):
+            daemons.append(subprocess.Popen(command.split()))
         _wait(folder, nodes)
         yield {name: daemon.pid for name, daemon in zip(names, daemons[2:], strict=True)}
     finally:
         for daemon in reversed(daemons):
             daemon.send_signal(signal.SIGTERM)
             daemon.wait(20)
-        os.environ.pop("SLURM_CONF")
-        if before is not None:
-            os.environ["SLURM_CONF"] = before
+        patch.undo()
 
 
 def _wait(folder, nodes):
     for _ in range(WAIT_S):
-        told = subprocess.run(
-            ["sinfo", "-h", "-N", "-o", "%T"], capture_output=True, text=True, check=False
-        )
+        told = subprocess.run(IDLE.split(), capture_output=True, text=True, check=False)
         if told.stdout.split() == ["idle"] * nodes:
             return
         time.sleep(1)

@@ -5,7 +5,6 @@ import os
 import pickle
 import subprocess
 import sys
-import time
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
@@ -15,6 +14,7 @@ import pytest
 from scenegen.errors import DatasetError, GenerationError, OwnCodeError
 from scenegen.run import executor
 from tests.command_line import ROOT
+from tests.scenegen.conftest import wait_for
 
 MOST = 3
 """The cluster's MaxArraySize."""
@@ -116,7 +116,5 @@ def test_jobs_are_cancelled_though_the_command_is_killed(slurm, tmp_path):
         assert running.stdout.readline() == b"begun\n"
         assert not said.exists()
         running.kill()
-    deadline = time.monotonic() + 20
-    while not (said.exists() and said.read_text()) and time.monotonic() < deadline:
-        time.sleep(0.1)
+    wait_for(lambda: said.exists() and said.read_text())
     assert said.read_text() == "--name=ours\n"

@@ -22,6 +22,7 @@ from scenegen.errors import DatasetError, GenerationError
 from scenegen.run import executor
 from tests.command_line import ROOT
 from tests.conftest import contents, plan_of
+from tests.scenegen.conftest import wait_for
 from tests.scenegen.run import everywhere, slurm_here
 
 pytest.importorskip("submitit")
@@ -40,14 +41,9 @@ def plan(folder):
     return plan_of(folder, seed=5, counts=COUNTS, shard_samples=3)
 
 
-def waited_for(*jobs):
-    """Whether the queue comes to hold these jobs alone."""
-    for _ in range(30):
-        left = subprocess.check_output(["squeue", "-h", "-o", "%i"], text=True).split()
-        if left == list(jobs):
-            return True
-        time.sleep(1)
-    return False
+def queue():
+    """The jobs that Slurm has."""
+    return subprocess.check_output(["squeue", "-h", "-o", "%i"], text=True).split()
 
 
 @pytest.fixture
@@ -60,8 +56,8 @@ def here(slurm, tmp_path, monkeypatch):
 def test_a_job_array_makes_the_same_dataset(here):
     seen = []
     how = {"execute": executor("slurm", 2), "on_shard": lambda report, fresh: seen.append(fresh)}
-    there = build(plan(here / "there"), **how)
-    assert there.digest == build(plan(here / "here")).digest
+    build(plan(here / "there"), **how)
+    build(plan(here / "here"))
     assert seen == [True] * 10
     assert contents(here / "there") == contents(here / "here")
     assert not list(here.glob("scenegen-slurm-*")), "nothing is left"
@@ -80,7 +76,7 @@ def test_an_error_is_raised_here_names_the_node_and_ends_the_rest(here):
     tasks = [Path(f"nowhere/{n}") for n in range(6)]
     with pytest.raises(DatasetError, match=rf"nowhere/0: .* \(on {socket.gethostname()}"):
         list(executor("slurm", 1)(manifest.read, tasks, lambda: None))
-    assert waited_for()
+    wait_for(lambda: queue() == [])
 
 
 def test_a_job_that_somebody_cancels_is_told_of(here, monkeypatch):
@@ -116,7 +112,7 @@ def test_a_command_that_is_stopped_or_killed_leaves_no_jobs(here, stop, code):
         assert running.stdout.readline() == "begun\n"
         running.send_signal(stop)
         assert running.wait(20) == code
-    assert waited_for(other)
+    wait_for(lambda: queue() == [other])
     subprocess.run(["scancel", other], check=True)
 
 
@@ -136,13 +132,8 @@ def test_a_task_whose_node_is_lost_begins_again_on_another(slurm, here):
     def lose():
         """Once the task has begun, its node is told to be down, and all processes there are
         killed."""
-        deadline = time.monotonic() + 60
-        while (
-            not (there := [path.name.split() for path in here.glob("node*")])
-            and time.monotonic() < deadline
-        ):
-            time.sleep(0.2)
-        for name, task in there:
+        wait_for(lambda: list(here.glob("node*")))
+        for name, task in [path.name.split() for path in here.glob("node*")]:
             os.kill(slurm[name], signal.SIGKILL)
             subprocess.run(
                 ["scontrol", "update", f"nodename={name}", "state=down", "reason=test"], check=True

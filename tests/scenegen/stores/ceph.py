@@ -7,6 +7,7 @@ seconds to begin.
 """
 
 import os
+import shlex
 import shutil
 import signal
 import socket
@@ -20,6 +21,11 @@ from tests.scenegen.run.slurm_here import free_port
 NEEDED = ("ceph", "ceph-mon", "ceph-osd", "radosgw", "radosgw-admin", "monmaptool", "ceph-authtool")
 GET = "apt-get install --no-install-recommends ceph-mon ceph-osd radosgw"
 STORE_BYTES = 1 << 30
+RIGHTS = {
+    "mon.": "--cap mon 'allow *'",
+    "client.admin": "--cap mon 'allow *' --cap osd 'allow *'",
+    "osd.0": "--cap mon 'allow *' --cap osd 'allow *'",
+}
 USER, KEY, SECRET = "ada", "AKIAADASKEYOFTESTS", "the-Secret+of/Adas-tests"
 CONF = """
 [global]
@@ -67,6 +73,7 @@ class Ceph:
         self.home = home
         self.port = free_port()
         self.url = f"http://127.0.0.1:{self.port}"
+        self._own = os.environ | {"CEPH_CONF": str(home / "ceph.conf")}
         self._running = {}
 
     @property
@@ -93,33 +100,29 @@ class Ceph:
             one.wait()
 
     def _begin(self):
-        fsid, mon = str(uuid.uuid4()), free_port()
+        fsid, disk, mon = uuid.uuid4(), uuid.uuid4(), free_port()
         told = CONF.format(home=self.home, fsid=fsid, mon=mon, gateway=self.port, bytes=STORE_BYTES)
         (self.home / "ceph.conf").write_text(told)
-        ring, monmap = self.home / "keyring", self.home / "monmap"
-        rights = {"mon.": ("mon",), "client.admin": ("mon", "osd"), "osd.0": ("mon", "osd")}
-        for name, what in rights.items():
-            create = () if ring.exists() else ("--create-keyring",)
-            words = [word for one in what for word in ("--cap", one, "allow *")]
-            self._run("ceph-authtool", *create, str(ring), "--gen-key", "-n", name, *words)
-        address = ("--addv", "a", f"[v2:127.0.0.1:{mon}]")
-        self._run("monmaptool", "--create", "--fsid", fsid, *address, str(monmap))
-        self._run("ceph-mon", "--mkfs", "-i", "a", "--monmap", str(monmap), "--keyring", str(ring))
-        self._start("ceph-mon", "-i", "a")
-        self._ceph("auth", "import", "-i", str(ring))
-        disk = str(uuid.uuid4())
-        self._ceph("osd", "new", disk)
+        ring, monmap, create = self.home / "keyring", self.home / "monmap", "--create-keyring"
+        for name, rights in RIGHTS.items():
+            self._run(f"ceph-authtool {create} {ring} --gen-key -n {name} {rights}")
+            create = ""
+        self._run(f"monmaptool --create --fsid {fsid} --addv a [v2:127.0.0.1:{mon}] {monmap}")
+        self._run(f"ceph-mon --mkfs -i a --monmap {monmap} --keyring {ring}")
+        self._start("ceph-mon -i a")
+        self._run(f"ceph --connect-timeout 20 auth import -i {ring}")
+        self._run(f"ceph --connect-timeout 20 osd new {disk}")
         (self.home / "osd").mkdir()
-        self._run("ceph-osd", "-i", "0", "--mkfs", "--osd-uuid", disk)
-        self._ceph("osd", "crush", "add", "osd.0", "1", "root=default", "host=here")
-        self._start("ceph-osd", "-i", "0")
-        keys = f"--access-key {KEY} --secret-key {SECRET}"
-        self._run("radosgw-admin", *f"user create --uid {USER} --display-name Ada {keys}".split())
+        self._run(f"ceph-osd -i 0 --mkfs --osd-uuid {disk}")
+        self._run("ceph --connect-timeout 20 osd crush add osd.0 1 root=default host=here")
+        self._start("ceph-osd -i 0")
+        user = f"--uid {USER} --display-name Ada --access-key {KEY} --secret-key {SECRET}"
+        self._run(f"radosgw-admin user create {user}")
         self.begin()
 
     def begin(self):
         """Begin the gateway, and wait until it answers."""
-        self._start("radosgw", "-n", "client.admin")
+        self._start("radosgw -n client.admin")
         for _ in range(300):
             with suppress(OSError), socket.create_connection(("127.0.0.1", self.port), timeout=1):
                 return
@@ -132,25 +135,20 @@ class Ceph:
         os.killpg(one.pid, signal.SIGKILL)
         one.wait()
 
-    def _ceph(self, *words):
-        return self._run("ceph", "--connect-timeout", "20", *words)
-
-    def _run(self, *words):
+    def _run(self, command):
         """Run one of Ceph's commands to its end."""
-        command = [words[0], *self._conf(words[0]), *words[1:]]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-        assert done.returncode == 0, f"{' '.join(words[:3])}: {done.stderr[-500:]}"
-        return done.stdout
-
-    def _start(self, *words):
-        out = (self.home / f"{words[0]}.out").open("ab")
-        command = [words[0], *self._conf(words[0]), *words[1:], "-f"]
-        self._running[words[0]] = subprocess.Popen(
-            command, stdout=out, stderr=out, start_new_session=True
+        done = subprocess.run(
+            shlex.split(command), env=self._own, capture_output=True, text=True, timeout=60
         )
-        out.close()
+        assert done.returncode == 0, f"{command[:40]}: {done.stderr[-500:]}"
 
-    def _conf(self, program):
-        if program in ("ceph-authtool", "monmaptool"):
-            return ()
-        return "-c", str(self.home / "ceph.conf")
+    def _start(self, command):
+        program = command.split()[0]
+        with (self.home / f"{program}.out").open("ab") as out:
+            self._running[program] = subprocess.Popen(
+                [*command.split(), "-f"],
+                env=self._own,
+                stdout=out,
+                stderr=out,
+                start_new_session=True,
+            )

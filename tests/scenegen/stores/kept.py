@@ -37,11 +37,10 @@ class Kept(Store):
 
     def list(self):
         with self._alone("list"):
-            there = [path for path in self.home.rglob("*") if path.is_file()]
-            names = [str(path.relative_to(self.home)) for path in there]
             found = [
-                Object(name, path.stat().st_size, self._version(path))
-                for name, path in zip(names, there, strict=True)
+                Object(str(path.relative_to(self.home)), path.stat().st_size, self._version(path))
+                for path in self.home.rglob("*")
+                if path.is_file()
             ]
         return iter(found)
 
@@ -57,24 +56,22 @@ class Kept(Store):
             return Object(name, len(content), self._version(path))
 
     def put(self, name, content, version=ANY):
+        path = self.home / name
         with self._alone(f"put {name}"):
-            if version not in (ANY, self._version(self.home / name)):
+            if version not in (ANY, self._version(path)):
                 raise ConflictError(f"{self.name}/{name}: somebody else has put it")
-            return self._put(name, content)
+            if room := os.environ.get(ROOM):
+                left = int(Path(room).read_text())
+                if left == 0:
+                    raise StoreError(f"{self.name}/{name}: the store is full")
+                Path(room).write_text(str(left - 1))
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+            return self._version(path)
 
     def remove(self, name):
         with self._alone(f"remove {name}"):
             (self.home / name).unlink(missing_ok=True)
-
-    def _put(self, name, content):
-        if room := os.environ.get(ROOM):
-            left = int(Path(room).read_text())
-            if left == 0:
-                raise StoreError(f"{self.name}/{name}: the store is full")
-            Path(room).write_text(str(left - 1))
-        (self.home / name).parent.mkdir(parents=True, exist_ok=True)
-        (self.home / name).write_bytes(content)
-        return self._version(self.home / name)
 
     @staticmethod
     def _version(path):

@@ -15,6 +15,7 @@ from scenegen import load
 from scenegen.dataset import layout
 from scenegen.errors import DatasetError, StoreError
 from scenegen.stores import cache, copies, folder_of
+from tests.scenegen.conftest import names
 from tests.scenegen.stores.conftest import forget
 
 PLACE = "s3://lab/d"
@@ -48,6 +49,11 @@ def objects(server, *names):
     cache.note(folder, PLACE, sums)
     server.log.clear()
     return folder, held
+
+
+def opened(path):
+    """A copy with holes, while the block lasts."""
+    return closing(cache.open_copy(path, 5000))
 
 
 def fetched(server):
@@ -84,7 +90,7 @@ def test_processes_that_read_all_over_fetch_every_byte_once(server):
 def test_a_little_of_an_object_takes_little_and_all_of_it_few_requests(server):
     folder, held = objects(server, "a.h5")
     server.fail_every = 0
-    with closing(cache.open_copy(folder / "a.h5", 5000)) as copy:
+    with opened(folder / "a.h5") as copy:
         assert copy.pread(100, 150_000) == held["a.h5"][150_000:150_100]
         assert fetched(server) < 8000
         for begin in range(0, SIZE, 500):
@@ -97,26 +103,26 @@ def test_what_is_damaged_on_the_disk_is_fetched_again(server):
     folder, held = objects(server, "a.h5", "b.h5")
     (folder / "b.h5.part").write_bytes(b"of a process that was killed")
     for name, content in held.items():
-        with closing(cache.open_copy(folder / name, 5000)) as copy:
+        with opened(folder / name) as copy:
             copy.pread(100, 150_000)
         with (folder / f"{name}.part").open("r+b") as file:
             file.seek(150_050)
             file.write(b"?????")
-        with closing(cache.open_copy(folder / name, 5000)) as copy:
+        with opened(folder / name) as copy:
             assert copy.pread(100, 150_000) == content[150_000:150_100]
 
 
 def test_an_object_that_is_replaced_meanwhile_is_noticed(server):
     folder, held = objects(server, "a.h5")
     told = f"{PLACE}/a.h5: is not the file that the manifest"
-    with closing(cache.open_copy(folder / "a.h5", 5000)) as copy:
+    with opened(folder / "a.h5") as copy:
         copy.pread(100, 0)
         (folder_of(PLACE) / "a.h5").put(held["a.h5"][:-1] + b"?")
         with pytest.raises(StoreError, match=told):
             copy.pread(100, 200_000)
     with pytest.raises(StoreError, match=told):
         cache.fetch(folder / "a.h5")
-    assert [path.name for path in folder.iterdir()] == ["dataset.json"]
+    assert names(folder) == {"dataset.json"}
 
 
 def test_what_was_used_longest_ago_makes_room(server, monkeypatch):
@@ -126,7 +132,7 @@ def test_what_was_used_longest_ago_makes_room(server, monkeypatch):
         cache.fetch(folder / name)
         os.utime(folder / name, ns=(len(server.log) * 10**9, SIZE))
         assert (folder / name).read_bytes() == held[name]
-    assert {path.name for path in folder.iterdir()} == {"dataset.json", "a", "d"}
+    assert names(folder) == {"dataset.json", "a", "d"}
     monkeypatch.setenv(copies.ROOM, "much")
     monkeypatch.setattr(copies, "_left", 0)
     with pytest.raises(StoreError, match=f"{copies.ROOM}=much: expected gigabytes, such as 50"):

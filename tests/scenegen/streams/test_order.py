@@ -16,7 +16,7 @@ from scenegen.streams.mixture import Component, Mixture
 from scenegen.streams.stream import Stream
 from tests.command_line import rows
 from tests.conftest import small_recipe
-from tests.scenegen.streams.test_stream import same
+from tests.scenegen.conftest import same
 
 VIEWPOINTS = (1, 2, 3, 5, 6)
 COMPONENTS = {
@@ -87,18 +87,14 @@ def test_batches_hold_each_sample_once_and_share_no_flight(weights, each, ranks,
     for batch in everything:
         assert len(batch) == size
         assert len({index // row for index in batch}) == size
-    by_rank = [
-        list(stream.batches(size, rank=rank, ranks=ranks, loaders=loaders)) for rank in range(ranks)
-    ]
-    rows_of = {}
-    for number, batch in enumerate(everything):
-        shares = [theirs[number] for theirs in by_rank]
-        assert sorted(index for share in shares for index in share) == sorted(batch)
-        for rank, share in enumerate(shares):
+    readers = {}
+    for rank in range(ranks):
+        theirs = stream.batches(size, rank=rank, ranks=ranks, loaders=loaders)
+        for number, (batch, share) in enumerate(zip(everything, theirs, strict=True)):
             assert share == batch[rank::ranks]
             for index in share:
-                rows_of.setdefault(index // row, set()).add((rank, number % loaders))
-    assert all(len(readers) == 1 for readers in rows_of.values())
+                readers.setdefault(index // row, set()).add((rank, number % loaders))
+    assert all(len(each) == 1 for each in readers.values())
 
 
 def test_batches_go_on_where_a_state_says_with_any_ranks():

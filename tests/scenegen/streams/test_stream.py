@@ -12,26 +12,17 @@ import pytest
 
 import scenegen
 from scenegen import SPLITS
-from scenegen.dataset.build import build, plan_dataset
+from scenegen.dataset.build import plan_dataset
 from scenegen.errors import DatasetError, GenerationError, SceneError, ScenegenError
 from scenegen.recipe import preset
-from scenegen.sample import GROUPS, Sample
+from scenegen.sample import Sample
 from scenegen.source import DrawnWorlds, read_scenes
 from scenegen.streams.mixture import Component
 from tests.command_line import ROOT, rows
 from tests.conftest import dataset_in, picky_recipe, small_recipe
+from tests.scenegen.conftest import built, same
 
 SCENES = ROOT / "scenes"
-
-
-def same(one, other):
-    """All fields, bit for bit and of the same type."""
-    pairs = [
-        (np.asarray(getattr(one, name)), np.asarray(getattr(other, name))) for name in GROUPS[""]
-    ]
-    return all(
-        a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes() for a, b in pairs
-    )
 
 
 def never(component, unit):
@@ -60,11 +51,8 @@ def test_a_folder_of_scenes_is_dealt_as_generate_deals_it(tmp_path):
         (scenes / f"{number}.xml").write_bytes(world.mjcf)
     asked = {"seed": 2, "counts": {"train": 1, "val": 1, "test": 2}}
     source = read_scenes(scenes, asked["counts"], seed=2)
-    build(plan_dataset(tmp_path / "d", preset("scene"), source, **asked))
-    stream, stored = (
-        scenegen.stream(str(scenes), seed=2, split="test"),
-        scenegen.load(tmp_path / "d", "test"),
-    )
+    stored = built(plan_dataset(tmp_path / "d", preset("scene"), source, **asked)).split("test")
+    stream = scenegen.stream(str(scenes), seed=2, split="test")
     assert all(same(stream[n], stored[n]) for n in range(2))
     for number in range(2):
         (scenes / f"{number}.xml").unlink()
@@ -140,15 +128,10 @@ def test_reading_goes_on_where_a_state_says():
     assert len(state) < 100
     resumed = iter(scenegen.stream(small_recipe(), samples=5))
     resumed.load_state_dict(json.loads(state))
-    everything = [*begun, *resumed]
-    assert len(everything) == len(stream)
-    assert all(same(one, other) for one, other in zip(everything, stream, strict=True))
-    for wrong in (
-        json.loads(state) | {"samples": 6},
-        json.loads(state) | {"stream": "0"},
-        {},
-        None,
-    ):
+    everything = zip([*begun, *resumed], stream, strict=True)
+    assert all(same(one, other) for one, other in everything)
+    good = json.loads(state)
+    for wrong in (good | {"samples": 6}, good | {"stream": "0"}, {}, None):
         with pytest.raises(DatasetError, match=r"^state of a stream: "):
             reader.load_state_dict(wrong)
 

@@ -60,9 +60,10 @@ def test_truncations_of_every_reach_are_exact(voxel):
     occupancy = rng.random((19, 26, 22)) < 0.0005
     occupancy[4, 20, 7] = True
     k = squares(occupancy)
-    lengths = [0.5, 1, 1.5, 2, 3, 7, 10, 11, 12, 15, 16, 17, 20, 25, 90, 127, 128, 180, 182, 300]
-    roots = np.sqrt([2, 3, 5, 126, 127, 128, 129, 255, 256, 257])
-    for reach in [*lengths, *roots, *rng.uniform(0, 40, 20)]:
+    lengths = "0.5 1 1.5 2 3 7 10 11 12 15 16 17 20 25 90 127 128 180 182 300"
+    squared = "2 3 5 126 127 128 129 255 256 257"
+    told, roots = np.loadtxt(lengths.split()), np.sqrt(np.loadtxt(squared.split()))
+    for reach in [*told, *roots, *rng.uniform(0, 40, 20)]:
         metres = float(reach * voxel)
         for truncation in (metres, math.nextafter(metres, 0), math.nextafter(metres, 999)):
             answer = field(occupancy, voxel, truncation)

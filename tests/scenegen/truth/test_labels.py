@@ -11,19 +11,18 @@ from scipy.spatial.transform import Rotation
 
 from lidarsim import GridSpec
 from lidarsim.noise.chain import Noise
-from scenegen.dataset.build import build, plan_dataset
-from scenegen.dataset.read import Dataset
+from scenegen.dataset.build import plan_dataset
 from scenegen.dataset.rescan import plan_rescan
-from scenegen.draw import draw_unit
 from scenegen.errors import GenerationError
 from scenegen.sample import GROUPS
 from scenegen.share.stage import Request, stage
-from scenegen.source import DrawnWorlds, read_scenes
+from scenegen.source import read_scenes
 from scenegen.truth import rasterize
 from scenegen.verification import verify
 from scenegen.worlds.labels import NONE, SHAPES, class_names, labels_by, owners
 from scenegen.worlds.world import compile_world
-from tests.conftest import COUNTS, plan_of, small_recipe
+from tests.conftest import COUNTS, plan_of, scene_recipe, small_recipe
+from tests.scenegen.conftest import built, drawn_unit
 from tests.scenegen.truth.reference import Shape, at_least
 
 CUBE = " ".join(f"{x} {y} {z}" for x in (-0.5, 0.5) for y in (-0.4, 0.4) for z in (-0.3, 0.3))
@@ -85,10 +84,7 @@ def test_classes_come_from_names_shapes_or_groups():
 def test_labels_add_fields_and_change_none_and_their_digest_covers_them():
     recipe = small_recipe()
     with_labels = dataclasses.replace(recipe, labels=labels_by("name", ()))
-    plain, more = (
-        draw_unit(DrawnWorlds(it), it, seed=1, split="train", unit=0).samples[0]
-        for it in (recipe, with_labels)
-    )
+    plain, more = (drawn_unit(it, seed=1).samples[0] for it in (recipe, with_labels))
     assert set(more.names) == set(plain.names) | set(GROUPS["labels"])
     for name in plain.names:
         assert_array_equal(getattr(plain, name), getattr(more, name))
@@ -103,26 +99,22 @@ def test_labels_add_fields_and_change_none_and_their_digest_covers_them():
 
 def test_a_dataset_with_labels_is_kept_verified_published_and_scanned_again(undrawn, tmp_path):
     recipe = dataclasses.replace(small_recipe(), labels=labels_by("group", ()))
-    folder = tmp_path / "data"
-    plan = plan_of(folder, recipe, seed=3, counts=COUNTS, compact=True)
-    build(plan)
-    build(plan)  # which finds every shard as it was
-    dataset = Dataset(folder)
-    scans = [
-        plan_rescan(dataset, tmp_path / f"again{n}", chain=chain)
-        for n, chain in enumerate((None, Noise.parse("spurious:0.05,range")))
-    ]
-    for one in (plan, *scans):
-        build(one)
+    plan = plan_of(tmp_path / "data", recipe, seed=3, counts=COUNTS, compact=True)
+    dataset = built(plan)
+    assert built(plan).manifest == dataset.manifest  # which finds every shard as it was
+    same, noisy = (
+        built(plan_rescan(dataset, tmp_path / name, chain=chain))
+        for name, chain in (("same", None), ("noisy", Noise.parse("spurious:0.05,range")))
+    )
+    for one in (dataset, same, noisy):
         report = verify(one.folder)
         assert report.ok, report.failed
         assert {"labels", "owners"} <= {check.name for check in report.checks}
-    digest = dataset.manifest.digest
-    assert [Dataset(one.folder).manifest.digest == digest for one in scans] == [True, False]
-    sample = dataset.split("train")[0]
-    assert sample.voxel_class.max() == 1  # type: ignore[attr-defined]
-    assert dataset.split("train").describe()["voxel_geom"]["dtype"] == "int32"
-    request = Request(dataset=folder, repository="ada/small", out=tmp_path / "out")
+    assert dataset.manifest.digest == same.manifest.digest != noisy.manifest.digest
+    split = dataset.split("train")
+    assert split[0].voxel_class.max() == 1  # type: ignore[attr-defined]
+    assert split.describe()["voxel_geom"]["dtype"] == "int32"
+    request = Request(dataset=plan.folder, repository="ada/small", out=tmp_path / "out")
     stage(request, (("files", "all there"),))
     card = (tmp_path / "out" / "README.md").read_text()
     for said in ('"nothing", "group 0"', "`voxel_class`", "--labels group"):
@@ -143,15 +135,13 @@ def test_a_scenes_materials_make_classes_and_their_archive_keeps_them(tmp_path):
     file = tmp_path / "one.xml"
     file.write_text(DRESSED)
     counts = {"train": 6, "val": 0, "test": 0}
-    folders = {}
+    found = []
     for by in (None, "material", "group"):
-        recipe = dataclasses.replace(small_recipe(), kind="scene", world=None)
         source = read_scenes(file, counts, seed=0, materials=by == "material")
-        if by is not None:
-            recipe = dataclasses.replace(recipe, labels=labels_by(by, source.class_names(by)))
-        folders[by] = tmp_path / str(by)
-        build(plan_dataset(folders[by], recipe, source, seed=1, counts=counts))
-    plain, dressed, grouped = (Dataset(folder) for folder in folders.values())
+        labels = labels_by(by, source.class_names(by)) if by else None
+        recipe = dataclasses.replace(scene_recipe(), labels=labels)
+        found.append(built(plan_dataset(tmp_path / str(by), recipe, source, seed=1, counts=counts)))
+    plain, dressed, grouped = found
     assert (
         b"oak" not in plain.world("train", 0)["world.xml"]
     )  # as in datasets of earlier commits, byte for byte
@@ -159,9 +149,9 @@ def test_a_scenes_materials_make_classes_and_their_archive_keeps_them(tmp_path):
     assert b"unused" not in dressed.world("train", 0)["world.xml"]
     classes = list(dressed.manifest.labels["classes"])
     assert classes == ["nothing", *SHAPES, "oak", "steel"]
-    assert verify(folders["material"]).ok
-    place = {name: number for number, name in enumerate(classes)}
-    wanted = np.array([place[name] for name in ("steel", "oak", "oak", "cylinder", "nothing")])
+    assert verify(dressed.folder).ok
+    named = "steel", "oak", "oak", "cylinder", "nothing"
+    wanted = np.array([classes.index(name) for name in named])
     met = set()
     for n in range(counts["train"]):
         bare, material, group = (it.split("train")[n] for it in (plain, dressed, grouped))

@@ -3,7 +3,6 @@ still is."""
 
 import dataclasses
 import itertools
-import json
 
 import numpy as np
 import pytest
@@ -12,21 +11,19 @@ from numpy.testing import assert_array_equal
 from lidarsim import GridSpec
 from lidarsim.noise.chain import Noise
 from lidarsim.solids.model import solids_of
-from scenegen.dataset import manifest
 from scenegen.dataset.build import build
-from scenegen.dataset.read import Dataset
 from scenegen.dataset.rescan import plan_rescan
-from scenegen.draw import draw_unit
 from scenegen.errors import DatasetError
 from scenegen.recipe import preset
 from scenegen.share.regenerate import recipe_text
-from scenegen.source import DrawnWorlds
 from scenegen.truth import distance_field, rasterize
 from scenegen.verification import verify
 from tests.conftest import plan_of, small_recipe
+from tests.scenegen.conftest import built, drawn_unit
 from tests.scenegen.truth import reference
 from tests.scenegen.truth.reference import Shape
 from tests.scenegen.truth.test_occupancy import compiled, placed
+from tests.scenegen.verification.forge import edit_at
 
 EDGE = 24
 CORNERS = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
@@ -90,8 +87,7 @@ def test_every_return_lies_in_a_surface_voxel_and_scans_do_not_depend_on_truth()
     plain = preset("geometric")
     grid = dataclasses.replace(plain.grid, hollow=True)
     solid, surface = (
-        draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="train", unit=0).samples
-        for recipe in (plain, dataclasses.replace(plain, grid=grid))
+        drawn_unit(recipe).samples for recipe in (plain, dataclasses.replace(plain, grid=grid))
     )
     for one, other in zip(solid, surface, strict=True):
         assert_array_equal(one.ranges, other.ranges)
@@ -107,24 +103,15 @@ def plan(folder, *, hollow=True):
 
 def test_a_dataset_of_surfaces_is_written_verified_and_read_back(tmp_path):
     one, two = plan(tmp_path / "one"), plan(tmp_path / "two")
-    build(one, workers=1)
-    build(two, workers=2)
-    dataset = Dataset(one.folder)
-    assert dataset.manifest.digest == Dataset(two.folder).manifest.digest
+    dataset = built(one, workers=1)
+    assert dataset.manifest.digest == built(two, workers=2).manifest.digest
     assert verify(one.folder).ok
-    assert dataset.grid.hollow
     assert dataset.manifest.recipe == small_recipe(grid={"hollow": True})
-    again = plan_rescan(dataset, tmp_path / "again", chain=Noise.parse("range:0.02"))
-    build(again)
-    for one_sample, other in zip(
-        dataset.split("train"), Dataset(again.folder).split("train"), strict=True
-    ):
-        assert_array_equal(one_sample.occupancy, other.occupancy)
+    again = built(plan_rescan(dataset, tmp_path / "again", chain=Noise.parse("range:0.02")))
+    for before, after in zip(dataset.split("train"), again.split("train"), strict=True):
+        assert_array_equal(before.occupancy, after.occupancy)
     assert "hollow = true" in recipe_text(one.parameters, "again")
     with pytest.raises(DatasetError, match=r'grid\.hollow is true there, "absent" asked for'):
         build(plan(one.folder, hollow=False), workers=1)
-    path = one.folder / manifest.NAME
-    said = json.loads(path.read_text())
-    del said["grid"]["hollow"]
-    path.write_text(json.dumps(said))
+    edit_at(one.folder, "grid.hollow", "")
     assert not verify(one.folder).ok  # solids are another truth

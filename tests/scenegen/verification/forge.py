@@ -73,14 +73,9 @@ def sign(folder, **changes):
     for entry in given["shards"]:
         entry["worlds_sha256"] = hashlib.sha256((folder / entry["worlds"]).read_bytes()).hexdigest()
         with h5py.File(folder / entry["file"], "r+") as shard:
-            if dict(shard.attrs) | {
-                "worlds_sha256": entry["worlds_sha256"],
-                "parameters": fingerprint,
-            } != dict(shard.attrs):
-                shard.attrs["worlds_sha256"], shard.attrs["parameters"] = (
-                    entry["worlds_sha256"],
-                    fingerprint,
-                )
+            said = {"worlds_sha256": entry["worlds_sha256"], "parameters": fingerprint}
+            if dict(shard.attrs) | said != dict(shard.attrs):
+                shard.attrs.update(said)
             total.update(shard["sha256"][()].tobytes())
         entry["sha256"] = hashlib.sha256((folder / entry["file"]).read_bytes()).hexdigest()
     given["digest"] = total.hexdigest()

@@ -21,10 +21,7 @@ SECONDS = 20.0
 
 
 @pytest.fixture(autouse=True)
-def soon_and_small(tmp_path, monkeypatch):
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    monkeypatch.chdir(elsewhere)
+def soon_and_small(tmp_path, elsewhere):
     begin = time.monotonic()
     # forked children begin with what this process has, and the figure is the largest of all that
     # ever were
@@ -34,7 +31,6 @@ def soon_and_small(tmp_path, monkeypatch):
     assert time.monotonic() - begin < SECONDS
     taken = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss - before
     assert taken < 1 << 20  # KB, so a gigabyte
-    assert list(elsewhere.iterdir()) == []
     assert not (tmp_path / "evil").exists()
 
 
@@ -75,7 +71,7 @@ def test_a_pipe_is_not_waited_for(folder):
 
 
 def world(document):
-    return lambda members: members.update({"000000.xml": document})
+    return {"000000.xml": document}
 
 
 def geoms(count, more=""):
@@ -105,9 +101,9 @@ LAUGHS = (
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda m: m.update({"../evil.xml": b""}), "'../evil.xml': expected a plain file name"),
-        (lambda m: m.update({"world.xml": b""}), "member 'world.xml': expected a world's number"),
-        (lambda m: m.update({"000009.xml": geoms(1)}), "holds worlds 0 to 9 (3), its samples"),
+        ({"../evil.xml": b""}, "'../evil.xml': expected a plain file name"),
+        ({"world.xml": b""}, "member 'world.xml': expected a world's number"),
+        ({"000009.xml": geoms(1)}, "holds worlds 0 to 9 (3), its samples"),
         (world(b" " * (MOST_DOCUMENT_BYTES + 1)), f"expected {MOST_DOCUMENT_BYTES} at most"),
         (world(b"<mujoco>"), "000000.xml: is not plain XML"),
         (world(LAUGHS), "declares a document type or entities"),
@@ -119,15 +115,12 @@ LAUGHS = (
             "more than 5000 elements besides geom",
         ),
         (world(geoms(1, f"<size {MANY}/>")), "100 attributes of one"),
-        (
-            lambda m: m.update({f"{n:06d}.xml": geoms(1) for n in range(7)}),
-            "7 worlds, expected one a sample",
-        ),
-        (lambda m: m.update({"a.png": IMAGE}), "an image of"),
+        ({f"{n:06d}.xml": geoms(1) for n in range(7)}, "7 worlds, expected one a sample"),
+        ({"a.png": IMAGE}, "an image of"),
     ],
 )
 def test_an_archive_that_means_harm_is_named(folder, change, said):
-    forge.rezip(folder / WORLDS, change)
+    forge.rezip(folder / WORLDS, lambda members: members.update(change))
     forge.sign(folder)
     found = failed(folder, quick=True)
     assert found["archives"].startswith(WORLDS)
@@ -135,9 +128,8 @@ def test_an_archive_that_means_harm_is_named(folder, change, said):
 
 
 def test_what_passes_the_screen_but_is_no_world_is_named(folder):
-    forge.rezip(
-        folder / WORLDS, world(b'<mujoco><worldbody><geom type="pyramid"/></worldbody></mujoco>')
-    )
+    pyramid = world(b'<mujoco><worldbody><geom type="pyramid"/></worldbody></mujoco>')
+    forge.rezip(folder / WORLDS, lambda members: members.update(pyramid))
     forge.sign(folder)
     assert f"{WORLDS}: 000000.xml: not valid MJCF" in failed(folder)["splits"]
 

@@ -1,6 +1,7 @@
 """The audit of stored ranges: which engine makes it, where the rays point, how much of a difference
 is one."""
 
+import json
 import weakref
 
 import numpy as np
@@ -54,13 +55,13 @@ def test_an_engine_of_a_users_own_is_audited_by_mujoco_and_not_imported():
 @pytest.mark.parametrize(
     "shape",
     [
-        {"vertical_fov_deg": 60.0, "mount": "tilt"},
-        {"vertical_fov_deg": 30.0, "horizontal_fov_deg": 90.0, "mount": "band"},
-        {"rows": 1, "columns": 1},
+        '{"vertical_fov_deg": 60, "mount": "tilt"}',
+        '{"vertical_fov_deg": 30, "horizontal_fov_deg": 90, "mount": "band"}',
+        '{"rows": 1, "columns": 1}',
     ],
 )
 def test_directions_are_the_sensors(shape):
-    lidar = Lidar(**{"rows": 16, "columns": 120} | shape)
+    lidar = Lidar(**{"rows": 16, "columns": 120} | json.loads(shape))
     quaternion = np.array([0.5, -0.1, 0.7, 0.5])  # of length 1
     expected = rotate(quaternion, lidar.directions_body)
     assert_allclose(ray_directions(lidar, quaternion), expected, atol=1e-14)

@@ -15,7 +15,6 @@ from scenegen.dataset.manifest import NAME
 from scenegen.dataset.rescan import scan_again
 from scenegen.draw import UnitKey
 from scenegen.errors import DatasetError
-from scenegen.recipe import make_recipe
 from scenegen.sample import GROUPS
 from scenegen.source import read_scenes
 from scenegen.truth import distance_field
@@ -23,7 +22,7 @@ from scenegen.verification import verify
 from scenegen.verification.folder import CHECKS
 from scenegen.worlds.world import compile_world
 from tests.command_line import ROOT, rows
-from tests.conftest import SMALL, THREE, small_recipe
+from tests.conftest import THREE, scene_recipe, small_recipe
 from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
 
@@ -34,42 +33,36 @@ SCENES = ROOT / "scenes"
 @pytest.mark.parametrize(
     ("kind", "quick"), [("pillar", False), ("pillar", True), ("geometric", False)]
 )
-def test_a_dataset_as_made_passes_every_check_and_is_not_touched(
-    originals, tmp_path, monkeypatch, kind, quick
-):
+@pytest.mark.usefixtures("elsewhere")
+def test_a_dataset_as_made_passes_every_check_and_is_not_touched(originals, kind, quick):
     def touched():
         return {path.name: path.stat().st_mtime_ns for path in originals[kind].iterdir()}
 
-    monkeypatch.chdir(tmp_path)
     told, before = [], touched()
     report = verify(
         originals[kind], quick=quick, on_start=lambda n: told.append(-n), on_done=told.append
     )
     assert [check for check in report.checks if check.skipped or not check.ok] == []
     others = (*GROUPS["labels"], *GROUPS["known"])
-    expected = [check for check in CHECKS if check.quick or not quick]
-    assert [check.name for check in report.checks] == [
-        check.name for check in expected if check.field not in others
-    ]
+    expected = [check for check in CHECKS if check.field not in others]
+    names = [check.name for check in expected if check.quick or not quick]
+    assert [check.name for check in report.checks] == names
     assert (report.ok, report.samples) == (True, 12)
     assert sorted(told) == [-12, 3, 3, 6]
-    assert json.loads(json.dumps(report.to_json()))["checks"][-1]["name"] == report.checks[-1].name
-    assert (touched(), list(tmp_path.iterdir())) == (before, [])
+    assert [check["name"] for check in json.loads(json.dumps(report.to_json()))["checks"]] == names
+    assert touched() == before
 
 
 @pytest.mark.parametrize("scene", ["forest.xml", "warehouse.xml"])
 def test_worlds_drawn_by_hand_pass(tmp_path, scene):
-    tables = {name: SMALL[name] for name in ("lidar", "grid")} | {"flight": {"viewpoints": 2}}
-    recipe = make_recipe("scene", tables, where="test")
     source = read_scenes(SCENES / scene, THREE, seed=0)
-    build(plan_dataset(tmp_path, recipe, source, seed=0, counts=THREE, shard_samples=2))
-    report = verify(tmp_path)
-    assert [check.detail for check in report.checks if not check.ok or check.skipped] == []
+    build(plan_dataset(tmp_path, scene_recipe(), source, seed=0, counts=THREE))
+    assert not [check for check in verify(tmp_path).checks if check.skipped or not check.ok]
 
     def respell(members):
         members["000000.xml"] = members["000000.xml"].replace(b"pos=", b" pos=", 1)
 
-    forge.rezip(tmp_path / "train-00001.worlds.zip", respell)
+    forge.rezip(tmp_path / "train-00000.worlds.zip", respell)
     forge.sign(tmp_path)
     told = "is not the world that the manifest's recipe.scenes names"
     assert told in failed(tmp_path, quick=True)["archives"]
@@ -81,12 +74,8 @@ def roll(arrays):
 
 
 def move_a_return(arrays):
-    row, ray = 2, np.flatnonzero(np.isfinite(arrays["ranges"][2].ravel()))[0]
-    arrays["ranges"][row].ravel()[ray] -= 0.01
-
-
-def flip_rays(arrays):
-    arrays["ranges"] = np.ascontiguousarray(arrays["ranges"][:, :, ::-1])
+    ranges = arrays["ranges"][2]
+    ranges.flat[np.isfinite(ranges).argmax()] -= 0.01
 
 
 def nudge_tudf(arrays):
@@ -98,13 +87,11 @@ def free_the_observed(arrays):
 
 
 def lose_free(arrays):
-    arrays["free"][3][np.unravel_index(arrays["free"][3].argmax(), arrays["free"][3].shape)] = False
+    arrays["free"][3].flat[arrays["free"][3].argmax()] = False
 
 
 def see_what_is_not_there(arrays):
-    arrays["observed"][0] |= ~arrays["occupancy"][0] & (
-        np.arange(arrays["observed"][0].size) % 97 == 0
-    ).reshape(arrays["observed"][0].shape)
+    arrays["observed"][0, ::5] |= ~arrays["occupancy"][0, ::5]
 
 
 def fill_a_voxel(arrays):
@@ -123,11 +110,7 @@ def rename(arrays):
 
 
 def lengthen(arrays):
-    arrays["ranges"][0, 0, 0] = 10.5
-
-
-def not_a_number(arrays):
-    arrays["ranges"][0, 0, 0] = np.nan
+    arrays["ranges"][0, 0, :2] = 10.5, np.nan
 
 
 def stretch_the_attitude(arrays):
@@ -146,7 +129,6 @@ def change_everything_alike(arrays):
     [
         (roll, "voxels", "sample 1: observed is not what follows from ranges", False),
         (move_a_return, "rays", "sample 2: 1 of 192 rays differ", False),
-        (flip_rays, "rays", "rays differ", False),
         (nudge_tudf, "tudf", "sample 5: tudf is not what follows from occupancy: 1", False),
         (free_the_observed, "laws", "sample 3", False),
         (lose_free, "free", "sample 3: free is not what follows from ranges: 1", False),
@@ -155,8 +137,7 @@ def change_everything_alike(arrays):
         (move_the_grid, "centred", "sample 4: origin is 1e-09 m from position less half", True),
         (stretch_the_attitude, "centred", "sample 1: quaternion has length 1.001", True),
         (rename, "names", "sample 0: is world 0, viewpoint 1, expected (0, 0)", True),
-        (lengthen, "laws", "sample 0: 1 ranges are not from 0 to 10 m, or inf", True),
-        (not_a_number, "laws", "sample 0: 1 ranges are not from 0 to 10 m, or inf", True),
+        (lengthen, "laws", "sample 0: 2 ranges are not from 0 to 10 m, or inf", True),
     ],
 )
 def test_a_forger_who_rewrites_every_digest_is_caught_by_name(folder, change, check, said, quick):
@@ -218,7 +199,7 @@ def test_a_world_nudged_by_a_centimetre_does_not_hide_a_twin(folder):
     document, twin = of_world_0(folder)
     spec = mujoco.MjSpec.from_string(document.decode())
     for geom in spec.geoms:
-        geom.pos = [geom.pos[0] + 0.01, geom.pos[1], geom.pos[2]]
+        geom.pos = np.add(geom.pos, [0.01, 0, 0])
     spec.compile()
     world = compile_world(spec.to_xml().encode())
     places = zip(twin["position"], twin["quaternion"], strict=True)
@@ -226,8 +207,7 @@ def test_a_world_nudged_by_a_centimetre_does_not_hide_a_twin(folder):
     key, engine = UnitKey(0, "test", 0), MujocoEngine.of
     again = scan_again(world, poses, small_recipe(), key, names=(0, 0), engine=engine)
     for name in GROUPS[""]:
-        values = [np.asarray(getattr(sample, name)) for sample in again.samples]
-        twin[name] = np.array(values, twin[name].dtype)
+        twin[name][:] = [getattr(sample, name) for sample in again.samples]
     put_into_test(folder, world.mjcf, twin)
     found = failed(folder)
     assert set(found) == {"near-twins", "regenerated"}

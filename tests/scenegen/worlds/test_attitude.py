@@ -8,15 +8,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from lidarsim import Pose
-from scenegen.draw import draw_unit
-from scenegen.source import DrawnWorlds
 from scenegen.worlds.flight import GRAVITY, Route, acceleration, leaning
 from scenegen.worlds.mapping import Mapper
 from tests.conftest import small_recipe
+from tests.scenegen.conftest import drawn_unit
 
-PATH = np.array(
-    [[0, 0, 2], [3, 0, 2], [3, 0, 2], [3, 4, 3], [1, 4, 5], [1, 4, 1.5], [-4, 2, 2]], dtype=float
-)
+PATH = np.loadtxt(["0 0 2", " 3 0 2", " 3 0 2", " 3 4 3", " 1 4 5", " 1 4 1.5", " -4 2 2"])
 SPEED, SETTLE = 2.5, 0.7
 
 
@@ -82,7 +79,7 @@ def test_next_to_no_speed_is_next_to_level():
 def test_a_leaning_sensors_ranges_are_mujocos():
     """Each ray by `mj_ray`, its direction by scipy from the stored attitude."""
     recipe = small_recipe(mapping={"tilt_mps": 4.0, "scans": 2})
-    unit = draw_unit(DrawnWorlds(recipe), recipe, seed=0, split="train", unit=0)
+    unit = drawn_unit(recipe)
     model = mujoco.MjModel.from_xml_string(unit.world.mjcf.decode())
     data, leans = mujoco.MjData(model), []
     mujoco.mj_forward(model, data)

@@ -11,7 +11,6 @@ import pytest
 import trimesh
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from lidarsim.solids.model import solids_of
 from scenegen.worlds.clearance import CAP_M, Clearance
@@ -38,13 +37,10 @@ def primitive_world(seed):
     spec = mujoco.MjSpec()
     names = ("SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER", "BOX")
     shapes = [getattr(Geom, f"mjGEOM_{name}") for name in names]
-    for n in range(30):
-        spec.worldbody.add_geom(
-            type=shapes[n % 5],
-            size=rng.uniform(0.1, 0.9, 3),
-            pos=rng.uniform(BOUNDS[0] - 1.2, BOUNDS[1] + 1.2),
-            quat=rng.normal(size=4),
-        )
+    for shape in shapes * 6:
+        size, quat = rng.uniform(0.1, 0.9, 3), rng.normal(size=4)
+        pos = rng.uniform(BOUNDS[0] - 1.2, BOUNDS[1] + 1.2)
+        spec.worldbody.add_geom(type=shape, size=size, pos=pos, quat=quat)
     spec.worldbody.add_geom(
         type=Geom.mjGEOM_PLANE, size=[0, 0, 1], pos=[0, 0, 0.2], quat=[1, 0.1, 0.1, 0]
     )
@@ -61,11 +57,9 @@ def distances_by_mujoco(model, data, points):
     1.5 m is inf."""
     probe, far_m = model.ngeom - 1, 1.5
     found = np.full(len(points), np.inf)
-    gaps = (
-        np.linalg.norm(points[:, None] - data.geom_xpos[:probe], axis=2) - model.geom_rbound[:probe]
-    )
-    gaps[:, model.geom_type[:probe] == Geom.mjGEOM_PLANE] = 0.0
-    for n, geom in np.argwhere(gaps < far_m):
+    gaps = np.linalg.norm(points[:, None] - data.geom_xpos, axis=2) - model.geom_rbound
+    gaps[:, model.geom_type == Geom.mjGEOM_PLANE] = 0.0
+    for n, geom in np.argwhere(gaps[:, :probe] < far_m):
         data.geom_xpos[probe] = points[n]
         apart = mujoco.mj_geomDistance(model, data, geom, probe, far_m, None)
         found[n] = min(found[n], max(apart + TINY_M, 0.0) if apart < far_m else np.inf)
@@ -140,8 +134,7 @@ def torus(share=1.0):
 
 def hill():
     """A height field of 5 x 6 points over 2.4 x 3.6 m, as the prisms that it is."""
-    size = (1.2, 1.8, 1.5, 0.4)
-    prisms = reference.hfield_prisms(ELEVATION * 1.5, size, np.zeros(3), np.array([1.0, 0, 0, 0]))
+    prisms = reference.hfield_prisms(ELEVATION * HILL[2], HILL, np.zeros(3), [1, 0, 0, 0])
     return trimesh.util.concatenate([trimesh.convex.convex_hull(one) for one in prisms])
 
 
@@ -149,6 +142,7 @@ ELEVATION = (
     (np.random.default_rng(7).permutation(30).reshape(5, 6) / 29.0).astype(np.float32).astype(float)
 )
 """From 0 to 1, both reached, or else MuJoCo would stretch it."""
+HILL = (1.2, 1.8, 1.5, 0.4)
 BENT = {"ring": torus(), "half a ring": torus(0.5), "hill": hill()}
 FILLED = ("ring", "hill")
 
@@ -159,23 +153,14 @@ def bent_world(names, seed):
     rng = np.random.default_rng(seed)
     spec = mujoco.MjSpec()
     shapes = []
-    for n, name in enumerate(names):
-        at = {"pos": rng.uniform(BOUNDS[0] + 1.0, BOUNDS[1] - 1.0), "quat": rng.normal(size=4)}
+    for name in names:
+        at = rng.uniform(BOUNDS[0] + 1.0, BOUNDS[1] - 1.0), rng.normal(size=4)
         if name == "hill":
-            user = ELEVATION.ravel().tolist()
-            spec.add_hfield(name=f"{n}", nrow=5, ncol=6, size=[1.2, 1.8, 1.5, 0.4], userdata=user)
-            spec.worldbody.add_geom(type=Geom.mjGEOM_HFIELD, hfieldname=f"{n}", **at)
+            reference.add_hfield(spec, ELEVATION, HILL, *at)
         else:
-            mesh = spec.add_mesh(
-                name=f"{n}",
-                uservert=BENT[name].vertices.ravel(),
-                userface=BENT[name].faces.ravel().tolist(),
-            )
-            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-            spec.worldbody.add_geom(type=Geom.mjGEOM_MESH, meshname=f"{n}", **at)
+            reference.add_mesh(spec, BENT[name], *at)
         pose = np.eye(4)
-        pose[:3, :3] = Rotation.from_quat(at["quat"], scalar_first=True).as_matrix()
-        pose[:3, 3] = at["pos"]
+        pose[:3, 3], pose[:3, :3] = at[0], reference.rotation(at[1])
         shapes.append((BENT[name].copy().apply_transform(pose), name in FILLED))
     return Clearance(solids_of(spec.compile()), BOUNDS), shapes
 

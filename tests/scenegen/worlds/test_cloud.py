@@ -19,10 +19,11 @@ from scenegen.display.exchange.files import write_points
 from scenegen.display.exchange.glb import encode_world
 from scenegen.errors import DatasetError, SceneError
 from scenegen.source import read_world
-from scenegen.verification import verify
 from scenegen.worlds.cloud import Survey, map_clouds
 from scenegen.worlds.world import World
-from tests.command_line import refused, rows, run
+from tests.command_line import refused, rows
+from tests.scenegen.conftest import done
+from tests.scenegen.verification.conftest import failed
 from tests.scenegen.worlds.test_place import ORIGIN, RECIPE, VOXEL_M, hall
 
 TRUTH = VoxelMap(hall(), VOXEL_M, np.array(ORIGIN))
@@ -105,13 +106,17 @@ def surveyed(folder, scans, how):
     return map_clouds(files, VOXELS, poses=folder / "poses.txt").voxels
 
 
+def within(part, whole):
+    """The slices of a map that hold a part of it."""
+    corner = np.rint((part.origin - whole.origin) / VOXEL_M).astype(int)
+    assert_allclose(part.origin, whole.origin + corner * VOXEL_M, atol=1e-9)
+    return tuple(map(slice, corner, corner + part.states.shape))
+
+
 @pytest.mark.parametrize("how", ["fields", "viewpoint", "places", "tum", "kitti", ".las", ".laz"])
 def test_a_cloud_s_map_is_the_place_where_rays_went(scans, tmp_path, how):
     voxels = surveyed(tmp_path, scans, how)
-    corner = np.rint((voxels.origin - ORIGIN) / VOXEL_M).astype(int)
-    assert_allclose(voxels.origin, ORIGIN + corner * VOXEL_M, atol=1e-9)
-    there = tuple(slice(a, a + n) for a, n in zip(corner, voxels.states.shape, strict=True))
-    truth = TRUTH.states[there]
+    truth = TRUTH.states[within(voxels, TRUTH)]
     assert (truth[voxels.states == OCCUPIED] == OCCUPIED).all()
     # a ray may pass through less than 0.1 mm of what it does not see
     assert (truth[voxels.states == FREE] == OCCUPIED).mean() < 1e-3
@@ -137,17 +142,17 @@ def meets(sensor, points, low):
 
 def test_units_axes_and_offsets_change_no_voxel(scans, tmp_path):
     sensor, points = scans[0]
-    plain = map_clouds([write_ply(tmp_path / "a.ply", points)], VOXELS, sensor=sensor)
-    inches, stand = points[:, [0, 2, 1]] * (1, 1, -1) / 0.0254, sensor[[0, 2, 1]] * (1, 1, -1)
-    turned = map_clouds(
-        [write_ply(tmp_path / "b.ply", inches)],
-        Survey(voxel_m=VOXEL_M, unit_m=0.0254, up="y"),
-        sensor=stand / 0.0254,
+
+    def mapped(points, sensor, survey=VOXELS, **more):
+        return map_clouds([write_ply(tmp_path / "a.ply", points)], survey, sensor=sensor, **more)
+
+    plain, inches = mapped(points, sensor), Survey(voxel_m=VOXEL_M, unit_m=0.0254, up="y")
+    turned = mapped(
+        *(its[..., [0, 2, 1]] * (1, 1, -1) / 0.0254 for its in (points, sensor)), inches
     )
     away = np.array([652_000.0, 5_403_000.0, 0.0])
-    far = map_clouds([write_ply(tmp_path / "c.ply", points + away)], VOXELS, sensor=sensor + away)
-    low, high = points.min(axis=0), points.max(axis=0)
-    boxed = map_clouds([tmp_path / "a.ply"], VOXELS, sensor=sensor, box=(*(low + 2), *(high - 2)))
+    far = mapped(points + away, sensor + away)
+    boxed = mapped(points, sensor, box=(*(points.min(axis=0) + 2), *(points.max(axis=0) - 2)))
     assert plain.offset.tolist() == [0, 0, 0]
     for other in (turned, far):
         assert_array_equal(other.voxels.states, plain.voxels.states)
@@ -155,8 +160,7 @@ def test_units_axes_and_offsets_change_no_voxel(scans, tmp_path):
             other.voxels.origin + other.offset - plain.voxels.origin, away * other.offset.any()
         )
     assert 0 < boxed.points < plain.points == len(points)
-    corner = np.rint((boxed.voxels.origin - plain.voxels.origin) / VOXEL_M).astype(int)
-    part = tuple(slice(a, a + n) for a, n in zip(corner, boxed.voxels.states.shape, strict=True))
+    part = within(boxed.voxels, plain.voxels)
     assert_array_equal(boxed.voxels.states, plain.voxels.states[part])
 
 
@@ -178,8 +182,7 @@ def test_a_dataset_of_a_cloud_passes_every_check(tmp_path):
         summary = build(plan_generation(None, 4, **given, tell=said.append), workers=1)
     assert summary.samples_written == 0
     assert f"{len(every)} points become voxels of 0.2 m" in said[0]
-    report = verify(tmp_path / "data")
-    assert report.ok, [check.detail for check in report.checks]
+    assert not failed(tmp_path / "data")
 
 
 NO_MAPS = """
@@ -211,14 +214,16 @@ def test_what_is_no_map_ends_in_a_line(standing, capsys, name, lines, options, s
 def test_the_command_says_what_it_made(scans, tmp_path, capsys):
     sensor, points = scans[0]
     write_points(tmp_path / "a.pcd", points, None, {"frame": "world", "position": sensor})
-    code, told, error = run(capsys, f"map {tmp_path}/a.pcd --voxel 0.5 -o {tmp_path}/b.npz --json")
-    assert code == 0, error
-    code, again, _ = run(capsys, f"inspect {tmp_path}/b.npz --json")
-    said, found = json.loads(told), json.loads(again)
+    said, found = (
+        json.loads(done(capsys, f"{words} --json"))
+        for words in (
+            f"map {tmp_path}/a.pcd --voxel 0.5 -o {tmp_path}/b.npz",
+            f"inspect {tmp_path}/b.npz",
+        )
+    )
     assert said["points"] == len(points)
-    assert {key: said[key] for key in ("shape", "free", "voxel_m")} == {
-        key: found[key] for key in ("shape", "free", "voxel_m")
-    }
+    for name in ("shape", "free", "voxel_m"):
+        assert said[name] == found[name]
 
 
 @pytest.mark.parametrize("suffix", [".glb", ".obj", ".stl"])
@@ -242,18 +247,18 @@ def test_a_mesh_is_the_world_that_it_was_made_of(tmp_path, suffix):
     )
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "said"),
-    [
-        ("a.glb", b"", "cannot be read as .glb"),
-        ("a.stl", b"solid\n" * 9, "a.stl"),
-        ("a.obj", b"v 0 0 0\n", "a.obj"),
-        ("a.obj", b"v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not finite"),
-        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "a.obj"),
-        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "a.obj"),
-    ],
-)
+NO_MESHES = """
+a.glb →                                              → cannot be read as .glb
+a.stl → solid; solid; solid; solid; solid; solid     → a.stl
+a.obj → v 0 0 0                                      → a.obj
+a.obj → v 0 0 nan; v 1 0 0; v 0 1 0; f 1 2 3         → not finite
+a.obj → v 0 0 0; v 1 0 0; v 0 1 0; f 1 2 9           → a.obj
+a.obj → v 0 0 0; v 1 0 0; v 2 0 0; f 1 2 3           → a.obj
+"""
+
+
+@pytest.mark.parametrize(("name", "content", "said"), rows(NO_MESHES))
 def test_what_is_no_mesh_ends_in_a_line(tmp_path, name, content, said):
-    (tmp_path / name).write_bytes(content)
+    (tmp_path / name).write_text(content.replace("; ", "\n"))
     with pytest.raises((SceneError, DatasetError), match=said):
         read_world(tmp_path / name)

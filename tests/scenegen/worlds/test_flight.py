@@ -123,7 +123,7 @@ def test_a_divided_world_gives_up_after_its_iterations(iterations):
 
 
 CORNERS = "0 0 0, 0 0 2, 3 0 2, 3 4 2, 3 4 5, 3 4 3, 3 1 7, 3 1 8, -2 -4 8"
-PATH = np.array([corner.split() for corner in CORNERS.split(",")], dtype=float)
+PATH = np.loadtxt(CORNERS.split(","))
 """Climbs at once, turns left, climbs and sinks in between, turns back while climbing, climbs, and
 leaves to the south west."""
 HEADINGS = np.radians([0, 0, 90, 90, 90, -90, -90, -135])
@@ -155,10 +155,9 @@ def test_viewpoints_lie_on_the_path_a_spacing_apart_in_an_order_that_the_generat
         assert_allclose(np.diff(flown), spacing, rtol=0, atol=1e-9)
         assert 0 <= flown[0] < spacing
         assert ends[-1] - spacing <= flown[-1] < ends[-1]
-        assert len(views) == len(views.positions) == len(flown)
-        for axis in range(3):
-            expected = np.interp(views.flown_m, ends, PATH[:, axis])
-            assert_allclose(views.positions[:, axis], expected, rtol=0, atol=1e-9)
+        assert len(views) == len(flown)
+        expected = [np.interp(views.flown_m, ends, along) for along in PATH.T]
+        assert_allclose(views.positions.T, expected, rtol=0, atol=1e-9)
     assert np.ptp(firsts) > 0.5 * spacing
     assert len(orders) == 20
 

@@ -18,6 +18,7 @@ from scenegen.source import read_scenes
 from scenegen.worlds.scene import load_scene
 from scenegen.worlds.screen import screen
 from scenegen.worlds.world import compile_world, quiet_mujoco
+from tests.command_line import rows
 
 REACH_M = 100.0
 ONE = {"train": 1, "val": 0, "test": 0}
@@ -36,11 +37,8 @@ ROBOT = """<mujoco><compiler meshdir="parts"/><asset>
 
 
 @pytest.fixture(autouse=True)
-def no_trace(tmp_path, monkeypatch, capfd):
+def no_trace(elsewhere, capfd):
     """Nothing is printed, nothing left in the working folder, no warning raised."""
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    monkeypatch.chdir(elsewhere)
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         warnings.filterwarnings(
@@ -49,7 +47,6 @@ def no_trace(tmp_path, monkeypatch, capfd):
         yield
     assert [str(warning.message) for warning in told] == []
     assert "".join(capfd.readouterr()) == ""
-    assert list(elsewhere.iterdir()) == []
 
 
 def write(folder, text, name="world.xml"):
@@ -58,29 +55,20 @@ def write(folder, text, name="world.xml"):
     return folder / name
 
 
-def own_rays(path, origin, directions):
-    """MuJoCo's own rays in MuJoCo's own model of a file, planes infinite."""
-    model = mujoco.MjModel.from_xml_path(str(path))
-    model.geom_size[model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE, :2] = 0
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    geom = np.zeros(1, np.int32)
-    found = [
-        mujoco.mj_ray(model, data, origin, ray, None, True, -1, geom, None) for ray in directions
-    ]
-    return np.where((np.array(found) < 0) | (np.array(found) > REACH_M), np.inf, found)
-
-
 def assert_as_mujoco_compiles_it(path):
-    """The archived document gives MuJoCo's rays, from all around."""
-    scene = load_scene(path)
-    world = compile_world(scene.mjcf, scene.assets)
+    """The archived document gives the rays of MuJoCo's own model of the file, planes infinite, from
+    all around."""
+    scene, plain = load_scene(path), mujoco.MjModel.from_xml_path(str(path))
+    plain.geom_size[plain.geom_type == mujoco.mjtGeom.mjGEOM_PLANE, :2] = 0
     rng = np.random.default_rng(0)
-    for origin in rng.uniform(-10, 10, (8, 3)):
-        directions = rng.uniform(-6, 6, (100, 3)) - origin
-        directions /= np.linalg.norm(directions, axis=1)[:, None]
-        ours = MujocoEngine.of(world.model).cast(origin[None], directions[None], REACH_M)[0]
-        assert_allclose(ours, own_rays(path, origin, directions), rtol=0, atol=1e-5)
+    origins = rng.uniform(-10, 10, (8, 3))
+    rays = rng.uniform(-6, 6, (8, 100, 3)) - origins[:, None]
+    rays /= np.linalg.norm(rays, axis=2, keepdims=True)
+    ours, own = (
+        MujocoEngine.of(model).cast(origins, rays, REACH_M)
+        for model in (compile_world(scene.mjcf, scene.assets).model, plain)
+    )
+    assert_allclose(ours, own, rtol=0, atol=1e-5)
     return scene
 
 
@@ -248,19 +236,16 @@ def test_parts_of_a_folder_are_no_worlds(tmp_path):
         read_scenes(folder / "part.xml", ONE, seed=0)
 
 
-@pytest.mark.parametrize(
-    ("element", "said"),
-    [
-        ('<geom size="1" pos="0 NaN 0"/>', "<geom pos='0 NaN 0'>"),
-        ('<geom size="1" quat="0 &#110;an 0 1"/>', "<geom quat='0 nan 0 1'>"),
-        ('<geom size="1 2000000"/>', "'2000000', expected numbers up to 1e+06"),
-        ('<mesh name="m" builtin="supersphere" params="3000 1 1"/>', "expected 300 at most"),
-        (
-            '<hfield name="h" file="f.bin" size="1 1 1 1"/>',
-            "65536 rows and 65536 columns in 12 bytes",
-        ),
-    ],
-)
+UNSEEN = """
+<geom size="1" pos="0 NaN 0"/>         → <geom pos='0 NaN 0'>
+<geom size="1" quat="0 &#110;an 0 1"/> → <geom quat='0 nan 0 1'>
+<geom size="1 2000000"/>               → '2000000', expected numbers up to 1e+06
+<mesh name="m" builtin="supersphere" params="3000 1 1"/> → expected 300 at most
+<hfield name="h" file="f.bin" size="1 1 1 1"/> → 65536 rows and 65536 columns in 12 bytes
+"""
+
+
+@pytest.mark.parametrize(("element", "said"), rows(UNSEEN))
 def test_the_screen_refuses_what_generate_refuses(element, said):
     assets = {"f.bin": np.array([65536, 65536, 0], np.int32).tobytes()}
     with pytest.raises(BrokenError) as caught:
