@@ -23,7 +23,7 @@ from scenegen.dataset.parts import schema_of
 from scenegen.dataset.placed import write_placed
 from scenegen.dataset.shard import ShardReport, ShardSpec, ShardTask, find_engine, write_shard
 from scenegen.dataset.state import Plan, State
-from scenegen.errors import DatasetError, short
+from scenegen.errors import DatasetError, whole_number
 from scenegen.files import remove_drafts
 from scenegen.limits import (
     MOST_SAMPLES,
@@ -77,10 +77,10 @@ def plan_dataset(
     `engine` names what casts the rays; see `lidarsim.engines.ENGINES`. Raises DatasetError for an
     engine that is not to be had, and for numbers beyond those that readers take.
     """
-    _check_asked("--seed", seed, 0, MOST_SEED)
-    _check_asked("--shard-samples", shard_samples, 1, MOST_SAMPLES_IN_SHARD)
+    whole_number("--seed", seed, 0, MOST_SEED)
+    whole_number("--shard-samples", shard_samples, 1, MOST_SAMPLES_IN_SHARD)
     for split, count in counts.items():
-        _check_asked("--n" if split == "train" else f"--{split}", count, 0, MOST_SAMPLES)
+        whole_number("--n" if split == "train" else f"--{split}", count, 0, MOST_SAMPLES)
     find_engine(engine)
     given = manifest.parameters(
         recipe,
@@ -136,13 +136,6 @@ def divide(
                 )
             )
     return Plan(folder=folder, parameters=dict(given), shards=tuple(shards), lidars=(recipe.lidar,))
-
-
-def _check_asked(option: str, value: int, least: int, most: int) -> None:
-    if not least <= value <= most:
-        raise DatasetError(
-            f"{option} {short(value)}: expected a whole number from {least} to {most}"
-        )
 
 
 def build(
@@ -201,11 +194,6 @@ def build(
     if written and len(mine) < len(plan.shards):
         state.note(mine)
     return _summarise(state, state.sign(workers=workers), written)
-
-
-def check_folder(plan: Plan, *, force: bool = False) -> None:
-    """Raise DatasetError unless `build` would take the plan's folder; see `State`."""
-    State(plan, force=force)
 
 
 def _check_space(plan: Plan, missing: list[ShardTask]) -> None:

@@ -25,8 +25,6 @@ from scenegen.files import disk_told, names_in, open_bounded, remove_drafts, sha
 from scenegen.run.workers import run
 from scenegen.stores import StorePath, Version
 
-MANY = 8
-"""Shards from which on several processes read what is there."""
 FULL_BYTES, COMPACT_BYTES = 80_000, 10_000
 """About what a sample of the default grid takes on disk; half of it may do."""
 
@@ -183,9 +181,8 @@ class State:
         noted = {} if stored else read_notes(folder, manifest.fingerprint(self.plan.parameters))
         listed = {**noted, **self._listed}
         tasks = [(shard, listed.get(shard.file)) for shard in unknown]
-        several = workers if len(tasks) >= MANY else 1
         with closing(
-            placed.look(there, tasks) if stored else run(_report, tasks, several)
+            placed.look(there, tasks) if stored else run(_report, tasks, workers)
         ) as found:
             self.reports |= {report.file: report for report in found if report is not None}
 
