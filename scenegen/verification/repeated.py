@@ -11,8 +11,6 @@ import numpy as np
 
 from lidarsim import Pose, Scan
 from lidarsim.engines import ENGINES
-from lidarsim.engines.voxels import VoxelMap
-from lidarsim.solids.shapes import Solids
 from scenegen import GENERATOR
 from scenegen.dataset.manifest import differences
 from scenegen.dataset.rescan import scan_again
@@ -26,6 +24,7 @@ from scenegen.source import DrawnWorlds, SceneWorlds
 from scenegen.verification.rays import audit, disagrees
 from scenegen.verification.report import BrokenError, Page
 from scenegen.verification.stages import Check, Sample, Shard, Worlds, auditor, scans_of
+from scenegen.worlds.place import Place
 from scenegen.worlds.world import AnyWorld
 
 
@@ -99,24 +98,23 @@ def why_other(contract: Manifest) -> str:
 
 
 def _cast_again(sample: Sample, page: Page) -> None:
-    solids, worlds = sample.solids, sample.shard.worlds
-    if solids is None or worlds is None or sample.row not in sample.shard.audited:
+    if (world := sample.audited) is None:
         return
     lidar, scans = sample.contract.lidar, sample.scans
     if sample.contract.noise is not None:
         if why := why_not_scanned(sample.contract) or why_other(sample.contract):
             page.skipped = f"the noise cannot be made again, {why}"
             return
-        scans = _scanned_again(sample, worlds, page)
+        scans = _scanned_again(sample, world, page)
     page.count(samples=1)
     for number, scan in enumerate(scans):
         rays, found, gap = audit(
             scan.ranges,
             scan.pose.position,
             scan.pose.quaternion,
-            auditor(worlds.world(sample.world), sample.contract.engine),
+            auditor(world, sample.contract.engine),
             lidar,
-            solids=_effort(solids, lidar.max_range_m),
+            solids=_effort(world, lidar.max_range_m),
             rng=sample.shard.rng,
         )
         wrong = disagrees(gap, found, lidar.max_range_m)
@@ -133,18 +131,17 @@ def _cast_again(sample: Sample, page: Page) -> None:
             )
 
 
-def _effort(solids: Solids | VoxelMap, max_range_m: float) -> int:
+def _effort(world: AnyWorld, max_range_m: float) -> int:
     """How many solids an auditor tries for a ray, or as many as take its time."""
-    if isinstance(solids, VoxelMap):
-        return math.ceil(300 * max_range_m / solids.voxel_m)
-    return len(solids.shape) + len(solids.triangles)
+    if isinstance(world, Place):
+        return math.ceil(300 * max_range_m / world.voxels.voxel_m)
+    return len(world.solids.shape) + len(world.solids.triangles)
 
 
-def _scanned_again(sample: Sample, worlds: Worlds, page: Page) -> list[Scan]:
+def _scanned_again(sample: Sample, world: AnyWorld, page: Page) -> list[Scan]:
     """The clean scans of a noisy sample by the dataset's own engine; with noise, they must be the
     stored ones. Raises BrokenError."""
     task, contract = sample.shard.task, sample.contract
-    world = worlds.world(sample.world)
     engine = world.caster(ENGINES.find(contract.engine).of)  # one of ours
     unit, view = divmod(sample.shard.places[sample.row], contract.recipe.flight.viewpoints)
     failed = (GenerationError, ValueError)
