@@ -7,8 +7,8 @@ import math
 import sys
 import weakref
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from io import BufferedReader
 from pathlib import Path
@@ -178,14 +178,9 @@ def open_fetched(path: Path, samples: int) -> "BufferedReader | Copy":
         return open_parts(path, TAIL_BYTES + TAIL_BYTES_A_SAMPLE * samples)
 
 
-@contextmanager
-def _listed(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except (FileNotFoundError, DatasetError):
-        raise BrokenError(
-            f"{path.name}: is missing, or no file that can be read, though it is listed"
-        ) from None
+def _listed(path: Path) -> AbstractContextManager[None]:
+    fault = f"{path.name}: is missing, or no file that can be read, though it is listed"
+    return raised_as(lambda _: BrokenError(fault), of=(FileNotFoundError, DatasetError))
 
 
 def check_sum(file: BufferedReader, name: str, sha256: str) -> None:
