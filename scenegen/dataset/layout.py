@@ -212,10 +212,6 @@ def _checked(
         raise BrokenError(f"{path.name}: {size} bytes, {samples} samples take {most} at most")
     with raised_as(BrokenError, f"{path.name}: is damaged: ", of=Hdf5Error):
         index = read_index(file, samples)
-    for name, why_none in index.others.items():
-        raise BrokenError(
-            f"{path.name}: {short(name)[1:-1]} {why_none}; only data of its own may be in a shard"
-        )
     if odd := sorted(set(index.objects) ^ set(layout)):
         named = ", ".join(short(name)[1:-1] for name in odd)
         raise BrokenError(
