@@ -2,14 +2,14 @@
 from the seed."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from lidarsim import Pose, Scan
+from lidarsim import Scan
 from lidarsim.engines import ENGINES
 from scenegen import GENERATOR
 from scenegen.dataset.manifest import differences
@@ -39,25 +39,24 @@ class ArchivedWorlds(SceneWorlds):
         return self.worlds.world(number)
 
 
-def regenerate(
-    contract: Manifest,
-    worlds: Worlds,
-    split: str,
-    unit: int,
-    poses: Callable[[], list[list[Pose]]],
-) -> Unit:
-    """One flight of a dataset that `why_not_made` lets be made, flown again; or, where the dataset
-    is one that was scanned again, scanned so from its stored `poses`. Raises BrokenError where
-    nothing comes of it."""
+def _flown_again(shard: Shard, unit: int, views: Sequence[tuple[int, int]]) -> Unit:
+    """A flight of a dataset that `why_not_made` lets be made, flown again; or, where the dataset is
+    one that was scanned again, scanned so from the poses of the samples that are there, (row,
+    view). Raises BrokenError where nothing comes of it."""
+    contract, split, worlds = shard.task.contract, shard.task.entry.split, shard.worlds
+    assert worlds is not None
     recipe: Recipe = contract.recipe
     scenes: Any = contract.scenes
     key, engine = UnitKey(contract.seed, split, unit), ENGINES.find(contract.engine).of
     failed = (GenerationError, RecipeError, SceneError)
     with raised_as(BrokenError, f"{split} flight {unit} cannot be made again: ", of=failed):
         if contract.rescan is not None:
+            with raised_as(BrokenError, f"{shard.task.entry.file}: "):
+                stored = (partial(shard.file.value, row=row) for row, _ in views)
+                poses = [[scan.pose for scan in scans_of(contract, one)] for one in stored]
             names = contract.numbering(split).name(unit * recipe.flight.viewpoints)
             world = worlds.world(names[0])
-            return scan_again(world, poses(), recipe, key, names=names, engine=engine)
+            return scan_again(world, poses, recipe, key, names=names, engine=engine)
         source = (
             DrawnWorlds(recipe) if scenes is None else ArchivedWorlds(scenes=scenes, worlds=worlds)
         )
@@ -202,15 +201,7 @@ def _compare_flight(shard: Shard, unit: int, views: Sequence[tuple[int, int]], p
     bit for bit."""
     task = shard.task
     assert shard.worlds is not None
-
-    def poses() -> list[list[Pose]]:
-        with raised_as(BrokenError, f"{task.entry.file}: "):
-            return [
-                [scan.pose for scan in scans_of(task.contract, partial(shard.file.value, row=row))]
-                for row, _ in views
-            ]
-
-    again = regenerate(task.contract, shard.worlds, task.entry.split, unit, poses)
+    again = _flown_again(shard, unit, views)
     page.count(worlds=1)
     page.expect(
         shard.worlds.documents.get(again.number) == again.world.mjcf,
