@@ -213,5 +213,6 @@ def plan_rescan(
         "software": software(),
     }
     given["version"] = manifest.version_of(given)
-    scenes = found.scenes and {name: len(found.scenes.get(name, ())) for name in SPLITS}
-    return divide(folder, given, recipe, Archived(dataset.folder, scenes), RescanSpec)
+    scenes = found.scenes
+    counts = None if scenes is None else {name: len(scenes.get(name, ())) for name in SPLITS}
+    return divide(folder, given, recipe, Archived(dataset.folder, counts), RescanSpec)
