@@ -117,15 +117,13 @@ def divide(
         units = math.ceil(counts[split] / each)
         for index, first in enumerate(range(0, units, step)):
             here = range(first, min(first + step, units))
-            # each flight in a world of its own, or none of them in one that comes again
-            whole = source.number(split, here[-1])[0] == here[-1]
             shards.append(
                 kind(
                     folder=folder,
                     split=split,
                     index=index,
                     first_unit=first,
-                    numbers=here if whole else [source.number(split, unit)[0] for unit in here],
+                    numbers=[source.number(split, unit)[0] for unit in here],
                     samples=min(len(here) * each, counts[split] - first * each),
                     seed=given["seed"],
                     layout=layout,

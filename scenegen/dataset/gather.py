@@ -239,11 +239,7 @@ def _plan(
         source, home = _source(sources, dataset, chosen, taken)
         split = chosen.entry.split
         start, stop = int(chosen.places[0]), int(chosen.places[-1]) + 1
-        numbering = home.numbering(split)
-        cut = stop - start > len(chosen.places)
-        worlds = numbering.worlds(start, stop - start)  # most often a range, which is small
-        if cut:
-            worlds = sorted(set(numbering.name(chosen.places)[0].tolist()))
+        worlds, _ = home.numbering(split).name(chosen.places)
         rows = None if len(chosen.rows) == chosen.entry.samples else tuple(chosen.rows.tolist())
         parts.append(
             Part(
@@ -257,7 +253,7 @@ def _plan(
                 layout=home.layout,
                 rows=rows,
                 more={"source": source, "start": start, "stop": stop},
-                numbers=worlds,
+                numbers=np.unique(worlds).tolist(),
             )
         )
         counts[split] += len(chosen.rows)

@@ -209,9 +209,8 @@ class Manifest:
         found = {(split, 0): 0 for split in SPLITS}
         for n, source in enumerate(self.sources[:-1]):
             for split in SPLITS:
-                samples = source.counts[split]
-                worlds = source.numbering(split).worlds(0, samples) if samples else ()
-                found[split, n + 1] = found[split, n] + len(worlds)
+                worlds = source.numbering(split).count(source.counts[split])
+                found[split, n + 1] = found[split, n] + worlds
         return found
 
     @property
