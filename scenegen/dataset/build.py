@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -24,7 +23,7 @@ from scenegen.dataset.placed import write_placed
 from scenegen.dataset.shard import ShardReport, ShardSpec, ShardTask, find_engine, write_shard
 from scenegen.dataset.state import Plan, State
 from scenegen.errors import DatasetError, whole_number
-from scenegen.files import remove_drafts
+from scenegen.files import Json, remove_drafts
 from scenegen.limits import (
     MOST_SAMPLES,
     MOST_SAMPLES_IN_SHARD,
@@ -96,7 +95,7 @@ def plan_dataset(
 
 def divide(
     folder: Path,
-    given: Mapping[str, Any],
+    given: Json,
     recipe: Recipe,
     source: Source,
     kind: type[ShardSpec] = ShardSpec,
@@ -217,7 +216,7 @@ def _check_space(plan: Plan, missing: list[ShardTask]) -> None:
         )
 
 
-def _summarise(state: State, final: Mapping[str, Any], written: int) -> Summary:
+def _summarise(state: State, final: Json, written: int) -> Summary:
     plan, reports = state.plan, state.reports
     samples = Counter(dict.fromkeys(SPLITS, 0))
     worlds: dict[str, list[Ints]] = {split: [np.empty(0, np.int64)] for split in SPLITS}

@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence, Set
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from lidarsim import GridSpec, Sensor
 from scenegen import SPLITS
@@ -21,7 +20,7 @@ from scenegen.dataset.placed import read_notes, remove_notes, write_note
 from scenegen.dataset.rules import FILE_RULE
 from scenegen.dataset.shard import ARCHIVE, ShardReport, ShardTask, read_report, relabel
 from scenegen.errors import BrokenError, DatasetError
-from scenegen.files import disk_told, names_in, open_bounded, remove_drafts, sha256_of
+from scenegen.files import Json, disk_told, names_in, open_bounded, remove_drafts, sha256_of
 from scenegen.run.workers import run
 from scenegen.stores import StorePath, Version
 
@@ -34,7 +33,7 @@ class Plan:
     """A dataset to be: all its parameters, and its shards."""
 
     folder: Path
-    parameters: dict[str, Any]
+    parameters: Json
     shards: tuple[ShardTask, ...]
     lidars: tuple[Sensor, ...]
     """The sensors of its samples."""
@@ -73,7 +72,7 @@ class State:
         """The dataset that this one begins with, as far as the folder holds it."""
         self._there: Mapping[str, Version] | None = None
         """What lies there, if that was just listed."""
-        self._written: Mapping[str, Any] = {}
+        self._written: Json = {}
         """The manifest as it was read."""
         self._listed = self._read()
 
@@ -88,7 +87,7 @@ class State:
         whole = len(self.reports) == len(self.plan.shards)
         return whole and _text(self._written) == _text(self._final())
 
-    def _final(self) -> dict[str, Any]:
+    def _final(self) -> Json:
         """The manifest of what is known."""
         return manifest.assemble(
             self.plan.parameters,
@@ -240,7 +239,7 @@ class State:
             self.plan.folder, manifest.assemble(self.plan.parameters, known, complete=False)
         )
 
-    def sign(self, *, workers: int = 1) -> dict[str, Any]:
+    def sign(self, *, workers: int = 1) -> Json:
         """Write the manifest, complete if no shard is missing; the manifest.
 
         Other jobs may write shards meanwhile, and manifests. The one that finds a file of every
@@ -265,7 +264,7 @@ class State:
             if whole or self.absent():
                 return final
 
-    def _is_signed(self, there: Mapping[str, Any]) -> bool:
+    def _is_signed(self, there: Json) -> bool:
         """Whether the manifest `there` is complete, and lists what is known just so."""
         if (
             there.get("complete") is not True
@@ -289,7 +288,7 @@ class State:
         return [self.reports[shard.file] for shard in shards if shard.file in self.reports]
 
 
-def _text(there: Mapping[str, Any]) -> str:
+def _text(there: Json) -> str:
     """A manifest to compare with another one: to Python, false is 0 and 1.0 is 1."""
     return json.dumps(there, sort_keys=True)
 
