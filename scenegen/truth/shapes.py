@@ -292,11 +292,7 @@ def _cylinder_touches(radius, reach, axes, x, y, z, half):
     enter, leave = -reach, reach
     for a in range(3):  # the axis, as a segment, against the cube's slabs
         offset = -_along(axes, a, x, y, z)
-        if abs(axes[a, 2]) > 1e-15:
-            s, t = (-half - offset) / axes[a, 2], (half - offset) / axes[a, 2]
-            enter, leave = max(enter, min(s, t)), min(leave, max(s, t))
-        elif abs(offset) > half:
-            leave = -math.inf
+        enter, leave = _clipped(enter, leave, offset, axes[a, 2], half, 1e-15)
     if enter <= leave:
         return True
     limit = radius * radius
@@ -307,13 +303,7 @@ def _cylinder_touches(radius, reach, axes, x, y, z, half):
                 cx = x + sj * axes[j, 0] + sk * axes[k, 0]
                 cy = y + sj * axes[j, 1] + sk * axes[k, 1]
                 cz = z + sj * axes[j, 2] + sk * axes[k, 2]
-                low, high = -half, half
-                dz = axes[i, 2]
-                if abs(dz) > 1e-15:
-                    s, t = (-reach - cz) / dz, (reach - cz) / dz
-                    low, high = max(low, min(s, t)), min(high, max(s, t))
-                elif abs(cz) > reach:
-                    continue
+                low, high = _clipped(-half, half, cz, axes[i, 2], reach, 1e-15)
                 if low <= high:
                     px, py = cx + low * axes[i, 0], cy + low * axes[i, 1]
                     qx, qy = cx + high * axes[i, 0], cy + high * axes[i, 1]
@@ -325,6 +315,18 @@ def _cylinder_touches(radius, reach, axes, x, y, z, half):
                 if _face_cut_norm2(axes, x, y, z, i, si, plane, half) <= limit:
                     return True
     return False
+
+
+@kernel
+def _clipped(low, high, offset, slope, reach, least):
+    """What of the interval [low, high] of t has |offset + slope t| <= reach, [inf, -inf] where
+    nothing; a slope of at most `least` counts as none."""
+    if abs(slope) > least:
+        s, t = (-reach - offset) / slope, (reach - offset) / slope
+        return max(low, min(s, t)), min(high, max(s, t))
+    if abs(offset) > reach:
+        return math.inf, -math.inf
+    return low, high
 
 
 @kernel
@@ -350,17 +352,8 @@ def _face_cut_norm2(axes, x, y, z, i, si, height, half):
     # the points cz + u p + v q = 0 of the face's plane, walked along (-v, u) from the one nearest
     # to its centre
     p0, q0 = -cz * u / norm2, -cz * v / norm2
-    low, high = -math.inf, math.inf
-    if v != 0.0:
-        s, t = (p0 - half) / v, (p0 + half) / v
-        low, high = max(low, min(s, t)), min(high, max(s, t))
-    elif abs(p0) > half:
-        return math.inf
-    if u != 0.0:
-        s, t = (-half - q0) / u, (half - q0) / u
-        low, high = max(low, min(s, t)), min(high, max(s, t))
-    elif abs(q0) > half:
-        return math.inf
+    low, high = _clipped(-math.inf, math.inf, p0, -v, half, 0.0)
+    low, high = _clipped(low, high, q0, u, half, 0.0)
     if low > high:
         return math.inf
     pl, ql, ph, qh = p0 - low * v, q0 + low * u, p0 - high * v, q0 + high * u
