@@ -124,7 +124,7 @@ def bounds(corners, p, q, first, end, half, slack, spare, noise, found):
 
 
 @kernel
-def _between(one, other):
+def joining(one, other):
     """The vector from one point to another."""
     return other[0] - one[0], other[1] - one[1], other[2] - one[2]
 
@@ -133,8 +133,8 @@ def _between(one, other):
 def triangle_distance(a, b, c, x, y, z):
     """Distance in metres from the point (x, y, z) to the triangle abc (Ericson 2005, section
     5.1.5)."""
-    abx, aby, abz = _between(a, b)
-    acx, acy, acz = _between(a, c)
+    abx, aby, abz = joining(a, b)
+    acx, acy, acz = joining(a, c)
     px, py, pz = x - a[0], y - a[1], z - a[2]
     d1, d2 = abx * px + aby * py + abz * pz, acx * px + acy * py + acz * pz
     qx, qy, qz = x - b[0], y - b[1], z - b[2]
@@ -197,8 +197,8 @@ def crossing(a, b, c, x, y):
 @kernel
 def _height(a, b, c, x, y):
     """Where the vertical line at (x, y), which crosses the triangle abc, does so."""
-    ux, uy, uz = _between(a, b)
-    vx, vy, vz = _between(a, c)
+    ux, uy, uz = joining(a, b)
+    vx, vy, vz = joining(a, c)
     normal_z = ux * vy - uy * vx
     if normal_z == 0.0:
         return max(a[2], b[2], c[2])
