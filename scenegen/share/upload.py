@@ -61,9 +61,7 @@ def _send(api: Any, staged: Staged, private: bool) -> str:
 
     repository, target = staged.repository, f"hf://{staged.repository}"
     where = {"repo_id": repository, "repo_type": "dataset"}
-    api.create_repo(
-        repository, repo_type="dataset", private=True if private else None, exist_ok=True
-    )
+    api.create_repo(**where, private=True if private else None, exist_ok=True)
     about = api.dataset_info(repository)
     if private and not about.private:
         raise PublishError(
@@ -100,7 +98,7 @@ def _send(api: Any, staged: Staged, private: bool) -> str:
         raise PublishError(
             f"{target}: not everything arrived ({wrong[0]}); give the same command again to go on"
         )
-    api.create_tag(repository, tag=staged.tag, revision=head, repo_type="dataset")
+    api.create_tag(**where, tag=staged.tag, revision=head)
     return str(head)
 
 

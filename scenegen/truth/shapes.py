@@ -156,9 +156,9 @@ def _segment_to_cube2(axes, x, y, z, reach, half):
     slope_low = _segment_slope(axes, x, y, z, low, half)
     slope_high = _segment_slope(axes, x, y, z, high, half)
     if slope_low >= 0.0:
-        return _at_segment(axes, x, y, z, low, half)
+        return _point_to_cube2(axes, x, y, z - low, half)
     if slope_high <= 0.0:
-        return _at_segment(axes, x, y, z, high, half)
+        return _point_to_cube2(axes, x, y, z - high, half)
     for a in range(3):
         if axes[a, 2] != 0.0:
             centre = _along(axes, a, x, y, z)
@@ -172,12 +172,12 @@ def _segment_to_cube2(axes, x, y, z, reach, half):
                         high, slope_high = t, slope
     if slope_high > slope_low:
         low -= slope_low * (high - low) / (slope_high - slope_low)
-    return _at_segment(axes, x, y, z, low, half)
+    return _point_to_cube2(axes, x, y, z - low, half)
 
 
 @kernel
 def _segment_slope(axes, x, y, z, t, half):
-    """Half the derivative of `_at_segment` by t."""
+    """Half the derivative by t of the squared distance from the point (0, 0, t) to the cube."""
     total = 0.0
     for a in range(3):
         offset = axes[a, 2] * t - _along(axes, a, x, y, z)
@@ -186,12 +186,6 @@ def _segment_slope(axes, x, y, z, t, half):
         elif offset < -half:
             total += (offset + half) * axes[a, 2]
     return total
-
-
-@kernel
-def _at_segment(axes, x, y, z, t, half):
-    """Squared distance from the point (0, 0, t) to the cube."""
-    return _point_to_cube2(axes, x, y, z - t, half)
 
 
 @kernel
