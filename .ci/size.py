@@ -14,7 +14,7 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 308_550, "benchmarks": 25_000, "tests": 231_600}
+TOKENS = {"product": 306_712, "benchmarks": 25_000, "tests": 231_600}
 FILES = 243
 LINES = 400
 """The longest file of product code."""
