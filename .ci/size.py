@@ -14,8 +14,8 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 308_550, "benchmarks": 25_000, "tests": 225_926}
-FILES = 243
+TOKENS = {"product": 304_250, "benchmarks": 25_000, "tests": 219_500}
+FILES = 242
 LINES = 400
 """The longest file of product code."""
 WIDTH = 100

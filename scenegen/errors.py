@@ -3,6 +3,8 @@ expected, how to fix it."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from numbers import Integral
+from typing import Any
 
 from lidarsim.parameters import shown
 from lidarsim.registry import own_line
@@ -100,6 +102,15 @@ def raised_as(
         yield
     except of as error:
         raise kind(f"{begin}{printable(error)[:MOST_REPEATED]}{end}") from None
+
+
+def whole_number(what: str, value: Any, least: int, most: int) -> int:
+    """`value` as a number of Python's. Raises DatasetError for one that is not whole or out of
+    bounds, of `what` is given."""
+    number = isinstance(value, Integral) and not isinstance(value, bool)
+    if not number or not least <= value <= most:
+        raise DatasetError(f"{what} {short(value)}: expected a whole number from {least} to {most}")
+    return int(value)
 
 
 def is_out_of_memory(error: BaseException) -> bool:

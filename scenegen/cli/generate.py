@@ -147,8 +147,8 @@ def generate(
     shards, force = options.pop("split_range"), options.pop("force")
     if talk:
         announce_compilation()
-    from scenegen.dataset.build import check_folder
     from scenegen.dataset.generation import plan_generation
+    from scenegen.dataset.state import State
     from scenegen.run.workers import keep_memory
 
     keep_memory()
@@ -169,7 +169,7 @@ def generate(
             f"grid.shape = {grid}; other methods take any"
         )
     if dry_run:
-        check_folder(plan, force=force)
+        State(plan, force=force)  # which refuses a folder that holds something else
         _show_plan(plan, as_json)
         return
     make(

@@ -199,8 +199,7 @@ def read_range(text: str) -> tuple[int, int]:
 def read_ranges(text: str) -> tuple[tuple[int, int], ...]:
     """Whole numbers and ranges of them, FIRST to one before STOP, with commas between: 3,10:20. The
     value has (first, stop) of each."""
-    alone = [one.isdecimal() and len(one) <= 12 for one in text.split(",")]
     return tuple(
-        (int(one), int(one) + 1) if number else read_range(one)
-        for number, one in zip(alone, text.split(","), strict=True)
+        (int(one), int(one) + 1) if one.isdecimal() and len(one) <= 12 else read_range(one)
+        for one in text.split(",")
     )

@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -23,8 +22,8 @@ from scenegen.dataset.parts import schema_of
 from scenegen.dataset.placed import write_placed
 from scenegen.dataset.shard import ShardReport, ShardSpec, ShardTask, find_engine, write_shard
 from scenegen.dataset.state import Plan, State
-from scenegen.errors import DatasetError, short
-from scenegen.files import remove_drafts
+from scenegen.errors import DatasetError, whole_number
+from scenegen.files import Json, remove_drafts
 from scenegen.limits import (
     MOST_SAMPLES,
     MOST_SAMPLES_IN_SHARD,
@@ -77,10 +76,10 @@ def plan_dataset(
     `engine` names what casts the rays; see `lidarsim.engines.ENGINES`. Raises DatasetError for an
     engine that is not to be had, and for numbers beyond those that readers take.
     """
-    _check_asked("--seed", seed, 0, MOST_SEED)
-    _check_asked("--shard-samples", shard_samples, 1, MOST_SAMPLES_IN_SHARD)
+    whole_number("--seed", seed, 0, MOST_SEED)
+    whole_number("--shard-samples", shard_samples, 1, MOST_SAMPLES_IN_SHARD)
     for split, count in counts.items():
-        _check_asked("--n" if split == "train" else f"--{split}", count, 0, MOST_SAMPLES)
+        whole_number("--n" if split == "train" else f"--{split}", count, 0, MOST_SAMPLES)
     find_engine(engine)
     given = manifest.parameters(
         recipe,
@@ -96,7 +95,7 @@ def plan_dataset(
 
 def divide(
     folder: Path,
-    given: Mapping[str, Any],
+    given: Json,
     recipe: Recipe,
     source: Source,
     kind: type[ShardSpec] = ShardSpec,
@@ -117,15 +116,13 @@ def divide(
         units = math.ceil(counts[split] / each)
         for index, first in enumerate(range(0, units, step)):
             here = range(first, min(first + step, units))
-            # each flight in a world of its own, or none of them in one that comes again
-            whole = source.number(split, here[-1])[0] == here[-1]
             shards.append(
                 kind(
                     folder=folder,
                     split=split,
                     index=index,
                     first_unit=first,
-                    numbers=here if whole else [source.number(split, unit)[0] for unit in here],
+                    numbers=[source.number(split, unit)[0] for unit in here],
                     samples=min(len(here) * each, counts[split] - first * each),
                     seed=given["seed"],
                     layout=layout,
@@ -136,13 +133,6 @@ def divide(
                 )
             )
     return Plan(folder=folder, parameters=dict(given), shards=tuple(shards), lidars=(recipe.lidar,))
-
-
-def _check_asked(option: str, value: int, least: int, most: int) -> None:
-    if not least <= value <= most:
-        raise DatasetError(
-            f"{option} {short(value)}: expected a whole number from {least} to {most}"
-        )
 
 
 def build(
@@ -203,11 +193,6 @@ def build(
     return _summarise(state, state.sign(workers=workers), written)
 
 
-def check_folder(plan: Plan, *, force: bool = False) -> None:
-    """Raise DatasetError unless `build` would take the plan's folder; see `State`."""
-    State(plan, force=force)
-
-
 def _check_space(plan: Plan, missing: list[ShardTask]) -> None:
     """Raise DatasetError where the disk clearly cannot hold what is to be written; a place tells
     nobody beforehand."""
@@ -231,7 +216,7 @@ def _check_space(plan: Plan, missing: list[ShardTask]) -> None:
         )
 
 
-def _summarise(state: State, final: Mapping[str, Any], written: int) -> Summary:
+def _summarise(state: State, final: Json, written: int) -> Summary:
     plan, reports = state.plan, state.reports
     samples = Counter(dict.fromkeys(SPLITS, 0))
     worlds: dict[str, list[Ints]] = {split: [np.empty(0, np.int64)] for split in SPLITS}

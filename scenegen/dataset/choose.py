@@ -192,18 +192,14 @@ def choose(dataset: Dataset, choice: Choice, *, workers: int = 1) -> Iterator[Ch
     for name in (name for name in SPLITS if name in choice.splits):
         split = dataset.split(name)
         left = MOST_SAMPLES if choice.most is None else choice.most
-        if kept:
-            fulfil = [c.holds(figure(split, kept[name], c.name)) for c in measured]
-            passed = np.all(fulfil, axis=0)
+        figures = {c.name: figure(split, kept[name], c.name) for c in measured} if kept else {}
         for begin in range(0, len(split.shards), step):
             found = {
-                n: _named(split, n, choice)
+                n: _told(split, n, choice, figures)
                 for n in range(begin, min(begin + step, len(split.shards)))
                 if not choice.kinds or dataset.manifest.home(split.shards[n]).graded in choice.kinds
             }
-            if kept:
-                found = {n: one.but(passed[split.first(n) + one.rows]) for n, one in found.items()}
-            elif measured:
+            if measured and not kept:
                 tasks = [(n, one.rows) for n, one in found.items()]
                 with closing(run(partial(_measured, split, measured), tasks, workers)) as results:
                     good = dict(results)
@@ -229,11 +225,13 @@ def figure(split: Split, table: Floats, name: str) -> Floats:
     return means[worlds]
 
 
-def _named(split: Split, number: int, choice: Choice) -> Chosen:
-    """What of a shard its samples' numbers alone let through."""
+def _told(split: Split, number: int, choice: Choice, figures: Mapping[str, Floats]) -> Chosen:
+    """What of a shard its samples' numbers, and the `figures` of all samples that are kept, let
+    through."""
     entry, places = split.shards[number], split.places(number)
     samples = split.first(number) + np.arange(len(places))
     values = dict(zip(NUMBERS, (samples, *split.numbers_in(number)), strict=True))
+    values |= {name: column[samples] for name, column in figures.items()}
     kept = np.ones(len(places), dtype=np.bool_)
     if choice.worlds:
         kept &= np.any(

@@ -23,7 +23,7 @@ from scenegen.dataset.state import Plan
 from scenegen.dataset.trust import Entry, Manifest
 from scenegen.draw import Rejections
 from scenegen.errors import BrokenError, DatasetError, short
-from scenegen.files import real_path, world_digest, write_whole
+from scenegen.files import Json, real_path, world_digest, write_whole
 from scenegen.limits import MOST_SHARDS, MOST_SOURCES
 from scenegen.run.workers import run
 
@@ -161,7 +161,7 @@ class Part(ShardTask):
         return put(self, stored(), documents, Rejections())
 
 
-EMPTY: Mapping[str, Any] = {
+EMPTY: Json = {
     "kind": manifest.SEVERAL,
     "engine": manifest.SEVERAL,
     "seed": None,
@@ -205,7 +205,7 @@ def plan_merge(datasets: Sequence[Dataset], folder: Path, *, workers: int = 1) -
     return _plan(folder, pieces, taken="", nothing="the datasets hold no sample; merge others")
 
 
-def unlike(first: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[str, str, str] | None:
+def unlike(first: Json, other: Json) -> tuple[str, str, str] | None:
     """The first parameter in which two datasets differ that cannot be in one: its name, and its
     values, for people; None where there is none."""
     ours, theirs = manifest.completed(first), manifest.completed(other)
@@ -239,11 +239,7 @@ def _plan(
         source, home = _source(sources, dataset, chosen, taken)
         split = chosen.entry.split
         start, stop = int(chosen.places[0]), int(chosen.places[-1]) + 1
-        numbering = home.numbering(split)
-        cut = stop - start > len(chosen.places)
-        worlds = numbering.worlds(start, stop - start)  # most often a range, which is small
-        if cut:
-            worlds = sorted(set(numbering.name(chosen.places)[0].tolist()))
+        worlds, _ = home.numbering(split).name(chosen.places)
         rows = None if len(chosen.rows) == chosen.entry.samples else tuple(chosen.rows.tolist())
         parts.append(
             Part(
@@ -257,7 +253,7 @@ def _plan(
                 layout=home.layout,
                 rows=rows,
                 more={"source": source, "start": start, "stop": stop},
-                numbers=worlds,
+                numbers=np.unique(worlds).tolist(),
             )
         )
         counts[split] += len(chosen.rows)
@@ -297,10 +293,10 @@ def _source(
 
 
 def gathered(
-    sources: Sequence[tuple[Mapping[str, Any], str | None, Sequence[str]]],
+    sources: Sequence[tuple[Json, str | None, Sequence[str]]],
     counts: Mapping[str, int],
     shard_samples: int,
-) -> dict[str, Any]:
+) -> Json:
     """The parameters of the manifest of a dataset whose samples were made for `sources`: of each
     its parameters, its digest (None where it was never there by itself), and how samples were
     taken."""

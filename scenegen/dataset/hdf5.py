@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lidarsim.grid import Ints
-from scenegen.errors import DatasetError, GuardError, printable, raised_as
+from scenegen.errors import DatasetError, GuardError, printable, raised_as, short
 from scenegen.files import open_bounded, pread, size_of
 from scenegen.limits import GUARD_BYTES, GUARD_S, MOST_OBJECTS, MOST_TEXT_BYTES
 
@@ -72,8 +72,6 @@ class Index(NamedTuple):
 
     objects: Mapping[str, Stored]
     """The datasets."""
-    others: Mapping[str, str]
-    """Names of what is no dataset, each with what it is."""
     attributes: Mapping[str, int | str | None]
     """Single whole numbers and texts; None for other values."""
 
@@ -169,9 +167,10 @@ def _parsed(text: bytes, most_chunks: int) -> Index:
     if not all(value is None or type(value) in (int, str) for value in found["more"].values()):
         raise ValueError("attributes are neither whole numbers nor texts")
     said = found["objects"].items()
-    objects = {name: _stored(one, most_chunks) for name, one in said if not isinstance(one, str)}
-    others = {name: one for name, one in said if isinstance(one, str)}
-    return Index(objects, others, found["more"])
+    for name, what in said:
+        if isinstance(what, str):
+            raise Hdf5Error(f"{short(name)} {what}; only data of its own may be in a shard")
+    return Index({name: _stored(one, most_chunks) for name, one in said}, found["more"])
 
 
 def _stored(said: Any, most_chunks: int) -> Stored:

@@ -7,11 +7,10 @@ import math
 import sys
 import weakref
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from io import BufferedReader
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,9 +30,6 @@ DIGEST = "sha256"
 """Name of the dataset that holds the samples' own digests, uint8 (N, 32)."""
 FILTERS = {DEFLATE := 1, SHUFFLE := 2, FLETCHER32 := 3}
 """HDF5's numbers of the filters that a shard may use."""
-SMALL_BYTES = 4096
-"""Fields that take no more a sample, and that no filter has changed, are read for all samples at
-once."""
 TAIL_BYTES, TAIL_BYTES_A_SAMPLE = 1 << 16, 512
 """What is fetched of a shard first, from its end: about what its index and the small fields of its
 samples take."""
@@ -63,8 +59,6 @@ class ShardFile:
     columns: Mapping[str, Stored]
     """Its datasets: N chunks each, one a sample."""
     attributes: Mapping[str, int | str | None]
-    _read: dict[str, NDArray[Any]] = field(default_factory=dict)
-    """Whole columns, as far as they have been read."""
 
     @property
     def fetched(self) -> bool:
@@ -78,37 +72,24 @@ class ShardFile:
 
         Raises BrokenError for a chunk that does not unpack to just what it should.
         """
-        column = self.columns[name]
-        if self.fetched or column.filters or column.row_bytes > SMALL_BYTES:
-            return self._chunk(name, row, read_only)
-        return self.column(name)[row].copy()
-
-    def column(self, name: str) -> NDArray[Any]:
-        """A field of all samples, (N, ...); chunks that lie in a row are read as one. Raises
-        BrokenError."""
-        column = self.columns[name]
-        if name not in self._read:
-            count, size = len(column.places), column.row_bytes
-            if column.filters or (column.places[:, 2] != size).any():
-                self._read[name] = np.stack([self._chunk(name, row, True) for row in range(count)])
-            else:
-                begins = column.places[:, 1].tolist()
-                breaks = np.flatnonzero(np.diff(column.places[:, 1]) != size) + 1
-                raw = bytearray()
-                for row, end in pairwise([0, *breaks.tolist(), count]):
-                    raw += pread(self.file, (end - row) * size, begins[row])
-                if len(raw) != count * size:
-                    raise BrokenError(f"{self.name}: {name}: the file ends within it")
-                self._read[name] = _array(raw, column, column.shape, f"{self.name}: {name}")
-        return self._read[name]
-
-    def _chunk(self, name: str, row: int, read_only: bool) -> NDArray[Any]:
         column, where = self.columns[name], f"{self.name}: sample {row}: {name}"
         _, begin, size, left_out = column.places[row].tolist()
         failed = (isal.isal_zlib.error, EOFError, ValueError, OSError)
         with raised_as(BrokenError, f"{where} cannot be unpacked: ", of=failed):
             raw = unpack(pread(self.file, size, begin), column, left_out)
-        return _array(raw if read_only else bytearray(raw), column, column.shape[1:], where)
+        flags = column.dtype == np.bool_
+        values = np.frombuffer(
+            raw if read_only else bytearray(raw), np.uint8 if flags else column.dtype
+        )
+        if flags and values.max(initial=0) > 1:
+            raise BrokenError(f"{where} holds bytes other than 0 and 1")
+        # a single value is a number, and no array
+        return values.view(column.dtype).reshape(column.shape[1:])[()]
+
+    def column(self, name: str) -> NDArray[Any]:
+        """A field of all samples, (N, ...). Raises BrokenError."""
+        rows = range(len(self.columns[name].places))
+        return np.stack([self.value(name, row, read_only=True) for row in rows])
 
     def check(self, row: int) -> None:
         """Raise BrokenError unless a sample has the digest that stands beside it; fields that
@@ -159,18 +140,6 @@ class ShardFile:
         )
 
 
-def _array(
-    raw: bytes | bytearray, column: Stored, shape: tuple[int, ...], where: str
-) -> NDArray[Any]:
-    """Bytes as an array of a column's type."""
-    values = np.frombuffer(raw, dtype=np.uint8 if column.dtype == np.bool_ else column.dtype)
-    if column.dtype == np.bool_:
-        if values.max(initial=0) > 1:
-            raise BrokenError(f"{where} holds bytes other than 0 and 1")
-        values = values.view(np.bool_)
-    return values.reshape(shape)
-
-
 def unpack(packed: bytes, column: Stored, left_out: int) -> bytes:
     """A chunk's bytes with the filters undone, last first. Raises ValueError unless as many come
     out as there must."""
@@ -209,14 +178,9 @@ def open_fetched(path: Path, samples: int) -> "BufferedReader | Copy":
         return open_parts(path, TAIL_BYTES + TAIL_BYTES_A_SAMPLE * samples)
 
 
-@contextmanager
-def _listed(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except (FileNotFoundError, DatasetError):
-        raise BrokenError(
-            f"{path.name}: is missing, or no file that can be read, though it is listed"
-        ) from None
+def _listed(path: Path) -> AbstractContextManager[None]:
+    fault = f"{path.name}: is missing, or no file that can be read, though it is listed"
+    return raised_as(lambda _: BrokenError(fault), of=(FileNotFoundError, DatasetError))
 
 
 def check_sum(file: BufferedReader, name: str, sha256: str) -> None:
@@ -248,10 +212,6 @@ def _checked(
         raise BrokenError(f"{path.name}: {size} bytes, {samples} samples take {most} at most")
     with raised_as(BrokenError, f"{path.name}: is damaged: ", of=Hdf5Error):
         index = read_index(file, samples)
-    for name, why_none in index.others.items():
-        raise BrokenError(
-            f"{path.name}: {short(name)[1:-1]} {why_none}; only data of its own may be in a shard"
-        )
     if odd := sorted(set(index.objects) ^ set(layout)):
         named = ", ".join(short(name)[1:-1] for name in odd)
         raise BrokenError(

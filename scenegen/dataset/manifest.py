@@ -14,7 +14,7 @@ from lidarsim.parameters import MOST_SHOWN
 from scenegen import GENERATOR, SPLITS, __version__
 from scenegen.dataset.parts import NAMES, PARTS, entries, plain, schema_of
 from scenegen.errors import DatasetError, StoreError, printable, short
-from scenegen.files import read_bounded, sha256_of, write_whole
+from scenegen.files import Json, read_bounded, sha256_of, write_whole
 from scenegen.limits import MOST_DEPTH, MOST_MANIFEST_BYTES
 from scenegen.run.software import software
 from scenegen.stores import ConflictError
@@ -41,8 +41,8 @@ is to raise the version."""
 
 MINOR = tuple(name for name, since in SINCE.items() if since != VERSION)
 """Entries that raise a manifest's version."""
-UNNAMED: Mapping[str, Any] = {"generator": 1, "engine": MUJOCO}
-BEFORE: dict[str, Any] = {**UNNAMED, **dict.fromkeys(MINOR)}
+UNNAMED: Json = {"generator": 1, "engine": MUJOCO}
+BEFORE: Json = {**UNNAMED, **dict.fromkeys(MINOR)}
 """What a manifest says by not naming it."""
 OF_SHARDS = ("complete", "shards", "rejected", "digest")
 """What a manifest says besides the dataset's parameters."""
@@ -64,7 +64,7 @@ def parameters(
     compact: bool,
     shard_samples: int,
     engine: str = DEFAULT,
-) -> dict[str, Any]:
+) -> Json:
     """The part of the manifest that is known before anything is drawn, and decides everything
     after."""
     more = entries(recipe)
@@ -86,13 +86,13 @@ def parameters(
     }
 
 
-def version_of(given: Mapping[str, Any]) -> int | float | str:
+def version_of(given: Json) -> int | float | str:
     """The version of a manifest that has the entries `given`, as it stands in the file."""
     asked = [since for name, since in SINCE.items() if given.get(name) is not None]
     return max((VERSION, *asked), key=VERSIONS.index)
 
 
-def is_later(document: Mapping[str, Any]) -> bool:
+def is_later(document: Json) -> bool:
     """Whether a manifest says that a later version of scenegen wrote it."""
     software = document.get("software")
     said = software.get("scenegen") if isinstance(software, dict) else ""
@@ -108,24 +108,24 @@ def _pair(version: Any) -> tuple[int, ...]:
     return (int(numbers[1]), int(numbers[2] or 0)) if numbers else (0, 0)
 
 
-def parameters_of(document: Mapping[str, Any]) -> dict[str, Any]:
+def parameters_of(document: Json) -> Json:
     """The `parameters` of a manifest, as they stand in it: all that it does not say of its
     shards."""
     return {name: value for name, value in document.items() if name not in OF_SHARDS}
 
 
-def completed(document: Mapping[str, Any]) -> dict[str, Any]:
+def completed(document: Json) -> Json:
     """The `parameters` of a manifest, with the generator and the engine, where it does not name
     them."""
     return {**UNNAMED, **parameters_of(document)}
 
 
-def fingerprint(given: Mapping[str, Any]) -> str:
+def fingerprint(given: Json) -> str:
     """A digest of `parameters`, the same for the same dataset."""
     return sha256_of(json.dumps(given, sort_keys=True).encode())
 
 
-def differing(given: Mapping[str, Any], others: Iterable[Mapping[str, Any]]) -> list[str]:
+def differing(given: Json, others: Iterable[Json]) -> list[str]:
     """Those of `ALIKE` in which `others` are not as the parameters `given`."""
     return [name for name in ALIKE if any(one.get(name) != given.get(name) for one in others)]
 
@@ -150,9 +150,7 @@ def _said(value: Any) -> str:
     return text if len(text) <= MOST_SHOWN else f"{text[: MOST_SHOWN - 3]}..."
 
 
-def assemble(
-    given: Mapping[str, Any], reports: Sequence["ShardReport"], *, complete: bool
-) -> dict[str, Any]:
+def assemble(given: Json, reports: Sequence["ShardReport"], *, complete: bool) -> Json:
     """The manifest of the shards reported, in order."""
     rejected = {
         what: sum((getattr(report.rejected, what) for report in reports), Counter[str]())
@@ -168,7 +166,7 @@ def assemble(
     }
 
 
-def write(folder: Path, manifest: Mapping[str, Any]) -> None:
+def write(folder: Path, manifest: Json) -> None:
     """Replace the manifest of `folder`; at a place, the one that was read last.
 
     If another run has put one there meanwhile, a complete one stays, and this one takes the place
@@ -196,7 +194,7 @@ def write(folder: Path, manifest: Mapping[str, Any]) -> None:
             return
 
 
-def read(folder: Path) -> dict[str, Any]:
+def read(folder: Path) -> Json:
     """The manifest of `folder` as it stands there, its values unchecked.
 
     Raises DatasetError where it has none that this version can read.

@@ -16,7 +16,7 @@ from lidarsim.parameters import MOST_RAYS
 from lidarsim.sensors.table import MOST_AXES, MOST_MADE_BY, most_bytes, read_npy
 from scenegen.dataset.rules import DIGEST, Rule, check, made, text
 from scenegen.errors import BrokenError, DatasetError, printable, raised_as, short
-from scenegen.files import read_bounded, sha256_of, write_whole
+from scenegen.files import Json, read_bounded, sha256_of, write_whole
 from scenegen.limits import MOST_CLASSES, MOST_RAYS_IN_SAMPLE, MOST_VOXELS
 from scenegen.sample import Schema
 from scenegen.worlds.mapping import Known, Mapper
@@ -79,7 +79,7 @@ _LABELS = {
 }
 
 
-def grid_entry(grid: GridSpec) -> dict[str, Any]:
+def grid_entry(grid: GridSpec) -> Json:
     """What the manifest says of a grid."""
     plain = GridSpec()
     return {
@@ -98,7 +98,7 @@ def _read_grid(entry: Any, before: Mapping[str, Any]) -> GridSpec:
     return grid
 
 
-def sensor_entry(sensor: Sensor) -> dict[str, Any]:
+def sensor_entry(sensor: Sensor) -> Json:
     """What the manifest says of a sensor, as plain JSON values."""
     if isinstance(sensor, Lidar):
         return plain(dataclasses.asdict(sensor))
@@ -113,7 +113,7 @@ def sensor_entry(sensor: Sensor) -> dict[str, Any]:
     }
 
 
-def read_sensor(entry: Any, before: Mapping[str, Any]) -> Mapping[str, Any]:
+def read_sensor(entry: Any, before: Mapping[str, Any]) -> Json:
     """A sensor's entry, checked. Raises BrokenError."""
     if isinstance(entry, Mapping) and "sensor" in entry:
         check(entry, _TABLE_OF_RAYS, "lidar", _TABLE_OF_RAYS)
@@ -129,13 +129,13 @@ def rays_files(sums: Iterable[str]) -> dict[str, str]:
     return {one: RAYS if len(different) == 1 else f"rays-{one[:16]}.npy" for one in different}
 
 
-def rays_named(parameters: Mapping[str, Any]) -> dict[str, str]:
+def rays_named(parameters: Json) -> dict[str, str]:
     """`rays_files` of a manifest's checked `parameters`, and of its sources'."""
     every = parameters, *(one["parameters"] for one in parameters.get("sources") or ())
     return rays_files(one["lidar"]["sha256"] for one in every if "sensor" in one["lidar"])
 
 
-def sensor_of(entry: Mapping[str, Any], folder: Path, name: str = RAYS) -> Sensor:
+def sensor_of(entry: Json, folder: Path, name: str = RAYS) -> Sensor:
     """The sensor of a checked entry, its table of rays, if it is one, in the file `name` of
     `folder`. Raises BrokenError where that is damaged."""
     if "sensor" not in entry:
@@ -176,7 +176,7 @@ def write_rays(sensors: Iterable[Sensor], folder: Path) -> None:
         write_whole(folder / name, table.npy)
 
 
-def noise_entry(noise: "Noise", max_range_m: float) -> dict[str, Any] | None:
+def noise_entry(noise: "Noise", max_range_m: float) -> Json | None:
     """What the manifest says of a chain with a sensor of that range; None without stages. Raises
     BrokenError for one that no manifest can hold."""
     if not noise.stages:
@@ -198,14 +198,14 @@ def _read_plain(name: str, rules: Mapping[str, Rule]) -> Callable[[Any, Mapping[
     return read
 
 
-def is_ours(entry: Mapping[str, Any] | None) -> bool:
+def is_ours(entry: Json | None) -> bool:
     """Whether all stages are scenegen's own, so that reading them imports nothing that a manifest
     names."""
     stages = entry["stages"].split(",") if entry else []
     return all(stage.partition(":")[0] in STAGES.known for stage in stages)
 
 
-def noise_of(entry: Mapping[str, Any] | None, max_range_m: float) -> "Noise":
+def noise_of(entry: Json | None, max_range_m: float) -> "Noise":
     """The chain of a manifest's entry whose stages `is_ours`. Raises BrokenError for one that
     cannot be, or whose bound is another."""
     from lidarsim.noise.chain import Noise
@@ -223,13 +223,13 @@ def noise_of(entry: Mapping[str, Any] | None, max_range_m: float) -> "Noise":
     return found
 
 
-def mapping_entry(mapping: Mapper) -> dict[str, Any] | None:
+def mapping_entry(mapping: Mapper) -> Json | None:
     """What the manifest says of how maps are made; None where each is one scan around a level
     sensor."""
     return None if mapping.plain else described(mapping)
 
 
-def described(mapping: Mapper) -> dict[str, Any]:
+def described(mapping: Mapper) -> Json:
     """Every parameter of how maps are made, as plain JSON values; those of the default for what is
     the same."""
     return plain(dataclasses.asdict(Mapper() if mapping.plain else mapping))
@@ -318,7 +318,7 @@ PARTS = (
 NAMES = tuple(part.name for part in PARTS)
 
 
-def entries(recipe: "Recipe") -> dict[str, Any]:
+def entries(recipe: "Recipe") -> Json:
     """What the manifest says of the parts of a recipe."""
     found = {part.name: part.entry(recipe) for part in PARTS}
     return {name: entry for name, entry in found.items() if entry is not None}

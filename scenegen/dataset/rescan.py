@@ -213,9 +213,6 @@ def plan_rescan(
         "software": software(),
     }
     given["version"] = manifest.version_of(given)
-    scenes = found.tables.get("scenes") if found.kind == "scene" else None
-    source = Archived(
-        dataset.folder,
-        None if scenes is None else {name: len(scenes.get(name, ())) for name in SPLITS},
-    )
-    return divide(folder, given, recipe, source, RescanSpec)
+    scenes = found.scenes
+    counts = None if scenes is None else {name: len(scenes.get(name, ())) for name in SPLITS}
+    return divide(folder, given, recipe, Archived(dataset.folder, counts), RescanSpec)

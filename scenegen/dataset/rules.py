@@ -2,7 +2,7 @@
 samples are numbered."""
 
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cache
 from typing import Any
@@ -36,14 +36,10 @@ class Numbering:
         turn, view = viewpoint // self.viewpoints, viewpoint % self.viewpoints
         return (turn * self.scenes + world) * self.viewpoints + view
 
-    def worlds(self, start: int, samples: int) -> Sequence[int]:
-        """Numbers of the worlds that so many samples are of, from the one at `start` on, rising."""
-        units = range(start // self.viewpoints, (start + samples - 1) // self.viewpoints + 1)
-        return (
-            units
-            if self.scenes is None
-            else sorted({unit % self.scenes for unit in units[: self.scenes]})
-        )
+    def count(self, samples: int) -> int:
+        """How many worlds the first so many samples are of."""
+        units = -(-samples // self.viewpoints)
+        return units if self.scenes is None else min(units, self.scenes)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence, Set
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from lidarsim import GridSpec, Sensor
 from scenegen import SPLITS
@@ -21,12 +20,10 @@ from scenegen.dataset.placed import read_notes, remove_notes, write_note
 from scenegen.dataset.rules import FILE_RULE
 from scenegen.dataset.shard import ARCHIVE, ShardReport, ShardTask, read_report, relabel
 from scenegen.errors import BrokenError, DatasetError
-from scenegen.files import disk_told, names_in, open_bounded, remove_drafts, sha256_of
+from scenegen.files import Json, disk_told, names_in, open_bounded, remove_drafts, sha256_of
 from scenegen.run.workers import run
 from scenegen.stores import StorePath, Version
 
-MANY = 8
-"""Shards from which on several processes read what is there."""
 FULL_BYTES, COMPACT_BYTES = 80_000, 10_000
 """About what a sample of the default grid takes on disk; half of it may do."""
 
@@ -36,7 +33,7 @@ class Plan:
     """A dataset to be: all its parameters, and its shards."""
 
     folder: Path
-    parameters: dict[str, Any]
+    parameters: Json
     shards: tuple[ShardTask, ...]
     lidars: tuple[Sensor, ...]
     """The sensors of its samples."""
@@ -75,7 +72,7 @@ class State:
         """The dataset that this one begins with, as far as the folder holds it."""
         self._there: Mapping[str, Version] | None = None
         """What lies there, if that was just listed."""
-        self._written: Mapping[str, Any] = {}
+        self._written: Json = {}
         """The manifest as it was read."""
         self._listed = self._read()
 
@@ -90,7 +87,7 @@ class State:
         whole = len(self.reports) == len(self.plan.shards)
         return whole and _text(self._written) == _text(self._final())
 
-    def _final(self) -> dict[str, Any]:
+    def _final(self) -> Json:
         """The manifest of what is known."""
         return manifest.assemble(
             self.plan.parameters,
@@ -183,9 +180,8 @@ class State:
         noted = {} if stored else read_notes(folder, manifest.fingerprint(self.plan.parameters))
         listed = {**noted, **self._listed}
         tasks = [(shard, listed.get(shard.file)) for shard in unknown]
-        several = workers if len(tasks) >= MANY else 1
         with closing(
-            placed.look(there, tasks) if stored else run(_report, tasks, several)
+            placed.look(there, tasks) if stored else run(_report, tasks, workers)
         ) as found:
             self.reports |= {report.file: report for report in found if report is not None}
 
@@ -243,7 +239,7 @@ class State:
             self.plan.folder, manifest.assemble(self.plan.parameters, known, complete=False)
         )
 
-    def sign(self, *, workers: int = 1) -> dict[str, Any]:
+    def sign(self, *, workers: int = 1) -> Json:
         """Write the manifest, complete if no shard is missing; the manifest.
 
         Other jobs may write shards meanwhile, and manifests. The one that finds a file of every
@@ -268,7 +264,7 @@ class State:
             if whole or self.absent():
                 return final
 
-    def _is_signed(self, there: Mapping[str, Any]) -> bool:
+    def _is_signed(self, there: Json) -> bool:
         """Whether the manifest `there` is complete, and lists what is known just so."""
         if (
             there.get("complete") is not True
@@ -292,7 +288,7 @@ class State:
         return [self.reports[shard.file] for shard in shards if shard.file in self.reports]
 
 
-def _text(there: Mapping[str, Any]) -> str:
+def _text(there: Json) -> str:
     """A manifest to compare with another one: to Python, false is 0 and 1.0 is 1."""
     return json.dumps(there, sort_keys=True)
 

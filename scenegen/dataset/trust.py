@@ -49,6 +49,7 @@ from scenegen.errors import (
     raised_as,
     short,
 )
+from scenegen.files import Json
 from scenegen.limits import (
     MOST_KIND_NAME,
     MOST_SAMPLES,
@@ -66,7 +67,7 @@ if TYPE_CHECKING:  # which imports what draws worlds
 _COUNT = whole(0, MOST_SAMPLES)
 _ABSENT = Rule(lambda value: value is None, "none")
 _SOURCE = {"digest": optional(DIGEST), "parameters": TABLE, "taken": LIST}
-_RECIPE: dict[str, Any] = dict.fromkeys(RECIPE_RULES) | {"version": 0, "flight": {}, "accept": {}}
+_RECIPE: Json = dict.fromkeys(RECIPE_RULES) | {"version": 0, "flight": {}, "accept": {}}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +98,7 @@ class Entry:
 class Manifest:
     """A manifest whose values have the types and the bounds that readers rely on."""
 
-    parameters: Mapping[str, Any]
+    parameters: Json
     """The part of the file that is known before anything is drawn, as it stands there."""
     generator: int = ruled(whole(1, MOST_SEED))
     """The generator that made the dataset, see `scenegen.GENERATOR`."""
@@ -109,7 +110,7 @@ class Manifest:
     source, always there."""
     counts: Mapping[str, int] = ruled(TABLE)
     """Samples that each split is to hold."""
-    tables: Mapping[str, Any]
+    tables: Json
     """The recipe as it stands in the file: `version`, `flight`, `accept`, `world` or `scenes`, and
     the `difficulty` where it is not medium."""
     fields: tuple[str, ...]
@@ -121,10 +122,10 @@ class Manifest:
     """Where the tables of rays of its sensors lie, by their SHA-256."""
     engine: str = ruled(text(r"[A-Za-z_][\w.:]{0,199}", "the name of an engine"))
     """What cast the rays; never imported unless it is one of ours."""
-    noise: Mapping[str, Any] | None
+    noise: Json | None
     """`stages` as text, and `bound_m`; None for clean ranges. Never imported unless
     `noise_is_ours`."""
-    labels: Mapping[str, Any] | None
+    labels: Json | None
     """What the samples' labels mean: `by` what geoms are of a class, and the `classes`; None
     without labels."""
     rescan: Mapping[str, Any] | None = ruled(optional(TABLE))
@@ -209,9 +210,8 @@ class Manifest:
         found = {(split, 0): 0 for split in SPLITS}
         for n, source in enumerate(self.sources[:-1]):
             for split in SPLITS:
-                samples = source.counts[split]
-                worlds = source.numbering(split).worlds(0, samples) if samples else ()
-                found[split, n + 1] = found[split, n] + len(worlds)
+                worlds = source.numbering(split).count(source.counts[split])
+                found[split, n + 1] = found[split, n] + worlds
         return found
 
     @property
@@ -259,7 +259,7 @@ class Manifest:
             )
 
 
-def parse(document: Mapping[str, Any], folder: Path, named: str | None = None) -> Manifest:
+def parse(document: Json, folder: Path, named: str | None = None) -> Manifest:
     """The content of the manifest in `folder`, checked; `named` is the kind that the user named.
 
     Raises BrokenError with what is wrong, where, and what was expected.
@@ -322,7 +322,7 @@ def _check_fields(names: Sequence[Any], parts: Mapping[str, Any]) -> None:
             )
 
 
-def _sources(found: Mapping[str, Any], folder: Path, named: str | None) -> tuple[Manifest, ...]:
+def _sources(found: Json, folder: Path, named: str | None) -> tuple[Manifest, ...]:
     """The datasets that the samples of a manifest, `found`, were made for, which agree with it; see
     `parse` for `named`. Raises BrokenError."""
     if found["sources"] is None:

@@ -5,13 +5,13 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lidarsim.elementary import exp, log, sin_cos
 from lidarsim.grid import Floats
 from lidarsim.parameters import Bounds, check, shown
+from lidarsim.solids.shapes import BOX
 from scenegen.limits import MOST_DRAWN_M, MOST_DRAWN_SOLIDS
 from scenegen.recipes.parts import Parts
 from scenegen.worlds.classes import CLASSES
@@ -93,7 +93,7 @@ class WorldKind(ABC):
         if self.ground:
             x, y, _ = self.size_m
             half, centre = (x / 2, y / 2, self.ground_m / 2), (x / 2, y / 2, -self.ground_m / 2)
-            spec.add_geom(mujoco.mjtGeom.mjGEOM_BOX, half, centre, rgba=(0.55, 0.53, 0.5, 1.0))
+            spec.add_geom(BOX, half, centre, rgba=(0.55, 0.53, 0.5, 1.0))
 
 
 class Classed(WorldKind):

@@ -16,6 +16,7 @@ from scenegen.dataset.manifest import NAME, VERSION
 from scenegen.dataset.rules import pattern_of
 from scenegen.dataset.trust import Manifest
 from scenegen.display.inspect import LABELS
+from scenegen.files import Json
 from scenegen.share import LICENCES
 from scenegen.share.regenerate import ORIGINAL, RECIPE, command, source_file
 
@@ -51,14 +52,14 @@ FORMATS = {
 
 def facts(
     made: Manifest,
-    told: Mapping[str, Any],
+    told: Json,
     request: "Request",
     *,
     tag: str,
     date: str,
     checks: Sequence[tuple[str, str]],
     pictures: str,
-) -> dict[str, Any]:
+) -> Json:
     """What stands in both texts, by the names that these have for it.
 
     Args:
@@ -172,12 +173,12 @@ def _notes(made: Manifest) -> dict[str, str]:
     return notes
 
 
-def _text(name: str, given: Mapping[str, Any]) -> str:
+def _text(name: str, given: Json) -> str:
     text = (files("scenegen.share") / name).read_text(encoding="utf-8")
     return Template(text).substitute(given)
 
 
-def card(given: Mapping[str, Any]) -> str:
+def card(given: Json) -> str:
     """The card of a dataset of which `facts` are given."""
     return _text("card.md", given).replace("\n\n\n\n", "\n\n")  # where there are no pictures
 
@@ -214,7 +215,7 @@ def _fields(made: Manifest) -> str:
     return table
 
 
-def _statistics(splits: Mapping[str, Any]) -> str:
+def _statistics(splits: Json) -> str:
     rows = [["", *splits]]
     for name, key in (("samples", "samples"), ("worlds", "worlds"), ("measured", "sampled")):
         rows.append([name, *(str(it[key]) for it in splits.values())])
@@ -231,9 +232,7 @@ def _statistics(splits: Mapping[str, Any]) -> str:
     return _table(*rows)
 
 
-def croissant(
-    given: Mapping[str, Any], made: Manifest, told: Mapping[str, Any], sums: Mapping[str, str]
-) -> str:
+def croissant(given: Json, made: Manifest, told: Json, sums: Mapping[str, str]) -> str:
     """The file of a dataset of which `facts` are given; `sums` has the SHA-256 of the
     files that have entries of their own, by name."""
     inside = {key: json.dumps(str(value), ensure_ascii=False)[1:-1] for key, value in given.items()}
@@ -273,12 +272,12 @@ def croissant(
     return json.dumps(found, indent=1, ensure_ascii=False) + "\n"
 
 
-def _node(kind: str, name: str, **about: Any) -> dict[str, Any]:
+def _node(kind: str, name: str, **about: Any) -> Json:
     """A thing of the file, which others call by its name."""
     return {"@type": f"cr:{kind}", "@id": name, "name": name, **about}
 
 
-def _field(split: str, name: str, meta: Mapping[str, Any]) -> dict[str, Any]:
+def _field(split: str, name: str, meta: Json) -> Json:
     """A field of a split's samples; its column is the name of its HDF5 dataset."""
     kind = meta["dtype"]
     found = {

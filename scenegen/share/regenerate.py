@@ -23,6 +23,7 @@ from scenegen.dataset.parts import GRID, rays_named, sensor_entry, write_rays
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.trust import Manifest
 from scenegen.errors import BrokenError, PublishError, RecipeError, short
+from scenegen.files import Json
 from scenegen.limits import MOST_RECIPE_BYTES
 from scenegen.recipe import read_recipe
 from scenegen.recipes import KINDS
@@ -83,7 +84,7 @@ def command(found: Manifest, out: str) -> str:
     return shlex.join(words)
 
 
-def recipe_text(parameters: Mapping[str, Any], title: str) -> str:
+def recipe_text(parameters: Json, title: str) -> str:
     """A recipe file with every parameter of a manifest, so that no preset's later version changes
     anything; `title` is its first line."""
     sources = [one["parameters"] for one in parameters.get("sources") or ()]
@@ -115,15 +116,13 @@ def _weights(counts: Sequence[Mapping[str, int]]) -> list[int]:
     return [sum(one.values()) for one in counts]
 
 
-def _preset(parameters: Mapping[str, Any]) -> dict[str, Any]:
+def _preset(parameters: Json) -> Json:
     """A kind of worlds, and its difficulty where that is not medium."""
     level = parameters["recipe"].get("difficulty")
     return {"kind": parameters["kind"]} | ({"difficulty": level} if level else {})
 
 
-def _tables(
-    parameters: Mapping[str, Any], files: Mapping[str, str]
-) -> dict[str, Mapping[str, Any] | None]:
+def _tables(parameters: Json, files: Mapping[str, str]) -> dict[str, Json | None]:
     """Every table of a recipe; tables of rays lie in `files`, by their SHA-256."""
     noise, recipe = parameters.get("noise"), parameters["recipe"]
     return {
@@ -136,13 +135,13 @@ def _tables(
     }
 
 
-def _lidar(parameters: Mapping[str, Any], files: Mapping[str, str]) -> dict[str, Any]:
+def _lidar(parameters: Json, files: Mapping[str, str]) -> Json:
     """The table [lidar]; a table of rays has its shape in the file."""
     table = {name: value for name, value in parameters["lidar"].items() if name != "shape"}
     return table | ({"rays": files[table["sha256"]]} if "rays" in table else {})
 
 
-def _table(head: str, table: Mapping[str, Any] | None) -> list[str]:
+def _table(head: str, table: Json | None) -> list[str]:
     if table is None:
         return []
     return ["", head, *(f"{_key(key)} = {_toml(value)}" for key, value in table.items())]
@@ -196,7 +195,7 @@ def check_source(dataset: Dataset, name: str, text: str) -> None:
         raise PublishError(f"{_advice(found)}: {wrong[0]}")
 
 
-def _read_again(found: Manifest, path: Path) -> Mapping[str, Any]:
+def _read_again(found: Manifest, path: Path) -> Json:
     """The parameters that the recipe in `path` makes with the counts and the seed of a manifest."""
     labels = found.homes[0].recipe.labels
     read = read_components(path) if found.sources else [(read_recipe(path), Fraction(1))]
@@ -213,7 +212,7 @@ def _read_again(found: Manifest, path: Path) -> Mapping[str, Any]:
     return manifest.parameters(recipe, DrawnWorlds(recipe), **asked)
 
 
-def _decided(parameters: Mapping[str, Any]) -> dict[str, Any]:
+def _decided(parameters: Json) -> Json:
     """What of a manifest's `parameters` a recipe decides."""
     left = manifest.completed(parameters)
     found = {name: it for name, it in left.items() if name not in _NOT_OURS}

@@ -1,10 +1,8 @@
 """Publish: verify, stage, and send to the Hugging Face Hub: all files, then a look at what arrived,
 and the tag."""
 
-import hashlib
 import re
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from scenegen import __version__
@@ -63,9 +61,7 @@ def _send(api: Any, staged: Staged, private: bool) -> str:
 
     repository, target = staged.repository, f"hf://{staged.repository}"
     where = {"repo_id": repository, "repo_type": "dataset"}
-    api.create_repo(
-        repository, repo_type="dataset", private=True if private else None, exist_ok=True
-    )
+    api.create_repo(**where, private=True if private else None, exist_ok=True)
     about = api.dataset_info(repository)
     if private and not about.private:
         raise PublishError(
@@ -102,12 +98,14 @@ def _send(api: Any, staged: Staged, private: bool) -> str:
         raise PublishError(
             f"{target}: not everything arrived ({wrong[0]}); give the same command again to go on"
         )
-    api.create_tag(repository, tag=staged.tag, revision=head, repo_type="dataset")
+    api.create_tag(**where, tag=staged.tag, revision=head)
     return str(head)
 
 
 def differences(api: Any, staged: Staged, revision: str) -> list[str]:
     """Files of the folder that the repository does not have, or has otherwise, at a revision."""
+    from huggingface_hub.utils.sha import git_hash
+
     tree = api.list_repo_tree(
         staged.repository, repo_type="dataset", recursive=True, revision=revision
     )
@@ -117,16 +115,10 @@ def differences(api: Any, staged: Staged, revision: str) -> list[str]:
     def is_there(name: str) -> bool:
         entry, path = there.get(name), staged.folder / name
         if entry is None or entry.lfs is None:
-            return entry is not None and entry.blob_id == git_blob(path)
+            return entry is not None and entry.blob_id == git_hash(path.read_bytes())
         return bool(entry.lfs.sha256 == (sums.get(name) or file_sha256(path)))
 
     return [name for name in staged.files if not is_there(name)]
-
-
-def git_blob(path: Path) -> str:
-    """The name that git gives a file's content: SHA-1 over a short head and the bytes."""
-    content = path.read_bytes()
-    return hashlib.sha1(b"blob %d\0" % len(content) + content, usedforsecurity=False).hexdigest()
 
 
 def _explain(staged: Staged, error: Exception) -> str:

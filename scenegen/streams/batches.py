@@ -4,21 +4,9 @@ read."""
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from scenegen.errors import DatasetError, short
+from scenegen.errors import DatasetError, short, whole_number
 from scenegen.limits import MOST_BATCH, MOST_WORKERS
 from scenegen.sample import rng_of
-
-
-def whole(name: str, value: Any, least: int, most: int) -> int:
-    """`value` as a number of Python's. Raises DatasetError."""
-    number = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    if not number or not least <= value <= most:
-        raise DatasetError(
-            f"stream: {name} = {short(value)}: expected a whole number from {least} to {most}"
-        )
-    return int(value)
 
 
 class Place:
@@ -48,13 +36,8 @@ class Place:
                     f"state of a stream: its {name} is {short(state.get(name))}, expected "
                     f"{short(ours)}: it is of another one"
                 )
-        done = state.get(self._unit)
-        if type(done) is not int or not 0 <= done <= self._most:
-            raise DatasetError(
-                f"state of a stream: its {self._unit} = {short(done)}: expected a whole number "
-                f"from 0 to {self._most}"
-            )
-        self._done = done
+        where = f"state of a stream: its {self._unit} ="
+        self._done = whole_number(where, state.get(self._unit), 0, self._most)
 
 
 if TYPE_CHECKING:
@@ -80,11 +63,10 @@ class Batches(Place, Iterator[list[int]]):
     def __init__(
         self, stream: "Stream", size: int, *, rank: int = 0, ranks: int = 1, loaders: int = 1
     ):
-        size, ranks = whole("size", size, 1, MOST_BATCH), whole("ranks", ranks, 1, MOST_WORKERS)
-        rank, loaders = (
-            whole("rank", rank, 0, ranks - 1),
-            whole("loaders", loaders, 1, MOST_WORKERS),
-        )
+        size = whole_number("stream: size =", size, 1, MOST_BATCH)
+        ranks = whole_number("stream: ranks =", ranks, 1, MOST_WORKERS)
+        rank = whole_number("stream: rank =", rank, 0, ranks - 1)
+        loaders = whole_number("stream: loaders =", loaders, 1, MOST_WORKERS)
         if size % ranks:
             raise DatasetError(
                 f"batches of a stream: size = {size} does not divide among {ranks} ranks; use a "

@@ -17,6 +17,7 @@ from scenegen.dataset.generation import fraction
 from scenegen.dataset.shard import find_engine
 from scenegen.draw import Unit, draw_unit
 from scenegen.errors import DatasetError, RecipeError, SceneError, short
+from scenegen.files import Json
 from scenegen.limits import MOST_UNITS_IN_ROUND
 from scenegen.recipe import Recipe, preset, read_recipe
 from scenegen.recipes import KINDS, graded
@@ -74,7 +75,7 @@ class Component:
             engine=engine,
         )
 
-    def described(self, *, software: bool) -> dict[str, Any]:
+    def described(self, *, software: bool) -> Json:
         """What decides the samples, as plain JSON values: a manifest's parameters without counts,
         and with the split.
 

@@ -14,13 +14,13 @@ import numpy as np
 
 from scenegen.dataset.generation import MIXED, fraction, is_mixed, read_components, seeds
 from scenegen.dataset.parts import schema_of
-from scenegen.errors import DatasetError, short
+from scenegen.errors import DatasetError, short, whole_number
 from scenegen.files import sha256_of
 from scenegen.limits import MOST_SAMPLES, MOST_SEED, MOST_WORKERS
 from scenegen.sample import Sample, Samples, Schema
 from scenegen.source import DrawnWorlds
 from scenegen.streams.ahead import Ahead, Cache, pack, record_type, unpack
-from scenegen.streams.batches import Batches, Place, whole
+from scenegen.streams.batches import Batches, Place
 from scenegen.streams.mixture import Component, Mixture, component_of, parts_of
 
 KEPT_BYTES = 256 << 20
@@ -58,10 +58,10 @@ class Stream(Samples):
         workers: int,
         cache: Path | str | None,
     ):
-        self.seed, self.split = whole("seed", seed, 0, MOST_SEED), split
-        self.workers = whole("workers", workers, 0, MOST_WORKERS)
+        self.seed, self.split = whole_number("stream: seed =", seed, 0, MOST_SEED), split
+        self.workers = whole_number("stream: workers =", workers, 0, MOST_WORKERS)
         self.mixture = mixture
-        self._samples = whole("samples", samples, 1, MOST_SAMPLES)
+        self._samples = whole_number("stream: samples =", samples, 1, MOST_SAMPLES)
         parts = [
             {"drawn": part.described(software=False), "units": units}
             for part, units in zip(mixture.components, mixture.units, strict=True)
@@ -272,7 +272,7 @@ def stream(
         RecipeError, SceneError, DatasetError: What is asked for cannot be. Asking for a sample
             raises GenerationError, IndexError and TypeError, too.
     """
-    seed = whole("seed", seed, 0, MOST_SEED)
+    seed = whole_number("stream: seed =", seed, 0, MOST_SEED)
     parts = [part for what, weight in parts_of(worlds) for part in _unmixed(what, weight, seed)]
     components = [component_of(what, seed=seed, split=split, engine=engine) for what, _ in parts]
     own = seeds([one.recipe.kind for one in components], seed)

@@ -37,6 +37,12 @@ def _along(rows, n, x, y, z):
 
 
 @kernel
+def _moved(x, y, z, rows, n, t):
+    """A point moved by `t` times row n."""
+    return x + t * rows[n, 0], y + t * rows[n, 1], z + t * rows[n, 2]
+
+
+@kernel
 def distance(shape, size, x, y, z):
     """Distance in metres from the point (x, y, z) to the filled shape; 0 inside. A plane fills z <=
     0."""
@@ -99,11 +105,11 @@ def within(shape, size, axes, x, y, z, half, slack):
     The shapes are convex, and so is what lies that deep in them: the cube's corners decide.
     """
     for i in (-half, half):
+        fx, fy, fz = _moved(x, y, z, axes, 0, i)
         for j in (-half, half):
+            ex, ey, ez = _moved(fx, fy, fz, axes, 1, j)
             for k in (-half, half):
-                u = x + i * axes[0, 0] + j * axes[1, 0] + k * axes[2, 0]
-                v = y + i * axes[0, 1] + j * axes[1, 1] + k * axes[2, 1]
-                w = z + i * axes[0, 2] + j * axes[1, 2] + k * axes[2, 2]
+                u, v, w = _moved(ex, ey, ez, axes, 2, k)
                 if not _is_deep(shape, size, u, v, w, slack):
                     return False
     return True
@@ -150,9 +156,9 @@ def _segment_to_cube2(axes, x, y, z, reach, half):
     slope_low = _segment_slope(axes, x, y, z, low, half)
     slope_high = _segment_slope(axes, x, y, z, high, half)
     if slope_low >= 0.0:
-        return _at_segment(axes, x, y, z, low, half)
+        return _point_to_cube2(axes, x, y, z - low, half)
     if slope_high <= 0.0:
-        return _at_segment(axes, x, y, z, high, half)
+        return _point_to_cube2(axes, x, y, z - high, half)
     for a in range(3):
         if axes[a, 2] != 0.0:
             centre = _along(axes, a, x, y, z)
@@ -166,12 +172,12 @@ def _segment_to_cube2(axes, x, y, z, reach, half):
                         high, slope_high = t, slope
     if slope_high > slope_low:
         low -= slope_low * (high - low) / (slope_high - slope_low)
-    return _at_segment(axes, x, y, z, low, half)
+    return _point_to_cube2(axes, x, y, z - low, half)
 
 
 @kernel
 def _segment_slope(axes, x, y, z, t, half):
-    """Half the derivative of `_at_segment` by t."""
+    """Half the derivative by t of the squared distance from the point (0, 0, t) to the cube."""
     total = 0.0
     for a in range(3):
         offset = axes[a, 2] * t - _along(axes, a, x, y, z)
@@ -180,12 +186,6 @@ def _segment_slope(axes, x, y, z, t, half):
         elif offset < -half:
             total += (offset + half) * axes[a, 2]
     return total
-
-
-@kernel
-def _at_segment(axes, x, y, z, t, half):
-    """Squared distance from the point (0, 0, t) to the cube."""
-    return _point_to_cube2(axes, x, y, z - t, half)
 
 
 @kernel
@@ -236,14 +236,12 @@ def _ellipsoid_touches(size, axes, x, y, z, half, slack):
     if _point_to_cube2(axes, x, y, z, half) == 0.0:
         return True
     a, b, c = 1.0 / size[0], 1.0 / size[1], 1.0 / size[2]
-    m = np.empty((4, 3))  # the scaled half edges, and the scaled centre
+    cx, cy, cz = x * a, y * b, z * c  # the scaled centre
+    m = np.empty((3, 3))  # the scaled half edges
     for i in range(3):
         m[i, 0] = half * axes[i, 0] * a
         m[i, 1] = half * axes[i, 1] * b
         m[i, 2] = half * axes[i, 2] * c
-    m[3, 0] = x * a
-    m[3, 1] = y * b
-    m[3, 2] = z * c
     least = math.inf
     nx, ny, nz = 0.0, 0.0, 0.0
     for i in range(3):  # every edge along half edge i, and the faces that the other two span
@@ -253,27 +251,21 @@ def _ellipsoid_touches(size, axes, x, y, z, half, slack):
         kk = _along(m, k, m[k, 0], m[k, 1], m[k, 2])
         jk = _along(m, j, m[k, 0], m[k, 1], m[k, 2])
         for s in (-1.0, 1.0):
-            u, v, w = m[3, 0] + s * m[i, 0], m[3, 1] + s * m[i, 1], m[3, 2] + s * m[i, 2]
+            u, v, w = _moved(cx, cy, cz, m, i, s)
             ju, ku = _along(m, j, u, v, w), _along(m, k, u, v, w)
             det = jj * kk - jk * jk
             p, q = (jk * ku - kk * ju) / det, (jk * ju - jj * ku) / det
             if abs(p) <= 1.0 and abs(q) <= 1.0:
-                fx, fy, fz = (
-                    u + p * m[j, 0] + q * m[k, 0],
-                    v + p * m[j, 1] + q * m[k, 1],
-                    w + p * m[j, 2] + q * m[k, 2],
-                )
+                ex, ey, ez = _moved(u, v, w, m, j, p)
+                fx, fy, fz = _moved(ex, ey, ez, m, k, q)
                 length2 = fx * fx + fy * fy + fz * fz
                 if length2 < least:
                     least, nx, ny, nz = length2, fx, fy, fz
             for r in (-1.0, 1.0):
-                u, v, w = (
-                    m[3, 0] + s * m[j, 0] + r * m[k, 0],
-                    m[3, 1] + s * m[j, 1] + r * m[k, 1],
-                    m[3, 2] + s * m[j, 2] + r * m[k, 2],
-                )
+                ex, ey, ez = _moved(cx, cy, cz, m, j, s)
+                u, v, w = _moved(ex, ey, ez, m, k, r)
                 p = min(max(-_along(m, i, u, v, w) / ii, -1.0), 1.0)
-                fx, fy, fz = u + p * m[i, 0], v + p * m[i, 1], w + p * m[i, 2]
+                fx, fy, fz = _moved(u, v, w, m, i, p)
                 length2 = fx * fx + fy * fy + fz * fz
                 if length2 < least:
                     least, nx, ny, nz = length2, fx, fy, fz
@@ -292,11 +284,7 @@ def _cylinder_touches(radius, reach, axes, x, y, z, half):
     enter, leave = -reach, reach
     for a in range(3):  # the axis, as a segment, against the cube's slabs
         offset = -_along(axes, a, x, y, z)
-        if abs(axes[a, 2]) > 1e-15:
-            s, t = (-half - offset) / axes[a, 2], (half - offset) / axes[a, 2]
-            enter, leave = max(enter, min(s, t)), min(leave, max(s, t))
-        elif abs(offset) > half:
-            leave = -math.inf
+        enter, leave = _clipped(enter, leave, offset, axes[a, 2], half, 1e-15)
     if enter <= leave:
         return True
     limit = radius * radius
@@ -304,16 +292,9 @@ def _cylinder_touches(radius, reach, axes, x, y, z, half):
         j, k = (i + 1) % 3, (i + 2) % 3
         for sj in (-half, half):
             for sk in (-half, half):
-                cx = x + sj * axes[j, 0] + sk * axes[k, 0]
-                cy = y + sj * axes[j, 1] + sk * axes[k, 1]
-                cz = z + sj * axes[j, 2] + sk * axes[k, 2]
-                low, high = -half, half
-                dz = axes[i, 2]
-                if abs(dz) > 1e-15:
-                    s, t = (-reach - cz) / dz, (reach - cz) / dz
-                    low, high = max(low, min(s, t)), min(high, max(s, t))
-                elif abs(cz) > reach:
-                    continue
+                ex, ey, ez = _moved(x, y, z, axes, j, sj)
+                cx, cy, cz = _moved(ex, ey, ez, axes, k, sk)
+                low, high = _clipped(-half, half, cz, axes[i, 2], reach, 1e-15)
                 if low <= high:
                     px, py = cx + low * axes[i, 0], cy + low * axes[i, 1]
                     qx, qy = cx + high * axes[i, 0], cy + high * axes[i, 1]
@@ -325,6 +306,18 @@ def _cylinder_touches(radius, reach, axes, x, y, z, half):
                 if _face_cut_norm2(axes, x, y, z, i, si, plane, half) <= limit:
                     return True
     return False
+
+
+@kernel
+def _clipped(low, high, offset, slope, reach, least):
+    """What of the interval [low, high] of t has |offset + slope t| <= reach, [inf, -inf] where
+    nothing; a slope of at most `least` counts as none."""
+    if abs(slope) > least:
+        s, t = (-reach - offset) / slope, (reach - offset) / slope
+        return max(low, min(s, t)), min(high, max(s, t))
+    if abs(offset) > reach:
+        return math.inf, -math.inf
+    return low, high
 
 
 @kernel
@@ -342,7 +335,8 @@ def _face_cut_norm2(axes, x, y, z, i, si, height, half):
     """Squared distance from the axis to the segment in which the plane z = height cuts one face;
     inf if it does not."""
     j, k = (i + 1) % 3, (i + 2) % 3
-    cx, cy, cz = x + si * axes[i, 0], y + si * axes[i, 1], z + si * axes[i, 2] - height
+    cx, cy, top = _moved(x, y, z, axes, i, si)
+    cz = top - height
     u, v = axes[j, 2], axes[k, 2]
     norm2 = u * u + v * v
     if norm2 < 1e-24:
@@ -350,17 +344,8 @@ def _face_cut_norm2(axes, x, y, z, i, si, height, half):
     # the points cz + u p + v q = 0 of the face's plane, walked along (-v, u) from the one nearest
     # to its centre
     p0, q0 = -cz * u / norm2, -cz * v / norm2
-    low, high = -math.inf, math.inf
-    if v != 0.0:
-        s, t = (p0 - half) / v, (p0 + half) / v
-        low, high = max(low, min(s, t)), min(high, max(s, t))
-    elif abs(p0) > half:
-        return math.inf
-    if u != 0.0:
-        s, t = (-half - q0) / u, (half - q0) / u
-        low, high = max(low, min(s, t)), min(high, max(s, t))
-    elif abs(q0) > half:
-        return math.inf
+    low, high = _clipped(-math.inf, math.inf, p0, -v, half, 0.0)
+    low, high = _clipped(low, high, q0, u, half, 0.0)
     if low > high:
         return math.inf
     pl, ql, ph, qh = p0 - low * v, q0 + low * u, p0 - high * v, q0 + high * u

@@ -124,11 +124,17 @@ def bounds(corners, p, q, first, end, half, slack, spare, noise, found):
 
 
 @kernel
+def joining(one, other):
+    """The vector from one point to another."""
+    return other[0] - one[0], other[1] - one[1], other[2] - one[2]
+
+
+@kernel
 def triangle_distance(a, b, c, x, y, z):
     """Distance in metres from the point (x, y, z) to the triangle abc (Ericson 2005, section
     5.1.5)."""
-    abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    acx, acy, acz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    abx, aby, abz = joining(a, b)
+    acx, acy, acz = joining(a, c)
     px, py, pz = x - a[0], y - a[1], z - a[2]
     d1, d2 = abx * px + aby * py + abz * pz, acx * px + acy * py + acz * pz
     qx, qy, qz = x - b[0], y - b[1], z - b[2]
@@ -191,8 +197,8 @@ def crossing(a, b, c, x, y):
 @kernel
 def _height(a, b, c, x, y):
     """Where the vertical line at (x, y), which crosses the triangle abc, does so."""
-    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    ux, uy, uz = joining(a, b)
+    vx, vy, vz = joining(a, c)
     normal_z = ux * vy - uy * vx
     if normal_z == 0.0:
         return max(a[2], b[2], c[2])

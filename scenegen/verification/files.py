@@ -171,24 +171,11 @@ LAYOUT = Check(
 examination."""
 
 
-def _expected_worlds(worlds: Worlds, page: Page) -> None:
-    task, there = worlds.task, sorted(worlds.documents)
-    entry = task.entry
-    numbering = task.contract.numbering(entry.split)
-    expected = list(numbering.worlds(entry.start, entry.stop - entry.start))
-    if entry.cut:  # the shard's samples say which, see below
-        expected = [number for number in there if number in set(expected)] or expected
-    page.expect(
-        there == expected,
-        f"{entry.worlds}: holds worlds {_spans(there)}, its samples are of {_spans(expected)}",
-    )
-    page.expect(
-        entry.first_world == expected[0],
-        f"{entry.file}: first_world = {entry.first_world}, its samples begin with {expected[0]}",
-    )
-    if task.contract.scenes is None:
+def _worlds_from_files(worlds: Worlds, page: Page) -> None:
+    entry, scenes = worlds.task.entry, worlds.task.contract.scenes
+    if scenes is None:
         return
-    listed = task.contract.scenes[entry.split]
+    listed = scenes[entry.split]
     for number in worlds.documents:
         page.expect(
             world_digest(*worlds.source(number)).hex()
@@ -200,9 +187,12 @@ def _expected_worlds(worlds: Worlds, page: Page) -> None:
 
 def _worlds_of_samples(shard: Shard, page: Page) -> None:
     entry = shard.task.entry
-    if not entry.cut or shard.worlds is None:
-        return
-    there, found = sorted(shard.worlds.documents), np.unique(shard.file.column("world")).tolist()
+    found = np.unique(shard.file.column("world")).tolist()
+    page.expect(
+        entry.first_world == found[0],
+        f"{entry.file}: first_world = {entry.first_world}, its samples begin with {found[0]}",
+    )
+    there = found if shard.worlds is None else sorted(shard.worlds.documents)
     page.expect(
         there == found,
         f"{entry.worlds}: holds worlds {_spans(there)}, its samples are of {_spans(found)}",
@@ -219,7 +209,7 @@ ARCHIVES = Check(
     "just the worlds of "
     "its shard's samples; worlds from your own MJCF are those that the recipe names.",
     quick=True,
-    archive=_expected_worlds,
+    archive=_worlds_from_files,
     shard=_worlds_of_samples,
 )
 """The walk over a shard adds the faults of an archive that cannot be read."""

@@ -2,17 +2,15 @@
 from the seed."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from lidarsim import Pose, Scan
+from lidarsim import Scan
 from lidarsim.engines import ENGINES
-from lidarsim.engines.voxels import VoxelMap
-from lidarsim.solids.shapes import Solids
 from scenegen import GENERATOR
 from scenegen.dataset.manifest import differences
 from scenegen.dataset.rescan import scan_again
@@ -26,6 +24,7 @@ from scenegen.source import DrawnWorlds, SceneWorlds
 from scenegen.verification.rays import audit, disagrees
 from scenegen.verification.report import BrokenError, Page
 from scenegen.verification.stages import Check, Sample, Shard, Worlds, auditor, scans_of
+from scenegen.worlds.place import Place
 from scenegen.worlds.world import AnyWorld
 
 
@@ -40,25 +39,24 @@ class ArchivedWorlds(SceneWorlds):
         return self.worlds.world(number)
 
 
-def regenerate(
-    contract: Manifest,
-    worlds: Worlds,
-    split: str,
-    unit: int,
-    poses: Callable[[], list[list[Pose]]],
-) -> Unit:
-    """One flight of a dataset that `why_not_made` lets be made, flown again; or, where the dataset
-    is one that was scanned again, scanned so from its stored `poses`. Raises BrokenError where
-    nothing comes of it."""
+def _flown_again(shard: Shard, unit: int, views: Sequence[tuple[int, int]]) -> Unit:
+    """A flight of a dataset that `why_not_made` lets be made, flown again; or, where the dataset is
+    one that was scanned again, scanned so from the poses of the samples that are there, (row,
+    view). Raises BrokenError where nothing comes of it."""
+    contract, split, worlds = shard.task.contract, shard.task.entry.split, shard.worlds
+    assert worlds is not None
     recipe: Recipe = contract.recipe
     scenes: Any = contract.scenes
     key, engine = UnitKey(contract.seed, split, unit), ENGINES.find(contract.engine).of
     failed = (GenerationError, RecipeError, SceneError)
     with raised_as(BrokenError, f"{split} flight {unit} cannot be made again: ", of=failed):
         if contract.rescan is not None:
+            with raised_as(BrokenError, f"{shard.task.entry.file}: "):
+                stored = (partial(shard.file.value, row=row) for row, _ in views)
+                poses = [[scan.pose for scan in scans_of(contract, one)] for one in stored]
             names = contract.numbering(split).name(unit * recipe.flight.viewpoints)
             world = worlds.world(names[0])
-            return scan_again(world, poses(), recipe, key, names=names, engine=engine)
+            return scan_again(world, poses, recipe, key, names=names, engine=engine)
         source = (
             DrawnWorlds(recipe) if scenes is None else ArchivedWorlds(scenes=scenes, worlds=worlds)
         )
@@ -99,24 +97,23 @@ def why_other(contract: Manifest) -> str:
 
 
 def _cast_again(sample: Sample, page: Page) -> None:
-    solids, worlds = sample.solids, sample.shard.worlds
-    if solids is None or worlds is None or sample.row not in sample.shard.audited:
+    if (world := sample.audited) is None:
         return
     lidar, scans = sample.contract.lidar, sample.scans
     if sample.contract.noise is not None:
         if why := why_not_scanned(sample.contract) or why_other(sample.contract):
             page.skipped = f"the noise cannot be made again, {why}"
             return
-        scans = _scanned_again(sample, worlds, page)
+        scans = _scanned_again(sample, world, page)
     page.count(samples=1)
     for number, scan in enumerate(scans):
         rays, found, gap = audit(
             scan.ranges,
             scan.pose.position,
             scan.pose.quaternion,
-            auditor(worlds.world(sample.world), sample.contract.engine),
+            auditor(world, sample.contract.engine),
             lidar,
-            solids=_effort(solids, lidar.max_range_m),
+            solids=_effort(world, lidar.max_range_m),
             rng=sample.shard.rng,
         )
         wrong = disagrees(gap, found, lidar.max_range_m)
@@ -133,18 +130,17 @@ def _cast_again(sample: Sample, page: Page) -> None:
             )
 
 
-def _effort(solids: Solids | VoxelMap, max_range_m: float) -> int:
+def _effort(world: AnyWorld, max_range_m: float) -> int:
     """How many solids an auditor tries for a ray, or as many as take its time."""
-    if isinstance(solids, VoxelMap):
-        return math.ceil(300 * max_range_m / solids.voxel_m)
-    return len(solids.shape) + len(solids.triangles)
+    if isinstance(world, Place):
+        return math.ceil(300 * max_range_m / world.voxels.voxel_m)
+    return len(world.solids.shape) + len(world.solids.triangles)
 
 
-def _scanned_again(sample: Sample, worlds: Worlds, page: Page) -> list[Scan]:
+def _scanned_again(sample: Sample, world: AnyWorld, page: Page) -> list[Scan]:
     """The clean scans of a noisy sample by the dataset's own engine; with noise, they must be the
     stored ones. Raises BrokenError."""
     task, contract = sample.shard.task, sample.contract
-    world = worlds.world(sample.world)
     engine = world.caster(ENGINES.find(contract.engine).of)  # one of ours
     unit, view = divmod(sample.shard.places[sample.row], contract.recipe.flight.viewpoints)
     failed = (GenerationError, ValueError)
@@ -205,15 +201,7 @@ def _compare_flight(shard: Shard, unit: int, views: Sequence[tuple[int, int]], p
     bit for bit."""
     task = shard.task
     assert shard.worlds is not None
-
-    def poses() -> list[list[Pose]]:
-        with raised_as(BrokenError, f"{task.entry.file}: "):
-            return [
-                [scan.pose for scan in scans_of(task.contract, partial(shard.file.value, row=row))]
-                for row, _ in views
-            ]
-
-    again = regenerate(task.contract, shard.worlds, task.entry.split, unit, poses)
+    again = _flown_again(shard, unit, views)
     page.count(worlds=1)
     page.expect(
         shard.worlds.documents.get(again.number) == again.world.mjcf,

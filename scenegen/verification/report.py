@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from scenegen.errors import BrokenError as BrokenError
+from scenegen.files import Json
 
 TOLD = 3
 """This many faults of one check are written out; the others are counted."""
@@ -52,7 +53,7 @@ class Report:
         """Names of the checks that failed."""
         return tuple(check.name for check in self.checks if not check.ok)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         """The report as plain values."""
         found = {"ok": self.ok, "failed": list(self.failed)}
         return {**vars(self), **found, "checks": [vars(check) for check in self.checks]}

@@ -182,36 +182,21 @@ def _digest_worlds(worlds: Worlds, page: Page) -> None:
     )  # there may be millions
 
 
-def _shared(contract: Manifest, page: Page) -> list[tuple[int, bytes, int]]:
-    """(shard, digest, number) of all worlds whose digest is in more than one split, in the order of
-    shards."""
-    digests = np.frombuffer(b"".join(some for _, some, _ in page.kept), f"S{DIGEST_BYTES}")
-    numbers = np.concatenate([of for _, _, of in page.kept])
-    shards = np.repeat([shard for shard, _, _ in page.kept], [len(of) for _, _, of in page.kept])
-    splits = np.array([SPLITS.index(entry.split) for entry in contract.shards])[shards]
-    _, first, same = np.unique(digests, return_index=True, return_inverse=True)
-    apart = np.zeros(len(first), np.bool_)
-    apart[same[splits != splits[first][same]]] = True
-    return [
-        (int(shards[n]), bytes(digests[n]), int(numbers[n])) for n in np.flatnonzero(apart[same])
-    ]
-
-
 def _in_one_split(contract: Manifest, page: Page) -> None:
-    owner: dict[bytes, tuple[str, int]] = {}
-    found = _shared(contract, page) if page.kept else []
-    first = {
-        (shard, digest): world for shard, digest, world in reversed(found)
-    }  # told once a shard
-    for shard, digest, world in found:
-        if first[shard, digest] != world:
-            continue
-        split = contract.shards[shard].split
-        other, theirs = owner.setdefault(digest, (split, world))
+    if not page.kept:
+        return
+    digests = np.frombuffer(b"".join(some for _, some, _ in page.kept), f"S{DIGEST_BYTES}")
+    worlds = np.concatenate([of for _, _, of in page.kept])
+    shards = np.repeat([shard for shard, _, _ in page.kept], [len(of) for _, _, of in page.kept])
+    splits = [entry.split for entry in contract.shards]
+    order = np.argsort(digests, kind="stable")  # the same ones stay in the order of shards
+    for n in np.flatnonzero(digests[order[1:]] == digests[order[:-1]]):
+        first, second = order[n : n + 2]
+        ours, theirs = splits[shards[second]], splits[shards[first]]
         page.expect(
-            other == split,
-            f"world {world} of {split} has the same solids as world {theirs} of {other}, expected "
-            f"another one",
+            ours == theirs,
+            f"world {worlds[second]} of {ours} has the same solids as world {worlds[first]} of "
+            f"{theirs}, expected another one",
         )
 
 

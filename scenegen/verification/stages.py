@@ -244,6 +244,15 @@ class Sample:
         compiled."""
         return self.shard.worlds.solids.get(self.world) if self.shard.worlds else None
 
+    @property
+    def audited(self) -> AnyWorld | None:
+        """The world, compiled, of one of the samples that expensive checks look at; None for the
+        others, and where `solids` are. Raises BrokenError."""
+        worlds = self.shard.worlds
+        if worlds is None or self.solids is None or self.row not in self.shard.audited:
+            return None
+        return worlds.world(self.world)
+
     @functools.cached_property
     def packed(self) -> dict[str, NDArray[np.uint8]]:
         """The stored grids, eight voxels a byte."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.engines import DEFAULT
-from lidarsim.engines.voxels import VoxelEngine, VoxelMap
+from lidarsim.engines.voxels import VoxelMap
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.trust import Manifest
@@ -246,27 +246,18 @@ def _occupancy(sample: Sample, page: Page) -> None:
 
 
 def _rays_known(sample: Sample, page: Page) -> None:
-    solids, known = sample.solids, sample.contract.known
-    if solids is None or known is None or sample.row not in sample.shard.audited:
+    world, known = sample.audited, sample.contract.known
+    if world is None or known is None:
         return
     page.count(samples=1)
-    again = np.ones(sample.fields["ray_known"].shape, np.bool_)
-    if isinstance(solids, VoxelMap):
-        scan, engine = sample.scans[0], VoxelEngine(solids)
-        place, reach = scan.pose.position[None], scan.lidar.max_range_m
-        again = engine.cross(place, scan.directions[None], reach)[1][0] <= known.most_unknown_m
+    again = world.unknown_m(sample.scans[0]) <= known.most_unknown_m
     _same(sample, "ray_known", again, f"world {sample.world}", page)
 
 
 def _owners(sample: Sample, page: Page) -> None:
-    if (
-        sample.solids is None
-        or sample.shard.worlds is None
-        or sample.row not in sample.shard.audited
-    ):
+    if (world := sample.audited) is None:
         return
     page.count(samples=1)
-    world = sample.shard.worlds.world(sample.world)
     if isinstance(world, Place):
         raise BrokenError(f"{sample.where}: has labels, and its world is a map, which has none")
     contract = sample.contract

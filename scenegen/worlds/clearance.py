@@ -9,7 +9,7 @@ from lidarsim.grid import Floats
 from lidarsim.jit import kernel
 from lidarsim.solids.shapes import Solids
 from scenegen.truth.shapes import distance, local
-from scenegen.truth.triangles import crossing, triangle_distance
+from scenegen.truth.triangles import crossing, joining, triangle_distance
 
 CELL_M = 2.0
 """Edge of the square cells, seen from above, into which solids are sorted."""
@@ -145,7 +145,7 @@ def _clearance(
 
 @kernel
 def _motion_is_free(p, q, radius, arguments):
-    dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+    dx, dy, dz = joining(p, q)
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
     # most motions that are refused are so at their ends, many more at their middles; the walk
     # below steps over no point that is nearer than asked by two of its steps

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from lidarsim.grid import Floats
 from lidarsim.registry import suggestion
-from lidarsim.solids.shapes import HFIELD, MESH, PLANE
+from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, HFIELD, MESH, PLANE, SPHERE
 from scenegen.files import sha256_of
 from scenegen.worlds.classes import COLOURS
 from scenegen.worlds.screen import screen
@@ -23,11 +23,11 @@ may fly."""
 COLOUR = (0.62, 0.64, 0.68, 1.0)
 """Colour, as red, green, blue and alpha, of solids that are given none."""
 NUMBERS: dict[int, tuple[str, int]] = {
-    int(mujoco.mjtGeom.mjGEOM_SPHERE): ("", 1),
-    int(mujoco.mjtGeom.mjGEOM_CAPSULE): (' type="capsule"', 2),
-    int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): (' type="ellipsoid"', 3),
-    int(mujoco.mjtGeom.mjGEOM_CYLINDER): (' type="cylinder"', 2),
-    int(mujoco.mjtGeom.mjGEOM_BOX): (' type="box"', 3),
+    SPHERE: ("", 1),
+    CAPSULE: (' type="capsule"', 2),
+    ELLIPSOID: (' type="ellipsoid"', 3),
+    CYLINDER: (' type="cylinder"', 2),
+    BOX: (' type="box"', 3),
     HFIELD: (' type="hfield"', 0),
 }
 """Shapes that are written here, with their attribute and how many sizes they have."""
@@ -84,7 +84,7 @@ class Drawing:
     ) -> None:
         """Add one solid, lengths in metres. `more` may give `quat` (w x y z) and `rgba`, and all
         else that MuJoCo's `add_geom` takes."""
-        if self._spec is None and more.keys() <= {"quat", "rgba"}:
+        if more.keys() <= {"quat", "rgba"}:
             sizes = np.zeros(3)
             sizes[: np.size(size)] = size
             self.add_geoms(

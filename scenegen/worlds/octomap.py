@@ -70,9 +70,9 @@ def check_voxel(voxel_m: float, name: str) -> None:
 def _mark(x, y, z, size, state, bounds, states):
     """Put a cube of `size` voxels into `states`; where these are empty, into `bounds` (2, 3)."""
     if states.size == 0:
-        bounds[0, 0], bounds[1, 0] = min(bounds[0, 0], x), max(bounds[1, 0], x + size)
-        bounds[0, 1], bounds[1, 1] = min(bounds[0, 1], y), max(bounds[1, 1], y + size)
-        bounds[0, 2], bounds[1, 2] = min(bounds[0, 2], z), max(bounds[1, 2], z + size)
+        for axis, low in enumerate((x, y, z)):
+            bounds[0, axis] = min(bounds[0, axis], low)
+            bounds[1, axis] = max(bounds[1, axis], low + size)
     else:
         i, j, k = x - bounds[0, 0], y - bounds[0, 1], z - bounds[0, 2]
         states[i : i + size, j : j + size, k : k + size] = state

@@ -24,6 +24,7 @@ from scenegen.clouds import encode_npz, read_npz
 from scenegen.errors import SceneError, printable
 from scenegen.files import read_bounded, sha256_of
 from scenegen.limits import MOST_ASSET_BYTES, MOST_PLACE_VOXELS
+from scenegen.truth.triangles import joining
 from scenegen.truth.voxels import resample
 from scenegen.worlds.clearance import CAP_M, STEP_M
 from scenegen.worlds.mapping import Known
@@ -269,7 +270,7 @@ def _clearance(x, y, z, cap_m, enough_m, states, voxel_m, origin, opened):
 
 @kernel
 def _motion_is_free(p, q, radius, states, voxel_m, origin, opened):
-    dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+    dx, dy, dz = joining(p, q)
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
     # the walk below cannot pass a point that is closer than asked by two of its steps, and most
     # motions that it would refuse have one here

@@ -51,7 +51,6 @@ def test_a_shard_said_to_hold_thousands_is_refused_by_its_size(folder):
     )
     found = failed(folder, quick=True)
     assert "expected bool (100000, 24, 24, 16)" in found["layout"]
-    assert "its samples are of 0 to 33333" in found["archives"]
 
 
 @pytest.mark.parametrize("name", ["../train-00000.h5", "val-00000.h5"])
