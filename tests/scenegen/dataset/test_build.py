@@ -454,7 +454,7 @@ def test_a_killed_worker_is_reported_and_the_rest_is_kept(tmp_path, monkeypatch,
 
 
 def test_where_nothing_is_compiled_yet_a_second_process_compiles_the_truth(tmp_path, monkeypatch):
-    done = tmp_path / "done"
+    done, before = tmp_path / "done", set(multiprocessing.active_children())
 
     def there(*words):
         compile_truth(*words)
@@ -464,4 +464,4 @@ def test_where_nothing_is_compiled_yet_a_second_process_compiles_the_truth(tmp_p
     monkeypatch.setattr(shards, "compile_truth", there)
     monkeypatch.setattr(ShardSpec, "draw", lambda self, unit: wait_for(done.exists, 120))
     plan_of(tmp_path / "d", counts=COUNTS).shards[0].prepare(2)
-    assert not multiprocessing.active_children()
+    assert set(multiprocessing.active_children()) <= before
