@@ -311,6 +311,9 @@ class Worker:
         self.pipe.close()
 
 
+_environment = threading.RLock()
+
+
 @contextlib.contextmanager
 def safe_path() -> Iterator[None]:
     """While the block runs, a Python that this process starts imports nothing from the working
@@ -320,15 +323,16 @@ def safe_path() -> Iterator[None]:
     `multiprocessing` itself (https://docs.python.org/3/using/cmdline.html#envvar-PYTHONSAFEPATH). A
     spawned process gets this one's `sys.path`.
     """
-    before = os.environ.get(SAFE_PATH)
-    os.environ[SAFE_PATH] = "1"
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[SAFE_PATH]
-        else:
-            os.environ[SAFE_PATH] = before
+    with _environment:  # or a thread would take for the user's what another one set
+        before = os.environ.get(SAFE_PATH)
+        os.environ[SAFE_PATH] = "1"
+        try:
+            yield
+        finally:
+            if before is None:
+                del os.environ[SAFE_PATH]
+            else:
+                os.environ[SAFE_PATH] = before
 
 
 def _kill(busy: list[Worker]) -> None:
