@@ -177,12 +177,12 @@ def tables(rows: dict[str, Any]) -> list[str]:
         heads = ("seen in training", "held out", f"the bundled `{BUNDLED}`", "`extrude`")
         lines += titled(f"## {title}", heads, summary)
         lines += ["", table([f"`{one}`" for one in (*kinds, *places)], matrix)]
-    means = {
-        row: [np.mean([rows[row][place][name]["mean"] for place in places]) for name in TITLES]
-        for row in shown
-        if rows[row].keys() >= {*places}
-    }
     if places:
+        means = {
+            row: [np.mean([rows[row][place][name]["mean"] for place in places]) for name in TITLES]
+            for row in shown
+            if rows[row].keys() >= {*places}
+        }
         rounded = ((row, [f"{mean:.3f}" for mean in several]) for row, several in means.items())
         lines += titled("## Mean of the real places", TITLES.values(), rounded)
     return lines

@@ -86,9 +86,8 @@ def measure(kind: str, seconds: float) -> None:
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(
         f"\n{kind}: {samples / wall:.0f} samples a second and core ({samples / used:.0f} by "
-        f"processor time), "
-        f"{wall / samples * 1e3:.2f} ms a sample ({used / samples * 1e3:.2f} of processor), "
-        f"{size / samples / 1e3:.1f} KB a sample, peak memory {peak:.0f} MB"
+        f"processor time), {wall / samples * 1e3:.2f} ms a sample ({used / samples * 1e3:.2f} of "
+        f"processor), {size / samples / 1e3:.1f} KB a sample, peak memory {peak:.0f} MB"
     )
     whole = sum(taken for name, taken in spent.items() if not name.startswith("  "))
     spent[ELSE] = used - whole
@@ -107,10 +106,8 @@ def time_runs(kind: str, count: int) -> None:
         made = sum(said["samples"].values())
         print(
             f"{' '.join((kind, '--n', str(count), *flags))}: {made} samples in {cost.wall_s:.1f} "
-            f"s on {cores()} "
-            f"cores, {cost.processor_s:.1f} s of processor, {said['bytes'] / made / 1e3:.1f} KB a "
-            f"sample, "
-            f"largest process {cost.megabytes:.0f} MB"
+            f"s on {cores()} cores, {cost.processor_s:.1f} s of processor, "
+            f"{said['bytes'] / made / 1e3:.1f} KB a sample, largest process {cost.megabytes:.0f} MB"
         )
 
 

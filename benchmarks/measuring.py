@@ -118,10 +118,16 @@ def in_turn(
     burst: int = 1,
     of: Callable[[Iterable[float]], float] = statistics.median,
 ) -> dict[str, Time]:
-    """What each task takes: the medians `of` all rounds. Tasks take turns, so that all meet the
-    same machine. A round before the first one, in which kernels compile, does not count. Each is
-    done so many times in a row, of which the first does not count where there are more: threads of
-    the task before still wait for work."""
+    """What each task takes. Tasks take turns, so that all meet the same machine.
+
+    Args:
+        tasks: By name.
+        rounds: How often each has its turn. A round goes before, in which kernels compile; its
+            times do not count.
+        burst: How often a task is done in each turn. Where that is more than once, the first time
+            does not count: threads of the task before still wait for work.
+        of: What makes one figure of all times.
+    """
     found: dict[str, list[Time]] = {name: [] for name in tasks}
     for turn in range(rounds + 1):
         for name, task in tasks.items():

@@ -78,10 +78,7 @@ def main() -> None:
     for kind in given.kind:
         with tempfile.TemporaryDirectory() as cache:
             medians = measuring.in_turn(ways(given, kind, Path(cache)), given.rounds)
-        print(
-            f"\n{kind}: CPU ms a sample (ratio to generate), wall ms a sample; medians of "
-            f"{given.rounds}"
-        )
+        print(f"\n{kind}: ms a sample, CPU (ratio to generate) and wall; medians of {given.rounds}")
         base = medians["generate --compact"].processor
         for name, (wall, cpu) in medians.items():
             print(

@@ -67,7 +67,7 @@ def main() -> None:
         }
         cells = []
         for name, took in measuring.in_turn(steps, given.rounds).items():
-            wall, processor = (ms / given.batch for ms in took)
+            wall, processor = (ms / len(batch["occupancy"]) for ms in took)
             cells.append(f"{name} {wall:6.1f} ms a map, {processor:.1f} of processor")
         print(f"{variant:<9} {';   '.join(cells)}", flush=True)
 

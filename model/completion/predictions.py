@@ -3,18 +3,18 @@
 import io
 import json
 import secrets
-from collections.abc import Callable, Container, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
 
 from scenegen.dataset.hdf5 import read_guarded
 from scenegen.dataset.locate import file_sha256
-from scenegen.dataset.read import Dataset, Rows, Split
+from scenegen.dataset.read import Dataset, Split
 from scenegen.dataset.rules import stem_of
 from scenegen.dataset.shard import compress
 from scenegen.errors import DatasetError, empty_split, printable, raised_as
@@ -42,6 +42,13 @@ PACKED = {"compression": "gzip", "compression_opts": 1}
 its chunks, it crashes."""
 PART = 100
 """Samples in a file, which is the unit of work, of writing and of recovery, as a shard is."""
+
+
+class _Part(NamedTuple):
+    """What a task does: which file it writes, with the predictions of which samples."""
+
+    file: Path
+    numbers: Sequence[int]
 
 
 def predict_split(
@@ -72,17 +79,17 @@ def predict_split(
     about = {"dataset": dataset.manifest.digest, "split": split, "method": completer.name}
     there = _begun(out, completer, about)
     parts = [
-        (f"{stem_of(split, number)}.h5", Rows(split, range(first, min(first + PART, count))))
-        for number, first in enumerate(range(0, count, PART))
+        _Part(out / f"{stem_of(split, first // PART)}.h5", range(count)[first : first + PART])
+        for first in range(0, count, PART)
     ]
     get: Callable[[], Completer] = lambda: completer  # noqa: E731
     if execute is None:
         execute = ALONE
     elif completer.opened is not None:
         get = partial(opened_once, *completer.opened)
-    tasks = [(file, part) for file, part in execute.mine(parts) if file not in there]
-    begin = partial(on_start, sum(len(part.numbers) for _, part in tasks))
-    work = partial(_write, get, samples, out, about)
+    tasks = [part for part in execute.mine(parts) if part.file.name not in there]
+    begin = partial(on_start, sum(len(part.numbers) for part in tasks))
+    work = partial(_write, get, samples, about)
     away: list[float] = []
     with closing(execute(work, tasks, begin)) as results:
         for done, far in results:
@@ -112,21 +119,15 @@ def _begun(out: Path, completer: Completer, about: Mapping[str, Any]) -> Contain
 
 
 def _write(
-    get: Callable[[], Completer],
-    samples: Split,
-    out: Path,
-    about: Mapping[str, Any],
-    task: tuple[str, Rows],
+    get: Callable[[], Completer], samples: Split, about: Mapping[str, Any], part: _Part
 ) -> tuple[int, list[float]]:
     """Write the predictions of a part, completed by what `get` gives, into its file, whole or
     not. How many they are, and how far from home each is."""
-    file_name, part = task
     completer, grid, count = get(), samples.dataset.grid, len(part.numbers)
-    path = out / file_name
     who: list[tuple[int, int]] = []
     away: list[float] = []
-    make_parent(path)
-    with new_hdf5(path) as file:
+    make_parent(part.file)
+    with new_hdf5(part.file) as file:
         file.attrs.update({**about, **({} if completer.calibration is None else {"risk": RISK})})
         for first in range(0, count, completer.batch):
             several = [samples[number] for number in part.numbers[first : first + completer.batch]]

@@ -14,6 +14,7 @@ import os
 import platform
 import resource
 import signal
+import threading
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -109,11 +110,11 @@ def cores() -> int:
 
 def processor() -> str:
     """What this machine's processor is called."""
-    named = []
     with contextlib.suppress(OSError):  # elsewhere than on Linux
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        named = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return named[0] if named else platform.processor() or "CPU"
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or "CPU"
 
 
 def keep_memory() -> None:
@@ -142,26 +143,28 @@ class Limited(Generic[Task, Result]):
     and what happened."""
 
     def __call__(self, task: Task) -> Result:
-        """The result, from a process that is kept for the next task: for executors that call
-        functions in processes of their own, which may run threads."""
-        worker = _kept.pop() if _kept else Worker(self, "spawn")
+        """The result, from a process that is kept for this thread's next task: for executors that
+        call functions in processes of their own, which may run threads."""
+        worker = vars(_kept).pop("worker", None) or Worker(self, "spawn")
         if worker.limits is not self or not worker.process.is_alive():
             worker.end()
             worker = Worker(self, "spawn")
-        try:
+        with contextlib.ExitStack() as ended:
+            ended.callback(worker.end)
             worker.give(task)
             _ready([worker])
             result: Result = worker.take(1)
             if worker.alive:
-                _kept.append(worker)
-            return result
-        finally:
-            if worker not in _kept:
-                worker.end()
+                ended.pop_all()
+                _kept.worker = worker
+        return result
 
 
-_kept: list["Worker"] = []
-"""The process of the function with limits that was called here last, if there is one."""
+_kept = threading.local()
+"""Holds as `worker` the process of the function with limits that this thread called last, if there
+is one. It is of no use to other threads: it ends with the thread that began it, see
+`die_with_parent`; and of none to a process that is forked, whose child it is not."""
+os.register_at_fork(after_in_child=lambda: vars(_kept).clear())
 
 
 def run(
@@ -308,6 +311,9 @@ class Worker:
         self.pipe.close()
 
 
+_environment = threading.RLock()
+
+
 @contextlib.contextmanager
 def safe_path() -> Iterator[None]:
     """While the block runs, a Python that this process starts imports nothing from the working
@@ -317,15 +323,16 @@ def safe_path() -> Iterator[None]:
     `multiprocessing` itself (https://docs.python.org/3/using/cmdline.html#envvar-PYTHONSAFEPATH). A
     spawned process gets this one's `sys.path`.
     """
-    before = os.environ.get(SAFE_PATH)
-    os.environ[SAFE_PATH] = "1"
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[SAFE_PATH]
-        else:
-            os.environ[SAFE_PATH] = before
+    with _environment:  # or a thread would take for the user's what another one set
+        before = os.environ.get(SAFE_PATH)
+        os.environ[SAFE_PATH] = "1"
+        try:
+            yield
+        finally:
+            if before is None:
+                del os.environ[SAFE_PATH]
+            else:
+                os.environ[SAFE_PATH] = before
 
 
 def _kill(busy: list[Worker]) -> None:

@@ -4,6 +4,7 @@ import multiprocessing
 import os
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import pytest
@@ -29,8 +30,17 @@ LIMITED = Limited(
 )
 
 
-def test_bad_tasks_are_given_up_and_good_ones_done():
+@pytest.fixture(autouse=True)
+def begun():
+    """Tells the processes that a test began and that run; they end with it."""
     before = set(multiprocessing.active_children())
+    yield lambda: set(multiprocessing.active_children()) - before
+    for child in set(multiprocessing.active_children()) - before:
+        child.kill()
+        child.join()
+
+
+def test_bad_tasks_are_given_up_and_good_ones_done(begun):
     others = multiprocessing.get_context("fork").Process(target=time.sleep, args=(60,))
     others.start()
     tasks = ["a", "die", "raise", "sleep", "eat", "b"]
@@ -45,9 +55,7 @@ def test_bad_tasks_are_given_up_and_good_ones_done():
     # its line too, once tests were named as one's own
     assert said["raise"].endswith("ValueError: two lines")
     # somebody else's process is left alone
-    assert set(multiprocessing.active_children()) - before == {others}
-    others.kill()
-    others.join()
+    assert begun() == {others}
 
 
 def test_too_many_deaths_end_the_run_but_not_the_caller(monkeypatch):
@@ -58,27 +66,29 @@ def test_too_many_deaths_end_the_run_but_not_the_caller(monkeypatch):
     assert "was not examined" in results[-1]
 
 
-def test_called_by_itself_a_limited_function_runs_in_a_process_that_it_keeps():
+def test_called_by_itself_a_limited_function_runs_in_a_process_that_it_keeps(begun):
     """As executors on other machines call it, task by task; one that died is begun again, and
-    another function has its own."""
+    another function, thread or process has its own."""
     limited, other = (
         Limited(process, lambda task: 60.0, 1 << 30, lambda task, why: -1) for _ in range(2)
     )
-    before = set(multiprocessing.active_children())
-
-    def process_of(function):
-        assert function("a") != os.getpid()
-        (found,) = set(multiprocessing.active_children()) - before
-        return found
-
-    first = process_of(limited)
-    assert process_of(limited) is first
+    first = limited("a")
+    assert limited("a") == first != os.getpid()
+    with ThreadPoolExecutor(1) as thread:  # with which its process ends
+        assert thread.submit(limited, "a").result() not in (-1, first)
+    forked = multiprocessing.get_context("fork").Process(target=limited, args=("a",))
+    forked.start()
+    forked.join()
+    assert forked.exitcode == 0
+    assert limited("a") == first
     assert limited("die") == -1
-    second = process_of(limited)
-    second.kill()
-    second.join()
-    assert process_of(limited) not in (first, second)
-    process_of(other)  # the last one's alone is left
+    second = limited("a")
+    (kept,) = (child for child in begun() if child.pid == second)
+    kept.kill()
+    kept.join()
+    third, last = limited("a"), other("a")
+    assert len({-1, first, second, third, last}) == 5
+    assert third not in {child.pid for child in begun()}
 
 
 def process(task):
@@ -101,7 +111,8 @@ def hostile(tmp_path, monkeypatch):
 
 def test_a_spawned_process_imports_nothing_from_the_working_folder(hostile):
     assert list(run(LIMITED, ["die", "a", "b"], 1))[1:] == ["a", "b"]
-    assert replace(LIMITED)("a") == "a"
+    with ThreadPoolExecutor(4) as threads:
+        assert list(threads.map(replace(LIMITED), "abcd")) == list("abcd")
     assert not (hostile / "ran").exists()
     assert "PYTHONSAFEPATH" not in os.environ  # the caller's own processes are left alone
 
