@@ -165,7 +165,7 @@ class Attached:
 def _past(engine: AnalyticEngine, carrier: int) -> Any:
     """The engine as a sensor has it that does not see its carrier; see `View.engine`."""
     hits = partial(engine.hits, through=[carrier])
-    return SimpleNamespace(hits=hits, cast=lambda *rays: hits(*rays).ranges)
+    return SimpleNamespace(hits=hits, cast=lambda *rays, **named: hits(*rays, **named).ranges)
 
 
 def _numbered(model: mujoco.MjModel, name: str) -> int:

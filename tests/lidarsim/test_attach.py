@@ -1,5 +1,7 @@
 """A sensor on a body follows it, and sees what MuJoCo's own rays see of the same data."""
 
+from dataclasses import dataclass
+
 import mujoco
 import numpy as np
 import pytest
@@ -7,6 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import Lidar, Pose, attach
 from lidarsim.noise.chain import Noise
+from lidarsim.noise.returns import Fault
 from tests.command_line import example
 from tests.lidarsim import reference
 from tests.lidarsim.engines.test_laws import HFIELD, MESHES, from_mujoco
@@ -109,6 +112,18 @@ def test_what_cannot_be_attached_is_told_in_one_line(model):
         attach(model, "robot").scan(data)
 
 
+@dataclass(frozen=True)
+class Anew(Fault):
+    """A stage of one's own, which gives the engine the range by its name."""
+
+    def apply(self, returns, view, *, rng):
+        rays, reach = (view.pose.position[None], returns.directions[None]), view.sensor.max_range_m
+        return returns.but(ranges=view.engine.cast(*rays, max_range_m=reach))
+
+
+OWN = Noise((Anew(),))
+
+
 @pytest.mark.parametrize("unseen", ["nothing", "tree"])
 def test_noise_sees_what_the_sensor_does_and_passes_the_carrier_as_its_rays_do(model, data, unseen):
     offsets = [Pose.level((0.0, 0.0, h)) for h in (0.15, 0.4)]
@@ -116,6 +131,8 @@ def test_noise_sees_what_the_sensor_does_and_passes_the_carrier_as_its_rays_do(m
     rng, hits, scans = np.random.default_rng, mounted.hits(data), mounted.scans(data)
     # a motion of nothing casts anew, and intensity asks for surfaces
     light = mounted.observe(data, Noise.parse("motion:0:corrected=true,intensity"), rng=rng(0))
+    for n, (anew,) in enumerate(one.ranges for one in mounted.observe(data, OWN, rng=rng(0))):
+        assert_allclose(anew, hits.ranges[n], rtol=0, atol=1e-5)
     for n, one in enumerate(light):
         assert_allclose(one.ranges[0], hits.ranges[n], rtol=0, atol=1e-5)
         normal = np.nan_to_num(hits.normals[n])
