@@ -116,13 +116,15 @@ def divide(
         units = math.ceil(counts[split] / each)
         for index, first in enumerate(range(0, units, step)):
             here = range(first, min(first + step, units))
+            # a world a unit is a range, which takes no memory, or worlds come again
+            apart = source.number(split, here[-1])[0] == here[-1]
             shards.append(
                 kind(
                     folder=folder,
                     split=split,
                     index=index,
                     first_unit=first,
-                    numbers=[source.number(split, unit)[0] for unit in here],
+                    numbers=here if apart else [source.number(split, unit)[0] for unit in here],
                     samples=min(len(here) * each, counts[split] - first * each),
                     seed=given["seed"],
                     layout=layout,

@@ -6,6 +6,7 @@ import hashlib
 import json
 import multiprocessing
 import os
+import pickle
 import shutil
 import threading
 import zlib
@@ -365,6 +366,12 @@ BEYOND = """
 def test_numbers_beyond_those_that_readers_take_are_refused_at_once(tmp_path, asked, said):
     with pytest.raises(DatasetError, match=said):
         plan(tmp_path / "d", **json.loads(asked))
+
+
+def test_a_plan_of_many_samples_is_small(tmp_path):
+    counts = {"train": 10**6, "val": 0, "test": 0}
+    shards = plan(tmp_path / "d", counts=counts, shard_samples=10**5).shards
+    assert all(len(pickle.dumps(shard.numbers)) < 100 for shard in shards)
 
 
 def test_a_folder_that_is_no_dataset_is_left_alone(tmp_path):
