@@ -23,7 +23,7 @@ from scenegen import __version__
 from scenegen.errors import DatasetError, GenerationError, printable
 from scenegen.files import read_bounded
 from scenegen.fly import PERIOD_S, Rules, Vehicle
-from scenegen.fly.loop import ROBOTS_END, Flown, scored, unlike
+from scenegen.fly.loop import HOVER, ROBOTS_END, Flown, scored, unlike
 from scenegen.fly.missions import Mission, draw_missions, graded
 from scenegen.fly.simulation import Observation, Simulation, bounded
 from scenegen.limits import MOST_MANIFEST_BYTES
@@ -200,11 +200,13 @@ class Recording:
 def _flown(row: dict[str, Any]) -> Flown:
     """A flight of a recording. Raises ValueError for figures that cannot be."""
     commands = np.array(row["commands"], np.float32).reshape(-1, 4)
-    flown = Flown(**row | {"commands": commands, "path": np.empty((0, 3))})
+    flown = Flown(**row | {"commands": HOVER, "path": np.empty((0, 3))})
     check(flown)
+    if not np.isfinite(commands).all():
+        raise ValueError("commands that are not finite")
     if not -1e-6 < len(commands) * PERIOD_S - flown.time_s < PERIOD_S:
         raise ValueError(f"time_s = {flown.time_s} with {len(commands)} commands")
-    return flown
+    return dataclasses.replace(flown, commands=commands)
 
 
 def replay(course: Course, flights: Sequence[Flown]) -> list[Flown]:

@@ -346,6 +346,7 @@ def test_no_forged_figure_passes(tmp_path):
         {"time_s": 0.1},
         {"commands": 0.5 * flown.commands},
         {"score": math.nan},
+        {"commands": math.nan * flown.commands},
         *({name: getattr(flown, name) + 0.01} for name in ("score", "spl", "ratio", "flown_m")),
         *({name: getattr(flown, name) - 0.01} for name in ("shortest_m", "jerk_mps3", "speed_mps")),
         *({name: 0.9} for name in ("min_clearance_m", "mean_clearance_m")),
