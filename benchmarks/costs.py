@@ -97,7 +97,7 @@ def main() -> None:
         best = best_in(counts, list(places))
         print("\n".join(tables(counts, best)))
         last = methods[-1].name
-        if given.pictures is None:
+        if not given.pictures:
             return
         for name, dataset in places.items():
             order = np.argsort(counts[name][last].iou[:, best[last]])

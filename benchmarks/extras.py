@@ -21,7 +21,7 @@ def closure(name: str, extra: str, found: dict[str, Distribution]) -> None:
         return
     for line in it.requires or ():
         need = Requirement(line)
-        wanted = need.marker is None or need.marker.evaluate({"extra": extra})
+        wanted = not need.marker or need.marker.evaluate({"extra": extra})
         if wanted and (extra or need.name not in found):
             for one in ("", *need.extras):
                 closure(need.name, one, found)

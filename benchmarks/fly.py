@@ -26,7 +26,8 @@ from scenegen.cli.show import Progress
 from scenegen.fly.course import Course
 from scenegen.fly.loop import Flown
 from scenegen.fly.suite import DIFFICULTIES, MAPS, courses_of, map_courses
-from scenegen.model.robots.flights import FORGETFUL, NAMES, fly_course, fly_courses
+from scenegen.model.robots import FORGETFUL, NAMES
+from scenegen.model.robots.flights import fly_course, fly_courses
 from scenegen.recipes import kind_names
 from scenegen.run.workers import ALONE
 from scenegen.truth.difficulty import Difficulty
@@ -146,7 +147,7 @@ def by_groups(found: Found, courses: Sequence[Course]) -> list[str]:
     for title, groups, keys in (
         ("difficulty", DIFFICULTIES, [course.difficulty for course in courses]),
         ("kind", kind_names(), [course.world for course in courses]),
-        ("map", tuple(MAPS), [Path(course.world).name for course in courses]),
+        ("map", MAPS, [Path(course.world).name for course in courses]),
     ):
         for what in BY_GROUP if {*groups} & {*keys} else ():
             rows = []

@@ -13,7 +13,7 @@ Processor time of one core. The pace is a multiple of that of `geometric` in the
 import itertools
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Literal
 
 import measuring
@@ -39,7 +39,7 @@ class Options(measuring.Options):
     """repeatable"""
 
 
-def measure(kinds: Sequence[str], worlds: int, level: str) -> dict[str, dict[str, float]]:
+def measure(kinds: Collection[str], worlds: int, level: str) -> dict[str, dict[str, float]]:
     """The figures of the kinds' presets of a difficulty over so many flights. Kinds take turns, so
     that whatever else the machine does slows all of them."""
     recipes = {kind: preset(kind, difficulty=level) for kind in kinds}
@@ -71,7 +71,7 @@ def measure(kinds: Sequence[str], worlds: int, level: str) -> dict[str, dict[str
 def main() -> None:
     """Print the tables."""
     given = measuring.parse(Options, "kinds", kinds=["maze"], worlds=1)
-    names = list(dict.fromkeys((BASE, *given.kinds)))
+    names = dict.fromkeys((BASE, *given.kinds))
     graded = {level: measure(names, given.worlds, level) for level in given.difficulty}
     for level, found in graded.items():
         print(f"\n{level}\n")

@@ -30,9 +30,7 @@ from scenegen.fly.suite import (
     track_of,
 )
 from scenegen.model.completion.unlearned import Conservative, Extrude, Returns
-from scenegen.model.robots import FORGETFUL as FORGETFUL  # benchmarks look for these two here
-from scenegen.model.robots import NAMES as NAMES
-from scenegen.model.robots import REACTIVE
+from scenegen.model.robots import FORGETFUL, NAMES, REACTIVE
 from scenegen.model.robots.mapping import MappingRobot, TruthRobot
 from scenegen.model.robots.steering import ReactiveRobot
 from scenegen.run import Executor, undone_if_stopped
@@ -48,7 +46,6 @@ def robot_maker(name: str, weights: str | None) -> Callable[[Course], Any]:
     """What makes the robot for a course: one of `NAMES`; one that maps and has the network called
     `weights` complete, from the last scan alone where its name is "returns"; or one's own, which
     runs in a process of its own."""
-
     if weights is not None:
         from scenegen.model.completion.completer import opened_once
 
@@ -76,7 +73,6 @@ def robot_maker(name: str, weights: str | None) -> Callable[[Course], Any]:
 
 def real_course(course: Course, hidden: int | None) -> Course:
     """The course to fly: of a hidden track, the one that the number `hidden` draws."""
-
     return course if hidden is None else hidden_course(course, hidden)
 
 
@@ -85,7 +81,6 @@ def fly_course(
 ) -> tuple[Course, Sequence[Flown]]:
     """All flights of a course, one after the other, by the same robot; with the course, which then
     has its world's hash. For `hidden` see `real_course`."""
-
     real = real_course(course, hidden)
     made = robot_maker(robot, weights)(real)
     try:
@@ -126,7 +121,6 @@ def check_begins(robot: str, course: Course) -> None:
 
 def summary(name: str, flown: Sequence[Flown]) -> dict[str, Any]:
     """What is told of flights, together."""
-
     ends = Counter(one.outcome for one in flown)
     row: dict[str, Any] = {"robot": name, "flights": len(flown)}
     row |= {end: f"{100 * count / len(flown):.0f} %" for end, count in ends.most_common()}
@@ -166,7 +160,6 @@ def fly_courses(
 ) -> Flights:
     """The flights through all courses, in their order. What `out` holds of a suite's entry is not
     flown again; the entry is written every `SAVED_S` seconds, and when the run is stopped."""
-
     entry = Recording(robot=name, suite=suite, track=track, network=network, courses=())
     keys = [named(course) for course in courses]
     found = _kept(out, entry, keys)
@@ -207,7 +200,6 @@ def _kept(
 ) -> dict[Course, tuple[Course, Sequence[Flown]]]:
     """The flights that `out` holds of an entry, by their courses' names. Raises ScenegenError where
     anything would be lost."""
-
     if out is None or not out.exists():
         return {}
     if entry.suite is None:
@@ -239,7 +231,6 @@ def read_recording(
     Raises ScenegenError where `hidden` or `maps` are not those of the entry, or a course is not one
     of its suite's.
     """
-
     recording, track = Recording.read(path), track_name(hidden, maps)
     if recording.suite is None:
         if track != "own":
@@ -273,7 +264,6 @@ def flown_again(
 
 def flown_anew(recording: Recording, work: Work, execute: Executor, progress: Progress) -> str:
     """How many flights of every sixteenth course a robot flies to the bit as they were recorded."""
-
     some = recording.courses[::QUICK]
     before = {named(course): flights for course, flights in some}
     count, same = sum(map(len, before.values())), 0
@@ -302,6 +292,5 @@ def _replayed(
     recorded: tuple[Course, Sequence[Flown]], *, hidden: int | None
 ) -> tuple[Course, Sequence[Flown]]:
     """The recorded flights of a course, flown again: see `scenegen.fly.course.replay`."""
-
     course, flights = recorded
     return course, replay(real_course(course, hidden), flights)

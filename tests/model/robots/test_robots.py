@@ -19,9 +19,9 @@ from scenegen.fly.loop import fly
 from scenegen.fly.missions import Mission
 from scenegen.logs.read import read_log
 from scenegen.model.completion.unlearned import Conservative, Returns
-from scenegen.model.robots import flights
+from scenegen.model.robots import NAMES, flights
 from scenegen.model.robots.film import flight_page
-from scenegen.model.robots.flights import NAMES, robot_maker
+from scenegen.model.robots.flights import robot_maker
 from scenegen.model.robots.mapping import MappingRobot
 from scenegen.run import undo_all
 from scenegen.worlds.place import encode_map
@@ -124,7 +124,7 @@ def test_a_network_completes_all_scans_or_the_last_alone(name, remembers):
     assert (robot.observed & first).any() == remembers
 
 
-def test_the_command_flies_records_and_flies_again(capsys, tmp_path):
+def test_the_command_flies_records_and_flies_again(capsys, tmp_path, monkeypatch):
     file, picture = tmp_path / "flights.json", tmp_path / "flights.png"
     film, log = tmp_path / "flight.gif", tmp_path / "log"
     words = "fly pillar --robot reactive --flights 1 --worlds 1 --workers 1"
@@ -149,7 +149,9 @@ def test_the_command_flies_records_and_flies_again(capsys, tmp_path):
     again = json.loads(out)
     assert [one["digest"] for one in again["flights"]] == [one["digest"] for one in told["flights"]]
     assert again["anew, equal to the bit"] == "1 of 1 flights"
-    assert str(log) in refused(capsys, f"{words} --log {log}")  # and nothing is flown in vain
+    monkeypatch.setattr(flights, "flown_again", None)  # nothing is flown in vain
+    assert str(log) in refused(capsys, f"{words} --log {log}")
+    assert "no such network" in refused(capsys, f"fly --replay {file} --weights nonet")
 
 
 def test_a_page_plays_a_flight_to_its_end():
