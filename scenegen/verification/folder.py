@@ -4,7 +4,7 @@ own, then the whole is."""
 import functools
 import os
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -20,7 +20,7 @@ from scenegen.dataset.trust import Manifest
 from scenegen.draw import draw_unit
 from scenegen.errors import DatasetError, raised_as, told
 from scenegen.recipe import preset
-from scenegen.run import Executor
+from scenegen.run import Counted, Executor, unheard
 from scenegen.run.workers import Limited, Local
 from scenegen.sample import FIELDS
 from scenegen.source import DrawnWorlds
@@ -154,8 +154,8 @@ def verify(
     own: Sequence[str] = (),
     workers: int = 1,
     execute: Executor | None = None,
-    on_start: Callable[[int], None] = lambda samples: None,
-    on_done: Callable[[int], None] = lambda samples: None,
+    on_start: Counted = unheard,
+    on_done: Counted = unheard,
 ) -> Report:
     """Check a dataset against the format, and by checks of your own.
 

@@ -23,11 +23,9 @@ CLOUD, POSE, VOXEL_GRID, TRANSFORMS = (
     "foxglove_msgs/msg/VoxelGrid",
     "tf2_msgs/msg/TFMessage",
 )
+MESSAGES = Path(__file__).with_name("messages")
 DEFINITIONS = {
-    name: Path(__file__)
-    .with_name("messages")
-    .joinpath(f"{name.rpartition('/')[2]}.msg")
-    .read_text()
+    name: (MESSAGES / f"{Path(name).name}.msg").read_text(encoding="utf-8")
     for name in (CLOUD, POSE, VOXEL_GRID, TRANSFORMS)
 }
 """ROS's common interfaces and Foxglove's VoxelGrid, as far as they are used."""
