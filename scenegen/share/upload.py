@@ -61,7 +61,7 @@ def _send(api: Any, staged: Staged, private: bool) -> str:
 
     repository, target = staged.repository, f"hf://{staged.repository}"
     where = {"repo_id": repository, "repo_type": "dataset"}
-    api.create_repo(**where, private=True if private else None, exist_ok=True)
+    api.create_repo(**where, private=private or None, exist_ok=True)
     about = api.dataset_info(repository)
     if private and not about.private:
         raise PublishError(
