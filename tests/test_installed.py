@@ -50,9 +50,13 @@ def test_the_wheel_works_in_an_empty_environment_beside_a_users_own_files(tmp_pa
     (wheel,) = (tmp_path / "dist").glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
         top = {name.split("/")[0] for name in archive.namelist() if "dist-info" not in name}
-        assert {"scenegen/model/weights/proposed.safetensors", "scenegen/py.typed"} <= set(
-            archive.namelist()
-        )
+        assert {
+            "lidarsim/sensors/catalogue.toml",
+            "scenegen/display/exchange/messages/VoxelGrid.msg",
+            "scenegen/model/study/study.toml",
+            "scenegen/model/weights/proposed.safetensors",
+            "scenegen/py.typed",
+        } <= set(archive.namelist())
     assert top == {"scenegen", "lidarsim"}
     python = environment(tmp_path / "env")
     (site,) = (tmp_path / "env" / "lib").glob("python*/site-packages")
