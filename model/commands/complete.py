@@ -21,7 +21,6 @@ from scenegen.cli.options import (
 from scenegen.cli.show import Progress, note, say
 from scenegen.cli.types import FILE, DatasetPath, Number, OutputFile
 from scenegen.errors import DatasetError, printable
-from scenegen.files import make_parent, make_way, real_path, remove_drafts, write_result
 from scenegen.limits import MOST_BATCH
 from scenegen.model.commands.weights import Weights
 from scenegen.model.config import DEFAULT_NETWORK
@@ -114,6 +113,7 @@ def complete(
     """
     from scenegen.dataset.locate import locate
     from scenegen.dataset.manifest import NAME
+    from scenegen.files import make_way, real_path
     from scenegen.logs.read import is_log
     from scenegen.model.completion.completer import Completer
     from scenegen.model.completion.scans import predict_scan, read_scan
@@ -242,6 +242,7 @@ def _complete_all(
     not be completed.
     """
     from scenegen.display.look import evenly
+    from scenegen.files import make_parent, remove_drafts, write_result
     from scenegen.model.completion.scans import page_of, predict_scan, summary
 
     count, scans = tasks

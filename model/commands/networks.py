@@ -20,7 +20,6 @@ from scenegen.cli.options import (
     split_option,
 )
 from scenegen.cli.show import Progress, announce_compilation, say, show_figures
-from scenegen.files import check_ours, make_parent
 from scenegen.limits import MOST_SAMPLES
 from scenegen.model.commands.weights import Weights
 from scenegen.model.config import DEFAULT_NETWORK, split_own
@@ -91,6 +90,7 @@ def calibrate(
 ) -> None:
     """Calibrate a network: probabilities, bounds of distance, and the risk of paths, kept in its
     file."""
+    from scenegen.files import check_ours, make_parent
     from scenegen.model.checkpoint import CheckpointError
     from scenegen.model.completion.completer import HUB, called, locate
     from scenegen.model.config import bundled

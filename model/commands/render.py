@@ -19,7 +19,6 @@ from scenegen.cli.options import (
 from scenegen.cli.show import note, say
 from scenegen.cli.types import Choice, DatasetPath, Number, Written
 from scenegen.errors import short
-from scenegen.files import write_result
 from scenegen.model.commands.weights import chosen, shown_options
 from scenegen.worlds import MESHES
 
@@ -128,6 +127,7 @@ def render(
             f"--{film}: shows one sample or flight, without --sheet, --figure and --paper"
         )
     from scenegen.display.panels import for_paper, to_bytes
+    from scenegen.files import write_result
 
     notes: list[str] = []
     made = _draw_file(source, seed if flight else None) if isinstance(source, Path) else None

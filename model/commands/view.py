@@ -16,7 +16,6 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import note, say
 from scenegen.cli.types import OutputFile
-from scenegen.files import write_result
 from scenegen.model.commands.weights import chosen, shown_options
 
 if TYPE_CHECKING:
@@ -122,6 +121,7 @@ def write_page(
     evenly spread."""
     from scenegen.display.look import looks, spread, title_of
     from scenegen.display.page import check_grid, page
+    from scenegen.files import write_result
 
     check_grid(found.grid)
     shown, notes = looks(found, split, indices or spread(found, split, count), guesses)
