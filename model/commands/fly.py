@@ -219,7 +219,7 @@ def fly(
 
     if talk:
         announce_compilation()
-    network = network_digest(weights)  # before anything is flown, for the name may lead to none
+    about = {"network": network_digest(weights)}  # before anything is flown: there may be none
     is_given = weights is not None or was_given("robot")
     fly_one = partial(fly_course, robot=robot, weights=weights, hidden=hidden)
     execute, told = executor(on, workers), dict[str, str]()
@@ -233,7 +233,7 @@ def fly(
             if is_given:
                 told["anew, equal to the bit"] = flown_anew(recording, fly_one, execute, progress)
         else:
-            name, about = weights or robot, {"network": network}
+            name = weights or robot
             if weights and robot == FORGETFUL:
                 name = f"{weights}, last scan"
             if suite is None:

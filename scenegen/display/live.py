@@ -85,8 +85,7 @@ class Live(ThreadingHTTPServer):
         except OSError as error:
             why = getattr(error, "strerror", None) or error
             raise ScenegenError(
-                f"{host}, port {port}: cannot be served on ({why}); give another --port, or 0 for "
-                f"any"
+                f"{host}, port {port}: cannot be served on ({why}); give another --port, or 0"
             ) from None
         shown = f"[{place}]" if place.version == 6 else str(place)
         if place.is_unspecified:
