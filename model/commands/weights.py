@@ -11,7 +11,7 @@ from click.shell_completion import CompletionItem
 
 from scenegen.cli.options import group, together
 from scenegen.cli.types import FILE
-from scenegen.model.config import bundled
+from scenegen.model.config import bundled, split_own, unknown_network
 
 if TYPE_CHECKING:
     from scenegen.dataset.read import Dataset
@@ -20,9 +20,18 @@ if TYPE_CHECKING:
 
 class Weights(click.ParamType):
     """A bundled network's name, a file, a run's folder, or hf://user/name[@revision]; of one's own
-    code, after its module:Class and @. `Completer.from_pretrained` looks up what it leads to."""
+    code, after its module:Class and @."""
 
     name = "weights"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> str:
+        """The name as it is, if it can be one: a typo is told before torch is loaded.
+        `Completer.from_pretrained` looks up what it leads to."""
+        word = split_own(value)[1]
+        path = Path(word)
+        if not (word in bundled() or path.suffix or path.exists() or "/" in word):
+            self.fail(unknown_network(word), param, ctx)
+        return str(value)
 
     def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
         """Bundled networks that begin with what is typed, or else files."""

@@ -312,6 +312,7 @@ class Worker:
 
 
 _environment = threading.RLock()
+"""Held while a process is started by a changed environment."""
 
 
 @contextlib.contextmanager
