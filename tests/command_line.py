@@ -49,9 +49,10 @@ def run(capsys, *words):
 
 
 def done(capsys, *words):
-    """What a command prints, which ends well; see `run`."""
+    """What a command prints, which ends well; with --quiet it prints nothing. See `run`."""
     code, said, error = run(capsys, *words)
     assert code == 0, error
+    assert "--quiet" not in " ".join(map(str, words)) or not said + error
     return said
 
 

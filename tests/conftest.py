@@ -114,8 +114,9 @@ def dataset_in(folder, recipe=None, **options):
 
 
 def contents(place):
-    """A file, or all files below a folder, by name."""
+    """A file, or all files below a folder, of which there is one at least, by name."""
     files = [place] if place.is_file() else [path for path in place.rglob("*") if path.is_file()]
+    assert files, f"{place} holds nothing"
     return {str(path.relative_to(place)): path.read_bytes() for path in files}
 
 

@@ -10,7 +10,6 @@ from tests.command_line import example
 def test_the_documented_maps_train(tmp_path, monkeypatch, rng):
     """With a smaller grid and network."""
     monkeypatch.chdir(tmp_path)
-
     for name in ("train", "val"):
         occupancy = rng.random((4, 16, 16, 16)) < 0.1
         np.savez(

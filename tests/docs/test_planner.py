@@ -9,7 +9,6 @@ from tests.model.conftest import make_dataset
 
 
 def test_the_example_judges_as_the_bench_does(tmp_path, monkeypatch):
-
     make_dataset(tmp_path / "data" / "pillar")
     monkeypatch.chdir(tmp_path)
     ran = {}

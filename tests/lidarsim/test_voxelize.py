@@ -145,6 +145,21 @@ def test_rays_within_a_plane_free_the_voxels_above_it_alone():
     assert crossed > 400
 
 
+def test_what_lies_behind_a_rays_end_is_not_freed():
+    """Half a metre ahead a voxel begins, or the map does: free is what a ray without a return meets
+    for more than 1e-9 m, and nothing behind a return 3e-8 m before that plane, where a wall is."""
+    nothing, wall = np.inf, 0.5 - 2**-25
+    for reach, most, freed in (
+        (nothing, 0.5 + 5e-10, False),
+        (nothing, 0.5 + 2e-9, True),
+        (wall, 10.0, False),
+    ):
+        scan = scan_of([[1.0, 0.0, 0.0]], [reach], max_range_m=most)
+        for low in (-1.0, 0.5):
+            got = voxelize(scan, DYADIC, np.array([low, -1.0, -1.0]))
+            assert got.free[int((0.5 - low) / 0.25), 4, 4] == freed
+
+
 def test_returns_on_grid_planes_lie_where_the_floor_formula_says(rng):
     """At multiples of the voxel along axes and diagonals, in single precision: the last bit
     decides."""

@@ -17,7 +17,6 @@ from scenegen.draw import draw_unit
 from scenegen.sample import GROUPS
 from scenegen.share.stage import Request
 from scenegen.source import DrawnWorlds
-from tests.command_line import run
 from tests.scenegen.hub import TOKEN, Hub
 
 
@@ -36,13 +35,6 @@ def built(plan, **options):
     """The dataset of a plan, made."""
     build(plan, **options)
     return Dataset(plan.folder)
-
-
-def done(capsys, *words):
-    """What a command prints; it must end well. See `run`."""
-    code, said, complaint = run(capsys, *words)
-    assert code == 0, complaint
-    return said
 
 
 def names(folder):

@@ -63,7 +63,6 @@ def test_range_noise_is_normal_with_the_stated_deviation(stage):
     sigma = stage.sigma_m + stage.share * at_m + stage.quadratic_per_m * at_m**2
     assert moved.std() == pytest.approx(sigma, rel=0.02)
     assert is_normal(moved / sigma)
-
     assert np.abs(moved).max() <= stage.bound_m(at_m) + 1e-12
     assert stage.bound_m(at_m) == pytest.approx(4 * sigma)
 

@@ -96,7 +96,6 @@ complete data/pillar --weights pickle.pt     → pickled checkpoint
 bench --method returns --method returns → two rows are called 'returns'
 bench data/pillar --method extrud       → did you mean 'extrude'?
 bench data/pillar data/pillar           → two datasets of one kind
-
 """
 
 
@@ -137,7 +136,6 @@ def train_until_stopped(error):
     sys.stderr = error.open("w")
     torch.set_num_threads(1)
     sys.argv = ["scenegen", "train", "--epochs", "1000", "--patience", "3", *map(str, QUICK)]
-
     stops.answer()
     cli.main()
 

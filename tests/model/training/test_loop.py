@@ -110,7 +110,6 @@ def train_and_be_killed(folders, out):
     """SIGKILL after the ninth step, with every step saved."""
     torch.set_num_threads(1)
     scenegen.model.training.run_folder.SAVE_EVERY_S = 0.0
-
     losses = []
 
     def count(maps, loss):

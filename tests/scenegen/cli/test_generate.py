@@ -9,8 +9,7 @@ import pytest
 from scenegen.cli.options import find_datasets
 from scenegen.dataset import manifest
 from scenegen.dataset.read import Dataset
-from tests.command_line import ROOT, SMALL, refused, rows, run
-from tests.scenegen.conftest import done
+from tests.command_line import ROOT, SMALL, done, refused, rows, run
 
 
 def test_generate_inspect_and_world_work_together(small, tmp_path, capsys):

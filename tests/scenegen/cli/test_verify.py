@@ -3,9 +3,8 @@
 import json
 import os
 
-from tests.command_line import refused, run
+from tests.command_line import done, refused, run
 from tests.conftest import dataset_in
-from tests.scenegen.conftest import done
 
 
 def test_verify_prints_a_table_and_ends_with_one_where_a_check_fails(tmp_path, capsys):

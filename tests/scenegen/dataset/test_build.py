@@ -471,4 +471,5 @@ def test_where_nothing_is_compiled_yet_a_second_process_compiles_the_truth(tmp_p
     monkeypatch.setattr(shards, "compile_truth", there)
     monkeypatch.setattr(ShardSpec, "draw", lambda self, unit: wait_for(done.exists, 120))
     plan_of(tmp_path / "d", counts=COUNTS).shards[0].prepare(2)
+    assert done.exists()
     assert set(multiprocessing.active_children()) <= before

@@ -23,9 +23,9 @@ from scenegen.verification import verify
 from scenegen.worlds.flight import Route
 from scenegen.worlds.labels import labels_by
 from scenegen.worlds.mapping import Mapper
-from tests.command_line import refused, rows
+from tests.command_line import done, refused, rows
 from tests.conftest import COUNTS, dataset_in, small_recipe
-from tests.scenegen.conftest import done, drawn_unit
+from tests.scenegen.conftest import drawn_unit
 from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
 

@@ -20,9 +20,9 @@ from scenegen.recipes import kind_names
 from scenegen.share.regenerate import recipe_text
 from scenegen.share.stage import Request, stage
 from scenegen.verification import verify
-from tests.command_line import refused, rows
+from tests.command_line import done, refused, rows
 from tests.conftest import plan_of
-from tests.scenegen.conftest import built, done
+from tests.scenegen.conftest import built
 
 SMALL = """
 kind = "mixed"

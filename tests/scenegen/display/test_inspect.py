@@ -14,9 +14,8 @@ from scenegen.dataset.read import Dataset
 from scenegen.display.inspect import inspect, misfits
 from scenegen.display.look import looks
 from scenegen.truth.difficulty import Difficulty, difficulty
-from tests.command_line import run
+from tests.command_line import done, run
 from tests.conftest import dataset_in, picky_recipe
-from tests.scenegen.conftest import done
 from tests.scenegen.dataset.test_mixed import RECIPE
 
 COUNTS = {"train": 11, "val": 0, "test": 4}

@@ -31,8 +31,7 @@ from scenegen.display.panels import to_bytes
 from scenegen.display.pictures import CUT, draw_sample, draw_turn, see
 from scenegen.errors import DatasetError
 from scenegen.worlds.world import compile_world
-from tests.command_line import ROOT, refused, rows
-from tests.scenegen.conftest import done
+from tests.command_line import ROOT, done, refused, rows
 
 
 def test_no_colour_means_two_things():

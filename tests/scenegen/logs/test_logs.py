@@ -27,9 +27,9 @@ from scenegen.logs.write import matrix_of, write_log
 from scenegen.poses import read_poses
 from scenegen.source import read_world
 from scenegen.worlds.place import read_place
-from tests.command_line import refused, rows
+from tests.command_line import done, refused, rows
 from tests.conftest import contents
-from tests.scenegen.conftest import done, names
+from tests.scenegen.conftest import names
 
 # no face of a solid lies where voxels meet
 ROOM = """<mujoco><worldbody>

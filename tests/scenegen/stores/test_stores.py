@@ -23,9 +23,9 @@ from scenegen.dataset.placed import SUFFIX
 from scenegen.errors import DatasetError, StoreError
 from scenegen.stores import ConflictError, StorePath, folder_of
 from scenegen.verification import verify
-from tests.command_line import rows, run
+from tests.command_line import done, rows, run
 from tests.conftest import COUNTS, DRAWN, contents, plan_of, small_recipe
-from tests.scenegen.conftest import done, names
+from tests.scenegen.conftest import names
 from tests.scenegen.stores.conftest import forget
 from tests.scenegen.stores.kept import ROOM, Kept
 

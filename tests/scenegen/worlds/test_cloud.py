@@ -21,8 +21,7 @@ from scenegen.errors import DatasetError, SceneError
 from scenegen.source import read_world
 from scenegen.worlds.cloud import Survey, map_clouds
 from scenegen.worlds.world import World
-from tests.command_line import refused, rows
-from tests.scenegen.conftest import done
+from tests.command_line import done, refused, rows
 from tests.scenegen.verification.conftest import failed
 from tests.scenegen.worlds.test_place import ORIGIN, RECIPE, VOXEL_M, hall
 

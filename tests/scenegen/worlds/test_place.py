@@ -24,8 +24,8 @@ from scenegen.verification import verify
 from scenegen.verification.rays import MapAuditor
 from scenegen.worlds.flight import Flight, fly
 from scenegen.worlds.place import parse_npz, read_place
-from tests.command_line import refused, rows, run
-from tests.scenegen.conftest import built, done
+from tests.command_line import done, refused, rows, run
+from tests.scenegen.conftest import built
 
 RECIPE = """
 kind = "scene"

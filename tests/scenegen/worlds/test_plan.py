@@ -7,8 +7,7 @@ from scenegen.errors import SceneError
 from scenegen.source import read_world
 from scenegen.worlds.place import Place, read_place
 from scenegen.worlds.plan import read_plan
-from tests.command_line import rows, run
-from tests.scenegen.conftest import done
+from tests.command_line import done, rows, run
 
 Image = pytest.importorskip("PIL.Image", reason="Pillow is not installed")
 
