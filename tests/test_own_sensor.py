@@ -6,7 +6,7 @@ import shutil
 
 import pytest
 
-from tests.command_line import example, refused, rows
+from tests.command_line import example, page, refused, rows
 
 FILES = "my_sensor.py my.toml my_lidar.toml my_noise.py my_engine.py make.py"
 """What the page shows."""
@@ -30,6 +30,8 @@ min_distance_m = 4.0
 @pytest.fixture
 def examples(tmp_path):
     """A folder with the documented files."""
+    shown = re.findall(r"```\w+\n# (\S+)\n", page("sensor.md"))
+    assert set(shown) == set(FILES.split())
     for name in FILES.split():
         text = example("sensor.md", f"# {name}\n").replace("petals = 5.7\n", SMALL)
         (tmp_path / name).write_text(text, encoding="utf-8")

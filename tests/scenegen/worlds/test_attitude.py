@@ -13,7 +13,7 @@ from scenegen.worlds.mapping import Mapper
 from tests.conftest import small_recipe
 from tests.scenegen.conftest import drawn_unit
 
-PATH = np.loadtxt("0 0 2, 3 0 2, 3 0 2, 3 4 3, 1 4 5, 1 4 1.5, -4 2 2".split(","))
+PATH = np.loadtxt(["0 0 2", "3 0 2", "3 0 2", "3 4 3", "1 4 5", "1 4 1.5", "-4 2 2"])
 SPEED, SETTLE = 2.5, 0.7
 
 
