@@ -160,6 +160,14 @@ def test_what_lies_behind_a_rays_end_is_not_freed():
             assert got.free[int((0.5 - low) / 0.25), 4, 4] == freed
 
 
+def test_a_corner_is_met_from_a_billionth_of_a_metre_on():
+    """A diagonal ray passes an edge at which four voxels meet, and through one of them so far."""
+    for length, freed in ((5e-10, False), (2e-9, True)):
+        scan = scan_of([[1.0, 1.0, 0.0]], [np.inf], max_range_m=1.0)
+        got = voxelize(scan, DYADIC, np.array([-1.0, -1.0 + length / 2**0.5, -1.0]))
+        assert got.free[5, 4, 4] == freed
+
+
 def test_returns_on_grid_planes_lie_where_the_floor_formula_says(rng):
     """At multiples of the voxel along axes and diagonals, in single precision: the last bit
     decides."""
