@@ -1,7 +1,10 @@
 """The bundled networks where they were never trained: other sensors, noise, and other worlds.
 
-    python benchmarks/elsewhere.py                           # docs/results/elsewhere.md
-    python benchmarks/elsewhere.py --maps 5 --page /tmp/try.md   # a quick look
+    python benchmarks/elsewhere.py MAPS                           # docs/results/elsewhere.md
+    python benchmarks/elsewhere.py --maps 5 --page /tmp/try.md    # a quick look
+
+MAPS is the folder of maps of real places that `real.py` takes; their flights are those of
+`real.py`, and they have a part in the first table alone.
 
 Worlds are drawn and flown once; every sensor sees them again from the same poses (`scenegen
 rescan`), so that its rows are pairs, map by map, with those of the sensor of training. Exported
@@ -19,6 +22,7 @@ from typing import Annotated, Any, ClassVar
 import measuring
 import numpy as np
 import scoring
+from real import POSES, real_places
 from scoring import CAREFUL, RESULTS, Results, ahead, measured, titled, told
 
 from lidarsim.sensors import SENSORS
@@ -27,7 +31,7 @@ from scenegen import Dataset, Sample, WorldKind, preset
 from scenegen.dataset.build import build
 from scenegen.dataset.rescan import plan_rescan
 from scenegen.model.config import PlanConfig, bundled
-from scenegen.model.evaluation.methods import rows_of
+from scenegen.model.evaluation.methods import Method, rows_of
 from scenegen.model.evaluation.metrics import PLAN_METRICS
 from scenegen.model.evaluation.run import DatasetResult
 from scenegen.recipes.kind import Range, yaw_quaternion
@@ -42,6 +46,7 @@ WORLDS = {
 }
 """Two kinds of training, drawn anew; a kind of no training; worlds drawn by hand: presets."""
 HOME = ("pillar", "geometric")
+AWAY = "everything away from home"
 OTHERS = (
     "default range:0.05",
     "default dropout:0.1",
@@ -100,6 +105,8 @@ PLANNERS = {"careful": CAREFUL, "the paper's": PlanConfig()}
 class Options(scoring.Options):
     """Those of `scoring`, and what is looked at."""
 
+    real: Path | None = None
+    """folder of the maps of real places"""
     network: Sequence[str] = tuple(bundled())
     worlds: Sequence[Annotated[str, WORLDS]] = tuple(WORLDS)
     sensors: int | None = None
@@ -109,7 +116,7 @@ class Options(scoring.Options):
 def main() -> None:
     """Make the datasets, measure, and write."""
     given = measuring.parse(
-        Options, maps=5, trials=5, network=["columns"], worlds=["scaffold"], sensors=1
+        Options, "real", maps=5, trials=5, network=["columns"], worlds=["scaffold"], sensors=1
     )
     methods = rows_of(["returns", "extrude"], given.network)
     lines: list[str] = []
@@ -117,11 +124,11 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for worlds in given.worlds:
             seen = as_seen(worlds, Path(folder), given.maps, given.sensors)
-            found[worlds] = {
-                planner: measured(seen, methods, given.trials, plan)
-                for planner, plan in PLANNERS.items()
-            }
+            found[worlds] = planned(seen, methods, given.trials)
             lines += tables(worlds, seen, found[worlds])
+        places = real_places(given.real, Path(folder), min(given.maps, POSES))
+        for place, dataset in places.items():
+            found[place] = planned({"default": dataset}, methods, given.trials)
     scoring.publish(given, [*pooled(found), *lines])
 
 
@@ -140,6 +147,13 @@ def as_seen(worlds: str, folder: Path, maps: int, sensors: int | None) -> dict[s
     return found
 
 
+def planned(
+    seen: Mapping[str, Dataset], methods: Sequence[Method], trials: int
+) -> dict[str, Results]:
+    """What the bench finds by each planner."""
+    return {name: measured(seen, methods, trials, plan) for name, plan in PLANNERS.items()}
+
+
 def pooled(found: Mapping[str, Mapping[str, Results]]) -> list[str]:
     """By how much planning succeeds oftener than with `extrude`, in several places together."""
     pairs = defaultdict(list)
@@ -148,9 +162,12 @@ def pooled(found: Mapping[str, Mapping[str, Results]]) -> list[str]:
             for sensor, one in results.items():
                 groups = [f"{worlds} {world}" for world in one.trial_worlds]
                 seen = "as in training" if sensor == "default" else "other sensors and noise"
-                places = [f"{worlds}, all sensors", "both, all sensors"]
                 if worlds in HOME:
                     places = [f"`pillar` and `geometric`, {seen}"]
+                elif worlds in WORLDS:
+                    places = [f"{worlds}, all sensors", "both, all sensors", AWAY]
+                else:
+                    places = ["real places", AWAY]
                 for place in places:
                     pairs[f"{place}; {planner}"].append((one, groups))
     rows = {place: ahead(some, "extrude") for place, some in sorted(pairs.items())}

@@ -2,9 +2,10 @@
 
 import dataclasses
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import rich_click as click
@@ -188,82 +189,71 @@ def fly(
 
     The world is a kind's name, an MJCF file, or a map of a real place.
     """
-    if sum(one is not None for one in (world, recorded, suite, entries)) != 1:
-        raise click.UsageError("give one of WORLD, --suite, --replay FILE, --leaderboard FOLDER")
-    if world is None and (odd := flags_given(OF_WORLD)):
-        raise click.UsageError(
-            f"{odd[0]}: says how a WORLD is flown through, and none is given; leave it out"
-        )
-    if suite is None and (quick or (world is not None and (hidden is not None or maps))):
-        raise click.UsageError(
-            "--quick, --hidden and --maps choose courses of a suite; give --suite, too"
-        )
-    if hidden is not None and maps:
-        raise click.UsageError("--hidden and --maps choose other courses; give one of them")
+    _check()
     if entries is not None:
         _write_board(entries, out, hidden, maps, talk)
         return
-    _check(robot, weights, log, out, recorded)
+    from scenegen.fly.suite import chosen_courses, track_name
     from scenegen.model.robots.flights import (
         check_begins,
-        flown_again,
-        flown_anew,
         fly_course,
         fly_courses,
         network_digest,
-        read_recording,
         real_course,
-        robot_maker,
         summary,
     )
 
     if talk:
         announce_compilation()
-    about = {"network": network_digest(weights)}  # before anything is flown: there may be none
+    network = network_digest(weights)  # before anything is flown: there may be none
     is_given = weights is not None or was_given("robot")
     fly_one = partial(fly_course, robot=robot, weights=weights, hidden=hidden)
     execute, told = executor(on, workers), dict[str, str]()
     with Progress("", shown=talk) as progress:
         if recorded is not None:
-            recording, told = read_recording(recorded, hidden, maps)
-            name = recording.robot
-            with raised_as(DatasetError, f"{recorded}: ", of=DatasetError):
-                found = flown_again(recording, hidden, execute, progress)
-            told["as recorded, to the bit"] = f"{sum(len(flown) for _, flown in found)} flights"
-            if is_given:
-                told["anew, equal to the bit"] = flown_anew(recording, fly_one, execute, progress)
+            anew = fly_one if is_given else None
+            name, found, told = _replayed(recorded, hidden, maps, anew, execute, progress)
         else:
-            name = weights or robot
-            if weights and robot == FORGETFUL:
-                name = f"{weights}, last scan"
+            name = f"{weights}, last scan" if weights and robot == FORGETFUL else weights or robot
             if suite is None:
                 courses = _courses(str(world), flights, worlds, options)
             else:
-                from scenegen.fly.suite import chosen_courses, track_name
-
                 courses = chosen_courses(suite, hidden, maps, quick=quick)
-                about["track"] = track_name(hidden, maps)
             if weights is None:
                 check_begins(robot, real_course(courses[0], hidden))
+            about = {"network": network, "track": track_name(hidden, maps) if suite else ""}
             found = fly_courses(courses, fly_one, name, suite, out, execute, progress, **about)
     if picture or film or log:
-        course, flown = real_course(found[0][0], hidden), found[0][1]
-        if picture is not None:
-            _draw(picture, course, flown, name)
-        if film is not None:
-            made = robot_maker(robot, weights)(course) if is_given or not recorded else None
-            _film(film, course, made, name, flown[0] if recorded else None)
-        if log is not None:
-            from scenegen.fly.course import log_of
-            from scenegen.logs.write import write_log
-
-            write_log(log, log_of(course, 0, flown[0]))
+        course, flown = found[0]
+        shown = (robot, weights) if is_given or not recorded else None
+        _show(real_course(course, hidden), flown, name, shown, picture, film, log)
     row = summary(name, [one for _, flown in found for one in flown]) | told
     if as_json:
         with Progress("", shown=talk) as progress:
             print(json.dumps(row | {"flights": _rows(found, hidden, execute, progress)}))
     elif talk:
         _tell(row, found, out, picture, film, log)
+
+
+def _replayed(
+    path: Path,
+    hidden: int | None,
+    maps: Path | None,
+    anew: Callable[[Any], Any] | None,
+    execute: Executor,
+    progress: Progress,
+) -> "tuple[str, Flights, dict[str, str]]":
+    """Of a recording: who flew, the flights flown again, and what is told of them. A robot that
+    flies a course `anew` flies some of them, too."""
+    from scenegen.model.robots.flights import flown_again, flown_anew, read_recording
+
+    recording, told = read_recording(path, hidden, maps)
+    with raised_as(DatasetError, f"{path}: ", of=DatasetError):
+        found = flown_again(recording, hidden, execute, progress)
+    told["as recorded, to the bit"] = f"{sum(len(flown) for _, flown in found)} flights"
+    if anew is not None:
+        told["anew, equal to the bit"] = flown_anew(recording, anew, execute, progress)
+    return recording.robot, found, told
 
 
 def _tell(row: dict[str, Any], found: "Flights", *written: Path | None) -> None:
@@ -289,20 +279,34 @@ def _write_board(
         say(f"written: {out}")
 
 
-def _check(
-    robot: str, weights: str | None, log: Path | None, out: Path | None, recorded: Path | None
-) -> None:
-    """Raise, before anything is flown, for what does not go together, and for results that cannot
-    be written."""
-    if weights is not None and was_given("robot") and robot != FORGETFUL:
+def _check() -> None:
+    """Raise, before anything is flown, for options that do not go together, and for results that
+    cannot be written."""
+    context: Any = click.get_current_context()
+    asked = SimpleNamespace(**context.params)
+    ways = asked.world, asked.suite, asked.recorded, asked.entries
+    if sum(one is not None for one in ways) != 1:
+        raise click.UsageError("give one of WORLD, --suite, --replay FILE, --leaderboard FOLDER")
+    if asked.world is None and (odd := flags_given(OF_WORLD)):
+        raise click.UsageError(
+            f"{odd[0]}: says how a WORLD is flown through, and none is given; leave it out"
+        )
+    of_suite = ("quick",) if asked.world is None else ("quick", "hidden", "maps")
+    if asked.suite is None and flags_given(of_suite):
+        raise click.UsageError(
+            "--quick, --hidden and --maps choose courses of a suite; give --suite, too"
+        )
+    if asked.hidden is not None and asked.maps:
+        raise click.UsageError("--hidden and --maps choose other courses; give one of them")
+    if asked.weights is not None and was_given("robot") and asked.robot != FORGETFUL:
         raise click.UsageError(
             "--weights says which robot flies; leave out --robot, but for --robot returns, which "
             "completes the last scan alone"
         )
-    if out and recorded:
+    if asked.out and asked.recorded:
         raise click.UsageError("--replay records nothing; leave out -o")
-    if log is not None:
-        check_free(log)
+    if asked.log is not None:
+        check_free(asked.log)
 
 
 def _rows(
@@ -319,7 +323,7 @@ def _rows(
     ]
 
 
-def _courses(world: str, flights: int, worlds: int, options: dict[str, Any]) -> "list[Course]":
+def _courses(world: str, flights: int, worlds: int, options: dict[str, Any]) -> "Sequence[Course]":
     """Courses through a world, or through several of a kind."""
     from scenegen.fly.course import Course
 
@@ -339,6 +343,31 @@ def _courses(world: str, flights: int, worlds: int, options: dict[str, Any]) -> 
     ]
 
 
+def _show(
+    course: "Course",
+    flown: "Sequence[Flown]",
+    name: str,
+    robot: tuple[str, str | None] | None,
+    picture: Path | None,
+    film: Path | None,
+    log: Path | None,
+) -> None:
+    """Write what is asked for of a course's flights; a film has what the `robot`, named as for
+    `robot_maker`, takes for occupied, or else shows the flight alone."""
+    if picture is not None:
+        _draw(picture, course, flown, name)
+    if film is not None:
+        from scenegen.model.robots.flights import robot_maker
+
+        made = None if robot is None else robot_maker(*robot)(course)
+        _film(film, course, made, name, flown[0])
+    if log is not None:
+        from scenegen.fly.course import log_of
+        from scenegen.logs.write import write_log
+
+        write_log(log, log_of(course, 0, flown[0]))
+
+
 def _draw(picture: Path, course: "Course", flown: "Sequence[Flown]", name: str) -> None:
     from scenegen.display.oblique import VIEW
     from scenegen.display.panels import RED, to_bytes
@@ -354,14 +383,14 @@ def _draw(picture: Path, course: "Course", flown: "Sequence[Flown]", name: str) 
     write_result(picture, to_bytes(figure, ".png"))
 
 
-def _film(path: Path, course: "Course", made: Any, name: str, recorded: "Flown | None") -> None:
+def _film(path: Path, course: "Course", robot: Any, name: str, flown: "Flown") -> None:
     from scenegen.model.robots.film import film, flight_page
 
     try:
         if path.suffix == ".gif":
-            taken = film(course, 0, made, recorded)
+            shown = film(course, 0, robot, flown)
         else:
-            taken = flight_page(course, 0, made, name, recorded)
-        write_result(path, taken)
+            shown = flight_page(course, 0, robot, name, flown)
+        write_result(path, shown)
     finally:
-        getattr(made, "close", lambda: None)()
+        getattr(robot, "close", lambda: None)()

@@ -16,7 +16,7 @@ from scenegen.display.look import Guess, Look, Route
 from scenegen.display.page import page
 from scenegen.errors import DatasetError
 from scenegen.fly.course import Course, flown_again
-from scenegen.fly.loop import Flown, fly
+from scenegen.fly.loop import Flown
 from scenegen.fly.simulation import Observation
 from scenegen.model.robots.mapping import within
 
@@ -68,17 +68,14 @@ class _Watched:
 class _Scene:
     """A flight, and the voxels that lie wholly within its bounds."""
 
-    def __init__(self, course: Course, number: int, robot: Any, recorded: Flown | None):
-        """Mission `number`, flown by `robot`; or as it is recorded, where the robot, if there is
-        one, sees what was seen and tells what it takes for occupied."""
+    def __init__(self, course: Course, number: int, robot: Any, flown: Flown):
+        """Mission `number` as it was flown; the robot, if there is one, sees what was seen and
+        tells what it takes for occupied."""
         self.watched, self.simulation = _Watched(robot), course.simulation(number)
-        if recorded is None:
-            self.flown = fly(self.simulation, self.watched)
-        else:
-            self.flown = recorded
-            self.watched.reset(self.simulation.about())
-            for seen, *_ in flown_again(self.simulation, recorded):
-                self.watched.act(seen)
+        self.flown = flown
+        self.watched.reset(self.simulation.about())
+        for seen, *_ in flown_again(self.simulation, flown):
+            self.watched.act(seen)
         if not self.watched.held:
             raise DatasetError(f"flight {number} ended before it began: {self.flown.trouble}")
         bounds = self.simulation.mission.bounds
@@ -101,10 +98,10 @@ class _Scene:
             yield _Moment(seen, taken, plan, passed)
 
 
-def film(course: Course, number: int, robot: Any, recorded: Flown | None = None) -> bytes:
+def film(course: Course, number: int, robot: Any, flown: Flown) -> bytes:
     """A GIF of mission `number`, see `_Scene`: the level of the vehicle's height, five pictures
     a second, 1.5 times as fast as it was flown."""
-    scene = _Scene(course, number, robot, recorded)
+    scene = _Scene(course, number, robot, flown)
     start, voxel_m, (x, y, z) = scene.first, scene.grid.voxel_m, scene.grid.shape
     scale = max(WIDTH // max(x, y), 1)
 
@@ -143,16 +140,14 @@ def film(course: Course, number: int, robot: Any, recorded: Flown | None = None)
     return file.getvalue()
 
 
-def flight_page(
-    course: Course, number: int, robot: Any, name: str, recorded: Flown | None = None
-) -> bytes:
+def flight_page(course: Course, number: int, robot: Any, name: str, flown: Flown) -> bytes:
     """A page (HTML) that plays mission `number`, see `_Scene`, of a robot called `name`, in
     three dimensions: what is there, what the robot takes for occupied, its scans, and its way,
     first flown and then planned.
 
     Raises DatasetError where no browser takes the voxels within the flight's bounds.
     """
-    scene = _Scene(course, number, robot, recorded)
+    scene = _Scene(course, number, robot, flown)
     start, goal = map(np.array, (scene.simulation.mission.start, scene.simulation.mission.goal))
     moments, looks = list(scene.moments()), []
     for moment in moments:

@@ -21,7 +21,7 @@ from scenegen.logs.read import read_log
 from scenegen.model.completion.unlearned import Conservative, Returns
 from scenegen.model.robots import NAMES, flights
 from scenegen.model.robots.film import flight_page
-from scenegen.model.robots.flights import robot_maker
+from scenegen.model.robots.flights import fly_course, robot_maker
 from scenegen.model.robots.mapping import MappingRobot
 from scenegen.run import undo_all
 from scenegen.worlds.place import encode_map
@@ -156,8 +156,9 @@ def test_the_command_flies_records_and_flies_again(capsys, tmp_path, monkeypatch
 
 def test_a_page_plays_a_flight_to_its_end():
     course = Course(world="pillar", difficulty="easy", flights=1, seed=1)
+    _, flown = fly_course(course, robot="truth", weights=None)
     robot = robot_maker("truth", None)(course)
-    moments = Seen(flight_page(course, 0, robot, "truth").decode()).data()["samples"]
+    moments = Seen(flight_page(course, 0, robot, "truth", flown[0]).decode()).data()["samples"]
     assert moments[0]["guesses"][0]["route"]["points"][0] == pytest.approx(
         np.subtract(course.missions[0].start, moments[0]["origin"]), abs=1e-3
     )
