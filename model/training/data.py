@@ -1,7 +1,9 @@
 """Samples as torch sees them: named maps by number, and batches in a seeded order."""
 
 import itertools
+import signal
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from fractions import Fraction
 from typing import Any, Protocol
 
@@ -286,10 +288,9 @@ def load(
     maps: Maps, batches: Iterable[Sequence[Any]], *, workers: int, pinned: bool
 ) -> Iterator[Batch]:
     """Every batch in turn, read by `workers` processes; 0 for none. Raises DatasetError for what
-    cannot be read, GenerationError for what cannot be drawn, LoaderError where such a process
-    dies."""
+    cannot be read, GenerationError for what cannot be drawn."""
     loader: DataLoader = DataLoader(
-        maps, batch_sampler=batches, num_workers=workers, pin_memory=pinned
+        maps, batch_sampler=batches, num_workers=workers, pin_memory=pinned, worker_init_fn=_ignore
     )
     try:
         yield from loader
@@ -297,10 +298,24 @@ def load(
         error.with_traceback(None)  # its frames would keep the loader's processes alive
         kind, line = type(error), str(error).strip().splitlines()[-1]
         raise kind(line.removeprefix(f"{kind.__module__}.{kind.__name__}: ")) from None
+
+
+def _ignore(_: int) -> None:
+    """Leave stops to the process that trains: what signals its group would end this one, too, and
+    with it the step that is being made."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+
+
+@contextmanager
+def loaders_watched() -> Iterator[None]:
+    """Raise LoaderError where a process of `load` dies: torch tells of it by a RuntimeError,
+    wherever the process that trains is then."""
+    try:
+        yield
     except RuntimeError as error:
         if "DataLoader worker" not in str(error):
             raise
-        error.with_traceback(None)
         raise LoaderError(
             f"a loader process died ({str(error).splitlines()[0]}); give --workers 0, or more "
             f"shared memory"

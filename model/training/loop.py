@@ -6,7 +6,7 @@ import itertools
 import math
 import platform
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,13 +28,7 @@ from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.losses import loss_of
 from scenegen.model.network import Batch, Output, build, placed
 from scenegen.model.training.course import Course, validate
-from scenegen.model.training.data import (
-    LoaderError,
-    Maps,
-    Samples,
-    check_alike,
-    load,
-)
+from scenegen.model.training.data import Maps, Samples, check_alike, load, loaders_watched
 from scenegen.model.training.device import (
     Group,
     SharedNorm,
@@ -97,7 +91,7 @@ def train(
         chosen = RunFolder(out).settings().get("precision", "auto")
     precision = resolve_precision(chosen, where, maps.grid.shape)
     group = Group(where, precision)
-    with group, closing(RunFolder(out, writes=group.first)) as folder:
+    with loaders_watched(), group, closing(RunFolder(out, writes=group.first)) as folder:
         check_maps(maps, checks, config, group.size)
         torch.manual_seed(config.seed)
         network = placed(build(config.network), where)
@@ -118,9 +112,7 @@ def train(
             batches, ahead = itertools.tee(course.batches(steps.start + done, len(steps) - done))
             mine = (batch[group.rank :: group.size] for batch in ahead)
             stop, read = False, load(maps, mine, workers=workers, pinned=where.type == "cuda")
-            for step, batch, given in zip(
-                steps[done:], batches, until(watcher.stop, read), strict=False
-            ):
+            for step, batch, given in zip(steps[done:], batches, read, strict=False):
                 if step == course.latest_decay and progress.decay is None:
                     folder.save(progress, LEVEL)  # a larger budget begins here
                 losses = learn(given, course.rate(step, progress.decay))
@@ -130,7 +122,7 @@ def train(
                 if stop := group.any(watcher.stop()):
                     break
                 folder.save_in_time(progress)
-            if stop or progress.step < len(steps):
+            if stop:
                 folder.save(progress)
                 raise StoppedError(f"stopped; the same command goes on with {out}")
             group.share_statistics(network)
@@ -142,16 +134,6 @@ def train(
             watcher.on_epoch(row)
         folder.draw_rows(progress.rows)
         return progress.rows
-
-
-def until(stop: Callable[[], bool], read: Iterator[Batch]) -> Iterator[Batch]:
-    """The batches that are `read`; a signal to stop goes to the loader's processes, too, and their
-    end is then no error."""
-    try:
-        yield from read
-    except LoaderError:
-        if not stop():
-            raise
 
 
 def check_finite(

@@ -1,6 +1,8 @@
 """`scenegen train`, `complete`, `export`, `networks` and `bench --weights` as users meet them."""
 
 import json
+import os
+import signal
 import sys
 import time
 
@@ -131,11 +133,13 @@ def test_without_an_extra_it_says_what_to_install(tmp_path, shell):
 
 
 def train_until_stopped(error):
-    """The command line, which answers signals as the installed script does, in a process of its
-    own."""
+    """The command line, which answers signals as the installed script does, in a process and a
+    group of its own."""
+    os.setsid()
     sys.stderr = error.open("w")
     torch.set_num_threads(1)
-    sys.argv = ["scenegen", "train", "--epochs", "1000", "--patience", "3", *map(str, QUICK)]
+    words = "scenegen train --epochs 1000 --patience 3 --workers 1"
+    sys.argv = [*words.split(), *map(str, QUICK)]
     stops.answer()
     cli.main()
 
@@ -146,7 +150,7 @@ def test_the_same_command_goes_on_after_a_signal(here, capsys, monkeypatch):
     while not (here / "runs" / "proposed" / "metrics.csv").exists():
         assert running.is_alive()
         time.sleep(0.1)
-    running.terminate()  # by SIGTERM
+    os.killpg(running.pid, signal.SIGTERM)  # as timeout(1) and Slurm do: loaders get it, too
     running.join()
     assert running.exitcode == 130
     error = (here / "error.txt").read_text()

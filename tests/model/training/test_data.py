@@ -2,9 +2,7 @@
 
 import gc
 import multiprocessing
-import os
 import shutil
-import signal
 from functools import partial
 
 import h5py
@@ -23,7 +21,6 @@ from scenegen.model.completion.completer import unlike
 from scenegen.model.config import TrainConfig
 from scenegen.model.inputs import SYMMETRIES
 from scenegen.model.training.data import (
-    LoaderError,
     Maps,
     epoch_batches,
     load,
@@ -79,12 +76,6 @@ def test_damage_is_named(folders, tmp_path):
             assert set(multiprocessing.active_children()) <= before
         finally:
             gc.enable()
-
-
-def test_a_loader_process_that_dies_is_named(folders, monkeypatch):
-    monkeypatch.setattr(Maps, "__getitem__", lambda self, key: os.kill(os.getpid(), signal.SIGKILL))
-    with pytest.raises(LoaderError, match="--workers 0"):
-        list(load(maps_of(folders), [[0], [1]], workers=1, pinned=False))
 
 
 def test_datasets_that_do_not_go_together_are_refused(folders, tmp_path):

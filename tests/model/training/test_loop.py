@@ -2,9 +2,11 @@
 
 import dataclasses
 import fcntl
+import multiprocessing
 import os
 import shutil
 import signal
+import time
 
 import numpy as np
 import pytest
@@ -18,7 +20,7 @@ from scenegen.model.config import LossConfig, NetworkConfig
 from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.losses import Coupled
 from scenegen.model.network import Network
-from scenegen.model.training.data import opened
+from scenegen.model.training.data import LoaderError, opened
 from scenegen.model.training.device import TrainingError
 from scenegen.model.training.loop import Watcher
 from scenegen.truth import distance_field
@@ -53,6 +55,19 @@ def test_one_batch_is_learned_by_heart(folders):
             if iou > 0.99 and error_m < 0.06:
                 return
     pytest.fail(f"after {step + 1} steps IoU {iou:.3f}, {error_m:.3f} m")
+
+
+def test_a_loader_process_that_dies_is_named(folders, monkeypatch, tmp_path):
+    """Whatever the process that trains does then: here, it looks at losses."""
+
+    def dies(*losses):
+        (loader,) = multiprocessing.active_children()
+        os.kill(loader.pid, signal.SIGKILL)
+        time.sleep(10)
+
+    monkeypatch.setattr("scenegen.model.training.loop.check_finite", dies)
+    with pytest.raises(LoaderError, match="--workers 0"):
+        train(folders, SMALL, tmp_path, workers=1)
 
 
 @pytest.fixture(scope="module")
