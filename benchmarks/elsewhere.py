@@ -17,7 +17,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import measuring
 import numpy as np
@@ -31,7 +31,7 @@ from scenegen import Dataset, Sample, WorldKind, preset
 from scenegen.dataset.build import build
 from scenegen.dataset.rescan import plan_rescan
 from scenegen.model.config import PlanConfig, bundled
-from scenegen.model.evaluation.methods import Method, rows_of
+from scenegen.model.evaluation.methods import rows_of
 from scenegen.model.evaluation.metrics import PLAN_METRICS
 from scenegen.model.evaluation.run import DatasetResult
 from scenegen.recipes.kind import Range, yaw_quaternion
@@ -108,36 +108,36 @@ class Options(scoring.Options):
     real: Path | None = None
     """folder of the maps of real places"""
     network: Sequence[str] = tuple(bundled())
-    worlds: Sequence[Annotated[str, WORLDS]] = tuple(WORLDS)
-    sensors: int | None = None
-    """so many others than that of training"""
 
 
 def main() -> None:
     """Make the datasets, measure, and write."""
-    given = measuring.parse(
-        Options, "real", maps=5, trials=5, network=["columns"], worlds=["scaffold"], sensors=1
-    )
+    given = measuring.parse(Options, "real", maps=5, trials=5, network=["columns"])
     methods = rows_of(["returns", "extrude"], given.network)
     lines: list[str] = []
     found: dict[str, dict[str, Results]] = {}
-    with tempfile.TemporaryDirectory() as folder:
-        for worlds in given.worlds:
-            seen = as_seen(worlds, Path(folder), given.maps, given.sensors)
-            found[worlds] = planned(seen, methods, given.trials)
-            lines += tables(worlds, seen, found[worlds])
-        places = real_places(given.real, Path(folder), min(given.maps, POSES))
-        for place, dataset in places.items():
-            found[place] = planned({"default": dataset}, methods, given.trials)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        drawn = ["scaffold"] if given.smoke else [*WORLDS]
+        places = {worlds: as_seen(worlds, folder, given) for worlds in drawn}
+        real = real_places(given.real, folder, min(given.maps, POSES))
+        places |= {place: {"default": dataset} for place, dataset in real.items()}
+        for place, seen in places.items():
+            found[place] = {
+                planner: measured(seen, methods, given.trials, plan)
+                for planner, plan in PLANNERS.items()
+            }
+            if place in WORLDS:
+                lines += tables(place, seen, found[place])
     scoring.publish(given, [*pooled(found), *lines])
 
 
-def as_seen(worlds: str, folder: Path, maps: int, sensors: int | None) -> dict[str, Dataset]:
+def as_seen(worlds: str, folder: Path, given: Options) -> dict[str, Dataset]:
     """Test maps of `worlds` by sensor, all from the same poses."""
     files = RESULTS.parents[1] / "scenes" if worlds == "scenes" else None
-    original = scoring.drawn(folder / worlds, preset(WORLDS[worlds]), maps, scenes=files)
+    original = scoring.drawn(folder / worlds, preset(WORLDS[worlds]), given.maps, scenes=files)
     found = {"default": original}
-    for name in OTHERS[:sensors]:
+    for name in OTHERS[: 1 if given.smoke else None]:
         sensor, _, noise = name.partition(" ")
         place = folder / f"{worlds} {name.replace(':', '')}"
         lidar = None if sensor == "default" else SENSORS.find(sensor)
@@ -145,13 +145,6 @@ def as_seen(worlds: str, folder: Path, maps: int, sensors: int | None) -> dict[s
         build(plan_rescan(original, place, lidar=lidar, chain=chain))
         found[name] = Dataset(place)
     return found
-
-
-def planned(
-    seen: Mapping[str, Dataset], methods: Sequence[Method], trials: int
-) -> dict[str, Results]:
-    """What the bench finds by each planner."""
-    return {name: measured(seen, methods, trials, plan) for name, plan in PLANNERS.items()}
 
 
 def pooled(found: Mapping[str, Mapping[str, Results]]) -> list[str]:
