@@ -62,6 +62,10 @@ _PLACES = {
 }
 
 
+def __dir__() -> list[str]:
+    return __all__
+
+
 def __getattr__(name: str) -> Any:
     """What `__all__` lists, imported when it is first asked for: the command line needs
     `lidarsim.parameters` alone, without numpy and MuJoCo."""

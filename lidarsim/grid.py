@@ -22,6 +22,15 @@ MOST_REACH = 1000
 """Voxels in the truncation: its square, counted in voxels, then fits 32 bits twice over."""
 
 
+def finite(what: str, given: ArrayLike, size: int) -> Floats:
+    """A copy of `given`, (size,). Raises ValueError, which says `what` it is, for anything but so
+    many finite numbers."""
+    value = np.array(given, dtype=np.float64)
+    if value.shape != (size,) or not np.isfinite(value).all():
+        raise ValueError(f"{what} = {value} must be {size} finite numbers")
+    return value
+
+
 @dataclass(frozen=True, kw_only=True)
 class GridSpec:
     """An axis-aligned grid of cubic voxels, x y z in that order, z up.

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lidarsim.elementary import sin_cos
-from lidarsim.grid import Floats
+from lidarsim.grid import Floats, finite
 from lidarsim.jit import kernel
 
 
@@ -24,9 +24,7 @@ class Pose:
 
     def __post_init__(self) -> None:
         for name, size in (("position", 3), ("quaternion", 4)):
-            value = np.array(getattr(self, name), dtype=np.float64)
-            if value.shape != (size,) or not np.isfinite(value).all():
-                raise ValueError(f"pose: {name} = {value} must be {size} finite numbers")
+            value = finite(f"pose: {name}", getattr(self, name), size)
             value.setflags(write=False)
             object.__setattr__(self, name, value)
         length = float(np.sqrt((self.quaternion**2).sum()))

@@ -5,11 +5,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from lidarsim.elementary import log
 from lidarsim.engines.voxels import enter, slab
 from lidarsim.fusion import Fusion
-from lidarsim.grid import Floats, GridSpec, Mask
+from lidarsim.grid import Floats, GridSpec, Mask, finite
 from lidarsim.jit import kernel
 from lidarsim.scan import Scan
 
@@ -38,24 +39,24 @@ def unknown_grid(grid: GridSpec, origin: Floats) -> ObservedGrid:
     return ObservedGrid(observed, free, origin)
 
 
-def voxelize(scan: Scan, grid: GridSpec, origin: Floats | None = None) -> ObservedGrid:
+def voxelize(scan: Scan, grid: GridSpec, origin: ArrayLike | None = None) -> ObservedGrid:
     """Sort a scan into `grid`, centred on the sensor unless its least corner `origin` (3,) is
     given.
 
     Returns outside the grid are dropped; the rays that led to them still clear the voxels on their
     way. Free space is found by walking every ray from voxel boundary to voxel boundary (Amanatides
-    and Woo 1987), not by sampling.
+    and Woo 1987), not by sampling. Raises ValueError for an `origin` that is no point.
     """
     position = scan.pose.position
-    origin = grid.origin_at(position) if origin is None else np.asarray(origin, dtype=np.float64)
+    corner = finite("origin", grid.origin_at(position) if origin is None else origin, 3)
     directions = scan.directions.reshape(-1, 3)
-    found = unknown_grid(grid, origin)
+    found = unknown_grid(grid, corner)
     _walk(
         position,
         directions,
         scan.ranges.reshape(-1),
         scan.lidar.max_range_m,
-        origin,
+        corner,
         grid.voxel_m,
         found.observed,
         found.free,
@@ -64,7 +65,7 @@ def voxelize(scan: Scan, grid: GridSpec, origin: Floats | None = None) -> Observ
 
 
 def fuse(
-    scans: Sequence[Scan], grid: GridSpec, origin: Floats, fusion: Fusion | None = None
+    scans: Sequence[Scan], grid: GridSpec, origin: ArrayLike, fusion: Fusion | None = None
 ) -> ObservedGrid:
     """Sort several scans, in the order in which they were made, into the `grid` with least corner
     `origin` (3,).
@@ -74,7 +75,7 @@ def fuse(
     raises those of the voxels that it observes and lowers those that it finds free, within bounds;
     a voxel that no scan met stays unknown. Only a voxel with a return can be observed, whatever the
     parameters, because `Fusion.occupied` is at least one half. Raises ValueError where there is no
-    scan.
+    scan, and for an `origin` that is no point.
     """
     if not scans:
         raise ValueError("no scans to fuse; expected one at least")
@@ -96,7 +97,7 @@ def fuse(
         )
         met |= one.observed | one.free
     observed = met & (odds >= occupied)
-    return ObservedGrid(observed, met & ~observed, origin)
+    return ObservedGrid(observed, met & ~observed, seen[0].origin)
 
 
 @kernel

@@ -109,8 +109,9 @@ def bench(
     )
     measured = [Dataset(locate(name)) for name in _listed(datasets)]
     check_rows(rows, measured, config.split)
+    execute = Local("", cores() if workers is None else workers)
     results = [
-        measure(dataset, rows, config, kind=kind, execute=Local("", workers or cores()))
+        measure(dataset, rows, config, kind=kind, execute=execute)
         for dataset, kind in tables_of(measured, config.split)
     ]
     return build_report(results, seed=config.seed, about={"split": config.split})

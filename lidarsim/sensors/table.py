@@ -116,7 +116,9 @@ class BeamTable:
     @cached_property
     def directions_body(self) -> Floats:
         """Unit vectors (*shape, 3) in the body frame."""
-        return np.ascontiguousarray(self.rays[..., :3])
+        directions = np.ascontiguousarray(self.rays[..., :3])
+        directions.setflags(write=False)
+        return directions
 
     @property
     def times_s(self) -> Floats:

@@ -7,31 +7,34 @@ prediction.occupancy_probability, prediction.tudf  # the same shape, float32; me
 
 import re
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from lidarsim import Lidar, Sensor
-from lidarsim.grid import GridSpec, Mask
+from lidarsim.grid import GridSpec, Mask, finite
 from scenegen.dataset.locate import client_output, without_tokens
 from scenegen.dataset.manifest import differences
 from scenegen.dataset.parts import described, sensor_entry
 from scenegen.dataset.read import Split
-from scenegen.errors import DatasetError, needs, printable, raised_as
+from scenegen.errors import DatasetError, needs, printable, raised_as, whole_number
 from scenegen.files import Json, real_path
+from scenegen.limits import MOST_BATCH
 from scenegen.model.calibration import Calibration
 from scenegen.model.checkpoint import CheckpointError, load_network
 from scenegen.model.completion.protocol import Prediction, check_prediction
 from scenegen.model.config import BUNDLED, DEFAULT_NETWORK, bundled, split_own, unknown_network
-from scenegen.model.inputs import centres, channels, input_called
+from scenegen.model.inputs import PointScan, centres, channels, input_called
 from scenegen.model.network import Batch, Output, placed
 from scenegen.model.onnx import load_onnx
+from scenegen.model.training.device import choose_device
 from scenegen.sample import Sample
 from scenegen.worlds.mapping import Mapper
 
@@ -59,8 +62,9 @@ class Completer:
         inputs: Sequence[str] = ("observed",),
         about: Json | None = None,
         batch: int = 8,
+        threads: int = 0,
     ):
-        self.grid = grid
+        self.grid, self._threads = grid, threads
         self.name = name
         """How the network is called in tables, in one line."""
         self.inputs = tuple(inputs)
@@ -71,7 +75,7 @@ class Completer:
             self.calibration = Calibration.of(self.about, grid)
             """What tells how sure a prediction is; None for a network that was not calibrated."""
         self._forward = forward
-        self.batch = batch
+        self.batch = whole_number("batch =", batch, 1, MOST_BATCH)
         """How many maps are completed at once, at most."""
         self.opened: tuple[str, str, int] | None = None
         """Name, device and batch, by which `opened_once` has it in other processes, if it came by
@@ -92,8 +96,9 @@ class Completer:
         is given as "my_net:Net@runs/mine": its module is then imported, and never because a file
         says so.
 
-        At most `batch` maps are completed at once; an .onnx file runs on `threads` threads, 0 for
-        all. Raises CheckpointError where there is none, or it is damaged.
+        At most `batch` maps are completed at once, on `threads` threads of the processor, 0 for
+        all. Raises CheckpointError where there is none, or it is damaged, and TrainingError for a
+        device that is not here.
         """
         path, (own, plain) = locate(name), split_own(name)
         if path.suffix == ".onnx":
@@ -101,34 +106,50 @@ class Completer:
             grid, about, inputs = found.grid, found.about, found.config.inputs
         else:
             network, grid, about = load_network(path, own)
-            inputs = network.config.inputs
+            inputs, device = network.config.inputs, choose_device(str(device))
             placed(network, device)
 
             def run(maps: Batch) -> Output:
                 return Output(*network({name: values.to(device) for name, values in maps.items()}))
 
         said = printable(called(name, path))
-        made = cls(run, grid, name=said, inputs=inputs, about=about, batch=batch)
+        made = cls(run, grid, name=said, inputs=inputs, about=about, batch=batch, threads=threads)
         if not (plain.startswith(HUB) or plain in bundled()):
             name = "@".join(filter(None, (",".join(sorted(own)), str(path.absolute()))))
         made.opened = str(name), str(device), batch
         return made
 
-    def __call__(self, maps: Sample | Maps | Mapping[str, Maps]) -> Prediction:
+    def __repr__(self) -> str:
+        return f"<Completer: {self.name}, {', '.join(self.inputs)} on {self.grid}>"
+
+    def __call__(
+        self,
+        maps: Sample | Maps | Mapping[str, Maps],
+        *,
+        sensor: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> Prediction:
         """Complete one map, (*grid.shape), or a batch of them, (B, *grid.shape).
 
-        `maps` are a dataset's sample; or a named batch of the network's `inputs`; or the observed
-        voxels alone, from which other inputs are then derived as from a scan of points, one at the
-        centre of each, seen from the map's: less than a sample tells, completed worse, and warned
-        of. Numpy or torch, numbers 0 and 1 or bool where an input is binary. What comes back has
-        the same shape and is float32, numpy for numpy and torch for torch (on the same device);
-        distances are metres, at most the truncation; what the network's variant does not predict is
-        None. Raises ValueError where an input is missing, for another grid, or for values that an
-        input cannot hold; PredictionError where the network says NaN, or what is no probability or
+        `maps` are a dataset's sample; or a named batch of the network's `inputs`; or the points of
+        a scan, (N, 3), metres, in a level frame in which the `sensor` (3,) is the centre of the
+        map, NaN or inf where nothing returned; or the observed voxels alone, from which other
+        inputs are then derived as from a scan of points, one at the centre of each, seen from the
+        map's: less than a sample tells, completed worse, and warned of. Numpy or torch, numbers 0
+        and 1 or bool where an input is binary. What comes back is float32 of the map's shape, numpy
+        for numpy and torch for torch (on the same device); distances are metres, at most the
+        truncation; what the network's variant does not predict is None. Raises ValueError where an
+        input is missing, for another grid, for values that an input cannot hold, and where no point
+        is in the map; PredictionError where the network says NaN, or what is no probability or
         distance.
         """
+        with on_threads(self._threads):
+            return self._predicted(maps, sensor)
+
+    def _predicted(self, maps: Sample | Maps | Mapping[str, Maps], sensor: ArrayLike) -> Prediction:
         if isinstance(maps, Sample):
             batch: Mapping[str, Maps] = channels(self.inputs, maps, self.grid)
+        elif getattr(maps, "ndim", 0) == 2:
+            batch = channels(self.inputs, self._scan(maps, sensor), self.grid)
         else:
             batch = maps if isinstance(maps, Mapping) else self._derived(maps)
         if missing := [name for name in self.inputs if name not in batch]:
@@ -170,9 +191,8 @@ class Completer:
         It takes one thread: where many processes complete, each was forked, and a pool of threads
         would not survive.
         """
-        torch.set_num_threads(1)
         grid = split.dataset.grid
-        with raised_as(DatasetError):
+        with raised_as(DatasetError), on_threads(1):
             self.check_grid(grid)
             return self(channels(self.inputs, sample, grid, sample.lidar))
 
@@ -195,6 +215,22 @@ class Completer:
         not learn from; see the function `unlike`."""
         return sorted(filter(None, {unlike(self.name, self.about, *one) for one in settings}))
 
+    def _scan(self, points: Any, sensor: ArrayLike) -> PointScan:
+        """The scan of points (N, 3), numpy or torch. Raises ValueError where it is none."""
+        given = points.numpy(force=True) if isinstance(points, Tensor) else points
+        rows = np.asarray(given, dtype=np.float64)
+        if rows.shape[1:] != (3,):
+            raise ValueError(f"points of shape {rows.shape}, expected (N, 3), metres")
+        here = finite("sensor", sensor, 3)
+        returned = rows[np.isfinite(rows).all(axis=1)]
+        found = PointScan(points=returned, position=here, grid=self.grid)
+        if not len(found.voxels):
+            raise ValueError(
+                f"none of {len(rows)} points is in the map, {self.grid.extent_m.tolist()} m around "
+                f"the sensor at {here.tolist()}; give metres, and where the sensor is"
+            )
+        return found
+
     def _derived(self, observed: Maps) -> dict[str, Maps]:
         """All inputs of maps of which the observed voxels alone are known."""
         seen = self._checked("observed", observed)
@@ -203,7 +239,7 @@ class Completer:
         warnings.warn(
             f"{self.name} takes {', '.join(self.inputs)}, and derives what is not given from the "
             "observed voxels, which say less; give it a sample, or all of these by name",
-            stacklevel=3,
+            stacklevel=4,
         )
         flat = seen.reshape(-1, *self.grid.shape).bool().numpy(force=True)
         found = [channels(self.inputs, centres(one, self.grid), self.grid) for one in flat]
@@ -216,7 +252,8 @@ class Completer:
         """An input as a tensor, if it can be one."""
         try:
             given = (
-                maps if isinstance(maps, Tensor) else torch.from_numpy(np.ascontiguousarray(maps))
+                # a copy, for torch takes no arrays that cannot be written to
+                maps if isinstance(maps, Tensor) else torch.from_numpy(np.array(maps, order="C"))
             )
         except TypeError:
             said = (
@@ -248,11 +285,21 @@ class Completer:
         return probability, tudf
 
 
+@contextmanager
+def on_threads(count: int) -> Iterator[None]:
+    """While the block runs, torch computes on `count` threads, 0 for as many as before."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count or before)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
 @cache
 def opened_once(name: str, device: str, batch: int) -> Completer:
     """A network for a task of many, on one thread of a processor: each process opens it once, and
     by itself."""
-    torch.set_num_threads(1)
     return Completer.from_pretrained(name, device=device, batch=batch, threads=1)
 
 

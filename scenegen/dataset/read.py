@@ -95,6 +95,9 @@ class Dataset:
             self._splits[name] = Split(self, name)
         return self._splits[name]
 
+    def __fspath__(self) -> str:
+        return str(self.folder)
+
     def __repr__(self) -> str:
         return f"<Dataset: {self.manifest.graded}, seed {self.manifest.seed}, in {self.folder}>"
 
@@ -230,11 +233,7 @@ class Split(Samples):
 
     def _place(self, index: int) -> tuple[int, int]:
         """Shard, and row in it, of sample `index`."""
-        if not -len(self) <= index < len(self):
-            raise IndexError(
-                f"sample {index} of {len(self)} in {self.dataset.folder}, split {self.name}"
-            )
-        index %= len(self)
+        index = self._checked(index)
         shard = int(np.searchsorted(self._start, index, side="right")) - 1
         return shard, index - int(self._start[shard])
 

@@ -4,7 +4,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias, get_args
 
 import mujoco
 import numpy as np
@@ -15,7 +15,7 @@ from lidarsim.grid import Mask
 from lidarsim.jit import kernel
 from lidarsim.pose import rotate
 from lidarsim.solids.shapes import Solids
-from scenegen.errors import GenerationError, short
+from scenegen.errors import GenerationError, RecipeError, short
 from scenegen.limits import MOST_CLASSES
 from scenegen.truth.occupancy import SLACK_M, spans
 from scenegen.truth.shapes import distance, local
@@ -78,7 +78,9 @@ def class_names(model: mujoco.MjModel, by: By) -> list[str]:
 
 def labels_by(by: By, named: Iterable[str]) -> Labels:
     """The labels of worlds whose geoms' classes `named` are known besides shapes. Raises
-    GenerationError."""
+    GenerationError, and RecipeError where `by` is no way to tell them."""
+    if by not in get_args(By):
+        raise RecipeError(f"labels = {by!r}: expected one of {', '.join(get_args(By))}")
     fixed = {"group": GROUPS, "class": CLASSES}
     known = fixed[by] if by in fixed else (*SHAPES, *sorted(set(named) - {*SHAPES, NOTHING}))
     if len(known) >= MOST_CLASSES:
