@@ -41,7 +41,7 @@ class Pose:
         """A body held level, turned by `yaw_rad` about the vertical, counter-clockwise seen from
         above."""
         sine, cosine = sin_cos(0.5 * yaw_rad)
-        return cls(np.asarray(position, dtype=np.float64), np.array([cosine, 0.0, 0.0, sine]))
+        return cls(np.asarray(position, float), np.array([cosine, 0.0, 0.0, sine]))
 
     @classmethod
     def facing(cls, position: ArrayLike, direction: ArrayLike) -> "Pose":
@@ -50,14 +50,14 @@ class Pose:
         The half-angle formulas give the quaternion by square roots, without an angle, so with the
         same bits on every processor. Raises ValueError for a direction without length.
         """
-        x, y = (float(part) for part in np.asarray(direction, dtype=np.float64))
+        x, y = (float(part) for part in np.asarray(direction, float))
         length = math.sqrt(x * x + y * y)
         if not 0.0 < length < math.inf:
             raise ValueError(f"pose: direction = [{x:g}, {y:g}], expected a finite length above 0")
         large = math.sqrt(0.5 + 0.5 * abs(x) / length)
         small = 0.5 * y / length / large
         w, z = (large, small) if x >= 0.0 else (abs(small), math.copysign(large, y))
-        return cls(np.asarray(position, dtype=np.float64), np.array([w, 0.0, 0.0, z]))
+        return cls(np.asarray(position, float), np.array([w, 0.0, 0.0, z]))
 
     def to_body(self, points: Floats) -> Floats:
         """Points (..., 3) of the world, metres, in the body's frame."""
@@ -81,11 +81,11 @@ def chained(parent: Pose, child: Pose) -> Pose:
 
 def rotate(quaternion: ArrayLike, vectors: ArrayLike) -> Floats:
     """`vectors` (..., 3) turned by the unit `quaternion` (4,), w x y z."""
-    given = np.ascontiguousarray(vectors, dtype=np.float64).view()
+    given = np.ascontiguousarray(vectors, float).view()
     # the kernel is compiled once, for what may be written to and for what may not
     given.setflags(write=False)
     turned = np.empty(given.shape)
-    _rotate(np.array(quaternion, dtype=np.float64), given.reshape(-1, 3), turned.reshape(-1, 3))
+    _rotate(np.array(quaternion, float), given.reshape(-1, 3), turned.reshape(-1, 3))
     return turned
 
 

@@ -35,7 +35,7 @@ class ObservedGrid:
 
 def unknown_grid(grid: GridSpec, origin: Floats) -> ObservedGrid:
     """A grid of which nothing is known yet."""
-    observed, free = np.zeros((2, *grid.shape), dtype=np.bool_)
+    observed, free = np.zeros((2, *grid.shape), bool)
     return ObservedGrid(observed, free, origin)
 
 
@@ -90,7 +90,7 @@ def fuse(
         return found
     given = np.array([rule.hit, rule.miss, rule.least, rule.most, rule.occupied])
     hit, miss, least, most, occupied = (log(given) - log(1.0 - given)).tolist()
-    odds, met = np.zeros(grid.shape), np.zeros(grid.shape, np.bool_)
+    odds, met = np.zeros(grid.shape), np.zeros(grid.shape, bool)
     for one in seen:
         _weigh(
             one.observed.reshape(-1), one.free.reshape(-1), odds.reshape(-1), hit, miss, least, most
@@ -123,13 +123,13 @@ def sort_points(
     (N, 3), finite, in the frame of `origin`, metres. Those beyond `reach_m` clear the voxels up to
     it and mark none; a point at the sensor clears nothing. With `into`, what that grid's arrays say
     already stays, but that a voxel with a return is not free."""
-    rays = np.asarray(points, dtype=np.float64) - sensor
+    rays = np.asarray(points, float) - sensor
     ranges = np.sqrt((rays * rays).sum(axis=1))
     found = into or unknown_grid(grid, origin)
     there = ranges > 0
     directions = rays[there] / ranges[there, None]
     _walk(
-        np.asarray(sensor, np.float64),
+        np.asarray(sensor, float),
         directions,
         np.where(ranges > reach_m, np.inf, ranges)[there],
         reach_m,

@@ -217,7 +217,7 @@ def truth_of(world: AnyWorld, scan: Scan, recipe: Recipe) -> dict[str, np.ndarra
         recipe.grid, recipe.mapping.origin(recipe.grid, scan.pose)
     )
     if recipe.known is not None:
-        truth.setdefault("known", np.ones(recipe.grid.shape, np.bool_))
+        truth.setdefault("known", np.ones(recipe.grid.shape, bool))
         truth["ray_known"] = world.unknown_m(scan) <= recipe.known.most_unknown_m
     return truth
 

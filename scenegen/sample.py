@@ -218,12 +218,12 @@ class Sample:
         digest.update(np.packbits(self.observed).tobytes())
         digest.update(np.packbits(self.occupancy).tobytes())
         for name in ("ranges", "position", "quaternion", "origin", "world", "viewpoint"):
-            digest.update(np.asarray(getattr(self, name), dtype=FIELDS[name]["dtype"]).tobytes())
+            digest.update(np.asarray(getattr(self, name), FIELDS[name]["dtype"]).tobytes())
         for names in (names for group, names in GROUPS.items() if group):
             if getattr(self, names[0]) is not None:
                 digest = hashlib.sha256(digest.digest())
                 for name in names:
-                    values = np.asarray(getattr(self, name), dtype=FIELDS[name]["dtype"])
+                    values = np.asarray(getattr(self, name), FIELDS[name]["dtype"])
                     digest.update(values.tobytes())
         return digest.digest()
 
@@ -333,10 +333,7 @@ class Samples(Sequence[Sample]):
 
     def _checked(self, index: Any) -> int:
         """The number of a sample, from 0 on. Raises TypeError and IndexError."""
-        try:
-            number = operator.index(index)
-        except TypeError:
-            raise TypeError(f"{self}: sample {short(index)}: expected a whole number") from None
+        number = operator.index(index)
         if not -len(self) <= number < len(self):
             raise IndexError(f"{self}: has no sample {short(number)}")
         return number % len(self)

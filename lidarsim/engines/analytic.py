@@ -56,7 +56,7 @@ class AnalyticEngine:
         self._around = (np.empty(0),) * 3  # triangles, and the corners of their boxes
         self._take(solids)
         self._part = (
-            _by_item(solids, np.asarray(parts, dtype=np.int64))
+            _by_item(solids, np.asarray(parts, np.int64))
             if np.size(parts)
             else np.empty(0, np.int64)
         )
@@ -243,8 +243,8 @@ def _laid_out(origins: ArrayLike, directions: ArrayLike) -> tuple[Floats, Floats
     """Origins (P, 3), directions (P, n, 3) and the shape (P, *shape) of what is asked for. Raises
     ValueError for arrays of other shapes: the kernel would read beyond them."""
     # copies, for the kernel is compiled for arrays that can be written
-    starts = np.array(origins, dtype=np.float64, order="C")
-    vectors = np.array(directions, dtype=np.float64, order="C")
+    starts = np.array(origins, float, order="C")
+    vectors = np.array(directions, float, order="C")
     shape = vectors.shape[:-1]
     if starts.shape[1:] != (3,) or vectors.shape != (len(starts), *shape[1:], 3):
         raise ValueError(

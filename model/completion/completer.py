@@ -6,7 +6,6 @@ prediction.occupancy_probability, prediction.tudf  # the same shape, float32; me
 """
 
 import re
-import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
@@ -20,6 +19,7 @@ from torch import Tensor
 
 from lidarsim import Lidar, Sensor
 from lidarsim.grid import GridSpec, Mask, finite
+from lidarsim.parameters import MOST_LENGTH_M
 from scenegen.dataset.locate import client_output, without_tokens
 from scenegen.dataset.manifest import differences
 from scenegen.dataset.parts import described, sensor_entry
@@ -31,7 +31,7 @@ from scenegen.model.calibration import Calibration
 from scenegen.model.checkpoint import CheckpointError, load_network
 from scenegen.model.completion.protocol import Prediction, check_prediction
 from scenegen.model.config import BUNDLED, DEFAULT_NETWORK, bundled, split_own, unknown_network
-from scenegen.model.inputs import PointScan, centres, channels, input_called
+from scenegen.model.inputs import PointScan, channels, input_called
 from scenegen.model.network import Batch, Output, placed
 from scenegen.model.onnx import load_onnx
 from scenegen.model.training.device import choose_device
@@ -132,55 +132,59 @@ class Completer:
 
         `maps` are a dataset's sample; or a named batch of the network's `inputs`; or the points of
         a scan, (N, 3), metres, in a level frame in which the `sensor` (3,) is the centre of the
-        map, NaN or inf where nothing returned; or the observed voxels alone, from which other
-        inputs are then derived as from a scan of points, one at the centre of each, seen from the
-        map's: less than a sample tells, completed worse, and warned of. Numpy or torch, numbers 0
-        and 1 or bool where an input is binary. What comes back is float32 of the map's shape, numpy
-        for numpy and torch for torch (on the same device); distances are metres, at most the
-        truncation; what the network's variant does not predict is None. Raises ValueError where an
-        input is missing, for another grid, for values that an input cannot hold, and where no point
-        is in the map; PredictionError where the network says NaN, or what is no probability or
-        distance.
+        map, NaN or inf where nothing returned; or, for a network that takes no more, the observed
+        voxels. Numpy or torch, numbers 0 and 1 or bool where an input is binary. What comes back
+        is float32 of the map's shape, torch for maps of torch (on the same device) and else numpy;
+        distances are metres, at most the truncation; what the network's variant does not predict is
+        None. Raises ValueError where an input is missing, for another grid, for values that an
+        input cannot hold, and where no point is in the map; PredictionError where the network says
+        NaN, or what is no probability or distance.
         """
         with on_threads(self._threads):
-            return self._predicted(maps, sensor)
-
-    def _predicted(self, maps: Sample | Maps | Mapping[str, Maps], sensor: ArrayLike) -> Prediction:
-        if isinstance(maps, Sample):
-            batch: Mapping[str, Maps] = channels(self.inputs, maps, self.grid)
-        elif getattr(maps, "ndim", 0) == 2:
-            batch = channels(self.inputs, self._scan(maps, sensor), self.grid)
-        else:
-            batch = maps if isinstance(maps, Mapping) else self._derived(maps)
-        if missing := [name for name in self.inputs if name not in batch]:
-            raise ValueError(
-                f"{self.name} takes {', '.join(self.inputs)}; {', '.join(missing)} is not given"
+            batch = self._named(maps, sensor)
+            if missing := [name for name in self.inputs if name not in batch]:
+                raise ValueError(
+                    f"{self.name} takes {', '.join(self.inputs)}; {', '.join(missing)} is not "
+                    f"given: give all of them by name, a sample, or points"
+                )
+            given = {name: self._checked(name, batch[name]) for name in self.inputs}
+            shapes = {tuple(values.shape) for values in given.values()}
+            if len(shapes) > 1:
+                raise ValueError(
+                    f"{', '.join(self.inputs)} have shapes {sorted(shapes)}, expected one"
+                )
+            (shape,) = shapes
+            flat = {name: values.reshape(-1, *self.grid.shape) for name, values in given.items()}
+            split = [values.split(self.batch) for values in flat.values()]
+            parts = [
+                self._complete(dict(zip(flat, part, strict=True)))
+                for part in zip(*split, strict=True)
+            ]
+            joined = [
+                None if part[0] is None else torch.cat(part).reshape(shape)
+                for part in zip(*parts, strict=True)
+            ]
+            first = batch[self.inputs[0]]
+            probability, tudf = (
+                part
+                if part is None
+                else part.to(first.device)
+                if isinstance(first, Tensor)
+                else part.numpy(force=True)
+                for part in joined
             )
-        given = {name: self._checked(name, batch[name]) for name in self.inputs}
-        shapes = {tuple(values.shape) for values in given.values()}
-        if len(shapes) > 1:
-            raise ValueError(f"{', '.join(self.inputs)} have shapes {sorted(shapes)}, expected one")
-        (shape,) = shapes
-        flat = {name: values.reshape(-1, *self.grid.shape) for name, values in given.items()}
-        split = [values.split(self.batch) for values in flat.values()]
-        parts = [
-            self._complete(dict(zip(flat, part, strict=True))) for part in zip(*split, strict=True)
-        ]
-        joined = [
-            None if part[0] is None else torch.cat(part).reshape(shape)
-            for part in zip(*parts, strict=True)
-        ]
-        first = batch[self.inputs[0]] if isinstance(maps, Sample | Mapping) else maps
-        probability, tudf = (
-            part
-            if part is None
-            else part.to(first.device)
-            if isinstance(first, Tensor)
-            else part.numpy(force=True)
-            for part in joined
-        )
-        found = Prediction(probability, tudf, self.calibration, self.grid)
-        return check_prediction(found, shape, self.name)
+            found = Prediction(probability, tudf, self.calibration, self.grid)
+            return check_prediction(found, shape, self.name)
+
+    def _named(
+        self, maps: Sample | Maps | Mapping[str, Maps], sensor: ArrayLike
+    ) -> Mapping[str, Maps]:
+        """The inputs of what is to be completed, as far as they are known."""
+        if isinstance(maps, Sample):
+            return channels(self.inputs, maps, self.grid)
+        if getattr(maps, "ndim", 0) == 2:
+            return channels(self.inputs, self.scan_of(maps, sensor), self.grid)
+        return maps if isinstance(maps, Mapping) else {"observed": maps}
 
     def __reduce__(self) -> Any:
         return opened_once, self.opened
@@ -215,14 +219,14 @@ class Completer:
         not learn from; see the function `unlike`."""
         return sorted(filter(None, {unlike(self.name, self.about, *one) for one in settings}))
 
-    def _scan(self, points: Any, sensor: ArrayLike) -> PointScan:
-        """The scan of points (N, 3), numpy or torch. Raises ValueError where it is none."""
-        given = points.numpy(force=True) if isinstance(points, Tensor) else points
-        rows = np.asarray(given, dtype=np.float64)
+    def scan_of(self, points: Any, sensor: ArrayLike) -> PointScan:
+        """The scan of points (N, 3), metres, seen from `sensor` (3,). What is farther than
+        `MOST_LENGTH_M`, or NaN, returned nothing. Raises ValueError where none is in the map."""
+        rows = np.asarray(points, float)
         if rows.shape[1:] != (3,):
             raise ValueError(f"points of shape {rows.shape}, expected (N, 3), metres")
         here = finite("sensor", sensor, 3)
-        returned = rows[np.isfinite(rows).all(axis=1)]
+        returned = rows[(np.abs(rows) <= MOST_LENGTH_M).all(axis=1)]
         found = PointScan(points=returned, position=here, grid=self.grid)
         if not len(found.voxels):
             raise ValueError(
@@ -230,23 +234,6 @@ class Completer:
                 f"the sensor at {here.tolist()}; give metres, and where the sensor is"
             )
         return found
-
-    def _derived(self, observed: Maps) -> dict[str, Maps]:
-        """All inputs of maps of which the observed voxels alone are known."""
-        seen = self._checked("observed", observed)
-        if self.inputs == ("observed",):
-            return {"observed": observed}
-        warnings.warn(
-            f"{self.name} takes {', '.join(self.inputs)}, and derives what is not given from the "
-            "observed voxels, which say less; give it a sample, or all of these by name",
-            stacklevel=4,
-        )
-        flat = seen.reshape(-1, *self.grid.shape).bool().numpy(force=True)
-        found = [channels(self.inputs, centres(one, self.grid), self.grid) for one in flat]
-        return {
-            name: torch.from_numpy(np.stack([one[name] for one in found])).reshape(seen.shape)
-            for name in self.inputs
-        }
 
     def _checked(self, name: str, maps: Maps) -> Tensor:
         """An input as a tensor, if it can be one."""

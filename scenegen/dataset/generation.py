@@ -125,7 +125,7 @@ def plan_generation(
     given: dict[str, Any] = {"lidar": sensor, "noise": noise}
     given |= {"mapping": mapping, "difficulty": difficulty}
     if isinstance(recipe, Recipe):
-        if named not in (None, recipe.kind) or any(value is not None for value in given.values()):
+        if named not in (None, recipe.kind) or any(given.values()):
             raise AskedError(
                 f"a whole Recipe, of kind {recipe.kind}, says all but worlds from files; leave "
                 f"out a kind, {', '.join(given)}"

@@ -259,9 +259,6 @@ class Split(Samples):
                 return value + self.first_worlds[number] if name == "world" else value
             if name == "tudf":
                 return distance_field(sample.occupancy, it.grid)
-            ranges = [getattr(sample, one) for one in sample.names if one.endswith("ranges")]
-            if not np.isfinite(sample.origin).all() or not all((it >= 0).all() for it in ranges):
-                raise BrokenError(f"{shard.name}: sample {row}: origin or ranges are no lengths")
             with raised_as(BrokenError, f"{shard.name}: sample {row}: "):
                 return fuse(sample.scans()[::-1], it.grid, sample.origin, home.mapping).free
 

@@ -143,7 +143,7 @@ def _guess(name: str, found: Any, grid: GridSpec) -> Guess:
 
 
 def _route(path: Any) -> Route:
-    points = np.asarray(path, dtype=np.float64)
+    points = np.asarray(path, float)
     if points.shape[1:] != (3,) or not len(points) or not np.isfinite(points).all():
         raise DatasetError(f"path: an array {points.shape}; expected (n, 3), metres in the world")
     length = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()

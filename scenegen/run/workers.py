@@ -11,7 +11,6 @@ import math
 import multiprocessing
 import multiprocessing.connection
 import os
-import platform
 import resource
 import signal
 import threading
@@ -61,8 +60,7 @@ Result = TypeVar("Result")
 
 
 class Local(Executor):
-    """Processes of this machine. Raises DatasetError where an address is given, or `workers` are no
-    number from 1 on."""
+    """Processes of this machine. Raises DatasetError for an address, and for `workers` below 1."""
 
     def __init__(self, address: str, workers: int):
         if address:
@@ -118,15 +116,6 @@ def rank_of(environment: Mapping[str, str]) -> tuple[int, int]:
 def cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0))
-
-
-def processor() -> str:
-    """What this machine's processor is called."""
-    with contextlib.suppress(OSError):  # elsewhere than on Linux
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor() or "CPU"
 
 
 def keep_memory() -> None:

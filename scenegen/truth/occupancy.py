@@ -30,7 +30,7 @@ def rasterize(solids: Solids, grid: GridSpec, origin: ArrayLike) -> Mask:
     never by sampling. On a `grid.hollow`, of the surface of a solid: a cube that lies deeper than
     `SLACK_M` in a solid does not touch it. Raises ValueError for an `origin` that is no point.
     """
-    occupancy = np.zeros(grid.shape, dtype=np.bool_)
+    occupancy = np.zeros(grid.shape, bool)
     origin = finite("origin", origin, 3)
     fill = _fill_shells if grid.hollow else _fill_primitives
     fill(

@@ -134,7 +134,7 @@ def owners(solids: Solids, occupancy: Mask, grid: GridSpec, origin: ArrayLike) -
     It is the geom whose filled solid lies nearest to the voxel's centre, at 0 where it holds the
     centre; of several at the same distance the one with the lowest number.
     """
-    origin, voxel_m = np.asarray(origin, dtype=np.float64), grid.voxel_m
+    origin, voxel_m = np.asarray(origin, float), grid.voxel_m
     # a cube that a solid touches has its centre no farther off
     reach = 0.5 * math.sqrt(3.0) * voxel_m + 2 * SLACK_M
     # less than any distance where nothing is, so that no geom claims it
@@ -147,7 +147,7 @@ def owners(solids: Solids, occupancy: Mask, grid: GridSpec, origin: ArrayLike) -
         triangles = solids.triangles[solids.mesh_start[mesh] : solids.mesh_start[mesh + 1]]
         _claim_triangles(triangles, geom, reach, origin, voxel_m, nearest, owner)
         if filled:
-            held = np.zeros(grid.shape, np.bool_)
+            held = np.zeros(grid.shape, bool)
             inside_columns(triangles, origin, voxel_m, held)
             held &= (nearest > 0.0) | ((nearest == 0.0) & (geom < owner))
             nearest[held], owner[held] = 0.0, geom

@@ -167,7 +167,7 @@ def _world(model: mujoco.MjModel, mjcf: bytes, assets: Mapping[str, bytes], name
 def _flight_bounds(model: mujoco.MjModel, solids: Solids, name: str) -> Floats:
     """The document's own flight_bounds, or the box around all that is bounded in it."""
     if FLIGHT_BOUNDS in (model.numeric(n).name for n in range(model.nnumeric)):
-        data = np.asarray(model.numeric(FLIGHT_BOUNDS).data, dtype=np.float64)
+        data = np.asarray(model.numeric(FLIGHT_BOUNDS).data, float)
         small = data.size == 6 and (np.abs(data) <= MOST_LENGTH_M).all()
         if not (small and (data[:3] < data[3:]).all()):
             raise SceneError(

@@ -22,7 +22,7 @@ side."""
 
 def scan_of(rays, ranges, position=(0.0, 0.0, 0.0), max_range_m=10.0):
     """A scan with given world directions (n, 3), made unit, and ranges (n,)."""
-    rays = np.array(rays, dtype=np.float64)
+    rays = np.array(rays, np.float64)
     rays = reference.unit(rays / np.abs(rays).max(axis=-1, keepdims=True))
     table = np.pad(rays, ((0, 0), (0, 1)))[:, None]  # all at once
     lidar = BeamTable(rays=table, max_range_m=max_range_m)

@@ -179,7 +179,7 @@ def at_features(rng, count):
 @pytest.mark.parametrize("name", PROCESSORS)
 def test_one_solid_of_any_size_from_anywhere(name, kind):
     rng = np.random.default_rng(sum(map(ord, kind)))
-    total = np.zeros(3, dtype=int)
+    total = np.zeros(3, int)
     for n in range(16):
         size = np.exp(rng.uniform(np.log(LEAST_M), np.log(MOST_M), SIZES.get(kind, 3)))
         if rng.random() < 0.5:  # as long as wide, or almost
@@ -195,7 +195,7 @@ def test_one_solid_of_any_size_from_anywhere(name, kind):
 def test_solids_that_share_surfaces(name):
     """On a floor: faces in faces, balls and rounds that touch them, a twin, one inside another."""
     rng = np.random.default_rng(5)
-    total = np.zeros(3, dtype=int)
+    total = np.zeros(3, int)
     for n, scale in enumerate(np.geomspace(LEAST_M, MOST_M / 3, 16)):
         geoms = [
             Geom(kind, tuple(scale * np.array(size)), tuple(scale * np.array(place)))

@@ -118,7 +118,7 @@ def test_geoms_and_materials_of_alpha_zero_are_not_seen(name, colliding):
         for side, (look, _) in looks.items()
     ]
     behind = [Geom("sphere", (0.5,), tuple(5.0 * np.array(side))) for side in looks]
-    rays = np.array(list(looks), dtype=np.float64)
+    rays = np.array(list(looks), np.float64)
     for geoms, beyond in ((walls + behind, 4.5), (walls, np.inf)):
         engine = made(name, model_of(geoms, assets=materials))
         expected = [1.5 if seen else beyond for _, seen in looks.values()]

@@ -202,11 +202,11 @@ def test_what_cannot_be_ends_in_a_line(asked, options, said):
 
 def test_an_index_that_is_none_ends_in_a_line():
     stream = scenegen.stream("pillar", samples=9)
-    for wrong in (-1, 9, 10**30):
-        with pytest.raises(IndexError, match=r"sample -?\d+: expected 0 to 8$"):
+    for wrong in (-10, 9, 10**30):
+        with pytest.raises(IndexError, match=r"has no sample -?\d+$"):
             stream[wrong]
     for wrong in (0.5, "1", None):
-        with pytest.raises(TypeError, match=r"expected a whole number$"):
+        with pytest.raises(TypeError, match="as an integer$"):
             stream[wrong]  # type: ignore[call-overload]
     assert stream[5:4] == []
     assert len(stream) == 9

@@ -451,7 +451,7 @@ def test_a_triangle_on_the_voxels_own_lattice_touches_what_the_test_of_each_cube
     for _ in range(count):
         triangle = rng.integers(-2, 14, (3, 3)) / 2 + rng.choice([0, 0, -1, 1.05], 3) * slack
         triangle[2] = triangle[2 - rng.integers(3)]
-        found, expected = np.zeros((2, 6, 6, 6), np.bool_)
+        found, expected = np.zeros((2, 6, 6, 6), bool)
         _fill_surface(triangle[None], np.zeros(3), 1.0, found)
         for i in np.ndindex(found.shape):
             expected[i] = triangle_touches(*triangle, *np.add(i, 0.5), 0.5, slack)

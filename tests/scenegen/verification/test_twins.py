@@ -52,7 +52,7 @@ def test_no_near_twin_is_missed():
 
 
 def test_a_floor_alone_makes_no_twins():
-    floor = np.zeros((20, 20, 10), np.bool_)
+    floor = np.zeros((20, 20, 10), bool)
     floor[:, :, :4] = True
     one, other = floor.copy(), floor.copy()
     one[3:6, 3:6, 4:8] = True
