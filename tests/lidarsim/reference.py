@@ -34,7 +34,7 @@ way."""
 
 def rotation(quaternion_wxyz):
     """The rotation of a (w, x, y, z) quaternion; scipy orders it (x, y, z, w)."""
-    w, x, y, z = np.asarray(quaternion_wxyz, np.float64)
+    w, x, y, z = np.asarray(quaternion_wxyz, float)
     return Rotation.from_quat([x, y, z, w])
 
 

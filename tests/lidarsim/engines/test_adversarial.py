@@ -192,9 +192,8 @@ def test_one_solid_of_any_size_from_anywhere(name, kind):
 
 
 @pytest.mark.parametrize("name", PROCESSORS)
-def test_solids_that_share_surfaces(name):
+def test_solids_that_share_surfaces(name, rng):
     """On a floor: faces in faces, balls and rounds that touch them, a twin, one inside another."""
-    rng = np.random.default_rng(5)
     total = np.zeros(3, int)
     for n, scale in enumerate(np.geomspace(LEAST_M, MOST_M / 3, 16)):
         geoms = [
@@ -242,10 +241,9 @@ def random_mesh(rng, scale):
 
 
 @pytest.mark.parametrize("shape", ["mesh", "hfield"])
-def test_no_ray_leaks_out_of_a_closed_surface(shape):
+def test_no_ray_leaks_out_of_a_closed_surface(shape, rng):
     """From within, rays at its corners, at the middles of its edges, and anywhere on these, all
     meet it: small and large, near and 900 km from the world's origin."""
-    rng = np.random.default_rng(3)
     cast = 0
     for scale, place in ((LEAST_M, 0.0), (1.0, 0.0), (1.0, 100.0), (1.0, FAR_M), (300.0, FAR_M)):
         mesh = random_mesh(rng, scale)
