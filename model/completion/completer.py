@@ -34,7 +34,6 @@ from scenegen.model.config import BUNDLED, DEFAULT_NETWORK, bundled, split_own, 
 from scenegen.model.inputs import PointScan, channels, input_called
 from scenegen.model.network import Batch, Output, placed
 from scenegen.model.onnx import load_onnx
-from scenegen.model.training.device import choose_device
 from scenegen.sample import Sample
 from scenegen.worlds.mapping import Mapper
 
@@ -97,8 +96,8 @@ class Completer:
         says so.
 
         At most `batch` maps are completed at once, on `threads` threads of the processor, 0 for
-        all. Raises CheckpointError where there is none, or it is damaged, and TrainingError for a
-        device that is not here.
+        all. Raises CheckpointError where there is none, or it is damaged, and for a device that is
+        not here.
         """
         path, (own, plain) = locate(name), split_own(name)
         if path.suffix == ".onnx":
@@ -106,8 +105,10 @@ class Completer:
             grid, about, inputs = found.grid, found.about, found.config.inputs
         else:
             network, grid, about = load_network(path, own)
-            inputs, device = network.config.inputs, choose_device(str(device))
-            placed(network, device)
+            inputs = network.config.inputs
+            unfit = RuntimeError, AssertionError
+            with raised_as(CheckpointError, f"device {device}: ", "; give cpu", of=unfit):
+                placed(network, device)
 
             def run(maps: Batch) -> Output:
                 return Output(*network({name: values.to(device) for name, values in maps.items()}))
