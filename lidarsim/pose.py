@@ -80,8 +80,11 @@ def chained(parent: Pose, child: Pose) -> Pose:
 
 
 def rotate(quaternion: ArrayLike, vectors: ArrayLike) -> Floats:
-    """`vectors` (..., 3) turned by the unit `quaternion` (4,), w x y z."""
+    """`vectors` (..., 3) turned by the unit `quaternion` (4,), w x y z. Raises ValueError for
+    arrays of other shapes, such as points with an intensity."""
     given = np.ascontiguousarray(vectors, float).view()
+    if given.shape[-1:] != (3,):
+        raise ValueError(f"vectors of shape {given.shape}, expected (..., 3)")
     # the kernel is compiled once, for what may be written to and for what may not
     given.setflags(write=False)
     turned = np.empty(given.shape)

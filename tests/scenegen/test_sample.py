@@ -41,6 +41,6 @@ def test_samples_and_splits_say_what_they_are(dataset):
         assert html.escape(repr(value)) in said
     texts = split._repr_html_(), split[0]._repr_html_()
     assert all(f"<td>{name}</td>" in text for text in texts for name in GROUPS[""])
-    assert set(GROUPS[""]) < set(dir(split[1])), "before any is read"
+    assert set(GROUPS[""]) < set(dir(split[1]))
     with pytest.raises(ValueError, match="expected 'world' or 'body'"):
         split[1].points(frame="sensor")  # type: ignore[arg-type]

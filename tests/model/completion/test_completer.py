@@ -59,7 +59,7 @@ def test_what_goes_in_decides_what_comes_out(tmp_path, observed):
         assert_allclose(single.tudf, batch.tudf[2], atol=1e-5)
     torch.set_num_threads(2)
     assert_allclose(copy.deepcopy(completer)(observed).tudf, batch.tudf, atol=1e-5)
-    assert torch.get_num_threads() == 2, "though a copy computes on one"
+    assert torch.get_num_threads() == 2
     torch.set_num_threads(1)
     tensor = completer(torch.from_numpy(observed))
     assert isinstance(tensor.occupancy_probability, torch.Tensor)
