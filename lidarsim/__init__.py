@@ -47,28 +47,32 @@ __all__ = [
 
 
 _PLACES = {
-    "attach": ("Attached", "attach"),
-    "engines": ("Engine",),
-    "engines.analytic": ("AnalyticEngine",),
-    "engines.mujoco": ("MujocoEngine",),
-    "fusion": ("Fusion",),
-    "grid": ("GridSpec",),
-    "pose": ("Pose",),
-    "scan": ("Scan", "cast"),
-    "sensors": ("Sensor",),
-    "sensors.raster": ("Lidar",),
-    "sensors.table": ("BeamTable",),
-    "voxelize": ("ObservedGrid", "fuse", "voxelize"),
+    "attach": "Attached attach",
+    "engines": "Engine",
+    "engines.analytic": "AnalyticEngine",
+    "engines.mujoco": "MujocoEngine",
+    "fusion": "Fusion",
+    "grid": "GridSpec",
+    "pose": "Pose",
+    "scan": "Scan cast",
+    "sensors": "Sensor",
+    "sensors.raster": "Lidar",
+    "sensors.table": "BeamTable",
+    "voxelize": "ObservedGrid fuse voxelize",
 }
+
+
+def __dir__() -> list[str]:
+    return __all__
 
 
 def __getattr__(name: str) -> Any:
     """What `__all__` lists, imported when it is first asked for: the command line needs
     `lidarsim.parameters` alone, without numpy and MuJoCo."""
     for module, names in _PLACES.items():
-        if name in names:
+        if name in names.split():
             found = importlib.import_module(f"lidarsim.{module}")
             # of `voxelize`, the function stays
-            globals().update({each: getattr(found, each) for each in names})
+            globals().update({each: getattr(found, each) for each in names.split()})
             return globals()[name]
     raise AttributeError(f"module 'lidarsim' has no attribute {name!r}")

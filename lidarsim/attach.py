@@ -44,6 +44,8 @@ def attach(
     not have, for counts that do not fit, and as `ModelSolids` does.
     """
     offsets = [offset] if isinstance(offset, Pose) else list(offset)
+    if not all(isinstance(one, Pose) for one in offsets):
+        raise ValueError(f"attach: offset = {offset}: expected a Pose, or several")
     names = [body] if isinstance(body, str) else list(body)
     count = max(len(offsets), len(names))
     if {len(offsets), len(names)} - {1, count}:
@@ -134,15 +136,16 @@ class Attached:
         return self.scans(data)[0]
 
     def observe(
-        self, data: mujoco.MjData, noise: Noise, *, rng: np.random.Generator
+        self, data: mujoco.MjData, noise: Noise | str, *, rng: np.random.Generator
     ) -> tuple[Returns, ...]:
-        """What the M sensors return with `noise`, each by a stream of its own. Raises ValueError as
-        stages do."""
+        """What the M sensors return with `noise`, or the chain of that text, each by a stream of
+        its own. Raises ValueError as stages and `Noise.parse` do."""
+        chain = Noise.parse(noise, self.sensor)
         scans, engine, albedo = self.scans(data), self._engine, albedo_of(self._model)
         assert engine is not None
         past = [_past(engine, int(carrier)) for carrier in self._through]
         return tuple(
-            noise.observe(scan, one, rng=stream, albedo=albedo)
+            chain.observe(scan, one, rng=stream, albedo=albedo)
             for scan, one, stream in zip(scans, past, rng.spawn(len(scans)), strict=True)
         )
 

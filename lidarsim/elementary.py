@@ -27,7 +27,7 @@ TERMS = 28
 def sin_cos(angle: ArrayLike) -> tuple[Floats, Floats]:
     """Sine and cosine of angles (...) in radians, up to 10^9 in magnitude; NaN for what is not
     finite."""
-    given = np.asarray(angle, dtype=np.float64)
+    given = np.asarray(angle, float)
     sine, cosine = np.empty(given.shape), np.empty(given.shape)
     _sin_cos(np.ravel(given), sine.reshape(-1), cosine.reshape(-1))
     return sine, cosine
@@ -44,7 +44,7 @@ def log(value: ArrayLike) -> Floats:
 
 
 def _each(fill: Callable[..., None], value: ArrayLike) -> Floats:
-    given = np.asarray(value, dtype=np.float64)
+    given = np.asarray(value, float)
     result = np.empty(given.shape)
     fill(np.ravel(given), result.reshape(-1))
     return result

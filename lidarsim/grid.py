@@ -22,6 +22,15 @@ MOST_REACH = 1000
 """Voxels in the truncation: its square, counted in voxels, then fits 32 bits twice over."""
 
 
+def finite(what: str, given: ArrayLike, size: int) -> Floats:
+    """A copy of `given`, (size,). Raises ValueError, which says `what` it is, for anything but so
+    many finite numbers."""
+    value = np.array(given, float)
+    if value.shape != (size,) or not np.isfinite(value).all():
+        raise ValueError(f"{what} = {value} must be {size} finite numbers")
+    return value
+
+
 @dataclass(frozen=True, kw_only=True)
 class GridSpec:
     """An axis-aligned grid of cubic voxels, x y z in that order, z up.
@@ -52,16 +61,16 @@ class GridSpec:
     @property
     def extent_m(self) -> Floats:
         """Edge lengths of the whole grid, (3,), metres."""
-        return np.array(self.shape, dtype=np.float64) * self.voxel_m
+        return np.array(self.shape, float) * self.voxel_m
 
     def origin_at(self, position: ArrayLike) -> Floats:
         """Least corner, (3,) in the world, of the grid centred on `position` (3,)."""
-        return np.asarray(position, dtype=np.float64) - self.extent_m / 2
+        return np.asarray(position, float) - self.extent_m / 2
 
     def index(self, points: ArrayLike, origin: ArrayLike) -> Ints:
         """Indices (..., 3) of the voxels that hold `points` (..., 3), world metres; they may lie
         outside the grid."""
-        relative = np.asarray(points, dtype=np.float64) - np.asarray(origin, dtype=np.float64)
+        relative = np.asarray(points, float) - np.asarray(origin, float)
         return np.floor(relative / self.voxel_m).astype(np.int64)
 
     def centres(self, origin: ArrayLike) -> Floats:
@@ -69,4 +78,4 @@ class GridSpec:
         steps = np.stack(
             np.meshgrid(*(np.arange(n) + 0.5 for n in self.shape), indexing="ij"), axis=-1
         )
-        return np.asarray(origin, dtype=np.float64) + steps * self.voxel_m
+        return np.asarray(origin, float) + steps * self.voxel_m

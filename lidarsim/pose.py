@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lidarsim.elementary import sin_cos
-from lidarsim.grid import Floats
+from lidarsim.grid import Floats, finite
 from lidarsim.jit import kernel
 
 
@@ -24,9 +24,7 @@ class Pose:
 
     def __post_init__(self) -> None:
         for name, size in (("position", 3), ("quaternion", 4)):
-            value = np.array(getattr(self, name), dtype=np.float64)
-            if value.shape != (size,) or not np.isfinite(value).all():
-                raise ValueError(f"pose: {name} = {value} must be {size} finite numbers")
+            value = finite(f"pose: {name}", getattr(self, name), size)
             value.setflags(write=False)
             object.__setattr__(self, name, value)
         length = float(np.sqrt((self.quaternion**2).sum()))
@@ -43,7 +41,7 @@ class Pose:
         """A body held level, turned by `yaw_rad` about the vertical, counter-clockwise seen from
         above."""
         sine, cosine = sin_cos(0.5 * yaw_rad)
-        return cls(np.asarray(position, dtype=np.float64), np.array([cosine, 0.0, 0.0, sine]))
+        return cls(np.asarray(position, float), np.array([cosine, 0.0, 0.0, sine]))
 
     @classmethod
     def facing(cls, position: ArrayLike, direction: ArrayLike) -> "Pose":
@@ -52,14 +50,14 @@ class Pose:
         The half-angle formulas give the quaternion by square roots, without an angle, so with the
         same bits on every processor. Raises ValueError for a direction without length.
         """
-        x, y = (float(part) for part in np.asarray(direction, dtype=np.float64))
+        x, y = (float(part) for part in np.asarray(direction, float))
         length = math.sqrt(x * x + y * y)
         if not 0.0 < length < math.inf:
             raise ValueError(f"pose: direction = [{x:g}, {y:g}], expected a finite length above 0")
         large = math.sqrt(0.5 + 0.5 * abs(x) / length)
         small = 0.5 * y / length / large
         w, z = (large, small) if x >= 0.0 else (abs(small), math.copysign(large, y))
-        return cls(np.asarray(position, dtype=np.float64), np.array([w, 0.0, 0.0, z]))
+        return cls(np.asarray(position, float), np.array([w, 0.0, 0.0, z]))
 
     def to_body(self, points: Floats) -> Floats:
         """Points (..., 3) of the world, metres, in the body's frame."""
@@ -82,12 +80,15 @@ def chained(parent: Pose, child: Pose) -> Pose:
 
 
 def rotate(quaternion: ArrayLike, vectors: ArrayLike) -> Floats:
-    """`vectors` (..., 3) turned by the unit `quaternion` (4,), w x y z."""
-    given = np.ascontiguousarray(vectors, dtype=np.float64).view()
+    """`vectors` (..., 3) turned by the unit `quaternion` (4,), w x y z. Raises ValueError for
+    arrays of other shapes, such as points with an intensity."""
+    given = np.ascontiguousarray(vectors, float).view()
+    if given.shape[-1:] != (3,):
+        raise ValueError(f"vectors of shape {given.shape}, expected (..., 3)")
     # the kernel is compiled once, for what may be written to and for what may not
     given.setflags(write=False)
     turned = np.empty(given.shape)
-    _rotate(np.array(quaternion, dtype=np.float64), given.reshape(-1, 3), turned.reshape(-1, 3))
+    _rotate(np.array(quaternion, float), given.reshape(-1, 3), turned.reshape(-1, 3))
     return turned
 
 

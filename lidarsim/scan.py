@@ -15,12 +15,21 @@ from lidarsim.sensors import Sensor
 @dataclass(frozen=True, eq=False)
 class Scan:
     """What a LiDAR at a pose returned. `ranges` alone is measured: everything else about the rays
-    follows."""
+    follows. Raises ValueError for ranges that are not a number from 0 on, or inf, for each ray."""
 
     ranges: Field
     """(*lidar.shape), metres along each ray; ``inf`` where nothing returned."""
     pose: Pose
     lidar: Sensor
+
+    def __post_init__(self) -> None:
+        shape, expected = np.shape(self.ranges), tuple(self.lidar.shape)
+        if shape != expected:
+            raise ValueError(f"scan: ranges of shape {shape}, expected {expected}, as its sensor's")
+        if not (np.asarray(self.ranges) >= 0).all():
+            raise ValueError(
+                "scan: ranges below 0, or NaN; expected metres, or inf where nothing returned"
+            )
 
     @property
     def directions(self) -> Floats:

@@ -5,11 +5,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from lidarsim.elementary import log
 from lidarsim.engines.voxels import enter, slab
 from lidarsim.fusion import Fusion
-from lidarsim.grid import Floats, GridSpec, Mask
+from lidarsim.grid import Floats, GridSpec, Mask, finite
 from lidarsim.jit import kernel
 from lidarsim.scan import Scan
 
@@ -34,28 +35,28 @@ class ObservedGrid:
 
 def unknown_grid(grid: GridSpec, origin: Floats) -> ObservedGrid:
     """A grid of which nothing is known yet."""
-    observed, free = np.zeros((2, *grid.shape), dtype=np.bool_)
+    observed, free = np.zeros((2, *grid.shape), bool)
     return ObservedGrid(observed, free, origin)
 
 
-def voxelize(scan: Scan, grid: GridSpec, origin: Floats | None = None) -> ObservedGrid:
+def voxelize(scan: Scan, grid: GridSpec, origin: ArrayLike | None = None) -> ObservedGrid:
     """Sort a scan into `grid`, centred on the sensor unless its least corner `origin` (3,) is
     given.
 
     Returns outside the grid are dropped; the rays that led to them still clear the voxels on their
     way. Free space is found by walking every ray from voxel boundary to voxel boundary (Amanatides
-    and Woo 1987), not by sampling.
+    and Woo 1987), not by sampling. Raises ValueError for an `origin` that is no point.
     """
     position = scan.pose.position
-    origin = grid.origin_at(position) if origin is None else np.asarray(origin, dtype=np.float64)
+    corner = finite("origin", grid.origin_at(position) if origin is None else origin, 3)
     directions = scan.directions.reshape(-1, 3)
-    found = unknown_grid(grid, origin)
+    found = unknown_grid(grid, corner)
     _walk(
         position,
         directions,
         scan.ranges.reshape(-1),
         scan.lidar.max_range_m,
-        origin,
+        corner,
         grid.voxel_m,
         found.observed,
         found.free,
@@ -64,7 +65,7 @@ def voxelize(scan: Scan, grid: GridSpec, origin: Floats | None = None) -> Observ
 
 
 def fuse(
-    scans: Sequence[Scan], grid: GridSpec, origin: Floats, fusion: Fusion | None = None
+    scans: Sequence[Scan], grid: GridSpec, origin: ArrayLike, fusion: Fusion | None = None
 ) -> ObservedGrid:
     """Sort several scans, in the order in which they were made, into the `grid` with least corner
     `origin` (3,).
@@ -74,7 +75,7 @@ def fuse(
     raises those of the voxels that it observes and lowers those that it finds free, within bounds;
     a voxel that no scan met stays unknown. Only a voxel with a return can be observed, whatever the
     parameters, because `Fusion.occupied` is at least one half. Raises ValueError where there is no
-    scan.
+    scan, and for an `origin` that is no point.
     """
     if not scans:
         raise ValueError("no scans to fuse; expected one at least")
@@ -89,14 +90,14 @@ def fuse(
         return found
     given = np.array([rule.hit, rule.miss, rule.least, rule.most, rule.occupied])
     hit, miss, least, most, occupied = (log(given) - log(1.0 - given)).tolist()
-    odds, met = np.zeros(grid.shape), np.zeros(grid.shape, np.bool_)
+    odds, met = np.zeros(grid.shape), np.zeros(grid.shape, bool)
     for one in seen:
         _weigh(
             one.observed.reshape(-1), one.free.reshape(-1), odds.reshape(-1), hit, miss, least, most
         )
         met |= one.observed | one.free
     observed = met & (odds >= occupied)
-    return ObservedGrid(observed, met & ~observed, origin)
+    return ObservedGrid(observed, met & ~observed, seen[0].origin)
 
 
 @kernel
@@ -122,13 +123,13 @@ def sort_points(
     (N, 3), finite, in the frame of `origin`, metres. Those beyond `reach_m` clear the voxels up to
     it and mark none; a point at the sensor clears nothing. With `into`, what that grid's arrays say
     already stays, but that a voxel with a return is not free."""
-    rays = np.asarray(points, dtype=np.float64) - sensor
+    rays = np.asarray(points, float) - sensor
     ranges = np.sqrt((rays * rays).sum(axis=1))
     found = into or unknown_grid(grid, origin)
     there = ranges > 0
     directions = rays[there] / ranges[there, None]
     _walk(
-        np.asarray(sensor, np.float64),
+        np.asarray(sensor, float),
         directions,
         np.where(ranges > reach_m, np.inf, ranges)[there],
         reach_m,

@@ -1,6 +1,6 @@
 """Training and the bench in one call each: `scenegen.train` and `scenegen.bench`."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -103,14 +103,15 @@ def bench(
         ScenegenError: There is no such method, or two have one name.
     """
     config = BenchConfig(**settings)
-    every = [methods] if isinstance(methods, str) or not isinstance(methods, Iterable) else methods
     rows = rows_of(
-        [one if isinstance(one, str | Completer) else Completed(one) for one in every] or USUAL
+        [one if isinstance(one, str | Completer) else Completed(one) for one in _listed(methods)]
+        or USUAL
     )
     measured = [Dataset(locate(name)) for name in _listed(datasets)]
     check_rows(rows, measured, config.split)
+    execute = Local("", cores() if workers is None else workers)
     results = [
-        measure(dataset, rows, config, kind=kind, execute=Local("", workers or cores()))
+        measure(dataset, rows, config, kind=kind, execute=execute)
         for dataset, kind in tables_of(measured, config.split)
     ]
     return build_report(results, seed=config.seed, about={"split": config.split})
@@ -120,10 +121,10 @@ def _samples(given: Any, split: str) -> list[Samples]:
     """The samples of one split of all that is `given`."""
     if isinstance(given, Mapping):
         return opened({locate(name): weight for name, weight in given.items()}, split)
-    found = _listed(given)
+    found, named = _listed(given), (str, Path, Dataset)
     # all at once, so that two datasets that share samples are found
-    there = iter(opened([locate(one) for one in found if isinstance(one, str | Path)], split))
-    return [next(there) if isinstance(one, str | Path) else one for one in found]
+    there = iter(opened([locate(one) for one in found if isinstance(one, named)], split))
+    return [next(there) if isinstance(one, named) else one for one in found]
 
 
 def _listed(given: Any) -> Sequence[Any]:

@@ -135,7 +135,7 @@ class Calibration:
         """Distances that the truth falls below in a share `risk` of unknown voxels at most, of the
         shape of the predicted `distance`, metres: the bound of the greatest risk in the table that
         is no greater than `risk`. Raises UncertaintyError for a risk that is too small."""
-        margins = np.asarray(self.margins[self.row(risk)], dtype=np.float32)
+        margins = np.asarray(self.margins[self.row(risk)], np.float32)
         count = len(margins) // (len(self.chances) + 1)
         chance = None if probability is None else corrected(probability, self.class_weight)
         found = bins(distance, chance, self.step_m, self.chances, count)
@@ -176,7 +176,7 @@ def corrected(probability: Field, class_weight: float) -> Field:
     saying p = w q / (w q + 1 - q) of a voxel that is occupied with probability q.
     """
     p = probability.astype(np.float32)
-    return np.asarray(p / (p + np.float32(class_weight) * (1 - p)), dtype=np.float32)
+    return np.asarray(p / (p + np.float32(class_weight) * (1 - p)), np.float32)
 
 
 def denial(probability: Field, observed: Mask, class_weight: float) -> Any:

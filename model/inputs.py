@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
-from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.pose import rotate
 from lidarsim.scan import Scan
 from lidarsim.voxelize import fuse, sort_points
@@ -36,7 +35,7 @@ class PointScan:
     """
 
     points: Floats
-    """(N, 3): finite returns, metres, in a level frame."""
+    """(N, 3): returns within `MOST_LENGTH_M` of the origin, metres, in a level frame."""
     position: Floats
     """(3,): where the sensor is in that frame, metres."""
     grid: GridSpec
@@ -49,15 +48,13 @@ class PointScan:
     @cached_property
     def voxels(self) -> Ints:
         """(M, 3): the voxel of every point that lies in the map."""
-        # points farther away have no whole numbers
-        near = self.points[(np.abs(self.points) <= 2 * MOST_LENGTH_M).all(axis=1)]
-        index = self.grid.index(near, self.origin)
+        index = self.grid.index(self.points, self.origin)
         return index[((index >= 0) & (index < self.grid.shape)).all(axis=1)]
 
     @cached_property
     def observed(self) -> Mask:
         """(*grid.shape): the voxels of the points."""
-        observed = np.zeros(self.grid.shape, dtype=np.bool_)
+        observed = np.zeros(self.grid.shape, bool)
         observed[tuple(self.voxels.T)] = True
         return observed
 
@@ -71,7 +68,7 @@ class PointScan:
         """(*grid.shape): what lies beyond every return, to the map's end."""
         rays = self.points - self.position
         lengths = np.sqrt((rays * rays).sum(axis=1))
-        there = (lengths > 0) & (lengths < MOST_LENGTH_M)
+        there = lengths > 0
         extent, away = self.grid.extent_m, self.position - self.origin
         reach = float(np.linalg.norm(extent) + np.linalg.norm(away))
         ends = self.position + rays[there] * (reach / lengths[there, None])
@@ -178,14 +175,6 @@ def points_of(sample: Sample, grid: GridSpec, sensor: Any) -> PointScan | None:
     scan = PointScan(points=sample.points(sensor), position=sample.position, grid=grid)
     alone = sample.earlier_ranges is None and np.array_equal(scan.origin, sample.origin)
     return scan if alone else None
-
-
-def centres(observed: Mask, grid: GridSpec) -> PointScan:
-    """A scan that observes just the voxels `observed` (*grid.shape): a point at the centre of each,
-    metres from the map's centre, where the sensor is."""
-    middle = np.zeros(3)
-    points = grid.centres(grid.origin_at(middle))[observed]
-    return PointScan(points=points, position=middle, grid=grid)
 
 
 def turned(grid: NDArray[Any], symmetry: int) -> NDArray[Any]:

@@ -27,7 +27,7 @@ from lidarsim import GridSpec
 from scenegen.errors import ScenegenError
 from scenegen.files import Json
 from scenegen.model.config import LEVELS, NETWORKS, TASKS, VARIANTS, NetworkConfig, named
-from scenegen.run.workers import processor
+from scenegen.run.software import processor
 
 Batch = dict[str, Tensor]
 """A named batch, (B, *grid.shape) each: a network's inputs. In training, the true ``occupancy`` and

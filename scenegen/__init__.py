@@ -72,24 +72,24 @@ __all__ = [
 ]
 
 _MODULES = {
-    "scenegen.dataset.generation": ("generate",),
-    "scenegen.dataset.locate": ("load",),
-    "scenegen.dataset.read": ("Dataset",),
-    "scenegen.display.notebook": ("show",),
-    "scenegen.fly.environment": ("Flight",),
-    "scenegen.model.api": ("bench", "train"),
-    "scenegen.model.completion.completer": ("Completer",),
-    "scenegen.model.completion.protocol": ("Prediction",),
-    "scenegen.model.network": ("Output",),
-    "scenegen.model.training.data": ("collate",),
-    "scenegen.recipe": ("Recipe", "preset"),
-    "scenegen.recipes.kind": ("WorldKind",),
-    "scenegen.sample": ("Sample",),
-    "scenegen.source": ("read_world",),
-    "scenegen.streams.stream": ("stream",),
-    "scenegen.verification.folder": ("verify",),
-    "scenegen.worlds.flight": ("poses_in_flight",),
-    "scenegen.draw": ("scan_world",),
+    "scenegen.dataset.generation": "generate",
+    "scenegen.dataset.locate": "load",
+    "scenegen.dataset.read": "Dataset",
+    "scenegen.display.notebook": "show",
+    "scenegen.fly.environment": "Flight",
+    "scenegen.model.api": "bench train",
+    "scenegen.model.completion.completer": "Completer",
+    "scenegen.model.completion.protocol": "Prediction",
+    "scenegen.model.network": "Output",
+    "scenegen.model.training.data": "collate",
+    "scenegen.recipe": "Recipe preset",
+    "scenegen.recipes.kind": "WorldKind",
+    "scenegen.sample": "Sample",
+    "scenegen.source": "read_world",
+    "scenegen.streams.stream": "stream",
+    "scenegen.verification.folder": "verify",
+    "scenegen.worlds.flight": "poses_in_flight",
+    "scenegen.draw": "scan_world",
 }
 """Where each name of `__all__` stands. No module directly in this package may be called like one
 of them: importing it would put it in the name's place."""
@@ -103,7 +103,7 @@ def __getattr__(name: str) -> Any:
     from scenegen.errors import lacking
 
     for module, names in _MODULES.items():
-        if name in names:
+        if name in names.split():
             try:
                 found = getattr(import_module(module), name)
             except ModuleNotFoundError as error:
@@ -117,7 +117,7 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return __all__
 
 
 class _OnceImported:

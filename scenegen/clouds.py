@@ -301,7 +301,7 @@ def _unpack_las(content: bytes) -> Floats:
             raise ValueError(f"promises {count} points, expected {MOST_POINTS} at most")
         fields = _fields(set(file.header.point_format.dimension_names) | set("xyz"))
         parts = [
-            np.stack([np.asarray(chunk[name], np.float64) for name in fields], axis=1)
+            np.stack([np.asarray(chunk[name], float) for name in fields], axis=1)
             for chunk in file.chunk_iterator(LAS_CHUNK)
         ]
     points = np.concatenate([np.zeros((0, len(fields))), *parts])

@@ -18,6 +18,7 @@ from scenegen.errors import GenerationError, raised_as
 from scenegen.recipe import Recipe
 from scenegen.sample import Sample, earlier_fields
 from scenegen.source import Source
+from scenegen.tables import named_noise
 from scenegen.truth import distance_field
 from scenegen.worlds.flight import Viewpoints, fly, viewpoints
 from scenegen.worlds.labels import label_fields
@@ -216,7 +217,7 @@ def truth_of(world: AnyWorld, scan: Scan, recipe: Recipe) -> dict[str, np.ndarra
         recipe.grid, recipe.mapping.origin(recipe.grid, scan.pose)
     )
     if recipe.known is not None:
-        truth.setdefault("known", np.ones(recipe.grid.shape, np.bool_))
+        truth.setdefault("known", np.ones(recipe.grid.shape, bool))
         truth["ray_known"] = world.unknown_m(scan) <= recipe.known.most_unknown_m
     return truth
 
@@ -287,7 +288,7 @@ def scan_world(
     world: AnyWorld,
     lidar: Sensor,
     pose: Pose,
-    noise: Noise | None = None,
+    noise: Noise | str | None = None,
     *,
     seed: int | Sequence[int],
     engine: EngineFactory = AnalyticEngine.of,
@@ -298,16 +299,18 @@ def scan_world(
         world: The world, or the map of a real place.
         lidar: The sensor.
         pose: The pose of the body that holds the sensor.
-        noise: What becomes of the clean ranges; nothing by default.
+        noise: What becomes of the clean ranges, as a chain or as text such as
+            "range:0.02,dropout:0.05"; nothing by default.
         seed: What the noise is drawn by.
         engine: What casts the rays of a world of solids.
 
     Raises:
         GenerationError: A stage of the noise needs what the engine does not know.
+        RecipeError: The text describes no noise.
     """
     rng = np.random.default_rng(seed)
     caster = world.caster(engine)
-    return observed(cast(caster, lidar, pose), noise or Noise(), world.albedo, caster, rng)
+    return observed(cast(caster, lidar, pose), named_noise(noise, lidar), world.albedo, caster, rng)
 
 
 def scans_from(poses: Sequence[Pose], engine: Caster, lidar: Sensor) -> list[Scan]:

@@ -3,6 +3,7 @@ rest."""
 
 import hashlib
 import html
+import operator
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, fields
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from lidarsim import GridSpec, Pose, Scan, Sensor
 from lidarsim.grid import Field, Floats, Mask
+from scenegen.errors import short
 
 
 def _stored(
@@ -137,6 +139,9 @@ class Sample:
         value = known["_find"](self, name) if name in known["_names"] else None
         return known.setdefault(name, value)
 
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *FIELDS]
+
     def __getstate__(self) -> dict[str, Any]:
         return {item.name: getattr(self, item.name) for item in fields(self)}
 
@@ -161,7 +166,10 @@ class Sample:
 
         Raises:
             TypeError: The sensor is not known.
+            ValueError: There is no such frame.
         """
+        if frame not in ("world", "body"):
+            raise ValueError(f"frame = {frame!r}: expected 'world' or 'body'")
         own, *earlier = self.scans(lidar)
         if frame == "world":
             return np.concatenate([scan.points() for scan in (own, *earlier)])
@@ -210,12 +218,12 @@ class Sample:
         digest.update(np.packbits(self.observed).tobytes())
         digest.update(np.packbits(self.occupancy).tobytes())
         for name in ("ranges", "position", "quaternion", "origin", "world", "viewpoint"):
-            digest.update(np.asarray(getattr(self, name), dtype=FIELDS[name]["dtype"]).tobytes())
+            digest.update(np.asarray(getattr(self, name), FIELDS[name]["dtype"]).tobytes())
         for names in (names for group, names in GROUPS.items() if group):
             if getattr(self, names[0]) is not None:
                 digest = hashlib.sha256(digest.digest())
                 for name in names:
-                    values = np.asarray(getattr(self, name), dtype=FIELDS[name]["dtype"])
+                    values = np.asarray(getattr(self, name), FIELDS[name]["dtype"])
                     digest.update(values.tobytes())
         return digest.digest()
 
@@ -322,6 +330,13 @@ class Samples(Sequence[Sample]):
         if isinstance(index, slice):
             return self.__getitems__(range(*index.indices(len(self))))
         return self.__getitems__([index])[0]
+
+    def _checked(self, index: Any) -> int:
+        """The number of a sample, from 0 on. Raises TypeError and IndexError."""
+        number = operator.index(index)
+        if not -len(self) <= number < len(self):
+            raise IndexError(f"{self}: has no sample {short(number)}")
+        return number % len(self)
 
     def describe(self) -> dict[str, dict[str, Any]]:
         """What a sample holds: name of each field to its `dtype`, `shape`, `unit` and `meaning`."""

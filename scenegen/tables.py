@@ -100,7 +100,7 @@ def named_lidar(word: str) -> Sensor:
     return sensor_of(table, printable(path), path.parent)
 
 
-def named_noise(text: str | None, sensor: Sensor, where: str = "") -> Noise:
+def named_noise(text: str | Noise | None, sensor: Sensor, where: str = "") -> Noise:
     """The chain that `text` describes, see `Noise.parse`; none for None. Raises RecipeError, which
     begins with `where`."""
     with raised_as(RecipeError, where and f"{where} "):

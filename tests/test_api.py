@@ -1,7 +1,7 @@
 """What `scenegen` offers goes together: from a dataset that is made to one that is checked, shown
 and measured."""
 
-import inspect
+import json
 import shutil
 
 import numpy as np
@@ -9,21 +9,36 @@ import pytest
 
 import scenegen
 from scenegen.errors import DatasetError, ScenegenError
-from scenegen.model.config import USUAL
-from tests.command_line import ROOT, python
+from tests.command_line import ROOT, python, rows
 
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
     folder = tmp_path_factory.mktemp("api") / "d"
-    return scenegen.generate("pillar", n=2, val=0, test=2, out=folder, seed=3)
+    recipe = scenegen.preset("pillar")
+    return scenegen.generate(recipe=recipe, n=np.int64(2), val=0, test=2, out=folder, seed=3)
 
 
 def test_a_dataset_is_made_loaded_and_checked(dataset):
-    sample = scenegen.load(dataset.folder, "test")[0]
+    sample = scenegen.load(dataset, "test")[0]
     drawn = scenegen.stream("pillar", seed=3, split="test")[0]
     assert drawn.sha256() == sample.sha256()
     assert scenegen.verify(dataset.folder, quick=True).ok
+
+
+NONSENSE = """
+{"n": "5"}              → ^--n '5': expected a whole number
+{"val": 1000000000000}  → ^--val 10+: expected a whole number
+{"labels": "colour"}    → ^labels = 'colour': expected one of class
+{"workers": 0}          → ^--workers 0: expected a whole number from 1
+"""
+
+
+@pytest.mark.parametrize(("asked", "said"), rows(NONSENSE))
+def test_what_cannot_be_generated_leaves_nothing(asked, said, tmp_path):
+    with pytest.raises(ScenegenError, match=said):
+        scenegen.generate("pillar", **{"n": 2, "out": tmp_path / "d"} | json.loads(asked))
+    assert not (tmp_path / "d").exists()
 
 
 def test_samples_are_shown(dataset, tmp_path):
@@ -53,11 +68,13 @@ def test_methods_are_measured(dataset):
         name = "mine"
 
         def complete(self, observed, free, *, grid):
-            return scenegen.Prediction(occupancy_probability=np.float32(observed))
+            said = np.float32(observed)
+            observed[:] = free[:] = True  # which the other rows must not see
+            return scenegen.Prediction(occupancy_probability=said)
 
-    report = scenegen.bench(dataset.folder, Mine(), workers=1, trials=4)
-    assert 0 < report["reconstruction"]["pillar"]["mine"]["iou"]["mean"] < 1
-    assert inspect.signature(scenegen.bench).parameters["methods"].default == USUAL
+    report = scenegen.bench(dataset.folder, [Mine(), "returns"], workers=1, trials=4)
+    found = report["reconstruction"]["pillar"]
+    assert 0 < found["mine"]["iou"]["mean"] == found["returns"]["iou"]["mean"] < 1
     with pytest.raises(ScenegenError, match="two rows are called 'mine'"):
         scenegen.bench(dataset.folder, [Mine(), Mine()])
 

@@ -56,7 +56,7 @@ class AnalyticEngine:
         self._around = (np.empty(0),) * 3  # triangles, and the corners of their boxes
         self._take(solids)
         self._part = (
-            _by_item(solids, np.asarray(parts, dtype=np.int64))
+            _by_item(solids, np.asarray(parts, np.int64))
             if np.size(parts)
             else np.empty(0, np.int64)
         )
@@ -151,6 +151,8 @@ class AnalyticEngine:
     ) -> tuple[Floats, Ints]:
         """Ranges (P, n), and which item was met: a primitive's number, beyond those a triangle's,
         or -1."""
+        if not max_range_m >= 0:
+            raise ValueError(f"max_range_m = {max_range_m}: expected metres from 0 on")
         solids, tree = self._solids, self._hierarchy
         ranges, items = np.full(rays.shape[:2], np.inf), np.full(rays.shape[:2], -1)
         reach = min(float(max_range_m), np.finfo(np.float64).max)  # what is missed lies at infinity
@@ -238,9 +240,15 @@ def _by_item(solids: Solids, values: Ints) -> Ints:
 
 
 def _laid_out(origins: ArrayLike, directions: ArrayLike) -> tuple[Floats, Floats, tuple[int, ...]]:
-    """Origins (P, 3), directions (P, n, 3) and the shape (P, *shape) of what is asked for."""
+    """Origins (P, 3), directions (P, n, 3) and the shape (P, *shape) of what is asked for. Raises
+    ValueError for arrays of other shapes: the kernel would read beyond them."""
     # copies, for the kernel is compiled for arrays that can be written
-    starts = np.array(origins, dtype=np.float64, order="C")
-    vectors = np.array(directions, dtype=np.float64, order="C")
+    starts = np.array(origins, float, order="C")
+    vectors = np.array(directions, float, order="C")
     shape = vectors.shape[:-1]
+    if starts.shape[1:] != (3,) or vectors.shape != (len(starts), *shape[1:], 3):
+        raise ValueError(
+            f"origins of shape {starts.shape} and directions of {vectors.shape}; expected (P, 3) "
+            f"and (P, *shape, 3)"
+        )
     return starts, vectors.reshape(len(starts), math.prod(shape[1:]), 3), shape

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from lidarsim.grid import Floats
 from lidarsim.solids.model import check_forwarded, visible_geoms
 
-NEAR_ALONE = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
+NEAR_ALONE = np.array([1, 0, 0, 0, 0, 0], np.uint8)
 """The geom groups that rays see: in the engine's copy of a model, group 0 holds the geoms within
 range."""
 SPARE_M = 1e-6
@@ -50,10 +50,10 @@ class MujocoEngine:
     def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> Floats:
         """See `lidarsim.engines.Engine.cast`. Raises ValueError where the data were never
         forwarded, or hold places that are no numbers."""
-        starts = np.ascontiguousarray(origins, dtype=np.float64)
-        vectors = np.ascontiguousarray(directions, dtype=np.float64)
+        starts = np.ascontiguousarray(origins, float)
+        vectors = np.ascontiguousarray(directions, float)
         check_forwarded(self._model, self._data)
-        ranges = np.empty(vectors.shape[:-1], dtype=np.float64)
+        ranges = np.empty(vectors.shape[:-1], np.float64)
         # the cutoff alone drops geoms by their bounding spheres, which for tall ones reach far: a
         # third of the time
         lower, upper = _boxes(self._model, self._data)
@@ -79,8 +79,8 @@ class MujocoEngine:
         group 0."""
         shape = vectors.shape[:-1]
         count = int(np.prod(shape))
-        geoms = np.empty(count, dtype=np.int32)
-        distances = np.empty(count, dtype=np.float64)
+        geoms = np.empty(count, np.int32)
+        distances = np.empty(count, np.float64)
         mujoco.mj_multiRay(
             self._model,
             self._data,

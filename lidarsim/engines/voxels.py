@@ -31,7 +31,7 @@ class VoxelMap:
     @property
     def bounds(self) -> Floats:
         """(2, 3): the map's least and greatest corner in the world, metres."""
-        extent = np.array(self.states.shape, dtype=np.float64) * self.voxel_m
+        extent = np.array(self.states.shape, float) * self.voxel_m
         return np.stack([self.origin, self.origin + extent])
 
 
@@ -72,8 +72,8 @@ class VoxelEngine:
         """Whether a share of the rays of `most_share` at most crosses more metres of unknown space
         than `most_unknown_m`. It walks no farther than it must to say no; after a yes, `cross` has
         nothing to do."""
-        starts = np.array(origins, dtype=np.float64, order="C")
-        rays = np.array(directions, dtype=np.float64, order="C")
+        starts = np.array(origins, float, order="C")
+        rays = np.array(directions, float, order="C")
         shape, asked = rays.shape[:-1], (starts, rays, np.array(max_range_m))
         if not (self._last and all(map(np.array_equal, self._last, asked))):
             ranges, unknown = np.full(shape, np.inf), np.empty(shape)

@@ -42,11 +42,13 @@ class Noise:
                 )
 
     @classmethod
-    def parse(cls, text: str, sensor: Sensor | None = None) -> "Noise":
+    def parse(cls, text: "str | Noise", sensor: Sensor | None = None) -> "Noise":
         """The chain of a text such as ``divergence:3:returns=last,range:0.02``: stages by name, or
         a user's own as ``module:Object``, each with its values in the order of its fields, or by
-        name. ``datasheet`` stands for the noise that the `sensor` comes with. Raises ValueError, in
-        one line."""
+        name. ``datasheet`` stands for the noise that the `sensor` comes with. A chain is itself.
+        Raises ValueError, in one line."""
+        if isinstance(text, Noise):
+            return text
         stages: list[Stage] = []
         for part in text.split(","):
             if part.strip() == DATASHEET:

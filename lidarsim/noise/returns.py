@@ -128,7 +128,7 @@ def _by_origin(origins: Floats) -> list[tuple[Mask, Floats]]:
     """The rays that share an origin, as a mask (*shape), and that origin (3,)."""
     flat = origins.reshape(-1, 3)
     if (flat == flat[0]).all():
-        return [(np.ones(origins.shape[:-1], np.bool_), flat[0])]
+        return [(np.ones(origins.shape[:-1], bool), flat[0])]
     places, which = np.unique(flat, axis=0, return_inverse=True)
     which = which.reshape(origins.shape[:-1])
     return [(which == n, place) for n, place in enumerate(places)]

@@ -50,7 +50,7 @@ class BeamTable:
         given: Any = self.rays
         if isinstance(given, str | Path):
             given = _read_file(Path(given), self.sha256)
-        rays = np.array(given, dtype=np.float64)
+        rays = np.array(given, float)
         shape = rays.shape[:-1]
         if (
             rays.shape[-1:] != (4,)
@@ -116,7 +116,9 @@ class BeamTable:
     @cached_property
     def directions_body(self) -> Floats:
         """Unit vectors (*shape, 3) in the body frame."""
-        return np.ascontiguousarray(self.rays[..., :3])
+        directions = np.ascontiguousarray(self.rays[..., :3])
+        directions.setflags(write=False)
+        return directions
 
     @property
     def times_s(self) -> Floats:
@@ -194,6 +196,6 @@ def _maker(sensor: Sensor) -> str:
 
 def _numbers(values: ArrayLike, what: str) -> Floats:
     try:
-        return np.asarray(values, dtype=np.float64)
+        return np.asarray(values, float)
     except (TypeError, ValueError):
         raise ValueError(f"{what} is no array of numbers") from None

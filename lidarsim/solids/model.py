@@ -46,7 +46,7 @@ class ModelSolids:
             surface(int(model.geom_type[geom]), int(model.geom_dataid[geom])) for geom in self._bent
         ]
         self._start = np.cumsum([0, *(len(faces) for _, faces, _ in self._surfaces)])
-        self._filled = np.array([closed for *_, closed in self._surfaces], dtype=np.bool_)
+        self._filled = np.array([closed for *_, closed in self._surfaces], bool)
         self.geom = np.concatenate([self._plain, self._bent])
         """(n + m,): see `Solids.geom`."""
         self._triangles = np.empty((int(self._start[-1]), 3, 3))
@@ -174,7 +174,7 @@ def mesh_surface(model: mujoco.MjModel, mesh: int) -> tuple[Floats, Ints, bool]:
     )
     if not _is_closed(soup.faces) and soup.is_watertight:
         trimesh.repair.fix_winding(soup)
-    return np.asarray(soup.vertices), np.asarray(soup.faces, dtype=np.int64), _is_closed(soup.faces)
+    return np.asarray(soup.vertices), np.asarray(soup.faces, np.int64), _is_closed(soup.faces)
 
 
 def _is_closed(faces: Ints) -> bool:

@@ -6,30 +6,32 @@ prediction.occupancy_probability, prediction.tudf  # the same shape, float32; me
 """
 
 import re
-import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from lidarsim import Lidar, Sensor
-from lidarsim.grid import GridSpec, Mask
+from lidarsim.grid import GridSpec, Mask, finite
+from lidarsim.parameters import MOST_LENGTH_M
 from scenegen.dataset.locate import client_output, without_tokens
 from scenegen.dataset.manifest import differences
 from scenegen.dataset.parts import described, sensor_entry
 from scenegen.dataset.read import Split
-from scenegen.errors import DatasetError, needs, printable, raised_as
+from scenegen.errors import DatasetError, needs, printable, raised_as, whole_number
 from scenegen.files import Json, real_path
+from scenegen.limits import MOST_BATCH
 from scenegen.model.calibration import Calibration
 from scenegen.model.checkpoint import CheckpointError, load_network
 from scenegen.model.completion.protocol import Prediction, check_prediction
 from scenegen.model.config import BUNDLED, DEFAULT_NETWORK, bundled, split_own, unknown_network
-from scenegen.model.inputs import centres, channels, input_called
+from scenegen.model.inputs import PointScan, channels, input_called
 from scenegen.model.network import Batch, Output, placed
 from scenegen.model.onnx import load_onnx
 from scenegen.sample import Sample
@@ -59,8 +61,9 @@ class Completer:
         inputs: Sequence[str] = ("observed",),
         about: Json | None = None,
         batch: int = 8,
+        threads: int = 0,
     ):
-        self.grid = grid
+        self.grid, self._threads = grid, threads
         self.name = name
         """How the network is called in tables, in one line."""
         self.inputs = tuple(inputs)
@@ -71,7 +74,7 @@ class Completer:
             self.calibration = Calibration.of(self.about, grid)
             """What tells how sure a prediction is; None for a network that was not calibrated."""
         self._forward = forward
-        self.batch = batch
+        self.batch = whole_number("batch =", batch, 1, MOST_BATCH)
         """How many maps are completed at once, at most."""
         self.opened: tuple[str, str, int] | None = None
         """Name, device and batch, by which `opened_once` has it in other processes, if it came by
@@ -92,8 +95,9 @@ class Completer:
         is given as "my_net:Net@runs/mine": its module is then imported, and never because a file
         says so.
 
-        At most `batch` maps are completed at once; an .onnx file runs on `threads` threads, 0 for
-        all. Raises CheckpointError where there is none, or it is damaged.
+        At most `batch` maps are completed at once, on `threads` threads of the processor, 0 for
+        all. Raises CheckpointError where there is none, or it is damaged, and for a device that is
+        not here.
         """
         path, (own, plain) = locate(name), split_own(name)
         if path.suffix == ".onnx":
@@ -102,64 +106,86 @@ class Completer:
         else:
             network, grid, about = load_network(path, own)
             inputs = network.config.inputs
-            placed(network, device)
+            unfit = RuntimeError, AssertionError
+            with raised_as(CheckpointError, f"device {device}: ", "; give cpu", of=unfit):
+                placed(network, device)
 
             def run(maps: Batch) -> Output:
                 return Output(*network({name: values.to(device) for name, values in maps.items()}))
 
         said = printable(called(name, path))
-        made = cls(run, grid, name=said, inputs=inputs, about=about, batch=batch)
+        made = cls(run, grid, name=said, inputs=inputs, about=about, batch=batch, threads=threads)
         if not (plain.startswith(HUB) or plain in bundled()):
             name = "@".join(filter(None, (",".join(sorted(own)), str(path.absolute()))))
         made.opened = str(name), str(device), batch
         return made
 
-    def __call__(self, maps: Sample | Maps | Mapping[str, Maps]) -> Prediction:
+    def __repr__(self) -> str:
+        return f"<Completer: {self.name}, {', '.join(self.inputs)} on {self.grid}>"
+
+    def __call__(
+        self,
+        maps: Sample | Maps | Mapping[str, Maps],
+        *,
+        sensor: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> Prediction:
         """Complete one map, (*grid.shape), or a batch of them, (B, *grid.shape).
 
-        `maps` are a dataset's sample; or a named batch of the network's `inputs`; or the observed
-        voxels alone, from which other inputs are then derived as from a scan of points, one at the
-        centre of each, seen from the map's: less than a sample tells, completed worse, and warned
-        of. Numpy or torch, numbers 0 and 1 or bool where an input is binary. What comes back has
-        the same shape and is float32, numpy for numpy and torch for torch (on the same device);
+        `maps` are a dataset's sample; or a named batch of the network's `inputs`; or the points of
+        a scan, (N, 3), metres, in a level frame in which the `sensor` (3,) is the centre of the
+        map, NaN or inf where nothing returned; or, for a network that takes no more, the observed
+        voxels. Numpy or torch, numbers 0 and 1 or bool where an input is binary. What comes back
+        is float32 of the map's shape, torch for maps of torch (on the same device) and else numpy;
         distances are metres, at most the truncation; what the network's variant does not predict is
-        None. Raises ValueError where an input is missing, for another grid, or for values that an
-        input cannot hold; PredictionError where the network says NaN, or what is no probability or
-        distance.
+        None. Raises ValueError where an input is missing, for another grid, for values that an
+        input cannot hold, and where no point is in the map; PredictionError where the network says
+        NaN, or what is no probability or distance.
         """
-        if isinstance(maps, Sample):
-            batch: Mapping[str, Maps] = channels(self.inputs, maps, self.grid)
-        else:
-            batch = maps if isinstance(maps, Mapping) else self._derived(maps)
-        if missing := [name for name in self.inputs if name not in batch]:
-            raise ValueError(
-                f"{self.name} takes {', '.join(self.inputs)}; {', '.join(missing)} is not given"
+        with on_threads(self._threads):
+            batch = self._named(maps, sensor)
+            if missing := [name for name in self.inputs if name not in batch]:
+                raise ValueError(
+                    f"{self.name} takes {', '.join(self.inputs)}; {', '.join(missing)} is not "
+                    f"given: give all of them by name, a sample, or points"
+                )
+            given = {name: self._checked(name, batch[name]) for name in self.inputs}
+            shapes = {tuple(values.shape) for values in given.values()}
+            if len(shapes) > 1:
+                raise ValueError(
+                    f"{', '.join(self.inputs)} have shapes {sorted(shapes)}, expected one"
+                )
+            (shape,) = shapes
+            flat = {name: values.reshape(-1, *self.grid.shape) for name, values in given.items()}
+            split = [values.split(self.batch) for values in flat.values()]
+            parts = [
+                self._complete(dict(zip(flat, part, strict=True)))
+                for part in zip(*split, strict=True)
+            ]
+            joined = [
+                None if part[0] is None else torch.cat(part).reshape(shape)
+                for part in zip(*parts, strict=True)
+            ]
+            first = batch[self.inputs[0]]
+            probability, tudf = (
+                part
+                if part is None
+                else part.to(first.device)
+                if isinstance(first, Tensor)
+                else part.numpy(force=True)
+                for part in joined
             )
-        given = {name: self._checked(name, batch[name]) for name in self.inputs}
-        shapes = {tuple(values.shape) for values in given.values()}
-        if len(shapes) > 1:
-            raise ValueError(f"{', '.join(self.inputs)} have shapes {sorted(shapes)}, expected one")
-        (shape,) = shapes
-        flat = {name: values.reshape(-1, *self.grid.shape) for name, values in given.items()}
-        split = [values.split(self.batch) for values in flat.values()]
-        parts = [
-            self._complete(dict(zip(flat, part, strict=True))) for part in zip(*split, strict=True)
-        ]
-        joined = [
-            None if part[0] is None else torch.cat(part).reshape(shape)
-            for part in zip(*parts, strict=True)
-        ]
-        first = batch[self.inputs[0]] if isinstance(maps, Sample | Mapping) else maps
-        probability, tudf = (
-            part
-            if part is None
-            else part.to(first.device)
-            if isinstance(first, Tensor)
-            else part.numpy(force=True)
-            for part in joined
-        )
-        found = Prediction(probability, tudf, self.calibration, self.grid)
-        return check_prediction(found, shape, self.name)
+            found = Prediction(probability, tudf, self.calibration, self.grid)
+            return check_prediction(found, shape, self.name)
+
+    def _named(
+        self, maps: Sample | Maps | Mapping[str, Maps], sensor: ArrayLike
+    ) -> Mapping[str, Maps]:
+        """The inputs of what is to be completed, as far as they are known."""
+        if isinstance(maps, Sample):
+            return channels(self.inputs, maps, self.grid)
+        if getattr(maps, "ndim", 0) == 2:
+            return channels(self.inputs, self.scan_of(maps, sensor), self.grid)
+        return maps if isinstance(maps, Mapping) else {"observed": maps}
 
     def __reduce__(self) -> Any:
         return opened_once, self.opened
@@ -170,9 +196,8 @@ class Completer:
         It takes one thread: where many processes complete, each was forked, and a pool of threads
         would not survive.
         """
-        torch.set_num_threads(1)
         grid = split.dataset.grid
-        with raised_as(DatasetError):
+        with raised_as(DatasetError), on_threads(1):
             self.check_grid(grid)
             return self(channels(self.inputs, sample, grid, sample.lidar))
 
@@ -195,28 +220,28 @@ class Completer:
         not learn from; see the function `unlike`."""
         return sorted(filter(None, {unlike(self.name, self.about, *one) for one in settings}))
 
-    def _derived(self, observed: Maps) -> dict[str, Maps]:
-        """All inputs of maps of which the observed voxels alone are known."""
-        seen = self._checked("observed", observed)
-        if self.inputs == ("observed",):
-            return {"observed": observed}
-        warnings.warn(
-            f"{self.name} takes {', '.join(self.inputs)}, and derives what is not given from the "
-            "observed voxels, which say less; give it a sample, or all of these by name",
-            stacklevel=3,
-        )
-        flat = seen.reshape(-1, *self.grid.shape).bool().numpy(force=True)
-        found = [channels(self.inputs, centres(one, self.grid), self.grid) for one in flat]
-        return {
-            name: torch.from_numpy(np.stack([one[name] for one in found])).reshape(seen.shape)
-            for name in self.inputs
-        }
+    def scan_of(self, points: Any, sensor: ArrayLike) -> PointScan:
+        """The scan of points (N, 3), metres, seen from `sensor` (3,). What is farther than
+        `MOST_LENGTH_M`, or NaN, returned nothing. Raises ValueError where none is in the map."""
+        rows = np.asarray(points, float)
+        if rows.shape[1:] != (3,):
+            raise ValueError(f"points of shape {rows.shape}, expected (N, 3), metres")
+        here = finite("sensor", sensor, 3)
+        returned = rows[(np.abs(rows) <= MOST_LENGTH_M).all(axis=1)]
+        found = PointScan(points=returned, position=here, grid=self.grid)
+        if not len(found.voxels):
+            raise ValueError(
+                f"none of {len(rows)} points is in the map, {self.grid.extent_m.tolist()} m around "
+                f"the sensor at {here.tolist()}; give metres, and where the sensor is"
+            )
+        return found
 
     def _checked(self, name: str, maps: Maps) -> Tensor:
         """An input as a tensor, if it can be one."""
         try:
             given = (
-                maps if isinstance(maps, Tensor) else torch.from_numpy(np.ascontiguousarray(maps))
+                # a copy, for torch takes no arrays that cannot be written to
+                maps if isinstance(maps, Tensor) else torch.from_numpy(np.array(maps, order="C"))
             )
         except TypeError:
             said = (
@@ -248,11 +273,21 @@ class Completer:
         return probability, tudf
 
 
+@contextmanager
+def on_threads(count: int) -> Iterator[None]:
+    """While the block runs, torch computes on `count` threads, 0 for as many as before."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count or before)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
 @cache
 def opened_once(name: str, device: str, batch: int) -> Completer:
     """A network for a task of many, on one thread of a processor: each process opens it once, and
     by itself."""
-    torch.set_num_threads(1)
     return Completer.from_pretrained(name, device=device, batch=batch, threads=1)
 
 

@@ -110,7 +110,7 @@ class Prediction:
         if not isinstance(self.uncertainty, Calibration):
             return None
         probability, seen = _plain(self.occupancy_probability), _plain(observed)
-        return self.uncertainty.away(probability, seen.astype(np.bool_))
+        return self.uncertainty.away(probability, seen.astype(bool))
 
     def _as_given(self, values: Field | None) -> Any:
         """As torch, on their device, where the predictions are."""

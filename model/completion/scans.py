@@ -22,7 +22,7 @@ from scenegen.dataset.hdf5 import read_guarded
 from scenegen.dataset.shard import compress
 from scenegen.display.exchange.files import encode_points
 from scenegen.display.look import Guess, Look
-from scenegen.errors import DatasetError
+from scenegen.errors import DatasetError, raised_as
 from scenegen.files import check_ours, read_bounded, write_whole
 from scenegen.limits import MOST_SCAN_BYTES, MOST_VOXELS
 from scenegen.logs import LogScan
@@ -32,7 +32,7 @@ from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.predictions import PACKED, new_hdf5
 from scenegen.model.completion.protocol import PARTS, SURE, Prediction, check_prediction
 from scenegen.model.config import Thresholds
-from scenegen.model.inputs import PointScan, channels, input_called
+from scenegen.model.inputs import channels, input_called
 
 TRUTH = ("occupancy", "known")
 """What an observation of `scenegen ingest` has besides its scan: what the whole log tells."""
@@ -103,7 +103,7 @@ class Completed:
 def read_scan(path: Path, sensor: ArrayLike) -> Given:
     """The scan in a file, seen from `sensor` (3,); with the truth if it is an observation. Raises
     DatasetError for a file that is no scan, and for a position out of bounds."""
-    position = np.asarray(sensor, dtype=np.float64)
+    position = np.asarray(sensor, float)
     if not (np.abs(position) <= MOST_LENGTH_M).all():
         raise DatasetError(
             f"--sensor {position.tolist()}: expected metres within {MOST_LENGTH_M:g} of the origin"
@@ -144,25 +144,18 @@ def predict_scan(
     if out.suffix not in (".h5", ".ply"):
         raise DatasetError(f"{out}: expected a name that ends in .h5 or .ply")
     check_ours(out)
-    points = given.points
-    returned = points[np.isfinite(points).all(axis=1)]
-    seen = PointScan(points=returned, position=given.position, grid=completer.grid)
+    with raised_as(DatasetError, f"{given.name}: ", " (--sensor)"):
+        seen = completer.scan_of(given.points, given.position)
     untold = [input_called(name).untold for name in completer.inputs]
     done = partial(
         Completed,
         completer=completer.name,
-        points=len(points),
-        without=len(points) - len(returned),
+        points=len(given.points),
+        without=int((~np.isfinite(given.points)).any(axis=1).sum()),
         inside=len(seen.voxels),
-        height_m=height_above_returns(returned - given.position),
+        height_m=height_above_returns(seen.points - given.position),
         untold=tuple(filter(None, untold)),
     )
-    if not len(seen.voxels):
-        extent = " × ".join(f"{metres:g}" for metres in completer.grid.extent_m)
-        raise DatasetError(
-            f"{given.name}: {done(untold=())}; the map is {extent} m around the sensor "
-            f"at {given.position.tolist()}; give --sensor, and metres"
-        )
     maps = channels(completer.inputs, seen, seen.grid)
     prediction = completer(maps)
     occupied = prediction.occupied(thresholds)
@@ -217,7 +210,7 @@ def _completion(path: Path) -> Look:
     )
     try:
         with h5py.File(path, "r") as file:
-            origin, voxel_m = np.array(file.attrs["origin"], np.float64), float(file.attrs["voxel"])
+            origin, voxel_m = np.array(file.attrs["origin"], float), float(file.attrs["voxel"])
             names = [name for name in ("observed", *PARTS, *TRUTH) if name in file]
             shape, method = file[names[0]].shape, str(file.attrs["method"])
             if math.prod(shape) > MOST_VOXELS or not np.isfinite(origin).all():
@@ -238,7 +231,7 @@ def _completion(path: Path) -> Look:
             origin=origin,
             position=origin + grid.extent_m / 2,
             quaternion=np.array([1.0, 0.0, 0.0, 0.0]),
-            masks={name: maps[name].astype(np.bool_) for name in seen},
+            masks={name: maps[name].astype(bool) for name in seen},
             guesses=(guess,),
         )
     except Exception:  # h5py's errors share no base

@@ -6,7 +6,7 @@ from scipy import ndimage
 from lidarsim.grid import GridSpec, Mask
 from scenegen.model.completion.protocol import Prediction
 
-UPRIGHT = np.zeros((3, 3, 3), np.bool_)
+UPRIGHT = np.zeros((3, 3, 3), bool)
 UPRIGHT[1, 1] = True
 """A voxel's neighbours in its column."""
 

@@ -82,7 +82,9 @@ class Completed:
     def completion(self, sample: Sample, split: Split) -> Prediction:
         """See `Method.completion`. Raises PredictionError where the completer gives what is no
         prediction."""
-        found = self.completer.complete(sample.observed, sample.free, grid=split.dataset.grid)
+        # copies: a completer may write to what it is given, which the other rows are shown, too
+        maps = sample.observed.copy(), sample.free.copy()
+        found = self.completer.complete(*maps, grid=split.dataset.grid)
         return check_prediction(found, split.dataset.grid.shape, self.name)
 
 

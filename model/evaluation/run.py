@@ -72,7 +72,7 @@ class MethodResult:
         """A metric by its name: of every map, (N,), over a region of `reconstruction`, or of every
         trial, (trials,)."""
         if metric in PLAN_METRICS:
-            return np.array([PLAN_METRICS[metric].of(trial) for trial in self.trials], np.float64)
+            return np.array([PLAN_METRICS[metric].of(trial) for trial in self.trials], float)
         return self.reconstruction[:, region, [*METRICS].index(metric)]
 
 
@@ -213,7 +213,7 @@ def bench(
         config=config,
         worlds=np.array([one.world for one in found]),
         known_share=float(np.mean([one.known_share for one in found])),
-        trial_worlds=np.array([found[n].world for _, n in turns], dtype=np.int64),
+        trial_worlds=np.array([found[n].world for _, n in turns], np.int64),
         trial_places=tuple((found[n].number, turn) for turn, n in turns),
         excluded=sum((one.excluded for one in found), start=Counter()),
         methods={method.name: of_method(m) for m, method in enumerate(methods)},

@@ -70,7 +70,7 @@ def estimate(sums: ArrayLike, worlds: ArrayLike, of: Callable[[Floats], Floats])
     """
     _, member = np.unique(worlds, return_inverse=True)
     totals = np.zeros((member.max(initial=-1) + 1, np.shape(sums)[1]))
-    np.add.at(totals, member, np.asarray(sums, dtype=np.float64))
+    np.add.at(totals, member, np.asarray(sums, float))
     totals = totals[totals.any(axis=1)]
     count, whole = len(totals), totals.sum(axis=0)
     value = float(of(whole[None])[0])
@@ -95,7 +95,7 @@ def figure(values: ArrayLike, worlds: ArrayLike, scale: Scale = "amount") -> Jso
         ``high``, the 95 % interval of the mean, None of one world, which says nothing of others;
         and ``n``, the samples that have a value. Without any, all but ``n`` are None.
     """
-    values = np.asarray(values, dtype=np.float64)
+    values = np.asarray(values, float)
     held = np.isfinite(values)
     if not held.any():
         return {"mean": None, "std": None, "low": None, "high": None, "n": 0}
@@ -132,7 +132,7 @@ def paired_p(
     method is which is a coin toss in every world. Samples where either is NaN are left out; 1 where
     none differs.
     """
-    difference = np.asarray(first, dtype=np.float64) - np.asarray(second, dtype=np.float64)
+    difference = np.asarray(first, float) - np.asarray(second, float)
     held = np.isfinite(difference)
     if not held.any():
         return 1.0
@@ -145,7 +145,7 @@ def paired_p(
 
 def holm(p_values: ArrayLike) -> Floats:
     """P-values (m,) corrected for their number (Holm 1979)."""
-    given = np.asarray(p_values, dtype=np.float64)
+    given = np.asarray(p_values, float)
     order = np.argsort(given)
     stepped = np.maximum.accumulate(given[order] * (len(given) - np.arange(len(given))))
     corrected = np.empty_like(given)

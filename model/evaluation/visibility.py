@@ -49,7 +49,7 @@ def scored_voxels(sample: Sample, grid: GridSpec, tables: Mapping[str, Any]) -> 
     tops = sample.origin[2] + grid.voxel_m * np.arange(1, grid.shape[2] + 1)
     # a layer that ends at the underside does not count, however it is rounded
     layers = tops > bottom + 1e-6
-    known = np.ones(grid.shape, np.bool_) if sample.known is None else sample.known
+    known = np.ones(grid.shape, bool) if sample.known is None else sample.known
     return known & layers
 
 

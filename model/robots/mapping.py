@@ -86,7 +86,7 @@ class MappingRobot:
         self._forget()
         window = np.array(self.grid.shape)
         self._least = self._low - window // 2 - 2
-        self._known = np.zeros((2, *(window + self._fence.shape + 4)), np.bool_)
+        self._known = np.zeros((2, *(window + self._fence.shape + 4)), bool)
         """What was observed, and what is free, wherever the window may come; `_least` is the
         first voxel."""
 

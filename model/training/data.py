@@ -161,7 +161,7 @@ class Maps(Dataset):
         maps["tudf"] = distance_field(sample.occupancy, source.grid)
         if self.partly_known:
             known = getattr(sample, "known", None)
-            maps["known"] = np.ones(source.grid.shape, np.bool_) if known is None else known
+            maps["known"] = np.ones(source.grid.shape, bool) if known is None else known
             maps["certain"] = maps["tudf"] <= distance_field(~maps["known"], source.grid)
         turn = view % SYMMETRIES
         return {name: torch.from_numpy(turned(one, turn)) for name, one in maps.items()}

@@ -25,7 +25,6 @@ from scenegen.dataset.state import Plan, State
 from scenegen.errors import DatasetError, whole_number
 from scenegen.files import Json, remove_drafts
 from scenegen.limits import (
-    MOST_SAMPLES,
     MOST_SAMPLES_IN_SHARD,
     MOST_SEED,
     MOST_SHARDS,
@@ -76,10 +75,8 @@ def plan_dataset(
     `engine` names what casts the rays; see `lidarsim.engines.ENGINES`. Raises DatasetError for an
     engine that is not to be had, and for numbers beyond those that readers take.
     """
-    whole_number("--seed", seed, 0, MOST_SEED)
-    whole_number("--shard-samples", shard_samples, 1, MOST_SAMPLES_IN_SHARD)
-    for split, count in counts.items():
-        whole_number("--n" if split == "train" else f"--{split}", count, 0, MOST_SAMPLES)
+    seed = whole_number("--seed", seed, 0, MOST_SEED)
+    shard_samples = whole_number("--shard-samples", shard_samples, 1, MOST_SAMPLES_IN_SHARD)
     find_engine(engine)
     given = manifest.parameters(
         recipe,

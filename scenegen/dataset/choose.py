@@ -232,7 +232,7 @@ def _told(split: Split, number: int, choice: Choice, figures: Mapping[str, Float
     samples = split.first(number) + np.arange(len(places))
     values = dict(zip(NUMBERS, (samples, *split.numbers_in(number)), strict=True))
     values |= {name: column[samples] for name, column in figures.items()}
-    kept = np.ones(len(places), dtype=np.bool_)
+    kept = np.ones(len(places), bool)
     if choice.worlds:
         kept &= np.any(
             [
@@ -254,5 +254,5 @@ def _measured(
     number, rows = task
     samples = (split[split.first(number) + row] for row in rows.tolist())
     return number, np.array(
-        [all(c.holds(FIGURES[c.name](one)) for c in conditions) for one in samples], np.bool_
+        [all(c.holds(FIGURES[c.name](one)) for c in conditions) for one in samples], bool
     )

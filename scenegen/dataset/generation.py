@@ -19,8 +19,8 @@ from scenegen.dataset.locate import locate
 from scenegen.dataset.read import Dataset
 from scenegen.dataset.shard import ShardTask
 from scenegen.dataset.state import Plan
-from scenegen.errors import AskedError, RecipeError, SceneError, printable, short
-from scenegen.limits import MOST_SOURCES, MOST_WEIGHT
+from scenegen.errors import AskedError, RecipeError, SceneError, printable, short, whole_number
+from scenegen.limits import MOST_SAMPLES, MOST_SOURCES, MOST_WEIGHT
 from scenegen.recipe import Recipe, beside_file, make_recipe, preset, read_recipe
 from scenegen.recipes import kind_names
 from scenegen.sample import rng_of
@@ -52,9 +52,9 @@ def generate(
         out: Folder of the dataset; data/<kind> by default.
         workers: Processes of this machine that write shards.
         force: Replace another dataset in the folder.
-        options: Those of `plan_generation`: `val`, `test`, `scene`, `recipe`, `lidar`, `noise`,
-            `mapping`, `difficulty`, `labels`, `seed`, `engine`, `compact`, `shard_samples`,
-            `allow_unseen`.
+        options: Those of `scenegen.dataset.generation.plan_generation`, whose help says more:
+            `val`, `test`, `scene`, `recipe`, `lidar`, `noise`, `mapping`, `difficulty`, `labels`,
+            `seed`, `engine`, `compact`, `shard_samples`, `allow_unseen`.
 
     Returns:
         The dataset, opened.
@@ -77,7 +77,7 @@ def plan_generation(
     test: int | None = None,
     out: str | Path | None = None,
     scene: str | Path | None = None,
-    recipe: str | Path | None = None,
+    recipe: str | Path | Recipe | None = None,
     lidar: str | Sensor | None = None,
     noise: str | None = None,
     mapping: Mapping[str, Any] | None = None,
@@ -100,7 +100,7 @@ def plan_generation(
         scene: An MJCF file, a mesh, a map of a real place (.bt, .ot, .npz), or a folder of them, or
             a cloud of points that says where its sensor was, in place
             of random worlds.
-        recipe: A TOML file of what differs from the kind's preset.
+        recipe: A TOML file of what differs from the kind's preset, or a whole `Recipe`.
         lidar: The sensor, or its name; the recipe's by default.
         noise: Stages of noise, such as "range:0.02,dropout:0.05".
         mapping: Parameters of how maps are made.
@@ -124,7 +124,14 @@ def plan_generation(
     sensor = named_lidar(lidar) if isinstance(lidar, str) else lidar
     given: dict[str, Any] = {"lidar": sensor, "noise": noise}
     given |= {"mapping": mapping, "difficulty": difficulty}
-    if named == MIXED or (recipe is not None and is_mixed(Path(recipe))):
+    if isinstance(recipe, Recipe):
+        if named not in (None, recipe.kind) or any(given.values()):
+            raise AskedError(
+                f"a whole Recipe, of kind {recipe.kind}, says all but worlds from files; leave "
+                f"out a kind, {', '.join(given)}"
+            )
+        asked = recipe
+    elif named == MIXED or (recipe is not None and is_mixed(Path(recipe))):
         if named not in (None, MIXED):
             raise RecipeError(f"{recipe}: is of several kinds, not of {named}; leave --kind out")
         parts = read_components(None if recipe is None else Path(recipe), seed=seed, **given)
@@ -134,7 +141,7 @@ def plan_generation(
         ]
         counts = _counts(n, val, test, alone=False)
         return plan_mixed(_folder(out, MIXED), parts, seed=seed, counts=counts, **more)
-    if recipe is not None:
+    elif recipe is not None:
         asked = read_recipe(Path(recipe), named, **given)
     else:
         assert named is not None
@@ -153,10 +160,10 @@ def plan_generation(
         for line in source.notes:
             tell(line)
     elif asked.world is None:
-        raise RecipeError(f'{recipe}: kind "scene" needs the worlds, too: give a scene')
+        raise RecipeError('a recipe of kind "scene" needs the worlds, too: give a scene')
     else:
         source = DrawnWorlds(asked)
-    asked = dataclasses.replace(asked, labels=_labels(labels, source))
+    asked = dataclasses.replace(asked, labels=_labels(labels, source) or asked.labels)
     if isinstance(source, SceneWorlds):
         asked = source.suited(asked)
         if source.maps and more.get("engine", DEFAULT) != DEFAULT:
@@ -171,11 +178,13 @@ def plan_generation(
 
 
 def _counts(n: int, val: int | None, test: int | None, *, alone: bool) -> dict[str, int]:
-    """Samples of each split; those of the only world are all for training unless asked for."""
-    return {
-        "train": n,
-        "val": val if val is not None else 0 if alone else max(n // 10, 1),
-        "test": test if test is not None else 0 if alone else max(n // 5, 1),
+    """Samples of each split; those of the only world are all for training unless asked for. Raises
+    DatasetError for numbers beyond those that readers take."""
+    n = whole_number("--n", n, 0, MOST_SAMPLES)
+    usual = {"val": 0 if alone else max(n // 10, 1), "test": 0 if alone else max(n // 5, 1)}
+    return {"train": n} | {
+        split: usual[split] if count is None else whole_number(f"--{split}", count, 0, MOST_SAMPLES)
+        for split, count in (("val", val), ("test", test))
     }
 
 

@@ -52,7 +52,7 @@ def parse(name: str) -> tuple[str, str | None]:
     return repository, revision or None
 
 
-def locate(name: str | Path, *, shown: bool = False, whole: bool = False) -> Path:
+def locate(name: str | os.PathLike[str], *, shown: bool = False, whole: bool = False) -> Path:
     """The folder of a dataset on this machine. A path comes back as it is; only a name with a
     scheme is looked for.
 
@@ -86,12 +86,12 @@ def locate(name: str | Path, *, shown: bool = False, whole: bool = False) -> Pat
     return folder
 
 
-def load(dataset: str | Path, split: str = "train", *, whole: bool = False) -> Split:
+def load(dataset: str | os.PathLike[str], split: str = "train", *, whole: bool = False) -> Split:
     """The samples of a split, read when asked for, without a copy in memory.
 
     Args:
-        dataset: A folder, or ``hf://user/name[@revision]`` or ``s3://bucket/folder``, which is
-            copied once and checked.
+        dataset: A `Dataset`, a folder, or ``hf://user/name[@revision]`` or ``s3://bucket/folder``,
+            which is copied once and checked.
         split: "train", "val" or "test".
         whole: Fetch each shard from a store whole, in one request, when it is opened: for who reads
             most samples. Otherwise what is read is fetched.

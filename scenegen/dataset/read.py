@@ -95,6 +95,9 @@ class Dataset:
             self._splits[name] = Split(self, name)
         return self._splits[name]
 
+    def __fspath__(self) -> str:
+        return str(self.folder)
+
     def __repr__(self) -> str:
         return f"<Dataset: {self.manifest.graded}, seed {self.manifest.seed}, in {self.folder}>"
 
@@ -230,11 +233,7 @@ class Split(Samples):
 
     def _place(self, index: int) -> tuple[int, int]:
         """Shard, and row in it, of sample `index`."""
-        if not -len(self) <= index < len(self):
-            raise IndexError(
-                f"sample {index} of {len(self)} in {self.dataset.folder}, split {self.name}"
-            )
-        index %= len(self)
+        index = self._checked(index)
         shard = int(np.searchsorted(self._start, index, side="right")) - 1
         return shard, index - int(self._start[shard])
 
@@ -260,9 +259,6 @@ class Split(Samples):
                 return value + self.first_worlds[number] if name == "world" else value
             if name == "tudf":
                 return distance_field(sample.occupancy, it.grid)
-            ranges = [getattr(sample, one) for one in sample.names if one.endswith("ranges")]
-            if not np.isfinite(sample.origin).all() or not all((it >= 0).all() for it in ranges):
-                raise BrokenError(f"{shard.name}: sample {row}: origin or ranges are no lengths")
             with raised_as(BrokenError, f"{shard.name}: sample {row}: "):
                 return fuse(sample.scans()[::-1], it.grid, sample.origin, home.mapping).free
 

@@ -145,7 +145,7 @@ def _measure(dataset: Dataset, task: tuple[str, list[int]]) -> tuple[tuple[str, 
     split, chosen = task
     samples = (dataset.split(split)[index] for index in chosen)
     rows = [[figure(sample) for figure in FIGURES.values()] for sample in samples]
-    return (split, chosen[0]), np.array(rows, dtype=np.float64)
+    return (split, chosen[0]), np.array(rows, float)
 
 
 def _statistics(table: Floats) -> Json:

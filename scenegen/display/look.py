@@ -134,13 +134,7 @@ def look_at(sample: Sample, grid: GridSpec, lidar: Sensor, name: str) -> Look:
             missing.append(f"{name}: {what} is not shown: {printable(error)}")
             return None
 
-    def scan() -> list[Floats]:
-        found = sample.scans(lidar)
-        if not all((each.ranges >= 0).all() for each in found):
-            raise ValueError("ranges are no lengths")
-        return [each.points() for each in found]
-
-    scans = read("the scan", scan) or ()
+    scans = read("the scan", lambda: [each.points() for each in sample.scans(lidar)]) or ()
     masks = {what: read(what, partial(getattr, sample, what)) for what in MASKS}
     return Look(
         name=name,

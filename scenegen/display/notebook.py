@@ -143,8 +143,8 @@ def _guess(name: str, found: Any, grid: GridSpec) -> Guess:
 
 
 def _route(path: Any) -> Route:
-    points = np.asarray(path, dtype=np.float64)
-    if points.shape[1:] != (3,) or not len(points):
+    points = np.asarray(path, float)
+    if points.shape[1:] != (3,) or not len(points) or not np.isfinite(points).all():
         raise DatasetError(f"path: an array {points.shape}; expected (n, 3), metres in the world")
     length = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
     told = f"{length:.2f} m"

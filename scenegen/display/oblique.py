@@ -47,7 +47,7 @@ class View:
     def project(self, points: Any) -> Floats:
         """Points (…, 3) of the world as (…, 2) on the paper, rightward and upward; lengths across
         the view are kept."""
-        return np.asarray(points, dtype=np.float64) @ np.stack([self.right, self.up], axis=1)
+        return np.asarray(points, float) @ np.stack([self.right, self.up], axis=1)
 
 
 VIEW = View()
@@ -88,5 +88,5 @@ def box_edges(low: Any, high: Any, view: View = VIEW) -> tuple[Floats, Floats]:
     ]
     farthest = tuple(np.where(view.eye < 0, 1, 0).tolist())
     hidden = np.array([farthest in edge for edge in edges])
-    ends = np.where(np.array(edges), np.asarray(high, np.float64), np.asarray(low, np.float64))
+    ends = np.where(np.array(edges), np.asarray(high, float), np.asarray(low, float))
     return ends[hidden], ends[~hidden]

@@ -28,7 +28,7 @@ from scenegen.fly.missions import Mission, draw_missions, graded
 from scenegen.fly.simulation import Observation, Simulation, bounded
 from scenegen.limits import MOST_MANIFEST_BYTES
 from scenegen.logs import LogScan
-from scenegen.run.workers import processor
+from scenegen.run.software import processor
 from scenegen.source import named_world
 from scenegen.tables import named_lidar, named_noise
 from scenegen.truth.difficulty import Difficulty

@@ -100,7 +100,7 @@ class Simulation:
             "lever_arm_m": getattr(self.sensor, "lever_arm_m", ()) or (0.0, 0.0, 0.0),
         }
         del told["dynamics"]  # it is no number, and nothing that a robot would be told
-        return {name: np.asarray(value, dtype=np.float64) for name, value in told.items()}
+        return {name: np.asarray(value, float) for name, value in told.items()}
 
     def observe(self) -> Observation:
         """What the robot sees now.
@@ -218,7 +218,7 @@ def bounded(action: Any, vehicle: Vehicle) -> tuple[NDArray[np.float32] | None, 
         exceeded, by more than rounding.
     """
     try:
-        rows = np.atleast_2d(np.asarray(action, dtype=np.float64))
+        rows = np.atleast_2d(np.asarray(action, float))
     except (TypeError, ValueError):
         return None, False
     if rows.ndim != 2 or rows.shape[1] != 4 or not 1 <= len(rows) <= 10:

@@ -167,7 +167,7 @@ def _camera(path: Path) -> Pose:
     for line in text.decode("latin-1").splitlines():
         if line.startswith("Tr"):
             try:
-                row = np.array(line.partition(":")[2].split(), dtype=np.float64).reshape(12)
+                row = np.array(line.partition(":")[2].split(), float).reshape(12)
             except ValueError:
                 raise DatasetError(f"{path}: Tr: expected 12 numbers") from None
             return pose_of_matrix(row, f"{path}: Tr")

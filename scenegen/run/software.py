@@ -4,6 +4,7 @@ checkout."""
 import hashlib
 import platform
 import subprocess
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,15 @@ def software() -> dict[str, str]:
     """Versions of what the numbers depend on."""
     found = {"scenegen": scenegen.__version__, "machine": platform.machine()}
     return found | {package: installed(package) for package in PACKAGES}
+
+
+def processor() -> str:
+    """What this machine's processor is called."""
+    with suppress(OSError):  # elsewhere than on Linux
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or "CPU"
 
 
 @cache

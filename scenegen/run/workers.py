@@ -11,7 +11,6 @@ import math
 import multiprocessing
 import multiprocessing.connection
 import os
-import platform
 import resource
 import signal
 import threading
@@ -22,11 +21,22 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from scenegen.errors import DatasetError, GenerationError, GuardError, ScenegenError, short, told
+from scenegen.errors import (
+    DatasetError,
+    GenerationError,
+    GuardError,
+    ScenegenError,
+    short,
+    told,
+    whole_number,
+)
+from scenegen.limits import MOST_WORKERS
 from scenegen.run import Begun, Executor, Function, Results, undone_if_stopped
 
 PR_SET_PDEATHSIG = 1
 """Linux's name for it."""
+WATCH_S = 2.0
+"""How often a process that has nothing to do looks whether its parent is still there, seconds."""
 MOST_REPLACED = 5
 """Workers that may die in a run with limits before the rest is given up."""
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
@@ -50,13 +60,13 @@ Result = TypeVar("Result")
 
 
 class Local(Executor):
-    """Processes of this machine. Raises DatasetError where an address is given."""
+    """Processes of this machine. Raises DatasetError for an address, and for `workers` below 1."""
 
     def __init__(self, address: str, workers: int):
         if address:
             name = type(self).__name__.lower()
             raise DatasetError(f"--on {name}://{address}: takes no address; give --on {name}")
-        self.workers = workers
+        self.workers = whole_number("--workers", workers, 1, MOST_WORKERS)
 
     def __call__(self, function: Function, tasks: Sequence[Any], on_start: Begun) -> Results:
         """Apply `function` to `tasks`, see `run`."""
@@ -106,15 +116,6 @@ def rank_of(environment: Mapping[str, str]) -> tuple[int, int]:
 def cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0))
-
-
-def processor() -> str:
-    """What this machine's processor is called."""
-    with contextlib.suppress(OSError):  # elsewhere than on Linux
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor() or "CPU"
 
 
 def keep_memory() -> None:
@@ -258,8 +259,10 @@ class Worker:
         self.pipe, theirs = context.Pipe()
         self.limits = limits = function if isinstance(function, Limited) else None
         given = (function, None) if limits is None else (limits.function, limits.memory_bytes)
+        # the kernel would take the end of another thread than the main one for that of its parent
+        bound = limits is not None or threading.current_thread() is threading.main_thread()
         self.process = context.Process(
-            target=_serve, args=(*given, theirs, os.getpid()), daemon=True
+            target=_serve, args=(*given, theirs, os.getpid(), bound), daemon=True
         )
         with contextlib.nullcontext() if start == "fork" else safe_path():
             self.process.start()
@@ -361,17 +364,22 @@ def limit_memory(more_bytes: int) -> None:
         resource.setrlimit(resource.RLIMIT_AS, (most, resource.getrlimit(resource.RLIMIT_AS)[1]))
 
 
-def _serve(function: Function, memory_bytes: int | None, parent: Any, parent_id: int) -> None:
-    """Work off the tasks that come through the pipe `parent` until that process ends."""
+def _serve(
+    function: Function, memory_bytes: int | None, parent: Any, parent_id: int, bound: bool
+) -> None:
+    """Work off the tasks that come through the pipe `parent` until that process ends: at once if
+    `bound` to the thread that began this one, or after the task under way."""
     if memory_bytes is not None:
         limit_memory(memory_bytes)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
-    die_with_parent()
-    if os.getppid() != parent_id:  # it has ended already
-        return
-    while True:
+    if bound:
+        die_with_parent()
+    # its end of the pipe may be held open by other forks of the parent
+    while os.getppid() == parent_id:
+        if not parent.poll(WATCH_S):
+            continue
         try:
             answer = True, function(parent.recv())
         except EOFError:

@@ -66,7 +66,7 @@ def unpack(packed: bytes, kind: np.dtype, schema: Schema) -> Sample:
         value: NDArray[Any] = record[name]
         if FIELDS[name]["axes"] == "grid":
             count = int(np.prod(grid.shape))
-            return np.unpackbits(value, count=count).view(np.bool_).reshape(grid.shape)
+            return np.unpackbits(value, count=count).view(bool).reshape(grid.shape)
         return int(value) if FIELDS[name]["axes"] == "" else value.copy()
 
     return Sample.lazy(schema.names, find, lidar=schema.lidar, grid=grid)

@@ -3,7 +3,6 @@ that."""
 
 import json
 import multiprocessing
-import operator
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -14,7 +13,7 @@ import numpy as np
 
 from scenegen.dataset.generation import MIXED, fraction, is_mixed, read_components, seeds
 from scenegen.dataset.parts import schema_of
-from scenegen.errors import DatasetError, short, whole_number
+from scenegen.errors import DatasetError, whole_number
 from scenegen.files import sha256_of
 from scenegen.limits import MOST_SAMPLES, MOST_SEED, MOST_WORKERS
 from scenegen.sample import Sample, Samples, Schema
@@ -145,18 +144,6 @@ class Stream(Samples):
             )
         most = part.viewpoints * (2 * record.itemsize + 1024)
         return Cache(folder, part.fingerprint(software=True), part.split, most)
-
-    def _checked(self, index: int) -> int:
-        """A number of a sample. Raises TypeError and IndexError."""
-        try:
-            number = operator.index(index)
-        except TypeError:
-            raise TypeError(
-                f"{self.name}: sample {short(index)}: expected a whole number"
-            ) from None
-        if not 0 <= number < len(self):
-            raise IndexError(f"{self.name}: sample {short(number)}: expected 0 to {len(self) - 1}")
-        return number
 
     def _forget(self) -> None:
         """Begin anew, as a process of its own."""

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lidarsim.grid import GridSpec, Mask
+from lidarsim.grid import GridSpec, Mask, finite
 from lidarsim.jit import kernel
 from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, Solids
 from scenegen.truth.shapes import distance, local, touches, within
@@ -28,10 +28,10 @@ def rasterize(solids: Solids, grid: GridSpec, origin: ArrayLike) -> Mask:
 
     True where the voxel's closed cube lies within `SLACK_M` of a solid, decided by closed forms,
     never by sampling. On a `grid.hollow`, of the surface of a solid: a cube that lies deeper than
-    `SLACK_M` in a solid does not touch it.
+    `SLACK_M` in a solid does not touch it. Raises ValueError for an `origin` that is no point.
     """
-    occupancy = np.zeros(grid.shape, dtype=np.bool_)
-    origin = np.asarray(origin, dtype=np.float64)
+    occupancy = np.zeros(grid.shape, bool)
+    origin = finite("origin", origin, 3)
     fill = _fill_shells if grid.hollow else _fill_primitives
     fill(
         solids.shape,

@@ -23,9 +23,9 @@ def resample(voxels: VoxelMap, grid: GridSpec, origin: ArrayLike) -> tuple[Mask,
     that every return of a `VoxelEngine` lies in an occupied voxel. It is known where it is
     occupied, or where at least half of its volume is free in the map.
     """
-    occupancy = np.zeros(grid.shape, dtype=np.bool_)
-    known = np.zeros(grid.shape, dtype=np.bool_)
-    first = (np.asarray(origin, dtype=np.float64) - voxels.origin) / voxels.voxel_m
+    occupancy = np.zeros(grid.shape, bool)
+    known = np.zeros(grid.shape, bool)
+    first = (np.asarray(origin, float) - voxels.origin) / voxels.voxel_m
     states, edge = np.ascontiguousarray(voxels.states), grid.voxel_m / voxels.voxel_m
     _resample(states, first, edge, voxels.voxel_m, occupancy, known)
     return occupancy, known

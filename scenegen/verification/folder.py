@@ -7,7 +7,6 @@ from collections import deque
 from collections.abc import Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -146,7 +145,7 @@ MEMORY_BYTES = 6 << 30
 
 
 def verify(
-    dataset: str | Path,
+    dataset: str | os.PathLike[str],
     *,
     quick: bool = False,
     seed: int = 0,
@@ -160,7 +159,7 @@ def verify(
     """Check a dataset against the format, and by checks of your own.
 
     Args:
-        dataset: Its folder, or ``hf://user/name[@revision]`` or ``s3://bucket/folder``.
+        dataset: It, its folder, or ``hf://user/name[@revision]`` or ``s3://bucket/folder``.
         quick: Make the cheap checks alone.
         seed: Chooses the samples that are cast and made anew.
         kind: A user's own kind, by which worlds may be drawn again: no module is imported because a

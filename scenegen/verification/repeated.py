@@ -210,7 +210,7 @@ def _compare_flight(shard: Shard, unit: int, views: Sequence[tuple[int, int]], p
     for row, view in views:
         page.count(samples=1)
         for name in task.contract.fields:
-            expected = np.asarray(getattr(again.samples[view], name), dtype=FIELDS[name]["dtype"])
+            expected = np.asarray(getattr(again.samples[view], name), FIELDS[name]["dtype"])
             if not page.expect(
                 shard.file.value(name, row).tobytes() == expected.tobytes(),
                 f"{task.entry.file}: sample {row}: {name} is not what the seed gives",

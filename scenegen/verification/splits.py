@@ -55,7 +55,7 @@ def fold(observed: Mask) -> NDArray[np.uint64]:
     """Scatter the observed voxels over 8192 bits by their number, (128,) words; two voxels may
     share a bit."""
     number = np.flatnonzero(observed).astype(np.uint32)
-    bits = np.zeros(1 << _BITS, dtype=np.bool_)
+    bits = np.zeros(1 << _BITS, bool)
     bits[(number * np.uint32(2654435761)) >> np.uint32(32 - _BITS)] = True
     return np.packbits(bits).view(np.uint64)
 
@@ -91,7 +91,7 @@ def candidates(
     lost = observed - np.bitwise_count(folds).sum(
         axis=1, dtype=np.int64
     )  # voxels whose bit another one has, too
-    alike = np.zeros(len(kept), dtype=np.bool_)
+    alike = np.zeros(len(kept), bool)
     for begin in range(0, len(kept), 10_000):
         a, b = kept[begin : begin + 10_000].T
         shared = np.bitwise_count(folds[a] & folds[b]).sum(axis=1, dtype=np.int64) + np.minimum(

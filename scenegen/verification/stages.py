@@ -207,9 +207,9 @@ def scans_of(contract: Manifest, stored: Callable[[str], Any]) -> list[Scan]:
     views: list[Any] = [[stored(name) for name in names]]
     if contract.mapping.scans > 1:
         views += zip(*(stored(f"earlier_{name}") for name in names), strict=True)
-    # a range that is no number is a fault of `laws`; here it counts as no return
+    # a range that is no length is a fault of `laws`; here it counts as no return
     return [
-        Scan(np.where(np.isfinite(ranges), ranges, np.float32(np.inf)), Pose(*pose), contract.lidar)
+        Scan(np.where(ranges >= 0, ranges, np.float32(np.inf)), Pose(*pose), contract.lidar)
         for ranges, *pose in views
     ]
 

@@ -235,7 +235,7 @@ def _occupancy(sample: Sample, page: Page) -> None:
         return
     page.count(samples=1)
     solids, grid, origin = sample.solids, sample.contract.grid, sample.fields["origin"]
-    known = np.ones(grid.shape, np.bool_)
+    known = np.ones(grid.shape, bool)
     if isinstance(solids, VoxelMap):
         again, known = resample(solids, grid, origin)
     else:

@@ -96,7 +96,7 @@ def map_clouds(
             axes, sensors = frames[each]
             points = points if axes is None else points @ axes + sensors
         elif sensor is not None:
-            sensors = np.array([sensor], dtype=np.float64)
+            sensors = np.array([sensor], float)
         if sensors is None and not survey.assume_free:
             raise SceneError(
                 f"{files[each]}: does not say where its sensor was, so nothing in it is known "
@@ -113,14 +113,14 @@ def map_clouds(
             low = np.minimum(low, kept.min(axis=0, initial=np.inf))
             high = np.maximum(high, kept.max(axis=0, initial=-np.inf))
     else:
-        corners = _upright(np.array(box, dtype=np.float64).reshape(2, 3), survey)
+        corners = _upright(np.array(box, float).reshape(2, 3), survey)
         low, high = corners.min(axis=0), corners.max(axis=0)
     where = f"{files[0]}" + (f" and {len(files) - 1} more" if len(files) > 1 else "")
     if not np.isfinite([low, high]).all():
         raise SceneError(f"{where}: no point in it is finite; expected x, y and z in metres")
     offset = np.where(np.abs(low) > FAR_M, np.floor(low / STEP_M) * STEP_M, 0.0)
     states, origin = _empty_map(low - offset, high - offset, survey.voxel_m, where)
-    occupied = np.zeros(states.shape, dtype=np.bool_)
+    occupied = np.zeros(states.shape, bool)
     points = 0
     for each in range(len(files)):
         seen, sensors = read(each)
@@ -177,7 +177,7 @@ def _empty_map(
             f"expected {MOST_PLACE_VOXELS} at most; give a larger --voxel, or a --box that leaves "
             "far points out"
         )
-    return np.zeros(shape.astype(int), dtype=np.uint8), origin
+    return np.zeros(shape.astype(int), np.uint8), origin
 
 
 @kernel

@@ -73,7 +73,7 @@ class Drawing:
     """
 
     def __init__(self, flight_bounds: Floats):
-        self._bounds = tuple(np.asarray(flight_bounds, dtype=np.float64).reshape(-1).tolist())
+        self._bounds = tuple(np.asarray(flight_bounds, float).reshape(-1).tolist())
         self._solids: list[Solid] = []
         self._classes: dict[str, None] = {}
         self._fields: list[HeightField] = []
@@ -114,7 +114,7 @@ class Drawing:
             classes: Names of their classes in `scenegen.worlds.classes`, (n,), which become their
                 materials; none by default.
         """
-        codes = np.asarray(shapes, dtype=np.int64).tolist()
+        codes = np.asarray(shapes, np.int64).tolist()
         rows = np.empty((len(codes), 14))
         for columns, values in zip(COLUMNS, (sizes, positions, quats, rgba), strict=True):
             rows[:, columns] = values
@@ -142,7 +142,7 @@ class Drawing:
             hanging: Whether it is a ceiling.
             of_class: Its class.
         """
-        x, y, z = np.asarray(position, dtype=np.float64).tolist()
+        x, y, z = np.asarray(position, float).tolist()
         least, most = float(heights.min()), float(heights.max())
         span = max(most - least, 1e-3)
         name, size = f"field{len(self._fields)}", (size_m[0] / 2, size_m[1] / 2, span, depth_m)
@@ -260,7 +260,7 @@ def _lines(solids: list[Solid]) -> str | None:
     rows = np.array([solid.row for solid in solids]).reshape(-1, 14)
     square = rows[:, 6:10] * rows[:, 6:10]
     length = np.sqrt(((square[:, 0] + square[:, 1]) + square[:, 2]) + square[:, 3])
-    counts = np.array([NUMBERS[solid.shape][1] for solid in solids], dtype=np.int64)
+    counts = np.array([NUMBERS[solid.shape][1] for solid in solids], np.int64)
     lengths = np.abs(rows[:, :10])
     lengths[:, :3][np.arange(3) >= counts[:, None]] = 0.0
     # MuJoCo writes most numbers like this, but not what it rounds to 0 itself, or large whole ones

@@ -292,7 +292,8 @@ def poses_in_flight(
         GenerationError: No flight fits.
     """
     flight = flight or Flight()
-    found = _flown(world, dataclasses.replace(flight, spacing_m=every_m or flight.spacing_m), seed)
+    every_m = flight.spacing_m if every_m is None else every_m
+    found = _flown(world, dataclasses.replace(flight, spacing_m=every_m), seed)
     return [found.pose(int(n)) for n in np.argsort(found.flown_m)]
 
 

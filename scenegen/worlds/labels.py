@@ -4,7 +4,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias, get_args
 
 import mujoco
 import numpy as np
@@ -15,7 +15,7 @@ from lidarsim.grid import Mask
 from lidarsim.jit import kernel
 from lidarsim.pose import rotate
 from lidarsim.solids.shapes import Solids
-from scenegen.errors import GenerationError, short
+from scenegen.errors import GenerationError, RecipeError, short
 from scenegen.limits import MOST_CLASSES
 from scenegen.truth.occupancy import SLACK_M, spans
 from scenegen.truth.shapes import distance, local
@@ -78,7 +78,9 @@ def class_names(model: mujoco.MjModel, by: By) -> list[str]:
 
 def labels_by(by: By, named: Iterable[str]) -> Labels:
     """The labels of worlds whose geoms' classes `named` are known besides shapes. Raises
-    GenerationError."""
+    GenerationError, and RecipeError where `by` is no way to tell them."""
+    if by not in get_args(By):
+        raise RecipeError(f"labels = {by!r}: expected one of {', '.join(get_args(By))}")
     fixed = {"group": GROUPS, "class": CLASSES}
     known = fixed[by] if by in fixed else (*SHAPES, *sorted(set(named) - {*SHAPES, NOTHING}))
     if len(known) >= MOST_CLASSES:
@@ -132,7 +134,7 @@ def owners(solids: Solids, occupancy: Mask, grid: GridSpec, origin: ArrayLike) -
     It is the geom whose filled solid lies nearest to the voxel's centre, at 0 where it holds the
     centre; of several at the same distance the one with the lowest number.
     """
-    origin, voxel_m = np.asarray(origin, dtype=np.float64), grid.voxel_m
+    origin, voxel_m = np.asarray(origin, float), grid.voxel_m
     # a cube that a solid touches has its centre no farther off
     reach = 0.5 * math.sqrt(3.0) * voxel_m + 2 * SLACK_M
     # less than any distance where nothing is, so that no geom claims it
@@ -145,7 +147,7 @@ def owners(solids: Solids, occupancy: Mask, grid: GridSpec, origin: ArrayLike) -
         triangles = solids.triangles[solids.mesh_start[mesh] : solids.mesh_start[mesh + 1]]
         _claim_triangles(triangles, geom, reach, origin, voxel_m, nearest, owner)
         if filled:
-            held = np.zeros(grid.shape, np.bool_)
+            held = np.zeros(grid.shape, bool)
             inside_columns(triangles, origin, voxel_m, held)
             held &= (nearest > 0.0) | ((nearest == 0.0) & (geom < owner))
             nearest[held], owner[held] = 0.0, geom

@@ -210,7 +210,7 @@ def encode_map(voxels: VoxelMap, where: str, **more: NDArray[Any]) -> bytes:
 def box_of(cells: NDArray[Any], wanted: Callable[[NDArray[Any]], Mask]) -> Ints:
     """The first of the cells that are `wanted` along each axis, and one more than the last,
     (2, axes); zeros where none is. It goes layer by layer: a map is too large for a copy."""
-    rows, seen = np.zeros(len(cells), np.bool_), np.zeros(cells.shape[1:], np.bool_)
+    rows, seen = np.zeros(len(cells), bool), np.zeros(cells.shape[1:], bool)
     for n, layer in enumerate(cells):
         here = wanted(layer)
         rows[n] = here.any()

@@ -45,7 +45,7 @@ def quiet_mujoco() -> Iterator[list[str]]:
         mujoco.set_mju_user_warning(before)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class World:
     """One world, ready for an engine to scan it. The compiled model is the one source of truth:
     rays, occupancy and collision checks all read it, whether a recipe drew the world or a person
@@ -63,6 +63,9 @@ class World:
     """(2, 3): least and greatest corner of the box in which the sensor may fly, metres."""
     unseen: tuple[str, ...] = field(default=())
     """Geoms that rays cannot see, and that therefore are not in the truth either."""
+
+    def __repr__(self) -> str:
+        return f"<World: {len(self.solids)} solids>"
 
     @cached_property
     def clearance(self) -> Clearance:
@@ -164,7 +167,7 @@ def _world(model: mujoco.MjModel, mjcf: bytes, assets: Mapping[str, bytes], name
 def _flight_bounds(model: mujoco.MjModel, solids: Solids, name: str) -> Floats:
     """The document's own flight_bounds, or the box around all that is bounded in it."""
     if FLIGHT_BOUNDS in (model.numeric(n).name for n in range(model.nnumeric)):
-        data = np.asarray(model.numeric(FLIGHT_BOUNDS).data, dtype=np.float64)
+        data = np.asarray(model.numeric(FLIGHT_BOUNDS).data, float)
         small = data.size == 6 and (np.abs(data) <= MOST_LENGTH_M).all()
         if not (small and (data[:3] < data[3:]).all()):
             raise SceneError(

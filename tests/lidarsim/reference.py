@@ -34,7 +34,7 @@ way."""
 
 def rotation(quaternion_wxyz):
     """The rotation of a (w, x, y, z) quaternion; scipy orders it (x, y, z, w)."""
-    w, x, y, z = np.asarray(quaternion_wxyz, dtype=np.float64)
+    w, x, y, z = np.asarray(quaternion_wxyz, float)
     return Rotation.from_quat([x, y, z, w])
 
 
@@ -191,7 +191,7 @@ def interval(kind, size, start, along):
 
 def observed(origin, voxel_m, shape, position, directions, ranges32):
     """Voxels holding a return: the specification's floor formula, in float64."""
-    out, returned = np.zeros(shape, dtype=bool), np.isfinite(ranges32)
+    out, returned = np.zeros(shape, bool), np.isfinite(ranges32)
     reach = ranges32[returned].astype(np.float64)
     points = position + reach[:, None] * directions[returned]
     index = np.floor((points - origin) / voxel_m)
@@ -216,7 +216,7 @@ def swept(origin, voxel_m, shape, position, directions, reach, margin_m):
     numbers, the two answers enclose the truth: what is met when shrunk must be met, what is not met
     when grown must not. A shrunk voxel must also be met for longer than 1e-9 m.
     """
-    out = np.zeros(shape, dtype=bool)
+    out = np.zeros(shape, bool)
     threshold = TOUCH_M if margin_m < 0 else 0.0
     bounds = []
     for count, low, start in zip(shape, origin, position, strict=True):
@@ -253,7 +253,7 @@ def exact_swept(origin, voxel_m, shape, position, directions, reach, at_least=0.
     voxel exactly. Voxels are half-open, which decides rays that run within a plane. Lengths are in
     units of the direction's length.
     """
-    out = np.zeros(shape, dtype=bool)
+    out = np.zeros(shape, bool)
     for ray, end in zip(directions.reshape(-1, 3), reach.ravel(), strict=True):
         axes = zip(shape, position, ray, origin, strict=True)
         spans = [list(_exact_spans(voxel_m, *axis, Fraction(end))) for axis in axes]

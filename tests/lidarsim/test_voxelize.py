@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 from lidarsim import BeamTable, GridSpec, Lidar, Pose, Scan, voxelize
+from lidarsim.pose import rotate
 from tests.lidarsim import reference
 
 SMALL = GridSpec(shape=(6, 5, 4), voxel_m=0.3)
@@ -22,7 +23,7 @@ side."""
 
 def scan_of(rays, ranges, position=(0.0, 0.0, 0.0), max_range_m=10.0):
     """A scan with given world directions (n, 3), made unit, and ranges (n,)."""
-    rays = np.array(rays, dtype=np.float64)
+    rays = np.array(rays, float)
     rays = reference.unit(rays / np.abs(rays).max(axis=-1, keepdims=True))
     table = np.pad(rays, ((0, 0), (0, 1)))[:, None]  # all at once
     lidar = BeamTable(rays=table, max_range_m=max_range_m)
@@ -181,3 +182,16 @@ def test_returns_on_grid_planes_lie_where_the_floor_formula_says(rng):
         expected = reference.observed(*inputs(scan, grid, got), scan.ranges)
         assert_array_equal(got.observed, expected)
         assert expected.sum() > 50
+
+
+@pytest.mark.parametrize("wrong", [np.ones((1, 2)), np.ones((2, 3)), [[np.nan, -1, 0]]])
+def test_ranges_that_are_none_make_no_scan_and_no_grid_begins_where_no_point_is(wrong):
+    """The kernels would read beyond them, or walk without end."""
+    scan = scan_of(np.eye(3), np.ones(3))
+    with pytest.raises(ValueError, match="scan: ranges"):
+        Scan(np.transpose(wrong), scan.pose, scan.lidar)
+    for origin in ((0, 0), (0, 0, np.nan)):
+        with pytest.raises(ValueError, match="must be 3 finite numbers"):
+            voxelize(scan, SMALL, origin)
+    with pytest.raises(ValueError, match="vectors of shape"):
+        rotate(scan.pose.quaternion, np.ones((3, 4)))

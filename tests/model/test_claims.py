@@ -155,8 +155,7 @@ def test_errors_of_worlds_and_seeds_add_up_as_satterthwaite_has_it(rng):
     assert same["holm"] == pytest.approx(2 * stats.t.sf(one["difference"] / error, joined))
 
 
-def test_only_runs_as_long_as_the_paper_s_refute():
-    rng = np.random.default_rng(3)
+def test_only_runs_as_long_as_the_paper_s_refute(rng):
     better, worse, alike = (study(rng, ours, 0.5, training=0.002) for ours in (0.6, 0.4, 0.501))
     assert (found(better)["verdict"], found(alike)["verdict"]) == ("confirmed", "undecided")
     runs = [f"{name}-s{seed}" for name in ("occ", "proposed") for seed in (0, 1)]

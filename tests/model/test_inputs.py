@@ -23,7 +23,7 @@ from scenegen.model.completion.scans import predict_scan, read_scan
 from scenegen.model.config import INPUTS, NetworkConfig
 from scenegen.model.evaluation.methods import Predicted
 from scenegen.model.evaluation.metrics import METRICS
-from scenegen.model.inputs import PointScan, centres, channels
+from scenegen.model.inputs import PointScan, channels
 from tests.model.conftest import completer_of, saved_network
 from tests.model.evaluation.test_metrics import ALARMS
 from tests.model.training.runs import SMALL, maps_of, train
@@ -63,12 +63,18 @@ def test_free_space_and_a_new_metric_go_all_the_way(folders, tmp_path, monkeypat
         assert_allclose(found.occupancy_probability, expected, atol=1e-5)
     with pytest.raises(ValueError, match="run takes observed, free; free is not given"):
         completer({"observed": sample.observed})
-    with pytest.warns(UserWarning, match="run takes observed, free, and derives what is not given"):
-        blind = completer(sample.observed).tudf
-    rays = channels(BOTH, centres(sample.observed, grid), grid)
+    rays = channels(BOTH, completer.scan_of(sample.points(), sample.position), grid)
     assert np.array_equal(rays["observed"], sample.observed)
     assert rays["free"].sum() < sample.free.sum()
-    assert_allclose(completer(rays).tudf, blind, atol=1e-5)
+    lost = np.vstack([sample.points(), np.full((2, 3), np.nan)])
+    assert_allclose(completer(lost, sensor=sample.position).tudf, completer(rays).tudf)
+    for points, said in (
+        (1e3 * lost, "none of .* points is in the map"),
+        (lost[:, :2], r"expected \(N, 3\), metres"),
+        (sample.observed, "free is not given: .* or points"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            completer(points, sensor=sample.position)
 
     np.save(tmp_path / "scan.npy", grid.centres(sample.origin)[sample.observed])
     predict_scan(completer, read_scan(tmp_path / "scan.npy", sample.position), tmp_path / "s.h5")

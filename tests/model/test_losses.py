@@ -206,8 +206,7 @@ def test_where_nothing_is_to_be_learned_the_loss_is_zero_and_so_is_its_gradient(
     assert value(lovasz_loss(torch.full(nothing.shape, -50.0), nothing)) == 0
 
 
-def test_a_loss_over_what_is_known_is_that_of_the_map_without_the_rest():
-    rng = np.random.default_rng(8)
+def test_a_loss_over_what_is_known_is_that_of_the_map_without_the_rest(rng):
     occupancy = torch.from_numpy(rng.random(SHAPE) < 0.3)
     logits, predicted, tudf = (
         torch.from_numpy(rng.normal(1, 1, SHAPE).astype(np.float32)) for _ in range(3)

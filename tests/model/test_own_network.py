@@ -1,6 +1,7 @@
 """A network, a loss and an input of a user's own: the page as it stands, and what a file may not
 do."""
 
+import json
 import re
 from pathlib import Path
 
@@ -12,9 +13,9 @@ from numpy.testing import assert_allclose
 from scenegen.errors import ScenegenError
 from scenegen.model.checkpoint import CheckpointError, load_tensors, save_tensors
 from scenegen.model.completion.completer import Completer
-from scenegen.model.config import LossConfig, NetworkConfig, TrainConfig
+from scenegen.model.config import NetworkConfig, TrainConfig
 from scenegen.model.inputs import input_called
-from tests.command_line import done, example, page, refused, run
+from tests.command_line import done, example, page, refused, rows, run
 from tests.model.training.runs import figures, train
 
 OWN = "my_net:Net,my_input:rise"
@@ -122,34 +123,21 @@ class Scaled:
 def short(seen, grid, lidar): return seen.observed[:-1]
 def failing(seen, grid, lidar): raise KeyError("gone")
 """
-NET = {"variant": "my_net:Net", "width": 4}
+SAID = r"""
+{"variant": "wrong:Flat"}                        → variant wrong:Flat: gives .*expected
+{"variant": "wrong:Blind"}                       → by its `tasks`
+{"variant": "wrong:Gone"}                        → has no Gone
+{"objective": "wrong:vector"}                    → iou is .*no metric has
+{"objective": "wrong:Scaled", "choose": "occupancy"} → the loss has no such term, but loss
+{"inputs": ["wrong:short"]}   → input wrong:short: gives an array of shape \(23, 24, 16\)
+{"inputs": ["wrong:failing"]}                    → line \d+ of wrong.py: KeyError
+"""
 
 
-@pytest.mark.parametrize(
-    ("network", "loss", "more", "said"),
-    [
-        ({"variant": "wrong:Flat"}, {}, {}, r"variant wrong:Flat: gives .*expected"),
-        ({"variant": "wrong:Blind"}, {}, {}, "by its `tasks`"),
-        ({"variant": "wrong:Gone"}, {}, {}, "has no Gone"),
-        (NET, {"objective": "wrong:vector"}, {}, "iou is .*no metric has"),
-        (
-            NET,
-            {"objective": "wrong:Scaled"},
-            {"choose": "occupancy"},
-            "the loss has no such term, but loss",
-        ),
-        (
-            NET | {"inputs": ("wrong:short",)},
-            {},
-            {},
-            r"input wrong:short: gives an array of shape \(23, 24, 16\)",
-        ),
-        (NET | {"inputs": ("wrong:failing",)}, {}, {}, r"line \d+ of wrong.py: KeyError"),
-    ],
-)
-def test_what_is_wrong_with_own_code_is_told_in_one_line(here, network, loss, more, said):
+@pytest.mark.parametrize(("asked", "said"), rows(SAID))
+def test_what_is_wrong_with_own_code_is_told_in_one_line(here, asked, said):
     (here / "wrong.py").write_text(WRONG)
-    config = TrainConfig(network=NetworkConfig(**network), loss=LossConfig(**loss), **more)
+    config = TrainConfig.of({"variant": "my_net:Net", "width": 4} | json.loads(asked))
     with pytest.raises(ScenegenError, match=said):
         train([here / "data" / "pillar"], config, here / "run")
     assert not (here / "run").exists()

@@ -32,7 +32,7 @@ def test_big_endian_vertices_in_any_order_and_before_faces_come_back(tmp_path):
         "property float y\nproperty float x\nelement face 1\nproperty list uchar int "
         "vertex_indices\nend_header\n"
     )
-    rows = np.zeros(50, dtype=[("i", "u1"), ("z", ">f8"), ("y", ">f4"), ("x", ">f4")])
+    rows = np.zeros(50, [("i", "u1"), ("z", ">f8"), ("y", ">f4"), ("x", ">f4")])
     for axis, column in zip("xyz", POINTS.T, strict=True):
         rows[axis] = column
     (tmp_path / "scan.ply").write_bytes(head.encode("latin-1") + rows.tobytes() + b"\3" + bytes(12))

@@ -54,7 +54,7 @@ class Lattice:
 
     def voxels(self, nodes: ArrayLike) -> Ints:
         """Voxels (..., 3) of `nodes` (..., 3)."""
-        return self.first + self.step * np.asarray(nodes, dtype=np.int64)
+        return self.first + self.step * np.asarray(nodes, np.int64)
 
     def centres(self, nodes: ArrayLike) -> Floats:
         """Points (..., 3) of `nodes` (..., 3): their voxels' centres, map frame, metres."""
@@ -63,7 +63,7 @@ class Lattice:
     def node_at(self, point: ArrayLike) -> Ints:
         """The node (3,) whose point is `point` (3,). Raises ValueError where there is none within
         1e-6 m."""
-        point = np.asarray(point, dtype=np.float64)
+        point = np.asarray(point, float)
         if point.shape == (3,) and np.isfinite(point).all():
             steps = (point / self.grid.voxel_m - 0.5 - self.first) / self.step
             node = np.rint(steps).astype(np.int64)
@@ -100,7 +100,7 @@ def plan_path(
 
     Raises ValueError where `goal` is no node or the map's shape is not the grid's.
     """
-    occupied = checked(occupied, "occupied", grid, np.bool_)
+    occupied = checked(occupied, "occupied", grid, bool)
     lattice = Lattice(grid, config.step_voxels)
     start, end = lattice.start, lattice.node_at(goal)
     if occupied[tuple(lattice.voxels(start))] and config.planner != "careful":
@@ -124,7 +124,7 @@ def plan_path(
 def checked(values: NDArray, name: str, grid: GridSpec, dtype: type) -> NDArray:
     """`values` as a contiguous array of `dtype`. Raises ValueError where its shape is not the
     grid's."""
-    values = np.ascontiguousarray(values, dtype=dtype)
+    values = np.ascontiguousarray(values, dtype)
     if values.shape != grid.shape:
         raise ValueError(f"{name}: shape {values.shape} must be the grid's, {grid.shape}")
     return values

@@ -47,13 +47,13 @@ def draw_trials(
     feasible solution is found using the ground-truth map are excluded" (the paper's section
     "Planning with Predicted Distance Fields"), and counted here.
     """
-    truth = checked(occupancy_truth, "occupancy_truth", grid, np.bool_)
+    truth = checked(occupancy_truth, "occupancy_truth", grid, bool)
     lattice = Lattice(grid, config.step_voxels)
     if truth[tuple(lattice.voxels(lattice.start))]:
         return Trials(np.empty((0, 3)), Counter({"start_blocked": count}))
     candidates = lattice.centres(boundary_nodes(lattice, config.goal_faces))
     if bounds is not None:
-        low, high = np.asarray(bounds, dtype=np.float64)
+        low, high = np.asarray(bounds, float)
         candidates = candidates[((candidates >= low) & (candidates <= high)).all(axis=1)]
     goals: list[Floats] = []
     excluded: Counter[Blocked] = Counter()
@@ -167,7 +167,7 @@ def judge(
     initial, reason = plan
     if initial is None or refined is None:
         return Measurement(success=False, cause=reason)
-    truth = checked(occupancy_truth, "occupancy_truth", grid, np.bool_)
+    truth = checked(occupancy_truth, "occupancy_truth", grid, bool)
     distance = checked(tudf_truth, "tudf_truth", grid, np.float32)
     points, gaps = stations(refined)
     voxels = voxels_of(points, grid)

@@ -35,7 +35,7 @@ def refine(waypoints: ArrayLike, tudf: Field, grid: GridSpec, config: PlanConfig
     `tudf` (*grid.shape) is the predicted distance, metres.
     """
     return _descend(
-        np.ascontiguousarray(waypoints, dtype=np.float64),
+        np.ascontiguousarray(waypoints, float),
         checked(tudf, "tudf", grid, np.float32),
         grid.voxel_m,
         config.safety_m,

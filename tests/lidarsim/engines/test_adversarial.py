@@ -179,7 +179,7 @@ def at_features(rng, count):
 @pytest.mark.parametrize("name", PROCESSORS)
 def test_one_solid_of_any_size_from_anywhere(name, kind):
     rng = np.random.default_rng(sum(map(ord, kind)))
-    total = np.zeros(3, dtype=int)
+    total = np.zeros(3, int)
     for n in range(16):
         size = np.exp(rng.uniform(np.log(LEAST_M), np.log(MOST_M), SIZES.get(kind, 3)))
         if rng.random() < 0.5:  # as long as wide, or almost
@@ -192,10 +192,9 @@ def test_one_solid_of_any_size_from_anywhere(name, kind):
 
 
 @pytest.mark.parametrize("name", PROCESSORS)
-def test_solids_that_share_surfaces(name):
+def test_solids_that_share_surfaces(name, rng):
     """On a floor: faces in faces, balls and rounds that touch them, a twin, one inside another."""
-    rng = np.random.default_rng(5)
-    total = np.zeros(3, dtype=int)
+    total = np.zeros(3, int)
     for n, scale in enumerate(np.geomspace(LEAST_M, MOST_M / 3, 16)):
         geoms = [
             Geom(kind, tuple(scale * np.array(size)), tuple(scale * np.array(place)))
@@ -242,10 +241,9 @@ def random_mesh(rng, scale):
 
 
 @pytest.mark.parametrize("shape", ["mesh", "hfield"])
-def test_no_ray_leaks_out_of_a_closed_surface(shape):
+def test_no_ray_leaks_out_of_a_closed_surface(shape, rng):
     """From within, rays at its corners, at the middles of its edges, and anywhere on these, all
     meet it: small and large, near and 900 km from the world's origin."""
-    rng = np.random.default_rng(3)
     cast = 0
     for scale, place in ((LEAST_M, 0.0), (1.0, 0.0), (1.0, 100.0), (1.0, FAR_M), (300.0, FAR_M)):
         mesh = random_mesh(rng, scale)

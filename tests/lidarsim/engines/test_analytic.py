@@ -86,8 +86,7 @@ def test_rays_in_packets_meet_what_each_meets_alone(seed):
     assert np.isfinite(together.ranges).mean() > 0.2
 
 
-def test_threads_share_poses_and_change_nothing(monkeypatch):
-    rng = np.random.default_rng(9)
+def test_threads_share_poses_and_change_nothing(monkeypatch, rng):
     solids = solids_of(random_model(rng))
     origins, rays = random_rays(rng, 7, 300)
     alone = AnalyticEngine(solids, threads=1).cast(origins, rays, 12.0)

@@ -60,9 +60,8 @@ def test_every_item_lies_in_one_leaf_within_its_boxes(kind, count):
     assert leaves(tree, lower + moved, upper + moved) == (items, depth)
 
 
-def test_neighbours_share_leaves():
+def test_neighbours_share_leaves(rng):
     """The tree of two heaps far apart is cut between them."""
-    rng = np.random.default_rng(2)
     lower = np.concatenate([rng.uniform(0, 1, (8, 3)), rng.uniform(100, 101, (8, 3))])
     tree = Hierarchy.over(lower, lower + 0.1)
     for link, end in zip(tree.links.ravel(), tree.ends.ravel(), strict=True):

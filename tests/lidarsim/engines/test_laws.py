@@ -79,8 +79,7 @@ def made(name, model):
 
 
 @pytest.mark.parametrize("name", EVERY)
-def test_poses_together_give_what_each_gives_alone(name):
-    rng = np.random.default_rng(3)
+def test_poses_together_give_what_each_gives_alone(name, rng):
     engine = made(name, random_model(rng))
     origins, rays = random_rays(rng, 5, 3, 40)
     together = engine.cast(origins, rays, 12.0)
@@ -94,8 +93,7 @@ def test_poses_together_give_what_each_gives_alone(name):
 
 
 @pytest.mark.parametrize("name", EVERY)
-def test_any_shape_and_memory_layout_of_rays_will_do(name):
-    rng = np.random.default_rng(4)
+def test_any_shape_and_memory_layout_of_rays_will_do(name, rng):
     engine = made(name, random_model(rng))
     origins, rays = random_rays(rng, 2, 60)
     flat = engine.cast(origins, rays, 12.0)
@@ -159,3 +157,15 @@ def test_what_is_no_direction_and_no_place_meets_nothing_and_harms_no_other_ray(
         assert_array_equal(both, [[np.inf, np.inf], [np.inf, 1.0]])
     assert engine.cast([[5.0, 0.0, -3.0]], [[down]], 10.0) == 0.0, "on the plane"
     assert np.isinf(made(name, model_of()).cast(np.zeros((1, 3)), [[good, down]], 10.0)).all()
+
+
+def test_rays_of_other_shapes_and_no_range_are_refused():
+    """The kernel would read beyond them, or crash."""
+    engine = made("analytic", model_of())
+    for origins, rays, reach in (
+        ((2, 3), (3, 3), 9),
+        ((1, 2), (1, 3), 9),
+        ((1, 3), (1, 3), np.nan),
+    ):
+        with pytest.raises(ValueError, match="expected"):
+            engine.cast(np.zeros(origins), np.ones(rays), reach)

@@ -37,10 +37,9 @@ def seen(model, rays, data=None):
     return found
 
 
-def test_an_engine_over_data_sees_the_configuration_of_the_data():
+def test_an_engine_over_data_sees_the_configuration_of_the_data(rng):
     """A free body moved by its coordinates is seen where it went; without data it is seen where it
     began."""
-    rng = np.random.default_rng(12)
     began, went = np.array([4.0, 0.0, 0.0]), np.array([-1.0, 5.0, 1.0])
     body = Body((Geom("box", (0.6, 0.9, 1.2)),), tuple(began), inner="<freejoint/>")
     model = model_of(bodies=[body])
@@ -81,10 +80,9 @@ def test_rays_just_inside_a_boxs_edges_hit_it_in_every_direction_of_view(seed):
 
 
 @pytest.mark.parametrize("owner", ["world", "body", "free body"])
-def test_geoms_without_collisions_outside_their_bodys_colliding_extent_are_seen(owner):
+def test_geoms_without_collisions_outside_their_bodys_colliding_extent_are_seen(owner, rng):
     """`mj_multiRay` never tests these: it sets bodies aside by a sphere about colliding geoms
     alone."""
-    rng = np.random.default_rng(21)
     attitude, turn = (tuple(reference.random_quaternion(rng)) for _ in range(2))
     ghost = (-5.0, 1.0, 0.5)
     pair = (
@@ -118,7 +116,7 @@ def test_geoms_and_materials_of_alpha_zero_are_not_seen(name, colliding):
         for side, (look, _) in looks.items()
     ]
     behind = [Geom("sphere", (0.5,), tuple(5.0 * np.array(side))) for side in looks]
-    rays = np.array(list(looks), dtype=np.float64)
+    rays = np.array(list(looks), float)
     for geoms, beyond in ((walls + behind, 4.5), (walls, np.inf)):
         engine = made(name, model_of(geoms, assets=materials))
         expected = [1.5 if seen else beyond for _, seen in looks.values()]

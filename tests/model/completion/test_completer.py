@@ -1,5 +1,6 @@
 """One object from weights to predictions: shapes, units, and errors that say what to do."""
 
+import copy
 import re
 import socket
 from functools import partial
@@ -56,6 +57,10 @@ def test_what_goes_in_decides_what_comes_out(tmp_path, observed):
         assert single.tudf.shape == GRID.shape
         assert isinstance(single.tudf, np.ndarray)
         assert_allclose(single.tudf, batch.tudf[2], atol=1e-5)
+    torch.set_num_threads(2)
+    assert_allclose(copy.deepcopy(completer)(observed).tudf, batch.tudf, atol=1e-5)
+    assert torch.get_num_threads() == 2
+    torch.set_num_threads(1)
     tensor = completer(torch.from_numpy(observed))
     assert isinstance(tensor.occupancy_probability, torch.Tensor)
     assert not tensor.occupancy_probability.requires_grad

@@ -82,7 +82,7 @@ def test_files_that_are_no_scans_are_refused(net, tmp_path):
     np.save(tmp_path / "far.npy", np.full((4, 3), 1000.0))
     np.save(tmp_path / "good.npy", np.zeros((4, 3)))
     for name, out, said in (
-        ("far.npy", "o.h5", "give --sensor"),
+        ("far.npy", "o.h5", "--sensor"),
         ("scan.e57", "o.h5", "expected one of"),
         ("missing.npy", "o.h5", "no such file"),
         ("good.npy", "o.txt", "ends in .h5 or .ply"),
@@ -102,7 +102,7 @@ def test_points_beyond_the_map_and_without_a_return_are_counted(net, tmp_path):
     assert used.height_m is None
     assert "3 outside the map; the sensor's height is unknown" in str(used)
     np.save(tmp_path / "scan.npy", np.full((4, 3), np.nan))
-    with pytest.raises(DatasetError, match="0 of 4 points used, 4 without a return"):
+    with pytest.raises(DatasetError, match="none of 4 points is in the map"):
         predict_scan(net, read_scan(tmp_path / "scan.npy", [0, 0, 0]), tmp_path / "none.h5")
     with pytest.raises(DatasetError, match="--sensor"):
         read_scan(tmp_path / "scan.npy", [0, 0, np.nan])

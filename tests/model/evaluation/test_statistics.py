@@ -57,9 +57,8 @@ def test_outcomes_that_are_all_alike_are_not_certain():
     assert (exact["low"], exact["high"]) == (1, 1)
 
 
-def test_the_paired_test_holds_its_level_and_finds_a_difference(monkeypatch):
+def test_the_paired_test_holds_its_level_and_finds_a_difference(monkeypatch, rng):
     monkeypatch.setattr(statistics, "FLIPS", 2000)
-    rng = np.random.default_rng(2)
     worlds = np.repeat(np.arange(30), 4)
     equal, unequal = [], []
     for _ in range(200):

@@ -77,13 +77,14 @@ def test_regions_are_told_by_the_nearest_obstacle():
     true, seen = np.array([[0.4, 0.4, 1.5, 2.0, 0.4], [0.4, 1.0, 1.5, 2.0, 0.4]], np.float32)
     said = np.array([0.9, 1.5, 0.5, 0.5, 0.5], np.float32)
     inside = regions(np.ones(5, bool), unknown, said, true, seen, truncation_m=2.0)
-    assert dict(zip(REGIONS, inside.tolist(), strict=True)) == {
-        "map": [True] * 5,
-        "unobserved": [True, True, True, True, False],
-        "near": [True, True, False, False, False],
-        "said_near": [True, False, True, True, False],
-        "seen": [True, False, True, False, False],
-        "unseen": [False, True, False, False, False],
+    found = ["".join(map(str, row)) for row in inside.astype(int)]
+    assert dict(zip(REGIONS, found, strict=True)) == {
+        "map": "11111",
+        "unobserved": "11110",
+        "near": "11000",
+        "said_near": "10110",
+        "seen": "10100",
+        "unseen": "01000",
     }
 
 

@@ -87,7 +87,7 @@ HEADER = (
         (npy(UNIT)[:-8], "no .npy file of numbers"),
         (HEADER + b"\n" + bytes(160), "no .npy file of numbers"),
         (npy(UNIT.astype("f4")), "of float32"),
-        (npy(np.array([print], dtype=object)), "Object arrays cannot be loaded"),
+        (npy(np.array([print], object)), "Object arrays cannot be loaded"),
         (npy(UNIT[:4]), "has shape (4, 4) of float64, the manifest's lidar names (5, 4)"),
         (npy(np.full((5, 4), np.nan)), "a ray's direction has length nan"),
         (npy(2.0 * UNIT), "a ray's direction has length 2"),

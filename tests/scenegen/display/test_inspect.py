@@ -163,9 +163,8 @@ def test_a_folder_of_datasets_is_listed(full, tmp_path, capsys):
     assert "dataset.json" in bad["fault"]
 
 
-def test_what_does_not_fit_is_told():
+def test_what_does_not_fit_is_told(rng):
     """Shares of the map against a count of random places."""
-    rng = np.random.default_rng(0)
     for shape, reach in (((80, 80, 40), 10.0), ((255, 255, 64), 10.0), ((80, 80, 80), 6.0)):
         grid = GridSpec(shape=shape)
         places = rng.uniform(-0.5, 0.5, (20_000, 3)) * grid.extent_m

@@ -83,7 +83,7 @@ def _is_in(quad, spot):
     return bool((sides > 0).all() or (sides < 0).all())
 
 
-def test_a_world_is_what_another_engine_meets():
+def test_a_world_is_what_another_engine_meets(rng):
     """A ball, a pillar through the box's lid, and a floor: where the picture is white, MuJoCo's
     rays meet nothing."""
     world = compile_world(
@@ -94,7 +94,6 @@ def test_a_world_is_what_another_engine_meets():
     low, high = world.flight_bounds
     image, (left, right, down, up) = see(world, low, high)
     rows, columns = image.shape[:2]
-    rng = np.random.default_rng(0)
     places = rng.integers(0, (rows, columns), (400, 2))
     spots = np.stack(
         [

@@ -143,10 +143,9 @@ def test_a_collision_is_what_dense_samples_say():
     assert 2 <= hits <= 10
 
 
-def test_a_flight_has_the_same_bits_everywhere():
+def test_a_flight_has_the_same_bits_everywhere(rng):
     course = Course(world="pillar", flights=1, noise="range:0.02", moving=True)
     flying = course.simulation(0)
-    rng = np.random.default_rng(0)
     for _ in range(10):
         flying.observe()
         flying.step(bounded(rng.normal(0.0, 1.0, 4), VEHICLE)[0][0])  # type: ignore[index]

@@ -61,7 +61,7 @@ def draw(kind, seed=0):
 def looks_uniform(values, low, high):
     """Whether values lie between the bounds and are spread evenly there (Kolmogorov and
     Smirnov)."""
-    values = np.asarray(values, dtype=np.float64)
+    values = np.asarray(values, float)
     within = low - 1e-9 <= values.min() and values.max() <= high + 1e-9
     return bool(within and stats.kstest(values, stats.uniform(low, high - low).cdf).pvalue > 1e-3)
 

@@ -20,7 +20,7 @@ def measured(occupancy):
 
 
 def empty():
-    return np.zeros((13, 13, 13), np.bool_)
+    return np.zeros((13, 13, 13), bool)
 
 
 DIRECTIONS = [step for step in itertools.product((-1, 0, 1), repeat=3) if any(step)]
@@ -72,7 +72,7 @@ def test_an_empty_map_is_straight_and_open():
 
 
 def test_an_obstacle_ahead_occludes_by_its_distance():
-    occupancy = np.zeros((41, 21, 21), np.bool_)
+    occupancy = np.zeros((41, 21, 21), bool)
     occupancy[30, 10, 10] = True  # 6 m from the start, right ahead
     occupancy[5, 0, 10] = True  # aside, never within 36 degrees of the direction
     path = np.array([(0, 10, 10), (10, 10, 10), (20, 10, 10)])
@@ -85,7 +85,7 @@ def test_an_obstacle_ahead_occludes_by_its_distance():
 
 
 def test_corners_count_by_their_angles_and_only_where_they_are_needed():
-    occupancy = np.zeros((21, 21, 5), np.bool_)
+    occupancy = np.zeros((21, 21, 5), bool)
     far = np.full(occupancy.shape, 2.0, np.float32)
     path = np.array([(0, 0, 2), (5, 0, 2), (10, 0, 2), (10, 5, 2), (10, 10, 2)])
     assert hardness([path], occupancy, far, VOXEL).turning == 0.0  # its ends see each other

@@ -44,8 +44,7 @@ def field(occupancy, voxel, truncation):
 
 @pytest.mark.parametrize("voxel", VOXELS)
 @pytest.mark.parametrize("density", [0.0, 0.0001, 0.001, 0.02, 0.3, 0.97])
-def test_the_field_is_scipys_to_the_last_bit(voxel, density):
-    rng = np.random.default_rng(31)
+def test_the_field_is_scipys_to_the_last_bit(voxel, density, rng):
     for shape in ((23, 31, 17), (40, 9, 26), (5, 60, 40), (1, 33, 8), (12, 1, 1)):
         occupancy = rng.random(shape) < density
         expected = expected_field(squares(occupancy), voxel, 2.0)
@@ -53,10 +52,9 @@ def test_the_field_is_scipys_to_the_last_bit(voxel, density):
 
 
 @pytest.mark.parametrize("voxel", VOXELS)
-def test_truncations_of_every_reach_are_exact(voxel):
+def test_truncations_of_every_reach_are_exact(voxel, rng):
     """From less than one voxel to farther than the map is wide, whole numbers and their
     neighbours."""
-    rng = np.random.default_rng(36)
     occupancy = rng.random((19, 26, 22)) < 0.0005
     occupancy[4, 20, 7] = True
     k = squares(occupancy)
@@ -70,9 +68,8 @@ def test_truncations_of_every_reach_are_exact(voxel):
             assert_array_equal(answer, expected_field(k, voxel, truncation))
 
 
-def test_the_field_ignores_how_the_map_lies_in_memory():
+def test_the_field_ignores_how_the_map_lies_in_memory(rng):
     """Fortran order and reversed views of one map give one answer."""
-    rng = np.random.default_rng(35)
     occupancy = rng.random((13, 17, 11)) < 0.01
     answer = field(occupancy, 0.25, 2.0)
     assert_array_equal(field(np.asfortranarray(occupancy), 0.25, 2.0), answer)

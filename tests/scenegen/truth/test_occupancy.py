@@ -143,7 +143,7 @@ def squarely(shape, normal, rng):
 
 @pytest.mark.parametrize("kind", KINDS)
 @quarter(250)
-def test_gaps_of_a_micrometre_decide(kind, count):
+def test_gaps_of_a_micrometre_decide(kind, count, rng):
     """Cubes at a distance known by construction, from solids at random attitudes or flat against
     them.
 
@@ -151,7 +151,6 @@ def test_gaps_of_a_micrometre_decide(kind, count):
     cube where n is an outward normal: the plane between the two separates them, so the gap is their
     distance. No search is involved, so this judges ``reference`` too.
     """
-    rng = np.random.default_rng(12)
     cubes = 0
     for _ in range(count):
         voxel = float(rng.choice(VOXELS))
@@ -215,9 +214,8 @@ def test_primitives_at_many_attitudes_occupy_the_cubes_they_touch(kind, count):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_right_angled_attitudes_on_and_off_the_lattice(kind):
+def test_right_angled_attitudes_on_and_off_the_lattice(kind, rng):
     """All 24 of them, touching voxel faces, edges and corners exactly, and a little off."""
-    rng = np.random.default_rng(16)
     cases = []
     for quat in Rotation.create_group("O").as_quat(scalar_first=True):
         for voxel, shift in itertools.product((0.2, 0.25), (0.0, 1e-6, 0.5, rng.uniform(0, 1))):
@@ -230,14 +228,13 @@ def test_right_angled_attitudes_on_and_off_the_lattice(kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 @quarter(8)
-def test_a_hair_off_upright_is_not_upright(kind, count):
+def test_a_hair_off_upright_is_not_upright(kind, count, rng):
     """Tilts of 0, and from 1e-9 to 1e-2 rad, of solids up to 50 m long, whose far end is then
     micrometres to metres off.
 
     The map lies at the far end, where an error of attitude shows most: the solid's rim or face 4
     micrometres within a layer of voxels there, or 4 or 12 away from it.
     """
-    rng = np.random.default_rng(18)
     decided = 0
     for tilt in (0, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2):
         for _ in range(count):
@@ -412,14 +409,13 @@ def test_a_watertight_mesh_is_filled_however_it_is_scaled_mirrored_and_listed(sc
 
 
 @quarter(100)
-def test_gaps_of_a_micrometre_decide_for_meshes_and_height_fields(count):
+def test_gaps_of_a_micrometre_decide_for_meshes_and_height_fields(count, rng):
     """As for the primitives: the farthest vertex along -n lies a known gap from a cube with a
     normal n there.
 
     MuJoCo keeps mesh vertices as float32 numbers relative to the mesh's own centre, which moves
     them by up to 2e-7 m here; the gaps leave room for that.
     """
-    rng = np.random.default_rng(27)
     grid_shape = (3, 2, 4)
     cubes = 0
     for k in range(count):
@@ -451,7 +447,7 @@ def test_a_triangle_on_the_voxels_own_lattice_touches_what_the_test_of_each_cube
     for _ in range(count):
         triangle = rng.integers(-2, 14, (3, 3)) / 2 + rng.choice([0, 0, -1, 1.05], 3) * slack
         triangle[2] = triangle[2 - rng.integers(3)]
-        found, expected = np.zeros((2, 6, 6, 6), np.bool_)
+        found, expected = np.zeros((2, 6, 6, 6), bool)
         _fill_surface(triangle[None], np.zeros(3), 1.0, found)
         for i in np.ndindex(found.shape):
             expected[i] = triangle_touches(*triangle, *np.add(i, 0.5), 0.5, slack)
@@ -477,8 +473,7 @@ def hfield(rng, shape, size, *at):
 
 
 @pytest.mark.parametrize("turned", [False, True])
-def test_height_fields_are_filled_down_to_their_base(turned):
-    rng = np.random.default_rng(25)
+def test_height_fields_are_filled_down_to_their_base(turned, rng):
     grid_shape, voxel = (16, 16, 16), 0.2
     filled = 0
     for _ in range(12):

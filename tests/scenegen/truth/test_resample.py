@@ -10,8 +10,7 @@ from scenegen.truth.voxels import resample
 
 
 @pytest.mark.parametrize("edge_m", [0.2, 0.08, 0.5, 0.3])
-def test_occupied_and_known_voxels_are_those_that_overlap(edge_m):
-    rng = np.random.default_rng(1)
+def test_occupied_and_known_voxels_are_those_that_overlap(edge_m, rng):
     states = rng.choice([UNKNOWN, FREE, OCCUPIED], (12, 10, 8), p=[0.5, 0.48, 0.02])
     voxels = VoxelMap(np.asfortranarray(states, np.uint8), edge_m, np.array([-1.0, 0.2, 0.0]))
     grid = GridSpec(shape=(9, 8, 7), voxel_m=0.2)

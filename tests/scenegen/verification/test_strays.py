@@ -8,8 +8,7 @@ from scenegen.verification.rays import SLACK_M, count_strays
 
 
 @pytest.mark.parametrize("bound_m", [0.0, 0.05, 0.3, 1.1, 50.0])
-def test_strays_are_those_of_a_slow_search(bound_m):
-    rng = np.random.default_rng(3)
+def test_strays_are_those_of_a_slow_search(bound_m, rng):
     grid, origin = GridSpec(shape=(16, 12, 9), voxel_m=0.2), np.array([1.0, -2.0, 0.5])
     occupancy = rng.random(grid.shape) < 0.01
     extent = np.array(grid.shape) * grid.voxel_m

@@ -25,8 +25,7 @@ def test_a_signature_counts_every_voxel_once(shape):
     assert blocks.sum() == occupancy.sum()
 
 
-def test_no_near_twin_is_missed():
-    rng = np.random.default_rng(1)
+def test_no_near_twin_is_missed(rng):
     shape = (16, 16, 10)
     maps = [rng.random(shape) < rng.uniform(0.02, 0.5) for _ in range(60)]
     seen = [map_ & (rng.random(shape) < 0.3) for map_ in maps]
@@ -52,7 +51,7 @@ def test_no_near_twin_is_missed():
 
 
 def test_a_floor_alone_makes_no_twins():
-    floor = np.zeros((20, 20, 10), np.bool_)
+    floor = np.zeros((20, 20, 10), bool)
     floor[:, :, :4] = True
     one, other = floor.copy(), floor.copy()
     one[3:6, 3:6, 4:8] = True

@@ -40,8 +40,7 @@ def test_acceleration_is_the_second_derivative_of_the_smoothed_path():
     assert most > 3.0
 
 
-def test_the_thrust_is_the_bodys_z_axis_and_the_heading_stays():
-    rng = np.random.default_rng(0)
+def test_the_thrust_is_the_bodys_z_axis_and_the_heading_stays(rng):
     for _ in range(200):
         level, pull = Pose.level(rng.normal(size=3), rng.uniform(-3.1, 3.1)), rng.uniform(-4, 4, 3)
         lean = leaning(level, tuple(pull), most_deg=80.0)
@@ -54,8 +53,7 @@ def test_the_thrust_is_the_bodys_z_axis_and_the_heading_stays():
         assert_array_equal(lean.position, level.position)
 
 
-def test_the_lean_is_bounded_and_a_body_that_does_not_accelerate_is_level_to_the_bit():
-    rng = np.random.default_rng(1)
+def test_the_lean_is_bounded_and_a_body_that_does_not_accelerate_is_level_to_the_bit(rng):
     for _ in range(200):
         level = Pose.facing(rng.normal(size=3), rng.normal(size=2))
         assert_array_equal(

@@ -104,6 +104,15 @@ def check_motions(clearance, distances, seed, *, count, longest_m):
     assert min(verdicts.count(True), verdicts.count(False)) > count / 8
 
 
+def check_distances(clearance, points, distances):
+    """The distances to be found at points, which are."""
+    expected = np.minimum(distances, CAP_M)
+    found = np.array([clearance.at(*p) for p in points])
+    assert_allclose(found, expected, rtol=0, atol=ROUNDING_M)
+    assert (found[expected == 0] == 0).all()
+    return expected
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 def test_distances_to_primitives_are_those_of_mujoco_and_motions_keep_them(seed):
     model, data = primitive_world(seed)
@@ -113,10 +122,7 @@ def test_distances_to_primitives_are_those_of_mujoco_and_motions_keep_them(seed)
         return distances_by_mujoco(model, data, points)
 
     points = np.random.default_rng(seed).uniform(BOUNDS[0], BOUNDS[1], (250, 3))
-    expected = np.minimum(distances(points), CAP_M)
-    found = np.array([clearance.at(*p) for p in points])
-    assert_allclose(found, expected, rtol=0, atol=ROUNDING_M)
-    assert (found[expected == 0] == 0).all()
+    expected = check_distances(clearance, points, distances(points))
     between = (expected > 0) & (expected < CAP_M)
     assert min((expected == 0).sum(), (expected == CAP_M).sum(), between.sum()) > 5
     check_motions(clearance, distances, seed, count=60, longest_m=4.0)
@@ -180,16 +186,12 @@ def distances_to(shapes, points):
 @pytest.mark.parametrize(
     "names", [("ring",), ("half a ring",), ("hill",), ("hill", "ring", "half a ring", "ring")]
 )
-def test_distances_to_meshes_and_height_fields_are_those_of_their_triangles(names):
+def test_distances_to_meshes_and_height_fields_are_those_of_their_triangles(names, rng):
     clearance, shapes = bent_world(names, seed=len(names[0]))
-    rng = np.random.default_rng(0)
     corners = np.concatenate([np.asarray(shape.vertices) for shape, _ in shapes])
     near = corners[rng.integers(0, len(corners), 200)] + rng.normal(0.0, 0.4, (200, 3))
     points = np.clip(near, BOUNDS[0], BOUNDS[1])
-    expected = np.minimum(distances_to(shapes, points), CAP_M)
-    found = np.array([clearance.at(*p) for p in points])
-    assert_allclose(found, expected, rtol=0, atol=ROUNDING_M)
-    assert (found[expected == 0] == 0).all()
+    expected = check_distances(clearance, points, distances_to(shapes, points))
     assert ((expected > 0.05) & (expected < CAP_M)).sum() > 40
     if names != ("half a ring",):
         deep = (expected == 0) & (

@@ -63,8 +63,7 @@ def test_any_solids_are_written_as_mujoco_writes_them(seed):
     assert ours == theirs
 
 
-def test_many_solids_at_once_are_as_if_added_one_by_one():
-    rng = np.random.default_rng(0)
+def test_many_solids_at_once_are_as_if_added_one_by_one(rng):
     shapes = rng.choice([int(shape) for shape in SHAPES], 30)
     sizes, places, quats = rng.random((30, 3)), rng.random((30, 3)), rng.normal(size=(30, 4))
     quats /= np.sqrt((quats**2).sum(axis=1, keepdims=True))

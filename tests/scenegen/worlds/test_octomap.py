@@ -47,8 +47,7 @@ def written(states, corner, suffix):
 
 @pytest.mark.parametrize("suffix", [".bt", ".ot"])
 @pytest.mark.parametrize("corner", [(-3, -9, 2), (31000, -32768, -5)])
-def test_a_map_is_read_as_it_was_written(suffix, corner):
-    rng = np.random.default_rng(0)
+def test_a_map_is_read_as_it_was_written(suffix, corner, rng):
     states = rng.choice([UNKNOWN, FREE, OCCUPIED], (13, 6, 9)).astype(np.uint8)
     states[:, :4] = FREE  # cubes of several voxels
     states[0, 0, 0], states[-1, -1, -1] = FREE, OCCUPIED
@@ -91,8 +90,7 @@ def test_a_damaged_map_ends_in_a_line(content, said):
         parse_octomap(content, "map")
 
 
-def test_any_damage_ends_in_a_line_or_in_a_map():
-    rng = np.random.default_rng(0)
+def test_any_damage_ends_in_a_line_or_in_a_map(rng):
     for suffix, whole in ((".bt", BT), (".ot", OT)):
         begin = whole.index(b"\ndata\n") + 6
         for _ in range(200):

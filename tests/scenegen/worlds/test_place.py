@@ -81,8 +81,7 @@ def planned(folder, out, **more):
     return plan_generation(None, 20, val=5, test=5, scene=folder, recipe=recipe, out=out, **more)
 
 
-def test_clearance_is_the_distance_to_the_nearest_voxel_that_is_not_free(place):
-    rng = np.random.default_rng(0)
+def test_clearance_is_the_distance_to_the_nearest_voxel_that_is_not_free(place, rng):
     states = place.voxels.states
     cells = np.argwhere(np.pad(states, 6) != FREE) - 6  # beyond the map, nothing is free
     low = np.array(ORIGIN) + cells * VOXEL_M

@@ -71,9 +71,8 @@ def test_cost_and_gradient_are_the_formulas(safety_m, weight, shape):
         assert_allclose(gradient(path, tudf, grid, config), expected, rtol=1e-6, atol=2e-6)
 
 
-def test_the_cost_never_rises_and_the_ends_stay():
+def test_the_cost_never_rises_and_the_ends_stay(rng):
     """Iteration by iteration; and it falls far on crowded maps."""
-    rng = np.random.default_rng(3)
     grid = GridSpec(shape=(40, 40, 20))
     fell = []
     for density in (0.002, 0.01, 0.05):
@@ -90,9 +89,8 @@ def test_the_cost_never_rises_and_the_ends_stay():
     assert max(fell) < 0.7
 
 
-def test_a_bent_path_in_free_space_becomes_the_even_straight_line():
+def test_a_bent_path_in_free_space_becomes_the_even_straight_line(rng):
     """The only path without second differences between its ends."""
-    rng = np.random.default_rng(5)
     tudf = np.full(GRID.shape, 2.0, np.float32)
     line = np.linspace([0.5, 0.5, 0.5], [4.5, 3.5, 2.5], 6)
     bent = line + np.pad(rng.uniform(-0.3, 0.3, (4, 3)), ((1, 1), (0, 0)))
