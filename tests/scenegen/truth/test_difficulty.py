@@ -131,8 +131,8 @@ def test_a_way_that_begins_in_the_middle_sees_what_the_map_tells_of_it():
     tudf = distance_field(occupancy, GridSpec(shape=(13, 13, 13)))
     found = way_difficulty(np.array([(6, 6, 6), (7, 6, 6)]), occupancy, tudf, VOXEL)
     whole = difficulty(occupancy, tudf, VOXEL)
-    for name in ("clearance_m", "visibility_m", "dispersion", "passage_m", "traversability", "gap"):
-        assert getattr(found, name) == getattr(whole, name), name
+    # all but tortuosity, and FlightBench's three
+    assert found[:4] + found[5:7] == whole[:4] + whole[5:7]
 
 
 def test_a_way_round_a_corner_is_longer_than_straight():
