@@ -96,7 +96,7 @@ def figure(values: ArrayLike, worlds: ArrayLike, scale: Scale = "amount") -> Jso
         world, which says nothing of others; and ``n``, the samples that have a value. Without any,
         all but ``n`` are None.
     """
-    values = np.asarray(values, dtype=np.float64)
+    values = np.asarray(values, np.float64)
     held = np.isfinite(values)
     if not held.any():
         return {"mean": None, "std": None, "low": None, "high": None, "n": 0}
@@ -146,7 +146,7 @@ def paired_p(
 
 def holm(p_values: ArrayLike) -> Floats:
     """P-values (m,) corrected for their number (Holm 1979)."""
-    given = np.asarray(p_values, dtype=np.float64)
+    given = np.asarray(p_values, np.float64)
     order = np.argsort(given)
     stepped = np.maximum.accumulate(given[order] * (len(given) - np.arange(len(given))))
     corrected = np.empty_like(given)
