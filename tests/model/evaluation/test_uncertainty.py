@@ -67,7 +67,7 @@ def test_inverting_the_weight_calibrates_what_was_trained_with_it(weight):
 def test_certain_and_right_is_calibrated():
     occupied = drawn(1.0)[1]
     counts = counted(occupied.astype(np.float32), occupied, occupied, 5.0)
-    found = reliability(counts[None], np.zeros(1, int))
+    found = reliability(counts[None], [0])
     assert found["map"]["corrected"]["ece"] == found["unobserved"]["said"]["ece"] == 0.0
     assert [one["occupied"] for one in found["map"]["said"]["bins"]] == [0.0, 1.0]
 
