@@ -190,9 +190,9 @@ def bench(
             on_done(len(several))
     found.sort(key=lambda one: one.number)
     # of the trials, the first of every sample first, cut to the number asked for
-    counts = [len(one.methods[0].trials) for one in found]
-    turns = sorted((turn, n) for n, count in enumerate(counts) for turn in range(count))
-    turns = turns[: config.trials]
+    turns = sorted(
+        (turn, n) for n, one in enumerate(found) for turn in range(len(one.methods[0].trials))
+    )[: config.trials]
 
     def of_method(m: int) -> MethodResult:
         """What all samples gave of one method."""

@@ -91,9 +91,10 @@ def figure(values: ArrayLike, worlds: ArrayLike, scale: Scale = "amount") -> Jso
     other way.
 
     Returns:
-        ``mean``; ``std`` of the samples, their spread and not the mean's error; ``low`` and
-        ``high``, the 95 % interval of the mean, None of one world, which says nothing of others;
-        and ``n``, the samples that have a value. Without any, all but ``n`` are None.
+        ``mean``; ``std`` of the samples (n - 1 in its denominator, None of one), their spread and
+        not the mean's error; ``low`` and ``high``, the 95 % interval of the mean, None of one
+        world, which says nothing of others; and ``n``, the samples that have a value. Without any,
+        all but ``n`` are None.
     """
     values = np.asarray(values, float)
     held = np.isfinite(values)
@@ -111,7 +112,7 @@ def figure(values: ArrayLike, worlds: ArrayLike, scale: Scale = "amount") -> Jso
         if scale in ("share", "outcome") and 0 < middle < 1:
             ends = expit(logit(middle) + np.array([-1, 1]) * reach / (middle * (1 - middle)))
             low, high = min(float(ends[0]), mean), max(float(ends[1]), mean)
-    std = float(chosen.std(ddof=1)) if count > 1 else 0.0
+    std = float(chosen.std(ddof=1)) if count > 1 else None
     return {"mean": mean, "std": std, "low": low, "high": high, "n": count}
 
 
@@ -132,7 +133,7 @@ def paired_p(
     method is which is a coin toss in every world. Samples where either is NaN are left out; 1 where
     none differs.
     """
-    difference = np.asarray(first, float) - np.asarray(second, float)
+    difference = np.subtract(first, second, dtype=float)
     held = np.isfinite(difference)
     if not held.any():
         return 1.0

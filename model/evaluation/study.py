@@ -103,7 +103,7 @@ def study_map(
     )
     readings = [] if probability is None else [probability, corrected(probability, CLASS_WEIGHT)]
     readings += [] if calibrated is None else [calibrated]
-    bounds, ause = judge_bounds(said, distance, sample.tudf, inside)
+    bounds, ause = judge_bounds(said, distance, sample.tudf, inside, grid.truncation_m)
     settings, truth = settings_of(said), (sample.occupancy, sample.tudf)
     return Study(
         counts=count(readings, sample.occupancy, inside),

@@ -150,23 +150,25 @@ def judge_bounds(
     distance: Field,
     true: Field,
     inside: Mask,
+    truncation_m: float,
 ) -> tuple[Floats, float]:
     """By risk, region of `inside` and figure, (risks, PARTS, JUDGED), what the bounds of a
     prediction whose distances are `distance` are worth on one map; and its area under the
-    sparsification error, of the bounds nearest to `RISK`. NaN over no voxels, and without
-    bounds."""
+    sparsification error, of the bounds nearest to `RISK`. NaN over no voxels, and without bounds.
+    True and predicted distances are cut at the truncation, and so are bounds: one beyond it says
+    as much as one at it."""
     risks = () if said.uncertainty is None else said.uncertainty.risks
     found = np.full((len(risks), len(PARTS), len(JUDGED)), np.nan)
-    sparse = np.nan
+    unknown, sparse = inside[1], np.nan
     usual = min(risks, key=lambda risk: abs(risk - RISK), default=None)
     for n, risk in enumerate(risks):
-        low = said.low(risk)
+        low = np.minimum(said.low(risk), np.float32(truncation_m))
+        covers, width = true >= low - 1e-4, distance - low
         for p, part in enumerate(inside[1:]):
             if part.any():
-                covers = true[part] >= low[part] - 1e-4
-                found[n, p] = covers.mean(), (distance[part] - low[part]).mean()
-        if risk == usual and inside[1].any():
-            sparse = ause(np.abs(distance - true)[inside[1]], (distance - low)[inside[1]])
+                found[n, p] = covers[part].mean(), width[part].mean()
+        if risk == usual and unknown.any():
+            sparse = ause(np.abs(distance - true)[unknown], width[unknown])
     return found, sparse
 
 

@@ -120,14 +120,15 @@ def _way(blocked: Mask, ends: Ints) -> Ints:
 
 def graded(world: AnyWorld, radius_m: float, missions: Sequence[Mission]) -> list[Difficulty]:
     """How hard missions are: the figures of the shortest way of each, on voxels of `VOXEL_M`, for a
-    vehicle of a radius in metres."""
+    vehicle of a radius in metres. Tortuosity is of the straightened way."""
     found: list[Difficulty] = []
     for number, mission in enumerate(missions):
         if not number or mission.bounds != missions[number - 1].bounds:
             room = _room(world, np.array(mission.bounds), radius_m)
         ends = room.grid.index(np.array([mission.start, mission.goal]), room.origin)
         way = _way(room.blocked, ends)
-        found.append(way_difficulty(way, room.solid, room.tudf, VOXEL_M))
+        tortuosity = mission.shortest_m / math.dist(mission.start, mission.goal)
+        found.append(way_difficulty(way, tortuosity, room.solid, room.tudf, VOXEL_M))
     return found
 
 

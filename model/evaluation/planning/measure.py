@@ -163,20 +163,24 @@ def judge(
     grid: GridSpec,
 ) -> Measurement:
     """Judge in the truth the path `refined` (n, 3) that was made of what `plan_path` gave; see
-    `run_trial`."""
+    `run_trial`. Raises ValueError where the path leaves the map, of which the truth says
+    nothing beyond."""
     initial, reason = plan
     if initial is None or refined is None:
         return Measurement(success=False, cause=reason)
-    truth = checked(occupancy_truth, "occupancy_truth", grid, bool)
+    half = grid.extent_m / 2
+    if not (np.abs(refined - half) <= half).all():
+        raise ValueError(f"the path leaves the map, expected points from 0 to {2 * half} m")
+    truth = checked(occupancy_truth, "occupancy_truth", grid, bool).reshape(-1)
     distance = checked(tudf_truth, "tudf_truth", grid, np.float32)
     points, gaps = stations(refined)
     voxels = voxels_of(points, grid)
     met_m = map_coordinates(distance, points.T / grid.voxel_m - 0.5, np.float64, 1, mode="nearest")
     length_m = float(gaps.sum())
-    hits = np.flatnonzero(truth.reshape(-1)[voxels])
+    hits = voxels[truth[voxels]]
     cause: Cause | None = None
     if len(hits):
-        collides = truth.reshape(-1)[met(initial, grid)].any()
+        collides = truth[met(initial, grid)].any()
         cause = "initial_collides" if collides else "refined_into_obstacle"
     return Measurement(
         success=cause is None,
@@ -184,7 +188,7 @@ def judge(
         min_clearance_m=float(met_m.min()),
         mean_clearance_m=float(gaps @ (met_m[1:] + met_m[:-1]) / 2 / length_m),
         cause=cause,
-        hit=int(voxels[hits[0]]) if len(hits) else None,
+        hit=int(hits[0]) if len(hits) else None,
     )
 
 

@@ -8,7 +8,6 @@ from scenegen.model.calibration import Given, corrected
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.evaluation.uncertainty import (
     BINS,
-    PARTS,
     REGIONS,
     SHARES,
     ause,
@@ -50,8 +49,8 @@ def test_counts_are_those_of_histograms():
                 np.square(o - q).sum(),
             )
             assert_allclose(counts[r, n, :, 3:].sum(axis=0), (nll, brier), rtol=1e-3)
-    assert not counts[2:].any(), "no voxel is in those regions"
-    assert not counts[:, 2].any(), "nobody gave that reading"
+    assert not counts[2:].any()  # no voxel is in those regions
+    assert not counts[:, 2].any()  # nobody gave that reading
 
 
 @pytest.mark.parametrize("weight", [1.0, 5.0])
@@ -60,25 +59,26 @@ def test_inverting_the_weight_calibrates_what_was_trained_with_it(weight):
     found = reliability(counts, np.array([0, 0, 1, 2]))
     for region in found.values():
         assert region["corrected"]["ece"] < 0.01
-        assert (region["said"]["ece"] > 0.1) == (weight == 5.0)
-        assert region["said"]["low"] <= region["said"]["ece"] <= region["said"]["high"] + 1e-3
+        said = region["said"]
+        assert (said["ece"] > 0.1) == (weight == 5.0)
+        assert said["low"] <= said["ece"] <= said["high"] + 1e-3
 
 
 def test_certain_and_right_is_calibrated():
     occupied = drawn(1.0)[1]
     counts = counted(occupied.astype(np.float32), occupied, occupied, 5.0)
-    found = reliability(counts[None], np.zeros(1, int))
+    found = reliability(counts[None], [0])
     assert found["map"]["corrected"]["ece"] == found["unobserved"]["said"]["ece"] == 0.0
     assert [one["occupied"] for one in found["map"]["said"]["bins"]] == [0.0, 1.0]
 
 
 def test_regions_are_told_by_the_nearest_obstacle():
-    unknown = np.array([True, True, True, True, False])
+    unknown = np.arange(5) < 4
     true, seen = np.array([[0.4, 0.4, 1.5, 2.0, 0.4], [0.4, 1.0, 1.5, 2.0, 0.4]], np.float32)
     said = np.array([0.9, 1.5, 0.5, 0.5, 0.5], np.float32)
     inside = regions(np.ones(5, bool), unknown, said, true, seen, truncation_m=2.0)
-    found = ["".join(map(str, row)) for row in inside.astype(int)]
-    assert dict(zip(REGIONS, found, strict=True)) == {
+    told = ["".join(map(str, row)) for row in inside.astype(int).tolist()]
+    assert dict(zip(REGIONS, told, strict=True)) == {
         "map": "11111",
         "unobserved": "11110",
         "near": "11000",
@@ -97,22 +97,22 @@ def test_sparsification(rng):
     ]
     assert ause(error, doubt) == pytest.approx(np.mean(shares) / error.mean())
     flat = [error.mean() - np.mean(np.sort(error)[: int(s * 400)]) for s in SHARES]
-    assert ause(error, np.ones(400)) == pytest.approx(np.mean(flat) / error.mean()), (
-        "equal doubt orders nothing"
-    )
+    # equal doubt orders nothing
+    assert ause(error, np.ones(400)) == pytest.approx(np.mean(flat) / error.mean())
     assert ause(np.zeros(4), np.arange(4)) == 0
 
 
 def test_coverage_and_width_are_counted_by_region(rng):
+    """Of numbers that are cut at the truncation, bounds among them."""
     shape = (6, 6, 6)
-    true, distance = 2 * rng.random(shape, np.float32), 2 * rng.random(shape, np.float32)
-    low = (distance * rng.random(shape, np.float32)).astype(np.float32)
+    bound = 3 * rng.random(shape, np.float32)
+    true, distance = np.minimum(3 * rng.random((2, *shape), np.float32), 2)
     inside = rng.random((len(REGIONS), *shape)) < 0.5
     inside[-1] = False
-    said = Prediction(tudf=distance, uncertainty=Given(tudf_low=low, risk=0.1))
-    found, _ = judge_bounds(said, distance, true, inside)
-    for p in range(len(PARTS) - 1):
-        part = inside[p + 1]
+    said = Prediction(tudf=distance, uncertainty=Given(tudf_low=bound, risk=0.1))
+    found, _ = judge_bounds(said, distance, true, inside, 2.0)
+    low = np.minimum(bound, 2)
+    for p, part in enumerate(inside[1:-1]):
         assert found[0, p, 0] == pytest.approx((true >= low)[part].mean())
         assert found[0, p, 1] == pytest.approx((distance - low)[part].mean(), rel=1e-5)
     assert np.isnan(found[0, -1]).all()

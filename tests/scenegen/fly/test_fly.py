@@ -23,7 +23,7 @@ from scenegen.errors import DatasetError, GenerationError
 from scenegen.fly import Rules, Vehicle, suite
 from scenegen.fly.course import Course, Recording, replay
 from scenegen.fly.loop import fly, scored
-from scenegen.fly.missions import Mission, draw_missions
+from scenegen.fly.missions import Mission, draw_missions, graded
 from scenegen.fly.motion import STEP_S, Quadrotor, advance, most_pull, pose_of
 from scenegen.fly.pipe import PipeRobot
 from scenegen.fly.simulation import Simulation, bounded
@@ -298,9 +298,11 @@ def test_missions_follow_the_rule():
     missions = draw_missions(world, VEHICLE, rules, 4, seed=1)
     assert missions[:2] == draw_missions(world, VEHICLE, rules, 2, seed=1)
     for one in missions:
-        assert 5.0 <= math.dist(one.start, one.goal) <= one.shortest_m + 1e-9
+        straight = math.dist(one.start, one.goal)
+        assert 5.0 <= straight <= one.shortest_m + 1e-9
         for end in (one.start, one.goal):
             assert world.clearance.at(*end) >= VEHICLE.radius_m + rules.spare_m
+    assert graded(world, VEHICLE.radius_m, [one])[0].tortuosity == one.shortest_m / straight
     wall = world_of('<geom type="box" pos="4 0 2" size=".2 9 9"/>')
     sides = [
         {one.start[0] < 4, one.goal[0] < 4}
