@@ -154,8 +154,7 @@ def _cell(value: Any) -> str:
 @options_of(Choices, frame="Frame of the points: the body when the scan begins, or the world.")
 @seed_option("What the noise, and the flight, are drawn by.")
 @out_option(
-    "The file to write: .ply, .pcd, .npz or .bin; of --sequence, a folder or .mcap.  [default: "
-    "scan.ply, log]",
+    "The file: .ply, .pcd, .npz, .bin; a log: a folder or .mcap.  [default: scan.ply, log]",
     file=True,
 )
 @printing
