@@ -302,7 +302,8 @@ def unlike(
     """
     ways = about, *about.get("also", ())  # sensors and maps of several ways, each with its noise
     said = [_unlike(name, way, lidar, mapping, noise) for way in ways]
-    return said[0] if all(said) else ""
+    # of the nearest way: a sensor that differs says more than noise, and that more than maps
+    return min(said, key=lambda one: ("another sensor" in one, "other noise" in one, one))
 
 
 def _unlike(name: str, about: Json, lidar: Any, mapping: Mapper | None, noise: str) -> str:

@@ -216,6 +216,9 @@ def calibrate(
             ) from None
     method = Completer.from_pretrained(weights)
     datasets, tasks, worlds = [Dataset(folder) for folder in folders], [], set()
+    digests = tuple(str(dataset.manifest.digest) for dataset in datasets)
+    if len(set(digests)) < len(digests):
+        raise DatasetError("one dataset is given twice, and worlds count once; leave one out")
     for number, dataset in enumerate(datasets):
         part = filled(dataset, split)
         check_whole(dataset, "calibrate on drawn worlds")
@@ -254,7 +257,7 @@ def calibrate(
         chances=chances,
         risks=risks,
         margins=margins,
-        datasets=tuple(str(dataset.manifest.digest) for dataset in datasets),
+        datasets=digests,
         denied=tuple(np.quantile(np.concatenate(shares), LEVELS).tolist()) if chances else (),
     )
     if trials:

@@ -148,10 +148,11 @@ def world(dataset: Path | str, number: int | None, split: str, out: Path | None)
         from scenegen.source import read_world
         from scenegen.worlds.world import solid
 
-        if number is None:
-            found = read_world(Path(dataset))
-        else:
-            found = open_dataset(dataset, shown=True).compile(split, number)
+        found = (
+            read_world(Path(dataset))
+            if number is None
+            else open_dataset(dataset, shown=True).compile(split, number)
+        )
         write_result(out, encode_world(solid(found, str(dataset))))
         say(f"written: {out}")
         return

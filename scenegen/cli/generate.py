@@ -49,8 +49,6 @@ if TYPE_CHECKING:
 KIND = Named(
     KINDS, others={".toml": "--recipe", **dict.fromkeys(WORLD_FILES, "--scene")}, more=("mixed",)
 )
-NETWORK_EDGE = 8
-"""The bundled networks' three halvings need edges of maps that are multiples of this."""
 COUNT = click.IntRange(min=1)
 BESIDE = "this as a recipe file, without --scene, --labels, --compact, --engine, seed and sizes"
 
@@ -161,12 +159,6 @@ def generate(
     if shards and shards[1] > len(plan.shards):
         raise click.UsageError(
             f"--split-range {shards[0]}:{shards[1]}: there are {len(plan.shards)} shards"
-        )
-    grid = plan.parameters["grid"]["shape"]
-    if talk and any(edge % NETWORK_EDGE for edge in grid):
-        note(
-            f"note: the bundled networks need edges that are multiples of {NETWORK_EDGE}, and "
-            f"grid.shape = {grid}; other methods take any"
         )
     if dry_run:
         State(plan, force=force)  # which refuses a folder that holds something else

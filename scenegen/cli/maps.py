@@ -149,4 +149,4 @@ def ingest(
     if as_json:
         print(json.dumps({"folder": str(target), **counts}))
     elif talk:
-        show_table({**counts, "next": f"scenegen generate --scene {target}"})
+        show_table(counts | {"next": f"scenegen generate --scene {target} -o {target}-samples"})

@@ -153,7 +153,10 @@ def _cell(value: Any) -> str:
 @engine_option("What casts the rays.", default="analytic")
 @options_of(Choices, frame="Frame of the points: the body when the scan begins, or the world.")
 @seed_option("What the noise, and the flight, are drawn by.")
-@out_option("The file to write: .ply, .pcd, .npz or .bin.", default=Path("scan.ply"), file=True)
+@out_option(
+    "The file: .ply, .pcd, .npz, .bin; a log: a folder or .mcap.  [default: scan.ply, log]",
+    file=True,
+)
 @printing
 @group("Poses", "pose flight every")
 @group("A log", "sequence length speed acceleration yaw-rate moving")
@@ -169,7 +172,7 @@ def scan(
     engine: str,
     frame: str,
     seed: int,
-    out: Path,
+    out: Path | None,
     as_json: bool,
     talk: bool,
     **options: Any,
@@ -194,6 +197,7 @@ def scan(
     from scenegen.source import named_world
     from scenegen.tables import named_lidar, named_noise
 
+    out = out or Path("log" if sequence else "scan.ply")
     if not sequence and out.suffix not in SUFFIXES:
         raise click.UsageError(f"{out}: expected a name that ends in {', '.join(SUFFIXES)}")
     sensor = named_lidar(lidar or RASTER)

@@ -205,9 +205,12 @@ def read(folder: Path) -> Json:
         if _depth(manifest) > MOST_DEPTH:
             raise ValueError(f"it nests deeper than {MOST_DEPTH} levels, which no manifest does")
     except FileNotFoundError:
-        lacks = f"it has no {NAME}" if folder.is_dir() else "there is no such folder"
-        others = [str(path.parent) for path in Path(folder.parent).glob(f"*/{NAME}")]
-        for near in difflib.get_close_matches(str(folder), others, 1, 0.8):
+        lacks = f"it has no {NAME}" if folder.exists() else "there is no such folder"
+        inner, others = (
+            [str(path.parent) for path in Path(place).glob(f"*/{NAME}")]
+            for place in (folder, folder.parent)
+        )
+        for near in sorted(inner)[:1] or difflib.get_close_matches(str(folder), others, 1, 0.8):
             lacks += f"; did you mean {near}?"
         raise DatasetError(
             f"{folder}: not a dataset, {lacks}; make one with `scenegen generate`"

@@ -37,8 +37,6 @@ AT_ONCE = 200
 """Samples that a process measures before it tells of them."""
 MOST_MEASURED = 200
 """Samples of a split that are measured, unless all are."""
-MOST_LISTED = 1000
-"""The most datasets of a list."""
 MOST_BEYOND = 0.4
 """The share of a map beyond its sensor's range from which on it is told; of the presets' maps it is
 0.06."""
@@ -183,12 +181,16 @@ def inspect_all(folder: Path) -> list[Json]:
     """A line for each dataset in a folder's folders: its `folder`, and its kind, samples and
     digest, or its `fault`."""
     found = []
-    for path in sorted(folder.glob(f"*/{NAME}"))[:MOST_LISTED]:
+    for path in sorted(folder.glob(f"*/{NAME}")):
         row: Json = {"folder": str(path.parent)}
         try:
             it = load(path.parent)
-            row |= {"kind": it.graded, "complete": it.complete, "digest": it.digest}
-            row["samples"] = _counts(it.shards)
+            row |= {
+                "kind": it.graded,
+                "complete": it.complete,
+                "digest": it.digest,
+                "samples": _counts(it.shards),
+            }
         except DatasetError as error:
             row["fault"] = printable(error)
         found.append(row)
@@ -203,8 +205,8 @@ def inspect_world(path: Path) -> Json:
     from scenegen.worlds.place import Place
 
     world = read_world(path)
+    bounds = {"flight_bounds": world.flight_bounds.tolist()}
     if isinstance(world, Place):
-        bounds = {"flight_bounds": world.flight_bounds.tolist()}
         return {"map": str(path)} | map_facts(world.voxels) | bounds
     codes, counts = np.unique(world.solids.shape, return_counts=True)
     solids = {SHAPES[int(code)]: int(count) for code, count in zip(codes, counts, strict=True)}
@@ -214,9 +216,8 @@ def inspect_world(path: Path) -> Json:
         "world": str(path),
         "solids": solids,
         "triangles": len(world.solids.triangles),
-        "flight_bounds": world.flight_bounds.tolist(),
         "unseen": list(world.unseen),
-    }
+    } | bounds
 
 
 def map_facts(voxels: VoxelMap) -> Json:

@@ -160,6 +160,7 @@ def test_a_bundled_network_has_the_card_of_its_own_header(name):
 
 
 OWN, NOISE = Lidar(rows=8, max_range_m=30.0), "dropout:share=0.05"
+NOISY_TOO = {"also": [{"lidar": sensor_entry(OWN), "noise": [NOISE]}]}
 
 
 @pytest.mark.parametrize(
@@ -172,6 +173,7 @@ OWN, NOISE = Lidar(rows=8, max_range_m=30.0), "dropout:share=0.05"
         ({}, (Lidar(), Mapper(scans=5)), "maps made otherwise.*mapping.scans is 1 in training, 5"),
         ({"noise": ["", NOISE]}, (Lidar(), None, NOISE), ""),
         ({}, (Lidar(), None, NOISE), "other noise.*noise is none in training, dropout"),
+        (NOISY_TOO, (OWN,), "other noise.*noise is dropout.* in training, none here"),
     ],
 )
 def test_a_network_says_where_maps_are_not_those_of_its_training(header, met, said):

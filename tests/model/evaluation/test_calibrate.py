@@ -89,6 +89,8 @@ def test_what_cannot_be_calibrated_is_said(dataset, weights, tmp_path, monkeypat
     saved_network(odd, dataset.grid, TRAINED | {KEY: {"worlds": -1}})
     with pytest.raises(CheckpointError, match="its calibration is damaged"):
         Completer.from_pretrained(odd)
+    with pytest.raises(DatasetError, match="one dataset is given twice"):
+        calibrate(weights, [dataset.folder] * 2, tmp_path / "none.safetensors", split="test")
     monkeypatch.setattr(module, "LEAST_WORLDS", 20)
     with pytest.raises(DatasetError, match="worlds in split test, expected 20 at least"):
         calibrate(weights, [dataset.folder], tmp_path / "none.safetensors", split="test")

@@ -68,16 +68,6 @@ def test_bad_use_ends_in_one_line(words, told, tmp_path, capsys):
     assert not (tmp_path / "d").exists()
 
 
-def test_a_grid_that_the_network_cannot_take_is_mentioned(small, tmp_path, capsys):
-    command = f"generate --n 3 --out {tmp_path}/d --dry-run --recipe"
-    odd = tmp_path / "odd.toml"
-    odd.write_text(SMALL.replace("24, 24, 16", "24, 20, 16"))
-    told = "edges that are multiples of 8, and grid.shape = [24, 20, 16]"
-    assert told in run(capsys, f"{command} {odd}")[2]
-    for silent in (small, f"{odd} --quiet", f"{odd} --json"):
-        assert "multiples of 8" not in run(capsys, f"{command} {silent}")[2]
-
-
 BAD_SCENES = """
 <mujoco><worldbody>  → not valid MJCF
 <mujoco/>            → no geom that rays can see
