@@ -12,9 +12,8 @@ import pytest
 
 from scenegen import __version__
 from scenegen.__main__ import PLACES, app
-from scenegen.cli.generate import NETWORK_EDGE
 from scenegen.cli.options import COMMON_GROUPS
-from scenegen.model.config import STRIDE, BenchConfig
+from scenegen.model.config import BenchConfig
 from tests.command_line import ROOT, done, modules_after, run
 
 
@@ -71,7 +70,6 @@ def test_what_stands_twice_is_the_same():
     config = BenchConfig()
     options = {option.name: option.default for option in app.find("bench").params}
     assert (options["split"], options["seed"]) == (config.split, config.seed)
-    assert STRIDE == NETWORK_EDGE
 
 
 @pytest.fixture
