@@ -32,6 +32,7 @@ LOADERS = 8
 """Loader processes, and any number that divides this, among which a stream's batches are dealt so
 that each flight is drawn once. The order of batches is the same for any number."""
 
+STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 SAME_RAY = 1e-6
 """How far two rays of one direction may be apart, as unit vectors: what rounding takes."""
 
@@ -290,21 +291,21 @@ def load(
     """Every batch in turn, read by `workers` processes; 0 for none. Raises DatasetError for what
     cannot be read, GenerationError for what cannot be drawn."""
     loader: DataLoader = DataLoader(
-        maps, batch_sampler=batches, num_workers=workers, pin_memory=pinned, worker_init_fn=_ignore
+        maps, batch_sampler=batches, num_workers=workers, pin_memory=pinned
     )
+    # loaders inherit this, and leave stops to the process that trains: what signals its group
+    # would end them, too, and with them the step that is being made
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
     try:
-        yield from loader
+        found = iter(loader)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    try:
+        yield from found
     except ScenegenError as error:  # a loader process hands over its traceback with it
         error.with_traceback(None)  # its frames would keep the loader's processes alive
         kind, line = type(error), str(error).strip().splitlines()[-1]
         raise kind(line.removeprefix(f"{kind.__module__}.{kind.__name__}: ")) from None
-
-
-def _ignore(_: int) -> None:
-    """Leave stops to the process that trains: what signals its group would end this one, too, and
-    with it the step that is being made."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)
 
 
 @contextmanager
