@@ -288,7 +288,8 @@ def on_threads(count: int) -> Iterator[None]:
 def opened_once(name: str, device: str, batch: int) -> Completer:
     """A network for a task of many, on one thread of a processor: each process opens it once, and
     by itself."""
-    return Completer.from_pretrained(name, device=device, batch=batch, threads=1)
+    with on_threads(1):
+        return Completer.from_pretrained(name, device=device, batch=batch, threads=1)
 
 
 def unlike(

@@ -4,6 +4,7 @@ import itertools
 import math
 from collections import defaultdict
 from collections.abc import Iterator
+from contextlib import closing
 from typing import Any
 
 import numpy as np
@@ -38,26 +39,29 @@ def validate(
     loss_in, every = loss_of(config.loss, maps.grid), range(len(maps))
     batches = [every[n : n + config.batch] for n in every[:: config.batch]]
     totals, largest = defaultdict[str, Floats](lambda: np.zeros(2)), 0.0  # sums and counts
-    for read in load(maps, batches[group.rank :: group.size], workers=workers, pinned=False):
-        there, count = {name: one.to(group.device) for name, one in read.items()}, len(read["tudf"])
-        with autocast(group.device, group.precision):
-            output = Output(*network(there))
-        for name, value in loss_in(output, there).items():
-            totals[name] += np.array([value.item() * count, count])
-        said: dict[str, Any] = {}
-        if output.logits is not None:
-            chance = output.logits.float().sigmoid().numpy(force=True)
-            said["occupancy_probability"], largest = chance, max(largest, float(chance.max()))
-        if output.tudf is not None:
-            said["tudf"] = output.tudf.float().numpy(force=True)
-        for n in range(count):
-            prediction = Prediction(**{name: values[n] for name, values in said.items()})
-            true = {name: values[n].numpy() for name, values in read.items()}
-            about = true.get("known"), true.get("certain")
-            measured = measure_whole(prediction, true["occupancy"], true["tudf"], maps.grid, *about)
-            for name, value in zip(METRICS, measured.tolist(), strict=True):
-                if math.isfinite(value):  # a map without such voxels says nothing of them
-                    totals[name] += (value, 1)
+    mine = batches[group.rank :: group.size]
+    with closing(load(maps, mine, workers=workers, pinned=False)) as given:
+        for read in given:
+            there = {name: one.to(group.device) for name, one in read.items()}
+            count = len(there["tudf"])
+            with autocast(group.device, group.precision):
+                output = Output(*network(there))
+            for name, value in loss_in(output, there).items():
+                totals[name] += np.array([value.item() * count, count])
+            said: dict[str, Any] = {}
+            if output.logits is not None:
+                chance = output.logits.float().sigmoid().numpy(force=True)
+                said["occupancy_probability"], largest = chance, max(largest, float(chance.max()))
+            if output.tudf is not None:
+                said["tudf"] = output.tudf.float().numpy(force=True)
+            for n in range(count):
+                prediction = Prediction(**{name: values[n] for name, values in said.items()})
+                true = {name: values[n].numpy() for name, values in read.items()}
+                about = maps.grid, true.get("known"), true.get("certain")
+                measured = measure_whole(prediction, true["occupancy"], true["tudf"], *about)
+                for name, value in zip(METRICS, measured.tolist(), strict=True):
+                    if math.isfinite(value):  # a map without such voxels says nothing of them
+                        totals[name] += (value, 1)
     everywhere = group.gather((dict(totals), largest))
     means = dict.fromkeys(METRICS, math.nan)
     for name in [name for theirs, _ in everywhere for name in theirs]:

@@ -2,7 +2,7 @@
 
 import itertools
 import signal
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from fractions import Fraction
 from typing import Any, Protocol
@@ -287,7 +287,7 @@ def _weighted(maps: Maps, *, seed: int, epoch: int) -> list[Ints]:
 
 def load(
     maps: Maps, batches: Iterable[Sequence[Any]], *, workers: int, pinned: bool
-) -> Iterator[Batch]:
+) -> Generator[Batch]:
     """Every batch in turn, read by `workers` processes; 0 for none. Raises DatasetError for what
     cannot be read, GenerationError for what cannot be drawn."""
     loader: DataLoader = DataLoader(
@@ -303,9 +303,11 @@ def load(
     try:
         yield from found
     except ScenegenError as error:  # a loader process hands over its traceback with it
-        error.with_traceback(None)  # its frames would keep the loader's processes alive
         kind, line = type(error), str(error).strip().splitlines()[-1]
         raise kind(line.removeprefix(f"{kind.__module__}.{kind.__name__}: ")) from None
+    finally:
+        # a traceback that holds them would keep this process from ending
+        getattr(found, "_shutdown_workers", lambda: None)()
 
 
 @contextmanager

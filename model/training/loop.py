@@ -111,20 +111,19 @@ def train(
             network.train()
             batches, ahead = itertools.tee(course.batches(steps.start + done, len(steps) - done))
             mine = (batch[group.rank :: group.size] for batch in ahead)
-            stop, read = False, load(maps, mine, workers=workers, pinned=where.type == "cuda")
-            for step, batch, given in zip(steps[done:], batches, read, strict=False):
-                if step == course.latest_decay and progress.decay is None:
-                    folder.save(progress, LEVEL)  # a larger budget begins here
-                losses = learn(given, course.rate(step, progress.decay))
-                check_finite(losses, maps, batch, progress)
-                progress.add(losses, seconds=time.monotonic() - begin)
-                watcher.on_step(len(batch), losses["loss"])
-                if stop := group.any(watcher.stop()):
-                    break
-                folder.save_in_time(progress)
-            if stop:
-                folder.save(progress)
-                raise StoppedError(f"stopped; the same command goes on with {out}")
+            read = load(maps, mine, workers=workers, pinned=where.type == "cuda")
+            with closing(read):
+                for step, batch, given in zip(steps[done:], batches, read, strict=False):
+                    if step == course.latest_decay and progress.decay is None:
+                        folder.save(progress, LEVEL)  # a larger budget begins here
+                    losses = learn(given, course.rate(step, progress.decay))
+                    check_finite(losses, maps, batch, progress)
+                    progress.add(losses, seconds=time.monotonic() - begin)
+                    watcher.on_step(len(batch), losses["loss"])
+                    if group.any(watcher.stop()):
+                        folder.save(progress)
+                        raise StoppedError(f"stopped; the same command goes on with {out}")
+                    folder.save_in_time(progress)
             group.share_statistics(network)
             found = validate(network, checks, config, group, workers)
             check_finite({"validation loss": found["loss"]}, maps, [], progress)

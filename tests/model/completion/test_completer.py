@@ -14,12 +14,13 @@ from lidarsim import GridSpec, Lidar
 from lidarsim.sensors import SENSORS
 from scenegen.dataset.parts import sensor_entry
 from scenegen.model.checkpoint import CheckpointError, load_network, save_network
-from scenegen.model.completion.completer import Completer, unlike
+from scenegen.model.completion.completer import Completer, opened_once, unlike
 from scenegen.model.completion.protocol import PredictionError
 from scenegen.model.config import BUNDLED, bundled
 from scenegen.model.training.card import card
 from scenegen.worlds.mapping import Mapper
 from tests.model.conftest import completer_of, saved_network
+from tests.model.training.runs import elsewhere
 
 GRID = GridSpec(shape=(16, 24, 8))
 
@@ -60,6 +61,10 @@ def test_what_goes_in_decides_what_comes_out(tmp_path, observed):
     torch.set_num_threads(2)
     assert_allclose(copy.deepcopy(completer)(observed).tudf, batch.tudf, atol=1e-5)
     assert torch.get_num_threads() == 2
+    fork = elsewhere(opened_once, "anywhere", "cpu", 1)  # which has none of these threads
+    fork.join(30)
+    fork.kill()
+    assert fork.exitcode == 0
     torch.set_num_threads(1)
     tensor = completer(torch.from_numpy(observed))
     assert isinstance(tensor.occupancy_probability, torch.Tensor)
