@@ -2,7 +2,6 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import rich_click as click
 
@@ -13,7 +12,15 @@ from scenegen.cli.options import (
     open_dataset,
     workers_option,
 )
-from scenegen.cli.show import Progress, flat, note, per_split, rejections, show_figures, show_table
+from scenegen.cli.show import (
+    Progress,
+    note,
+    per_split,
+    plain,
+    rejections,
+    show_figures,
+    show_table,
+)
 from scenegen.files import Json
 from scenegen.worlds import MESHES, is_map
 from scenegen.worlds.mapping import Mapper
@@ -49,7 +56,7 @@ def inspect(dataset: Path | str, every: bool, keep: bool, workers: int, as_json:
     elif as_json:
         print(json.dumps(facts))
     else:
-        show_table({name: _plain(value) for name, value in flat(facts).items()})
+        show_table(plain(facts))
 
 
 def _facts(path: Path) -> Json | None:
@@ -107,13 +114,6 @@ def _inspect_dataset(
         note(f"note: {line}")
 
 
-def _plain(value: Any) -> Any:
-    """A value for people."""
-    if isinstance(value, list):
-        return ", ".join(str(_plain(one)) for one in value) or "none"
-    return f"{value:.4g}" if isinstance(value, float) else value
-
-
 def _show_all(rows: list[Json], as_json: bool) -> None:
     """Prints a line for each dataset."""
     if as_json:
@@ -134,6 +134,7 @@ def _show(dataset: Path | str, found: Json) -> None:
 
     grid, sources = found["grid"], found.get("sources", ())
     hollow = ", truth of surfaces" if grid.get("hollow") else ""
+    each = f", {found['bytes_per_sample'] / 1e3:.1f} KB a sample"
     show_table(
         {
             "dataset": dataset,
@@ -147,9 +148,8 @@ def _show(dataset: Path | str, found: Json) -> None:
             if any("mapping" in one for one in sources)
             else Mapper(**(found["mapping"] or {})),
             "fields": ", ".join(found["fields"]),
-            "samples": found["samples"],
-            "size": f"{found['bytes'] / 1e6:.1f} MB, {found['bytes_per_sample'] / 1e3:.1f} KB a "
-            f"sample",
+            "samples": found["samples"] or "none is listed before the run is complete",
+            "size": f"{found['bytes'] / 1e6:.1f} MB" + (each if found["samples"] else ""),
             "rejected": rejections(found["rejected"]),
         },
     )

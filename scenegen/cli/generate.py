@@ -4,6 +4,7 @@ dataset."""
 import json
 import time
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 import rich_click as click
@@ -256,7 +257,7 @@ def make(
             "size": size,
             "time": f"{seconds:.1f} s" + (f", {rate}" if written else "; nothing was left to make"),
             "digest": summary.digest or missing,
-            "next": f"scenegen inspect {summary.folder}",
+            "next": f"scenegen inspect {quote(str(summary.folder))}",
         }
     )
 

@@ -3,12 +3,13 @@ make datasets in."""
 
 import json
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import rich_click as click
 
 from scenegen.cli.options import command, group, options_of, out_option, printing, was_given
-from scenegen.cli.show import Progress, show_table
+from scenegen.cli.show import Progress, plain, show_table
 from scenegen.cli.types import FILE, Number
 from scenegen.errors import raised_as
 from scenegen.logs import Fusing
@@ -89,7 +90,7 @@ def map(
     if as_json:
         print(json.dumps(row))
     elif talk:
-        show_table(row | {"next": f"scenegen generate --scene {out}"})
+        show_table(plain(row) | {"next": f"scenegen generate --scene {quote(str(out))}"})
 
 
 @command(
@@ -149,4 +150,5 @@ def ingest(
     if as_json:
         print(json.dumps({"folder": str(target), **counts}))
     elif talk:
-        show_table(counts | {"next": f"scenegen generate --scene {target} -o {target}-samples"})
+        source, folder = quote(str(target)), quote(f"{target}-samples")
+        show_table(plain(counts) | {"next": f"scenegen generate --scene {source} -o {folder}"})

@@ -107,6 +107,17 @@ def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return found
 
 
+def plain(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Nested tables as one, see `flat`, with lists and numbers for people."""
+    return {name: _plain(value) for name, value in flat(values).items()}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, list):
+        return ", ".join(str(_plain(one)) for one in value) or "none"
+    return f"{value:.4g}" if isinstance(value, float) else value
+
+
 def announce_compilation() -> None:
     """Says why a run takes longer: the first one, or every one where kernels cannot be kept."""
     from lidarsim.jit import cache_trouble, no_kernels

@@ -9,6 +9,7 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import numpy as np
@@ -186,7 +187,7 @@ def choose(dataset: Dataset, choice: Choice, *, workers: int = 1) -> Iterator[Ch
     for name in (one.name for one in measured if one.name not in FIGURES and not kept):
         raise DatasetError(
             f"{dataset.folder}: {name} is a mean over all maps of a world; measure these first: "
-            f"scenegen inspect {dataset.folder} --keep"
+            f"scenegen inspect {quote(str(dataset.folder))} --keep"
         )
     step = workers * AT_ONCE if measured and not kept else 1
     for name in (name for name in SPLITS if name in choice.splits):

@@ -23,7 +23,7 @@ from scenegen import __version__
 from scenegen.errors import DatasetError, GenerationError, printable
 from scenegen.files import read_bounded
 from scenegen.fly import PERIOD_S, Rules, Vehicle
-from scenegen.fly.loop import HOVER, ROBOTS_END, Flown, scored, unlike
+from scenegen.fly.loop import CLAIMED, HOVER, ROBOTS_END, Flown, scored, unlike
 from scenegen.fly.missions import Mission, draw_missions, graded
 from scenegen.fly.simulation import Observation, Simulation, bounded
 from scenegen.limits import MOST_MANIFEST_BYTES
@@ -213,7 +213,7 @@ def replay(course: Course, flights: Sequence[Flown]) -> list[Flown]:
     """Fly the recorded commands of a course again.
 
     A flight that the simulation does not end is taken for one that the robot ended, in the way that
-    is recorded.
+    is recorded. What commands do not tell, such as the times of decisions, is as recorded, too.
 
     Raises:
         DatasetError: A flight is not as it was recorded.
@@ -231,7 +231,7 @@ def replay(course: Course, flights: Sequence[Flown]) -> list[Flown]:
                 f"flight {number} through {course.world}, seed {course.seed}, is not as it was "
                 f"recorded: {faults[0]}"
             )
-        found.append(again)
+        found.append(dataclasses.replace(again, **{name: getattr(flown, name) for name in CLAIMED}))
     return found
 
 
