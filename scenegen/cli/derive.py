@@ -139,7 +139,7 @@ def take(
 @out_option("Folder of the new dataset, or s3://bucket/folder.", stores=True, required=True)
 @making
 def merge(datasets: tuple[Path | str, ...], out: Path, **options: Any) -> None:
-    """Make one dataset of several that share grid, sensor and fields.
+    """Make one dataset of several that share grid and labels.
 
     Samples stay as they are, bit for bit, and in their splits; the manifest says where they are
     from. Given again after a stop, it goes on where it was.

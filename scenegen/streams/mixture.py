@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from lidarsim.engines import MUJOCO
+from lidarsim.engines import DEFAULT
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.generation import fraction
@@ -42,7 +42,7 @@ class Component:
     source: Source
     seed: int = 0
     split: str = "train"
-    engine: str = MUJOCO
+    engine: str = DEFAULT
     """Name of the engine that casts the rays; see `lidarsim.engines.ENGINES`."""
 
     def __post_init__(self) -> None:
@@ -76,8 +76,8 @@ class Component:
         )
 
     def described(self, *, software: bool) -> Json:
-        """What decides the samples, as plain JSON values: a manifest's parameters without counts,
-        and with the split.
+        """What decides the samples, as plain JSON values: a manifest's parameters without counts
+        and engine, since all engines give the same samples, and with the split.
 
         `software` adds the versions of what they are computed with.
         """
@@ -88,9 +88,9 @@ class Component:
             counts=dict.fromkeys(SPLITS, 0),
             compact=True,
             shard_samples=1,
-            engine=self.engine,
         )
-        left_out = {"counts", "fields", "shard_samples"} | (set() if software else {"software"})
+        left_out = {"counts", "fields", "shard_samples", "engine"}
+        left_out |= set() if software else {"software"}
         return {"split": self.split} | {
             name: value for name, value in given.items() if name not in left_out
         }

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from lidarsim.engines import DEFAULT
 from scenegen.dataset.generation import MIXED, fraction, is_mixed, read_components, seeds
 from scenegen.dataset.parts import schema_of
 from scenegen.errors import DatasetError, whole_number
@@ -238,15 +239,15 @@ def stream(
     samples: int = 10**9,
     workers: int = 0,
     cache: str | Path | None = None,
-    engine: str = "mujoco",
+    engine: str = DEFAULT,
 ) -> Stream:
     """Samples by number, drawn when asked for: the first n are those that `scenegen.generate`
     gives with this seed and split. No torch is needed.
 
     Args:
-        worlds: A kind's name, "mixed" for all kinds, a recipe or its TOML file, an MJCF file or a
-            folder of them; or several, as a list, or as a mapping to weights. Samples come in
-            proportion to the weights, by a fixed rule (docs/stream.md).
+        worlds: A kind's name, "mixed" for all kinds, a recipe or its TOML file, an MJCF file, a
+            map, or a folder of these; or several, as a list, or as a mapping to weights. Samples
+            come in proportion to the weights, by a fixed rule (docs/stream.md).
         seed: The same seed gives the same samples.
         split: "train", "val" or "test". No world of one split is in another, because each draw is
             seeded with its split.
