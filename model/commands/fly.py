@@ -34,7 +34,7 @@ from scenegen.files import check_free, write_result
 from scenegen.fly import SUITES, Rules, Vehicle
 from scenegen.model.commands.weights import Weights
 from scenegen.model.robots import FORGETFUL, MAPPING, NAMES, REACTIVE
-from scenegen.run import Executor, executor
+from scenegen.run import Executor, check_together, executor
 
 if TYPE_CHECKING:
     from scenegen.fly.course import Course, Flights
@@ -209,6 +209,7 @@ def fly(
     is_given = weights is not None or was_given("robot")
     fly_one = partial(fly_course, robot=robot, weights=weights, hidden=hidden)
     execute, told = executor(on, workers), dict[str, str]()
+    check_together(execute, "a row of flights takes")
     with Progress("", shown=talk) as progress:
         if recorded is not None:
             anew = fly_one if is_given else None

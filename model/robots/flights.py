@@ -141,9 +141,11 @@ NOTHING_KEPT = "stopped; no flight is kept"
 
 def network_digest(weights: str | None) -> str:
     """SHA-256 of a network's file; "" for none."""
+    if weights is None:
+        return ""
     from scenegen.model.completion.completer import locate
 
-    return "" if weights is None else sha256_of(locate(weights).read_bytes())
+    return sha256_of(locate(weights).read_bytes())
 
 
 def fly_courses(

@@ -88,9 +88,8 @@ def check_together(execute: Executor, what: str) -> None:
     to other processes."""
     if len(execute.mine((0, 1))) < 2:
         raise ScenegenError(
-            f"--on: {what} the figures of all samples, and jobs that know their rank alone bring "
-            f"none together; give --on ray or --on slurm, or each job a dataset of its own with "
-            f"--on local"
+            f"--on: {what} all results, and jobs that know their rank alone bring none together; "
+            f"give --on ray or --on slurm, or each job work of its own with --on local"
         )
 
 
