@@ -6,7 +6,7 @@ import os
 from collections import deque
 from collections.abc import Iterable, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -74,21 +74,16 @@ def warm_up() -> None:
     candidates(np.stack([blocks, blocks]), folds, np.array([1, 1]), np.array([0, 1]))
 
 
-@dataclass(eq=False)
-class Findings:
-    """What one shard's examination leaves for the whole folder's."""
-
-    number: int
-    samples: int
-    ledger: Ledger = field(default_factory=Ledger)
+Findings = tuple[int, Ledger]
+"""What one shard's examination leaves for the whole folder's: its position in the manifest, and
+what was found."""
 
 
 @quiet_mujoco()
 def examine(task: Task) -> Findings:
     """Make every check of one shard by itself. What is wrong with its files becomes faults in the
-    findings' ledger, and raises nothing."""
-    found = Findings(task.number, task.entry.samples)
-    ledger, contract, entry = found.ledger, task.contract, task.entry
+    ledger, and raises nothing."""
+    ledger, contract, entry = Ledger(), task.contract, task.entry
     checks = chosen_checks(contract, quick=task.quick, own=task.own)
 
     def look(stage: str, at: Any) -> None:
@@ -134,7 +129,7 @@ def examine(task: Task) -> Findings:
                 page.count(samples=1)
                 fields = {name: opened.value(name, row, read_only=task.quick) for name in stored}
                 look("sample", Sample(shard, row, fields, opened.value(DIGEST, row).tobytes()))
-    return found
+    return task.number, ledger
 
 
 SECONDS, SECONDS_A_SAMPLE, MOST_SECONDS = 120.0, 0.5, 24 * 3600.0
@@ -190,18 +185,18 @@ def verify(
     whole = _tasks(contract, quick=quick, seed=seed, own=own)
     tasks = execute.mine(whole)
     samples = sum(task.entry.samples for task in tasks)
-    order, waiting = deque(task.number for task in tasks), dict[int, Findings]()
+    order, waiting = deque(task.number for task in tasks), dict[int, Ledger]()
     if tasks and not quick:
         warm_up()
     guarded = _Examination(examine, _seconds, MEMORY_BYTES, _given_up)
     with closing(execute(guarded, tasks, lambda: on_start(samples))) as results:
-        for found in results:
-            waiting[found.number] = found
+        for number, found in results:
+            waiting[number] = found
             # in the order of shards, and no more of them kept than are early
             while order and order[0] in waiting:
-                ledger.add(waiting.pop(order.popleft()).ledger)
-                ledger.page(EXAMINED.name).count(shards=1)
-            on_done(found.samples)
+                ledger.add(waiting.pop(order.popleft()))
+                ledger[EXAMINED.name].count(shards=1)
+            on_done(whole[number].entry.samples)
     for check in checks:
         with ledger.checking(check.name) as page:
             if check.folder is not None and len(tasks) == len(whole):
@@ -257,8 +252,7 @@ def _seconds(task: Task) -> float:
 
 def _given_up(task: Task, reason: str) -> Findings:
     """What is left of a shard whose process was ended."""
-    found = Findings(task.number, task.entry.samples)
-    found.ledger.page(EXAMINED.name).fault(
-        f"{task.entry.file} or {task.entry.worlds}: examining it {reason}"
-    )
-    return found
+    ledger = Ledger()
+    fault = f"{task.entry.file} or {task.entry.worlds}: examining it {reason}"
+    ledger[EXAMINED.name].fault(fault)
+    return task.number, ledger

@@ -129,28 +129,26 @@ class Page:
         return examined
 
 
-class Ledger:
+class Ledger(dict[str, Page]):
     """A page for each check, by its name, while checks are being made. It can be pickled, and added
     to another."""
 
-    def __init__(self) -> None:
-        self._pages: dict[str, Page] = {}
-        self._inner = 0.0  # seconds of the checks within the one being made
+    _inner = 0.0
+    """Seconds of the checks within the one being made."""
 
-    def page(self, check: str) -> Page:
-        """The page of a check."""
-        return self._pages.setdefault(check, Page())
+    def __missing__(self, check: str) -> Page:
+        return self.setdefault(check, Page())
 
     def add(self, other: "Ledger") -> None:
         """Take in another ledger's pages."""
-        for name, theirs in other._pages.items():
-            self.page(name).add(theirs)
+        for name, theirs in other.items():
+            self[name].add(theirs)
 
     @contextmanager
     def checking(self, check: str) -> Iterator[Page]:
         """Time what belongs to a check, less the checks within; what cannot be examined becomes its
         fault."""
-        page, begin, before, self._inner = self.page(check), time.perf_counter(), self._inner, 0.0
+        page, begin, before, self._inner = self[check], time.perf_counter(), self._inner, 0.0
         try:
             yield page
         except BrokenError as error:
@@ -163,7 +161,6 @@ class Ledger:
     def outcomes(self, checks: Iterable[str]) -> tuple[Outcome, ...]:
         """What the report says of these `checks`, in this order, less those that had nothing to
         examine."""
-        pages = {name: self.page(name) for name in checks}
         return tuple(
             Outcome(
                 name=name,
@@ -174,6 +171,6 @@ class Ledger:
                 seconds=page.seconds,
                 counts=dict(page.counts),
             )
-            for name, page in pages.items()
-            if page.touched
+            for name in checks
+            if (page := self[name]).touched
         )
