@@ -62,7 +62,7 @@ MOST_BYTES = 10_000 + 80 * MOST_SAMPLES_IN_SHARD
 def write_placed(spec: ShardTask) -> ShardReport:
     """`write_shard` at a place, and the shard's report beside it. Raises StoreError as well."""
     report = write_shard(spec)
-    _note(spec, report, [_place(spec, name).version for name in _names(spec)])
+    _note(spec, report, [place.version for place in _places(spec)])
     return report
 
 
@@ -79,15 +79,13 @@ def look(
 
     def one(task: tuple[ShardTask, Entry | None]) -> ShardReport | None:
         spec, listed = task
-        now = [there.get(name) for name in _names(spec)]
+        now = [there.get(name) for name in (spec.file, spec.worlds)]
         report = _noted(spec, now, there) if None not in now else None
-        if report is None or (
-            listed and any(getattr(report, each) != getattr(listed, each) for each in SUMS)
-        ):
+        if report is None or (listed and report.sums != listed.sums):
             report = read_report(spec, listed, verify=True)
             if report is None:
-                for name in _names(spec):  # the samples, which commit it, first
-                    _place(spec, name).unlink(missing_ok=True)
+                for place in _places(spec):
+                    place.unlink(missing_ok=True)
             else:
                 _note(spec, report, now)
         return report
@@ -98,15 +96,9 @@ def look(
         yield from pool.map(one, tasks)
 
 
-SUMS = ("sha256", "worlds_sha256")
-
-
-def _names(spec: ShardTask) -> tuple[str, str]:
-    return spec.file, spec.worlds
-
-
-def _place(spec: ShardTask, name: str) -> Any:
-    return spec.folder / name
+def _places(spec: ShardTask) -> list[Any]:
+    """Where its objects are, the samples, which commit it, first."""
+    return [spec.folder / spec.file, spec.folder / spec.worlds]
 
 
 def _note(spec: ShardTask, report: ShardReport, versions: Iterable[str | None]) -> None:

@@ -188,10 +188,6 @@ class StorePath(_Path):
         folder = home_of(self.parent)
         return store_of(str(folder)), str(self.relative_to(folder))
 
-    def is_dir(self) -> bool:
-        """Whether there is an object in it."""
-        return next(self.store.list(), None) is not None
-
     def mkdir(self, mode: int = 0o777, parents: bool = False, exist_ok: bool = False) -> None:
         """Nothing: there are no folders."""
 
