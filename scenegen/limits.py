@@ -98,14 +98,11 @@ SCENE_SECONDS, SCENE_BYTES = 60.0, 4 << 30
 take."""
 
 MOST_ASKED: Mapping[str, int] = {
-    **{"memory": 1 << 30, "njmax": 1 << 20, "nconmax": 1 << 20, "nstack": 1 << 27, "nkey": 1000},
-    **{
-        "nuserdata": 1 << 20,
-        "nrow": MOST_CELLS,
-        "ncol": MOST_CELLS,
-        "width": MOST_CELLS,
-        "height": MOST_CELLS,
-    },
+    "memory": 1 << 30,
+    "nstack": 1 << 27,
+    "nkey": 1000,
+    **dict.fromkeys(("njmax", "nconmax", "nuserdata"), 1 << 20),
+    **dict.fromkeys(("nrow", "ncol", "width", "height"), MOST_CELLS),
     **{
         f"nuser_{what}": 100
         for what in ("body", "jnt", "geom", "site", "cam", "tendon", "actuator", "sensor")

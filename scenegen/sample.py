@@ -214,18 +214,18 @@ class Sample:
     def sha256(self) -> bytes:
         """The sample's own digest (32 bytes) over what does not follow from the rest, as
         docs/format.md defines it."""
-        digest = hashlib.sha256()
-        digest.update(np.packbits(self.observed).tobytes())
-        digest.update(np.packbits(self.occupancy).tobytes())
-        for name in ("ranges", "position", "quaternion", "origin", "world", "viewpoint"):
-            digest.update(np.asarray(getattr(self, name), FIELDS[name]["dtype"]).tobytes())
-        for names in (names for group, names in GROUPS.items() if group):
-            if getattr(self, names[0]) is not None:
-                digest = hashlib.sha256(digest.digest())
-                for name in names:
-                    values = np.asarray(getattr(self, name), FIELDS[name]["dtype"])
-                    digest.update(values.tobytes())
-        return digest.digest()
+        digest = b""
+        for group, names in GROUPS.items():
+            if getattr(self, names[0]) is None:
+                continue
+            whole = hashlib.sha256(digest)
+            for name in (name for name in names if name not in DERIVED):
+                values = np.asarray(getattr(self, name), FIELDS[name]["dtype"])
+                # grids that every sample has count by their bits
+                packed = values.dtype == bool and not group
+                whole.update((np.packbits(values) if packed else values).tobytes())
+            digest = whole.digest()
+        return digest
 
 
 def html_table(rows: Iterable[Sequence[object]], title: object) -> str:

@@ -37,22 +37,16 @@ DOCUMENT = "world.xml"
 """What `Dataset.world` calls it."""
 
 
-class Members:
+class Members(dict[str, zipfile.ZipInfo]):
     """The members of an open archive, by their names; each is read when asked for."""
 
     def __init__(self, archive: zipfile.ZipFile):
+        super().__init__({member.filename: member for member in archive.infolist()})
         self._archive = archive
-        self._members = {member.filename: member for member in archive.infolist()}
-
-    def __contains__(self, name: str) -> bool:
-        return name in self._members
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._members)
 
     def read(self, name: str) -> bytes:
         """A member's content. Raises BrokenError for an image that would take too much memory."""
-        member = self._members[name]
+        member = self[name]
         with self._archive.open(
             member
         ) as file:  # `ZipFile.read` would unpack whatever is in it, and then cut it

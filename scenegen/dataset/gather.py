@@ -137,8 +137,8 @@ class Part(ShardTask):
             file.seek(0)
             write_whole(self.folder / target, content := file.read())
             size += len(content)
-        sums, own = (self.entry.sha256, self.entry.worlds_sha256), shard.column(DIGEST)
-        return report_of(self, sums, size, Rejections(**shard.rejected()), own.tobytes())
+        own = shard.column(DIGEST).tobytes()
+        return report_of(self, self.entry.sums, size, Rejections(**shard.rejected()), own)
 
     def _repack(
         self, worlds: BufferedReader, shard: ShardFile, rows: tuple[int, ...]

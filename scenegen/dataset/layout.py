@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scenegen.dataset.hdf5 import Hdf5Error, Stored, read_index
+from scenegen.dataset.rules import REJECTED, check
 from scenegen.errors import BrokenError, DatasetError, raised_as, short
 from scenegen.files import open_bounded, open_parts, pread, sha256_in, size_of
 from scenegen.sample import DERIVED, FIELDS, Sample, Schema
@@ -58,7 +59,7 @@ class ShardFile:
     name: str
     columns: Mapping[str, Stored]
     """Its datasets: N chunks each, one a sample."""
-    attributes: Mapping[str, int | str | None]
+    attributes: Mapping[str, Any]
 
     @property
     def fetched(self) -> bool:
@@ -123,29 +124,19 @@ class ShardFile:
 
     def rejected(self) -> dict[str, Counter[str]]:
         """Rejections by reason, of worlds and of viewpoints. Raises BrokenError."""
-        text = self.attributes.get("rejected")
-        try:
-            given = json.loads(text)  # type: ignore[arg-type]
-            found = {what: Counter(dict(given[what])) for what in ("worlds", "viewpoints")}
-            if all(
-                type(n) is int and 0 <= n <= 10**9
-                for counts in found.values()
-                for n in counts.values()
-            ):
-                return found
-        except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
-            pass
-        raise BrokenError(
-            f"{self.name}: attribute rejected = {short(text)}: expected counts as JSON"
-        )
+        text = self.attributes.get("rejected", "")
+        fault = f"{self.name}: attribute rejected = {short(text)}: expected counts as JSON"
+        failed = (ValueError, TypeError, RecursionError, BrokenError)
+        with raised_as(lambda _: BrokenError(fault), of=failed):
+            given = json.loads(text)
+            check(given, REJECTED, "")
+        return {what: Counter(given[what]) for what in REJECTED}
 
 
 def unpack(packed: bytes, column: Stored, left_out: int) -> bytes:
     """A chunk's bytes with the filters undone, last first. Raises ValueError unless as many come
     out as there must."""
     data, size = packed, column.row_bytes
-    if left_out >> len(column.filters):
-        raise ValueError(f"it leaves out filters that it does not have: {left_out:#b}")
     for place in reversed(range(len(column.filters))):
         if left_out >> place & 1:
             continue
@@ -153,8 +144,6 @@ def unpack(packed: bytes, column: Stored, left_out: int) -> bytes:
         if number == FLETCHER32:
             data = data[:-4]  # its checksum is not looked at: the samples' digests are better ones
         elif number == SHUFFLE:
-            if len(data) != size:
-                raise ValueError(f"{len(data)} bytes, expected {size}")
             data = np.frombuffer(data, np.uint8).reshape(column.dtype.itemsize, -1).T.tobytes()
         elif number == DEFLATE:
             unpacking = isal.isal_zlib.decompressobj()
@@ -195,7 +184,7 @@ def open_shard(
     """The shard in `file`, which `path` was opened as, its layout checked; the file is closed once
     nobody holds the shard any more. Raises BrokenError with what is wrong."""
     try:
-        shard = ShardFile(file, path.name, *_checked(file, path, samples, layout))
+        shard = _checked(file, path.name, samples, layout)
     except BaseException:
         file.close()
         raise
@@ -203,31 +192,27 @@ def open_shard(
     return shard
 
 
-def _checked(
-    file: "BufferedReader | Copy", path: Path, samples: int, layout: Layout
-) -> tuple[dict[str, Stored], Mapping[str, int | str | None]]:
-    """The columns and attributes of a shard."""
+def _checked(file: "BufferedReader | Copy", name: str, samples: int, layout: Layout) -> ShardFile:
+    """The shard in `file`, which errors call `name`."""
     size, most = size_of(file), most_bytes(layout, samples)
     if size > most:
-        raise BrokenError(f"{path.name}: {size} bytes, {samples} samples take {most} at most")
-    with raised_as(BrokenError, f"{path.name}: is damaged: ", of=Hdf5Error):
+        raise BrokenError(f"{name}: {size} bytes, {samples} samples take {most} at most")
+    with raised_as(BrokenError, f"{name}: is damaged: ", of=Hdf5Error):
         index = read_index(file, samples)
     if odd := sorted(set(index.objects) ^ set(layout)):
-        named = ", ".join(short(name)[1:-1] for name in odd)
-        raise BrokenError(
-            f"{path.name}: {named}: there or missing, expected just {', '.join(layout)}"
-        )
+        named = ", ".join(short(one)[1:-1] for one in odd)
+        raise BrokenError(f"{name}: {named}: there or missing, expected just {', '.join(layout)}")
     columns = {}
-    for name, (dtype, shape) in layout.items():
-        stored = columns[name] = index.objects[name]
+    for field, (dtype, shape) in layout.items():
+        stored = columns[field] = index.objects[field]
         if stored.dtype != dtype or stored.shape != (samples, *shape):
             raise BrokenError(
-                f"{path.name}: {name} is {stored.dtype} {stored.shape[:4]}, expected {dtype} "
+                f"{name}: {field} is {stored.dtype} {stored.shape[:4]}, expected {dtype} "
                 f"{(samples, *shape)}: as many samples as the manifest lists, of the grid's or the "
                 "sensor's shape"
             )
-        _check_chunks(stored, size, f"{path.name}: {name}")
-    return columns, index.attributes
+        _check_chunks(stored, size, f"{name}: {field}")
+    return ShardFile(file, name, columns, index.attributes)
 
 
 def _check_chunks(stored: Stored, size: int, where: str) -> None:

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lidarsim import BeamTable, GridSpec, Lidar, Sensor
-from lidarsim.noise import STAGES
 from lidarsim.parameters import MOST_RAYS
 from lidarsim.sensors.table import MOST_AXES, MOST_MADE_BY, most_bytes, read_npy
 from scenegen.dataset.rules import DIGEST, Rule, check, made, text
@@ -44,8 +43,8 @@ _NOISE = {
     ),
 }
 _TABLE_OF_RAYS = {
-    "sensor": Rule(lambda value: value == "table", "table, or no entry for a raster"),
-    "rays": Rule(lambda value: value == RAYS, RAYS),
+    "sensor": text("table", "table, or no entry for a raster"),
+    "rays": text("rays[.]npy", RAYS),
     "sha256": DIGEST,
     "shape": Rule(
         lambda value: (
@@ -57,16 +56,11 @@ _TABLE_OF_RAYS = {
         f"up to {MOST_AXES} counts, {MOST_RAYS} rays at most",
     ),
     "max_range_m": Rule(lambda value: type(value) in (int, float), "metres"),
-    "made_by": Rule(
-        lambda value: isinstance(value, str) and len(value) <= MOST_MADE_BY, "what made the rays"
-    ),
+    "made_by": text(rf"(?s).{{0,{MOST_MADE_BY}}}", "what made the rays"),
 }
 """What a manifest says of a table of rays; a recipe's [lidar] takes the same, but for the shape."""
 _LABELS = {
-    "by": Rule(
-        lambda value: value in ("class", "name", "material", "group"),
-        "class, name, material or group",
-    ),
+    "by": text("class|name|material|group", "class, name, material or group"),
     "classes": Rule(
         lambda value: (
             isinstance(value, list)
@@ -198,15 +192,8 @@ def _read_plain(name: str, rules: Mapping[str, Rule]) -> Callable[[Any, Mapping[
     return read
 
 
-def is_ours(entry: Json | None) -> bool:
-    """Whether all stages are scenegen's own, so that reading them imports nothing that a manifest
-    names."""
-    stages = entry["stages"].split(",") if entry else []
-    return all(stage.partition(":")[0] in STAGES.known for stage in stages)
-
-
 def noise_of(entry: Json | None, max_range_m: float) -> "Noise":
-    """The chain of a manifest's entry whose stages `is_ours`. Raises BrokenError for one that
+    """The chain of a manifest's entry whose stages are all ours. Raises BrokenError for one that
     cannot be, or whose bound is another."""
     from lidarsim.noise.chain import Noise
 

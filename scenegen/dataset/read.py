@@ -1,7 +1,6 @@
 """Read a dataset: samples by split and number, with what was left out derived, and the worlds they
 come from."""
 
-import os
 from bisect import bisect_right
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
@@ -186,8 +185,8 @@ class Dataset:
 
 
 class Split(Samples):
-    """The samples of one split, in order. Files are opened when first read, and anew in every
-    process that reads."""
+    """The samples of one split, in order. Files are opened when first read; forked processes share
+    them, for reading them moves nothing, and others open their own."""
 
     def __init__(self, dataset: Dataset, name: str):
         self.dataset = dataset
@@ -196,7 +195,6 @@ class Split(Samples):
         """Its shards, as the manifest lists them."""
         self._start = np.cumsum([0, *(shard.samples for shard in self.shards)])
         self._open: dict[int, ShardFile] = {}
-        self._process = os.getpid()
 
     def __len__(self) -> int:
         return int(self._start[-1])
@@ -238,10 +236,6 @@ class Split(Samples):
         return shard, index - int(self._start[shard])
 
     def _shard(self, number: int) -> ShardFile:
-        if (
-            self._process != os.getpid()
-        ):  # a forked process has handles of its own to close, and opens its own files
-            self._open, self._process = {}, os.getpid()
         shard = self._open.pop(number, None) or self.dataset._shard(self.shards[number])
         self._open[number] = shard  # last in line: the one used longest ago stands first
         for old in list(self._open)[:-MOST_OPEN]:
@@ -281,8 +275,7 @@ class Split(Samples):
         shard = self._shard(number)
         with advised(self.dataset.folder):
             numbering = self.dataset.manifest.home(entry).numbering(self.name)
-            places: Ints = numbering.place(shard.column("world"), shard.column("viewpoint"))
-            return places
+            return numbering.place(shard.column("world"), shard.column("viewpoint"))
 
     def numbers_in(self, number: int) -> Ints:
         """World and viewpoint of a shard's samples, (2, N). Raises DatasetError."""

@@ -9,7 +9,7 @@ from typing import Any
 
 from scenegen import SPLITS
 from scenegen.errors import BrokenError, NewerError, short
-from scenegen.limits import MOST_SEED, MOST_SOURCES
+from scenegen.limits import MOST_SAMPLES, MOST_SEED, MOST_SOURCES
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,6 +143,9 @@ def made(
         raise BrokenError(f"{at}.{said}") from None
 
 
+COUNT = whole(0, MOST_SAMPLES)
+REJECTED = dict.fromkeys(("worlds", "viewpoints"), table_of(COUNT))
+"""Counts by reason, of what was rejected on the way to a shard or a dataset."""
 TEXTS = table_of(Rule(lambda value: isinstance(value, str), "text"))
 RECIPE_RULES = {
     "version": whole(0, MOST_SEED),

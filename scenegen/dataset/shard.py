@@ -44,8 +44,7 @@ def find_engine(name: str) -> EngineFactory:
         engine = ENGINES.find(name)
     if missing := getattr(engine, "missing", str)():  # what some engines say before the work begins
         raise DatasetError(f"the engine {name} {missing}")
-    found: EngineFactory = engine.of
-    return found
+    return engine.of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,7 +103,6 @@ class ShardSpec(ShardTask):
     def draw(self, unit: int) -> Unit:
         """Unit `unit` of the split. Raises GenerationError, and DatasetError for an engine that is
         not to be had."""
-        engine = find_engine(self.engine)
         return draw_unit(
             self.source,
             self.recipe,
@@ -112,7 +110,7 @@ class ShardSpec(ShardTask):
             split=self.split,
             unit=unit,
             derived=self.derived,
-            engine=engine,
+            engine=find_engine(self.engine),
         )
 
     @property
@@ -286,7 +284,7 @@ def read_report(
                 worlds_sha256=sums[1],
                 parameters=spec.parameters,
             )
-            if listed is not None and (listed.sha256, listed.worlds_sha256) != sums:
+            if listed is not None and listed.sums != sums:
                 return None
             for row in range(spec.samples) if listed is None and verify else ():
                 shard.check(row)

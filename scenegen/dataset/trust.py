@@ -9,24 +9,26 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lidarsim import GridSpec, Sensor
+from lidarsim.noise import STAGES
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.layout import Layout, layout_of
 from scenegen.dataset.parts import (
     NAMES,
     PARTS,
-    is_ours,
     noise_of,
     rays_named,
     schema_of,
     sensor_of,
 )
 from scenegen.dataset.rules import (
+    COUNT,
     DIGEST,
     FILE_RULE,
     FLAG,
     LIST,
     RECIPE_RULES,
+    REJECTED,
     SOURCES_RULE,
     TABLE,
     TEXTS,
@@ -36,7 +38,6 @@ from scenegen.dataset.rules import (
     checked,
     optional,
     ruled,
-    table_of,
     text,
     whole,
 )
@@ -52,7 +53,6 @@ from scenegen.errors import (
 from scenegen.files import Json
 from scenegen.limits import (
     MOST_KIND_NAME,
-    MOST_SAMPLES,
     MOST_SAMPLES_IN_SHARD,
     MOST_SEED,
     MOST_VIEWPOINTS,
@@ -64,7 +64,6 @@ from scenegen.worlds.mapping import Known, Mapper
 if TYPE_CHECKING:  # which imports what draws worlds
     from scenegen.recipe import Recipe
 
-_COUNT = whole(0, MOST_SAMPLES)
 _ABSENT = Rule(lambda value: value is None, "none")
 _SOURCE = {"digest": optional(DIGEST), "parameters": TABLE, "taken": LIST}
 _RECIPE: Json = dict.fromkeys(RECIPE_RULES) | {"version": 0, "flight": {}, "accept": {}}
@@ -76,9 +75,9 @@ class Entry:
 
     file: str = ruled(FILE_RULE)
     worlds: str = ruled(FILE_RULE)
-    split: str = ruled(Rule(lambda value: value in SPLITS, "train, val or test"))
+    split: str = ruled(text("|".join(SPLITS), "train, val or test"))
     samples: int = ruled(whole(1, MOST_SAMPLES_IN_SHARD))
-    first_world: int = ruled(_COUNT)
+    first_world: int = ruled(COUNT)
     sha256: str = ruled(DIGEST)
     worlds_sha256: str = ruled(DIGEST)
     source: int = 0
@@ -87,6 +86,11 @@ class Entry:
     """Place of its first sample in that dataset's split."""
     stop: int = 0
     """One more than that of its last."""
+
+    @property
+    def sums(self) -> tuple[str, str]:
+        """The SHA-256 of its two files."""
+        return self.sha256, self.worlds_sha256
 
     @property
     def cut(self) -> bool:
@@ -221,8 +225,10 @@ class Manifest:
 
     @property
     def noise_is_ours(self) -> bool:
-        """Whether every stage of its noise is one of scenegen's own; without noise, too."""
-        return is_ours(self.noise)
+        """Whether every stage of its noise is one of scenegen's own, so that reading it imports
+        nothing that the manifest names; without noise, too."""
+        stages = filter(None, self.noise_stages.split(","))
+        return all(stage.partition(":")[0] in STAGES.known for stage in stages)
 
     @property
     def graded(self) -> str:
@@ -268,8 +274,8 @@ def parse(document: Json, folder: Path, named: str | None = None) -> Manifest:
     plain = checked(Manifest, found, "")
     check(found, {"shards": LIST, "fields": LIST, "recipe": TABLE}, "")
     check(found, {"sources": optional(SOURCES_RULE)}, "")
-    check(plain["counts"], dict.fromkeys(SPLITS, _COUNT), "counts")
-    check(plain["rejected"], dict.fromkeys(("worlds", "viewpoints"), table_of(_COUNT)), "rejected")
+    check(plain["counts"], dict.fromkeys(SPLITS, COUNT), "counts")
+    check(plain["rejected"], REJECTED, "rejected")
     check(_RECIPE | found["recipe"], RECIPE_RULES, "recipe")
     parts: dict[str, Any] = {}
     for part in PARTS:
@@ -353,7 +359,7 @@ def _entries(listed: Sequence[Any], sources: Sequence[Manifest]) -> tuple[Entry,
     """The shards that a manifest lists. Without `sources`, each begins where the one before it in
     its split ended. Raises BrokenError where one cannot be of the source that it names."""
     entries, ends = list[Entry](), dict.fromkeys(SPLITS, 0)
-    of_source = {"source": whole(0, len(sources) - 1), "start": _COUNT, "stop": _COUNT}
+    of_source = {"source": whole(0, len(sources) - 1), "start": COUNT, "stop": COUNT}
     for n, given in enumerate(listed):
         at = f"shards.{n}"
         entry = checked(Entry, given, at)
