@@ -71,9 +71,8 @@ class Index(NamedTuple):
 
     objects: Mapping[str, Stored]
     """The datasets."""
-    attributes: Mapping[str, Any]
-    """Single whole numbers and texts; None for other values. What a file says of itself may hold
-    anything."""
+    attributes: Mapping[str, int | str | None]
+    """Single whole numbers and texts; None for other values."""
 
 
 class _Library:
@@ -164,6 +163,8 @@ def library_index(file: Any, most_chunks: int) -> Index:
 def _parsed(text: bytes, most_chunks: int) -> Index:
     """The index in what `_index` made of a file, as JSON. Raises what a wrong one leads to."""
     found = json.loads(text)
+    if not all(value is None or type(value) in (int, str) for value in found["more"].values()):
+        raise ValueError("attributes are neither whole numbers nor texts")
     said = found["objects"].items()
     for name, what in said:
         if isinstance(what, str):

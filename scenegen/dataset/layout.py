@@ -59,7 +59,7 @@ class ShardFile:
     name: str
     columns: Mapping[str, Stored]
     """Its datasets: N chunks each, one a sample."""
-    attributes: Mapping[str, Any]
+    attributes: Mapping[str, int | str | None]
 
     @property
     def fetched(self) -> bool:
@@ -124,11 +124,11 @@ class ShardFile:
 
     def rejected(self) -> dict[str, Counter[str]]:
         """Rejections by reason, of worlds and of viewpoints. Raises BrokenError."""
-        text = self.attributes.get("rejected", "")
+        text = self.attributes.get("rejected")
         fault = f"{self.name}: attribute rejected = {short(text)}: expected counts as JSON"
         failed = (ValueError, TypeError, RecursionError, BrokenError)
         with raised_as(lambda _: BrokenError(fault), of=failed):
-            given = json.loads(text)
+            given = json.loads(text)  # type: ignore[arg-type]
             check(given, REJECTED, "")
         return {what: Counter(given[what]) for what in REJECTED}
 

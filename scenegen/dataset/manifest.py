@@ -205,7 +205,7 @@ def read(folder: Path) -> Json:
         if _depth(manifest) > MOST_DEPTH:
             raise ValueError(f"it nests deeper than {MOST_DEPTH} levels, which no manifest does")
     except FileNotFoundError:
-        lacks = f"it has no {NAME}" if folder.exists() else "there is no such folder"
+        lacks = f"it has no {NAME}" if Path(folder).exists() else "there is no such folder"
         inner, others = (
             [str(path.parent) for path in Path(place).glob(f"*/{NAME}")]
             for place in (folder, folder.parent)

@@ -225,8 +225,7 @@ class Manifest:
 
     @property
     def noise_is_ours(self) -> bool:
-        """Whether every stage of its noise is one of scenegen's own, so that reading it imports
-        nothing that the manifest names; without noise, too."""
+        """Whether its noise is scenegen's own, so that reading imports nothing that is named."""
         stages = filter(None, self.noise_stages.split(","))
         return all(stage.partition(":")[0] in STAGES.known for stage in stages)
 
@@ -291,9 +290,8 @@ def parse(document: Json, folder: Path, named: str | None = None) -> Manifest:
     _check_fields(found["fields"], parts)
     sources = _sources(found, folder, named)
     shards = _entries(found["shards"], sources)
-    for name, count in Counter(
-        name for entry in shards for name in (entry.file, entry.worlds)
-    ).most_common(1):
+    names = Counter(name for entry in shards for name in (entry.file, entry.worlds))
+    for name, count in names.most_common(1):
         if count > 1:
             raise BrokenError(f"shards: {name!r} is listed {count} times, expected once")
     return Manifest(
@@ -323,9 +321,8 @@ def _check_fields(names: Sequence[Any], parts: Mapping[str, Any]) -> None:
         )
     for part in PARTS:
         if part.group and part.brings(parts[part.name]) != (part.group in groups):
-            raise BrokenError(
-                f"{part.name}: expected exactly where `fields` names those of {part.group}"
-            )
+            fault = f"expected exactly where `fields` names those of {part.group}"
+            raise BrokenError(f"{part.name}: {fault}")
 
 
 def _sources(found: Json, folder: Path, named: str | None) -> tuple[Manifest, ...]:
@@ -370,11 +367,8 @@ def _entries(listed: Sequence[Any], sources: Sequence[Manifest]) -> tuple[Entry,
         else:
             check(given, of_source, at)
             entry |= {name: given[name] for name in of_source}
-            start, stop, most = (
-                entry["start"],
-                entry["stop"],
-                sources[entry["source"]].counts[split],
-            )
+            start, stop = entry["start"], entry["stop"]
+            most = sources[entry["source"]].counts[split]
             if not samples <= stop - start or stop > most:
                 raise BrokenError(
                     f"{at}: {samples} samples from {start} to {stop}: expected as many places, up "
