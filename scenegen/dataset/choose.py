@@ -45,6 +45,10 @@ def _difficulties(sample: Sample) -> Difficulty:
     return difficulty(sample.occupancy, sample.tudf, sample.grid.voxel_m)
 
 
+def _difficulty(number: int, sample: Sample) -> float:
+    return float(_difficulties(sample)[number])
+
+
 FIGURES: Mapping[str, Callable[[Sample], float]] = {
     "occupied": lambda sample: float(sample.occupancy.mean()),
     "observed": lambda sample: float(sample.observed.mean()),
@@ -53,10 +57,7 @@ FIGURES: Mapping[str, Callable[[Sample], float]] = {
     "returned": lambda sample: float(np.isfinite(_ranges(sample)).mean()),
     "range_m": _range_m,
     "tudf_m": lambda sample: float(sample.tudf.mean()),
-    **{
-        name: lambda sample, name=name: float(getattr(_difficulties(sample), name))
-        for name in Difficulty._fields
-    },
+    **{name: partial(_difficulty, n) for n, name in enumerate(Difficulty._fields)},
 }
 """Shares of all voxels; of all rays, those that returned; the mean range of these, metres, NaN for
 none; the mean distance of the map's voxels, metres; and how hard the map is."""
