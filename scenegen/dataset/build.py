@@ -2,6 +2,7 @@
 whole."""
 
 import math
+import os
 import shutil
 import time
 from collections import Counter
@@ -207,6 +208,10 @@ def _check_space(plan: Plan, missing: list[ShardTask]) -> None:
         raise DatasetError(
             f"{plan.folder}: needs about {needed / 1e6:.0f} MB, {disk.free / 1e6:.0f} MB are free; "
             "free some space, or choose another disk with --out"
+        )
+    if plan.folder.exists() and not os.access(plan.folder, os.W_OK):
+        raise DatasetError(
+            f"{plan.folder}: no permission to write there; choose another folder with --out"
         )
 
 

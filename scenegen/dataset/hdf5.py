@@ -8,6 +8,7 @@ import json
 import math
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -79,25 +80,25 @@ class _Library:
     """A process that indexes one file after the other, and ends with this one."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
+        self._lock, (self._pipe, theirs) = threading.Lock(), socket.socketpair()
+        self._answers = self._pipe.makefile("rb")
         code = f"import sys; sys.path[:] = {sys.path!r}; {SERVE}"
-        self._process: Any = subprocess.Popen(
-            [sys.executable, "-P", "-c", code],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            process_group=0,  # Ctrl-C is for this process to answer
-        )
+        with theirs:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-c", code],
+                stdin=theirs.fileno(),
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                process_group=0,  # Ctrl-C is for this process to answer
+            )
         weakref.finalize(self, _end, self._process, os.getpid())
 
     def ask(self, handle: int, most_chunks: int) -> bytes:
         """What `serve` answers of a file. Raises BrokenPipeError where the process is gone, and
         Hdf5Error where it ends meanwhile."""
         with self._lock:
-            # a copy of a store's has no name but this one
-            self._process.stdin.write(b"/proc/%d/fd/%d %d\n" % (os.getpid(), handle, most_chunks))
-            self._process.stdin.flush()
-            answer: bytes = self._process.stdout.readline()
+            socket.send_fds(self._pipe, [b"%d" % most_chunks], [handle])
+            answer = self._answers.readline()
         if answer.endswith(b"\n"):
             return answer
         late = self._process.wait() == -signal.SIGALRM
@@ -152,7 +153,7 @@ def library_index(file: Any, most_chunks: int) -> Index:
     the library's; others some 5 ms a shard. Raises Hdf5Error."""
     try:
         answer = _LIBRARIES[os.getpid()].ask(file.fileno(), most_chunks)
-    except (KeyError, BrokenPipeError):  # none yet, or somebody ended it
+    except (KeyError, BrokenPipeError, ConnectionResetError):  # none yet, or somebody ended it
         library = _LIBRARIES[os.getpid()] = _Library()
         answer = library.ask(file.fileno(), most_chunks)
     if answer.startswith(b'"'):
@@ -189,18 +190,19 @@ def serve() -> None:
 
     limit_memory(MEMORY_BYTES)
     signal.signal(signal.SIGALRM, signal.SIG_DFL)  # HDF5 lets no handler of Python's run
-    for line in sys.stdin:
-        path, most_chunks = line.split()
-        signal.alarm(SECONDS)
-        answer: Any
-        try:
-            # HDF5 itself opens no file without a name
-            with open(path, "rb") as own, h5py.File(own, "r") as file:
-                answer = _index(file, int(most_chunks))
-        except Exception as error:  # h5py's are of many kinds
-            answer = printable(error)[:200] or type(error).__name__
-        signal.alarm(0)
-        print(json.dumps(answer), flush=True)
+    with socket.socket(fileno=0) as pipe:
+        while handles := (asked := socket.recv_fds(pipe, 20, 1))[1]:
+            signal.alarm(SECONDS)
+            answer: Any
+            try:
+                # HDF5 itself opens no file without a name, such as a copy of a store's
+                with open(f"/dev/fd/{handles[0]}", "rb") as own, h5py.File(own, "r") as file:
+                    answer = _index(file, int(asked[0]))
+            except Exception as error:  # h5py's are of many kinds
+                answer = printable(error)[:200] or type(error).__name__
+            signal.alarm(0)
+            os.close(handles[0])
+            pipe.sendall(json.dumps(answer).encode() + b"\n")
     os._exit(0)  # at once: nobody waits for it
 
 
@@ -222,10 +224,12 @@ def _object(file: Any, name: str, most_chunks: int) -> Any:
     if not isinstance(dataset, h5py.h5d.DatasetID):
         return "is not a dataset"
     plan, shape, chunk = dataset.get_create_plist(), dataset.shape or (), None
+    layout = plan.get_layout()
+    if layout == h5py.h5d.VIRTUAL or plan.get_external_count():
+        return "keeps its data in other files"
     filters = [plan.get_filter(n)[0] for n in range(plan.get_nfilters())]
     places: list[tuple[int, ...]] = []
-    # data in other files, or in none, have no chunks
-    if plan.get_layout() == h5py.h5d.CHUNKED and (chunk := plan.get_chunk()) == (1, *shape[1:]):
+    if layout == h5py.h5d.CHUNKED and (chunk := plan.get_chunk()) == (1, *shape[1:]):
         if dataset.get_num_chunks() > most_chunks:
             raise Hdf5Error(f"{name} has more than {most_chunks} chunks")
         dataset.chunk_iter(

@@ -1,6 +1,7 @@
 """Read a dataset: samples by split and number, with what was left out derived, and the worlds they
 come from."""
 
+import os
 from bisect import bisect_right
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
@@ -185,8 +186,8 @@ class Dataset:
 
 
 class Split(Samples):
-    """The samples of one split, in order. Files are opened when first read; forked processes share
-    them, for reading them moves nothing, and others open their own."""
+    """The samples of one split, in order. Files are opened when first read, and anew in every
+    process that reads."""
 
     def __init__(self, dataset: Dataset, name: str):
         self.dataset = dataset
@@ -195,6 +196,7 @@ class Split(Samples):
         """Its shards, as the manifest lists them."""
         self._start = np.cumsum([0, *(shard.samples for shard in self.shards)])
         self._open: dict[int, ShardFile] = {}
+        self._process = os.getpid()
 
     def __len__(self) -> int:
         return int(self._start[-1])
@@ -236,6 +238,10 @@ class Split(Samples):
         return shard, index - int(self._start[shard])
 
     def _shard(self, number: int) -> ShardFile:
+        if (
+            self._process != os.getpid()
+        ):  # a forked process has handles of its own to close, and opens its own files
+            self._open, self._process = {}, os.getpid()
         shard = self._open.pop(number, None) or self.dataset._shard(self.shards[number])
         self._open[number] = shard  # last in line: the one used longest ago stands first
         for old in list(self._open)[:-MOST_OPEN]:

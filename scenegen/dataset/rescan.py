@@ -3,7 +3,7 @@ with other noise."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy as np
 from lidarsim import Pose, Sensor
 from lidarsim.engines import ENGINES, EngineFactory
 from lidarsim.noise.chain import Noise
-from scenegen import GENERATOR
+from scenegen import GENERATOR, SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.build import divide
 from scenegen.dataset.parts import NAMES, entries, schema_of
@@ -45,7 +45,6 @@ def fly_again(
 
     Raises GenerationError where no draw's flight does.
     """
-    positions = np.array([pose.position for pose in poses])[:, None]
     for attempt in range(recipe.accept.max_draws):
         rng = key.rng(FLIGHT, attempt)
         for _ in range(recipe.flight.flights_per_world):
@@ -53,11 +52,12 @@ def fly_again(
             if path is None:
                 continue
             passed = viewpoints(path, recipe.flight.spacing_m, rng=rng)
-            here = (passed.positions == positions).all(axis=2)
-            if (here.sum(axis=1) == 1).all():
-                places = here.argmax(axis=1).tolist()
+            places = [
+                np.flatnonzero((passed.positions == pose.position).all(axis=1)) for pose in poses
+            ]
+            if all(len(place) == 1 for place in places):
                 return [
-                    [pose, *passed.before(place, recipe.mapping)]
+                    [pose, *passed.before(int(place[0]), recipe.mapping)]
                     for pose, place in zip(poses, places, strict=True)
                 ]
     raise GenerationError(
@@ -97,17 +97,25 @@ def scan_again(
 class Archived:
     """The worlds of a dataset, as a `Source`: read from its archives, and never drawn."""
 
-    dataset: Dataset
-    """Checked: what comes of it would hide its faults."""
+    folder: Path
+    scenes: Mapping[str, int] | None
+    """Worlds of each split, where MJCF files were visited in turn; None where each flight has a
+    world of its own."""
 
-    def __reduce__(self) -> Any:
-        return archived, (self.dataset.folder,)
+    @cached_property
+    def dataset(self) -> Dataset:
+        """The dataset, opened once a process, and checked: what comes of it would hide its
+        faults."""
+        return Dataset(self.folder, checked=True)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"folder": self.folder, "scenes": self.scenes}
 
     def number(self, split: str, unit: int) -> tuple[int, int]:
         """See `Source.number`."""
-        numbering = self.dataset.manifest.numbering(split)
-        world, viewpoint = numbering.name(unit * numbering.viewpoints)
-        return world, viewpoint // numbering.viewpoints
+        if self.scenes is None:
+            return unit, 0
+        return unit % self.scenes[split], unit // self.scenes[split]
 
     def world(self, split: str, number: int, *, rng: np.random.Generator) -> AnyWorld:
         """See `Source.world`; nothing is drawn."""
@@ -125,16 +133,8 @@ class Archived:
         """Poses of the sensor, by the samples' places in their split: of each its own, and those
         before it, the last one first. Raises DatasetError."""
         found = self.dataset.split(split)
-        with raised_as(
-            DatasetError, f"{self.dataset.folder}: {split} sample: ", "; verify the dataset"
-        ):
+        with raised_as(DatasetError, f"{self.folder}: {split} sample: ", "; verify the dataset"):
             return [[scan.pose for scan in found[place].scans()] for place in samples]
-
-
-@cache
-def archived(folder: Path) -> Archived:
-    """The worlds of the dataset in `folder`, which is opened once a process."""
-    return Archived(Dataset(folder, checked=True))
 
 
 @dataclass(frozen=True)
@@ -213,4 +213,6 @@ def plan_rescan(
         "software": software(),
     }
     given["version"] = manifest.version_of(given)
-    return divide(folder, given, recipe, archived(dataset.folder), RescanSpec)
+    scenes = found.scenes
+    counts = None if scenes is None else {name: len(scenes.get(name, ())) for name in SPLITS}
+    return divide(folder, given, recipe, Archived(dataset.folder, counts), RescanSpec)
