@@ -47,8 +47,8 @@ SUFFIXES = (*HEADS, ".npz")
 def write_points(
     path: Path,
     points: Floats,
-    intensity: Floats | None = None,
-    about: Mapping[str, Any] | None = None,
+    intensity: Floats | None,
+    about: Mapping[str, Any],
 ) -> None:
     """Writes points in the kind of file that the name says.
 
@@ -98,24 +98,25 @@ def encode_points(
 class OneEach:
     """A format with a file for each sample, ``train/000007.ply``."""
 
-    suffix = ""
+    place, suffix = "{split}/{number:06d}", ""
+    """Where it lies."""
 
     def __init__(self, choices: Choices):
         self.choices = choices
 
     def names(self, split: str, number: int) -> tuple[str, ...]:
-        """The file of a sample."""
-        return (f"{split}/{number:06d}{self.suffix}",)
+        """The file of a sample, or the one that begins with it."""
+        return (self.place.format(split=split, number=number) + self.suffix,)
 
 
 class Together(OneEach):
     """A format with a file for every hundred samples, ``train-000000.tar`` for the first."""
 
-    together = 100
+    place, together = "{split}-{number:06d}", 100
 
     def names(self, split: str, number: int) -> tuple[str, ...]:
         """The file that begins with a sample."""
-        return (f"{split}-{number // self.together:06d}{self.suffix}",)
+        return super().names(split, number // self.together)
 
 
 class Ply(OneEach):
@@ -222,9 +223,7 @@ class Occ3d(OneEach):
     Occ3D's begin 1 m below the car's origin and turn with it.
     """
 
-    def names(self, split: str, number: int) -> tuple[str, ...]:
-        """The file of a sample."""
-        return (f"gts/{split}/{number:06d}/labels.npz",)
+    place, suffix = "gts/{split}/{number:06d}/labels", ".npz"
 
     def encode(self, sample: Sample, grid: GridSpec, lidar: Sensor) -> bytes:
         """Its content."""
