@@ -5,8 +5,6 @@ Here are the licences for data by their SPDX names. A command's help reads them:
 imported.
 """
 
-from scenegen.errors import PublishError
-
 _CREATIVE, _OPEN = "https://creativecommons.org", "https://opendatacommons.org/licenses"
 LICENCES = {
     "CC-BY-4.0": (
@@ -29,12 +27,3 @@ LICENCES = {
 """Name and address of each."""
 USUAL = "CC-BY-4.0"
 """What data get where nothing else is asked for."""
-
-
-def find_licence(spdx: str) -> str:
-    """The SPDX name as `LICENCES` has it, of one in any case. Raises PublishError for one not known
-    here."""
-    for known in LICENCES:
-        if known.lower() == spdx.lower():
-            return known
-    raise PublishError(f"--licence {spdx}: expected one of {', '.join(LICENCES)}")
