@@ -99,8 +99,8 @@ class Simulation:
             "times_s": self.sensor.times_s,
             "lever_arm_m": getattr(self.sensor, "lever_arm_m", ()) or (0.0, 0.0, 0.0),
         }
-        del told["dynamics"]  # it is no number, and nothing that a robot would be told
-        return {name: np.asarray(value, float) for name, value in told.items()}
+        # how it is simulated is no number, and nothing that a robot would be told
+        return {name: np.asarray(it, float) for name, it in told.items() if name != "dynamics"}
 
     def observe(self) -> Observation:
         """What the robot sees now.
