@@ -13,28 +13,38 @@ import rich_click as click
 from scenegen import __version__
 from scenegen.cli.command import Commands, run_command
 
-LOOKING = ("inspect", "view", "render")
-NETWORKS = ("train", "complete", "bench", "fly", "reproduce")
-COMMANDS = (
-    ("Datasets", "scenegen.cli.generate", ("generate", "recipe")),
-    ("Datasets", "scenegen.cli.derive", ("rescan", "take", "merge")),
-    ("Datasets", "scenegen.cli.verify", ("verify",)),
-    ("Datasets", "scenegen.cli.publish", ("publish",)),
-    ("Datasets", "scenegen.cli.convert", ("convert", "world")),
-    ("Datasets", "scenegen.cli.maps", ("map", "ingest")),
-    ("Sensors", "scenegen.cli.scan", ("sensors", "scan")),
-    *(("To look at", f"scenegen.model.commands.{name}", (name,)) for name in LOOKING),
-    *(("Networks", f"scenegen.model.commands.{name}", (name,)) for name in NETWORKS),
-    ("Networks", "scenegen.model.commands.networks", ("calibrate", "export", "networks")),
-    ("This machine", "scenegen.cli.doctor", ("doctor", "completion")),
-)
-"""Groups of the list, the modules, and the commands that stand there."""
-PLACES = {name: f"{module}:{name}" for _, module, names in COMMANDS for name in names}
+COMMANDS = {
+    "Datasets": {
+        "scenegen.cli.generate": "generate recipe",
+        "scenegen.cli.derive": "rescan take merge",
+        "scenegen.cli.verify": "verify",
+        "scenegen.cli.publish": "publish",
+        "scenegen.cli.convert": "convert world",
+        "scenegen.cli.maps": "map ingest",
+    },
+    "Sensors": {"scenegen.cli.scan": "sensors scan"},
+    "To look at": {
+        f"scenegen.model.commands.{name}": name for name in ("inspect", "view", "render")
+    },
+    "Networks": {
+        **{
+            f"scenegen.model.commands.{name}": name
+            for name in ("train", "complete", "bench", "fly", "reproduce")
+        },
+        "scenegen.model.commands.networks": "calibrate export networks",
+    },
+    "This machine": {"scenegen.cli.doctor": "doctor completion"},
+}
+"""Groups of the list, and the commands of each by the modules in which they stand."""
+PLACES = {
+    name: f"{module}:{name}"
+    for modules in COMMANDS.values()
+    for module, names in modules.items()
+    for name in names.split()
+}
 PANELS = [
-    click.RichCommandPanel(
-        panel, commands=[name for one, _, names in COMMANDS if one == panel for name in names]
-    )
-    for panel in dict.fromkeys(panel for panel, _, _ in COMMANDS)
+    click.RichCommandPanel(group, commands=" ".join(modules.values()).split())
+    for group, modules in COMMANDS.items()
 ]
 
 

@@ -16,6 +16,7 @@ from scenegen.cli.options import command, json_option
 from scenegen.cli.show import announce_compilation, flat, say, show_table
 from scenegen.cli.types import Choice
 from scenegen.errors import ScenegenError, needs
+from scenegen.files import Json
 
 LITTLE_GB = 5.0
 """Free disk below which `doctor` warns: a dataset of default size takes a quarter of a gigabyte, a
@@ -50,7 +51,7 @@ def doctor(as_json: bool) -> None:
         say("all is well")
 
 
-def _advice(found: dict[str, Any]) -> dict[str, str]:
+def _advice(found: Json) -> dict[str, str]:
     """What to do about what is missing, by the name of its line."""
     from lidarsim.jit import cache_trouble
 
@@ -68,7 +69,7 @@ def _advice(found: dict[str, Any]) -> dict[str, str]:
     return advice
 
 
-def examine(folder: Path = Path()) -> dict[str, Any]:
+def examine(folder: Path = Path()) -> Json:
     """Everything about this machine that matters here. `ok` is False where the self-test found a
     law broken; the free disk is that of `folder`."""
     from lidarsim.jit import cache_folder, cache_trouble
@@ -107,7 +108,7 @@ def extras() -> dict[str, str]:
     }
 
 
-def self_test() -> dict[str, Any]:
+def self_test() -> Json:
     """Draws samples for two seconds and holds them to their laws: every return lies in an occupied
     voxel, and a sample drawn again is the same to the bit."""
     from scenegen import draw

@@ -44,7 +44,7 @@ from scenegen.worlds.cloud import Survey
     assume_free="Call free what is above the lowest point of a column and holds none, unless a ray "
     "says so already: for clouds of which nobody knows where they were seen from.",
 )
-@out_option("The map to write, .npz.", ".npz", default=Path("map.npz"))
+@out_option("The map to write, .npz.", ".npz", default="map.npz")
 @printing
 @group("Clouds", "sensor poses box unit up")
 def map(

@@ -266,7 +266,7 @@ def _settings(kind: Any, field: Any, flag: str) -> dict[str, Any]:
     if kind is float:
         return {"type": Number(bounds), "default": default}
     if typing.get_origin(kind) is tuple:
-        return {"type": Numbers("X,Y,Z", len(typing.get_args(kind))), "default": default}
+        return {"type": Numbers("X,Y,Z"), "default": default}
     least, most = (
         None if math.isinf(bound) else int(bound) for bound in (bounds.least, bounds.most)
     )

@@ -52,8 +52,10 @@ if TYPE_CHECKING:
 def publish(
     dataset: Path | str,
     repo: str,
+    tag: str | None,
+    licence: str,
     out: Path | None,
-    dry_run: bool,
+    kind: str | None,
     as_json: bool,
     talk: bool,
     **options: Any,
@@ -77,9 +79,9 @@ def publish(
         dataset=locate(dataset, shown=talk, whole=True),
         repository=repo,
         out=out or Path("publish") / repo.rpartition("/")[2],
-        tag=options["tag"],
-        licence=options["licence"],
-        kind=options["kind"],
+        tag=tag,
+        licence=licence,
+        kind=kind,
         commit=commit(),
     )
     with Progress("verify", shown=talk) as progress:
@@ -87,18 +89,16 @@ def publish(
         def staged(found: Any) -> None:
             progress.stop()
             if talk:
-                note(f"{found.folder} stands; {'nothing is sent' if dry_run else 'sending …'}")
+                then = "nothing is sent" if options["dry_run"] else "sending …"
+                note(f"{found.folder} stands; {then}")
 
         found, commit_sent = run_publish(
             request,
-            dry_run=dry_run,
-            private=options["private"],
-            quick=options["quick"],
-            execute=options["execute"],
             shown=talk,
             on_start=progress.start,
             on_done=progress.count,
             on_staged=staged,
+            **options,
         )
     if talk or as_json:
         _show(found, commit_sent, time.perf_counter() - begin, as_json)

@@ -120,7 +120,7 @@ def _cell(value: Any) -> str:
 )
 @click.argument("world", type=WORLD)
 @click.option(
-    "--pose", type=Numbers("X,Y,Z,YAW", 4), help="Where the body is, metres, and its yaw, degrees."
+    "--pose", type=Numbers("X,Y,Z,YAW"), help="Where the body is, metres, and its yaw, degrees."
 )
 @click.option("--flight", is_flag=True, help="A viewpoint of a random flight instead.")
 @click.option(

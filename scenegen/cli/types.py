@@ -11,7 +11,7 @@ from click.shell_completion import CompletionItem
 
 from lidarsim.parameters import Bounds
 from lidarsim.registry import MOST_NAMED, Registry, suggestion
-from scenegen.errors import printable
+from scenegen.errors import printable, raised_as
 
 MOST_REPEATED = 60
 """Characters of a value that an error repeats."""
@@ -21,8 +21,24 @@ FILE = click.Path(path_type=Path)
 """A file or a folder to read."""
 
 
+class Written(click.ParamType):
+    """A value that `read` makes of its text; it raises ValueError, in one line, where it cannot."""
+
+    def __init__(self, read: Callable[[str], Any], name: str):
+        self.read, self.name = read, name.lower()
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        """The value; a default is one already."""
+        if not isinstance(value, str):
+            return value
+        try:
+            return self.read(value)
+        except ValueError as error:
+            self.fail(printable(error), param, ctx)
+
+
 @dataclass(eq=False)
-class Named(click.ParamType):
+class Named(Written):
     """The name of something in a registry, or a user's own as module:Object.
 
     Args:
@@ -42,27 +58,23 @@ class Named(click.ParamType):
     more: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        self.name = self.registry.what
+        self.name, self.names = self.registry.what, (*self.registry.known, *self.more)
 
-    def convert(self, value: Any, param: Any, ctx: Any) -> str:
+    def read(self, text: str) -> str:
         """The name, if it can be one; a user's own is imported later."""
-        path = self.paths and (Path(value).exists() or not value.isidentifier())
-        if path or (self.file is not None and value.endswith(self.file)):
-            return str(value)
-        if option := self.others.get(Path(value).suffix):
-            self.fail(f"{value} is a file; give it as {option} {value}", param, ctx)
-        name = value.partition("://")[0] if self.address else value
-        if ":" not in name and name not in (*self.registry.known, *self.more):
-            self.fail(self.registry.unknown(name), param, ctx)
-        return str(value)
+        path = self.paths and (Path(text).exists() or not text.isidentifier())
+        if path or (self.file is not None and text.endswith(self.file)):
+            return text
+        if option := self.others.get(Path(text).suffix):
+            raise ValueError(f"{text} is a file; give it as {option} {text}")
+        name = text.partition("://")[0] if self.address else text
+        if ":" not in name and name not in self.names:
+            raise ValueError(self.registry.unknown(name))
+        return text
 
     def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
         """Names that begin with what is typed."""
-        return [
-            CompletionItem(name)
-            for name in (*self.registry.known, *self.more)
-            if name.startswith(incomplete)
-        ]
+        return [CompletionItem(name) for name in self.names if name.startswith(incomplete)]
 
 
 class Choice(click.Choice[str]):
@@ -74,43 +86,41 @@ class Choice(click.Choice[str]):
         return f"{str(value)[:MOST_NAMED]!r} is none of them; {hint}"
 
 
-class DatasetPath(click.ParamType):
+class DatasetPath(Written, click.Path):
     """A dataset: a folder, hf://user/name[@revision], or s3://bucket/folder; the command fetches
     it, and not the parsing."""
 
-    name = "dataset"
+    def __init__(self) -> None:
+        click.Path.__init__(self, file_okay=False)  # a shell completes it with folders
+        self.name = "dataset"
 
-    def convert(self, value: Any, param: Any, ctx: Any) -> Path | str:
+    def read(self, text: str) -> Path | str:
         """A path as it is, or a name with a scheme, if it can be one."""
         from scenegen.dataset.locate import check_name
         from scenegen.stores import folder_of, is_remote
 
-        if not is_remote(value):
-            return folder_of(value)
-        check_name(value)
-        return str(value)
-
-    def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
-        """Folders."""
-        return [CompletionItem(incomplete, type="dir")]
+        if not is_remote(text):
+            return folder_of(text)
+        check_name(text)
+        return text
 
 
-class OutputFolder(click.Path):
+class OutputFolder(Written, click.Path):
     """A folder to write; with `stores`, also one in a store, s3://bucket/folder."""
 
     def __init__(self, *, stores: bool = False) -> None:
-        super().__init__(path_type=Path)
+        click.Path.__init__(self)
         self.stores = stores
 
-    def convert(self, value: Any, param: Any, ctx: Any) -> Path:
+    def read(self, text: str) -> Path:
         """The folder; none that is named with a scheme, where no such thing is written to."""
         from scenegen.stores import STORES, folder_of, is_remote
 
-        scheme = str(value).partition("://")[0]
-        if is_remote(value) and not (self.stores and scheme in STORES.known):
+        scheme = text.partition("://")[0]
+        if is_remote(text) and not (self.stores and scheme in STORES.known):
             hint = " or s3://bucket/folder" if self.stores else "; only datasets go to s3://"
-            self.fail(f"{scheme}://… is not written to; give a folder{hint}", param, ctx)
-        return folder_of(str(value))
+            raise ValueError(f"{scheme}://… is not written to; give a folder{hint}")
+        return folder_of(text)
 
 
 class OutputFile(OutputFolder):
@@ -121,37 +131,19 @@ class OutputFile(OutputFolder):
         super().__init__()
         self.ends, self.folders = ends, folders
 
-    def convert(self, value: Any, param: Any, ctx: Any) -> Path:
+    def read(self, text: str) -> Path:
         """The path, if a file may be written there."""
         from scenegen.errors import DatasetError
         from scenegen.files import check_ours
 
-        path = super().convert(value, param, ctx)
+        path = super().read(text)
         if self.folders and path.is_dir():
             return path
         if self.ends and path.suffix not in self.ends:
-            self.fail(f"{path}: expected a name that ends in {' or '.join(self.ends)}", param, ctx)
-        try:
+            raise ValueError(f"{path}: expected a name that ends in {' or '.join(self.ends)}")
+        with raised_as(ValueError, of=DatasetError):
             check_ours(path)
-        except DatasetError as error:
-            self.fail(str(error), param, ctx)
         return path
-
-
-class Written(click.ParamType):
-    """A value that `read` makes of its text; it raises ValueError, in one line, where it cannot."""
-
-    def __init__(self, read: Callable[[str], Any], name: str):
-        self.read, self.name = read, name.lower()
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        """The value; a default is one already."""
-        if not isinstance(value, str):
-            return value
-        try:
-            return self.read(value)
-        except ValueError as error:
-            self.fail(printable(error), param, ctx)
 
 
 class Number(Written):
@@ -162,10 +154,10 @@ class Number(Written):
 
 
 class Numbers(Written):
-    """So many finite numbers, with commas between them: `name` shows them, X,Y,Z."""
+    """As many finite numbers, with commas between them, as `name` has: X,Y,Z."""
 
-    def __init__(self, name: str, count: int):
-        super().__init__(partial(_numbers, name, count), name)
+    def __init__(self, name: str):
+        super().__init__(partial(_numbers, name), name)
 
 
 def _number(bounds: Bounds, text: str) -> float:
@@ -178,8 +170,8 @@ def _number(bounds: Bounds, text: str) -> float:
     return number
 
 
-def _numbers(name: str, count: int, text: str) -> tuple[float, ...]:
-    parts = text.split(",")
+def _numbers(name: str, text: str) -> tuple[float, ...]:
+    parts, count = text.split(","), name.count(",") + 1
     if len(parts) != count:
         told = f"expected {name}, {count} numbers with commas between"
         raise ValueError(f"{text[:MOST_REPEATED]!r}: {told}")

@@ -3,7 +3,7 @@
 import json
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
@@ -17,7 +17,6 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import Progress, announce_compilation, say, show_table
 from scenegen.errors import ScenegenError
-from scenegen.run import Executor
 
 if TYPE_CHECKING:
     from scenegen.verification import Report
@@ -39,16 +38,7 @@ if TYPE_CHECKING:
 )
 @executing
 @printing
-def verify(
-    dataset: Path | str,
-    quick: bool,
-    seed: int,
-    kind: str | None,
-    own: tuple[str, ...],
-    execute: Executor,
-    as_json: bool,
-    talk: bool,
-) -> None:
+def verify(dataset: Path | str, as_json: bool, talk: bool, **options: Any) -> None:
     """Check a dataset against the format: files, digests, truth, rays, splits; end with 1 where a
     check fails."""
     if talk:
@@ -59,16 +49,7 @@ def verify(
     folder = locate(dataset, shown=talk, whole=True)
     begin = time.perf_counter()
     with Progress("verify", shown=talk) as progress:
-        report = prove(
-            folder,
-            quick=quick,
-            seed=seed,
-            kind=kind,
-            own=own,
-            execute=execute,
-            on_start=progress.start,
-            on_done=progress.count,
-        )
+        report = prove(folder, on_start=progress.start, on_done=progress.count, **options)
     if as_json:
         print(json.dumps({**report.to_json(), "seconds": time.perf_counter() - begin}))
     elif talk:

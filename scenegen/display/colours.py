@@ -15,16 +15,13 @@ Anchors = tuple[Rgb, ...]
 
 
 def scale(text: str) -> Anchors:
-    """A scale of colours as #rrggbb."""
-    red, green, blue = ([int(one[at : at + 2], 16) for one in text.split()] for at in (1, 3, 5))
-    return tuple(zip(red, green, blue, strict=True))
+    """A scale of colours as rrggbb."""
+    return tuple((*bytes.fromhex(one),) for one in text.split())
 
 
-HEIGHTS = scale(
-    "#440154 #482475 #414487 #355f8d #2a788e #21918c #22a884 #44bf70 #7ad151 #bddf26 #fde725"
-)
+HEIGHTS = scale("440154 482475 414487 355f8d 2a788e 21918c 22a884 44bf70 7ad151 bddf26 fde725")
 """Viridis at 11 places, from low to high: even to the eye, for all kinds of colour blindness."""
-DISTANCES = scale("#00224e #1a386f #434e6c #61656f #7d7c78 #9b9476 #bcae6c #dec958 #fee838")
+DISTANCES = scale("00224e 1a386f 434e6c 61656f 7d7c78 9b9476 bcae6c dec958 fee838")
 """Cividis at 9 places, as even, from dark blue at 0 to yellow at the truncation."""
 SENSOR: Rgb = (214, 20, 60)
 MISSED, INVENTED = (222, 30, 150), (36, 36, 36)
@@ -36,9 +33,9 @@ PALE = 0.3
 """The share of its colour that an error has beside a right voxel; the rest is white."""
 START, GOAL = (0, 158, 115), (255, 205, 0)
 """Ends of a path."""
-PATHS = dict(zip(("tudf", "occ", "proposed"), scale("#0060c8 #f08c00 #7a3cc8"), strict=True))
+PATHS = dict(zip(("tudf", "occ", "proposed"), scale("0060c8 f08c00 7a3cc8"), strict=True))
 """Colours of paths by the names of the paper's networks."""
-OTHER_PATHS = scale("#6e5028 #0096aa #787878 #b0c800")
+OTHER_PATHS = scale("6e5028 0096aa 787878 b0c800")
 """Colours of other methods' paths, in turn. No colour of a legend is another one's, too."""
 
 

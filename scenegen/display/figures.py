@@ -37,7 +37,6 @@ from scenegen.display.panels import (
     put_ball,
     put_note,
     put_title,
-    say_unread,
 )
 from scenegen.errors import DatasetError
 
@@ -83,7 +82,7 @@ def draw_completions(looks: Sequence[Look], *, title: str, width: float | None =
             grid.level(1, 1 + n, look, at_sensor(look), tudf, "")
         grid.bar_of_distances(look, row=1)
     grid.bar_of_heights(looks, row=0 if alone else None)
-    return grid.finish()
+    return grid.figure
 
 
 def _pale(deep: Rgb) -> Any:
@@ -101,7 +100,7 @@ def draw_distances(looks: Sequence[Look], *, title: str, width: float | None = N
         for name, tudf in _distances(look).items():
             grid.level(row, names.index(name), look, at_sensor(look), tudf, "")
     grid.bar_of_distances(looks[0])
-    return grid.finish()
+    return grid.figure
 
 
 def _distances(look: Look) -> dict[str, Any]:
@@ -126,7 +125,7 @@ def draw_paths(looks: Sequence[Look], *, title: str, width: float | None = None)
         if len(looks) > 1 or not title:
             put_title(panel, look.name)
     grid.bar_of_heights(looks)
-    return grid.finish()
+    return grid.figure
 
 
 def draw_example(looks: Sequence[Look], *, title: str, width: float | None = None) -> Figure:
@@ -145,7 +144,7 @@ def draw_example(looks: Sequence[Look], *, title: str, width: float | None = Non
             put_note(panel, look.iou(guess))
         _draw_paths_in(grid.panels[row, -1], look, look.guesses, names, ticks=False)
     grid.bar_of_heights(looks)
-    return grid.finish()
+    return grid.figure
 
 
 FIGURES: dict[str, Callable[..., Figure]] = {
@@ -183,10 +182,7 @@ def _draw_paths_in(
     """Draws the occupied voxels with the paths of `guesses` before them, and where they hit."""
     view = VIEW if ticks else STEEP
     frame_box(panel, *look.corners, ticks=ticks, view=view)
-    if (mask := look.masks.get("occupancy")) is None:
-        say_unread(panel)
-    else:
-        draw_voxels(panel, look, mask, view=view)
+    draw_voxels(panel, look, look.masks.get("occupancy"), view=view)
     styles = _path_styles(names)
     for n, guess in enumerate(guesses):
         if (route := guess.route) is None:
@@ -198,11 +194,11 @@ def _draw_paths_in(
             # the first is the widest, so that paths that coincide show all the same
             width = 2.0 + 3.0 * (len(guesses) - 1 - n) / max(len(names) - 1, 1)
             halo = [Stroke(linewidth=width + 2, foreground="white"), Normal()] if n == 0 else None
-            style = {"linewidth": width, "zorder": 8, "path_effects": halo, **styles[guess.name]}
-            panel.plot(*view.project(route.points).T, **style)
+            places = view.project(route.points).T
+            panel.plot(*places, linewidth=width, zorder=8, path_effects=halo, **styles[guess.name])
         if route.hit is not None and hits:
-            cross = {"marker": "X", "color": "black", "edgecolors": "white"}
-            panel.scatter(*view.project(route.hit), s=60, zorder=10, **cross)
+            at = view.project(route.hit)
+            panel.scatter(*at, s=60, zorder=10, marker="X", color="black", edgecolors="white")
 
 
 def _path_legend(names: Sequence[str]) -> list[Any]:

@@ -102,16 +102,16 @@ def inspect(
     tasks, tables = [], kept_figures(dataset)
     for split in splits if not tables else ():
         chosen = spread(dataset, split.name, (not keep and most) or len(split))
-        tasks += [(split.name, chosen[n : n + AT_ONCE]) for n in range(0, len(chosen), AT_ONCE)]
-    measured: dict[tuple[str, int], Floats] = {}
-    begun = partial(on_start, sum(len(part) for _, part in tasks))
+        tables[split.name] = np.empty((len(chosen), len(FIGURES)))
+        tasks += [
+            (split.name, slice(n, n + AT_ONCE), chosen[n : n + AT_ONCE])
+            for n in range(0, len(chosen), AT_ONCE)
+        ]
+    begun = partial(on_start, sum(len(part) for *_, part in tasks))
     with closing(run(partial(_measure, dataset), tasks, workers, begun)) as results:
-        for place, rows in results:
-            measured[place] = rows
+        for name, place, rows in results:
+            tables[name][place] = rows
             on_done(len(rows))
-    for split in splits if tasks else ():
-        ours = [rows for (name, _), rows in sorted(measured.items()) if name == split.name]
-        tables[split.name] = np.concatenate(ours)
     if keep and tasks:
         write_whole(figures_file(dataset), encode_figures(np.concatenate(list(tables.values()))))
     told = {}
@@ -137,13 +137,12 @@ def inspect(
     return found | {"splits": told}
 
 
-def _measure(dataset: Dataset, task: tuple[str, list[int]]) -> tuple[tuple[str, int], Any]:
-    """The split and the first sample of a task, and the figures of its samples, a row each; NaN
-    where a sample lacks one."""
-    split, chosen = task
+def _measure(dataset: Dataset, task: tuple[str, slice, list[int]]) -> tuple[str, slice, Any]:
+    """The split of a task, its place among those that are measured, and the figures of its samples,
+    a row each; NaN where a sample lacks one."""
+    split, place, chosen = task
     samples = (dataset.split(split)[index] for index in chosen)
-    rows = [[figure(sample) for figure in FIGURES.values()] for sample in samples]
-    return (split, chosen[0]), np.array(rows, float)
+    return split, place, [[figure(sample) for figure in FIGURES.values()] for sample in samples]
 
 
 def _statistics(table: Floats) -> Json:

@@ -67,7 +67,10 @@ class Live(ThreadingHTTPServer):
         self.splits = [{name: dataset.split(name) for name in SPLITS} for dataset in datasets]
         self.guesses, self._reading = guesses, threading.Lock()
         counts = [
-            (title_of(dataset), {name: len(found) for name, found in splits.items() if found})
+            {
+                "name": title_of(dataset),
+                "splits": {name: len(found) for name, found in splits.items() if found},
+            }
             for dataset, splits in zip(datasets, self.splits, strict=True)
         ]
         self.page = live_page(counts, split=split, index=index, methods=methods).encode()

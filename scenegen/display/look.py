@@ -122,8 +122,8 @@ class Look:
 
 def look_at(sample: Sample, grid: GridSpec, lidar: Sensor, name: str) -> Look:
     """Reads a sample as far as that can be. Raises DatasetError where not even its pose can."""
-    position, quaternion, origin = sample.position, sample.quaternion, sample.origin
-    if not all(np.isfinite(part).all() for part in (position, quaternion, origin)):
+    pose = {what: getattr(sample, what) for what in ("origin", "position", "quaternion")}
+    if not all(np.isfinite(part).all() for part in pose.values()):
         raise DatasetError(f"{name}: its pose is not finite")
     missing: list[str] = []
 
@@ -139,9 +139,7 @@ def look_at(sample: Sample, grid: GridSpec, lidar: Sensor, name: str) -> Look:
     return Look(
         name=name,
         grid=grid,
-        origin=origin,
-        position=position,
-        quaternion=quaternion,
+        **pose,
         masks={what: mask for what, mask in masks.items() if mask is not None},
         tudf=read("tudf", lambda: sample.tudf),
         scans=scans,

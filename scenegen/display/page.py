@@ -7,7 +7,7 @@ import hashlib
 import html
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from importlib.resources import files
 from typing import Any
 
@@ -74,22 +74,15 @@ def page(looks: Sequence[Look], *, title: str, notes: Sequence[str] = ()) -> str
     return _filled({"title": title, "notes": notes, "samples": samples, "masks": masks}, methods)
 
 
-def live_page(
-    datasets: Sequence[tuple[str, Mapping[str, int]]],
-    *,
-    split: str,
-    index: int,
-    methods: Sequence[str] = (),
-) -> str:
+def live_page(datasets: Sequence[Json], *, split: str, index: int, methods: Sequence[str]) -> str:
     """The page of samples that are fetched from its own server one by one,
     ``sample/<dataset>/<split>/<index>`` as `packed` has them; datasets are numbered.
 
-    `datasets` says what each is called and how many samples it has of which splits, `split` and
+    `datasets` says of each its `name` and how many samples it has of which `splits`, `split` and
     `index` which of the first is shown first, `methods` who predicts.
     """
-    title = datasets[0][0]
-    listed = [{"name": name, "splits": dict(splits)} for name, splits in datasets]
-    live = {"datasets": listed, "split": split, "index": index}
+    live = {"datasets": datasets, "split": split, "index": index}
+    title = datasets[0]["name"]
     about = {"title": title, "notes": [], "samples": [], "masks": MASKS, "live": live}
     return _filled(about, methods, "; connect-src 'self'")
 

@@ -64,12 +64,11 @@ def to_bytes(figure: Figure, suffix: str) -> bytes:
     from matplotlib import rc_context
 
     file = io.BytesIO()
-    # the figure's own: matplotlib's "figure" is the one that it began with
-    more: dict[str, Any] = {"dpi": figure.dpi}
     # without the version of matplotlib, so that the same picture is the same file
-    more |= {"metadata": {"Software": None}} if suffix == ".png" else {}
+    unsaid = {"Software": None} if suffix == ".png" else None
     with rc_context({"pdf.fonttype": 42, "svg.fonttype": "none"}):  # letters stay letters
-        figure.savefig(file, format=suffix.removeprefix("."), **more)
+        # the figure's own dpi: matplotlib's "figure" is the one that it began with
+        figure.savefig(file, format=suffix[1:], dpi=figure.dpi, metadata=unsaid)
     return file.getvalue()
 
 
@@ -108,9 +107,15 @@ def put_ball(
     panel: Any, at: Any, *, size: float = 50, color: Any = RED, order: int = 7, marker: str = "o"
 ) -> None:
     """Balls, or other marks, with a white rim, at positions (2,) or (n, 2) on the paper."""
-    across, upward = np.asarray(at).T
-    rim = {"edgecolors": "white", "linewidths": 0.8}
-    panel.scatter(across, upward, s=size, color=color, zorder=order, marker=marker, **rim)
+    panel.scatter(
+        *np.asarray(at).T,
+        s=size,
+        color=color,
+        zorder=order,
+        marker=marker,
+        edgecolors="white",
+        linewidths=0.8,
+    )
 
 
 def put_points(
@@ -144,26 +149,27 @@ def draw_panel(
     frame_box(panel, low, high, ticks=ticks, view=view)
     if name == "points" and look.points is not None:
         put_points(panel, look.points, low[2], high[2], 4, view)
-    elif name in look.masks:
-        draw_voxels(panel, look, look.masks[name], view=view)
     else:
-        say_unread(panel)
+        draw_voxels(panel, look, look.masks.get(name), view=view)
     put_ball(panel, view.project(look.position))
 
 
 def draw_voxels(
     panel: Any,
     look: Look,
-    mask: Mask,
+    mask: Mask | None,
     *,
     truth: Mask | None = None,
     view: View = VIEW,
 ) -> None:
-    """Draws cubes where `mask` is set, coloured by height.
+    """Draws cubes where `mask` is set, coloured by height; of None, says that it could not be read.
 
     With a `truth`, cubes that it has and the mask lacks are drawn, too, and errors have the colours
     of `error_colours`. Raises DatasetError for more than a picture can hold.
     """
+    if mask is None:
+        say_unread(panel)
+        return
     corners, voxels, light = visible_faces(mask if truth is None else mask | truth, view)
     if len(voxels) > MOST_FACES:
         raise DatasetError(
@@ -255,9 +261,15 @@ def legend_columns(wide: float, marks: int) -> int:
 
 def add_legend(figure: Figure, handles: Sequence[Any]) -> None:
     """What marks mean, at the lower end."""
-    columns = legend_columns(figure.get_figwidth(), len(handles))
-    style: dict[str, Any] = {"fontsize": 8, "frameon": False, "labelcolor": INK, "handlelength": 3}
-    figure.legend(handles=list(handles), loc="lower center", ncols=columns, **style)
+    figure.legend(
+        handles=list(handles),
+        loc="lower center",
+        ncols=legend_columns(figure.get_figwidth(), len(handles)),
+        fontsize=8,
+        frameon=False,
+        labelcolor=INK,
+        handlelength=3,
+    )
 
 
 def across(most: int, width: float | None) -> int:
@@ -298,7 +310,7 @@ class Grid:
         letters = 0.25 if width else 0.0  # for print they stay as large, and need room of their own
         tall = (scale * TALL + letters) * rows + below + (0.45 if title else 0.2)
         self.figure = blank(wide, tall, title)
-        self.handles = handles
+        add_legend(self.figure, handles)
         self.right = 1 - (BESIDE - NAME) / wide
         room = {"left": NAME / wide, "right": self.right, "bottom": below / tall}
         room["top"] = 1 - (0.6 if title else 0.25) / tall
@@ -369,14 +381,16 @@ class Grid:
             put_title(panel, plain(text))
             return
         place = panel.get_position()
-        at = 0.5 * NAME / self.figure.get_figwidth(), (place.y0 + place.y1) / 2
-        style: dict[str, Any] = {"rotation": 90, "va": "center", "ha": "center", "fontsize": 9}
-        self.figure.text(*at, plain(text), color=INK, **style)
-
-    def finish(self) -> Figure:
-        """The figure, with its legend."""
-        add_legend(self.figure, self.handles)
-        return self.figure
+        self.figure.text(
+            0.5 * NAME / self.figure.get_figwidth(),
+            (place.y0 + place.y1) / 2,
+            plain(text),
+            rotation=90,
+            va="center",
+            ha="center",
+            fontsize=9,
+            color=INK,
+        )
 
 
 def at_sensor(look: Look) -> int:

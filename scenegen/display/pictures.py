@@ -79,7 +79,7 @@ def draw_sample(
         grid.level(1, n, look, level, look.tudf)
     grid.bar_of_heights([look], row=0)
     grid.bar_of_distances(look, row=1)
-    return grid.finish()
+    return grid.figure
 
 
 def draw_sheet(looks: Sequence[Look], *, title: str, width: float | None = None) -> Figure:
@@ -90,7 +90,7 @@ def draw_sheet(looks: Sequence[Look], *, title: str, width: float | None = None)
     for panel, look in zip(grid.panels.flat, looks, strict=False):
         _with_returns(panel, look, VIEW, 0.6, look.name)
     grid.bar_of_heights(looks)
-    return grid.finish()
+    return grid.figure
 
 
 def draw_turn(look: Look, *, title: str, suffix: str = ".webp", frames: int = FRAMES) -> bytes:
@@ -122,14 +122,22 @@ def _film(frames: Sequence[tuple[Look, View, str]], pause_s: float, suffix: str)
         panel = figure.add_axes((0.01, 0.06, 0.86, 0.86))
         _with_returns(panel, look, view, 1.2, "")
         across, upward = view.project((low + high) / 2)
-        panel.set_xlim(across - reach, across + reach)  # the same in every picture
+        # the same in every picture
+        panel.set_xlim(across - reach, across + reach)
         panel.set_ylim(upward - 0.75 * reach, upward + 0.75 * reach)
         add_bar(figure, (0.88, 0.25, 0.02, 0.5), HEIGHTS, (low[2], high[2]), "height / m")
         add_legend(figure, MARKS)
         pictures.append(Image.open(io.BytesIO(to_bytes(figure, ".png"))).convert("RGB"))
-    file, pause = io.BytesIO(), round(pause_s * 1000)
-    film = {"save_all": True, "append_images": pictures[1:], "duration": pause, "loop": 0}
-    pictures[0].save(file, suffix.removeprefix("."), quality=72, **film)
+    file = io.BytesIO()
+    pictures[0].save(
+        file,
+        suffix.removeprefix("."),
+        quality=72,
+        save_all=True,
+        append_images=pictures[1:],
+        duration=round(pause_s * 1000),
+        loop=0,
+    )
     return file.getvalue()
 
 

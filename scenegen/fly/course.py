@@ -10,10 +10,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarsim import AnalyticEngine, Pose, Sensor
 from lidarsim.noise.chain import Noise
@@ -21,10 +19,11 @@ from lidarsim.parameters import check
 from lidarsim.sensors import RASTER
 from scenegen import __version__
 from scenegen.errors import DatasetError, GenerationError, printable
-from scenegen.files import read_bounded
+from scenegen.files import Json, read_bounded
 from scenegen.fly import PERIOD_S, Rules, Vehicle
 from scenegen.fly.loop import CLAIMED, HOVER, ROBOTS_END, Flown, scored, unlike
 from scenegen.fly.missions import Mission, draw_missions, graded
+from scenegen.fly.motion import Command
 from scenegen.fly.simulation import Observation, Simulation, bounded
 from scenegen.limits import MOST_MANIFEST_BYTES
 from scenegen.logs import LogScan
@@ -197,7 +196,7 @@ class Recording:
             raise DatasetError(f"{path}: no recording of flights ({said}); fly again") from None
 
 
-def _flown(row: dict[str, Any]) -> Flown:
+def _flown(row: Json) -> Flown:
     """A flight of a recording. Raises ValueError for figures that cannot be."""
     commands = np.array(row["commands"], np.float32).reshape(-1, 4)
     flown = Flown(**row | {"commands": HOVER, "path": np.empty((0, 3))})
@@ -237,7 +236,7 @@ def replay(course: Course, flights: Sequence[Flown]) -> list[Flown]:
 
 def flown_again(
     simulation: Simulation, flown: Flown
-) -> Iterator[tuple[Observation, NDArray[np.float32], float]]:
+) -> Iterator[tuple[Observation, Command, float]]:
     """What was seen on a flight, while its commands are flown again; with each command (4,), and
     its reward."""
     for command in flown.commands:

@@ -7,13 +7,13 @@ from typing import Any, Literal
 import gymnasium
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
 from scenegen.fly.course import Course
+from scenegen.fly.motion import Command
 from scenegen.fly.simulation import Observation, Simulation, bounded
 
 
-class Flight(gymnasium.Env[Observation, NDArray[np.float32]]):
+class Flight(gymnasium.Env[Observation, Command]):
     """A quadrotor with a LiDAR flies to a goal: `gymnasium.make("scenegen/Fly-v0")`.
 
     An observation is that of `Simulation.observe`; an action is a velocity in the world, m/s, and
@@ -46,16 +46,14 @@ class Flight(gymnasium.Env[Observation, NDArray[np.float32]]):
         if periods > 1:
             high = np.tile(high, (periods, 1))
         self.action_space = spaces.Box(-high, high, dtype=np.float32)
-        # (shape, kind of number) by name
-        parts = {
-            "ranges": (shape, np.float32),
-            "points": ((*shape, 3), np.float32),
-            **dict.fromkeys(("position", "velocity", "goal"), ((3,), np.float64)),
-            "quaternion": ((4,), np.float64),
-            "time_s": ((1,), np.float64),
-        }
+        sizes = {"ranges": shape, "points": (*shape, 3), "quaternion": (4,), "time_s": (1,)}
+        sizes |= dict.fromkeys(("position", "velocity", "goal"), (3,))
+        kinds = dict.fromkeys(("ranges", "points"), np.float32)
         self.observation_space = spaces.Dict(
-            {name: spaces.Box(-np.inf, np.inf, size, kind) for name, (size, kind) in parts.items()}
+            {
+                name: spaces.Box(-np.inf, np.inf, size, kinds.get(name, np.float64))
+                for name, size in sizes.items()
+            }
         )
         self._flying: Simulation | None = None
 
@@ -69,9 +67,7 @@ class Flight(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._flying = course.simulation(0)
         return self._flying.observe(), {"seed": drawn, "about": self._flying.about()}
 
-    def step(
-        self, action: NDArray[np.float32]
-    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Command) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Fly an action, or its first periods if the flight ends there. `info` has the `outcome`
         once there is one."""
         flying = self._flying

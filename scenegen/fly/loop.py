@@ -3,16 +3,16 @@
 import math
 import time
 from collections import Counter
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarsim.grid import Floats
 from lidarsim.parameters import number
 from scenegen.errors import ScenegenError
 from scenegen.fly import PERIOD_S
+from scenegen.fly.motion import Command
 from scenegen.fly.simulation import Observation, Outcome, Simulation, bounded
 
 
@@ -81,14 +81,14 @@ class Flown:
     """SHA-256 of all that was seen and flown."""
     trouble: str = ""
     """What the robot died of."""
-    commands: NDArray[np.float32] = field(repr=False)
+    commands: Command = field(repr=False)
     """(periods, 4): what was flown, m/s and rad/s."""
     path: Floats = field(repr=False)
     """(n, 3): the way, world metres, a point a period."""
 
     def row(self) -> dict[str, Any]:
         """All but the last two, by name."""
-        return {name: value for name, value in asdict(self).items() if name not in UNSAID}
+        return {name: value for name, value in vars(self).items() if name not in UNSAID}
 
 
 UNSAID = ("commands", "path")
@@ -102,7 +102,7 @@ HOVER = np.zeros((1, 4), np.float32)
 def fly(simulation: Simulation, robot: Robot) -> Flown:
     """Let `robot` fly the mission. Whatever it does is counted, and raises nothing: without an
     action of its own, the vehicle flies the rest of the plan that it gave last, and then hovers."""
-    commands, times = list[NDArray[np.float32]](), list[float]()
+    commands, times = list[Command](), list[float]()
     plan, counts, trouble = HOVER, Counter[str](), ""
     try:
         _asked(robot.reset, simulation.about())
@@ -133,7 +133,7 @@ def _asked(method: Any, observation: Observation) -> Any:
 
 def scored(
     simulation: Simulation,
-    commands: list[NDArray[np.float32]],
+    commands: list[Command],
     times: list[float],
     counts: Counter[str],
     trouble: str,

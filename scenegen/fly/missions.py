@@ -55,26 +55,25 @@ def draw_missions(
     found: list[Mission] = []
     room = None
     for number in range(count):
-        rng, drawn = np.random.default_rng([seed, number]), None
+        rng = np.random.default_rng([seed, number])
         for n in range(ROOMS):
             bounds = world.room(vehicle.radius_m, rules.apart_m, rng=rng)
             if room is None or not np.array_equal(bounds, room.bounds):
                 room = _room(world, bounds, vehicle.radius_m)
-            elif n:  # no other room will be better
-                break
+            elif n:  # it has none, as was found
+                continue
             apart = min(rules.apart_m, math.dist(*bounds) / 2)
             tries = (
                 _draw(world, vehicle, rules, apart / part, room, rng=rng) for part in (1, 2, 4)
             )
-            drawn = next(filter(None, tries), None)
-            if drawn is not None:
+            if drawn := next(filter(None, tries), None):
+                found.append(drawn)
                 break
-        if drawn is None:
+        else:
             raise GenerationError(
                 f"no start and goal {apart / 4:g} m apart with a way between; give a smaller "
                 "--apart or --radius, or another world"
             )
-        found.append(drawn)
     return found
 
 

@@ -16,6 +16,9 @@ from lidarsim.pose import rotate
 from scenegen.fly import PERIOD_S, Vehicle
 from scenegen.worlds.flight import GRAVITY, leaning
 
+Command = NDArray[np.float32]
+"""Velocity in the world, m/s, and rate of yaw, rad/s: (4,), or (n, 4) of n periods."""
+
 STEPS = 16
 """Steps of constant jerk from one decision to the next."""
 STEP_S = PERIOD_S / STEPS
@@ -31,7 +34,7 @@ def most_pull(vehicle: Vehicle) -> float:
     return min(vehicle.acceleration_mps2, sine * GRAVITY)
 
 
-def advance(state: Floats, command: NDArray[np.float32], vehicle: Vehicle) -> Floats:
+def advance(state: Floats, command: Command, vehicle: Vehicle) -> Floats:
     """The states (STEPS, 11) after each step of one period.
 
     A step's jerk is constant, so that it is integrated exactly. The velocity asked for is
@@ -157,7 +160,7 @@ class Quadrotor:
         """Of the body, now."""
         return Pose(self._data.qpos[:3].copy(), self._data.qpos[3:].copy())
 
-    def advance(self, command: NDArray[np.float32]) -> Floats:
+    def advance(self, command: Command) -> Floats:
         """The states (STEPS, 11) after each step of one period; see `advance`, whose states
         it tracks. The acceleration is that of thrust and weight."""
         leads = advance(self._leads, command, self._vehicle)

@@ -12,6 +12,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -31,42 +32,39 @@ _hangs = Counter[str]()
 """In a row, of each command."""
 
 
+@dataclass
 class PipeRobot:
     """A robot that `command`, its words, starts; see `scenegen.fly.loop.Robot`. The process begins
     with the first flight, and anew after it had to be ended."""
 
-    def __init__(
-        self,
-        command: Sequence[str],
-        *,
-        seconds: float = ROBOT_SECONDS,
-        start_seconds: float = ROBOT_START_SECONDS,
-        memory_bytes: int = ROBOT_BYTES,
-    ):
-        """A decision may take `seconds`, the beginning of a flight `start_seconds`, and the process
-        `memory_bytes` of address space."""
-        self._command, self._memory_bytes = list(command), memory_bytes
-        self._seconds, self._start_seconds = seconds, start_seconds
-        self._name = shlex.join(command)
-        self._process: subprocess.Popen[bytes] | None = None
+    command: Sequence[str]
+    _: KW_ONLY
+    seconds: float = ROBOT_SECONDS
+    """A decision may take so long."""
+    start_seconds: float = ROBOT_START_SECONDS
+    """The beginning of a flight may take so long."""
+    memory_bytes: int = ROBOT_BYTES
+    """Address space of the process."""
+    _process: subprocess.Popen[bytes] | None = field(default=None, init=False)
 
     def reset(self, about: Observation) -> None:
         """See `Robot.reset`. A command that hung here `MOST_HANGS` times in a row is not asked
         again by this process."""
-        if _hangs[self._name] >= MOST_HANGS:
+        name = shlex.join(self.command)
+        if _hangs[name] >= MOST_HANGS:
             raise RobotError("hung", f"the robot hung in reset {MOST_HANGS} times in a row")
         if self._process is None:
             self._process = self._started()
         try:
-            self._ask("reset", about, self._start_seconds)
+            self._ask("reset", about, self.start_seconds)
         except RobotError as error:
-            _hangs[self._name] += error.outcome == "hung"
+            _hangs[name] += error.outcome == "hung"
             raise
-        _hangs[self._name] = 0
+        _hangs[name] = 0
 
     def act(self, observation: Observation) -> Any:
         """See `Robot.act`."""
-        return self._ask("act", observation, self._seconds)
+        return self._ask("act", observation, self.seconds)
 
     def close(self) -> None:
         """End the process, and what it began: by its keeper, or else by its group."""
@@ -81,13 +79,13 @@ class PipeRobot:
                 os.killpg(keeper, signal.SIGKILL)
 
     def _started(self) -> subprocess.Popen[bytes]:
-        if shutil.which(self._command[0]) is None:
-            raise RobotError("crashed", f"{self._command[0]}: there is no such program")
+        if shutil.which(self.command[0]) is None:
+            raise RobotError("crashed", f"{self.command[0]}: there is no such program")
         cores = sorted(os.sched_getaffinity(0))
         # neighbouring workers have neighbouring numbers, and so cores of their own
-        limits = (self._memory_bytes, cores[os.getpid() % len(cores)])
+        limits = (self.memory_bytes, cores[os.getpid() % len(cores)])
         process = subprocess.Popen(
-            [sys.executable, "-I", "-S", KEEPER, *map(str, limits), *self._command],
+            [sys.executable, "-I", "-S", KEEPER, *map(str, limits), *self.command],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             start_new_session=True,

@@ -2,6 +2,7 @@
 
 import hashlib
 import math
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -21,6 +22,7 @@ from scenegen.fly.motion import (
     POSITION,
     STEP_S,
     VELOCITY,
+    Command,
     Quadrotor,
     advance,
     most_pull,
@@ -36,6 +38,7 @@ PRIZE = 10.0
 """What reaching the goal is worth, and what any other end but that of time costs."""
 
 
+@dataclass(eq=False)
 class Simulation:
     """A vehicle on its mission. It does not depend on who decides, and for the same commands
     every bit of it is the same on every machine.
@@ -49,37 +52,34 @@ class Simulation:
             `scenegen.worlds.clearance.CAP_M`.
     """
 
-    def __init__(
-        self,
-        world: AnyWorld,
-        caster: Caster,
-        mission: Mission,
-        *,
-        sensor: Sensor,
-        vehicle: Vehicle,
-        rules: Rules,
-        noise: Noise | None = None,
-        moving: bool = False,
-        seed: int = 0,
-    ):
-        """See `record` for `caster`, `moving` and `noise`; `seed` is what the noise is drawn by."""
-        self.world, self.mission, self.sensor = world, mission, sensor
-        self.vehicle, self.rules = vehicle, rules
-        self.noise, self._moving, self._seed = noise or Noise(), moving, seed
-        self._caster, self._clearance = caster, world.clearance
+    world: AnyWorld
+    caster: Caster
+    """See `record` for this one, `noise` and `moving`."""
+    mission: Mission
+    _: KW_ONLY
+    sensor: Sensor
+    vehicle: Vehicle
+    rules: Rules
+    noise: Noise = field(default_factory=Noise)
+    moving: bool = False
+    seed: int = 0
+    """What the noise is drawn by."""
+
+    def __post_init__(self) -> None:
+        mission, self._clearance = self.mission, self.world.clearance
         east, north = (mission.goal[axis] - mission.start[axis] for axis in range(2))
-        length = math.sqrt(east * east + north * north) or math.inf
-        facing = (east / length, north / length) if length < math.inf else (1.0, 0.0)
+        length = math.sqrt(east * east + north * north)
+        facing = (east / length, north / length) if length else (1.0, 0.0)
         self.state = np.array([*mission.start, *([0.0] * 6), *facing])
         self.time_s, self.periods = 0.0, 0
-        self.most_s = rules.patience * mission.shortest_m / vehicle.speed_mps
+        self.most_s = self.rules.patience * mission.shortest_m / self.vehicle.speed_mps
         self.outcome: Outcome | None = None
         self.states: list[Floats] = [self.state[None]]
         self.clearances_m = [self._clearance.at(*mission.start)]
         self._digest = hashlib.sha256()
-        self._seen = b""
-        self._turning = 0.0
-        self._body = Quadrotor(self.state, vehicle) if vehicle.dynamics == "mujoco" else None
+        self._seen, self._turning = b"", 0.0
+        by_mujoco = self.vehicle.dynamics == "mujoco"
+        self._body = Quadrotor(self.state, self.vehicle) if by_mujoco else None
 
     @property
     def digest(self) -> str:
@@ -99,8 +99,8 @@ class Simulation:
             "times_s": self.sensor.times_s,
             "lever_arm_m": getattr(self.sensor, "lever_arm_m", ()) or (0.0, 0.0, 0.0),
         }
-        del told["dynamics"]  # it is no number, and nothing that a robot would be told
-        return {name: np.asarray(value, float) for name, value in told.items()}
+        # how it is simulated is no number, and nothing that a robot would be told
+        return {name: np.asarray(it, float) for name, it in told.items() if name != "dynamics"}
 
     def observe(self) -> Observation:
         """What the robot sees now.
@@ -116,16 +116,16 @@ class Simulation:
         """
         pose = self._body.pose if self._body else pose_of(self.state, self.vehicle)
         chain = self.noise
-        if self._moving:
+        if self.moving:
             forward, left, up = rotate(pose.back, self.state[None, VELOCITY])[0].tolist()
             turning = math.degrees(self._turning)
             pace: Any = Motion(
                 forward_mps=forward, left_mps=left, up_mps=up, yaw_rate_deg_s=turning
             )
             chain = Noise((pace, *chain.stages))
-        scan = cast(self._caster, self.sensor, pose)
-        rng = np.random.default_rng([self._seed, self.periods])
-        seen = observed(scan, chain, self.world.albedo, self._caster, rng)
+        scan = cast(self.caster, self.sensor, pose)
+        rng = np.random.default_rng([self.seed, self.periods])
+        seen = observed(scan, chain, self.world.albedo, self.caster, rng)
         ranges = seen.ranges[0].astype(np.float32)
         self._seen = ranges.tobytes()
         hit = np.isfinite(ranges)
@@ -141,7 +141,7 @@ class Simulation:
             "time_s": np.array([self.time_s]),
         }
 
-    def step(self, command: NDArray[np.float32]) -> float:
+    def step(self, command: Command) -> float:
         """Fly one period by a `command` (4,) of `bounded`, or until the flight ends.
 
         The vehicle touches nothing, to a millimetre, between any two steps: where the way that it
@@ -152,29 +152,29 @@ class Simulation:
             The reward: by how many metres the goal is nearer, and `PRIZE` at the goal, its negative
             at a collision or beyond the bounds.
         """
-        before_m = self._left_m()
-        vehicle, low_high = self.vehicle, np.array(self.mission.bounds)
+        before_m, vehicle = self._left_m(), self.vehicle
+        low, high = np.array(self.mission.bounds)
         if self._body:
             states, pull = self._body.advance(command), self._body.most_pull
         else:
             states, pull = advance(self.state, command, vehicle), most_pull(vehicle)
         stray = pull * STEP_S * STEP_S / 8
         radius, self._turning = vehicle.radius_m + stray, float(command[3])
-        before, free, flown = self.state, self.clearances_m[-1], len(states)
-        for number, state in enumerate(states):
-            here, there = tuple(before[POSITION].tolist()), tuple(state[POSITION].tolist())
+        here, free, flown = tuple(self.state[POSITION].tolist()), self.clearances_m[-1], len(states)
+        for number, at in enumerate(states[:, POSITION], start=1):
+            there = tuple(at.tolist())
             if math.dist(here, there) >= free - radius and not self._clearance.motion_is_free(
                 here, there, radius
             ):
                 self.outcome = "collision"
-            elif ((state[POSITION] < low_high[0]) | (state[POSITION] > low_high[1])).any():
+            elif ((at < low) | (at > high)).any():
                 self.outcome = "left"
             elif math.dist(there, self.mission.goal) <= self.rules.reach_m:
                 self.outcome = "success"
-            free, before = self._clearance.at(*there), state
+            here, free = there, self._clearance.at(*there)
             self.clearances_m.append(free)
             if self.outcome is not None:
-                flown = number + 1
+                flown = number
                 break
         self.states.append(states[:flown])
         self._digest.update(self._seen + states[:flown].tobytes())
@@ -205,7 +205,7 @@ class Simulation:
         }
 
 
-def bounded(action: Any, vehicle: Vehicle) -> tuple[NDArray[np.float32] | None, bool]:
+def bounded(action: Any, vehicle: Vehicle) -> tuple[Command | None, bool]:
     """What a robot said, as commands.
 
     Args:

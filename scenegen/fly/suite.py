@@ -84,10 +84,9 @@ def part_of(entry: Recording) -> Part:
     """
     if entry.suite not in SUITES:
         raise DatasetError(f"is no entry: its suite is {entry.suite}, expected {SUITES[0]}")
-    track, courses = track_of(entry), {}
-    for course in frozen_courses(entry.suite, track):
-        courses[named(course)] = course.document
-    left = dict(courses)
+    track = track_of(entry)
+    courses = {named(one): one.document for one in frozen_courses(entry.suite, track)}
+    left = courses.copy()
     for course, _ in entry.courses:
         document = left.pop(named(course), None)
         if document is None or not course.document.startswith(document):

@@ -14,7 +14,7 @@ from typing import Any
 
 from scenegen.errors import GenerationError, needs
 from scenegen.run import Begun, Executor, Function, Results
-from scenegen.run.remote import GO_ON, Outcome, named, pack, sent
+from scenegen.run.remote import GO_ON, named, pack, sent, taken
 from scenegen.run.workers import safe_path
 
 SILENT = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_DEDUP_LOGS": "0"}
@@ -95,14 +95,14 @@ class Ray(Executor):
                 for one in done:
                     task = given.pop(one)
                     try:
-                        outcome = Outcome(*ray.get(one))
+                        outcome = ray.get(one)
                     except ray.exceptions.RayError as error:
                         reason = str(error).splitlines()[0]
                         raise GenerationError(
                             f"{named(task)}: lost {MOST_TRIES + 1} times with its process or node "
                             f"({reason}); {GO_ON}"
                         ) from None
-                    yield outcome.taken()
+                    yield taken(*outcome)
         finally:
             for one in given:
                 ray.cancel(one, force=True)

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from scenegen.errors import GenerationError, told
 from scenegen.run.software import identity
@@ -23,21 +23,18 @@ GO_ON = "what is written is kept: give the same command again to go on"
 """What to do where a task is lost for good."""
 
 
-class Outcome(NamedTuple):
-    """What became of a task on another machine."""
+Outcome = tuple[Any, str]
+"""What became of a task on another machine: the result, and ""; or the exception and the machine
+that raised it, a text in place of the exception where the machine has no scenegen of ours."""
 
-    value: Any
-    """The result, or the exception; of a node that has none of ours, what it lacks."""
-    node: str
-    """The machine that raised it; "" for a result."""
 
-    def taken(self) -> Any:
-        """The result. Raises the exception, which names the node."""
-        if not self.node:
-            return self.value
-        error = GenerationError(self.value) if isinstance(self.value, str) else self.value
-        error.args = (f"{error} (on {self.node})",)
-        raise error
+def taken(value: Any, node: str) -> Any:
+    """The result of an `Outcome`. Raises its exception, which names the node."""
+    if not node:
+        return value
+    error = GenerationError(value) if isinstance(value, str) else value
+    error.args = (f"{error} (on {node})",)
+    raise error
 
 
 def pack(value: Any, pickler: type[pickle.Pickler] = pickle.Pickler) -> bytes:
@@ -64,15 +61,15 @@ def _unpack(packed: bytes) -> Any:
 
 def sent(
     function: Callable[[Any], Any], pickler: type[pickle.Pickler] = pickle.Pickler
-) -> Callable[[bytes], tuple[Any, str]]:
-    """`function` as it is sent, for tasks that are packed. What it returns fills an `Outcome`.
+) -> Callable[[bytes], Outcome]:
+    """`function` as it is sent, for tasks that are packed.
 
     Pickled by value, as cloudpickle does with functions within functions, it needs no scenegen.
     """
     folder = str(Path.cwd())
     command = pack(function, pickler), identity(), folder, folder in sys.path
 
-    def there(task: bytes) -> tuple[Any, str]:
+    def there(task: bytes) -> Outcome:
         try:
             from scenegen.run.remote import received
 
@@ -115,11 +112,11 @@ def received(
             os.chdir(folder)
         if importable and folder not in sys.path:
             sys.path.append(folder)  # last, as the registry does
-        return Outcome(_function(parcel)(_unpack(task)), "")
+        return _function(parcel)(_unpack(task)), ""
     except ImportError:
         raise
     except Exception as error:  # whatever it is, it is raised where the run was begun
-        return Outcome(told(error), socket.gethostname())
+        return told(error), socket.gethostname()
 
 
 @lru_cache(maxsize=1)

@@ -19,7 +19,7 @@ from urllib.parse import parse_qsl
 
 from scenegen.errors import DatasetError, GenerationError, OwnCodeError, needs, printable
 from scenegen.run import Begun, Executor, Function, Results
-from scenegen.run.remote import GO_ON, Outcome, pack, sent
+from scenegen.run.remote import GO_ON, Outcome, pack, sent, taken
 from scenegen.run.workers import safe_path
 
 MINUTES = 240
@@ -92,7 +92,7 @@ class Slurm(Executor):
 
         there = sent(function, CloudPickler)
 
-        def several(tasks: Sequence[bytes]) -> list[tuple[Any, str]]:  # sent whole, as `there` is
+        def several(tasks: Sequence[bytes]) -> list[Outcome]:  # sent whole, as `there` is
             """What came of `tasks`, up to the first that failed."""
             found = []
             for task in tasks:
@@ -152,7 +152,7 @@ class Slurm(Executor):
     def _results(self, job: Any, folder: Path) -> Results:
         try:
             for outcome in job.result():
-                yield Outcome(*outcome).taken()
+                yield taken(*outcome)
         except (self.submitit.core.utils.UncompletedJobError, OwnCodeError) as error:
             said = _last_line(str(error))
             if TIMED_OUT in str(error):  # in whatever code the signal met the task

@@ -6,7 +6,6 @@ without a deadlock.
 """
 
 import contextlib
-import itertools
 import math
 import multiprocessing
 import multiprocessing.connection
@@ -15,6 +14,7 @@ import resource
 import signal
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -181,35 +181,32 @@ def run(
     threads. Raises GenerationError where a worker is killed, unless `function` is `Limited`, and
     whatever `function` raises. No process is left behind.
     """
-    tasks = list(tasks)
-    if not isinstance(function, Limited) and (workers == 1 or len(tasks) <= 1):
+    waiting = deque(tasks)
+    if not isinstance(function, Limited) and (workers == 1 or len(waiting) <= 1):
         on_start()
-        yield from map(function, tasks)
+        yield from map(function, waiting)
         return
-    waiting = iter(tasks)
     busy: list[Worker] = []
     deaths = 0
     with undone_if_stopped(lambda: _kill(busy)):
         try:
-            for task in itertools.islice(waiting, workers):
+            while waiting and len(busy) < workers:
                 busy.append(Worker(function))
-                busy[-1].give(task)
+                busy[-1].give(waiting.popleft())
             on_start()
             while busy:
                 for worker in _ready(busy):
                     result = worker.take(workers)
                     deaths += not worker.alive
-                    more = worker.alive or deaths <= MOST_REPLACED
-                    following = list(itertools.islice(waiting, 1)) if more else []
-                    if following and worker.alive:
-                        worker.give(following[0])
-                    else:
+                    more = waiting and (worker.alive or deaths <= MOST_REPLACED)
+                    if not (more and worker.alive):
                         busy.remove(worker)
                         worker.end()
-                        for task in following:
-                            # by now there may be threads, so that this one is not forked
-                            busy.append(Worker(function, "spawn"))
-                            busy[-1].give(task)
+                        if more:  # by now there may be threads, so that this one is not forked
+                            worker = Worker(function, "spawn")
+                            busy.append(worker)
+                    if more:
+                        worker.give(waiting.popleft())
                     yield result
             for task in waiting:
                 assert isinstance(function, Limited)

@@ -189,10 +189,10 @@ def _table(*rows: Sequence[str]) -> str:
     return "\n".join([lines[0], "|---" * len(rows[0]) + "|", *lines[1:]])
 
 
-def stored(made: Manifest) -> dict[str, dict[str, Any]]:
+def stored(made: Manifest) -> dict[str, Json]:
     """What the shards store, in order: name to `dtype`, `shape`, `unit` and `meaning`; the shape is
     (-1,) where sensors or scans of several shapes are in one dataset."""
-    known: dict[str, dict[str, Any]] = {}
+    known: dict[str, Json] = {}
     for home in made.homes:
         for name, about in home.schema.describe().items():
             if name in home.fields and known.setdefault(name, about)["shape"] != about["shape"]:
@@ -249,16 +249,28 @@ def croissant(given: Json, made: Manifest, told: Json, sums: Mapping[str, str]) 
         )
     ]
     for name, digest in sums.items():
-        at = {"contentUrl": f"{url}/resolve/{tag}/{name}", "sha256": digest}
-        form = FORMATS[name.rpartition(".")[2]]
-        files.append(_node("FileObject", name, encodingFormat=form, **at))
+        files.append(
+            _node(
+                "FileObject",
+                name,
+                encodingFormat=FORMATS[name.rpartition(".")[2]],
+                contentUrl=f"{url}/resolve/{tag}/{name}",
+                sha256=digest,
+            )
+        )
     sets = []
     for split, counted in told["splits"].items():
         said = f"samples of the {split} split"
-        within = {"containedIn": {"@id": "repository"}, "includes": _shards(made, split)}
-        about = f"HDF5 files; {said} along the first dimension of every dataset."
-        shards = _node("FileSet", f"{split}-shards", description=about, **within)
-        files.append(shards | {"encodingFormat": FORMATS["h5"]})
+        files.append(
+            _node(
+                "FileSet",
+                f"{split}-shards",
+                description=f"HDF5 files; {said} along the first dimension of every dataset.",
+                containedIn={"@id": "repository"},
+                includes=_shards(made, split),
+                encodingFormat=FORMATS["h5"],
+            )
+        )
         sets.append(
             _node(
                 "RecordSet",

@@ -200,7 +200,7 @@ def _read_again(found: Manifest, path: Path) -> Json:
     labels = found.homes[0].recipe.labels
     read = read_components(path) if found.sources else [(read_recipe(path), Fraction(1))]
     parts = [(dataclasses.replace(recipe, labels=labels), weight) for recipe, weight in read]
-    asked: dict[str, Any] = {
+    asked: Json = {
         "seed": found.homes[0].seed,
         "counts": found.counts,
         "compact": "tudf" not in found.fields,
@@ -242,7 +242,7 @@ def _toml(value: Any) -> str:
     return repr(value) if isinstance(value, float) else json.dumps(value, ensure_ascii=False)
 
 
-def environment_lock(made_with: Mapping[str, str], commit: str = "unknown") -> str:
+def environment_lock(made_with: Mapping[str, str], commit: str) -> str:
     """A requirements file of what scenegen needs, as installed here.
 
     Packages in `made_with`, the manifest's `software`, come in the version that made the dataset.

@@ -24,7 +24,7 @@ from scenegen.display.look import looks, spread
 from scenegen.display.page import page
 from scenegen.errors import DatasetError, PublishError
 from scenegen.files import make_parent, real_path, whole_folder, write_whole
-from scenegen.share import USUAL, find_licence
+from scenegen.share import LICENCES, USUAL
 from scenegen.share.card import card, croissant, facts
 from scenegen.share.regenerate import check_kind, check_source, environment_lock, source_file
 
@@ -66,7 +66,7 @@ class Request:
     """The name of the revision. None stands for the format's version and the beginning of the
     digest, which names the content."""
     licence: str = USUAL
-    """The SPDX name of the data's licence."""
+    """The SPDX name of the data's licence, in any case."""
     kind: str | None = None
     """The dataset's kind, where its own module may be imported: a user's own, as
     ``module:Class``."""
@@ -74,7 +74,11 @@ class Request:
     """The commit of the scenegen checkout that publishes."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "licence", find_licence(self.licence))
+        known = {name.lower(): name for name in LICENCES}
+        licence = known.get(self.licence.lower())
+        if licence is None:
+            raise PublishError(f"--licence {self.licence}: expected one of {', '.join(LICENCES)}")
+        object.__setattr__(self, "licence", licence)
         if not REPOSITORY.fullmatch(self.repository) or re.search(
             r"--|\.\.|[.-](/|$)|\.git$", self.repository
         ):

@@ -36,7 +36,7 @@ def check_token() -> None:
         raise PublishError(TOKEN)
 
 
-def upload(staged: Staged, *, private: bool = False, shown: bool = False) -> str:
+def upload(staged: Staged, *, private: bool, shown: bool) -> str:
     """Send the folder and return the commit that the tag names.
 
     Given again after an interruption it goes on: what the Hub has is not sent. A tag that is there

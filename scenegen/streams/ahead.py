@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic
+from typing import Any
 
 import isal.isal_zlib
 import numpy as np
@@ -19,10 +19,12 @@ from numpy.typing import NDArray
 
 from scenegen.errors import DatasetError, GenerationError, raised_as
 from scenegen.files import make_way, read_bounded, write_whole
-from scenegen.run.workers import MOST_REPLACED, Result, Task, Worker
+from scenegen.run.workers import MOST_REPLACED, Worker
 from scenegen.sample import FIELDS, Sample, Schema
 from scenegen.truth import distance_field
 
+Unit = tuple[bytes, ...]
+"""The records of a unit's samples."""
 LEVEL = 1
 """The level of compression, as in shards."""
 
@@ -75,6 +77,8 @@ def unpack(packed: bytes, kind: np.dtype, schema: Schema) -> Sample:
 HEAD = b"scenegen unit 1\n"
 IN_FOLDER = 1000
 """Units in a folder."""
+MOST_UNIT_BYTES = 1 << 30
+"""A larger file is no unit's: of default maps, one has a few hundred kilobytes."""
 
 
 @dataclass(frozen=True)
@@ -83,17 +87,21 @@ class Cache:
 
     A file holds `HEAD`, a SHA-256 of what follows and of whose unit it is, and the records, each
     after its length. So a file that is cut off, changed, or another unit's under this name counts
-    as absent.
+    as absent. Raises DatasetError for a folder that is a file.
     """
 
     folder: Path
     owner: str
     """A digest of all that the units depend on, versions of software included."""
     split: str
-    most_bytes: int
-    """A unit's file is no larger."""
 
-    def unit(self, number: int, make: Callable[[], tuple[bytes, ...]]) -> tuple[bytes, ...]:
+    def __post_init__(self) -> None:
+        if self.folder.exists() and not self.folder.is_dir():
+            raise DatasetError(
+                f"{self.folder}: is a file, expected a folder for the cache; choose another one"
+            )
+
+    def unit(self, number: int, make: Callable[[], Unit]) -> Unit:
         """The records of a unit: those on disk, else what `make` gives, which then is on disk.
 
         Raises DatasetError where the disk refuses, and what `make` raises.
@@ -101,7 +109,7 @@ class Cache:
         path = self.path(number)
         # of what is too large, or no file at all, writing says what to do
         with contextlib.suppress(FileNotFoundError, ValueError, DatasetError):
-            return self._parse(read_bounded(path, self.most_bytes), number)
+            return self._parse(read_bounded(path, MOST_UNIT_BYTES), number)
         records = make()
         make_way(path)
         body = b"".join(struct.pack("<I", len(record)) + record for record in records)
@@ -113,7 +121,7 @@ class Cache:
         group, rest = divmod(number, IN_FOLDER)
         return self.folder / self.owner[:16] / f"{self.split}-{group:07d}" / f"{rest:03d}.unit"
 
-    def _parse(self, content: bytes, number: int) -> tuple[bytes, ...]:
+    def _parse(self, content: bytes, number: int) -> Unit:
         """The records in a file. Raises ValueError for one that is not as it was written."""
         start = len(HEAD) + hashlib.sha256().digest_size
         body = content[start:]
@@ -130,75 +138,75 @@ class Cache:
         return hashlib.sha256(f"{self.owner} {self.split} {number} ".encode() + body).digest()
 
 
-class Ahead(Generic[Task, Result]):
-    """`workers` processes that work off tasks in the order in which they are given. They end with
-    this object, and with this process whatever ends it; one that dies is replaced, and its tasks
-    are given again."""
+class Ahead:
+    """`workers` processes that make units in the order in which they are given. They end with this
+    object, and with this process whatever ends it; one that dies is replaced, and its units are
+    given again."""
 
-    def __init__(self, function: Callable[[Task], Result], workers: int):
-        self._function, self._count, self._died = function, workers, 0
-        self._workers = [Worker(function) for _ in range(workers)]
-        self._given: list[deque[Task]] = [deque() for _ in range(workers)]
-        self._done: dict[Task, tuple[bool, Any]] = {}
+    def __init__(self, make: Callable[[int], Unit], workers: int):
+        self._make, self._died = make, 0
+        self._given = {Worker(make): deque[int]() for _ in range(workers)}
+        self._done: dict[int, tuple[bool, Any]] = {}
         # unlike a `__del__`, it runs at exit before the modules that it needs are gone
-        self.close = weakref.finalize(self, _end, self._workers, os.getpid())
+        self.close = weakref.finalize(self, _end, self._given, os.getpid())
         """End the processes, whatever they are doing."""
 
     @property
     def under_way(self) -> int:
-        """Tasks that were given, and whose results nobody took."""
-        return len(self._done) + sum(map(len, self._given))
+        """Units that were given, and that nobody took."""
+        return len(self._done) + sum(map(len, self._given.values()))
 
-    def __contains__(self, task: object) -> bool:
-        return task in self._done or any(task in given for given in self._given)
+    def __contains__(self, slot: object) -> bool:
+        return slot in self._done or any(slot in given for given in self._given.values())
 
-    def give(self, task: Task) -> None:
-        """Have a result made; a task that is under way is not given again."""
-        if task not in self:
-            worker = min(range(self._count), key=lambda n: len(self._given[n]))
-            self._given[worker].append(task)
+    def give(self, slot: int) -> None:
+        """Have a unit made; one that is under way is not given again."""
+        if slot not in self:
+            worker, given = min(self._given.items(), key=lambda one: len(one[1]))
+            given.append(slot)
             with contextlib.suppress(OSError):  # it died, which `collect` notices
-                self._workers[worker].pipe.send(task)
+                worker.pipe.send(slot)
 
-    def take(self, task: Task) -> Result:
-        """The result of a task, as soon as it is there. Raises what the function raises, and
-        GenerationError where processes die again and again."""
-        self.give(task)
+    def take(self, slot: int) -> Unit:
+        """A unit, as soon as it is there. Raises what making it raises, and GenerationError where
+        processes die again and again."""
+        self.give(slot)
         self.collect()
-        while task not in self._done:
+        while slot not in self._done:
             self.collect(wait=True)
-        succeeded, value = self._done.pop(task)
+        succeeded, value = self._done.pop(slot)
         if not succeeded:
             raise value
         return value
 
     def collect(self, *, wait: bool = False) -> None:
         """Take in what is finished, or, with `wait`, at least one thing."""
-        pipes = {worker.pipe: n for n, worker in enumerate(self._workers)}
-        for pipe in multiprocessing.connection.wait(list(pipes), None if wait else 0):
-            number = pipes[pipe]
+        workers = {worker.pipe: worker for worker in self._given}
+        for pipe in multiprocessing.connection.wait(workers, None if wait else 0):
+            worker = workers[pipe]
             try:
-                answer = self._workers[number].pipe.recv()
+                answer = worker.pipe.recv()
             except (EOFError, OSError):
-                self._replace(number)
+                self._replace(worker)
                 continue
-            self._done[self._given[number].popleft()] = answer
+            self._done[self._given[worker].popleft()] = answer
 
-    def _replace(self, number: int) -> None:
+    def _replace(self, worker: Worker) -> None:
         """Another process in the place of one that died."""
         self._died += 1
         if self._died > MOST_REPLACED:
             raise GenerationError(
                 f"stream: worker processes were killed {self._died} times (out of memory?); give "
-                f"fewer than {self._count}"
+                f"fewer than {len(self._given)}"
             )
-        self._workers[number].end()
-        self._workers[number] = Worker(self._function)
-        for task in self._given[number]:
-            self._workers[number].pipe.send(task)
+        worker.end()
+        given, another = self._given.pop(worker), Worker(self._make)
+        self._given[another] = given
+        for slot in given:
+            another.pipe.send(slot)
 
 
-def _end(workers: list[Worker], process: int) -> None:
+def _end(workers: dict[Worker, deque[int]], process: int) -> None:
     if process == os.getpid():  # not in a fork, whose parent's they are
         for worker in workers:
             worker.end()

@@ -112,23 +112,22 @@ def component_of(what: Any, *, seed: int, split: str, engine: str) -> Component:
     source: SceneWorlds | None = None
     if isinstance(what, Recipe):
         label, recipe = graded(what.kind, what.difficulty), what
-    elif not isinstance(what, str | Path):
+    elif isinstance(what, str | Path):
+        label, path = str(what), Path(what)
+        given = isinstance(what, Path) or path.is_dir() or path.suffix in (".toml", *WORLD_FILES)
+        own = isinstance(what, str) and ":" in what and not path.exists()
+        if what in KINDS.known or own or not given:
+            recipe = preset(label)
+        elif path.suffix == ".toml":
+            recipe = read_recipe(path)
+        else:
+            source = _scenes(path, seed)
+            recipe = source.suited(preset("scene"))
+    else:
         raise RecipeError(
             f"stream of {short(what)}: expected a kind's name, a recipe or its file, an MJCF file "
             f"or a folder of them"
         )
-    else:
-        label, path = str(what), Path(what)
-        named = isinstance(what, str) and (
-            what in KINDS.known or (":" in what and not path.exists())
-        )
-        if not named and path.suffix == ".toml":
-            recipe = read_recipe(path)
-        elif not named and (isinstance(what, Path) or path.is_dir() or path.suffix in WORLD_FILES):
-            source = _scenes(path, seed)
-            recipe = source.suited(preset("scene"))
-        else:
-            recipe = preset(label)
     if source is None and recipe.world is None:
         raise RecipeError(
             f'stream of {label}: kind "scene" draws no worlds; give the MJCF file or folder, or a '

@@ -5,7 +5,8 @@ import json
 import multiprocessing
 import os
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,23 +15,20 @@ import numpy as np
 from lidarsim.engines import DEFAULT
 from scenegen.dataset.generation import MIXED, fraction, is_mixed, read_components, seeds
 from scenegen.dataset.parts import schema_of
-from scenegen.errors import DatasetError, whole_number
+from scenegen.errors import whole_number
 from scenegen.files import sha256_of
 from scenegen.limits import MOST_SAMPLES, MOST_SEED, MOST_WORKERS
 from scenegen.sample import Sample, Samples, Schema
 from scenegen.source import DrawnWorlds
-from scenegen.streams.ahead import Ahead, Cache, pack, record_type, unpack
+from scenegen.streams.ahead import Ahead, Cache, Unit, pack, record_type, unpack
 from scenegen.streams.batches import Batches, Place
-from scenegen.streams.mixture import Component, Mixture, component_of, parts_of
+from scenegen.streams.mixture import Mixture, component_of, parts_of
 
 KEPT_BYTES = 256 << 20
 """Packed units that a process keeps in memory, those asked for last; with default maps, these are
 some 2500."""
 AHEAD = 4
 """Units for each worker process that are made before they are asked for."""
-
-Unit = tuple[bytes, ...]
-"""The records of a unit's samples."""
 
 
 class Stream(Samples):
@@ -45,7 +43,7 @@ class Stream(Samples):
     it.
     """
 
-    _ahead: Ahead[int, Unit] | None
+    _ahead: Ahead | None
     _coming: Iterator[int]
 
     def __init__(
@@ -58,7 +56,7 @@ class Stream(Samples):
         workers: int,
         cache: Path | str | None,
     ):
-        self.seed, self.split = whole_number("stream: seed =", seed, 0, MOST_SEED), split
+        self.seed, self.split = seed, split
         self.workers = whole_number("stream: workers =", workers, 0, MOST_WORKERS)
         self.mixture = mixture
         self._samples = whole_number("stream: samples =", samples, 1, MOST_SAMPLES)
@@ -81,9 +79,11 @@ class Stream(Samples):
         self.mapping = first.mapping
         self._schemas = [schema_of(part.recipe) for part in mixture.components]
         self._records = [record_type(schema) for schema in self._schemas]
-        kept = zip(mixture.components, self._records, strict=True) if cache is not None else ()
-        caches = tuple(self._cache(Path(str(cache)), part, record) for part, record in kept)
-        self._make = Maker(mixture, caches, self._records)
+        caches = [
+            Cache(Path(str(cache)), part.fingerprint(software=True), part.split)
+            for part in (mixture.components if cache is not None else ())
+        ]
+        self._make = partial(_unit_of, mixture, caches, self._records)
         self._forget()
 
     def __len__(self) -> int:
@@ -137,15 +137,6 @@ class Stream(Samples):
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_units": {}, "_ahead": None, "_coming": iter(())}
 
-    def _cache(self, folder: Path, part: Component, record: np.dtype) -> Cache:
-        """Where a part's units are kept. Raises DatasetError where that cannot be."""
-        if folder.exists() and not folder.is_dir():
-            raise DatasetError(
-                f"{folder}: is a file, expected a folder for the cache; choose another one"
-            )
-        most = part.viewpoints * (2 * record.itemsize + 1024)
-        return Cache(folder, part.fingerprint(software=True), part.split, most)
-
     def _forget(self) -> None:
         """Begin anew, as a process of its own."""
         self._units, self._bytes = dict[int, Unit](), 0
@@ -188,28 +179,18 @@ class Stream(Samples):
         return unit
 
 
-@dataclass(frozen=True)
-class Maker:
-    """Makes a unit, in whatever process: from the cache, where there is one, or drawn."""
+def _unit_of(
+    mixture: Mixture, caches: Sequence[Cache], records: Sequence[np.dtype], slot: int
+) -> Unit:
+    """The unit of a slot, in whatever process: from its part's cache, where there are any, or
+    drawn. Raises GenerationError, and DatasetError where the cache's disk refuses."""
+    part, unit = mixture.unit(slot)
 
-    mixture: Mixture
-    caches: tuple[Cache, ...]
-    """That of each part, or none."""
-    records: Sequence[np.dtype]
-    """That of a sample of each part."""
+    def drawn() -> Unit:
+        samples = mixture.components[part].draw(unit).samples
+        return tuple(pack(sample, records[part]) for sample in samples)
 
-    def __call__(self, slot: int) -> Unit:
-        """The unit of a slot. Raises GenerationError, and DatasetError where the cache's disk
-        refuses."""
-        part, unit = self.mixture.unit(slot)
-
-        def drawn() -> Unit:
-            return tuple(
-                pack(sample, self.records[part])
-                for sample in self.mixture.components[part].draw(unit).samples
-            )
-
-        return self.caches[part].unit(unit, drawn) if self.caches else drawn()
+    return caches[part].unit(unit, drawn) if caches else drawn()
 
 
 class Reader(Place, Iterator[Sample]):

@@ -15,7 +15,7 @@ from scenegen.display.exchange import FORMATS, Choices
 from scenegen.errors import DatasetError, printable
 from scenegen.files import make_parent, remove_drafts, write_whole
 from scenegen.run import Counted, Executor, unheard
-from scenegen.run.workers import Local
+from scenegen.run.workers import ALONE
 from scenegen.sample import Sample
 
 STATE = "convert.json"
@@ -44,7 +44,7 @@ def convert(
     to: str,
     choices: Choices,
     splits: Sequence[str],
-    execute: Executor | None = None,
+    execute: Executor = ALONE,
     on_start: Counted = unheard,
     on_sample: Counted = unheard,
 ) -> Converted:
@@ -66,7 +66,6 @@ def convert(
     Raises:
         DatasetError: `out` holds another conversion, or the disk refuses.
     """
-    execute = execute or Local("", 1)
     form = FORMATS.find(to)(choices)
     _claim(dataset, out, to, choices)
     each = getattr(form, "together", None) or CHUNK

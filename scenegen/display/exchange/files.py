@@ -21,34 +21,15 @@ from scenegen.errors import DatasetError
 from scenegen.files import write_result
 from scenegen.sample import Sample
 
-HEADS = {
-    ".ply": """ply
-format binary_little_endian 1.0
-element vertex {count}
-{properties}end_header
-""",
-    ".pcd": """VERSION 0.7
-FIELDS {names}
-SIZE{sizes}
-TYPE{types}
-COUNT{ones}
-WIDTH {count}
-HEIGHT 1
-VIEWPOINT {stood} 1 0 0 0
-POINTS {count}
-DATA binary
-""",
-    ".bin": "",
-}
-SUFFIXES = (*HEADS, ".npz")
+SUFFIXES = (".ply", ".pcd", ".bin", ".npz")
 """Kinds of files."""
 
 
 def write_points(
     path: Path,
     points: Floats,
-    intensity: Floats | None = None,
-    about: Mapping[str, Any] | None = None,
+    intensity: Floats | None,
+    about: Mapping[str, Any],
 ) -> None:
     """Writes points in the kind of file that the name says.
 
@@ -74,48 +55,61 @@ def encode_points(
     about: Mapping[str, Any] | None = None,
 ) -> bytes:
     """What a file of the kind `suffix` holds; for the arguments see `write_points`."""
+    about = about or {}
     if suffix == ".npz":
         more = {} if intensity is None else {"intensity": intensity}
-        return encode_npz({"points": points, **more, **(about or {})})
+        return encode_npz({"points": points, **more, **about})
     names, columns = ["x", "y", "z"], [points]
     if intensity is not None or suffix == ".bin":
         names.append("intensity")
         columns.append(np.zeros((len(points), 1)) if intensity is None else intensity[:, None])
-    about_fields = {
-        "properties": "".join(f"property float {name}\n" for name in names),
-        "names": " ".join(names),
-        "sizes": " 4" * len(names),
-        "types": " F" * len(names),
-        "ones": " 1" * len(names),
-        "stood": "0 0 0",
-    }
-    if about and about.get("frame") == "world":
-        about_fields["stood"] = " ".join(map(repr, about["position"].tolist()))
-    head = HEADS[suffix].format(count=len(points), **about_fields)
+    head, count, many = "", len(points), len(names)
+    if suffix == ".ply":
+        properties = "".join(f"property float {name}\n" for name in names)
+        head = f"""ply
+format binary_little_endian 1.0
+element vertex {count}
+{properties}end_header
+"""
+    elif suffix == ".pcd":
+        place = about["position"].tolist() if about.get("frame") == "world" else (0, 0, 0)
+        stood = " ".join(map(repr, place))
+        head = f"""VERSION 0.7
+FIELDS {" ".join(names)}
+SIZE{" 4" * many}
+TYPE{" F" * many}
+COUNT{" 1" * many}
+WIDTH {count}
+HEIGHT 1
+VIEWPOINT {stood} 1 0 0 0
+POINTS {count}
+DATA binary
+"""
     return head.encode() + np.concatenate(columns, axis=1).astype("<f4").tobytes()
 
 
 class OneEach:
     """A format with a file for each sample, ``train/000007.ply``."""
 
-    suffix = ""
+    place, suffix = "{split}/{number:06d}", ""
+    """Where it lies."""
 
     def __init__(self, choices: Choices):
         self.choices = choices
 
     def names(self, split: str, number: int) -> tuple[str, ...]:
-        """The file of a sample."""
-        return (f"{split}/{number:06d}{self.suffix}",)
+        """The file of a sample, or the one that begins with it."""
+        return (self.place.format(split=split, number=number) + self.suffix,)
 
 
 class Together(OneEach):
     """A format with a file for every hundred samples, ``train-000000.tar`` for the first."""
 
-    together = 100
+    place, together = "{split}-{number:06d}", 100
 
     def names(self, split: str, number: int) -> tuple[str, ...]:
         """The file that begins with a sample."""
-        return (f"{split}-{number // self.together:06d}{self.suffix}",)
+        return super().names(split, number // self.together)
 
 
 class Ply(OneEach):
@@ -222,9 +216,7 @@ class Occ3d(OneEach):
     Occ3D's begin 1 m below the car's origin and turn with it.
     """
 
-    def names(self, split: str, number: int) -> tuple[str, ...]:
-        """The file of a sample."""
-        return (f"gts/{split}/{number:06d}/labels.npz",)
+    place, suffix = "gts/{split}/{number:06d}/labels", ".npz"
 
     def encode(self, sample: Sample, grid: GridSpec, lidar: Sensor) -> bytes:
         """Its content."""

@@ -154,7 +154,7 @@ def test_every_layout_of_a_log_reads_back(tmp_path):
     scans = written(log)
     assert close(read_log(log), scans)
     for scan in scans:
-        write_points(clouds / f"{scan.time_s:.6f}.ply", scan.points)
+        write_points(clouds / f"{scan.time_s:.6f}.ply", scan.points, None, {})
     rows = ["z,y,x,qw,qx,qy,qz,t,note"]
     for line in (log / "poses.tum").read_text().splitlines():
         time, x, y, z, *turn, w = line.split()

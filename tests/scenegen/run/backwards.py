@@ -9,7 +9,7 @@ from typing import Any
 from scenegen.dataset.locate import locate_again
 from scenegen.errors import GenerationError
 from scenegen.run import Executor
-from scenegen.run.remote import Outcome, _function, pack, sent
+from scenegen.run.remote import _function, pack, sent, taken
 
 
 class Backwards(Executor):
@@ -33,7 +33,7 @@ class Backwards(Executor):
                 given = pack(task)
                 with self.machine():
                     found = pickle.dumps(there(given))
-                yield Outcome(*pickle.loads(found)).taken()
+                yield taken(*pickle.loads(found))
         finally:
             _function.cache_clear()  # another machine's process would have ended
 

@@ -10,7 +10,7 @@ import pytest
 from scenegen.dataset.build import build
 from scenegen.errors import DatasetError, GenerationError, ScenegenError
 from scenegen.run import executor
-from scenegen.run.remote import Outcome, sent
+from scenegen.run.remote import sent, taken
 from scenegen.run.software import identity
 from scenegen.run.workers import rank_of
 from tests.command_line import rows
@@ -120,7 +120,7 @@ def test_a_machine_without_scenegen_says_so():
     said, node = subprocess.check_output(words, input=given).decode().splitlines()
     assert node == socket.gethostname()
     with pytest.raises(GenerationError, match=rf"No module named 'scenegen'; .* \(on {node}\)"):
-        Outcome(said, node).taken()
+        taken(said, node)
 
 
 def test_where_there_is_no_slurm_one_line_says_so(tmp_path, monkeypatch):

@@ -91,14 +91,14 @@ def test_workers_make_what_one_process_makes_and_the_dead_are_replaced():
     asking = threading.Thread(target=helped.__getitem__, args=(0,))
     asking.start()
     asking.join()
-    begun = list(helped._ahead._workers)
+    begun = list(helped._ahead._given)
     for index in (*range(6), 40, 3, 41):
         assert same(helped[index], alone[index])
-    assert helped._ahead._workers == begun
-    for worker in helped._ahead._workers:
+    assert list(helped._ahead._given) == begun
+    for worker in helped._ahead._given:
         os.kill(worker.process.pid, signal.SIGKILL)
     assert all(same(one, other) for one, other in zip(helped[30:45], alone[30:45], strict=True))
-    processes = [worker.process for worker in helped._ahead._workers]
+    processes = [worker.process for worker in helped._ahead._given]
     assert same(pickle.loads(pickle.dumps(helped))[5], alone[5])
     helped.close()
     assert not any(process.is_alive() for process in processes)
