@@ -12,13 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import GridSpec
 from scenegen.model.config import LossConfig
-from scenegen.model.losses import (
-    Coupled,
-    eikonal_loss,
-    lovasz_loss,
-    occupancy_loss,
-    regression_loss,
-)
+from scenegen.model.losses import Coupled, lovasz_loss
 from scenegen.model.network import Output
 
 SHAPE = (3, 5, 4, 6)  # three maps, no two axes alike
@@ -92,10 +86,20 @@ def value(loss):
     return loss.item()
 
 
-def gradient(loss, at, truth, **settings):
+def term(name, settings):
+    """A part of the objective, with settings of a `LossConfig` or of a grid."""
+    if name == "lovasz_loss":
+        return lovasz_loss
+    names = ("voxel_m", "truncation_m")
+    space = {one: settings[one] for one in names if one in settings}
+    config = {one: value for one, value in settings.items() if one not in names}
+    return getattr(Coupled(LossConfig(**config), GridSpec(**space)), name)
+
+
+def gradient(loss, at, truth):
     """Of a loss by what is predicted."""
     tensor = torch.from_numpy(at).requires_grad_()
-    loss(tensor, torch.from_numpy(truth), **settings).backward()
+    loss(tensor, torch.from_numpy(truth)).backward()
     return tensor.grad.numpy()
 
 
@@ -115,26 +119,26 @@ def finite_differences(equation, at, *more, step=1e-5):
 
 SPACES = [(0.2, 2.0), (0.13, 0.9)]  # voxel_m, truncation_m
 LAWS = [
-    *[(occupancy_loss, cross_entropy, {"occupied_weight": w}) for w in (5.0, 0.3)],
-    (lovasz_loss, lovasz_hinge, {}),
+    *[("occupancy_loss", cross_entropy, {"occupied_weight": w}) for w in (5.0, 0.3)],
+    ("lovasz_loss", lovasz_hinge, {}),
     *[
-        (regression_loss, weighted_smooth_l1, {"near_m": n, "near_weight": w, "beta_m": b})
+        ("regression_loss", weighted_smooth_l1, {"near_m": n, "near_weight": w, "beta_m": b})
         for n, w, b in (
             (0.6, 3.0, 0.7),  # an edge that float32 holds a little beyond the number written
             (1.0, 0.25, 2.0),
             (0.0, 3.0, 0.01),
         )
     ],
-    *[(eikonal_loss, eikonal, {"voxel_m": v, "truncation_m": t}) for v, t in SPACES],
+    *[("eikonal_loss", eikonal, {"voxel_m": v, "truncation_m": t}) for v, t in SPACES],
 ]
 """A loss, its equation, and settings of both."""
 
 
 def case_of(loss, settings, seed, shape=SHAPE):
     """What is predicted, and what is true."""
-    space = settings if loss is eikonal_loss else {}
+    space = settings if loss == "eikonal_loss" else {}
     logits, occupancy, predicted, tudf = random_case(seed, shape, **space)
-    return (logits, occupancy) if loss in (occupancy_loss, lovasz_loss) else (predicted, tudf)
+    return (logits, occupancy) if loss in ("occupancy_loss", "lovasz_loss") else (predicted, tudf)
 
 
 @pytest.mark.parametrize(("loss", "equation", "settings"), LAWS)
@@ -144,7 +148,7 @@ def test_a_loss_is_the_papers(loss, equation, settings):
         at, truth = case_of(loss, settings, seed)
         at = torch.from_numpy(at).to(dtype)
         wanted = equation(at.float().numpy(), truth, *settings.values())
-        found = loss(at, torch.from_numpy(truth), **settings)
+        found = term(loss, settings)(at, torch.from_numpy(truth))
         assert value(found) == pytest.approx(wanted, rel=2e-6)
 
 
@@ -156,7 +160,7 @@ def test_gradients_are_the_finite_differences_of_the_equations(loss, equation, s
         at, truth = case_of(loss, settings, seed, (2, 3, 4, 3))
         wanted = finite_differences(equation, at, truth, *settings.values())
         assert np.abs(wanted).max() > 1e-3
-        found = gradient(loss, at, truth, **settings)
+        found = gradient(term(loss, settings), at, truth)
         assert_allclose(found, wanted, rtol=2e-5, atol=1e-7)
 
 
@@ -172,7 +176,7 @@ def test_logits_of_any_size_have_the_right_limits(dtype, occupied):
     truth = torch.full((1, 4, 3, 2), occupied)
     for logit in (-1e4, -300.0, -40.0, -20.0, 20.0, 40.0, 300.0, 1e4):
         logits = torch.full(truth.shape, logit, dtype=getattr(torch, dtype)).requires_grad_()
-        loss = occupancy_loss(logits, truth, occupied_weight=5.0)
+        loss = term("occupancy_loss", {"occupied_weight": 5.0})(logits, truth)
         loss.backward()
         away = -logit if occupied else logit
         wanted = weight * np.logaddexp(0, away)
@@ -185,7 +189,7 @@ def test_logits_of_any_size_have_the_right_limits(dtype, occupied):
 def test_a_flat_prediction_has_a_finite_gradient(dtype):
     """The root's own slope at 0 is infinite: what stands under it keeps it 1e-4."""
     predicted = torch.full(SHAPE, 0.7).to(getattr(torch, dtype)).requires_grad_()
-    loss = eikonal_loss(predicted, torch.ones(SHAPE), voxel_m=0.2, truncation_m=2.0)
+    loss = term("eikonal_loss", {})(predicted, torch.ones(SHAPE))
     loss.backward()
     assert value(loss) == pytest.approx(1 - 1e-4, abs=1e-6)
     assert_allclose(predicted.grad.float().numpy(), 0, atol=1e-12)
@@ -198,7 +202,7 @@ def test_where_nothing_is_to_be_learned_the_loss_is_zero_and_so_is_its_gradient(
     fields = [torch.zeros(shape), last, torch.ones(2, 4, 1, 5)]
     for tudf in fields:
         predicted = torch.from_numpy(random_case(0, tuple(tudf.shape))[2]).requires_grad_()
-        loss = eikonal_loss(predicted, tudf, voxel_m=0.2, truncation_m=2.0)
+        loss = term("eikonal_loss", {})(predicted, tudf)
         loss.backward()
         assert value(loss) == 0.0
         assert_array_equal(predicted.grad.numpy(), 0)
@@ -216,15 +220,15 @@ def test_a_loss_over_what_is_known_is_that_of_the_map_without_the_rest(rng):
     slopes = known.clone()
     slopes[:, 2] = False  # a slope needs the next voxel
     metres = {"near_m": 0.5, "near_weight": 2.0, "beta_m": 0.3}
-    space = {"voxel_m": 0.2, "truncation_m": 2.0}
-    for loss, given, over, words in (
-        (occupancy_loss, (logits, occupancy), known, {"occupied_weight": 3.0}),
-        (lovasz_loss, (logits, occupancy), known, {}),
-        (regression_loss, (predicted, tudf), known, metres),
-        (eikonal_loss, (predicted, tudf), slopes, space),
+    for name, given, over, settings in (
+        ("occupancy_loss", (logits, occupancy), known, {"occupied_weight": 3.0}),
+        ("lovasz_loss", (logits, occupancy), known, {}),
+        ("regression_loss", (predicted, tudf), known, metres),
+        ("eikonal_loss", (predicted, tudf), slopes, {}),
     ):
-        part = loss(*(field[:, :3] for field in given), **words)
-        assert value(loss(*given, over, **words)) == pytest.approx(value(part), rel=1e-6)
+        loss = term(name, settings)
+        part = loss(*(field[:, :3] for field in given))
+        assert value(loss(*given, over)) == pytest.approx(value(part), rel=1e-6)
 
 
 # The objective and its weights.
