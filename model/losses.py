@@ -74,7 +74,7 @@ class Coupled:
             parts["occupancy"] = self.occupancy_loss(output.logits, occupancy, known)
             occupancy_total = parts["occupancy"]
             if config.lovasz:
-                parts["lovasz"] = lovasz_loss(output.logits, occupancy, known)
+                parts["lovasz"] = self.lovasz_loss(output.logits, occupancy, known)
                 occupancy_total = occupancy_total + config.lovasz * parts["lovasz"]
             total = total + config.occupancy * occupancy_total
         if output.tudf is not None:
@@ -99,6 +99,25 @@ class Coupled:
         loss = F.softplus(torch.where(occupancy, -logits, logits))
         weighted = torch.where(occupancy, self.config.occupied_weight * loss, loss)
         return self._mean(weighted, known)
+
+    @staticmethod
+    def lovasz_loss(logits: Tensor, occupancy: Tensor, known: Tensor | None = None) -> Tensor:
+        """The Lovász hinge of every map's IoU (Berman, Triki and Blaschko 2018), over all its
+        voxels or the `known` ones, in the mean.
+
+        Logits are counted from that of the probability above which the paper's protocol holds a
+        voxel occupied. A voxel whose logit is less than 1 on the right side has an error; each
+        counts by what it takes from the IoU, 1 at first, once all voxels of larger errors are
+        wrong.
+        """
+        margins = logits.float() - math.log(THRESHOLD / (1 - THRESHOLD))
+        if known is not None:  # what is not known is free, and has no error
+            margins = torch.where(known, margins, -torch.inf)
+            occupancy = occupancy & known
+        margins = margins.flatten(1)
+        return torch.stack(
+            [_lovasz(*one) for one in zip(margins, occupancy.flatten(1), strict=True)]
+        ).mean()
 
     def regression_loss(
         self, predicted: Tensor, tudf: Tensor, certain: Tensor | None = None
@@ -135,24 +154,6 @@ class Coupled:
         if over is None:
             return loss.mean()
         return torch.where(over, loss, 0).sum() / self.divisor(over.sum())
-
-
-def lovasz_loss(logits: Tensor, occupancy: Tensor, known: Tensor | None = None) -> Tensor:
-    """The Lovász hinge of every map's IoU (Berman, Triki and Blaschko 2018), over all its voxels or
-    the `known` ones, in the mean.
-
-    Logits are counted from that of the probability above which the paper's protocol holds a voxel
-    occupied. A voxel whose logit is less than 1 on the right side has an error; each counts by what
-    it takes from the IoU, 1 at first, once all voxels of larger errors are wrong.
-    """
-    margins = logits.float() - math.log(THRESHOLD / (1 - THRESHOLD))
-    if known is not None:  # what is not known is free, and has no error
-        margins = torch.where(known, margins, -torch.inf)
-        occupancy = occupancy & known
-    margins = margins.flatten(1)
-    return torch.stack(
-        [_lovasz(*one) for one in zip(margins, occupancy.flatten(1), strict=True)]
-    ).mean()
 
 
 def _lovasz(margins: Tensor, occupied: Tensor) -> Tensor:

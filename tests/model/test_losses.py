@@ -4,6 +4,7 @@ their edges; and their sum has the paper's weights."""
 import dataclasses
 import itertools
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import GridSpec
 from scenegen.model.config import LossConfig
-from scenegen.model.losses import Coupled, lovasz_loss
+from scenegen.model.losses import Coupled
 from scenegen.model.network import Output
 
 SHAPE = (3, 5, 4, 6)  # three maps, no two axes alike
@@ -86,14 +87,10 @@ def value(loss):
     return loss.item()
 
 
-def term(name, settings):
-    """A part of the objective, with settings of a `LossConfig` or of a grid."""
-    if name == "lovasz_loss":
-        return lovasz_loss
-    names = ("voxel_m", "truncation_m")
-    space = {one: settings[one] for one in names if one in settings}
-    config = {one: value for one, value in settings.items() if one not in names}
-    return getattr(Coupled(LossConfig(**config), GridSpec(**space)), name)
+def term(name, **settings):
+    """A part of the objective, and its settings."""
+    given = SimpleNamespace(**settings)
+    return getattr(Coupled(given, given), name)
 
 
 def gradient(loss, at, truth):
@@ -117,7 +114,8 @@ def finite_differences(equation, at, *more, step=1e-5):
 # Equality with the equations, in value and in gradient.
 
 
-SPACES = [(0.2, 2.0), (0.13, 0.9)]  # voxel_m, truncation_m
+SPACE = {"voxel_m": 0.2, "truncation_m": 2.0}
+SPACES = [SPACE, {"voxel_m": 0.13, "truncation_m": 0.9}]
 LAWS = [
     *[("occupancy_loss", cross_entropy, {"occupied_weight": w}) for w in (5.0, 0.3)],
     ("lovasz_loss", lovasz_hinge, {}),
@@ -129,7 +127,7 @@ LAWS = [
             (0.0, 3.0, 0.01),
         )
     ],
-    *[("eikonal_loss", eikonal, {"voxel_m": v, "truncation_m": t}) for v, t in SPACES],
+    *[("eikonal_loss", eikonal, space) for space in SPACES],
 ]
 """A loss, its equation, and settings of both."""
 
@@ -148,7 +146,7 @@ def test_a_loss_is_the_papers(loss, equation, settings):
         at, truth = case_of(loss, settings, seed)
         at = torch.from_numpy(at).to(dtype)
         wanted = equation(at.float().numpy(), truth, *settings.values())
-        found = term(loss, settings)(at, torch.from_numpy(truth))
+        found = term(loss, **settings)(at, torch.from_numpy(truth))
         assert value(found) == pytest.approx(wanted, rel=2e-6)
 
 
@@ -160,7 +158,7 @@ def test_gradients_are_the_finite_differences_of_the_equations(loss, equation, s
         at, truth = case_of(loss, settings, seed, (2, 3, 4, 3))
         wanted = finite_differences(equation, at, truth, *settings.values())
         assert np.abs(wanted).max() > 1e-3
-        found = gradient(term(loss, settings), at, truth)
+        found = gradient(term(loss, **settings), at, truth)
         assert_allclose(found, wanted, rtol=2e-5, atol=1e-7)
 
 
@@ -176,7 +174,7 @@ def test_logits_of_any_size_have_the_right_limits(dtype, occupied):
     truth = torch.full((1, 4, 3, 2), occupied)
     for logit in (-1e4, -300.0, -40.0, -20.0, 20.0, 40.0, 300.0, 1e4):
         logits = torch.full(truth.shape, logit, dtype=getattr(torch, dtype)).requires_grad_()
-        loss = term("occupancy_loss", {"occupied_weight": 5.0})(logits, truth)
+        loss = term("occupancy_loss", occupied_weight=5.0)(logits, truth)
         loss.backward()
         away = -logit if occupied else logit
         wanted = weight * np.logaddexp(0, away)
@@ -189,7 +187,7 @@ def test_logits_of_any_size_have_the_right_limits(dtype, occupied):
 def test_a_flat_prediction_has_a_finite_gradient(dtype):
     """The root's own slope at 0 is infinite: what stands under it keeps it 1e-4."""
     predicted = torch.full(SHAPE, 0.7).to(getattr(torch, dtype)).requires_grad_()
-    loss = term("eikonal_loss", {})(predicted, torch.ones(SHAPE))
+    loss = term("eikonal_loss", **SPACE)(predicted, torch.ones(SHAPE))
     loss.backward()
     assert value(loss) == pytest.approx(1 - 1e-4, abs=1e-6)
     assert_allclose(predicted.grad.float().numpy(), 0, atol=1e-12)
@@ -202,12 +200,12 @@ def test_where_nothing_is_to_be_learned_the_loss_is_zero_and_so_is_its_gradient(
     fields = [torch.zeros(shape), last, torch.ones(2, 4, 1, 5)]
     for tudf in fields:
         predicted = torch.from_numpy(random_case(0, tuple(tudf.shape))[2]).requires_grad_()
-        loss = term("eikonal_loss", {})(predicted, tudf)
+        loss = term("eikonal_loss", **SPACE)(predicted, tudf)
         loss.backward()
         assert value(loss) == 0.0
         assert_array_equal(predicted.grad.numpy(), 0)
     nothing = torch.zeros(1, 2, 3, 4, dtype=torch.bool)
-    assert value(lovasz_loss(torch.full(nothing.shape, -50.0), nothing)) == 0
+    assert value(Coupled.lovasz_loss(torch.full(nothing.shape, -50.0), nothing)) == 0
 
 
 def test_a_loss_over_what_is_known_is_that_of_the_map_without_the_rest(rng):
@@ -224,9 +222,9 @@ def test_a_loss_over_what_is_known_is_that_of_the_map_without_the_rest(rng):
         ("occupancy_loss", (logits, occupancy), known, {"occupied_weight": 3.0}),
         ("lovasz_loss", (logits, occupancy), known, {}),
         ("regression_loss", (predicted, tudf), known, metres),
-        ("eikonal_loss", (predicted, tudf), slopes, {}),
+        ("eikonal_loss", (predicted, tudf), slopes, SPACE),
     ):
-        loss = term(name, settings)
+        loss = term(name, **settings)
         part = loss(*(field[:, :3] for field in given))
         assert value(loss(*given, over)) == pytest.approx(value(part), rel=1e-6)
 
@@ -247,8 +245,8 @@ CONFIGS = [
 @pytest.mark.parametrize("heads", ["both", "logits", "tudf"])
 def test_the_objective_is_the_weighted_sum(config, heads):
     """L = l_occ L_occ + l_tudf (L_reg + l_eik L_eik), of what the output has."""
-    voxel_m, truncation_m = SPACES[1]
-    logits, occupancy, predicted, tudf = random_case(11, voxel_m=voxel_m, truncation_m=truncation_m)
+    space = SPACES[1]
+    logits, occupancy, predicted, tudf = random_case(11, **space)
     output = Output(
         logits=None if heads == "tudf" else torch.from_numpy(logits),
         tudf=None if heads == "logits" else torch.from_numpy(predicted),
@@ -263,11 +261,11 @@ def test_the_objective_is_the_weighted_sum(config, heads):
         near = (config.near_m, config.near_weight, config.beta_m)
         wanted["regression"] = weighted_smooth_l1(predicted, tudf, *near)
         if config.eikonal:
-            wanted["eikonal"] = eikonal(predicted, tudf, voxel_m, truncation_m)
+            wanted["eikonal"] = eikonal(predicted, tudf, **space)
         slope = config.eikonal * wanted.get("eikonal", 0)
         loss += config.tudf * (wanted["regression"] + slope)
     batch = {"occupancy": torch.from_numpy(occupancy), "tudf": torch.from_numpy(tudf)}
-    found = Coupled(config, GridSpec(voxel_m=voxel_m, truncation_m=truncation_m))(output, batch)
+    found = Coupled(config, GridSpec(**space))(output, batch)
     assert {name: value(part) for name, part in found.items()} == pytest.approx(
         {**wanted, "loss": loss}, rel=1e-6
     )
