@@ -358,10 +358,16 @@ def _show(
     if picture is not None:
         _draw(picture, course, flown, name)
     if film is not None:
+        from scenegen.model.robots.film import film as flight_film
+        from scenegen.model.robots.film import flight_page
         from scenegen.model.robots.flights import robot_maker
 
         made = None if robot is None else robot_maker(*robot)(course)
-        _film(film, course, made, name, flown[0])
+        draw = flight_film if film.suffix == ".gif" else partial(flight_page, name)
+        try:
+            write_result(film, draw(course, 0, made, flown[0]))
+        finally:
+            getattr(made, "close", lambda: None)()
     if log is not None:
         from scenegen.fly.course import log_of
         from scenegen.logs.write import write_log
@@ -382,16 +388,3 @@ def _draw(picture: Path, course: "Course", flown: "Sequence[Flown]", name: str) 
             *VIEW.project(one.path).T, color="#1d7a2f" if success else RED, zorder=6
         )
     write_result(picture, to_bytes(figure, ".png"))
-
-
-def _film(path: Path, course: "Course", robot: Any, name: str, flown: "Flown") -> None:
-    from scenegen.model.robots.film import film, flight_page
-
-    try:
-        if path.suffix == ".gif":
-            shown = film(course, 0, robot, flown)
-        else:
-            shown = flight_page(course, 0, robot, name, flown)
-        write_result(path, shown)
-    finally:
-        getattr(robot, "close", lambda: None)()

@@ -121,7 +121,7 @@ def film(course: Course, number: int, robot: Any, flown: Flown) -> bytes:
     return file.getvalue()
 
 
-def flight_page(course: Course, number: int, robot: Any, name: str, flown: Flown) -> bytes:
+def flight_page(name: str, course: Course, number: int, robot: Any, flown: Flown) -> bytes:
     """A page (HTML) that plays mission `number`, see `_Scene`, of a robot called `name`, in
     three dimensions: what is there, what the robot takes for occupied, its scans, and its way,
     first flown and then planned.

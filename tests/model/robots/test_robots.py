@@ -158,7 +158,7 @@ def test_a_page_plays_a_flight_to_its_end():
     course = Course(world="pillar", difficulty="easy", flights=1, seed=1)
     _, flown = fly_course(course, robot="truth", weights=None)
     robot = robot_maker("truth", None)(course)
-    moments = Seen(flight_page(course, 0, robot, "truth", flown[0]).decode()).data()["samples"]
+    moments = Seen(flight_page("truth", course, 0, robot, flown[0]).decode()).data()["samples"]
     assert moments[0]["guesses"][0]["route"]["points"][0] == pytest.approx(
         np.subtract(course.missions[0].start, moments[0]["origin"]), abs=1e-3
     )
