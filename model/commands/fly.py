@@ -193,19 +193,23 @@ def fly(
     if entries is not None:
         _write_board(entries, out, hidden, maps, talk)
         return
+    from scenegen.dataset.locate import file_sha256
     from scenegen.fly.suite import chosen_courses, track_name
     from scenegen.model.robots.flights import (
         check_begins,
         fly_course,
         fly_courses,
-        network_digest,
         real_course,
         summary,
     )
 
     if talk:
         announce_compilation()
-    network = network_digest(weights)  # before anything is flown: there may be none
+    network = ""
+    if weights is not None:  # before anything is flown: there may be none
+        from scenegen.model.completion.completer import locate
+
+        network = file_sha256(locate(weights))
     is_given = weights is not None or was_given("robot")
     fly_one = partial(fly_course, robot=robot, weights=weights, hidden=hidden)
     execute, told = executor(on, workers), dict[str, str]()

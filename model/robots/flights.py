@@ -14,7 +14,7 @@ import numpy as np
 
 from scenegen.cli.show import Progress
 from scenegen.errors import DatasetError, ScenegenError, raised_as
-from scenegen.files import check_ours, sha256_of, write_result, write_whole
+from scenegen.files import check_ours, write_result, write_whole
 from scenegen.fly.course import Course, Flights, Recording, replay
 from scenegen.fly.loop import Flown, RobotError
 from scenegen.fly.loop import fly as fly_mission
@@ -137,15 +137,6 @@ Work = Callable[[Course], tuple[Course, Sequence[Flown]]]
 SAVED_S = 20.0
 """How often the entry to a suite is written, seconds."""
 NOTHING_KEPT = "stopped; no flight is kept"
-
-
-def network_digest(weights: str | None) -> str:
-    """SHA-256 of a network's file; "" for none."""
-    if weights is None:
-        return ""
-    from scenegen.model.completion.completer import locate
-
-    return sha256_of(locate(weights).read_bytes())
 
 
 def fly_courses(
