@@ -34,11 +34,12 @@ from scenegen.files import check_free, write_result
 from scenegen.fly import SUITES, Rules, Vehicle
 from scenegen.model.commands.weights import Weights
 from scenegen.model.robots import FORGETFUL, MAPPING, NAMES, REACTIVE
-from scenegen.run import Executor, check_together, executor
+from scenegen.run import check_together, executor
 
 if TYPE_CHECKING:
     from scenegen.fly.course import Course, Flights
     from scenegen.fly.loop import Flown
+    from scenegen.model.robots.flights import Crew
 
 
 MOST_FLIGHTS = 10_000
@@ -197,6 +198,7 @@ def fly(
     from scenegen.fly.suite import chosen_courses, track_name
     from scenegen.model.robots.flights import (
         check_begins,
+        counted,
         fly_course,
         fly_courses,
         real_course,
@@ -212,30 +214,30 @@ def fly(
         network = file_sha256(locate(weights))
     is_given = weights is not None or was_given("robot")
     fly_one = partial(fly_course, robot=robot, weights=weights, hidden=hidden)
-    execute, told = executor(on, workers), dict[str, str]()
+    execute = executor(on, workers)
     check_together(execute, "a row of flights takes")
-    with Progress("", shown=talk) as progress:
-        if recorded is not None:
-            anew = fly_one if is_given else None
-            name, found, told = _replayed(recorded, hidden, maps, anew, execute, progress)
+    crew = partial(counted, execute, partial(Progress, shown=talk))
+    told = dict[str, str]()
+    if recorded is not None:
+        anew = fly_one if is_given else None
+        name, found, told = _replayed(recorded, hidden, maps, anew, crew)
+    else:
+        name = f"{weights}, last scan" if weights and robot == FORGETFUL else weights or robot
+        if suite is None:
+            courses = _courses(str(world), flights, worlds, options)
         else:
-            name = f"{weights}, last scan" if weights and robot == FORGETFUL else weights or robot
-            if suite is None:
-                courses = _courses(str(world), flights, worlds, options)
-            else:
-                courses = chosen_courses(suite, hidden, maps, quick=quick)
-            if weights is None:
-                check_begins(robot, real_course(courses[0], hidden))
-            about = {"network": network, "track": track_name(hidden, maps) if suite else ""}
-            found = fly_courses(courses, fly_one, name, suite, out, execute, progress, **about)
+            courses = chosen_courses(suite, hidden, maps, quick=quick)
+        if weights is None:
+            check_begins(robot, real_course(courses[0], hidden))
+        about = {"network": network, "track": track_name(hidden, maps) if suite else ""}
+        found = fly_courses(courses, fly_one, name, suite, out, crew, **about)
     if picture or film or log:
         course, flown = found[0]
         shown = (robot, weights) if is_given or not recorded else None
         _show(real_course(course, hidden), flown, name, shown, picture, film, log)
     row = summary(name, [one for _, flown in found for one in flown]) | told
     if as_json:
-        with Progress("", shown=talk) as progress:
-            print(json.dumps(row | {"flights": _rows(found, hidden, execute, progress)}))
+        print(json.dumps(row | {"flights": _rows(found, hidden, crew)}))
     elif talk:
         _tell(row, found, out, picture, film, log)
 
@@ -245,8 +247,7 @@ def _replayed(
     hidden: int | None,
     maps: Path | None,
     anew: Callable[[Any], Any] | None,
-    execute: Executor,
-    progress: Progress,
+    crew: "Crew",
 ) -> "tuple[str, Flights, dict[str, str]]":
     """Of a recording: who flew, the flights flown again, and what is told of them. A robot that
     flies a course `anew` flies some of them, too."""
@@ -254,10 +255,10 @@ def _replayed(
 
     recording, told = read_recording(path, hidden, maps)
     with raised_as(DatasetError, f"{path}: ", of=DatasetError):
-        found = flown_again(recording, hidden, execute, progress)
+        found = flown_again(recording, hidden, crew)
     told["as recorded, to the bit"] = f"{sum(len(flown) for _, flown in found)} flights"
     if anew is not None:
-        told["anew, equal to the bit"] = flown_anew(recording, anew, execute, progress)
+        told["anew, equal to the bit"] = flown_anew(recording, anew, crew)
     return recording.robot, found, told
 
 
@@ -314,13 +315,11 @@ def _check() -> None:
         check_free(asked.log)
 
 
-def _rows(
-    found: "Flights", hidden: int | None, execute: Executor, progress: Progress
-) -> list[dict[str, Any]]:
+def _rows(found: "Flights", hidden: int | None, crew: "Crew") -> list[dict[str, Any]]:
     """What `--json` tells of each flight."""
     from scenegen.model.robots.flights import graded
 
-    grades = graded([course for course, _ in found], hidden, execute, progress)
+    grades = graded([course for course, _ in found], hidden, crew)
     return [
         one.row() | {"seed": course.seed, "difficulty": difficulty._asdict()}
         for course, flown in found
