@@ -42,6 +42,8 @@ if TYPE_CHECKING:
     from scenegen.model.robots.flights import Crew
 
 
+FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
+"""A folder to read."""
 MOST_FLIGHTS = 10_000
 OF_WORLD = (
     "flights",
@@ -92,7 +94,7 @@ OF_WORLD = (
 )
 @click.option(
     "--maps",
-    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    type=FOLDER,
     help="With --suite: 24 courses through the maps of real places in this folder, in place of the "
     "suite's own. With --replay and --leaderboard: where the entries' maps are.",
 )
@@ -138,7 +140,7 @@ OF_WORLD = (
 @click.option(
     "--leaderboard",
     "entries",
-    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    type=FOLDER,
     help="Write a page (-o, .html) of all entries in a folder, in place of all else.",
 )
 @out_option("Where to record the flights, .json.")
@@ -359,7 +361,16 @@ def _show(
     """Write what is asked for of a course's flights; a film has what the `robot`, named as for
     `robot_maker`, takes for occupied, or else shows the flight alone."""
     if picture is not None:
-        _draw(picture, course, flown, name)
+        from scenegen.display.oblique import VIEW
+        from scenegen.display.panels import RED, to_bytes
+        from scenegen.display.pictures import draw_world
+        from scenegen.worlds.world import solid
+
+        figure = draw_world(solid(course.drawn, course.world), title=f"{name} in {course.world}")
+        for one in flown:
+            colour = "#1d7a2f" if one.outcome == "success" else RED
+            figure.axes[0].plot(*VIEW.project(one.path).T, color=colour, zorder=6)
+        write_result(picture, to_bytes(figure, ".png"))
     if film is not None:
         from scenegen.model.robots.film import film as flight_film
         from scenegen.model.robots.film import flight_page
@@ -376,18 +387,3 @@ def _show(
         from scenegen.logs.write import write_log
 
         write_log(log, log_of(course, 0, flown[0]))
-
-
-def _draw(picture: Path, course: "Course", flown: "Sequence[Flown]", name: str) -> None:
-    from scenegen.display.oblique import VIEW
-    from scenegen.display.panels import RED, to_bytes
-    from scenegen.display.pictures import draw_world
-    from scenegen.worlds.world import solid
-
-    figure = draw_world(solid(course.drawn, course.world), title=f"{name} in {course.world}")
-    for one in flown:
-        success = one.outcome == "success"
-        figure.axes[0].plot(
-            *VIEW.project(one.path).T, color="#1d7a2f" if success else RED, zorder=6
-        )
-    write_result(picture, to_bytes(figure, ".png"))
