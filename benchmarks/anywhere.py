@@ -34,7 +34,7 @@ CONDITIONS: dict[str, dict[str, Any]] = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass
 class PointsAlone:
     """A network that is shown the points of a sample, and nothing of rays without a return."""
 

@@ -22,12 +22,12 @@ import numpy as np
 from scoring import RESULTS, publish, titled, told
 
 from lidarsim.grid import Floats
-from scenegen.cli.show import Progress
+from scenegen.cli.show import silent
 from scenegen.fly.course import Course
 from scenegen.fly.loop import Flown
 from scenegen.fly.suite import DIFFICULTIES, MAPS, courses_of, map_courses
 from scenegen.model.robots import FORGETFUL, NAMES
-from scenegen.model.robots.flights import fly_course, fly_courses
+from scenegen.model.robots.flights import counted, fly_course, fly_courses
 from scenegen.recipes import kind_names
 from scenegen.run.workers import ALONE
 from scenegen.truth.difficulty import Difficulty
@@ -112,8 +112,8 @@ def flown(name: str, courses: Sequence[Course], entries: Path) -> Found:
     entries.mkdir(parents=True, exist_ok=True)
     entry = entries / f"{title}.json"
     work = partial(fly_course, robot=robot, weights=weights)
-    with Progress(name, shown=False) as progress:
-        done = fly_courses(courses, work, name, "aerial-1", entry, ALONE, progress)
+    crew = partial(counted, ALONE, silent)
+    done = fly_courses(courses, work, name, "aerial-1", entry, crew)
     flights = [one for _, several in done for one in several]
     print(f"{name}: {len(flights)} flights", flush=True)
     return {title: {what: np.array([*map(of, flights)], float) for what, of in FIGURES.items()}}

@@ -9,10 +9,9 @@ from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
 from scenegen.model.completion.completer import Completer
 from scenegen.model.config import USUAL, BenchConfig, TrainConfig
-from scenegen.model.evaluation.methods import Completed, check_rows, rows_of
+from scenegen.model.evaluation.methods import Completed, rows_of
 from scenegen.model.evaluation.report import build_report
-from scenegen.model.evaluation.run import bench as measure
-from scenegen.model.evaluation.run import tables_of
+from scenegen.model.evaluation.run import bench_all
 from scenegen.model.training.data import Samples, opened
 from scenegen.model.training.loop import Watcher
 from scenegen.model.training.loop import train as run
@@ -108,12 +107,8 @@ def bench(
         or USUAL
     )
     measured = [Dataset(locate(name)) for name in _listed(datasets)]
-    check_rows(rows, measured, config.split)
     execute = Local("", cores() if workers is None else workers)
-    results = [
-        measure(dataset, rows, config, kind=kind, execute=execute)
-        for dataset, kind in tables_of(measured, config.split)
-    ]
+    results = bench_all(measured, rows, config, execute=execute)
     return build_report(results, seed=config.seed, about={"split": config.split})
 
 

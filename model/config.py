@@ -340,9 +340,6 @@ class PlanConfig(Checked):
     transform of its occupancy (ours)."""
     iterations: int = number(50, least=0)
     """Steps of gradient descent (paper)."""
-    goal_faces: Literal["lateral", "box"] = "box"
-    """Where goals lie: in the outermost layer of nodes in x or y, or in z, too (ours: "near the map
-    boundary")."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -40,8 +40,8 @@ def at_least_one(count: Tensor) -> Tensor:
 def loss_of(config: LossConfig, grid: GridSpec, divisor: Divisor = at_least_one) -> Loss:
     """The loss that `config` names: the paper's, or one's own as docs/own-network.md says.
 
-    `divisor` is for batches of which several processes have a part each; see `eikonal_loss`.
-    Raises ScenegenError for a name that leads to none.
+    `divisor` is for batches of which several processes have a part each; see
+    `Coupled.eikonal_loss`. Raises ScenegenError for a name that leads to none.
     """
     if not is_own(config.objective):
         return Coupled(config, grid, divisor)
@@ -71,73 +71,89 @@ class Coupled:
         known, certain = batch.get("known"), batch.get("certain")
         total = torch.zeros((), device=occupancy.device)
         if output.logits is not None:
-            weight = config.occupied_weight
-            parts["occupancy"] = occupancy_loss(
-                output.logits, occupancy, known, occupied_weight=weight, divisor=self.divisor
-            )
+            parts["occupancy"] = self.occupancy_loss(output.logits, occupancy, known)
             occupancy_total = parts["occupancy"]
             if config.lovasz:
-                parts["lovasz"] = lovasz_loss(output.logits, occupancy, known)
+                parts["lovasz"] = self.lovasz_loss(output.logits, occupancy, known)
                 occupancy_total = occupancy_total + config.lovasz * parts["lovasz"]
             total = total + config.occupancy * occupancy_total
         if output.tudf is not None:
-            near = {name: getattr(config, name) for name in ("near_m", "near_weight", "beta_m")}
-            parts["regression"] = regression_loss(
-                output.tudf, tudf, certain, **near, divisor=self.divisor
-            )
+            parts["regression"] = self.regression_loss(output.tudf, tudf, certain)
             tudf_total = parts["regression"]
             if config.eikonal:  # a tenth of a step's time
-                space = {"voxel_m": self.grid.voxel_m, "truncation_m": self.grid.truncation_m}
-                parts["eikonal"] = eikonal_loss(
-                    output.tudf, tudf, certain, **space, divisor=self.divisor
-                )
+                parts["eikonal"] = self.eikonal_loss(output.tudf, tudf, certain)
                 tudf_total = tudf_total + config.eikonal * parts["eikonal"]
             total = total + config.tudf * tudf_total
         return {"loss": total, **parts}
 
+    def occupancy_loss(
+        self, logits: Tensor, occupancy: Tensor, known: Tensor | None = None
+    ) -> Tensor:
+        """Eq. 8: binary cross-entropy over all voxels, or the `known` ones, occupied ones weighted;
+        `occupancy` is bool.
 
-def _mean(loss: Tensor, over: Tensor | None, divisor: Divisor) -> Tensor:
-    """The mean over all voxels, or `over` those that count; 0 over none."""
-    if over is None:
-        return loss.mean()
-    return torch.where(over, loss, 0).sum() / divisor(over.sum())
+        -[w o log p + (1 - o) log(1 - p)] with log p = -softplus(-logit): no probability is ever
+        rounded to 0 or 1.
+        """
+        logits = logits.float()
+        loss = F.softplus(torch.where(occupancy, -logits, logits))
+        weighted = torch.where(occupancy, self.config.occupied_weight * loss, loss)
+        return self._mean(weighted, known)
 
+    @staticmethod
+    def lovasz_loss(logits: Tensor, occupancy: Tensor, known: Tensor | None = None) -> Tensor:
+        """The Lovász hinge of every map's IoU (Berman, Triki and Blaschko 2018), over all its
+        voxels or the `known` ones, in the mean.
 
-def occupancy_loss(
-    logits: Tensor,
-    occupancy: Tensor,
-    known: Tensor | None = None,
-    *,
-    occupied_weight: float,
-    divisor: Divisor = at_least_one,
-) -> Tensor:
-    """Eq. 8: binary cross-entropy over all voxels, or the `known` ones, occupied ones weighted;
-    `occupancy` is bool.
+        Logits are counted from that of the probability above which the paper's protocol holds a
+        voxel occupied. A voxel whose logit is less than 1 on the right side has an error; each
+        counts by what it takes from the IoU, 1 at first, once all voxels of larger errors are
+        wrong.
+        """
+        margins = logits.float() - math.log(THRESHOLD / (1 - THRESHOLD))
+        if known is not None:  # what is not known is free, and has no error
+            margins = torch.where(known, margins, -torch.inf)
+            occupancy = occupancy & known
+        margins = margins.flatten(1)
+        return torch.stack(
+            [_lovasz(*one) for one in zip(margins, occupancy.flatten(1), strict=True)]
+        ).mean()
 
-    -[w o log p + (1 - o) log(1 - p)] with log p = -softplus(-logit): no probability is ever rounded
-    to 0 or 1.
-    """
-    logits = logits.float()
-    loss = F.softplus(torch.where(occupancy, -logits, logits))
-    return _mean(torch.where(occupancy, occupied_weight * loss, loss), known, divisor)
+    def regression_loss(
+        self, predicted: Tensor, tudf: Tensor, certain: Tensor | None = None
+    ) -> Tensor:
+        """Eq. 9: Smooth-L1 over all voxels, or those whose distance is `certain`, those near a
+        surface weighted; metres."""
+        config = self.config
+        loss = F.smooth_l1_loss(predicted.float(), tudf, beta=config.beta_m, reduction="none")
+        weighted = torch.where(tudf <= config.near_m, config.near_weight * loss, loss)
+        return self._mean(weighted, certain)
 
+    def eikonal_loss(
+        self, predicted: Tensor, tudf: Tensor, certain: Tensor | None = None
+    ) -> Tensor:
+        """Eq. 10: how far the predicted field's slope is from 1, over voxels whose true distance
+        lies strictly between 0 and the truncation; by forward differences, so the last voxel of
+        every line has none. 0 over no voxel.
 
-def lovasz_loss(logits: Tensor, occupancy: Tensor, known: Tensor | None = None) -> Tensor:
-    """The Lovász hinge of every map's IoU (Berman, Triki and Blaschko 2018), over all its voxels or
-    the `known` ones, in the mean.
+        How many such voxels there are differs from map to map: `Group.divisor` makes the mean of
+        several processes' losses that of all their maps.
+        """
+        d = predicted.float()
+        here = d[:, :-1, :-1, :-1]
+        squares = (d[:, 1:, :-1, :-1] - here).square()
+        squares = squares + (d[:, :-1, 1:, :-1] - here).square()
+        squares = squares + (d[:, :-1, :-1, 1:] - here).square()
+        slope = (squares / self.grid.voxel_m**2 + ROOT_EPSILON).sqrt()
+        mask = (tudf > 0) & (tudf < self.grid.truncation_m)
+        mask = mask if certain is None else mask & certain
+        return self._mean((slope - 1).abs(), mask[:, :-1, :-1, :-1])
 
-    Logits are counted from that of the probability above which the paper's protocol holds a voxel
-    occupied. A voxel whose logit is less than 1 on the right side has an error; each counts by what
-    it takes from the IoU, 1 at first, once all voxels of larger errors are wrong.
-    """
-    margins = logits.float() - math.log(THRESHOLD / (1 - THRESHOLD))
-    if known is not None:  # what is not known is free, and has no error
-        margins = torch.where(known, margins, -torch.inf)
-        occupancy = occupancy & known
-    margins = margins.flatten(1)
-    return torch.stack(
-        [_lovasz(*one) for one in zip(margins, occupancy.flatten(1), strict=True)]
-    ).mean()
+    def _mean(self, loss: Tensor, over: Tensor | None) -> Tensor:
+        """The mean over all voxels, or `over` those that count; 0 over none."""
+        if over is None:
+            return loss.mean()
+        return torch.where(over, loss, 0).sum() / self.divisor(over.sum())
 
 
 def _lovasz(margins: Tensor, occupied: Tensor) -> Tensor:
@@ -152,47 +168,3 @@ def _lovasz(margins: Tensor, occupied: Tensor) -> Tensor:
     wrong = torch.arange(1, len(errors) + 1, device=errors.device)
     lost = wrong / (occupied.sum() + beside.cumsum(0))
     return errors @ lost.diff(prepend=lost.new_zeros(1))
-
-
-def regression_loss(
-    predicted: Tensor,
-    tudf: Tensor,
-    certain: Tensor | None = None,
-    *,
-    near_m: float,
-    near_weight: float,
-    beta_m: float,
-    divisor: Divisor = at_least_one,
-) -> Tensor:
-    """Eq. 9: Smooth-L1 over all voxels, or those whose distance is `certain`, those within `near_m`
-    of a surface weighted; metres."""
-    loss = F.smooth_l1_loss(predicted.float(), tudf, beta=beta_m, reduction="none")
-    return _mean(torch.where(tudf <= near_m, near_weight * loss, loss), certain, divisor)
-
-
-def eikonal_loss(
-    predicted: Tensor,
-    tudf: Tensor,
-    certain: Tensor | None = None,
-    *,
-    voxel_m: float,
-    truncation_m: float,
-    divisor: Divisor = at_least_one,
-) -> Tensor:
-    """Eq. 10: how far the predicted field's slope is from 1, over voxels whose true distance lies
-    strictly between 0 and the truncation; by forward differences, so the last voxel of every line
-    has none. 0 over no voxel.
-
-    How many such voxels there are differs from map to map: `Group.divisor` makes the mean of
-    several processes' losses that of all their maps.
-    """
-    d = predicted.float()
-    here = d[:, :-1, :-1, :-1]
-    squares = (d[:, 1:, :-1, :-1] - here).square()
-    squares = squares + (d[:, :-1, 1:, :-1] - here).square()
-    squares = squares + (d[:, :-1, :-1, 1:] - here).square()
-    slope = (squares / voxel_m**2 + ROOT_EPSILON).sqrt()
-    mask = (tudf > 0) & (tudf < truncation_m)
-    mask = mask if certain is None else mask & certain
-    mask = mask[:, :-1, :-1, :-1]
-    return _mean((slope - 1).abs(), mask, divisor)

@@ -31,7 +31,7 @@ WRONG = {
     LossConfig: [*itertools.product(WEIGHTS, (-0.1, math.nan, math.inf)), ("beta_m", 0.0)],
     PlanConfig: [
         *(("step_voxels", 0), ("iterations", -1), ("clearance_weight", math.inf)),
-        *(("goal_faces", "top"), ("field", "exact")),
+        ("field", "exact"),
     ],
 }
 

@@ -4,9 +4,11 @@ import json
 import shlex
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
+from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import rich_click as click
 
@@ -27,9 +29,6 @@ from scenegen.files import Json, check_ours, write_result
 from scenegen.model.commands.weights import Weights
 from scenegen.model.config import METHODS, USUAL, BenchConfig, PlanConfig
 from scenegen.run import Executor
-
-if TYPE_CHECKING:
-    from scenegen.model.evaluation.methods import Method
 
 REPORTS = ("report.json", "report.md", "report.html")
 QUICK_SAMPLES, QUICK_TRIALS = 50, 200
@@ -129,10 +128,10 @@ def run_bench(
     method.
     """
     from scenegen.dataset.read import Dataset
-    from scenegen.model.evaluation.methods import check_rows, rows_of
+    from scenegen.model.evaluation.methods import rows_of
     from scenegen.model.evaluation.report import build_report, to_html, to_markdown
-    from scenegen.model.evaluation.run import bench as measure
-    from scenegen.model.evaluation.run import tables_of
+    from scenegen.model.evaluation.run import bench_all
+    from scenegen.model.evaluation.shown import draw_charts, draw_failures
     from scenegen.run.software import commit
 
     for name in REPORTS:
@@ -142,25 +141,11 @@ def run_bench(
     config = BenchConfig(
         **given | ({"samples": QUICK_SAMPLES, "trials": QUICK_TRIALS} if quick else {})
     )
-    check_rows(methods, datasets, config.split)
-    tables = tables_of(datasets, config.split)
     for dataset, method in product(datasets if talk else (), methods):
         for warning in getattr(method, "unlike", lambda settings: [])(dataset.settings):
             note(f"note: {dataset.folder}: {warning}")
-    results = []
-    for dataset, kind in tables:
-        with Progress(kind, shown=talk) as shown:
-            results.append(
-                measure(
-                    dataset,
-                    methods,
-                    config,
-                    kind=kind,
-                    execute=execute,
-                    on_start=shown.start,
-                    on_done=shown.count,
-                )
-            )
+    progress = partial(Progress, shown=talk)
+    results = bench_all(datasets, methods, config, execute=execute, progress=progress)
     command = shlex.join(["scenegen", *sys.argv[1:]])
     told = {"command": command, "commit": commit(), "split": config.split}
     report = build_report(results, seed=config.seed, about=told)
@@ -168,24 +153,12 @@ def run_bench(
         out / "report.json", (json.dumps(report, indent=1, allow_nan=False) + "\n").encode()
     )
     write_result(out / "report.md", to_markdown(report).encode())
-    pictures = {
-        result.kind: _pictures(report, result, dataset, methods)
-        for result, (dataset, _) in zip(results, tables, strict=True)
-    }
+    pictures: dict[str, list[tuple[str, bytes]]] = {}
+    with suppress(ImportError):  # the report does without matplotlib
+        for one in results:
+            pictures[one.kind] = draw_charts(report, one.kind) + draw_failures(one, methods)
     write_result(out / "report.html", to_html(report, pictures).encode())
     return report
-
-
-def _pictures(
-    report: Json, result: Any, dataset: Any, methods: "Sequence[Method]"
-) -> list[tuple[str, bytes]]:
-    """Charts, and pictures of failures; none without matplotlib."""
-    from scenegen.model.evaluation.shown import draw_charts, draw_failures
-
-    try:
-        return draw_charts(report, result.kind) + draw_failures(result, dataset, methods)
-    except ImportError:
-        return []
 
 
 def show_tables(report: Json) -> None:

@@ -169,16 +169,8 @@ def _complete_split(
     from scenegen.model.calibration import UNUSUAL
     from scenegen.model.completion.predictions import predict_split
 
-    with Progress("complete", shown=not quiet) as progress:
-        away = predict_split(
-            completer,
-            folder,
-            split,
-            out,
-            execute=execute,
-            on_start=progress.start,
-            on_done=progress.count,
-        )
+    progress = partial(Progress, shown=not quiet)
+    away = predict_split(completer, folder, split, out, execute=execute, progress=progress)
     for warning in () if quiet else completer.unlike(Dataset(folder).settings):
         note(f"note: {warning}")
     far = sum(one >= UNUSUAL for one in away)

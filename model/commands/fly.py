@@ -34,13 +34,16 @@ from scenegen.files import check_free, write_result
 from scenegen.fly import SUITES, Rules, Vehicle
 from scenegen.model.commands.weights import Weights
 from scenegen.model.robots import FORGETFUL, MAPPING, NAMES, REACTIVE
-from scenegen.run import Executor, check_together, executor
+from scenegen.run import check_together, executor
 
 if TYPE_CHECKING:
     from scenegen.fly.course import Course, Flights
     from scenegen.fly.loop import Flown
+    from scenegen.model.robots.flights import Crew
 
 
+FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
+"""A folder to read."""
 MOST_FLIGHTS = 10_000
 OF_WORLD = (
     "flights",
@@ -91,7 +94,7 @@ OF_WORLD = (
 )
 @click.option(
     "--maps",
-    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    type=FOLDER,
     help="With --suite: 24 courses through the maps of real places in this folder, in place of the "
     "suite's own. With --replay and --leaderboard: where the entries' maps are.",
 )
@@ -137,7 +140,7 @@ OF_WORLD = (
 @click.option(
     "--leaderboard",
     "entries",
-    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    type=FOLDER,
     help="Write a page (-o, .html) of all entries in a folder, in place of all else.",
 )
 @out_option("Where to record the flights, .json.")
@@ -193,45 +196,50 @@ def fly(
     if entries is not None:
         _write_board(entries, out, hidden, maps, talk)
         return
+    from scenegen.dataset.locate import file_sha256
     from scenegen.fly.suite import chosen_courses, track_name
     from scenegen.model.robots.flights import (
         check_begins,
+        counted,
         fly_course,
         fly_courses,
-        network_digest,
         real_course,
         summary,
     )
 
     if talk:
         announce_compilation()
-    network = network_digest(weights)  # before anything is flown: there may be none
+    network = ""
+    if weights is not None:  # before anything is flown: there may be none
+        from scenegen.model.completion.completer import locate
+
+        network = file_sha256(locate(weights))
     is_given = weights is not None or was_given("robot")
     fly_one = partial(fly_course, robot=robot, weights=weights, hidden=hidden)
-    execute, told = executor(on, workers), dict[str, str]()
+    execute = executor(on, workers)
     check_together(execute, "a row of flights takes")
-    with Progress("", shown=talk) as progress:
-        if recorded is not None:
-            anew = fly_one if is_given else None
-            name, found, told = _replayed(recorded, hidden, maps, anew, execute, progress)
+    crew = partial(counted, execute, partial(Progress, shown=talk))
+    told = dict[str, str]()
+    if recorded is not None:
+        anew = fly_one if is_given else None
+        name, found, told = _replayed(recorded, hidden, maps, anew, crew)
+    else:
+        name = f"{weights}, last scan" if weights and robot == FORGETFUL else weights or robot
+        if suite is None:
+            courses = _courses(str(world), flights, worlds, options)
         else:
-            name = f"{weights}, last scan" if weights and robot == FORGETFUL else weights or robot
-            if suite is None:
-                courses = _courses(str(world), flights, worlds, options)
-            else:
-                courses = chosen_courses(suite, hidden, maps, quick=quick)
-            if weights is None:
-                check_begins(robot, real_course(courses[0], hidden))
-            about = {"network": network, "track": track_name(hidden, maps) if suite else ""}
-            found = fly_courses(courses, fly_one, name, suite, out, execute, progress, **about)
+            courses = chosen_courses(suite, hidden, maps, quick=quick)
+        if weights is None:
+            check_begins(robot, real_course(courses[0], hidden))
+        about = {"network": network, "track": track_name(hidden, maps) if suite else ""}
+        found = fly_courses(courses, fly_one, name, suite, out, crew, **about)
     if picture or film or log:
         course, flown = found[0]
         shown = (robot, weights) if is_given or not recorded else None
         _show(real_course(course, hidden), flown, name, shown, picture, film, log)
     row = summary(name, [one for _, flown in found for one in flown]) | told
     if as_json:
-        with Progress("", shown=talk) as progress:
-            print(json.dumps(row | {"flights": _rows(found, hidden, execute, progress)}))
+        print(json.dumps(row | {"flights": _rows(found, hidden, crew)}))
     elif talk:
         _tell(row, found, out, picture, film, log)
 
@@ -241,8 +249,7 @@ def _replayed(
     hidden: int | None,
     maps: Path | None,
     anew: Callable[[Any], Any] | None,
-    execute: Executor,
-    progress: Progress,
+    crew: "Crew",
 ) -> "tuple[str, Flights, dict[str, str]]":
     """Of a recording: who flew, the flights flown again, and what is told of them. A robot that
     flies a course `anew` flies some of them, too."""
@@ -250,10 +257,10 @@ def _replayed(
 
     recording, told = read_recording(path, hidden, maps)
     with raised_as(DatasetError, f"{path}: ", of=DatasetError):
-        found = flown_again(recording, hidden, execute, progress)
+        found = flown_again(recording, hidden, crew)
     told["as recorded, to the bit"] = f"{sum(len(flown) for _, flown in found)} flights"
     if anew is not None:
-        told["anew, equal to the bit"] = flown_anew(recording, anew, execute, progress)
+        told["anew, equal to the bit"] = flown_anew(recording, anew, crew)
     return recording.robot, found, told
 
 
@@ -310,13 +317,11 @@ def _check() -> None:
         check_free(asked.log)
 
 
-def _rows(
-    found: "Flights", hidden: int | None, execute: Executor, progress: Progress
-) -> list[dict[str, Any]]:
+def _rows(found: "Flights", hidden: int | None, crew: "Crew") -> list[dict[str, Any]]:
     """What `--json` tells of each flight."""
     from scenegen.model.robots.flights import graded
 
-    grades = graded([course for course, _ in found], hidden, execute, progress)
+    grades = graded([course for course, _ in found], hidden, crew)
     return [
         one.row() | {"seed": course.seed, "difficulty": difficulty._asdict()}
         for course, flown in found
@@ -356,42 +361,29 @@ def _show(
     """Write what is asked for of a course's flights; a film has what the `robot`, named as for
     `robot_maker`, takes for occupied, or else shows the flight alone."""
     if picture is not None:
-        _draw(picture, course, flown, name)
+        from scenegen.display.oblique import VIEW
+        from scenegen.display.panels import RED, to_bytes
+        from scenegen.display.pictures import draw_world
+        from scenegen.worlds.world import solid
+
+        figure = draw_world(solid(course.drawn, course.world), title=f"{name} in {course.world}")
+        for one in flown:
+            colour = "#1d7a2f" if one.outcome == "success" else RED
+            figure.axes[0].plot(*VIEW.project(one.path).T, color=colour, zorder=6)
+        write_result(picture, to_bytes(figure, ".png"))
     if film is not None:
+        from scenegen.model.robots.film import film as flight_film
+        from scenegen.model.robots.film import flight_page
         from scenegen.model.robots.flights import robot_maker
 
         made = None if robot is None else robot_maker(*robot)(course)
-        _film(film, course, made, name, flown[0])
+        draw = flight_film if film.suffix == ".gif" else partial(flight_page, name)
+        try:
+            write_result(film, draw(course, 0, made, flown[0]))
+        finally:
+            getattr(made, "close", lambda: None)()
     if log is not None:
         from scenegen.fly.course import log_of
         from scenegen.logs.write import write_log
 
         write_log(log, log_of(course, 0, flown[0]))
-
-
-def _draw(picture: Path, course: "Course", flown: "Sequence[Flown]", name: str) -> None:
-    from scenegen.display.oblique import VIEW
-    from scenegen.display.panels import RED, to_bytes
-    from scenegen.display.pictures import draw_world
-    from scenegen.worlds.world import solid
-
-    figure = draw_world(solid(course.drawn, course.world), title=f"{name} in {course.world}")
-    for one in flown:
-        success = one.outcome == "success"
-        figure.axes[0].plot(
-            *VIEW.project(one.path).T, color="#1d7a2f" if success else RED, zorder=6
-        )
-    write_result(picture, to_bytes(figure, ".png"))
-
-
-def _film(path: Path, course: "Course", robot: Any, name: str, flown: "Flown") -> None:
-    from scenegen.model.robots.film import film, flight_page
-
-    try:
-        if path.suffix == ".gif":
-            shown = film(course, 0, robot, flown)
-        else:
-            shown = flight_page(course, 0, robot, name, flown)
-        write_result(path, shown)
-    finally:
-        getattr(robot, "close", lambda: None)()

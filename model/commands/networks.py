@@ -3,6 +3,7 @@ one may be."""
 
 import json
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -110,15 +111,8 @@ def calibrate(
     make_parent(out)
     if talk:
         announce_compilation()
-    with Progress("calibrate", shown=talk) as progress:
-        found = fit(
-            weights,
-            find_datasets(datasets, shown=talk),
-            out,
-            **options,
-            on_start=lambda what, total: progress.restart(what, total, 0),
-            on_done=progress.count,
-        )
+    folders = find_datasets(datasets, shown=talk)
+    found = fit(weights, folders, out, **options, progress=partial(Progress, shown=talk))
     if as_json:
         print(json.dumps(asdict(found)))
     elif talk:

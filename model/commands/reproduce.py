@@ -2,6 +2,7 @@
 
 import json
 from collections import Counter
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -89,7 +90,7 @@ def reproduce(
         runs,
         device=device,
         execute=execute,
-        progress=lambda label: Progress(label, shown=talk),
+        progress=partial(Progress, shown=talk),
     )
     if as_json:
         print(json.dumps({"folder": str(out), "verdicts": found["verdicts"]}))

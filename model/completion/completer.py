@@ -155,25 +155,25 @@ class Completer:
                     f"{', '.join(self.inputs)} have shapes {sorted(shapes)}, expected one"
                 )
             (shape,) = shapes
-            flat = {name: values.reshape(-1, *self.grid.shape) for name, values in given.items()}
-            split = [values.split(self.batch) for values in flat.values()]
+            split = [
+                values.reshape(-1, *self.grid.shape).split(self.batch) for values in given.values()
+            ]
             parts = [
-                self._complete(dict(zip(flat, part, strict=True)))
+                self._complete(dict(zip(given, part, strict=True)))
                 for part in zip(*split, strict=True)
             ]
-            joined = [
-                None if part[0] is None else torch.cat(part).reshape(shape)
-                for part in zip(*parts, strict=True)
-            ]
             first = batch[self.inputs[0]]
-            probability, tudf = (
-                part
-                if part is None
-                else part.to(first.device)
-                if isinstance(first, Tensor)
-                else part.numpy(force=True)
-                for part in joined
-            )
+
+            def joined(part: Sequence[Any]) -> Any:
+                """One field of all maps, as these were given."""
+                if part[0] is None:
+                    return None
+                whole = torch.cat(part).reshape(shape)
+                return (
+                    whole.to(first.device) if isinstance(first, Tensor) else whole.numpy(force=True)
+                )
+
+            probability, tudf = map(joined, zip(*parts, strict=True))
             found = Prediction(probability, tudf, self.calibration, self.grid)
             return check_prediction(found, shape, self.name)
 

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import h5py
 import numpy as np
 
+from scenegen.cli.show import Showing, silent
 from scenegen.dataset.hdf5 import read_guarded
 from scenegen.dataset.locate import file_sha256
 from scenegen.dataset.read import Dataset, Split
@@ -34,7 +35,7 @@ from scenegen.model.completion.completer import Completer, locate, opened_once
 from scenegen.model.completion.protocol import PARTS, SURE
 from scenegen.model.config import PREDICTIONS
 from scenegen.model.inputs import channels
-from scenegen.run import Counted, Executor, unheard
+from scenegen.run import Executor
 from scenegen.run.workers import ALONE
 
 PACKED = {"compression": "gzip", "compression_opts": 1}
@@ -58,8 +59,7 @@ def predict_split(
     out: Path,
     *,
     execute: Executor | None = None,
-    on_start: Counted = unheard,
-    on_done: Counted = unheard,
+    progress: Showing = silent,
 ) -> list[float]:
     """Complete every sample of a split and write what docs/bench.md calls predictions to the folder
     `out`: files called as shards are, of `PART` samples each, whole or not. Those that are there
@@ -88,13 +88,14 @@ def predict_split(
     elif completer.opened is not None:
         get = partial(opened_once, *completer.opened)
     tasks = [part for part in execute.mine(parts) if part.file.name not in there]
-    begin = partial(on_start, sum(len(part.numbers) for part in tasks))
     work = partial(_write, get, samples, about)
     away: list[float] = []
-    with closing(execute(work, tasks, begin)) as results:
-        for done, far in results:
-            away += far
-            on_done(done)
+    with progress("complete") as shown:
+        begin = partial(shown.start, sum(len(part.numbers) for part in tasks))
+        with closing(execute(work, tasks, begin)) as results:
+            for done, far in results:
+                away += far
+                shown.count(done)
     return away
 
 

@@ -76,9 +76,9 @@ class Completed:
     """The sensor's above what it sees below it; None where too few returns tell it."""
     untold: tuple[str, ...]
     """What points do not tell of the network's inputs."""
-    away: bool = False
+    away: bool
     """Whether the network is away from home, see `Prediction.away`."""
-    iou: float | None = None
+    iou: float | None
     """Of the prediction, over the voxels that the truth knows; None without a truth."""
 
     def __str__(self) -> str:
@@ -146,16 +146,6 @@ def predict_scan(
     check_ours(out)
     with raised_as(DatasetError, f"{given.name}: ", " (--sensor)"):
         seen = completer.scan_of(given.points, given.position)
-    untold = [input_called(name).untold for name in completer.inputs]
-    done = partial(
-        Completed,
-        completer=completer.name,
-        points=len(given.points),
-        without=int((~np.isfinite(given.points)).any(axis=1).sum()),
-        inside=len(seen.voxels),
-        height_m=height_above_returns(seen.points - given.position),
-        untold=tuple(filter(None, untold)),
-    )
     maps = channels(completer.inputs, seen, seen.grid)
     prediction = completer(maps)
     occupied = prediction.occupied(thresholds)
@@ -165,7 +155,17 @@ def predict_scan(
         either = (occupied | truth["occupancy"]) & truth["known"]
         both = occupied & truth["occupancy"] & truth["known"]
         iou = float(both.sum() / either.sum()) if either.any() else 1.0
-    result = done(away=(prediction.away(seen.observed) or 0) >= UNUSUAL, iou=iou)
+    untold = [input_called(name).untold for name in completer.inputs]
+    result = Completed(
+        completer=completer.name,
+        points=len(given.points),
+        without=int((~np.isfinite(given.points)).any(axis=1).sum()),
+        inside=len(seen.voxels),
+        height_m=height_above_returns(seen.points - given.position),
+        untold=tuple(filter(None, untold)),
+        away=(prediction.away(seen.observed) or 0) >= UNUSUAL,
+        iou=iou,
+    )
     if out.suffix == ".ply":
         centres = seen.grid.centres(seen.origin)[occupied]
         write_whole(out, encode_points(".ply", centres))

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
+from scenegen.cli.show import Showing, silent
 from scenegen.dataset.read import Dataset, Split
 from scenegen.display.look import evenly
 from scenegen.errors import DatasetError, raised_as
@@ -34,7 +35,7 @@ from scenegen.model.evaluation.planning.measure import draw_trials
 from scenegen.model.evaluation.run import check_middle, check_whole, filled
 from scenegen.model.evaluation.study import TOLD, Setting, run_settings
 from scenegen.model.evaluation.visibility import UNOBSERVED, classify, scored_voxels
-from scenegen.run import Counted, Executor, check_together, unheard
+from scenegen.run import Executor, check_together
 from scenegen.run.workers import ALONE
 from scenegen.sample import Sample, rng_of
 
@@ -91,7 +92,8 @@ def count_scores(
     """How many of a map's `unknown` voxels have which score: (bins, steps), from minus the
     truncation up. The arrays have one shape: predicted distances, `corrected` probabilities where
     there are some, and true distances."""
-    chances, last = (() if chance is None else CHANCES), _steps(grid) - 1
+    chances = () if chance is None else CHANCES
+    last = 2 * math.ceil(grid.truncation_m / SCORE_M)
     count = distance_bins(grid, STEP_M)
     said = distance[unknown]
     into = bins(said, None if chance is None else chance[unknown], STEP_M, chances, count)
@@ -164,10 +166,6 @@ def near_bins(grid: GridSpec, chances: tuple[float, ...]) -> Mask:
     return np.repeat(edges < NEAR_M - 1e-9, len(chances) + 1)
 
 
-def _steps(grid: GridSpec) -> int:
-    return 2 * math.ceil(grid.truncation_m / SCORE_M) + 1
-
-
 def _logits() -> Floats:
     """The middles of the bins of logits."""
     return np.arange(-MOST_LOGIT + 0.5 * LOGIT, MOST_LOGIT, LOGIT)
@@ -191,8 +189,7 @@ def calibrate(
     trials: int = 4,
     seed: int = 0,
     execute: Executor = ALONE,
-    on_start: Callable[[str, int], None] = lambda what, total: None,
-    on_done: Counted = unheard,
+    progress: Showing = silent,
 ) -> Calibration:
     """Calibrate the network at `weights`, a .safetensors file, on `split` of the datasets, at most
     `samples` maps of each, evenly spread, with `trials` planned on each map at every risk; and
@@ -238,15 +235,16 @@ def calibrate(
 
     def look(what: str, at: Look) -> list[Any]:
         """What `at` makes of every map, summed by world."""
-        begin = partial(on_start, what, sum(len(chosen) for *_, chosen in tasks))
         found: dict[tuple[int, int], Any] = {}
-        for several in execute(partial(_work, split, method, at), tasks, begin):
-            for world, one in several:
-                found[world] = tuple(map(add, found[world], one)) if world in found else one
-            on_done(len(several))
+        with progress(what) as shown:
+            begin = partial(shown.start, sum(len(chosen) for *_, chosen in tasks))
+            for several in execute(partial(_work, split, method, at), tasks, begin):
+                for world, one in several:
+                    found[world] = tuple(map(add, found[world], one)) if world in found else one
+                shown.count(len(several))
         return [found[key] for key in sorted(found)]
 
-    counted, logits, shares = zip(*look("voxels", partial(_count, weight, grid)), strict=True)
+    counted, logits, shares = zip(*look("voxels", partial(_count, weight)), strict=True)
     chances = CHANCES if "occupancy" in network.tasks else ()
     risks, margins = fit_margins(np.stack(counted), near_bins(grid, chances))
     found = Calibration(
@@ -261,7 +259,7 @@ def calibrate(
         denied=tuple(np.quantile(np.concatenate(shares), LEVELS).tolist()) if chances else (),
     )
     if trials:
-        losses = look("paths", partial(_collisions, found, grid, trials, seed))
+        losses = look("paths", partial(_collisions, found, trials, seed))
         hit = np.array([collided / count for collided, count in losses if count])
         found = replace(found, path_risks=path_risks(hit))
     # as it is read again: lists for tuples
@@ -283,10 +281,11 @@ def _work(
 
 
 def _count(
-    weight: float, grid: GridSpec, said: Prediction, sample: Sample, split: Split, index: int
+    weight: float, said: Prediction, sample: Sample, split: Split, index: int
 ) -> tuple[Ints, Any, list[Any]]:
     """Scores of a map's unknown voxels, and their logits where there are some; and what share of
     its returns is denied."""
+    grid = split.dataset.grid
     scored = scored_voxels(sample, grid, split.home(index).tables)
     classes = classify(sample, grid=grid, scored=scored)
     unknown, probability = np.isin(classes, UNOBSERVED), said.occupancy_probability
@@ -301,7 +300,6 @@ def _count(
 
 def _collisions(
     found: Calibration,
-    grid: GridSpec,
     trials: int,
     seed: int,
     said: Prediction,
@@ -310,7 +308,7 @@ def _collisions(
     index: int,
 ) -> tuple[Floats, int]:
     """How many of a map's trials collide at each risk, and how many there are."""
-    rng = rng_of(seed, int(sample.world), int(sample.viewpoint))
+    grid, rng = split.dataset.grid, rng_of(seed, int(sample.world), int(sample.viewpoint))
     goals = draw_trials(sample.occupancy, grid, PlanConfig(), count=trials, rng=rng).goals
     risks = [Setting(by="risk", value=risk) for risk in found.risks]
     sure, truth = replace(said, uncertainty=found, grid=grid), (sample.occupancy, sample.tudf)

@@ -5,7 +5,6 @@ import inspect
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import product
 from pathlib import Path
@@ -37,54 +36,39 @@ from scenegen.sample import Sample
 class Method(Protocol):
     """A row of the tables. Methods travel to worker processes."""
 
-    @property
-    def name(self) -> str:
-        """How the method is called in tables."""
-        ...
-
-    @property
-    def learned(self) -> bool:
-        """Whether the method was trained, or may have been; not one that is only there to be
-        compared with."""
-        ...
+    name: str
+    """How the method is called in tables."""
+    learned: bool
+    """Whether the method was trained, or may have been; not one that is only there to be compared
+    with."""
 
     def completion(self, sample: Sample, split: Split) -> Prediction:
         """What the method says about the map of `sample`, which is one of `split`'s."""
         ...
 
 
-@dataclass(frozen=True)
 class Completed:
     """A completer, shown nothing but what was seen."""
 
-    completer: MapCompleter
-
-    def __post_init__(self) -> None:
-        name, complete = (getattr(self.completer, one, None) for one in ("name", "complete"))
+    def __init__(self, completer: MapCompleter):
+        name, complete = (getattr(completer, one, None) for one in ("name", "complete"))
         what = "a `name`, a string" if not isinstance(name, str) else ""
         try:
             inspect.signature(complete).bind(None, None, grid=None)  # type: ignore[arg-type]
         except TypeError:
             what = "a method `complete` that takes (observed, free, *, grid)"
         if what:
-            raise PredictionError(f"{type(self.completer).__name__}: lacks {what}")
-
-    @property
-    def name(self) -> str:
-        """The completer's, in one line: a network's comes from its file's name."""
-        return printable(self.completer.name)
-
-    @property
-    def learned(self) -> bool:
+            raise PredictionError(f"{type(completer).__name__}: lacks {what}")
+        self._completer, self.name = completer, printable(name)
+        self.learned = bool(getattr(completer, "learned", True))
         """Whatever the completer says of itself; one that says nothing may be."""
-        return bool(getattr(self.completer, "learned", True))
 
     def completion(self, sample: Sample, split: Split) -> Prediction:
         """See `Method.completion`. Raises PredictionError where the completer gives what is no
         prediction."""
         # copies: a completer may write to what it is given, which the other rows are shown, too
         maps = sample.observed.copy(), sample.free.copy()
-        found = self.completer.complete(*maps, grid=split.dataset.grid)
+        found = self._completer.complete(*maps, grid=split.dataset.grid)
         return check_prediction(found, split.dataset.grid.shape, self.name)
 
 
@@ -104,24 +88,17 @@ WHO = ("world", "viewpoint")
 """Names of the columns that say which sample a row predicts."""
 
 
-@dataclass(frozen=True)
 class Predicted:
     """Predictions in an HDF5 file, or in all such files of a folder: `occupancy_probability` and/or
     `tudf`, float32 (N, *grid.shape); where there are some, `probability`, calibrated, and
     `tudf_low`, bounds of the attribute `risk`; and who is who: attribute `dataset` (the dataset's
     digest), `world` and `viewpoint`, int64 (N,), and `split`, an attribute."""
 
-    path: Path
-    learned: bool = True
+    learned = True
 
-    @property
-    def name(self) -> str:
-        """The file's or the folder's, without its ending."""
-        return printable(real_path(self.path).stem)
-
-    @cached_property
-    def _files(self) -> list[Path]:
-        return sorted(self.path.rglob("*.h5")) if self.path.is_dir() else [self.path]
+    def __init__(self, path: Path):
+        self.path, self.name = path, printable(real_path(path).stem)
+        self._files = sorted(path.rglob("*.h5")) if path.is_dir() else [path]
 
     def check(self, dataset: Dataset, split: str) -> None:
         """Raise DatasetError unless the files predict every sample of `split` of `dataset` once, on

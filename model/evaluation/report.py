@@ -65,7 +65,7 @@ def build_report(results: Sequence[DatasetResult], *, seed: int, about: Json) ->
         rng = np.random.default_rng(seed)
         methods = result.methods.items()
         report["datasets"][result.kind] = {
-            "digest": result.digest,
+            "digest": str(result.dataset.manifest.digest),
             "samples": len(result.worlds),
             "worlds": len(np.unique(result.worlds)),
             "known_share": result.known_share,

@@ -14,12 +14,13 @@ from typing import NamedTuple
 import numpy as np
 
 from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
+from scenegen.cli.show import Showing, silent
 from scenegen.dataset.read import Dataset, Rows, Split
 from scenegen.display.look import evenly
 from scenegen.errors import DatasetError, empty_split
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import BenchConfig, Thresholds
-from scenegen.model.evaluation.methods import Method
+from scenegen.model.evaluation.methods import Method, check_rows
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS, measure
 from scenegen.model.evaluation.planning.measure import (
     Measurement,
@@ -38,7 +39,7 @@ from scenegen.model.evaluation.visibility import (
     seen_occupancy,
     walled,
 )
-from scenegen.run import Counted, Executor, check_together, unheard
+from scenegen.run import Executor, check_together
 from scenegen.run.workers import ALONE
 from scenegen.sample import Sample, rng_of
 from scenegen.truth import distance_field
@@ -81,7 +82,7 @@ class DatasetResult:
     """All methods on one dataset."""
 
     kind: str
-    digest: str
+    dataset: Dataset
     config: BenchConfig
     worlds: Ints
     """(N,): the samples' worlds."""
@@ -158,15 +159,14 @@ def bench(
     *,
     kind: str | None = None,
     execute: Executor = ALONE,
-    on_start: Counted = unheard,
-    on_done: Counted = unheard,
+    progress: Showing = silent,
 ) -> DatasetResult:
     """Measure `methods` on `dataset`, or on its samples of one `kind` of worlds, with the same
     goals for every method.
 
-    `execute` has a few samples measured at a time. `on_start` is told how many samples there are,
-    `on_done` of every few that are finished. Raises DatasetError for an empty split, and where
-    `execute` leaves samples to others: a report is of all of them.
+    `execute` has a few samples measured at a time, and `progress` shows how many are. Raises
+    DatasetError for an empty split, and where `execute` leaves samples to others: a report is of
+    all of them.
     """
     split = filled(dataset, config.split)
     check_middle(dataset)
@@ -184,10 +184,13 @@ def bench(
         _work, dataset.folder, methods, tuned, math.ceil(1.1 * config.trials / len(indices)), config
     )
     found: list[_Found] = []
-    with closing(execute(work, tasks, lambda: on_start(len(indices)))) as results:
+    with (
+        progress(kind) as shown,
+        closing(execute(work, tasks, lambda: shown.start(len(indices)))) as results,
+    ):
         for several in results:
             found += several
-            on_done(len(several))
+            shown.count(len(several))
     found.sort(key=lambda one: one.number)
     # of the trials, the first of every sample first, cut to the number asked for
     turns = sorted(
@@ -209,7 +212,7 @@ def bench(
 
     return DatasetResult(
         kind=kind,
-        digest=str(dataset.manifest.digest),
+        dataset=dataset,
         config=config,
         worlds=np.array([one.world for one in found]),
         known_share=float(np.mean([one.known_share for one in found])),
@@ -220,22 +223,37 @@ def bench(
     )
 
 
-def tables_of(datasets: Sequence[Dataset], split: str) -> list[tuple[Dataset, str]]:
-    """The datasets and the kinds that have a table each. Raises DatasetError where two datasets
-    have samples of one kind."""
-    found = [
+def bench_all(
+    datasets: Sequence[Dataset],
+    methods: Sequence[Method],
+    config: BenchConfig,
+    *,
+    execute: Executor,
+    progress: Showing = silent,
+) -> list[DatasetResult]:
+    """Measure `methods` on every kind of worlds in `datasets`; `progress` shows how many samples of
+    it are finished.
+
+    Raises DatasetError where a file of predictions is not of all datasets, and where two datasets
+    have samples of one kind; and as `bench` does.
+    """
+    check_rows(methods, datasets, config.split)
+    tables = [
         (dataset, kind)
         for dataset in datasets
         # one without samples is refused when it is measured
-        for kind in dataset.split(split).by_kind() or (dataset.manifest.graded,)
+        for kind in dataset.split(config.split).by_kind() or (dataset.manifest.graded,)
     ]
-    kinds = [kind for _, kind in found]
+    kinds = [kind for _, kind in tables]
     if len(set(kinds)) < len(kinds):
         raise DatasetError(
             f"two datasets of one kind ({', '.join(kinds)}): the tables hold one a kind; give one "
             f"of each"
         )
-    return found
+    return [
+        bench(dataset, methods, config, kind=kind, execute=execute, progress=progress)
+        for dataset, kind in tables
+    ]
 
 
 def _work(

@@ -7,7 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from lidarsim.grid import Field, Floats, GridSpec, Mask
-from scenegen.dataset.read import Dataset, Split
+from scenegen.dataset.read import Split
 from scenegen.display.look import Guess, Route, look_into
 from scenegen.errors import DatasetError
 from scenegen.files import Json
@@ -104,9 +104,7 @@ def failing(result: DatasetResult) -> tuple[str, list[int]]:
     return name, list(worlds.values())[:MOST]
 
 
-def draw_failures(
-    result: DatasetResult, dataset: Dataset, methods: Sequence[Method]
-) -> list[tuple[str, bytes]]:
+def draw_failures(result: DatasetResult, methods: Sequence[Method]) -> list[tuple[str, bytes]]:
     """What each picture shows, and the picture, WebP. Raises ImportError where matplotlib is not
     installed."""
     from scenegen.display.figures import draw_paths
@@ -117,7 +115,7 @@ def draw_failures(
     for n in trials:
         index, turn = result.trial_places[n]
         of_trial = partial(guesses, shown, result.config, turn)
-        look = look_into(dataset.split(result.config.split), index, of_trial)
+        look = look_into(result.dataset.split(result.config.split), index, of_trial)
         told = f"{name} fails: {look.name}, goal {turn}"
         figure = draw_paths([dataclasses.replace(look, name=f"{look.name}, goal {turn}")], title="")
         found.append((told, _webp(figure)))

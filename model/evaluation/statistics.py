@@ -159,19 +159,15 @@ def _mean(sums: Floats) -> Floats:
     return sums[:, 0] / sums[:, 1]
 
 
-def head(names: Collection[str]) -> list[str]:
-    """The first two lines of a table whose first column has no name."""
-    return [f"| | {' | '.join(names)} |", "|---" * (len(names) + 1) + "|"]
-
-
 def line(name: str, cells: Iterable[str]) -> str:
     """A row: its name and its cells."""
     return f"| {name} | {' | '.join(cells)} |"
 
 
 def table(heads: Collection[str], rows: Iterable[tuple[str, Iterable[str]]]) -> str:
-    """A table of rows by name, as Markdown."""
-    return "\n".join([*head(heads), *(line(name, cells) for name, cells in rows)])
+    """A table of rows by name, as Markdown; the column of names has no head."""
+    head = [f"| | {' | '.join(heads)} |", "|---" * (len(heads) + 1) + "|"]
+    return "\n".join([*head, *(line(name, cells) for name, cells in rows)])
 
 
 def cell(figure: Json) -> str:

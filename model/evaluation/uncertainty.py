@@ -95,14 +95,11 @@ def reliability(counts: Floats, worlds: Ints) -> Json:
             total = maps.sum(axis=0)
             if not total[:, 0].any():
                 continue
-            scores = {
-                name: estimate(maps.reshape(len(maps), -1), worlds, partial(_score, name))
-                for name in SCORES
-            }
-            figures = {
-                name: {"mean": one.value, "low": one.ends[0], "high": one.ends[1]}
-                for name, one in scores.items()
-            }
+            figures = {}
+            for name in SCORES:
+                one = estimate(maps.reshape(len(maps), -1), worlds, partial(_score, name))
+                low, high = one.ends
+                figures[name] = {"mean": one.value, "low": low, "high": high}
             ece = figures.pop("ece")
             bins = [
                 {

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 from scenegen.cli.show import Progress
 from scenegen.errors import DatasetError, ScenegenError, raised_as
-from scenegen.files import Json
 from scenegen.fly.course import Course, Recording
 from scenegen.fly.loop import Flown, marks
 from scenegen.fly.suite import Part, frozen_courses, named, part_of, track_name
@@ -96,7 +95,8 @@ def leaderboard(folder: Path, progress: Progress, hidden: int | None, maps: Path
     progress.start(sum(len(rows) for _, (_, rows) in whole_first))
     for (suite, title, *_), (part, rows) in whole_first:
         rows.sort(key=lambda row: -sum(row.scores))
-        body += _table(f"{suite}, {title}", rows)
+        cells = [(row.robot, _cells(row, rows[0])) for row in rows]
+        body += block(Table(f"{suite}, {title}", ("flights", *BOARD, BEST), cells))
         body += _films(suite, part.track, rows, progress, hidden, maps)
     page = HEAD.replace("img-src", "script-src 'unsafe-inline'; img-src")
     style = f"{STYLE} body {{ max-width: none; }} th {{ cursor: pointer; }}"
@@ -117,17 +117,15 @@ def _row(entry: Recording) -> Row:
     return Row(entry.robot, courses, found)
 
 
-def _table(title: str, rows: Sequence[Row]) -> str:
-    """A table of entries that flew the same courses, the best first."""
-    cells = [(row.robot, _cells(row, rows[0])) for row in rows]
-    return block(Table(title, ("flights", *BOARD, BEST), cells))
-
-
 def _cells(row: Row, best: Row) -> list[str]:
+    """An entry's figures, and its scores less those of the best that flew the same courses."""
     cells = [str(len(row.flights))]
     for column in BOARD.values():
         found = figure([column.of(one) for one in row.flights], row.worlds, column.scale)
-        cells.append(brief(_within(found, column.most)))
+        for name in ("low", "high"):
+            if found[name] is not None:
+                found[name] = min(max(found[name], 0.0), column.most)
+        cells.append(brief(found))
     pairs = zip(row.scores, best.scores, strict=True)
     less = figure([one - other for one, other in pairs], row.worlds)
     return [*cells, "–" if row is best else brief(less, "+.3f")]
@@ -168,9 +166,3 @@ def _films(
             films.append((told, film(course, number, None, flown)))
         progress.count(1)
     return f"<h3>{html.escape(title)}</h3>{framed(films, 'gif')}"
-
-
-def _within(found: Json, most: float) -> Json:
-    """A figure whose interval holds no value that cannot be."""
-    ends = {name: found[name] for name in ("low", "high") if found[name] is not None}
-    return found | {name: min(max(end, 0.0), most) for name, end in ends.items()}

@@ -43,41 +43,14 @@ class _Moment(NamedTuple):
     """The way flown until then (n, 3), world metres."""
 
 
-class _Watched:
-    """A robot, and what it held at every `EVERY`-th decision."""
-
-    def __init__(self, robot: Any):
-        self._robot = robot
-        self.held: list[tuple[Observation, Any, Any]] = []
-        self.way: list[Floats] = []
-
-    def reset(self, about: Observation) -> None:
-        if self._robot is not None:
-            self._robot.reset(about)
-
-    def act(self, observation: Observation) -> Any:
-        answer = None if self._robot is None else self._robot.act(observation)
-        self.way.append(observation["position"])
-        if len(self.way) % EVERY == 1 and len(self.held) < MOST:
-            # bits, since a film's worth of voxels would take a gigabyte
-            taken = np.packbits(self._robot.taken()) if hasattr(self._robot, "taken") else None
-            self.held.append((observation, taken, getattr(self._robot, "path", None)))
-        return answer
-
-
 class _Scene:
     """A flight, and the voxels that lie wholly within its bounds."""
 
     def __init__(self, course: Course, number: int, robot: Any, flown: Flown):
         """Mission `number` as it was flown; the robot, if there is one, sees what was seen and
         tells what it takes for occupied."""
-        self.watched, self.simulation = _Watched(robot), course.simulation(number)
-        self.flown = flown
-        self.watched.reset(self.simulation.about())
-        for seen, *_ in flown_again(self.simulation, flown):
-            self.watched.act(seen)
-        if not self.watched.held:
-            raise DatasetError(f"flight {number} ended before it began: {self.flown.trouble}")
+        self.simulation, self.flown = course.simulation(number), flown
+        self._robot = robot
         bounds = self.simulation.mission.bounds
         self.grid, self.first = within(bounds, getattr(robot, "grid", GridSpec()))
         """The grid, and its least voxel (3,), counted from the world's origin."""
@@ -87,15 +60,23 @@ class _Scene:
         """What is occupied, of the grid's shape."""
 
     def moments(self) -> Iterator[_Moment]:
-        """What was held on the way; at the end, what was held last."""
-        held, way = self.watched.held, np.array(self.watched.way)
-        last = held[-1][0] | {"position": self.simulation.state[:3]}
-        for n, (seen, bits, plan) in enumerate([*held, (last, *held[-1][1:])]):
-            taken = bits
-            if bits is not None:
-                taken = np.unpackbits(bits, count=self.truth.size).reshape(self.truth.shape) > 0
-            passed = np.concatenate([way[: n * EVERY + 1], seen["position"][None]])
-            yield _Moment(seen, taken, plan, passed)
+        """What was held on the way, as it is flown again; at the end, what was held last. Raises
+        DatasetError for a flight that ended before it began."""
+        robot, way, moment = self._robot, list[Floats](), None
+        if robot is not None:
+            robot.reset(self.simulation.about())
+        for n, (seen, *_) in enumerate(flown_again(self.simulation, self.flown)):
+            if robot is not None:
+                robot.act(seen)
+            way.append(seen["position"])
+            if n % EVERY == 0 and n < EVERY * MOST:
+                taken = robot.taken() if hasattr(robot, "taken") else None
+                moment = _Moment(seen, taken, getattr(robot, "path", None), np.array(way))
+                yield moment
+        if moment is None:
+            raise DatasetError(f"the flight ended before it began: {self.flown.trouble}")
+        end = self.simulation.state[:3]
+        yield moment._replace(seen=moment.seen | {"position": end}, way=np.array([*way, end]))
 
 
 def film(course: Course, number: int, robot: Any, flown: Flown) -> bytes:
@@ -140,7 +121,7 @@ def film(course: Course, number: int, robot: Any, flown: Flown) -> bytes:
     return file.getvalue()
 
 
-def flight_page(course: Course, number: int, robot: Any, name: str, flown: Flown) -> bytes:
+def flight_page(name: str, course: Course, number: int, robot: Any, flown: Flown) -> bytes:
     """A page (HTML) that plays mission `number`, see `_Scene`, of a robot called `name`, in
     three dimensions: what is there, what the robot takes for occupied, its scans, and its way,
     first flown and then planned.
@@ -156,12 +137,12 @@ def flight_page(course: Course, number: int, robot: Any, name: str, flown: Flown
         returns = at + rotate(seen["quaternion"], hits.astype(np.float64))
         observed = sort_points(at, returns, scene.grid, scene.origin).observed
         ahead = np.empty((0, 3)) if moment.plan is None else moment.plan[1:]
-        told = "under way" if moment is not moments[-1] else scene.flown.outcome
+        told = "under way" if moment is not moments[-1] else flown.outcome
         route = Route(
             start=start,
             goal=goal,
             points=np.concatenate([moment.way, ahead]),
-            told=f"{told}, {len(moment.way)} of {len(scene.watched.way)} periods flown",
+            told=f"{told}, {len(moment.way) - 1} of {len(flown.commands)} periods flown",
             hit=at if told == "collision" else None,
         )
         held = observed if moment.taken is None else moment.taken

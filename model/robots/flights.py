@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from scenegen.cli.show import Progress
+from scenegen.cli.show import Showing
 from scenegen.errors import DatasetError, ScenegenError, raised_as
-from scenegen.files import check_ours, sha256_of, write_result, write_whole
+from scenegen.files import check_ours, write_result, write_whole
 from scenegen.fly.course import Course, Flights, Recording, replay
 from scenegen.fly.loop import Flown, RobotError
 from scenegen.fly.loop import fly as fly_mission
@@ -90,13 +90,32 @@ def fly_course(
     return replace(course, document=real.sha256), flown
 
 
+Crew = Callable[..., Iterator[Any]]
+"""`counted`, with an executor and what makes bars."""
+
+
+def counted(
+    execute: Executor,
+    progress: Showing,
+    work: Callable[[Any], Any],
+    tasks: Sequence[Any],
+    label: str,
+    total: int,
+) -> Iterator[Any]:
+    """Courses and what `work` makes of each flight, as they come; `progress` shows how many of the
+    `total` there are."""
+    with progress(label) as shown:
+        for course, some in execute(work, tasks, lambda: shown.start(total)):
+            shown.count(len(some))
+            yield course, some
+
+
 def graded(
-    courses: Sequence[Course], hidden: int | None, execute: Executor, progress: Progress
+    courses: Sequence[Course], hidden: int | None, crew: Crew
 ) -> dict[Course, list[Difficulty]]:
     """How hard the missions of courses are."""
     total = sum(course.flights for course in courses)
-    work = partial(_graded, hidden=hidden)
-    return dict(_counted(execute, work, courses, progress, "grade", total))
+    return dict(crew(partial(_graded, hidden=hidden), courses, "grade", total))
 
 
 def _graded(course: Course, *, hidden: int | None) -> tuple[Course, list[Difficulty]]:
@@ -139,23 +158,13 @@ SAVED_S = 20.0
 NOTHING_KEPT = "stopped; no flight is kept"
 
 
-def network_digest(weights: str | None) -> str:
-    """SHA-256 of a network's file; "" for none."""
-    if weights is None:
-        return ""
-    from scenegen.model.completion.completer import locate
-
-    return sha256_of(locate(weights).read_bytes())
-
-
 def fly_courses(
     courses: Sequence[Course],
     work: Work,
     name: str,
     suite: str | None,
     out: Path | None,
-    execute: Executor,
-    progress: Progress,
+    crew: Crew,
     *,
     track: str = "",
     network: str = "",
@@ -181,7 +190,7 @@ def fly_courses(
     def fly_left() -> None:
         """Flies what is left, and saves now and then."""
         saved_s, total = time.monotonic(), sum(course.flights for course in left)
-        for course, flown in _counted(execute, work, left, progress, "fly", total):
+        for course, flown in crew(work, left, "fly", total):
             found[named(course)] = course, flown
             if suite and time.monotonic() - saved_s > SAVED_S:
                 save()
@@ -254,40 +263,24 @@ def read_recording(
     return replace(recording, courses=found), {"courses": str(part)}
 
 
-def flown_again(
-    recording: Recording, hidden: int | None, execute: Executor, progress: Progress
-) -> Flights:
+def flown_again(recording: Recording, hidden: int | None, crew: Crew) -> Flights:
     """The flights of a recording, flown again. Raises DatasetError where one is not as it was."""
-    work, courses = partial(_replayed, hidden=hidden), recording.courses
-    count = sum(len(flights) for _, flights in courses)
-    found = dict(_counted(execute, work, courses, progress, "replay", count))
-    return [(course, found[course]) for course, _ in courses]
+    count = sum(len(flights) for _, flights in recording.courses)
+    work = partial(_replayed, hidden=hidden)
+    found = dict(crew(work, recording.courses, "replay", count))
+    return [(course, found[course]) for course, _ in recording.courses]
 
 
-def flown_anew(recording: Recording, work: Work, execute: Executor, progress: Progress) -> str:
+def flown_anew(recording: Recording, work: Work, crew: Crew) -> str:
     """How many flights of every sixteenth course a robot flies to the bit as they were recorded."""
     some = recording.courses[::QUICK]
     before = {named(course): flights for course, flights in some}
     count, same = sum(map(len, before.values())), 0
     courses = [course for course, _ in some]
-    for course, flown in _counted(execute, work, courses, progress, "fly anew", count):
+    for course, flown in crew(work, courses, "fly anew", count):
         pairs = zip(flown, before[named(course)], strict=True)
         same += sum(one.digest == other.digest for one, other in pairs)
     return f"{same} of {count} flights"
-
-
-def _counted(
-    execute: Executor,
-    work: Callable[[Any], Any],
-    tasks: Sequence[Any],
-    progress: Progress,
-    label: str,
-    total: int,
-) -> Iterator[Any]:
-    """Courses and what `work` makes of each flight, as they come; `progress` counts these."""
-    for course, some in execute(work, tasks, lambda: progress.restart(label, total, 0)):
-        progress.count(len(some))
-        yield course, some
 
 
 def _replayed(

@@ -15,6 +15,7 @@ from lidarsim.grid import Field, Floats, Ints, Mask
 from lidarsim.pose import rotate
 from scenegen.fly.simulation import Observation
 from scenegen.model.completion.protocol import MapCompleter
+from scenegen.model.completion.unlearned import Returns
 from scenegen.model.config import PlanConfig, Thresholds
 from scenegen.model.evaluation.planning.measure import RATHER, risk_of
 from scenegen.model.evaluation.planning.refine import field_at, refine
@@ -250,9 +251,8 @@ class TruthRobot(MappingRobot):
     """What a robot would do that knew the world: the ceiling of every completion."""
 
     def __init__(self, world: World | Place):
+        super().__init__(Returns())  # which it does not ask
         self._world = world
-        self.grid = GridSpec()
-        self._memory, self._frontier, self._doubts = True, False, False
 
     def believed(self) -> tuple[Mask, Field]:
         """See `MappingRobot.believed`."""

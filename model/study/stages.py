@@ -2,14 +2,14 @@
 again."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
 import torch
 
-from scenegen.cli.show import Progress
+from scenegen.cli.show import Showing
 from scenegen.dataset.build import build
 from scenegen.dataset.generation import plan_generation
 from scenegen.dataset.locate import file_sha256
@@ -22,7 +22,7 @@ from scenegen.model.checkpoint import CheckpointError
 from scenegen.model.config import BenchConfig
 from scenegen.model.evaluation.methods import rows_of
 from scenegen.model.evaluation.report import finite
-from scenegen.model.evaluation.run import bench
+from scenegen.model.evaluation.run import bench_all
 from scenegen.model.study.claims import asked, judged, means
 from scenegen.model.study.report import to_markdown
 from scenegen.model.study.runs import KINDS, RUNS, TRIALS, ReproduceConfig, Run
@@ -45,7 +45,7 @@ def reproduce(
     *,
     device: str = "auto",
     execute: Executor,
-    progress: Callable[[str], Progress],
+    progress: Showing,
 ) -> Json:
     """Make the study of `runs` in the folder `out`, or go on with it, and return what
     ``study.json`` holds. `execute` has shards written, networks trained, one thread each, and
@@ -65,18 +65,13 @@ def reproduce(
             shown.count(maps)
     networks = [str(out / "runs" / run.name) for run in runs]
     methods = rows_of(("returns", "extrude", "truth", "seen"), networks)
-    usual, measured = BenchConfig(trials=config.scaled(TRIALS), seed=config.seed), []
-    for folder in folders:
-        with progress(f"bench, {folder.name}") as shown:
-            found = bench(
-                Dataset(folder),
-                methods,
-                usual,
-                execute=execute,
-                on_start=shown.start,
-                on_done=shown.count,
-            )
-        measured.append(found)
+    measured = bench_all(
+        list(map(Dataset, folders)),
+        methods,
+        BenchConfig(trials=config.scaled(TRIALS), seed=config.seed),
+        execute=execute,
+        progress=lambda kind: progress(f"bench, {kind}"),
+    )
     study = judged(
         finite(
             {
@@ -120,9 +115,7 @@ def read_json(path: Path) -> Json | None:
     return found if isinstance(found, dict) else None
 
 
-def _dataset(
-    folder: Path, config: ReproduceConfig, execute: Executor, progress: Callable[[str], Progress]
-) -> Path:
+def _dataset(folder: Path, config: ReproduceConfig, execute: Executor, progress: Showing) -> Path:
     """A compact dataset of the kind that the folder is called by, made or gone on with; damaged
     shards are made again."""
     n, val, test = config.counts.values()

@@ -17,10 +17,11 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from lidarsim import GridSpec
+from scenegen.dataset.locate import file_sha256
 from scenegen.dataset.manifest import differences
 from scenegen.dataset.parts import mapping_entry, sensor_entry
 from scenegen.errors import DatasetError, StoppedError, empty_split, is_out_of_memory, raised_as
-from scenegen.files import Json, sha256_of
+from scenegen.files import Json
 from scenegen.model.checkpoint import CheckpointError
 from scenegen.model.completion.completer import locate, open_network
 from scenegen.model.config import VARIANTS, TrainConfig, is_own
@@ -322,4 +323,4 @@ def begin_from(weights: str | Path, network: Any) -> str:
         unlike = "; ".join(differences(there, asked))
         raise CheckpointError(f"{weights}: another network than the one to train: {unlike}")
     network.load_state_dict(found.state_dict())
-    return sha256_of(locate(weights).read_bytes())
+    return file_sha256(locate(weights))

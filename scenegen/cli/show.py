@@ -5,7 +5,7 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from typing import Any
 
@@ -196,3 +196,12 @@ class Progress:
         if self._bar is not None and os.isatty(2):
             with suppress(OSError):
                 os.write(2, SHOW_CURSOR)
+
+
+Showing = Callable[[str], Progress]
+"""What makes the bar of work that has a label."""
+
+
+def silent(label: str) -> Progress:
+    """The bar of work that nobody watches."""
+    return Progress(label, shown=False)

@@ -4,6 +4,7 @@ their edges; and their sum has the paper's weights."""
 import dataclasses
 import itertools
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,13 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import GridSpec
 from scenegen.model.config import LossConfig
-from scenegen.model.losses import (
-    Coupled,
-    eikonal_loss,
-    lovasz_loss,
-    occupancy_loss,
-    regression_loss,
-)
+from scenegen.model.losses import Coupled
 from scenegen.model.network import Output
 
 SHAPE = (3, 5, 4, 6)  # three maps, no two axes alike
@@ -92,10 +87,16 @@ def value(loss):
     return loss.item()
 
 
-def gradient(loss, at, truth, **settings):
+def term(name, **settings):
+    """A part of the objective, and its settings."""
+    given = SimpleNamespace(**settings)
+    return getattr(Coupled(given, given), name)
+
+
+def gradient(loss, at, truth):
     """Of a loss by what is predicted."""
     tensor = torch.from_numpy(at).requires_grad_()
-    loss(tensor, torch.from_numpy(truth), **settings).backward()
+    loss(tensor, torch.from_numpy(truth)).backward()
     return tensor.grad.numpy()
 
 
@@ -113,28 +114,29 @@ def finite_differences(equation, at, *more, step=1e-5):
 # Equality with the equations, in value and in gradient.
 
 
-SPACES = [(0.2, 2.0), (0.13, 0.9)]  # voxel_m, truncation_m
+SPACE = {"voxel_m": 0.2, "truncation_m": 2.0}
+SPACES = [SPACE, {"voxel_m": 0.13, "truncation_m": 0.9}]
 LAWS = [
-    *[(occupancy_loss, cross_entropy, {"occupied_weight": w}) for w in (5.0, 0.3)],
-    (lovasz_loss, lovasz_hinge, {}),
+    *[("occupancy_loss", cross_entropy, {"occupied_weight": w}) for w in (5.0, 0.3)],
+    ("lovasz_loss", lovasz_hinge, {}),
     *[
-        (regression_loss, weighted_smooth_l1, {"near_m": n, "near_weight": w, "beta_m": b})
+        ("regression_loss", weighted_smooth_l1, {"near_m": n, "near_weight": w, "beta_m": b})
         for n, w, b in (
             (0.6, 3.0, 0.7),  # an edge that float32 holds a little beyond the number written
             (1.0, 0.25, 2.0),
             (0.0, 3.0, 0.01),
         )
     ],
-    *[(eikonal_loss, eikonal, {"voxel_m": v, "truncation_m": t}) for v, t in SPACES],
+    *[("eikonal_loss", eikonal, space) for space in SPACES],
 ]
 """A loss, its equation, and settings of both."""
 
 
 def case_of(loss, settings, seed, shape=SHAPE):
     """What is predicted, and what is true."""
-    space = settings if loss is eikonal_loss else {}
+    space = settings if loss == "eikonal_loss" else {}
     logits, occupancy, predicted, tudf = random_case(seed, shape, **space)
-    return (logits, occupancy) if loss in (occupancy_loss, lovasz_loss) else (predicted, tudf)
+    return (logits, occupancy) if loss in ("occupancy_loss", "lovasz_loss") else (predicted, tudf)
 
 
 @pytest.mark.parametrize(("loss", "equation", "settings"), LAWS)
@@ -144,7 +146,7 @@ def test_a_loss_is_the_papers(loss, equation, settings):
         at, truth = case_of(loss, settings, seed)
         at = torch.from_numpy(at).to(dtype)
         wanted = equation(at.float().numpy(), truth, *settings.values())
-        found = loss(at, torch.from_numpy(truth), **settings)
+        found = term(loss, **settings)(at, torch.from_numpy(truth))
         assert value(found) == pytest.approx(wanted, rel=2e-6)
 
 
@@ -156,7 +158,7 @@ def test_gradients_are_the_finite_differences_of_the_equations(loss, equation, s
         at, truth = case_of(loss, settings, seed, (2, 3, 4, 3))
         wanted = finite_differences(equation, at, truth, *settings.values())
         assert np.abs(wanted).max() > 1e-3
-        found = gradient(loss, at, truth, **settings)
+        found = gradient(term(loss, **settings), at, truth)
         assert_allclose(found, wanted, rtol=2e-5, atol=1e-7)
 
 
@@ -172,7 +174,7 @@ def test_logits_of_any_size_have_the_right_limits(dtype, occupied):
     truth = torch.full((1, 4, 3, 2), occupied)
     for logit in (-1e4, -300.0, -40.0, -20.0, 20.0, 40.0, 300.0, 1e4):
         logits = torch.full(truth.shape, logit, dtype=getattr(torch, dtype)).requires_grad_()
-        loss = occupancy_loss(logits, truth, occupied_weight=5.0)
+        loss = term("occupancy_loss", occupied_weight=5.0)(logits, truth)
         loss.backward()
         away = -logit if occupied else logit
         wanted = weight * np.logaddexp(0, away)
@@ -185,7 +187,7 @@ def test_logits_of_any_size_have_the_right_limits(dtype, occupied):
 def test_a_flat_prediction_has_a_finite_gradient(dtype):
     """The root's own slope at 0 is infinite: what stands under it keeps it 1e-4."""
     predicted = torch.full(SHAPE, 0.7).to(getattr(torch, dtype)).requires_grad_()
-    loss = eikonal_loss(predicted, torch.ones(SHAPE), voxel_m=0.2, truncation_m=2.0)
+    loss = term("eikonal_loss", **SPACE)(predicted, torch.ones(SHAPE))
     loss.backward()
     assert value(loss) == pytest.approx(1 - 1e-4, abs=1e-6)
     assert_allclose(predicted.grad.float().numpy(), 0, atol=1e-12)
@@ -198,12 +200,12 @@ def test_where_nothing_is_to_be_learned_the_loss_is_zero_and_so_is_its_gradient(
     fields = [torch.zeros(shape), last, torch.ones(2, 4, 1, 5)]
     for tudf in fields:
         predicted = torch.from_numpy(random_case(0, tuple(tudf.shape))[2]).requires_grad_()
-        loss = eikonal_loss(predicted, tudf, voxel_m=0.2, truncation_m=2.0)
+        loss = term("eikonal_loss", **SPACE)(predicted, tudf)
         loss.backward()
         assert value(loss) == 0.0
         assert_array_equal(predicted.grad.numpy(), 0)
     nothing = torch.zeros(1, 2, 3, 4, dtype=torch.bool)
-    assert value(lovasz_loss(torch.full(nothing.shape, -50.0), nothing)) == 0
+    assert value(Coupled.lovasz_loss(torch.full(nothing.shape, -50.0), nothing)) == 0
 
 
 def test_a_loss_over_what_is_known_is_that_of_the_map_without_the_rest(rng):
@@ -216,15 +218,15 @@ def test_a_loss_over_what_is_known_is_that_of_the_map_without_the_rest(rng):
     slopes = known.clone()
     slopes[:, 2] = False  # a slope needs the next voxel
     metres = {"near_m": 0.5, "near_weight": 2.0, "beta_m": 0.3}
-    space = {"voxel_m": 0.2, "truncation_m": 2.0}
-    for loss, given, over, words in (
-        (occupancy_loss, (logits, occupancy), known, {"occupied_weight": 3.0}),
-        (lovasz_loss, (logits, occupancy), known, {}),
-        (regression_loss, (predicted, tudf), known, metres),
-        (eikonal_loss, (predicted, tudf), slopes, space),
+    for name, given, over, settings in (
+        ("occupancy_loss", (logits, occupancy), known, {"occupied_weight": 3.0}),
+        ("lovasz_loss", (logits, occupancy), known, {}),
+        ("regression_loss", (predicted, tudf), known, metres),
+        ("eikonal_loss", (predicted, tudf), slopes, SPACE),
     ):
-        part = loss(*(field[:, :3] for field in given), **words)
-        assert value(loss(*given, over, **words)) == pytest.approx(value(part), rel=1e-6)
+        loss = term(name, **settings)
+        part = loss(*(field[:, :3] for field in given))
+        assert value(loss(*given, over)) == pytest.approx(value(part), rel=1e-6)
 
 
 # The objective and its weights.
@@ -243,8 +245,8 @@ CONFIGS = [
 @pytest.mark.parametrize("heads", ["both", "logits", "tudf"])
 def test_the_objective_is_the_weighted_sum(config, heads):
     """L = l_occ L_occ + l_tudf (L_reg + l_eik L_eik), of what the output has."""
-    voxel_m, truncation_m = SPACES[1]
-    logits, occupancy, predicted, tudf = random_case(11, voxel_m=voxel_m, truncation_m=truncation_m)
+    space = SPACES[1]
+    logits, occupancy, predicted, tudf = random_case(11, **space)
     output = Output(
         logits=None if heads == "tudf" else torch.from_numpy(logits),
         tudf=None if heads == "logits" else torch.from_numpy(predicted),
@@ -259,11 +261,11 @@ def test_the_objective_is_the_weighted_sum(config, heads):
         near = (config.near_m, config.near_weight, config.beta_m)
         wanted["regression"] = weighted_smooth_l1(predicted, tudf, *near)
         if config.eikonal:
-            wanted["eikonal"] = eikonal(predicted, tudf, voxel_m, truncation_m)
+            wanted["eikonal"] = eikonal(predicted, tudf, **space)
         slope = config.eikonal * wanted.get("eikonal", 0)
         loss += config.tudf * (wanted["regression"] + slope)
     batch = {"occupancy": torch.from_numpy(occupancy), "tudf": torch.from_numpy(tudf)}
-    found = Coupled(config, GridSpec(voxel_m=voxel_m, truncation_m=truncation_m))(output, batch)
+    found = Coupled(config, GridSpec(**space))(output, batch)
     assert {name: value(part) for name, part in found.items()} == pytest.approx(
         {**wanted, "loss": loss}, rel=1e-6
     )

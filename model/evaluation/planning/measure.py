@@ -41,17 +41,17 @@ def draw_trials(
     """`count` goals, or as many as there are, drawn without replacement from the lattice's
     outermost layer.
 
-    The layer is that of `config.goal_faces`, less the nodes outside `bounds` (2, 3), least and
-    greatest corner in the map frame, metres, where given: the world's, so that goals lie in it. A
-    goal counts when A* finds a path to it in `occupancy_truth` (*grid.shape); "cases where no
-    feasible solution is found using the ground-truth map are excluded" (the paper's section
-    "Planning with Predicted Distance Fields"), and counted here.
+    The layer is ours; the paper has goals "near the map boundary". Nodes outside `bounds` (2, 3),
+    least and greatest corner in the map frame, metres, are left out, where these are given: the
+    world's, so that goals lie in it. A goal counts when A* finds a path to it in `occupancy_truth`
+    (*grid.shape); "cases where no feasible solution is found using the ground-truth map are
+    excluded" (the paper's section "Planning with Predicted Distance Fields"), and counted here.
     """
     truth = checked(occupancy_truth, "occupancy_truth", grid, bool)
     lattice = Lattice(grid, config.step_voxels)
     if truth[tuple(lattice.voxels(lattice.start))]:
         return Trials(np.empty((0, 3)), Counter({"start_blocked": count}))
-    candidates = lattice.centres(boundary_nodes(lattice, config.goal_faces))
+    candidates = lattice.centres(boundary_nodes(lattice))
     if bounds is not None:
         low, high = np.asarray(bounds, float)
         candidates = candidates[((candidates >= low) & (candidates <= high)).all(axis=1)]
@@ -68,13 +68,11 @@ def draw_trials(
     return Trials(np.array(goals).reshape(-1, 3), excluded)
 
 
-def boundary_nodes(lattice: Lattice, faces: str) -> Ints:
-    """Nodes (n, 3) of the outermost layer in x or y ("lateral"), or in z, too ("box"), in order;
-    never the start."""
+def boundary_nodes(lattice: Lattice) -> Ints:
+    """Nodes (n, 3) of the outermost layer, in order; never the start."""
     nodes = np.indices(lattice.shape).reshape(3, -1).T
-    axes = 2 if faces == "lateral" else 3
     outer = (nodes == 0) | (nodes == np.array(lattice.shape) - 1)
-    return nodes[outer[:, :axes].any(axis=1) & (nodes != lattice.start).any(axis=1)]
+    return nodes[outer.any(axis=1) & (nodes != lattice.start).any(axis=1)]
 
 
 RATHER = 0.5

@@ -3,6 +3,8 @@
 import gc
 import resource
 import warnings
+from contextlib import nullcontext
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -31,8 +33,8 @@ def test_predictions_are_what_the_bench_takes(folders, tmp_path, variant, monkey
     dataset = Dataset(folders[1])
     net = completer_of(tmp_path / "net.safetensors", dataset.grid, variant=variant)
     told: list[int] = []
-    tell = {"on_start": told.append, "on_done": told.append}
-    predict_split(net, folders[1], "test", tmp_path / "p", **tell)
+    shown = nullcontext(SimpleNamespace(start=told.append, count=told.append))
+    predict_split(net, folders[1], "test", tmp_path / "p", progress=lambda label: shown)
     assert told == [5, 2, 2, 1]
     method = Predicted(tmp_path / "p")
     method.check(dataset, "test")

@@ -32,11 +32,11 @@ def test_the_page_holds_both_tables_the_paper_s_and_pictures_and_runs_nothing(
     measured, monkeypatch
 ):
     monkeypatch.setattr("scenegen.display.panels.DPI", 40)
-    result, dataset, methods = measured
+    result, _, methods = measured
     name, trials = failing(result)
     assert name == HOSTILE
     assert 0 < len({result.trial_worlds[n] for n in trials}) == len(trials) <= 3
-    pictures = draw_failures(result, dataset, methods)
+    pictures = draw_failures(result, methods)
     assert len(pictures) == len(trials)
     report = build_report([result], seed=0, about={"command": HOSTILE})
     charts = draw_charts(report, result.kind)

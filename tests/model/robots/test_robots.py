@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from PIL import Image
 from lidarsim import GridSpec
 from lidarsim.engines.voxels import FREE, OCCUPIED, VoxelMap
 from lidarsim.pose import rotate
-from scenegen.cli.show import Progress
+from scenegen.cli.show import silent
 from scenegen.display.colours import SENSOR
 from scenegen.errors import GenerationError
 from scenegen.fly import Vehicle, suite
@@ -158,7 +159,7 @@ def test_a_page_plays_a_flight_to_its_end():
     course = Course(world="pillar", difficulty="easy", flights=1, seed=1)
     _, flown = fly_course(course, robot="truth", weights=None)
     robot = robot_maker("truth", None)(course)
-    moments = Seen(flight_page(course, 0, robot, "truth", flown[0]).decode()).data()["samples"]
+    moments = Seen(flight_page("truth", course, 0, robot, flown[0]).decode()).data()["samples"]
     assert moments[0]["guesses"][0]["route"]["points"][0] == pytest.approx(
         np.subtract(course.missions[0].start, moments[0]["origin"]), abs=1e-3
     )
@@ -232,7 +233,7 @@ def test_a_stopped_run_keeps_an_entry_and_tells_of_it(tmp_path, monkeypatch):
         monkeypatch.setattr(flights, "SAVED_S", -1.0)
         given = (courses, lambda one: (one, [flown]), "idle", name, file)
         with pytest.raises(GenerationError):
-            flights.fly_courses(*given, stopped, Progress("", shown=False))
+            flights.fly_courses(*given, partial(flights.counted, stopped, silent))
     assert saved == [1, False]
     assert f"{tmp_path}/aerial-1.json holds 1 of 3 courses" in said[0]
     assert len(Recording.read(tmp_path / "aerial-1.json").courses) == 2

@@ -2,7 +2,6 @@
 stream."""
 
 import numpy as np
-import pytest
 from numpy.testing import assert_array_equal
 
 from scenegen.model.config import PlanConfig
@@ -16,18 +15,16 @@ def scattered(seed, density):
     return occupied
 
 
-@pytest.mark.parametrize("faces", ["lateral", "box"])
-def test_goals_are_free_reachable_different_nodes_of_the_faces(faces):
-    truth = scattered(1, 0.3)
-    config = PlanConfig(goal_faces=faces)  # type: ignore[arg-type]
-    trials = trials_in(truth, 80, 0, config)
+def test_goals_are_free_reachable_different_nodes_of_the_faces():
+    truth, config = scattered(1, 0.3), PlanConfig()
+    trials = trials_in(truth, 80, 0)
     assert trials.goals.shape == (80, 3)
     voxels = np.floor(trials.goals / 0.2).astype(int)
     assert not truth[tuple(voxels.T)].any()
     lateral = np.isin(voxels[:, :2], (2, 38)).any(axis=1)
     level = np.isin(voxels[:, 2], (1, 19))
-    assert (lateral | level).all() if faces == "box" else lateral.all()
-    assert (~lateral).any() == (faces == "box")
+    assert (lateral | level).all()
+    assert (~lateral).any()
     assert len(np.unique(voxels, axis=0)) == 80
     assert all(plan_path(truth, goal, GRID, config).reason is None for goal in trials.goals)
 
@@ -44,16 +41,17 @@ def test_goals_follow_from_the_stream_alone_and_more_of_them_begin_alike():
 
 
 def test_every_goal_left_is_found_and_the_rest_are_counted_by_reason():
-    """A wall cuts off the layer x = 38 (49 + 28 goals in it); one of the others lies in an
+    """A wall cuts off the layer x = 38, all of 13 x 7 goals; one of the others lies in an
     obstacle."""
     truth = FREE.copy()
     truth[35] = True
     truth[2, 2, 1] = True
-    trials = trials_in(truth, 10_000, 0, PlanConfig(goal_faces="lateral"))
+    trials = trials_in(truth, 10_000, 0)
     layer = 13 * 7
-    rim = 4 * 12 * 7  # nodes of the outermost layer in x or y
-    assert len(trials.goals) == rim - layer - 2 * 7 - 1
-    assert trials.excluded == {"no_path": layer, "goal_blocked": 2 * 7 + 1}
+    rim = 13 * 13 * 7 - 11 * 11 * 5  # nodes of the outermost layer
+    blocked = layer - 11 * 5 + 1
+    assert len(trials.goals) == rim - layer - blocked
+    assert trials.excluded == {"no_path": layer, "goal_blocked": blocked}
     assert (trials.goals[:, 0] < 35 * 0.2).all()
 
 
