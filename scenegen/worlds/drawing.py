@@ -2,7 +2,7 @@
 
 import functools
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
@@ -41,6 +41,17 @@ _PLACE = "    <light "
 """Where MuJoCo's writer puts the geoms: before this."""
 
 
+class HeightField(NamedTuple):
+    """The shape of uneven ground."""
+
+    name: str
+    size: tuple[float, float, float, float]
+    """Half its extents along x and y, the span of its heights, and how deep it is filled below the
+    least of them, metres."""
+    heights: Floats
+    """(along y, along x)."""
+
+
 class Solid(NamedTuple):
     """One solid."""
 
@@ -49,19 +60,8 @@ class Solid(NamedTuple):
     """Its numbers (14,), as `COLUMNS` says."""
     material: str = ""
     """Its class; nothing for none."""
-    field: str = ""
-    """The name of its height field, where it is one."""
-
-
-class HeightField(NamedTuple):
-    """The shape of uneven ground, shared by the solids that name it."""
-
-    name: str
-    size: tuple[float, float, float, float]
-    """Half its extents along x and y, the span of its heights, and how deep it is filled below the
-    least of them, metres."""
-    heights: Floats
-    """(along y, along x)."""
+    field: HeightField | None = None
+    """Its height field, where it is one."""
 
 
 class Drawing:
@@ -75,8 +75,8 @@ class Drawing:
     def __init__(self, flight_bounds: Floats):
         self._bounds = tuple(np.asarray(flight_bounds, float).reshape(-1).tolist())
         self._solids: list[Solid] = []
-        self._classes: dict[str, None] = {}
-        self._fields: list[HeightField] = []
+        """Those that the spec, if there is one, has not got yet."""
+        self._fields = 0
         self._spec: mujoco.MjSpec | None = None
 
     def add_geom(
@@ -118,8 +118,7 @@ class Drawing:
         rows = np.empty((len(codes), 14))
         for columns, values in zip(COLUMNS, (sizes, positions, quats, rgba), strict=True):
             rows[:, columns] = values
-        for code, row, named in zip(codes, rows, classes or [""] * len(codes), strict=True):
-            self._append(Solid(code, row, named))
+        self._add(map(Solid, codes, rows, classes or [""] * len(codes)))
 
     def add_height_field(
         self,
@@ -145,35 +144,45 @@ class Drawing:
         x, y, z = np.asarray(position, float).tolist()
         least, most = float(heights.min()), float(heights.max())
         span = max(most - least, 1e-3)
-        name, size = f"field{len(self._fields)}", (size_m[0] / 2, size_m[1] / 2, span, depth_m)
+        size = (size_m[0] / 2, size_m[1] / 2, span, depth_m)
         # a ceiling is turned about the x axis, which mirrors y
-        self._fields.append(HeightField(name, size, heights[::-1] if hanging else heights))
+        field = HeightField(f"field{self._fields}", size, heights[::-1] if hanging else heights)
+        self._fields += 1
         place = (x, y, z - least if hanging else z + least)
         turn = (0.0, 1.0, 0.0, 0.0) if hanging else UPRIGHT
         row = np.array([0.0, 0.0, 0.0, *place, *turn, *COLOUR])
-        if self._spec is not None:
-            _add_field(self._spec, self._fields[-1])
-        self._append(Solid(HFIELD, row, of_class, name))
+        self._add([Solid(HFIELD, row, of_class, field)])
 
-    def _append(self, solid: Solid) -> None:
-        if (named := solid.material) and named not in self._classes:
-            if named not in COLOURS:
+    def _add(self, solids: Iterable[Solid]) -> None:
+        for solid in solids:
+            if (named := solid.material) and named not in COLOURS:
                 raise ValueError(f"unknown class {named!a}; {suggestion(named, COLOURS)}")
-            self._classes[named] = None
-            if self._spec is not None:
-                _add_class(self._spec, named)
-        if self._spec is None:
             self._solids.append(solid)
-        else:
-            _add(self._spec, solid)
+        if self._spec is not None:
+            self._fill(self._spec)
+
+    def _fill(self, spec: mujoco.MjSpec) -> None:
+        """Move the solids into a spec."""
+        for solid in self._solids:
+            if solid.material and spec.material(solid.material) is None:
+                _add_class(spec, solid.material)
+            if solid.field:
+                _add_field(spec, solid.field)
+            size, position, quat, rgba = (solid.row[columns] for columns in COLUMNS)
+            more = {"material": solid.material} if solid.material else {}
+            more |= {"hfieldname": solid.field.name} if solid.field else {}
+            kind = mujoco.mjtGeom(solid.shape)
+            spec.worldbody.add_geom(
+                type=kind, size=size, pos=position, quat=quat, rgba=rgba, **more
+            )
+        self._solids = []
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
             raise AttributeError(name)
         if self._spec is None:
-            self._spec = _empty(self._bounds, tuple(self._classes), tuple(self._fields))
-            for solid in self._solids:
-                _add(self._spec, solid)
+            self._spec = _empty(self._bounds)
+            self._fill(self._spec)
         return getattr(self._spec, name)
 
     def mjcf(self) -> bytes:
@@ -182,11 +191,11 @@ class Drawing:
         if self._spec is None and len(self._solids) <= MOST_WRITTEN:
             lines = _lines(self._solids)
             if lines is not None:
-                classes = tuple(self._classes)
-                if self._fields:
-                    before, after = _written(_empty(self._bounds, classes, tuple(self._fields)))
-                else:
-                    before, after = _around(self._bounds, classes)
+                classes = tuple(dict.fromkeys(one.material for one in self._solids if one.material))
+                fields = tuple(one.field for one in self._solids if one.field)
+                before, after = (_around if fields else _around_solids)(
+                    self._bounds, classes, fields
+                )
                 return f"{before}{lines}{after}".encode()
         self.worldbody  # noqa: B018 (from here on, there is a spec)
         assert self._spec is not None
@@ -202,18 +211,12 @@ def least_memory(geoms: int) -> int:
     return max(1 << 20, 256 * geoms)
 
 
-def _empty(
-    bounds: tuple[float, ...], classes: tuple[str, ...] = (), fields: tuple[HeightField, ...] = ()
-) -> mujoco.MjSpec:
-    """A world with nothing but light, and the materials and height fields of solids to come."""
+def _empty(bounds: tuple[float, ...]) -> mujoco.MjSpec:
+    """A world with nothing but light."""
     spec = mujoco.MjSpec()
     spec.modelname = "scenegen"
     spec.default.geom.rgba = COLOUR
     spec.add_numeric(name=FLIGHT_BOUNDS, data=bounds, size=6)
-    for name in classes:
-        _add_class(spec, name)
-    for field in fields:
-        _add_field(spec, field)
     spec.worldbody.add_light(
         pos=[0, 0, 30], dir=[0.2, 0.1, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
     )
@@ -230,27 +233,24 @@ def _add_field(spec: mujoco.MjSpec, field: HeightField) -> None:
     spec.add_hfield(name=field.name, nrow=rows, ncol=columns, size=field.size, userdata=heights)
 
 
-@functools.lru_cache(maxsize=64)
-def _around(bounds: tuple[float, ...], classes: tuple[str, ...]) -> tuple[str, str]:
-    """What MuJoCo writes before and after the geoms of a world."""
-    return _written(_empty(bounds, classes))
-
-
-def _written(spec: mujoco.MjSpec) -> tuple[str, str]:
+def _around(
+    bounds: tuple[float, ...], classes: tuple[str, ...], fields: tuple[HeightField, ...]
+) -> tuple[str, str]:
+    """What MuJoCo writes before and after the geoms of a world of these classes and fields."""
+    spec = _empty(bounds)
+    for name in classes:
+        _add_class(spec, name)
+    for field in fields:
+        _add_field(spec, field)
     spec.memory = least_memory(0)
-    if spec.hfields:
+    if fields:
         spec.compile()  # which gives heights their scale
     before, light, after = spec.to_xml().partition(_PLACE)
     return before, light + after
 
 
-def _add(spec: mujoco.MjSpec, solid: Solid) -> None:
-    """Add a solid."""
-    size, position, quat, rgba = (solid.row[columns] for columns in COLUMNS)
-    more = {"material": solid.material} if solid.material else {}
-    more |= {"hfieldname": solid.field} if solid.field else {}
-    kind = mujoco.mjtGeom(solid.shape)
-    spec.worldbody.add_geom(type=kind, size=size, pos=position, quat=quat, rgba=rgba, **more)
+_around_solids = functools.lru_cache(maxsize=64)(_around)
+"""The same for worlds without fields, of which many are alike."""
 
 
 def _lines(solids: list[Solid]) -> str | None:
@@ -281,7 +281,7 @@ def _line(solid: Solid, row: list[float]) -> str:
     line += _said("quat", turn) if tuple(turn) != UPRIGHT else ""
     line += attribute + (_said("rgba", colour) if tuple(colour) != COLOUR else "")
     line += f' material="{solid.material}"' if solid.material else ""
-    return line + (f' hfield="{solid.field}"' if solid.field else "") + "/>\n"
+    return line + (f' hfield="{solid.field.name}"' if solid.field else "") + "/>\n"
 
 
 def _said(name: str, numbers: list[float]) -> str:
