@@ -20,7 +20,7 @@ from scenegen.sample import Sample, earlier_fields
 from scenegen.source import Source
 from scenegen.tables import named_noise
 from scenegen.truth import distance_field
-from scenegen.worlds.flight import Viewpoints, fly, viewpoints
+from scenegen.worlds.flight import Route, fly, viewpoints
 from scenegen.worlds.labels import label_fields
 from scenegen.worlds.place import Place
 from scenegen.worlds.world import AnyWorld, World
@@ -50,16 +50,9 @@ class UnitKey(NamedTuple):
     unit: int
     """Its number in the split."""
 
-    def rng(self, stream: int, attempt: int) -> np.random.Generator:
-        """What the world of a draw, or its flights, come from."""
-        key = SPLITS.index(self.split), self.unit, attempt
-        spawned = np.random.SeedSequence(self.seed, spawn_key=key).spawn(2)
-        return np.random.default_rng(spawned[stream])
-
-    def noise_rng(self, view: int, before: int) -> np.random.Generator:
-        """What the noise of a view's own scan, 0, and those `before` it comes from. It does not
-        depend on which draw was kept."""
-        key = SPLITS.index(self.split), self.unit, 0, NOISE, view, *([before] if before else [])
+    def rng(self, stream: int, attempt: int, *part: int) -> np.random.Generator:
+        """What the world of a draw, its flights, or a part of its noise come from."""
+        key = SPLITS.index(self.split), self.unit, attempt, stream, *part
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
 
 
@@ -153,24 +146,24 @@ def _fly(
         path = fly(world, flight, rng=rng)
         if path is None:
             continue
-        candidates = viewpoints(path, flight.spacing_m, rng=rng)
-        if _solids_nearby(world, candidates, recipe) < recipe.accept.min_solids:
+        route, candidates = viewpoints(path, flight.spacing_m, rng=rng)
+        if _solids_nearby(world, route, candidates, recipe) < recipe.accept.min_solids:
             reason = "few_solids"
             break
-        kept: list[tuple[int, Scan, dict[str, np.ndarray]]] = []
-        for n, position in enumerate(candidates.positions):
-            apart = [((position - scan.pose.position) ** 2).sum() for _, scan, _ in kept]
+        kept: list[tuple[float, Scan, dict[str, np.ndarray]]] = []
+        for flown_m in candidates:
+            pose = route.pose(flown_m, recipe.mapping)
+            apart = [((pose.position - scan.pose.position) ** 2).sum() for _, scan, _ in kept]
             if all(square >= flight.spacing_m * flight.spacing_m for square in apart):
-                view = _look(world, engine, candidates.pose(n, recipe.mapping), recipe, rejected)
+                view = _look(world, engine, pose, recipe, rejected)
                 if view is not None:
-                    kept.append((n, *view))
+                    kept.append((flown_m, *view))
             if len(kept) == flight.viewpoints:
-                kept.sort(key=lambda view: candidates.flown_m[view[0]])
-                before = [candidates.before(n, recipe.mapping) for n, _, _ in kept]
-                return [
-                    ([scan, *scans_from(poses, engine, recipe.lidar)], truth)
-                    for (_, scan, truth), poses in zip(kept, before, strict=True)
-                ]
+                views = []
+                for flown_m, scan, truth in sorted(kept, key=lambda view: view[0]):
+                    before = route.before(flown_m, recipe.mapping)
+                    views.append(([scan, *scans_from(before, engine, recipe.lidar)], truth))
+                return views
         reason = "few_viewpoints"
     rejected.worlds[reason] += 1
     return None
@@ -222,16 +215,16 @@ def truth_of(world: AnyWorld, scan: Scan, recipe: Recipe) -> dict[str, np.ndarra
     return truth
 
 
-def _solids_nearby(world: AnyWorld, candidates: Viewpoints, recipe: Recipe) -> float:
+def _solids_nearby(world: AnyWorld, route: Route, candidates: list[float], recipe: Recipe) -> float:
     """Solids whose bounding boxes reach into the map, averaged over the maps of a flight's
     candidate viewpoints; no end of them in a map of voxels."""
-    if not len(candidates):
+    if not candidates:
         return 0.0
     if isinstance(world, Place):
         return math.inf
-    half, middles = recipe.grid.extent_m / 2, candidates.positions
+    half, (middles, _) = recipe.grid.extent_m / 2, route.at(np.array(candidates))
     if not recipe.mapping.centred:
-        poses = map(candidates.pose, range(len(candidates)))
+        poses = map(route.pose, candidates)
         middles = np.array([recipe.mapping.origin(recipe.grid, pose) for pose in poses]) + half
     lower, upper = world.solids.boxes
     # several at a time, so that long flights over many solids fit in memory
@@ -330,7 +323,7 @@ def with_noise(
     """The scans of view `view` of a unit as the sensor has them: the view's own, and those before
     it, the last one first.
 
-    What is scanned again from the same pose has the same noise, see `UnitKey.noise_rng`. Without
+    What is scanned again from the same pose has the same noise, whichever draw was kept. Without
     stages, the scans are `scans` themselves. Raises GenerationError where a stage fails, or gives
     what a dataset's `ranges` cannot hold: several echoes, intensities, or returns told to lie
     elsewhere than along the rays.
@@ -339,7 +332,8 @@ def with_noise(
         return list(scans)
     found = []
     for before, scan in enumerate(scans):
-        seen = observed(scan, noise, world.albedo, engine, key.noise_rng(view, before))
+        rng = key.rng(NOISE, 0, view, *([before] if before else []))
+        seen = observed(scan, noise, world.albedo, engine, rng)
         if len(seen.ranges) > 1 or seen.intensity is not None:
             raise GenerationError(
                 f"noise {noise}: a dataset holds one range a ray and nothing else; leave intensity "

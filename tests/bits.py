@@ -57,13 +57,14 @@ def of_datasets():
         )
         for n, fov in enumerate(rng.uniform(0.0, 180.0, 60))
     ]
-    views = viewpoints(np.cumsum(rng.uniform(-3.0, 3.0, (3000, 3)), axis=0), 1.0, rng=rng)
+    path = np.cumsum(rng.uniform(-3.0, 3.0, (3000, 3)), axis=0)
+    route, flown = viewpoints(path, 1.0, rng=rng)
     found = {
         "log_uniform": digest([log_uniform(0.002, 0.4, rng=rng) for _ in range(2000)]),
         "normal": digest([normal((5000, 3), rng=rng)]),
         "attitudes": digest([attitudes(5000, 0.5, rng=rng)]),
         "directions": digest(sensor.directions_body for sensor in sensors),
-        "poses": digest(views.pose(n).quaternion for n in range(len(views))),
+        "poses": digest(route.pose(metres).quaternion for metres in flown),
         "mesh": digest([_mesh(rng)]),
     }
     for kind in kind_names():

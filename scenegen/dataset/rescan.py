@@ -51,13 +51,12 @@ def fly_again(
             path = fly(world, recipe.flight, rng=rng)
             if path is None:
                 continue
-            passed = viewpoints(path, recipe.flight.spacing_m, rng=rng)
-            places = [
-                np.flatnonzero((passed.positions == pose.position).all(axis=1)) for pose in poses
-            ]
+            route, passed = viewpoints(path, recipe.flight.spacing_m, rng=rng)
+            positions, _ = route.at(np.array(passed))
+            places = [np.flatnonzero((positions == pose.position).all(axis=1)) for pose in poses]
             if all(len(place) == 1 for place in places):
                 return [
-                    [pose, *passed.before(int(place[0]), recipe.mapping)]
+                    [pose, *route.before(passed[place[0]], recipe.mapping)]
                     for pose, place in zip(poses, places, strict=True)
                 ]
     raise GenerationError(

@@ -220,49 +220,29 @@ class Route:
         along = (flown_m - self.ends[leg]) / self.lengths[leg]
         return self.path[leg] + along[:, None] * self.legs[leg], self.headings[leg]
 
-    def pose(self, flown_m: float, mapping: Mapper) -> Pose:
-        """The body's pose at `flown_m`, level, or leaning as `mapping` has it."""
+    def pose(self, flown_m: float, mapping: Mapper | None = None) -> Pose:
+        """The body's pose at `flown_m`, which looks along the path: level, or leaning as `mapping`
+        has it."""
         (position,), (heading,) = self.at(np.array([flown_m]))
         level = Pose.facing(position, heading)
-        if not mapping.tilt_mps:
+        if mapping is None or not mapping.tilt_mps:
             return level
         pull = acceleration(
             *self.turns, flown_m, speed_mps=mapping.tilt_mps, settle_s=mapping.settle_s
         )
         return leaning(level, pull, most_deg=mapping.most_tilt_deg)
 
-
-@dataclass(frozen=True, eq=False)
-class Viewpoints:
-    """Places along a flight where the sensor could scan: m of them, in the order in which to try
-    them."""
-
-    route: Route
-    flown_m: Floats
-    """(m,): metres flown from the start."""
-
-    def __len__(self) -> int:
-        return len(self.flown_m)
-
-    @cached_property
-    def positions(self) -> Floats:
-        """(m, 3): world metres."""
-        return self.route.at(self.flown_m)[0]
-
-    def pose(self, n: int, mapping: Mapper | None = None) -> Pose:
-        """The body's pose at viewpoint `n`, which looks along the flight; level unless `mapping`
-        tilts it."""
-        return self.route.pose(float(self.flown_m[n]), mapping or Mapper())
-
-    def before(self, n: int, mapping: Mapper) -> list[Pose]:
-        """The poses from which the earlier scans of viewpoint `n` are made, the last one first."""
+    def before(self, flown_m: float, mapping: Mapper) -> list[Pose]:
+        """The poses from which the earlier scans of a viewpoint are made, the last one first."""
         back = [mapping.scan_spacing_m * number for number in range(1, mapping.scans)]
-        flown = float(self.flown_m[n])
-        return [self.route.pose(max(flown - metres, 0.0), mapping) for metres in back]
+        return [self.pose(max(flown_m - metres, 0.0), mapping) for metres in back]
 
 
-def viewpoints(path: Floats, spacing_m: float, *, rng: np.random.Generator) -> Viewpoints:
-    """Candidate viewpoints on a path (n, 3), `spacing_m` apart along it, in random order.
+def viewpoints(
+    path: Floats, spacing_m: float, *, rng: np.random.Generator
+) -> tuple[Route, list[float]]:
+    """Candidate viewpoints on a path (n, 3), `spacing_m` apart along it: the route, and the metres
+    flown along it to each, in random order.
 
     Raises GenerationError where there would be more than `MOST_CANDIDATES`.
     """
@@ -274,7 +254,7 @@ def viewpoints(path: Floats, spacing_m: float, *, rng: np.random.Generator) -> V
             f"flight of {length:.0f} m; raise it"
         )
     flown = np.arange(rng.uniform(0.0, spacing_m), length, spacing_m)
-    return Viewpoints(route, flown[rng.permutation(len(flown))])
+    return route, flown[rng.permutation(len(flown))].tolist()
 
 
 def poses_in_flight(
@@ -293,20 +273,21 @@ def poses_in_flight(
     """
     flight = flight or Flight()
     every_m = flight.spacing_m if every_m is None else every_m
-    found = _flown(world, dataclasses.replace(flight, spacing_m=every_m), seed)
-    return [found.pose(int(n)) for n in np.argsort(found.flown_m)]
+    route, flown = _flown(world, dataclasses.replace(flight, spacing_m=every_m), seed)
+    return [route.pose(metres) for metres in sorted(flown)]
 
 
 def pose_in_flight(world: AnyWorld, *, seed: int) -> Pose:
     """A random viewpoint of a random flight. Raises GenerationError where none fits."""
-    return _flown(world, Flight(), seed).pose(0)
+    route, flown = _flown(world, Flight(), seed)
+    return route.pose(flown[0])
 
 
-def _flown(world: AnyWorld, flight: Flight, seed: int) -> Viewpoints:
+def _flown(world: AnyWorld, flight: Flight, seed: int) -> tuple[Route, list[float]]:
     rng = np.random.default_rng(seed)
     for _ in range(TRIES):
         path = fly(world, flight, rng=rng)
-        if path is not None and len(found := viewpoints(path, flight.spacing_m, rng=rng)):
+        if path is not None and (found := viewpoints(path, flight.spacing_m, rng=rng))[1]:
             return found
     raise GenerationError(f"no flight fits between the solids in {TRIES} tries; give --pose")
 

@@ -147,17 +147,18 @@ def test_viewpoints_lie_on_the_path_a_spacing_apart_in_an_order_that_the_generat
     ends = np.concatenate([[0.0], np.cumsum(lengths)])
     firsts, orders = [], set()
     for seed in range(20):
-        views, again = (viewpoints(PATH, spacing, rng=np.random.default_rng(seed)) for _ in "12")
-        assert_array_equal(views.flown_m, again.flown_m)
-        orders.add(tuple(np.argsort(views.flown_m)))
-        flown = np.sort(views.flown_m)
+        (route, views), (_, again) = (
+            viewpoints(PATH, spacing, rng=np.random.default_rng(seed)) for _ in "12"
+        )
+        assert views == again
+        orders.add(tuple(np.argsort(views)))
+        flown = np.sort(views)
         firsts.append(flown[0])
         assert_allclose(np.diff(flown), spacing, rtol=0, atol=1e-9)
         assert 0 <= flown[0] < spacing
         assert ends[-1] - spacing <= flown[-1] < ends[-1]
-        assert len(views) == len(flown)
-        expected = [np.interp(views.flown_m, ends, along) for along in PATH.T]
-        assert_allclose(views.positions.T, expected, rtol=0, atol=1e-9)
+        expected = [np.interp(views, ends, along) for along in PATH.T]
+        assert_allclose(route.at(np.array(views))[0].T, expected, rtol=0, atol=1e-9)
     assert np.ptp(firsts) > 0.5 * spacing
     assert len(orders) == 20
 
@@ -165,11 +166,11 @@ def test_viewpoints_lie_on_the_path_a_spacing_apart_in_an_order_that_the_generat
 def test_viewpoints_look_along_their_leg_and_are_level():
     seen = set()
     for seed in range(5):
-        views = viewpoints(PATH, 0.2, rng=np.random.default_rng(seed))
-        for n in range(len(views)):
-            pose, legs = views.pose(n), leg_of(views.positions[n], PATH)
+        route, views = viewpoints(PATH, 0.2, rng=np.random.default_rng(seed))
+        for metres, position in zip(views, route.at(np.array(views))[0], strict=True):
+            pose, legs = route.pose(metres), leg_of(position, PATH)
             seen.update(legs)
-            assert_array_equal(pose.position, views.positions[n])
+            assert_array_equal(pose.position, position)
             assert np.linalg.norm(pose.quaternion) == pytest.approx(1.0, abs=1e-12)
             forward, up = rotate(pose.quaternion, np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))
             ahead = [np.array([*np.cos([yaw, yaw - np.pi / 2]), 0.0]) for yaw in HEADINGS[legs]]
