@@ -195,8 +195,8 @@ def _read_pcd(content: bytes) -> NDArray[np.generic]:
     """The points of a PCD file, and where they were seen from: fields or its VIEWPOINT
     (pointclouds.org, "The PCD file format")."""
     head, mark, rest = content[:MOST_HEADER_BYTES].partition(b"\nDATA ")
-    form = rest.partition(b"\n")[0].strip()
-    start = len(head) + len(mark) + len(rest.partition(b"\n")[0]) + 1
+    form, _, _ = rest.partition(b"\n")
+    start, form = len(head + mark + form) + 1, form.strip()
     lines = [
         line.split() for line in head.decode("latin-1").splitlines() if line and line[0] != "#"
     ]

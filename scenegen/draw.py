@@ -155,11 +155,13 @@ def _fly(
             pose = route.pose(flown_m, recipe.mapping)
             apart = [((pose.position - scan.pose.position) ** 2).sum() for _, scan, _ in kept]
             if all(square >= flight.spacing_m * flight.spacing_m for square in apart):
-                view = _look(world, engine, pose, recipe, rejected)
-                if view is not None:
+                view = _look(world, engine, pose, recipe)
+                if isinstance(view, str):
+                    rejected.viewpoints[view] += 1
+                else:
                     kept.append((flown_m, *view))
             if len(kept) == flight.viewpoints:
-                views = []
+                views: list[View] = []
                 for flown_m, scan, truth in sorted(kept, key=lambda view: view[0]):
                     before = route.before(flown_m, recipe.mapping)
                     views.append(([scan, *scans_from(before, engine, recipe.lidar)], truth))
@@ -179,28 +181,24 @@ def _turned(crowded: tuple[str, ...], verb: str, opposite: str) -> str:
 
 
 def _look(
-    world: AnyWorld, engine: Caster, pose: Pose, recipe: Recipe, rejected: Rejections
-) -> tuple[Scan, dict[str, np.ndarray]] | None:
-    """The scan and the truth at a viewpoint; None, with the reason counted, where there is next to
+    world: AnyWorld, engine: Caster, pose: Pose, recipe: Recipe
+) -> tuple[Scan, dict[str, np.ndarray]] | str:
+    """The scan and the truth at a viewpoint; the reason not to keep it where there is next to
     nothing, or too little is known."""
     accept, known = recipe.accept, recipe.known
     # first, for most fail here
     if known is not None and not world.is_known(pose, recipe.lidar, known):
-        rejected.viewpoints["rays_unknown"] += 1
-        return None
+        return "rays_unknown"
     (scan,) = scans_from([pose], engine, recipe.lidar)
     returned = np.count_nonzero(np.isfinite(scan.ranges))
     if returned < scan.ranges.size * accept.min_returned_share:
-        rejected.viewpoints["few_returns"] += 1
-        return None
+        return "few_returns"
     truth = truth_of(world, scan, recipe)
     occupied = truth["occupancy"]
     if np.count_nonzero(occupied) / occupied.size < accept.min_occupied_share:
-        rejected.viewpoints["few_occupied"] += 1
-        return None
+        return "few_occupied"
     if known is not None and truth["known"].mean() < known.least_share:
-        rejected.viewpoints["few_known"] += 1
-        return None
+        return "few_known"
     return scan, truth
 
 

@@ -187,8 +187,7 @@ def preset(
     Raises:
         RecipeError: One of them cannot be; an unknown kind's nearest name is suggested.
     """
-    given = beside_file("", {}, noise=noise, mapping=mapping, difficulty=difficulty)
-    return make_recipe(kind, given, sensor=lidar)
+    return make_recipe(kind, {}, lidar=lidar, noise=noise, mapping=mapping, difficulty=difficulty)
 
 
 def read_recipe(path: Path, kind: str | None = None, **given: Any) -> Recipe:
@@ -220,33 +219,30 @@ def read_recipe(path: Path, kind: str | None = None, **given: Any) -> Recipe:
         )
     if not isinstance(named, str):
         raise RecipeError(f'{where}: kind = {short(named)}: expected a name, such as "pillar"')
-    tables |= beside_file(where, tables, **given)
-    sensor = given.get("lidar")
-    return make_recipe(named, tables, where=where, folder=path.parent, sensor=sensor)
+    return make_recipe(named, tables, where=where, folder=path.parent, **given)
 
 
-def beside_file(
-    where: str,
+def _with_beside(
     tables: Mapping[str, Any],
+    where: str,
     *,
     lidar: Sensor | None = None,
     noise: str | None = None,
     mapping: Mapping[str, Any] | None = None,
     difficulty: str | None = None,
 ) -> dict[str, Any]:
-    """What is given beside the tables of a file, see `preset`, as tables; the sensor is none.
-    Raises RecipeError where the file has one of them, too."""
+    """The tables of a file with what is given beside them, see `preset`; the sensor stands as it
+    is. Raises RecipeError where the file has one of them, too."""
     stages = None if noise is None else {"stages": noise}
-    found = {"lidar": lidar, "noise": stages, "mapping": mapping or None, "difficulty": difficulty}
-    found = {name: value for name, value in found.items() if value is not None}
-    for name in found.keys() & tables.keys():
+    given = {"lidar": lidar, "noise": stages, "mapping": mapping or None, "difficulty": difficulty}
+    given = {name: value for name, value in given.items() if value is not None}
+    for name in given.keys() & tables.keys():
         named = ", ".join(mapping or ()) if name == "mapping" else f"--{name}"
         what = name if name == "difficulty" else f"a table [{name}]"
         raise RecipeError(
             f"{where}: has {what}, and {named} is given beside it; leave one of the two out"
         )
-    found.pop("lidar", None)
-    return found
+    return {**tables, **given}
 
 
 def _graded(kind: type[WorldKind], level: Any, at: str) -> dict[str, Any]:
@@ -263,15 +259,14 @@ def make_recipe(
     *,
     where: str = "",
     folder: Path = Path(),
-    sensor: Sensor | None = None,
+    **given: Any,
 ) -> Recipe:
-    """The preset of `kind` with the values in `tables` put in; `where` names their source in
-    errors, if they have one.
+    """The preset of `kind` with the values in `tables` put in, and what is `given` beside them, see
+    `preset`; `where` names the tables' source in errors, if they have one.
 
     The modules of a user's own kind and sensor are imported, so neither name may come from a
-    stranger's file. Paths in `tables` are relative to `folder`. A `sensor` that is given takes the
-    place of the table [lidar], which is then not looked at. Raises RecipeError naming the table and
-    the parameter.
+    stranger's file. Paths in `tables` are relative to `folder`. Raises RecipeError naming the table
+    and the parameter.
     """
     parts: dict[str, Any] = {
         "flight": Flight,
@@ -284,7 +279,7 @@ def make_recipe(
     if "known" in tables:
         parts["known"] = Known
     defaults: dict[str, dict[str, Any]] = {}
-    at, tables = f"{where}: " if where else "", dict(tables)
+    at, tables = f"{where}: " if where else "", _with_beside(tables, where, **given)
     level = tables.pop("difficulty", "medium")
     if kind != "scene":
         with raised_as(RecipeError, at):
@@ -293,6 +288,7 @@ def make_recipe(
         defaults["world"] = _graded(found, level, at)
     elif level != "medium":
         raise RecipeError(f"{at}difficulty: worlds from MJCF files have none; leave it out")
+    sensor = given.get("lidar")
     if sensor is not None:
         tables["lidar"] = {}
     for name, table in tables.items():

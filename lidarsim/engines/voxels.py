@@ -44,7 +44,7 @@ class VoxelEngine:
     """
 
     def __init__(self, voxels: VoxelMap):
-        self._voxels = voxels
+        self.voxels = voxels
         self._last: tuple[Floats, ...] = ()
 
     def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> Floats:
@@ -82,9 +82,9 @@ class VoxelEngine:
                 starts,
                 rays.reshape(len(starts), count, 3),
                 float(max_range_m),
-                np.ascontiguousarray(self._voxels.states),
-                self._voxels.voxel_m,
-                self._voxels.origin,
+                np.ascontiguousarray(self.voxels.states),
+                self.voxels.voxel_m,
+                self.voxels.origin,
                 ranges.reshape(len(starts), count),
                 unknown.reshape(len(starts), count),
                 float(most_unknown_m),

@@ -21,7 +21,7 @@ from scenegen.dataset.shard import ShardTask
 from scenegen.dataset.state import Plan
 from scenegen.errors import AskedError, RecipeError, SceneError, printable, short, whole_number
 from scenegen.limits import MOST_SAMPLES, MOST_SOURCES, MOST_WEIGHT
-from scenegen.recipe import Recipe, beside_file, make_recipe, preset, read_recipe
+from scenegen.recipe import Recipe, make_recipe, preset, read_recipe
 from scenegen.recipes import kind_names
 from scenegen.sample import rng_of
 from scenegen.source import DrawnWorlds, SceneWorlds, read_scenes
@@ -254,8 +254,7 @@ def read_components(path: Path | None = None, *, seed: int = 0, **given: Any) ->
                         f"{at}: {table}.{min(both)} has a value and a domain; leave one of them out"
                     )
             whole = _over(tables, values)
-            whole |= beside_file(at, whole, **given)
-            made = make_recipe(kind, whole, where=at, folder=folder, sensor=given.get("lidar"))
+            made = make_recipe(kind, whole, where=at, folder=folder, **given)
             found.append((made, share / len(each)))
     return found
 

@@ -256,7 +256,7 @@ class Manifest:
         noise = noise_of(self.noise if self.noise_is_ours else None, self.lidar.max_range_m)
         with raised_as(BrokenError, of=(RecipeError, ValueError)):
             kind = self.kind if self.drawn else "scene"
-            found = make_recipe(kind, tables, sensor=self.lidar)
+            found = make_recipe(kind, tables, lidar=self.lidar)
             said = self.labels and {**self.labels, "classes": tuple(self.labels["classes"])}
             labels = Labels(**said) if said else None
             return dataclasses.replace(

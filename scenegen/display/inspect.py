@@ -200,7 +200,7 @@ def inspect_world(path: Path) -> Json:
     """What stands in the world of an MJCF file, or what a map of a real place knows of it. Raises
     SceneError for a file that cannot serve."""
     from scenegen.source import read_world  # which loads what compiles worlds
-    from scenegen.worlds.labels import SHAPES
+    from scenegen.worlds.drawing import SHAPES
     from scenegen.worlds.place import Place
 
     world = read_world(path)

@@ -4,11 +4,12 @@ import struct
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidarsim import Pose
 from lidarsim.grid import Floats
@@ -32,6 +33,8 @@ TIMES = ("t", "time", "timestamp", "time_stamp", "offset_time")
 """What drivers call the time of a point: seconds, or nanoseconds where they are whole numbers."""
 Head: TypeAlias = tuple[float, str]
 """The time, seconds, and the frame of a cloud."""
+Reader: TypeAlias = Callable[[], tuple[Floats, dict[str, Floats]]]
+"""Reads a cloud: its points (n, 3), and what else is known of each."""
 
 
 class Recording:
@@ -72,17 +75,17 @@ class Recording:
             )
         return topic, heads[topic], links
 
-    def clouds(self, topic: str) -> Iterator[Callable[[], dict[str, Floats]]]:
-        """What reads each cloud of a topic: its `x`, `y`, `z` and, where it is told, `t`, (n,)."""
+    def clouds(self, topic: str) -> Iterator[Reader]:
+        """What reads each cloud of a topic: its points and, where it is told, `t`, (n,)."""
         for kind, on, data in self._messages(CLOUD, *LIVOX):
             if on == topic:
-                yield partial(self._columns, kind, data)
+                yield partial(self._read, kind, data)
 
-    def _columns(self, kind: str, data: bytes) -> dict[str, Floats]:
+    def _read(self, kind: str, data: bytes) -> tuple[Floats, dict[str, Floats]]:
         with _readable(self._path):
             if kind == CLOUD:
-                return _columns(self._decode(data, CLOUD))
-            return _livox(data, *self._head(data)[2:], packed=self._first)
+                return _of_cloud(self._decode(data, CLOUD))
+            return _of_livox(data, *self._head(data)[2:], packed=self._first)
 
     def _messages(self, *kinds: str) -> Iterator[tuple[str, str, bytes]]:
         """The kind, topic and content of every message of some kinds, in the order of recording."""
@@ -118,8 +121,7 @@ class Links:
 
     def __init__(self) -> None:
         self._rows = defaultdict[str, dict[float, tuple[str, Pose]]](dict)
-        self._always, self._told = set[str](), set[str]()
-        self._tracks = dict[str, tuple[str, Track]]()
+        self._always = set[str]()
 
     def add(self, kind: str, message: Any, *, always: bool) -> None:
         """Take in a message; of a frame that /tf and odometry both speak of, what came first."""
@@ -148,29 +150,34 @@ class Links:
         for _ in range(len(self._rows)):  # a circle of frames ends here, too
             if name not in self._rows:
                 break
-            parent, track = self._track(name)
+            parent, track = self._tracks[name]
             link = track.poses[0] if name in self._always else track.at(time_s)
             if link is None:
                 return None
             found, name = chained(link, found), parent
         return found
 
-    def _track(self, name: str) -> tuple[str, Track]:
-        if name not in self._tracks:
-            times = sorted(self._rows[name])
-            rows = [self._rows[name][time] for time in times]
-            self._tracks[name] = rows[0][0], Track(np.array(times), [pose for _, pose in rows])
-        return self._tracks[name]
+    @cached_property
+    def _tracks(self) -> dict[str, tuple[str, Track]]:
+        """The frame that each hangs from, and where it is in that over time."""
+        found = {}
+        for name, rows in self._rows.items():
+            times = sorted(rows)
+            parents, poses = zip(*map(rows.get, times), strict=True)
+            found[name] = parents[0], Track(np.array(times), poses)
+        return found
 
 
 def _seconds(stamp: Any) -> float:
     return float(stamp.sec + 1e-9 * stamp.nanosec)
 
 
-def _livox(data: bytes, order: str, start: int, *, packed: bool) -> dict[str, Floats]:
-    """`x`, `y`, `z` and `t` of the points of a CustomMsg, (n,) each. After its header come a time
-    of 8 bytes, how many points it promises, four bytes, and how many follow; where the message is
-    not `packed`, numbers lie at multiples of their size."""
+def _of_livox(
+    data: bytes, order: str, start: int, *, packed: bool
+) -> tuple[Floats, dict[str, Floats]]:
+    """The points of a CustomMsg, (n, 3), and their `t`, (n,). After its header come a time of 8
+    bytes, how many points it promises, four bytes, and how many follow; where the message is not
+    `packed`, numbers lie at multiples of their size."""
     if not packed:
         start = 4 + -(-(start - 4) // 8) * 8
     promised, count = struct.unpack_from(f"{order}I4xI", data, start + 8)
@@ -182,12 +189,15 @@ def _livox(data: bytes, order: str, start: int, *, packed: bool) -> dict[str, Fl
     names, kinds = ["t", "x", "y", "z"], [f"{order}u4", *3 * [f"{order}f4"]]
     dtype = np.dtype({"names": names, "formats": kinds, "offsets": [0, 4, 8, 12], "itemsize": step})
     rows = np.frombuffer(rest.ljust(count * step, b"\0"), dtype, count)
-    found = {name: rows[name].astype(np.float64) for name in "xyz"}
-    return found | {"t": 1e-9 * rows["t"]}
+    return _points(rows), {"t": 1e-9 * rows["t"]}
 
 
-def _columns(cloud: Any) -> dict[str, Floats]:
-    """`x`, `y`, `z` and, where it is told, `t` of the points of a PointCloud2, (n,) each."""
+def _points(rows: NDArray) -> Floats:
+    return np.stack([rows[axis].astype(np.float64) for axis in "xyz"], axis=1)
+
+
+def _of_cloud(cloud: Any) -> tuple[Floats, dict[str, Floats]]:
+    """The points of a PointCloud2, (n, 3), and, where it is told, their `t`, (n,)."""
     order = ">" if cloud.is_bigendian else "<"
     fields = {one.name: one for one in cloud.fields}
     if missing := [axis for axis in "xyz" if axis not in fields]:
@@ -208,9 +218,8 @@ def _columns(cloud: Any) -> dict[str, Floats]:
     points = packed.reshape(-1).view(dtype)
     if len(points) != cloud.width * cloud.height:
         raise ValueError(f"promises {cloud.width} × {cloud.height} points and holds {len(points)}")
-    found = {name: points[name].astype(np.float64) for name in "xyz"}
-    if time and len(points):
-        scale = 1e-9 if points[time].dtype.kind in "iu" else 1.0
-        since = np.nan_to_num(points[time].astype(np.float64) * scale)
-        found["t"] = since - since.min()
-    return found
+    if not (time and len(points)):
+        return _points(points), {}
+    scale = 1e-9 if points[time].dtype.kind in "iu" else 1.0
+    since = np.nan_to_num(points[time].astype(np.float64) * scale)
+    return _points(points), {"t": since - since.min()}

@@ -8,19 +8,18 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from lidarsim import GridSpec, Pose
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelMap
-from lidarsim.grid import Floats, Ints, Mask
+from lidarsim.grid import Floats, Ints
 from lidarsim.jit import kernel
 from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.pose import rotate
-from lidarsim.voxelize import sort_points, unknown_grid
+from lidarsim.voxelize import ObservedGrid, sort_points, unknown_grid
 from scenegen.errors import DatasetError, SceneError
 from scenegen.files import check_free, disk_told, make_parent, sha256_of, write_whole
 from scenegen.limits import MOST_PLACE_VOXELS
@@ -44,20 +43,10 @@ LEAST_SHARED = 0.1
 it."""
 MOST_TOLD = 255
 """Scans that are counted of a voxel: beyond, both of its counts are halved."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Window:
-    """What one scan says of the voxels around it."""
-
-    least: Ints
-    """(3,): its first voxel, counted from the world's origin."""
-    observed: Mask
-    free: Mask
-    points: Floats
-    """(N, 3): the returns, from the sensor, along the world's axes, metres."""
-    dropped: int
-    """Points that are left out: not finite, or nearer than `Fusing.least_m`."""
+Window: TypeAlias = tuple[Ints, ObservedGrid, Floats]
+"""What one scan says of the voxels around it: the first of them (3,), counted from the world's
+origin; which are observed or free; and the returns (N, 3), from the sensor, along the world's axes,
+metres, but for those that are not finite, or nearer than `Fusing.least_m`."""
 
 
 def ingest(log: Log, out: Path, how: Fusing, *, on_scan: Counted = unheard) -> Counter[str]:
@@ -152,13 +141,13 @@ class _Run:
             name = f"place-{number:03d}.npz"
             write_whole(self._folder / name, encode_map(place, name))
             for observation in kept.values():
-                returns, outside = _observe(observation, place)
-                self.counts["observed_returns"] += returns
-                self.counts["returns_outside_truth"] += outside
-            self.counts["maps"] += 1
-            self.counts["observations"] += len(kept)
-            self.counts["occupied_voxels"] += int(np.count_nonzero(place.states == OCCUPIED))
-            self.counts["free_voxels"] += int(np.count_nonzero(place.states == FREE))
+                self.counts.update(_observe(observation, place))
+            self.counts.update(
+                maps=1,
+                observations=len(kept),
+                occupied_voxels=int(np.count_nonzero(place.states == OCCUPIED)),
+                free_voxels=int(np.count_nonzero(place.states == FREE)),
+            )
             self._save()
 
     def _parts(self) -> Iterator[range]:
@@ -187,18 +176,21 @@ class _Run:
         first, shape = self._box(positions.min(axis=0), positions.max(axis=0))
         if not self._told.size:
             self._told = np.zeros((2, *shape), np.uint8)
-        (hits, misses), counts, rest = self._told, self.counts, range(self._scan, part.stop)
+        (hits, misses), rest = self._told, range(self._scan, part.stop)
         for n, (scan, window) in zip(rest, self._windows(rest), strict=True):
-            met, observed = _count(hits, misses, window.least - first, window.observed, window.free)
-            counts["scans"] += 1
-            counts["returns"] += len(window.points)
-            counts["returns_left_out"] += window.dropped
-            counts["scans_without_overlap"] += int(n > part[0] and met < LEAST_SHARED * observed)
+            least, seen, points = window
+            met, observed = _count(hits, misses, least - first, seen.observed, seen.free)
+            self.counts.update(
+                scans=1,
+                returns=len(points),
+                returns_left_out=len(scan.points) - len(points),
+                scans_without_overlap=int(n > part[0] and met < LEAST_SHARED * observed),
+            )
             if n in kept:
                 _put(
                     kept[n],
                     np.savez,
-                    points=window.points.astype(np.float32),
+                    points=points.astype(np.float32),
                     position=scan.pose.position,
                     quaternion=scan.pose.quaternion,
                     time_s=np.float64(scan.time_s),
@@ -208,17 +200,17 @@ class _Run:
             if time.monotonic() - self._saved_s > SAVE_EVERY_S and n + 1 < part.stop:
                 self._save()
         self._told = NOTHING
-        counts["moved_voxels"] += int(_settle(hits, misses, self._how.moved_share))
+        self.counts.update(moved_voxels=int(_settle(hits, misses, self._how.moved_share)))
         (i, j, k), (a, b, c) = box = box_of(hits, lambda layer: layer != UNKNOWN)
         if not a:
             raise SceneError("no scan of the log has a return that its maps reach")
         states, voxel_m = np.ascontiguousarray(hits[i:a, j:b, k:c]), self._how.voxel_m
         return VoxelMap(states, voxel_m, (first + box[0]) * voxel_m)
 
-    def _windows(self, part: range) -> Iterator[tuple[LogScan, _Window]]:
+    def _windows(self, part: range) -> Iterator[tuple[LogScan, Window]]:
         """Scans, each with what it says, in order; some are worked on ahead. What was counted is
         saved where one cannot be read."""
-        waiting, broken = deque[tuple[LogScan, Future[_Window]]](), None
+        waiting, broken = deque[tuple[LogScan, Future[Window]]](), None
         with ThreadPoolExecutor(THREADS) as pool:
             for n in part:
                 try:
@@ -257,7 +249,8 @@ def _pace(log: Log, n: int) -> tuple[Pose, float]:
     return between(poses[before], poses[n], 2.0), float(times[n] - times[before])
 
 
-def _window(scan: LogScan, pace: tuple[Pose, float], how: Fusing) -> _Window:
+def _window(scan: LogScan, pace: tuple[Pose, float], how: Fusing) -> Window:
+    """What a scan says of the voxels around it, where the sensor goes at this `pace`."""
     here, voxel_m, (after, seconds) = scan.pose.position, how.voxel_m, pace
     ranges = np.sqrt((scan.points**2).sum(axis=1))
     good = (ranges >= how.least_m) & (ranges < MOST_LENGTH_M)  # and no NaN
@@ -286,7 +279,7 @@ def _window(scan: LogScan, pace: tuple[Pose, float], how: Fusing) -> _Window:
         now = slices == number
         sort_points(sensor, points[now], grid, seen.origin, reach_m=how.reach_m, into=seen)
     seen.free[seen.observed] = False
-    return _Window(least, seen.observed, seen.free, points - here, int((~good).sum()))
+    return least, seen, points - here
 
 
 @kernel
@@ -332,10 +325,10 @@ def _settle(hits, misses, moved_share):
     return moved
 
 
-def _observe(path: Path, place: VoxelMap) -> tuple[int, int]:
-    """Add to a scan that is kept what it says of the grid around it, and what the map does. Gives
-    how many of its returns lie in that grid, and how many of these where the map says that nothing
-    is: they were of something that moved on, or grazed."""
+def _observe(path: Path, place: VoxelMap) -> dict[str, int]:
+    """Add to a scan that is kept what it says of the grid around it, and what the map does. Counts
+    its returns in that grid, and those of them where the map says that nothing is: they were of
+    something that moved on, or grazed."""
     with np.load(path) as file:
         found: dict[str, Any] = dict(file)
     grid, here = GridSpec(), found["position"]
@@ -347,4 +340,5 @@ def _observe(path: Path, place: VoxelMap) -> tuple[int, int]:
     _put(path, np.savez_compressed, **found, occupancy=occupancy, known=known)
     voxels = grid.index(found["points"] + here, origin)
     within = voxels[((voxels >= 0) & (voxels < grid.shape)).all(axis=1)]
-    return len(within), int(np.count_nonzero(~occupancy[tuple(within.T)]))
+    outside = int(np.count_nonzero(~occupancy[tuple(within.T)]))
+    return {"observed_returns": len(within), "returns_outside_truth": outside}

@@ -4,6 +4,7 @@ ROS, which `bags` reads."""
 import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +14,11 @@ from lidarsim.grid import Floats
 from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.pose import chained
 from scenegen.clouds import read_points, scans_in
-from scenegen.errors import DatasetError
+from scenegen.errors import DatasetError, raised_as
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_HEADER_BYTES
 from scenegen.logs import LogScan
-from scenegen.logs.bags import RECORDINGS, Recording
+from scenegen.logs.bags import RECORDINGS, Reader, Recording
 from scenegen.poses import inverse, pose_of_matrix, read_numbers, read_poses
 
 USUAL_S = 0.1
@@ -108,21 +109,19 @@ def read_log(path: Path, *, poses: Path | None = None, topic: str | None = None)
         )
     times = np.where(np.isfinite(times), times, USUAL_S * np.arange(len(files)))
 
-    def scans(first: int = 0) -> Iterator[LogScan]:
-        rows = zip(files, times, found, strict=True)
-        placed = ((file, time, pose) for file, time, pose in rows if pose is not None)
-        for file, time, pose in itertools.islice(placed, first, None):
-            yield LogScan(float(time), pose, read_points(file))
+    def read(file: Path) -> tuple[Floats, dict[str, Floats]]:
+        return read_points(file), {}
 
-    return _log(path, times, found, scans)
+    return _log(path, times, found, lambda: (partial(read, file) for file in files))
 
 
 def _log(
     path: Path,
     times: Floats,
     found: list[Pose | None],
-    scans: Callable[..., Iterator[LogScan]],
+    clouds: Callable[[], Iterator[Reader]],
 ) -> Log:
+    """A log whose `clouds` are as many as its times, seconds, and poses."""
     placed = [n for n, pose in enumerate(found) if pose is not None]
     if not placed:
         raise DatasetError(f"{path}: no pose is of the time of any of its {len(found)} scans")
@@ -132,6 +131,13 @@ def _log(
             f"{path}: a pose is beyond {MOST_LENGTH_M:g} m ({furthest:.3g} m); subtract the first "
             "position from all (UTM lies so far out), or give them in metres"
         )
+
+    def scans(first: int = 0) -> Iterator[LogScan]:
+        rows = zip(times.tolist(), found, clouds(), strict=True)
+        kept = ((time, pose, read) for time, pose, read in rows if pose is not None)
+        for time, pose, read in itertools.islice(kept, first, None):
+            yield LogScan(time, pose, *read())
+
     return Log(times[placed], poses, len(found) - len(placed), scans)
 
 
@@ -148,16 +154,9 @@ def _times_named(files: list[Path]) -> Floats:
     """The times in the names of clouds, seconds (n,); NaN where the names only count them."""
     if all(file.stem.isdecimal() and int(file.stem) < LEAST_UNIX_S for file in files):
         return np.full(len(files), np.nan)
-    return np.array([_time_of(file) for file in files])
-
-
-def _time_of(file: Path) -> float:
-    try:
-        return float(file.stem)
-    except ValueError:
-        raise DatasetError(
-            f"{file}: expected a pose for each cloud, or clouds named by their time in seconds"
-        ) from None
+    expected = "; expected a pose for each cloud, or clouds named by their time in seconds"
+    with raised_as(DatasetError, f"{files[0].parent}: ", expected):
+        return np.array([float(file.stem) for file in files])
 
 
 def _camera(path: Path) -> Pose:
@@ -184,13 +183,5 @@ def _read_recording(path: Path, topic: str | None) -> Log:
             f"{path}: neither /tf nor odometry says where {heads[0][1][:60]!a} is, the frame of "
             f"the clouds on {topic}"
         )
-
-    def scans(first: int = 0) -> Iterator[LogScan]:
-        rows = zip(found, heads, bag.clouds(topic), strict=True)
-        placed = ((pose, head, read) for pose, head, read in rows if pose is not None)
-        for pose, head, read in itertools.islice(placed, first, None):
-            columns = read()
-            points = np.stack([columns.pop(axis) for axis in "xyz"], axis=1)
-            yield LogScan(head[0], pose, points, columns)
-
-    return _log(path, np.array([time for time, _ in heads]), found, scans)
+    times = np.array([time for time, _ in heads])
+    return _log(path, times, found, partial(bag.clouds, topic))

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -62,22 +63,18 @@ def write_log(out: Path, scans: Iterable[LogScan], on_scan: Counted = unheard) -
 
 
 def _write_kitti(folder: Path, scans: Iterable[LogScan]) -> None:
-    lines = dict[str, list[str]](times=[], poses=[], tum=[])
+    tables: dict[str, list[Any]] = {"times.txt": [], "poses.txt": [], "poses.tum": []}
     (folder / "velodyne").mkdir()
     (folder / "calib.txt").write_text(CALIBRATION)
     for number, scan in enumerate(scans):
         content = encode_points(".bin", scan.points, scan.more.get("intensity"))
         (folder / "velodyne" / f"{number:06d}.bin").write_bytes(content)
         w, *vector = scan.pose.quaternion
-        lines["times"].append(_line([scan.time_s]))
-        lines["poses"].append(_line(matrix_of(scan.pose)[:3].reshape(-1)))
-        lines["tum"].append(_line([scan.time_s, *scan.pose.position, *vector, w]))
-    for name, file in zip(lines, ("times.txt", "poses.txt", "poses.tum"), strict=True):
-        (folder / file).write_text("".join(lines[name]))
-
-
-def _line(numbers: Iterable[float]) -> str:
-    return " ".join(f"{value:.12g}" for value in numbers) + "\n"
+        tables["times.txt"].append(scan.time_s)
+        tables["poses.txt"].append(matrix_of(scan.pose)[:3].reshape(-1))
+        tables["poses.tum"].append([scan.time_s, *scan.pose.position, *vector, w])
+    for name, rows in tables.items():
+        np.savetxt(folder / name, rows, "%.12g")
 
 
 def matrix_of(pose: Pose) -> Floats:

@@ -2,12 +2,13 @@
 through."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from lidarsim.parameters import number
 from scenegen.recipes.kind import Classed, Range, Size
-from scenegen.recipes.parts import Joined, Parts, Span
+from scenegen.recipes.parts import Parts, Span, join
 from scenegen.worlds.drawing import Drawing
 
 STEPS = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
@@ -80,11 +81,11 @@ class Maze(Classed):
             for axis, step in enumerate(STEPS)
             if cell[axis] + step[axis] < shape[axis]
         ]
-        ways, chances = Joined(), rng.random((len(walls), 8)).tolist()
+        ways, chances = dict[Any, Any](), rng.random((len(walls), 8)).tolist()
         for n in rng.permutation(len(walls)).tolist():
             axis, cell = walls[n]
             other = tuple(a + b for a, b in zip(cell, STEPS[axis], strict=True))
-            joined = ways.join(cell, other) or chances[n][0] < self.loop_share
+            joined = join(ways, cell, other) or chances[n][0] < self.loop_share
             if not (joined and chances[n][1] < self.open_share):
                 low = [a * b for a, b in zip(cell, edges.tolist(), strict=True)]
                 self._wall(parts, axis, low, edges.tolist(), half, joined, chances[n][2:])

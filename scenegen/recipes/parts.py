@@ -31,21 +31,19 @@ class Parts:
 
     def __init__(self) -> None:
         self._rows: list[tuple[str, int, Point, Point, Point]] = []
-        self._x, self._y, self._z, self._cos, self._sin = 0.0, 0.0, 0.0, 1.0, 0.0
-        self._turn: tuple[float, float] = (1.0, 0.0)
+        self._origin = (0.0, 0.0, 0.0)
+        self._turns = [(1.0, 0.0), (1.0, 0.0)]
+        """The cosine and the sine of half the frame's turn, and of the turn."""
 
     def at(self, x: float, y: float, z: float = 0.0, yaw_rad: float = 0.0) -> "Parts":
         """The same solids in a frame whose origin lies here, turned about the vertical."""
         frame = Parts()
-        frame._rows = self._rows
-        frame._x, frame._y, frame._z = self._moved((x, y, z))
-        (half_sine, sine), (half_cosine, cosine) = (
-            part.tolist() for part in sin_cos(np.array([yaw_rad / 2, yaw_rad]))
-        )
-        frame._cos = self._cos * cosine - self._sin * sine
-        frame._sin = self._sin * cosine + self._cos * sine
-        w, z = self._turn
-        frame._turn = (w * half_cosine - z * half_sine, w * half_sine + z * half_cosine)
+        frame._rows, frame._origin = self._rows, self._moved((x, y, z))
+        more = (part.tolist() for part in sin_cos(np.array([yaw_rad / 2, yaw_rad])))
+        frame._turns = [
+            (c * cosine - s * sine, s * cosine + c * sine)
+            for (c, s), sine, cosine in zip(self._turns, *more, strict=True)
+        ]
         return frame
 
     def box(self, of_class: str, low: Point, high: Point) -> None:
@@ -79,7 +77,7 @@ class Parts:
     def rod(
         self, of_class: str, start: Point, end: Point, radius: float, shape: int = CYLINDER
     ) -> None:
-        """A cylinder, or another shape with an axis, from one point to another."""
+        """A cylinder, or a capsule, from one point to another."""
         along = [b - a for a, b in zip(start, end, strict=True)]
         length = float(np.sqrt(sum(part * part for part in along)))
         x, y, z = (part / length for part in along)
@@ -88,8 +86,7 @@ class Parts:
         norm = float(np.sqrt(2.0 * (1.0 + z)))
         quat = (norm / 2, -y / norm, x / norm, 0.0)
         middle = [(a + b) / 2 for a, b in zip(start, end, strict=True)]
-        size = (radius, radius, length / 2) if shape == BOX else (radius, length / 2, 0.0)
-        self.solid(of_class, shape, size, middle, quat)
+        self.solid(of_class, shape, (radius, length / 2, 0.0), middle, quat)
 
     def limb(self, of_class: str, start: Point, end: Point, radius: float) -> None:
         """A capsule from one point to another."""
@@ -110,18 +107,14 @@ class Parts:
         quat: Sequence[float] = UPRIGHT,
     ) -> None:
         """Any solid, with sizes as MuJoCo has them, and an attitude w x y z."""
-        c, s = self._turn
+        (c, s), _ = self._turns
         w, x, y, z = quat
         turned = (c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w)
         self._rows.append((of_class, shape, size, self._moved(centre), turned))
 
     def _moved(self, point: Point) -> tuple[float, float, float]:
-        x, y, z = point
-        return (
-            self._x + self._cos * x - self._sin * y,
-            self._y + self._sin * x + self._cos * y,
-            self._z + z,
-        )
+        (x, y, z), (x0, y0, z0), (_, (c, s)) = point, self._origin, self._turns
+        return x0 + c * x - s * y, y0 + s * x + c * y, z0 + z
 
     def add_to(self, spec: Drawing) -> None:
         """Add all to a world."""
@@ -134,22 +127,17 @@ class Parts:
             spec.add_geoms(shapes, sizes, centres, quats, classes=classes)
 
 
-class Joined:
-    """Which things are joined, directly or by others (union and find, Galler and Fischer 1964)."""
-
-    def __init__(self) -> None:
-        self._home: dict[Any, Any] = {}
-
-    def _root(self, one: Any) -> Any:
-        while (home := self._home.get(one, one)) != one:
-            one = home
-        return one
-
-    def join(self, one: Any, other: Any) -> bool:
-        """Join two things: whether they were not joined before."""
-        first, second = self._root(one), self._root(other)
-        self._home[first] = second
-        return bool(first != second)
+def join(homes: dict[Any, Any], one: Any, other: Any) -> bool:
+    """Join two things, directly or by others: whether they were not joined before. `homes` says of
+    each what it was joined to (union and find, Galler and Fischer 1964)."""
+    while one in homes:
+        one = homes[one]
+    while other in homes:
+        other = homes[other]
+    if one == other:
+        return False
+    homes[one] = other
+    return True
 
 
 def divided(

@@ -6,7 +6,7 @@ import numpy as np
 
 from lidarsim.parameters import number
 from scenegen.recipes.kind import Classed, Range, Size
-from scenegen.recipes.parts import Joined, Parts, Rectangle, divided, rim_edges, shared_edges
+from scenegen.recipes.parts import Parts, Rectangle, divided, join, rim_edges, shared_edges
 from scenegen.recipes.pieces import furnish, stairs
 from scenegen.worlds.drawing import Drawing
 
@@ -106,8 +106,7 @@ class Rooms(Classed):
         rng: np.random.Generator,
     ) -> list[list[tuple[float, float]]]:
         """Walls between rooms and around all; the doors' places, by room."""
-        shared = shared_edges(rooms)
-        joined = Joined()
+        shared, ways = shared_edges(rooms), dict[int, int]()
         doors: list[list[tuple[float, float]]] = [[] for _ in rooms]
         for n in rng.permutation(len(shared)).tolist():
             axis, at, low, high, a, b = shared[n]
@@ -116,7 +115,7 @@ class Rooms(Classed):
             if wider < self.open_share and high - low > 2 * width + 4 * half:
                 width, top = 2 * width, height
             opening = None
-            if high - low > width + 4 * half and (joined.join(a, b) or chance < self.loop_share):
+            if high - low > width + 4 * half and (join(ways, a, b) or chance < self.loop_share):
                 begin = low + 2 * half + place * (high - low - width - 4 * half)
                 opening = ((begin, begin + width), (0.0, top))
                 middle = (at, begin + width / 2)

@@ -2,7 +2,7 @@
 
 import functools
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
@@ -22,15 +22,10 @@ FLIGHT_BOUNDS = "flight_bounds"
 may fly."""
 COLOUR = (0.62, 0.64, 0.68, 1.0)
 """Colour, as red, green, blue and alpha, of solids that are given none."""
-NUMBERS: dict[int, tuple[str, int]] = {
-    SPHERE: ("", 1),
-    CAPSULE: (' type="capsule"', 2),
-    ELLIPSOID: (' type="ellipsoid"', 3),
-    CYLINDER: (' type="cylinder"', 2),
-    BOX: (' type="box"', 3),
-    HFIELD: (' type="hfield"', 0),
-}
-"""Shapes that are written here, with their attribute and how many sizes they have."""
+SHAPES = ("plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
+"""What MJCF calls shapes, by MuJoCo's codes."""
+SIZES = {SPHERE: 1, CAPSULE: 2, ELLIPSOID: 3, CYLINDER: 2, BOX: 3, HFIELD: 0}
+"""Shapes that are written here, and how many sizes they have."""
 MOST_WRITTEN = 4096
 """The most solids of a document without a <size memory> of its own, see `least_memory`."""
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
@@ -118,7 +113,8 @@ class Drawing:
         rows = np.empty((len(codes), 14))
         for columns, values in zip(COLUMNS, (sizes, positions, quats, rgba), strict=True):
             rows[:, columns] = values
-        self._add(map(Solid, codes, rows, classes or [""] * len(codes)))
+        named = classes or [""] * len(codes)
+        self._add([Solid(*each) for each in zip(codes, rows, named, strict=True)])
 
     def add_height_field(
         self,
@@ -153,7 +149,7 @@ class Drawing:
         row = np.array([0.0, 0.0, 0.0, *place, *turn, *COLOUR])
         self._add([Solid(HFIELD, row, of_class, field)])
 
-    def _add(self, solids: Iterable[Solid]) -> None:
+    def _add(self, solids: Sequence[Solid]) -> None:
         for solid in solids:
             if (named := solid.material) and named not in COLOURS:
                 raise ValueError(f"unknown class {named!a}; {suggestion(named, COLOURS)}")
@@ -255,12 +251,12 @@ _around_solids = functools.lru_cache(maxsize=64)(_around)
 
 def _lines(solids: list[Solid]) -> str | None:
     """Geoms as MuJoCo writes them; None where one is left to MuJoCo."""
-    if any(solid.shape not in NUMBERS for solid in solids):
+    if any(solid.shape not in SIZES for solid in solids):
         return None
     rows = np.array([solid.row for solid in solids]).reshape(-1, 14)
     square = rows[:, 6:10] * rows[:, 6:10]
     length = np.sqrt(((square[:, 0] + square[:, 1]) + square[:, 2]) + square[:, 3])
-    counts = np.array([NUMBERS[solid.shape][1] for solid in solids], np.int64)
+    counts = np.array([SIZES[solid.shape] for solid in solids], np.int64)
     lengths = np.abs(rows[:, :10])
     lengths[:, :3][np.arange(3) >= counts[:, None]] = 0.0
     # MuJoCo writes most numbers like this, but not what it rounds to 0 itself, or large whole ones
@@ -274,12 +270,12 @@ def _lines(solids: list[Solid]) -> str | None:
 
 def _line(solid: Solid, row: list[float]) -> str:
     """A geom's line, with six digits for every number that is written, as C++ writes them."""
-    attribute, count = NUMBERS[solid.shape]
-    place, turn, colour = row[3:6], row[6:10], row[10:]
+    count, place, turn, colour = SIZES[solid.shape], row[3:6], row[6:10], row[10:]
     line = "    <geom" + (_said("size", row[:count]) if count else "")
     line += _said("pos", place) if any(place) else ""
     line += _said("quat", turn) if tuple(turn) != UPRIGHT else ""
-    line += attribute + (_said("rgba", colour) if tuple(colour) != COLOUR else "")
+    line += f' type="{SHAPES[solid.shape]}"' if solid.shape != SPHERE else ""
+    line += _said("rgba", colour) if tuple(colour) != COLOUR else ""
     line += f' material="{solid.material}"' if solid.material else ""
     return line + (f' hfield="{solid.field.name}"' if solid.field else "") + "/>\n"
 
@@ -310,7 +306,7 @@ def flatten(
     for geom in np.flatnonzero(model.geom_type <= MESH):
         shape, number = int(model.geom_type[geom]), int(model.geom_dataid[geom])
         about = {
-            "type": mujoco.mjtGeom(shape).name.removeprefix("mjGEOM_").lower(),
+            "type": SHAPES[shape],
             "pos": _exact(data.geom_xpos[geom]),
         }
         quaternion = np.empty(4)

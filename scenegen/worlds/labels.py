@@ -21,14 +21,13 @@ from scenegen.truth.occupancy import SLACK_M, spans
 from scenegen.truth.shapes import distance, local
 from scenegen.truth.triangles import inside_columns, triangle_distance
 from scenegen.worlds.classes import CLASSES, OTHER
+from scenegen.worlds.drawing import SHAPES
 from scenegen.worlds.world import World
 
 By: TypeAlias = Literal["class", "name", "material", "group"]
 """What decides the class of a geom."""
 NOTHING = "nothing"
 """Class 0: of a ray without a return, and of a voxel that is not occupied."""
-SHAPES = ("plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
-"""Classes of geoms without names, by MuJoCo's codes of shapes."""
 GROUPS = tuple(f"group {n}" for n in range(mujoco.mjNGROUP))
 
 

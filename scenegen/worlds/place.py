@@ -53,9 +53,9 @@ class Place:
     """A map of a real place, for a sensor to fly through what is free in it. It stands where a
     `scenegen.worlds.world.World` does."""
 
-    mjcf: bytes
-    """A document that names the map's file, for archives."""
-    assets: Mapping[str, bytes]
+    name: str
+    """What the map's file is called in an archive."""
+    content: bytes
     """That file."""
     unseen: tuple[str, ...] = ()
     """Nothing: a map has no geoms."""
@@ -65,10 +65,19 @@ class Place:
     """Whether what is unknown counts as free, and not as solid."""
 
     @property
+    def mjcf(self) -> bytes:
+        """A document that names the map's file, for archives."""
+        return DOCUMENT.format(self.name).encode()
+
+    @property
+    def assets(self) -> dict[str, bytes]:
+        """The map's file by its name."""
+        return {self.name: self.content}
+
+    @property
     def voxels(self) -> VoxelMap:
-        """The map itself; a process keeps the last two."""
-        ((name, content),) = self.assets.items()
-        return _parsed(content, name)
+        """The map itself."""
+        return self.caster(None).voxels
 
     @cached_property
     def flight_bounds(self) -> Floats:
@@ -93,9 +102,9 @@ class Place:
         return bounds
 
     def caster(self, engine: object) -> VoxelEngine:
-        """What casts rays: a `VoxelEngine`, whatever `engine` others are cast by."""
-        ((name, content),) = self.assets.items()
-        return _engine(content, name)
+        """What casts rays: a `VoxelEngine`, whatever `engine` others are cast by. A process keeps
+        the last two."""
+        return _engine(self.content, self.name)
 
     def truth(self, grid: GridSpec, origin: Floats) -> dict[str, Mask]:
         """The fields of a sample that say what is there: `occupancy`, and `known` where what is
@@ -124,12 +133,11 @@ def read_place(path: str | Path) -> Place:
 
 def place_of(content: bytes, suffix: str, where: str) -> Place:
     """The place of a map file's content. Raises as `read_place`, naming `where`."""
-    name = f"{sha256_of(content)[:16]}{suffix}"
-    found = Place(DOCUMENT.format(name).encode(), {name: content})
+    found = Place(f"{sha256_of(content)[:16]}{suffix}", content)
     try:
         bounds = found.flight_bounds
     except SceneError as error:
-        raise SceneError(str(error).replace(name, where, 1)) from None
+        raise SceneError(str(error).replace(found.name, where, 1)) from None
     if (bounds[0] == bounds[1]).all():
         raise SceneError(f"{where}: nothing in it is free, so that no sensor can be there")
     return found
@@ -147,8 +155,8 @@ def archived_place(document: bytes, assets: Mapping[str, bytes], where: str) -> 
     name = named_map(document)
     if name not in assets:
         raise SceneError(f"{where}: its map {name} is missing")
-    _parsed(assets[name], name)
-    return Place(document, {name: assets[name]})
+    _engine(assets[name], name)
+    return Place(name, assets[name])
 
 
 def map_digest(voxels: VoxelMap) -> bytes:
@@ -160,13 +168,9 @@ def map_digest(voxels: VoxelMap) -> bytes:
 
 
 @functools.lru_cache(maxsize=2)  # a large one takes 200 MB
-def _parsed(content: bytes, name: str) -> VoxelMap:
-    return parse_npz(content, name) if name.endswith(".npz") else parse_octomap(content, name)
-
-
-@functools.lru_cache(maxsize=2)
 def _engine(content: bytes, name: str) -> VoxelEngine:
-    return VoxelEngine(_parsed(content, name))
+    parse = parse_npz if name.endswith(".npz") else parse_octomap
+    return VoxelEngine(parse(content, name))
 
 
 def parse_npz(content: bytes, name: str) -> VoxelMap:

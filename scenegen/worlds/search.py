@@ -61,9 +61,9 @@ def search(occupied, first, shape, step, start, goal, edge_check, risk, weight):
                         continue
                     if occupied[x, y, z]:
                         continue
-                    if edge_check and not _edge_is_free(
-                        occupied, x, y, z, a - i, b - j, c - k, step
-                    ):
+                    # from centre to centre along such a direction a segment runs through the voxels
+                    # stepped on and, at corners and edges, past the others without entering them
+                    if edge_check and _sum_along(occupied, x, y, z, a - i, b - j, c - k, step) > 0:
                         continue
                     left = math.sqrt((goal[0] - i) ** 2 + (goal[1] - j) ** 2 + (goal[2] - k) ** 2)
                     length[there] = reached
@@ -85,23 +85,9 @@ def search(occupied, first, shape, step, start, goal, edge_check, risk, weight):
 
 
 @kernel
-def _edge_is_free(occupied, x, y, z, dx, dy, dz, step):
-    """Whether the voxels between two nodes are free: from (x, y, z) `step` voxels along (dx, dy,
-    dz), each -1, 0 or 1.
-
-    From centre to centre along such a direction a segment runs through the voxels stepped on here
-    and, at corners and edges, past the others without entering them, so no other meets it with
-    positive length.
-    """
-    for n in range(1, step):  # noqa: SIM110 (numba knows no all() of a generator)
-        if occupied[x + n * dx, y + n * dy, z + n * dz]:
-            return False
-    return True
-
-
-@kernel
 def _sum_along(values, x, y, z, dx, dy, dz, step):
-    """The sum of `values` in the `step` voxels from (x, y, z) on along (dx, dy, dz)."""
+    """The sum of `values` in the `step` voxels from (x, y, z) on along (dx, dy, dz), each -1, 0 or
+    1."""
     total = 0.0
     for n in range(step):
         total += values[x + n * dx, y + n * dy, z + n * dz]

@@ -5,7 +5,7 @@ import hashlib
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import mujoco
@@ -61,7 +61,7 @@ class World:
     solids: Solids
     flight_bounds: Floats
     """(2, 3): least and greatest corner of the box in which the sensor may fly, metres."""
-    unseen: tuple[str, ...] = field(default=())
+    unseen: tuple[str, ...] = ()
     """Geoms that rays cannot see, and that therefore are not in the truth either."""
 
     def __repr__(self) -> str:
@@ -134,7 +134,18 @@ def compile_world(
         refused = (ValueError, mujoco.FatalError)
         with raised_as(SceneError, f"{name}: not valid MJCF: ", of=refused):
             model = mujoco.MjModel.from_xml_string(mjcf.decode(), assets)
-        return _world(model, mjcf, assets, name)
+        seen = visible_geoms(model)
+        unseen = tuple(model.geom(int(g)).name or f"number {g}" for g in np.flatnonzero(~seen))
+        if not seen.any():
+            raise SceneError(
+                f"{name}: no geom that rays can see; add some, or give those there an alpha above 0"
+            )
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        with raised_as(SceneError, f"{name}: "):
+            solids = solids_of(model, data)
+        return World(mjcf, assets, model, data, solids, _flight_bounds(model, solids, name), unseen)
 
 
 def write_world(add_to: Callable[[Drawing], None], *, flight_bounds: Floats) -> World:
@@ -145,23 +156,6 @@ def write_world(add_to: Callable[[Drawing], None], *, flight_bounds: Floats) -> 
         add_to(drawing)
         mjcf = drawing.mjcf()
     return compile_world(mjcf)
-
-
-def _world(model: mujoco.MjModel, mjcf: bytes, assets: Mapping[str, bytes], name: str) -> World:
-    if model.nflex or model.nskin:
-        raise SceneError(f"{name}: has flexes or skins, which rays do not see; use geoms instead")
-    seen = visible_geoms(model)
-    unseen = tuple(model.geom(int(g)).name or f"number {g}" for g in np.flatnonzero(~seen))
-    if not seen.any():
-        raise SceneError(
-            f"{name}: no geom that rays can see; add some, or give those there an alpha above 0"
-        )
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
-    with raised_as(SceneError, f"{name}: "):
-        solids = solids_of(model, data)
-    return World(mjcf, assets, model, data, solids, _flight_bounds(model, solids, name), unseen)
 
 
 def _flight_bounds(model: mujoco.MjModel, solids: Solids, name: str) -> Floats:
