@@ -225,14 +225,9 @@ def _solids_nearby(world: AnyWorld, route: Route, candidates: list[float], recip
         poses = map(route.pose, candidates)
         middles = np.array([recipe.mapping.origin(recipe.grid, pose) for pose in poses]) + half
     lower, upper = world.solids.boxes
-    # several at a time, so that long flights over many solids fit in memory
-    several = max(1_000_000 // max(len(lower), 1), 1)
-    total = 0
-    for begin in range(0, len(middles), several):
-        here = middles[begin : begin + several, None]
-        inside = (lower < here + half) & (upper > here - half)
-        total += int(np.count_nonzero(inside.all(axis=2)))
-    return total / len(middles)
+    # one after the other, so that long flights over many solids fit in memory
+    inside = (((lower < here + half) & (upper > here - half)).all(axis=1) for here in middles)
+    return sum(map(np.count_nonzero, inside)) / len(middles)
 
 
 def samples_of(

@@ -2,6 +2,7 @@
 flights."""
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -45,7 +46,8 @@ class Clearance:
         last = np.clip(np.floor((upper - low) / cell_m), -1, self._cells - 1).astype(np.int64)
         start, item = _sort_into_cells(first, last, self._cells)
         owner = np.repeat(np.arange(len(solids.mesh_filled)), np.diff(solids.mesh_start))
-        self._arguments = (
+        self._kernels: tuple[Any, Any] = _clearance, _motion_is_free
+        self._arguments: tuple[Any, ...] = (
             low,
             cell_m,
             self._cells,
@@ -62,7 +64,7 @@ class Clearance:
 
     def at(self, x: float, y: float, z: float) -> float:
         """Distance in metres from a point to the nearest solid, at most `CAP_M`; 0 inside one."""
-        return float(_clearance(x, y, z, *self._arguments))
+        return float(self._kernels[0](x, y, z, *self._arguments))
 
     def motion_is_free(
         self, p: tuple[float, float, float], q: tuple[float, float, float], radius_m: float
@@ -73,7 +75,7 @@ class Clearance:
         Walks by the distance still free, which no solid can undercut, in steps of at least
         `STEP_M`.
         """
-        return bool(_motion_is_free(p, q, radius_m, self._arguments))
+        return bool(self._kernels[1](p, q, radius_m, self._arguments))
 
 
 @kernel

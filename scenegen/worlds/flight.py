@@ -26,16 +26,12 @@ from scenegen.limits import (
 )
 from scenegen.worlds.clearance import CAP_M, Clearance
 from scenegen.worlds.mapping import Mapper
-from scenegen.worlds.place import PlaceClearance
 from scenegen.worlds.world import AnyWorld
 
 GRAVITY = 9.81
 """Metres a second squared."""
 LEAST_THRUST = 0.5
 """The vertical part of the thrust, a share of what hovering takes, is never less."""
-
-Obstacles = Clearance | PlaceClearance
-"""What tells how far a point or a motion is from what one may not touch."""
 
 ou.noOutputHandler()
 
@@ -99,7 +95,7 @@ def fly(world: AnyWorld, flight: Flight, *, rng: np.random.Generator) -> Floats 
 
 
 def plan(
-    clearance: Obstacles, bounds: Floats, flight: Flight, *, rng: np.random.Generator
+    clearance: Clearance, bounds: Floats, flight: Flight, *, rng: np.random.Generator
 ) -> Floats | None:
     """One collision-free path (n, 3) in world metres between a random start and goal in `bounds`
     (2, 3), or None.
@@ -115,7 +111,7 @@ def plan(
 
 
 def connect(
-    clearance: Obstacles,
+    clearance: Clearance,
     bounds: Floats,
     flight: Flight,
     ends: tuple[Floats, Floats],
@@ -163,7 +159,7 @@ class _Motions(ob.MotionValidator):
     """OMPL's edge check by `Clearance.motion_is_free`: one call an edge, to a millimetre between
     its ends."""
 
-    def __init__(self, information: ob.SpaceInformation, clearance: Obstacles, radius_m: float):
+    def __init__(self, information: ob.SpaceInformation, clearance: Clearance, radius_m: float):
         super().__init__(information)
         self._clearance, self._radius_m = clearance, radius_m
 
@@ -174,7 +170,7 @@ class _Motions(ob.MotionValidator):
 
 
 def _start_and_goal(
-    clearance: Obstacles, bounds: Floats, flight: Flight, *, rng: np.random.Generator
+    clearance: Clearance, bounds: Floats, flight: Flight, *, rng: np.random.Generator
 ) -> tuple[Floats, Floats] | None:
     """Two free points far enough apart, or None after a hundred draws."""
     apart = min(flight.min_distance_m, float(np.sqrt(((bounds[1] - bounds[0]) ** 2).sum())) / 3)

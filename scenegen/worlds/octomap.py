@@ -114,8 +114,7 @@ def _fill(data, states_alone, bounds, states):
             state = bits >> 2 * child & 3
             i, j, k = x + half * (child & 1), y + half * (child >> 1 & 1), z + half * (child >> 2)
             if state == 3:
-                waiting[left, 0], waiting[left, 1], waiting[left, 2] = i, j, k
-                waiting[left, 3] = half
+                waiting[left] = (i, j, k, half)
                 left += 1
             elif state > 0:
                 _mark(i, j, k, half, state, bounds, states)

@@ -26,7 +26,7 @@ from scenegen.files import read_bounded, sha256_of
 from scenegen.limits import MOST_ASSET_BYTES, MOST_PLACE_VOXELS
 from scenegen.truth.triangles import joining
 from scenegen.truth.voxels import resample
-from scenegen.worlds.clearance import CAP_M, STEP_M
+from scenegen.worlds.clearance import CAP_M, STEP_M, Clearance
 from scenegen.worlds.mapping import Known
 from scenegen.worlds.octomap import check_voxel, parse_octomap
 
@@ -227,22 +227,13 @@ def box_of(cells: NDArray[Any], wanted: Callable[[NDArray[Any]], Mask]) -> Ints:
     return box
 
 
-class PlaceClearance:
-    """See `scenegen.worlds.clearance.Clearance`: distances to the voxels that are not free, or to
-    the occupied ones alone where the map is `opened`."""
+class PlaceClearance(Clearance):
+    """Distances to the voxels that are not free, or to the occupied ones alone where the map is
+    `opened`."""
 
     def __init__(self, voxels: VoxelMap, opened: bool):
-        self._arguments = voxels.states, voxels.voxel_m, voxels.origin, opened
-
-    def at(self, x: float, y: float, z: float) -> float:
-        """Distance in metres from a point to the nearest such voxel, at most `CAP_M`; 0 in one."""
-        return float(_clearance(x, y, z, CAP_M, 0.0, *self._arguments))
-
-    def motion_is_free(
-        self, p: tuple[float, float, float], q: tuple[float, float, float], radius_m: float
-    ) -> bool:
-        """See `Clearance.motion_is_free`."""
-        return bool(_motion_is_free(p, q, radius_m, *self._arguments))
+        self._kernels = _clearance, _motion_is_free
+        self._arguments = CAP_M, 0.0, voxels.states, voxels.voxel_m, voxels.origin, opened
 
 
 @kernel
@@ -273,7 +264,8 @@ def _clearance(x, y, z, cap_m, enough_m, states, voxel_m, origin, opened):
 
 
 @kernel
-def _motion_is_free(p, q, radius, states, voxel_m, origin, opened):
+def _motion_is_free(p, q, radius, arguments):
+    _, _, states, voxel_m, origin, opened = arguments
     dx, dy, dz = joining(p, q)
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
     # the walk below cannot pass a point that is closer than asked by two of its steps, and most
@@ -287,7 +279,7 @@ def _motion_is_free(p, q, radius, states, voxel_m, origin, opened):
     while True:
         s = min(t / length, 1.0) if length > 0.0 else 1.0
         x, y, z = p[0] + s * dx, p[1] + s * dy, p[2] + s * dz
-        free = _clearance(x, y, z, CAP_M, 0.0, states, voxel_m, origin, opened) - radius
+        free = _clearance(x, y, z, *arguments) - radius
         if free < 0.0:
             return False
         if s >= 1.0:

@@ -71,17 +71,11 @@ def search(occupied, first, shape, step, start, goal, edge_check, risk, weight):
                     heapq.heappush(heap, (reached + left, -reached, there))
     if target < 0 or not math.isfinite(length[target]):
         return np.empty((0, 3), np.int64)
-    count = 1
-    node = target
-    while node != origin:
-        node = parent[node]
-        count += 1
-    path = np.empty((count, 3), np.int64)
-    node = target
-    for n in range(count - 1, -1, -1):
-        path[n, 0], path[n, 1], path[n, 2] = node // (nb * nc), node // nc % nb, node % nc
-        node = parent[node]
-    return path
+    back = [target]
+    while back[-1] != origin:
+        back.append(np.int64(parent[back[-1]]))
+    nodes = np.array(back)[::-1]
+    return np.stack((nodes // (nb * nc), nodes // nc % nb, nodes % nc), axis=1)
 
 
 @kernel
