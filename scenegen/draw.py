@@ -11,6 +11,7 @@ import numpy as np
 
 from lidarsim import AnalyticEngine, Pose, Scan, Sensor, cast, fuse
 from lidarsim.engines import Caster, EngineFactory
+from lidarsim.grid import Floats
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.returns import Returns
 from scenegen import SPLITS
@@ -213,14 +214,14 @@ def truth_of(world: AnyWorld, scan: Scan, recipe: Recipe) -> dict[str, np.ndarra
     return truth
 
 
-def _solids_nearby(world: AnyWorld, route: Route, candidates: list[float], recipe: Recipe) -> float:
+def _solids_nearby(world: AnyWorld, route: Route, candidates: Floats, recipe: Recipe) -> float:
     """Solids whose bounding boxes reach into the map, averaged over the maps of a flight's
     candidate viewpoints; no end of them in a map of voxels."""
-    if not candidates:
+    if not len(candidates):
         return 0.0
     if isinstance(world, Place):
         return math.inf
-    half, (middles, _) = recipe.grid.extent_m / 2, route.at(np.array(candidates))
+    half, (middles, _) = recipe.grid.extent_m / 2, route.at(candidates)
     if not recipe.mapping.centred:
         poses = map(route.pose, candidates)
         middles = np.array([recipe.mapping.origin(recipe.grid, pose) for pose in poses]) + half

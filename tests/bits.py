@@ -57,8 +57,8 @@ def of_datasets():
         )
         for n, fov in enumerate(rng.uniform(0.0, 180.0, 60))
     ]
-    path = np.cumsum(rng.uniform(-3.0, 3.0, (3000, 3)), axis=0)
-    route, flown = viewpoints(path, 1.0, rng=rng)
+    walk = rng.uniform(-3.0, 3.0, (3000, 3)).cumsum(axis=0)
+    route, flown = viewpoints(walk, 1.0, rng=rng)
     found = {
         "log_uniform": digest([log_uniform(0.002, 0.4, rng=rng) for _ in range(2000)]),
         "normal": digest([normal((5000, 3), rng=rng)]),

@@ -52,7 +52,7 @@ def fly_again(
             if path is None:
                 continue
             route, passed = viewpoints(path, recipe.flight.spacing_m, rng=rng)
-            positions, _ = route.at(np.array(passed))
+            positions, _ = route.at(passed)
             places = [np.flatnonzero((positions == pose.position).all(axis=1)) for pose in poses]
             if all(len(place) == 1 for place in places):
                 return [

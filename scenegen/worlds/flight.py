@@ -234,11 +234,9 @@ class Route:
         return [self.pose(max(flown_m - metres, 0.0), mapping) for metres in back]
 
 
-def viewpoints(
-    path: Floats, spacing_m: float, *, rng: np.random.Generator
-) -> tuple[Route, list[float]]:
+def viewpoints(path: Floats, spacing_m: float, *, rng: np.random.Generator) -> tuple[Route, Floats]:
     """Candidate viewpoints on a path (n, 3), `spacing_m` apart along it: the route, and the metres
-    flown along it to each, in random order.
+    flown along it to each, (m,), in random order.
 
     Raises GenerationError where there would be more than `MOST_CANDIDATES`.
     """
@@ -250,7 +248,7 @@ def viewpoints(
             f"flight of {length:.0f} m; raise it"
         )
     flown = np.arange(rng.uniform(0.0, spacing_m), length, spacing_m)
-    return route, flown[rng.permutation(len(flown))].tolist()
+    return route, flown[rng.permutation(len(flown))]
 
 
 def poses_in_flight(
@@ -279,11 +277,11 @@ def pose_in_flight(world: AnyWorld, *, seed: int) -> Pose:
     return route.pose(flown[0])
 
 
-def _flown(world: AnyWorld, flight: Flight, seed: int) -> tuple[Route, list[float]]:
+def _flown(world: AnyWorld, flight: Flight, seed: int) -> tuple[Route, Floats]:
     rng = np.random.default_rng(seed)
     for _ in range(TRIES):
         path = fly(world, flight, rng=rng)
-        if path is not None and (found := viewpoints(path, flight.spacing_m, rng=rng))[1]:
+        if path is not None and (found := viewpoints(path, flight.spacing_m, rng=rng))[1].size:
             return found
     raise GenerationError(f"no flight fits between the solids in {TRIES} tries; give --pose")
 
