@@ -24,6 +24,8 @@ from scenegen.worlds.plan import read_plan
 from scenegen.worlds.screen import screen
 from scenegen.worlds.world import compile_world, geometry_digest, quiet_mujoco
 
+REPLICATE = re.compile(r"<(/?)replicate\b(?:[^>]*?\bcount\s*=\s*[\"'](\d+)[\"'])?[^>]*?(/?)>")
+"""Whether it is an element's end, its count, and whether nothing is within."""
 INCLUDE = re.compile(r"<include\s+file\s*=\s*([\"'])(.*?)\1")
 COMMENT = re.compile(r"<!--.*?(?:-->|\Z)", re.DOTALL)
 PART = "<mujocoinclude"
@@ -207,6 +209,8 @@ def look_over(main: Path) -> tuple[bool, frozenset[Path]]:
         with raised_as(SceneError, of=UNREAD):
             text = read_bounded(path, MOST_DOCUMENT_BYTES).decode(errors="replace")
         text = COMMENT.sub(" ", text)
+        if _repeats(text) > MOST_GEOMS:  # over many more, MuJoCo takes hours and gigabytes
+            raise SceneError(f"{main}: more than {MOST_GEOMS} geoms; merge some into meshes")
         is_world &= not (path is main and PART in text)
         for _, name in INCLUDE.findall(text):
             # MuJoCo looks from the file that includes, or from the main one
@@ -215,6 +219,18 @@ def look_over(main: Path) -> tuple[bool, frozenset[Path]]:
             waiting += there - included
             included |= there
     return is_world, frozenset(included)
+
+
+def _repeats(text: str) -> float:
+    """How often the <replicate>s of a file, one within another, repeat what is innermost."""
+    times, most = [1.0], 1.0
+    for ended, count, empty in REPLICATE.findall(text):
+        if ended:
+            times = times[:-1] or [1.0]
+        elif not empty:
+            times.append(times[-1] * (float(count) if count else 1.0))
+            most = max(most, times[-1])
+    return most
 
 
 UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
