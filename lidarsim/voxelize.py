@@ -92,12 +92,22 @@ def fuse(
     hit, miss, least, most, occupied = (log(given) - log(1.0 - given)).tolist()
     odds, met = np.zeros(grid.shape), np.zeros(grid.shape, bool)
     for one in seen:
-        odds[one.observed] += hit
-        odds[one.free] += miss
-        np.clip(odds, least, most, out=odds)
+        _weigh(
+            one.observed.reshape(-1), one.free.reshape(-1), odds.reshape(-1), hit, miss, least, most
+        )
         met |= one.observed | one.free
     observed = met & (odds >= occupied)
     return ObservedGrid(observed, met & ~observed, seen[0].origin)
+
+
+@kernel
+def _weigh(observed, free, odds, hit, miss, least, most):
+    """Add to log-odds what one scan says of each voxel."""
+    for n in range(len(odds)):
+        if observed[n]:
+            odds[n] = min(odds[n] + hit, most)
+        elif free[n]:
+            odds[n] = max(odds[n] + miss, least)
 
 
 def sort_points(
@@ -180,7 +190,23 @@ def clear(position, direction, end, origin, voxel_m, nx, ny, nz, free):
     dx, dy, dz = int(ux) * ny * nz, int(uy) * nz, int(uz)
     cell = (i * ny + j) * nz + k
     while True:
-        at = min(tx, min(ty, tz))
+        if tx < ty:
+            if tx < tz:
+                at, move = tx, dx
+                bx += ux
+                tx = (bx - sx) * px
+            else:
+                at, move = tz, dz
+                bz += uz
+                tz = (bz - sz) * pz
+        elif ty < tz:
+            at, move = ty, dy
+            by += uy
+            ty = (by - sy) * py
+        else:
+            at, move = tz, dz
+            bz += uz
+            tz = (bz - sz) * pz
         if at >= leave:
             if leave - t > TOUCH_M:
                 free[cell] = True
@@ -188,15 +214,4 @@ def clear(position, direction, end, origin, voxel_m, nx, ny, nz, free):
         if at - t > TOUCH_M:
             free[cell] = True
             t = at
-        if tx == at:
-            cell += dx
-            bx += ux
-            tx = (bx - sx) * px
-        elif ty == at:
-            cell += dy
-            by += uy
-            ty = (by - sy) * py
-        else:
-            cell += dz
-            bz += uz
-            tz = (bz - sz) * pz
+        cell += move

@@ -87,34 +87,56 @@ def _fill_primitives(
             for j in range(j0, j1):
                 dy = origin[1] + (j + 0.5) * voxel_m - position[n, 1]
                 low, high = touched(shape[n], size[n], axes, dx, dy, dz, voxel_m, k1 - k0)
+                if deepest is None:
+                    occupancy[i, j, k0 + low : k0 + high] = True
+                    continue
                 for k in range(k0 + low, k0 + high):
-                    if deepest is not None:
-                        if occupancy[i, j, k]:
-                            continue
+                    if not occupancy[i, j, k]:
                         h = origin[2] + (k + 0.5) * voxel_m - position[n, 2]
                         x, y, z = local(axes, dx, dy, h)
-                        if within(shape[n], size[n], axes, x, y, z, half, deepest):
-                            continue
-                    occupancy[i, j, k] = True
+                        deep = within(shape[n], size[n], axes, x, y, z, half, deepest)
+                        occupancy[i, j, k] = not deep
 
 
 @kernel
 def touched(shape, size, axes, dx, dy, dz, voxel_m, count):
     """Which of `count` voxels of one column, all in the shape's bounding box, touch it: the first
     one, and one past the last. The centre of the column's first lies at (dx, dy, dz) from the
-    shape's.
+    shape's."""
+    upright = axes[2, 0] == 0.0 and axes[2, 1] == 0.0
+    if upright and (shape == CYLINDER or shape == BOX):  # noqa: SIM109 (Warp has no `in`)
+        if _touches_section(shape, size, axes, dx, dy, 0.5 * voxel_m):
+            return 0, count
+        return 0, 0
+    return _walked(shape, size, axes, dx, dy, dz, voxel_m, count)
+
+
+@kernel
+def _touches_section(shape, size, axes, dx, dy, half):
+    """Whether the square about (dx, dy) touches the section of an upright cylinder or box; along
+    the world's axes, the bounding box has told already."""
+    if shape == CYLINDER:
+        u, v = max(abs(dx) - half, 0.0), max(abs(dy) - half, 0.0)
+        reach = size[0] + SLACK_M
+        return u * u + v * v <= reach * reach
+    x, y, _ = local(axes, dx, dy, 0.0)
+    reach = half * (abs(axes[0, 0]) + abs(axes[1, 0])) + SLACK_M
+    return abs(x) <= size[0] + reach and abs(y) <= size[1] + reach
+
+
+@kernel
+def _walked(shape, size, axes, dx, dy, dz, voxel_m, count):
+    """`touched` of any shape and turn.
 
     A cube holds the ball of its half edge and lies in the ball of its half diagonal, so the
     distance of its centre settles all but the cubes right at the surface; and since that distance
     cannot fall faster than one walks, far ones are skipped. Shapes are convex: the column is walked
     from its foot to the first cube that touches, and from its top to the last. The centres of cubes
-    that touch an ellipsoid lie in a larger one, and those in a smaller one's do. An upright
-    cylinder or box is touched all along, or not at all.
+    that touch an ellipsoid lie in a larger one, and those in a smaller one's do.
     """
     half, most = 0.5 * voxel_m, float(count)
     outer = half * math.sqrt(3.0) + SLACK_M
     x, y, z = local(axes, dx, dy, 0.0)
-    upright = axes[2, 0] == 0.0 and axes[2, 1] == 0.0
     h0, h1, sure0, sure1 = -math.inf, math.inf, math.inf, -math.inf
     if shape == ELLIPSOID:
         a, b, c = size[0], size[1], size[2]
@@ -122,10 +144,6 @@ def touched(shape, size, axes, dx, dy, dz, voxel_m, count):
         h0, h1 = _chord(a * grown, b * grown, c * grown, axes, x, y, z)
         grown = 1.0 + (half - SLACK_M) / max(max(a, b), c)
         sure0, sure1 = _chord(a * grown, b * grown, c * grown, axes, x, y, z)
-    elif upright and (shape == CYLINDER or shape == BOX):  # noqa: SIM109 (Warp has no `in`)
-        if _touches_section(shape, size, axes, dx, dy, x, y, half):
-            return 0, count
-        return 0, 0
     elif shape == CYLINDER or shape == CAPSULE:  # noqa: SIM109 (Warp has no `in`)
         radius = size[0] + outer + SLACK_M
         h0, h1 = _chord(radius, radius, math.inf, axes, x, y, z)
@@ -153,18 +171,6 @@ def touched(shape, size, axes, dx, dy, dz, voxel_m, count):
         else:
             high = max(high - step, low + 1)
     return low, high
-
-
-@kernel
-def _touches_section(shape, size, axes, dx, dy, x, y, half):
-    """Whether the square about (dx, dy), in the shape's frame (x, y), touches the section of an
-    upright cylinder or box; along the world's axes, the bounding box has told already."""
-    if shape == CYLINDER:
-        u, v = max(abs(dx) - half, 0.0), max(abs(dy) - half, 0.0)
-        reach = size[0] + SLACK_M
-        return u * u + v * v <= reach * reach
-    reach = half * (abs(axes[0, 0]) + abs(axes[1, 0])) + SLACK_M
-    return abs(x) <= size[0] + reach and abs(y) <= size[1] + reach
 
 
 @kernel
