@@ -27,49 +27,8 @@ MuJoCo's rays; or those of the whole tree of bodies that moves with it, such as 
 arms and wheels."""
 
 
-def attach(
-    model: mujoco.MjModel,
-    body: str | Sequence[str],
-    sensor: Sensor | None = None,
-    *,
-    offset: Pose | Sequence[Pose] = HERE,
-    unseen: Unseen = "body",
-    threads: int | None = None,
-) -> "Attached":
-    """Mount `sensor` (a `Lidar` unless given) on a body of `model`, or one on each of several.
-
-    `offset` is the sensor's pose in the body's frame, one for all or one for each; with several
-    offsets and one body, all of them are on that. Shapes, sizes and colours are read now, places at
-    every scan. `threads` as for `AnalyticEngine`. Raises ValueError for a body that the model does
-    not have, for counts that do not fit, and as `ModelSolids` does.
-    """
-    offsets = [offset] if isinstance(offset, Pose) else list(offset)
-    if not all(isinstance(one, Pose) for one in offsets):
-        raise ValueError(f"attach: offset = {offset}: expected a Pose, or several")
-    names = [body] if isinstance(body, str) else list(body)
-    count = max(len(offsets), len(names))
-    if {len(offsets), len(names)} - {1, count}:
-        raise ValueError(
-            f"attach: {len(names)} bodies and {len(offsets)} offsets, expected as many, or one of "
-            f"either"
-        )
-    bodies = [_numbered(model, name) for name in names] * (count // len(names))
-    if unseen not in get_args(Unseen):
-        raise ValueError(
-            f"attach: unseen = {unseen!r}, expected one of {', '.join(get_args(Unseen))}"
-        )
-    return Attached(
-        model,
-        bodies,
-        sensor or Lidar(),
-        offsets * (count // len(offsets)),
-        unseen=unseen,
-        threads=threads,
-    )
-
-
 class Attached:
-    """A sensor on each of M bodies of a model, made by `attach`. It serves one thread at a time.
+    """A sensor on each of M bodies of a model. It serves one thread at a time.
 
     Every method reads where bodies and geoms are from the data that it is given, refits the
     hierarchy to what has moved, and casts the rays of all M sensors at once. After ``mj_step``,
@@ -81,19 +40,41 @@ class Attached:
     def __init__(
         self,
         model: mujoco.MjModel,
-        bodies: Sequence[int],
-        sensor: Sensor,
-        offsets: Sequence[Pose],
+        body: str | Sequence[str],
+        sensor: Sensor | None = None,
         *,
-        unseen: Unseen,
-        threads: int | None,
+        offset: Pose | Sequence[Pose] = HERE,
+        unseen: Unseen = "body",
+        threads: int | None = None,
     ):
-        self.sensor, self._model = sensor, model
-        self._bodies, self._offsets, self._threads = list(bodies), list(offsets), threads
+        """Mount `sensor` (a `Lidar` unless given) on a body of `model`, or one on each of several.
+
+        `offset` is the sensor's pose in the body's frame, one for all or one for each; with several
+        offsets and one body, all of them are on that. Shapes, sizes and colours are read now,
+        places at every scan. `threads` as for `AnalyticEngine`. Raises ValueError for a body that
+        the model does not have, for counts that do not fit, and as `ModelSolids` does.
+        """
+        offsets = [offset] if isinstance(offset, Pose) else list(offset)
+        if not all(isinstance(one, Pose) for one in offsets):
+            raise ValueError(f"attach: offset = {offset}: expected a Pose, or several")
+        names = [body] if isinstance(body, str) else list(body)
+        count = max(len(offsets), len(names))
+        if {len(offsets), len(names)} - {1, count}:
+            raise ValueError(
+                f"attach: {len(names)} bodies and {len(offsets)} offsets, expected as many, or one "
+                f"of either"
+            )
+        if unseen not in get_args(Unseen):
+            raise ValueError(
+                f"attach: unseen = {unseen!r}, expected one of {', '.join(get_args(Unseen))}"
+            )
+        self.sensor, self._model, self._threads = sensor or Lidar(), model, threads
+        self._bodies = [_numbered(model, name) for name in names] * (count // len(names))
+        self._offsets = offsets * (count // len(offsets))
         self._solids = ModelSolids(model)
         kin = model.body_rootid if unseen == "tree" else np.arange(model.nbody)
         self._parts = kin[model.geom_bodyid[self._solids.geom]]
-        self._through = kin[self._bodies] if unseen != "nothing" else np.full(len(self._bodies), -1)
+        self._through = kin[self._bodies] if unseen != "nothing" else np.full(count, -1)
         self._engine: AnalyticEngine | None = None
 
     def poses(self, data: mujoco.MjData) -> tuple[Pose, ...]:
@@ -163,6 +144,10 @@ class Attached:
         return np.array([pose.position for pose in poses]), np.array(
             [rotate(pose.quaternion, rays) for pose in poses]
         )
+
+
+attach = Attached
+"""The class as a verb: ``attach(model, "robot", Lidar()).scan(data)``."""
 
 
 def _past(engine: AnalyticEngine, carrier: int) -> Any:

@@ -23,18 +23,17 @@ class Pose:
     coordinates."""
 
     def __post_init__(self) -> None:
-        for name, size in (("position", 3), ("quaternion", 4)):
-            value = finite(f"pose: {name}", getattr(self, name), size)
-            value.setflags(write=False)
-            object.__setattr__(self, name, value)
-        length = float(np.sqrt((self.quaternion**2).sum()))
+        position = finite("pose: position", self.position, 3)
+        quaternion = finite("pose: quaternion", self.quaternion, 4)
+        length = float(np.sqrt((quaternion**2).sum()))
         if abs(length - 1.0) > 1e-6:
             raise ValueError(f"pose: quaternion has length {length:g}, expected 1 (w x y z)")
         # a unit quaternion keeps its bits, so that a stored pose reads as it was
         if abs(length - 1.0) > 1e-12:
-            unit = self.quaternion / length
-            unit.setflags(write=False)
-            object.__setattr__(self, "quaternion", unit)
+            quaternion /= length
+        for name, value in (("position", position), ("quaternion", quaternion)):
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
 
     @classmethod
     def level(cls, position: ArrayLike, yaw_rad: float = 0.0) -> "Pose":

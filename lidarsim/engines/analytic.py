@@ -53,8 +53,14 @@ class AnalyticEngine:
         """`parts` (n + m,), numbers from 0 on, say which solids belong together, for `hits` to
         leave out."""
         self._threads = threads if threads is not None else len(os.sched_getaffinity(0))
+        self._solids = solids
         self._around = (np.empty(0),) * 3  # triangles, and the corners of their boxes
-        self._take(solids)
+        # nothing bounds planes: the tree holds the rest, and every ray meets each of them
+        planes = solids.shape == PLANE
+        self._planes = np.flatnonzero(planes).astype(np.uint64)
+        triangles = len(planes) + np.arange(len(solids.triangles))
+        self._bounded = np.concatenate([np.flatnonzero(~planes), triangles])
+        self._reach2 = squared_reaches(solids.shape, solids.size)
         self._part = (
             _by_item(solids, np.asarray(parts, np.int64))
             if np.size(parts)
@@ -77,7 +83,7 @@ class AnalyticEngine:
 
         Raises ValueError for other solids than those that the engine was made of.
         """
-        same = ("geom", "shape", "mesh_start")
+        same = ("geom", "shape", "size", "mesh_start")
         if not all(
             np.array_equal(getattr(solids, name), getattr(self._solids, name)) for name in same
         ):
@@ -85,13 +91,12 @@ class AnalyticEngine:
                 "other solids than the engine's, expected the same ones at other places; make a "
                 "new engine"
             )
-        self._take(solids)
+        self._solids = solids
         self._hierarchy.refit(*self._boxes())
 
     def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> Floats:
         """See `lidarsim.engines.Engine.cast`."""
-        starts, rays, shape = _laid_out(origins, directions)
-        return self._nearest(starts, rays, max_range_m, None, shape)[0].reshape(shape)
+        return self._meet(origins, directions, max_range_m, None)[0]
 
     def nearest(
         self,
@@ -103,9 +108,8 @@ class AnalyticEngine:
     ) -> tuple[Floats, Ints]:
         """Ranges (P, *shape) as `cast` gives them, and the numbers (P, *shape) of the geoms met, or
         -1; `through` as for `hits`."""
-        starts, rays, shape = _laid_out(origins, directions)
-        ranges, items = self._nearest(starts, rays, max_range_m, through, shape)
-        return ranges.reshape(shape), self._owners[items].reshape(shape)
+        ranges, items, _, _ = self._meet(origins, directions, max_range_m, through)
+        return ranges, self._owners[items]
 
     def hits(
         self,
@@ -121,40 +125,47 @@ class AnalyticEngine:
         `parts`; -1 is none. Where several solids are met at the same distance, it is the first of
         them: primitives by their numbers, then meshes and height fields by theirs.
         """
-        starts, rays, shape = _laid_out(origins, directions)
-        ranges, items = self._nearest(starts, rays, max_range_m, through, shape)
-        points = starts[:, None] + np.where(items >= 0, ranges, np.nan)[..., None] * rays
+        ranges, items, starts, rays = self._meet(origins, directions, max_range_m, through)
+        starts = starts.reshape(-1, *(1 for _ in ranges.shape[1:]), 3)
+        points = starts + np.where(items >= 0, ranges, np.nan)[..., None] * rays
         solids = self._solids
         normals = normals_of(
-            items,
-            points,
+            items.reshape(-1),
+            points.reshape(-1, 3),
             solids.shape,
             solids.size,
             solids.position,
             solids.rotation,
             solids.triangles,
         )
-        return Hits(
-            ranges.reshape(shape),
-            self._owners[items].reshape(shape),
-            points.reshape(*shape, 3),
-            normals.reshape(*shape, 3),
-        )
+        return Hits(ranges, self._owners[items], points, normals.reshape(points.shape))
 
-    def _nearest(
+    def _meet(
         self,
-        starts: Floats,
-        rays: Floats,
+        origins: ArrayLike,
+        directions: ArrayLike,
         max_range_m: float,
         through: ArrayLike | None,
-        shape: tuple[int, ...],
-    ) -> tuple[Floats, Ints]:
-        """Ranges (P, n), and which item was met: a primitive's number, beyond those a triangle's,
-        or -1."""
+    ) -> tuple[Floats, Ints, Floats, Floats]:
+        """Ranges (P, *shape); which item each ray met, a primitive's number, beyond those a
+        triangle's, or -1; origins (P, 3) and unit vectors (P, *shape, 3).
+
+        Raises ValueError for arrays of other shapes: the kernel would read beyond them.
+        """
+        # copies, for the kernel is compiled for arrays that can be written
+        starts = np.array(origins, float, order="C")
+        vectors = np.array(directions, float, order="C")
+        shape = vectors.shape[:-1]
+        if starts.shape[1:] != (3,) or vectors.shape != (len(starts), *shape[1:], 3):
+            raise ValueError(
+                f"origins of shape {starts.shape} and directions of {vectors.shape}; expected "
+                f"(P, 3) and (P, *shape, 3)"
+            )
         if not max_range_m >= 0:
             raise ValueError(f"max_range_m = {max_range_m}: expected metres from 0 on")
+        flat = len(starts), math.prod(shape[1:])
+        rays, ranges, items = vectors.reshape(*flat, 3), np.full(flat, np.inf), np.full(flat, -1)
         solids, tree = self._solids, self._hierarchy
-        ranges, items = np.full(rays.shape[:2], np.inf), np.full(rays.shape[:2], -1)
         reach = min(float(max_range_m), np.finfo(np.float64).max)  # what is missed lies at infinity
         own, turn = np.full(len(rays), -1), _neighbours(shape[1:])
         if through is not None and len(self._part):
@@ -190,16 +201,7 @@ class AnalyticEngine:
             bounds = np.linspace(0, len(rays), shares + 1).astype(int)
             with ThreadPoolExecutor(shares) as pool:  # the kernel lets go of the interpreter's lock
                 list(pool.map(share, map(slice, bounds[:-1], bounds[1:])))
-        return ranges, items
-
-    def _take(self, solids: Solids) -> None:
-        # nothing bounds planes: the tree holds the rest, and every ray meets each of them
-        planes = solids.shape == PLANE
-        count = len(solids.shape) + len(solids.triangles)
-        self._solids = solids
-        self._planes = np.flatnonzero(planes).astype(np.uint64)
-        self._bounded = np.concatenate([np.flatnonzero(~planes), np.arange(len(planes), count)])
-        self._reach2 = squared_reaches(solids.shape, solids.size)
+        return ranges.reshape(shape), items.reshape(shape), starts, vectors
 
     @cached_property
     def _owners(self) -> Ints:
@@ -237,18 +239,3 @@ def _by_item(solids: Solids, values: Ints) -> Ints:
     """Values (n + m,) of solids as values (n + T,) of primitives and triangles."""
     plain = len(solids.shape)
     return np.concatenate([values[:plain], np.repeat(values[plain:], np.diff(solids.mesh_start))])
-
-
-def _laid_out(origins: ArrayLike, directions: ArrayLike) -> tuple[Floats, Floats, tuple[int, ...]]:
-    """Origins (P, 3), directions (P, n, 3) and the shape (P, *shape) of what is asked for. Raises
-    ValueError for arrays of other shapes: the kernel would read beyond them."""
-    # copies, for the kernel is compiled for arrays that can be written
-    starts = np.array(origins, float, order="C")
-    vectors = np.array(directions, float, order="C")
-    shape = vectors.shape[:-1]
-    if starts.shape[1:] != (3,) or vectors.shape != (len(starts), *shape[1:], 3):
-        raise ValueError(
-            f"origins of shape {starts.shape} and directions of {vectors.shape}; expected (P, 3) "
-            f"and (P, *shape, 3)"
-        )
-    return starts, vectors.reshape(len(starts), math.prod(shape[1:]), 3), shape

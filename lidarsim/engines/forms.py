@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 
+from lidarsim.grid import Floats, Ints
 from lidarsim.jit import kernel
 from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE
 
@@ -40,20 +41,27 @@ def meet(shape, a, b, c, px, py, pz, dx, dy, dz):
 
 
 @kernel
-def meet_plane(size, position, rotation, ox, oy, oz, x, y, z):
-    """Distance to a plane, seen from above and within its half sizes, where these are not 0."""
-    sx, sy, sz = ox - position[0], oy - position[1], oz - position[2]
-    above = rotation[0, 2] * sx + rotation[1, 2] * sy + rotation[2, 2] * sz
-    rising = rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2] * z
+def local(rotation, g, x, y, z):
+    """A vector of the world along the axes of primitive g."""
+    return (
+        rotation[g, 0, 0] * x + rotation[g, 1, 0] * y + rotation[g, 2, 0] * z,
+        rotation[g, 0, 1] * x + rotation[g, 1, 1] * y + rotation[g, 2, 1] * z,
+        rotation[g, 0, 2] * x + rotation[g, 1, 2] * y + rotation[g, 2, 2] * z,
+    )
+
+
+@kernel
+def meet_plane(g, size, rotation, sx, sy, sz, x, y, z):
+    """Distance from s, seen from its centre, along the unit vector (x, y, z) to the plane g, seen
+    from above and within its half sizes, where these are not 0."""
+    px, py, above = local(rotation, g, sx, sy, sz)
+    dx, dy, rising = local(rotation, g, x, y, z)
     if above < 0.0 or rising >= 0.0:
         return math.inf
     t = -above / rising
-    for a in range(2):
-        if size[a] > 0.0:
-            p = rotation[0, a] * sx + rotation[1, a] * sy + rotation[2, a] * sz
-            d = rotation[0, a] * x + rotation[1, a] * y + rotation[2, a] * z
-            if abs(p + t * d) > size[a]:
-                return math.inf
+    for half, p, d in ((size[g, 0], px, dx), (size[g, 1], py, dy)):
+        if half > 0.0 and abs(p + t * d) > half:
+            return math.inf
     return t
 
 
@@ -167,33 +175,16 @@ def meet_triangle(triangles, k, frame):
     return t if t >= 0.0 else math.inf
 
 
-@kernel
-def ball_around(shape, size):
-    """Radius of a ball about the shape's centre that holds it, a millionth larger than need be; inf
-    around a plane."""
-    a, b, c = size[0], size[1], size[2]
-    if shape == PLANE:
-        return math.inf
-    if shape == SPHERE:
-        radius = a
-    elif shape == CAPSULE:
-        radius = a + b
-    elif shape == CYLINDER:
-        radius = math.sqrt(a * a + b * b)
-    elif shape == ELLIPSOID:
-        radius = max(a, b, c)
-    else:
-        radius = math.sqrt(a * a + b * b + c * c)
-    return radius * (1.0 + 1e-6)
-
-
-@kernel
-def squared_reaches(shape, size):
-    """Squared radii (n,) of balls around primitives, planes among them."""
-    reach2 = np.empty(len(shape))
-    for g in range(len(shape)):
-        reach2[g] = ball_around(shape[g], size[g]) ** 2
-    return reach2
+def squared_reaches(shape: Ints, size: Floats) -> Floats:
+    """Squared radii (n,) of balls about the centres of primitives that hold them, radii a millionth
+    larger than need be; inf for planes."""
+    radius, half = size[:, 0], size[:, 1]
+    radius = np.select(
+        [shape == PLANE, shape == SPHERE, shape == CAPSULE, shape == CYLINDER, shape == ELLIPSOID],
+        [np.inf, radius, radius + half, np.sqrt(radius**2 + half**2), size.max(axis=1)],
+        np.sqrt((size**2).sum(axis=1)),
+    )
+    return (radius * (1.0 + 1e-6)) ** 2
 
 
 @kernel

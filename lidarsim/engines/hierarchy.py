@@ -64,45 +64,31 @@ def _build(lower, upper):
     n = len(lower)
     order = np.arange(n)
     centre = 0.5 * (lower + upper)
-    most = n // 3 + 1  # a node has four children, or leaves alone
+    # a node has three children or more, or two leaves that hold five items or more
+    most = n // 2 + 1
     boxes = np.empty((most, 6, WIDTH))
     links, ends = np.zeros((most, WIDTH), np.uint64), np.zeros((most, WIDTH), np.uint64)
     waiting = np.empty((WAITING, 4), np.int64)  # begin and end in `order`, the node, its level
     waiting[0, 0], waiting[0, 1], waiting[0, 2], waiting[0, 3] = 0, n, 0, 0
     left, nodes = min(n, 1), min(n, 1)
-    part = np.empty(WIDTH + 1, np.int64)  # where the node's parts begin, and the last one ends
     while left > 0:
         left -= 1
-        node, level, parts = waiting[left, 2], waiting[left, 3], 1
-        part[0], part[1] = waiting[left, 0], waiting[left, 1]
+        begin, end = waiting[left, 0], waiting[left, 1]
+        node, level = waiting[left, 2], waiting[left, 3]
+        middle = _cut(lower, upper, centre, order, begin, end, level)
+        quarter = _cut(lower, upper, centre, order, begin, middle, level)
+        parts = begin, quarter, middle, _cut(lower, upper, centre, order, middle, end, level), end
         boxes[node, :3], boxes[node, 3:] = np.inf, -np.inf
-        _hull(lower, upper, order, part[0], part[1], boxes[node, :, 0])
-        while parts < WIDTH:
-            chosen, widest = -1, -1.0
-            for k in range(parts):
-                surface = _surface(boxes[node, :, k])
-                if part[k + 1] - part[k] > IN_LEAF and surface > widest:
-                    chosen, widest = k, surface
-            if chosen < 0:
-                break
-            begin, end = part[chosen], part[chosen + 1]
-            middle = (begin + end) // 2
-            if level < LEVELS:
-                middle = _cut(lower, upper, centre, order, begin, end, middle)
-            for k in range(parts, chosen, -1):
-                part[k + 1] = part[k]
-                for a in range(6):  # one by one: numba takes 2 s to compile a slice's assignment
-                    boxes[node, a, k] = boxes[node, a, k - 1]
-            part[chosen + 1] = middle
-            _hull(lower, upper, order, begin, middle, boxes[node, :, chosen])
-            _hull(lower, upper, order, middle, end, boxes[node, :, chosen + 1])
-            parts += 1
-        for k in range(parts):
-            if part[k + 1] - part[k] <= IN_LEAF:
-                links[node, k], ends[node, k] = part[k], part[k + 1]
+        for k in range(WIDTH):
+            begin, end = parts[k], parts[k + 1]
+            if begin == end:
+                continue
+            _hull(lower, upper, order, begin, end, boxes[node, :, k])
+            if end - begin <= IN_LEAF:
+                links[node, k], ends[node, k] = begin, end
                 continue
             links[node, k] = nodes
-            waiting[left, 0], waiting[left, 1] = part[k], part[k + 1]
+            waiting[left, 0], waiting[left, 1] = begin, end
             waiting[left, 2], waiting[left, 3] = nodes, level + 1
             left, nodes = left + 1, nodes + 1
     return boxes[:nodes].copy(), links[:nodes].copy(), ends[:nodes].copy(), order.astype(np.uint64)
@@ -119,9 +105,11 @@ def _hull(lower, upper, order, begin, end, box):
 
 
 @kernel
-def _cut(lower, upper, centre, order, begin, end, middle):
-    """Sort order[begin:end] into two parts; where the second begins. `middle` if all centres are
-    one."""
+def _cut(lower, upper, centre, order, begin, end, level):
+    """Sort order[begin:end] into two parts; where the second begins: at `end` for what is a
+    leaf."""
+    if end - begin <= IN_LEAF:
+        return end
     axis, first, width = 0, 0.0, 0.0
     for a in range(3):
         low, high = np.inf, -np.inf
@@ -130,8 +118,8 @@ def _cut(lower, upper, centre, order, begin, end, middle):
         if high - low > width:
             axis, first, width = a, low, high - low
     scale = BINS / width if width > 0.0 else np.inf
-    if not scale < np.inf:
-        return middle
+    if not scale < np.inf or level >= LEVELS:  # all centres are one, or the tree grows too deep
+        return (begin + end) // 2
     bins = np.empty((BINS, 6))
     held = np.zeros(BINS, np.int64)
     bins[:, :3], bins[:, 3:] = np.inf, -np.inf

@@ -64,39 +64,32 @@ class MujocoEngine:
                 units = vectors / np.sqrt(length2)[..., None]
                 either = [odd[..., None], rough[..., None]]
                 vectors = np.select(either, [np.array([1.0, 0.0, 0.0]), units], vectors)
+        count = int(np.prod(ranges.shape[1:]))
+        geoms, distances = np.empty(count, np.int32), np.empty(count)
         for p, origin in enumerate(starts):
             if not np.isfinite(origin).all():
                 odd[p] = True
                 continue
             away = np.maximum(np.maximum(lower - origin, origin - upper), 0.0)
             self._model.geom_group[:] = (away**2).sum(axis=1) > max_range_m * max_range_m
-            ranges[p] = self._cast_near(origin, vectors[p], max_range_m)
+            mujoco.mj_multiRay(
+                self._model,
+                self._data,
+                origin,
+                vectors[p].reshape(-1),
+                NEAR_ALONE,
+                True,  # static geoms too
+                -1,  # no body left out
+                geoms,
+                distances,
+                None,  # no normals
+                len(geoms),
+                max_range_m,
+            )
+            missed = (geoms < 0) | (distances > max_range_m)
+            ranges[p] = np.where(missed, np.inf, distances).reshape(ranges[p].shape)
         ranges[odd] = np.inf
         return ranges
-
-    def _cast_near(self, origin: Floats, vectors: Floats, max_range_m: float) -> Floats:
-        """Ranges (*shape) from one origin (3,) along `vectors` (*shape, 3), among the geoms of
-        group 0."""
-        shape = vectors.shape[:-1]
-        count = int(np.prod(shape))
-        geoms = np.empty(count, np.int32)
-        distances = np.empty(count, np.float64)
-        mujoco.mj_multiRay(
-            self._model,
-            self._data,
-            origin,
-            vectors.reshape(-1),
-            NEAR_ALONE,
-            True,  # static geoms too
-            -1,  # no body left out
-            geoms,
-            distances,
-            None,  # no normals
-            count,
-            max_range_m,
-        )
-        missed = (geoms < 0) | (distances > max_range_m)
-        return np.where(missed, np.inf, distances).reshape(shape)
 
 
 def _boxes(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Floats, Floats]:

@@ -13,6 +13,7 @@ import numpy as np
 
 from lidarsim.engines.forms import (
     axes,
+    local,
     meet,
     meet_ball,
     meet_plane,
@@ -110,7 +111,8 @@ def traverse(
                     if own >= 0 and part[g] == own:
                         continue
                     x, y, z = ray[0, i], ray[1, i], ray[2, i]
-                    t = meet_plane(size[g], position[g], rotation[g], ox, oy, oz, x, y, z)
+                    sx, sy, sz = ox - position[g, 0], oy - position[g, 1], oz - position[g, 2]
+                    t = meet_plane(g, size, rotation, sx, sy, sz, x, y, z)
                     if _nearer(t, g, best[i], item[i]):
                         best[i], item[i] = t, g
                 if plain < none:
@@ -299,19 +301,9 @@ def meet_solid(g, shape, size, rotation, sx, sy, sz, x, y, z):
     which is no plane; inf where it is not met."""
     if shape[g] == SPHERE:
         return meet_ball(sx, sy, sz, x, y, z, size[g, 0])
-    px, py, pz = _within(rotation, g, sx, sy, sz)
-    dx, dy, dz = _within(rotation, g, x, y, z)
+    px, py, pz = local(rotation, g, sx, sy, sz)
+    dx, dy, dz = local(rotation, g, x, y, z)
     return meet(shape[g], size[g, 0], size[g, 1], size[g, 2], px, py, pz, dx, dy, dz)
-
-
-@kernel
-def _within(rotation, g, x, y, z):
-    """A vector of the world along the axes of primitive g."""
-    return (
-        rotation[g, 0, 0] * x + rotation[g, 1, 0] * y + rotation[g, 2, 0] * z,
-        rotation[g, 0, 1] * x + rotation[g, 1, 1] * y + rotation[g, 2, 1] * z,
-        rotation[g, 0, 2] * x + rotation[g, 1, 2] * y + rotation[g, 2, 2] * z,
-    )
 
 
 @kernel
@@ -322,20 +314,23 @@ def inverse(d):
 
 @kernel
 def normals_of(items, points, shape, size, position, rotation, triangles):
-    """Unit normals (P, n, 3) at points (P, n, 3) of items (P, n); NaN where there is none."""
+    """Unit normals (n, 3) at points (n, 3) of items (n,); NaN where there is none."""
     normals = np.full(points.shape, np.nan)
-    for p in range(items.shape[0]):
-        for n in range(items.shape[1]):
-            g, out = items[p, n], normals[p, n]
-            if g >= len(shape):
-                corners = triangles[g - len(shape)]
-                ux, uy, uz = corners[1] - corners[0]
-                vx, vy, vz = corners[2] - corners[0]
-                out[:] = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-                out /= math.sqrt((out**2).sum())
-            elif g >= 0:
-                s, turn = points[p, n] - position[g], rotation[g]
-                px, py, pz = (turn[:, 0] * s).sum(), (turn[:, 1] * s).sum(), (turn[:, 2] * s).sum()
-                x, y, z = normal(shape[g], size[g, 0], size[g, 1], size[g, 2], px, py, pz)
-                out[:] = turn[:, 0] * x + turn[:, 1] * y + turn[:, 2] * z
+    for n in range(len(items)):
+        g = items[n]
+        if g >= len(shape):
+            a, b, c = triangles[g - len(shape)]
+            ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+            vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+            x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+            length = math.sqrt(x * x + y * y + z * z)
+            normals[n, 0], normals[n, 1], normals[n, 2] = x / length, y / length, z / length
+        elif g >= 0:
+            sx, sy, sz = points[n, 0], points[n, 1], points[n, 2]
+            sx, sy, sz = sx - position[g, 0], sy - position[g, 1], sz - position[g, 2]
+            px, py, pz = local(rotation, g, sx, sy, sz)
+            x, y, z = normal(shape[g], size[g, 0], size[g, 1], size[g, 2], px, py, pz)
+            for axis in range(3):
+                turn = rotation[g, axis]
+                normals[n, axis] = turn[0] * x + turn[1] * y + turn[2] * z
     return normals

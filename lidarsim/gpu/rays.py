@@ -112,12 +112,11 @@ def _meet_item(packed: Packed, g: wp.int32, o: wp.vec3d, d: wp.vec3d, frame: Any
     """Distance to a primitive of the world, or to a triangle."""
     if g < 0:
         return meet_triangle(packed.triangles, -1 - g, frame)
-    if packed.shape[g] == PLANE:
-        place, turn = packed.position[g], packed.rotation[g]
-        return meet_plane(packed.size[g], place, turn, o[0], o[1], o[2], d[0], d[1], d[2])
     x = o[0] - packed.position[g, 0]
     y = o[1] - packed.position[g, 1]
     z = o[2] - packed.position[g, 2]
+    if packed.shape[g] == PLANE:
+        return meet_plane(g, packed.size, packed.rotation, x, y, z, d[0], d[1], d[2])
     if passes(packed.reach2[g], x, y, z, d[0], d[1], d[2]):
         return INF
     return meet_solid(g, packed.shape, packed.size, packed.rotation, x, y, z, d[0], d[1], d[2])
@@ -157,29 +156,10 @@ def voxelize(
     observed, free = (wp.zeros(shape, dtype=wp.bool, device=device) for _ in range(2))
     # a grid's voxels one after the other, as the walk numbers them
     rows = [grids.reshape((poses, math.prod(grid.shape))) for grids in (observed, free)]
-    inputs = [*scans, float(max_range_m), rows[1]]
-    wp.launch(_clear, dim=ranges.shape, inputs=inputs, device=device)
-    wp.launch(_mark, dim=ranges.shape, inputs=[*scans, *rows], device=device)
+    for at_end in (False, True):  # what one ray crosses, another may return from
+        inputs = [*scans, float(max_range_m), at_end, *rows]
+        wp.launch(_mark, dim=ranges.shape, inputs=inputs, device=device)
     return observed, free
-
-
-@wp.kernel
-def _clear(
-    ranges: wp.array2d[wp.float64],
-    origins: wp.array[wp.vec3d],
-    directions: wp.array2d[wp.vec3d],
-    corners: wp.array[wp.vec3d],
-    shape: wp.vec3i,
-    voxel_m: wp.float64,
-    max_range_m: wp.float64,
-    free: wp.array2d[wp.bool],
-) -> None:
-    """The voxels on every ray's way."""
-    p, n = wp.tid()
-    reach = wp.float64(wp.float32(ranges[p, n]))
-    end = reach if reach < INF else max_range_m
-    o, d, corner = origins[p], directions[p, n], corners[p]
-    clear_voxels(o, d, end, corner, voxel_m, shape[0], shape[1], shape[2], free[p])
 
 
 @wp.kernel
@@ -190,14 +170,19 @@ def _mark(
     corners: wp.array[wp.vec3d],
     shape: wp.vec3i,
     voxel_m: wp.float64,
+    max_range_m: wp.float64,
+    at_end: wp.bool,
     observed: wp.array2d[wp.bool],
     free: wp.array2d[wp.bool],
 ) -> None:
-    """The voxels that hold returns."""
+    """The voxels on every ray's way, or those that hold its return."""
     p, n = wp.tid()
+    o, d, corner = origins[p], directions[p, n], corners[p]
     reach = wp.float64(wp.float32(ranges[p, n]))
-    if reach < INF:
-        o, d, corner = origins[p], directions[p, n], corners[p]
+    if not at_end:
+        end = reach if reach < INF else max_range_m
+        clear_voxels(o, d, end, corner, voxel_m, shape[0], shape[1], shape[2], free[p])
+    elif reach < INF:
         cell = voxel_at(o, d, reach, corner, voxel_m, shape[0], shape[1], shape[2])
         if cell >= 0:
             observed[p, cell] = True

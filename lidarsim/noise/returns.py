@@ -16,6 +16,7 @@ from lidarsim.parameters import Checked, number
 from lidarsim.pose import Pose
 from lidarsim.scan import Scan
 from lidarsim.sensors import Sensor
+from lidarsim.solids.model import colours
 
 
 def normal(shape: tuple[int, ...], *, rng: np.random.Generator) -> Floats:
@@ -116,12 +117,8 @@ class View:
 def albedo_of(model: mujoco.MjModel) -> Floats:
     """What share of light every geom reflects, (ngeom,): the brightness of its material's colour,
     or of its own without one, by the weights of ITU-R BT.709. Textures are not looked at."""
-    colour = model.geom_rgba[:, :3].astype(np.float64)
-    dressed = model.geom_matid >= 0
-    colour[dressed] = model.mat_rgba[model.geom_matid[dressed], :3]
-    return np.clip(
-        (0.2126 * colour[:, 0] + 0.7152 * colour[:, 1]) + 0.0722 * colour[:, 2], 0.0, 1.0
-    )
+    red, green, blue, _ = colours(model).T
+    return np.clip((0.2126 * red + 0.7152 * green) + 0.0722 * blue, 0.0, 1.0)
 
 
 def _by_origin(origins: Floats) -> list[tuple[Mask, Floats]]:

@@ -22,8 +22,8 @@ ABOUT = ("name", "source", "checked", "error", "noise")
 
 @dataclass(frozen=True, kw_only=True)
 class Device:
-    """A sensor with a mount: a `Sensor` once a subclass adds `shape`, `directions_sensor` and
-    `times_s`."""
+    """A sensor with a mount: a `Sensor` once a subclass adds `shape`, `directions_sensor` and,
+    where rays are not all cast at once, `times_s`."""
 
     name: str = ""
     """What it is called; the catalogue's names are taken."""
@@ -75,8 +75,9 @@ class Device:
 
     @property
     def times_s(self) -> Floats:
-        """When each ray is cast, (*shape), seconds after the scan begins."""
-        raise NotImplementedError
+        """When each ray is cast, (*shape), seconds after the scan begins; zeros unless a subclass
+        knows better."""
+        return np.zeros(self.shape)
 
     @cached_property
     def directions_body(self) -> Floats:

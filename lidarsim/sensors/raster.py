@@ -128,11 +128,6 @@ class Pinhole(Device):
         return self.height, self.width
 
     @property
-    def times_s(self) -> Floats:
-        """Zeros (height, width)."""
-        return np.zeros(self.shape)
-
-    @property
     def directions_sensor(self) -> Floats:
         """See `Device.directions_sensor`."""
         wide = _tangent(self.horizontal_fov_deg / 2)

@@ -111,10 +111,16 @@ def check_forwarded(model: mujoco.MjModel, data: mujoco.MjData) -> None:
 def visible_geoms(model: mujoco.MjModel) -> Mask:
     """Which geoms rays can see, (ngeom,): those whose material, or whose own colour without one,
     has alpha above 0."""
-    alpha = model.geom_rgba[:, 3].copy()
+    return colours(model)[:, 3] != 0
+
+
+def colours(model: mujoco.MjModel) -> Floats:
+    """Red, green, blue and alpha (ngeom, 4) of every geom: its material's, or its own without
+    one."""
+    found = model.geom_rgba.astype(np.float64)
     dressed = model.geom_matid >= 0
-    alpha[dressed] = model.mat_rgba[model.geom_matid[dressed], 3]
-    return alpha != 0
+    found[dressed] = model.mat_rgba[model.geom_matid[dressed]]
+    return found
 
 
 def _check_numbers(model: mujoco.MjModel, what: str, values: Floats, seen: Mask) -> None:

@@ -56,11 +56,14 @@ class Difficulty(NamedTuple):
     """Mean over the free nodes of the shortest way from obstacle to obstacle through the node, of
     those along the four level axes, in diameters of the robot; map edges count as obstacles."""
     obstruction: float
-    """See `scenegen.truth.guides.Hardness`."""
+    """FlightBench's TO along the ways out: half the sensing range times the mean of 1 / radius over
+    the narrower half of the spheres of the corridor."""
     occlusion: float
-    """See there."""
+    """Its VO: mean over the looks along the ways of the sensing range over the distance of the
+    nearest obstacle, cone by cone, weighed by `scenegen.truth.guides.WEIGHTS`."""
     turning: float
-    """See there."""
+    """Its AOL: the sum of exp(2 θ / π) − 1 over the ways' corners, whose angle is θ, over their
+    length, per metre."""
 
 
 def difficulty(occupancy: Mask, tudf: Field, voxel_m: float) -> Difficulty:

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 from lidarsim.gpu.translate import translated
 from lidarsim.gpu.worlds import EXACT, Packed, Worlds, on_device, wp
 from lidarsim.grid import GridSpec
-from lidarsim.solids.shapes import BOX, CYLINDER
 from scenegen.truth import occupancy as cpu
 from scenegen.truth import triangles
 from scenegen.truth.distance import lookup
@@ -23,8 +22,7 @@ ZERO = wp.constant(wp.float64(0.0))
 HALF = wp.constant(wp.float64(0.5))
 SLACK = wp.constant(wp.float64(cpu.SLACK_M))
 span = translated(cpu.span)
-column_touches = translated(cpu.column_touches)
-fill_column = translated(cpu.fill_column)
+touched = translated(cpu.touched)
 triangle_touches = translated(triangles.triangle_touches)
 crossing = translated(triangles.crossing)
 
@@ -50,12 +48,11 @@ def rasterize(
     poses = (*np.shape(corners), 0)[0]
     lows = on_device("corners", corners, wp.vec3d, (poses,), worlds.device)
     occupancy = wp.zeros((poses, *grid.shape), dtype=wp.bool, device=worlds.device)
-    inputs = [worlds.packed, worlds.which(which, poses), lows, grid.voxel_m, occupancy]
-    columns = occupancy.shape[:3]
-    wp.launch(_fill_primitives, dim=columns, inputs=inputs, device=worlds.device)
-    if len(worlds.packed.triangles):
-        winding = wp.zeros(occupancy.shape, dtype=wp.int32, device=worlds.device)
-        wp.launch(_fill_meshes, dim=columns, inputs=[*inputs, winding], device=worlds.device)
+    # of closed meshes, by how much the winding number changes in each voxel
+    counted = occupancy.shape if len(worlds.packed.triangles) else (0, 0, 0, 0)
+    winding = wp.zeros(counted, dtype=wp.int32, device=worlds.device)
+    inputs = [worlds.packed, worlds.which(which, poses), lows, grid.voxel_m, occupancy, winding]
+    wp.launch(_fill, dim=occupancy.shape[:3], inputs=inputs, device=worlds.device)
     return occupancy
 
 
@@ -110,36 +107,7 @@ def _touched(
 
 
 @wp.kernel
-def _fill_primitives(
-    packed: Packed,
-    which: wp.array[wp.int32],
-    corners: wp.array[wp.vec3d],
-    voxel_m: wp.float64,
-    occupancy: wp.array4d[wp.bool],
-) -> None:
-    p, i, j = wp.tid()
-    o = corners[p]
-    shape = wp.vec3i(occupancy.shape[1], occupancy.shape[2], occupancy.shape[3])
-    for n in range(packed.primitive_start[which[p]], packed.primitive_start[which[p] + 1]):
-        ends = _touched(packed.lower[n], packed.upper[n], o, i, j, voxel_m, shape)
-        if ends[0] >= ends[1]:
-            continue
-        kind, size, axes = packed.shape[n], packed.size[n], packed.rotation[n]
-        dx = _centre(o[0], i, voxel_m) - packed.position[n, 0]
-        dy = _centre(o[1], j, voxel_m) - packed.position[n, 1]
-        dz = _centre(o[2], ends[0], voxel_m) - packed.position[n, 2]
-        upright = axes[2, 0] == ZERO and axes[2, 1] == ZERO
-        if upright and (kind == CYLINDER or kind == BOX):  # noqa: SIM109 (Warp has no `in`)
-            if column_touches(kind, size, axes, dx, dy, HALF * voxel_m):
-                for k in range(ends[0], ends[1]):
-                    occupancy[p, i, j, k] = True
-        else:
-            column = occupancy[p, i, j]
-            fill_column(kind, size, axes, dx, dy, dz, voxel_m, column, ends[0], ends[1])
-
-
-@wp.kernel
-def _fill_meshes(
+def _fill(
     packed: Packed,
     which: wp.array[wp.int32],
     corners: wp.array[wp.vec3d],
@@ -147,12 +115,23 @@ def _fill_meshes(
     occupancy: wp.array4d[wp.bool],
     winding: wp.array4d[wp.int32],
 ) -> None:
-    """Surfaces by the cubes that they touch; the inside of closed ones by winding numbers of the
-    voxels' centres."""
+    """One column: primitives; then meshes' surfaces by the cubes that they touch, and the inside of
+    closed ones by winding numbers of the voxels' centres."""
     p, i, j = wp.tid()
     o = corners[p]
     shape = wp.vec3i(occupancy.shape[1], occupancy.shape[2], occupancy.shape[3])
     x, y = _centre(o[0], i, voxel_m), _centre(o[1], j, voxel_m)
+    for n in range(packed.primitive_start[which[p]], packed.primitive_start[which[p] + 1]):
+        ends = _touched(packed.lower[n], packed.upper[n], o, i, j, voxel_m, shape)
+        if ends[0] >= ends[1]:
+            continue
+        kind, size, axes = packed.shape[n], packed.size[n], packed.rotation[n]
+        dx = x - packed.position[n, 0]
+        dy = y - packed.position[n, 1]
+        dz = _centre(o[2], ends[0], voxel_m) - packed.position[n, 2]
+        first, end = touched(kind, size, axes, dx, dy, dz, voxel_m, ends[1] - ends[0])
+        for k in range(ends[0] + first, ends[0] + end):
+            occupancy[p, i, j, k] = True
     for m in range(packed.mesh_start[which[p]], packed.mesh_start[which[p] + 1]):
         for n in range(packed.triangle_start[m], packed.triangle_start[m + 1]):
             a, b, c = _corner(packed, n, 0), _corner(packed, n, 1), _corner(packed, n, 2)

@@ -9,7 +9,6 @@ all obstacles, where FlightBench takes the best of samples.
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -32,27 +31,14 @@ WEIGHTS = np.array([0.05, 0.1, 0.3, 0.55])
 """What the nearest obstacle between one cone and the next, or in the last one, counts."""
 
 
-class Hardness(NamedTuple):
-    """What guide paths are like; NaN where no way leads out."""
-
-    obstruction: float
-    """TO: half the sensing range times the mean of 1 / radius over the narrower half of the
-    spheres."""
-    occlusion: float
-    """VO: mean over the looks of the sensing range over the distance of the nearest obstacle, cone
-    by cone, weighed by `WEIGHTS`."""
-    turning: float
-    """AOL: the sum of exp(2 θ / π) − 1 over the corners, whose angle is θ, over the length, per
-    metre."""
-
-
 def hardness(
     paths: Sequence[Ints],
     occupancy: Mask,
     tudf: Field,
     voxel_m: float,
-) -> Hardness:
-    """Measures along `paths`.
+) -> tuple[float, float, float]:
+    """`obstruction`, `occlusion` and `turning` of `scenegen.truth.difficulty.Difficulty` along
+    `paths`; NaN where there is none.
 
     Args:
         paths: Of each its voxels (n, 3) from the middle outwards, at least two.
@@ -84,13 +70,10 @@ def hardness(
             near = voxel_m * _nearest(occupancy, place / voxel_m, unit, SENSING_M / voxel_m)
             seen.append(float((WEIGHTS * SENSING_M / near).sum()))
     if not radii:
-        return Hardness(math.nan, math.nan, math.nan)
+        return math.nan, math.nan, math.nan
     narrow = np.sort(radii)[: max(len(radii) // 2, 1)]
-    return Hardness(
-        obstruction=float(SENSING_M / 2 * (1 / narrow).mean()),
-        occlusion=float(np.mean(seen)) if seen else math.nan,
-        turning=turns / length,
-    )
+    obstruction = float(SENSING_M / 2 * (1 / narrow).mean())
+    return obstruction, float(np.mean(seen)) if seen else math.nan, turns / length
 
 
 def _place(at: float, corners: Floats, units: Floats, until: Floats) -> tuple[Floats, Floats]:

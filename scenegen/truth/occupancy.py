@@ -11,8 +11,10 @@ from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, Solids
 from scenegen.truth.shapes import distance, local, touches, within
 from scenegen.truth.triangles import (
     bounds,
-    inside_columns,
+    crossing,
+    height_over,
     numbered,
+    side,
     triangle_touches,
 )
 
@@ -32,8 +34,7 @@ def rasterize(solids: Solids, grid: GridSpec, origin: ArrayLike) -> Mask:
     """
     occupancy = np.zeros(grid.shape, bool)
     origin = finite("origin", origin, 3)
-    fill = _fill_shells if grid.hollow else _fill_primitives
-    fill(
+    _fill_primitives(
         solids.shape,
         solids.size,
         solids.position,
@@ -42,6 +43,7 @@ def rasterize(solids: Solids, grid: GridSpec, origin: ArrayLike) -> Mask:
         solids.upper,
         origin,
         grid.voxel_m,
+        SLACK_M if grid.hollow else None,
         occupancy,
     )
     for mesh, filled in enumerate(solids.mesh_filled):
@@ -71,93 +73,70 @@ def spans(low, high, origin, voxel_m, shape):
 
 
 @kernel
-def _fill_primitives(shape, size, position, rotation, lower, upper, origin, voxel_m, occupancy):
-    """Mark every primitive's voxels."""
+def _fill_primitives(
+    shape, size, position, rotation, lower, upper, origin, voxel_m, deepest, occupancy
+):
+    """Mark every primitive's voxels, but for those that lie farther than `deepest` metres inside
+    it; None marks these, too, and spares numba the code that finds them."""
+    half = 0.5 * voxel_m
     for n in range(len(shape)):
-        ends = spans(lower[n], upper[n], origin, voxel_m, occupancy.shape)
-        _fill(shape[n], size[n], position[n], rotation[n], ends, origin, voxel_m, occupancy)
-
-
-@kernel
-def _fill(shape, size, position, axes, ends, origin, voxel_m, occupancy):
-    """Mark a primitive's voxels, those of an upright one column by column; `ends` are its
-    `spans`."""
-    i0, i1, j0, j1, k0, k1 = ends
-    if k0 >= k1:
-        return
-    upright = axes[2, 0] == 0.0 and axes[2, 1] == 0.0 and shape in (CYLINDER, BOX)
-    dz = origin[2] + (k0 + 0.5) * voxel_m - position[2]
-    for i in range(i0, i1):
-        dx = origin[0] + (i + 0.5) * voxel_m - position[0]
-        for j in range(j0, j1):
-            dy = origin[1] + (j + 0.5) * voxel_m - position[1]
-            if not upright:
-                fill_column(shape, size, axes, dx, dy, dz, voxel_m, occupancy[i, j], k0, k1)
-            elif column_touches(shape, size, axes, dx, dy, 0.5 * voxel_m):
-                occupancy[i, j, k0:k1] = True
-
-
-@kernel
-def _fill_shells(shape, size, position, rotation, lower, upper, origin, voxel_m, occupancy):
-    """Mark the voxels at every primitive's surface: those of the whole primitive, less those deep
-    inside it."""
-    whole = np.zeros_like(occupancy)
-    for n in range(len(shape)):
-        axes, ends = rotation[n], spans(lower[n], upper[n], origin, voxel_m, occupancy.shape)
-        _fill(shape[n], size[n], position[n], axes, ends, origin, voxel_m, whole)
-        i0, i1, j0, j1, k0, k1 = ends
+        i0, i1, j0, j1, k0, k1 = spans(lower[n], upper[n], origin, voxel_m, occupancy.shape)
+        axes, dz = rotation[n], origin[2] + (k0 + 0.5) * voxel_m - position[n, 2]
         for i in range(i0, i1):
             dx = origin[0] + (i + 0.5) * voxel_m - position[n, 0]
             for j in range(j0, j1):
                 dy = origin[1] + (j + 0.5) * voxel_m - position[n, 1]
-                for k in range(k0, k1):
-                    if whole[i, j, k]:
-                        whole[i, j, k] = False
-                        dz = origin[2] + (k + 0.5) * voxel_m - position[n, 2]
-                        x, y, z = local(axes, dx, dy, dz)
-                        if not (
-                            occupancy[i, j, k]
-                            or within(shape[n], size[n], axes, x, y, z, 0.5 * voxel_m, SLACK_M)
-                        ):
-                            occupancy[i, j, k] = True
+                low, high = touched(shape[n], size[n], axes, dx, dy, dz, voxel_m, k1 - k0)
+                if deepest is None:
+                    occupancy[i, j, k0 + low : k0 + high] = True
+                    continue
+                for k in range(k0 + low, k0 + high):
+                    if not occupancy[i, j, k]:
+                        h = origin[2] + (k + 0.5) * voxel_m - position[n, 2]
+                        x, y, z = local(axes, dx, dy, h)
+                        deep = within(shape[n], size[n], axes, x, y, z, half, deepest)
+                        occupancy[i, j, k] = not deep
 
 
 @kernel
-def column_touches(shape, size, axes, dx, dy, half):
-    """Whether the square about (dx, dy), relative to an upright cylinder's or box's axis, touches
-    its section."""
+def touched(shape, size, axes, dx, dy, dz, voxel_m, count):
+    """Which of `count` voxels of one column, all in the shape's bounding box, touch it: the first
+    one, and one past the last. The centre of the column's first lies at (dx, dy, dz) from the
+    shape's."""
+    upright = axes[2, 0] == 0.0 and axes[2, 1] == 0.0
+    if upright and (shape == CYLINDER or shape == BOX):  # noqa: SIM109 (Warp has no `in`)
+        if _touches_section(shape, size, axes, dx, dy, 0.5 * voxel_m):
+            return 0, count
+        return 0, 0
+    return _walked(shape, size, axes, dx, dy, dz, voxel_m, count)
+
+
+@kernel
+def _touches_section(shape, size, axes, dx, dy, half):
+    """Whether the square about (dx, dy) touches the section of an upright cylinder or box; along
+    the world's axes, the bounding box has told already."""
     if shape == CYLINDER:
         u, v = max(abs(dx) - half, 0.0), max(abs(dy) - half, 0.0)
         reach = size[0] + SLACK_M
         return u * u + v * v <= reach * reach
-    c, s = abs(axes[0, 0]), abs(axes[1, 0])
-    if (
-        abs(dx) > c * size[0] + s * size[1] + half + SLACK_M
-        or abs(dy) > s * size[0] + c * size[1] + half + SLACK_M
-    ):
-        return False
-    u = axes[0, 0] * dx + axes[1, 0] * dy
-    v = axes[0, 1] * dx + axes[1, 1] * dy
-    reach = half * (c + s) + SLACK_M
-    return abs(u) <= size[0] + reach and abs(v) <= size[1] + reach
+    x, y, _ = local(axes, dx, dy, 0.0)
+    reach = half * (abs(axes[0, 0]) + abs(axes[1, 0])) + SLACK_M
+    return abs(x) <= size[0] + reach and abs(y) <= size[1] + reach
 
 
 @kernel
-def fill_column(shape, size, axes, dx, dy, dz, voxel_m, column, first, end):
-    """Mark the voxels from `first` to `end` of one column; the centre of the first of them lies at
-    (dx, dy, dz) from the shape's.
+def _walked(shape, size, axes, dx, dy, dz, voxel_m, count):
+    """`touched` of any shape and turn.
 
     A cube holds the ball of its half edge and lies in the ball of its half diagonal, so the
     distance of its centre settles all but the cubes right at the surface; and since that distance
     cannot fall faster than one walks, far ones are skipped. Shapes are convex: the column is walked
-    from its foot to the first cube that touches, from its top to the last, and filled between. The
-    centres of cubes that touch an ellipsoid lie in a larger one, and those in a smaller one's do.
+    from its foot to the first cube that touches, and from its top to the last. The centres of cubes
+    that touch an ellipsoid lie in a larger one, and those in a smaller one's do.
     """
-    half = 0.5 * voxel_m
+    half, most = 0.5 * voxel_m, float(count)
     outer = half * math.sqrt(3.0) + SLACK_M
-    x = axes[0, 0] * dx + axes[1, 0] * dy
-    y = axes[0, 1] * dx + axes[1, 1] * dy
-    z = axes[0, 2] * dx + axes[1, 2] * dy
+    x, y, z = local(axes, dx, dy, 0.0)
     h0, h1, sure0, sure1 = -math.inf, math.inf, math.inf, -math.inf
     if shape == ELLIPSOID:
         a, b, c = size[0], size[1], size[2]
@@ -168,23 +147,22 @@ def fill_column(shape, size, axes, dx, dy, dz, voxel_m, column, first, end):
     elif shape == CYLINDER or shape == CAPSULE:  # noqa: SIM109 (Warp has no `in`)
         radius = size[0] + outer + SLACK_M
         h0, h1 = _chord(radius, radius, math.inf, axes, x, y, z)
-    count = float(end - first)
-    lowest = math.ceil(min(max((h0 - dz) / voxel_m, 0.0), count))
-    highest = math.floor(min(max((h1 - dz) / voxel_m + 1.0, 0.0), count))
+    lowest = math.ceil(min(max((h0 - dz) / voxel_m, 0.0), most))
+    highest = math.floor(min(max((h1 - dz) / voxel_m + 1.0, 0.0), most))
     low, high, found = int(lowest), int(highest), 0
     while low + found < high:
         at = low if found == 0 else high - 1
         h = dz + float(at) * voxel_m
         step = 1
-        touched = h >= sure0 and h <= sure1
-        if not touched:
+        meets = h >= sure0 and h <= sure1
+        if not meets:
             px, py, pz = x + axes[2, 0] * h, y + axes[2, 1] * h, z + axes[2, 2] * h
             gap = distance(shape, size, px, py, pz)
             if gap > outer:
-                step = max(int(min((gap - outer) / voxel_m, count)), 1)
+                step = max(int(min((gap - outer) / voxel_m, most)), 1)
             else:
-                touched = gap <= half or touches(shape, size, axes, px, py, pz, half, SLACK_M)
-        if touched:
+                meets = gap <= half or touches(shape, size, axes, px, py, pz, half, SLACK_M)
+        if meets:
             if found == 1:
                 break
             found, step = 1, 0
@@ -192,8 +170,7 @@ def fill_column(shape, size, axes, dx, dy, dz, voxel_m, column, first, end):
             low += step
         else:
             high = max(high - step, low + 1)
-    for k in range(low, high):
-        column[first + k] = True
+    return low, high
 
 
 @kernel
@@ -210,6 +187,14 @@ def _chord(a, b, c, axes, x, y, z):
 
 
 @kernel
+def _spans_of(a, b, c, origin, voxel_m, shape):
+    """`spans` of a triangle."""
+    low = (min(a[0], b[0], c[0]), min(a[1], b[1], c[1]), min(a[2], b[2], c[2]))
+    high = (max(a[0], b[0], c[0]), max(a[1], b[1], c[1]), max(a[2], b[2], c[2]))
+    return spans(low, high, origin, voxel_m, shape)
+
+
+@kernel
 def _fill_surface(triangles, origin, voxel_m, occupancy):
     """Mark the voxels that triangles (T, 3, 3) pass through.
 
@@ -221,9 +206,7 @@ def _fill_surface(triangles, origin, voxel_m, occupancy):
     across, up_x, up_y = np.empty((3, 4, max(occupancy.shape)))
     for n in range(len(triangles)):
         a, b, c = triangles[n, 0], triangles[n, 1], triangles[n, 2]
-        low = (min(a[0], b[0], c[0]), min(a[1], b[1], c[1]), min(a[2], b[2], c[2]))
-        high = (max(a[0], b[0], c[0]), max(a[1], b[1], c[1]), max(a[2], b[2], c[2]))
-        i0, i1, j0, j1, k0, k1 = spans(low, high, origin, voxel_m, occupancy.shape)
+        i0, i1, j0, j1, k0, k1 = _spans_of(a, b, c, origin, voxel_m, occupancy.shape)
         if i0 >= i1 or j0 >= j1 or k0 >= k1:
             continue
         size, noise = numbered(triangles[n], origin, voxel_m, corners)
@@ -260,3 +243,51 @@ def _fill_surface(triangles, origin, voxel_m, occupancy):
                     z = origin[2] + (k + 0.5) * voxel_m
                     if not occupancy[i, j, k] and triangle_touches(a, b, c, x, y, z, half, SLACK_M):
                         occupancy[i, j, k] = True
+
+
+@kernel
+def inside_columns(triangles, origin, voxel_m, occupancy):
+    """Mark the voxels whose centre a closed, consistently wound soup (T, 3, 3) winds around.
+
+    With the voxels on its surface marked already, what is left lies wholly inside or outside, so
+    the centre decides.
+    """
+    nx, _, nz = occupancy.shape
+    low = triangles[:, :, 0].min(), triangles[:, :, 1].min(), triangles[:, :, 2].min()
+    high = triangles[:, :, 0].max(), triangles[:, :, 1].max(), triangles[:, :, 2].max()
+    i_low, i_high, j_low, j_high, _, k_high = spans(low, high, origin, voxel_m, occupancy.shape)
+    if i_low >= i_high or j_low >= j_high or k_high == 0:
+        return
+    winding = np.zeros((i_high - i_low, j_high - j_low, nz), np.int32)
+    first = np.full(winding.shape[:2], nz, np.int32)  # the lowest voxel of a column that changes
+    corners, across = np.empty((3, 3)), np.empty((4, nx))
+    for n in range(len(triangles)):
+        a, b, c = triangles[n, 0], triangles[n, 1], triangles[n, 2]
+        i0, i1, j0, j1, _, _ = _spans_of(a, b, c, origin, voxel_m, occupancy.shape)
+        if i0 >= i1 or j0 >= j1:
+            continue
+        _, noise = numbered(triangles[n], origin, voxel_m, corners)
+        bounds(corners, 0, 1, i0, i1, 0.0, 0.0, noise, noise, across)
+        up = side(a, b, c[0], c[1])
+        for i in range(i0, i1):
+            x = origin[0] + (i + 0.5) * voxel_m
+            for j in range(j0, j1):
+                if j < across[0, i] or j > across[3, i]:
+                    continue
+                y = origin[1] + (j + 0.5) * voxel_m
+                if across[1, i] <= j <= across[2, i]:
+                    sign, height = up, height_over(a, b, c, x, y)
+                else:
+                    sign, height = crossing(a, b, c, x, y)
+                if sign != 0:
+                    k = max(math.ceil((height - origin[2]) / voxel_m - 0.5), 0)
+                    if k < nz:
+                        winding[i - i_low, j - j_low, k] += sign
+                        first[i - i_low, j - j_low] = min(first[i - i_low, j - j_low], k)
+    for i in range(i_low, i_high):
+        for j in range(j_low, j_high):
+            total = 0
+            for k in range(first[i - i_low, j - j_low], nz):
+                total += winding[i - i_low, j - j_low, k]
+                if total != 0:
+                    occupancy[i, j, k] = True

@@ -1,9 +1,7 @@
-"""Triangles: whether a cube touches one, how far a point is from one, and what a closed soup of
-them contains. A GPU runs the first and `crossing`, too (`lidarsim.gpu.translate`)."""
+"""Triangles: whether a cube touches one, how far a point is from one, and where a vertical line
+crosses one. A GPU runs the first and `crossing`, too (`lidarsim.gpu.translate`)."""
 
 import math
-
-import numpy as np
 
 from lidarsim.jit import kernel
 
@@ -163,7 +161,7 @@ def triangle_distance(a, b, c, x, y, z):
 
 
 @kernel
-def _side(a, b, x, y):
+def side(a, b, x, y):
     """On which side of the line ab, seen from above, (x, y) lies: +1 left, -1 right, 0 only where a
     and b are one point.
 
@@ -188,14 +186,14 @@ def _side(a, b, x, y):
 def crossing(a, b, c, x, y):
     """How the vertical line at (x, y) crosses the triangle abc: +1 upwards out of it seen with its
     normal, -1 down into it, 0 not at all; and the height of the crossing."""
-    s = _side(a, b, x, y)
-    if s != _side(b, c, x, y) or s != _side(c, a, x, y):
+    s = side(a, b, x, y)
+    if s != side(b, c, x, y) or s != side(c, a, x, y):
         return 0, 0.0
-    return s, _height(a, b, c, x, y)
+    return s, height_over(a, b, c, x, y)
 
 
 @kernel
-def _height(a, b, c, x, y):
+def height_over(a, b, c, x, y):
     """Where the vertical line at (x, y), which crosses the triangle abc, does so."""
     ux, uy, uz = joining(a, b)
     vx, vy, vz = joining(a, c)
@@ -205,67 +203,3 @@ def _height(a, b, c, x, y):
     slope_x, slope_y = (uy * vz - uz * vy) / normal_z, (uz * vx - ux * vz) / normal_z
     height = a[2] - slope_x * (x - a[0]) - slope_y * (y - a[1])
     return min(max(height, min(a[2], b[2], c[2])), max(a[2], b[2], c[2]))
-
-
-@kernel
-def inside_columns(triangles, origin, voxel_m, occupancy):
-    """Mark the voxels whose centre a closed, consistently wound soup (T, 3, 3) winds around.
-
-    With the voxels on its surface marked already, what is left lies wholly inside or outside, so
-    the centre decides.
-    """
-    nx, ny, nz = occupancy.shape
-    i_low = _first_column(triangles[:, :, 0].min(), origin[0], voxel_m)
-    j_low = _first_column(triangles[:, :, 1].min(), origin[1], voxel_m)
-    i_high = min(_last_column(triangles[:, :, 0].max(), origin[0], voxel_m), nx)
-    j_high = min(_last_column(triangles[:, :, 1].max(), origin[1], voxel_m), ny)
-    if i_low >= i_high or j_low >= j_high or triangles[:, :, 2].max() < origin[2]:
-        return
-    winding = np.zeros((i_high - i_low, j_high - j_low, nz), np.int32)
-    first = np.full(winding.shape[:2], nz, np.int32)  # the lowest voxel of a column that changes
-    corners, across = np.empty((3, 3)), np.empty((4, nx))
-    for n in range(len(triangles)):
-        a, b, c = triangles[n, 0], triangles[n, 1], triangles[n, 2]
-        i0 = _first_column(min(a[0], b[0], c[0]), origin[0], voxel_m)
-        j0 = _first_column(min(a[1], b[1], c[1]), origin[1], voxel_m)
-        i1 = min(_last_column(max(a[0], b[0], c[0]), origin[0], voxel_m), nx)
-        j1 = min(_last_column(max(a[1], b[1], c[1]), origin[1], voxel_m), ny)
-        if i0 >= i1 or j0 >= j1:
-            continue
-        _, noise = numbered(triangles[n], origin, voxel_m, corners)
-        bounds(corners, 0, 1, i0, i1, 0.0, 0.0, noise, noise, across)
-        up = _side(a, b, c[0], c[1])
-        for i in range(i0, i1):
-            x = origin[0] + (i + 0.5) * voxel_m
-            for j in range(j0, j1):
-                if j < across[0, i] or j > across[3, i]:
-                    continue
-                y = origin[1] + (j + 0.5) * voxel_m
-                if across[1, i] <= j <= across[2, i]:
-                    sign, height = up, _height(a, b, c, x, y)
-                else:
-                    sign, height = crossing(a, b, c, x, y)
-                if sign != 0:
-                    k = max(math.ceil((height - origin[2]) / voxel_m - 0.5), 0)
-                    if k < nz:
-                        winding[i - i_low, j - j_low, k] += sign
-                        first[i - i_low, j - j_low] = min(first[i - i_low, j - j_low], k)
-    for i in range(i_low, i_high):
-        for j in range(j_low, j_high):
-            total = 0
-            for k in range(first[i - i_low, j - j_low], nz):
-                total += winding[i - i_low, j - j_low, k]
-                if total != 0:
-                    occupancy[i, j, k] = True
-
-
-@kernel
-def _first_column(low, origin, voxel_m):
-    """Number of the first column whose centre line may lie at or above `low`; one early at most."""
-    return max(math.floor((low - origin) / voxel_m - 0.5), 0)
-
-
-@kernel
-def _last_column(high, origin, voxel_m):
-    """One past the last column whose centre line may lie at or below `high`; one late at most."""
-    return math.ceil((high - origin) / voxel_m + 0.5)

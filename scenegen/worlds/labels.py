@@ -17,9 +17,9 @@ from lidarsim.pose import rotate
 from lidarsim.solids.shapes import Solids
 from scenegen.errors import GenerationError, RecipeError, short
 from scenegen.limits import MOST_CLASSES
-from scenegen.truth.occupancy import SLACK_M, spans
+from scenegen.truth.occupancy import SLACK_M, inside_columns, spans
 from scenegen.truth.shapes import distance, local
-from scenegen.truth.triangles import inside_columns, triangle_distance
+from scenegen.truth.triangles import triangle_distance
 from scenegen.worlds.classes import CLASSES, OTHER
 from scenegen.worlds.drawing import SHAPES
 from scenegen.worlds.world import World

@@ -77,21 +77,23 @@ def test_an_obstacle_ahead_occludes_by_its_distance():
     occupancy[5, 0, 10] = True  # aside, never within 36 degrees of the direction
     path = np.array([(0, 10, 10), (10, 10, 10), (20, 10, 10)])
     far = np.full(occupancy.shape, 2.0, np.float32)
-    found = hardness([path], occupancy, far, VOXEL)
+    _, occlusion, _ = hardness([path], occupancy, far, VOXEL)
     ways = [6.0 - 0.4 * look for look in range(1, 10)]
-    assert found.occlusion == pytest.approx(np.mean([0.55 * 4 / way * (way <= 4) for way in ways]))
+    assert occlusion == pytest.approx(np.mean([0.55 * 4 / way * (way <= 4) for way in ways]))
     narrow = np.full(occupancy.shape, 0.55, np.float32)
-    assert hardness([path], occupancy, narrow, VOXEL).obstruction == pytest.approx(4 / 2 / 0.4)
+    obstruction, _, _ = hardness([path], occupancy, narrow, VOXEL)
+    assert obstruction == pytest.approx(4 / 2 / 0.4)
 
 
 def test_corners_count_by_their_angles_and_only_where_they_are_needed():
     occupancy = np.zeros((21, 21, 5), bool)
     far = np.full(occupancy.shape, 2.0, np.float32)
     path = np.array([(0, 0, 2), (5, 0, 2), (10, 0, 2), (10, 5, 2), (10, 10, 2)])
-    assert hardness([path], occupancy, far, VOXEL).turning == 0.0  # its ends see each other
+    _, _, turning = hardness([path], occupancy, far, VOXEL)
+    assert turning == 0.0  # its ends see each other
     occupancy[1:10, 1:10, 2] = True
-    found = hardness([path], occupancy, far, VOXEL)
-    assert found.turning == pytest.approx((math.e - 1) / 4.0)
+    _, _, turning = hardness([path], occupancy, far, VOXEL)
+    assert turning == pytest.approx((math.e - 1) / 4.0)
     assert all(map(math.isnan, hardness([], occupancy, far, VOXEL)))
 
 

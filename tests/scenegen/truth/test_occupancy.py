@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 from lidarsim import GridSpec
 from lidarsim.solids.model import solids_of
 from scenegen.truth import rasterize
-from scenegen.truth.occupancy import _fill_surface
-from scenegen.truth.triangles import inside_columns, triangle_touches
+from scenegen.truth.occupancy import _fill_surface, inside_columns
+from scenegen.truth.triangles import triangle_touches
 from tests.command_line import rows
 from tests.conftest import quarter
 from tests.scenegen.truth import reference
