@@ -58,7 +58,12 @@ class Named(Written):
     more: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        self.name, self.names = self.registry.what, (*self.registry.known, *self.more)
+        self.name = self.registry.what
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What it may be called."""
+        return (*self.registry.known, *self.more)
 
     def read(self, text: str) -> str:
         """The name, if it can be one; a user's own is imported later."""

@@ -10,15 +10,16 @@ import hashlib
 import json
 import os
 import stat
+import tempfile
 import time
 from collections.abc import Iterable, Mapping
 from contextlib import closing, suppress
 from functools import lru_cache
 from pathlib import Path
+from typing import IO
 
 from lidarsim.jit import folder_trouble, is_ours
-from scenegen.errors import DatasetError, StoreError, raised_as
-from scenegen.files import sha256_in, write_whole
+from scenegen.errors import StoreError
 from scenegen.stores import home_of, note_file, store_of
 from scenegen.stores.copies import (
     MOST_BYTES,
@@ -26,8 +27,8 @@ from scenegen.stores.copies import (
     ROOM,
     Copy,
     Note,
-    advice,
     alone,
+    disk_told,
     root,
     stamp,
 )
@@ -103,12 +104,16 @@ def _is_whole(path: Path, digest: str) -> bool:
                     os.utime(path, ns=(time.time_ns(), found.st_size))
             return True
         with open(path, "rb") as file:
-            if sha256_in(file) != digest:
+            if _sum(file) != digest:
                 return False
             stamp(file.fileno())
     except OSError:
         return False
     return True
+
+
+def _sum(file: IO[bytes]) -> str:
+    return hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
 
 
 def fetch_all(folder: Path, names: Iterable[str]) -> None:
@@ -177,5 +182,13 @@ def _check(folder: Path) -> None:
 def _put(path: Path, store: str, content: bytes) -> None:
     """Have `content` be at `path`, which is written only where it is not."""
     if not (path.is_file() and path.read_bytes() == content):
-        with raised_as(StoreError, "", f": {advice(store)}", of=DatasetError):
-            write_whole(path, content)
+        with disk_told(store):
+            handle, draft = tempfile.mkstemp(prefix=".", suffix=".tmp", dir=path.parent)
+            try:
+                with open(handle, "wb") as file:
+                    file.write(content)
+                    file.flush()
+                    os.fsync(file.fileno())
+                Path(draft).replace(path)
+            finally:
+                Path(draft).unlink(missing_ok=True)

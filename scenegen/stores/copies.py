@@ -258,12 +258,10 @@ def disk_told(store: str) -> Iterator[None]:
     except FileNotFoundError:
         raise  # the store's: it has no such object
     except OSError as error:
-        raise StoreError(f"{printable(error)}: {advice(store)}") from None
-
-
-def advice(store: str) -> str:
-    """What to do where the disk refuses copies of what lies at `store`."""
-    return f"copies of {store} go there; free some space, or name another folder by SCENEGEN_CACHE"
+        raise StoreError(
+            f"{printable(error)}: copies of {store} go there; free some space, or name another "
+            "folder by SCENEGEN_CACHE"
+        ) from None
 
 
 _left = 0
