@@ -46,7 +46,6 @@ class Clearance:
         last = np.clip(np.floor((upper - low) / cell_m), -1, self._cells - 1).astype(np.int64)
         start, item = _sort_into_cells(first, last, self._cells)
         owner = np.repeat(np.arange(len(solids.mesh_filled)), np.diff(solids.mesh_start))
-        self._kernels: tuple[Any, Any] = _clearance, _motion_is_free
         self._arguments: tuple[Any, ...] = (
             low,
             cell_m,
@@ -61,6 +60,11 @@ class Clearance:
             owner,
             solids.mesh_filled,
         )
+
+    @property
+    def _kernels(self) -> tuple[Any, Any]:
+        """What answers both questions from `_arguments`; kernels cannot be pickled."""
+        return _clearance, _motion_is_free
 
     def at(self, x: float, y: float, z: float) -> float:
         """Distance in metres from a point to the nearest solid, at most `CAP_M`; 0 inside one."""

@@ -232,8 +232,11 @@ class PlaceClearance(Clearance):
     `opened`."""
 
     def __init__(self, voxels: VoxelMap, opened: bool):
-        self._kernels = _clearance, _motion_is_free
         self._arguments = CAP_M, 0.0, voxels.states, voxels.voxel_m, voxels.origin, opened
+
+    @property
+    def _kernels(self) -> tuple[Any, Any]:
+        return _clearance, _motion_is_free
 
 
 @kernel
