@@ -2,6 +2,7 @@
 for, and fails as often as it is told to."""
 
 import hashlib
+from functools import cache
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Lock, Thread
@@ -102,6 +103,12 @@ def tag_of(content: bytes) -> str:
     return f'"{hashlib.md5(content).hexdigest()}"'
 
 
+@cache
+def tag_in(path: Path, written: int) -> str:
+    """The version of what a file holds since the moment in which it was `written`, nanoseconds."""
+    return tag_of(path.read_bytes())
+
+
 def part_of(content: bytes, asked: str | None) -> tuple[bytes, int]:
     """What a header Range asks for of some content, and where that begins."""
     first, _, last = (asked or "bytes=0-").removeprefix("bytes=").partition("-")
@@ -110,12 +117,12 @@ def part_of(content: bytes, asked: str | None) -> tuple[bytes, int]:
 
 
 def listing(bucket: Path, asked: dict[str, list[str]]) -> bytes:
-    """The answer to a request for a list, as XML: all objects at once."""
-    prefix = asked.get("prefix", [""])[0]
+    """The answer to a request for a list, as XML: all objects at once, in folders, too."""
+    folder = bucket / asked.get("prefix", [""])[0]
     rows = [
-        f"<Contents><Key>{prefix}{path.name}</Key><Size>{path.stat().st_size}</Size>"
-        f"<ETag>{tag_of(path.read_bytes())}</ETag></Contents>"
-        for path in sorted((bucket / prefix).glob("*"))
+        f"<Contents><Key>{path.relative_to(bucket)}</Key><Size>{path.stat().st_size}</Size>"
+        f"<ETag>{tag_in(path, path.stat().st_mtime_ns)}</ETag></Contents>"
+        for path in sorted(folder.rglob("*"))
         if path.is_file()
     ]
     return (

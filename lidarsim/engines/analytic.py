@@ -83,7 +83,7 @@ class AnalyticEngine:
 
         Raises ValueError for other solids than those that the engine was made of.
         """
-        same = ("geom", "shape", "size", "mesh_start")
+        same = ("geom", "shape", "mesh_start")
         if not all(
             np.array_equal(getattr(solids, name), getattr(self._solids, name)) for name in same
         ):
@@ -91,6 +91,8 @@ class AnalyticEngine:
                 "other solids than the engine's, expected the same ones at other places; make a "
                 "new engine"
             )
+        if not np.array_equal(solids.size, self._solids.size):
+            self._reach2 = squared_reaches(solids.shape, solids.size)
         self._solids = solids
         self._hierarchy.refit(*self._boxes())
 

@@ -154,9 +154,11 @@ def _times_named(files: list[Path]) -> Floats:
     """The times in the names of clouds, seconds (n,); NaN where the names only count them."""
     if all(file.stem.isdecimal() and int(file.stem) < LEAST_UNIX_S for file in files):
         return np.full(len(files), np.nan)
-    expected = "; expected a pose for each cloud, or clouds named by their time in seconds"
-    with raised_as(DatasetError, f"{files[0].parent}: ", expected):
-        return np.array([float(file.stem) for file in files])
+    times, expected = [], "a pose for each cloud, or clouds named by their time in seconds"
+    for file in files:
+        with raised_as(DatasetError, f"{file}: ", f"; expected {expected}"):
+            times.append(float(file.stem))
+    return np.array(times)
 
 
 def _camera(path: Path) -> Pose:

@@ -77,7 +77,7 @@ class Parts:
     def rod(
         self, of_class: str, start: Point, end: Point, radius: float, shape: int = CYLINDER
     ) -> None:
-        """A cylinder, or a capsule, from one point to another."""
+        """A cylinder, or another shape with an axis, from one point to another."""
         along = [b - a for a, b in zip(start, end, strict=True)]
         length = float(np.sqrt(sum(part * part for part in along)))
         x, y, z = (part / length for part in along)
@@ -86,7 +86,8 @@ class Parts:
         norm = float(np.sqrt(2.0 * (1.0 + z)))
         quat = (norm / 2, -y / norm, x / norm, 0.0)
         middle = [(a + b) / 2 for a, b in zip(start, end, strict=True)]
-        self.solid(of_class, shape, (radius, length / 2, 0.0), middle, quat)
+        size = (radius, radius, length / 2) if shape == BOX else (radius, length / 2, 0.0)
+        self.solid(of_class, shape, size, middle, quat)
 
     def limb(self, of_class: str, start: Point, end: Point, radius: float) -> None:
         """A capsule from one point to another."""

@@ -60,9 +60,16 @@ def commit() -> str:
     """The checkout's commit, with a + where it has changes; ``unknown`` outside of one, or in
     another project's."""
     here = Path(__file__).resolve().parents[2]
-    words = ["git", "describe", "--always", "--dirty=+", "--abbrev=12"]
-    with suppress(OSError, subprocess.CalledProcessError):  # no git, or none that answers
-        if (here / ".git").exists():
-            said = subprocess.check_output(words, cwd=here, stderr=subprocess.PIPE, text=True)
-            return said.strip()
-    return "unknown"
+    if _git("rev-parse", "--show-toplevel") != str(here):
+        return "unknown"
+    return _git("describe", "--always", "--dirty=+", "--abbrev=12") or "unknown"
+
+
+def _git(*words: str) -> str:
+    try:
+        here = Path(__file__).resolve().parent
+        return subprocess.run(
+            ["git", *words], cwd=here, capture_output=True, text=True, check=False
+        ).stdout.strip()
+    except OSError:  # git is not installed
+        return ""

@@ -76,10 +76,11 @@ class Component:
         )
 
     def described(self, *, software: bool) -> Json:
-        """What decides the samples, as plain JSON values: a manifest's parameters without counts
-        and engine, since all engines give the same samples, and with the split.
+        """What decides the samples, as plain JSON values: a manifest's parameters without counts,
+        and with the split.
 
-        `software` adds the versions of what they are computed with.
+        `software` adds what they are computed with: versions, and the engine, of which one's own
+        may give others.
         """
         given = manifest.parameters(
             self.recipe,
@@ -88,9 +89,10 @@ class Component:
             counts=dict.fromkeys(SPLITS, 0),
             compact=True,
             shard_samples=1,
+            engine=self.engine,
         )
-        left_out = {"counts", "fields", "shard_samples", "engine"}
-        left_out |= set() if software else {"software"}
+        left_out = {"counts", "fields", "shard_samples"}
+        left_out |= set() if software else {"software", "engine"}
         return {"split": self.split} | {
             name: value for name, value in given.items() if name not in left_out
         }
