@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from lidarsim.gpu.translate import translated
 from lidarsim.gpu.worlds import EXACT, Packed, Worlds, on_device, wp
 from lidarsim.grid import GridSpec
+from lidarsim.solids.shapes import BOX, CYLINDER
 from scenegen.truth import occupancy as cpu
 from scenegen.truth import triangles
 from scenegen.truth.distance import lookup
@@ -22,6 +23,7 @@ ZERO = wp.constant(wp.float64(0.0))
 HALF = wp.constant(wp.float64(0.5))
 SLACK = wp.constant(wp.float64(cpu.SLACK_M))
 span = translated(cpu.span)
+touches_section = translated(cpu.touches_section)
 touched = translated(cpu.touched)
 triangle_touches = translated(triangles.triangle_touches)
 crossing = translated(triangles.crossing)
@@ -129,7 +131,13 @@ def _fill(
         dx = x - packed.position[n, 0]
         dy = y - packed.position[n, 1]
         dz = _centre(o[2], ends[0], voxel_m) - packed.position[n, 2]
-        first, end = touched(kind, size, axes, dx, dy, dz, voxel_m, ends[1] - ends[0])
+        first, end = wp.int32(0), ends[1] - ends[0]
+        upright = axes[2, 0] == ZERO and axes[2, 1] == ZERO
+        if upright and (kind == CYLINDER or kind == BOX):  # noqa: SIM109 (Warp has no `in`)
+            if not touches_section(kind, size, axes, dx, dy, HALF * voxel_m):
+                continue
+        else:
+            first, end = touched(kind, size, axes, dx, dy, dz, voxel_m, end)
         for k in range(ends[0] + first, ends[0] + end):
             occupancy[p, i, j, k] = True
     for m in range(packed.mesh_start[which[p]], packed.mesh_start[which[p] + 1]):

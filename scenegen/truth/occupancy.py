@@ -82,37 +82,30 @@ def _fill_primitives(
     for n in range(len(shape)):
         i0, i1, j0, j1, k0, k1 = spans(lower[n], upper[n], origin, voxel_m, occupancy.shape)
         axes, dz = rotation[n], origin[2] + (k0 + 0.5) * voxel_m - position[n, 2]
+        upright = axes[2, 0] == 0.0 and axes[2, 1] == 0.0 and shape[n] in (CYLINDER, BOX)
         for i in range(i0, i1):
             dx = origin[0] + (i + 0.5) * voxel_m - position[n, 0]
             for j in range(j0, j1):
                 dy = origin[1] + (j + 0.5) * voxel_m - position[n, 1]
-                low, high = touched(shape[n], size[n], axes, dx, dy, dz, voxel_m, k1 - k0)
-                if deepest is None:
-                    occupancy[i, j, k0 + low : k0 + high] = True
-                    continue
+                if upright:
+                    low, high = 0, k1 - k0
+                    if not touches_section(shape[n], size[n], axes, dx, dy, half):
+                        continue
+                else:
+                    low, high = touched(shape[n], size[n], axes, dx, dy, dz, voxel_m, k1 - k0)
+                column = occupancy[i, j]
                 for k in range(k0 + low, k0 + high):
-                    if not occupancy[i, j, k]:
+                    if deepest is None:
+                        column[k] = True
+                    elif not column[k]:
                         h = origin[2] + (k + 0.5) * voxel_m - position[n, 2]
                         x, y, z = local(axes, dx, dy, h)
                         deep = within(shape[n], size[n], axes, x, y, z, half, deepest)
-                        occupancy[i, j, k] = not deep
+                        column[k] = not deep
 
 
 @kernel
-def touched(shape, size, axes, dx, dy, dz, voxel_m, count):
-    """Which of `count` voxels of one column, all in the shape's bounding box, touch it: the first
-    one, and one past the last. The centre of the column's first lies at (dx, dy, dz) from the
-    shape's."""
-    upright = axes[2, 0] == 0.0 and axes[2, 1] == 0.0
-    if upright and (shape == CYLINDER or shape == BOX):  # noqa: SIM109 (Warp has no `in`)
-        if _touches_section(shape, size, axes, dx, dy, 0.5 * voxel_m):
-            return 0, count
-        return 0, 0
-    return _walked(shape, size, axes, dx, dy, dz, voxel_m, count)
-
-
-@kernel
-def _touches_section(shape, size, axes, dx, dy, half):
+def touches_section(shape, size, axes, dx, dy, half):
     """Whether the square about (dx, dy) touches the section of an upright cylinder or box; along
     the world's axes, the bounding box has told already."""
     if shape == CYLINDER:
@@ -125,8 +118,10 @@ def _touches_section(shape, size, axes, dx, dy, half):
 
 
 @kernel
-def _walked(shape, size, axes, dx, dy, dz, voxel_m, count):
-    """`touched` of any shape and turn.
+def touched(shape, size, axes, dx, dy, dz, voxel_m, count):
+    """Which of `count` voxels of one column, all in the shape's bounding box, touch it: the first
+    one, and one past the last. The centre of the column's first lies at (dx, dy, dz) from the
+    shape's.
 
     A cube holds the ball of its half edge and lies in the ball of its half diagonal, so the
     distance of its centre settles all but the cubes right at the surface; and since that distance
