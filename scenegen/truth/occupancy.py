@@ -81,18 +81,19 @@ def _fill_primitives(
     half = 0.5 * voxel_m
     for n in range(len(shape)):
         i0, i1, j0, j1, k0, k1 = spans(lower[n], upper[n], origin, voxel_m, occupancy.shape)
-        axes, dz = rotation[n], origin[2] + (k0 + 0.5) * voxel_m - position[n, 2]
-        upright = axes[2, 0] == 0.0 and axes[2, 1] == 0.0 and shape[n] in (CYLINDER, BOX)
+        kind, sizes, axes = shape[n], size[n], rotation[n]
+        dz = origin[2] + (k0 + 0.5) * voxel_m - position[n, 2]
+        upright = axes[2, 0] == 0.0 and axes[2, 1] == 0.0 and kind in (CYLINDER, BOX)
         for i in range(i0, i1):
             dx = origin[0] + (i + 0.5) * voxel_m - position[n, 0]
             for j in range(j0, j1):
                 dy = origin[1] + (j + 0.5) * voxel_m - position[n, 1]
                 if upright:
                     low, high = 0, k1 - k0
-                    if not touches_section(shape[n], size[n], axes, dx, dy, half):
+                    if not touches_section(kind, sizes, axes, dx, dy, half):
                         continue
                 else:
-                    low, high = touched(shape[n], size[n], axes, dx, dy, dz, voxel_m, k1 - k0)
+                    low, high = touched(kind, sizes, axes, dx, dy, dz, voxel_m, k1 - k0)
                 column = occupancy[i, j]
                 for k in range(k0 + low, k0 + high):
                     if deepest is None:
@@ -100,7 +101,7 @@ def _fill_primitives(
                     elif not column[k]:
                         h = origin[2] + (k + 0.5) * voxel_m - position[n, 2]
                         x, y, z = local(axes, dx, dy, h)
-                        deep = within(shape[n], size[n], axes, x, y, z, half, deepest)
+                        deep = within(kind, sizes, axes, x, y, z, half, deepest)
                         column[k] = not deep
 
 
@@ -112,7 +113,8 @@ def touches_section(shape, size, axes, dx, dy, half):
         u, v = max(abs(dx) - half, 0.0), max(abs(dy) - half, 0.0)
         reach = size[0] + SLACK_M
         return u * u + v * v <= reach * reach
-    x, y, _ = local(axes, dx, dy, 0.0)
+    x = axes[0, 0] * dx + axes[1, 0] * dy
+    y = axes[0, 1] * dx + axes[1, 1] * dy
     reach = half * (abs(axes[0, 0]) + abs(axes[1, 0])) + SLACK_M
     return abs(x) <= size[0] + reach and abs(y) <= size[1] + reach
 
