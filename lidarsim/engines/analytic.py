@@ -128,7 +128,7 @@ class AnalyticEngine:
         them: primitives by their numbers, then meshes and height fields by theirs.
         """
         ranges, items, starts, rays = self._meet(origins, directions, max_range_m, through)
-        starts = starts.reshape(-1, *(1 for _ in ranges.shape[1:]), 3)
+        starts = starts.reshape(-1, *[1] * (ranges.ndim - 1), 3)
         points = starts + np.where(items >= 0, ranges, np.nan)[..., None] * rays
         solids = self._solids
         normals = normals_of(

@@ -148,7 +148,7 @@ def _stage(text: str) -> Stage:
             )
         given[field] = _number(value)
     try:
-        made: Stage = STAGES.find(name)(**given)
+        made: Any = found(**given)
         if not made.bound_m(1.0) >= 0:  # a user's own may also take other arguments
             raise ValueError("its bound_m gives no metres")
     except (ValueError, TypeError) as error:
