@@ -29,6 +29,7 @@ from real import (
 )
 from scipy import ndimage
 from scoring import maps_in, titled
+from tyro.conf import Positional
 
 from lidarsim.grid import Floats, Ints
 from scenegen import Dataset, Sample
@@ -76,7 +77,7 @@ class Counts(NamedTuple):
 class Options(measuring.Options):
     """What is completed."""
 
-    real: Path | None = None
+    real: Positional[Path | None] = None
     """folder of the maps"""
     network: Sequence[str] = NETWORKS
     """a bundled one's name, a file or a run"""
@@ -88,7 +89,7 @@ class Options(measuring.Options):
 
 def main() -> None:
     """Print the tables, and draw the pictures."""
-    given = measuring.parse(Options, "real", maps=2, network=["columns"], pictures=Path())
+    given = measuring.parse(Options, maps=2, network=["columns"], pictures=Path())
     methods = rows_of(UNLEARNED, given.network)
     with tempfile.TemporaryDirectory() as folder:
         every = maps_to_complete(given, Path(folder))

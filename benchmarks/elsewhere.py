@@ -24,6 +24,7 @@ import numpy as np
 import scoring
 from real import POSES, real_places
 from scoring import CAREFUL, RESULTS, Results, ahead, measured, titled, told
+from tyro.conf import Positional
 
 from lidarsim.sensors import SENSORS
 from lidarsim.solids.shapes import BOX, CYLINDER
@@ -105,14 +106,14 @@ PLANNERS = {"careful": CAREFUL, "the paper's": PlanConfig()}
 class Options(scoring.Options):
     """Those of `scoring`, and what is looked at."""
 
-    real: Path | None = None
+    real: Positional[Path | None] = None
     """folder of the maps of real places"""
     network: Sequence[str] = tuple(bundled())
 
 
 def main() -> None:
     """Make the datasets, measure, and write."""
-    given = measuring.parse(Options, "real", maps=5, trials=5, network=["columns"])
+    given = measuring.parse(Options, maps=5, trials=5, network=["columns"])
     methods = rows_of(["returns", "extrude"], given.network)
     lines: list[str] = []
     found: dict[str, dict[str, Results]] = {}

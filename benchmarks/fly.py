@@ -20,6 +20,7 @@ from typing import Literal
 import measuring
 import numpy as np
 from scoring import RESULTS, publish, titled, told
+from tyro.conf import Positional
 
 from lidarsim.grid import Floats
 from scenegen.cli.show import silent
@@ -61,7 +62,7 @@ BY_GROUP = ("success", "time, s", "mean clearance, m")
 class Options(measuring.Options):
     """Who flies, and where."""
 
-    entries: Path | None = None
+    entries: Positional[Path | None] = None
     """folder of the entries"""
     every: int = 10
     """one of so many courses"""
@@ -75,7 +76,7 @@ class Options(measuring.Options):
 
 def main() -> None:
     """Fly what is missing; print the tables, and write them to the page."""
-    given = measuring.parse(Options, "entries", every=300, robots=["reactive", "optimistic"])
+    given = measuring.parse(Options, every=300, robots=["reactive", "optimistic"])
     given.page = given.page or RESULTS / ("fly-real.md" if given.maps else "fly.md")
     with tempfile.TemporaryDirectory() as spare:
         every = map_courses(given.maps) if given.maps else courses_of("aerial-1")[:: given.every]

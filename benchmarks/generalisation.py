@@ -1,7 +1,7 @@
 """Which kinds of worlds teach what: every kind is held out in turn.
 
     python benchmarks/generalisation.py --data /tmp/g           # docs/results/generalisation.*
-    python benchmarks/generalisation.py --data /tmp/g --held rooms --held cave
+    python benchmarks/generalisation.py --data /tmp/g --held rooms cave
     python benchmarks/generalisation.py --data /tmp/g --real MAPS
     python benchmarks/generalisation.py --page              # anew from the JSON: measures nothing
 
@@ -49,7 +49,7 @@ TITLES = {
 class Options(measuring.Options):
     """What is held out, and how much is measured."""
 
-    held: Sequence[measuring.Kind] = kind_names()
+    held: Sequence[str] = kind_names()
     """kinds to hold out"""
     maps: int = 5000
     """maps that a network learns from"""

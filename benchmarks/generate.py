@@ -114,7 +114,7 @@ def time_runs(kind: str, count: int) -> None:
 class Options(measuring.Options):
     """What is measured."""
 
-    kind: Sequence[measuring.Kind] = ("geometric", "pillar")
+    kind: Sequence[str] = ("geometric", "pillar")
     seconds: float = 10.0
     """how long to measure each kind"""
     runs: bool = False

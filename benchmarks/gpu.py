@@ -36,7 +36,7 @@ class Options(measuring.Options):
 
     worlds: int = 1024
     """different worlds at once, of each preset"""
-    kind: Sequence[measuring.Kind] = ("geometric", "pillar")
+    kind: Sequence[str] = ("geometric", "pillar")
     seconds: float = 3.0
     """for each figure"""
     device: str = "cuda"

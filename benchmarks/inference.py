@@ -9,7 +9,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import measuring
 import torch
@@ -33,11 +33,11 @@ Way = Callable[[dict[str, torch.Tensor]], Any]
 class Options(measuring.Options):
     """What is measured."""
 
-    variant: Sequence[Annotated[str, VARIANTS]] = tuple(VARIANTS)
+    variant: Sequence[str] = tuple(VARIANTS)
     stem_stride: Sequence[Literal[1, 2]] = (2, 1)
     threads: int = torch.get_num_threads()
     no_compile: bool = False
-    runtime: Sequence[Annotated[str, RUNTIMES]] = RUNTIMES
+    runtime: Sequence[str] = RUNTIMES
     rounds: int = 10
 
 

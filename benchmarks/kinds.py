@@ -2,7 +2,7 @@
 
     python benchmarks/kinds.py                 # the table of docs/worlds.md
     python benchmarks/kinds.py --worlds 2 maze
-    python benchmarks/kinds.py --difficulty easy --difficulty medium --difficulty hard
+    python benchmarks/kinds.py --difficulty easy medium hard
 
 With `--difficulty` the kinds are as easy or hard as that says; with several, a table last compares
 them.
@@ -18,6 +18,7 @@ from typing import Literal
 
 import measuring
 import numpy as np
+from tyro.conf import Positional
 
 from scenegen import preset
 from scenegen.draw import draw_unit
@@ -33,10 +34,10 @@ BASE = "geometric"
 class Options(measuring.Options):
     """What is measured."""
 
-    kinds: Sequence[str] = kind_names()
+    kinds: Positional[Sequence[str]] = kind_names()
     worlds: int = 100
     difficulty: Sequence[Literal["easy", "medium", "hard"]] = ("medium",)
-    """repeatable"""
+    """of the kinds; several to compare"""
 
 
 def measure(kinds: Collection[str], worlds: int, level: str) -> dict[str, dict[str, float]]:
@@ -70,7 +71,7 @@ def measure(kinds: Collection[str], worlds: int, level: str) -> dict[str, dict[s
 
 def main() -> None:
     """Print the tables."""
-    given = measuring.parse(Options, "kinds", kinds=["maze"], worlds=1)
+    given = measuring.parse(Options, kinds=["maze"], worlds=1)
     names = dict.fromkeys((BASE, *given.kinds))
     graded = {level: measure(names, given.worlds, level) for level in given.difficulty}
     for level, found in graded.items():

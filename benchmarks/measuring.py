@@ -1,20 +1,17 @@
 """What all benchmarks share: their options, and what a command takes."""
 
-import argparse
-import inspect
 import os
-import re
 import resource
 import statistics
 import subprocess
 import sys
 import time
 import typing
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple, TypeVar
 
-from scenegen.recipes import kind_names
+import tyro
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command does, before torch is loaded
 
@@ -50,52 +47,15 @@ class Options:
         dataclass(kw_only=True)(cls)
 
 
-Kind = Annotated[str, kind_names()]
-"""A kind of worlds."""
 Given = TypeVar("Given", bound=Options)
 
 
-def parse(kind: type[Given], /, *unnamed: str, **smallest: Any) -> Given:
-    """What was given, as an instance of `kind`: some fields `unnamed`, all others as --field. With
-    --smoke, the `smallest` values are the defaults. The help begins as the script does."""
-    parser = argparse.ArgumentParser(
-        description=sys.modules["__main__"].__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        argument_default=argparse.SUPPRESS,
-    )
-    types, helps = typing.get_type_hints(kind, include_extras=True), _helps(kind)
-    for one in fields(kind):
-        flag = one.name if one.name in unnamed else "--" + one.name.replace("_", "-")
-        more = _settings(types[one.name])
-        if one.default is None and one.name in unnamed:
-            more |= {"nargs": "?", "default": None}
-        elif one.default is MISSING and "nargs" in more:
-            more["nargs"] = "+"
-        parser.add_argument(flag, help=helps.get(one.name), **more)
-    given = vars(parser.parse_args())
-    return kind(**(smallest if "smoke" in given else {}) | given)
-
-
-def _settings(hint: Any) -> dict[str, Any]:
-    """What argparse is told of an option whose type is `hint`: of a sequence, several words are
-    taken; of `Annotated[type, choices]` or a literal, one of the choices."""
-    if hint is bool:
-        return {"action": "store_true"}
-    several = typing.get_origin(hint) is Sequence
-    if several or type(None) in typing.get_args(hint):  # of a type and None, it is the first
-        hint = typing.get_args(hint)[0]
-    more = {"action": "extend", "nargs": "*"} if several else {}
-    choices = getattr(hint, "__metadata__", [None])[0]
-    if typing.get_origin(hint) is Literal:
-        choices = typing.get_args(hint)
-        hint = type(choices[0])
-    return {"type": getattr(hint, "__origin__", hint), "choices": choices, **more}
-
-
-def _helps(kind: type) -> dict[str, str]:
-    """The texts that stand below the fields of a class, and of those that it comes from."""
-    source = "".join(inspect.getsource(one) for one in reversed(kind.__mro__[:-1]))
-    return dict(re.findall(r'(\w+):[^\n]*\n    """(.*?)"""', source, re.DOTALL))
+def parse(kind: type[Given], /, **smallest: Any) -> Given:
+    """What was given, as an instance of `kind`. With --smoke, the `smallest` values are the
+    defaults. The help begins as the script does."""
+    usual: Any = kind(**smallest) if smallest and "--smoke" in sys.argv else tyro.MISSING_NONPROP
+    about, config = sys.modules["__main__"].__doc__, (tyro.conf.FlagCreatePairsOff,)
+    return tyro.cli(kind, description=about, default=usual, config=config)
 
 
 def processor_s() -> float:

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import measuring
 import numpy as np
+from tyro.conf import Positional
 
 from scenegen.logs.read import read_log
 from scenegen.logs.write import matrix_of
@@ -26,7 +27,7 @@ from scenegen.logs.write import matrix_of
 class Options(measuring.Options):
     """What flies where."""
 
-    kinds: Sequence[str] = ("pillar", "forest", "street", "warehouse")
+    kinds: Positional[Sequence[str]] = ("pillar", "forest", "street", "warehouse")
     length: float = 210
     speed: float = 5
     """metres a second"""
@@ -40,7 +41,7 @@ class Options(measuring.Options):
 
 def main() -> None:
     """Print a line for each kind and seed."""
-    given = measuring.parse(Options, "kinds", kinds=["pillar"], length=110, lidar="velodyne-vlp-16")
+    given = measuring.parse(Options, kinds=["pillar"], length=110, lidar="velodyne-vlp-16")
     if not find_spec("kiss_icp"):
         print("not measured: kiss-icp is not installed")
         return

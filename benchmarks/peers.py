@@ -21,6 +21,7 @@ from inference import measure
 from real import maps_to_complete
 from scoring import CAREFUL, Results, ahead, by_map, maps_of, measured, publish, tables, titled
 from torch import Tensor, nn
+from tyro.conf import Positional
 
 from scenegen import Output
 from scenegen.model.completion.completer import open_network
@@ -48,7 +49,7 @@ REAL = "real places, less `extrude`"
 class Options(scoring.Options):
     """Those of `scoring`, and how networks are trained."""
 
-    real: Path | None = None
+    real: Positional[Path | None] = None
     """folder of the maps"""
     maps: int = 40
     trials: int = 120
@@ -64,7 +65,7 @@ class Options(scoring.Options):
 
 def main() -> None:
     """Train what is missing, measure, and write the tables."""
-    given = measuring.parse(Options, "real", stream="pillar", learned=2, maps=2, trials=2, rounds=1)
+    given = measuring.parse(Options, stream="pillar", learned=2, maps=2, trials=2, rounds=1)
     with tempfile.TemporaryDirectory() as spare:
         folder, runs = Path(spare), given.runs or Path(spare, "runs")
         names = {OURS: str(runs / OURS)}

@@ -34,6 +34,7 @@ from scoring import (
     titled,
     told,
 )
+from tyro.conf import Positional
 
 from lidarsim.grid import Floats, GridSpec, Mask
 from scenegen import Dataset, Prediction, preset
@@ -71,7 +72,7 @@ PLACES = tomllib.loads((Path(__file__).parent / "places.toml").read_text())
 class Options(scoring.Options):
     """Those of `scoring`, and what else is completed."""
 
-    real: Path | None = None
+    real: Positional[Path | None] = None
     """folder of the maps"""
     network: Sequence[str] = NETWORKS
     maps: int = POSES
@@ -84,7 +85,7 @@ class Options(scoring.Options):
 
 def main() -> None:
     """Score every place, and write the tables."""
-    given = measuring.parse(Options, "real", maps=2, trials=2, length=1, network=["columns"])
+    given = measuring.parse(Options, maps=2, trials=2, length=1, network=["columns"])
     methods = rows_of(UNLEARNED, given.network)
     with tempfile.TemporaryDirectory() as folder:
         places = maps_to_complete(given, Path(folder))

@@ -20,6 +20,7 @@ import measuring
 import numpy as np
 from PIL import Image
 from scipy.spatial.transform import Rotation
+from tyro.conf import Positional
 
 from lidarsim.grid import Floats
 from scenegen.logs import LogScan
@@ -44,16 +45,16 @@ TO_LEFT = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 class Options(measuring.Options):
     """What is made of what."""
 
-    recording: Literal["room", "laser"]
-    source: Path
+    recording: Positional[Literal["room", "laser"]]
+    source: Positional[Path]
     """the folder with its files"""
-    out: Path
+    out: Positional[Path]
     """where the log is written"""
 
 
 def main() -> None:
     """Write the log."""
-    given = measuring.parse(Options, "recording", "source", "out")
+    given = measuring.parse(Options)
     scans = room if given.recording == "room" else laser
     print(write_log(given.out, scans(given.source)))
 

@@ -2,7 +2,7 @@
 whole shards, in turn.
 
     python benchmarks/sensors.py --kind pillar --samples 20 --rounds 3
-    python benchmarks/sensors.py --only default --only scans --samples 100 --rounds 5
+    python benchmarks/sensors.py --only default scan --samples 100 --rounds 5
 """
 
 import math
@@ -33,11 +33,11 @@ DATASETS: dict[str, dict[str, Any]] = {
 class Options(measuring.Options):
     """What is measured."""
 
-    kind: measuring.Kind = "pillar"
+    kind: str = "pillar"
     samples: int = 20
     rounds: int = 3
     only: Sequence[str] = ("",)
-    """rows whose names hold this word; repeatable"""
+    """rows whose names hold this word"""
 
 
 def main() -> None:

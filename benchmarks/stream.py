@@ -23,7 +23,7 @@ BATCH = 8
 class Options(measuring.Options):
     """What is measured."""
 
-    kind: Sequence[measuring.Kind] = ("geometric", "pillar")
+    kind: Sequence[str] = ("geometric", "pillar")
     samples: int = 100
     """samples of a round"""
     rounds: int = 7

@@ -9,6 +9,7 @@ from typing import Any
 
 import measuring
 from matplotlib.figure import Figure
+from tyro.conf import Positional
 
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
 
@@ -19,7 +20,7 @@ CURVES = {"val_loss": "validation loss", "val_iou": "IoU", "val_near_rmse": "Nea
 class Options(measuring.Options):
     """The study."""
 
-    study: Path
+    study: Positional[Path]
     out: Path = Path()
 
 
@@ -80,7 +81,7 @@ def claims(study: dict[str, Any]) -> Figure:
 
 def main() -> None:
     """Draw a study."""
-    given = measuring.parse(Options, "study")
+    given = measuring.parse(Options)
     given.out.mkdir(parents=True, exist_ok=True)
     study = json.loads(given.study.read_text())
     for name, drawn in {"learning.png": learning(study), "claims.png": claims(study)}.items():

@@ -9,10 +9,10 @@ import time
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated
 
 import measuring
 import torch
+from tyro.conf import Positional
 
 import scenegen
 from scenegen.model.config import VARIANTS, NetworkConfig, TrainConfig
@@ -26,12 +26,12 @@ from scenegen.model.training.loop import Step, optimizer_of
 class Options(measuring.Options):
     """What is trained, and on what."""
 
-    datasets: Sequence[Path] = ()
+    datasets: Positional[Sequence[Path]] = ()
     stream: str | None = None
     """in place of datasets, a kind"""
     steps: int = 60
     """batches that are read"""
-    variant: Sequence[Annotated[str, VARIANTS]] = tuple(VARIANTS)
+    variant: Sequence[str] = tuple(VARIANTS)
     batch: int = 8
     rounds: int = 5
     device: str = "auto"
@@ -39,7 +39,7 @@ class Options(measuring.Options):
 
 def main() -> None:
     """Print the loader's rate and one table of steps, or a line for each number of loaders."""
-    given = measuring.parse(Options, "datasets", variant=["occ"], batch=1, rounds=1)
+    given = measuring.parse(Options, variant=["occ"], batch=1, rounds=1)
     if given.stream:
         maps = Maps([scenegen.stream(given.stream)], "train")
         for workers in (0, 1, 2):

@@ -13,18 +13,19 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import measuring
+from tyro.conf import Positional
 
 
 class Options(measuring.Options):
     """What is checked."""
 
-    datasets: Sequence[Path]
+    datasets: Positional[Sequence[Path]]
     workers: int = 1
 
 
 def main() -> None:
     """Print a table for every dataset."""
-    given = measuring.parse(Options, "datasets")
+    given = measuring.parse(Options)
     for folder in given.datasets:
         for path in folder.iterdir():
             path.read_bytes()

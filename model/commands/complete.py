@@ -130,8 +130,8 @@ def complete(
             f"{found}: --on and --workers complete a dataset's split; leave them out for scans"
         )
     several = not stored and (found.is_dir() or is_log(found) or scans["poses"] is not None)
+    tasks = _tasks(found, **scans) if several else None  # which may refuse what is there at once
     completer = Completer.from_pretrained(weights, device=chosen, batch=batch)
-    tasks = _tasks(found, **scans) if several else None
     if tasks is not None or is_map(found):
         name = found.stem if found.is_file() else real_path(found).name
         out = out or Path(f"{name}.completed")

@@ -44,8 +44,8 @@ gpu       → \b(0) values differ
 inference → occ +stem 2:  eager +N ms
 inference → openvino +N ms
 intervals → success, geometric +N +N +N
-kinds --difficulty easy --difficulty hard → `geometric` \| N \| N% · N% \| N% · N \|
-kinds --difficulty easy --difficulty hard → `maze` \| N · N \| N · N \| N · N; N% · N%
+kinds --difficulty easy hard → `geometric` \| N \| N% · N% \| N% · N \|
+kinds --difficulty easy hard → `maze` \| N · N \| N · N \| N · N; N% · N%
 mutants   → N of 1 killed
 odometry  → {ODOMETRY}
 peers     → `pillar` \| N .* \| N
@@ -96,15 +96,15 @@ def test_options_are_the_fields_of_a_class(monkeypatch, capsys):
 
     def given(*words):
         monkeypatch.setattr(sys, "argv", ["kinds.py", *words])
-        return measuring.parse(kinds.Options, "kinds", kinds=["maze"], worlds=1)
+        return measuring.parse(kinds.Options, kinds=["maze"], worlds=1)
 
     assert given() == usual
     assert given("--smoke") == replace(usual, smoke=True, kinds=["maze"], worlds=1)
     found = given("cave", "rooms", "--smoke", "--worlds", "3")
     assert (found.kinds, found.worlds) == (["cave", "rooms"], 3)
-    found = given("--difficulty", "easy", "--difficulty", "hard")
+    found = given("--difficulty", "easy", "hard")
     assert (found.kinds, found.difficulty) == (usual.kinds, ["easy", "hard"])
-    for word, said in (("--difficulty=odd", "invalid choice"), ("--help", "repeatable")):
+    for word, said in (("--difficulty=odd", "invalid choice"), ("--help", "several to compare")):
         with pytest.raises(SystemExit):
             given(word)
         assert said in "".join(capsys.readouterr())
