@@ -226,8 +226,10 @@ class TrainConfig:
     """Maps between two looks at validation; a pass over all maps unless given (ours)."""
     batch: int = number(8, least=1, most=MOST_BATCH)
     """Maps a step, over all devices (ours)."""
+    optimizer: Literal["adamw", "muon"] = "adamw"
+    """What makes a step of a gradient; docs/training.md compares them (ours)."""
     lr: float = number(1e-3, above=0)
-    """Learning rate of AdamW after the warm-up (ours)."""
+    """Learning rate after the warm-up (ours)."""
     warmup_share: float = number(0.02, least=0, below=1)
     """Share of all steps over which the learning rate rises from 0 (ours)."""
     schedule: Literal["decay", "cosine"] = "decay"
@@ -238,7 +240,7 @@ class TrainConfig:
     decay_share: float = number(0.2, above=0, below=1)
     """Share of all steps over which "decay" lets the learning rate fall (ours)."""
     weight_decay: float = number(0.01, least=0)
-    """Weight decay of AdamW (ours)."""
+    """Weight decay (ours)."""
     decay_all: bool = False
     """Whether weight decay shrinks biases and the scales of norms, too (ours)."""
     clip: float = number(1.0, above=0)

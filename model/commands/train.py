@@ -106,6 +106,7 @@ class Weighted(click.ParamType):
     epochs="Most passes over the datasets.",
     interval="Maps between two looks at validation, instead of a pass.",
     batch="Maps a step, on all devices together.",
+    optimizer="What makes a step of a gradient.",
     lr="Learning rate after the warm-up.",
     schedule="How it falls: from when validation stalls or the budget nears its end, or along a "
     "cosine.",
@@ -179,8 +180,8 @@ class Weighted(click.ParamType):
 @group("Loss", "loss lambda-occupancy lambda-tudf eikonal occupied-weight lovasz beta")
 @group(
     "Training",
-    "protocol maps epochs interval batch lr schedule patience choose seed augment points-share "
-    "precision compile",
+    "protocol maps epochs interval batch optimizer lr schedule patience choose seed augment "
+    "points-share precision compile",
 )
 @group("Stream", "stream stream-seed val-maps")
 def train(
