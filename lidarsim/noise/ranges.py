@@ -69,7 +69,9 @@ class Depth(Spread):
         """See `Spread.sigma`."""
         rays = view.sensor.directions_body
         axis = rays.reshape(-1, 3).mean(axis=0)
-        cosine = rays @ (axis / math.sqrt(float((axis**2).sum())))
+        if (length := math.sqrt(float((axis**2).sum()))) < 1e-9:
+            raise ValueError("depth: this sensor looks all around; expected a camera, with an axis")
+        cosine = rays @ (axis / length)
         return self.quadratic_per_m * ranges**2 * np.abs(cosine)
 
     def bound_m(self, max_range_m: float) -> float:
