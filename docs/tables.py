@@ -16,7 +16,6 @@ import ast
 import dataclasses
 import importlib
 import inspect
-import os
 import re
 import sys
 from pathlib import Path
@@ -112,12 +111,16 @@ def sensors() -> str:
         )
         lines.append(f"| {' | '.join(cells)} |")
         alike.setdefault((sensor.checked, sensor.error), []).append(sensor)
-    lines.append("\nHow far a unit may be from these figures, where they are from, and where they were found again:\n")
+    lines.append("\nHow far a unit may be from these figures, and where they are from:\n")
     for (checked, error), some in alike.items():
-        source = os.path.commonprefix([one.source for one in some])
-        ends = " or ".join(one.source.removeprefix(source) for one in some)
+        source, beams, _ = some[0].source.partition(", beams ")
+        which = " or ".join(one.source.removeprefix(source + beams) for one in some)
         names = ", ".join(f"`{one.name}`" for one in some)
-        lines += [f"- {names}: {error}.", f"    - from: {source}{ends}", f"    - found again: {checked}"]
+        lines += [
+            f"- {names}: {error}.",
+            f"    - from: {source}{beams}{which}",
+            f"    - held against: {checked}",
+        ]
     return "\n".join(lines) + "\n"
 
 

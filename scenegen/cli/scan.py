@@ -313,7 +313,7 @@ def _write_scan(
     about = {
         "ranges": seen.ranges,
         "times_s": sensor.times_s,
-        "origin": mounted(sensor, at).position,
+        "sensor_position": mounted(sensor, at).position,
         "position": at.position,
         "quaternion": at.quaternion,
         "lidar": str(sensor),
@@ -333,5 +333,5 @@ def _write_scan(
     if isinstance(world, Place):
         unknown_m = world.unknown_m(cast(world.caster(None), sensor, at))
         through = unknown_m > Known().most_unknown_m
-        row["rays_through_unknown"] = np.count_nonzero(through)
+        row["rays_through_unknown"] = int(np.count_nonzero(through))
     return row
