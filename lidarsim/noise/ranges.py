@@ -59,7 +59,7 @@ class Depth(Spread):
     ``quadratic_per_m · z²``.
 
     Depth is measured along the mean of the sensor's directions, a camera's optical axis; the point
-    moves along its ray. Refused for a sensor whose directions have no mean.
+    moves along its ray. It means nothing for a sensor that looks all around.
     """
 
     quadratic_per_m: float = number(0.01, least=0, most=1)
@@ -69,9 +69,7 @@ class Depth(Spread):
         """See `Spread.sigma`."""
         rays = view.sensor.directions_body
         axis = rays.reshape(-1, 3).mean(axis=0)
-        if (length := math.sqrt(float((axis**2).sum()))) < 1e-9:
-            raise ValueError("depth: this sensor looks all around; expected a camera, with an axis")
-        cosine = rays @ (axis / length)
+        cosine = rays @ (axis / math.sqrt(float((axis**2).sum())))
         return self.quadratic_per_m * ranges**2 * np.abs(cosine)
 
     def bound_m(self, max_range_m: float) -> float:
