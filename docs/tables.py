@@ -91,23 +91,36 @@ def _unit(name: str, value: Any) -> str:
 
 
 def sensors() -> str:
-    """The catalogue: name with a link to its picture, rays of a scan, angles and range, where its
-    figures are from and what they were held against, and how far a unit may be from them."""
-    heads = ("sensor", "rays a scan, elevations, range", "figures from · held against", "error")
-    lines = [f"| {' | '.join(heads)} |", "|---|---|---|---|"]
+    """The catalogue: a table of name with a link to its picture, rays of a scan, angles, range and
+    noise. Then a list of how far a unit may be from these figures, where they are from, and what
+    they were held against, with sensors of one kind together."""
+    heads = ("sensor", "rays", "a scan", "elevations", "range", "`--noise datasheet`")
+    lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
+    alike: dict[tuple[str, str], list[Any]] = {}
     for name in CATALOGUE:
         sensor = SENSORS.find(name)
         height = angles_deg(sensor.directions_body)[0].round(2)
-        rays, last = " × ".join(map(str, sensor.shape)), float(sensor.times_s.max())
-        seconds = f"in {last:.2g} s" if last else "at once"
-        reach = f"{sensor.min_range_m:g} … {sensor.max_range_m:g} m"
+        last = float(sensor.times_s.max())
         cells = (
             f"[{name}](pictures/sensors/{name}.png)",
-            f"{rays}, {seconds}, {height.min():g}° … {height.max():g}°, {reach}",
-            f"{sensor.source} · {sensor.checked}",
-            sensor.error,
+            " × ".join(map(str, sensor.shape)),
+            f"{last:.2g} s" if last else "at once",
+            f"{height.min():g}° … {height.max():g}°",
+            f"{sensor.min_range_m:g} … {sensor.max_range_m:g} m",
+            f"`{sensor.noise}`",
         )
         lines.append(f"| {' | '.join(cells)} |")
+        alike.setdefault((sensor.checked, sensor.error), []).append(sensor)
+    lines.append("\nHow far a unit may be from these figures, and where they are from:\n")
+    for (checked, error), some in alike.items():
+        source, beams, _ = some[0].source.partition(", beams ")
+        which = " or ".join(one.source.removeprefix(source + beams) for one in some)
+        names = ", ".join(f"`{one.name}`" for one in some)
+        lines += [
+            f"- {names}: {error}.",
+            f"    - from: {source}{beams}{which}",
+            f"    - held against: {checked}",
+        ]
     return "\n".join(lines) + "\n"
 
 

@@ -1,10 +1,10 @@
 """A sensor on a body of a running simulation: it goes where the body goes, and sees what has
 moved."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from types import SimpleNamespace
-from typing import Any, Literal, get_args
+from typing import Any, Literal, TypeVar, get_args
 
 import mujoco
 import numpy as np
@@ -15,12 +15,13 @@ from lidarsim.noise.chain import Noise
 from lidarsim.noise.returns import Returns, albedo_of
 from lidarsim.pose import Pose, chained, rotate
 from lidarsim.registry import suggestion
-from lidarsim.scan import Scan
+from lidarsim.scan import Scan, mounted
 from lidarsim.sensors import Sensor
 from lidarsim.sensors.raster import Lidar
 from lidarsim.solids.model import ModelSolids, check_forwarded
 
 HERE = Pose.level((0.0, 0.0, 0.0))
+Told = TypeVar("Told")
 Unseen = Literal["nothing", "body", "tree"]
 """What a sensor does not see of its carrier: nothing; the body's own geoms, as `bodyexclude` of
 MuJoCo's rays; or those of the whole tree of bodies that moves with it, such as a robot with its
@@ -50,7 +51,8 @@ class Attached:
         """Mount `sensor` (a `Lidar` unless given) on a body of `model`, or one on each of several.
 
         `offset` is the sensor's pose in the body's frame, one for all or one for each; with several
-        offsets and one body, all of them are on that. Shapes, sizes and colours are read now,
+        offsets and one body, all of them are on that. A `lever_arm_m` of the sensor's is added, in
+        the offset's frame. Shapes, sizes and colours are read now,
         places at every scan. `threads` as for `AnalyticEngine`. Raises ValueError for a body that
         the model does not have, for counts that do not fit, and as `ModelSolids` does.
         """
@@ -81,24 +83,18 @@ class Attached:
         """Where the M sensors are."""
         check_forwarded(self._model, data)
         return tuple(
-            chained(Pose(data.xpos[body], data.xquat[body]), offset)
+            mounted(self.sensor, chained(Pose(data.xpos[body], data.xquat[body]), offset))
             for body, offset in zip(self._bodies, self._offsets, strict=True)
         )
 
     def cast(self, data: mujoco.MjData) -> tuple[Floats, Ints]:
         """Metres (M, *shape), inf where nothing is within the sensor's range, and the numbers of
         the geoms met, -1 where none."""
-        engine = self._follow(data)
-        return engine.nearest(
-            *self._rays(self.poses(data)), self.sensor.max_range_m, through=self._through
-        )
+        return self._asked(AnalyticEngine.nearest, data)
 
     def hits(self, data: mujoco.MjData) -> Hits:
         """What `cast` gives, with points and normals, all (M, *shape)."""
-        engine = self._follow(data)
-        return engine.hits(
-            *self._rays(self.poses(data)), self.sensor.max_range_m, through=self._through
-        )
+        return self._asked(AnalyticEngine.hits, data)
 
     def scans(self, data: mujoco.MjData) -> tuple[Scan, ...]:
         """One scan a sensor."""
@@ -130,19 +126,20 @@ class Attached:
             for scan, one, stream in zip(scans, past, rng.spawn(len(scans)), strict=True)
         )
 
-    def _follow(self, data: mujoco.MjData) -> AnalyticEngine:
+    def _asked(self, ask: Callable[..., Told], data: mujoco.MjData) -> Told:
+        """What a method of the engine says of the rays of all sensors, refitted to the data."""
         solids = self._solids.at(data)
         if self._engine is None:
             self._engine = AnalyticEngine(solids, threads=self._threads, parts=self._parts)
         else:
             self._engine.move(solids)
-        return self._engine
-
-    def _rays(self, poses: Sequence[Pose]) -> tuple[Floats, Floats]:
-        """Origins (M, 3) and directions (M, *shape, 3)."""
-        rays = self.sensor.directions_body
-        return np.array([pose.position for pose in poses]), np.array(
-            [rotate(pose.quaternion, rays) for pose in poses]
+        poses, rays = self.poses(data), self.sensor.directions_body
+        return ask(
+            self._engine,
+            [pose.position for pose in poses],
+            [rotate(pose.quaternion, rays) for pose in poses],
+            self.sensor.max_range_m,
+            through=self._through,
         )
 
 

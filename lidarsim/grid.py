@@ -31,6 +31,20 @@ def finite(what: str, given: ArrayLike, size: int) -> Floats:
     return value
 
 
+def rays_of(origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> tuple[Floats, Floats]:
+    """Copies in C order of what `lidarsim.engines.Engine.cast` takes, origins (P, 3) and directions
+    (P, *shape, 3). Raises ValueError for other shapes, and unless the range is from 0 on."""
+    starts, rays = np.array(origins, float, order="C"), np.array(directions, float, order="C")
+    if starts.shape[1:] != (3,) or rays.shape != (len(starts), *rays.shape[1:-1], 3):
+        raise ValueError(
+            f"origins of shape {starts.shape} and directions of {rays.shape}; expected (P, 3) and "
+            f"(P, *shape, 3)"
+        )
+    if not max_range_m >= 0:
+        raise ValueError(f"max_range_m = {max_range_m}: expected metres from 0 on")
+    return starts, rays
+
+
 @dataclass(frozen=True, kw_only=True)
 class GridSpec:
     """An axis-aligned grid of cubic voxels, x y z in that order, z up.

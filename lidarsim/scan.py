@@ -43,14 +43,21 @@ class Scan:
         return self.pose.position + ranges * self.directions[hit]
 
 
+def mounted(lidar: Sensor, pose: Pose) -> Pose:
+    """The pose of the sensor on a body at `pose`: moved by the sensor's `lever_arm_m`, if it has
+    one."""
+    if any(arm := getattr(lidar, "lever_arm_m", ())):
+        return Pose(pose.position + rotate(pose.quaternion, [arm])[0], pose.quaternion)
+    return pose
+
+
 def cast(engine: Caster, lidar: Sensor, pose: Pose) -> Scan:
     """Scan the engine's world with `lidar` carried by a body at `pose`. The scan's pose is that of
-    the sensor: the body's, moved by the sensor's `lever_arm_m`, if it has one.
+    the sensor, as `mounted` has it.
 
     Raises ValueError where the engine gives what are no ranges of the sensor's rays.
     """
-    if any(arm := getattr(lidar, "lever_arm_m", ())):
-        pose = Pose(pose.position + rotate(pose.quaternion, [arm])[0], pose.quaternion)
+    pose = mounted(lidar, pose)
     directions = rotate(pose.quaternion, lidar.directions_body)
     ranges = np.asarray(engine.cast(pose.position[None], directions[None], lidar.max_range_m))
     name, expected = type(engine).__name__, (1, *lidar.shape)

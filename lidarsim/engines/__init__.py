@@ -27,7 +27,8 @@ class Caster(Protocol):
         meets the surface where it comes out. Planes are seen from their front, +z, and within their
         half sizes where these are not 0. Directions of length 1 to a millionth count as the unit
         vectors along them; other ones (a length of 0, a NaN), and origins that are not finite, meet
-        nothing.
+        nothing. Engines of ours raise ValueError for arrays of other shapes, and for a range that
+        is below 0 or NaN.
         """
         ...
 

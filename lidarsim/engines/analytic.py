@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from lidarsim.engines.forms import squared_reaches
 from lidarsim.engines.hierarchy import Hierarchy
 from lidarsim.engines.traverse import LANES, TILE, normals_of, traverse
-from lidarsim.grid import Floats, Ints
+from lidarsim.grid import Floats, Ints, rays_of
 from lidarsim.solids.shapes import PLANE, Solids
 
 if TYPE_CHECKING:
@@ -152,19 +152,11 @@ class AnalyticEngine:
         """Ranges (P, *shape); which item each ray met, a primitive's number, beyond those a
         triangle's, or -1; origins (P, 3) and unit vectors (P, *shape, 3).
 
-        Raises ValueError for arrays of other shapes: the kernel would read beyond them.
+        Raises ValueError as `rays_of` does: the kernel would read beyond other shapes.
         """
         # copies, for the kernel is compiled for arrays that can be written
-        starts = np.array(origins, float, order="C")
-        vectors = np.array(directions, float, order="C")
+        starts, vectors = rays_of(origins, directions, max_range_m)
         shape = vectors.shape[:-1]
-        if starts.shape[1:] != (3,) or vectors.shape != (len(starts), *shape[1:], 3):
-            raise ValueError(
-                f"origins of shape {starts.shape} and directions of {vectors.shape}; expected "
-                f"(P, 3) and (P, *shape, 3)"
-            )
-        if not max_range_m >= 0:
-            raise ValueError(f"max_range_m = {max_range_m}: expected metres from 0 on")
         flat = len(starts), math.prod(shape[1:])
         rays, ranges, items = vectors.reshape(*flat, 3), np.full(flat, np.inf), np.full(flat, -1)
         solids, tree = self._solids, self._hierarchy

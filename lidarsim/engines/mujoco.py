@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lidarsim.grid import Floats
+from lidarsim.grid import Floats, rays_of
 from lidarsim.solids.model import check_forwarded, visible_geoms
 
 NEAR_ALONE = np.array([1, 0, 0, 0, 0, 0], np.uint8)
@@ -50,8 +50,7 @@ class MujocoEngine:
     def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> Floats:
         """See `lidarsim.engines.Engine.cast`. Raises ValueError where the data were never
         forwarded, or hold places that are no numbers."""
-        starts = np.ascontiguousarray(origins, float)
-        vectors = np.ascontiguousarray(directions, float)
+        starts, vectors = rays_of(origins, directions, max_range_m)
         check_forwarded(self._model, self._data)
         ranges = np.empty(vectors.shape[:-1], np.float64)
         # the cutoff alone drops geoms by their bounding spheres, which for tall ones reach far: a
@@ -61,9 +60,8 @@ class MujocoEngine:
             length2 = (vectors * vectors).sum(axis=-1)
             odd, rough = (~(np.abs(length2 - 1.0) <= spare) for spare in (SPARE_LENGTH2, ROUNDED))
             if rough.any():  # MuJoCo would count in lengths of the vector, and stop at one without
-                units = vectors / np.sqrt(length2)[..., None]
-                either = [odd[..., None], rough[..., None]]
-                vectors = np.select(either, [np.array([1.0, 0.0, 0.0]), units], vectors)
+                vectors[rough] /= np.sqrt(length2[rough])[:, None]
+                vectors[odd] = 1.0, 0.0, 0.0
         count = int(np.prod(ranges.shape[1:]))
         geoms, distances = np.empty(count, np.int32), np.empty(count)
         for p, origin in enumerate(starts):

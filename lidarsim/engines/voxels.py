@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lidarsim.grid import Floats
+from lidarsim.grid import Floats, rays_of
 from lidarsim.jit import kernel
 
 UNKNOWN, FREE, OCCUPIED = 0, 1, 2
@@ -72,8 +72,7 @@ class VoxelEngine:
         """Whether a share of the rays of `most_share` at most crosses more metres of unknown space
         than `most_unknown_m`. It walks no farther than it must to say no; after a yes, `cross` has
         nothing to do."""
-        starts = np.array(origins, float, order="C")
-        rays = np.array(directions, float, order="C")
+        starts, rays = rays_of(origins, directions, max_range_m)
         shape, asked = rays.shape[:-1], (starts, rays, np.array(max_range_m))
         if not (self._last and all(map(np.array_equal, self._last, asked))):
             ranges, unknown = np.full(shape, np.inf), np.empty(shape)

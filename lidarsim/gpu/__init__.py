@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lidarsim.grid import Floats
+from lidarsim.grid import Floats, rays_of
 from lidarsim.solids.shapes import Solids
 
 if TYPE_CHECKING:
@@ -59,8 +59,8 @@ class WarpEngine:
 
     def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> Floats:
         """As `lidarsim.engines.Engine.cast`."""
-        rays = np.asarray(directions, dtype=np.float64)
+        starts, rays = rays_of(origins, directions, max_range_m)
         poses, count = len(rays), int(np.prod(rays.shape[1:-1]))
         flat, which = rays.reshape(poses, count, 3), np.zeros(poses, dtype=np.int64)
-        ranges = self._cast(self._worlds, origins, flat, max_range_m, which=which)
+        ranges = self._cast(self._worlds, starts, flat, max_range_m, which=which)
         return ranges.numpy().reshape(rays.shape[:-1])

@@ -117,7 +117,8 @@ class Spurious(Fault):
 @dataclass(frozen=True, kw_only=True)
 class Motion(Fault):
     """The sensor moves on at an even pace, and turns about the body's z axis through itself, from
-    the scan's begin; every ray is cast from where the sensor is at the ray's time.
+    the scan's begin; every ray is cast from where the sensor is at the ray's time, to one of
+    `poses` steps.
 
     A sensor that does not know of its motion takes all rays to be cast from the pose at the begin:
     walls bend. One that `corrected` its scan places every return where it was.

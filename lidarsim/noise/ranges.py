@@ -59,7 +59,7 @@ class Depth(Spread):
     ``quadratic_per_m · z²``.
 
     Depth is measured along the mean of the sensor's directions, a camera's optical axis; the point
-    moves along its ray.
+    moves along its ray. It means nothing for a sensor that looks all around.
     """
 
     quadratic_per_m: float = number(0.01, least=0, most=1)

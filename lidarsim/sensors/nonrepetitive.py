@@ -26,6 +26,8 @@ class Windowed(Device):
     """How long a scan takes, seconds."""
     seed: int = number(0, least=0, most=2**31)
     """Which window of the pattern it is: another seed, another one."""
+    after_s: float = number(0.0, least=0)
+    """How long after that window this one begins, seconds: a log's scans follow each other."""
 
     @property
     def shape(self) -> tuple[int]:
@@ -40,7 +42,7 @@ class Windowed(Device):
     @property
     def _turns_begun_s(self) -> Floats:
         """The pattern's own time at every point, seconds."""
-        return np.random.default_rng(self.seed).random() * HOUR_S + self.times_s
+        return np.random.default_rng(self.seed).random() * HOUR_S + self.after_s + self.times_s
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -100,11 +100,8 @@ class Spinning(Device):
     @property
     def directions_sensor(self) -> Floats:
         """See `Device.directions_sensor`."""
-        # else one beam's azimuths serve all
-        apart = self.firing_times_s or self.azimuth_offsets_deg
         offsets = np.array(self.azimuth_offsets_deg or (0.0,))[:, None]
-        times = self.times_s if apart else self.times_s[:1]
-        turned = 360.0 * self.rate_hz * times - self.horizontal_fov_deg / 2
+        turned = 360.0 * self.rate_hz * self.times_s - self.horizontal_fov_deg / 2
         return pointing(
             np.array(self.elevations_deg)[:, None],
             offsets + (-turned if self.clockwise else turned),

@@ -61,10 +61,10 @@ class BeamTable:
                 f"rays of shape {rays.shape}: expected (*shape, 4), from 1 to {MOST_RAYS} rays"
             )
         lengths = np.sqrt((rays[..., :3] ** 2).sum(axis=-1))
-        if not (np.abs(lengths - 1.0) <= UNIT).all():
-            worst = float(lengths.flat[np.argmax(~(np.abs(lengths - 1.0) <= UNIT))])
+        if len(odd := lengths[~(np.abs(lengths - 1.0) <= UNIT)]):
             raise ValueError(
-                f"a ray's direction has length {worst:g}, expected 1, as float64 has it"
+                f"a ray's direction has length {odd[0]:.9g}, expected 1 to {UNIT:g}; divide it by "
+                "its length in float64"
             )
         if not ((rays[..., 3] >= 0) & np.isfinite(rays[..., 3])).all():
             raise ValueError(

@@ -299,6 +299,7 @@ def _write_scan(
     import numpy as np
 
     from lidarsim import cast
+    from lidarsim.scan import mounted
     from scenegen.display.exchange.files import write_points
     from scenegen.draw import scan_world
     from scenegen.worlds.mapping import Known
@@ -312,6 +313,7 @@ def _write_scan(
     about = {
         "ranges": seen.ranges,
         "times_s": sensor.times_s,
+        "sensor_position": mounted(sensor, at).position,
         "position": at.position,
         "quaternion": at.quaternion,
         "lidar": str(sensor),
@@ -325,7 +327,7 @@ def _write_scan(
         "noise": str(chain) or "none",
         "position": [round(float(value), 3) for value in at.position],
         "quaternion": at.quaternion.tolist(),
-        "rays": int(sensor.times_s.size),
+        "rays": sensor.times_s.size,
         "returns": len(points),
     }
     if isinstance(world, Place):

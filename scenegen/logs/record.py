@@ -2,6 +2,7 @@
 pace, round corners and with a bounded rate of turn; and the scans of a sensor along it, at the
 sensor's own rate."""
 
+import dataclasses
 import math
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -15,6 +16,8 @@ from lidarsim.grid import Floats
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.losses import Motion
 from lidarsim.pose import rotate
+from lidarsim.scan import mounted
+from lidarsim.sensors.nonrepetitive import Windowed
 from scenegen.draw import observed
 from scenegen.errors import GenerationError
 from scenegen.logs import Cruise, LogScan
@@ -124,8 +127,8 @@ USUAL_S = 0.1
 
 def period_s(sensor: Sensor) -> float:
     """Seconds from one scan to the next: by the sensor's `rate_hz`, or as long as a scan takes."""
-    rate = getattr(sensor, "rate_hz", 0.0)
-    return 1.0 / rate if rate else float(np.max(sensor.times_s)) or USUAL_S
+    rate, window = getattr(sensor, "rate_hz", 0.0), getattr(sensor, "window_s", 0.0)
+    return 1.0 / rate if rate else window or float(np.max(sensor.times_s)) or USUAL_S
 
 
 def record(
@@ -156,17 +159,20 @@ def record(
     Raises:
         GenerationError: The noise does not suit.
     """
-    every, arm = period_s(sensor), getattr(sensor, "lever_arm_m", (0.0, 0.0, 0.0))
-    rings = np.broadcast_to(np.arange(sensor.shape[0])[:, None], (*sensor.shape[:1], 1))
+    every = period_s(sensor)
+    rings = np.arange(sensor.shape[0])[:, None]
     for number, pose in enumerate(poses):
+        if isinstance(sensor, Windowed):
+            sensor = dataclasses.replace(sensor, after_s=number * every)
         chain = noise
         if moving:
             first = min(number, len(poses) - 2)
-            pace = _pace(poses[first], poses[first + 1], every, corrected)
+            here, there = (mounted(sensor, poses[n]) for n in (first, first + 1))
+            pace = _pace(here, there, every, corrected)
             chain = Noise((pace, *noise.stages))
         rng = np.random.default_rng([seed, number])
-        seen = observed(cast(caster, sensor, pose), chain, world.albedo, caster, rng)
-        at = Pose(pose.position + rotate(pose.quaternion, [arm])[0], pose.quaternion)
+        scan = cast(caster, sensor, pose)
+        seen, at = observed(scan, chain, world.albedo, caster, rng), scan.pose
         points = np.concatenate([seen.points(echo) for echo in range(len(seen.ranges))])
         hit = np.isfinite(seen.ranges)
         times = np.broadcast_to(sensor.times_s * moving, hit.shape)

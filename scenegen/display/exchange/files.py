@@ -38,7 +38,7 @@ def write_points(
         points: Positions (M, 3), metres.
         intensity: Of each point (M,), if there is any; a .bin has 0 where there is none.
         about: Arrays and texts by name that an .npz holds, too. Where `frame` is "world", a .pcd
-            has `position` as its viewpoint.
+            has `sensor_position` as its viewpoint.
 
     Raises:
         DatasetError: The name says none of the kinds.
@@ -72,7 +72,7 @@ element vertex {count}
 {properties}end_header
 """
     elif suffix == ".pcd":
-        place = about["position"].tolist() if about.get("frame") == "world" else (0, 0, 0)
+        place = about["sensor_position"].tolist() if about.get("frame") == "world" else (0, 0, 0)
         stood = " ".join(map(repr, place))
         head = f"""VERSION 0.7
 FIELDS {" ".join(names)}

@@ -159,11 +159,13 @@ def test_what_is_no_direction_and_no_place_meets_nothing_and_harms_no_other_ray(
     assert np.isinf(made(name, model_of()).cast(np.zeros((1, 3)), [[good, down]], 10.0)).all()
 
 
-def test_rays_of_other_shapes_and_no_range_are_refused():
-    """The kernel would read beyond them, or crash."""
-    engine = made("analytic", model_of())
+@pytest.mark.parametrize("name", EVERY)
+def test_rays_of_other_shapes_and_no_range_are_refused(name):
+    """A kernel would read beyond them, or leave ranges as the memory was."""
+    engine = made(name, model_of())
     for origins, rays, reach in (
-        ((2, 3), (3, 3), 9),
+        ((1, 3), (2, 3), 9),
+        ((3,), (1, 3), 9),
         ((1, 2), (1, 3), 9),
         ((1, 3), (1, 3), np.nan),
     ):

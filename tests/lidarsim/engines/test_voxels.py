@@ -89,3 +89,5 @@ def test_what_is_no_ray_meets_nothing():
     ):
         assert engine.cross([start], [[ray]], 5.0) == (np.inf, 0.0)
     assert np.isinf(engine.cast([[-9.0, 9.0, 1.0]], [[along]], 50.0)).all(), "past the map"
+    with pytest.raises(ValueError, match="expected"):
+        engine.cast([inside], [[along]] * 2, 5.0)

@@ -4,13 +4,12 @@ that cannot be."""
 import dataclasses
 import math
 
+import mujoco
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from lidarsim import BeamTable, MujocoEngine, Pose, cast
-from lidarsim.noise.chain import Noise
-from lidarsim.noise.ranges import Range
+from lidarsim import BeamTable, MujocoEngine, Pose, attach, cast
 from lidarsim.sensors import CATALOGUE, FAMILIES, SENSORS, device
 from lidarsim.sensors.nonrepetitive import Coil, Rosette
 from lidarsim.sensors.raster import Pinhole
@@ -40,17 +39,6 @@ robosense-helios-16p  →  16 → -15     → 15     → 0.2      →  288000
 """Beams, lowest and highest beam in degrees, degrees from column to column at 10 Hz, points a
 second."""
 SPINNING = {name: list(map(float, rest)) for name, *rest in rows(SPINNING)}
-RANGES_M = {
-    "velodyne-vlp-16": 100,
-    "velodyne-hdl-64e": 120,
-    "ouster-os0-64": 50,
-    "ouster-os1-64": 120,
-    "ouster-os2-64": 240,
-    "hesai-xt-32": 120,
-    "hesai-qt-128": 50,
-    "livox-mid-360": 70,
-    "livox-avia": 450,
-}
 
 
 def angles_deg(sensor):
@@ -86,7 +74,7 @@ def test_a_sensor_has_unit_rays_rising_times_and_a_source(name):
     assert (table.shape, table.made_by) == (sensor.shape, name)
     assert sensor.times_s.min() >= 0
     assert (np.diff(sensor.times_s, axis=-1) >= 0).all()
-    assert 0 <= sensor.min_range_m < sensor.max_range_m == RANGES_M.get(name, sensor.max_range_m)
+    assert 0 <= sensor.min_range_m < sensor.max_range_m
     rays = sensor.directions_body.reshape(-1, 3)
     different = len(np.unique(rays @ (1.0, 1e3, 1e6)))
     assert different > 0.999 * len(rays)  # hardly two look the same way
@@ -131,22 +119,6 @@ def test_staggered_beams_point_where_the_makers_drivers_place_them(name, row, el
     assert_allclose(sensor.directions_body[row], expected, atol=2e-5)
 
 
-def test_the_qt_128_is_dense_at_the_horizon_and_looks_up_with_73_of_its_beams():
-    elevation, _ = angles_deg(NAMED["hesai-qt-128"])
-    up = np.sort(elevation[:, 0])
-    assert (up > 0).sum() == 73
-    assert (np.diff(up).min(), np.diff(up).max()) == pytest.approx((0.43, 1.599), abs=1e-3)
-    first = np.argsort(NAMED["hesai-qt-128"].times_s[:, 0])[:2]
-    assert first.tolist() == [98, 64]  # channels 99 and 65
-
-
-def test_ousters_precision_is_the_data_sheets_at_its_best_and_at_its_worst():
-    stages = Noise.parse(NAMED["ouster-os1-64"].noise).stages
-    (stage,) = (stage for stage in stages if isinstance(stage, Range))
-    assert stage.sigma_m == 0.007
-    assert stage.sigma_m + stage.share * 120 == pytest.approx(0.05, rel=0.01)
-
-
 @pytest.mark.parametrize(
     ("name", "firing", "gap_us"),
     [("velodyne-vlp-16", [-15, 1, -13, 3], 2.304), ("hesai-xt-32", [15, 14, 13], 1.512)],
@@ -183,8 +155,6 @@ def test_a_pattern_keeps_to_its_field_of_view_and_does_not_repeat(name, points_h
     one, other = cells(1, 0.02), cells(2, 0.02)
     assert len(one & other) < 0.8 * len(one)
     assert one < cells(1, 0.1)
-    same = (dataclasses.replace(sensor, seed=1).directions_body for _ in range(2))
-    assert_array_equal(*same)
 
 
 @pytest.mark.parametrize("share", [0.3, 0.5])
@@ -213,11 +183,13 @@ def test_a_depth_cameras_rays_meet_a_plane_in_a_square_grid(name):
 def test_a_lever_arm_moves_the_origin_of_the_rays_with_the_body():
     """At a yaw of 90° the body's x axis is the world's y axis."""
     sensor = Spinning(elevations_deg=(0.0,), columns=4, lever_arm_m=(0.5, 0.0, 0.2))
-    engine = MujocoEngine.of(model_of('size="1" pos="1 7 3.2"'))
-    scan = cast(engine, sensor, Pose.level((1.0, 2.0, 3.0), yaw_rad=math.pi / 2))
-    assert scan.pose.position == pytest.approx([1.0, 2.5, 3.2])
-    assert scan.ranges[np.isfinite(scan.ranges)] == pytest.approx([3.5])
-    assert scan.points() == pytest.approx(np.array([[1.0, 6.0, 3.2]]))
+    model, pose = model_of('size="1" pos="1 7 3.2"'), Pose.level((1.0, 2.0, 3.0), math.pi / 2)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    on_world = attach(model, "world", sensor, offset=pose, unseen="nothing")
+    for scan in (cast(MujocoEngine.of(model), sensor, pose), on_world.scan(data)):
+        assert scan.pose.position == pytest.approx([1.0, 2.5, 3.2])
+        assert scan.points() == pytest.approx(np.array([[1.0, 6.0, 3.2]]))
 
 
 TWO = {"elevations_deg": (0, 1), "columns": 8}

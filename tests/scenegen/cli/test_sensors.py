@@ -38,6 +38,7 @@ FILES = {
     "small.toml": SMALL,
     "bare.toml": (BARE := SMALL.replace("[lidar]\nrows = 8\ncolumns = 24\n", "")),
     "arm.toml": f"{BARE}[lidar]\n{LIDAR}lever_arm_m = [0, 0, 0.3]",
+    "held.toml": f"{LIDAR}lever_arm_m = [0, 0, 0.3]",
     "taken.toml": LIDAR.replace('"mine"', '"livox-avia"'),
     "nameless.toml": LIDAR.replace('sensor = "spinning"', ""),
     "family.toml": LIDAR.replace('"mine"', '"spinning"'),
@@ -106,6 +107,8 @@ def test_a_scan_without_noise_lies_on_the_walls_and_with_it_near_them(here, caps
     assert (here / "again.npz").read_bytes() == (here / "noisy.npz").read_bytes()
     rows = np.fromfile(here / "noisy.bin", "<f4").reshape(-1, 4)  # as KITTI has them
     assert_allclose(rows, np.column_stack([noisy["points"], noisy["intensity"]]), rtol=1e-6)
+    done(capsys, f"{AT} --lidar held.toml --frame world -o held.pcd")
+    assert b"VIEWPOINT 1.0 2.0 0.8 1" in (here / "held.pcd").read_bytes()
 
 
 def test_a_scan_in_flight_is_at_the_seeds_place(here, capsys):

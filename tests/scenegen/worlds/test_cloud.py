@@ -92,7 +92,7 @@ def surveyed(folder, scans, how):
     files = [folder / f"{n}.{'pcd' if how == 'viewpoint' else 'npy'}" for n in range(len(scans))]
     if how == "viewpoint":
         for file, (sensor, points) in zip(files, scans, strict=True):
-            write_points(file, points, None, {"frame": "world", "position": sensor})
+            write_points(file, points, None, {"frame": "world", "sensor_position": sensor})
         return map_clouds(files, VOXELS).voxels
     turn, rows = Pose.level((0, 0, 0), 0.7).quaternion, []
     for time, (file, (sensor, points)) in enumerate(zip(files, scans, strict=True)):
@@ -212,7 +212,7 @@ def test_what_is_no_map_ends_in_a_line(standing, capsys, name, lines, options, s
 
 def test_the_command_says_what_it_made(scans, tmp_path, capsys):
     sensor, points = scans[0]
-    write_points(tmp_path / "a.pcd", points, None, {"frame": "world", "position": sensor})
+    write_points(tmp_path / "a.pcd", points, None, {"frame": "world", "sensor_position": sensor})
     said, found = (
         json.loads(done(capsys, f"{words} --json"))
         for words in (
