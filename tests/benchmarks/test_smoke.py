@@ -89,7 +89,7 @@ def test_every_benchmark_is_here():
     assert {path.stem for path in BENCHMARKS.glob("*.py")} == named | SHARED
 
 
-def test_options_are_the_fields_of_a_class(monkeypatch, capsys):
+def test_options_are_the_fields_of_a_class(monkeypatch):
     monkeypatch.syspath_prepend(BENCHMARKS)
     measuring, kinds = (importlib.import_module(name) for name in ("measuring", "kinds"))
     usual = kinds.Options()
@@ -102,12 +102,7 @@ def test_options_are_the_fields_of_a_class(monkeypatch, capsys):
     assert given("--smoke") == replace(usual, smoke=True, kinds=["maze"], worlds=1)
     found = given("cave", "rooms", "--smoke", "--worlds", "3")
     assert (found.kinds, found.worlds) == (["cave", "rooms"], 3)
-    found = given("--difficulty", "easy", "hard")
-    assert (found.kinds, found.difficulty) == (usual.kinds, ["easy", "hard"])
-    for word, said in (("--difficulty=odd", "invalid choice"), ("--help", "several to compare")):
-        with pytest.raises(SystemExit):
-            given(word)
-        assert said in "".join(capsys.readouterr())
+    assert given("--difficulty", "easy", "hard").difficulty == ["easy", "hard"]
 
 
 @pytest.fixture(scope="session")

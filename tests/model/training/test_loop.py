@@ -22,7 +22,7 @@ from scenegen.model.losses import Coupled
 from scenegen.model.network import Network
 from scenegen.model.training.data import LoaderError, opened
 from scenegen.model.training.device import TrainingError
-from scenegen.model.training.loop import Watcher
+from scenegen.model.training.loop import Muon, Watcher
 from scenegen.truth import distance_field
 from tests.conftest import contents
 from tests.model.conftest import make_dataset
@@ -55,6 +55,16 @@ def test_one_batch_is_learned_by_heart(folders):
             if iou > 0.99 and error_m < 0.06:
                 return
     pytest.fail(f"after {step + 1} steps IoU {iou:.3f}, {error_m:.3f} m")
+
+
+def test_muon_moves_filters_along_an_orthogonal_matrix_and_biases_as_adamw_does():
+    filters, bias = (torch.nn.Parameter(torch.zeros(*shape)) for shape in ((8, 4, 3, 3, 3), (8,)))
+    for one in (filters, bias):
+        one.grad = torch.randn(one.shape, generator=torch.Generator().manual_seed(0))
+    Muon([filters, bias], lr=0.1).step()
+    moved = torch.linalg.svdvals(filters.flatten(1)) / (0.1 * 0.2 * 108**0.5)
+    assert ((moved > 0.6) & (moved < 1.3)).all()
+    assert torch.allclose(bias, -0.1 * bias.grad.sign(), atol=1e-6)
 
 
 def test_a_loader_process_that_dies_is_named(folders, monkeypatch, tmp_path):
