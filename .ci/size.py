@@ -14,7 +14,7 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 300_850, "benchmarks": 24_800, "tests": 219_860}
+TOKENS = {"product": 300_850, "benchmarks": 24_800, "tests": 219_960}
 FILES = 242
 LINES = 400
 """The longest file of product code."""
