@@ -134,7 +134,7 @@ def _train(folder: Path, datasets: Sequence[Path], maps: int, device: str, run: 
     if device == "cpu":
         torch.set_num_threads(1)
     out = folder / run.name
-    settings = {**run.settings, "seed": run.seed, "maps": maps}
+    settings = {"optimizer": "adamw", **run.settings, "seed": run.seed, "maps": maps}
     try:
         train(datasets, out=out, device=device, **settings)
     except CheckpointError:

@@ -87,9 +87,13 @@ def train(
     maps = Maps(training, "train", config.network.inputs)
     checks = Maps(checking, "val", config.network.inputs)
     config = fitted(config, maps.grid)
-    chosen: str = config.precision
-    if chosen == "auto" and (out / CONFIG).exists():  # a run keeps what it was begun with
-        chosen = RunFolder(out).settings().get("precision", "auto")
+    # where nothing is asked for, a run keeps what it was begun with
+    begun: Json = {"optimizer": "muon"}
+    if (out / CONFIG).exists():
+        begun = RunFolder(out).settings()
+    if config.optimizer == "auto":
+        config = replace(config, optimizer=begun.get(*ADAMW))
+    chosen = begun.get("precision", "auto") if config.precision == "auto" else config.precision
     precision = resolve_precision(chosen, where, maps.grid.shape)
     group = Group(where, precision)
     with loaders_watched(), group, closing(RunFolder(out, writes=group.first)) as folder:
@@ -259,7 +263,6 @@ class Muon(torch.optim.AdamW):
 
 ADAMW = "optimizer", "adamw"
 """What the settings of a run do not say: in 0.2.0 there was no other."""
-OPTIMIZERS = {"adamw": torch.optim.AdamW, "muon": Muon}
 
 
 def optimizer_of(network: nn.Module, config: TrainConfig) -> torch.optim.Optimizer:
@@ -269,7 +272,8 @@ def optimizer_of(network: nn.Module, config: TrainConfig) -> torch.optim.Optimiz
     for one in network.parameters():
         groups[config.weight_decay if config.decay_all or one.ndim > 1 else 0.0].append(one)
     given = [{"params": params, "weight_decay": decay} for decay, params in groups.items()]
-    return OPTIMIZERS[config.optimizer](given, lr=config.lr)
+    kind = torch.optim.AdamW if config.optimizer == "adamw" else Muon
+    return kind(given, lr=config.lr)
 
 
 def check_maps(maps: Maps, checks: Maps, config: TrainConfig, processes: int) -> None:

@@ -127,11 +127,18 @@ def test_a_stopped_run_ends_where_an_uninterrupted_one_does(folders, tmp_path, u
     check_same(tmp_path / "run", uninterrupted)
 
 
-def test_a_run_keeps_the_precision_that_it_was_begun_with(folders, tmp_path, uninterrupted):
+def test_a_run_keeps_what_it_was_begun_with_where_nothing_else_is_asked_for(
+    folders, tmp_path, uninterrupted
+):
+    """In 0.2.0, settings named no optimiser."""
     shutil.copytree(uninterrupted, tmp_path / "run")
     config = tmp_path / "run" / "config.json"
-    config.write_text(config.read_text().replace('"float32"', '"bfloat16"'))
-    train(folders, dataclasses.replace(SMALL, precision="auto"), tmp_path / "run")
+    old = config.read_text().replace('"float32"', '"bfloat16"')
+    config.write_text(old.replace('"optimizer": "muon",', ""))
+    asked = dataclasses.replace(SMALL, precision="auto", optimizer="auto")
+    train(folders, asked, tmp_path / "run")
+    with pytest.raises(DatasetError, match="optimizer is "):
+        train(folders, dataclasses.replace(asked, optimizer="muon"), tmp_path / "run")
 
 
 def train_and_be_killed(folders, out):
