@@ -140,11 +140,21 @@ def check_target(path: Path) -> None:
         raise DatasetError(f"{path}: is {what}, and only files are replaced; give another name")
 
 
+def writable(folder: Path) -> Path:
+    """`folder`, or the nearest above it that is there. Raises DatasetError where nothing may be
+    written into that."""
+    there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
+    if not os.access(there, os.W_OK):
+        raise DatasetError(f"{folder}: no permission to write there: choose another place")
+    return there
+
+
 def check_ours(path: Path) -> None:
     """Raise DatasetError unless `path` is free, or a file as this program wrote it: nobody else's
     is replaced, and none that somebody changed since. Where the file system keeps no attributes,
-    nothing counts as written by it."""
+    nothing counts as written by it. Nor may its folder be one that cannot be written."""
     check_target(path)
+    writable(path.parent)
     if path.exists() and not _is_marked(path):
         raise DatasetError(
             f"{path}: is there already, and not as scenegen wrote it; remove it, or give another "

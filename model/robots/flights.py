@@ -180,7 +180,8 @@ def fly_courses(
         """Writes what there is; returns what to say of it if the run is stopped."""
         if out is None:
             return NOTHING_KEPT
-        held = replace(entry, courses=[found[key] for key in keys if key in found])
+        both = _kept(out, entry, keys) | found  # another run may have written, too
+        held = replace(entry, courses=[both[key] for key in keys if key in both])
         # an entry that is there was read, wherever it was copied from
         write = write_whole if suite and out.exists() else write_result
         write(out, replace(held, complete=is_whole(held)).encoded())
@@ -211,10 +212,10 @@ def _kept(
 ) -> dict[Course, tuple[Course, Sequence[Flown]]]:
     """The flights that `out` holds of an entry, by their courses' names. Raises ScenegenError where
     anything would be lost."""
-    if out is None or not out.exists():
+    if out is None:
         return {}
-    if entry.suite is None:
-        with suppress(DatasetError):  # another file
+    if entry.suite is None or not out.exists():
+        with suppress(DatasetError, FileNotFoundError):  # another file, or none
             if Recording.read(out).suite:
                 raise ScenegenError(f"{out}: is an entry to a suite; give another name")
         check_ours(out)
@@ -223,7 +224,7 @@ def _kept(
     entry = replace(entry, track=entry.track or track_of(former))
     if (former.robot, former.suite, track_of(former)) != (entry.robot, entry.suite, entry.track):
         raise ScenegenError(
-            f"{out}: is an entry of {former.robot} to {former.suite}'s track "
+            f"{out}: is of robot {former.robot}, suite {former.suite} and track "
             f"{track_of(former)[:14]}; give another name"
         )
     if former.network and entry.network and former.network != entry.network:

@@ -2,7 +2,6 @@
 whole."""
 
 import math
-import os
 import shutil
 import time
 from collections import Counter
@@ -23,7 +22,7 @@ from scenegen.dataset.placed import write_placed
 from scenegen.dataset.shard import ShardReport, ShardSpec, ShardTask, find_engine, write_shard
 from scenegen.dataset.state import Plan, State
 from scenegen.errors import DatasetError, whole_number
-from scenegen.files import Json, remove_drafts
+from scenegen.files import Json, remove_drafts, writable
 from scenegen.limits import (
     MOST_SAMPLES_IN_SHARD,
     MOST_SEED,
@@ -198,20 +197,13 @@ def _check_space(plan: Plan, missing: list[ShardTask]) -> None:
     if not missing or isinstance(plan.folder, StorePath):
         return
     needed = plan.bytes_expected * sum(shard.samples for shard in missing) / plan.samples
-    there = next(
-        place for place in (plan.folder, *plan.folder.absolute().parents) if place.exists()
-    )
-    disk = shutil.disk_usage(there)
+    disk = shutil.disk_usage(writable(plan.folder))
     if (
         needed / 2 > disk.free and disk.total
     ):  # the system's own folders have no size; they refuse by themselves
         raise DatasetError(
             f"{plan.folder}: needs about {needed / 1e6:.0f} MB, {disk.free / 1e6:.0f} MB are free; "
             "free some space, or choose another disk with --out"
-        )
-    if plan.folder.exists() and not os.access(plan.folder, os.W_OK):
-        raise DatasetError(
-            f"{plan.folder}: no permission to write there; choose another folder with --out"
         )
 
 

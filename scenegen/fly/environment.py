@@ -35,24 +35,25 @@ class Flight(gymnasium.Env[Observation, Command]):
         **options: Any,
     ):
         """`periods` is how many an action holds, 1 to 10; `world`, and further `options`, are those
-        of `scenegen.fly.course.Course`."""
+        of `scenegen.fly.course.Course`, but for `seed` and `flights`: `reset` has the seed.
+
+        Raises ScenegenError for a world, a sensor or noise that cannot be, and for a world that is
+        too narrow.
+        """
         if not 1 <= periods <= 10:
             raise ValueError(f"periods = {periods}: expected 1 to 10")
-        self._course = Course(world=world, flights=1, **options)
-        self.render_mode = render_mode
-        shape, vehicle = self._course.sensor.shape, self._course.vehicle
+        self._course = Course(world=world, seed=0, flights=1, **options)
+        self.render_mode, vehicle = render_mode, self._course.vehicle
         turn = math.radians(vehicle.yaw_rate_deg_s)
         high = np.array([*[vehicle.speed_mps] * 3, turn], np.float32)
         if periods > 1:
             high = np.tile(high, (periods, 1))
         self.action_space = spaces.Box(-high, high, dtype=np.float32)
-        sizes = {"ranges": shape, "points": (*shape, 3), "quaternion": (4,), "time_s": (1,)}
-        sizes |= dict.fromkeys(("position", "velocity", "goal"), (3,))
-        kinds = dict.fromkeys(("ranges", "points"), np.float32)
+        # of a flight that may begin, so that what cannot be is told now
         self.observation_space = spaces.Dict(
             {
-                name: spaces.Box(-np.inf, np.inf, size, kinds.get(name, np.float64))
-                for name, size in sizes.items()
+                name: spaces.Box(-np.inf, np.inf, part.shape, part.dtype.type)
+                for name, part in self._course.simulation(0).observe().items()
             }
         )
         self._flying: Simulation | None = None
@@ -60,12 +61,13 @@ class Flight(gymnasium.Env[Observation, Command]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """A new mission; `options` may have the `seed` of a course, which else is drawn."""
+        """A new mission; `options` may have its course's `seed`, which else is drawn, and another
+        `world` and `difficulty` than the environment's."""
         super().reset(seed=seed)
-        drawn = (options or {}).get("seed", int(self.np_random.integers(2**31)))
-        course = dataclasses.replace(self._course, seed=drawn)
+        about = {"seed": int(self.np_random.integers(2**31))} | (options or {})
+        course = dataclasses.replace(self._course, **about)
         self._flying = course.simulation(0)
-        return self._flying.observe(), {"seed": drawn, "about": self._flying.about()}
+        return self._flying.observe(), {"seed": course.seed, "about": self._flying.about()}
 
     def step(self, action: Command) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Fly an action, or its first periods if the flight ends there. `info` has the `outcome`

@@ -75,7 +75,7 @@ def _answer(action: Any) -> str:
     """An action as a line; of what is no array of numbers, null."""
     try:
         numbers = np.asarray(action, float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return "null"
     return json.dumps(numbers.tolist())
 

@@ -219,7 +219,7 @@ def bounded(action: Any, vehicle: Vehicle) -> tuple[Command | None, bool]:
     """
     try:
         rows = np.atleast_2d(np.asarray(action, float))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return None, False
     if rows.ndim != 2 or rows.shape[1] != 4 or not 1 <= len(rows) <= 10:
         return None, False

@@ -261,8 +261,11 @@ class Worker:
         self.process = context.Process(
             target=_serve, args=(*given, theirs, os.getpid(), bound), daemon=True
         )
+        here = multiprocessing.current_process()
+        daemon, here.daemon = here.daemon, False  # which may begin none; ours end with it
         with contextlib.nullcontext() if start == "fork" else safe_path():
             self.process.start()
+        here.daemon = daemon
         theirs.close()
         self.alive = True
 

@@ -19,7 +19,7 @@ from numpy.testing import assert_allclose, assert_array_equal, assert_equal
 from lidarsim import AnalyticEngine, GridSpec, Lidar
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelMap
 from lidarsim.pose import rotate
-from scenegen.errors import DatasetError, GenerationError
+from scenegen.errors import DatasetError, GenerationError, ScenegenError
 from scenegen.fly import Rules, Vehicle, suite
 from scenegen.fly.course import Course, Recording, replay
 from scenegen.fly.loop import fly, scored
@@ -187,6 +187,7 @@ SAID = f"""
 "fast"         → 1 → 0
 [3, 4, 0, 0]   → 0 → 1
 [0, 0, 0, 9]   → 0 → 1
+[1{"0" * 400}, 0, 0, 0] → 1 → 0
 [{"[0, 0, 0, 0], " * 10} [0, 0, 0, 0]] → 1 → 0
 """
 """How many commands are invalid, and how many too fast."""
@@ -348,8 +349,10 @@ def test_no_forged_figure_passes(tmp_path):
         {"commands": 0.5 * flown.commands},
         {"score": math.nan},
         {"commands": math.nan * flown.commands},
-        *({name: getattr(flown, name) + 0.01} for name in ("score", "spl", "ratio", "flown_m")),
-        *({name: getattr(flown, name) - 0.01} for name in ("shortest_m", "jerk_mps3", "speed_mps")),
+        *(
+            {name: getattr(flown, name) + 0.01}
+            for name in ("score", "spl", "ratio", "flown_m", "shortest_m", "jerk_mps3", "speed_mps")
+        ),
         *({name: 0.9} for name in ("min_clearance_m", "mean_clearance_m")),
     ]
     file = tmp_path / "forged.json"
@@ -470,8 +473,8 @@ def test_gymnasium_takes_it():
     assert not over
     assert 0.0 < reward < 0.2
     assert set(about["about"]) >= {"goal", "bounds", "radius_m"}
-    plans = scenegen.Flight(periods=3, rules=Rules(apart_m=4.0))
-    plans.reset(options={"seed": 3})
+    plans = scenegen.Flight("cave", periods=3, rules=Rules(apart_m=4.0))
+    plans.reset(options={"seed": 3, "world": "pillar"})
     plan = np.tile(np.float32([*towards, 0.0]), (3, 1))
     single = [made.reset(options={"seed": 3}), *map(made.step, plan)]
     seen, reward, *_ = plans.step(plan)
@@ -482,6 +485,8 @@ def test_gymnasium_takes_it():
         plans.step(plan[0])
     with pytest.raises(ValueError, match="expected 1 to 10"):
         scenegen.Flight(periods=11)
+    with pytest.raises(ScenegenError, match="did you mean 'forest'"):
+        scenegen.Flight("forrest")
 
 
 @pytest.mark.filterwarnings("ignore")
@@ -556,9 +561,10 @@ def test_a_quadrotor_of_mujocos_tracks_the_kinematic_motion_and_leans_as_its_thr
 
 
 def test_a_flight_with_mujocos_dynamics_ends_and_is_the_same_again():
-    options = {"vehicle": Vehicle(dynamics="mujoco")}
-    one, same = (flown_by(Scripted(straight(0.5)), **options) for _ in range(2))
-    kinematic = flown_by(Scripted(straight(0.5)))
+    one, same, kinematic = (
+        flown_by(Scripted(straight(0.5)), vehicle=Vehicle(dynamics=how))
+        for how in ("mujoco", "mujoco", "kinematic")
+    )
     assert one.digest == same.digest != kinematic.digest
     assert one.outcome == kinematic.outcome
     assert np.abs(one.path[:20] - kinematic.path[:20]).max() < 0.2

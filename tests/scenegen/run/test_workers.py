@@ -76,7 +76,7 @@ def test_called_by_itself_a_limited_function_runs_in_a_process_that_it_keeps(beg
     assert limited("a") == first != os.getpid()
     with ThreadPoolExecutor(1) as thread:  # with which its process ends
         assert thread.submit(limited, "a").result() not in (-1, first)
-    forked = multiprocessing.get_context("fork").Process(target=limited, args=("a",))
+    forked = multiprocessing.get_context("fork").Process(target=limited, args=("a",), daemon=True)
     forked.start()
     forked.join()
     assert forked.exitcode == 0
