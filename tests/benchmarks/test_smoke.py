@@ -102,7 +102,6 @@ def test_options_are_the_fields_of_a_class(monkeypatch):
     assert given("--smoke") == replace(usual, smoke=True, kinds=["maze"], worlds=1)
     found = given("cave", "rooms", "--smoke", "--worlds", "3")
     assert (found.kinds, found.worlds) == (["cave", "rooms"], 3)
-    assert given("--difficulty", "easy", "hard").difficulty == ["easy", "hard"]
 
 
 @pytest.fixture(scope="session")
