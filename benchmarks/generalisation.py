@@ -35,7 +35,8 @@ from scenegen.run.software import commit
 BUNDLED = "columns"
 FILE = "generalisation.json"
 NETWORK = (
-    "--variant columns --input observed --input free --lambda-occupancy 1 --lovasz 1 --eikonal 0"
+    "--variant columns --input observed --input free --lambda-occupancy 1 --lovasz 1 --eikonal 0 "
+    "--optimizer adamw"
 )
 """As the bundled network was trained."""
 LENGTHS = ("maps", "tests", "trials")
@@ -74,7 +75,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as spare:
         folder = given.data or Path(spare)
         kinds = ("maze", "pillar") if given.smoke else kind_names()
-        tests = {kind: drawn(folder / kind, preset(kind), given.tests) for kind in kinds}
+        asked = dict.fromkeys([*kinds, *given.held])
+        tests = {kind: drawn(folder / kind, preset(kind), given.tests) for kind in asked}
         tests |= real_places(given.real, folder, min(given.tests, POSES))
         for method in rows_of(["truth", "extrude"], [BUNDLED]):
             if left := missing(given, method.name, tests):

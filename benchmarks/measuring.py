@@ -54,8 +54,10 @@ def parse(kind: type[Given], /, **smallest: Any) -> Given:
     """What was given, as an instance of `kind`. With --smoke, the `smallest` values are the
     defaults. The help begins as the script does."""
     usual: Any = kind(**smallest) if smallest and "--smoke" in sys.argv else tyro.MISSING_NONPROP
-    about, config = sys.modules["__main__"].__doc__, (tyro.conf.FlagCreatePairsOff,)
-    return tyro.cli(kind, description=about, default=usual, config=config)
+    flags = [word for word in sys.argv if word.startswith("--")]
+    if len(set(flags)) < len(flags):
+        raise SystemExit("an option stands there twice; give all its words after one")
+    return tyro.cli(kind, description=sys.modules["__main__"].__doc__, default=usual)
 
 
 def processor_s() -> float:

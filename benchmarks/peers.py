@@ -36,7 +36,7 @@ PAPERS = {"LMSCNet": (32, 20, "0.35 M"), "SSCNet": (36, 12, "0.93 M")}
 TRAINING = (
     "--input observed --input free --stream-seed 7 --points-share 0.25 --batch 2 "
     "--precision float32 --lambda-occupancy 1 --lovasz 1 --eikonal 0 --choose last "
-    "--interval 600 --quiet"
+    "--optimizer adamw --interval 600 --quiet"
 )
 TABLES = {
     "iou": "## IoU",

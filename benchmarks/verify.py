@@ -26,6 +26,8 @@ class Options(measuring.Options):
 def main() -> None:
     """Print a table for every dataset."""
     given = measuring.parse(Options)
+    if not given.datasets:
+        raise SystemExit("give datasets")
     for folder in given.datasets:
         for path in folder.iterdir():
             path.read_bytes()

@@ -26,7 +26,7 @@ class Windowed(Device):
     """How long a scan takes, seconds."""
     seed: int = number(0, least=0, most=2**31)
     """Which window of the pattern it is: another seed, another one."""
-    after_s: float = number(0.0, least=0)
+    after_s: float = number(0.0, least=0, most=1e6)
     """How long after that window this one begins, seconds: a log's scans follow each other."""
 
     @property

@@ -92,7 +92,7 @@ def train(
     if (out / CONFIG).exists():
         begun = RunFolder(out).settings()
     if config.optimizer == "auto":
-        config = replace(config, optimizer=begun.get(*ADAMW))
+        config = replace(config, optimizer=begun.get("optimizer", "adamw"))
     chosen = begun.get("precision", "auto") if config.precision == "auto" else config.precision
     precision = resolve_precision(chosen, where, maps.grid.shape)
     group = Group(where, precision)
@@ -227,7 +227,7 @@ class Muon(torch.optim.AdamW):
     """Filters of convolutions by Muon (Jordan et al. 2024), everything else by AdamW.
 
     A step moves filters along their momentum, made orthogonal, and has the size that AdamW's would
-    have (Liu et al. 2025). A map teaches about twice as much so (docs/log.md).
+    have (Liu et al. 2025).
     """
 
     MOMENTUM = 0.95
@@ -241,8 +241,10 @@ class Muon(torch.optim.AdamW):
             for filters in group["params"]:
                 if filters.ndim < 3 or filters.grad is None:
                     continue
-                kept = self.state[filters].setdefault("momentum", torch.zeros_like(filters))
-                kept.lerp_(filters.grad, 1 - self.MOMENTUM)
+                if not self.state[filters]:  # "step" is what AdamW looks for when it is copied
+                    first = {"step": torch.zeros(()), "momentum": torch.zeros_like(filters)}
+                    self.state[filters].update(first)
+                kept = self.state[filters]["momentum"].lerp_(filters.grad, 1 - self.MOMENTUM)
                 rows = filters.grad.lerp(kept, self.MOMENTUM).flatten(1)
                 size = 0.2 * math.sqrt(max(rows.shape))
                 filters.mul_(1 - group["lr"] * group["weight_decay"])
@@ -259,10 +261,6 @@ class Muon(torch.optim.AdamW):
             square = wide @ wide.T
             wide = a * wide + (b * square + c * square @ square) @ wide
         return wide if rows.shape[0] <= rows.shape[1] else wide.T
-
-
-ADAMW = "optimizer", "adamw"
-"""What the settings of a run do not say: in 0.2.0 there was no other."""
 
 
 def optimizer_of(network: nn.Module, config: TrainConfig) -> torch.optim.Optimizer:
@@ -295,13 +293,12 @@ def check_maps(maps: Maps, checks: Maps, config: TrainConfig, processes: int) ->
 
 def describe(maps: Maps, config: TrainConfig, precision: torch.dtype) -> Json:
     """What decides a run: a run with another description is another run."""
-    given = dataclasses.asdict(config)
     return {
         "datasets": [source.digest for source in maps.sources],
         "kinds": [source.kind for source in maps.sources],
         "samples": None if maps.order(config.batch) else len(maps),
         **({} if maps.shares is None else {"shares": [str(share) for share in maps.shares]}),
-        **{name: value for name, value in given.items() if (name, value) != ADAMW},
+        **dataclasses.asdict(config),
         "precision": str(precision).removeprefix("torch."),
     }
 

@@ -231,7 +231,8 @@ class RunFolder:
 
 def check_settings(path: Path, there: Json, asked: Json) -> None:
     """Raise DatasetError where what is at `path` was begun with other settings than `asked`."""
-    if unlike := differences(there, asked):
+    usual = {"optimizer": "adamw"}  # in 0.2.0 there was no other
+    if unlike := differences(usual | there, usual | asked):
         raise DatasetError(
             f"{path}: was begun with other settings ({printable('; '.join(unlike))[:1000]}); give "
             "those, or another --out"

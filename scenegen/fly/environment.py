@@ -65,6 +65,8 @@ class Flight(gymnasium.Env[Observation, Command]):
         `world` and `difficulty` than the environment's."""
         super().reset(seed=seed)
         about = {"seed": int(self.np_random.integers(2**31))} | (options or {})
+        if odd := about.keys() - {"seed", "world", "difficulty"}:
+            raise ValueError(f"options: {', '.join(odd)}: expected seed, world, difficulty")
         course = dataclasses.replace(self._course, **about)
         self._flying = course.simulation(0)
         return self._flying.observe(), {"seed": course.seed, "about": self._flying.about()}

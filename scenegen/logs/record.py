@@ -159,11 +159,11 @@ def record(
     Raises:
         GenerationError: The noise does not suit.
     """
-    every = period_s(sensor)
+    every, begin_s = period_s(sensor), getattr(sensor, "after_s", 0.0)
     rings = np.arange(sensor.shape[0])[:, None]
     for number, pose in enumerate(poses):
         if isinstance(sensor, Windowed):
-            sensor = dataclasses.replace(sensor, after_s=number * every)
+            sensor = dataclasses.replace(sensor, after_s=begin_s + number * every)
         chain = noise
         if moving:
             first = min(number, len(poses) - 2)

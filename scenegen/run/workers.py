@@ -165,7 +165,10 @@ _kept = threading.local()
 """Holds as `worker` the process of the function with limits that this thread called last, if there
 is one. It is of no use to other threads: it ends with the thread that began it, see
 `die_with_parent`; and of none to a process that is forked, whose child it is not."""
+_begins = threading.RLock()
+"""Held while a process is begun, by a changed environment or a changed flag of this one."""
 os.register_at_fork(after_in_child=lambda: vars(_kept).clear())
+os.register_at_fork(after_in_child=_begins._at_fork_reinit)  # type: ignore[attr-defined]
 
 
 def run(
@@ -262,10 +265,12 @@ class Worker:
             target=_serve, args=(*given, theirs, os.getpid(), bound), daemon=True
         )
         here = multiprocessing.current_process()
-        daemon, here.daemon = here.daemon, False  # which may begin none; ours end with it
-        with contextlib.nullcontext() if start == "fork" else safe_path():
-            self.process.start()
-        here.daemon = daemon
+        with _begins, contextlib.nullcontext() if start == "fork" else safe_path():
+            daemon, here.daemon = here.daemon, False  # which may begin none; ours end with it
+            try:
+                self.process.start()
+            finally:
+                here.daemon = daemon
         theirs.close()
         self.alive = True
 
@@ -314,10 +319,6 @@ class Worker:
         self.pipe.close()
 
 
-_environment = threading.RLock()
-"""Held while a process is started by a changed environment."""
-
-
 @contextlib.contextmanager
 def safe_path() -> Iterator[None]:
     """While the block runs, a Python that this process starts imports nothing from the working
@@ -327,7 +328,7 @@ def safe_path() -> Iterator[None]:
     `multiprocessing` itself (https://docs.python.org/3/using/cmdline.html#envvar-PYTHONSAFEPATH). A
     spawned process gets this one's `sys.path`.
     """
-    with _environment:  # or a thread would take for the user's what another one set
+    with _begins:  # or a thread would take for the user's what another one set
         before = os.environ.get(SAFE_PATH)
         os.environ[SAFE_PATH] = "1"
         try:
