@@ -226,8 +226,8 @@ class Step:
 class Muon(torch.optim.AdamW):
     """Filters of convolutions by Muon (Jordan et al. 2024), everything else by AdamW.
 
-    A step moves filters along their momentum, made orthogonal, and has the size that AdamW's would
-    have (Liu et al. 2025).
+    A step moves filters along their momentum, made orthogonal. It is three times as long as AdamW's
+    would be (once in Liu et al. 2025), which is better from random weights (docs/log.md).
     """
 
     MOMENTUM = 0.95
@@ -246,7 +246,7 @@ class Muon(torch.optim.AdamW):
                     self.state[filters].update(first)
                 kept = self.state[filters]["momentum"].lerp_(filters.grad, 1 - self.MOMENTUM)
                 rows = filters.grad.lerp(kept, self.MOMENTUM).flatten(1)
-                size = 0.2 * math.sqrt(max(rows.shape))
+                size = 0.6 * math.sqrt(max(rows.shape))
                 filters.mul_(1 - group["lr"] * group["weight_decay"])
                 filters.sub_(self._orthogonal(rows).view(filters.shape), alpha=group["lr"] * size)
                 filters.grad = None  # nothing for AdamW to do
