@@ -109,7 +109,8 @@ stem stride {network["stem_stride"]}. It takes {", ".join(network["inputs"])} of
 | on | {amount} {data} |
 | by | `{command}` |
 | for | {length}, batch {settings["batch"]}, \
-{"Muon" if settings.get("optimizer") == "muon" else "AdamW"} at {settings["lr"]:g}, seed {settings["seed"]}, {settings["precision"]} |
+{"Muon" if settings.get("optimizer") == "muon" else "AdamW"} at {settings["lr"]:g}, \
+seed {settings["seed"]}, {settings["precision"]} |
 | on hardware | {about["device"]} |
 | with | commit {about["commit"]}; {versions} |
 
