@@ -20,7 +20,7 @@ from lidarsim.sensors import Sensor
 from lidarsim.sensors.raster import Lidar
 from lidarsim.solids.model import ModelSolids, check_forwarded
 
-HERE = Pose.level((0.0, 0.0, 0.0))
+HERE = Pose(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
 Told = TypeVar("Told")
 Unseen = Literal["nothing", "body", "tree"]
 """What a sensor does not see of its carrier: nothing; the body's own geoms, as `bodyexclude` of

@@ -50,7 +50,16 @@ class Hierarchy:
     def over(cls, lower: Floats, upper: Floats) -> Self:
         """The tree over items with least corners `lower` (n, 3) and greatest corners `upper` (n,
         3), all finite."""
-        return cls(*_build(lower, upper))
+        # a node has three children or more, or two leaves that hold five items or more
+        most = len(lower) // 2 + 1
+        boxes = np.empty((most, 6, WIDTH))
+        boxes[:, :3], boxes[:, 3:] = np.inf, -np.inf
+        links, ends = np.zeros((2, most, WIDTH), np.uint64)
+        order = np.arange(len(lower), dtype=np.uint64)
+        centre, bins = 0.5 * (lower + upper), np.empty((BINS + 1, 8))
+        waiting = np.empty((WAITING, 4), np.int64)
+        nodes = _build(lower, upper, centre, order, boxes, links, ends, waiting, bins)
+        return cls(boxes[:nodes].copy(), links[:nodes].copy(), ends[:nodes].copy(), order)
 
     def refit(self, lower: Floats, upper: Floats) -> None:
         """Take the boxes of items that have moved: quicker than a new tree, and as good while
@@ -59,26 +68,22 @@ class Hierarchy:
 
 
 @kernel
-def _build(lower, upper):
-    """Boxes, links, ends and order, from the root down."""
-    n = len(lower)
-    order = np.arange(n)
-    centre = 0.5 * (lower + upper)
-    # a node has three children or more, or two leaves that hold five items or more
-    most = n // 2 + 1
-    boxes = np.empty((most, 6, WIDTH))
-    links, ends = np.zeros((most, WIDTH), np.uint64), np.zeros((most, WIDTH), np.uint64)
-    waiting = np.empty((WAITING, 4), np.int64)  # begin and end in `order`, the node, its level
-    waiting[0, 0], waiting[0, 1], waiting[0, 2], waiting[0, 3] = 0, n, 0, 0
-    left, nodes = min(n, 1), min(n, 1)
+def _build(lower, upper, centre, order, boxes, links, ends, waiting, bins):
+    """Fill boxes, links, ends and order from the root down; how many nodes there are.
+
+    `waiting` holds, of each group, where it begins and ends in `order`, its node and its level. All
+    arrays are made before: numba takes a second to compile what makes them.
+    """
+    waiting[0, 0], waiting[0, 1], waiting[0, 2], waiting[0, 3] = 0, len(order), 0, 0
+    left = nodes = min(len(order), 1)
     while left > 0:
         left -= 1
         begin, end = waiting[left, 0], waiting[left, 1]
         node, level = waiting[left, 2], waiting[left, 3]
-        middle = _cut(lower, upper, centre, order, begin, end, level)
-        quarter = _cut(lower, upper, centre, order, begin, middle, level)
-        parts = begin, quarter, middle, _cut(lower, upper, centre, order, middle, end, level), end
-        boxes[node, :3], boxes[node, 3:] = np.inf, -np.inf
+        middle = _cut(lower, upper, centre, order, begin, end, level, bins)
+        quarter = _cut(lower, upper, centre, order, begin, middle, level, bins)
+        last = _cut(lower, upper, centre, order, middle, end, level, bins)
+        parts = begin, quarter, middle, last, end
         for k in range(WIDTH):
             begin, end = parts[k], parts[k + 1]
             if begin == end:
@@ -91,7 +96,7 @@ def _build(lower, upper):
             waiting[left, 0], waiting[left, 1] = begin, end
             waiting[left, 2], waiting[left, 3] = nodes, level + 1
             left, nodes = left + 1, nodes + 1
-    return boxes[:nodes].copy(), links[:nodes].copy(), ends[:nodes].copy(), order.astype(np.uint64)
+    return nodes
 
 
 @kernel
@@ -105,9 +110,12 @@ def _hull(lower, upper, order, begin, end, box):
 
 
 @kernel
-def _cut(lower, upper, centre, order, begin, end, level):
-    """Sort order[begin:end] into two parts; where the second begins: at `end` for what is a
-    leaf."""
+def _cut(lower, upper, centre, order, begin, end, level, bins):
+    """Sort order[begin:end] into two parts; where the second begins: at `end` for what is a leaf.
+
+    A row of `bins` is a box, how many items have their centre in the bin, and the cost of what lies
+    from this bin on; the last row is a box that grows.
+    """
     if end - begin <= IN_LEAF:
         return end
     axis, first, width = 0, 0.0, 0.0
@@ -120,28 +128,27 @@ def _cut(lower, upper, centre, order, begin, end, level):
     scale = BINS / width if width > 0.0 else np.inf
     if not scale < np.inf or level >= LEVELS:  # all centres are one, or the tree grows too deep
         return (begin + end) // 2
-    bins = np.empty((BINS, 6))
-    held = np.zeros(BINS, np.int64)
-    bins[:, :3], bins[:, 3:] = np.inf, -np.inf
+    for b in range(BINS):
+        _empty(bins[b])
+        bins[b, 6] = 0.0
     for q in range(begin, end):
         g = order[q]
         b = min(int((centre[g, axis] - first) * scale), BINS - 1)
-        held[b] += 1
+        bins[b, 6] += 1.0
         for a in range(3):
             bins[b, a] = min(bins[b, a], lower[g, a])
             bins[b, 3 + a] = max(bins[b, 3 + a], upper[g, a])
-    beyond = np.zeros(BINS)  # the cost of what lies from this bin on
-    box, count = np.empty(6), 0
-    box[:3], box[3:] = np.inf, -np.inf
+    box, count = bins[BINS], 0.0
+    _empty(box)
     for b in range(BINS - 1, 0, -1):
-        count += held[b]
-        beyond[b] = _grown(box, bins[b]) * count
-    box[:3], box[3:] = np.inf, -np.inf
+        count += bins[b, 6]
+        bins[b, 7] = _grown(box, bins[b]) * count
+    _empty(box)
     # the first bin holds the item of least centre, the last that of the greatest
-    least, last, count = np.inf, 0, 0
+    least, last, count = np.inf, 0, 0.0
     for b in range(BINS - 1):
-        count += held[b]
-        cost = _grown(box, bins[b]) * count + beyond[b + 1]
+        count += bins[b, 6]
+        cost = _grown(box, bins[b]) * count + bins[b + 1, 7]
         if cost < least:
             least, last = cost, b
     i, j = begin, end - 1
@@ -152,6 +159,13 @@ def _cut(lower, upper, centre, order, begin, end, level):
             order[i], order[j] = order[j], order[i]
             j -= 1
     return i
+
+
+@kernel
+def _empty(box):
+    """Make `box` hold nothing."""
+    for a in range(3):
+        box[a], box[3 + a] = np.inf, -np.inf
 
 
 @kernel

@@ -23,7 +23,16 @@ def distance_field(occupancy: Mask, grid: GridSpec) -> Field:
     cap, table = lookup(grid)
     # a sum of two capped squares must fit the type
     dtype = np.uint8 if 2 * cap < 256 else np.uint16 if 2 * cap < 65536 else np.uint32
-    return _transform(np.ascontiguousarray(occupancy), dtype(cap), table)
+    nx, ny, nz = occupancy.shape
+    reach = math.isqrt(cap - 1)  # offsets whose square alone stays below the cap
+    line = nz + reach
+    steps, run = np.full((nx, ny * nz), cap, dtype), np.empty(ny * nz, dtype)
+    row = np.full((ny + 2 * reach) * line, cap, dtype)
+    squares, nearest = np.full(ny * line + 2 * reach, cap, dtype), np.empty(ny * line, dtype)
+    distance = np.empty(occupancy.shape, np.float32)
+    occupied = np.ascontiguousarray(occupancy).view(np.uint8).reshape(steps.shape)
+    _transform(occupied, dtype(cap), table, reach, steps, run, row, squares, nearest, distance)
+    return distance
 
 
 def lookup(grid: GridSpec) -> tuple[int, Field]:
@@ -41,30 +50,22 @@ def lookup(grid: GridSpec) -> tuple[int, Field]:
 
 
 @kernel
-def _transform(occupancy, cap, table):
+def _transform(occupied, cap, table, reach, steps, run, row, squares, nearest, distance):
     """Squared distances up to `cap`, one axis after the other, looked up in `table` (cap + 1,).
 
     All in the type of `cap`, so that a vector register holds many. Lines along z are kept apart by
     a margin of `cap`, and slices surrounded by one, so that a shift along y or z is one shift of a
-    whole x-slice.
+    whole x-slice. What is filled between is made before: numba takes long to compile that.
     """
-    nx, ny, nz = occupancy.shape
-    reach = 0  # offsets whose square alone stays below the cap
-    while (reach + 1) * (reach + 1) < cap:
-        reach += 1
+    nx, ny, nz = distance.shape
     line = nz + reach
-    row = np.full((ny + 2 * reach) * line, cap)
-    squares = np.full(ny * line + 2 * reach, cap)
-    nearest = np.empty(ny * line, row.dtype)
-    steps = np.full((nx, ny * nz), cap)
-    _steps_along_x(occupancy.reshape(nx, ny * nz), steps, steps.dtype.type(reach + 1))
-    distance = np.empty(occupancy.shape, table.dtype)
+    _steps_along_x(occupied, steps, run, steps.dtype.type(reach + 1))
     for i in range(nx):
         for j in range(ny):
             begin = (reach + j) * line
             _square(steps[i, j * nz : (j + 1) * nz], row[begin : begin + nz], cap)
         _spread(row, squares[reach : reach + ny * line], reach, line)
-        _spread(squares, nearest, reach, 1)
+        _spread(squares, nearest, reach, np.int64(1))  # a literal would be compiled by itself
         for j in range(ny):
             _look_up(nearest[j * line : j * line + nz], table, distance[i, j])
     return distance
@@ -84,15 +85,17 @@ def _spread(source, squares, reach, line):
 
 
 @kernel
-def _steps_along_x(occupied, steps, most):
-    """Set `steps` (nx, m) to the voxels from the nearest occupied one along x, at most `most`."""
+def _steps_along_x(occupied, steps, run, most):
+    """Set `steps` (nx, m) to the voxels from the nearest occupied one along x, at most `most`; in
+    `run` (m,) they are counted."""
     nx, m = steps.shape
     one = steps.dtype.type(1)
     for direction in range(2):
-        run = np.full(m, most)
+        for p in range(m):
+            run[p] = most
         for q in range(nx):
             i = q if direction == 0 else nx - 1 - q
-            here, there = steps[i], occupied[i].view(np.uint8)
+            here, there = steps[i], occupied[i]
             for p in range(m):
                 run[p] = steps.dtype.type(
                     min(steps.dtype.type(run[p] + one), most) * steps.dtype.type(one - there[p])

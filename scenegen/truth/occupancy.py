@@ -23,6 +23,8 @@ SLACK_M = 1e-6
 occupied voxel."""
 SPARE_M = 0.1 * SLACK_M
 """What a quicker test decides by less than this, is decided by the exact one."""
+X, Y, Z = map(np.int64, range(3))
+"""Axes. For a literal 0 and 1, numba compiles a kernel by itself."""
 
 
 def rasterize(solids: Solids, grid: GridSpec, origin: ArrayLike) -> Mask:
@@ -207,9 +209,9 @@ def _fill_surface(triangles, origin, voxel_m, occupancy):
         if i0 >= i1 or j0 >= j1 or k0 >= k1:
             continue
         size, noise = numbered(triangles[n], origin, voxel_m, corners)
-        bounds(corners, 0, 1, i0, i1, 0.5, slack, spare, noise, across)
-        bounds(corners, 0, 2, i0, i1, 0.5, slack, spare, noise, up_x)
-        bounds(corners, 1, 2, j0, j1, 0.5, slack, spare, noise, up_y)
+        bounds(corners, X, Y, i0, i1, 0.5, slack, spare, noise, across)
+        bounds(corners, X, Z, i0, i1, 0.5, slack, spare, noise, up_x)
+        bounds(corners, Y, Z, j0, j1, 0.5, slack, spare, noise, up_y)
         ux, uy, uz = corners[1] - corners[0]
         vx, vy, vz = corners[2] - corners[0]
         nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
@@ -249,14 +251,17 @@ def inside_columns(triangles, origin, voxel_m, occupancy):
     With the voxels on its surface marked already, what is left lies wholly inside or outside, so
     the centre decides.
     """
-    nx, _, nz = occupancy.shape
-    low = triangles[:, :, 0].min(), triangles[:, :, 1].min(), triangles[:, :, 2].min()
-    high = triangles[:, :, 0].max(), triangles[:, :, 1].max(), triangles[:, :, 2].max()
-    i_low, i_high, j_low, j_high, _, k_high = spans(low, high, origin, voxel_m, occupancy.shape)
+    nx, ny, nz = occupancy.shape
+    i_low, i_high, j_low, j_high, k_high = nx, 0, ny, 0, 0
+    for a, b, c in triangles:
+        i0, i1, j0, j1, _, k1 = _spans_of(a, b, c, origin, voxel_m, occupancy.shape)
+        i_low, i_high, j_low = min(i_low, i0), max(i_high, i1), min(j_low, j0)
+        j_high, k_high = max(j_high, j1), max(k_high, k1)
     if i_low >= i_high or j_low >= j_high or k_high == 0:
         return
     winding = np.zeros((i_high - i_low, j_high - j_low, nz), np.int32)
-    first = np.full(winding.shape[:2], nz, np.int32)  # the lowest voxel of a column that changes
+    # the lowest voxel of a column that changes
+    first = np.full((i_high - i_low, j_high - j_low), nz, np.int32)
     corners, across = np.empty((3, 3)), np.empty((4, nx))
     for n in range(len(triangles)):
         a, b, c = triangles[n, 0], triangles[n, 1], triangles[n, 2]
@@ -264,7 +269,7 @@ def inside_columns(triangles, origin, voxel_m, occupancy):
         if i0 >= i1 or j0 >= j1:
             continue
         _, noise = numbered(triangles[n], origin, voxel_m, corners)
-        bounds(corners, 0, 1, i0, i1, 0.0, 0.0, noise, noise, across)
+        bounds(corners, X, Y, i0, i1, 0.0, 0.0, noise, noise, across)
         up = side(a, b, c[0], c[1])
         for i in range(i0, i1):
             x = origin[0] + (i + 0.5) * voxel_m

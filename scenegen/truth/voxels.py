@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelMap
-from lidarsim.grid import GridSpec, Mask
+from lidarsim.grid import Floats, GridSpec, Ints, Mask
 from lidarsim.jit import kernel
 
 LEAST_OVERLAP_M = 1e-6
@@ -27,36 +27,35 @@ def resample(voxels: VoxelMap, grid: GridSpec, origin: ArrayLike) -> tuple[Mask,
     known = np.zeros(grid.shape, bool)
     first = (np.asarray(origin, float) - voxels.origin) / voxels.voxel_m
     states, edge = np.ascontiguousarray(voxels.states), grid.voxel_m / voxels.voxel_m
-    _resample(states, first, edge, voxels.voxel_m, occupancy, known)
+    slack = LEAST_OVERLAP_M / voxels.voxel_m
+    x, y, z = (
+        _axis(*axis, edge, slack) for axis in zip(first, grid.shape, states.shape, strict=True)
+    )
+    _resample(states, x, y, z, occupancy, known)
     return occupancy, known
 
 
-@kernel
-def _axis(first, edge, voxel_m, count, most):
+def _axis(
+    first: float, count: int, most: int, edge: float, slack: float
+) -> tuple[Ints, Floats, Floats]:
     """For each of `count` voxels of `edge` map voxels from `first` on: the map's voxels, from and
     up to, that it overlaps, (count, 2), at most `most` of them; the part of it, along this
     axis, that lies in each of these; and in all of them."""
-    spans, shares = np.zeros((count, 2), np.int64), np.zeros((count, math.ceil(edge) + 1))
-    slack = LEAST_OVERLAP_M / voxel_m
-    for n in range(count):
-        low, high = first + n * edge, first + (n + 1) * edge
-        begin, end = math.floor(low + slack), math.ceil(high - slack)
-        spans[n, 0] = int(min(max(begin, 0.0), float(most)))
-        spans[n, 1] = int(min(max(end, 0.0), float(most)))
-        for number in range(spans[n, 0], spans[n, 1]):
-            part = min(high, number + 1.0) - max(low, float(number))
-            shares[n, number - spans[n, 0]] = max(part, 0.0) / edge
-    return spans, shares, shares.sum(axis=1)
+    low, high = first + np.arange(count) * edge, first + np.arange(1, count + 1) * edge
+    ends = np.stack([np.floor(low + slack), np.ceil(high - slack)], axis=1)
+    spans = np.clip(ends, 0, most).astype(np.int64)
+    numbers = spans[:, :1] + np.arange(math.ceil(edge) + 1)
+    part = np.minimum(high[:, None], numbers + 1.0) - np.maximum(low[:, None], numbers)
+    shares = np.where(numbers < spans[:, 1:], np.maximum(part, 0.0) / edge, 0.0)
+    return spans, shares, shares.cumsum(axis=1)[:, -1]  # one after the other
 
 
 @kernel
-def _resample(states, first, edge, voxel_m, occupancy, known):
+def _resample(states, x, y, z, occupancy, known):
     """Bits of states are joined along x, then y, then z; volumes are summed where these do not
-    tell."""
+    tell. Axes are as `_axis` gives them."""
     nx, ny, nz = occupancy.shape
-    xs, in_x, all_x = _axis(first[0], edge, voxel_m, nx, states.shape[0])
-    ys, in_y, all_y = _axis(first[1], edge, voxel_m, ny, states.shape[1])
-    zs, in_z, all_z = _axis(first[2], edge, voxel_m, nz, states.shape[2])
+    (xs, in_x, all_x), (ys, in_y, all_y), (zs, in_z, all_z) = x, y, z
     left, right, low, high = ys[0, 0], ys[ny - 1, 1], zs[0, 0], zs[nz - 1, 1]
     rows = np.empty((right - left, states.shape[2]), np.uint8)
     column, joined = np.zeros(high - low + 1, np.uint8), np.empty(nz, np.uint8)

@@ -88,7 +88,7 @@ def _fill(data, states_alone, bounds, states):
     that says which children it has; without any it is a leaf, occupied from log-odds of 0 on.
     """
     waiting = np.empty((8 * LEVELS + 8, 4), np.int64)
-    waiting[0] = (0, 0, 0, 2 * HALF)
+    waiting[0, 0], waiting[0, 1], waiting[0, 2], waiting[0, 3] = 0, 0, 0, 2 * HALF
     left, at, length = 1, 0, 2 if states_alone else 5
     while left > 0:
         left -= 1
@@ -114,7 +114,8 @@ def _fill(data, states_alone, bounds, states):
             state = bits >> 2 * child & 3
             i, j, k = x + half * (child & 1), y + half * (child >> 1 & 1), z + half * (child >> 2)
             if state == 3:
-                waiting[left] = (i, j, k, half)
+                waiting[left, 0], waiting[left, 1], waiting[left, 2] = i, j, k
+                waiting[left, 3] = half
                 left += 1
             elif state > 0:
                 _mark(i, j, k, half, state, bounds, states)

@@ -4,6 +4,7 @@ import dataclasses
 import itertools
 import math
 from contextlib import nullcontext
+from functools import cache
 
 import numpy as np
 import pytest
@@ -16,19 +17,26 @@ from lidarsim.sensors import CATALOGUE, SENSORS
 from tests.command_line import example, rows
 from tests.lidarsim.engines.test_laws import model_of
 
-ENGINE = AnalyticEngine.of(model_of('type="plane" size="9 9 1"', 'size="1" pos="4 0 1"'))
-SCAN = cast(ENGINE, Lidar(), Pose.level((0.0, 0.0, 2.0)))
+
+@cache
+def engine():
+    return AnalyticEngine.of(model_of('type="plane" size="9 9 1"', 'size="1" pos="4 0 1"'))
+
+
+@cache
+def clean():
+    return cast(engine(), Lidar(), Pose.level((0.0, 0.0, 2.0)))
 
 
 def noisy(text, seed=0):
     """The scan as a chain of stages tells it."""
-    return Noise.parse(text).observe(SCAN, ENGINE, rng=np.random.default_rng(seed))
+    return Noise.parse(text).observe(clean(), engine(), rng=np.random.default_rng(seed))
 
 
 def test_no_noise_gives_the_clean_bits(rng):
-    clean = Noise().observe(SCAN, ENGINE, rng=rng)
-    assert clean.ranges[0].astype(np.float32).tobytes() == SCAN.ranges.tobytes()
-    assert_array_equal(clean.points(), SCAN.points())
+    told = Noise().observe(clean(), engine(), rng=rng)
+    assert told.ranges[0].astype(np.float32).tobytes() == clean().ranges.tobytes()
+    assert_array_equal(told.points(), clean().points())
 
 
 @pytest.mark.parametrize("name", STAGES.known)
@@ -69,8 +77,8 @@ def test_no_return_moves_further_than_the_bound(text):
     told = noisy(text).ranges[0]
     left = np.isfinite(told)
     assert left.sum() > 50
-    assert np.isfinite(SCAN.ranges[left]).all()
-    assert np.abs(told[left] - SCAN.ranges[left]).max() <= chain.bound_m(SCAN.lidar.max_range_m)
+    assert np.isfinite(clean().ranges[left]).all()
+    assert np.abs(told[left] - clean().ranges[left]).max() <= chain.bound_m(Lidar().max_range_m)
     assert chain.bound_m(10.0) == sum(stage.bound_m(10.0) for stage in chain.stages)
     assert Noise.parse("range,spurious").bound_m(10.0) == math.inf
 
@@ -126,9 +134,9 @@ class Ranked(Shift):
     assert str(Noise.parse(text)) == "my_noise:Shift:by_m=-0.5,range:sigma_m=0.0"
     told = noisy(text).ranges[0]
     left = np.isfinite(told)
-    assert_allclose(told[left], SCAN.ranges[left] - 0.5, rtol=1e-6)
-    met, left = np.isfinite(SCAN.ranges), np.isfinite(noisy("my_noise:Fog:10").ranges[0])
-    expected = float(np.exp(-SCAN.ranges[met] / 5.0).sum())
+    assert_allclose(told[left], clean().ranges[left] - 0.5, rtol=1e-6)
+    met, left = np.isfinite(clean().ranges), np.isfinite(noisy("my_noise:Fog:10").ranges[0])
+    expected = float(np.exp(-clean().ranges[met] / 5.0).sum())
     assert (met >= left).all()
     assert left.sum() == pytest.approx(expected, abs=4 * expected**0.5)
 
