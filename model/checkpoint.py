@@ -37,7 +37,10 @@ class CheckpointError(ScenegenError):
 def save_tensors(path: Path, tensors: Mapping[str, Tensor], header: Json) -> None:
     """Write `tensors` and a JSON `header`, whole or not at all. Raises DatasetError where the disk
     refuses."""
-    plain = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    whole = torch.contiguous_format
+    plain = {  # copies, for two names may share one tensor
+        name: tensor.detach().cpu().clone(memory_format=whole) for name, tensor in tensors.items()
+    }
     write_whole(path, save(plain, {"header": json.dumps(header)}))
 
 

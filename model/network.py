@@ -59,6 +59,10 @@ def build(config: NetworkConfig) -> nn.Module:
         raise ScenegenError(
             f"variant {config.variant}: makes {type(network).__name__}, expected a torch.nn.Module"
         )
+    # of a batch, it is shown no truth
+    network.register_forward_pre_hook(
+        lambda _, batches: {name: batches[0][name] for name in config.inputs}
+    )
     network.config, network.tasks = config, tuple(getattr(network, "tasks", TASKS))
     return network
 

@@ -163,26 +163,21 @@ class _Total(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> Tensor:
-        dist.all_reduce(total := gradients[0].clone())
-        return total
+        return _Total.forward(ctx, *gradients)
 
 
 class SharedNorm(nn.BatchNorm3d):
-    """A batch norm in two or three dimensions, whose statistics are those of all processes' maps:
+    """A batch norm in any dimensions, whose statistics are those of all processes' maps:
     torch's own (`nn.SyncBatchNorm`) is for GPUs alone."""
 
     @classmethod
     def within(cls, module: nn.Module) -> None:
-        """Put one, with the same parameters, in the place of every batch norm of a module that has
-        weights and keeps statistics, as those of `model/network.py` do."""
-        for name, child in module.named_children():
-            known = isinstance(child, nn.BatchNorm2d | nn.BatchNorm3d)
+        """Make one of every batch norm in a module that has weights and keeps statistics, as those
+        of `model/network.py` do."""
+        for child in module.modules():
+            known = isinstance(child, nn.BatchNorm1d | nn.BatchNorm2d | nn.BatchNorm3d)
             if known and child.affine and child.track_running_stats:
-                shared = cls(child.num_features, child.eps, child.momentum)
-                shared.load_state_dict(child.state_dict())
-                shared.weight, shared.bias = child.weight, child.bias
-                module.add_module(name, shared.train(child.training))
-            cls.within(child)
+                child.__class__ = cls
 
     def forward(self, x: Tensor) -> Tensor:
         """See `nn.BatchNorm3d`."""
@@ -196,7 +191,9 @@ class SharedNorm(nn.BatchNorm3d):
         variance = _Total.apply(centred.square().sum(axes)) / count
         with torch.no_grad():
             self.num_batches_tracked += 1
-            share = self.momentum or 1 / int(self.num_batches_tracked)  # without: their mean
+            share = self.momentum
+            if share is None:  # their mean
+                share = 1 / int(self.num_batches_tracked)
             self.running_mean.lerp_(mean, share)
             self.running_var.lerp_(variance * (count / max(count - 1, 1)), share)
         scale = self.weight * torch.rsqrt(variance + self.eps)

@@ -22,7 +22,7 @@ from scenegen.dataset.manifest import differences
 from scenegen.dataset.parts import mapping_entry, sensor_entry
 from scenegen.errors import DatasetError, StoppedError, empty_split, is_out_of_memory, raised_as
 from scenegen.files import Json
-from scenegen.model.checkpoint import CheckpointError
+from scenegen.model.checkpoint import DTYPES, CheckpointError
 from scenegen.model.completion.completer import locate, open_network
 from scenegen.model.config import VARIANTS, TrainConfig, is_own
 from scenegen.model.evaluation.metrics import METRICS
@@ -121,6 +121,8 @@ def train(
                 for step, batch, given in zip(steps[done:], batches, read, strict=False):
                     if step == course.latest_decay and progress.decay is None:
                         folder.save(progress, LEVEL)  # a larger budget begins here
+                    # a user's own network may draw, as dropout does
+                    torch.manual_seed(config.seed + step * group.size + group.rank)
                     losses = learn(given, course.rate(step, progress.decay))
                     check_finite(losses, maps, batch, progress)
                     progress.add(losses, seconds=time.monotonic() - begin)
@@ -134,7 +136,9 @@ def train(
             check_finite({"validation loss": found["loss"]}, maps, [], progress)
             seconds = time.monotonic() - begin
             row = progress.close(found, maps=steps.stop * course.batch, seconds=seconds)
-            folder.close_round(progress, network, maps.grid, about, config.choose)
+            group.first_alone(  # and nobody opens a network before it is there
+                lambda: folder.close_round(progress, network, maps.grid, about, config.choose)
+            )
             watcher.on_epoch(row)
         folder.draw_rows(progress.rows)
         return progress.rows
@@ -172,7 +176,8 @@ class Step:
                 model = nn.SyncBatchNorm.convert_sync_batchnorm(model)
             else:
                 SharedNorm.within(model)
-            model = DistributedDataParallel(model)
+            own = is_own(self.config.network.variant)  # and may have weights that it does not use
+            model = DistributedDataParallel(model, find_unused_parameters=own)
         self._model = torch.compile(model) if self.config.compile else model
 
     def __call__(self, batch: Batch, rate: float) -> dict[str, float]:
@@ -194,7 +199,7 @@ class Step:
         batch = {
             name: values.to(self.group.device, non_blocking=True) for name, values in batch.items()
         }
-        self.optimizer.zero_grad(set_to_none=True)
+        self.optimizer.zero_grad()
         with autocast(self.group.device, self.group.precision):
             output = Output(*self._model(batch))
         losses = self._loss(output, batch)
@@ -202,7 +207,7 @@ class Step:
         norm = nn.utils.clip_grad_norm_(self.network.parameters(), self.config.clip)
         if torch.isfinite(norm):  # otherwise the weights stay as they were, and the caller sees why
             self.optimizer.step()
-        return {**{name: value.item() for name, value in losses.items()}, "gradient": norm.item()}
+        return {name: value.item() for name, value in losses.items()} | {"gradient": norm.item()}
 
     def _too_large(self, batch: Batch) -> str:
         """Which batch would fit, found by trying."""
@@ -213,7 +218,7 @@ class Step:
         fits = maps // 2
         while fits:
             try:
-                self.optimizer.zero_grad(set_to_none=True)
+                self.optimizer.zero_grad()
                 if self.group.device.type == "cuda":
                     torch.cuda.empty_cache()
                 self._learn({name: values[:fits] for name, values in batch.items()})
@@ -241,10 +246,10 @@ class Muon(torch.optim.AdamW):
             for filters in group["params"]:
                 if filters.ndim < 3 or filters.grad is None:
                     continue
-                if not self.state[filters]:  # "step" is what AdamW looks for when it is copied
-                    first = {"step": torch.zeros(()), "momentum": torch.zeros_like(filters)}
-                    self.state[filters].update(first)
-                kept = self.state[filters]["momentum"].lerp_(filters.grad, 1 - self.MOMENTUM)
+                state = self.state[filters]
+                if not state:  # "step" is what AdamW looks for when it is copied
+                    state.update(step=torch.zeros(()), momentum=torch.zeros_like(filters))
+                kept = state["momentum"].lerp_(filters.grad, 1 - self.MOMENTUM)
                 rows = filters.grad.lerp(kept, self.MOMENTUM).flatten(1)
                 size = 0.6 * math.sqrt(max(rows.shape))
                 filters.mul_(1 - group["lr"] * group["weight_decay"])
@@ -254,13 +259,14 @@ class Muon(torch.optim.AdamW):
 
     def _orthogonal(self, rows: Tensor) -> Tensor:
         """The nearest matrix whose singular values are about 1."""
+        if rows.shape[0] > rows.shape[1]:
+            return self._orthogonal(rows.T).T
         a, b, c = self.QUINTIC
-        wide = rows if rows.shape[0] <= rows.shape[1] else rows.T
-        wide = wide / (wide.norm() + 1e-7)
+        wide = rows / (rows.norm() + 1e-7)
         for _ in range(5):
             square = wide @ wide.T
             wide = a * wide + (b * square + c * square @ square) @ wide
-        return wide if rows.shape[0] <= rows.shape[1] else wide.T
+        return wide
 
 
 def optimizer_of(network: nn.Module, config: TrainConfig) -> torch.optim.Optimizer:
@@ -336,23 +342,30 @@ def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device
     if not (is_own(variant) or is_own(objective)):
         return
     batch = {name: values[None].to(device) for name, values in maps[0].items()}
-    with torch.no_grad():
-        output = network.eval()(batch)
-        parts = output if isinstance(output, tuple) else (output,)
-        given = [tuple(part.shape) if isinstance(part, Tensor) else part for part in parts]
-        shape = (1, *maps.grid.shape)
-        wanted = [shape if task in network.tasks else None for task in ("occupancy", "tudf")]
-        if given != wanted:
+    output = network.eval()(batch)
+    parts = output if isinstance(output, tuple) else (output,)
+    given = [getattr(part, "shape", part) for part in parts]
+    shape = (1, *maps.grid.shape)
+    wanted = [shape if task in network.tasks else None for task in ("occupancy", "tudf")]
+    if given != wanted or (wanted[1] and parts[1].min() < 0):
+        raise TrainingError(
+            f"variant {variant}: gives {given!r:.200}, expected {wanted}, by its `tasks`, and no "
+            "negative distance"
+        )
+    for name, value in network.state_dict().items():
+        if value.dtype not in DTYPES:
             raise TrainingError(
-                f"variant {variant}: gives {given!r:.200}, expected {wanted}, by its `tasks`"
+                f"variant {variant}: {name} is {value.dtype}, expected float32 or int64"
             )
-        terms = loss_of(config.loss, maps.grid)(Output(*output), batch)
+    terms = loss_of(config.loss, maps.grid)(Output(*output), batch)
     for name, value in terms.items():
         if not isinstance(value, Tensor) or value.ndim or name in {*METRICS, "largest", "gradient"}:
             raise TrainingError(
                 f"loss {objective}: {name} is {value!r:.60}; expected a scalar tensor, or a dict "
                 "of such under names that no metric has"
             )
+    if not terms["loss"].requires_grad:
+        raise TrainingError(f"loss {objective}: no weight of variant {variant} changes it")
     if config.choose not in (*terms, "last"):
         raise TrainingError(
             f"choose = {config.choose!r}: the loss has no such term, but {', '.join(terms)}"

@@ -6,12 +6,12 @@ import dataclasses
 import fcntl
 import io
 import json
+import os
 import time
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import IO
 
 import torch
 from torch import Tensor, nn
@@ -90,9 +90,9 @@ class RunFolder:
 
     def __init__(self, path: Path, *, writes: bool = True):
         self.path, self._writes = path, writes
-        self._lock: IO[str] | None = None
+        self._lock: int | None = None
         self._saved = self._drawn = time.monotonic()
-        self._learns: tuple[nn.Module, torch.optim.Optimizer] | None = None
+        self._learns: tuple[nn.Module, torch.optim.Optimizer]
 
     def open(self, settings: Json) -> None:
         """Begin a run with `settings`, or go on with the one that was begun with them, or with a
@@ -104,24 +104,7 @@ class RunFolder:
         """
         with disk_told(self.path):
             self.path.mkdir(parents=True, exist_ok=True)
-        remove_drafts(self.path)
-        config, grows = self.path / CONFIG, False
-        if config.exists():
-            there, asked = self.settings(), json.loads(json.dumps(settings["settings"]))
-            if grows := _grows(there, asked):
-                there |= {name: asked[name] for name in BUDGETS}
-            check_settings(self.path, there, asked)
-            if grows and (self.path / LEVEL).exists():  # where the learning rate began to fall
-                if (self.path / BEST).exists():
-                    (self.path / BEST).replace(
-                        self.path / f"{datetime.now():best-%Y-%m-%d-%H%M%S}.safetensors"
-                    )
-                (self.path / LEVEL).replace(self.path / LAST)
-        elif odd := next((name for name in FILES if (self.path / name).exists()), None):
-            raise DatasetError(f"{self.path}: holds {odd} but no {CONFIG}; choose another --out")
-        if not config.exists() or grows:
-            write_whole(config, (json.dumps(settings, indent=1) + "\n").encode())
-        self._lock = open(config)  # noqa: SIM115 (held until `close`)
+            self._lock = os.open(self.path, os.O_RDONLY)  # held until `close`
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -129,7 +112,23 @@ class RunFolder:
                 f"{self.path}: another process trains this run; wait, or give another --out"
             ) from None
         except OSError:  # a file system without locks
-            return
+            pass
+        remove_drafts(self.path)
+        config, grows = self.path / CONFIG, False
+        if config.exists():
+            there, asked = self.settings(), json.loads(json.dumps(settings["settings"]))
+            if grows := _grows(there, asked):
+                there |= {name: asked[name] for name in BUDGETS}
+            check_settings(self.path, there, asked)
+            best, level = self.path / BEST, self.path / LEVEL
+            if grows and level.exists():  # where the learning rate began to fall
+                if best.exists():
+                    best.replace(self.path / f"{datetime.now():best-%Y-%m-%d-%H%M%S}.safetensors")
+                level.replace(self.path / LAST)
+        elif odd := next((name for name in FILES if (self.path / name).exists()), None):
+            raise DatasetError(f"{self.path}: holds {odd} but no {CONFIG}; choose another --out")
+        if not config.exists() or grows:
+            write_whole(config, (json.dumps(settings, indent=1) + "\n").encode())
 
     def clear(self) -> None:
         """Remove the run, so that it can begin again; what else lies there stays."""
@@ -139,7 +138,7 @@ class RunFolder:
     def close(self) -> None:
         """Let other processes work on the run."""
         if self._lock is not None:
-            self._lock.close()
+            os.close(self._lock)
 
     def settings(self) -> Json:
         """What the run was begun with. Raises DatasetError where there is none."""
@@ -153,7 +152,7 @@ class RunFolder:
 
     def save(self, progress: Progress, name: str = LAST) -> None:
         """Write all that is needed to go on from here, of what `restore` was given."""
-        if self._writes and self._learns:
+        if self._writes:
             save_tensors(self.path / name, _state(*self._learns), dataclasses.asdict(progress))
             self._saved = time.monotonic()
 
@@ -171,8 +170,6 @@ class RunFolder:
         choose: str,
     ) -> None:
         """Write what a finished round leaves, and its network if it is the one to keep so far."""
-        if not self._writes:
-            return
         rows = progress.rows
         if kept(rows, choose) == rows[-1]:
             told = {**about, "figures": rows[-1]}
@@ -192,10 +189,9 @@ class RunFolder:
             return Progress()
         try:
             tensors, header = load_tensors(self.path / LAST)
-            progress = Progress(**header)
             _set_state(network, optimizer, tensors)
-            return progress
-        except (CheckpointError, KeyError, TypeError, ValueError, RuntimeError):
+            return Progress(**header)
+        except (CheckpointError, AttributeError, TypeError, ValueError, RuntimeError):
             raise CheckpointError(
                 f"{self.path / LAST}: not the state of this run; remove it to begin again, {BEST} "
                 f"stays until then"
@@ -259,7 +255,7 @@ def _set_state(
     network: nn.Module, optimizer: torch.optim.Optimizer, tensors: dict[str, Tensor]
 ) -> None:
     """Undo `_state`."""
-    weights, parameters = {}, dict(network.named_parameters())
+    weights = {}
     for place, value in tensors.items():
         kind, _, name = place.partition("/")
         if kind == "network":
@@ -267,8 +263,8 @@ def _set_state(
             continue
         name, _, key = name.rpartition("/")
         # a step count is a lone number; moments lie in memory as their weights do
-        like = parameters[name]
-        optimizer.state[like][key] = torch.empty_like(like).copy_(value) if value.ndim else value
+        like = network.get_parameter(name)
+        optimizer.state[like][key] = value if key == "step" else torch.empty_like(like).copy_(value)
     network.load_state_dict(weights)
 
 

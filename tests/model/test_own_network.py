@@ -104,8 +104,22 @@ class Flat(Net):
         return Output(*(part[..., 0] for part in super().forward(batch)))
 class Blind(Net):
     tasks = ("occupancy",)
+class Negative(Net):
+    def forward(self, batch):
+        logits, tudf = super().forward(batch)
+        return Output(logits, -tudf)
+class Peeking(Net):
+    def forward(self, batch):
+        return super().forward(batch) if "occupancy" in batch else Output(None, "shown no truth")
+class Masked(Net):
+    def __init__(self, config):
+        super().__init__(config)
+        self.register_buffer("mask", torch.ones(2, dtype=torch.bool))
 class Seeing(Net):
     tasks = ("occupancy",)
+    def __init__(self, config):
+        super().__init__(config)
+        self.again = self.body[0]
     def forward(self, batch):
         return Output(super().forward(batch).logits, None)
 class Broken(Net):
@@ -116,6 +130,7 @@ class Branching(Net):
         logits, tudf = super().forward(batch)
         return Output(logits + 1 if float(logits.sum()) > 0 else logits, tudf)
 def plain(config): return 3
+def detached(output, batch): return output.logits.detach().mean()
 def vector(output, batch): return {"iou": output.logits.mean(), "b": 0.5}
 class Scaled:
     def __init__(self, config, grid): self.scale = config.occupancy / grid.voxel_m
@@ -126,6 +141,10 @@ def failing(seen, grid, lidar): raise KeyError("gone")
 SAID = r"""
 {"variant": "wrong:Flat"}                        → variant wrong:Flat: gives .*expected
 {"variant": "wrong:Blind"}                       → by its `tasks`
+{"variant": "wrong:Negative"}                    → no negative distance
+{"variant": "wrong:Peeking"}                     → gives .None, 'shown no truth'
+{"variant": "wrong:Masked"}                      → mask is torch.bool, expected float32 or int64
+{"objective": "wrong:detached"}                  → no weight of variant my_net:Net changes it
 {"variant": "wrong:Gone"}                        → has no Gone
 {"objective": "wrong:vector"}                    → iou is .*no metric has
 {"objective": "wrong:Scaled", "choose": "occupancy"} → the loss has no such term, but loss

@@ -172,10 +172,11 @@ def test_a_run_is_not_continued_by_mistake_nor_once_it_is_finished(
     folders, tmp_path, uninterrupted
 ):
     out = shutil.copytree(uninterrupted, tmp_path / "run")
-    with (out / "config.json").open() as held:
-        fcntl.flock(held, fcntl.LOCK_EX)
-        with pytest.raises(DatasetError, match="another process trains this run"):
-            train(folders, SMALL, out)
+    held = os.open(out, os.O_RDONLY)
+    fcntl.flock(held, fcntl.LOCK_EX)
+    with pytest.raises(DatasetError, match="another process trains this run"):
+        train(folders, dataclasses.replace(SMALL, epochs=9), out)  # nor by a larger budget
+    os.close(held)
     with pytest.raises(DatasetError, match=r"lr is 0\.001 there, 0\.1 asked for"):
         train(folders, dataclasses.replace(SMALL, lr=0.1), out)
     with pytest.raises(DatasetError, match="datasets is"):
@@ -216,8 +217,7 @@ def test_divergence_names_the_batch_and_keeps_the_last_good_state(folders, tmp_p
     with pytest.raises(TrainingError, match=said):
         train(folders, SMALL, out)
     assert len(load_tensors(out / "last.safetensors")[1]["rows"]) == 1
-    best = load_tensors(out / "best.safetensors")[0]
-    assert all(torch.isfinite(tensor).all() for tensor in best.values())
+    load_tensors(out / "best.safetensors")  # finite, or it is refused
 
 
 def test_running_out_of_memory_says_what_fits(folders, tmp_path, monkeypatch):
