@@ -70,7 +70,7 @@ def read_poses(path: Path) -> Track:
     if not names and rows.shape[1] == 12:
         poses = [pose_of_matrix(row, f"{path}: line {n + 1}") for n, row in enumerate(rows)]
         return Track(np.full(len(rows), np.nan), poses)
-    names = names or TUM[: rows.shape[1]]
+    names = names or (TUM if rows.shape[1] == len(TUM) else ())
     if missing := [name for name in TUM if name not in names]:
         raise DatasetError(
             f"{path}: {rows.shape[1]} columns without {', '.join(missing)}; expected 12 as in "
