@@ -2,13 +2,11 @@
 
 import io
 import itertools
-import math
 import os
 import re
 import warnings
 import zipfile
 from collections.abc import Collection, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -384,11 +382,8 @@ def scans_in(folder: Path) -> list[Path]:
     return sorted(found, key=_by_number)
 
 
-def _by_number(path: Path) -> tuple[Path, float, str, str]:
-    """A path's place in its folder: 2.ply comes before 10.ply, and names that are no numbers after
-    both, scan_2.ply before scan_10.ply."""
-    number = math.inf
-    with suppress(ValueError):
-        number = float(path.stem)
-    padded = re.sub(r"\d+", lambda digits: digits[0].zfill(MOST_DIGITS), path.name)
-    return path.parent, number, padded, path.name
+def _by_number(path: Path) -> tuple[Path, str, str]:
+    """A path's place in its folder: 2.ply comes before 10.ply, scan_2.ply before scan_10.ply, and
+    names that are numbers before the others. What follows a point are decimals."""
+    padded = re.sub(r"(?<![\d.])\d+", lambda digits: digits[0].zfill(MOST_DIGITS), path.stem)
+    return path.parent, padded, path.name
