@@ -40,11 +40,10 @@ class Track:
         times = self.times_s
         if not times[0] - BEYOND_S <= time_s <= times[-1] + BEYOND_S:
             return None
-        after = min(max(int(np.searchsorted(times, time_s)), 1), len(times) - 1)
-        before = max(after - 1, 0)
-        span = times[after] - times[before]
-        share = float(np.clip((time_s - times[before]) / span, 0, 1)) if span > 0 else 1.0
-        return between(self.poses[before], self.poses[after], share)
+        where = float(np.interp(time_s, times, np.arange(len(times))))
+        before = int(where)
+        after = min(before + 1, len(times) - 1)
+        return between(self.poses[before], self.poses[after], where - before)
 
 
 def between(one: Pose, other: Pose, share: float) -> Pose:

@@ -5,7 +5,7 @@ import struct
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
+from functools import cache, partial
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -128,7 +128,7 @@ class Links:
     def __init__(self) -> None:
         self._rows = defaultdict[str, dict[tuple[bool, str], dict[float, Link]]](dict)
         """What is said of each frame, by whether that is odometry, the topic, and the time."""
-        self._tracks = dict[str, tuple[str, Track]]()
+        self._tracks = cache(self._track)
 
     def add(self, topic: str, message: Any) -> None:
         """Take in a message."""
@@ -139,9 +139,10 @@ class Links:
             else:
                 place, turn = one.transform.translation, one.transform.rotation
             said = self._rows[one.child_frame_id.lstrip("/")]
-            rows = said.setdefault((transforms is None, topic), {})
+            time = math.nan if topic.endswith("tf_static") else _seconds(one.header.stamp)
             numbers = [place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w]
-            rows.setdefault(_seconds(one.header.stamp), (one.header.frame_id.lstrip("/"), numbers))
+            rows = said.setdefault((transforms is None, topic), {})
+            rows.setdefault(time, (one.header.frame_id.lstrip("/"), numbers))
 
     def pose(self, frame: str, time_s: float) -> Pose | None:
         """The pose of a frame in the one that all others hang from; None where a link of the chain
@@ -155,9 +156,7 @@ class Links:
         for _ in range(len(self._rows)):  # a circle of frames ends here, too
             if name not in self._rows:
                 break
-            if name not in self._tracks:
-                self._tracks[name] = self._track(name)
-            parent, track = self._tracks[name]
+            parent, track = self._tracks(name)
             link = track.poses[0] if np.isnan(track.times_s[0]) else track.at(time_s)
             if link is None:
                 return None
@@ -172,8 +171,7 @@ class Links:
         times = sorted(said[source])
         parents, numbers = zip(*map(said[source].__getitem__, times), strict=True)
         poses = poses_of(np.array(numbers), f"{source[1]}: {name[:60]!a}")
-        always = source[1].endswith("tf_static")
-        return parents[0], Track(np.array([math.nan] if always else times), poses)
+        return parents[0], Track(np.array(times), poses)
 
 
 def _seconds(stamp: Any) -> float:
@@ -194,8 +192,8 @@ def _of_livox(
     held = (len(rest) + step - LIVOX_BYTES) // step
     if not promised == count <= held:
         raise ValueError(f"promises {promised} points and holds {min(count, held)}")
-    names, kinds = ["t", "x", "y", "z"], [f"{order}u4", *3 * [f"{order}f4"]]
-    dtype = np.dtype({"names": names, "formats": kinds, "offsets": [0, 4, 8, 12], "itemsize": step})
+    axes = [(axis, f"{order}f4") for axis in "xyz"]
+    dtype = np.dtype([("t", f"{order}u4"), *axes, ("more", f"V{step - 16}")])
     rows = np.frombuffer(rest.ljust(count * step, b"\0"), dtype, count)
     return _points(rows), {"t": 1e-9 * rows["t"]}
 
@@ -211,17 +209,17 @@ def _of_cloud(cloud: Any) -> tuple[Floats, dict[str, Floats]]:
     if missing := [axis for axis in "xyz" if axis not in fields]:
         raise ValueError(f"has no {', '.join(missing)}")
     time = next((name for name in TIMES if name in fields), None)
-    names = [*"xyz", *([time] if time else [])]
-    kinds = [order + POINT_TYPES[fields[name].datatype] for name in names]
-    offsets = [fields[name].offset for name in names]
-    dtype = np.dtype({"names": names, "formats": kinds, "offsets": offsets})
+    used: Any = {
+        name: (order + POINT_TYPES[fields[name].datatype], fields[name].offset)
+        for name in (*"xyz", *fields.keys() & {time})
+    }
     steps, shape = (cloud.row_step, cloud.point_step), (cloud.height, cloud.width)
     if steps[0] * shape[0] != len(cloud.data) or steps[1] * shape[1] > steps[0]:
         raise ValueError(
             f"promises {' × '.join(map(str, shape))} points in rows of {steps[0]} bytes and holds "
             f"{len(cloud.data)}"
         )
-    points = np.ndarray(shape, dtype, cloud.data, strides=steps).reshape(-1)
+    points = np.ndarray(shape, used, cloud.data, strides=steps).reshape(-1)
     where = _points(points)
     if not time:
         return where, {}
