@@ -2,12 +2,11 @@
 
 import io
 import itertools
-import math
 import os
+import re
 import warnings
 import zipfile
 from collections.abc import Collection, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,6 +37,8 @@ PLY_TYPES = {
 }
 MOST_SCANS = 100_000
 """The most scans of a folder."""
+MOST_DIGITS = 255
+"""Of a number in a file's name."""
 PLY_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 SENSOR_FIELDS = ("vp_", "viewpoint_", "sensor_", "origin_")
 """What the names of fields begin with that say where a point was seen from, before x, y and z: the
@@ -113,6 +114,8 @@ def _fields(names: Collection[str]) -> list[str]:
 
 
 def _read_xyz(content: bytes) -> NDArray[np.generic]:
+    if re.search(rb"\d,\d+[ \t]+[-+]?\d+,\d", content):
+        raise ValueError("has commas within numbers, expected 3.5 and not 3,5")
     return _numbers(content.replace(b",", b" "), (0, 1, 2), MOST_POINTS + 1)
 
 
@@ -379,10 +382,8 @@ def scans_in(folder: Path) -> list[Path]:
     return sorted(found, key=_by_number)
 
 
-def _by_number(path: Path) -> tuple[Path, float, str]:
-    """A path's place in its folder: 2.ply comes before 10.ply, and names that are no numbers after
-    both."""
-    number = math.inf
-    with suppress(ValueError):
-        number = float(path.stem)
-    return path.parent, number, path.name
+def _by_number(path: Path) -> tuple[Path, str, str]:
+    """A path's place in its folder: 2.ply comes before 10.ply, scan_2.ply before scan_10.ply, and
+    names that are numbers before the others. What follows a point are decimals."""
+    padded = re.sub(r"(?<![\d.])\d+", lambda digits: digits[0].zfill(MOST_DIGITS), path.stem)
+    return path.parent, padded, path.name

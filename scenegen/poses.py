@@ -11,7 +11,7 @@ import numpy as np
 from lidarsim import Pose
 from lidarsim.grid import Floats
 from lidarsim.pose import rotate
-from scenegen.errors import DatasetError, short
+from scenegen.errors import DatasetError, raised_as, short
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_ASSET_BYTES
 
@@ -40,11 +40,10 @@ class Track:
         times = self.times_s
         if not times[0] - BEYOND_S <= time_s <= times[-1] + BEYOND_S:
             return None
-        after = min(max(int(np.searchsorted(times, time_s)), 1), len(times) - 1)
-        before = max(after - 1, 0)
-        span = times[after] - times[before]
-        share = float(np.clip((time_s - times[before]) / span, 0, 1)) if span > 0 else 1.0
-        return between(self.poses[before], self.poses[after], share)
+        where = float(np.interp(time_s, times, np.arange(len(times))))
+        before = int(where)
+        after = min(before + 1, len(times) - 1)
+        return between(self.poses[before], self.poses[after], where - before)
 
 
 def between(one: Pose, other: Pose, share: float) -> Pose:
@@ -70,24 +69,32 @@ def read_poses(path: Path) -> Track:
     if not names and rows.shape[1] == 12:
         poses = [pose_of_matrix(row, f"{path}: line {n + 1}") for n, row in enumerate(rows)]
         return Track(np.full(len(rows), np.nan), poses)
-    names = names or TUM[: rows.shape[1]]
+    names = names or (TUM if rows.shape[1] == len(TUM) else ())
     if missing := [name for name in TUM if name not in names]:
         raise DatasetError(
             f"{path}: {rows.shape[1]} columns without {', '.join(missing)}; expected 12 as in "
             f"KITTI, or {', '.join(TUM)}"
         )
     table = rows[:, [list(names).index(name) for name in TUM]]
-    lengths = np.sqrt((table[:, 4:] ** 2).sum(axis=1))
-    wrong = abs(lengths - 1) > SKEW
-    wrong[1:] |= np.diff(table[:, 0]) <= 0
+    rising = np.diff(table[:, 0]) > 0
+    if not rising.all():
+        n = int(np.argmin(rising)) + 2
+        raise DatasetError(f"{path}: row {n}: expected a time above the one before")
+    with raised_as(DatasetError):
+        return Track(table[:, 0], poses_of(table[:, 1:], str(path)))
+
+
+def poses_of(rows: Floats, where: str) -> list[Pose]:
+    """The poses of positions and quaternions x y z w (n, 7). Raises ValueError, naming `where`, for
+    one whose length is not 1."""
+    lengths = np.sqrt((rows[:, 3:] ** 2).sum(axis=1, keepdims=True))
+    wrong = ~(abs(lengths - 1) <= SKEW)
     if wrong.any():
         n = int(np.argmax(wrong))
-        raise DatasetError(
-            f"{path}: row {n + 1}: expected a time above the one before, and a quaternion of "
-            f"length 1, not {lengths[n]:g}"
+        raise ValueError(
+            f"{where}: row {n + 1}: expected a quaternion of length 1, not {lengths[n, 0]:g}"
         )
-    turned = np.roll(table[:, 4:], 1, axis=1) / lengths[:, None]
-    return Track(table[:, 0], [Pose(*pair) for pair in zip(table[:, 1:4], turned, strict=True)])
+    return list(map(Pose, rows[:, :3], np.roll(rows[:, 3:], 1, axis=1) / lengths))
 
 
 def read_numbers(path: Path) -> tuple[tuple[str, ...], Floats]:

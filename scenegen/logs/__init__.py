@@ -30,7 +30,7 @@ class LogScan:
     """(N, 3): returns in the sensor's frame, metres; not finite where nothing returned."""
     more: "Mapping[str, NDArray]" = field(default_factory=dict)
     """What else is known of each return, (N,): `intensity`; `ring`, the number of its beam; and
-    `t`, when its ray was cast, seconds after the scan began."""
+    `t`, when its ray was cast, seconds after `time_s`."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,10 +1,12 @@
 """Recordings of ROS, 1 and 2: clouds of points, and where their frames were, read without ROS."""
 
+import math
 import struct
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cached_property, partial
+from functools import cache, partial
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -16,7 +18,7 @@ from lidarsim.grid import Floats
 from lidarsim.pose import chained
 from scenegen.display.exchange.recordings import CLOUD, POINT_TYPES, TRANSFORMS
 from scenegen.errors import DatasetError, printable
-from scenegen.poses import Track
+from scenegen.poses import Track, poses_of
 
 RECORDINGS = (".mcap", ".bag", ".db3")
 """Files of ROS 2, of ROS 1, and of ROS 2's SQLite."""
@@ -30,9 +32,13 @@ LIVOX = tuple(
 LIVOX_BYTES = 19
 """Of a point in it: its time (uint32, ns), x, y, z (float32, m), and three bytes."""
 TIMES = ("t", "time", "timestamp", "time_stamp", "offset_time")
-"""What drivers call the time of a point: seconds, or nanoseconds where they are whole numbers."""
+"""What drivers call the time of a point: seconds, or nanoseconds where they are whole numbers, or
+where a scan would take more than `MOST_SCAN_S`; before the cloud's stamp where below 0."""
+MOST_SCAN_S = 1e3
 Head: TypeAlias = tuple[float, str]
 """The time, seconds, and the frame of a cloud."""
+Link: TypeAlias = tuple[str, list[float]]
+"""The frame that another hangs from; where that is in it, x y z, and how it is turned, x y z w."""
 Reader: TypeAlias = Callable[[], tuple[Floats, dict[str, Floats]]]
 """Reads a cloud: its points (n, 3), and what else is known of each."""
 
@@ -62,7 +68,7 @@ class Recording:
             if kind in (CLOUD, *LIVOX):
                 heads[on].append(self._head(data)[:2])
             else:
-                links.add(kind, self._decode(data, kind), always=on.endswith("tf_static"))
+                links.add(on, self._decode(data, kind))
         if topic is None and len(heads) > 1:
             raise DatasetError(
                 f"{self._path}: has clouds on {', '.join(sorted(heads))[:200]}; name one with "
@@ -120,52 +126,52 @@ class Links:
     """Where frames are in one another over time."""
 
     def __init__(self) -> None:
-        self._rows = defaultdict[str, dict[float, tuple[str, Pose]]](dict)
-        self._always = set[str]()
+        self._rows = defaultdict[str, dict[tuple[bool, str], dict[float, Link]]](dict)
+        """What is said of each frame, by whether that is odometry, the topic, and the time."""
+        self._tracks = cache(self._track)
 
-    def add(self, kind: str, message: Any, *, always: bool) -> None:
-        """Take in a message; of a frame that /tf and odometry both speak of, what came first."""
-        links = getattr(message, "transforms", None) or [message]
-        for one in links:
-            child, time = one.child_frame_id.lstrip("/"), _seconds(one.header.stamp)
-            if kind == ODOMETRY:
+    def add(self, topic: str, message: Any) -> None:
+        """Take in a message."""
+        transforms = getattr(message, "transforms", None)
+        for one in [message] if transforms is None else transforms:
+            if transforms is None:
                 place, turn = one.pose.pose.position, one.pose.pose.orientation
             else:
                 place, turn = one.transform.translation, one.transform.rotation
-            pose = Pose(
-                np.array([place.x, place.y, place.z]), np.array([turn.w, turn.x, turn.y, turn.z])
-            )
-            if always:
-                self._always.add(child)
-            self._rows[child].setdefault(time, (one.header.frame_id.lstrip("/"), pose))
-
-    def known(self, frame: str) -> bool:
-        """Whether anything says where a frame is."""
-        return frame.lstrip("/") in self._rows
+            said = self._rows[one.child_frame_id.lstrip("/")]
+            time = math.nan if topic.endswith("tf_static") else _seconds(one.header.stamp)
+            numbers = [place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w]
+            rows = said.setdefault((transforms is None, topic), {})
+            rows.setdefault(time, (one.header.frame_id.lstrip("/"), numbers))
 
     def pose(self, frame: str, time_s: float) -> Pose | None:
         """The pose of a frame in the one that all others hang from; None where a link of the chain
-        is not known at that time."""
+        is not known at that time. Raises ValueError for a link that is no pose, and where nothing
+        says where the frame is."""
         found, name = Pose.level((0.0, 0.0, 0.0)), frame.lstrip("/")
+        if name not in self._rows:
+            raise ValueError(
+                f"neither /tf nor odometry says where {frame[:60]!a} is, the frame of its clouds"
+            )
         for _ in range(len(self._rows)):  # a circle of frames ends here, too
             if name not in self._rows:
                 break
-            parent, track = self._tracks[name]
-            link = track.poses[0] if name in self._always else track.at(time_s)
+            parent, track = self._tracks(name)
+            link = track.poses[0] if np.isnan(track.times_s[0]) else track.at(time_s)
             if link is None:
                 return None
             found, name = chained(link, found), parent
         return found
 
-    @cached_property
-    def _tracks(self) -> dict[str, tuple[str, Track]]:
-        """The frame that each hangs from, and where it is in that over time."""
-        found = {}
-        for name, rows in self._rows.items():
-            times = sorted(rows)
-            parents, poses = zip(*map(rows.get, times), strict=True)
-            found[name] = parents[0], Track(np.array(times), poses)
-        return found
+    def _track(self, name: str) -> tuple[str, Track]:
+        """The frame that one hangs from, and where it is in that over time, NaN for always. What
+        the first topic says holds, and odometry only of frames that no transform speaks of."""
+        said = self._rows[name]
+        source = min(said, key=itemgetter(0))
+        times = sorted(said[source])
+        parents, numbers = zip(*map(said[source].__getitem__, times), strict=True)
+        poses = poses_of(np.array(numbers), f"{source[1]}: {name[:60]!a}")
+        return parents[0], Track(np.array(times), poses)
 
 
 def _seconds(stamp: Any) -> float:
@@ -186,8 +192,8 @@ def _of_livox(
     held = (len(rest) + step - LIVOX_BYTES) // step
     if not promised == count <= held:
         raise ValueError(f"promises {promised} points and holds {min(count, held)}")
-    names, kinds = ["t", "x", "y", "z"], [f"{order}u4", *3 * [f"{order}f4"]]
-    dtype = np.dtype({"names": names, "formats": kinds, "offsets": [0, 4, 8, 12], "itemsize": step})
+    axes = [(axis, f"{order}f4") for axis in "xyz"]
+    dtype = np.dtype([("t", f"{order}u4"), *axes, ("more", f"V{step - 16}")])
     rows = np.frombuffer(rest.ljust(count * step, b"\0"), dtype, count)
     return _points(rows), {"t": 1e-9 * rows["t"]}
 
@@ -203,23 +209,24 @@ def _of_cloud(cloud: Any) -> tuple[Floats, dict[str, Floats]]:
     if missing := [axis for axis in "xyz" if axis not in fields]:
         raise ValueError(f"has no {', '.join(missing)}")
     time = next((name for name in TIMES if name in fields), None)
-    names = [*"xyz", *([time] if time else [])]
-    kinds = [order + POINT_TYPES[fields[name].datatype] for name in names]
-    offsets = [fields[name].offset for name in names]
-    dtype = np.dtype(
-        {"names": names, "formats": kinds, "offsets": offsets, "itemsize": cloud.point_step}
-    )
-    if cloud.row_step * cloud.height != len(cloud.data):
+    used: Any = {
+        name: (order + POINT_TYPES[fields[name].datatype], fields[name].offset)
+        for name in (*"xyz", *fields.keys() & {time})
+    }
+    steps, shape = (cloud.row_step, cloud.point_step), (cloud.height, cloud.width)
+    if steps[0] * shape[0] != len(cloud.data) or steps[1] * shape[1] > steps[0]:
         raise ValueError(
-            f"promises {cloud.height} rows of {cloud.row_step} bytes and holds {len(cloud.data)}"
+            f"promises {' × '.join(map(str, shape))} points in rows of {steps[0]} bytes and holds "
+            f"{len(cloud.data)}"
         )
-    rows = np.frombuffer(cloud.data, np.uint8).reshape(cloud.height, cloud.row_step)
-    packed = np.ascontiguousarray(rows[:, : cloud.width * cloud.point_step])
-    points = packed.reshape(-1).view(dtype)
-    if len(points) != cloud.width * cloud.height:
-        raise ValueError(f"promises {cloud.width} × {cloud.height} points and holds {len(points)}")
-    if not (time and len(points)):
-        return _points(points), {}
-    scale = 1e-9 if points[time].dtype.kind in "iu" else 1.0
-    since = np.nan_to_num(points[time].astype(np.float64) * scale)
-    return _points(points), {"t": since - since.min()}
+    points = np.ndarray(shape, used, cloud.data, strides=steps).reshape(-1)
+    where = _points(points)
+    if not time:
+        return where, {}
+    since = points[time].astype(np.float64)
+    since[~np.isfinite(where).all(axis=1)] = np.nan
+    first, last = (end.reduce(since, initial=np.nan) for end in (np.fmin, np.fmax))
+    scale = 1e-9 if points[time].dtype.kind in "iu" or last - first > MOST_SCAN_S else 1.0
+    first, stamp = first * scale, _seconds(cloud.header.stamp)
+    begun = stamp if first > MOST_SCAN_S and abs(first - stamp) < 1.0 else max(first, 0.0)
+    return where, {"t": np.nan_to_num(since * scale - begun)}

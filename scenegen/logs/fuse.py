@@ -257,8 +257,8 @@ def _window(scan: LogScan, pace: tuple[Pose, float], how: Fusing) -> Window:
     points, ranges = scan.points[good], ranges[good]
     slices = np.zeros(len(points), np.int64)
     if how.deskew and "t" in scan.more and seconds > 0:
-        shares = np.clip(scan.more["t"][good] / seconds, 0.0, 1.0)
-        slices = np.minimum(shares * SLICES, SLICES - 1).astype(np.int64)
+        shares = np.clip(scan.more["t"][good] / seconds, -1.0, 1.0)
+        slices = np.minimum(np.floor(shares * SLICES), SLICES - 1).astype(np.int64)
     sensors = dict[int, Floats]()
     for number in np.unique(slices).tolist():
         now = slices == number

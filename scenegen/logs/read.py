@@ -108,11 +108,12 @@ def read_log(path: Path, *, poses: Path | None = None, topic: str | None = None)
             "one each; or poses with times, and times.txt or clouds named by theirs, not by number"
         )
     times = np.where(np.isfinite(times), times, USUAL_S * np.arange(len(files)))
-
-    def read(file: Path) -> tuple[Floats, dict[str, Floats]]:
-        return read_points(file), {}
-
-    return _log(path, times, found, lambda: (partial(read, file) for file in files))
+    return _log(
+        path,
+        times,
+        found,
+        lambda: (partial(lambda one: (read_points(one), {}), file) for file in files),
+    )
 
 
 def _log(
@@ -125,7 +126,7 @@ def _log(
     placed = [n for n, pose in enumerate(found) if pose is not None]
     if not placed:
         raise DatasetError(f"{path}: no pose is of the time of any of its {len(found)} scans")
-    poses = tuple(pose for pose in found if pose is not None)
+    poses = tuple(filter(None, found))
     if (furthest := max(abs(pose.position).max() for pose in poses)) > MOST_LENGTH_M:
         raise DatasetError(
             f"{path}: a pose is beyond {MOST_LENGTH_M:g} m ({furthest:.3g} m); subtract the first "
@@ -154,11 +155,9 @@ def _times_named(files: list[Path]) -> Floats:
     """The times in the names of clouds, seconds (n,); NaN where the names only count them."""
     if all(file.stem.isdecimal() and int(file.stem) < LEAST_UNIX_S for file in files):
         return np.full(len(files), np.nan)
-    times, expected = [], "a pose for each cloud, or clouds named by their time in seconds"
-    for file in files:
-        with raised_as(DatasetError, f"{file}: ", f"; expected {expected}"):
-            times.append(float(file.stem))
-    return np.array(times)
+    expected = "; expected a pose for each cloud, or clouds named by their time in seconds"
+    with raised_as(DatasetError, f"{files[0].parent}: ", expected):
+        return np.array([float(file.stem) for file in files])
 
 
 def _camera(path: Path) -> Pose:
@@ -167,10 +166,8 @@ def _camera(path: Path) -> Pose:
     text = read_bounded(path, MOST_HEADER_BYTES) if path.exists() else b""
     for line in text.decode("latin-1").splitlines():
         if line.startswith("Tr"):
-            try:
+            with raised_as(DatasetError, f"{path}: Tr: expected 12 numbers: "):
                 row = np.array(line.partition(":")[2].split(), float).reshape(12)
-            except ValueError:
-                raise DatasetError(f"{path}: Tr: expected 12 numbers") from None
             return pose_of_matrix(row, f"{path}: Tr")
     return Pose.level((0.0, 0.0, 0.0))
 
@@ -179,11 +176,7 @@ def _read_recording(path: Path, topic: str | None) -> Log:
     """The log in a recording, which is read twice: for poses, and for clouds."""
     bag = Recording(path)
     topic, heads, links = bag.survey(topic)
-    found = [links.pose(frame, time) for time, frame in heads]
-    if not links.known(heads[0][1]):
-        raise DatasetError(
-            f"{path}: neither /tf nor odometry says where {heads[0][1][:60]!a} is, the frame of "
-            f"the clouds on {topic}"
-        )
+    with raised_as(DatasetError, f"{path}: "):
+        found = [links.pose(frame, time) for time, frame in heads]
     times = np.array([time for time, _ in heads])
     return _log(path, times, found, partial(bag.clouds, topic))

@@ -118,7 +118,7 @@ def load_scene(path: Path, *, materials: bool = False) -> Scene:
         mujoco.mj_kinematics(drawn, data)
         with raised_as(SceneError, f"{path}: "):
             expected = solids_of(drawn, data)
-    mjcf, assets = flatten(drawn, data, materials=materials)
+            mjcf, assets = flatten(drawn, data, materials=materials)  # names must be UTF-8
     with raised_as(SceneError, of=BrokenError):  # what whoever reads the dataset would refuse
         screen(mjcf, assets, str(path))
     largest = max(map(len, assets.values()), default=0)

@@ -69,6 +69,7 @@ PROMISED = [
     (".npy", npy("{'descr': '|O', 'fortran_order': False, 'shape': (1, 3)}"), "Object arrays"),
     (".xyz", "", "expected (N, 3)"),
     (".xyz", "1 2 3\n1 2\n", "cannot be read"),
+    (".xyz", "1,5 -2,25 3,5\n", "3.5 and not 3,5"),
     (".xyz", "\0" * 1000, "cannot be read"),
 ]
 
@@ -151,7 +152,8 @@ def test_an_archive_that_unpacks_to_more_than_a_scan_is_refused(tmp_path, monkey
 
 
 def test_scans_are_found_below_a_folder_and_sorted_by_their_numbers(tmp_path):
-    names = "00/velodyne/2.bin", "00/velodyne/9.5.bin", "00/velodyne/10.bin", "01/a1.pcd"
+    velodyne = "00/velodyne/2.bin", "00/velodyne/9.5.bin", "00/velodyne/10.bin"
+    names = *velodyne, "01/a2.pcd", "01/a10.pcd"
     for name in (*reversed(names), "01/times.txt"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).touch()

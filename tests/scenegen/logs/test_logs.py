@@ -18,10 +18,10 @@ from lidarsim.noise.chain import Noise
 from lidarsim.pose import chained, rotate
 from lidarsim.sensors.catalogue import MID_360
 from scenegen.display.exchange.files import write_points
-from scenegen.display.exchange.recordings import DEFINITIONS, TRANSFORMS
+from scenegen.display.exchange.recordings import DEFINITIONS, POINT_TYPES, TRANSFORMS
 from scenegen.errors import DatasetError
 from scenegen.logs import Cruise, Fusing, LogScan
-from scenegen.logs.bags import LIVOX, ODOMETRY, Links
+from scenegen.logs.bags import LIVOX, Links, _of_cloud
 from scenegen.logs.fuse import ingest
 from scenegen.logs.read import Log, read_log
 from scenegen.logs.record import cruise_poses, record
@@ -237,15 +237,47 @@ def test_poses_come_from_a_chain_of_frames():
         )
 
     links, mount = Links(), Pose.level((0.0, 0.0, 1.0), math.pi / 2)
-    links.add("tf", SimpleNamespace(transforms=[message("base", "lidar", 0, mount)]), always=True)
+    mounted = message("base", "lidar", 0, mount)
+    # as with three digits
+    mounted.transform.rotation = SimpleNamespace(x=0.0, y=0.0, z=0.707, w=0.707)
+    blind = message("base", "camera", 0, mount)
+    blind.transform.rotation = SimpleNamespace(x=0.0, y=0.0, z=0.0, w=0.0)
+    for said in ([], [mounted, blind]):
+        links.add("/tf_static", SimpleNamespace(transforms=said))
     for time, yaw in ((5.0, 0.0), (6.0, 1.0)):
-        at = Pose.level((2 * time, 0.0, 0.0), yaw)
-        links.add(ODOMETRY, message("odom", "base", time, at), always=False)
+        at = message("odom", "base", time, Pose.level((2 * time, 0.0, 0.0), yaw))
+        links.add("/wheels", message("odom", "base", time - 0.4, mount))
+        links.add("/tf", SimpleNamespace(transforms=[at]))
     found = links.pose("lidar", 5.5)
     assert found.position == pytest.approx([11, 0, 1])
     assert found.quaternion == pytest.approx(Pose.level((0, 0, 0), 0.5 + math.pi / 2).quaternion)
     assert links.pose("lidar", 7.0) is None
-    assert not links.known("camera")
+    with pytest.raises(ValueError, match="/tf_static: 'camera': row 1: expected"):
+        links.pose("camera", 5.5)
+    with pytest.raises(ValueError, match="says where 'radar' is"):
+        links.pose("radar", 5.5)
+
+
+TIMES = {
+    (-0.1, 7, -0.05): (-0.1, 0, -0.05),  # before the stamp, as Velodyne's
+    (2000.9, 0, 2001): (-0.1, 0, 0),  # the clock's, and none of what returned nothing
+    (2e15, 0, 2e15 + 1e8): (0, 0, 0.1),  # nanoseconds of another clock, as Livox's
+}
+
+
+@pytest.mark.parametrize("told", TIMES)
+def test_times_of_points_are_seconds_after_the_stamp(told):
+    rows = np.array([told] * 4).T
+    rows[1, 0] = np.nan
+    fields = [
+        SimpleNamespace(name=name, offset=8 * n, datatype=POINT_TYPES.index("f8"))
+        for n, name in enumerate([*"xyz", "time"])
+    ]
+    sizes = {"height": 1, "width": 3, "point_step": 32, "row_step": 96}
+    head = SimpleNamespace(stamp=SimpleNamespace(sec=2001, nanosec=0))
+    more = {"header": head, "is_bigendian": False, "data": rows.tobytes()}
+    found = _of_cloud(SimpleNamespace(fields=fields, **sizes, **more))[1]["t"]
+    assert found == pytest.approx(TIMES[told], abs=1e-6)
 
 
 def test_what_moves_on_is_free_and_jumps_are_counted(tmp_path):
