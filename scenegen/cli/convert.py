@@ -79,7 +79,7 @@ def convert(
         _convert_flights(Path(dataset), out, shown=not quiet)
         return
     found = open_dataset(dataset, shown=not quiet)
-    target = out or Path(f"{found.folder.name}-{to.rpartition(':')[2]}")
+    target = out or Path(f"{found.folder.absolute().name}-{to.rpartition(':')[2]}")
     if not found.manifest.complete:
         note(f"{found.folder}: is incomplete; what is there is converted")
     with Progress(to, shown=not quiet) as progress:
@@ -96,9 +96,9 @@ def convert(
     for line in done.broken:
         note(line)
     if done.broken:
-        count = len(done.broken)
         raise DatasetError(
-            f"{found.folder}: {count} samples could not be read; the others are in {target}"
+            f"{found.folder}: {len(done.broken)} samples could not be read; the others are in "
+            f"{target}"
         )
     if not quiet:
         others = f"; {done.others} are for the other ranks to write there" if done.others else ""

@@ -5,12 +5,13 @@ import dataclasses
 import json
 from collections.abc import Sequence
 from contextlib import closing
+from copy import copy
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from scenegen.dataset.read import Dataset, Rows, Split
+from scenegen.dataset.read import Dataset, Rows
 from scenegen.display.exchange import FORMATS, Choices
 from scenegen.errors import DatasetError, printable
 from scenegen.files import make_parent, remove_drafts, write_whole
@@ -26,7 +27,7 @@ CHUNK = 100
 
 @dataclass(frozen=True)
 class Converted:
-    """What a run did, or a part of it."""
+    """What a run did."""
 
     written: int
     there: int
@@ -59,9 +60,9 @@ def convert(
         to: Name of a format, or MODULE:CLASS.
         choices: What the format is told.
         splits: Names of the splits.
-        execute: What does the work; this process alone unless given.
+        execute: What does the work.
         on_start: Called with the number of samples when the work begins.
-        on_sample: Called with the number of samples done, now and then.
+        on_sample: Called with the number of samples done.
 
     Raises:
         DatasetError: `out` holds another conversion, or the disk refuses.
@@ -70,70 +71,68 @@ def convert(
     _claim(dataset, out, to, choices)
     each = getattr(form, "together", None) or CHUNK
     whole = [
-        Rows(split, range(first, min(first + each, count)))
-        for split, count in ((split, len(dataset.split(split))) for split in splits)
-        for first in range(0, count, each)
+        Rows(split, numbers[first : first + each])
+        for split in splits
+        for numbers in [range(len(dataset.split(split)))]
+        for first in numbers[::each]
     ]
     tasks = execute.mine(whole)
     total = sum(len(rows.numbers) for rows in tasks)
-    parts: dict[Rows, Converted] = {}
+    parts: dict[Rows, tuple[int, list[str]]] = {}
     work = partial(_write, dataset, out, form)
     try:
         with closing(execute(work, tasks, lambda: on_start(total))) as results:
-            for rows, done in results:
-                parts[rows] = done
+            for rows, there, lines in results:
+                parts[rows] = there, lines
                 on_sample(len(rows.numbers))
     finally:
         for folder in out.glob("**/"):  # what killed runs have left
             remove_drafts(folder)
-    found = [parts[rows] for rows in tasks]
-    return Converted(
-        written=sum(part.written for part in found),
-        there=sum(part.there for part in found),
-        others=sum(len(rows.numbers) for rows in whole) - total,
-        broken=tuple(line for part in found for line in part.broken),
-    )
+    there = sum(count for count, _ in parts.values())
+    broken = tuple(line for rows in tasks for line in parts[rows][1])
+    others = sum(len(rows.numbers) for rows in whole) - total
+    return Converted(total - there - len(broken), there, others, broken)
 
 
-def _write(dataset: Dataset, out: Path, form: Any, rows: Rows) -> tuple[Rows, Converted]:
-    """Writes the samples `rows`; those of a format that takes several together become one file."""
-    samples, together = dataset.split(rows.split), bool(getattr(form, "together", None))
-    written, there, broken = 0, 0, list[str]()
+def _write(dataset: Dataset, out: Path, form: Any, rows: Rows) -> tuple[Rows, int, list[str]]:
+    """Writes the samples `rows`; those of a format that takes several together become one file.
+    How many were there, and what is wrong with those that are left out."""
+    samples, together = dataset.split(rows.split), getattr(form, "together", None)
+    there, broken = 0, list[str]()
     for numbers in [rows.numbers] if together else ([number] for number in rows.numbers):
         paths = [out / name for name in form.names(rows.split, numbers[0])]
-        if all(path.exists() for path in paths):
+        left_out = paths[0].with_name(f"{paths[0].name}.left-out")
+        if all(path.exists() for path in paths) and not left_out.exists():
             there += len(numbers)
             continue
-        found, lines = _sound(samples, numbers)
+        sensor = samples.home(numbers[0]).lidar
+        found, lines = list[tuple[int, Sample]](), list[str]()
+        for number in numbers:
+            try:
+                sample = samples[number]
+                samples.check(number)
+                if together:
+                    copy(sample)  # reads all: none fails later, among others
+                else:
+                    contents = form.encode(sample, dataset.grid, sensor)
+                found.append((number, sample))
+            except (DatasetError, ValueError) as error:
+                lines.append(f"{rows.split} {number} is left out: {printable(error)}")
         broken += lines
         if not found:
             continue
-        given: Any = list(found.items()) if together else found[numbers[0]]
-        try:
-            sensor = samples.home(numbers[0]).lidar
-            contents = form.encode(given, dataset.grid, sensor)
-        except (DatasetError, ValueError) as error:
-            broken += [f"{rows.split} {number} is left out: {printable(error)}" for number in found]
-            continue
+        if together:
+            contents = form.encode(found, dataset.grid, sensor)
         several = (contents,) if isinstance(contents, bytes) else contents
+        if lines:  # so that the next run makes it again
+            make_parent(left_out)
+            write_whole(left_out, "\n".join(lines).encode(), sync=False)
         for path, content in zip(paths, several, strict=True):
             make_parent(path)
             write_whole(path, content, sync=False)
-        written += len(found)
-    return rows, Converted(written, there, 0, tuple(broken))
-
-
-def _sound(samples: Split, numbers: Sequence[int]) -> tuple[dict[int, Sample], list[str]]:
-    """Samples by number, and a line for each that cannot be read or does not have its digest."""
-    found, lines = dict[int, Sample](), list[str]()
-    for number in numbers:
-        try:
-            sample = samples[number]
-            samples.check(number)  # which reads every stored field
-            found[number] = sample
-        except (DatasetError, ValueError) as error:
-            lines.append(f"{samples.name} {number} is left out: {printable(error)}")
-    return found, lines
+        if not lines:
+            left_out.unlink(missing_ok=True)
+    return rows, there, broken
 
 
 def _claim(dataset: Dataset, out: Path, to: str, choices: Choices) -> None:
@@ -143,7 +142,7 @@ def _claim(dataset: Dataset, out: Path, to: str, choices: Choices) -> None:
         "format": to,
         "choices": dataclasses.asdict(choices),
         "dataset": manifest.fingerprint,
-        "digest": manifest.digest,
+        "digest": manifest.digest or [shard.sha256 for shard in manifest.shards],
         "grid": manifest.parameters["grid"],
     }
     content = json.dumps(about, indent=1).encode()

@@ -119,11 +119,15 @@ class Ply(OneEach):
 
     def encode(self, sample: Sample, grid: GridSpec, lidar: Sensor) -> bytes:
         """The content of the sample's file."""
-        return encode_points(self.suffix, sample.points(lidar, frame=self.choices.frame))
+        frame = self.choices.frame
+        alone = sample.earlier_ranges is None
+        about = {"frame": frame, "sensor_position": sample.position} if alone else {}
+        return encode_points(self.suffix, sample.points(lidar, frame=frame), about=about)
 
 
 class Pcd(Ply):
-    """Returns in the Point Cloud Library's format 0.7, binary."""
+    """Returns in the Point Cloud Library's format 0.7, binary; in the world, a single scan has its
+    sensor's place."""
 
     suffix = ".pcd"
 
@@ -259,9 +263,8 @@ class OctoMap(OneEach):
             )
         state = np.where(sample.observed[tuple(known.T)], OCCUPIED, FREE)
         nodes, tree = _tree(keys, state)
-        head = ["# Octomap OcTree binary file", "id OcTree", f"size {nodes}"]
-        head += [f"res {grid.voxel_m:.17g}", "data\n"]
-        return "\n".join(head).encode() + tree
+        about = f"id OcTree\nsize {nodes}\nres {grid.voxel_m:.17g}\ndata\n"
+        return f"# Octomap OcTree binary file\n{about}".encode() + tree
 
 
 def _tree(keys: Ints, state: Ints) -> tuple[int, bytes]:
