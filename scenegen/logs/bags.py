@@ -213,13 +213,14 @@ def _of_cloud(cloud: Any) -> tuple[Floats, dict[str, Floats]]:
         name: (order + POINT_TYPES[fields[name].datatype], fields[name].offset)
         for name in (*"xyz", *fields.keys() & {time})
     }
-    steps, shape = (cloud.row_step, cloud.point_step), (cloud.height, cloud.width)
-    if steps[0] * shape[0] != len(cloud.data) or steps[1] * shape[1] > steps[0]:
+    (row, step), shape = (cloud.row_step, cloud.point_step), (cloud.height, cloud.width)
+    least = np.dtype(used).itemsize  # points that overlapped would be more than the bytes
+    if row * shape[0] != len(cloud.data) or step * shape[1] > row or step < least:
         raise ValueError(
-            f"promises {' × '.join(map(str, shape))} points in rows of {steps[0]} bytes and holds "
-            f"{len(cloud.data)}"
+            f"promises {' × '.join(map(str, shape))} points of {step} bytes in rows of {row}, and "
+            f"holds {len(cloud.data)}; expected points of {least} or more"
         )
-    points = np.ndarray(shape, used, cloud.data, strides=steps).reshape(-1)
+    points = np.ndarray(shape, used, cloud.data, strides=(row, step)).reshape(-1)
     where = _points(points)
     if not time:
         return where, {}

@@ -276,8 +276,11 @@ def test_times_of_points_are_seconds_after_the_stamp(told):
     sizes = {"height": 1, "width": 3, "point_step": 32, "row_step": 96}
     head = SimpleNamespace(stamp=SimpleNamespace(sec=2001, nanosec=0))
     more = {"header": head, "is_bigendian": False, "data": rows.tobytes()}
-    found = _of_cloud(SimpleNamespace(fields=fields, **sizes, **more))[1]["t"]
-    assert found == pytest.approx(TIMES[told], abs=1e-6)
+    cloud = SimpleNamespace(fields=fields, **sizes, **more)
+    assert _of_cloud(cloud)[1]["t"] == pytest.approx(TIMES[told], abs=1e-6)
+    cloud.point_step = 0  # points without end in few bytes
+    with pytest.raises(ValueError, match="expected points of 32 or more"):
+        _of_cloud(cloud)
 
 
 def test_what_moves_on_is_free_and_jumps_are_counted(tmp_path):
