@@ -229,5 +229,5 @@ def _of_cloud(cloud: Any) -> tuple[Floats, dict[str, Floats]]:
     first, last = (end.reduce(since, initial=np.nan) for end in (np.fmin, np.fmax))
     scale = 1e-9 if points[time].dtype.kind in "iu" or last - first > MOST_SCAN_S else 1.0
     first, stamp = first * scale, _seconds(cloud.header.stamp)
-    begun = stamp if first > MOST_SCAN_S and abs(first - stamp) < 1.0 else max(first, 0.0)
+    begun = 0.0 if first < 1.0 else stamp if abs(first - stamp) < 1.0 else first  # a clock's
     return where, {"t": np.nan_to_num(since * scale - begun)}

@@ -260,6 +260,7 @@ def test_poses_come_from_a_chain_of_frames():
 
 TIMES = {
     (-0.1, 7, -0.05): (-0.1, 0, -0.05),  # before the stamp, as Velodyne's
+    (0.03, 0, 0.1): (0.03, 0, 0.1),  # rays before the first return met nothing
     (2000.9, 0, 2001): (-0.1, 0, 0),  # the clock's, and none of what returned nothing
     (2e15, 0, 2e15 + 1e8): (0, 0, 0.1),  # nanoseconds of another clock, as Livox's
 }
