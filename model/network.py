@@ -59,12 +59,14 @@ def build(config: NetworkConfig) -> nn.Module:
         raise ScenegenError(
             f"variant {config.variant}: makes {type(network).__name__}, expected a torch.nn.Module"
         )
-    # of a batch, it is shown no truth
-    network.register_forward_pre_hook(
-        lambda _, batches: {name: batches[0][name] for name in config.inputs}
-    )
+    network.register_forward_pre_hook(_inputs_alone)
     network.config, network.tasks = config, tuple(getattr(network, "tasks", TASKS))
     return network
+
+
+def _inputs_alone(network: Any, given: tuple[Any, ...]) -> tuple[Any, ...]:
+    """What a network is given, without the truth that is in a batch."""
+    return given and ({name: given[0][name] for name in network.config.inputs}, *given[1:])
 
 
 def placed(network: nn.Module, device: torch.device | str) -> nn.Module:

@@ -114,7 +114,7 @@ def _fields(names: Collection[str]) -> list[str]:
 
 
 def _read_xyz(content: bytes) -> NDArray[np.generic]:
-    if re.search(rb"\d,\d+[ \t]+[-+]?\d+,\d", content):
+    if re.search(rb"(?<!,)\b\d+,\d+[ \t]+[-+]?\d+,\d", content):
         raise ValueError("has commas within numbers, expected 3.5 and not 3,5")
     return _numbers(content.replace(b",", b" "), (0, 1, 2), MOST_POINTS + 1)
 
@@ -384,6 +384,6 @@ def scans_in(folder: Path) -> list[Path]:
 
 def _by_number(path: Path) -> tuple[Path, str, str]:
     """A path's place in its folder: 2.ply comes before 10.ply, scan_2.ply before scan_10.ply, and
-    names that are numbers before the others. What follows a point are decimals."""
+    digits before letters. What follows a point are decimals."""
     padded = re.sub(r"(?<![\d.])\d+", lambda digits: digits[0].zfill(MOST_DIGITS), path.stem)
     return path.parent, padded, path.name

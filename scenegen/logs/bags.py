@@ -213,13 +213,14 @@ def _of_cloud(cloud: Any) -> tuple[Floats, dict[str, Floats]]:
         name: (order + POINT_TYPES[fields[name].datatype], fields[name].offset)
         for name in (*"xyz", *fields.keys() & {time})
     }
-    steps, shape = (cloud.row_step, cloud.point_step), (cloud.height, cloud.width)
-    if steps[0] * shape[0] != len(cloud.data) or steps[1] * shape[1] > steps[0]:
+    (row, step), shape = (cloud.row_step, cloud.point_step), (cloud.height, cloud.width)
+    least = np.dtype(used).itemsize  # points that overlapped would be more than the bytes
+    if row * shape[0] != len(cloud.data) or step * shape[1] > row or step < least:
         raise ValueError(
-            f"promises {' × '.join(map(str, shape))} points in rows of {steps[0]} bytes and holds "
-            f"{len(cloud.data)}"
+            f"promises {' × '.join(map(str, shape))} points of {step} bytes in rows of {row}, and "
+            f"holds {len(cloud.data)}; expected points of {least} or more"
         )
-    points = np.ndarray(shape, used, cloud.data, strides=steps).reshape(-1)
+    points = np.ndarray(shape, used, cloud.data, strides=(row, step)).reshape(-1)
     where = _points(points)
     if not time:
         return where, {}
@@ -228,5 +229,5 @@ def _of_cloud(cloud: Any) -> tuple[Floats, dict[str, Floats]]:
     first, last = (end.reduce(since, initial=np.nan) for end in (np.fmin, np.fmax))
     scale = 1e-9 if points[time].dtype.kind in "iu" or last - first > MOST_SCAN_S else 1.0
     first, stamp = first * scale, _seconds(cloud.header.stamp)
-    begun = stamp if first > MOST_SCAN_S and abs(first - stamp) < 1.0 else max(first, 0.0)
+    begun = 0.0 if first < 1.0 else stamp if abs(first - stamp) < 1.0 else first  # a clock's
     return where, {"t": np.nan_to_num(since * scale - begun)}

@@ -260,6 +260,7 @@ def test_poses_come_from_a_chain_of_frames():
 
 TIMES = {
     (-0.1, 7, -0.05): (-0.1, 0, -0.05),  # before the stamp, as Velodyne's
+    (0.03, 0, 0.1): (0.03, 0, 0.1),  # rays before the first return met nothing
     (2000.9, 0, 2001): (-0.1, 0, 0),  # the clock's, and none of what returned nothing
     (2e15, 0, 2e15 + 1e8): (0, 0, 0.1),  # nanoseconds of another clock, as Livox's
 }
@@ -276,8 +277,11 @@ def test_times_of_points_are_seconds_after_the_stamp(told):
     sizes = {"height": 1, "width": 3, "point_step": 32, "row_step": 96}
     head = SimpleNamespace(stamp=SimpleNamespace(sec=2001, nanosec=0))
     more = {"header": head, "is_bigendian": False, "data": rows.tobytes()}
-    found = _of_cloud(SimpleNamespace(fields=fields, **sizes, **more))[1]["t"]
-    assert found == pytest.approx(TIMES[told], abs=1e-6)
+    cloud = SimpleNamespace(fields=fields, **sizes, **more)
+    assert _of_cloud(cloud)[1]["t"] == pytest.approx(TIMES[told], abs=1e-6)
+    cloud.point_step = 0  # points without end in few bytes
+    with pytest.raises(ValueError, match="expected points of 32 or more"):
+        _of_cloud(cloud)
 
 
 def test_what_moves_on_is_free_and_jumps_are_counted(tmp_path):
