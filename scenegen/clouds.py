@@ -73,7 +73,7 @@ def read_cloud(path: Path, most_bytes: int = MOST_SCAN_BYTES) -> Cloud:
     Raises DatasetError for a file that holds none, that holds fewer than it promises, or that is
     too large.
     """
-    if path.suffix not in READERS:
+    if (suffix := path.suffix.lower()) not in READERS:
         raise DatasetError(
             f"{path}: neither a dataset's folder nor a scan; expected one of {', '.join(READERS)}"
         )
@@ -82,12 +82,12 @@ def read_cloud(path: Path, most_bytes: int = MOST_SCAN_BYTES) -> Cloud:
     except FileNotFoundError:
         raise DatasetError(f"{path}: no such file") from None
     try:
-        found = READERS[path.suffix](content)
+        found = READERS[suffix](content)
     except ModuleNotFoundError:
         raise DatasetError(f"{path}: {needs('laspy and lazrs', 'las')}") from None
     except Exception as error:  # numpy's parsers raise anything
         raise DatasetError(
-            f"{path}: cannot be read as {path.suffix}: {printable(error)[:200]}"
+            f"{path}: cannot be read as {suffix}: {printable(error)[:200]}"
         ) from None
     if found.ndim != 2 or found.shape[1] < 3 or not len(found) or found.dtype.kind not in "fiu":
         raise DatasetError(
@@ -98,7 +98,7 @@ def read_cloud(path: Path, most_bytes: int = MOST_SCAN_BYTES) -> Cloud:
         raise DatasetError(
             f"{path}: holds more than {MOST_POINTS} points; give one scan, not a map of many"
         )
-    says = path.suffix in NAMED and found.shape[1] == 6
+    says = suffix in NAMED and found.shape[1] == 6
     sensors = found[:, 3:].astype(np.float64) if says else None
     return Cloud(found[:, :3].astype(np.float64), sensors)
 
@@ -374,7 +374,7 @@ def scans_in(folder: Path) -> list[Path]:
     Raises DatasetError for more than `MOST_SCANS`."""
     found = list(
         itertools.islice(
-            (path for path in folder.rglob("*") if path.suffix in READERS), MOST_SCANS + 1
+            (path for path in folder.rglob("*") if path.suffix.lower() in READERS), MOST_SCANS + 1
         )
     )
     if len(found) > MOST_SCANS:

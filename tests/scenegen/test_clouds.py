@@ -43,8 +43,8 @@ def test_arrays_and_text_come_back(tmp_path):
     for order in "CF":
         np.save(tmp_path / "scan.npy", np.asarray(POINTS, order=order))
         assert_array_equal(read_points(tmp_path / "scan.npy"), POINTS)
-    (tmp_path / "scan.xyz").write_text("# x y z\n1 2 3 9\n\n4,5,nan,9\n")
-    assert_array_equal(read_points(tmp_path / "scan.xyz"), [[1, 2, 3], [4, 5, np.nan]])
+    (tmp_path / "scan.XYZ").write_text("# x y z\n1 2 3 9\n\n4,5,nan,9\n")
+    assert_array_equal(read_points(tmp_path / "scan.XYZ"), [[1, 2, 3], [4, 5, np.nan]])
 
 
 def npy(header):
@@ -153,7 +153,7 @@ def test_an_archive_that_unpacks_to_more_than_a_scan_is_refused(tmp_path, monkey
 
 def test_scans_are_found_below_a_folder_and_sorted_by_their_numbers(tmp_path):
     velodyne = "00/velodyne/2.bin", "00/velodyne/9.5.bin", "00/velodyne/10.bin"
-    names = *velodyne, "01/a2.pcd", "01/a10.pcd"
+    names = *velodyne, "01/a2.pcd", "01/a10.PCD"
     for name in (*reversed(names), "01/times.txt"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).touch()
