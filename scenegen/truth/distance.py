@@ -68,7 +68,6 @@ def _transform(occupied, cap, table, reach, steps, run, row, squares, nearest, d
         _spread(squares, nearest, reach, np.int64(1))  # a literal would be compiled by itself
         for j in range(ny):
             _look_up(nearest[j * line : j * line + nz], table, distance[i, j])
-    return distance
 
 
 @kernel

@@ -24,7 +24,7 @@ occupied voxel."""
 SPARE_M = 0.1 * SLACK_M
 """What a quicker test decides by less than this, is decided by the exact one."""
 X, Y, Z = map(np.int64, range(3))
-"""Axes. For a literal 0 and 1, numba compiles a kernel by itself."""
+"""Axes. Given as literals, numba would compile a kernel anew for each pair of them."""
 
 
 def rasterize(solids: Solids, grid: GridSpec, origin: ArrayLike) -> Mask:

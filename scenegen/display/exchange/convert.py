@@ -112,7 +112,7 @@ def _write(dataset: Dataset, out: Path, form: Any, rows: Rows) -> tuple[Rows, in
                 sample = samples[number]
                 samples.check(number)
                 if together:
-                    copy(sample)  # reads all: none fails later, among others
+                    copy(sample)  # reads every field, so that none fails among those of others
                 else:
                     contents = form.encode(sample, dataset.grid, sensor)
                 found.append((number, sample))
