@@ -116,7 +116,7 @@ def map(
     every="Every so many scans, one is kept beside the truth.",
     deskew="Move points to where their rays met something, by the time of each: for raw scans.",
 )
-@out_option("The folder to write, a new one.")
+@out_option("The folder to write, a new one.  [default: <log>-maps]")
 @printing
 @group("Log", "poses topic deskew")
 @group("Maps", "voxel reach rise least moved-share")
