@@ -113,7 +113,7 @@ def map(
     least_m="Nearer returns are left out, metres.",
     moved_share="A voxel is free where fewer of the scans that say something of it have a return "
     "in it.",
-    every="Every so many scans, one is kept beside the truth.",
+    every="Every n-th scan is kept beside the truth.",
     deskew="Move points to where their rays met something, by the time of each: for raw scans.",
 )
 @out_option("The folder to write, a new one.  [default: <log>-maps]")
