@@ -1,4 +1,4 @@
-"""`scenegen map` and `scenegen ingest`: clouds of points, and logs of a real sensor, become maps to
+"""`scenegen map` and `scenegen ingest`: point clouds, and logs of a real sensor, become maps to
 make datasets in."""
 
 import json
@@ -57,7 +57,7 @@ def map(
     talk: bool,
     **options: Any,
 ) -> None:
-    """Make a map of a real place from clouds of points: .ply, .pcd, .las, .laz, .xyz, .npz, .npy;
+    """Make a map of a real place from point clouds: .ply, .pcd, .las, .laz, .xyz, .npz, .npy;
     or from one of ROS's plans of a floor, .yaml.
 
     Voxels with points are occupied, those that rays from the sensor crossed are free, and all
