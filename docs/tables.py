@@ -92,11 +92,11 @@ def _unit(name: str, value: Any) -> str:
 
 def sensors() -> str:
     """The catalogue: a table of name with a link to its picture, rays of a scan, angles, range and
-    noise. Then a list of how far a unit may be from these figures, where they are from, and what
-    they were held against, with sensors of one kind together."""
+    noise. Then a list of how far a unit may be from these figures, with sensors of one kind
+    together."""
     heads = ("sensor", "rays", "a scan", "elevations", "range", "`--noise datasheet`")
     lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
-    alike: dict[tuple[str, str], list[Any]] = {}
+    alike: dict[str, list[str]] = {}
     for name in CATALOGUE:
         sensor = SENSORS.find(name)
         height = angles_deg(sensor.directions_body)[0].round(2)
@@ -110,17 +110,9 @@ def sensors() -> str:
             f"`{sensor.noise}`",
         )
         lines.append(f"| {' | '.join(cells)} |")
-        alike.setdefault((sensor.checked, sensor.error), []).append(sensor)
-    lines.append("\nHow far a unit may be from these figures, and where they are from:\n")
-    for (checked, error), some in alike.items():
-        source, beams, _ = some[0].source.partition(", beams ")
-        which = " or ".join(one.source.removeprefix(source + beams) for one in some)
-        names = ", ".join(f"`{one.name}`" for one in some)
-        lines += [
-            f"- {names}: {error}.",
-            f"    - from: {source}{beams}{which}",
-            f"    - held against: {checked}",
-        ]
+        alike.setdefault(sensor.error, []).append(f"`{name}`")
+    lines.append("\nHow far a unit may be from these figures:\n")
+    lines += [f"- {', '.join(names)}: {error}." for error, names in alike.items()]
     return "\n".join(lines) + "\n"
 
 

@@ -1,4 +1,4 @@
-"""Clouds of points on disk, read here so that no file takes more memory than it has content."""
+"""Point clouds on disk, read here so that no file takes more memory than it has content."""
 
 import io
 import itertools

@@ -178,7 +178,7 @@ def _turned(crowded: tuple[str, ...], verb: str, opposite: str) -> str:
     said = ", ".join(
         f"{opposite if name[0] == '-' else verb} world.{name.removeprefix('-')}" for name in crowded
     )
-    return said or f"{verb} how many solids there are where it flies"
+    return said or f"{verb} how many solids (in a map, or unknown voxels) there are where it flies"
 
 
 def _look(
@@ -289,7 +289,10 @@ def scan_world(
         noise: What becomes of the clean ranges, as a chain or as text such as
             "range:0.02,dropout:0.05"; nothing by default.
         seed: What the noise is drawn by.
-        engine: What casts the rays of a world of solids.
+        engine: What makes the engine of a world of solids, such as `lidarsim.MujocoEngine.of`.
+
+    Returns:
+        Ranges and intensities; its `points()` are the returns (M, 3), metres, in the world.
 
     Raises:
         GenerationError: A stage of the noise needs what the engine does not know.

@@ -179,7 +179,8 @@ def preset(
 
     Args:
         kind: Its name, or "module:Class".
-        lidar: The sensor, in place of the paper's.
+        lidar: The sensor, in place of the paper's: `lidarsim.sensors.SENSORS.find("livox-avia")`
+            is one of the catalogue.
         noise: Stages of noise, such as "range:0.02".
         mapping: Parameters of how maps are made.
         difficulty: "easy", "medium" or "hard"; medium by default.

@@ -209,7 +209,7 @@ def read_scenes(
     if not scenes:
         raise SceneError(
             f"{path}: holds no world, or parts alone, which other files include; expected MJCF, "
-            "meshes or maps (scenegen map makes one of clouds of points)"
+            "meshes or maps (scenegen map makes one of point clouds)"
         )
     _check(scenes, allow_unseen)
     notes = [f"{path}: {named(parts)} left out: parts, which other files include"] if parts else []

@@ -67,7 +67,7 @@ QUICK_SAMPLES, QUICK_TRIALS = 50, 200
 )
 @options_of(
     BenchConfig,
-    study="Study probabilities, bounds and risks besides: slower. See docs/bench.md.",
+    study="Also measure probabilities, bounds and risks: slower. See docs/bench.md.",
     seed="Decides the goals.",
 )
 @options_of(

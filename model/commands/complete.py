@@ -70,7 +70,7 @@ MOST_SHOWN = 24
     "--every",
     type=click.IntRange(1, 10**6),
     default=1,
-    help="Complete one of so many scans of a folder or a log.",
+    help="Complete every n-th scan of a folder or a log.",
 )
 @click.option("--poses", type=FILE, help="The poses of a folder of clouds, as for `ingest`.")
 @click.option("--topic", help="The clouds of a recording that has several.")

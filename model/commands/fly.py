@@ -60,7 +60,7 @@ OF_WORLD = (
 
 @command(
     "fly pillar --weights columns --flights 20",
-    "fly room.xml --robot my_robot:Robot -o flights.json --picture flights.png",
+    "fly scenes/forest.xml --robot my_robot:Robot -o flights.json --picture flights.png",
     "fly --suite aerial-1 --robot my_robot:Robot -o entry.json",
     "fly --replay entry.json",
     "fly --leaderboard entries -o page.html",
@@ -129,7 +129,7 @@ OF_WORLD = (
 @lidar_option("raster")
 @noise_option
 @click.option("--moving", is_flag=True, help="Cast each ray from where the sensor is at its time.")
-@seed_option("What the world, the goals and the noise are drawn by.")
+@seed_option("Seed of the world, the goals and the noise.")
 @click.option(
     "--replay",
     "recorded",

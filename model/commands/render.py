@@ -49,7 +49,7 @@ def _width(text: str) -> float:
     "render data/pillar --index 3 --weights columns --paper two -o figure.pdf",
     "render data/pillar --index 3 --flight -o flight.gif",
     "render data/pillar --split test --sheet 12 --weights columns -o sheet.pdf",
-    "render room.xml --flight -o room.png",
+    "render scenes/forest.xml --flight -o forest.png",
 )
 @click.argument("source", type=DatasetPath())
 @split_option("train", help="The split to draw samples of.")
@@ -93,7 +93,7 @@ def _width(text: str) -> float:
     default=7.0,
     help="With --paper: the size of its letters, points.",
 )
-@seed_option("What the flight is drawn by.")
+@seed_option("Seed of the flight.")
 @out_option("The picture: .png, .pdf, .svg or .webp.  [default: sample.png]", file=True)
 @quiet_option
 @shown_options

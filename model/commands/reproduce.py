@@ -47,7 +47,7 @@ from scenegen.run import Executor
     help="Judge the claims again from the figures of a study.json, and do nothing else; all of it "
     "with --json.",
 )
-@click.option("--dry-run", is_flag=True, help="Say what it would take, and do nothing.")
+@click.option("--dry-run", is_flag=True, help="Print what it would take, and do nothing.")
 @executing
 @printing
 def reproduce(

@@ -92,26 +92,26 @@ class Weighted(click.ParamType):
     "objective",
     type=Named(LOSSES),
     default=LossConfig.objective,
-    help="What it learns by: coupled, the paper's, whose weights are options, or MODULE:OBJECT.",
+    help="The loss: coupled, the paper's, whose weights are the options below, or MODULE:OBJECT.",
 )
 @click.option(
     "--protocol",
     type=Choice(list(PROTOCOLS)),
     default=next(iter(PROTOCOLS)),
-    help="What options stand at unless they are given; docs/training.md says how the two differ.",
+    help="Defaults of the other options; docs/training.md says how the two differ.",
 )
 @options_of(
     TrainConfig,
-    maps="Most maps seen, instead of passes; may grow when a run goes on.",
-    epochs="Most passes over the datasets.",
-    interval="Maps between two looks at validation, instead of a pass.",
+    maps="The budget in maps seen, instead of --epochs; may be raised later.",
+    epochs="The budget in passes over the datasets.",
+    interval="Maps between two validations, instead of a pass.",
     batch="Maps a step, on all devices together.",
-    optimizer="What makes a step of a gradient.",
+    optimizer="The optimizer; auto is muon, or what a run began with.",
     lr="Learning rate after the warm-up.",
-    schedule="How it falls: from when validation stalls or the budget nears its end, or along a "
+    schedule="How the rate falls: once validation stalls or the budget nears its end, or along a "
     "cosine.",
-    patience="Looks at validation without a lower loss after which it has stalled.",
-    choose="Which network of the run is kept.",
+    patience="Validations without a lower loss after which training has stalled.",
+    choose="Which network is kept: lowest validation loss, lowest loss of occupancy, or last.",
     seed="Decides the first weights and the order of samples.",
     augment="Turn maps about the sensor at random, and mirror them where its rays allow it.",
     points_share="Share of maps shown as points alone: rays without a return free nothing.",

@@ -46,9 +46,9 @@ NAMES_IN_FOLDER = ("best.safetensors", "model.safetensors")
 
 
 class Completer:
-    """A network with the grid it was trained on. It is a `MapCompleter`, too, and a row of the
-    bench; one that `from_pretrained` opened travels to other processes, each of which opens it
-    once, and by itself."""
+    """A network with the grid it was trained on: `from_pretrained` opens one, and a call completes
+    maps. It is a `MapCompleter`, too, and a row of the bench; one that `from_pretrained` opened
+    travels to other processes, each of which opens it once, and by itself."""
 
     learned = True
 

@@ -76,7 +76,7 @@ class Prediction:
 
     @property
     def tudf_low(self) -> Any:
-        """`low` at a risk of `RISK`; None where there is no such bound."""
+        """`low` at a risk of 0.05; None where there is no such bound."""
         held = () if self.uncertainty is None else self.uncertainty.risks
         return self.low(RISK) if any(risk <= RISK + CLOSE for risk in held) else None
 
@@ -102,10 +102,9 @@ class Prediction:
         """How far from home the map is, or each of a batch, from 0 to 1; None where that was not
         measured.
 
-        A network that is away from home denies what it is shown: it says of voxels that hold a
-        return, `observed` (*shape), that they are free. This is the share of the maps that it was
-        calibrated on of which it denied less. From .95 on, expect a worse completion; below,
-        nothing is promised.
+        In an unfamiliar place a network often calls voxels free that hold a return, `observed`
+        (*shape). The value is the share of the calibration's maps on which it did so less often.
+        From 0.95 on, expect a worse completion; below, nothing is promised.
         """
         if not isinstance(self.uncertainty, Calibration):
             return None

@@ -230,7 +230,7 @@ def calibrate(
     if len(worlds) < LEAST_WORLDS:
         raise DatasetError(
             f"{', '.join(map(str, folders))}: {len(worlds)} worlds in split {split}, expected "
-            f"{LEAST_WORLDS} at least; generate a larger one"
+            f"{LEAST_WORLDS} at least; make a larger {split} split, or give more datasets"
         )
 
     def look(what: str, at: Look) -> list[Any]:

@@ -56,7 +56,7 @@ BESIDE = "this as a recipe file, without --scene, --labels, --compact, --engine,
 
 @command(
     "generate --kind pillar -n 100",
-    "generate --scene room.xml --lidar ouster-os1-128 --noise datasheet -o data/room",
+    "generate --scene scenes/forest.xml --lidar ouster-os1-128 --noise datasheet -n 50",
     "generate --kind geometric --seed 7 --dry-run",
 )
 @click.argument("named", metavar="[KIND]", type=KIND, required=False)
@@ -88,15 +88,15 @@ BESIDE = "this as a recipe file, without --scene, --labels, --compact, --engine,
 @click.option(
     "--labels",
     type=Choice(["class", "name", "material", "group"]),
-    help="Say of every return and voxel which geom it is of, and which class: the kinds' "
-    "own classes, or by names, materials or groups of geoms.",
+    help="Store the geom and the class of every return and voxel: the kinds' own classes, or by "
+    "names, materials or groups of geoms.",
 )
 @lidar_option("the recipe's")
 @noise_option
 @mapping_options()
 @options_of(
     Mapper,
-    tilt_mps="Lean as a quadrotor that flies at so many metres a second; 0 for a level body.",
+    tilt_mps="Speed, metres a second, at which the body leans as a quadrotor; 0 for a level body.",
 )
 @engine_option(
     f"What casts the rays: {', '.join(ENGINES.known)}, or MODULE:CLASS.", default=DEFAULT
@@ -121,7 +121,7 @@ BESIDE = "this as a recipe file, without --scene, --labels, --compact, --engine,
 @out_option("Folder of the dataset, or s3://bucket/folder.  [default: data/<kind>]", stores=True)
 @force_option
 @click.option(
-    "--dry-run", is_flag=True, help="Say what would be made, as a recipe file, and make nothing."
+    "--dry-run", is_flag=True, help="Print the recipe that would be used, and make nothing."
 )
 @workers_option
 @on_option

@@ -1,4 +1,4 @@
-"""`scenegen map` and `scenegen ingest`: clouds of points, and logs of a real sensor, become maps to
+"""`scenegen map` and `scenegen ingest`: point clouds, and logs of a real sensor, become maps to
 make datasets in."""
 
 import json
@@ -57,7 +57,7 @@ def map(
     talk: bool,
     **options: Any,
 ) -> None:
-    """Make a map of a real place from clouds of points: .ply, .pcd, .las, .laz, .xyz, .npz, .npy;
+    """Make a map of a real place from point clouds: .ply, .pcd, .las, .laz, .xyz, .npz, .npy;
     or from one of ROS's plans of a floor, .yaml.
 
     Voxels with points are occupied, those that rays from the sensor crossed are free, and all
@@ -113,10 +113,10 @@ def map(
     least_m="Nearer returns are left out, metres.",
     moved_share="A voxel is free where fewer of the scans that say something of it have a return "
     "in it.",
-    every="Every so many scans, one is kept beside the truth.",
+    every="Every n-th scan is kept beside the truth.",
     deskew="Move points to where their rays met something, by the time of each: for raw scans.",
 )
-@out_option("The folder to write, a new one.")
+@out_option("The folder to write, a new one.  [default: <log>-maps]")
 @printing
 @group("Log", "poses topic deskew")
 @group("Maps", "voxel reach rise least moved-share")

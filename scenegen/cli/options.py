@@ -94,7 +94,7 @@ on_option = click.option(
 )
 force_option = click.option("--force", is_flag=True, help="Replace another dataset in the folder.")
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
-quiet_option = click.option("--quiet", is_flag=True, help="Print errors alone.")
+quiet_option = click.option("--quiet", is_flag=True, help="Print errors only.")
 device_option = click.option(
     "--device",
     default="auto",
@@ -208,7 +208,7 @@ def mapping_options(default: str | None = None) -> Decorator[Any]:
         default=default,
         scans="Scans that make a map: the sample's own, and those before it on the flight.",
         scan_spacing_m="Metres flown from scan to scan.",
-        fusion="How they make one map.",
+        fusion="How several scans make one map.",
         map_ahead_m="Where the map's middle lies from the sensor: metres forward, to the left, "
         "and up.",
     )

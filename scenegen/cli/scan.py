@@ -113,8 +113,8 @@ def _cell(value: Any) -> str:
 
 
 @command(
-    "scan room.xml --pose 1,2,0.5,30 -o scan.ply",
-    "scan room.xml --flight --every 0.5 --lidar livox-avia --noise datasheet -o walk.npz",
+    "scan scenes/room_with_gap.xml --pose 1,2,0.5,30 -o scan.ply",
+    "scan scenes/forest.xml --flight --every 0.5 --lidar livox-avia --noise datasheet -o walk.npz",
     "scan campus.bt --pose 10,5,1.2,90 --frame world -o campus.ply",
     "scan pillar --seed 3 --flight --sequence --lidar ouster-os1-64 -o log.mcap",
 )
@@ -152,7 +152,7 @@ def _cell(value: Any) -> str:
 @noise_option
 @engine_option("What casts the rays.", default="analytic")
 @options_of(Choices, frame="Frame of the points: the body when the scan begins, or the world.")
-@seed_option("What the noise, and the flight, are drawn by.")
+@seed_option("Seed of the noise and the flight.")
 @out_option(
     "The file: .ply, .pcd, .npz, .bin; a log: a folder or .mcap.  [default: scan.ply, log]",
     file=True,

@@ -51,7 +51,7 @@ def check_disjoint(datasets: Sequence[Dataset], *, workers: int = 1) -> None:
     for one, other in _twice([samples for _, samples, _ in found]):
         raise DatasetError(
             f"{names[one]} and {names[other]}: hold the same sample; leave one of the two "
-            f"datasets out"
+            f"datasets out, or make one with another --seed"
         )
     for one, other in _twice([worlds for _, _, worlds in found]):
         if splits[one] != splits[other]:

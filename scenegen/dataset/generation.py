@@ -98,7 +98,7 @@ def plan_generation(
         test: Test samples; by default a fifth of `n`, and none where there is one world.
         out: Folder of the dataset; by default data/<kind>, or data/<the scene's name>.
         scene: An MJCF file, a mesh, a map of a real place (.bt, .ot, .npz), or a folder of them, or
-            a cloud of points that says where its sensor was, in place
+            a point cloud that says where its sensor was, in place
             of random worlds.
         recipe: A TOML file of what differs from the kind's preset, or a whole `Recipe`.
         lidar: The sensor, or its name; the recipe's by default.

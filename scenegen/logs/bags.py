@@ -1,4 +1,4 @@
-"""Recordings of ROS, 1 and 2: clouds of points, and where their frames were, read without ROS."""
+"""Recordings of ROS, 1 and 2: point clouds, and where their frames were, read without ROS."""
 
 import math
 import struct

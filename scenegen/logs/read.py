@@ -69,13 +69,13 @@ def read_log(path: Path, *, poses: Path | None = None, topic: str | None = None)
     Raises:
         DatasetError: There is no log, or it is not as it should be.
     """
+    if path.is_file() and path.suffix in RECORDINGS:
+        if poses:
+            raise DatasetError(f"{path}: a recording holds its own poses; leave out --poses")
+        return _read_recording(path, topic)
     if not path.is_dir():
-        if path.suffix in RECORDINGS:
-            if poses is not None:
-                raise DatasetError(f"{path}: a recording holds its own poses; leave out --poses")
-            return _read_recording(path, topic)
         raise DatasetError(
-            f"{path}: expected a recording ({', '.join(RECORDINGS)}), or a folder of clouds"
+            f"{path}: no such recording ({', '.join(RECORDINGS)}) or folder of clouds"
         )
     clouds, beside = path / "velodyne", path / "poses.txt"
     if not clouds.is_dir():

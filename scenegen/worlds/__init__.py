@@ -6,7 +6,7 @@ from pathlib import Path
 MAPS = (".bt", ".ot", ".npz")
 """How the names of maps of real places end."""
 CLOUDS = (".ply", ".pcd", ".las", ".laz", ".xyz", ".yaml")
-"""How the names of clouds of points end, and of ROS's plans, which become maps."""
+"""How the names of point clouds end, and of ROS's plans, which become maps."""
 MESHES = (".obj", ".glb", ".stl")
 """How the names of meshes end that are worlds of their own."""
 WORLD_FILES = (".xml", *MAPS, *CLOUDS, *MESHES)

@@ -1,4 +1,4 @@
-"""Clouds of points become maps: a voxel with a point in it is occupied, and one that the ray from a
+"""Point clouds become maps: a voxel with a point in it is occupied, and one that the ray from a
 sensor to its point crossed is free."""
 
 import functools

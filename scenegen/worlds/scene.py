@@ -84,7 +84,7 @@ def read_file(path: Path, *, materials: bool = False) -> Reading:
 
 @raised_as(SceneError, of=UNREAD)
 def load_map(path: Path) -> Scene:
-    """Read a map of a real place, or make one of a cloud of points that says where its sensor was.
+    """Read a map of a real place, or make one of a point cloud that says where its sensor was.
     Raises SceneError."""
     notes: tuple[str, ...] = ()
     if path.suffix in CLOUDS:

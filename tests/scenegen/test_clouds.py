@@ -1,4 +1,4 @@
-"""Clouds of points: what three formats hold comes back, and files that promise more than they hold
+"""Point clouds: what three formats hold comes back, and files that promise more than they hold
 are refused."""
 
 import re

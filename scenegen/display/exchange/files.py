@@ -1,6 +1,6 @@
 """Formats of single samples: point clouds, NumPy archives, SemanticKITTI, OctoMap, WebDataset.
 
-Clouds of points are .ply and .pcd (binary), .npz (NumPy), and .bin (x y z intensity, float32, as in
+Point clouds are .ply and .pcd (binary), .npz (NumPy), and .bin (x y z intensity, float32, as in
 KITTI).
 """
 

@@ -152,7 +152,7 @@ def test_samples_that_a_merged_dataset_has_from_another_are_not_seen_twice(tmp_p
     build(plan_take(Dataset(first), tmp_path / "few", Choice(most=2)))
     for read in (partial(opened, split="train"), train):
         with pytest.raises(
-            DatasetError, match="hold the same sample; leave one of the two datasets out"
+            DatasetError, match="hold the same sample; leave one of the two datasets out, or make"
         ):
             read([first, tmp_path / "few"])
     assert len(opened([tmp_path / "few"], "train")) == 1

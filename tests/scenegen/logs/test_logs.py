@@ -362,7 +362,7 @@ poses.txt →                                     → no numbers
 times.txt → 1; 2                                → 2 times
 calib.txt → Tr: 1 2                             → 12 numbers
 velodyne  → gone                                → no clouds
-.         → gone                                → expected a recording
+.         → gone                                → no such recording
 """
 """What stands in a file of a log, or that it is not there; and what is told."""
 
@@ -463,6 +463,7 @@ BAD_USE = """
 scan pillar --flight --moving             → go with --sequence
 scan pillar --flight --sequence --every 1 → without --every
 ingest log --voxel 0.01                   → voxels
+ingest gone.mcap                          → gone.mcap: no such recording
 """
 
 

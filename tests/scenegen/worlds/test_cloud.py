@@ -1,4 +1,4 @@
-"""Clouds of points become maps that agree with the place where rays went, and meshes become the
+"""Point clouds become maps that agree with the place where rays went, and meshes become the
 worlds that they were made of."""
 
 import json
