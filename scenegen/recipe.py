@@ -126,8 +126,7 @@ class Recipe:
         if grid.voxel_m > self.lidar.max_range_m:
             raise ValueError(
                 f"[grid] voxel_m = {grid.voxel_m}: expected at most the sensor's range, "
-                f"lidar.max_range_m = "
-                f"{self.lidar.max_range_m}"
+                f"lidar.max_range_m = {self.lidar.max_range_m}"
             )
         self.mapping.check_reach(
             grid, self.lidar.max_range_m, math.prod(self.lidar.shape), MOST_RAYS_IN_SAMPLE
@@ -136,8 +135,7 @@ class Recipe:
             raise ValueError(
                 f"[accept] max_draws = {self.accept.max_draws}: times flight.flights_per_world = "
                 f"{flight.flights_per_world} and flight.iterations = {flight.iterations}, "
-                f"expected {MOST_SEARCHED} at "
-                "most; lower one of them"
+                f"expected {MOST_SEARCHED} at most; lower one of them"
             )
         if self.world is not None:
             box = flight.bounds(self.world.size_m)
@@ -147,8 +145,7 @@ class Recipe:
             if candidates > MOST_CANDIDATES:
                 raise ValueError(
                     f"[flight] spacing_m = {flight.spacing_m}: {candidates:.3g} places to scan "
-                    f"from along one flight, "
-                    f"expected {MOST_CANDIDATES} at most; raise it"
+                    f"from along one flight, expected {MOST_CANDIDATES} at most; raise it"
                 )
 
     @property
@@ -170,7 +167,7 @@ class Recipe:
 def preset(
     kind: str,
     *,
-    lidar: Sensor | None = None,
+    lidar: Sensor | str | None = None,
     noise: str | None = None,
     mapping: Mapping[str, Any] | None = None,
     difficulty: str | None = None,
@@ -179,8 +176,7 @@ def preset(
 
     Args:
         kind: Its name, or "module:Class".
-        lidar: The sensor, in place of the paper's: `lidarsim.sensors.SENSORS.find("livox-avia")`
-            is one of the catalogue.
+        lidar: The sensor, or the name of one, such as "livox-avia", in place of the paper's.
         noise: Stages of noise, such as "range:0.02".
         mapping: Parameters of how maps are made.
         difficulty: "easy", "medium" or "hard"; medium by default.
@@ -188,6 +184,8 @@ def preset(
     Raises:
         RecipeError: One of them cannot be; an unknown kind's nearest name is suggested.
     """
+    if isinstance(lidar, str):
+        lidar = sensor_of({"sensor": lidar}, "[lidar]", Path())
     return make_recipe(kind, {}, lidar=lidar, noise=noise, mapping=mapping, difficulty=difficulty)
 
 

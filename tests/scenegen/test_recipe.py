@@ -105,7 +105,8 @@ def test_every_preset_keeps_its_own_rules_and_reads_back(kind):
         for name in ("flight", "accept", "lidar", "grid", "world")
         if (part := getattr(recipe, name))
     }
-    assert make_recipe(kind, json.loads(json.dumps(plain)), where="test") == recipe
+    again = make_recipe(kind, json.loads(json.dumps(plain)), where="test")
+    assert again == recipe == preset(kind, lidar="raster")
 
 
 def test_whole_numbers_and_floats_make_the_same_dataset():
