@@ -194,14 +194,16 @@ def _open(content: bytes, found: Examined, threads: int) -> Run:
         """For one map, which is faster where it is known that there is one, or for any number."""
         model = core.read_model(content, b"")
         if alone:
-            model.reshape(dict.fromkeys(found.config.inputs, (1, *found.grid.shape)))
+            model.reshape(dict.fromkeys(model.inputs, (1, *found.grid.shape)))
         return core.compile_model(model, "CPU", hints)
 
     one_at_a_time = Lock()  # a compiled network holds the values of its last run
 
     def run(batch: Mapping[str, Field]) -> Sequence[Any]:
         with one_at_a_time:
-            values = compiled(len(next(iter(batch.values()))) == 1)(dict(batch))
+            network = compiled(len(next(iter(batch.values()))) == 1)
+            # OpenVINO has dropped inputs that the network does not use
+            values = network([batch[each.any_name] for each in network.inputs])
             return [np.array(values[name]) for name in found.outputs]
 
     compiled(True)  # now, and not when the first map comes

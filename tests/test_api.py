@@ -57,6 +57,7 @@ def test_samples_are_shown(dataset, tmp_path):
         ((sample, sample.tudf), "expected occupied voxels"),
         ((sample, {}, path[0]), r"expected \(n, 3\)"),
         ((bare,), "grid"),
+        ((sample, {"free": sample.free}), "free: a sample's own"),
         (([],), "no samples"),
     ):
         with pytest.raises(DatasetError, match=told):

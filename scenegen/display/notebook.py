@@ -110,6 +110,8 @@ def show(
         named = prediction or {}
     if path is not None and not named:
         named = {"truth": first.masks["occupancy"]}
+    if taken := named.keys() & first.masks.keys():  # a name is one layer
+        raise DatasetError(f"prediction: {', '.join(taken)}: a sample's own; give another name")
     guesses = [_guess(name, found, first.grid) for name, found in named.items()]
     if path is not None:
         guesses[0] = replace(guesses[0], route=_route(path))
@@ -135,11 +137,10 @@ def _guess(name: str, found: Any, grid: GridSpec) -> Guess:
             f"{name}: an array {occupied.dtype} {occupied.shape}; expected occupied voxels, bool "
             f"{grid.shape}, or a scenegen.Prediction of this map"
         )
-    if told:
-        return Guess(name=name, occupied=occupied, tudf=found.distance(None, grid))
     from scenegen.truth import distance_field  # which compiles
 
-    return Guess(name=name, occupied=occupied, tudf=distance_field(occupied, grid))
+    tudf = found.distance(None, grid) if told else distance_field(occupied, grid)
+    return Guess(name=name, occupied=occupied, tudf=tudf)
 
 
 def _route(path: Any) -> Route:
@@ -147,5 +148,4 @@ def _route(path: Any) -> Route:
     if points.shape[1:] != (3,) or not len(points) or not np.isfinite(points).all():
         raise DatasetError(f"path: an array {points.shape}; expected (n, 3), metres in the world")
     length = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
-    told = f"{length:.2f} m"
-    return Route(start=points[0], goal=points[-1], points=points, told=told)
+    return Route(start=points[0], goal=points[-1], points=points, told=f"{length:.2f} m")

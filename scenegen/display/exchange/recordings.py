@@ -169,8 +169,9 @@ class Rerun(Together):
         """The content of a file."""
         library = rerun()
         with tempfile.TemporaryDirectory() as folder:
-            path, name = Path(folder) / "part.rrd", f"scenegen-{samples[0][0]}"
-            with library.RecordingStream("scenegen", recording_id=name) as stream:
+            path = Path(folder) / "part.rrd"
+            # of a random name: a viewer merges files of one name
+            with library.RecordingStream("scenegen") as stream:
                 stream.save(path)
                 views = [
                     library.blueprint.Spatial3DView(name=view, contents=shown.split())
@@ -181,10 +182,7 @@ class Rerun(Together):
                 for number, sample in samples:
                     stream.set_time("sample", sequence=number)
                     for entity, (points, colours, radius) in _entities(sample, grid, lidar).items():
-                        positions = points.astype(np.float32)
-                        stream.log(
-                            entity, library.Points3D(positions, colors=colours, radii=radius)
-                        )
+                        stream.log(entity, library.Points3D(points, colors=colours, radii=radius))
                 stream.flush()
                 stream.disconnect()
             return path.read_bytes()

@@ -299,8 +299,7 @@ def check_as_foxglove_reads_it(found, sample, grid):
 
 RERUN = """
 import os, sys
-sys.argv = ["scenegen", "convert", sys.argv[1], "--to", "rerun", "--split", "val", "-o",
-            sys.argv[2], "--quiet"]
+sys.argv = ["scenegen", "convert", sys.argv[1], "--to", "rerun", "-o", sys.argv[2], "--quiet"]
 os.environ["FORCE_RERUN_ANALYTICS"] = "1"
 class Watch:
     def find_spec(self, name, path=None, target=None):
@@ -335,7 +334,9 @@ def test_rerun_s_own_reader_finds_every_sample_and_nothing_is_reported(
 
     dataset = Dataset(made)
     samples, seen = dataset.split("val"), set()
-    reader = RrdReader(tmp_path / "out" / "val-000000.rrd")
+    readers = [RrdReader(path) for path in sorted((tmp_path / "out").glob("*.rrd"))]
+    assert len({reader.recordings()[0].recording_id for reader in readers}) == 3
+    reader = readers[-1]
     layout = reader.stream(store=reader.blueprints()[0])
     told = [chunk.to_record_batch().to_pydict() for chunk in layout]
     assert "['/occupancy', '/sensor']" in str(told)
