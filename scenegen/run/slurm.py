@@ -35,6 +35,9 @@ WAIT_S = 2.0
 TIMED_OUT = "timed-out"
 """What submitit says in the error that it raises in a task shortly before the job's time is
 over."""
+QUEUED_AGAIN = "['scontrol', 'requeue', "
+"""What the error says that submitit raises in a task whose job it has queued again, before a
+preemption, if Slurm ends that call together with the job."""
 LOOKS = 10
 """After how many a job counts as lost that is no longer queued, and whose result is not there."""
 
@@ -98,13 +101,15 @@ class Slurm(Executor):
             for task in tasks:
                 found.append(there(task))
                 if found[-1][1]:
+                    if QUEUED_AGAIN in str(found[-1][0]):
+                        raise SystemExit  # no result: the job begins again
                     break
             return found
 
-        arrays = math.ceil(len(parts) / _most_in_array())
-        size = math.ceil(len(parts) / arrays)
         jobs: list[Any] = []
         try:
+            arrays = math.ceil(len(parts) / _most_in_array())
+            size = math.ceil(len(parts) / arrays)
             executor = self.submitit.SlurmExecutor(folder=folder)
             executor.update_parameters(
                 job_name=folder.name,
@@ -115,17 +120,18 @@ class Slurm(Executor):
                 additional_parameters=self.options,
             )
             with safe_path():  # the jobs' environment is this one; they are begun by python -m
-                for n in range(
-                    0, len(parts), size
-                ):  # packed one after the other: a task may be 4 KB
+                for n in range(0, len(parts), size):
+                    # packed one after the other: a task may be 4 KB
                     packed = [
                         [pack(task, CloudPickler) for task in part] for part in parts[n : n + size]
                     ]
                     jobs += executor.map_array(several, packed)
             return jobs
         except (RuntimeError, OSError) as error:
-            reason = _last_line(str(error))
-            raise GenerationError(f"--on slurm: nothing could be submitted ({reason})") from None
+            shutil.rmtree(folder, ignore_errors=True)
+            raise GenerationError(
+                f"--on slurm: nothing could be submitted ({_last_line(str(error))})"
+            ) from None
 
     def _ended(self, jobs: list[Any], folder: Path) -> Results:
         """The jobs as their results come. Raises GenerationError for one that left the queue
@@ -144,8 +150,8 @@ class Slurm(Executor):
                     looks[job.job_id] += 1  # a shared disk may show the result a little later
                     if looks[job.job_id] > LOOKS:
                         log = job.paths.stdout  # where Slurm names the node, if it began the job
-                        said = _last_line(log.read_text(errors="replace") if log.exists() else "")
-                        said = said or "it was cancelled, or killed"
+                        said = log.read_text(errors="replace") if log.exists() else ""
+                        said = _last_line(said) or "it was cancelled, or killed"
                         raise _lost(job.job_id, f"left the queue without a result: {said}", folder)
             time.sleep(WAIT_S if jobs else 0)
 
@@ -185,17 +191,18 @@ def _cancelled(run: str) -> Iterator[None]:
         yield
 
 
+def _told(words: str) -> "subprocess.CompletedProcess[str]":
+    """What one of Slurm's commands says."""
+    return subprocess.run(words.split(), capture_output=True, text=True)
+
+
 def _most_in_array() -> int:
     """The cluster's MaxArraySize."""
-    told = subprocess.run(
-        ["scontrol", "show", "config"], capture_output=True, text=True, check=False
-    ).stdout
-    found = re.search(r"^MaxArraySize\s*=\s*(\d+)", told, re.MULTILINE)
+    found = re.search(r"^MaxArraySize\s*=\s*(\d+)", _told("scontrol show config").stdout, re.M)
     return max(int(found[1]), 1) if found else MOST_IN_ARRAY
 
 
 def _queued(run: str) -> set[str] | None:
     """The jobs of a run that wait or run, by their ids; None where Slurm does not answer now."""
-    words = ["squeue", "--noheader", "--array", "--format=%i", f"--name={run}"]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    done = _told(f"squeue --noheader --array --format=%i --name={run}")
     return None if done.returncode else set(done.stdout.split())

@@ -15,15 +15,15 @@ from scenegen.cli.show import Progress
 from scenegen.dataset.build import build
 from scenegen.errors import ScenegenError
 from scenegen.run import executor
-from tests.command_line import ROOT
-from tests.conftest import contents, plan_of
+from tests.command_line import ROOT, python
+from tests.conftest import contents
 from tests.scenegen.conftest import wait_for
 from tests.scenegen.run import everywhere
+from tests.scenegen.run.test_executors import plan
 
 ray = pytest.importorskip("ray")
 cluster_utils = pytest.importorskip("ray.cluster_utils")
 pytestmark = pytest.mark.slow
-COUNTS = {"train": 60, "val": 3, "test": 3}
 
 
 @pytest.fixture
@@ -46,10 +46,6 @@ def connected(cluster):
     ray.shutdown()
 
 
-def plan(folder):
-    return plan_of(folder, seed=5, counts=COUNTS, shard_samples=3)
-
-
 def test_a_cluster_makes_the_same_dataset_though_a_node_dies(connected, tmp_path):
     build(plan(tmp_path / "here"))
     killed = []
@@ -62,7 +58,7 @@ def test_a_cluster_makes_the_same_dataset_though_a_node_dies(connected, tmp_path
     build(plan(tmp_path / "there"), execute=executor("ray", 1), on_shard=kill_one)
     assert killed
     assert contents(tmp_path / "there") == contents(tmp_path / "here")
-    assert ray.is_initialized(), "what was there before is left"
+    assert ray.is_initialized()  # what was there before is left
 
 
 def test_commands_give_the_same_there_though_a_node_dies(cluster, tmp_path, monkeypatch, capsys):
@@ -131,7 +127,7 @@ def test_usage_is_never_reported():
         "usage_lib\nassert not usage_lib.usage_stats_enabled()\n"
     )
     clean = {name: value for name, value in os.environ.items() if not name.startswith("RAY_")}
-    subprocess.run([sys.executable, "-c", code], check=True, env=clean, timeout=120)
+    python("-c", code, env=clean, timeout=120)
 
 
 def test_an_address_where_nobody_answers_ends_in_one_line():

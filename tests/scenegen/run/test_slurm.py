@@ -20,14 +20,14 @@ from scenegen.dataset import manifest
 from scenegen.dataset.build import build
 from scenegen.errors import DatasetError, GenerationError
 from scenegen.run import executor
-from tests.command_line import ROOT
-from tests.conftest import contents, plan_of
+from tests.command_line import ROOT, process
+from tests.conftest import contents
 from tests.scenegen.conftest import wait_for
 from tests.scenegen.run import everywhere, slurm_here
+from tests.scenegen.run.test_executors import plan
 
 pytest.importorskip("submitit")
 pytestmark = [pytest.mark.slow, slurm_here.NEEDED]
-COUNTS = {"train": 24, "val": 3, "test": 3}
 
 
 @pytest.fixture(scope="module")
@@ -37,13 +37,9 @@ def slurm(tmp_path_factory):
         yield nodes
 
 
-def plan(folder):
-    return plan_of(folder, seed=5, counts=COUNTS, shard_samples=3)
-
-
 def queue():
     """The jobs that Slurm has."""
-    return subprocess.check_output(["squeue", "-h", "-o", "%i"], text=True).split()
+    return process("squeue", "-h", "-o", "%i").stdout.split()
 
 
 @pytest.fixture
@@ -58,7 +54,7 @@ def test_a_job_array_makes_the_same_dataset(here):
     how = {"execute": executor("slurm", 2), "on_shard": lambda report, fresh: seen.append(fresh)}
     build(plan(here / "there"), **how)
     build(plan(here / "here"))
-    assert seen == [True] * 10
+    assert seen == [True] * 7
     assert contents(here / "there") == contents(here / "here")
     assert not list(here.glob("scenegen-slurm-*")), "nothing is left"
 
@@ -84,7 +80,7 @@ def test_a_job_that_somebody_cancels_is_told_of(here, monkeypatch):
 
     def cancel():
         (folder,) = here.glob("scenegen-slurm-*")
-        subprocess.run(["scancel", f"--name={folder.name}"], check=True)
+        process("scancel", f"--name={folder.name}")
 
     with pytest.raises(
         GenerationError, match=r"job \d+_0: left the queue without a result"
@@ -105,15 +101,14 @@ list(executor("slurm", 2)(time.sleep, [60] * 3, lambda: print("begun", flush=Tru
 @pytest.mark.parametrize(("stop", "code"), [(signal.SIGINT, 130), (signal.SIGKILL, -9)])
 def test_a_command_that_is_stopped_or_killed_leaves_no_jobs(here, stop, code):
     """Those of this run are cancelled, and no others."""
-    submit = ["sbatch", "--parsable", "--wrap", "sleep 60"]
-    other = subprocess.check_output(submit, text=True).strip()
+    other = process("sbatch", "--parsable", "--wrap", "sleep 60").stdout.strip()
     words = [sys.executable, "-c", COMMAND]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as running:
         assert running.stdout.readline() == "begun\n"
         running.send_signal(stop)
         assert running.wait(20) == code
     wait_for(lambda: queue() == [other])
-    subprocess.run(["scancel", other], check=True)
+    process("scancel", other)
 
 
 def twice(task):
@@ -135,9 +130,7 @@ def test_a_task_whose_node_is_lost_begins_again_on_another(slurm, here):
         wait_for(lambda: list(here.glob("node*")))
         for name, task in [path.name.split() for path in here.glob("node*")]:
             os.kill(slurm[name], signal.SIGKILL)
-            subprocess.run(
-                ["scontrol", "update", f"nodename={name}", "state=down", "reason=test"], check=True
-            )
+            process("scontrol", "update", f"nodename={name}", "state=down", "reason=test")
             os.kill(int(task), signal.SIGKILL)
             lost.append(name)
 
