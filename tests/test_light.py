@@ -24,6 +24,7 @@ samples[0].observed, samples[1].ranges, samples[2].position, samples.names, samp
 samples.dataset.manifest.grid, samples.dataset.manifest.lidar, samples.dataset.world("train", 0)
 """
     assert not modules_after(code) & HEAVY
+    assert "mujoco" in modules_after("from lidarsim import MujocoEngine"), "which casts"
 
 
 def test_streaming_inspecting_and_viewing_need_no_torch(folder, tmp_path):
@@ -38,7 +39,3 @@ app.main(["inspect", {str(folder)!r}], standalone_mode=False)
 app.main(["view", {str(folder)!r}, "-o", {str(tmp_path / "page.html")!r}], standalone_mode=False)
 """
     assert "torch" not in modules_after(code)
-
-
-def test_what_casts_is_imported_then():
-    assert "mujoco" in modules_after("from lidarsim import MujocoEngine")

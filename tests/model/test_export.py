@@ -14,7 +14,7 @@ from scenegen.model.checkpoint import CheckpointError, load_network, save_networ
 from scenegen.model.completion.completer import Completer
 from scenegen.model.config import VARIANTS, NetworkConfig
 from scenegen.model.network import Network
-from scenegen.model.onnx import RUNTIMES, Traced, examine, export_onnx, load_onnx, read_graph
+from scenegen.model.onnx import RUNTIMES, Traced, examine, export_onnx, load_onnx
 
 GRID = GridSpec(shape=(16, 24, 8))
 pytestmark = pytest.mark.skipif(not find_spec("onnxscript"), reason="needs onnxscript")
@@ -25,22 +25,25 @@ def seen(batch):
     return {name: torch.rand(batch, *GRID.shape) < 0.1 for name in ("free", "observed")}
 
 
-def export(folder, variant):
-    """A network of two inputs, which sees columns whole: as a checkpoint, and as ONNX."""
+def export(folder, variant, inputs):
+    """A network which sees columns whole: as a checkpoint, and as ONNX."""
     torch.manual_seed(0)
-    network = Network(
-        NetworkConfig(variant=variant, width=4, inputs=("observed", "free"), height=GRID.shape[2])
-    )
+    config = NetworkConfig(variant=variant, width=4, inputs=inputs, height=GRID.shape[2])
+    network = Network(config)
     for _ in range(3):  # statistics that are not those of a fresh network
         network.train()(seen(4))
     save_network(folder / "net.safetensors", network, GRID, {})
     export_onnx(network.eval(), GRID, folder / "net.onnx", about={"seed": 0})
 
 
-@pytest.fixture(scope="module", params=["flat", pytest.param("columns", marks=pytest.mark.slow)])
+@pytest.fixture(
+    scope="module",
+    params=["flat observed free", pytest.param("columns observed", marks=pytest.mark.slow)],
+)
 def exported(once, request):
     """Such an ONNX file, and its network."""
-    folder = once(f"onnx-{request.param}", partial(export, variant=request.param))
+    variant, *inputs = request.param.split()
+    folder = once(f"onnx-{variant}", partial(export, variant=variant, inputs=tuple(inputs)))
     return folder / "net.onnx", load_network(folder / "net.safetensors")[0]
 
 
@@ -89,14 +92,6 @@ def test_what_is_exported_is_the_network(variant):
         found, (values for values in expected if values is not None), strict=True
     ):
         torch.testing.assert_close(one, other, atol=1e-5, rtol=1e-5)
-
-
-@pytest.mark.slow
-def test_a_network_of_one_input_takes_any_number_of_maps(tmp_path):
-    """Tracing with one map would fix their number at one, in some networks and without a word."""
-    network = Network(NetworkConfig(variant="flat", width=4, height=GRID.shape[2])).eval()
-    export_onnx(network, GRID, tmp_path / "flat.onnx", about={})
-    read_graph((tmp_path / "flat.onnx").read_bytes())
 
 
 def test_other_files_and_names_are_refused(exported, tmp_path):

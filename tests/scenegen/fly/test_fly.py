@@ -94,10 +94,11 @@ def wild(seed):
 @pytest.mark.parametrize("seed", range(12))
 def test_no_bound_of_the_vehicle_is_exceeded(seed):
     rng, state = np.random.default_rng(seed), AT_REST
-    speed, pull, jerk = rng.uniform((0.2, 1.0, 5.0), (8.0, 15.0, 200.0)).tolist()
+    speed, pull, jerk = (least * 40 ** rng.uniform() for least in (0.2, 0.4, 5.0))
     vehicle = Vehicle(speed_mps=speed, acceleration_mps2=pull, jerk_mps3=jerk)
-    for _ in range(60):
-        command, _ = bounded(rng.normal(0.0, 3 * speed, 4), vehicle)
+    for n in range(60):
+        if n % 10 == 0:  # else it never comes to what it may
+            command, _ = bounded(rng.normal(0.0, 3 * speed, 4), vehicle)
         states = np.vstack([state, advance(state, command[0], vehicle)])
         v, a = states[:, 3:6], states[:, 6:9]
         assert np.linalg.norm(v, axis=1).max() <= speed + jerk * STEP_S**2
