@@ -24,7 +24,7 @@ samples[0].observed, samples[1].ranges, samples[2].position, samples.names, samp
 samples.dataset.manifest.grid, samples.dataset.manifest.lidar, samples.dataset.world("train", 0)
 """
     assert not modules_after(code) & HEAVY
-    assert "mujoco" in modules_after("from lidarsim import MujocoEngine"), "which casts"
+    assert "mujoco" in modules_after("from lidarsim import MujocoEngine")
 
 
 def test_streaming_inspecting_and_viewing_need_no_torch(folder, tmp_path):

@@ -378,7 +378,8 @@ def judge_hulls(hulls, grid_shape, voxel, origin):
     end = np.floor((hulls.max(axis=1) - origin) / voxel).astype(int) + 2
     for hull, low, high in zip(hulls, first.clip(0), end.clip(0), strict=True):
         part = tuple(map(slice, low, high))
-        inner = np.ascontiguousarray(centres[part].reshape(-1, 3))  # or it is compiled thrice
+        # in one order, or it is compiled thrice
+        inner = np.ascontiguousarray(centres[part]).reshape(-1, 3)
         found = _verdicts(HULL, hull, 0.0, np.eye(3), inner, voxel / 2)
         verdict[part] = np.maximum(verdict[part], found.reshape(verdict[part].shape))
     return Judged(verdict, ndimage.binary_dilation(verdict != FREE, np.ones((3, 3, 3))))
