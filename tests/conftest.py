@@ -68,8 +68,9 @@ def pytest_sessionfinish():
 
 
 def pytest_collection_modifyitems(items):
-    """Files of long tests come first: what is left for the end divides evenly."""
-    items.sort(key=lambda item: item.path.name not in LONG)
+    """Long tests come first: what is left for the end divides evenly. So do those of the shell,
+    which one worker then opens."""
+    items.sort(key=lambda item: item.path.name not in LONG and "shell" not in item.fixturenames)
 
 
 @pytest.fixture(scope="session", autouse=True)

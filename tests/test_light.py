@@ -14,20 +14,17 @@ def folder(tmp_path_factory):
     return dataset_in(tmp_path_factory.mktemp("light") / "d", compact=True).folder
 
 
-def test_importing_is_light():
+def test_importing_loading_and_reading_what_is_stored_is_light(folder):
     """Where all together import nothing heavy, neither does any alone."""
-    modules = "scenegen, lidarsim, scenegen.model.config, scenegen.__main__"
-    assert not modules_after(f"import {modules}, scenegen.dataset.read") & HEAVY
-
-
-def test_loading_and_reading_what_is_stored_is_light(folder):
     code = f"""
-import scenegen
+import scenegen, lidarsim, scenegen.model.config, scenegen.__main__, scenegen.dataset.read
+assert not hasattr(lidarsim, "absent")
 samples = scenegen.load({str(folder)!r})
 samples[0].observed, samples[1].ranges, samples[2].position, samples.names, samples.describe()
 samples.dataset.manifest.grid, samples.dataset.manifest.lidar, samples.dataset.world("train", 0)
 """
     assert not modules_after(code) & HEAVY
+    assert "mujoco" in modules_after("from lidarsim import MujocoEngine")
 
 
 def test_streaming_inspecting_and_viewing_need_no_torch(folder, tmp_path):
@@ -42,9 +39,3 @@ app.main(["inspect", {str(folder)!r}], standalone_mode=False)
 app.main(["view", {str(folder)!r}, "-o", {str(tmp_path / "page.html")!r}], standalone_mode=False)
 """
     assert "torch" not in modules_after(code)
-
-
-def test_what_casts_is_imported_then():
-    assert "mujoco" in modules_after("from lidarsim import MujocoEngine")
-    code = "import lidarsim; assert not hasattr(lidarsim, 'absent')"
-    assert not modules_after(code) & HEAVY

@@ -194,6 +194,8 @@ def _walk(boxes, links, ends, planes):
                 place[links[node, k]], after = at + 1, at + 1 + held[links[node, k]]
             else:
                 continue
-            walk[at], beyond[at] = boxes[node, :, k], after
+            for side in range(6):  # to assign a slice takes numba seconds to compile
+                walk[at, side] = boxes[node, side, k]
+            beyond[at] = after
             at = after
     return walk, beyond, first, last

@@ -80,7 +80,8 @@ def _settled(velocity, pull, jerk):
 @kernel
 def _advance(state, wanted, cosine, sine, bounds, states):
     speed, most, jerk = bounds
-    position, velocity, pull = state[0:3].copy(), state[3:6].copy(), state[6:9].copy()
+    now = state.copy()
+    position, velocity, pull = now[0:3], now[3:6], now[6:9]
     x, y = state[9], state[10]
     h = STEP_S
     for n in range(len(states)):
@@ -96,8 +97,9 @@ def _advance(state, wanted, cosine, sine, bounds, states):
         x, y = cosine * x - sine * y, sine * x + cosine * y
         length = math.sqrt(x * x + y * y)
         x, y = x / length, y / length
-        states[n, 0:3], states[n, 3:6], states[n, 6:9] = position, velocity, pull
-        states[n, 9], states[n, 10] = x, y
+        now[9], now[10] = x, y
+        for k in range(len(now)):  # assigning to slices takes numba seconds to compile
+            states[n, k] = now[k]
 
 
 ARM_M, TORQUE_M = 0.12, 0.02

@@ -2,6 +2,8 @@
 
 import json
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -15,7 +17,7 @@ from scenegen.model.network import Network
 from scenegen.model.onnx import RUNTIMES, Traced, examine, export_onnx, load_onnx
 
 GRID = GridSpec(shape=(16, 24, 8))
-pytest.importorskip("onnxscript")
+pytestmark = pytest.mark.skipif(not find_spec("onnxscript"), reason="needs onnxscript")
 
 
 def seen(batch):
@@ -23,22 +25,25 @@ def seen(batch):
     return {name: torch.rand(batch, *GRID.shape) < 0.1 for name in ("free", "observed")}
 
 
-def export(folder):
-    """A network of two inputs, which sees columns whole: as a checkpoint, and as ONNX."""
+def export(folder, variant, inputs):
+    """A network which sees columns whole: as a checkpoint, and as ONNX."""
     torch.manual_seed(0)
-    network = Network(
-        NetworkConfig(variant="columns", width=4, inputs=("observed", "free"), height=GRID.shape[2])
-    )
+    config = NetworkConfig(variant=variant, width=4, inputs=inputs, height=GRID.shape[2])
+    network = Network(config)
     for _ in range(3):  # statistics that are not those of a fresh network
         network.train()(seen(4))
     save_network(folder / "net.safetensors", network, GRID, {})
     export_onnx(network.eval(), GRID, folder / "net.onnx", about={"seed": 0})
 
 
-@pytest.fixture(scope="module")
-def exported(once):
+@pytest.fixture(
+    scope="module",
+    params=["flat observed free", pytest.param("columns observed", marks=pytest.mark.slow)],
+)
+def exported(once, request):
     """Such an ONNX file, and its network."""
-    folder = once("onnx", export)
+    variant, *inputs = request.param.split()
+    folder = once(f"onnx-{variant}", partial(export, variant=variant, inputs=tuple(inputs)))
     return folder / "net.onnx", load_network(folder / "net.safetensors")[0]
 
 
@@ -190,7 +195,7 @@ def point_outside(model):
         (set_weight(np.nan), "gives other than logits and tudf"),
         (fix_the_batch, "cannot run it"),
         (widen, "cannot run it"),
-        (rename_outputs, "gives nothing, where columns gives"),
+        (rename_outputs, "gives nothing, where"),
         (loop, "has loops or parts elsewhere"),
         (point_outside, "has loops or parts elsewhere"),
         (set_header(network=None), "its header is damaged"),

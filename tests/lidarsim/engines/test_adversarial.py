@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from lidarsim import AnalyticEngine
 from lidarsim.solids.model import solids_of
+from tests.conftest import quarter
 from tests.lidarsim import reference
 from tests.lidarsim.engines.test_laws import HFIELD, PROCESSORS, made
 from tests.lidarsim.reference import Body, Geom, unit
@@ -177,10 +178,11 @@ def at_features(rng, count):
 
 @pytest.mark.parametrize("kind", [*SIZES, "plane"])
 @pytest.mark.parametrize("name", PROCESSORS)
-def test_one_solid_of_any_size_from_anywhere(name, kind):
+@quarter(24)
+def test_one_solid_of_any_size_from_anywhere(name, kind, count):
     rng = np.random.default_rng(sum(map(ord, kind)))
     total = np.zeros(3, int)
-    for n in range(16):
+    for n in range(count):
         size = np.exp(rng.uniform(np.log(LEAST_M), np.log(MOST_M), SIZES.get(kind, 3)))
         if rng.random() < 0.5:  # as long as wide, or almost
             size = np.clip(size[0] * rng.uniform(0.5, 2.0, len(size)), LEAST_M, MOST_M)
@@ -192,10 +194,11 @@ def test_one_solid_of_any_size_from_anywhere(name, kind):
 
 
 @pytest.mark.parametrize("name", PROCESSORS)
-def test_solids_that_share_surfaces(name, rng):
+@quarter(24)
+def test_solids_that_share_surfaces(name, rng, count):
     """On a floor: faces in faces, balls and rounds that touch them, a twin, one inside another."""
     total = np.zeros(3, int)
-    for n, scale in enumerate(np.geomspace(LEAST_M, MOST_M / 3, 16)):
+    for n, scale in enumerate(np.geomspace(LEAST_M, MOST_M / 3, count)):
         geoms = [
             Geom(kind, tuple(scale * np.array(size)), tuple(scale * np.array(place)))
             for kind, size, place in (

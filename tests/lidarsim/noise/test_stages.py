@@ -18,7 +18,7 @@ from tests.lidarsim.engines.test_laws import model_of
 
 RAYS = 20_000
 REACH_M = 50.0
-LEVEL = Pose.level((0.0, 0.0, 0.0))
+LEVEL = Pose(np.zeros(3), np.eye(4)[0])
 
 
 class Nowhere:

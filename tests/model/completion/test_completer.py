@@ -11,7 +11,7 @@ import torch
 from numpy.testing import assert_allclose
 
 from lidarsim import GridSpec, Lidar
-from lidarsim.sensors import SENSORS
+from lidarsim.sensors.catalogue import OS1_64
 from scenegen.dataset.parts import sensor_entry
 from scenegen.model.checkpoint import CheckpointError, load_network, save_network
 from scenegen.model.completion.completer import Completer, opened_once, unlike
@@ -174,7 +174,7 @@ NOISY_TOO = {"also": [{"lidar": sensor_entry(OWN), "noise": [NOISE]}]}
         ({}, (Lidar(), Mapper(scan_spacing_m=3.0)), ""),
         ({"lidar": sensor_entry(OWN)}, (OWN,), ""),
         ({}, (OWN,), "another sensor.*rows is 16 in training, 8 here"),
-        ({}, (SENSORS.find("ouster-os1-64"),), "another sensor.*16 × 120 rays in training"),
+        ({}, (OS1_64,), "another sensor.*16 × 120 rays in training"),
         ({}, (Lidar(), Mapper(scans=5)), "maps made otherwise.*mapping.scans is 1 in training, 5"),
         ({"noise": ["", NOISE]}, (Lidar(), None, NOISE), ""),
         ({}, (Lidar(), None, NOISE), "other noise.*noise is none in training, dropout"),

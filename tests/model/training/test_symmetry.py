@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from lidarsim import GridSpec, Lidar
-from lidarsim.sensors import SENSORS
+from lidarsim.sensors.catalogue import MID_360, OS1_64
 from scenegen.model.config import TrainConfig
 from scenegen.model.inputs import turned
 from scenegen.model.training.data import epoch_batches, is_mirrored
@@ -114,8 +114,8 @@ def test_symmetries_that_fit_the_map_occur_about_as_often(shape, mirrored, allow
     [
         (Lidar(), True),
         (Lidar(rows=4, columns=7, horizontal_fov_deg=90.0, mount="band"), True),
-        (SENSORS.find("ouster-os1-64"), False),
-        (SENSORS.find("livox-mid-360"), False),
+        (OS1_64, False),
+        (MID_360, False),
         (SimpleNamespace(directions_body=np.eye(3)), False),  # some rays are, and one is not
     ],
 )

@@ -12,8 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal, assert_equal
 
 from lidarsim import AnalyticEngine, GridSpec, Lidar
@@ -93,13 +91,14 @@ def wild(seed):
         yield rng.normal((1.0, 0.0, 0.0, 0.0), 1.5)
 
 
-@settings(max_examples=6, deadline=None)
-@given(st.integers(0, 10**6), st.floats(0.2, 8.0), st.floats(1.0, 15.0), st.floats(5.0, 200.0))
-def test_no_bound_of_the_vehicle_is_exceeded(seed, speed, pull, jerk):
-    vehicle = Vehicle(speed_mps=speed, acceleration_mps2=pull, jerk_mps3=jerk)
+@pytest.mark.parametrize("seed", range(12))
+def test_no_bound_of_the_vehicle_is_exceeded(seed):
     rng, state = np.random.default_rng(seed), AT_REST
-    for _ in range(60):
-        command, _ = bounded(rng.normal(0.0, 3 * speed, 4), vehicle)
+    speed, pull, jerk = (least * 40 ** rng.uniform() for least in (0.2, 0.4, 5.0))
+    vehicle = Vehicle(speed_mps=speed, acceleration_mps2=pull, jerk_mps3=jerk)
+    for n in range(60):
+        if n % 10 == 0:  # else it never comes to what it may
+            command, _ = bounded(rng.normal(0.0, 3 * speed, 4), vehicle)
         states = np.vstack([state, advance(state, command[0], vehicle)])
         v, a = states[:, 3:6], states[:, 6:9]
         assert np.linalg.norm(v, axis=1).max() <= speed + jerk * STEP_S**2

@@ -196,13 +196,19 @@ def _mixed(w, lam):
 def _offer(w, lam, best_lam, best):
     """Keep the weights ``lam``, made to add up to 1, if none is negative and they name a point
     nearer to the origin than the best."""
-    total = lam.sum()
-    if total != 0.0 and (lam / total).min() >= 0.0:
-        point = _mixed(w, lam / total)
-        if _dot(point, point) < best:
-            best_lam[:] = lam / total
+    total = lam[0] + lam[1] + lam[2] + lam[3]
+    if total != 0.0:
+        least = 0.0
+        for i in range(4):  # numba takes seconds to compile what assigns to slices
+            lam[i] /= total
+            least = min(least, lam[i])
+        point = _mixed(w, lam)
+        if least >= 0.0 and _dot(point, point) < best:
             best = _dot(point, point)
-    lam[:] = 0.0
+            for i in range(4):
+                best_lam[i] = lam[i]
+    for i in range(4):
+        lam[i] = 0.0
     return best
 
 
@@ -270,14 +276,17 @@ def _bracket(kind, given, margin, axes, centre, half):
                 s = beside
         w[n, 0], w[n, 1], w[n, 2] = s
         high = min(high, math.sqrt(_nearest_on_simplex(w, n + 1, lam, best_lam)) - margin)
-        if high <= NEAR or best_lam.min() > 0.0:
+        if high <= NEAR:
             return low, high
         n = 0
         for i in range(4):
-            if best_lam[i] > 0.0:
-                w[n], best_lam[n] = w[i], best_lam[i]
+            weight, best_lam[i] = best_lam[i], 0.0
+            if weight > 0.0:
+                w[n, 0], w[n, 1], w[n, 2] = w[i]
+                best_lam[n] = weight
                 n += 1
-        w[n:], best_lam[n:] = 0.0, 0.0
+        if n == 4:
+            return low, high
         v = _mixed(w, best_lam)
     return low, high
 
@@ -369,7 +378,9 @@ def judge_hulls(hulls, grid_shape, voxel, origin):
     end = np.floor((hulls.max(axis=1) - origin) / voxel).astype(int) + 2
     for hull, low, high in zip(hulls, first.clip(0), end.clip(0), strict=True):
         part = tuple(map(slice, low, high))
-        found = _verdicts(HULL, hull, 0.0, np.eye(3), centres[part].reshape(-1, 3), voxel / 2)
+        # in one order, or it is compiled thrice
+        inner = np.ascontiguousarray(centres[part]).reshape(-1, 3)
+        found = _verdicts(HULL, hull, 0.0, np.eye(3), inner, voxel / 2)
         verdict[part] = np.maximum(verdict[part], found.reshape(verdict[part].shape))
     return Judged(verdict, ndimage.binary_dilation(verdict != FREE, np.ones((3, 3, 3))))
 
