@@ -63,9 +63,9 @@ def test_both_rules_are_those_of_a_slow_reference(rule):
             observed = any(hits)
             if rule.fusion == "log-odds":
                 tie = abs(level - odds["occupied"]) < 1e-9
-                assert not (tie and any(hits + misses)), "nobody can tell"
+                assert not (tie and any(hits + misses))  # nobody can tell
                 observed = any(hits) and level > odds["occupied"]
             assert got.observed[voxel] == observed
             assert got.free[voxel] == (any(hits + misses) and not observed)
             both += any(hits) and any(misses)
-    assert both > 25, "hardly a voxel is hit by one scan and crossed by another"
+    assert both > 25  # hardly a voxel is hit by one scan and crossed by another

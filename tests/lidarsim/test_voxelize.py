@@ -88,7 +88,7 @@ def test_random_rays_match_on_small_grids_of_any_shape_and_place():
         assert_array_equal(got.origin, grid.origin_at(position) if origin is None else origin)
         must, may = assert_right(scan, grid, got)
         sure, unsure = sure + must.sum(), unsure + (may & ~must).sum()
-    assert unsure < 0.01 * sure, "the margin excuses next to nothing"
+    assert unsure < 0.01 * sure  # the margin excuses next to nothing
 
 
 PARTS = [0.0, -0.0, 1.0, -1.0, 1e-17, -1e-12, 1e-9, 0.5, -1e-300, -5e-324, 1 - 2.0**-53]

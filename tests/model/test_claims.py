@@ -82,7 +82,7 @@ def test_a_gain_is_positive_where_the_first_is_better(rng):
         assert found.error == pytest.approx(0, abs=1e-12)  # the same worlds are left out of both
         assert found.freedom == 39
     both = measured({"a": np.full(200, -0.02), "b": np.full(200, 0.2)}, "bias")
-    assert gain(both, "bias", [("a", "b")]).value == pytest.approx(0.18), "its distance from 0"
+    assert gain(both, "bias", [("a", "b")]).value == pytest.approx(0.18)  # its distance from 0
 
 
 def test_paths_are_compared_where_both_have_one():

@@ -50,7 +50,7 @@ def test_free_space_and_a_new_metric_go_all_the_way(folders, tmp_path, monkeypat
     with torch.no_grad():
         expected = network(maps).logits.sigmoid()[0].numpy()
         blind = network({**maps, "free": torch.zeros(1, *grid.shape)}).logits.sigmoid()[0].numpy()
-    assert not np.allclose(expected, blind, atol=1e-4), "the second channel counts"
+    assert not np.allclose(expected, blind, atol=1e-4)  # the second channel counts
 
     predict_split(completer, folders[1], "test", tmp_path / "p")
     alone = Completer.from_pretrained(tmp_path / "run", threads=1)

@@ -117,7 +117,7 @@ def test_cleaning_takes_what_an_ended_process_left_and_nothing_else(tmp_path):
     (tmp_path / ".work.tmp").mkdir()
     os.utime(tmp_path / ".work.tmp", (0, 0))
     remove_drafts(tmp_path, "b")
-    assert gone.exists(), "of another target"
+    assert gone.exists()  # of another target
     remove_drafts(tmp_path, "a")
     assert set(tmp_path.iterdir()) == {*kept, link, tmp_path / ".work.tmp"}
 

@@ -155,7 +155,7 @@ def test_what_is_no_direction_and_no_place_meets_nothing_and_harms_no_other_ray(
     for place in ([np.nan, 0.0, 0.0], [0.0, np.inf, 0.0]):
         both = engine.cast([place, [0.0, 0.0, 2.0]], [[good, down]] * 2, 10.0)
         assert_array_equal(both, [[np.inf, np.inf], [np.inf, 1.0]])
-    assert engine.cast([[5.0, 0.0, -3.0]], [[down]], 10.0) == 0.0, "on the plane"
+    assert engine.cast([[5.0, 0.0, -3.0]], [[down]], 10.0) == 0.0  # on the plane
     assert np.isinf(made(name, model_of()).cast(np.zeros((1, 3)), [[good, down]], 10.0)).all()
 
 

@@ -50,7 +50,7 @@ def test_rays_meet_what_points_along_them_do(seed):
         met = np.flatnonzero(states == OCCUPIED)
         if np.isfinite(range_m):
             inside = states_along(voxels, start + (range_m - STEP_M / 2) * ray, ray, 2 * STEP_M)
-            assert inside[0] == OCCUPIED, "a return lies in an occupied voxel"
+            assert inside[0] == OCCUPIED  # a return lies in an occupied voxel
             begin = met[0] * STEP_M  # or a corner is cut that sampling, or the least chord, leaves
             assert range_m - begin <= np.sqrt(3) * voxels.voxel_m / 2 + 2 * STEP_M
             crossed = np.count_nonzero(states[: int(range_m / STEP_M)] == UNKNOWN)
@@ -88,6 +88,6 @@ def test_what_is_no_ray_meets_nothing():
         *((inside, ray) for ray in BAD_RAYS),
     ):
         assert engine.cross([start], [[ray]], 5.0) == (np.inf, 0.0)
-    assert np.isinf(engine.cast([[-9.0, 9.0, 1.0]], [[along]], 50.0)).all(), "past the map"
+    assert np.isinf(engine.cast([[-9.0, 9.0, 1.0]], [[along]], 50.0)).all()  # past the map
     with pytest.raises(ValueError, match="expected"):
         engine.cast([inside], [[along]] * 2, 5.0)

@@ -165,4 +165,4 @@ def test_the_same_command_goes_on_after_a_signal(here, capsys, monkeypatch):
     ended, said, _ = run(capsys, "train", "--epochs", 1000, "--patience", 3, *QUICK)
     assert (ended, f"epoch {begun + 1}:" in said, "epoch 1:" in said) == (0, True, begun == 0)
     ended, said, _ = run(capsys, "train", "--epochs", 1000, "--patience", 3, *QUICK, "--json")
-    assert (ended, json.loads(said)["folder"]) == (0, "runs/proposed"), "it is complete already"
+    assert (ended, json.loads(said)["folder"]) == (0, "runs/proposed")  # it is complete already

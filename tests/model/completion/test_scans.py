@@ -88,4 +88,4 @@ def test_a_map_is_flown_through_and_what_is_seen_is_completed(tmp_path, capsys):
     assert_allclose(said, [one.occupancy_probability for one in found], atol=1e-3)
     assert "hall" in (out / "index.html").read_text()
     assert run(capsys, *words[:3], 3, *words[4:])[0] == 1
-    assert len(scenegen.load(out / "seen")) == 2, "nothing was added to what is completed"
+    assert len(scenegen.load(out / "seen")) == 2  # nothing was added to what is completed

@@ -119,11 +119,11 @@ def test_the_report_holds_every_figure_in_its_place(dataset, tmp_path):
         for row in report[table]["pillar"].values():
             assert all(set(row[name]) == {"mean", "std", "low", "high", "n"} for name in names)
     returns = report["reconstruction"]["pillar"]["returns"]
-    assert returns["unobserved"]["iou"]["mean"] == 0, "returns say nothing about unknown voxels"
+    assert returns["unobserved"]["iou"]["mean"] == 0  # returns say nothing about unknown voxels
     assert returns["precision"]["mean"] == 1.0
     assert returns["iou"]["low"] <= returns["iou"]["mean"] <= returns["iou"]["high"]
     assert report["datasets"]["pillar"]["digest"] == dataset.manifest.digest
-    assert "0.559 ± 0.058" in (tmp_path / "bench" / "report.md").read_text(), "the paper's"
+    assert "0.559 ± 0.058" in (tmp_path / "bench" / "report.md").read_text()  # the paper's
 
 
 def strictly(path):
@@ -145,7 +145,7 @@ def test_a_study_stands_beside_tables_that_it_does_not_change(dataset, tmp_path,
     settings = study["truth"]["risk"]["settings"]
     assert [one["value"] for one in settings] == [0.1, 0.3, 0.5, 0.7, 0.85]
     assert settings[0]["success"]["mean"] > plain["planning"]["pillar"]["truth"]["success"]["mean"]
-    assert all(one["collided"]["mean"] == 0 for one in settings), "it asks for free edges"
+    assert all(one["collided"]["mean"] == 0 for one in settings)  # it asks for free edges
     pytest.importorskip("matplotlib")
     script = Path(__file__).parents[3] / "docs" / "figures.py"
     monkeypatch.setattr(sys, "argv", [str(script), str(tmp_path / "study" / "report.json")])

@@ -42,7 +42,7 @@ def test_a_file_carries_its_calibration(dataset, weights, tmp_path):
     assert found.datasets == (str(dataset.manifest.digest),)
     assert found.risks == (0.5, 0.4, 0.3)
     again = calibrate(sure, [dataset.folder], weights, **done, execute=Backwards("", 1))
-    assert again == found, "it depends neither on what was there nor on where it is done"
+    assert again == found  # it depends neither on what was there nor on where it is done
 
     completer = Completer.from_pretrained(sure)
     samples = dataset.split("test")
@@ -52,9 +52,9 @@ def test_a_file_carries_its_calibration(dataset, weights, tmp_path):
     assert (said.low(0.5) >= low).all()
     away = predict_split(completer, dataset.folder, "test", tmp_path / "p")
     assert away == [completer(one.observed).away(one.observed) for one in samples]
-    assert max(away) < 1, "it was calibrated on these"
+    assert max(away) < 1  # it was calibrated on these
     with h5py.File(tmp_path / "p/test-00000.h5") as file:
-        assert "tudf_low" not in file, "three worlds promise no .95"
+        assert "tudf_low" not in file  # three worlds promise no .95
         assert_allclose(file["probability"][0], said.probability, atol=1e-5)
 
 

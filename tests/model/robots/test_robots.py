@@ -40,7 +40,7 @@ def test_a_robot_reaches_its_goal(name):
     course = Course(world="pillar", difficulty="easy", flights=1, seed=1)
     flown = fly(course.simulation(0), robot_maker(name, None)(course))
     assert flown.outcome == "success", flown.trouble
-    assert 0.9 < flown.ratio < (5 if name == "pessimistic" else 1.5), "it explores"
+    assert 0.9 < flown.ratio < (5 if name == "pessimistic" else 1.5)  # it explores
     assert flown.invalid == flown.speeding == 0
 
 
@@ -80,7 +80,7 @@ def test_a_dead_end_deeper_than_the_window_is_left(tmp_path, monkeypatch):
     monkeypatch.setattr(Course, "missions", [mission])
     flown = fly(course.simulation(0), MappingRobot(Returns()))
     assert flown.outcome == "success"
-    assert flown.path[:, 0].min() < 0, "around the walls"
+    assert flown.path[:, 0].min() < 0  # around the walls
 
 
 class Idle:
@@ -209,8 +209,8 @@ def test_an_entry_to_a_suite_goes_on_and_is_not_lost(capsys, tmp_path, monkeypat
     shown = page.read_text()
     assert f"own: {told}" in shown
     assert shown.index("&lt;b&gt;better") < shown.index("reactive")
-    assert "98765." not in shown, "scores follow from what was flown"
-    assert shown.count("data:image/gif") == 2, "a film of every robot that flew"
+    assert "98765." not in shown  # scores follow from what was flown
+    assert shown.count("data:image/gif") == 2  # a film of every robot that flew
 
 
 def test_a_stopped_run_keeps_an_entry_and_tells_of_it(tmp_path, monkeypatch):

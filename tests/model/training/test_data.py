@@ -137,7 +137,7 @@ def test_weighted_datasets_come_in_proportion_and_every_map_before_any_comes_aga
             np.add.at(counted, np.array(one) - number * size, 1)
             assert counted.max() - counted.min() <= 1
     plain = maps_of([(folder, None) for folder in folders])
-    assert sorted(passes(plain, 1)[0]) == list(range(len(maps))), "without weights, each once"
+    assert sorted(passes(plain, 1)[0]) == list(range(len(maps)))  # without weights, each once
 
 
 @pytest.mark.parametrize("weight", [0, -1, float("nan"), "2", True, 1e-3])

@@ -45,7 +45,7 @@ def test_new_worlds_are_covered_as_promised_and_not_much_better(rng):
         known = (world(rng) for _ in range(worlds))
         scores = [count_scores(said, None, true, ALL[: len(said)], GRID) for said, true in known]
         found = bounds_of(scores, GRID)
-        assert found.risks[-1] == 0.03, "40 worlds promise no .975"
+        assert found.risks[-1] == 0.03  # 40 worlds promise no .975
         for said, true in (world(rng) for _ in range(40)):
             near = said < 1
             held = [true >= found.low(said, None, risk) - 1e-5 for risk in found.risks]
@@ -65,7 +65,7 @@ def test_a_bins_shape_is_its_quantile(rng):
     for risk in (0.5, 0.1, 0.01):
         expected = np.quantile(scores, 1 - risk, axis=1, method="inverted_cdf")
         assert_array_equal(shape(counts, risk), expected)
-    assert shape(np.zeros((1, 60), int), 0.1).tolist() == [59], "of an empty bin nothing is known"
+    assert shape(np.zeros((1, 60), int), 0.1).tolist() == [59]  # of an empty bin nothing is known
 
 
 @pytest.mark.parametrize("temperature", [0.5, 2.5])
@@ -105,4 +105,4 @@ def test_paths_of_new_worlds_collide_no_more_than_was_promised(rng):
         chosen = int((promised > asked).sum())
         had.append(losses(50)[:, chosen].mean() if chosen < len(risks) else 0.0)
     assert asked - 0.12 <= np.mean(had) <= asked + 0.01
-    assert path_risks(np.zeros((9, 2))) == (0.1, 0.1), "a new world may lose all"
+    assert path_risks(np.zeros((9, 2))) == (0.1, 0.1)  # a new world may lose all

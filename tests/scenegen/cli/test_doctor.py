@@ -55,7 +55,7 @@ def test_a_fit_machine_is_found_fit(monkeypatch, tmp_path):
     found = doctor.examine(tmp_path)
     test = found["self_test"]
     assert found["ok"] is test["repeatable"] is test["returns_occupied"] is True
-    assert asked == [0, 0, *range(len(asked) - 2)], "the same unit twice, then one after the other"
+    assert asked == [0, 0, *range(len(asked) - 2)]  # the same unit twice, then one after the other
     assert test["samples"] == 5 * (len(asked) - 2) > 0
     assert test["samples_per_second_per_core"] > 0
     json.dumps(found, allow_nan=False)

@@ -167,7 +167,7 @@ def test_a_map_of_a_real_place_is_scanned_and_told_of(standing, capsys):
     assert facts["unknown"] == pytest.approx((states == UNKNOWN).mean())
     scan = "scan room.bt --pose 1,2,1,0"
     row = json.loads(done(capsys, f"{scan} --lidar velodyne-vlp-16 --frame world -o a.npz --json"))
-    assert row["returns"] == row["rays"], "the room is closed"
+    assert row["returns"] == row["rays"]  # the room is closed
     index = np.floor(np.load("a.npz")["points"] / 0.1 + 1e-6).astype(int)
     assert (states[tuple(index.T)] == OCCUPIED).all()
     assert 0 < row["rays_through_unknown"] < row["rays"] / 2

@@ -64,5 +64,5 @@ def test_a_kill_before_any_change_of_a_file_changes_nothing(tmp_path):
         assert manifest.read(folder) == manifest.read(whole.folder)
         assert names(folder) == names(whole.folder)
         written.append(resumed.samples_written)
-    assert len(written) >= 12, "six files, each begun and put in its place"
-    assert set(written) == {9, 3, 0}, "kills fell before, between and after the two shards"
+    assert len(written) >= 12  # six files, each begun and put in its place
+    assert set(written) == {9, 3, 0}  # kills fell before, between and after the two shards

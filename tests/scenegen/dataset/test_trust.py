@@ -67,7 +67,7 @@ def test_no_value_in_a_manifest_ends_in_a_traceback(dataset):
             assert len([whole(sample) for sample in split[:1]]) <= 1
         except DatasetError:
             count += 1
-    assert count == 550, "which of them are refused"
+    assert count == 550  # which of them are refused
 
 
 NEWER = """

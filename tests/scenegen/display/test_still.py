@@ -116,7 +116,7 @@ def test_a_world_is_what_another_engine_meets(rng):
         white[inside] == np.isinf(ranges[inside])
     ).mean() > 0.98  # a pixel is a hundredth of a metre
     assert white[begin < end].all()
-    assert 0 < (image == CUT).all(axis=2).mean() < 0.2, "where the box's lid cuts the pillar"
+    assert 0 < (image == CUT).all(axis=2).mean() < 0.2  # where the box's lid cuts the pillar
 
 
 def drawn(figure):

@@ -430,7 +430,7 @@ def test_what_is_unknown_of_a_map_is_flown_through_and_never_flown_to(tmp_path):
     (tmp_path / "hall.npz").write_bytes(encode_map(voxels, "hall"))
     course = Course(world=str(tmp_path / "hall.npz"), rules=Rules(apart_m=6.0), flights=8)
     parts = [{end[0] > 5 for end in (one.start, one.goal)} for one in course.missions]
-    assert {len(part) for part in parts} == {1}, "a way leads through what is unknown"
+    assert {len(part) for part in parts} == {1}  # a way leads through what is unknown
     number = parts.index({False})
     flying = course.simulation(number)
     while flying.outcome is None and flying.state[0] < 6.5:

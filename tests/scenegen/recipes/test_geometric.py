@@ -90,7 +90,7 @@ def test_solids_stand_are_stacked_or_float_in_their_shares(standing, stacked, ti
     said = roles(found)
     assert len({solid.shape for solid in found}) == 3
     if stacked == 1.0:
-        assert said == ["floating"] + ["stacked"] * 399, "the first has nothing to stand on"
+        assert said == ["floating"] + ["stacked"] * 399  # the first has nothing to stand on
         return
     shares = {"standing": standing, "stacked": stacked, "floating": 1 - standing - stacked}
     for name, share in shares.items():

@@ -82,7 +82,7 @@ def test_commands_give_the_same_there_though_a_node_dies(cluster, tmp_path, monk
         monkeypatch.setattr(Progress, "count", kill_one)
         there = everywhere.outcome(capsys, tmp_path, words, "there", "--on", "ray://auto")
         monkeypatch.setattr(Progress, "count", count)
-        assert not nodes, "one was killed"
+        assert not nodes  # one was killed
         assert there == here
 
 

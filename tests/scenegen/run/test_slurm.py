@@ -56,7 +56,7 @@ def test_a_job_array_makes_the_same_dataset(here):
     build(plan(here / "here"))
     assert seen == [True] * 7
     assert contents(here / "there") == contents(here / "here")
-    assert not list(here.glob("scenegen-slurm-*")), "nothing is left"
+    assert not list(here.glob("scenegen-slurm-*"))  # nothing is left
 
 
 def test_commands_give_the_same_there(here, monkeypatch, capsys):

@@ -113,7 +113,7 @@ def test_batches_go_on_where_a_state_says_with_any_ranks():
     for one in (resumed, half):
         one.load_state_dict(json.loads(state))
     assert first + list(resumed) == everything
-    assert list(resumed) == everything, "a pass that ended begins anew"
+    assert list(resumed) == everything  # a pass that ended begins anew
     assert next(half) == everything[7][1::2]
     for other in (batches(8), batches(loaders=1), batches(of=mixed({3: 1, 6: 1}))):
         with pytest.raises(DatasetError, match="it is of another one"):

@@ -456,7 +456,7 @@ def test_a_triangle_on_the_voxels_own_lattice_touches_what_the_test_of_each_cube
         assert np.array_equal(found, expected)
         triangle[:, :2] = triangle[0, :2]
         inside_columns(triangle[None], np.zeros(3), 1.0, found)
-        assert np.array_equal(found, expected), "what is upright has no inside"
+        assert np.array_equal(found, expected)  # what is upright has no inside
 
 
 # ------------------------------------------------------------------------------------------

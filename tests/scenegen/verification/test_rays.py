@@ -49,7 +49,7 @@ def test_an_engine_of_a_users_own_is_audited_by_mujoco_and_not_imported():
     assert auditor(world, "analytic") is engine
     gone = weakref.ref(world)
     del world
-    assert gone() is None, "what casts goes with its world"
+    assert gone() is None  # what casts goes with its world
 
 
 @pytest.mark.parametrize(

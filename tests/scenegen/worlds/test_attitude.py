@@ -63,7 +63,7 @@ def test_the_lean_is_bounded_and_a_body_that_does_not_accelerate_is_level_to_the
         up = turned(lean).apply([0, 0, 1])
         assert np.degrees(np.arccos(up[2])) <= 30.0 + 1e-6
     forward = leaning(Pose.level((0, 0, 0), 0.0), (3.0, 0.0, 0.0), most_deg=30.0)
-    assert turned(forward).apply([1, 0, 0])[2] < 0.0, "to accelerate forward, the nose goes down"
+    assert turned(forward).apply([1, 0, 0])[2] < 0.0  # to accelerate forward, the nose goes down
 
 
 def test_next_to_no_speed_is_next_to_level():
@@ -94,5 +94,5 @@ def test_a_leaning_sensors_ranges_are_mujocos():
             there = (found >= 0) & (found <= recipe.lidar.max_range_m)
             expected = np.where(there, found, np.inf)
             assert_allclose(scan.ranges.reshape(-1), expected, atol=2e-6)
-    assert max(leans) == pytest.approx(30.0, abs=25.0), "no body leans: the test shows nothing"
+    assert max(leans) == pytest.approx(30.0, abs=25.0)  # no body leans: the test shows nothing
     assert len(set(np.round(leans, 6))) > 2

@@ -149,7 +149,7 @@ def test_samples_say_what_is_known(dataset):
             shares.append(sample.known.mean())
     assert min(shares) >= 0.05
     assert min(shares) < 0.6
-    assert max(shares) == 1.0, "all of the MJCF file's world is known"
+    assert max(shares) == 1.0  # all of the MJCF file's world is known
 
 
 def test_the_same_bits_however_they_are_made(dataset, tmp_path):

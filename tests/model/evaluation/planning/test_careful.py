@@ -96,7 +96,7 @@ def test_the_risk_asked_is_the_risk_had(rng):
     asked, mean = (0.04, 0.1, 0.2), had.mean(axis=0)
     chosen = [found.risks.index(found.for_paths(risk)) for risk in asked]
     assert (mean[chosen] <= asked + 2 * error[chosen]).all(), (promised, mean)
-    assert len(set(chosen)) > 1, "risk is what is chosen between"
+    assert len(set(chosen)) > 1  # risk is what is chosen between
     assert mean[0] > 0.1
     with pytest.raises(UncertaintyError, match=r"promises down to 0\.0"):
         found.for_paths(0.001)

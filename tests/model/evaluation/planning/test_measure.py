@@ -92,7 +92,7 @@ def test_measurements_are_those_of_a_slow_reference():
             cause = "refined_into_obstacle" if before else "initial_collides"
             assert (result.success, result.cause) == (after, None if after else cause)
             outcomes.add((before, after))
-    assert len(outcomes - {"goal_blocked"}) == 5, "refinement saves some paths, and spoils others"
+    assert len(outcomes - {"goal_blocked"}) == 5  # refinement saves some paths, and spoils others
 
 
 def test_maps_of_another_shape_are_refused():
