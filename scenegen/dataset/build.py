@@ -4,10 +4,9 @@ whole."""
 import math
 import shutil
 import time
-from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -196,11 +195,10 @@ def _check_space(plan: Plan, missing: list[ShardTask]) -> None:
     nobody beforehand."""
     if not missing or isinstance(plan.folder, StorePath):
         return
-    needed = plan.bytes_expected * sum(shard.samples for shard in missing) / plan.samples
+    needed = replace(plan, shards=tuple(missing)).bytes_expected
     disk = shutil.disk_usage(writable(plan.folder))
-    if (
-        needed / 2 > disk.free and disk.total
-    ):  # the system's own folders have no size; they refuse by themselves
+    # the system's own folders have no size; they refuse by themselves
+    if needed / 2 > disk.free and disk.total:
         raise DatasetError(
             f"{plan.folder}: needs about {needed / 1e6:.0f} MB, {disk.free / 1e6:.0f} MB are free; "
             "free some space, or choose another disk with --out"
@@ -209,7 +207,7 @@ def _check_space(plan: Plan, missing: list[ShardTask]) -> None:
 
 def _summarise(state: State, final: Json, written: int) -> Summary:
     plan, reports = state.plan, state.reports
-    samples = Counter(dict.fromkeys(SPLITS, 0))
+    samples = dict.fromkeys(SPLITS, 0)
     worlds: dict[str, list[Ints]] = {split: [np.empty(0, np.int64)] for split in SPLITS}
     for shard in plan.shards:
         if shard.file in reports:
@@ -220,7 +218,7 @@ def _summarise(state: State, final: Json, written: int) -> Summary:
     return Summary(
         folder=plan.folder,
         complete=final["complete"],
-        samples=dict(samples),
+        samples=samples,
         worlds={split: len(np.unique(np.concatenate(worlds[split]))) for split in SPLITS},
         rejected=final["rejected"],
         bytes=sum(report.size for report in reports.values()),

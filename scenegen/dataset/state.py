@@ -12,7 +12,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-from lidarsim import GridSpec, Sensor
+from lidarsim import Sensor
 from scenegen import SPLITS
 from scenegen.dataset import manifest, placed, trust
 from scenegen.dataset.parts import tables_of, write_rays
@@ -24,8 +24,8 @@ from scenegen.files import Json, disk_told, names_in, open_bounded, remove_draft
 from scenegen.run.workers import run
 from scenegen.stores import StorePath, Version
 
-FULL_BYTES, COMPACT_BYTES = 80_000, 10_000
-"""About what a sample of the default grid takes on disk; half of it may do."""
+FULL_BYTES, COMPACT_BYTES, RAY_BYTES = 0.3, 0.03, 3
+"""About what a voxel and a ray take on disk; half of it may do."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,9 +46,14 @@ class Plan:
     @property
     def bytes_expected(self) -> int:
         """A rough size on disk."""
-        voxels = math.prod(self.parameters["grid"]["shape"])
         each = FULL_BYTES if "tudf" in self.parameters["fields"] else COMPACT_BYTES
-        return int(self.samples * each * voxels / math.prod(GridSpec().shape))
+        voxels = self.samples * math.prod(self.parameters["grid"]["shape"])
+        rays = sum(
+            shard.samples * math.prod(shard.layout[name][1])
+            for shard in self.shards
+            for name in {"ranges", "earlier_ranges"} & shard.layout.keys()
+        )
+        return int(each * voxels + RAY_BYTES * rays)
 
 
 class State:
@@ -149,10 +154,8 @@ class State:
         """
         if self._smaller is None:
             return
-        old, listed = (
-            self._smaller.fingerprint,
-            {entry.file: entry for entry in self._smaller.shards},
-        )
+        old = self._smaller.fingerprint
+        listed = {entry.file: entry for entry in self._smaller.shards}
         for shard in self.plan.shards:
             entry = listed.get(shard.file)
             if entry is not None and entry.samples == shard.samples:
@@ -173,13 +176,14 @@ class State:
             return
         there = names_in(self.plan.folder) if self._there is None else self._there
         self._there = None
-        unknown = [
-            shard for shard in shards if shard.file not in self.reports and shard.file in there
-        ]
         folder, stored = self.plan.folder, isinstance(self.plan.folder, StorePath)
         noted = {} if stored else read_notes(folder, manifest.fingerprint(self.plan.parameters))
         listed = {**noted, **self._listed}
-        tasks = [(shard, listed.get(shard.file)) for shard in unknown]
+        tasks = [
+            (shard, listed.get(shard.file))
+            for shard in shards
+            if shard.file not in self.reports and shard.file in there
+        ]
         with closing(
             placed.look(there, tasks) if stored else run(_report, tasks, workers)
         ) as found:
@@ -271,18 +275,13 @@ class State:
             or manifest.parameters_of(there) != self.plan.parameters
         ):
             return False
-        entries = [entry for entry in there["shards"] if isinstance(entry, dict)]
-        listed = {entry.get("file"): entry for entry in entries}
+        listed = {entry.get("file"): entry for entry in there["shards"] if isinstance(entry, dict)}
         return all(listed.get(report.file) == report.entry() for report in self.reports.values())
 
     def absent(self) -> list[ShardTask]:
         """Shards that are neither known nor on disk."""
-        there = names_in(self.plan.folder)
-        return [
-            shard
-            for shard in self.plan.shards
-            if shard.file not in self.reports and shard.file not in there
-        ]
+        there = self.reports.keys() | names_in(self.plan.folder).keys()
+        return [shard for shard in self.plan.shards if shard.file not in there]
 
     def _known(self, shards: Sequence[ShardTask]) -> list[ShardReport]:
         return [self.reports[shard.file] for shard in shards if shard.file in self.reports]
@@ -318,9 +317,11 @@ def _former(folder: Path, names: Set[str]) -> list[str]:
             known = samples in found
         else:  # whose writer was killed before it put the samples beside them
             known = content.startswith(ARCHIVE)
-        found |= {name} if known else set()
+        if known:
+            found.add(name)
     for name in fnmatch.filter(names, "rays*.npy"):
-        found |= {name} if sha256_of(_content(folder / name)) in said else set()
+        if sha256_of(_content(folder / name)) in said:
+            found.add(name)
     return sorted(found, reverse=True)
 
 
