@@ -205,9 +205,7 @@ def _look(
 
 def truth_of(world: AnyWorld, scan: Scan, recipe: Recipe) -> dict[str, np.ndarray]:
     """The fields of a sample that say what is there at its own `scan`, and what of it is known."""
-    truth: dict[str, np.ndarray] = world.truth(
-        recipe.grid, recipe.mapping.origin(recipe.grid, scan.pose)
-    )
+    truth = world.truth(recipe.grid, recipe.mapping.origin(recipe.grid, scan.pose))
     if recipe.known is not None:
         truth.setdefault("known", np.ones(recipe.grid.shape, bool))
         truth["ray_known"] = world.unknown_m(scan) <= recipe.known.most_unknown_m

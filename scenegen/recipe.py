@@ -246,7 +246,7 @@ def _with_beside(
 
 def _graded(kind: type[WorldKind], level: Any, at: str) -> dict[str, Any]:
     """The parameters in which a kind's preset of this difficulty differs from its defaults."""
-    known: dict[str, dict[str, object]] = {**kind.graded, "medium": {}}
+    known = {**kind.graded, "medium": {}}
     if not isinstance(level, str) or level not in known:
         raise RecipeError(f"{at}difficulty = {short(level)}: expected one of {', '.join(known)}")
     return known[level]

@@ -12,7 +12,7 @@ from scenegen.share.stage import Request, Staged, examine, read_sums, stage
 
 OURS = re.compile(
     r"((train|val|test)-\d+x+/)?(train|val|test)-\d{5,9}(\.h5|\.worlds\.zip)"
-    r"|pictures/(train|val|test)-\d+\.png|look\.html",
+    r"|pictures/(train|val|test)-\d+\.png|look\.html|(recipe|sensor)\.toml|rays(-\w{16})?\.npy",
     re.ASCII,
 )
 """Files that another dataset of ours may have left in the repository; others there are let be."""
