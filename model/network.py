@@ -54,7 +54,7 @@ def build(config: NetworkConfig) -> nn.Module:
 
     Raises ScenegenError for a name that leads to none.
     """
-    network: Any = named(NETWORKS, config.variant)(config)
+    network = named(NETWORKS, config.variant)(config)
     if not isinstance(network, nn.Module):
         raise ScenegenError(
             f"variant {config.variant}: makes {type(network).__name__}, expected a torch.nn.Module"

@@ -267,7 +267,7 @@ def make_recipe(
     stranger's file. Paths in `tables` are relative to `folder`. Raises RecipeError naming the table
     and the parameter.
     """
-    parts: dict[str, Any] = {
+    parts = {
         "flight": Flight,
         "accept": Acceptance,
         "lidar": Lidar,

@@ -270,7 +270,7 @@ class Schema:
 
     def shape(self, name: str) -> tuple[int, ...]:
         """The shape of a field of one sample."""
-        named: dict[str, tuple[int, ...]] = {
+        named = {
             "grid": self.grid.shape,
             "rays": self.lidar.shape,
             "earlier": (self.scans - 1,),

@@ -248,7 +248,7 @@ def _read_files(files: Sequence[Path], materials: bool) -> tuple[dict[Path, Scen
     ends, or takes all memory, cannot outlive; it costs about a second, in which kernels are loaded
     that this process loads again. Maps and clouds are read here, by code that is bounded itself.
     """
-    read: Limited[Path, Reading] = Limited(
+    read = Limited(
         functools.partial(_read_alone, materials=materials),
         lambda _: SCENE_SECONDS,
         SCENE_BYTES,

@@ -333,7 +333,7 @@ def _courses(world: str, flights: int, worlds: int, options: dict[str, Any]) -> 
     """Courses through a world, or through several of a kind."""
     from scenegen.fly.course import Course
 
-    about: dict[str, Any] = {
+    about = {
         "vehicle": Vehicle(**taken(Vehicle, options)),
         "rules": Rules(**taken(Rules, options)),
         "lidar": options["lidar"] or "raster",

@@ -219,7 +219,7 @@ def _completion(path: Path) -> Look:
         grid = GridSpec(shape=shape, voxel_m=voxel_m)
         parts: Any = {name: maps[name].astype(np.float32) for name in PARTS if name in maps}
         said = check_prediction(Prediction(**parts), shape, str(path))
-        seen: list[str] = [name for name in ("observed", "occupancy") if name in maps]
+        seen = [name for name in ("observed", "occupancy") if name in maps]
         guess = Guess(
             name=method,
             occupied=said.occupied() & maps.get("known", np.ones(shape)).astype(bool),

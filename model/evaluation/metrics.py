@@ -150,7 +150,7 @@ def measure(
     """
     sums = np.zeros((class_count, len(Sums._fields)))
     sure = np.ones(classes.shape, bool) if certain is None else certain
-    grids: Any = (occupied, distance, true_occupancy, true_distance, classes, sure)
+    grids = (occupied, distance, true_occupancy, true_distance, classes, sure)
     _accumulate(*(*(grid.reshape(-1) for grid in grids), sums))
     rows = [Sums(*row.tolist()) for row in (sums.sum(axis=0), sums[list(union)].sum(axis=0), *sums)]
     return np.array([[metric.of(row) for metric in METRICS.values()] for row in rows], float)

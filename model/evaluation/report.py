@@ -54,7 +54,7 @@ def build_report(results: Sequence[DatasetResult], *, seed: int, about: Json) ->
     them; `about` as it is. Where there is one world, low and high are None; where nothing was
     measured, mean and std are, too. No number is NaN or infinite, which JSON has no words for:
     those are None."""
-    report: Json = {
+    report = {
         **about,
         "reconstruction": {},
         "planning": {},

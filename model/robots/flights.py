@@ -57,7 +57,7 @@ def robot_maker(name: str, weights: str | None) -> Callable[[Course], Any]:
             )
         memory = name != FORGETFUL
         return lambda course: MappingRobot(network, memory=memory, doubts=True)
-    known: dict[str, Callable[[Course], Any]] = {
+    known = {
         # what the last scan says, and what all scans say; of unknown voxels, that they are free
         FORGETFUL: lambda course: MappingRobot(Returns(), memory=False),
         "optimistic": lambda course: MappingRobot(Returns()),
@@ -141,7 +141,7 @@ def check_begins(robot: str, course: Course) -> None:
 def summary(name: str, flown: Sequence[Flown]) -> dict[str, Any]:
     """What is told of flights, together."""
     ends = Counter(one.outcome for one in flown)
-    row: dict[str, Any] = {"robot": name, "flights": len(flown)}
+    row = {"robot": name, "flights": len(flown)}
     row |= {end: f"{100 * count / len(flown):.0f} %" for end, count in ends.most_common()}
     row |= {
         part: round(float(np.mean([getattr(one, part) for one in flown])), 4) for part in RATIOS

@@ -290,9 +290,7 @@ def load(
 ) -> Generator[Batch]:
     """Every batch in turn, read by `workers` processes; 0 for none. Raises DatasetError for what
     cannot be read, GenerationError for what cannot be drawn."""
-    loader: DataLoader = DataLoader(
-        maps, batch_sampler=batches, num_workers=workers, pin_memory=pinned
-    )
+    loader = DataLoader(maps, batch_sampler=batches, num_workers=workers, pin_memory=pinned)
     # loaders inherit this, and leave stops to the process that trains: what signals its group
     # would end them, too, and with them the step that is being made
     before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)

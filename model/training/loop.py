@@ -184,16 +184,21 @@ class Step:
         """The losses of a batch and the norm of their gradient, before learning from it: means over
         all processes.
 
-        Raises TrainingError, which says what would fit, where memory runs out.
+        Raises TrainingError where memory runs out, which says what would fit, or torch cannot
+        compile.
         """
         for parameters in self.optimizer.param_groups:
             parameters["lr"] = rate
         try:
             return self.group.mean(self._learn(batch))
         except (RuntimeError, MemoryError) as error:
-            if not is_out_of_memory(error):
+            if is_out_of_memory(error):
+                told = self._too_large(batch)
+            elif type(error).__module__.startswith("torch._"):  # what `--compile` calls
+                told = f"--compile: {str(error).partition(chr(10))[0]}; leave it out"
+            else:
                 raise
-        raise TrainingError(self._too_large(batch))
+        raise TrainingError(told)
 
     def _learn(self, batch: Batch) -> dict[str, float]:
         batch = {
@@ -321,7 +326,7 @@ def origin(maps: Maps, command: str, device: torch.device) -> Json:
     """What a network remembers of where it comes from, besides its settings."""
     versions = software() | {"python": platform.python_version()}
     versions |= {name: installed(name) for name in PACKAGES}
-    about: Json = {"command": command, "commit": commit(), "versions": versions}
+    about = {"command": command, "commit": commit(), "versions": versions}
     about["device"] = device_name(device)
     ways: dict[tuple[Any, Any], set[str]] = {}
     for lidar, mapping, noise in maps.settings:

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 
 from lidarsim.engines import DEFAULT, MUJOCO
-from lidarsim.grid import Ints
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.layout import layout_of
@@ -208,7 +207,7 @@ def _check_space(plan: Plan, missing: list[ShardTask]) -> None:
 def _summarise(state: State, final: Json, written: int) -> Summary:
     plan, reports = state.plan, state.reports
     samples = dict.fromkeys(SPLITS, 0)
-    worlds: dict[str, list[Ints]] = {split: [np.empty(0, np.int64)] for split in SPLITS}
+    worlds = {split: [np.empty(0, np.int64)] for split in SPLITS}
     for shard in plan.shards:
         if shard.file in reports:
             samples[shard.split] += shard.samples

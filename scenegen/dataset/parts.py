@@ -84,7 +84,7 @@ def grid_entry(grid: GridSpec) -> Json:
 
 
 def _read_grid(entry: Any, before: Mapping[str, Any]) -> GridSpec:
-    grid: GridSpec = made(GridSpec, entry, "grid", GRID, needed=NEEDED)
+    grid = made(GridSpec, entry, "grid", GRID, needed=NEEDED)
     if math.prod(grid.shape) > MOST_VOXELS:
         raise BrokenError(
             f"grid.shape = {short(list(grid.shape))}: expected {MOST_VOXELS} voxels at most"
@@ -225,7 +225,7 @@ def described(mapping: Mapper) -> Json:
 def _read_mapping(entry: Any, before: Mapping[str, Any]) -> Mapper:
     if entry is None:
         return Mapper()
-    mapping: Mapper = made(Mapper, entry, "mapping")
+    mapping = made(Mapper, entry, "mapping")
     sensor = before["lidar"]
     shape, reach = sensor.get("shape"), sensor.get("max_range_m")
     if "sensor" not in sensor:

@@ -197,7 +197,7 @@ def plan_rescan(
     find_engine(engine)
     with raised_as(DatasetError):
         mapper = replace(found.mapping, **(mapping or {}))
-        recipe: Recipe = replace(
+        recipe = replace(
             found.recipe, lidar=lidar or found.lidar, noise=chain or Noise(), mapping=mapper
         )
     if real_path(folder) == real_path(dataset.folder):

@@ -74,7 +74,7 @@ def inspect(
     """
     dataset = Dataset(folder, partial=not keep)
     it = dataset.manifest
-    found: Json = {
+    found = {
         "kind": it.graded,
         "seed": it.seed,
         "complete": it.complete,
@@ -235,7 +235,7 @@ def scan_facts(path: Path) -> Json:
     Raises DatasetError."""
     points = read_points(path)
     returned = points[np.isfinite(points).all(axis=1)]
-    found: Json = {"scan": str(path), "points": len(points), "returns": len(returned)}
+    found = {"scan": str(path), "points": len(points), "returns": len(returned)}
     if len(returned):
         ranges = np.linalg.norm(returned, axis=1)
         found |= {

@@ -330,7 +330,7 @@ def _observe(path: Path, place: VoxelMap) -> dict[str, int]:
     its returns in that grid, and those of them where the map says that nothing is: they were of
     something that moved on, or grazed."""
     with np.load(path) as file:
-        found: dict[str, Any] = dict(file)
+        found = dict(file)
     grid, here = GridSpec(), found["position"]
     origin = grid.origin_at(here)
     seen = sort_points(here, found["points"] + here, grid, origin)

@@ -8,7 +8,7 @@ the kinds: a new file here is a new kind. A user's own is named as ``module:Clas
 import dataclasses
 import itertools
 import pkgutil
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from lidarsim.registry import Registry, suggestion
 from scenegen.limits import MOST_KIND_NAME
@@ -52,7 +52,7 @@ def find_kind(name: str) -> "type[WorldKind]":
     """
     from scenegen.recipes.kind import WorldKind
 
-    found: Any = KINDS.find(name)
+    found = KINDS.find(name)
     # a subclass that is no dataclass itself would have its parent's parameters alone
     if (
         len(name) > MOST_KIND_NAME

@@ -230,7 +230,7 @@ def guarded(
     Raises the ScenegenError that `function` raises, and GuardError where the process ends in any
     other way.
     """
-    alone: Limited[Task, Any] = Limited(
+    alone = Limited(
         partial(_outcome, function),
         lambda _: seconds,
         memory_bytes,

@@ -126,7 +126,7 @@ class Bucket(Store):
         """See `Store`."""
         # its own checksum goes with it: a server takes what arrives as it was sent, or refuses it
         checksum = base64.b64encode(hashlib.md5(content, usedforsecurity=False).digest()).decode()
-        sent: dict[str, Any] = {"Body": content, "ContentMD5": checksum}
+        sent = {"Body": content, "ContentMD5": checksum}
         if version is None:
             sent["IfNoneMatch"] = "*"
         elif version != ANY:
