@@ -178,7 +178,7 @@ def _turned(crowded: tuple[str, ...], verb: str, opposite: str) -> str:
     said = ", ".join(
         f"{opposite if name[0] == '-' else verb} world.{name.removeprefix('-')}" for name in crowded
     )
-    return said or f"{verb} how many solids (in a map, or unknown voxels) there are where it flies"
+    return said or f"{verb} how many solids, or in a map unknown voxels, there are where it flies"
 
 
 def _look(

@@ -68,4 +68,4 @@ def test_both_rules_are_those_of_a_slow_reference(rule):
             assert got.observed[voxel] == observed
             assert got.free[voxel] == (any(hits + misses) and not observed)
             both += any(hits) and any(misses)
-    assert both > 25  # hardly a voxel is hit by one scan and crossed by another
+    assert both > 25  # else hardly a voxel is hit by one scan and crossed by another

@@ -75,7 +75,7 @@ def test_turning_the_world_by_a_right_angle_turns_the_sample(kind):
             assert (ours != expected).mean() < 2e-4
             assert (ours & expected).sum() > 0.97 * expected.sum()
         cells += int((truth != truth[:, ::-1]).sum())
-    assert cells > 1000  # the world looks the same turned: the test shows nothing
+    assert cells > 1000  # else the world looks the same turned, and the test shows nothing
 
 
 def test_rejected_worlds_and_viewpoints_are_counted_by_reason():

@@ -170,7 +170,7 @@ class Rerun(Together):
         library = rerun()
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "part.rrd"
-            # of a random name: a viewer merges files of one name
+            # the library draws an id: Rerun takes files of equal ids for one recording
             with library.RecordingStream("scenegen") as stream:
                 stream.save(path)
                 views = [

@@ -54,7 +54,7 @@ def test_every_item_lies_in_one_leaf_within_its_boxes(kind, count):
     items, depth = leaves(tree, lower, upper)
     assert sorted(items) == list(range(count))
     assert depth <= LEVELS + 32
-    assert kind != "coincident" or depth <= count.bit_length()  # coincident items, a deep tree
+    assert kind != "coincident" or depth <= count.bit_length()  # else the tree is deep
     moved = np.random.default_rng(1).uniform(-3, 3, (count, 3))
     tree.refit(lower + moved, upper + moved)
     assert leaves(tree, lower + moved, upper + moved) == (items, depth)

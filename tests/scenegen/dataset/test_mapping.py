@@ -81,7 +81,7 @@ def test_earlier_scans_lie_back_along_the_flight(several):
         assert (steps <= 0.7 + 1e-9).all()
         waited += np.count_nonzero(steps == 0.0)
         assert steps.max() > 0.3
-    assert waited > 0  # no scan waits at the begin of its flight: the test shows nothing of that
+    assert waited > 0  # else no scan waits at the begin of its flight
 
 
 @pytest.mark.parametrize(
@@ -248,4 +248,4 @@ def test_the_command_line_takes_it_and_refuses_the_impossible_in_one_line(small,
     assert again == dataclasses.replace(mapping, fusion="visibility")
     for option in ("--scans 0", "--map-ahead 99,0,0"):
         refused(capsys, f"{command} {option} --force")
-        assert Dataset(tmp_path / "d").manifest.mapping == mapping  # what was there is lost
+        assert Dataset(tmp_path / "d").manifest.mapping == mapping  # what was there is not lost

@@ -94,5 +94,5 @@ def test_a_leaning_sensors_ranges_are_mujocos():
             there = (found >= 0) & (found <= recipe.lidar.max_range_m)
             expected = np.where(there, found, np.inf)
             assert_allclose(scan.ranges.reshape(-1), expected, atol=2e-6)
-    assert max(leans) == pytest.approx(30.0, abs=25.0)  # no body leans: the test shows nothing
+    assert max(leans) == pytest.approx(30.0, abs=25.0)  # else no body leans
     assert len(set(np.round(leans, 6))) > 2

@@ -197,7 +197,7 @@ def test_distances_to_meshes_and_height_fields_are_those_of_their_triangles(name
         deep = (expected == 0) & (
             distances_to([(shape, False) for shape, _ in shapes], points) > 0.05
         )
-        assert deep.sum() > 8  # no point lies well within a filled shape: the test shows nothing
+        assert deep.sum() > 8  # else no point lies well within a filled shape
 
 
 def test_a_motion_among_meshes_is_free_where_its_points_keep_the_radius():

@@ -75,7 +75,7 @@ def test_a_whole_flight_keeps_the_clearance_the_bounds_and_the_step(flights):
             tight.append(apart.min())
             assert tight[-1] >= FLIGHT.robot_radius_m - 2e-3
         assert np.linalg.norm(np.diff(path, axis=0), axis=1).max() <= FLIGHT.step_m + 1e-9
-    assert min(tight) < FLIGHT.robot_radius_m + 0.1  # no flight passes close to a column
+    assert min(tight) < FLIGHT.robot_radius_m + 0.1  # else no flight passes close to a column
     ends = np.array([end for _, path in flights for end in (path[0], path[-1])])
     assert (np.ptp(ends, axis=0) > 0.6 * (BOUNDS[1] - BOUNDS[0])).all()
 
