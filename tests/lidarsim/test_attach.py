@@ -102,6 +102,8 @@ def test_what_cannot_be_attached_is_told_in_one_line(model):
         attach(model, ["robot", "ball"], offset=[Pose.level((0, 0, 0))] * 3)
     with pytest.raises(ValueError, match="unseen = 'me', expected one of nothing, body, tree"):
         attach(model, "robot", unseen="me")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="never forwarded"):
+        attach(model, "robot").scan(data)
     with pytest.raises(ValueError, match="give data of that model"):
         attach(model, "robot").scan(mujoco.MjData(mujoco.MjModel.from_xml_string("<mujoco/>")))
     mujoco.mj_forward(model, data)
