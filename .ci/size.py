@@ -14,7 +14,7 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 301_250, "benchmarks": 24_840, "tests": 220_470}
+TOKENS = {"product": 301_250, "benchmarks": 24_840, "tests": 220_490}
 FILES = 242
 LINES = 400
 """The longest file of product code."""

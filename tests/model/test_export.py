@@ -200,6 +200,7 @@ def point_outside(model):
         (point_outside, "has loops or parts elsewhere"),
         (set_header(network=None), "its header is damaged"),
         (set_header(network={"width": 4, "inputs": ["ahead"]}), "cannot run it"),
+        (set_header(grid={"shape": [8, 8]}), "its header is damaged"),
         (
             lambda model: setattr(model.metadata_props[-1], "value", "[" * 100_000),
             "its header is damaged",
