@@ -1,4 +1,4 @@
-"""Draw the pictures of docs/study.md from its figures.
+"""Draw the pictures of the study's findings from its figures.
 
 python benchmarks/study.py docs/results/study.json --out docs/pictures/study
 """

@@ -101,7 +101,7 @@ and the map's box about one of them.
 
 ## Sensors
 
-Every [sensor](sensor.md#sensors-that-people-have) by its name, at one pose in
+Every [sensor](sensor.md#the-catalogue) by its name, at one pose in
 `scenes/warehouse.xml`. A dot is a return: azimuth from 180° at the left to −180°, elevation from
 −60° to 60°, dark for near, yellow for {far:g} m and more.
 
@@ -109,7 +109,7 @@ Every [sensor](sensor.md#sensors-that-people-have) by its name, at one pose in
 
 ## Noise
 
-Every [stage of noise](sensor.md#noise), seen from above in the same scene: grey without it,
+Every [stage of noise](noise.md#stages), seen from above in the same scene: grey without it,
 coloured by range with it (`intensity`: by brightness). Stages are stronger here than a sensor has
 them.
 

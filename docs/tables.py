@@ -92,7 +92,7 @@ def _unit(name: str, value: Any) -> str:
 
 def sensors() -> str:
     """The catalogue: a table of name with a link to its picture, rays of a scan, angles, range and
-    noise. Then a list of how far a unit may be from these figures, with sensors of one kind
+    noise. Then a list of how a real unit may differ from these figures, with sensors of one kind
     together."""
     heads = ("sensor", "rays", "a scan", "elevations", "range", "`--noise datasheet`")
     lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
@@ -111,7 +111,7 @@ def sensors() -> str:
         )
         lines.append(f"| {' | '.join(cells)} |")
         alike.setdefault(sensor.error, []).append(f"`{name}`")
-    lines.append("\nHow far a unit may be from these figures:\n")
+    lines.append("\nHow a real unit may differ from these figures:\n")
     lines += [f"- {', '.join(names)}: {error}." for error, names in alike.items()]
     return "\n".join(lines) + "\n"
 

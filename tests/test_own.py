@@ -6,7 +6,7 @@ import pytest
 from tests.command_line import SMALL, example, refused, rows
 
 EXAMPLES = """
-my_worlds.py   → recipes.md  → class Vineyard
+my_worlds.py   → own-worlds.md → class Vineyard
 my_methods.py  → bench.md    → class Grown
 my_commands.py → commands.md → def fill
 """

@@ -37,5 +37,5 @@ def test_no_table_hangs_on_the_last_bit_of_an_arctangent(monkeypatch):
 def test_pages_list_every_table_of_a_recipe():
     kinds = " ".join(map(str.capitalize, kind_names()))
     others = "Flight Acceptance Lidar GridSpec Faults Mapper"
-    for name, names in (("recipes.md", others), ("worlds.md", kinds)):
+    for name, names in (("recipes.md", others), ("kinds.md", kinds)):
         assert {one for _, _, one, _ in tables.ASKED.findall(page(name))} == set(names.split())

@@ -147,6 +147,6 @@ def test_noise_sees_what_the_sensor_does_and_passes_the_carrier_as_its_rays_do(m
 
 def test_the_documented_example_runs():
     names = {}
-    exec(example("sensor.md", "import Lidar, Pose, attach"), names)
+    exec(example("simulation.md", "import Lidar, Pose, attach"), names)
     assert np.isfinite(names["scan"].ranges).sum() > 300
     assert set(np.unique(names["hits"].geoms)) == {-1, 0, 1}

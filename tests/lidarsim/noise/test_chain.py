@@ -93,7 +93,7 @@ def test_stages_that_cast_come_first_and_once():
 
 
 def test_a_stage_of_ones_own(standing):
-    (standing / "my_noise.py").write_text(f"""{example("sensor.md", "# my_noise.py")}
+    (standing / "my_noise.py").write_text(f"""{example("noise.md", "# my_noise.py")}
 from typing import ClassVar
 @dataclass(frozen=True, kw_only=True)
 class Shift:

@@ -102,7 +102,7 @@ def test_a_dry_run_prints_a_recipe_file_that_asks_for_the_same(small, tmp_path, 
 
 
 def test_a_world_of_ones_own_as_the_docs_show_it(tmp_path, capsys):
-    page = (ROOT / "docs" / "recipes.md").read_text()
+    page = (ROOT / "docs" / "own-worlds.md").read_text()
     (tmp_path / "yard.xml").write_text(page.split("```xml\n")[1].split("```")[0])
     command = f"generate --scene {tmp_path}/yard.xml --n 2 --workers 1 --out {tmp_path}/d"
     done(capsys, f"{command} --quiet")
