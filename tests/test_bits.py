@@ -41,16 +41,7 @@ def check(*parts):
         pytest.skip(f"sines, arctangents and products are the same without {', '.join(parts)}")
 
 
-def test_without_what_numpy_libm_and_blas_find_in_the_processor():
-    check("numpy", "libm", "blas")
-
-
-@pytest.mark.slow  # kernels are compiled anew
-def test_without_any_of_it():
-    check(*HIDDEN)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("part", HIDDEN)
-def test_without_one_part_of_it(part):
-    check(part)
+@pytest.mark.parametrize("parts", [*([part] for part in HIDDEN), [*HIDDEN]])
+def test_without_what_is_found_in_the_processor(parts):
+    check(*parts)
