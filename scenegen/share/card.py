@@ -4,6 +4,7 @@
 datasets."""
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from string import Template
@@ -40,7 +41,7 @@ KINDS = {
     "industrial": "machine halls with pipes, tanks, catwalks and scaffolds",
     "maze": "mazes in three dimensions with windows to fly through",
     "clutter": "clouds of shapes of all sizes",
-    "scene": "worlds from MJCF files",
+    "scene": "worlds given as files",
 }
 FORMATS = {
     "h5": "application/x-hdf5",
@@ -78,12 +79,14 @@ def facts(
     shape, voxel_m = made.grid.shape, made.grid.voxel_m
     lidars, mappings, _ = (dict.fromkeys(column) for column in zip(*made.settings, strict=True))
     plain = all(mapping.plain for mapping in mappings)
+    ahead = any(any(mapping.map_ahead_m) for mapping in mappings)
     maps = "" if plain else f", each {' or '.join(map(str, mappings))}"
     kinds = dict.fromkeys(home.kind for home in made.homes)
     worlds = "; ".join(KINDS.get(kind, f"worlds of kind {kind}") for kind in kinds)
     return {
         **_notes(made),
         "name": name,
+        "title": name.replace("_", r"\_"),
         "owner": owner,
         "repository": request.repository,
         "url": f"https://huggingface.co/datasets/{request.repository}",
@@ -100,6 +103,7 @@ def facts(
         "seed": made.homes[0].seed,
         "lidar": " or ".join(map(str, lidars)),
         "digest": made.digest,
+        "centred": "" if ahead else " and the sensor sits at the map's centre",
         "versions": ", ".join(f"{name} {number}" for name, number in made.software.items()),
         "voxel_m": voxel_m,
         "truncation_m": f"{made.grid.truncation_m:g}",
@@ -112,8 +116,8 @@ def facts(
         "pictures": pictures,
         "fields": _fields(made),
         "statistics": _statistics({split: told["splits"][split] for split in splits}),
-        "megabytes": f"{told['bytes'] / 1e6:.0f}",
-        "kilobytes": f"{told['bytes_per_sample'] / 1e3:.0f}",
+        "megabytes": f"{told['bytes'] / 1e6:.1f}",
+        "kilobytes": f"{told['bytes_per_sample'] / 1e3:.1f}",
         "checks": "\n".join(f"- {check}: {detail}" for check, detail in checks),
     }
 
@@ -125,7 +129,7 @@ def _shards(made: Manifest, split: str) -> list[str]:
 
 def _notes(made: Manifest) -> dict[str, str]:
     """Sentences that differ between datasets of several sorts."""
-    by_hand, file = made.kind == "scene", source_file(made)[0]
+    file, _ = source_file(made)
     absent = " and ".join(f"`{name}`" for name in ("free", "tudf") if name not in made.fields)
     stages = dict.fromkeys(home.noise_stages for home in made.homes)
     said = " or ".join(f"`{one}`" if one else "none" for one in stages)
@@ -146,30 +150,32 @@ def _notes(made: Manifest) -> dict[str, str]:
         else "",
         "faults": noise or "without noise or motion, and with every return within range",
         "caster": "MuJoCo" if made.engine == MUJOCO else f"the engine {made.engine}",
-        "drawn": "Worlds were given as MJCF files; from"
-        if by_hand
-        else "Random worlds are drawn from",
-        "biases": "Worlds are few, and those that their author thought of."
-        if by_hand
-        else f"Worlds follow the distributions of {NAME if made.rescan else RECIPE} and no real "
-        "place; the frequencies of shapes, gaps and densities are those of the recipe.",
+        "drawn": "Random worlds are drawn from",
+        "people": "Worlds are synthetic and simple: they are of no real place, and hold neither "
+        "people nor personal data.",
+        "biases": f"Worlds follow the distributions of {NAME if made.rescan else RECIPE} and no "
+        "real place; the frequencies of shapes, gaps and densities are those of the recipe.",
         "follows": f"every sample follows from the seed and `{file}`",
         "rejected": f"Rejected while drawing: {'; '.join(rejected) or 'none'}.",
         "stands": "",
     }
+    if made.kind == "scene":
+        notes |= {
+            "drawn": "Worlds were given as files; from",
+            "people": "Worlds were given as files; whether these show real places or people, only "
+            "their publisher can say.",
+            "biases": "Worlds are few, and those that their author thought of.",
+            "stands": "\n`SCENES` stands for the worlds' files, whose names and digests "
+            f"`{NAME}` lists under `recipe`.\n",
+        }
     if made.rescan is not None:
         original = made.rescan["digest"]
-        return notes | {
+        notes |= {
             "follows": "the worlds and poses of another dataset were scanned again by the sensor "
             f"in `{file}`",
             "rejected": f"The worlds and poses are those of the dataset {original}, scanned again.",
             "stands": f"\n`{ORIGINAL}` stands for that dataset, whose digest is `{original}`.\n",
         }
-    if by_hand:
-        notes["stands"] = (
-            f"\n`SCENES` stands for the MJCF files whose names and digests `{NAME}` lists under "
-            "`recipe`.\n"
-        )
     return notes
 
 
@@ -180,7 +186,10 @@ def _text(name: str, given: Json) -> str:
 
 def card(given: Json) -> str:
     """The card of a dataset of which `facts` are given."""
-    return _text("card.md", given).replace("\n\n\n\n", "\n\n")  # where there are no pictures
+    text = _text("card.md", given).replace("\n\n\n\n", "\n\n")  # where there are no pictures
+    if "by source" in given["fields"]:  # `datasets` refuses a field of several shapes
+        return re.sub("With Hugging Face.*?(?=With scenegen)", "", text, flags=re.DOTALL)
+    return text
 
 
 def _table(*rows: Sequence[str]) -> str:
@@ -228,7 +237,7 @@ def _statistics(splits: Json) -> str:
             else f"{one['mean'] * factor:.2f} ± {one['std'] * factor:.2f}"
             for one in found
         ]
-        rows.append([f"{label}, {unit}", *cells])
+        rows.append([f"{label}, {unit}".removesuffix(", "), *cells])
     return _table(*rows)
 
 
