@@ -227,10 +227,9 @@ def read(folder: Path, name: str = "") -> Json:
     ):
         raise DatasetError(f'{path}: not a scenegen dataset, expected "format": "{FORMAT}"')
     if (there := manifest.get("version")) not in VERSIONS:
-        newer = _pair(there) > _pair(VERSIONS[-1])
         more = (
             "a newer scenegen wrote it; read it with that one"
-            if newer
+            if _pair(there) > _pair(VERSIONS[-1])
             else "copy the dataset again"
         )
         raise DatasetError(

@@ -86,7 +86,7 @@ class Live(ThreadingHTTPServer):
         try:
             super().__init__((str(place), port), _Handler)
         except OSError as error:
-            why = getattr(error, "strerror", None) or error
+            why = error.strerror or error
             raise ScenegenError(
                 f"{host}, port {port}: cannot be served on ({why}); give another --port, or 0"
             ) from None

@@ -11,7 +11,6 @@ from string import Template
 from typing import TYPE_CHECKING, Any
 
 from lidarsim.engines import MUJOCO
-from scenegen import SPLITS
 from scenegen.dataset.layout import DIGEST
 from scenegen.dataset.manifest import NAME, VERSION
 from scenegen.dataset.rules import pattern_of
@@ -73,27 +72,25 @@ def facts(
         pictures: What shows them, in Markdown.
     """
     owner, _, name = request.repository.partition("/")
-    hub = {"ODC-By-1.0": "odc-by", "PDDL-1.0": "pddl", "ODbL-1.0": "odbl"}
     licence, licence_url = LICENCES[request.licence]
-    splits = [split for split in SPLITS if split in told["splits"]]
+    splits = told["splits"]
     shape, voxel_m = made.grid.shape, made.grid.voxel_m
     lidars, mappings, _ = (dict.fromkeys(column) for column in zip(*made.settings, strict=True))
     plain = all(mapping.plain for mapping in mappings)
-    ahead = any(any(mapping.map_ahead_m) for mapping in mappings)
     maps = "" if plain else f", each {' or '.join(map(str, mappings))}"
     kinds = dict.fromkeys(home.kind for home in made.homes)
     worlds = "; ".join(KINDS.get(kind, f"worlds of kind {kind}") for kind in kinds)
     return {
         **_notes(made),
         "name": name,
-        "title": name.replace("_", r"\_"),
         "owner": owner,
         "repository": request.repository,
         "url": f"https://huggingface.co/datasets/{request.repository}",
         "tag": tag,
         "date": date,
         "year": date[:4],
-        "hub_licence": hub.get(request.licence, request.licence.lower()),
+        # the Hub's names for these have no version
+        "hub_licence": re.sub(r"(od.+|pddl)-1\.0", r"\1", request.licence.lower()),
         "licence": licence,
         "licence_url": licence_url,
         "paper": PAPER,
@@ -103,19 +100,19 @@ def facts(
         "seed": made.homes[0].seed,
         "lidar": " or ".join(map(str, lidars)),
         "digest": made.digest,
-        "centred": "" if ahead else " and the sensor sits at the map's centre",
+        "centred": "" if maps else " and the sensor sits at the map's centre",
         "versions": ", ".join(f"{name} {number}" for name, number in made.software.items()),
         "voxel_m": voxel_m,
         "truncation_m": f"{made.grid.truncation_m:g}",
         "command": command(made, name),
         "samples": told["samples"],
-        "split": splits[0],
+        "split": next(iter(splits)),
         "data_files": "\n".join(
             f"  - split: {one}\n    path: {json.dumps(_shards(made, one))}" for one in splits
         ),
         "pictures": pictures,
         "fields": _fields(made),
-        "statistics": _statistics({split: told["splits"][split] for split in splits}),
+        "statistics": _statistics(splits),
         "megabytes": f"{told['bytes'] / 1e6:.1f}",
         "kilobytes": f"{told['bytes_per_sample'] / 1e3:.1f}",
         "checks": "\n".join(f"- {check}: {detail}" for check, detail in checks),
@@ -133,7 +130,6 @@ def _notes(made: Manifest) -> dict[str, str]:
     absent = " and ".join(f"`{name}`" for name in ("free", "tudf") if name not in made.fields)
     stages = dict.fromkeys(home.noise_stages for home in made.homes)
     said = " or ".join(f"`{one}`" if one else "none" for one in stages)
-    noise = f"with simulated noise, {said}" if any(stages) else ""
     rejected = (
         f"{what}: {', '.join(f'{reason} {count}' for reason, count in reasons.items())}"
         for what, reasons in made.rejected.items()
@@ -148,7 +144,9 @@ def _notes(made: Manifest) -> dict[str, str]:
         "derived": f" {absent} follow from these; scenegen derives them on reading."
         if absent
         else "",
-        "faults": noise or "without noise or motion, and with every return within range",
+        "faults": f"with simulated noise, {said}"
+        if any(stages)
+        else "without noise or motion, and with every return within range",
         "caster": "MuJoCo" if made.engine == MUJOCO else f"the engine {made.engine}",
         "drawn": "Random worlds are drawn from",
         "people": "Worlds are synthetic and simple: they are of no real place, and hold neither "
@@ -257,16 +255,16 @@ def croissant(given: Json, made: Manifest, told: Json, sums: Mapping[str, str]) 
             sha256=made.digest,
         )
     ]
-    for name, digest in sums.items():
-        files.append(
-            _node(
-                "FileObject",
-                name,
-                encodingFormat=FORMATS[name.rpartition(".")[2]],
-                contentUrl=f"{url}/resolve/{tag}/{name}",
-                sha256=digest,
-            )
+    files += [
+        _node(
+            "FileObject",
+            name,
+            encodingFormat=FORMATS[name.rpartition(".")[2]],
+            contentUrl=f"{url}/resolve/{tag}/{name}",
+            sha256=digest,
         )
+        for name, digest in sums.items()
+    ]
     sets = []
     for split, counted in told["splits"].items():
         said = f"samples of the {split} split"

@@ -44,7 +44,6 @@ def upload(staged: Staged, *, private: bool, shown: bool) -> str:
     already is left alone, and is in order where it names the same files. `shown`: the client shows
     its progress. Raises PublishError.
     """
-    check_token()
     from huggingface_hub import HfApi
 
     api = HfApi(library_name="scenegen", library_version=__version__)
@@ -93,9 +92,11 @@ def _send(api: Any, staged: Staged, private: bool) -> str:
             else CommitOperationDelete(name)
             for name in names[first : first + IN_COMMIT]
         ]
-        said = f"{staged.tag}: {staged.digest}"
         head = api.create_commit(
-            operations=operations, commit_message=said, parent_commit=head, **where
+            operations=operations,
+            commit_message=f"{staged.tag}: {staged.digest}",
+            parent_commit=head,
+            **where,
         ).oid  # refused where another publisher was faster, whose shards would be in the tag, too
     if wrong := differences(api, staged, head):
         raise PublishError(
