@@ -10,12 +10,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lidarsim import AnalyticEngine, Pose, Scan, Sensor, cast, fuse
-from lidarsim.engines import Caster, EngineFactory
+from lidarsim.engines import ENGINES, Caster, EngineFactory
 from lidarsim.grid import Floats
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.returns import Returns
 from scenegen import SPLITS
-from scenegen.errors import GenerationError, raised_as
+from scenegen.errors import GenerationError, RecipeError, raised_as
 from scenegen.recipe import Recipe
 from scenegen.sample import Sample, earlier_fields
 from scenegen.source import Source
@@ -276,7 +276,7 @@ def scan_world(
     noise: Noise | str | None = None,
     *,
     seed: int | Sequence[int],
-    engine: EngineFactory = AnalyticEngine.of,
+    engine: EngineFactory | str = AnalyticEngine.of,
 ) -> Returns:
     """What a sensor returns of a world.
 
@@ -287,17 +287,20 @@ def scan_world(
         noise: What becomes of the clean ranges, as a chain or as text such as
             "range:0.02,dropout:0.05"; nothing by default.
         seed: What the noise is drawn by.
-        engine: What makes the engine of a world of solids, such as `lidarsim.MujocoEngine.of`.
+        engine: The name of the engine for a world of solids, such as "mujoco", or what makes it,
+            such as `lidarsim.MujocoEngine.of`.
 
     Returns:
         Ranges and intensities; its `points()` are the returns (M, 3), metres, in the world.
 
     Raises:
         GenerationError: A stage of the noise needs what the engine does not know.
-        RecipeError: The text describes no noise.
+        RecipeError: The text describes no noise, or there is no such engine.
     """
+    with raised_as(RecipeError):
+        made = ENGINES.find(engine).of if isinstance(engine, str) else engine
     rng = np.random.default_rng(seed)
-    caster = world.caster(engine)
+    caster = world.caster(made)
     return observed(cast(caster, lidar, pose), named_noise(noise, lidar), world.albedo, caster, rng)
 
 

@@ -305,7 +305,7 @@ def _write_scan(
     from scenegen.worlds.mapping import Known
     from scenegen.worlds.place import Place
 
-    seen = scan_world(world, sensor, at, chain, seed=seed, engine=ENGINES.find(engine).of)
+    seen = scan_world(world, sensor, at, chain, seed=seed, engine=engine)
     points = np.concatenate([seen.points(echo) for echo in range(len(seen.ranges))])
     if frame == "body":
         points = at.to_body(points)

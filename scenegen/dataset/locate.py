@@ -194,8 +194,8 @@ def check_files(folder: Path, files: dict[str, str], name: str) -> None:
         for file, wrong in zip(files, pool.map(differs, files), strict=True):
             if wrong:
                 raise DatasetError(
-                    f"{name}: {file} is not the file that {manifest.NAME} lists; delete {folder} "
-                    "to download it anew, or ask its publisher"
+                    f"{name}: {file} is not the file that {manifest.NAME} lists; delete "
+                    f"{folder.parents[1]} to download it anew, or ask its publisher"
                 )
 
 

@@ -145,8 +145,8 @@ def differences(there: Mapping[str, Any], asked: Mapping[str, Any], prefix: str 
 
 
 def _said(value: Any) -> str:
-    """A parameter as JSON writes it, cut where it is long."""
-    text = json.dumps(value)
+    """A parameter as JSON writes it, cut where it is long; of digests, the first digits."""
+    text = re.sub(r'"(\w{8})\w{56}"', r'"\1…"', json.dumps(value))
     return text if len(text) <= MOST_SHOWN else f"{text[: MOST_SHOWN - 3]}..."
 
 
@@ -194,14 +194,14 @@ def write(folder: Path, manifest: Json) -> None:
             return
 
 
-def read(folder: Path) -> Json:
-    """The manifest of `folder` as it stands there, its values unchecked.
+def read(folder: Path, name: str = "") -> Json:
+    """The manifest of `folder`, which errors call `name`, as it stands there, its values unchecked.
 
     Raises DatasetError where it has none that this version can read.
     """
-    path = folder / NAME
+    path = f"{name or folder}/{NAME}"
     try:
-        manifest = json.loads(read_bounded(path, MOST_MANIFEST_BYTES).decode())
+        manifest = json.loads(read_bounded(folder / NAME, MOST_MANIFEST_BYTES).decode())
         if _depth(manifest) > MOST_DEPTH:
             raise ValueError(f"it nests deeper than {MOST_DEPTH} levels, which no manifest does")
     except FileNotFoundError:
@@ -227,10 +227,9 @@ def read(folder: Path) -> Json:
     ):
         raise DatasetError(f'{path}: not a scenegen dataset, expected "format": "{FORMAT}"')
     if (there := manifest.get("version")) not in VERSIONS:
-        newer = _pair(there) > _pair(VERSIONS[-1])
         more = (
             "a newer scenegen wrote it; read it with that one"
-            if newer
+            if _pair(there) > _pair(VERSIONS[-1])
             else "copy the dataset again"
         )
         raise DatasetError(

@@ -384,7 +384,7 @@ def load(folder: Path, name: str = "") -> Manifest:
     Raises DatasetError for a folder without one, for a value of a wrong type or beyond reason, and
     for shards that are no dataset's files, or not as many samples as the counts say.
     """
-    document = manifest.read(folder)
+    document = manifest.read(folder, name)
     try:
         found = parse(document, folder)
         for split, asked in found.counts.items():

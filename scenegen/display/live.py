@@ -23,7 +23,7 @@ from scenegen import SPLITS
 from scenegen.dataset.read import Dataset, Split
 from scenegen.display.look import Guesses, incomplete, look_into, title_of
 from scenegen.display.page import check_grid, live_page, packed, packed_world
-from scenegen.errors import DatasetError, ScenegenError, printable
+from scenegen.errors import ScenegenError, printable
 
 ASKED = re.compile(r"/(sample|world)/(\d{1,4})/(train|val|test)/(\d{1,10})", re.ASCII)
 LOCAL = "localhost"
@@ -86,7 +86,7 @@ class Live(ThreadingHTTPServer):
         try:
             super().__init__((str(place), port), _Handler)
         except OSError as error:
-            why = getattr(error, "strerror", None) or error
+            why = error.strerror or error
             raise ScenegenError(
                 f"{host}, port {port}: cannot be served on ({why}); give another --port, or 0"
             ) from None
@@ -133,7 +133,7 @@ class Live(ThreadingHTTPServer):
                 if what == "world":
                     return HTTPStatus.OK, _world(samples, index)
                 return HTTPStatus.OK, packed(look_into(samples, index, self.guesses)) | notes
-            except (DatasetError, IndexError, ValueError) as error:
+            except (ScenegenError, OSError, IndexError, ValueError) as error:
                 line = f"the {what} is not shown: {printable(error)}"
                 return HTTPStatus.NOT_FOUND, {"error": line, **notes}
 

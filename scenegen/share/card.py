@@ -4,13 +4,13 @@
 datasets."""
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from string import Template
 from typing import TYPE_CHECKING, Any
 
 from lidarsim.engines import MUJOCO
-from scenegen import SPLITS
 from scenegen.dataset.layout import DIGEST
 from scenegen.dataset.manifest import NAME, VERSION
 from scenegen.dataset.rules import pattern_of
@@ -40,7 +40,7 @@ KINDS = {
     "industrial": "machine halls with pipes, tanks, catwalks and scaffolds",
     "maze": "mazes in three dimensions with windows to fly through",
     "clutter": "clouds of shapes of all sizes",
-    "scene": "worlds from MJCF files",
+    "scene": "worlds given as files",
 }
 FORMATS = {
     "h5": "application/x-hdf5",
@@ -72,9 +72,8 @@ def facts(
         pictures: What shows them, in Markdown.
     """
     owner, _, name = request.repository.partition("/")
-    hub = {"ODC-By-1.0": "odc-by", "PDDL-1.0": "pddl", "ODbL-1.0": "odbl"}
     licence, licence_url = LICENCES[request.licence]
-    splits = [split for split in SPLITS if split in told["splits"]]
+    splits = told["splits"]
     shape, voxel_m = made.grid.shape, made.grid.voxel_m
     lidars, mappings, _ = (dict.fromkeys(column) for column in zip(*made.settings, strict=True))
     plain = all(mapping.plain for mapping in mappings)
@@ -90,7 +89,8 @@ def facts(
         "tag": tag,
         "date": date,
         "year": date[:4],
-        "hub_licence": hub.get(request.licence, request.licence.lower()),
+        # the Hub's names for these have no version
+        "hub_licence": re.sub(r"(od.+|pddl)-1\.0", r"\1", request.licence.lower()),
         "licence": licence,
         "licence_url": licence_url,
         "paper": PAPER,
@@ -100,20 +100,21 @@ def facts(
         "seed": made.homes[0].seed,
         "lidar": " or ".join(map(str, lidars)),
         "digest": made.digest,
+        "centred": "" if maps else " and the sensor sits at the map's centre",
         "versions": ", ".join(f"{name} {number}" for name, number in made.software.items()),
         "voxel_m": voxel_m,
         "truncation_m": f"{made.grid.truncation_m:g}",
         "command": command(made, name),
         "samples": told["samples"],
-        "split": splits[0],
+        "split": next(iter(splits)),
         "data_files": "\n".join(
             f"  - split: {one}\n    path: {json.dumps(_shards(made, one))}" for one in splits
         ),
         "pictures": pictures,
         "fields": _fields(made),
-        "statistics": _statistics({split: told["splits"][split] for split in splits}),
-        "megabytes": f"{told['bytes'] / 1e6:.0f}",
-        "kilobytes": f"{told['bytes_per_sample'] / 1e3:.0f}",
+        "statistics": _statistics(splits),
+        "megabytes": f"{told['bytes'] / 1e6:.1f}",
+        "kilobytes": f"{told['bytes_per_sample'] / 1e3:.1f}",
         "checks": "\n".join(f"- {check}: {detail}" for check, detail in checks),
     }
 
@@ -125,11 +126,10 @@ def _shards(made: Manifest, split: str) -> list[str]:
 
 def _notes(made: Manifest) -> dict[str, str]:
     """Sentences that differ between datasets of several sorts."""
-    by_hand, file = made.kind == "scene", source_file(made)[0]
+    file, _ = source_file(made)
     absent = " and ".join(f"`{name}`" for name in ("free", "tudf") if name not in made.fields)
     stages = dict.fromkeys(home.noise_stages for home in made.homes)
     said = " or ".join(f"`{one}`" if one else "none" for one in stages)
-    noise = f"with simulated noise, {said}" if any(stages) else ""
     rejected = (
         f"{what}: {', '.join(f'{reason} {count}' for reason, count in reasons.items())}"
         for what, reasons in made.rejected.items()
@@ -144,32 +144,36 @@ def _notes(made: Manifest) -> dict[str, str]:
         "derived": f" {absent} follow from these; scenegen derives them on reading."
         if absent
         else "",
-        "faults": noise or "without noise or motion, and with every return within range",
+        "faults": f"with simulated noise, {said}"
+        if any(stages)
+        else "without noise or motion, and with every return within range",
         "caster": "MuJoCo" if made.engine == MUJOCO else f"the engine {made.engine}",
-        "drawn": "Worlds were given as MJCF files; from"
-        if by_hand
-        else "Random worlds are drawn from",
-        "biases": "Worlds are few, and those that their author thought of."
-        if by_hand
-        else f"Worlds follow the distributions of {NAME if made.rescan else RECIPE} and no real "
-        "place; the frequencies of shapes, gaps and densities are those of the recipe.",
+        "drawn": "Random worlds are drawn from",
+        "people": "Worlds are synthetic and simple: they are of no real place, and hold neither "
+        "people nor personal data.",
+        "biases": f"Worlds follow the distributions of {NAME if made.rescan else RECIPE} and no "
+        "real place; the frequencies of shapes, gaps and densities are those of the recipe.",
         "follows": f"every sample follows from the seed and `{file}`",
         "rejected": f"Rejected while drawing: {'; '.join(rejected) or 'none'}.",
         "stands": "",
     }
+    if made.kind == "scene":
+        notes |= {
+            "drawn": "Worlds were given as files; from",
+            "people": "Worlds were given as files; whether these show real places or people, only "
+            "their publisher can say.",
+            "biases": "Worlds are few, and those that their author thought of.",
+            "stands": "\n`SCENES` stands for the worlds' files, whose names and digests "
+            f"`{NAME}` lists under `recipe`.\n",
+        }
     if made.rescan is not None:
         original = made.rescan["digest"]
-        return notes | {
+        notes |= {
             "follows": "the worlds and poses of another dataset were scanned again by the sensor "
             f"in `{file}`",
             "rejected": f"The worlds and poses are those of the dataset {original}, scanned again.",
             "stands": f"\n`{ORIGINAL}` stands for that dataset, whose digest is `{original}`.\n",
         }
-    if by_hand:
-        notes["stands"] = (
-            f"\n`SCENES` stands for the MJCF files whose names and digests `{NAME}` lists under "
-            "`recipe`.\n"
-        )
     return notes
 
 
@@ -180,7 +184,10 @@ def _text(name: str, given: Json) -> str:
 
 def card(given: Json) -> str:
     """The card of a dataset of which `facts` are given."""
-    return _text("card.md", given).replace("\n\n\n\n", "\n\n")  # where there are no pictures
+    text = _text("card.md", given).replace("\n\n\n\n", "\n\n")  # where there are no pictures
+    if "by source" in given["fields"]:  # `datasets` refuses a field of several shapes
+        return re.sub("With Hugging Face.*?(?=With scenegen)", "", text, flags=re.DOTALL)
+    return text
 
 
 def _table(*rows: Sequence[str]) -> str:
@@ -228,7 +235,7 @@ def _statistics(splits: Json) -> str:
             else f"{one['mean'] * factor:.2f} ± {one['std'] * factor:.2f}"
             for one in found
         ]
-        rows.append([f"{label}, {unit}", *cells])
+        rows.append([f"{label}, {unit}".removesuffix(", "), *cells])
     return _table(*rows)
 
 
@@ -248,16 +255,16 @@ def croissant(given: Json, made: Manifest, told: Json, sums: Mapping[str, str]) 
             sha256=made.digest,
         )
     ]
-    for name, digest in sums.items():
-        files.append(
-            _node(
-                "FileObject",
-                name,
-                encodingFormat=FORMATS[name.rpartition(".")[2]],
-                contentUrl=f"{url}/resolve/{tag}/{name}",
-                sha256=digest,
-            )
+    files += [
+        _node(
+            "FileObject",
+            name,
+            encodingFormat=FORMATS[name.rpartition(".")[2]],
+            contentUrl=f"{url}/resolve/{tag}/{name}",
+            sha256=digest,
         )
+        for name, digest in sums.items()
+    ]
     sets = []
     for split, counted in told["splits"].items():
         said = f"samples of the {split} split"

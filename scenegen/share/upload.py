@@ -12,7 +12,8 @@ from scenegen.share.stage import Request, Staged, examine, read_sums, stage
 
 OURS = re.compile(
     r"((train|val|test)-\d+x+/)?(train|val|test)-\d{5,9}(\.h5|\.worlds\.zip)"
-    r"|pictures/(train|val|test)-\d+\.png|look\.html|(recipe|sensor)\.toml|rays(-\w{16})?\.npy",
+    r"|pictures/(train|val|test)-\d+\.png|look\.html|(recipe|sensor)\.toml|rays(-\w{16})?\.npy"
+    r"|figures-\w{16}\.npy",
     re.ASCII,
 )
 """Files that another dataset of ours may have left in the repository; others there are let be."""
@@ -43,7 +44,6 @@ def upload(staged: Staged, *, private: bool, shown: bool) -> str:
     already is left alone, and is in order where it names the same files. `shown`: the client shows
     its progress. Raises PublishError.
     """
-    check_token()
     from huggingface_hub import HfApi
 
     api = HfApi(library_name="scenegen", library_version=__version__)
@@ -92,8 +92,12 @@ def _send(api: Any, staged: Staged, private: bool) -> str:
             else CommitOperationDelete(name)
             for name in names[first : first + IN_COMMIT]
         ]
-        said = f"{staged.tag}: {staged.digest}"
-        head = api.create_commit(operations=operations, commit_message=said, **where).oid
+        head = api.create_commit(
+            operations=operations,
+            commit_message=f"{staged.tag}: {staged.digest}",
+            parent_commit=head,
+            **where,
+        ).oid  # refused where another publisher was faster, whose shards would be in the tag, too
     if wrong := differences(api, staged, head):
         raise PublishError(
             f"{target}: not everything arrived ({wrong[0]}); give the same command again to go on"

@@ -15,11 +15,12 @@ import numpy as np
 from lidarsim.engines import DEFAULT
 from scenegen.dataset.generation import MIXED, fraction, is_mixed, read_components, seeds
 from scenegen.dataset.parts import schema_of
-from scenegen.errors import whole_number
+from scenegen.errors import DatasetError, whole_number
 from scenegen.files import sha256_of
 from scenegen.limits import MOST_SAMPLES, MOST_SEED, MOST_WORKERS
 from scenegen.sample import Sample, Samples, Schema
 from scenegen.source import DrawnWorlds
+from scenegen.stores import is_remote
 from scenegen.streams.ahead import Ahead, Cache, Unit, pack, record_type, unpack
 from scenegen.streams.batches import Batches, Place
 from scenegen.streams.mixture import Mixture, component_of, parts_of
@@ -79,6 +80,8 @@ class Stream(Samples):
         self.mapping = first.mapping
         self._schemas = [schema_of(part.recipe) for part in mixture.components]
         self._records = [record_type(schema) for schema in self._schemas]
+        if is_remote(cache):
+            raise DatasetError(f"stream: cache = {cache}: expected a folder on this machine")
         caches = [
             Cache(Path(str(cache)), part.fingerprint(software=True), part.split)
             for part in (mixture.components if cache is not None else ())

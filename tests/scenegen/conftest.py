@@ -4,7 +4,7 @@ import shutil
 import sys
 import time
 import types
-from dataclasses import dataclass
+from collections import namedtuple
 from pathlib import Path
 
 import numpy as np
@@ -50,12 +50,7 @@ def wait_for(condition, seconds=60):
         time.sleep(0.05)
 
 
-@dataclass
-class Check:
-    name: str
-    ok: bool
-    detail: str
-    skipped: bool = False
+Check = namedtuple("Check", "name ok detail skipped", defaults=[False])
 
 
 @pytest.fixture
@@ -85,11 +80,9 @@ def verified(monkeypatch):
     checks = [Check("files", True, "14 files hold")]
 
     def verify(folder, **options):
-        return types.SimpleNamespace(ok=all(check.ok for check in checks), checks=tuple(checks))
+        return types.SimpleNamespace(ok=all(check.ok for check in checks), checks=checks)
 
-    stand_in = types.ModuleType("scenegen.verification")
-    stand_in.verify = verify  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "scenegen.verification", stand_in)
+    monkeypatch.setattr("scenegen.verification.verify", verify)
     return checks
 
 

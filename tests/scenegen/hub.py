@@ -59,6 +59,12 @@ class Hub:
         self.url = f"http://127.0.0.1:{self._server.server_port}"
         threading.Thread(target=self._server.serve_forever, args=(0.01,), daemon=True).start()
 
+    @property
+    def tags(self):
+        """Of the one repository."""
+        (one,) = self.repositories.values()
+        return one.tags
+
     def close(self):
         self._server.shutdown()
         self._server.server_close()
@@ -204,17 +210,18 @@ def put(page, hub, body, oid):
 
 
 def commit(page, hub, body, name, revision):
-    files = dict(_known(page, hub, name, revision) or {})
+    files = dict(_known(page, hub, name, revision))
     for line in body.splitlines():
-        entry = json.loads(line)
-        value = entry["value"]
-        if entry["key"] == "file":
+        key, value = json.loads(line).values()
+        if key == "header" and value["parentCommit"] != hub.repositories[name].head:
+            return page._refuse(412, "a commit has happened since")
+        if key == "file":
             files[value["path"]] = base64.b64decode(value["content"])
-        elif entry["key"] == "lfsFile":
+        elif key == "lfsFile":
             files[value["path"]] = hub.blobs[value["oid"]]
-        elif entry["key"] == "deletedFile":
+        elif key == "deletedFile":
             del files[value["path"]]
-    files.pop(hub.lose or "", None)
+    files.pop(hub.lose, None)
     sha = hub.repositories[name].commit(files)
     page._answer(
         {"success": True, "commitOid": sha, "commitUrl": f"{hub.url}/datasets/{name}/commit/{sha}"}

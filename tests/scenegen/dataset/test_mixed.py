@@ -168,6 +168,7 @@ def test_one_dataset_holds_several_sensors_noises_and_scan_counts(tmp_path, caps
     assert ("velodyne-vlp-16" in said, "dropout" in said) == (True, True)
     request = Request(dataset=found.folder, repository="ada/mixed", out=tmp_path / "p")
     stage(request, checks=(("splits", "apart"),))
+    assert "load_dataset" not in (request.out / "README.md").read_text()
     few, rest = (
         built(plan_take(found, tmp_path / kinds[0], Choice(kinds=kinds)))
         for kinds in (("maze-hard",), ("pillar", "clutter"))

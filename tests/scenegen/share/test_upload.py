@@ -7,7 +7,7 @@ import pytest
 
 from scenegen import load
 from scenegen.errors import PublishError
-from scenegen.share.upload import publish
+from scenegen.share.upload import publish, read_sums
 from tests.conftest import contents, dataset_in
 from tests.scenegen.conftest import Check
 from tests.scenegen.hub import TOKEN, Repository
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.usefixtures("verified")
 
 def arrived(hub, asked, revision="main"):
     """Whether what lies in the repository is what was staged."""
-    there = dict(hub.repositories[asked.repository].files(revision) or {})
+    there = dict(hub.repositories[asked.repository].files(revision))
     there.pop(".gitattributes")
     return there == contents(asked.out)
 
@@ -25,9 +25,9 @@ def arrived(hub, asked, revision="main"):
 def test_what_arrives_is_the_folder_the_tag_comes_last_and_nothing_goes_twice(asked, hub):
     staged, commit = publish(asked)
     assert arrived(hub, asked, staged.tag)
-    assert hub.repositories[asked.repository].tags == {staged.tag: commit}
-    tagged = next(n for n, line in enumerate(hub.log) if "/tag/" in line)
-    assert not [line for line in hub.log[tagged + 1 :] if line.startswith(("POST", "PUT"))]
+    assert hub.tags == {staged.tag: commit}
+    *_, last = (line for line in hub.log if line.startswith(("POST", "PUT")))
+    assert "/tag/" in last
     assert hub.tokens == {TOKEN}
     hub.log.clear()
     assert publish(asked)[1] == commit
@@ -46,39 +46,46 @@ def test_an_interrupted_upload_of_folders_goes_on_where_it_was(asked, hub, monke
     hub.refuse_after = 15
     with pytest.raises(PublishError, match="the same command goes on"):
         publish(asked)
-    assert hub.repositories[asked.repository].tags == {}
+    assert hub.tags == {}
     hub.refuse_after = None
-    done = publish(asked)
+    staged, commit = publish(asked)
     assert len(hub.puts) == len(set(hub.puts))  # nothing went twice
-    assert hub.repositories[asked.repository].tags == {done[0].tag: done[1]}
+    assert hub.tags == {staged.tag: commit}
     assert arrived(hub, asked)
     assert load(f"hf://{asked.repository}")[31].world == 10
     assert sum("/commit/" in line for line in hub.log) == 4
 
 
-def test_no_tag_where_a_file_is_lost_on_the_way(asked, hub):
+def test_no_tag_where_a_file_is_lost_or_others_publish_meanwhile(asked, hub, monkeypatch):
+    def read(folder):
+        hub.repositories[asked.repository].commit({"train-00099.h5": b"theirs"})
+        return read_sums(folder)
+
     hub.lose = "train-00001.h5"
     with pytest.raises(PublishError, match=r"not everything arrived \(train-00001.h5\)"):
         publish(asked)
-    assert hub.repositories[asked.repository].tags == {}
+    monkeypatch.setattr("scenegen.share.upload.read_sums", read)
+    with pytest.raises(PublishError, match="412"):
+        publish(asked)
+    assert hub.tags == {}
 
 
 def test_a_tag_of_other_content_is_let_be(asked, hub):
     publish(dataclasses.replace(asked, tag="v1"))
-    tags = dict(hub.repositories[asked.repository].tags)
+    tags = dict(hub.tags)
     with pytest.raises(PublishError, match="tag v1 is there with other content"):
         publish(dataclasses.replace(asked, tag="v1", licence="CC0-1.0"))
-    assert hub.repositories[asked.repository].tags == tags
+    assert hub.tags == tags
 
 
 def test_shards_of_a_former_dataset_go_and_other_peoples_files_stay(asked, hub):
     hub.repositories[asked.repository] = former = Repository()
-    mine, old = {"notes.md", "pictures/mine.png"}, {"train-00099.h5", "sensor.toml", "rays.npy"}
+    mine = {"notes.md", "pictures/mine.png"}
+    old = {"train-00099.h5", "sensor.toml", "rays.npy", "figures-0123456789abcdef.npy"}
     former.commit(dict.fromkeys(mine | old, b"mine"))
     publish(asked)
-    there = former.files("main") or {}
-    assert not old & there.keys()
-    assert {name for name, content in there.items() if content == b"mine"} == mine
+    there = former.files("main").items()
+    assert {name for name, content in there if content == b"mine"} == mine
 
 
 def test_private_stays_private(asked, hub):

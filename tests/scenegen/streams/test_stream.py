@@ -188,6 +188,7 @@ WRONG = """
 {"pillar": 1e-9, "geometric": 1} → {}                  → come round after 1000000001 flights
 "pillar"                         → {"engine": "cuda3"} → cuda3
 "pillar"                         → {"cache": "/dev/null"} → expected a folder for the cache
+"pillar"                         → {"cache": "s3://a/b"} → s3://a/b: expected a folder on this
 "absent.xml"                     → {}                  → no such file
 """
 WRONG = [(json.loads(asked), json.loads(options), said) for asked, options, said in rows(WRONG)]
