@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
-from scenegen.cli.show import Showing, silent
+from scenegen.cli.show import Showing, counted, silent
 from scenegen.dataset.read import Dataset, Split
 from scenegen.display.look import evenly
 from scenegen.errors import DatasetError, raised_as
@@ -236,19 +236,17 @@ def calibrate(
     def look(what: str, at: Look) -> list[Any]:
         """What `at` makes of every map, summed by world."""
         found: dict[tuple[int, int], Any] = {}
-        with progress(what) as shown:
-            begin = partial(shown.start, sum(len(chosen) for *_, chosen in tasks))
-            for several in execute(partial(_work, split, method, at), tasks, begin):
-                for world, one in several:
-                    found[world] = tuple(map(add, found[world], one)) if world in found else one
-                shown.count(len(several))
+        total, work = sum(len(chosen) for *_, chosen in tasks), partial(_work, split, method, at)
+        for several in counted(execute, progress, work, tasks, what, total):
+            for world, one in several:
+                found[world] = tuple(map(add, found[world], one)) if world in found else one
         return [found[key] for key in sorted(found)]
 
-    counted, logits, shares = zip(*look("voxels", partial(_count, weight)), strict=True)
+    scores, logits, shares = zip(*look("voxels", partial(_count, weight)), strict=True)
     chances = CHANCES if "occupancy" in network.tasks else ()
-    risks, margins = fit_margins(np.stack(counted), near_bins(grid, chances))
+    risks, margins = fit_margins(np.stack(scores), near_bins(grid, chances))
     found = Calibration(
-        worlds=len(counted),
+        worlds=len(scores),
         class_weight=weight,
         temperature=fit_temperature(sum(logits)) if chances else None,
         step_m=STEP_M,

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from scenegen.cli.show import Showing
+from scenegen.cli import show
 from scenegen.errors import DatasetError, ScenegenError, raised_as
 from scenegen.files import check_ours, write_result, write_whole
 from scenegen.fly.course import Course, Flights, Recording, replay
@@ -33,7 +33,7 @@ from scenegen.model.completion.unlearned import Conservative, Extrude, Returns
 from scenegen.model.robots import FORGETFUL, NAMES, REACTIVE
 from scenegen.model.robots.mapping import MappingRobot, TruthRobot
 from scenegen.model.robots.steering import ReactiveRobot
-from scenegen.run import Executor, undone_if_stopped
+from scenegen.run import undone_if_stopped
 from scenegen.truth.difficulty import Difficulty
 
 RATIOS = ("score", "spl", "ratio", "speed_mps", "mean_clearance_m", "jerk_mps3", "step_s")
@@ -90,24 +90,10 @@ def fly_course(
     return replace(course, document=real.sha256), flown
 
 
+counted = partial(show.counted, size=lambda one: len(one[1]))
+"""Courses and what is made of each flight, as they come; see `scenegen.cli.show.counted`."""
 Crew = Callable[..., Iterator[Any]]
-"""`counted`, with an executor and what makes bars."""
-
-
-def counted(
-    execute: Executor,
-    progress: Showing,
-    work: Callable[[Any], Any],
-    tasks: Sequence[Any],
-    label: str,
-    total: int,
-) -> Iterator[Any]:
-    """Courses and what `work` makes of each flight, as they come; `progress` shows how many of the
-    `total` there are."""
-    with progress(label) as shown:
-        for course, some in execute(work, tasks, lambda: shown.start(total)):
-            shown.count(len(some))
-            yield course, some
+"""The same, with an executor and what makes bars."""
 
 
 def graded(

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import torch
 
-from scenegen.cli.show import Showing
+from scenegen.cli.show import Showing, counted
 from scenegen.dataset.build import build
 from scenegen.dataset.generation import plan_generation
 from scenegen.dataset.locate import file_sha256
@@ -59,10 +59,8 @@ def reproduce(
     folders = [_dataset(out / "data" / kind, config, execute, progress) for kind in KINDS]
     where, maps = choose_device(device), config.scaled(config.maps)
     work = partial(_train, out / "runs", folders, maps, str(where))
-    with progress("networks") as shown:
-        start = partial(shown.start, maps * len(runs))
-        for _ in (ALONE if where.type == "cuda" else execute)(work, runs, start):
-            shown.count(maps)
+    trained = ALONE if where.type == "cuda" else execute
+    list(counted(trained, progress, work, runs, "networks", maps * len(runs), lambda _: maps))
     networks = [str(out / "runs" / run.name) for run in runs]
     methods = rows_of(("returns", "extrude", "truth", "seen"), networks)
     measured = bench_all(
