@@ -2,7 +2,7 @@
 page to look at them with."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -17,16 +17,18 @@ from lidarsim import GridSpec
 from lidarsim.grid import Floats, Mask
 from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.pose import rotate
-from scenegen.clouds import read_npz, read_points
+from scenegen.cli.show import Progress, note, say
+from scenegen.clouds import read_npz, read_points, scans_in
 from scenegen.dataset.hdf5 import read_guarded
 from scenegen.dataset.shard import compress
 from scenegen.display.exchange.files import encode_points
-from scenegen.display.look import Guess, Look
-from scenegen.errors import DatasetError, raised_as
-from scenegen.files import check_ours, read_bounded, write_whole
+from scenegen.display.look import Guess, Look, evenly
+from scenegen.display.page import page
+from scenegen.errors import DatasetError, printable, raised_as
+from scenegen.files import check_ours, make_way, read_bounded, write_result, write_whole
 from scenegen.limits import MOST_SCAN_BYTES, MOST_VOXELS
 from scenegen.logs import LogScan
-from scenegen.logs.read import Log
+from scenegen.logs.read import Log, is_log, read_log
 from scenegen.model.calibration import RISK, UNUSUAL
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.predictions import PACKED, new_hdf5
@@ -144,6 +146,7 @@ def predict_scan(
     if out.suffix not in (".h5", ".ply"):
         raise DatasetError(f"{out}: expected a name that ends in .h5 or .ply")
     check_ours(out)
+    make_way(out)
     with raised_as(DatasetError, f"{given.name}: ", " (--sensor)"):
         seen = completer.scan_of(given.points, given.position)
     maps = channels(completer.inputs, seen, seen.grid)
@@ -260,11 +263,59 @@ def summary(done: Sequence[Completed]) -> list[str]:
     return lines
 
 
-def page_of(completions: Sequence[Path], title: str) -> str:
-    """The page of some completions, which `predict_scan` wrote."""
-    from scenegen.display.page import page
+def tasks_of(
+    found: Path, sensor: ArrayLike, every: int, poses: Path | None, topic: str | None
+) -> tuple[int, Iterable[Task]]:
+    """How many scans of a log or a folder are to be completed, and these. Raises DatasetError for a
+    folder without scans."""
+    if poses is not None or is_log(found):
+        log = read_log(found, poses=poses, topic=topic)
+        return len(range(0, len(log.poses), every)), scans_of_log(log, every)
+    kept = found / "observations"  # what `ingest` keeps beside its maps
+    scans = scans_in(kept if kept.is_dir() else found)[::every]
+    if not scans:
+        raise DatasetError(
+            f"{found}: holds neither a dataset (no dataset.json) nor scans; expected .ply, .pcd, "
+            ".bin, .npz, .xyz or .npy files"
+        )
+    names = [str(scan.relative_to(found).with_suffix("")) for scan in scans]
+    return len(scans), zip(names, (partial(read_scan, scan, sensor) for scan in scans), strict=True)
 
-    looks = [read_completion(path) for path in completions]
-    known = any("occupancy" in look.masks for look in looks)
-    note = "Where the log knows nothing, predictions are not shown."
-    return page(looks, title=title, notes=[note] if known else [])
+
+def complete_all(
+    completer: Completer, tasks: tuple[int, Iterable[Task]], out: Path, most: int, quiet: bool
+) -> None:
+    """Complete scans into files of their names in the folder `out`, and write a page of at most so
+    many.
+
+    Those that are there already are passed over. Raises DatasetError at the end where some could
+    not be completed.
+    """
+    count, scans = tasks
+    done, there, broken = [], [], 0
+    with Progress("complete", shown=not quiet) as progress:
+        progress.start(count)
+        for name, read in scans:
+            target = out / f"{name}.h5"
+            if not target.exists():
+                try:
+                    done.append(predict_scan(completer, read(), target))
+                except DatasetError as error:
+                    broken += 1
+                    note(printable(error))
+            if target.exists():
+                there.append(target)
+            progress.count(1)
+    if there:
+        looks = [read_completion(there[n]) for n in evenly(len(there), most)]
+        known = any("occupancy" in look.masks for look in looks)
+        notes = ["Where the log knows nothing, predictions are not shown."] * known
+        write_result(out / "index.html", page(looks, title=str(out), notes=notes).encode())
+    if broken:
+        raise DatasetError(
+            f"{out}: {broken} of {count} scans could not be completed; the others are there"
+        )
+    if not quiet:
+        for line in summary(done):
+            note(f"note: {line}")
+        say(f"{out}: {len(there)} completions; look at {out / 'index.html'}")

@@ -34,7 +34,6 @@ from scenegen.model.robots import FORGETFUL, NAMES, REACTIVE
 from scenegen.model.robots.mapping import MappingRobot, TruthRobot
 from scenegen.model.robots.steering import ReactiveRobot
 from scenegen.run import undone_if_stopped
-from scenegen.truth.difficulty import Difficulty
 
 RATIOS = ("score", "spl", "ratio", "speed_mps", "mean_clearance_m", "jerk_mps3", "step_s")
 """Figures of which the mean over flights is told."""
@@ -96,15 +95,19 @@ Crew = Callable[..., Iterator[Any]]
 """The same, with an executor and what makes bars."""
 
 
-def graded(
-    courses: Sequence[Course], hidden: int | None, crew: Crew
-) -> dict[Course, list[Difficulty]]:
-    """How hard the missions of courses are."""
+def rows_of(found: Flights, hidden: int | None, crew: Crew) -> list[dict[str, Any]]:
+    """What is told of each flight, and how hard its mission is."""
+    courses = [course for course, _ in found]
     total = sum(course.flights for course in courses)
-    return dict(crew(partial(_graded, hidden=hidden), courses, "grade", total))
+    grades = dict(crew(partial(_graded, hidden=hidden), courses, "grade", total))
+    return [
+        one.row() | {"seed": course.seed, "difficulty": difficulty._asdict()}
+        for course, flown in found
+        for one, difficulty in zip(flown, grades[course], strict=True)
+    ]
 
 
-def _graded(course: Course, *, hidden: int | None) -> tuple[Course, list[Difficulty]]:
+def _graded(course: Course, *, hidden: int | None) -> tuple[Course, Sequence[Any]]:
     return course, real_course(course, hidden).graded()
 
 
@@ -250,24 +253,30 @@ def read_recording(
     return replace(recording, courses=found), {"courses": str(part)}
 
 
-def flown_again(recording: Recording, hidden: int | None, crew: Crew) -> Flights:
-    """The flights of a recording, flown again. Raises DatasetError where one is not as it was."""
+def flown_again(
+    path: Path, hidden: int | None, maps: Path | None, anew: Work | None, crew: Crew
+) -> tuple[str, Flights, dict[str, str]]:
+    """Of a recording: who flew, the flights flown again, and what is told of them. A robot that
+    flies a course `anew` flies every sixteenth, too, and what it flies to the bit as it was
+    recorded is told.
+
+    Raises DatasetError where a flight is not as it was, and as `read_recording`.
+    """
+    recording, told = read_recording(path, hidden, maps)
     count = sum(len(flights) for _, flights in recording.courses)
-    work = partial(_replayed, hidden=hidden)
-    found = dict(crew(work, recording.courses, "replay", count))
-    return [(course, found[course]) for course, _ in recording.courses]
-
-
-def flown_anew(recording: Recording, work: Work, crew: Crew) -> str:
-    """How many flights of every sixteenth course a robot flies to the bit as they were recorded."""
-    some = recording.courses[::QUICK]
-    before = {named(course): flights for course, flights in some}
-    count, same = sum(map(len, before.values())), 0
-    courses = [course for course, _ in some]
-    for course, flown in crew(work, courses, "fly anew", count):
-        pairs = zip(flown, before[named(course)], strict=True)
-        same += sum(one.digest == other.digest for one, other in pairs)
-    return f"{same} of {count} flights"
+    with raised_as(DatasetError, f"{path}: ", of=DatasetError):
+        again = dict(crew(partial(_replayed, hidden=hidden), recording.courses, "replay", count))
+    found = [(course, again[course]) for course, _ in recording.courses]
+    told["as recorded, to the bit"] = f"{count} flights"
+    if anew is not None:
+        before = {named(course): flights for course, flights in recording.courses[::QUICK]}
+        courses, count = [course for course, _ in found[::QUICK]], sum(map(len, before.values()))
+        same = 0
+        for course, flown in crew(anew, courses, "fly anew", count):
+            pairs = zip(flown, before[named(course)], strict=True)
+            same += sum(one.digest == other.digest for one, other in pairs)
+        told["anew, equal to the bit"] = f"{same} of {count} flights"
+    return recording.robot, found, told
 
 
 def _replayed(
