@@ -210,6 +210,5 @@ def bins(
     found = np.minimum(
         (distance * np.float32(1 / step_m) + np.float32(1e-4)).astype(np.int64), count - 1
     )
-    if not chances or chance is None:
-        return found * (len(chances) + 1)
-    return found * (len(chances) + 1) + np.searchsorted(np.asarray(chances, np.float32), chance)
+    likely: Any = 0 if chance is None else np.searchsorted(np.asarray(chances, np.float32), chance)
+    return found * (len(chances) + 1) + likely

@@ -82,11 +82,11 @@ terms."""
 INPUTS = Registry(
     "input",
     {
-        name: f"scenegen.model.inputs:{name.upper()}"
+        name: f"scenegen.model.inputs:{name}"
         for name in ("observed", "free", "occluded", "distance", "ahead")
     },
 )
-"""Channels that a network may take: functions of (sample or scan, grid, sensor), or an `Input`."""
+"""Channels that a network may take: functions of (sample or scan, grid, sensor)."""
 
 
 METHODS = Registry(

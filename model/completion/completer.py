@@ -8,6 +8,7 @@ prediction.occupancy_probability, prediction.tudf  # the same shape, float32; me
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -31,7 +32,7 @@ from scenegen.model.calibration import Calibration
 from scenegen.model.checkpoint import CheckpointError, load_network
 from scenegen.model.completion.protocol import Prediction, check_prediction
 from scenegen.model.config import BUNDLED, DEFAULT_NETWORK, bundled, split_own, unknown_network
-from scenegen.model.inputs import PointScan, channels, input_called
+from scenegen.model.inputs import BINARY, PointScan, channels
 from scenegen.model.network import Batch, Output, placed
 from scenegen.model.onnx import load_onnx
 from scenegen.sample import Sample
@@ -45,40 +46,34 @@ NAMES_IN_FOLDER = ("best.safetensors", "model.safetensors")
 """What a run's folder, or a repository, calls its network."""
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class Completer:
     """A network with the grid it was trained on: `from_pretrained` opens one, and a call completes
     maps. It is a `MapCompleter`, too, and a row of the bench; one that `from_pretrained` opened
     travels to other processes, each of which opens it once, and by itself."""
 
+    forward: Callable[[Batch], Output]
+    """The network itself."""
+    grid: GridSpec
+    name: str
+    """How the network is called in tables, in one line."""
+    inputs: tuple[str, ...]
+    """What it has to be shown of a map: names of `scenegen.model.inputs`."""
+    about: Json
+    """What is known of its training: settings, versions, validation figures."""
+    batch: int
+    """How many maps are completed at once, at most."""
+    threads: int
+    """Of the processor, on which it computes; 0 for all."""
+    opened: tuple[str, str, int]
+    """Name, device and batch, by which `opened_once` has it in other processes."""
     learned = True
 
-    def __init__(
-        self,
-        forward: Callable[[Batch], Output],
-        grid: GridSpec,
-        *,
-        name: str,
-        inputs: Sequence[str] = ("observed",),
-        about: Json | None = None,
-        batch: int = 8,
-        threads: int = 0,
-    ):
-        self.grid, self._threads = grid, threads
-        self.name = name
-        """How the network is called in tables, in one line."""
-        self.inputs = tuple(inputs)
-        """What it has to be shown of a map: names of `scenegen.model.inputs`."""
-        self.about = dict(about or {})
-        """What is known of its training: settings, versions, validation figures."""
-        with raised_as(CheckpointError, f"{name}: "):
-            self.calibration = Calibration.of(self.about, grid)
+    def __post_init__(self) -> None:
+        self.batch = whole_number("batch =", self.batch, 1, MOST_BATCH)
+        with raised_as(CheckpointError, f"{self.name}: "):
+            self.calibration = Calibration.of(self.about, self.grid)
             """What tells how sure a prediction is; None for a network that was not calibrated."""
-        self._forward = forward
-        self.batch = whole_number("batch =", batch, 1, MOST_BATCH)
-        """How many maps are completed at once, at most."""
-        self.opened: tuple[str, str, int] | None = None
-        """Name, device and batch, by which `opened_once` has it in other processes, if it came by
-        its name."""
 
     @classmethod
     def from_pretrained(
@@ -114,11 +109,18 @@ class Completer:
                 return Output(*network({name: values.to(device) for name, values in maps.items()}))
 
         said = printable(called(name, path))
-        made = cls(run, grid, name=said, inputs=inputs, about=about, batch=batch, threads=threads)
         if not (plain.startswith(HUB) or plain in bundled()):
             name = "@".join(filter(None, (",".join(sorted(own)), str(path.absolute()))))
-        made.opened = str(name), str(device), batch
-        return made
+        return cls(
+            forward=run,
+            grid=grid,
+            name=said,
+            inputs=inputs,
+            about=about,
+            batch=batch,
+            threads=threads,
+            opened=(str(name), str(device), batch),
+        )
 
     def __repr__(self) -> str:
         return f"<Completer: {self.name}, {', '.join(self.inputs)} on {self.grid}>"
@@ -141,25 +143,31 @@ class Completer:
         input cannot hold, and where no point is in the map; PredictionError where the network says
         NaN, or what is no probability or distance.
         """
-        with on_threads(self._threads):
-            batch = self._named(maps, sensor)
+        given: Any = maps
+        with on_threads(self.threads):
+            if getattr(given, "ndim", 0) == 2:
+                given = self.scan_of(given, sensor)
+            if isinstance(given, Sample | PointScan):
+                given = channels(self.inputs, given, self.grid)
+            batch = given if isinstance(given, Mapping) else {"observed": given}
             if missing := [name for name in self.inputs if name not in batch]:
                 raise ValueError(
                     f"{self.name} takes {', '.join(self.inputs)}; {', '.join(missing)} is not "
                     f"given: give all of them by name, a sample, or points"
                 )
-            given = {name: self._checked(name, batch[name]) for name in self.inputs}
-            shapes = {tuple(values.shape) for values in given.values()}
+            tensors = {name: self._checked(name, batch[name]) for name in self.inputs}
+            shapes = {tuple(values.shape) for values in tensors.values()}
             if len(shapes) > 1:
                 raise ValueError(
                     f"{', '.join(self.inputs)} have shapes {sorted(shapes)}, expected one"
                 )
             (shape,) = shapes
             split = [
-                values.reshape(-1, *self.grid.shape).split(self.batch) for values in given.values()
+                values.reshape(-1, *self.grid.shape).split(self.batch)
+                for values in tensors.values()
             ]
             parts = [
-                self._complete(dict(zip(given, part, strict=True)))
+                self._complete(dict(zip(tensors, part, strict=True)))
                 for part in zip(*split, strict=True)
             ]
             first = batch[self.inputs[0]]
@@ -176,16 +184,6 @@ class Completer:
             probability, tudf = map(joined, zip(*parts, strict=True))
             found = Prediction(probability, tudf, self.calibration, self.grid)
             return check_prediction(found, shape, self.name)
-
-    def _named(
-        self, maps: Sample | Maps | Mapping[str, Maps], sensor: ArrayLike
-    ) -> Mapping[str, Maps]:
-        """The inputs of what is to be completed, as far as they are known."""
-        if isinstance(maps, Sample):
-            return channels(self.inputs, maps, self.grid)
-        if getattr(maps, "ndim", 0) == 2:
-            return channels(self.inputs, self.scan_of(maps, sensor), self.grid)
-        return maps if isinstance(maps, Mapping) else {"observed": maps}
 
     def __reduce__(self) -> Any:
         return opened_once, self.opened
@@ -256,7 +254,7 @@ class Completer:
             )
         if not given.numel():
             raise ValueError(f"{name} holds no map; give at least one")
-        if input_called(name).binary:
+        if name in BINARY:
             if given.dtype != torch.bool and not ((given == 0) | (given == 1)).all():
                 raise ValueError(
                     f"{name} holds values other than 0 and 1; expected a mask of voxels"
@@ -267,7 +265,7 @@ class Completer:
 
     @torch.inference_mode()
     def _complete(self, maps: Batch) -> tuple[Tensor | None, Tensor | None]:
-        output = self._forward(maps)
+        output = self.forward(maps)
         probability = None if output.logits is None else output.logits.sigmoid()
         tudf = None if output.tudf is None else output.tudf.clamp(max=self.grid.truncation_m)
         return probability, tudf

@@ -2,7 +2,6 @@
 
 import io
 import json
-import secrets
 from collections.abc import Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -77,7 +76,7 @@ def predict_split(
     ]
     if execute is None:
         execute = ALONE
-    elif completer.opened is not None:
+    else:
         completer = opened_once(*completer.opened)
     tasks = [part for part in execute.mine(parts) if part[0] not in there]
     work, total = partial(_write, completer, samples, about, out), sum(len(n) for _, n in tasks)
@@ -88,8 +87,7 @@ def predict_split(
 def _begun(out: Path, completer: Completer, about: Mapping[str, Any]) -> Container[str]:
     """What is in the folder `out`, made where it is not: nothing, or predictions that are `about`
     the same by the same network. Raises DatasetError where it is anything else."""
-    opened = completer.opened
-    weights = file_sha256(locate(opened[0])) if opened else secrets.token_hex()  # goes on with none
+    weights = file_sha256(locate(completer.opened[0]))
     content = json.dumps({**about, "weights": weights, "samples": PART}, indent=1).encode()
     with disk_told(out):
         out.mkdir(parents=True, exist_ok=True)

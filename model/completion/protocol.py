@@ -57,7 +57,7 @@ class Prediction:
         thresholds = thresholds or Thresholds()
         if self.occupancy_probability is not None:
             return self.occupancy_probability > np.float32(thresholds.probability)
-        assert self.tudf is not None
+
         return self.tudf < np.float32(thresholds.distance_m)
 
     def distance(self, thresholds: Thresholds | None, grid: GridSpec) -> Field:

@@ -34,7 +34,7 @@ from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.predictions import PACKED, new_hdf5
 from scenegen.model.completion.protocol import PARTS, SURE, Prediction, check_prediction
 from scenegen.model.config import Thresholds
-from scenegen.model.inputs import channels, input_called
+from scenegen.model.inputs import UNTOLD, channels
 
 TRUTH = ("occupancy", "known")
 """What an observation of `scenegen ingest` has besides its scan: what the whole log tells."""
@@ -158,14 +158,14 @@ def predict_scan(
         either = (occupied | truth["occupancy"]) & truth["known"]
         both = occupied & truth["occupancy"] & truth["known"]
         iou = float(both.sum() / either.sum()) if either.any() else 1.0
-    untold = [input_called(name).untold for name in completer.inputs]
+
     result = Completed(
         completer=completer.name,
         points=len(given.points),
         without=int((~np.isfinite(given.points)).any(axis=1).sum()),
         inside=len(seen.voxels),
         height_m=height_above_returns(seen.points - given.position),
-        untold=tuple(filter(None, untold)),
+        untold=tuple(UNTOLD[name] for name in completer.inputs if name in UNTOLD),
         away=(prediction.away(seen.observed) or 0) >= UNUSUAL,
         iou=iou,
     )

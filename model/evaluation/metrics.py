@@ -8,10 +8,9 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim.grid import Field, Floats, GridSpec, Mask
+from lidarsim.grid import Field, Floats, Mask
 from lidarsim.jit import kernel
-from scenegen.model.completion.protocol import Prediction
-from scenegen.model.config import NEAR_M, Thresholds
+from scenegen.model.config import NEAR_M
 from scenegen.model.evaluation.planning.measure import Measurement
 from scenegen.model.evaluation.statistics import Scale
 
@@ -154,28 +153,6 @@ def measure(
     _accumulate(*(*(grid.reshape(-1) for grid in grids), sums))
     rows = [Sums(*row.tolist()) for row in (sums.sum(axis=0), sums[list(union)].sum(axis=0), *sums)]
     return np.array([[metric.of(row) for metric in METRICS.values()] for row in rows], float)
-
-
-def measure_whole(
-    said: Prediction,
-    true_occupancy: Mask,
-    true_distance: Field,
-    grid: GridSpec,
-    known: Mask | None = None,
-    certain: Mask | None = None,
-) -> Floats:
-    """The metrics of one map over all its voxels, or the `known` ones, and over all distances or
-    the `certain` ones, (len(METRICS),), at the paper's thresholds."""
-    at = Thresholds()
-    return measure(
-        said.occupied(at),
-        said.distance(at, grid),
-        true_occupancy,
-        true_distance,
-        classes=np.zeros(grid.shape, np.uint8) if known is None else (~known).astype(np.uint8),
-        class_count=1,
-        certain=certain,
-    )[0]
 
 
 @kernel
