@@ -23,8 +23,7 @@ from scenegen.model.config import BenchConfig
 from scenegen.model.evaluation.methods import rows_of
 from scenegen.model.evaluation.report import finite
 from scenegen.model.evaluation.run import bench_all
-from scenegen.model.study.claims import asked, judged, means
-from scenegen.model.study.report import to_markdown
+from scenegen.model.study.claims import asked, judged, means, to_markdown
 from scenegen.model.study.runs import KINDS, RUNS, TRIALS, ReproduceConfig, Run
 from scenegen.model.training.card import read_rows
 from scenegen.model.training.device import choose_device
