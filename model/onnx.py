@@ -53,9 +53,16 @@ def load_onnx(
     It runs on `threads` threads, 0 for all cores, by the fastest runtime that is installed, unless
     `runtime` names one: OpenVINO computes in bfloat16 where that is faster, onnxruntime in float32.
     Raises CheckpointError for a file that `export_onnx` did not write, and for inputs of a user's
-    own that are not in `own`; see `examine`.
+    own that are not in `own`.
+
+    Two processes with limits look at the file first, once for each content: one reads it, the
+    other completes an empty map. That costs a second with OpenVINO, half of one with onnxruntime.
+    Raises CheckpointError, too, where what it says is NaN, and where no installed runtime runs it
+    within the limits.
     """
-    content, found = examine(path, runtime)
+    content = read_bounded(path, MOST_WEIGHTS_BYTES)
+    with raised_as(CheckpointError, f"{path}: ", of=CheckpointError):
+        found = _examined(content, runtime)
     check_own(path, own, *found.config.inputs)
     run = _open(content, found, threads)
 
@@ -77,19 +84,6 @@ class Examined:
     about: Json
     outputs: tuple[str, ...]
     """Names of the file's outputs."""
-
-
-def examine(path: Path, runtime: Runtime | None = None) -> tuple[bytes, Examined]:
-    """The content of an ONNX file, and what it holds, once it has completed an empty map elsewhere.
-
-    Two processes with limits look at the file first, once for each content: one reads it, the
-    other runs it. That costs a second with OpenVINO, half of one with onnxruntime. Raises
-    CheckpointError for a file that `export_onnx` did not write, that says NaN, or that no installed
-    runtime runs within the limits.
-    """
-    content = read_bounded(path, MOST_WEIGHTS_BYTES)
-    with raised_as(CheckpointError, f"{path}: ", of=CheckpointError):
-        return content, _examined(content, runtime)
 
 
 @cache  # processes that are forked from here have no need, and no leave, to start others

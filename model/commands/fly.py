@@ -35,7 +35,7 @@ from scenegen.model.robots import FORGETFUL, MAPPING, NAMES, REACTIVE
 from scenegen.run import Executor, check_together
 
 if TYPE_CHECKING:
-    from scenegen.fly.course import Course, Flights
+    from scenegen.fly.course import Course
     from scenegen.fly.loop import Flown
 
 
@@ -174,7 +174,7 @@ def fly(
     worlds: int,
     recorded: Path | None,
     entries: Path | None,
-    out: Path | None,
+    out: Any,
     picture: Path | None,
     film: Path | None,
     log: Path | None,
@@ -189,7 +189,12 @@ def fly(
     """
     _check()
     if entries is not None:
-        _write_board(entries, out, hidden, maps, talk)
+        from scenegen.model.robots.board import leaderboard
+
+        with Progress("film", shown=talk) as progress:
+            write_result(out, leaderboard(entries, progress, hidden, maps).encode())
+        if talk:
+            say(f"written: {out}")
         return
     from scenegen.dataset.locate import file_sha256
     from scenegen.fly.suite import chosen_courses, track_name
@@ -237,30 +242,11 @@ def fly(
     if as_json:
         print(json.dumps(row | {"flights": rows_of(found, hidden, crew)}))
     elif talk:
-        _tell(row, found, out, picture, film, log)
-
-
-def _tell(row: dict[str, Any], found: "Flights", *written: Path | None) -> None:
-    """Print what came of flights, what their robots died of, and what was written."""
-    show_table(row)
-    for end in sorted({one.trouble for _, flown in found for one in flown} - {""}):
-        say(f"robot: {end}")
-    for path in filter(None, written):
-        say(f"written: {path}")
-
-
-def _write_board(
-    entries: Path, out: Path | None, hidden: int | None, maps: Path | None, talk: bool
-) -> None:
-    """Write the page of all entries in a folder."""
-    if out is None:
-        raise click.UsageError("--leaderboard: say where to write the page with -o, .html")
-    from scenegen.model.robots.board import leaderboard
-
-    with Progress("film", shown=talk) as progress:
-        write_result(out, leaderboard(entries, progress, hidden, maps).encode())
-    if talk:
-        say(f"written: {out}")
+        show_table(row)
+        for end in sorted({one.trouble for _, flown in found for one in flown} - {""}):
+            say(f"robot: {end}")
+        for path in filter(None, (out, picture, film, log)):
+            say(f"written: {path}")
 
 
 def _check() -> None:
@@ -287,6 +273,8 @@ def _check() -> None:
             "--weights says which robot flies; leave out --robot, but for --robot returns, which "
             "completes the last scan alone"
         )
+    if asked.entries is not None and asked.out is None:
+        raise click.UsageError("--leaderboard: say where to write the page with -o, .html")
     if asked.out and asked.recorded:
         raise click.UsageError("--replay records nothing; leave out -o")
     if asked.log is not None:

@@ -30,7 +30,11 @@ def guesses(
     """What `methods` say of a sample of a split, each with its path to the goal of the bench's
     trial number `trial` in that sample, at the thresholds and by the planner of `config`; without
     paths where `trial` is None, or the sample has no such trial."""
-    goal = None if trial is None else _goal(sample, split, config, trial)
+    goal = None
+    if trial is not None:
+        index = split.names.index((split.name, int(sample.world), int(sample.viewpoint)))
+        goals = trials_of(sample, index, split, config, trial + 1).goals
+        goal = goals[trial] if len(goals) > trial else None
     found = []
     for method in methods:
         try:
@@ -43,14 +47,6 @@ def guesses(
         route = None if goal is None else route_to(goal, *maps, sample, grid, config.plan)
         found.append(Guess(name=method.name, occupied=occupied, tudf=tudf, route=route))
     return found
-
-
-def _goal(sample: Sample, split: Split, config: BenchConfig, trial: int) -> Floats | None:
-    """The goal (3,) of a trial as the bench draws it, map frame, metres; None where the sample has
-    fewer."""
-    index = split.names.index((split.name, int(sample.world), int(sample.viewpoint)))
-    goals = trials_of(sample, index, split, config, trial + 1).goals
-    return goals[trial] if len(goals) > trial else None
 
 
 def route_to(
