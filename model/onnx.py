@@ -14,7 +14,7 @@ from importlib.util import find_spec
 from io import StringIO
 from pathlib import Path
 from threading import Lock
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -37,15 +37,14 @@ LOOPS = frozenset({"If", "Loop", "Scan", "SequenceMap"})
 """Operations that another map may have run without end; no export has any."""
 BYTES_A_FEATURE = 100
 """What a runtime takes for two maps, at most: bytes a voxel and channel at the first level."""
-Runtime = Literal["openvino", "onnxruntime"]
-RUNTIMES: tuple[Runtime, ...] = ("openvino", "onnxruntime")
+RUNTIMES = ("openvino", "onnxruntime")
 """Fastest first (docs/training.md)."""
 Run = Callable[[Mapping[str, Field]], Sequence[Any]]
 """From a named batch to the outputs, in their order."""
 
 
 def load_onnx(
-    path: Path, *, runtime: Runtime | None = None, threads: int = 0, own: Collection[str] = ()
+    path: Path, *, runtime: str | None = None, threads: int = 0, own: Collection[str] = ()
 ) -> tuple[Callable[[Batch], Output], "Examined"]:
     """A function from a named batch, (B, *grid.shape) each, to its `Output`, and what the file
     holds.
@@ -78,7 +77,7 @@ def load_onnx(
 class Examined:
     """An ONNX file that may be opened in this process."""
 
-    runtime: Runtime
+    runtime: str
     config: NetworkConfig
     grid: GridSpec
     about: Json
@@ -87,7 +86,7 @@ class Examined:
 
 
 @cache  # processes that are forked from here have no need, and no leave, to start others
-def _examined(content: bytes, runtime: Runtime | None) -> Examined:
+def _examined(content: bytes, runtime: str | None) -> Examined:
     if find_spec("onnx") is None:
         raise CheckpointError(needs("onnx", "export"))
     usable = [name for name in ((runtime,) if runtime else RUNTIMES) if find_spec(name) is not None]

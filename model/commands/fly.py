@@ -189,7 +189,7 @@ def fly(
     """
     _check()
     if entries is not None:
-        from scenegen.model.robots.board import leaderboard
+        from scenegen.model.robots.film import leaderboard
 
         with Progress("film", shown=talk) as progress:
             write_result(out, leaderboard(entries, progress, hidden, maps).encode())

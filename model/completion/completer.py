@@ -290,9 +290,7 @@ def opened_once(name: str, device: str, batch: int) -> Completer:
         return Completer.from_pretrained(name, device=device, batch=batch, threads=1)
 
 
-def unlike(
-    name: str, about: Json, lidar: Any, mapping: Mapper | None = None, noise: str = ""
-) -> str:
+def unlike(name: str, about: Json, lidar: Any, mapping: Mapper, noise: str) -> str:
     """How the sensor `lidar`, its `noise` (stages as a manifest spells them), and maps made by
     `mapping`, differ from those that the network called `name` learned from, as `about` tells, in
     one line; "" where they do not.
@@ -305,8 +303,7 @@ def unlike(
     return min(said, key=lambda one: ("another sensor" in one, "other noise" in one, one))
 
 
-def _unlike(name: str, about: Json, lidar: Any, mapping: Mapper | None, noise: str) -> str:
-    usual = described(Mapper())
+def _unlike(name: str, about: Json, lidar: Any, mapping: Mapper, noise: str) -> str:
     there = about.get("lidar") or sensor_entry(Lidar())
     here, known = sensor_entry(lidar), about.get("noise") or [""]
     sensor = differences(there, here)
@@ -315,8 +312,8 @@ def _unlike(name: str, about: Json, lidar: Any, mapping: Mapper | None, noise: s
     kinds = " or ".join(one or "none" for one in known)
     faults = [] if noise in known else [f"noise is {kinds} there, {noise or 'none'} asked for"]
     maps = differences(
-        {"mapping": about.get("mapping") or usual},
-        {"mapping": usual if mapping is None else described(mapping)},
+        {"mapping": about.get("mapping") or described(Mapper())},
+        {"mapping": described(mapping)},
     )
     if not sensor + faults + maps:
         return ""

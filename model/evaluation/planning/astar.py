@@ -1,7 +1,7 @@
 """A* on a lattice of voxel centres: the shortest path on a collision map."""
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,16 +10,14 @@ from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
 from scenegen.model.config import PlanConfig
 from scenegen.worlds.search import NO_RISK, search
 
-Blocked = Literal["start_blocked", "goal_blocked", "no_path"]
-
 
 class Plan(NamedTuple):
     """What a search gave: a path, or why there is none."""
 
     waypoints: Floats | None
     """(n, 3): from the start to the goal, a node each, map frame, metres."""
-    reason: Blocked | None
-    """None where there is a path."""
+    reason: str | None
+    """`start_blocked`, `goal_blocked` or `no_path`; None where there is a path."""
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,8 @@ pushes them away from obstacles, and judged in the truth."""
 
 import math
 from collections import Counter
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,19 +14,18 @@ from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
 from lidarsim.jit import kernel
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import PlanConfig
-from scenegen.model.evaluation.planning.astar import Blocked, Lattice, Plan, checked, plan_path
+from scenegen.model.evaluation.planning.astar import Lattice, Plan, checked, plan_path
 
 SAMPLE_M = 0.05
 """Longest gap between the points at which a path is judged, metres (ours)."""
 
 
-@dataclass(frozen=True, eq=False)
-class Trials:
+class Trials(NamedTuple):
     """The valid trials of one map, and how many draws were not."""
 
     goals: Floats
     """(m, 3): points of lattice nodes, map frame, metres."""
-    excluded: Counter[Blocked] = field(default_factory=Counter)
+    excluded: Counter[str]
     """Goals drawn and not kept, by reason. A blocked start excludes as many as were asked for."""
 
 
@@ -57,12 +56,11 @@ def draw_trials(
         low, high = np.asarray(bounds, float)
         candidates = candidates[((candidates >= low) & (candidates <= high)).all(axis=1)]
     goals: list[Floats] = []
-    excluded: Counter[Blocked] = Counter()
+    excluded = Counter[str]()
     for goal in candidates[rng.permutation(len(candidates))]:
         if len(goals) == count:
             break
-        _, reason = plan_path(truth, goal, grid, config)
-        if reason is None:
+        if (reason := plan_path(truth, goal, grid, config).reason) is None:
             goals.append(goal)
         else:
             excluded[reason] += 1
@@ -78,8 +76,6 @@ def boundary_nodes(lattice: Lattice) -> Ints:
 
 RATHER = 0.5
 """A voxel of a greater probability is rather occupied than not."""
-
-Cause = Blocked | Literal["initial_collides", "refined_into_obstacle"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +93,7 @@ class Measurement:
     and at most the truncation."""
     mean_clearance_m: float = math.nan
     """Its mean along the path's length (trapezoidal rule between the points), metres."""
-    cause: Cause | None = None
+    cause: str | None = None
     """Why the trial failed; None for a success. `start_blocked`, `goal_blocked` and `no_path` are
     the predicted map's; `initial_collides`: A*'s path, too, meets an occupied voxel of the truth;
     `refined_into_obstacle`: it does not."""
@@ -177,7 +173,7 @@ def judge(
     met_m = map_coordinates(distance, points.T / grid.voxel_m - 0.5, np.float64, 1, mode="nearest")
     length_m = float(gaps.sum())
     hits = voxels[truth[voxels]]
-    cause: Cause | None = None
+    cause = None
     if len(hits):
         collides = truth[met(initial, grid)].any()
         cause = "initial_collides" if collides else "refined_into_obstacle"
