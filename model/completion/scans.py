@@ -4,17 +4,17 @@ page to look at them with."""
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import h5py
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lidarsim import GridSpec
-from lidarsim.grid import Floats, Mask
+from lidarsim.grid import Floats
 from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.pose import rotate
 from scenegen.cli.show import Progress, note, say
@@ -46,8 +46,7 @@ LEAST_BELOW, LOWEST = 20, 0.1
 ground, where the sensor looks down far enough."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Given:
+class Given(NamedTuple):
     """A scan to complete."""
 
     name: str
@@ -55,7 +54,7 @@ class Given:
     """(N, 3), metres, z up; not finite where nothing returned."""
     position: Floats
     """(3,): where the sensor is in the points' frame, metres."""
-    truth: Mapping[str, Any] = field(default_factory=dict)
+    truth: Mapping[str, Any] = {}
     """`TRUTH` in the grid around the sensor, and its `voxel_m`; nothing where only the scan is
     known."""
 
@@ -152,7 +151,11 @@ def predict_scan(
     maps = channels(completer.inputs, seen, seen.grid)
     prediction = completer(maps)
     occupied = prediction.occupied(thresholds)
-    truth = _truth_on(seen.grid, given)
+    # the truth that came with a scan, if it is on the network's grid
+    truth = {name: np.asarray(given.truth[name]) for name in TRUTH if name in given.truth}
+    alike = all(one.shape == seen.grid.shape and one.dtype == np.bool_ for one in truth.values())
+    if not alike or given.truth.get("voxel_m") != seen.grid.voxel_m:
+        truth = {}
     iou = None
     if truth:
         either = (occupied | truth["occupancy"]) & truth["known"]
@@ -184,13 +187,6 @@ def predict_scan(
                 )
                 chunk.id.write_direct_chunk((0, 0, 0), compress(values))
     return result
-
-
-def _truth_on(grid: GridSpec, given: Given) -> dict[str, Mask]:
-    """The truth that came with a scan, if it is on `grid`."""
-    masks = {name: np.asarray(given.truth[name]) for name in TRUTH if name in given.truth}
-    alike = all(mask.shape == grid.shape and mask.dtype == np.bool_ for mask in masks.values())
-    return masks if alike and given.truth.get("voxel_m") == grid.voxel_m else {}
 
 
 def height_above_returns(points: Floats) -> float | None:

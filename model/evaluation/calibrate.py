@@ -51,6 +51,8 @@ SCORE_M = 0.02
 """Scores are counted in steps of this, and rounded up."""
 LOGIT, MOST_LOGIT = 0.05, 20.0
 """Width of the bins of logits, and where they end."""
+LOGITS = np.arange(-MOST_LOGIT + 0.5 * LOGIT, MOST_LOGIT, LOGIT)
+"""The middles of these bins."""
 FOLDS = 5
 LEVELS = np.arange(1, 21) / 20
 """Shares of validation maps at which it is kept how many returns are denied."""
@@ -65,8 +67,8 @@ def count_logits(
     """How many of a map's `unknown` voxels have which logit, the class weight inverted: (logits,
     2), free and occupied ones apart. The arrays have one shape."""
     steps = (corrected_logit(probability[unknown], class_weight) + MOST_LOGIT) / LOGIT
-    at = np.clip(steps.astype(np.int64), 0, len(_logits()) - 1)
-    return np.bincount(2 * at + occupied[unknown], minlength=2 * len(_logits())).reshape(-1, 2)
+    at = np.clip(steps.astype(np.int64), 0, len(LOGITS) - 1)
+    return np.bincount(2 * at + occupied[unknown], minlength=2 * len(LOGITS)).reshape(-1, 2)
 
 
 def fit_temperature(counts: Ints) -> float:
@@ -74,7 +76,7 @@ def fit_temperature(counts: Ints) -> float:
     log-likelihood."""
 
     def loss(log_temperature: float) -> float:
-        scaled = _logits() / math.exp(log_temperature)
+        scaled = LOGITS / math.exp(log_temperature)
         return float(
             counts[:, 0] @ np.logaddexp(0, scaled) + counts[:, 1] @ np.logaddexp(0, -scaled)
         )
@@ -164,11 +166,6 @@ def near_bins(grid: GridSpec, chances: tuple[float, ...]) -> Mask:
     """Which bins of the margins hold voxels that are predicted to be near an obstacle."""
     edges = np.arange(distance_bins(grid, STEP_M)) * STEP_M
     return np.repeat(edges < NEAR_M - 1e-9, len(chances) + 1)
-
-
-def _logits() -> Floats:
-    """The middles of the bins of logits."""
-    return np.arange(-MOST_LOGIT + 0.5 * LOGIT, MOST_LOGIT, LOGIT)
 
 
 LEAST_WORLDS = 20

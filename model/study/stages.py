@@ -95,11 +95,10 @@ def begin(out: Path, config: ReproduceConfig) -> None:
     """
     make_parent(out / SETTINGS)
     there = read_json(out / SETTINGS)
-    for name in (SETTINGS, STUDY, TEXT) if there is None else ():
-        if (out / name).exists():
-            raise DatasetError(f"{out}: holds {name}, and no study of ours; choose another --out")
     if there is not None:
         check_settings(out, there, asdict(config))
+    elif odd := [name for name in (SETTINGS, STUDY, TEXT) if (out / name).exists()]:
+        raise DatasetError(f"{out}: holds {odd[0]}, and no study of ours; choose another --out")
     write_whole(out / SETTINGS, (json.dumps(asdict(config), indent=1) + "\n").encode())
 
 

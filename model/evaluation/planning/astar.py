@@ -36,19 +36,18 @@ class Lattice:
     @property
     def first(self) -> Ints:
         """Voxel (3,) of node (0, 0, 0)."""
-        return np.array([n // 2 % self.step for n in self.grid.shape])
+        return np.array(self.grid.shape) // 2 % self.step
 
     @property
-    def shape(self) -> tuple[int, int, int]:
-        """Nodes along x, y and z."""
-        nx, ny, nz = (1 + (n - 1 - n // 2 % self.step) // self.step for n in self.grid.shape)
-        return nx, ny, nz
+    def shape(self) -> Ints:
+        """Nodes (3,) along x, y and z."""
+        return 1 + (np.array(self.grid.shape) - 1 - self.first) // self.step
 
     @property
     def start(self) -> Ints:
         """The start's node (3,): its voxel is shape // 2, whose least corner is the middle of an
         even grid."""
-        return np.array([n // 2 // self.step for n in self.grid.shape])
+        return np.array(self.grid.shape) // 2 // self.step
 
     def voxels(self, nodes: ArrayLike) -> Ints:
         """Voxels (..., 3) of `nodes` (..., 3)."""
@@ -108,7 +107,7 @@ def plan_path(
     nodes = search(
         occupied,
         lattice.first,
-        np.array(lattice.shape),
+        lattice.shape,
         lattice.step,
         start,
         end,

@@ -69,8 +69,8 @@ def draw_trials(
 
 def boundary_nodes(lattice: Lattice) -> Ints:
     """Nodes (n, 3) of the outermost layer, in order; never the start."""
-    nodes = np.indices(lattice.shape).reshape(3, -1).T
-    outer = (nodes == 0) | (nodes == np.array(lattice.shape) - 1)
+    nodes = np.indices(tuple(lattice.shape)).reshape(3, -1).T
+    outer = (nodes == 0) | (nodes == lattice.shape - 1)
     return nodes[outer.any(axis=1) & (nodes != lattice.start).any(axis=1)]
 
 
