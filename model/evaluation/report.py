@@ -67,13 +67,18 @@ def build_report(results: Sequence[DatasetResult], *, seed: int, about: Json) ->
     }
     for result in results:
         rng = np.random.default_rng(seed)
-        methods = result.methods.items()
+        methods, partly = result.methods.items(), ""
+        if result.known_share < 1:
+            partly = (
+                f"{100 * result.known_share:.1f} % of the grid is known in the mean: scores count "
+                "known voxels alone, and plans keep to known space"
+            )
         report["datasets"][result.kind] = {
             "digest": str(result.dataset.manifest.digest),
             "samples": len(result.worlds),
             "worlds": len(np.unique(result.worlds)),
             "known_share": result.known_share,
-            "note": _partly(result.known_share),
+            "note": partly,
             "trials": len(result.trial_worlds),
             "excluded": dict(result.excluded),
         }
@@ -90,16 +95,6 @@ def build_report(results: Sequence[DatasetResult], *, seed: int, about: Json) ->
                 for name, found in methods
             }
     return finite(report)
-
-
-def _partly(known: float) -> str:
-    """What figures leave out where a share of the voxels is `known`; "" where all are."""
-    if known == 1:
-        return ""
-    return (
-        f"{100 * known:.1f} % of the grid is known in the mean: scores count known voxels alone, "
-        "and plans keep to known space"
-    )
 
 
 def notes(about: Json) -> list[str]:

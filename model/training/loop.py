@@ -324,10 +324,13 @@ def fitted(config: TrainConfig, grid: GridSpec) -> TrainConfig:
 
 def origin(maps: Maps, command: str, device: torch.device) -> Json:
     """What a network remembers of where it comes from, besides its settings."""
-    versions = software() | {"python": platform.python_version()}
-    versions |= {name: installed(name) for name in PACKAGES}
-    about = {"command": command, "commit": commit(), "versions": versions}
-    about["device"] = device_name(device)
+    python = {"python": platform.python_version()}
+    about = {
+        "command": command,
+        "commit": commit(),
+        "versions": software() | python | {name: installed(name) for name in PACKAGES},
+        "device": device_name(device),
+    }
     ways: dict[tuple[Any, Any], set[str]] = {}
     for lidar, mapping, noise in maps.settings:
         ways.setdefault((lidar, mapping), set()).add(noise)
