@@ -4,7 +4,7 @@ pictures of trials that failed, and charts."""
 import dataclasses
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import Any
 
 from lidarsim.grid import Field, Floats, GridSpec, Mask
 from scenegen.dataset.read import Split
@@ -19,9 +19,6 @@ from scenegen.model.evaluation.report import CAUSES, tables
 from scenegen.model.evaluation.run import DatasetResult, planner_maps, trials_of
 from scenegen.model.evaluation.visibility import walled
 from scenegen.sample import Sample
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 def guesses(
@@ -147,8 +144,8 @@ def draw_charts(report: Json, kind: str) -> list[tuple[str, bytes]]:
     return found
 
 
-def _webp(figure: "Figure") -> bytes:
-    """A figure as a picture of the report."""
+def _webp(figure: Any) -> bytes:
+    """A figure of matplotlib as a picture of the report."""
     from scenegen.display.panels import to_bytes
 
     figure.set_dpi(WIDE / figure.get_figwidth())
