@@ -297,30 +297,29 @@ def unlike(name: str, about: Json, lidar: Any, mapping: Mapper, noise: str) -> s
 
     Networks of earlier commits name none: they learned from the paper's, without noise.
     """
-    ways = about, *about.get("also", ())  # sensors and maps of several ways, each with its noise
-    said = [_unlike(name, way, lidar, mapping, noise) for way in ways]
-    # of the nearest way: a sensor that differs says more than noise, and that more than maps
-    return min(said, key=lambda one: ("another sensor" in one, "other noise" in one, one))
+    here, usual = sensor_entry(lidar), described(Mapper())
 
+    def told(way: Json) -> str:
+        """How they differ from one way of those that the network learned from."""
+        there, known = way.get("lidar") or sensor_entry(Lidar()), way.get("noise") or [""]
+        sensor = differences(there, here)
+        if sensor and ("sensor" in there or "sensor" in here):  # tables of rays have nothing else
+            sensor = [f"sensor is {_titled(there)} there, {_titled(here)} asked for"]
+        kinds = " or ".join(one or "none" for one in known)
+        faults = [] if noise in known else [f"noise is {kinds} there, {noise or 'none'} asked for"]
+        learned = {"mapping": way.get("mapping") or usual}
+        maps = differences(learned, {"mapping": described(mapping)})
+        if not sensor + faults + maps:
+            return ""
+        what = "another sensor" if sensor else "other noise" if faults else "maps made otherwise"
+        said = "; ".join(sensor + faults + maps)[:MOST_SAID]
+        said = printable(said.replace("there", "in training").replace("asked for", "here"))
+        return f"{name} was trained on {what}, so expect worse completions: {said}"
 
-def _unlike(name: str, about: Json, lidar: Any, mapping: Mapper, noise: str) -> str:
-    there = about.get("lidar") or sensor_entry(Lidar())
-    here, known = sensor_entry(lidar), about.get("noise") or [""]
-    sensor = differences(there, here)
-    if sensor and ("sensor" in there or "sensor" in here):  # tables of rays have nothing else
-        sensor = [f"sensor is {_titled(there)} there, {_titled(here)} asked for"]
-    kinds = " or ".join(one or "none" for one in known)
-    faults = [] if noise in known else [f"noise is {kinds} there, {noise or 'none'} asked for"]
-    maps = differences(
-        {"mapping": about.get("mapping") or described(Mapper())},
-        {"mapping": described(mapping)},
-    )
-    if not sensor + faults + maps:
-        return ""
-    what = "another sensor" if sensor else "other noise" if faults else "maps made otherwise"
-    said = "; ".join(sensor + faults + maps)[:MOST_SAID]
-    said = printable(said.replace("there", "in training").replace("asked for", "here"))
-    return f"{name} was trained on {what}, so expect worse completions: {said}"
+    # sensors and maps of several ways, each with its noise; of these, the nearest is told: a sensor
+    # that differs says more than noise, and that more than maps
+    ways = map(told, (about, *about.get("also", ())))
+    return min(ways, key=lambda one: ("another sensor" in one, "other noise" in one, one))
 
 
 def _titled(entry: Json) -> str:

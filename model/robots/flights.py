@@ -177,19 +177,15 @@ def fly_courses(
         there = f"{len(held.courses)} of {len(keys)} courses"
         return f"stopped; {out} holds {there}: give the same command again to go on"
 
-    def fly_left() -> None:
-        """Flies what is left, and saves now and then."""
-        saved_s, total = time.monotonic(), sum(course.flights for course in left)
-        for course, flown in crew(work, left, "fly", total):
-            found[named(course)] = course, flown
-            if suite and time.monotonic() - saved_s > SAVED_S:
-                save()
-                saved_s = time.monotonic()
-
+    saved_s, total = time.monotonic(), sum(course.flights for course in left)
     # only an entry is gone on with: of other flights, all are kept or none
     with undone_if_stopped(save if suite else lambda: NOTHING_KEPT):
         try:
-            fly_left()
+            for course, flown in crew(work, left, "fly", total):
+                found[named(course)] = course, flown
+                if suite and time.monotonic() - saved_s > SAVED_S:
+                    save()
+                    saved_s = time.monotonic()
         finally:
             if left and len(found) >= (1 if suite else len(keys)):
                 save()
@@ -224,35 +220,6 @@ def _kept(
     return found
 
 
-def read_recording(
-    path: Path, hidden: int | None, maps: Path | None
-) -> tuple[Recording, dict[str, str]]:
-    """A recording to fly again, with its maps where they are; and what is to be told of an entry.
-
-    Raises ScenegenError where `hidden` or `maps` are not those of the entry, or a course is not one
-    of its suite's.
-    """
-    recording, track = Recording.read(path), track_name(hidden, maps)
-    if recording.suite is None:
-        if track != "own":
-            raise ScenegenError(f"{path}: is no entry to a suite; leave out --hidden and --maps")
-        return recording, {}
-    with raised_as(DatasetError, f"{path}: ", of=DatasetError):
-        part = part_of(recording)
-    if part.track != track:
-        raise ScenegenError(
-            f"{path}: is an entry to the track {part.track[:14]}, not {track[:14]}; give --hidden "
-            "and its number, --maps and their folder, or neither"
-        )
-    # the suite's own, in place of worlds that a stranger's file leads to by another path
-    there = {named(course): course for course in frozen_courses(recording.suite, track, maps)}
-    found = [
-        (replace(there[named(course)], document=course.document), flights)
-        for course, flights in recording.courses
-    ]
-    return replace(recording, courses=found), {"courses": str(part)}
-
-
 def flown_again(
     path: Path, hidden: int | None, maps: Path | None, anew: Work | None, crew: Crew
 ) -> tuple[str, Flights, dict[str, str]]:
@@ -260,9 +227,27 @@ def flown_again(
     flies a course `anew` flies every sixteenth, too, and what it flies to the bit as it was
     recorded is told.
 
-    Raises DatasetError where a flight is not as it was, and as `read_recording`.
+    Raises DatasetError where a flight is not as it was, and ScenegenError where `hidden` or `maps`
+    are not those of the entry, or a course is not one of its suite's.
     """
-    recording, told = read_recording(path, hidden, maps)
+    recording, track, told = Recording.read(path), track_name(hidden, maps), dict[str, str]()
+    if recording.suite is not None:
+        with raised_as(DatasetError, f"{path}: ", of=DatasetError):
+            part = part_of(recording)
+        if part.track != track:
+            raise ScenegenError(
+                f"{path}: is an entry to the track {part.track[:14]}, not {track[:14]}; give "
+                "--hidden and its number, --maps and their folder, or neither"
+            )
+        # the suite's own, in place of worlds that a stranger's file leads to by another path
+        there = {named(course): course for course in frozen_courses(recording.suite, track, maps)}
+        courses = [
+            (replace(there[named(course)], document=course.document), flights)
+            for course, flights in recording.courses
+        ]
+        recording, told["courses"] = replace(recording, courses=courses), str(part)
+    elif track != "own":
+        raise ScenegenError(f"{path}: is no entry to a suite; leave out --hidden and --maps")
     count = sum(len(flights) for _, flights in recording.courses)
     with raised_as(DatasetError, f"{path}: ", of=DatasetError):
         again = dict(crew(partial(_replayed, hidden=hidden), recording.courses, "replay", count))
@@ -270,9 +255,9 @@ def flown_again(
     told["as recorded, to the bit"] = f"{count} flights"
     if anew is not None:
         before = {named(course): flights for course, flights in recording.courses[::QUICK]}
-        courses, count = [course for course, _ in found[::QUICK]], sum(map(len, before.values()))
+        some, count = [course for course, _ in found[::QUICK]], sum(map(len, before.values()))
         same = 0
-        for course, flown in crew(anew, courses, "fly anew", count):
+        for course, flown in crew(anew, some, "fly anew", count):
             pairs = zip(flown, before[named(course)], strict=True)
             same += sum(one.digest == other.digest for one, other in pairs)
         told["anew, equal to the bit"] = f"{same} of {count} flights"
