@@ -183,13 +183,13 @@ def _check_arrays(file: h5py.File, split: str, most: int, shape: tuple[int, ...]
             raise DatasetError(f"{name} has shape {data.shape}, expected {expected}")
         if data.chunks:
             _check_chunks(name, data)
-        # HDF5 would make up zeros
-        if data.size and data.id.get_space_status() != h5py.h5d.SPACE_STATUS_ALLOCATED:
+    if (count := file["world"].shape[0]) > most:
+        raise DatasetError(f"predicts {count} samples, split {split} has {most}")
+    for name in held:  # HDF5 would make up zeros
+        if file[name].size and file[name].id.get_space_status() != h5py.h5d.SPACE_STATUS_ALLOCATED:
             raise DatasetError(
                 f"{name} is not written to its end; predict each sample of split {split} once"
             )
-    if (count := file["world"].shape[0]) > most:
-        raise DatasetError(f"predicts {count} samples, split {split} has {most}")
 
 
 def _check_chunks(name: str, data: h5py.Dataset) -> None:
