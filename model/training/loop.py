@@ -86,7 +86,9 @@ def train(
     watcher, where = watcher or Watcher(), choose_device(device)
     maps = Maps(training, "train", config.network.inputs)
     checks = Maps(checking, "val", config.network.inputs)
-    config = fitted(config, maps.grid)
+    variant = config.network.variant
+    if is_own(variant) or VARIANTS[variant].columns:  # which is built for the maps' height
+        config = replace(config, network=replace(config.network, height=maps.grid.shape[2]))
     # where nothing is asked for, a run keeps what it was begun with
     begun: Json = {"optimizer": "muon"}
     if (out / CONFIG).exists():
@@ -312,14 +314,6 @@ def describe(maps: Maps, config: TrainConfig, precision: torch.dtype) -> Json:
         **dataclasses.asdict(config),
         "precision": str(precision).removeprefix("torch."),
     }
-
-
-def fitted(config: TrainConfig, grid: GridSpec) -> TrainConfig:
-    """`config` for maps on `grid`: networks that see columns whole are built for their height."""
-    variant = config.network.variant
-    if not (is_own(variant) or VARIANTS[variant].columns):
-        return config
-    return replace(config, network=replace(config.network, height=grid.shape[2]))
 
 
 def origin(maps: Maps, command: str, device: torch.device) -> Json:
