@@ -9,10 +9,10 @@ import rich_click as click
 from scenegen.cli.options import (
     command,
     dataset_argument,
+    flags_given,
     group,
     quiet_option,
     split_option,
-    was_given,
 )
 from scenegen.cli.show import note, say
 from scenegen.cli.types import OutputFile
@@ -84,9 +84,8 @@ def view(
 ) -> None:
     """Show a dataset in a browser, from this machine; or, with --html, write one file that shows
     some of it."""
-    for name in ("host", "port"):
-        if out is not None and was_given(name):
-            raise click.UsageError(f"--{name}: is for what is served; leave out --html")
+    if out is not None and (odd := flags_given(("host", "port"))):
+        raise click.UsageError(f"{odd[0]}: is for what is served; leave out --html")
     if out is None and len(indices) > 1:
         raise click.UsageError(
             "--index: give one to begin with, or --html for a file of several samples"
