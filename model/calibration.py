@@ -94,13 +94,6 @@ class Calibration:
         logit = corrected_logit(probability, self.class_weight) / np.float32(self.temperature)
         return 1 / (1 + np.exp(-logit))
 
-    def away(self, probability: Field | None, observed: Mask) -> Any:
-        """See `scenegen.model.completion.protocol.Prediction.away`."""
-        if probability is None or not self.denied:
-            return None
-        shares = denial(probability, observed, self.class_weight)
-        return np.searchsorted(self.denied, shares) / len(self.denied)
-
     def row(self, risk: float) -> int:
         """Which of `risks` serves `risk`: the greatest that is no greater. Raises UncertaintyError
         where none is."""
@@ -210,6 +203,5 @@ def bins(
     found = np.minimum(
         (distance * np.float32(1 / step_m) + np.float32(1e-4)).astype(np.int64), count - 1
     )
-    if not chances or chance is None:
-        return found * (len(chances) + 1)
-    return found * (len(chances) + 1) + np.searchsorted(np.asarray(chances, np.float32), chance)
+    likely: Any = 0 if chance is None else np.searchsorted(np.asarray(chances, np.float32), chance)
+    return found * (len(chances) + 1) + likely

@@ -41,8 +41,6 @@ SHARED = ("shared",)
 class Variant:
     """What sets a network apart from the others."""
 
-    meaning: str
-    """What it is, for docs/network.md."""
     tasks: tuple[str, ...] = TASKS
     """What it predicts, with a head for each: some of `TASKS`, in their order."""
     decoders: tuple[str, ...] = TASKS
@@ -56,17 +54,20 @@ class Variant:
 
 WIDE = 64, 96, 128
 VARIANTS = {
-    "proposed": Variant(coupled=True, meaning="the paper's network"),
-    "occ": Variant(tasks=("occupancy",), decoders=("occupancy",), meaning="the paper's OCC-only"),
-    "tudf": Variant(tasks=("tudf",), decoders=("tudf",), meaning="the paper's TUDF-only"),
-    "dual": Variant(meaning="what is left of `proposed` without CrossFusion"),
-    "shared": Variant(decoders=SHARED, meaning="the cheapest network with both outputs"),
-    "columns": Variant(
-        decoders=SHARED, columns=WIDE, meaning="`shared`, and a flat U-Net over whole columns"
-    ),
-    "flat": Variant(
-        decoders=(), columns=WIDE, meaning="a flat U-Net over whole columns alone, as in LMSCNet"
-    ),
+    # the paper's network
+    "proposed": Variant(coupled=True),
+    # the paper's OCC-only
+    "occ": Variant(tasks=("occupancy",), decoders=("occupancy",)),
+    # the paper's TUDF-only
+    "tudf": Variant(tasks=("tudf",), decoders=("tudf",)),
+    # what is left of `proposed` without CrossFusion
+    "dual": Variant(),
+    # the cheapest network with both outputs
+    "shared": Variant(decoders=SHARED),
+    # `shared`, and a flat U-Net over whole columns
+    "columns": Variant(decoders=SHARED, columns=WIDE),
+    # a flat U-Net over whole columns alone, as in LMSCNet
+    "flat": Variant(decoders=(), columns=WIDE),
 }
 """Every variant by its name; `scenegen.model.network` builds what is said here."""
 
@@ -82,11 +83,11 @@ terms."""
 INPUTS = Registry(
     "input",
     {
-        name: f"scenegen.model.inputs:{name.upper()}"
+        name: f"scenegen.model.inputs:{name}"
         for name in ("observed", "free", "occluded", "distance", "ahead")
     },
 )
-"""Channels that a network may take: functions of (sample or scan, grid, sensor), or an `Input`."""
+"""Channels that a network may take: functions of (sample or scan, grid, sensor)."""
 
 
 METHODS = Registry(

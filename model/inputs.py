@@ -19,7 +19,7 @@ from lidarsim.pose import rotate
 from lidarsim.scan import Scan
 from lidarsim.voxelize import fuse, sort_points
 from scenegen.errors import DatasetError, told
-from scenegen.model.config import INPUTS, named
+from scenegen.model.config import INPUTS, is_own, named
 from scenegen.sample import Sample
 from scenegen.truth import distance_field
 
@@ -78,17 +78,16 @@ class PointScan:
         return sort_points(self.position, ends, self.grid, self.origin).free
 
 
-@dataclass(frozen=True, kw_only=True)
-class Input:
-    """One channel that a network may take."""
-
-    of: Callable[[Any, GridSpec, Any], NDArray[Any]]
-    """(sample or scan, grid, sensor or None) → (*grid.shape). Of a dataset's sample, only the
-    fields that this accesses are read."""
-    binary: bool = True
-    """Whether every voxel holds 0 or 1; other channels hold finite numbers."""
-    untold: str = ""
-    """What points alone do not tell of it, and what it then holds instead, for people."""
+Channel = Callable[[Any, GridSpec, Any], NDArray[Any]]
+"""What makes one channel: (sample or scan, grid, sensor or None) → (*grid.shape). Of a dataset's
+sample, only the fields that this accesses are read."""
+BINARY = ("observed", "free", "occluded")
+"""Channels in which every voxel holds 0 or 1; others hold finite numbers."""
+UNTOLD = {
+    "free": "of rays without a return nothing is known, so less is free than in training",
+    "ahead": "where the sensor faced is not known, so nothing lies ahead of it",
+}
+"""What points alone do not tell of a channel, and what it then holds instead, for people."""
 
 
 def within_view(sample: Sample, grid: GridSpec, sensor: Any) -> Mask:
@@ -100,13 +99,30 @@ def within_view(sample: Sample, grid: GridSpec, sensor: Any) -> Mask:
     return fuse(endless, grid, sample.origin).free
 
 
-def _occluded(seen: Any, grid: GridSpec, sensor: Any) -> Mask:
+def observed(seen: Any, grid: GridSpec, sensor: Any) -> Mask:
+    """The voxels that hold a return."""
+    return seen.observed
+
+
+def free(seen: Any, grid: GridSpec, sensor: Any) -> Mask:
+    """Those that a ray crossed, less the observed ones."""
+    return seen.free
+
+
+def occluded(seen: Any, grid: GridSpec, sensor: Any) -> Mask:
+    """Those, less both, that lie on the way of a ray which ended before them."""
     if isinstance(seen, PointScan):
         return seen.behind()
     return within_view(seen, grid, sensor) & ~seen.free & ~seen.observed
 
 
-def _ahead(seen: Any, grid: GridSpec, sensor: Any) -> Field:
+def distance(seen: Any, grid: GridSpec, sensor: Any) -> Field:
+    """Metres to the nearest observed voxel, at most the truncation."""
+    return distance_field(seen.observed, grid)
+
+
+def ahead(seen: Any, grid: GridSpec, sensor: Any) -> Field:
+    """The cosine of the angle, seen from the sensor, between its forward axis and the voxel."""
     if isinstance(seen, PointScan):
         return np.zeros(grid.shape, np.float32)
     starts = seen.origin - seen.position
@@ -118,33 +134,14 @@ def _ahead(seen: Any, grid: GridSpec, sensor: Any) -> Field:
     return (towards / np.maximum(metres, 1e-9)).astype(np.float32)
 
 
-OBSERVED = Input(of=lambda seen, grid, sensor: seen.observed)
-"""The voxels that hold a return."""
-FREE = Input(
-    of=lambda seen, grid, sensor: seen.free,
-    untold="of rays without a return nothing is known, so less is free than in training",
-)
-"""Those that a ray crossed, less the observed ones."""
-OCCLUDED = Input(of=_occluded)
-"""Those, less both, that lie on the way of a ray which ended before them."""
-DISTANCE = Input(of=lambda seen, grid, sensor: distance_field(seen.observed, grid), binary=False)
-"""Metres to the nearest observed voxel, at most the truncation."""
-AHEAD = Input(
-    of=_ahead,
-    binary=False,
-    untold="where the sensor faced is not known, so nothing lies ahead of it",
-)
-"""The cosine of the angle, seen from the sensor, between its forward axis and the voxel."""
-
-
 @cache
-def input_called(name: str) -> Input:
+def input_called(name: str) -> Channel:
     """The input called `name`; a user's own function is imported now, and its channels are checked.
 
     Raises ScenegenError for a name that leads to none.
     """
     found = named(INPUTS, name)
-    if isinstance(found, Input):
+    if not is_own(name):
         return found
 
     def checked(seen: Any, grid: GridSpec, sensor: Any) -> Field:
@@ -159,14 +156,14 @@ def input_called(name: str) -> Input:
             )
         return values
 
-    return Input(of=checked, binary=False)
+    return checked
 
 
 def channels(
     names: Sequence[str], seen: Any, grid: GridSpec, sensor: Any = None
 ) -> dict[str, NDArray[Any]]:
     """The inputs called `names`, (*grid.shape) each, of a sample or a `PointScan`."""
-    return {name: input_called(name).of(seen, grid, sensor) for name in names}
+    return {name: input_called(name)(seen, grid, sensor) for name in names}
 
 
 def points_of(sample: Sample, grid: GridSpec, sensor: Any) -> PointScan | None:

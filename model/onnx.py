@@ -14,7 +14,7 @@ from importlib.util import find_spec
 from io import StringIO
 from pathlib import Path
 from threading import Lock
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -37,15 +37,14 @@ LOOPS = frozenset({"If", "Loop", "Scan", "SequenceMap"})
 """Operations that another map may have run without end; no export has any."""
 BYTES_A_FEATURE = 100
 """What a runtime takes for two maps, at most: bytes a voxel and channel at the first level."""
-Runtime = Literal["openvino", "onnxruntime"]
-RUNTIMES: tuple[Runtime, ...] = ("openvino", "onnxruntime")
+RUNTIMES = ("openvino", "onnxruntime")
 """Fastest first (docs/training.md)."""
 Run = Callable[[Mapping[str, Field]], Sequence[Any]]
 """From a named batch to the outputs, in their order."""
 
 
 def load_onnx(
-    path: Path, *, runtime: Runtime | None = None, threads: int = 0, own: Collection[str] = ()
+    path: Path, *, runtime: str | None = None, threads: int = 0, own: Collection[str] = ()
 ) -> tuple[Callable[[Batch], Output], "Examined"]:
     """A function from a named batch, (B, *grid.shape) each, to its `Output`, and what the file
     holds.
@@ -53,9 +52,16 @@ def load_onnx(
     It runs on `threads` threads, 0 for all cores, by the fastest runtime that is installed, unless
     `runtime` names one: OpenVINO computes in bfloat16 where that is faster, onnxruntime in float32.
     Raises CheckpointError for a file that `export_onnx` did not write, and for inputs of a user's
-    own that are not in `own`; see `examine`.
+    own that are not in `own`.
+
+    Two processes with limits look at the file first, once for each content: one reads it, the
+    other completes an empty map. That costs a second with OpenVINO, half of one with onnxruntime.
+    Raises CheckpointError, too, where what it says is NaN, and where no installed runtime runs it
+    within the limits.
     """
-    content, found = examine(path, runtime)
+    content = read_bounded(path, MOST_WEIGHTS_BYTES)
+    with raised_as(CheckpointError, f"{path}: ", of=CheckpointError):
+        found = _examined(content, runtime)
     check_own(path, own, *found.config.inputs)
     run = _open(content, found, threads)
 
@@ -71,7 +77,7 @@ def load_onnx(
 class Examined:
     """An ONNX file that may be opened in this process."""
 
-    runtime: Runtime
+    runtime: str
     config: NetworkConfig
     grid: GridSpec
     about: Json
@@ -79,21 +85,8 @@ class Examined:
     """Names of the file's outputs."""
 
 
-def examine(path: Path, runtime: Runtime | None = None) -> tuple[bytes, Examined]:
-    """The content of an ONNX file, and what it holds, once it has completed an empty map elsewhere.
-
-    Two processes with limits look at the file first, once for each content: one reads it, the
-    other runs it. That costs a second with OpenVINO, half of one with onnxruntime. Raises
-    CheckpointError for a file that `export_onnx` did not write, that says NaN, or that no installed
-    runtime runs within the limits.
-    """
-    content = read_bounded(path, MOST_WEIGHTS_BYTES)
-    with raised_as(CheckpointError, f"{path}: ", of=CheckpointError):
-        return content, _examined(content, runtime)
-
-
 @cache  # processes that are forked from here have no need, and no leave, to start others
-def _examined(content: bytes, runtime: Runtime | None) -> Examined:
+def _examined(content: bytes, runtime: str | None) -> Examined:
     if find_spec("onnx") is None:
         raise CheckpointError(needs("onnx", "export"))
     usable = [name for name in ((runtime,) if runtime else RUNTIMES) if find_spec(name) is not None]

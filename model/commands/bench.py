@@ -3,7 +3,6 @@
 import json
 import shlex
 import sys
-from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
 from itertools import product
@@ -31,7 +30,7 @@ from scenegen.model.config import METHODS, USUAL, BenchConfig, PlanConfig
 from scenegen.run import Executor
 
 REPORTS = ("report.json", "report.md", "report.html")
-QUICK_SAMPLES, QUICK_TRIALS = 50, 200
+QUICK = {"samples": 50, "trials": 200}
 """What `--quick` measures of every dataset."""
 
 
@@ -83,7 +82,11 @@ QUICK_SAMPLES, QUICK_TRIALS = 50, 200
 @group("Planning", "planner edge-check field clearance-weight")
 def bench(
     datasets: tuple[Path | str, ...],
+    names: tuple[str, ...],
+    weights: tuple[str, ...],
+    predictions: Path | None,
     out: Path,
+    quick: bool,
     execute: Executor,
     as_json: bool,
     talk: bool,
@@ -91,42 +94,6 @@ def bench(
 ) -> None:
     """Score completion methods on reconstruction and planning: the paper's two tables, and more in
     the report."""
-    if talk:
-        announce_compilation()
-    report = run_bench(
-        find_datasets(datasets, shown=talk),
-        out=out,
-        execute=execute,
-        talk=talk,
-        plan=PlanConfig(**{name: options.pop(name) for name in taken(PlanConfig, options)}),
-        **options,
-    )
-    if as_json:
-        print(json.dumps(report))
-    elif talk:
-        show_tables(report)
-        say(f"\nwritten: {out / 'report.html'}, {out / 'report.md'}, {out / 'report.json'}")
-
-
-def run_bench(
-    folders: Sequence[Path],
-    *,
-    names: Sequence[str],
-    weights: Sequence[str] = (),
-    predictions: Path | None,
-    out: Path,
-    quick: bool,
-    execute: Executor,
-    talk: bool = False,
-    **given: Any,
-) -> Json:
-    """Measure as the `BenchConfig` of what is `given` says, write ``report.json``, ``report.md``
-    and ``report.html`` into `out`, and return the report. With `talk`, progress is shown, and
-    networks that meet another sensor than in training are named.
-
-    Raises DatasetError for datasets or predictions that do not fit, ScenegenError for an unknown
-    method.
-    """
     from scenegen.dataset.read import Dataset
     from scenegen.model.evaluation.methods import rows_of
     from scenegen.model.evaluation.report import build_report, to_html, to_markdown
@@ -134,18 +101,20 @@ def run_bench(
     from scenegen.model.evaluation.shown import draw_charts, draw_failures
     from scenegen.run.software import commit
 
+    if talk:
+        announce_compilation()
+    folders = find_datasets(datasets, shown=talk)
     for name in REPORTS:
         check_ours(out / name)
     methods = rows_of(names or USUAL, weights, predictions)
-    datasets = [Dataset(folder) for folder in folders]
-    config = BenchConfig(
-        **given | ({"samples": QUICK_SAMPLES, "trials": QUICK_TRIALS} if quick else {})
-    )
-    for dataset, method in product(datasets if talk else (), methods):
+    measured = [Dataset(folder) for folder in folders]
+    plan = PlanConfig(**{name: options.pop(name) for name in taken(PlanConfig, options)})
+    config = BenchConfig(plan=plan, **options | (QUICK if quick else {}))
+    for dataset, method in product(measured if talk else (), methods):
         for warning in getattr(method, "unlike", lambda settings: [])(dataset.settings):
             note(f"note: {dataset.folder}: {warning}")
     progress = partial(Progress, shown=talk)
-    results = bench_all(datasets, methods, config, execute=execute, progress=progress)
+    results = bench_all(measured, methods, config, execute=execute, progress=progress)
     command = shlex.join(["scenegen", *sys.argv[1:]])
     told = {"command": command, "commit": commit(), "split": config.split}
     report = build_report(results, seed=config.seed, about=told)
@@ -158,7 +127,11 @@ def run_bench(
         for one in results:
             pictures[one.kind] = draw_charts(report, one.kind) + draw_failures(one, methods)
     write_result(out / "report.html", to_html(report, pictures).encode())
-    return report
+    if as_json:
+        print(json.dumps(report))
+    elif talk:
+        show_tables(report)
+        say(f"\nwritten: {out / 'report.html'}, {out / 'report.md'}, {out / 'report.json'}")
 
 
 def show_tables(report: Json) -> None:

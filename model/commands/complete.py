@@ -1,7 +1,6 @@
 """`scenegen complete`: predictions of a dataset's split, of one scan, of a folder of scans, of a
 log, or of what a sensor sees in a map."""
 
-from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,17 +19,14 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import Progress, note, say
 from scenegen.cli.types import FILE, DatasetPath, Number, OutputFile
-from scenegen.errors import DatasetError, printable
+from scenegen.errors import DatasetError
 from scenegen.limits import MOST_BATCH
 from scenegen.model.commands.weights import Weights
 from scenegen.model.config import DEFAULT_NETWORK
 from scenegen.run import Executor, executor
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
     from scenegen.model.completion.completer import Completer
-    from scenegen.model.completion.scans import Task
 
 MOST_SHOWN = 24
 """Completions on the page of a folder, a log or a map, evenly spread."""
@@ -113,10 +109,10 @@ def complete(
     """
     from scenegen.dataset.locate import locate
     from scenegen.dataset.manifest import NAME
-    from scenegen.files import make_way, real_path
+    from scenegen.files import real_path
     from scenegen.logs.read import is_log
     from scenegen.model.completion.completer import Completer
-    from scenegen.model.completion.scans import predict_scan, read_scan
+    from scenegen.model.completion.scans import complete_all, predict_scan, read_scan, tasks_of
     from scenegen.model.training.device import choose_device
     from scenegen.worlds import is_map
 
@@ -130,13 +126,13 @@ def complete(
             f"{found}: --on and --workers complete a dataset's split; leave them out for scans"
         )
     several = not stored and (found.is_dir() or is_log(found) or scans["poses"] is not None)
-    tasks = _tasks(found, **scans) if several else None  # which may refuse what is there at once
+    tasks = tasks_of(found, **scans) if several else None  # which may refuse what is there at once
     completer = Completer.from_pretrained(weights, device=chosen, batch=batch)
     if tasks is not None or is_map(found):
         name = found.stem if found.is_file() else real_path(found).name
         out = out or Path(f"{name}.completed")
         if tasks is not None:
-            _complete_all(completer, tasks, out, quiet)
+            complete_all(completer, tasks, out, MOST_SHOWN, quiet)
         else:
             _complete_map(completer, found, count, out, quiet)
         return
@@ -145,7 +141,6 @@ def complete(
     if stored:
         _complete_split(completer, found, split, out, execute, quiet)
     else:
-        make_way(out)
         done = predict_scan(completer, read_scan(found, scans["sensor"]), out)
         if not quiet:
             say(f"{found}: {done}; completed by {completer.name}")
@@ -201,67 +196,3 @@ def _complete_map(completer: "Completer", place: Path, count: int, out: Path, qu
     _complete_split(completer, there, "train", predictions, None, quiet)
     guesses, _ = chosen(seen, "train", predictions, (), 0, no_paths=True)
     write_page(seen, "train", (), MOST_SHOWN, out / "index.html", quiet, guesses)
-
-
-def _tasks(
-    found: Path, sensor: "ArrayLike", every: int, poses: Path | None, topic: str | None
-) -> "tuple[int, Iterable[Task]]":
-    """How many scans of a log or a folder are to be completed, and these."""
-    from scenegen.clouds import scans_in
-    from scenegen.logs.read import is_log, read_log
-    from scenegen.model.completion.scans import read_scan, scans_of_log
-
-    if poses is not None or is_log(found):
-        log = read_log(found, poses=poses, topic=topic)
-        return len(range(0, len(log.poses), every)), scans_of_log(log, every)
-    kept = found / "observations"  # what `ingest` keeps beside its maps
-    scans = scans_in(kept if kept.is_dir() else found)[::every]
-    if not scans:
-        raise DatasetError(
-            f"{found}: holds neither a dataset (no dataset.json) nor scans; expected .ply, .pcd, "
-            ".bin, .npz, .xyz or .npy files"
-        )
-    names = [str(scan.relative_to(found).with_suffix("")) for scan in scans]
-    return len(scans), zip(names, (partial(read_scan, scan, sensor) for scan in scans), strict=True)
-
-
-def _complete_all(
-    completer: "Completer", tasks: "tuple[int, Iterable[Task]]", out: Path, quiet: bool
-) -> None:
-    """Complete scans into files of their names in the folder `out`, and write a page of some.
-
-    Those that are there already are passed over. Raises DatasetError at the end where some could
-    not be completed.
-    """
-    from scenegen.display.look import evenly
-    from scenegen.files import make_parent, remove_drafts, write_result
-    from scenegen.model.completion.scans import page_of, predict_scan, summary
-
-    count, scans = tasks
-    done, there, broken = [], [], 0
-    with Progress("complete", shown=not quiet) as progress:
-        progress.start(count)
-        for name, read in scans:
-            target = out / f"{name}.h5"
-            if not target.exists():
-                make_parent(target)
-                remove_drafts(target.parent)
-                try:
-                    done.append(predict_scan(completer, read(), target))
-                except DatasetError as error:
-                    broken += 1
-                    note(printable(error))
-            if target.exists():
-                there.append(target)
-            progress.count(1)
-    if there:
-        shown = [there[n] for n in evenly(len(there), MOST_SHOWN)]
-        write_result(out / "index.html", page_of(shown, title=str(out)).encode())
-    if broken:
-        raise DatasetError(
-            f"{out}: {broken} of {count} scans could not be completed; the others are there"
-        )
-    if not quiet:
-        for line in summary(done):
-            note(f"note: {line}")
-        say(f"{out}: {len(there)} completions; look at {out / 'index.html'}")

@@ -2,7 +2,7 @@
 
 import dataclasses
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,32 +14,29 @@ from lidarsim.registry import Registry
 from scenegen.cli.options import (
     WORLD,
     command,
+    executing,
     flags_given,
     group,
     lidar_option,
     noise_option,
-    on_option,
     options_of,
     out_option,
     printing,
     seed_option,
     taken,
     was_given,
-    workers_option,
 )
 from scenegen.cli.show import Progress, announce_compilation, say, show_table
 from scenegen.cli.types import FILE, Choice, Named, OutputFile
-from scenegen.errors import DatasetError, raised_as
 from scenegen.files import check_free, write_result
 from scenegen.fly import SUITES, Rules, Vehicle
 from scenegen.model.commands.weights import Weights
 from scenegen.model.robots import FORGETFUL, MAPPING, NAMES, REACTIVE
-from scenegen.run import check_together, executor
+from scenegen.run import Executor, check_together
 
 if TYPE_CHECKING:
-    from scenegen.fly.course import Course, Flights
+    from scenegen.fly.course import Course
     from scenegen.fly.loop import Flown
-    from scenegen.model.robots.flights import Crew
 
 
 FOLDER = click.Path(path_type=Path, exists=True, file_okay=False)
@@ -161,8 +158,7 @@ OF_WORLD = (
     help="What the sensor saw on the first flight, as `scan --sequence` writes logs: a folder, or "
     ".mcap.",
 )
-@workers_option
-@on_option
+@executing
 @printing
 @group("Robot", "robot weights radius speed acceleration dynamics")
 @group("Courses", "suite hidden maps quick flights worlds difficulty apart moving replay")
@@ -178,12 +174,11 @@ def fly(
     worlds: int,
     recorded: Path | None,
     entries: Path | None,
-    out: Path | None,
+    out: Any,
     picture: Path | None,
     film: Path | None,
     log: Path | None,
-    workers: int,
-    on: str,
+    execute: Executor,
     as_json: bool,
     talk: bool,
     **options: Any,
@@ -194,16 +189,23 @@ def fly(
     """
     _check()
     if entries is not None:
-        _write_board(entries, out, hidden, maps, talk)
+        from scenegen.model.robots.film import leaderboard
+
+        with Progress("film", shown=talk) as progress:
+            write_result(out, leaderboard(entries, progress, hidden, maps).encode())
+        if talk:
+            say(f"written: {out}")
         return
     from scenegen.dataset.locate import file_sha256
     from scenegen.fly.suite import chosen_courses, track_name
     from scenegen.model.robots.flights import (
         check_begins,
         counted,
+        flown_again,
         fly_course,
         fly_courses,
         real_course,
+        rows_of,
         summary,
     )
 
@@ -216,13 +218,12 @@ def fly(
         network = file_sha256(locate(weights))
     is_given = weights is not None or was_given("robot")
     fly_one = partial(fly_course, robot=robot, weights=weights, hidden=hidden)
-    execute = executor(on, workers)
     check_together(execute, "a row of flights takes")
     crew = partial(counted, execute, partial(Progress, shown=talk))
     told = dict[str, str]()
     if recorded is not None:
         anew = fly_one if is_given else None
-        name, found, told = _replayed(recorded, hidden, maps, anew, crew)
+        name, found, told = flown_again(recorded, hidden, maps, anew, crew)
     else:
         name = f"{weights}, last scan" if weights and robot == FORGETFUL else weights or robot
         if suite is None:
@@ -239,52 +240,13 @@ def fly(
         _show(real_course(course, hidden), flown, name, shown, picture, film, log)
     row = summary(name, [one for _, flown in found for one in flown]) | told
     if as_json:
-        print(json.dumps(row | {"flights": _rows(found, hidden, crew)}))
+        print(json.dumps(row | {"flights": rows_of(found, hidden, crew)}))
     elif talk:
-        _tell(row, found, out, picture, film, log)
-
-
-def _replayed(
-    path: Path,
-    hidden: int | None,
-    maps: Path | None,
-    anew: Callable[[Any], Any] | None,
-    crew: "Crew",
-) -> "tuple[str, Flights, dict[str, str]]":
-    """Of a recording: who flew, the flights flown again, and what is told of them. A robot that
-    flies a course `anew` flies some of them, too."""
-    from scenegen.model.robots.flights import flown_again, flown_anew, read_recording
-
-    recording, told = read_recording(path, hidden, maps)
-    with raised_as(DatasetError, f"{path}: ", of=DatasetError):
-        found = flown_again(recording, hidden, crew)
-    told["as recorded, to the bit"] = f"{sum(len(flown) for _, flown in found)} flights"
-    if anew is not None:
-        told["anew, equal to the bit"] = flown_anew(recording, anew, crew)
-    return recording.robot, found, told
-
-
-def _tell(row: dict[str, Any], found: "Flights", *written: Path | None) -> None:
-    """Print what came of flights, what their robots died of, and what was written."""
-    show_table(row)
-    for end in sorted({one.trouble for _, flown in found for one in flown} - {""}):
-        say(f"robot: {end}")
-    for path in filter(None, written):
-        say(f"written: {path}")
-
-
-def _write_board(
-    entries: Path, out: Path | None, hidden: int | None, maps: Path | None, talk: bool
-) -> None:
-    """Write the page of all entries in a folder."""
-    if out is None:
-        raise click.UsageError("--leaderboard: say where to write the page with -o, .html")
-    from scenegen.model.robots.board import leaderboard
-
-    with Progress("film", shown=talk) as progress:
-        write_result(out, leaderboard(entries, progress, hidden, maps).encode())
-    if talk:
-        say(f"written: {out}")
+        show_table(row)
+        for end in sorted({one.trouble for _, flown in found for one in flown} - {""}):
+            say(f"robot: {end}")
+        for path in filter(None, (out, picture, film, log)):
+            say(f"written: {path}")
 
 
 def _check() -> None:
@@ -311,22 +273,12 @@ def _check() -> None:
             "--weights says which robot flies; leave out --robot, but for --robot returns, which "
             "completes the last scan alone"
         )
+    if asked.entries is not None and asked.out is None:
+        raise click.UsageError("--leaderboard: say where to write the page with -o, .html")
     if asked.out and asked.recorded:
         raise click.UsageError("--replay records nothing; leave out -o")
     if asked.log is not None:
         check_free(asked.log)
-
-
-def _rows(found: "Flights", hidden: int | None, crew: "Crew") -> list[dict[str, Any]]:
-    """What `--json` tells of each flight."""
-    from scenegen.model.robots.flights import graded
-
-    grades = graded([course for course, _ in found], hidden, crew)
-    return [
-        one.row() | {"seed": course.seed, "difficulty": difficulty._asdict()}
-        for course, flown in found
-        for one, difficulty in zip(flown, grades[course], strict=True)
-    ]
 
 
 def _courses(world: str, flights: int, worlds: int, options: dict[str, Any]) -> "Sequence[Course]":

@@ -44,19 +44,40 @@ def inspect(dataset: Path | str, every: bool, keep: bool, workers: int, as_json:
     predictions (.h5; the first one of a folder's), or a run's folder, it says what it is.
     """
     from scenegen.dataset.manifest import NAME
-    from scenegen.display.inspect import inspect_all
+    from scenegen.display.inspect import MOST_MEASURED, inspect_all, misfits
+    from scenegen.display.inspect import inspect as examine
+    from scenegen.model.config import NetworkConfig
 
     path = Path(dataset)
     several = path.is_dir() and not (path / NAME).exists() and any(path.glob(f"*/{NAME}"))
-    facts = None if several else _facts(path)
     if several:
         _show_all(inspect_all(path), as_json)
-    elif facts is None:
-        _inspect_dataset(dataset, every, keep, workers, as_json)
-    elif as_json:
-        print(json.dumps(facts))
-    else:
-        show_table(plain(facts))
+        return
+    if facts := _facts(path):
+        print(json.dumps(facts)) if as_json else show_table(plain(facts))
+        return
+    opened = open_dataset(dataset, shown=not as_json)
+    with Progress("inspect", shown=(every or keep) and not as_json) as progress:
+        found = examine(
+            opened.folder,
+            most=None if every else MOST_MEASURED,
+            keep=keep,
+            workers=workers,
+            on_start=progress.start,
+            on_done=progress.count,
+        )
+    sensors = dict.fromkeys(lidar for lidar, _, _ in opened.settings)
+    warnings = [line for lidar in sensors for line in misfits(opened.grid, lidar)]
+    try:
+        NetworkConfig(height=opened.grid.shape[2]).check_map(opened.grid.shape)
+    except ValueError as error:
+        warnings.append(str(error))
+    if as_json:
+        print(json.dumps(found | {"warnings": warnings}))
+        return
+    _show(dataset, found)
+    for line in warnings:
+        note(f"note: {line}")
 
 
 def _facts(path: Path) -> Json | None:
@@ -81,37 +102,6 @@ def _facts(path: Path) -> Json | None:
     from scenegen.model.training.run_folder import run_facts
 
     return run_facts(path)
-
-
-def _inspect_dataset(
-    dataset: Path | str, every: bool, keep: bool, workers: int, as_json: bool
-) -> None:
-    from scenegen.display.inspect import MOST_MEASURED, misfits
-    from scenegen.display.inspect import inspect as examine
-    from scenegen.model.config import NetworkConfig
-
-    opened = open_dataset(dataset, shown=not as_json)
-    with Progress("inspect", shown=(every or keep) and not as_json) as progress:
-        found = examine(
-            opened.folder,
-            most=None if every else MOST_MEASURED,
-            keep=keep,
-            workers=workers,
-            on_start=progress.start,
-            on_done=progress.count,
-        )
-    sensors = dict.fromkeys(lidar for lidar, _, _ in opened.settings)
-    warnings = [line for lidar in sensors for line in misfits(opened.grid, lidar)]
-    try:
-        NetworkConfig(height=opened.grid.shape[2]).check_map(opened.grid.shape)
-    except ValueError as error:
-        warnings.append(str(error))
-    if as_json:
-        print(json.dumps(found | {"warnings": warnings}))
-        return
-    _show(dataset, found)
-    for line in warnings:
-        note(f"note: {line}")
 
 
 def _show_all(rows: list[Json], as_json: bool) -> None:

@@ -65,12 +65,17 @@ def reproduce(
 
     Given again after a stop, it goes on where it was.
     """
+    from scenegen.model.study import claims, stages
+
     if given is not None:
-        found = _judged_again(given)
+        try:
+            found = claims.judged(stages.read_json(given) or {})
+        except (KeyError, TypeError, ValueError, AttributeError, IndexError):
+            raise DatasetError(
+                f"{given}: is no study; expected the study.json that reproduce wrote"
+            ) from None
         print(json.dumps(found, allow_nan=False)) if as_json else _show_verdicts(found)
         return
-    from scenegen.model.study import stages
-
     config, runs = ReproduceConfig(**options), chosen(only)
     if talk or dry_run:
         maps, samples = config.scaled(config.maps), sum(config.counts.values())
@@ -97,18 +102,6 @@ def reproduce(
     elif talk:
         _show_verdicts(found)
         say(f"written: {out / stages.TEXT}, {out / stages.STUDY}")
-
-
-def _judged_again(path: Path) -> Json:
-    from scenegen.model.study.claims import judged
-    from scenegen.model.study.stages import read_json
-
-    try:
-        return judged(read_json(path) or {})
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError):
-        raise DatasetError(
-            f"{path}: is no study; expected the study.json that reproduce wrote"
-        ) from None
 
 
 def _show_verdicts(study: Json) -> None:

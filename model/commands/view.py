@@ -9,10 +9,10 @@ import rich_click as click
 from scenegen.cli.options import (
     command,
     dataset_argument,
+    flags_given,
     group,
     quiet_option,
     split_option,
-    was_given,
 )
 from scenegen.cli.show import note, say
 from scenegen.cli.types import OutputFile
@@ -84,9 +84,8 @@ def view(
 ) -> None:
     """Show a dataset in a browser, from this machine; or, with --html, write one file that shows
     some of it."""
-    for name in ("host", "port"):
-        if out is not None and was_given(name):
-            raise click.UsageError(f"--{name}: is for what is served; leave out --html")
+    if out is not None and (odd := flags_given(("host", "port"))):
+        raise click.UsageError(f"{odd[0]}: is for what is served; leave out --html")
     if out is None and len(indices) > 1:
         raise click.UsageError(
             "--index: give one to begin with, or --html for a file of several samples"
@@ -102,10 +101,30 @@ def view(
         raise click.UsageError("--predictions: is of one dataset; name that one")
     opened = [Dataset(folder, partial=True) for folder in folders]
     guesses, methods = chosen(opened[0], split, **shown)
-    if out is None:
-        _serve(opened, split, indices[0] if indices else 0, (host, port), guesses, methods)
-    else:
+    if out is not None:
         write_page(opened[0], split, indices, count, out, quiet, guesses)
+        return
+    from scenegen.display.live import Live
+    from scenegen.display.look import incomplete
+
+    there, index = len(opened[0].split(split)), indices[0] if indices else 0
+    if index >= max(there, 1):
+        raise click.UsageError(f"--index {index}: its {split} split has {there} samples")
+    for one in opened:
+        for line in incomplete(one, split):
+            note(f"{one.folder}: {line}")
+    server = Live(
+        opened, split=split, index=index, host=host, port=port, guesses=guesses, methods=methods
+    )
+    say(f"{server.address}  shows {', '.join(str(one.folder) for one in opened)}; Ctrl-C ends it")
+    if server.on_loopback:
+        bound = server.server_address[1]
+        say(
+            f"from another machine: ssh -L {bound}:127.0.0.1:{bound} to this one, then the same "
+            f"address there"
+        )
+    sys.stdout.flush()
+    server.serve_forever()
 
 
 def write_page(
@@ -132,37 +151,3 @@ def write_page(
         note(line)
     if not quiet:
         say(f"{out}: {len(shown)} samples, {len(content) / 1e6:.1f} MB; open it in a browser")
-
-
-def _serve(
-    opened: "list[Dataset]",
-    split: str,
-    index: int,
-    address: tuple[str, int],
-    guesses: "Guesses | None",
-    methods: tuple[str, ...],
-) -> None:
-    """Serves until a stop, which ends the process."""
-    from scenegen.display.live import Live
-    from scenegen.display.look import incomplete
-
-    count = len(opened[0].split(split))
-    if not 0 <= index < max(count, 1):
-        raise click.UsageError(f"--index {index}: its {split} split has {count} samples")
-    for dataset in opened:
-        for line in incomplete(dataset, split):
-            note(f"{dataset.folder}: {line}")
-    host, port = address
-    server = Live(
-        opened, split=split, index=index, host=host, port=port, guesses=guesses, methods=methods
-    )
-    folders = ", ".join(str(dataset.folder) for dataset in opened)
-    say(f"{server.address}  shows {folders}; Ctrl-C ends it")
-    if server.on_loopback:
-        bound = server.server_address[1]
-        say(
-            f"from another machine: ssh -L {bound}:127.0.0.1:{bound} to this one, then the same "
-            f"address there"
-        )
-    sys.stdout.flush()
-    server.serve_forever()

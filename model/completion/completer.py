@@ -8,6 +8,7 @@ prediction.occupancy_probability, prediction.tudf  # the same shape, float32; me
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -31,7 +32,7 @@ from scenegen.model.calibration import Calibration
 from scenegen.model.checkpoint import CheckpointError, load_network
 from scenegen.model.completion.protocol import Prediction, check_prediction
 from scenegen.model.config import BUNDLED, DEFAULT_NETWORK, bundled, split_own, unknown_network
-from scenegen.model.inputs import PointScan, channels, input_called
+from scenegen.model.inputs import BINARY, PointScan, channels
 from scenegen.model.network import Batch, Output, placed
 from scenegen.model.onnx import load_onnx
 from scenegen.sample import Sample
@@ -45,40 +46,34 @@ NAMES_IN_FOLDER = ("best.safetensors", "model.safetensors")
 """What a run's folder, or a repository, calls its network."""
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class Completer:
     """A network with the grid it was trained on: `from_pretrained` opens one, and a call completes
     maps. It is a `MapCompleter`, too, and a row of the bench; one that `from_pretrained` opened
     travels to other processes, each of which opens it once, and by itself."""
 
+    forward: Callable[[Batch], Output]
+    """The network itself."""
+    grid: GridSpec
+    name: str
+    """How the network is called in tables, in one line."""
+    inputs: tuple[str, ...]
+    """What it has to be shown of a map: names of `scenegen.model.inputs`."""
+    about: Json
+    """What is known of its training: settings, versions, validation figures."""
+    batch: int
+    """How many maps are completed at once, at most."""
+    threads: int
+    """Of the processor, on which it computes; 0 for all."""
+    opened: tuple[str, str, int]
+    """Name, device and batch, by which `opened_once` has it in other processes."""
     learned = True
 
-    def __init__(
-        self,
-        forward: Callable[[Batch], Output],
-        grid: GridSpec,
-        *,
-        name: str,
-        inputs: Sequence[str] = ("observed",),
-        about: Json | None = None,
-        batch: int = 8,
-        threads: int = 0,
-    ):
-        self.grid, self._threads = grid, threads
-        self.name = name
-        """How the network is called in tables, in one line."""
-        self.inputs = tuple(inputs)
-        """What it has to be shown of a map: names of `scenegen.model.inputs`."""
-        self.about = dict(about or {})
-        """What is known of its training: settings, versions, validation figures."""
-        with raised_as(CheckpointError, f"{name}: "):
-            self.calibration = Calibration.of(self.about, grid)
+    def __post_init__(self) -> None:
+        self.batch = whole_number("batch =", self.batch, 1, MOST_BATCH)
+        with raised_as(CheckpointError, f"{self.name}: "):
+            self.calibration = Calibration.of(self.about, self.grid)
             """What tells how sure a prediction is; None for a network that was not calibrated."""
-        self._forward = forward
-        self.batch = whole_number("batch =", batch, 1, MOST_BATCH)
-        """How many maps are completed at once, at most."""
-        self.opened: tuple[str, str, int] | None = None
-        """Name, device and batch, by which `opened_once` has it in other processes, if it came by
-        its name."""
 
     @classmethod
     def from_pretrained(
@@ -114,11 +109,18 @@ class Completer:
                 return Output(*network({name: values.to(device) for name, values in maps.items()}))
 
         said = printable(called(name, path))
-        made = cls(run, grid, name=said, inputs=inputs, about=about, batch=batch, threads=threads)
         if not (plain.startswith(HUB) or plain in bundled()):
             name = "@".join(filter(None, (",".join(sorted(own)), str(path.absolute()))))
-        made.opened = str(name), str(device), batch
-        return made
+        return cls(
+            forward=run,
+            grid=grid,
+            name=said,
+            inputs=inputs,
+            about=about,
+            batch=batch,
+            threads=threads,
+            opened=(str(name), str(device), batch),
+        )
 
     def __repr__(self) -> str:
         return f"<Completer: {self.name}, {', '.join(self.inputs)} on {self.grid}>"
@@ -141,25 +143,31 @@ class Completer:
         input cannot hold, and where no point is in the map; PredictionError where the network says
         NaN, or what is no probability or distance.
         """
-        with on_threads(self._threads):
-            batch = self._named(maps, sensor)
+        given: Any = maps
+        with on_threads(self.threads):
+            if getattr(given, "ndim", 0) == 2:
+                given = self.scan_of(given, sensor)
+            if isinstance(given, Sample | PointScan):
+                given = channels(self.inputs, given, self.grid)
+            batch = given if isinstance(given, Mapping) else {"observed": given}
             if missing := [name for name in self.inputs if name not in batch]:
                 raise ValueError(
                     f"{self.name} takes {', '.join(self.inputs)}; {', '.join(missing)} is not "
                     f"given: give all of them by name, a sample, or points"
                 )
-            given = {name: self._checked(name, batch[name]) for name in self.inputs}
-            shapes = {tuple(values.shape) for values in given.values()}
+            tensors = {name: self._checked(name, batch[name]) for name in self.inputs}
+            shapes = {tuple(values.shape) for values in tensors.values()}
             if len(shapes) > 1:
                 raise ValueError(
                     f"{', '.join(self.inputs)} have shapes {sorted(shapes)}, expected one"
                 )
             (shape,) = shapes
             split = [
-                values.reshape(-1, *self.grid.shape).split(self.batch) for values in given.values()
+                values.reshape(-1, *self.grid.shape).split(self.batch)
+                for values in tensors.values()
             ]
             parts = [
-                self._complete(dict(zip(given, part, strict=True)))
+                self._complete(dict(zip(tensors, part, strict=True)))
                 for part in zip(*split, strict=True)
             ]
             first = batch[self.inputs[0]]
@@ -176,16 +184,6 @@ class Completer:
             probability, tudf = map(joined, zip(*parts, strict=True))
             found = Prediction(probability, tudf, self.calibration, self.grid)
             return check_prediction(found, shape, self.name)
-
-    def _named(
-        self, maps: Sample | Maps | Mapping[str, Maps], sensor: ArrayLike
-    ) -> Mapping[str, Maps]:
-        """The inputs of what is to be completed, as far as they are known."""
-        if isinstance(maps, Sample):
-            return channels(self.inputs, maps, self.grid)
-        if getattr(maps, "ndim", 0) == 2:
-            return channels(self.inputs, self.scan_of(maps, sensor), self.grid)
-        return maps if isinstance(maps, Mapping) else {"observed": maps}
 
     def __reduce__(self) -> Any:
         return opened_once, self.opened
@@ -256,7 +254,7 @@ class Completer:
             )
         if not given.numel():
             raise ValueError(f"{name} holds no map; give at least one")
-        if input_called(name).binary:
+        if name in BINARY:
             if given.dtype != torch.bool and not ((given == 0) | (given == 1)).all():
                 raise ValueError(
                     f"{name} holds values other than 0 and 1; expected a mask of voxels"
@@ -267,7 +265,7 @@ class Completer:
 
     @torch.inference_mode()
     def _complete(self, maps: Batch) -> tuple[Tensor | None, Tensor | None]:
-        output = self._forward(maps)
+        output = self.forward(maps)
         probability = None if output.logits is None else output.logits.sigmoid()
         tudf = None if output.tudf is None else output.tudf.clamp(max=self.grid.truncation_m)
         return probability, tudf
@@ -292,40 +290,36 @@ def opened_once(name: str, device: str, batch: int) -> Completer:
         return Completer.from_pretrained(name, device=device, batch=batch, threads=1)
 
 
-def unlike(
-    name: str, about: Json, lidar: Any, mapping: Mapper | None = None, noise: str = ""
-) -> str:
+def unlike(name: str, about: Json, lidar: Any, mapping: Mapper, noise: str) -> str:
     """How the sensor `lidar`, its `noise` (stages as a manifest spells them), and maps made by
     `mapping`, differ from those that the network called `name` learned from, as `about` tells, in
     one line; "" where they do not.
 
     Networks of earlier commits name none: they learned from the paper's, without noise.
     """
-    ways = about, *about.get("also", ())  # sensors and maps of several ways, each with its noise
-    said = [_unlike(name, way, lidar, mapping, noise) for way in ways]
-    # of the nearest way: a sensor that differs says more than noise, and that more than maps
-    return min(said, key=lambda one: ("another sensor" in one, "other noise" in one, one))
+    here, usual = sensor_entry(lidar), described(Mapper())
 
+    def told(way: Json) -> str:
+        """How they differ from one way of those that the network learned from."""
+        there, known = way.get("lidar") or sensor_entry(Lidar()), way.get("noise") or [""]
+        sensor = differences(there, here)
+        if sensor and ("sensor" in there or "sensor" in here):  # tables of rays have nothing else
+            sensor = [f"sensor is {_titled(there)} there, {_titled(here)} asked for"]
+        kinds = " or ".join(one or "none" for one in known)
+        faults = [] if noise in known else [f"noise is {kinds} there, {noise or 'none'} asked for"]
+        learned = {"mapping": way.get("mapping") or usual}
+        maps = differences(learned, {"mapping": described(mapping)})
+        if not sensor + faults + maps:
+            return ""
+        what = "another sensor" if sensor else "other noise" if faults else "maps made otherwise"
+        said = "; ".join(sensor + faults + maps)[:MOST_SAID]
+        said = printable(said.replace("there", "in training").replace("asked for", "here"))
+        return f"{name} was trained on {what}, so expect worse completions: {said}"
 
-def _unlike(name: str, about: Json, lidar: Any, mapping: Mapper | None, noise: str) -> str:
-    usual = described(Mapper())
-    there = about.get("lidar") or sensor_entry(Lidar())
-    here, known = sensor_entry(lidar), about.get("noise") or [""]
-    sensor = differences(there, here)
-    if sensor and ("sensor" in there or "sensor" in here):  # tables of rays have nothing else
-        sensor = [f"sensor is {_titled(there)} there, {_titled(here)} asked for"]
-    kinds = " or ".join(one or "none" for one in known)
-    faults = [] if noise in known else [f"noise is {kinds} there, {noise or 'none'} asked for"]
-    maps = differences(
-        {"mapping": about.get("mapping") or usual},
-        {"mapping": usual if mapping is None else described(mapping)},
-    )
-    if not sensor + faults + maps:
-        return ""
-    what = "another sensor" if sensor else "other noise" if faults else "maps made otherwise"
-    said = "; ".join(sensor + faults + maps)[:MOST_SAID]
-    said = printable(said.replace("there", "in training").replace("asked for", "here"))
-    return f"{name} was trained on {what}, so expect worse completions: {said}"
+    # sensors and maps of several ways, each with its noise; of these, the nearest is told: a sensor
+    # that differs says more than noise, and that more than maps
+    ways = map(told, (about, *about.get("also", ())))
+    return min(ways, key=lambda one: ("another sensor" in one, "other noise" in one, one))
 
 
 def _titled(entry: Json) -> str:

@@ -2,17 +2,16 @@
 
 import io
 import json
-import secrets
-from collections.abc import Callable, Container, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Container, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import h5py
 import numpy as np
 
-from scenegen.cli.show import Showing, silent
+from scenegen.cli.show import Showing, counted, silent
 from scenegen.dataset.hdf5 import read_guarded
 from scenegen.dataset.locate import file_sha256
 from scenegen.dataset.read import Dataset, Split
@@ -45,13 +44,6 @@ PART = 100
 """Samples in a file, which is the unit of work, of writing and of recovery, as a shard is."""
 
 
-class _Part(NamedTuple):
-    """What a task does: which file it writes, with the predictions of which samples."""
-
-    file: Path
-    numbers: Sequence[int]
-
-
 def predict_split(
     completer: Completer,
     folder: Path,
@@ -79,31 +71,23 @@ def predict_split(
     about = {"dataset": dataset.manifest.digest, "split": split, "method": completer.name}
     there = _begun(out, completer, about)
     parts = [
-        _Part(out / f"{stem_of(split, first // PART)}.h5", range(count)[first : first + PART])
+        (f"{stem_of(split, first // PART)}.h5", range(count)[first : first + PART])
         for first in range(0, count, PART)
     ]
-    get: Callable[[], Completer] = lambda: completer  # noqa: E731
     if execute is None:
         execute = ALONE
-    elif completer.opened is not None:
-        get = partial(opened_once, *completer.opened)
-    tasks = [part for part in execute.mine(parts) if part.file.name not in there]
-    work = partial(_write, get, samples, about)
-    away: list[float] = []
-    with progress("complete") as shown:
-        begin = partial(shown.start, sum(len(part.numbers) for part in tasks))
-        with closing(execute(work, tasks, begin)) as results:
-            for done, far in results:
-                away += far
-                shown.count(done)
-    return away
+    else:
+        completer = opened_once(*completer.opened)
+    tasks = [part for part in execute.mine(parts) if part[0] not in there]
+    work, total = partial(_write, completer, samples, about, out), sum(len(n) for _, n in tasks)
+    several = counted(execute, progress, work, tasks, "complete", total)
+    return [far for some in several for far in some if far is not None]
 
 
 def _begun(out: Path, completer: Completer, about: Mapping[str, Any]) -> Container[str]:
     """What is in the folder `out`, made where it is not: nothing, or predictions that are `about`
     the same by the same network. Raises DatasetError where it is anything else."""
-    opened = completer.opened
-    weights = file_sha256(locate(opened[0])) if opened else secrets.token_hex()  # goes on with none
+    weights = file_sha256(locate(completer.opened[0]))
     content = json.dumps({**about, "weights": weights, "samples": PART}, indent=1).encode()
     with disk_told(out):
         out.mkdir(parents=True, exist_ok=True)
@@ -120,18 +104,23 @@ def _begun(out: Path, completer: Completer, about: Mapping[str, Any]) -> Contain
 
 
 def _write(
-    get: Callable[[], Completer], samples: Split, about: Mapping[str, Any], part: _Part
-) -> tuple[int, list[float]]:
-    """Write the predictions of a part, completed by what `get` gives, into its file, whole or
-    not. How many they are, and how far from home each is."""
-    completer, grid, count = get(), samples.dataset.grid, len(part.numbers)
+    completer: Completer,
+    samples: Split,
+    about: Mapping[str, Any],
+    out: Path,
+    part: tuple[str, Sequence[int]],
+) -> list[float | None]:
+    """Write the predictions of some samples, by their numbers, into a file of the folder `out`,
+    whole or not. How far from home each is; None where nobody knows."""
+    (name, numbers), grid = part, samples.dataset.grid
+    path, count = out / name, len(numbers)
     who: list[tuple[int, int]] = []
-    away: list[float] = []
-    make_parent(part.file)
-    with new_hdf5(part.file) as file:
+    away: list[float | None] = []
+    make_parent(path)
+    with new_hdf5(path) as file:
         file.attrs.update({**about, **({} if completer.calibration is None else {"risk": RISK})})
         for first in range(0, count, completer.batch):
-            several = [samples[number] for number in part.numbers[first : first + completer.batch]]
+            several = [samples[number] for number in numbers[first : first + completer.batch]]
             read = [channels(completer.inputs, one, grid, one.lidar) for one in several]
             given = {name: np.stack([one[name] for one in read]) for name in completer.inputs}
             said = completer(given)
@@ -144,9 +133,9 @@ def _write(
                     file[name].id.write_direct_chunk((row, 0, 0, 0), compress(values))
             who += [(one.world, one.viewpoint) for one in several]
             far = said.away(np.stack([one.observed for one in several]))
-            away += [] if far is None else far.tolist()
+            away += [None] * len(several) if far is None else far.tolist()
         file["world"], file["viewpoint"] = np.array(who, np.int64).T
-    return count, away
+    return away
 
 
 class _Disk(io.FileIO):

@@ -12,7 +12,7 @@ import numpy as np
 
 from lidarsim.grid import Field, GridSpec, Mask
 from scenegen.errors import ScenegenError
-from scenegen.model.calibration import CLOSE, RISK, Calibration, Given, UncertaintyError
+from scenegen.model.calibration import CLOSE, RISK, Calibration, Given, UncertaintyError, denial
 from scenegen.model.config import Thresholds
 from scenegen.sample import html_table
 from scenegen.truth import distance_field
@@ -57,7 +57,7 @@ class Prediction:
         thresholds = thresholds or Thresholds()
         if self.occupancy_probability is not None:
             return self.occupancy_probability > np.float32(thresholds.probability)
-        assert self.tudf is not None
+
         return self.tudf < np.float32(thresholds.distance_m)
 
     def distance(self, thresholds: Thresholds | None, grid: GridSpec) -> Field:
@@ -106,10 +106,11 @@ class Prediction:
         (*shape). The value is the share of the calibration's maps on which it did so less often.
         From 0.95 on, expect a worse completion; below, nothing is promised.
         """
-        if not isinstance(self.uncertainty, Calibration):
+        probability, known = _plain(self.occupancy_probability), self.uncertainty
+        if probability is None or not isinstance(known, Calibration) or not known.denied:
             return None
-        probability, seen = _plain(self.occupancy_probability), _plain(observed)
-        return self.uncertainty.away(probability, seen.astype(bool))
+        shares = denial(probability, _plain(observed).astype(bool), known.class_weight)
+        return np.searchsorted(known.denied, shares) / len(known.denied)
 
     def _as_given(self, values: Field | None) -> Any:
         """As torch, on their device, where the predictions are."""

@@ -2,37 +2,39 @@
 page to look at them with."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import h5py
 import numpy as np
 from numpy.typing import ArrayLike
 
 from lidarsim import GridSpec
-from lidarsim.grid import Floats, Mask
+from lidarsim.grid import Floats
 from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.pose import rotate
-from scenegen.clouds import read_npz, read_points
+from scenegen.cli.show import Progress, note, say
+from scenegen.clouds import read_npz, read_points, scans_in
 from scenegen.dataset.hdf5 import read_guarded
 from scenegen.dataset.shard import compress
 from scenegen.display.exchange.files import encode_points
-from scenegen.display.look import Guess, Look
-from scenegen.errors import DatasetError, raised_as
-from scenegen.files import check_ours, read_bounded, write_whole
+from scenegen.display.look import Guess, Look, evenly
+from scenegen.display.page import page
+from scenegen.errors import DatasetError, printable, raised_as
+from scenegen.files import check_ours, make_way, read_bounded, write_result, write_whole
 from scenegen.limits import MOST_SCAN_BYTES, MOST_VOXELS
 from scenegen.logs import LogScan
-from scenegen.logs.read import Log
+from scenegen.logs.read import Log, is_log, read_log
 from scenegen.model.calibration import RISK, UNUSUAL
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.predictions import PACKED, new_hdf5
 from scenegen.model.completion.protocol import PARTS, SURE, Prediction, check_prediction
 from scenegen.model.config import Thresholds
-from scenegen.model.inputs import channels, input_called
+from scenegen.model.inputs import UNTOLD, channels
 
 TRUTH = ("occupancy", "known")
 """What an observation of `scenegen ingest` has besides its scan: what the whole log tells."""
@@ -44,8 +46,7 @@ LEAST_BELOW, LOWEST = 20, 0.1
 ground, where the sensor looks down far enough."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Given:
+class Given(NamedTuple):
     """A scan to complete."""
 
     name: str
@@ -53,7 +54,7 @@ class Given:
     """(N, 3), metres, z up; not finite where nothing returned."""
     position: Floats
     """(3,): where the sensor is in the points' frame, metres."""
-    truth: Mapping[str, Any] = field(default_factory=dict)
+    truth: Mapping[str, Any] = {}
     """`TRUTH` in the grid around the sensor, and its `voxel_m`; nothing where only the scan is
     known."""
 
@@ -144,25 +145,30 @@ def predict_scan(
     if out.suffix not in (".h5", ".ply"):
         raise DatasetError(f"{out}: expected a name that ends in .h5 or .ply")
     check_ours(out)
+    make_way(out)
     with raised_as(DatasetError, f"{given.name}: ", " (--sensor)"):
         seen = completer.scan_of(given.points, given.position)
     maps = channels(completer.inputs, seen, seen.grid)
     prediction = completer(maps)
     occupied = prediction.occupied(thresholds)
-    truth = _truth_on(seen.grid, given)
+    # the truth that came with a scan, if it is on the network's grid
+    truth = {name: np.asarray(given.truth[name]) for name in TRUTH if name in given.truth}
+    alike = all(one.shape == seen.grid.shape and one.dtype == np.bool_ for one in truth.values())
+    if not alike or given.truth.get("voxel_m") != seen.grid.voxel_m:
+        truth = {}
     iou = None
     if truth:
         either = (occupied | truth["occupancy"]) & truth["known"]
         both = occupied & truth["occupancy"] & truth["known"]
         iou = float(both.sum() / either.sum()) if either.any() else 1.0
-    untold = [input_called(name).untold for name in completer.inputs]
+
     result = Completed(
         completer=completer.name,
         points=len(given.points),
         without=int((~np.isfinite(given.points)).any(axis=1).sum()),
         inside=len(seen.voxels),
         height_m=height_above_returns(seen.points - given.position),
-        untold=tuple(filter(None, untold)),
+        untold=tuple(UNTOLD[name] for name in completer.inputs if name in UNTOLD),
         away=(prediction.away(seen.observed) or 0) >= UNUSUAL,
         iou=iou,
     )
@@ -181,13 +187,6 @@ def predict_scan(
                 )
                 chunk.id.write_direct_chunk((0, 0, 0), compress(values))
     return result
-
-
-def _truth_on(grid: GridSpec, given: Given) -> dict[str, Mask]:
-    """The truth that came with a scan, if it is on `grid`."""
-    masks = {name: np.asarray(given.truth[name]) for name in TRUTH if name in given.truth}
-    alike = all(mask.shape == grid.shape and mask.dtype == np.bool_ for mask in masks.values())
-    return masks if alike and given.truth.get("voxel_m") == grid.voxel_m else {}
 
 
 def height_above_returns(points: Floats) -> float | None:
@@ -260,11 +259,59 @@ def summary(done: Sequence[Completed]) -> list[str]:
     return lines
 
 
-def page_of(completions: Sequence[Path], title: str) -> str:
-    """The page of some completions, which `predict_scan` wrote."""
-    from scenegen.display.page import page
+def tasks_of(
+    found: Path, sensor: ArrayLike, every: int, poses: Path | None, topic: str | None
+) -> tuple[int, Iterable[Task]]:
+    """How many scans of a log or a folder are to be completed, and these. Raises DatasetError for a
+    folder without scans."""
+    if poses is not None or is_log(found):
+        log = read_log(found, poses=poses, topic=topic)
+        return len(range(0, len(log.poses), every)), scans_of_log(log, every)
+    kept = found / "observations"  # what `ingest` keeps beside its maps
+    scans = scans_in(kept if kept.is_dir() else found)[::every]
+    if not scans:
+        raise DatasetError(
+            f"{found}: holds neither a dataset (no dataset.json) nor scans; expected .ply, .pcd, "
+            ".bin, .npz, .xyz or .npy files"
+        )
+    names = [str(scan.relative_to(found).with_suffix("")) for scan in scans]
+    return len(scans), zip(names, (partial(read_scan, scan, sensor) for scan in scans), strict=True)
 
-    looks = [read_completion(path) for path in completions]
-    known = any("occupancy" in look.masks for look in looks)
-    note = "Where the log knows nothing, predictions are not shown."
-    return page(looks, title=title, notes=[note] if known else [])
+
+def complete_all(
+    completer: Completer, tasks: tuple[int, Iterable[Task]], out: Path, most: int, quiet: bool
+) -> None:
+    """Complete scans into files of their names in the folder `out`, and write a page of at most so
+    many.
+
+    Those that are there already are passed over. Raises DatasetError at the end where some could
+    not be completed.
+    """
+    count, scans = tasks
+    done, there, broken = [], [], 0
+    with Progress("complete", shown=not quiet) as progress:
+        progress.start(count)
+        for name, read in scans:
+            target = out / f"{name}.h5"
+            if not target.exists():
+                try:
+                    done.append(predict_scan(completer, read(), target))
+                except DatasetError as error:
+                    broken += 1
+                    note(printable(error))
+            if target.exists():
+                there.append(target)
+            progress.count(1)
+    if there:
+        looks = [read_completion(there[n]) for n in evenly(len(there), most)]
+        known = any("occupancy" in look.masks for look in looks)
+        notes = ["Where the log knows nothing, predictions are not shown."] * known
+        write_result(out / "index.html", page(looks, title=str(out), notes=notes).encode())
+    if broken:
+        raise DatasetError(
+            f"{out}: {broken} of {count} scans could not be completed; the others are there"
+        )
+    if not quiet:
+        for line in summary(done):
+            note(f"note: {line}")
+        say(f"{out}: {len(there)} completions; look at {out / 'index.html'}")

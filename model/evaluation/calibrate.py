@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
-from scenegen.cli.show import Showing, silent
+from scenegen.cli.show import Showing, counted, silent
 from scenegen.dataset.read import Dataset, Split
 from scenegen.display.look import evenly
 from scenegen.errors import DatasetError, raised_as
@@ -51,6 +51,8 @@ SCORE_M = 0.02
 """Scores are counted in steps of this, and rounded up."""
 LOGIT, MOST_LOGIT = 0.05, 20.0
 """Width of the bins of logits, and where they end."""
+LOGITS = np.arange(-MOST_LOGIT + 0.5 * LOGIT, MOST_LOGIT, LOGIT)
+"""The middles of these bins."""
 FOLDS = 5
 LEVELS = np.arange(1, 21) / 20
 """Shares of validation maps at which it is kept how many returns are denied."""
@@ -65,8 +67,8 @@ def count_logits(
     """How many of a map's `unknown` voxels have which logit, the class weight inverted: (logits,
     2), free and occupied ones apart. The arrays have one shape."""
     steps = (corrected_logit(probability[unknown], class_weight) + MOST_LOGIT) / LOGIT
-    at = np.clip(steps.astype(np.int64), 0, len(_logits()) - 1)
-    return np.bincount(2 * at + occupied[unknown], minlength=2 * len(_logits())).reshape(-1, 2)
+    at = np.clip(steps.astype(np.int64), 0, len(LOGITS) - 1)
+    return np.bincount(2 * at + occupied[unknown], minlength=2 * len(LOGITS)).reshape(-1, 2)
 
 
 def fit_temperature(counts: Ints) -> float:
@@ -74,7 +76,7 @@ def fit_temperature(counts: Ints) -> float:
     log-likelihood."""
 
     def loss(log_temperature: float) -> float:
-        scaled = _logits() / math.exp(log_temperature)
+        scaled = LOGITS / math.exp(log_temperature)
         return float(
             counts[:, 0] @ np.logaddexp(0, scaled) + counts[:, 1] @ np.logaddexp(0, -scaled)
         )
@@ -166,11 +168,6 @@ def near_bins(grid: GridSpec, chances: tuple[float, ...]) -> Mask:
     return np.repeat(edges < NEAR_M - 1e-9, len(chances) + 1)
 
 
-def _logits() -> Floats:
-    """The middles of the bins of logits."""
-    return np.arange(-MOST_LOGIT + 0.5 * LOGIT, MOST_LOGIT, LOGIT)
-
-
 LEAST_WORLDS = 20
 """Fewer promise no bound of a risk of .05, nor a temperature."""
 CHUNK = 10
@@ -236,19 +233,17 @@ def calibrate(
     def look(what: str, at: Look) -> list[Any]:
         """What `at` makes of every map, summed by world."""
         found: dict[tuple[int, int], Any] = {}
-        with progress(what) as shown:
-            begin = partial(shown.start, sum(len(chosen) for *_, chosen in tasks))
-            for several in execute(partial(_work, split, method, at), tasks, begin):
-                for world, one in several:
-                    found[world] = tuple(map(add, found[world], one)) if world in found else one
-                shown.count(len(several))
+        total, work = sum(len(chosen) for *_, chosen in tasks), partial(_work, split, method, at)
+        for several in counted(execute, progress, work, tasks, what, total):
+            for world, one in several:
+                found[world] = tuple(map(add, found[world], one)) if world in found else one
         return [found[key] for key in sorted(found)]
 
-    counted, logits, shares = zip(*look("voxels", partial(_count, weight)), strict=True)
+    scores, logits, shares = zip(*look("voxels", partial(_count, weight)), strict=True)
     chances = CHANCES if "occupancy" in network.tasks else ()
-    risks, margins = fit_margins(np.stack(counted), near_bins(grid, chances))
+    risks, margins = fit_margins(np.stack(scores), near_bins(grid, chances))
     found = Calibration(
-        worlds=len(counted),
+        worlds=len(scores),
         class_weight=weight,
         temperature=fit_temperature(sum(logits)) if chances else None,
         step_m=STEP_M,

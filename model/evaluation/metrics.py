@@ -8,11 +8,9 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim.grid import Field, Floats, GridSpec, Mask
+from lidarsim.grid import Field, Floats, Mask
 from lidarsim.jit import kernel
-from scenegen.model.completion.protocol import Prediction
-from scenegen.model.config import NEAR_M, Thresholds
-from scenegen.model.evaluation.planning.measure import Measurement
+from scenegen.model.config import NEAR_M
 from scenegen.model.evaluation.statistics import Scale
 
 NAN = float("nan")
@@ -49,7 +47,7 @@ def _mean(total: float, count: float) -> float:
     return total / count if count else NAN
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Metric:
     """One figure of a map, or of a trial."""
 
@@ -61,7 +59,7 @@ class Metric:
     needs: Literal["distance", "occupancy", "trial", "path"]
     """Which part of a prediction it judges; or whether every trial has a value, or only one that
     found a path."""
-    better: Literal["higher", "lower", "nearer to 0"]
+    better: Literal["higher", "lower", "nearer to 0"] = "higher"
     unit: str = ""
     tested: tuple[Literal["map", "unobserved"], ...] = ()
     """The voxels over which methods are compared in pairs by it: of the whole map, or the unknown
@@ -78,52 +76,54 @@ class Metric:
         return "outcome" if self.needs == "trial" else "amount" if self.unit else "share"
 
 
-def _distance(title: str, of: Callable[[Sums], float], **more: Any) -> Metric:
-    return Metric(title=title, of=of, needs="distance", unit="m", **{"better": "lower", **more})
-
-
-def _occupancy(title: str, of: Callable[[Sums], float], **more: Any) -> Metric:
-    return Metric(title=title, of=of, needs="occupancy", better="higher", **more)
-
-
-METRICS: dict[str, Metric] = {
-    "rmse": _distance("RMSE", lambda s: _mean(s.square, s.voxels) ** 0.5),
-    "mae": _distance("MAE", lambda s: _mean(s.size, s.voxels)),
-    "near_rmse": _distance(
-        "Near-RMSE", lambda s: _mean(s.near_square, s.near) ** 0.5, tested=("map",)
+METRICS = {
+    "rmse": Metric("RMSE", lambda s: _mean(s.square, s.voxels) ** 0.5, "distance", "lower", "m"),
+    "mae": Metric("MAE", lambda s: _mean(s.size, s.voxels), "distance", "lower", "m"),
+    "near_rmse": Metric(
+        "Near-RMSE",
+        lambda s: _mean(s.near_square, s.near) ** 0.5,
+        "distance",
+        "lower",
+        "m",
+        tested=("map",),
     ),
-    "near_mae": _distance("Near-MAE", lambda s: _mean(s.near_size, s.near), tested=("map",)),
-    "bias": _distance("bias", lambda s: _mean(s.error, s.voxels), better="nearer to 0"),
-    "near_bias": _distance(
-        "Near-bias", lambda s: _mean(s.near_error, s.near), better="nearer to 0"
+    "near_mae": Metric(
+        "Near-MAE",
+        lambda s: _mean(s.near_size, s.near),
+        "distance",
+        "lower",
+        "m",
+        tested=("map",),
     ),
-    "iou": _occupancy(
-        "IoU", lambda s: s.share(s.hits, s.hits + s.alarms + s.misses), tested=("map", "unobserved")
+    "bias": Metric("bias", lambda s: _mean(s.error, s.voxels), "distance", "nearer to 0", "m"),
+    "near_bias": Metric(
+        "Near-bias", lambda s: _mean(s.near_error, s.near), "distance", "nearer to 0", "m"
     ),
-    "f1": _occupancy(
-        "F1", lambda s: s.share(2 * s.hits, 2 * s.hits + s.alarms + s.misses), tested=("map",)
+    "iou": Metric(
+        "IoU",
+        lambda s: s.share(s.hits, s.hits + s.alarms + s.misses),
+        "occupancy",
+        tested=("map", "unobserved"),
     ),
-    "precision": _occupancy("precision", lambda s: s.share(s.hits, s.hits + s.alarms)),
-    "recall": _occupancy("recall", lambda s: s.share(s.hits, s.hits + s.misses)),
+    "f1": Metric(
+        "F1",
+        lambda s: s.share(2 * s.hits, 2 * s.hits + s.alarms + s.misses),
+        "occupancy",
+        tested=("map",),
+    ),
+    "precision": Metric("precision", lambda s: s.share(s.hits, s.hits + s.alarms), "occupancy"),
+    "recall": Metric("recall", lambda s: s.share(s.hits, s.hits + s.misses), "occupancy"),
 }
 """Reconstruction: the paper's ten, section "Quantitative Reconstruction Results"."""
-
-
-def _trial(title: str, of: Callable[[Measurement], float], **more: Any) -> Metric:
-    return Metric(
-        title=title,
-        of=of,
-        **{"needs": "path", "better": "higher", "unit": "m", **more},
-    )
-
-
-PLAN_METRICS: dict[str, Metric] = {
-    "success": _trial(
-        "success", lambda trial: trial.success, needs="trial", unit="", tested=("map",)
+PLAN_METRICS = {
+    "success": Metric("success", lambda trial: trial.success, "trial", tested=("map",)),
+    "length": Metric("length", lambda trial: trial.length_m, "path", "lower", "m"),
+    "min_clearance": Metric(
+        "least clearance", lambda trial: trial.min_clearance_m, "path", unit="m"
     ),
-    "length": _trial("length", lambda trial: trial.length_m, better="lower"),
-    "min_clearance": _trial("least clearance", lambda trial: trial.min_clearance_m),
-    "avg_clearance": _trial("mean clearance", lambda trial: trial.mean_clearance_m),
+    "avg_clearance": Metric(
+        "mean clearance", lambda trial: trial.mean_clearance_m, "path", unit="m"
+    ),
 }
 """Planning: the paper's four, section "Planning with Predicted Distance Fields"."""
 
@@ -154,28 +154,6 @@ def measure(
     _accumulate(*(*(grid.reshape(-1) for grid in grids), sums))
     rows = [Sums(*row.tolist()) for row in (sums.sum(axis=0), sums[list(union)].sum(axis=0), *sums)]
     return np.array([[metric.of(row) for metric in METRICS.values()] for row in rows], float)
-
-
-def measure_whole(
-    said: Prediction,
-    true_occupancy: Mask,
-    true_distance: Field,
-    grid: GridSpec,
-    known: Mask | None = None,
-    certain: Mask | None = None,
-) -> Floats:
-    """The metrics of one map over all its voxels, or the `known` ones, and over all distances or
-    the `certain` ones, (len(METRICS),), at the paper's thresholds."""
-    at = Thresholds()
-    return measure(
-        said.occupied(at),
-        said.distance(at, grid),
-        true_occupancy,
-        true_distance,
-        classes=np.zeros(grid.shape, np.uint8) if known is None else (~known).astype(np.uint8),
-        class_count=1,
-        certain=certain,
-    )[0]
 
 
 @kernel

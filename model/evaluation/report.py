@@ -6,16 +6,17 @@ import base64
 import dataclasses
 import html
 import math
+import tomllib
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import combinations
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from scenegen.files import Json
 from scenegen.model.config import Thresholds
-from scenegen.model.evaluation import paper
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS, Metric
 from scenegen.model.evaluation.run import DatasetResult, MethodResult
 from scenegen.model.evaluation.statistics import (
@@ -44,6 +45,9 @@ CAUSES = {
     "refined_into_obstacle": "refined into an obstacle",
 }
 """What came of a path, by the bench's causes of failure."""
+PAPER = tomllib.loads(Path(__file__).with_name("paper.toml").read_text(encoding="utf-8"))
+"""What the paper reports, Tables I and II, to stand beside ours: by table, kind of worlds, method
+and metric, the mean, and the standard deviation where the paper gives one."""
 REGIONS = ("map", "unobserved")
 """Rows of a sample's reconstruction before those of the classes of voxels."""
 
@@ -63,13 +67,18 @@ def build_report(results: Sequence[DatasetResult], *, seed: int, about: Json) ->
     }
     for result in results:
         rng = np.random.default_rng(seed)
-        methods = result.methods.items()
+        methods, partly = result.methods.items(), ""
+        if result.known_share < 1:
+            partly = (
+                f"{100 * result.known_share:.1f} % of the grid is known in the mean: scores count "
+                "known voxels alone, and plans keep to known space"
+            )
         report["datasets"][result.kind] = {
             "digest": str(result.dataset.manifest.digest),
             "samples": len(result.worlds),
             "worlds": len(np.unique(result.worlds)),
             "known_share": result.known_share,
-            "note": _partly(result.known_share),
+            "note": partly,
             "trials": len(result.trial_worlds),
             "excluded": dict(result.excluded),
         }
@@ -86,16 +95,6 @@ def build_report(results: Sequence[DatasetResult], *, seed: int, about: Json) ->
                 for name, found in methods
             }
     return finite(report)
-
-
-def _partly(known: float) -> str:
-    """What figures leave out where a share of the voxels is `known`; "" where all are."""
-    if known == 1:
-        return ""
-    return (
-        f"{100 * known:.1f} % of the grid is known in the mean: scores count known voxels alone, "
-        "and plans keep to known space"
-    )
 
 
 def notes(about: Json) -> list[str]:
@@ -199,8 +198,8 @@ def tables(report: Json, kind: str) -> Iterator[tuple[str, Mapping[str, Metric],
         places = ((tuned["thresholds"][name], unit, usual[name]) for name, unit in UNITS.items())
         at = "".join(f"{value:g}{unit}" for value, unit, papers in places if value != papers)
         rows[method] = {**row, BEST_IOU: {**tuned["iou"], "at": at}}
-    yield "reconstruction", metrics, rows, paper.RECONSTRUCTION.get(kind, {})
-    yield "planning", PLAN_METRICS, report["planning"][kind], paper.PLANNING.get(kind, {})
+    yield "reconstruction", metrics, rows, PAPER["reconstruction"].get(kind, {})
+    yield "planning", PLAN_METRICS, report["planning"][kind], PAPER["planning"].get(kind, {})
 
 
 class Table(NamedTuple):

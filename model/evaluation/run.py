@@ -5,16 +5,16 @@ import dataclasses
 import math
 from collections import Counter
 from collections.abc import Sequence
-from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
-from scenegen.cli.show import Showing, silent
+from scenegen.cli.show import Showing, counted, silent
 from scenegen.dataset.read import Dataset, Rows, Split
 from scenegen.display.look import evenly
 from scenegen.errors import DatasetError, empty_split
@@ -183,15 +183,8 @@ def bench(
     work = partial(
         _work, dataset.folder, methods, tuned, math.ceil(1.1 * config.trials / len(indices)), config
     )
-    found: list[_Found] = []
-    with (
-        progress(kind) as shown,
-        closing(execute(work, tasks, lambda: shown.start(len(indices)))) as results,
-    ):
-        for several in results:
-            found += several
-            shown.count(len(several))
-    found.sort(key=lambda one: one.number)
+    several = counted(execute, progress, work, tasks, kind, len(indices))
+    found: list[_Found] = sorted(chain.from_iterable(several), key=lambda one: one.number)
     # of the trials, the first of every sample first, cut to the number asked for
     turns = sorted(
         (turn, n) for n, one in enumerate(found) for turn in range(len(one.methods[0].trials))

@@ -4,7 +4,7 @@ pictures of trials that failed, and charts."""
 import dataclasses
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import Any
 
 from lidarsim.grid import Field, Floats, GridSpec, Mask
 from scenegen.dataset.read import Split
@@ -20,9 +20,6 @@ from scenegen.model.evaluation.run import DatasetResult, planner_maps, trials_of
 from scenegen.model.evaluation.visibility import walled
 from scenegen.sample import Sample
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 def guesses(
     methods: Sequence[Method], config: BenchConfig, trial: int | None, sample: Sample, split: Split
@@ -30,7 +27,11 @@ def guesses(
     """What `methods` say of a sample of a split, each with its path to the goal of the bench's
     trial number `trial` in that sample, at the thresholds and by the planner of `config`; without
     paths where `trial` is None, or the sample has no such trial."""
-    goal = None if trial is None else _goal(sample, split, config, trial)
+    goal = None
+    if trial is not None:
+        index = split.names.index((split.name, int(sample.world), int(sample.viewpoint)))
+        goals = trials_of(sample, index, split, config, trial + 1).goals
+        goal = goals[trial] if len(goals) > trial else None
     found = []
     for method in methods:
         try:
@@ -43,14 +44,6 @@ def guesses(
         route = None if goal is None else route_to(goal, *maps, sample, grid, config.plan)
         found.append(Guess(name=method.name, occupied=occupied, tudf=tudf, route=route))
     return found
-
-
-def _goal(sample: Sample, split: Split, config: BenchConfig, trial: int) -> Floats | None:
-    """The goal (3,) of a trial as the bench draws it, map frame, metres; None where the sample has
-    fewer."""
-    index = split.names.index((split.name, int(sample.world), int(sample.viewpoint)))
-    goals = trials_of(sample, index, split, config, trial + 1).goals
-    return goals[trial] if len(goals) > trial else None
 
 
 def route_to(
@@ -151,8 +144,8 @@ def draw_charts(report: Json, kind: str) -> list[tuple[str, bytes]]:
     return found
 
 
-def _webp(figure: "Figure") -> bytes:
-    """A figure as a picture of the report."""
+def _webp(figure: Any) -> bytes:
+    """A figure of matplotlib as a picture of the report."""
     from scenegen.display.panels import to_bytes
 
     figure.set_dpi(WIDE / figure.get_figwidth())

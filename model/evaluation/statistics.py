@@ -52,7 +52,7 @@ class Estimate:
     def chance(self) -> float | None:
         """Two-sided probability of a value so far from 0 where the truth is 0; None where there is
         no interval."""
-        if not math.isfinite(self.value + self.reach):
+        if None in self.ends:
             return None
         if not self.error:
             return float(self.value == 0)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from scenegen.cli.show import Showing
+from scenegen.cli import show
 from scenegen.errors import DatasetError, ScenegenError, raised_as
 from scenegen.files import check_ours, write_result, write_whole
 from scenegen.fly.course import Course, Flights, Recording, replay
@@ -33,8 +33,7 @@ from scenegen.model.completion.unlearned import Conservative, Extrude, Returns
 from scenegen.model.robots import FORGETFUL, NAMES, REACTIVE
 from scenegen.model.robots.mapping import MappingRobot, TruthRobot
 from scenegen.model.robots.steering import ReactiveRobot
-from scenegen.run import Executor, undone_if_stopped
-from scenegen.truth.difficulty import Difficulty
+from scenegen.run import undone_if_stopped
 
 RATIOS = ("score", "spl", "ratio", "speed_mps", "mean_clearance_m", "jerk_mps3", "step_s")
 """Figures of which the mean over flights is told."""
@@ -90,35 +89,25 @@ def fly_course(
     return replace(course, document=real.sha256), flown
 
 
+counted = partial(show.counted, size=lambda one: len(one[1]))
+"""Courses and what is made of each flight, as they come; see `scenegen.cli.show.counted`."""
 Crew = Callable[..., Iterator[Any]]
-"""`counted`, with an executor and what makes bars."""
+"""The same, with an executor and what makes bars."""
 
 
-def counted(
-    execute: Executor,
-    progress: Showing,
-    work: Callable[[Any], Any],
-    tasks: Sequence[Any],
-    label: str,
-    total: int,
-) -> Iterator[Any]:
-    """Courses and what `work` makes of each flight, as they come; `progress` shows how many of the
-    `total` there are."""
-    with progress(label) as shown:
-        for course, some in execute(work, tasks, lambda: shown.start(total)):
-            shown.count(len(some))
-            yield course, some
-
-
-def graded(
-    courses: Sequence[Course], hidden: int | None, crew: Crew
-) -> dict[Course, list[Difficulty]]:
-    """How hard the missions of courses are."""
+def rows_of(found: Flights, hidden: int | None, crew: Crew) -> list[dict[str, Any]]:
+    """What is told of each flight, and how hard its mission is."""
+    courses = [course for course, _ in found]
     total = sum(course.flights for course in courses)
-    return dict(crew(partial(_graded, hidden=hidden), courses, "grade", total))
+    grades = dict(crew(partial(_graded, hidden=hidden), courses, "grade", total))
+    return [
+        one.row() | {"seed": course.seed, "difficulty": difficulty._asdict()}
+        for course, flown in found
+        for one, difficulty in zip(flown, grades[course], strict=True)
+    ]
 
 
-def _graded(course: Course, *, hidden: int | None) -> tuple[Course, list[Difficulty]]:
+def _graded(course: Course, *, hidden: int | None) -> tuple[Course, Sequence[Any]]:
     return course, real_course(course, hidden).graded()
 
 
@@ -188,19 +177,15 @@ def fly_courses(
         there = f"{len(held.courses)} of {len(keys)} courses"
         return f"stopped; {out} holds {there}: give the same command again to go on"
 
-    def fly_left() -> None:
-        """Flies what is left, and saves now and then."""
-        saved_s, total = time.monotonic(), sum(course.flights for course in left)
-        for course, flown in crew(work, left, "fly", total):
-            found[named(course)] = course, flown
-            if suite and time.monotonic() - saved_s > SAVED_S:
-                save()
-                saved_s = time.monotonic()
-
+    saved_s, total = time.monotonic(), sum(course.flights for course in left)
     # only an entry is gone on with: of other flights, all are kept or none
     with undone_if_stopped(save if suite else lambda: NOTHING_KEPT):
         try:
-            fly_left()
+            for course, flown in crew(work, left, "fly", total):
+                found[named(course)] = course, flown
+                if suite and time.monotonic() - saved_s > SAVED_S:
+                    save()
+                    saved_s = time.monotonic()
         finally:
             if left and len(found) >= (1 if suite else len(keys)):
                 save()
@@ -235,53 +220,48 @@ def _kept(
     return found
 
 
-def read_recording(
-    path: Path, hidden: int | None, maps: Path | None
-) -> tuple[Recording, dict[str, str]]:
-    """A recording to fly again, with its maps where they are; and what is to be told of an entry.
+def flown_again(
+    path: Path, hidden: int | None, maps: Path | None, anew: Work | None, crew: Crew
+) -> tuple[str, Flights, dict[str, str]]:
+    """Of a recording: who flew, the flights flown again, and what is told of them. A robot that
+    flies a course `anew` flies every sixteenth, too, and what it flies to the bit as it was
+    recorded is told.
 
-    Raises ScenegenError where `hidden` or `maps` are not those of the entry, or a course is not one
-    of its suite's.
+    Raises DatasetError where a flight is not as it was, and ScenegenError where `hidden` or `maps`
+    are not those of the entry, or a course is not one of its suite's.
     """
-    recording, track = Recording.read(path), track_name(hidden, maps)
-    if recording.suite is None:
-        if track != "own":
-            raise ScenegenError(f"{path}: is no entry to a suite; leave out --hidden and --maps")
-        return recording, {}
-    with raised_as(DatasetError, f"{path}: ", of=DatasetError):
-        part = part_of(recording)
-    if part.track != track:
-        raise ScenegenError(
-            f"{path}: is an entry to the track {part.track[:14]}, not {track[:14]}; give --hidden "
-            "and its number, --maps and their folder, or neither"
-        )
-    # the suite's own, in place of worlds that a stranger's file leads to by another path
-    there = {named(course): course for course in frozen_courses(recording.suite, track, maps)}
-    found = [
-        (replace(there[named(course)], document=course.document), flights)
-        for course, flights in recording.courses
-    ]
-    return replace(recording, courses=found), {"courses": str(part)}
-
-
-def flown_again(recording: Recording, hidden: int | None, crew: Crew) -> Flights:
-    """The flights of a recording, flown again. Raises DatasetError where one is not as it was."""
+    recording, track, told = Recording.read(path), track_name(hidden, maps), dict[str, str]()
+    if recording.suite is not None:
+        with raised_as(DatasetError, f"{path}: ", of=DatasetError):
+            part = part_of(recording)
+        if part.track != track:
+            raise ScenegenError(
+                f"{path}: is an entry to the track {part.track[:14]}, not {track[:14]}; give "
+                "--hidden and its number, --maps and their folder, or neither"
+            )
+        # the suite's own, in place of worlds that a stranger's file leads to by another path
+        there = {named(course): course for course in frozen_courses(recording.suite, track, maps)}
+        courses = [
+            (replace(there[named(course)], document=course.document), flights)
+            for course, flights in recording.courses
+        ]
+        recording, told["courses"] = replace(recording, courses=courses), str(part)
+    elif track != "own":
+        raise ScenegenError(f"{path}: is no entry to a suite; leave out --hidden and --maps")
     count = sum(len(flights) for _, flights in recording.courses)
-    work = partial(_replayed, hidden=hidden)
-    found = dict(crew(work, recording.courses, "replay", count))
-    return [(course, found[course]) for course, _ in recording.courses]
-
-
-def flown_anew(recording: Recording, work: Work, crew: Crew) -> str:
-    """How many flights of every sixteenth course a robot flies to the bit as they were recorded."""
-    some = recording.courses[::QUICK]
-    before = {named(course): flights for course, flights in some}
-    count, same = sum(map(len, before.values())), 0
-    courses = [course for course, _ in some]
-    for course, flown in crew(work, courses, "fly anew", count):
-        pairs = zip(flown, before[named(course)], strict=True)
-        same += sum(one.digest == other.digest for one, other in pairs)
-    return f"{same} of {count} flights"
+    with raised_as(DatasetError, f"{path}: ", of=DatasetError):
+        again = dict(crew(partial(_replayed, hidden=hidden), recording.courses, "replay", count))
+    found = [(course, again[course]) for course, _ in recording.courses]
+    told["as recorded, to the bit"] = f"{count} flights"
+    if anew is not None:
+        before = {named(course): flights for course, flights in recording.courses[::QUICK]}
+        some, count = [course for course, _ in found[::QUICK]], sum(map(len, before.values()))
+        same = 0
+        for course, flown in crew(anew, some, "fly anew", count):
+            pairs = zip(flown, before[named(course)], strict=True)
+            same += sum(one.digest == other.digest for one, other in pairs)
+        told["anew, equal to the bit"] = f"{same} of {count} flights"
+    return recording.robot, found, told
 
 
 def _replayed(

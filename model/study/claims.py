@@ -1,4 +1,4 @@
-"""What the paper claims, and what a bench says of it.
+"""What the paper claims, what a bench says of it, and the study for people.
 
 Every bold cell of the paper's tables is a claim: this method is better than each other one, by this
 metric, on this kind of worlds. A claim is judged by the mean difference over all seeds of both
@@ -21,11 +21,18 @@ import numpy as np
 from lidarsim.grid import Floats
 from scenegen.files import Json
 from scenegen.model.config import TrainConfig
-from scenegen.model.evaluation import paper
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
-from scenegen.model.evaluation.report import figures
+from scenegen.model.evaluation.report import PAPER, figures
 from scenegen.model.evaluation.run import DatasetResult
-from scenegen.model.evaluation.statistics import Estimate, estimate, holm
+from scenegen.model.evaluation.statistics import (
+    Estimate,
+    brief,
+    caution,
+    estimate,
+    holm,
+    interval,
+    table,
+)
 from scenegen.model.study.runs import STUDY
 
 PATIENCE = TrainConfig().patience
@@ -66,7 +73,7 @@ def claims() -> tuple[Claim, ...]:
     better than the other."""
     return tuple(
         Claim(kind=kind, metric=metric, best=ROWS[best], other=ROWS[other])
-        for tables in (paper.RECONSTRUCTION, paper.PLANNING)
+        for tables in PAPER.values()
         for kind, rows in tables.items()
         for metric in next(iter(rows.values()))
         for losses in [{name: _loss(metric, row[metric][0]) for name, row in rows.items()}]
@@ -83,7 +90,7 @@ def asked(measured: Sequence[DatasetResult]) -> dict[str, list[Json]]:
     pairs, metrics = STUDY["beside"]["pairs"], STUDY["beside"]["metrics"]
     beside = [
         Claim(kind=kind, metric=metric, best=best, other=other)
-        for kind, (best, other), metric in product(paper.PLANNING, pairs, metrics)
+        for kind, (best, other), metric in product(PAPER["planning"], pairs, metrics)
     ]
     paths = [claim for claim in claims() if claim.metric in STUDY["questions"]["Q3"]["metrics"]]
     parts = {"claims": claims(), "beside": beside, "paths": paths}
@@ -258,3 +265,85 @@ def gain(
         return (lost[..., 1] - lost[..., 0]).mean(axis=1)
 
     return estimate(sums, measured.worlds_of(metric), of)
+
+
+SHOWN = ("iou", "near_rmse", "success")
+"""The figures of every row; all others stand in the JSON."""
+RULE = f"""
+A claim says that one of the paper's methods is better than another, by one metric, on one kind of
+worlds. Each bold cell of the paper's tables makes one against every other row. It is confirmed, or
+contradicted, if the mean difference over all seeds (two of each method at least) is told from
+chance, in worlds and in training seeds, at a level of .05 for all claims together (Holm). Otherwise
+it is undecided. Only networks that trained for {PATIENCE} epochs without a lower validation loss,
+as the paper's early stopping asks, can refute a claim; others can contradict it.
+""".strip().replace("\n", " ")
+
+
+def to_markdown(study: Json) -> str:
+    """Verdicts, then the figures behind them."""
+    settings, runs = study["settings"], study["runs"]
+    devices = ", ".join(sorted({run["device"] for run in runs.values()}))
+    hours = sum(run["hours"] for run in runs.values())
+    blocks = [
+        "# The study",
+        f"{len(runs)} networks at scale {settings['scale']:g}. The whole budget is "
+        f"{settings['maps'] * settings['scale']:.0f} maps seen. Training took {hours:.1f} hours on "
+        f"{devices}. Measured at commit {study['commit']} by `scenegen reproduce`; `study.json` "
+        f"holds every figure of this page.",
+    ]
+    if study["missing"]:
+        names = ", ".join(f"`{name}`" for name in study["missing"])
+        blocks.append(f"**Not trained**, so that verdicts do without them: {names}.")
+    verdicts = []
+    for name, said in study["verdicts"].items():
+        counts = ", ".join(f"{count} {said}" for said, count in sorted(said["claims"].items()))
+        verdicts.append((f"{name}: {said['asks']}", (f"**{said['verdict']}**", counts)))
+    blocks += ["## Verdicts", RULE, table(("verdict", "claims"), verdicts)]
+    for kind in study["worlds"]:
+        blocks += _of_kind(study, kind)
+    spent = []
+    for name, run in runs.items():
+        maps = f"{run['maps']:.0f} of {run['samples']}, {run['hours']:.1f}"
+        spent.append((f"`{name}`", (run["asks"], maps, f"{run['sha256'][:12]}…")))
+    blocks += ["## Runs", table(("what for", "maps, hours", "weights"), spent)]
+    return "\n\n".join(blocks) + "\n"
+
+
+def _of_kind(study: Json, kind: str) -> list[str]:
+    blocks = [f"## {kind}"]
+    if few := caution(study["worlds"][kind]):
+        blocks.append(f"**{few}.**")
+    for title, claims in (
+        ("The paper's claims", study["claims"]),
+        ("Those about paths again, where both methods of a pair have one", study["paths"]),
+        ("Beside them, judged alike", study["beside"]),
+    ):
+        rows = [claim for claim in claims if claim["kind"] == kind]
+        tried = [claim for claim in rows if claim["pairs"]]
+        heads = ("verdict", "chance (Holm)", "better by", "pair by pair")
+        blocks += [
+            f"{title}; {len(rows) - len(tried)} of {len(rows)} have no networks yet:",
+            table(heads, map(_judged, tried)),
+        ]
+    means = [
+        (row, [brief(figures[name]) for name in SHOWN])
+        for row, figures in study["means"][kind].items()
+    ]
+    return [
+        *blocks,
+        "Means over test maps and trials, with 95 % intervals:",
+        table([ALL[name].label for name in SHOWN], means),
+    ]
+
+
+def _judged(claim: Json) -> tuple[str, Sequence[str]]:
+    """A claim's row."""
+    name = f"{ALL[claim['metric']].label}: {claim['best']} before {claim['other']}"
+    chance = "" if claim["holm"] is None else f"{claim['holm']:.4f}"
+    better = f"{_signed(claim)} {interval(claim, '+.3f')}"
+    pairs = "; ".join(_signed(one) for one in claim["pairs"])
+    return name, (claim["verdict"], chance, better, pairs)
+
+
+def _signed(found: Json) -> str:
+    return "–" if found["difference"] is None else f"{found['difference']:+.3f}"

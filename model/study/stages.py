@@ -9,7 +9,7 @@ from pathlib import Path
 
 import torch
 
-from scenegen.cli.show import Showing
+from scenegen.cli.show import Showing, counted
 from scenegen.dataset.build import build
 from scenegen.dataset.generation import plan_generation
 from scenegen.dataset.locate import file_sha256
@@ -23,8 +23,7 @@ from scenegen.model.config import BenchConfig
 from scenegen.model.evaluation.methods import rows_of
 from scenegen.model.evaluation.report import finite
 from scenegen.model.evaluation.run import bench_all
-from scenegen.model.study.claims import asked, judged, means
-from scenegen.model.study.report import to_markdown
+from scenegen.model.study.claims import asked, judged, means, to_markdown
 from scenegen.model.study.runs import KINDS, RUNS, TRIALS, ReproduceConfig, Run
 from scenegen.model.training.card import read_rows
 from scenegen.model.training.device import choose_device
@@ -59,10 +58,8 @@ def reproduce(
     folders = [_dataset(out / "data" / kind, config, execute, progress) for kind in KINDS]
     where, maps = choose_device(device), config.scaled(config.maps)
     work = partial(_train, out / "runs", folders, maps, str(where))
-    with progress("networks") as shown:
-        start = partial(shown.start, maps * len(runs))
-        for _ in (ALONE if where.type == "cuda" else execute)(work, runs, start):
-            shown.count(maps)
+    trained = ALONE if where.type == "cuda" else execute
+    list(counted(trained, progress, work, runs, "networks", maps * len(runs), lambda _: maps))
     networks = [str(out / "runs" / run.name) for run in runs]
     methods = rows_of(("returns", "extrude", "truth", "seen"), networks)
     measured = bench_all(
@@ -98,11 +95,10 @@ def begin(out: Path, config: ReproduceConfig) -> None:
     """
     make_parent(out / SETTINGS)
     there = read_json(out / SETTINGS)
-    for name in (SETTINGS, STUDY, TEXT) if there is None else ():
-        if (out / name).exists():
-            raise DatasetError(f"{out}: holds {name}, and no study of ours; choose another --out")
     if there is not None:
         check_settings(out, there, asdict(config))
+    elif odd := [name for name in (SETTINGS, STUDY, TEXT) if (out / name).exists()]:
+        raise DatasetError(f"{out}: holds {odd[0]}, and no study of ours; choose another --out")
     write_whole(out / SETTINGS, (json.dumps(asdict(config), indent=1) + "\n").encode())
 
 

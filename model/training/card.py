@@ -5,16 +5,13 @@ import io
 import math
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from scenegen.errors import DatasetError
 from scenegen.files import Json, read_bounded
 from scenegen.limits import MOST_EPOCHS, MOST_LINE_BYTES
 from scenegen.model.config import VARIANTS
 from scenegen.model.evaluation.metrics import METRICS
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 PANELS = {"loss": ("train_loss", "val_loss"), "IoU": ("val_iou",), "Near-MAE, m": ("val_near_mae",)}
 
@@ -40,9 +37,9 @@ def read_rows(path: Path) -> list[dict[str, float]]:
     return rows
 
 
-def draw(rows: list[dict[str, float]], *, title: str = "") -> "Figure":
-    """A panel each for losses, IoU and Near-MAE. Raises ImportError where matplotlib is not
-    installed."""
+def draw(rows: list[dict[str, float]], *, title: str = "") -> Any:
+    """A figure of matplotlib, with a panel each for losses, IoU and Near-MAE. Raises ImportError
+    where that is not installed."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9, 3), layout="constrained")

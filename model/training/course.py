@@ -15,7 +15,7 @@ from lidarsim.grid import Floats
 from scenegen.errors import DatasetError
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import TrainConfig
-from scenegen.model.evaluation.metrics import METRICS, measure_whole
+from scenegen.model.evaluation.metrics import METRICS, measure
 from scenegen.model.losses import loss_of
 from scenegen.model.network import Output
 from scenegen.model.training.data import Maps, epoch_batches, load, views
@@ -57,8 +57,17 @@ def validate(
             for n in range(count):
                 prediction = Prediction(**{name: values[n] for name, values in said.items()})
                 true = {name: values[n].numpy() for name, values in read.items()}
-                about = maps.grid, true.get("known"), true.get("certain")
-                measured = measure_whole(prediction, true["occupancy"], true["tudf"], *about)
+                known = true.get("known", np.bool_(True))
+                measured = measure(
+                    prediction.occupied(),
+                    prediction.distance(None, maps.grid),
+                    true["occupancy"],
+                    true["tudf"],
+                    # what is not known has number 1, which is no class
+                    classes=np.zeros(maps.grid.shape, np.uint8) + ~known,
+                    class_count=1,
+                    certain=true.get("certain"),
+                )[0]
                 for name, value in zip(METRICS, measured.tolist(), strict=True):
                     if math.isfinite(value):  # a map without such voxels says nothing of them
                         totals[name] += (value, 1)

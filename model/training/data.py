@@ -117,14 +117,11 @@ class Maps(Dataset):
         if not sources:
             raise DatasetError("no dataset given; make one with `scenegen generate --kind pillar`")
         check_alike(sources)
-        named: dict[str, str] = {}
-        for source in sources:
-            if source.digest in named:
-                there = named[source.digest]
+        for there, source in itertools.combinations(sources, 2):
+            if source.digest == there.digest:
                 raise DatasetError(
-                    f"{source.name}: holds the same samples as {there}; name one of the two"
+                    f"{source.name}: holds the same samples as {there.name}; name one of the two"
                 )
-            named[source.digest] = source.name
         self.split = split
         self.sources, self.inputs = tuple(sources), tuple(inputs)
         self.grid = sources[0].grid

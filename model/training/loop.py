@@ -86,7 +86,9 @@ def train(
     watcher, where = watcher or Watcher(), choose_device(device)
     maps = Maps(training, "train", config.network.inputs)
     checks = Maps(checking, "val", config.network.inputs)
-    config = fitted(config, maps.grid)
+    variant = config.network.variant
+    if is_own(variant) or VARIANTS[variant].columns:  # which is built for the maps' height
+        config = replace(config, network=replace(config.network, height=maps.grid.shape[2]))
     # where nothing is asked for, a run keeps what it was begun with
     begun: Json = {"optimizer": "muon"}
     if (out / CONFIG).exists():
@@ -314,20 +316,15 @@ def describe(maps: Maps, config: TrainConfig, precision: torch.dtype) -> Json:
     }
 
 
-def fitted(config: TrainConfig, grid: GridSpec) -> TrainConfig:
-    """`config` for maps on `grid`: networks that see columns whole are built for their height."""
-    variant = config.network.variant
-    if not (is_own(variant) or VARIANTS[variant].columns):
-        return config
-    return replace(config, network=replace(config.network, height=grid.shape[2]))
-
-
 def origin(maps: Maps, command: str, device: torch.device) -> Json:
     """What a network remembers of where it comes from, besides its settings."""
-    versions = software() | {"python": platform.python_version()}
-    versions |= {name: installed(name) for name in PACKAGES}
-    about = {"command": command, "commit": commit(), "versions": versions}
-    about["device"] = device_name(device)
+    python = {"python": platform.python_version()}
+    about = {
+        "command": command,
+        "commit": commit(),
+        "versions": software() | python | {name: installed(name) for name in PACKAGES},
+        "device": device_name(device),
+    }
     ways: dict[tuple[Any, Any], set[str]] = {}
     for lidar, mapping, noise in maps.settings:
         ways.setdefault((lidar, mapping), set()).add(noise)

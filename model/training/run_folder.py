@@ -14,7 +14,7 @@ from datetime import datetime
 from pathlib import Path
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 
 from lidarsim import GridSpec
 from scenegen.dataset.manifest import differences
@@ -152,9 +152,16 @@ class RunFolder:
 
     def save(self, progress: Progress, name: str = LAST) -> None:
         """Write all that is needed to go on from here, of what `restore` was given."""
-        if self._writes:
-            save_tensors(self.path / name, _state(*self._learns), dataclasses.asdict(progress))
-            self._saved = time.monotonic()
+        if not self._writes:
+            return
+        network, optimizer = self._learns
+        state = {f"network/{one}": tensor for one, tensor in network.state_dict().items()} | {
+            f"optimizer/{one}/{key}": value
+            for one, parameter in network.named_parameters()
+            for key, value in optimizer.state.get(parameter, {}).items()
+        }
+        save_tensors(self.path / name, state, dataclasses.asdict(progress))
+        self._saved = time.monotonic()
 
     def save_in_time(self, progress: Progress) -> None:
         """The same, where the last time is long ago."""
@@ -189,7 +196,18 @@ class RunFolder:
             return Progress()
         try:
             tensors, header = load_tensors(self.path / LAST)
-            _set_state(network, optimizer, tensors)
+            weights = {}
+            for place, value in tensors.items():
+                kind, _, name = place.partition("/")
+                if kind == "network":
+                    weights[name] = value
+                    continue
+                name, _, key = name.rpartition("/")
+                like = network.get_parameter(name)
+                # a step count is a lone number; moments lie in memory as their weights do
+                moment = value if key == "step" else torch.empty_like(like).copy_(value)
+                optimizer.state[like][key] = moment
+            network.load_state_dict(weights)
             return Progress(**header)
         except (CheckpointError, AttributeError, TypeError, ValueError, RuntimeError):
             raise CheckpointError(
@@ -240,32 +258,6 @@ def _grows(there: Json, asked: Json) -> bool:
     of = there["maps"], asked["maps"]
     old, new = (there["epochs"], asked["epochs"]) if of == (None, None) else of
     return asked["schedule"] == "decay" and None not in (old, new) and bool(new > old)
-
-
-def _state(network: nn.Module, optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:
-    """Weights and the optimiser's moments, by name."""
-    return {f"network/{name}": tensor for name, tensor in network.state_dict().items()} | {
-        f"optimizer/{name}/{key}": value
-        for name, parameter in network.named_parameters()
-        for key, value in optimizer.state.get(parameter, {}).items()
-    }
-
-
-def _set_state(
-    network: nn.Module, optimizer: torch.optim.Optimizer, tensors: dict[str, Tensor]
-) -> None:
-    """Undo `_state`."""
-    weights = {}
-    for place, value in tensors.items():
-        kind, _, name = place.partition("/")
-        if kind == "network":
-            weights[name] = value
-            continue
-        name, _, key = name.rpartition("/")
-        # a step count is a lone number; moments lie in memory as their weights do
-        like = network.get_parameter(name)
-        optimizer.state[like][key] = value if key == "step" else torch.empty_like(like).copy_(value)
-    network.load_state_dict(weights)
 
 
 def run_facts(folder: Path) -> Json:

@@ -5,14 +5,14 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, suppress
 from typing import Any
 
 import rich_click as click
 
 from scenegen.errors import escaped, printable
-from scenegen.run import undone_if_stopped
+from scenegen.run import Executor, undone_if_stopped
 
 ENDLESS = 1 << 30
 """Columns of what is no terminal."""
@@ -205,3 +205,23 @@ Showing = Callable[[str], Progress]
 def silent(label: str) -> Progress:
     """The bar of work that nobody watches."""
     return Progress(label, shown=False)
+
+
+def counted(
+    execute: Executor,
+    progress: Showing,
+    work: Callable[[Any], Any],
+    tasks: Sequence[Any],
+    label: str,
+    total: int,
+    size: Callable[[Any], int] = len,
+) -> Iterator[Any]:
+    """What `execute` has `work` make of each task, as it comes; `progress` shows how many samples
+    of the `total` there are, of which a result holds its `size`."""
+    with (
+        progress(label) as shown,
+        closing(execute(work, tasks, lambda: shown.start(total))) as results,
+    ):
+        for one in results:
+            shown.count(size(one))
+            yield one

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from scenegen.model.study.claims import PATIENCE, judged, waited
-from scenegen.model.study.report import to_markdown
+from scenegen.model.study.claims import PATIENCE, judged, to_markdown, waited
 
 DOCS = Path(__file__).parents[2] / "docs"
 

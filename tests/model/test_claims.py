@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from scenegen.model.evaluation import paper
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
+from scenegen.model.evaluation.report import PAPER
 from scenegen.model.study.claims import (
     ALL,
     PATIENCE,
@@ -61,7 +61,7 @@ def test_claims_are_the_bold_cells_against_each_other_row(monkeypatch):
     ties = [claim.best for claim in found if (claim.kind, claim.metric) == ("geometric", "mae")]
     assert sorted(ties) == ["proposed", "tudf"]  # .162 twice: each before `occ`
     for claim in found:
-        table = paper.RECONSTRUCTION if claim.metric in METRICS else paper.PLANNING
+        table = PAPER["reconstruction" if claim.metric in METRICS else "planning"]
         names = {"tudf": "TUDF", "occ": "OCC", "proposed": "Proposed"}
         best, other = (
             table[claim.kind][names[name]][claim.metric][0] for name in (claim.best, claim.other)
@@ -169,7 +169,7 @@ def whole():
     """A study of both kinds, as it is before it is judged."""
     rng = np.random.default_rng(0)
     several = []
-    for kind in paper.PLANNING:
+    for kind in PAPER["planning"]:
         base = study(rng, 0.6, 0.5, training=0.005)
         rows = {
             name: {metric: row["iou"] + 0.01 * n for n, metric in enumerate(ALL)}

@@ -14,7 +14,7 @@ from scenegen.model.checkpoint import CheckpointError, load_network, save_networ
 from scenegen.model.completion.completer import Completer
 from scenegen.model.config import VARIANTS, NetworkConfig
 from scenegen.model.network import Network
-from scenegen.model.onnx import RUNTIMES, Traced, examine, export_onnx, load_onnx
+from scenegen.model.onnx import RUNTIMES, Traced, export_onnx, load_onnx
 
 GRID = GridSpec(shape=(16, 24, 8))
 pytestmark = pytest.mark.skipif(not find_spec("onnxscript"), reason="needs onnxscript")
@@ -212,5 +212,5 @@ def test_what_no_export_holds_is_refused(exported, tmp_path, change, said):
     path = tmp_path / "changed.onnx"
     path.write_bytes(changed(exported[0], change))
     with pytest.raises(CheckpointError) as caught:
-        examine(path, "onnxruntime")
+        load_onnx(path, runtime="onnxruntime")
     assert said in str(caught.value)

@@ -8,7 +8,7 @@ import torch
 
 from scenegen.errors import DatasetError
 from scenegen.model.checkpoint import load_tensors
-from scenegen.model.study.report import to_markdown
+from scenegen.model.study.claims import to_markdown
 from scenegen.model.study.runs import RUNS, ReproduceConfig, chosen
 from scenegen.model.study.stages import STUDY, TEXT, begin
 from tests.command_line import done

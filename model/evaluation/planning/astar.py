@@ -1,7 +1,7 @@
 """A* on a lattice of voxel centres: the shortest path on a collision map."""
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,16 +10,14 @@ from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
 from scenegen.model.config import PlanConfig
 from scenegen.worlds.search import NO_RISK, search
 
-Blocked = Literal["start_blocked", "goal_blocked", "no_path"]
-
 
 class Plan(NamedTuple):
     """What a search gave: a path, or why there is none."""
 
     waypoints: Floats | None
     """(n, 3): from the start to the goal, a node each, map frame, metres."""
-    reason: Blocked | None
-    """None where there is a path."""
+    reason: str | None
+    """`start_blocked`, `goal_blocked` or `no_path`; None where there is a path."""
 
 
 @dataclass(frozen=True)
@@ -38,19 +36,18 @@ class Lattice:
     @property
     def first(self) -> Ints:
         """Voxel (3,) of node (0, 0, 0)."""
-        return np.array([n // 2 % self.step for n in self.grid.shape])
+        return np.array(self.grid.shape) // 2 % self.step
 
     @property
-    def shape(self) -> tuple[int, int, int]:
-        """Nodes along x, y and z."""
-        nx, ny, nz = (1 + (n - 1 - n // 2 % self.step) // self.step for n in self.grid.shape)
-        return nx, ny, nz
+    def shape(self) -> Ints:
+        """Nodes (3,) along x, y and z."""
+        return 1 + (np.array(self.grid.shape) - 1 - self.first) // self.step
 
     @property
     def start(self) -> Ints:
         """The start's node (3,): its voxel is shape // 2, whose least corner is the middle of an
         even grid."""
-        return np.array([n // 2 // self.step for n in self.grid.shape])
+        return np.array(self.grid.shape) // 2 // self.step
 
     def voxels(self, nodes: ArrayLike) -> Ints:
         """Voxels (..., 3) of `nodes` (..., 3)."""
@@ -110,7 +107,7 @@ def plan_path(
     nodes = search(
         occupied,
         lattice.first,
-        np.array(lattice.shape),
+        lattice.shape,
         lattice.step,
         start,
         end,

@@ -66,8 +66,8 @@ def test_bounds_of_others_are_a_row_of_the_study(dataset, weights, tmp_path, mon
         file["tudf_low"] = 0.5 * np.array([sample.tudf for sample in dataset.split("test")])
         file.attrs["risk"] = 0.1
     Predicted(tmp_path / "p").check(dataset, "test")
-    asked = {"names": ("truth",), "predictions": tmp_path / "p", "study": True}
-    study = report_of(dataset, tmp_path / "bench", **asked)["study"]["pillar"]["p"]
+    words = ("--predictions", tmp_path / "p", "--study")
+    study = report_of(dataset, tmp_path / "b", *words, names=["truth"])["study"]["pillar"]["p"]
     (row,) = study["bounds"]["risks"]
     assert (row["risk"], row["unobserved"]["coverage"]["mean"]) == (0.1, 1.0)
     (planned,) = (one for one in study["risk"]["settings"] if one["by"] == "risk")

@@ -18,7 +18,7 @@ def test_predictions_that_do_not_fit_are_refused_before_anything_is_measured(dat
     write_predictions(path, dataset, drop=2)
     said = "2 of 9 samples are missing, or there twice, the first is world 0, viewpoint 0"
     with pytest.raises(DatasetError, match=said):
-        report_of(dataset, tmp_path / "bench", predictions=path)
+        report_of(dataset, tmp_path / "bench", "--predictions", path)
     assert not (tmp_path / "bench").exists()
 
 

@@ -96,8 +96,8 @@ def test_sensors_and_mappings_may_differ_and_are_remembered(folders, tmp_path):
     about = origin(maps, "", torch.device("cpu"))
     assert [one["lidar"]["rows"] for one in about["also"]] == [4, about["lidar"]["rows"]]
     for dataset in map(Dataset, (folders[0], few, fused)):
-        assert unlike("net", about, dataset.lidar, dataset.manifest.mapping) == ""
-    assert "another sensor" in unlike("net", about, Lidar(rows=5))
+        assert unlike("net", about, *dataset.settings[0]) == ""
+    assert "another sensor" in unlike("net", about, Lidar(rows=5), *dataset.settings[0][1:])
 
 
 def test_points_alone_free_less_and_hold_the_same_returns(folders, rng):
