@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import rich_click as click
 
 from lidarsim.engines import DEFAULT, ENGINES
+from lidarsim.registry import Registry
 from scenegen.cli.options import (
     command,
     engine_option,
@@ -48,7 +49,8 @@ if TYPE_CHECKING:
     from scenegen.dataset.state import Plan
 
 KIND = Named(
-    KINDS, others={".toml": "--recipe", **dict.fromkeys(WORLD_FILES, "--scene")}, more=("mixed",)
+    Registry("kind", {**KINDS.known, "mixed": ""}),
+    others={".toml": "--recipe", **dict.fromkeys(WORLD_FILES, "--scene")},
 )
 COUNT = click.IntRange(min=1)
 BESIDE = "this as a recipe file, without --scene, --labels, --compact, --engine, seed and sizes"

@@ -24,7 +24,6 @@ from scenegen.cli.options import (
     out_option,
     printing,
     seed_option,
-    taken,
     was_given,
 )
 from scenegen.cli.show import Progress, say, show_figures, show_table, show_written
@@ -120,7 +119,9 @@ def _cell(value: Any) -> str:
 )
 @click.argument("world", type=WORLD)
 @click.option(
-    "--pose", type=Numbers("X,Y,Z,YAW"), help="Where the body is, metres, and its yaw, degrees."
+    "--pose",
+    type=Numbers(name="X,Y,Z,YAW"),
+    help="Where the body is, metres, and its yaw, degrees.",
 )
 @click.option("--flight", is_flag=True, help="A viewpoint of a random flight instead.")
 @click.option(
@@ -188,7 +189,7 @@ def scan(
         raise click.UsageError("--every goes with --flight")
     if sequence and (not flight or every is not None or was_given("frame")):
         raise click.UsageError("--sequence goes with --flight, and without --every and --frame")
-    if not sequence and (moving or any(map(was_given, taken(Cruise, options)))):
+    if not sequence and (moving or any(map(was_given, options))):
         raise click.UsageError("--moving and the options of the long flight go with --sequence")
     if Path(world).suffix in (*MAPS, *CLOUDS) and was_given("engine"):
         raise click.UsageError(f"{world}: a map takes no --engine: it has its own")
