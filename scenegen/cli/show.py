@@ -49,12 +49,6 @@ def show_table(
         click.echo(f"{click.style(escaped(name).ljust(width), bold=True)}  {mark}{escaped(value)}")
 
 
-def show_written(rows: Mapping[str, Any], *paths: object) -> None:
-    """Prints a table, and last where the result lies."""
-    show_table(rows)
-    say(f"written: {', '.join(str(path) for path in paths if path is not None)}")
-
-
 def show_figures(rows: Mapping[str, Sequence[str]], heads: Sequence[str], title: str = "") -> None:
     """Prints a line for each of `rows`, a name and a cell under each of `heads`; one table below
     another where the terminal is too narrow for all columns."""
