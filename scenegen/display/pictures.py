@@ -13,7 +13,7 @@ from lidarsim.grid import Floats, GridSpec
 from lidarsim.sensors.device import angles_deg
 from scenegen.display.colours import HEIGHTS, colour
 from scenegen.display.look import Look
-from scenegen.display.oblique import VIEW, View
+from scenegen.display.oblique import VIEW, View, box_edges
 from scenegen.display.panels import (
     INK,
     MAP,
@@ -256,7 +256,7 @@ def see(
         Colours (rows, columns, 3), white where rays miss the box, and where the picture lies on the
         paper: left, right, down, up.
     """
-    corners = VIEW.project(np.stack(np.meshgrid(*zip(low, high, strict=True)), -1).reshape(-1, 3))
+    corners = VIEW.project(np.concatenate(box_edges(low, high)).reshape(-1, 3))
     (left, down), (right, up) = corners.min(axis=0), corners.max(axis=0)
     step = max(right - left, up - down) / PIXELS
     across, upward = np.meshgrid(
