@@ -2,7 +2,6 @@
 dataset."""
 
 import json
-import time
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
@@ -36,6 +35,7 @@ from scenegen.cli.show import (
     per_split,
     rejections,
     say,
+    seconds_taken,
     show_table,
 )
 from scenegen.cli.types import FILE, Choice, Named, Written, read_range
@@ -141,7 +141,6 @@ def generate(
 ) -> None:
     """Make a dataset: worlds, flights, scans and truth. Given again after a stop, it goes on where
     it was."""
-    begin = time.perf_counter()
     if named is not None and options["kind"] is not None:
         raise click.UsageError("the kind is given twice; leave out --kind, or the word without it")
     options["kind"] = named or options["kind"]
@@ -169,7 +168,6 @@ def generate(
         return
     make(
         plan,
-        begin=begin,
         workers=workers,
         on=on,
         shards=shards,
@@ -201,7 +199,6 @@ def _show_plan(plan: "Plan", as_json: bool) -> None:
 def make(
     plan: "Plan",
     *,
-    begin: float,
     workers: int,
     on: str,
     force: bool,
@@ -213,7 +210,6 @@ def make(
 
     Args:
         plan: What is made.
-        begin: When the command began, by `time.perf_counter`.
         workers: Processes.
         on: Where the work is done, as `scenegen.run.executor` takes it.
         force: Replace another dataset in the folder.
@@ -241,7 +237,7 @@ def make(
             on_start=lambda: progress.start(sum(shard.samples for shard in chosen)),
             on_shard=count,
         )
-    seconds = time.perf_counter() - begin
+    seconds = seconds_taken()
     if as_json:
         print(json.dumps({**vars(summary), "folder": str(summary.folder), "seconds": seconds}))
     if not talk:

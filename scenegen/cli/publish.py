@@ -19,7 +19,14 @@ from scenegen.cli.options import (
     printing,
     seed_option,
 )
-from scenegen.cli.show import Progress, announce_compilation, note, say, show_table
+from scenegen.cli.show import (
+    Progress,
+    announce_compilation,
+    note,
+    say,
+    seconds_taken,
+    show_table,
+)
 from scenegen.errors import ScenegenError
 from scenegen.share import USUAL
 
@@ -125,7 +132,6 @@ def publish(
     Given again after a stop, it goes on where it was. The token is the one that `hf auth login`
     keeps, or HF_TOKEN.
     """
-    begin = time.perf_counter()
     if talk:
         announce_compilation()
     from scenegen.dataset.locate import locate
@@ -161,15 +167,15 @@ def publish(
             **options,
         )
     if talk or as_json:
-        _show_staged(found, commit_sent, time.perf_counter() - begin, as_json)
+        _show_staged(found, commit_sent, as_json)
 
 
-def _show_staged(staged: "Staged", commit: str | None, seconds: float, as_json: bool) -> None:
+def _show_staged(staged: "Staged", commit: str | None, as_json: bool) -> None:
     """Prints what was made, and sent."""
     from scenegen.dataset.rules import pattern_of
     from scenegen.share.upload import IN_COMMIT
 
-    size = sum(staged.files.values())
+    size, seconds = sum(staged.files.values()), seconds_taken()
     if as_json:
         told = {"folder": str(staged.folder), "commit": commit, "bytes": size, "seconds": seconds}
         print(json.dumps(vars(staged) | told))

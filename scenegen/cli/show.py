@@ -22,6 +22,13 @@ MOST_BARS = 60
 """Bars of a curve."""
 SHOW_CURSOR = b"\x1b[?25h\n"
 """Undoes what a progress bar does to a terminal."""
+BEGUN_S = time.perf_counter()
+"""When this process began: every command imports this first of all."""
+
+
+def seconds_taken() -> float:
+    """How long the command has taken so far, start-up included."""
+    return time.perf_counter() - BEGUN_S
 
 
 def say(text: object = "") -> None:
