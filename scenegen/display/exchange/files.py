@@ -283,15 +283,14 @@ def _tree(keys: Ints, state: Ints) -> tuple[int, bytes]:
     for bit in range(DEPTH):
         for axis in range(3):
             codes |= ((keys[:, axis] >> bit) & 1) << (3 * bit + axis)
-    nodes, begins, depths, words = len(codes), [], [], []
+    places, words = [], []
     for depth in reversed(range(DEPTH)):
         parents, which = np.unique(codes >> 3, return_inverse=True)
         word = np.zeros(len(parents), np.uint16)
         np.bitwise_or.at(word, which, (state << (2 * (codes & 7))).astype(np.uint16))
-        begins.append(parents << (3 * (DEPTH - depth)))  # the first leaf that may lie below
-        depths.append(np.full(len(parents), depth))
+        # depth first: by the first leaf that may lie below, and then by the depth
+        places.append((parents << (3 * (DEPTH - depth))) * DEPTH + depth)
         words.append(word)
         codes, state = parents, np.full(len(parents), INNER)
-        nodes += len(parents)
-    order = np.lexsort((np.concatenate(depths), np.concatenate(begins)))  # depth first
-    return nodes, np.concatenate(words)[order].astype("<u2").tobytes()
+    order = np.argsort(np.concatenate(places))
+    return len(keys) + len(order), np.concatenate(words)[order].astype("<u2").tobytes()
