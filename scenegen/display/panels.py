@@ -52,9 +52,9 @@ Place = tuple[float, float, float, float]
 """Left, bottom, width and height as shares of a figure."""
 
 
-def blank(wide: float, tall: float, title: str, dpi: int | None = None) -> Figure:
+def blank(wide: float, tall: float, title: str, dpi: int = DPI) -> Figure:
     """A white figure, inches; matplotlib's own layouts would take longer than all that is drawn."""
-    figure = Figure(figsize=(wide, tall), dpi=dpi or DPI, facecolor="white")
+    figure = Figure(figsize=(wide, tall), dpi=dpi, facecolor="white")
     figure.suptitle(title, color=INK, fontsize=12, y=1 - 0.12 / tall, va="top")
     return figure
 
@@ -137,15 +137,15 @@ def draw_panel(
     panel: Any,
     look: Look,
     name: str,
+    title: str,
     *,
-    title: str | None = None,
-    ticks: bool = True,
+    ticks: bool,
     view: View = VIEW,
 ) -> None:
     """Draws `points`, or the mask `name`, and the sensor in the map's box. Raises DatasetError as
     `draw_voxels`."""
     low, high = look.corners
-    put_title(panel, name if title is None else title)
+    put_title(panel, title)
     frame_box(panel, low, high, ticks=ticks, view=view)
     if name == "points" and look.points is not None:
         put_points(panel, look.points, low[2], high[2], 4, view)
@@ -213,8 +213,7 @@ def frame_box(
     room = 0.12 * span if ticks else 0.03 * span
     left, down = corners.min(axis=0) - room
     right, up = corners.max(axis=0) + room
-    panel.set(xlim=(left, right), ylim=(down, up))
-    panel.set_aspect("equal")
+    panel.set(xlim=(left, right), ylim=(down, up), aspect="equal")
     panel.set_axis_off()
 
 

@@ -72,7 +72,7 @@ def draw_sample(
     handles = [ball("sensor"), line("the map's box")]
     grid = Grid(2, 3, title, handles, scale=1.25, width=width)
     for panel, name in zip(grid.panels[0], panels, strict=False):
-        draw_panel(panel, look, name, ticks=not width)
+        draw_panel(panel, look, name, name, ticks=not width)
     height = look.grid.shape[2]
     levels = sorted({height // 4, max(height // 2 - 1, 0), 3 * height // 4})
     for n, level in enumerate(levels):
@@ -143,7 +143,7 @@ def _film(frames: Sequence[tuple[Look, View, str]], pause_s: float, suffix: str)
 
 def _with_returns(panel: Any, look: Look, view: View, size: float, title: str) -> None:
     """Occupied voxels with the returns over them."""
-    draw_panel(panel, look, "occupancy", title=title, ticks=False, view=view)
+    draw_panel(panel, look, "occupancy", title, ticks=False, view=view)
     if look.points is not None:
         places = view.project(look.points).T
         panel.scatter(*places, s=size, color=INK, linewidths=0, zorder=6)
