@@ -317,16 +317,14 @@ def find_datasets(datasets: tuple[Path | str, ...], *, shown: bool) -> tuple[Pat
     from scenegen.dataset.locate import locate
     from scenegen.dataset.trust import load
 
-    found = tuple(locate(dataset, shown=shown) for dataset in datasets)
-    if not found:
-        there = {
-            path.parent: load(path.parent) for path in sorted(Path("data").glob("*/dataset.json"))
-        }
-        found = tuple(folder for folder, manifest in there.items() if manifest.shards)
-        for folder in there.keys() - set(found) if shown else ():
-            note(f"{folder}: holds no samples yet, so it is left out")
+    found = [locate(dataset, shown=shown) for dataset in datasets]
+    for path in () if found else sorted(Path("data").glob("*/dataset.json")):
+        if load(path.parent).shards:
+            found.append(path.parent)
+        elif shown:
+            note(f"{path.parent}: holds no samples yet, so it is left out")
     if not found:
         raise click.UsageError(
             "no dataset given, and none under data/; make one: `scenegen generate --kind pillar`"
         )
-    return found
+    return tuple(found)
