@@ -219,17 +219,18 @@ def frame_box(
 
 def _put_ticks(panel: Any, low: Any, high: Any, apart: float, view: View) -> None:
     """Numbers along an edge of each axis, and its name in their middle."""
-    (x, y, z), (right, _, _), along = low, high, np.nan
-    edges = ((along, y, z), (right, along, z), (x, y, along))
-    for axis, (edge, way) in enumerate(zip(edges, ((0.3, -1), (1, -0.6), (-1.1, 0)), strict=True)):
-        marks = MaxNLocator(4, steps=[1, 2, 5, 10]).tick_values(low[axis], high[axis])
-        marks = marks[(marks >= low[axis] - 1e-9) & (marks <= high[axis] + 1e-9)]
+    for axis, way in enumerate(((0.3, -1), (1, -0.6), (-1.1, 0))):
+        least, most = low[axis], high[axis]
+        marks = MaxNLocator(4, steps=[1, 2, 5, 10]).tick_values(least, most)
+        marks = marks[(marks >= least - 1e-9) & (marks <= most + 1e-9)]
         told = [(mark, apart, f"{mark:g}", 7) for mark in marks]
-        middle = ((low[axis] + high[axis]) / 2, 2.6 * apart)
         # of the height above its edge, where no number stands
-        told.append((*(middle if axis < 2 else (high[2] + 2 * apart, 0)), f"{'xyz'[axis]} / m", 8))
+        middle = ((least + most) / 2, 2.6 * apart) if axis < 2 else (most + 2 * apart, 0)
+        told.append((*middle, f"{'xyz'[axis]} / m", 8))
         for place, out, text, size in told:
-            at = view.project(np.where(np.isnan(edge), place, edge)) + out * np.array(way)
+            point = np.where([axis == 1, False, False], high, low)  # y stands at the far end of x
+            point[axis] = place
+            at = view.project(point) + out * np.array(way)
             panel.text(*at, text, ha="center", va="center", fontsize=size, color=INK, zorder=8)
 
 

@@ -123,8 +123,10 @@ def _film(frames: Sequence[tuple[Look, View, str]], pause_s: float, suffix: str)
         _with_returns(panel, look, view, 1.2, "")
         across, upward = view.project((low + high) / 2)
         # the same in every picture
-        panel.set_xlim(across - reach, across + reach)
-        panel.set_ylim(upward - 0.75 * reach, upward + 0.75 * reach)
+        panel.set(
+            xlim=(across - reach, across + reach),
+            ylim=(upward - 0.75 * reach, upward + 0.75 * reach),
+        )
         add_bar(figure, (0.88, 0.25, 0.02, 0.5), HEIGHTS, (low[2], high[2]), "height / m")
         add_legend(figure, MARKS)
         pictures.append(Image.open(io.BytesIO(to_bytes(figure, ".png"))).convert("RGB"))
