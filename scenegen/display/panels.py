@@ -52,9 +52,9 @@ Place = tuple[float, float, float, float]
 """Left, bottom, width and height as shares of a figure."""
 
 
-def blank(wide: float, tall: float, title: str, dpi: int = DPI) -> Figure:
+def blank(wide: float, tall: float, title: str, dpi: int | None = None) -> Figure:
     """A white figure, inches; matplotlib's own layouts would take longer than all that is drawn."""
-    figure = Figure(figsize=(wide, tall), dpi=dpi, facecolor="white")
+    figure = Figure(figsize=(wide, tall), dpi=dpi or DPI, facecolor="white")
     figure.suptitle(title, color=INK, fontsize=12, y=1 - 0.12 / tall, va="top")
     return figure
 
