@@ -267,9 +267,7 @@ def _window(scan: LogScan, pace: tuple[Pose, float], how: Fusing) -> Window:
         points[now] = rotate(pose.quaternion, points[now]) + pose.position
         sensors[number] = pose.position
     cut = np.minimum(1.0, how.reach_m / ranges)[:, None]
-    ends = np.concatenate(
-        [here + cut * (points - here), [here], *[[one] for one in sensors.values()]]
-    )
+    ends = np.concatenate([here + cut * (points - here), [here, *sensors.values()]])
     low, high = ends.min(axis=0), ends.max(axis=0)
     low[2], high[2] = max(low[2], here[2] - how.rise_m), min(high[2], here[2] + how.rise_m)
     least = np.floor(low / voxel_m).astype(np.int64) - 2
