@@ -21,7 +21,7 @@ from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.pose import rotate
 from lidarsim.voxelize import ObservedGrid, sort_points, unknown_grid
 from scenegen.errors import DatasetError, SceneError
-from scenegen.files import check_free, disk_told, make_parent, sha256_of, write_whole
+from scenegen.files import check_free, disk_told, make_parent, remove_drafts, sha256_of, write_whole
 from scenegen.limits import MOST_PLACE_VOXELS
 from scenegen.logs import Fusing, LogScan
 from scenegen.logs.read import Log
@@ -83,6 +83,7 @@ def ingest(log: Log, out: Path, how: Fusing, *, on_scan: Counted = unheard) -> C
             raise
         for path in unfinished.glob(f"{PROGRESS}*"):
             path.unlink()
+        remove_drafts(unfinished)  # of runs that were killed while they wrote a map
         check_free(out)
         unfinished.rename(out)
     return run.counts
