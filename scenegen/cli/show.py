@@ -31,7 +31,7 @@ def seconds_taken() -> float:
     return time.perf_counter() - BEGUN_S
 
 
-def say(text: object = "") -> None:
+def say(text: object) -> None:
     """Prints lines; control characters in them are escaped."""
     for line in str(text).split("\n"):
         click.echo(escaped(line))

@@ -31,7 +31,7 @@ def write_points(
     intensity: Floats | None,
     about: Mapping[str, Any],
 ) -> None:
-    """Writes points in the kind of file that the name says.
+    """Writes points in the kind of file that the name says, one of `SUFFIXES`.
 
     Args:
         path: The file.
@@ -39,12 +39,7 @@ def write_points(
         intensity: Of each point (M,), if there is any; a .bin has 0 where there is none.
         about: Arrays and texts by name that an .npz holds, too. Where `frame` is "world", a .pcd
             has `sensor_position` as its viewpoint.
-
-    Raises:
-        DatasetError: The name says none of the kinds.
     """
-    if path.suffix not in SUFFIXES:
-        raise DatasetError(f"{path}: expected a name that ends in {', '.join(SUFFIXES)}")
     write_result(path, encode_points(path.suffix, points, intensity, about))
 
 
