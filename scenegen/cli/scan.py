@@ -29,6 +29,7 @@ from scenegen.cli.options import (
 from scenegen.cli.show import Progress, say, show_figures, show_table
 from scenegen.cli.types import Named, Number, Numbers
 from scenegen.display.exchange import Choices
+from scenegen.errors import raised_as
 from scenegen.limits import LEAST_DRAWN_M
 from scenegen.logs import Cruise
 from scenegen.worlds import CLOUDS, MAPS
@@ -203,7 +204,9 @@ def scan(
         raise click.UsageError(f"{out}: expected a name that ends in {', '.join(SUFFIXES)}")
     sensor = named_lidar(lidar or RASTER)
     chain = named_noise(noise, sensor)
-    found, factory, files = named_world(world, seed), ENGINES.find(engine).of, [out]
+    with raised_as(click.UsageError):
+        factory = ENGINES.find(engine).of
+    found, files = named_world(world, seed), [out]
     if sequence:
         cruise = Cruise(**options)
         facts = [_write_log(out, found, factory, sensor, chain, cruise, seed, moving, talk)]

@@ -13,7 +13,7 @@ from typing import Any
 
 from scenegen.dataset.read import Dataset, Rows
 from scenegen.display.exchange import FORMATS, Choices
-from scenegen.errors import DatasetError, printable
+from scenegen.errors import DatasetError, printable, raised_as
 from scenegen.files import make_parent, remove_drafts, write_whole
 from scenegen.run import Counted, Executor, unheard
 from scenegen.run.workers import ALONE
@@ -65,9 +65,11 @@ def convert(
         on_sample: Called with the number of samples done.
 
     Raises:
-        DatasetError: `out` holds another conversion, or the disk refuses.
+        DatasetError: There is no such format, `out` holds another conversion, or the disk refuses.
     """
-    form = FORMATS.find(to)(choices)
+    with raised_as(DatasetError):
+        kind = FORMATS.find(to)
+    form = kind(choices)
     _claim(dataset, out, to, choices)
     each = getattr(form, "together", None) or CHUNK
     whole = [
