@@ -42,14 +42,14 @@ def test_help_imports_no_other_command_and_nothing_heavy(words, commands):
 
 def test_every_command_says_in_the_list_what_it_says_itself(capsys):
     for name in app.registry.known:
-        command = app.find(name)
+        command = app.registry.find(name)
         assert command.name == name
         assert inspect.cleandoc(command.help).startswith(app.get_command(None, name).help)
         assert "Of " not in done(capsys, name, "--help")
 
 
 def test_examples_and_groups_on_help_pages_are_of_the_command_and_its_options():
-    commands = {name: app.find(name) for name in app.registry.known}
+    commands = {name: app.registry.find(name) for name in app.registry.known}
     lines = [
         (name, line.split())
         for name, command in commands.items()
@@ -68,7 +68,7 @@ def test_examples_and_groups_on_help_pages_are_of_the_command_and_its_options():
 def test_what_stands_twice_is_the_same():
     """Where a command may not import what knows a default, or would take a second to."""
     config = BenchConfig()
-    options = {option.name: option.default for option in app.find("bench").params}
+    options = {option.name: option.default for option in app.registry.find("bench").params}
     assert (options["split"], options["seed"]) == (config.split, config.seed)
 
 

@@ -22,7 +22,6 @@ from scenegen.errors import (
     is_out_of_memory,
     lacking,
     printable,
-    raised_as,
     told,
 )
 
@@ -50,20 +49,15 @@ class Commands(click.RichGroup):
         place = self.registry.known.get(name)
         return None if place is None else click.RichCommand(name=name, help=_first_paragraph(place))
 
-    def find(self, name: str) -> Any:
-        """The command itself. Raises UsageError where there is none."""
-        with raised_as(click.UsageError):
-            return self.registry.find(name)
-
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
         """The command that `args` begins with, and the rest; none while a shell completes a name
-        that is not one."""
+        that is not one. Raises UsageError where there is none."""
         try:
-            return args[0], self.find(args[0]), args[1:]
-        except click.UsageError:
+            return args[0], self.registry.find(args[0]), args[1:]
+        except ValueError as error:
             if ctx.resilient_parsing:
                 return None, None, []
-            raise
+            raise click.UsageError(str(error)) from None
 
     def invoke(self, ctx: Any) -> None:
         """Runs the command. What it returns is dropped, so that `main` returns exit codes alone."""

@@ -6,6 +6,7 @@ from typing import Any
 
 import rich_click as click
 
+from lidarsim.registry import Registry
 from scenegen import SPLITS
 from scenegen.cli.options import (
     command,
@@ -18,7 +19,6 @@ from scenegen.cli.options import (
     quiet_option,
     split_option,
     splits_option,
-    taken,
 )
 from scenegen.cli.show import Progress, note, say
 from scenegen.cli.types import Named
@@ -36,7 +36,7 @@ from scenegen.run import Executor
 @click.option(
     "--to",
     "to",
-    type=Named(FORMATS, more=(EPISODES,)),
+    type=Named(Registry("format", {**FORMATS.known, EPISODES: ""})),
     required=True,
     help=f"The format: {', '.join(FORMATS.known)}; or, of a recording of `fly`, {EPISODES}.",
 )
@@ -87,7 +87,7 @@ def convert(
             found,
             target,
             to=to,
-            choices=Choices(**taken(Choices, options)),
+            choices=Choices(**options),
             splits=splits or SPLITS,
             execute=execute,
             on_start=progress.start,

@@ -1,7 +1,6 @@
 """`scenegen rescan`, `take` and `merge`: datasets made of what others hold. Given again after a
 stop, each goes on where it was."""
 
-import time
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +62,6 @@ def rescan(
     What is not said of the sensor and of maps is as in the dataset, but for noise. Given again
     after a stop, it goes on where it was.
     """
-    begin = time.perf_counter()
     if talk:
         announce_compilation()
     from scenegen.dataset.rescan import plan_rescan
@@ -74,7 +72,7 @@ def rescan(
     chain = named_noise(noise, sensor or source.lidar)
     mapping = mapping_given(options)
     plan = plan_rescan(source, out, lidar=sensor, chain=chain, engine=engine, mapping=mapping)
-    make(plan, begin=begin, talk=talk, **without(Mapper, options))
+    make(plan, talk=talk, **without(Mapper, options))
 
 
 @command(
@@ -125,13 +123,12 @@ def take(
     Samples stay as they are, bit for bit, and the manifest says where they are from. Given again
     after a stop, it goes on where it was.
     """
-    begin = time.perf_counter()
     from scenegen.dataset.gather import plan_take
 
     chosen = tuple(split for split in SPLITS if split in splits) or SPLITS
     choice = Choice(splits=chosen, most=most, kinds=kinds, worlds=worlds, where=where)
     source = open_dataset(dataset, shown=options["talk"], partial=False)
-    make(plan_take(source, out, choice, workers=options["workers"]), begin=begin, **options)
+    make(plan_take(source, out, choice, workers=options["workers"]), **options)
 
 
 @command("merge data/pillar data/geometric -o data/both")
@@ -144,10 +141,9 @@ def merge(datasets: tuple[Path | str, ...], out: Path, **options: Any) -> None:
     Samples stay as they are, bit for bit, and in their splits; the manifest says where they are
     from. Given again after a stop, it goes on where it was.
     """
-    begin = time.perf_counter()
     if len(datasets) < 2:
         raise click.UsageError("give two datasets or more, and the folder of the new one with -o")
     from scenegen.dataset.gather import plan_merge
 
     sources = [open_dataset(one, shown=options["talk"], partial=False) for one in datasets]
-    make(plan_merge(sources, out, workers=options["workers"]), begin=begin, **options)
+    make(plan_merge(sources, out, workers=options["workers"]), **options)

@@ -6,7 +6,6 @@ import re
 import shutil
 import time
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import rich_click as click
@@ -69,9 +68,9 @@ def _advice(found: Json) -> dict[str, str]:
     return advice
 
 
-def examine(folder: Path = Path()) -> Json:
+def examine() -> Json:
     """Everything about this machine that matters here. `ok` is False where the self-test found a
-    law broken; the free disk is that of `folder`."""
+    law broken; the free disk is that of the working folder."""
     from lidarsim.jit import cache_folder, cache_trouble
     from scenegen.run.software import installed, software
     from scenegen.run.workers import cores
@@ -84,7 +83,7 @@ def examine(folder: Path = Path()) -> Json:
         "extras": extras(),
         "gpu": _gpu(),
         "cores": cores(),
-        "disk_free_gb": round(shutil.disk_usage(folder).free / 1e9, 1),
+        "disk_free_gb": round(shutil.disk_usage(".").free / 1e9, 1),
         "kernel_cache": cache_trouble("scenegen") or str(cache_folder("scenegen").parent),
         "self_test": test,
         "generate_2500_s": round(GENERATED / (test["samples_per_second_per_core"] * cores()), 1),

@@ -2,7 +2,6 @@
 dataset."""
 
 import json
-import time
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import rich_click as click
 
 from lidarsim.engines import DEFAULT, ENGINES
+from lidarsim.registry import Registry
 from scenegen.cli.options import (
     command,
     engine_option,
@@ -35,6 +35,7 @@ from scenegen.cli.show import (
     per_split,
     rejections,
     say,
+    seconds_taken,
     show_table,
 )
 from scenegen.cli.types import FILE, Choice, Named, Written, read_range
@@ -48,7 +49,8 @@ if TYPE_CHECKING:
     from scenegen.dataset.state import Plan
 
 KIND = Named(
-    KINDS, others={".toml": "--recipe", **dict.fromkeys(WORLD_FILES, "--scene")}, more=("mixed",)
+    Registry("kind", {**KINDS.known, "mixed": ""}),
+    others={".toml": "--recipe", **dict.fromkeys(WORLD_FILES, "--scene")},
 )
 COUNT = click.IntRange(min=1)
 BESIDE = "this as a recipe file, without --scene, --labels, --compact, --engine, seed and sizes"
@@ -139,7 +141,6 @@ def generate(
 ) -> None:
     """Make a dataset: worlds, flights, scans and truth. Given again after a stop, it goes on where
     it was."""
-    begin = time.perf_counter()
     if named is not None and options["kind"] is not None:
         raise click.UsageError("the kind is given twice; leave out --kind, or the word without it")
     options["kind"] = named or options["kind"]
@@ -167,7 +168,6 @@ def generate(
         return
     make(
         plan,
-        begin=begin,
         workers=workers,
         on=on,
         shards=shards,
@@ -199,7 +199,6 @@ def _show_plan(plan: "Plan", as_json: bool) -> None:
 def make(
     plan: "Plan",
     *,
-    begin: float,
     workers: int,
     on: str,
     force: bool,
@@ -211,7 +210,6 @@ def make(
 
     Args:
         plan: What is made.
-        begin: When the command began, by `time.perf_counter`.
         workers: Processes.
         on: Where the work is done, as `scenegen.run.executor` takes it.
         force: Replace another dataset in the folder.
@@ -239,7 +237,7 @@ def make(
             on_start=lambda: progress.start(sum(shard.samples for shard in chosen)),
             on_shard=count,
         )
-    seconds = time.perf_counter() - begin
+    seconds = seconds_taken()
     if as_json:
         print(json.dumps({**vars(summary), "folder": str(summary.folder), "seconds": seconds}))
     if not talk:

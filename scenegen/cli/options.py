@@ -7,7 +7,7 @@ import typing
 from collections.abc import Callable, Collection, Mapping
 from functools import reduce, wraps
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import rich_click as click
 from click.core import ParameterSource
@@ -34,8 +34,8 @@ from scenegen.worlds.mapping import Mapper
 if typing.TYPE_CHECKING:
     from scenegen.dataset.read import Dataset
 
-Function = TypeVar("Function", bound=Callable[..., Any])
-Decorator = Callable[[Function], Function]
+Decorator = Callable[[Any], Any]
+"""Makes of a function the same one with more options."""
 
 UNITS = re.compile("(_m|_mps|_mps2|_deg_s)$")
 """How the names of fields end that are options without it."""
@@ -47,12 +47,12 @@ COMMON_GROUPS = {
 """Groups of options on help pages, below those of the command itself; "Options" holds the rest."""
 
 
-def group(name: str, options: str) -> Decorator[Any]:
+def group(name: str, options: str) -> Decorator:
     """Groups options of a command, their names in one text, under `name` on its help page."""
     return click.option_panel(name, options=[f"--{option}" for option in options.split()])
 
 
-def together(*options: Decorator[Any]) -> Decorator[Any]:
+def together(*options: Decorator) -> Decorator:
     """Several options as one decorator, listed in this order."""
     return lambda function: reduce(lambda made, option: option(made), reversed(options), function)
 
@@ -108,7 +108,7 @@ kind_option = click.option(
 )
 
 
-def printing(function: Function) -> Function:
+def printing(function: Callable[..., Any]) -> Any:
     """--json and --quiet, below all other options. The command is told by `as_json` whether to
     print JSON, and by `talk` whether to print for people."""
 
@@ -118,10 +118,10 @@ def printing(function: Function) -> Function:
     def command(*, as_json: bool, quiet: bool, **options: Any) -> Any:
         return function(as_json=as_json, talk=not (as_json or quiet), **options)
 
-    return typing.cast(Function, command)
+    return command
 
 
-def executing(function: Function) -> Function:
+def executing(function: Callable[..., Any]) -> Any:
     """--workers and --on. The command is given `execute`, which works there."""
 
     @workers_option
@@ -130,15 +130,15 @@ def executing(function: Function) -> Function:
     def command(*, workers: int, on: str, **options: Any) -> Any:
         return function(execute=executor(on, workers), **options)
 
-    return typing.cast(Function, command)
+    return command
 
 
-def split_option(default: str, help: str) -> Decorator[Any]:
+def split_option(default: str, help: str) -> Decorator:
     """--split, one of a dataset's."""
     return click.option("--split", type=Choice(SPLITS), default=default, help=help)
 
 
-def splits_option(help: str) -> Decorator[Any]:
+def splits_option(help: str) -> Decorator:
     """--split, repeatable; the parameter is `splits`."""
     return click.option(
         "--split",
@@ -149,14 +149,14 @@ def splits_option(help: str) -> Decorator[Any]:
     )
 
 
-def seed_option(help: str) -> Decorator[Any]:
+def seed_option(help: str) -> Decorator:
     """--seed of what is drawn."""
     return click.option("--seed", type=click.IntRange(min=0), default=0, help=help)
 
 
 def out_option(
     help: str, *ends: str, file: bool = False, stores: bool = False, **more: Any
-) -> Decorator[Any]:
+) -> Decorator:
     """-o: the folder, with `stores` also one in a store, or, with `file` or the `ends` of its name,
     the file to write; the parameter is `out`."""
     file = file or bool(ends)
@@ -165,7 +165,7 @@ def out_option(
     return click.option("-o", *names, "out", type=kind, help=help, **more)
 
 
-def lidar_option(default: str) -> Decorator[Any]:
+def lidar_option(default: str) -> Decorator:
     """--lidar, or --sensor: a sensor's name, a TOML file of one, or module:Object; the parameter is
     `lidar`."""
     return click.option(
@@ -176,7 +176,7 @@ def lidar_option(default: str) -> Decorator[Any]:
     )
 
 
-def engine_option(help: str, **more: Any) -> Decorator[Any]:
+def engine_option(help: str, **more: Any) -> Decorator:
     """--engine, by name or as MODULE:CLASS."""
     return click.option("--engine", type=Named(ENGINES), help=help, **more)
 
@@ -200,7 +200,7 @@ noise_option = click.option(
 )
 
 
-def mapping_options(default: str | None = None) -> Decorator[Any]:
+def mapping_options(default: str | None = None) -> Decorator:
     """Options of how maps are made, of commands that draw or scan again; for `default` see
     `options_of`."""
     return options_of(
@@ -225,7 +225,7 @@ def options_of(
     *,
     default: str | None = None,
     **helps: str,
-) -> Decorator[Any]:
+) -> Decorator:
     """Makes an option of each field of a dataclass that `helps` names.
 
     Its default, type, choices and bounds are the field's; so is its name, after `prefix` and
@@ -266,7 +266,7 @@ def _settings(kind: Any, field: Any, flag: str) -> dict[str, Any]:
     if kind is float:
         return {"type": Number(bounds), "default": default}
     if typing.get_origin(kind) is tuple:
-        return {"type": Numbers("X,Y,Z"), "default": default}
+        return {"type": Numbers(name="X,Y,Z"), "default": default}
     least, most = (
         None if math.isinf(bound) else int(bound) for bound in (bounds.least, bounds.most)
     )
@@ -317,16 +317,14 @@ def find_datasets(datasets: tuple[Path | str, ...], *, shown: bool) -> tuple[Pat
     from scenegen.dataset.locate import locate
     from scenegen.dataset.trust import load
 
-    found = tuple(locate(dataset, shown=shown) for dataset in datasets)
-    if not found:
-        there = {
-            path.parent: load(path.parent) for path in sorted(Path("data").glob("*/dataset.json"))
-        }
-        found = tuple(folder for folder, manifest in there.items() if manifest.shards)
-        for folder in there.keys() - set(found) if shown else ():
-            note(f"{folder}: holds no samples yet, so it is left out")
+    found = [locate(dataset, shown=shown) for dataset in datasets]
+    for path in () if found else sorted(Path("data").glob("*/dataset.json")):
+        if load(path.parent).shards:
+            found.append(path.parent)
+        elif shown:
+            note(f"{path.parent}: holds no samples yet, so it is left out")
     if not found:
         raise click.UsageError(
             "no dataset given, and none under data/; make one: `scenegen generate --kind pillar`"
         )
-    return found
+    return tuple(found)

@@ -1,4 +1,5 @@
-"""`scenegen publish`: a verified dataset, and its folder for the Hugging Face Hub."""
+"""`scenegen verify` and `scenegen publish`: a dataset held against the format; and a verified one's
+folder for the Hugging Face Hub."""
 
 import json
 import time
@@ -16,12 +17,78 @@ from scenegen.cli.options import (
     kind_option,
     out_option,
     printing,
+    seed_option,
 )
-from scenegen.cli.show import Progress, announce_compilation, note, show_table
+from scenegen.cli.show import (
+    Progress,
+    announce_compilation,
+    note,
+    say,
+    seconds_taken,
+    show_table,
+)
+from scenegen.errors import ScenegenError
 from scenegen.share import USUAL
 
 if TYPE_CHECKING:
     from scenegen.share.stage import Staged
+    from scenegen.verification import Report
+
+
+@command("verify data/pillar", "verify hf://user/name --quick", "verify data/d --json")
+@dataset_argument
+@click.option(
+    "--quick", is_flag=True, help="The cheap half: files, digests, numbers, laws, splits."
+)
+@seed_option("Chooses what is audited at random.")
+@kind_option
+@click.option(
+    "--check",
+    "own",
+    multiple=True,
+    metavar="MODULE:OBJECT",
+    help="Also make a check of your own; may be given several times.",
+)
+@executing
+@printing
+def verify(dataset: Path | str, as_json: bool, talk: bool, **options: Any) -> None:
+    """Check a dataset against the format: files, digests, truth, rays, splits; end with 1 where a
+    check fails."""
+    if talk:
+        announce_compilation()
+    from scenegen.dataset.locate import locate
+    from scenegen.verification import verify as prove
+
+    folder = locate(dataset, shown=talk, whole=True)
+    begin = time.perf_counter()
+    with Progress("verify", shown=talk) as progress:
+        report = prove(folder, on_start=progress.start, on_done=progress.count, **options)
+    if as_json:
+        print(json.dumps({**report.to_json(), "seconds": time.perf_counter() - begin}))
+    elif talk:
+        _show_checks(report, time.perf_counter() - begin)
+    if not report.ok:
+        raise ScenegenError(
+            f"verify: {len(report.failed)} of {len(report.checks)} checks failed: "
+            f"{', '.join(report.failed)}"
+        )
+
+
+def _show_checks(report: "Report", seconds: float) -> None:
+    """Prints a line for each check."""
+    rows, marks = {}, {}
+    for check in report.checks:
+        if not check.ok:
+            marks[check.name] = "FAILED ", "red"
+        else:
+            marks[check.name] = ("skipped", "yellow") if check.skipped else ("ok     ", "green")
+        rows[check.name] = f"{check.seconds:7.2f} s  {check.detail}"
+    show_table(rows, marks=marks)
+    say(f"\n{report.samples} samples in {seconds:.1f} s, {report.samples / seconds:.0f} a second")
+    if report.ok:
+        skipped = sum(check.skipped for check in report.checks)
+        passed = len(report.checks) - skipped
+        say(f"{passed} passed, {skipped} skipped" if skipped else f"all {passed} checks passed")
 
 
 @command(
@@ -65,7 +132,6 @@ def publish(
     Given again after a stop, it goes on where it was. The token is the one that `hf auth login`
     keeps, or HF_TOKEN.
     """
-    begin = time.perf_counter()
     if talk:
         announce_compilation()
     from scenegen.dataset.locate import locate
@@ -101,15 +167,15 @@ def publish(
             **options,
         )
     if talk or as_json:
-        _show(found, commit_sent, time.perf_counter() - begin, as_json)
+        _show_staged(found, commit_sent, as_json)
 
 
-def _show(staged: "Staged", commit: str | None, seconds: float, as_json: bool) -> None:
+def _show_staged(staged: "Staged", commit: str | None, as_json: bool) -> None:
     """Prints what was made, and sent."""
     from scenegen.dataset.rules import pattern_of
     from scenegen.share.upload import IN_COMMIT
 
-    size = sum(staged.files.values())
+    size, seconds = sum(staged.files.values()), seconds_taken()
     if as_json:
         told = {"folder": str(staged.folder), "commit": commit, "bytes": size, "seconds": seconds}
         print(json.dumps(vars(staged) | told))

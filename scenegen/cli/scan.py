@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
-from lidarsim.engines import ENGINES
+from lidarsim.engines import ENGINES, EngineFactory
 from lidarsim.parameters import MOST_LENGTH_M, Bounds
 from lidarsim.sensors import CATALOGUE, RASTER, SENSORS
 from scenegen.cli.options import (
@@ -24,12 +24,12 @@ from scenegen.cli.options import (
     out_option,
     printing,
     seed_option,
-    taken,
     was_given,
 )
-from scenegen.cli.show import Progress, say, show_figures, show_table, show_written
+from scenegen.cli.show import Progress, say, show_figures, show_table
 from scenegen.cli.types import Named, Number, Numbers
 from scenegen.display.exchange import Choices
+from scenegen.errors import raised_as
 from scenegen.limits import LEAST_DRAWN_M
 from scenegen.logs import Cruise
 from scenegen.worlds import CLOUDS, MAPS
@@ -120,7 +120,9 @@ def _cell(value: Any) -> str:
 )
 @click.argument("world", type=WORLD)
 @click.option(
-    "--pose", type=Numbers("X,Y,Z,YAW"), help="Where the body is, metres, and its yaw, degrees."
+    "--pose",
+    type=Numbers(name="X,Y,Z,YAW"),
+    help="Where the body is, metres, and its yaw, degrees.",
 )
 @click.option("--flight", is_flag=True, help="A viewpoint of a random flight instead.")
 @click.option(
@@ -188,7 +190,7 @@ def scan(
         raise click.UsageError("--every goes with --flight")
     if sequence and (not flight or every is not None or was_given("frame")):
         raise click.UsageError("--sequence goes with --flight, and without --every and --frame")
-    if not sequence and (moving or any(map(was_given, taken(Cruise, options)))):
+    if not sequence and (moving or any(map(was_given, options))):
         raise click.UsageError("--moving and the options of the long flight go with --sequence")
     if Path(world).suffix in (*MAPS, *CLOUDS) and was_given("engine"):
         raise click.UsageError(f"{world}: a map takes no --engine: it has its own")
@@ -202,40 +204,38 @@ def scan(
         raise click.UsageError(f"{out}: expected a name that ends in {', '.join(SUFFIXES)}")
     sensor = named_lidar(lidar or RASTER)
     chain = named_noise(noise, sensor)
+    with raised_as(click.UsageError):
+        factory = ENGINES.find(engine).of
+    found, files = named_world(world, seed), [out]
     if sequence:
-        row = _write_sequence(
-            out, world, sensor, chain, engine, Cruise(**options), seed, moving, talk
-        )
-        if as_json:
-            print(json.dumps(row))
-        elif talk:
-            show_written(row, out)
-        return
-    found = named_world(world, seed)
-    poses = _poses(found, pose, every, seed)
-    numbered = [out.with_stem(f"{out.stem}-{number:03d}") for number in range(len(poses))]
-    files = [out] if every is None else numbered
-    for file in files:
-        check_ours(file)
-    rows = []
-    for number, (file, at) in enumerate(zip(files, poses, strict=True)):
-        drawn = seed if every is None else [seed, number]
-        rows.append(_write_scan(file, found, sensor, at, chain, drawn, engine, frame))
+        cruise = Cruise(**options)
+        facts = [_write_log(out, found, factory, sensor, chain, cruise, seed, moving, talk)]
+    else:
+        facts, poses = [], _poses(found, pose, every, seed)
+        if every is not None:
+            files = [out.with_stem(f"{out.stem}-{number:03d}") for number in range(len(poses))]
+        for file in files:
+            check_ours(file)
+        for number, (file, at) in enumerate(zip(files, poses, strict=True)):
+            drawn = seed if every is None else [seed, number]
+            facts.append(_write_scan(file, found, factory, sensor, chain, at, drawn, frame))
+    about = {"lidar": str(sensor), "noise": str(chain) or "none"}
     if as_json:
+        rows = [{"file": str(file), **about, **one} for file, one in zip(files, facts, strict=True)]
         print(json.dumps(rows[0] if every is None else {"scans": rows}))
     elif talk:
-        told = {name: value for name, value in rows[0].items() if name != "quaternion"}
-        if len(rows) > 1:
-            told |= {"file": f"{files[0]} … {files[-1]}", "scans": len(rows)}
-        show_written(told, told.pop("file"))
+        several = {"scans": len(files)} if len(files) > 1 else {}
+        told = about | facts[0] | several
+        show_table({name: value for name, value in told.items() if name != "quaternion"})
+        say(f"written: {files[0]}" + (f" … {files[-1]}" if several else ""))
 
 
-def _write_sequence(
+def _write_log(
     out: Path,
-    world: str,
+    world: "AnyWorld",
+    factory: EngineFactory,
     sensor: "Sensor",
     chain: "Noise",
-    engine: str,
     cruise: Cruise,
     seed: int,
     moving: bool,
@@ -245,30 +245,22 @@ def _write_sequence(
     from scenegen.files import check_free
     from scenegen.logs.record import cruise_poses, period_s, record
     from scenegen.logs.write import write_log
-    from scenegen.source import named_world
 
     check_free(out)
-    if out.suffix == ".mcap":
-        import mcap_ros2  # noqa: F401 (what is missing is said before a minute of scans)
-    found, period = named_world(world, seed), period_s(sensor)
-    poses = cruise_poses(found, cruise, period, seed=seed)
-    caster = found.caster(ENGINES.find(engine).of)
     corrected = out.suffix != ".mcap"
+    if not corrected:
+        import mcap_ros2  # noqa: F401 (what is missing is said before a minute of scans)
+    period = period_s(sensor)
+    poses = cruise_poses(world, cruise, period, seed=seed)
+    caster = world.caster(factory)
     scans = record(
-        found, caster, sensor, poses, chain, seed=seed, moving=moving, corrected=corrected
+        world, caster, sensor, poses, chain, seed=seed, moving=moving, corrected=corrected
     )
     with Progress("scan", shown=talk) as progress:
         progress.start(len(poses))
         counts = write_log(out, scans, progress.count)
     flown = sum(math.dist(a.position, b.position) for a, b in pairwise(poses))
-    return {
-        "file": str(out),
-        "lidar": str(sensor),
-        "noise": str(chain) or "none",
-        "seconds": round(period * len(poses), 3),
-        "metres": round(flown, 3),
-        **counts,
-    }
+    return {"seconds": round(period * len(poses), 3), "metres": round(flown, 3), **counts}
 
 
 def _poses(
@@ -288,11 +280,11 @@ def _poses(
 def _write_scan(
     file: Path,
     world: "AnyWorld",
+    factory: EngineFactory,
     sensor: "Sensor",
-    at: "Pose",
     chain: "Noise",
+    at: "Pose",
     seed: int | list[int],
-    engine: str,
     frame: str,
 ) -> dict[str, Any]:
     """Scans from a pose, writes the returns, and gives what is to be said of them."""
@@ -305,7 +297,7 @@ def _write_scan(
     from scenegen.worlds.mapping import Known
     from scenegen.worlds.place import Place
 
-    seen = scan_world(world, sensor, at, chain, seed=seed, engine=engine)
+    seen = scan_world(world, sensor, at, chain, seed=seed, engine=factory)
     points = np.concatenate([seen.points(echo) for echo in range(len(seen.ranges))])
     if frame == "body":
         points = at.to_body(points)
@@ -322,9 +314,6 @@ def _write_scan(
     }
     write_points(file, points, intensity, about)
     row = {
-        "file": str(file),
-        "lidar": str(sensor),
-        "noise": str(chain) or "none",
         "position": [round(float(value), 3) for value in at.position],
         "quaternion": at.quaternion.tolist(),
         "rays": sensor.times_s.size,

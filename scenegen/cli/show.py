@@ -22,9 +22,16 @@ MOST_BARS = 60
 """Bars of a curve."""
 SHOW_CURSOR = b"\x1b[?25h\n"
 """Undoes what a progress bar does to a terminal."""
+BEGUN_S = time.perf_counter()
+"""When this process began: every command imports this first of all."""
 
 
-def say(text: object = "") -> None:
+def seconds_taken() -> float:
+    """How long the command has taken so far, start-up included."""
+    return time.perf_counter() - BEGUN_S
+
+
+def say(text: object) -> None:
     """Prints lines; control characters in them are escaped."""
     for line in str(text).split("\n"):
         click.echo(escaped(line))
@@ -47,12 +54,6 @@ def show_table(
         text, colour = (marks or {}).get(name, ("", "reset"))
         mark = f"{click.style(text, fg=colour)}  " if text else ""
         click.echo(f"{click.style(escaped(name).ljust(width), bold=True)}  {mark}{escaped(value)}")
-
-
-def show_written(rows: Mapping[str, Any], *paths: object) -> None:
-    """Prints a table, and last where the result lies."""
-    show_table(rows)
-    say(f"written: {', '.join(str(path) for path in paths if path is not None)}")
 
 
 def show_figures(rows: Mapping[str, Sequence[str]], heads: Sequence[str], title: str = "") -> None:

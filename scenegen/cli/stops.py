@@ -76,8 +76,7 @@ def _stop(number: int, frame: object) -> None:
         return
     if _noted and not _noted[-1]:
         _noted[-1].append(number)
-        for again in STOPS:
-            signal.signal(again, _stop)
+        answer()
         answer_hanging()
         return
     for again in STOPS:

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,7 @@ class Written(click.ParamType):
     """A value that `read` makes of its text; it raises ValueError, in one line, where it cannot."""
 
     def __init__(self, read: Callable[[str], Any], name: str):
-        self.read, self.name = read, name.lower()
+        self.read, self.name = read, name
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
         """The value; a default is one already."""
@@ -47,7 +46,6 @@ class Named(Written):
         others: Endings of files that another option takes, each with that option.
         address: Whether an address may follow, as in ray://host:10001.
         paths: Whether it may be a path: what exists, or is no plain word.
-        more: Other names that are taken.
     """
 
     registry: Registry
@@ -55,15 +53,9 @@ class Named(Written):
     others: Mapping[str, str] = field(default_factory=dict)
     address: bool = False
     paths: bool = False
-    more: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         self.name = self.registry.what
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """What it may be called."""
-        return (*self.registry.known, *self.more)
 
     def read(self, text: str) -> str:
         """The name, if it can be one; a user's own is imported later."""
@@ -73,13 +65,13 @@ class Named(Written):
         if option := self.others.get(Path(text).suffix):
             raise ValueError(f"{text} is a file; give it as {option} {text}")
         name = text.partition("://")[0] if self.address else text
-        if ":" not in name and name not in self.names:
+        if ":" not in name and name not in self.registry.known:
             raise ValueError(self.registry.unknown(name))
         return text
 
     def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
         """Names that begin with what is typed."""
-        return [CompletionItem(name) for name in self.names if name.startswith(incomplete)]
+        return [CompletionItem(name) for name in self.registry.known if name.startswith(incomplete)]
 
 
 class Choice(click.Choice[str]):
@@ -154,33 +146,30 @@ class OutputFile(OutputFolder):
 class Number(Written):
     """A finite number within bounds."""
 
-    def __init__(self, bounds: Bounds | None = None):
-        super().__init__(partial(_number, bounds or Bounds()), "float")
+    def __init__(self, bounds: Bounds | None = None, name: str = "float"):
+        self.bounds, self.name = bounds or Bounds(), name
+
+    def read(self, text: str) -> Any:
+        """The number."""
+        try:
+            number = float(text)
+        except ValueError:
+            raise ValueError(f"{text[:MOST_REPEATED]!r} is not a valid float") from None
+        if not self.bounds.hold(number):
+            raise ValueError(f"{text[:MOST_REPEATED]} is not {self.bounds}")
+        return number
 
 
-class Numbers(Written):
-    """As many finite numbers, with commas between them, as `name` has: X,Y,Z."""
+class Numbers(Number):
+    """As many numbers, with commas between them, as `name` has: X,Y,Z."""
 
-    def __init__(self, name: str):
-        super().__init__(partial(_numbers, name), name)
-
-
-def _number(bounds: Bounds, text: str) -> float:
-    try:
-        number = float(text)
-    except ValueError:
-        raise ValueError(f"{text[:MOST_REPEATED]!r} is not a valid float") from None
-    if not bounds.hold(number):
-        raise ValueError(f"{text[:MOST_REPEATED]} is not {bounds}")
-    return number
-
-
-def _numbers(name: str, text: str) -> tuple[float, ...]:
-    parts, count = text.split(","), name.count(",") + 1
-    if len(parts) != count:
-        told = f"expected {name}, {count} numbers with commas between"
-        raise ValueError(f"{text[:MOST_REPEATED]!r}: {told}")
-    return tuple(_number(Bounds(), part) for part in parts)
+    def read(self, text: str) -> tuple[float, ...]:
+        """The numbers."""
+        parts, count = text.split(","), self.name.count(",") + 1
+        if len(parts) != count:
+            told = f"expected {self.name}, {count} numbers with commas between"
+            raise ValueError(f"{text[:MOST_REPEATED]!r}: {told}")
+        return tuple(map(super().read, parts))
 
 
 def read_range(text: str) -> tuple[int, int]:

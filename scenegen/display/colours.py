@@ -39,6 +39,20 @@ OTHER_PATHS = scale("6e5028 0096aa 787878 b0c800")
 """Colours of other methods' paths, in turn. No colour of a legend is another one's, too."""
 
 
+ON_PAGE = {
+    "heights": HEIGHTS,
+    "distances": DISTANCES,
+    "sensor": SENSOR,
+    "missed": MISSED,
+    "invented": INVENTED,
+    "start": START,
+    "goal": GOAL,
+    "deep": DEEP,
+    "pale": PALE,
+}
+"""What the script of a page colours by."""
+
+
 def path_colours(names: Sequence[str]) -> list[Rgb]:
     """A colour for each of the methods called `names`."""
     others = itertools.cycle(OTHER_PATHS)

@@ -68,7 +68,7 @@ def draw_completions(looks: Sequence[Look], *, title: str, width: float | None =
     for row, look in enumerate(looks):
         grid.name_row(row, look.name)
         for panel, name in zip(grid.panels[row], ("points", "occupancy"), strict=False):
-            draw_panel(panel, look, name, title="", ticks=alone and not width)
+            draw_panel(panel, look, name, "", ticks=alone and not width)
         for guess in look.guesses:
             panel = grid.panels[row, 2 + names.index(guess.name)]
             frame_box(panel, *look.corners, ticks=alone and not width)

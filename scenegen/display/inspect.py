@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from contextlib import closing
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -33,8 +32,6 @@ from scenegen.run import Counted, unheard
 from scenegen.run.workers import run
 from scenegen.stores.cache import bytes_in
 
-AT_ONCE = 200
-"""Samples that a process measures before it tells of them."""
 MOST_MEASURED = 200
 """Samples of a split that are measured, unless all are."""
 MOST_BEYOND = 0.4
@@ -61,7 +58,7 @@ def inspect(
             are returned, as JSON.
         workers: Processes that measure.
         on_start: Called with the number of samples that are measured, once processes run.
-        on_done: Called with the number of every few.
+        on_done: Called with 1 for each.
 
     Returns:
         Plain JSON values. Statistics are {mean, std, min, max} over samples of shares of all voxels
@@ -103,15 +100,12 @@ def inspect(
     for split in splits if not tables else ():
         chosen = spread(dataset, split.name, (not keep and most) or len(split))
         tables[split.name] = np.empty((len(chosen), len(FIGURES)))
-        tasks += [
-            (split.name, slice(n, n + AT_ONCE), chosen[n : n + AT_ONCE])
-            for n in range(0, len(chosen), AT_ONCE)
-        ]
-    begun = partial(on_start, sum(len(part) for *_, part in tasks))
+        tasks += [(split.name, *one) for one in enumerate(chosen)]
+    begun = partial(on_start, len(tasks))
     with closing(run(partial(_measure, dataset), tasks, workers, begun)) as results:
-        for name, place, rows in results:
-            tables[name][place] = rows
-            on_done(len(rows))
+        for name, row, figures in results:
+            tables[name][row] = figures
+            on_done(1)
     if keep and tasks:
         write_whole(figures_file(dataset), encode_figures(np.concatenate(list(tables.values()))))
     told = {}
@@ -137,12 +131,12 @@ def inspect(
     return found | {"splits": told}
 
 
-def _measure(dataset: Dataset, task: tuple[str, slice, list[int]]) -> tuple[str, slice, Any]:
-    """The split of a task, its place among those that are measured, and the figures of its samples,
-    a row each; NaN where a sample lacks one."""
-    split, place, chosen = task
-    samples = (dataset.split(split)[index] for index in chosen)
-    return split, place, [[figure(sample) for figure in FIGURES.values()] for sample in samples]
+def _measure(dataset: Dataset, task: tuple[str, int, int]) -> tuple[str, int, list[float]]:
+    """The split of a task, its row among those that are measured, and the figures of its sample;
+    NaN where that lacks one."""
+    split, row, index = task
+    sample = dataset.split(split)[index]
+    return split, row, [figure(sample) for figure in FIGURES.values()]
 
 
 def _statistics(table: Floats) -> Json:

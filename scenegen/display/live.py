@@ -64,14 +64,13 @@ class Live(ThreadingHTTPServer):
     ):
         for dataset in datasets:
             check_grid(dataset.grid)
-        self.splits = [{name: dataset.split(name) for name in SPLITS} for dataset in datasets]
-        self.guesses, self._reading = guesses, threading.Lock()
+        self.datasets, self.guesses, self._reading = datasets, guesses, threading.Lock()
         counts = [
             {
                 "name": title_of(dataset),
-                "splits": {name: len(found) for name, found in splits.items() if found},
+                "splits": {name: len(found) for name in SPLITS if (found := dataset.split(name))},
             }
-            for dataset, splits in zip(datasets, self.splits, strict=True)
+            for dataset in datasets
         ]
         self.page = live_page(counts, split=split, index=index, methods=methods).encode()
         try:
@@ -124,9 +123,9 @@ class Live(ThreadingHTTPServer):
     ) -> tuple[HTTPStatus, dict[str, Any]]:
         """A sample of dataset `number` for the page, or the world that it is of; or, under `error`,
         a line that says why there is none."""
-        if number >= len(self.splits):
+        if number >= len(self.datasets):
             return HTTPStatus.NOT_FOUND, {"error": "no such dataset"}
-        samples = self.splits[number][split]
+        samples = self.datasets[number].split(split)
         notes = {"notes": incomplete(samples.dataset, split)}
         with self._reading:  # one at a time: files and networks are shared
             try:

@@ -153,16 +153,12 @@ Guesses = Callable[[Sample, Split], Sequence[Guess]]
 is."""
 
 
-class UnreadableError(DatasetError):
-    """A sample cannot be shown at all."""
-
-
 def look_into(samples: Split, index: int, guesses: Guesses | None = None) -> Look:
     """Reads sample `index` of a split as far as that can be, with what `guesses` predicts of it.
 
     Raises:
-        DatasetError: The split has no such index.
-        UnreadableError: Nothing of the sample can be shown.
+        IndexError: The split has no such index.
+        DatasetError: Nothing of the sample can be shown.
     """
     dataset, name = samples.dataset, f"{samples.name} {index}"
     try:
@@ -170,10 +166,8 @@ def look_into(samples: Split, index: int, guesses: Guesses | None = None) -> Loo
         if home.graded != dataset.manifest.graded:  # the title does not tell it
             name += f", {home.graded}"
         look = look_at(samples[index], dataset.grid, home.lidar, name)
-    except IndexError as error:
-        raise DatasetError(f"{error}; expected --index below {len(samples)}") from None
     except DatasetError as error:
-        raise UnreadableError(f"{name} is not shown: {printable(error)}") from None
+        raise DatasetError(f"{name} is not shown: {printable(error)}") from None
     if guesses is None:
         return look
     try:
@@ -198,7 +192,9 @@ def looks(
     for index in indices:
         try:
             found.append(look_into(samples, index, guesses))
-        except UnreadableError as error:
+        except IndexError as error:
+            raise DatasetError(f"{error}; expected --index below {len(samples)}") from None
+        except DatasetError as error:
             notes.append(str(error))
     notes += [line for look in found for line in look.missing]
     if not found:

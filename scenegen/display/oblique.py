@@ -3,7 +3,6 @@ as visible faces."""
 
 import itertools
 import math
-import operator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -77,16 +76,12 @@ def visible_faces(mask: Mask, view: View = VIEW) -> tuple[Ints, Ints, Floats]:
     return voxels[:, None] + np.stack(faces)[axes], voxels, np.array(SHADES)[axes]
 
 
-def box_edges(low: Any, high: Any, view: View = VIEW) -> tuple[Floats, Floats]:
+def box_edges(low: Floats, high: Floats, view: View = VIEW) -> tuple[Floats, Floats]:
     """The edges of a box as pairs of ends: (3, 2, 3) that it hides itself, and (9, 2, 3) before
     it."""
-    corners = list(itertools.product((0, 1), repeat=3))
-    edges = [
-        (one, other)
-        for one, other in itertools.combinations(corners, 2)
-        if sum(map(operator.ne, one, other)) == 1
-    ]
-    farthest = tuple(np.where(view.eye < 0, 1, 0).tolist())
-    hidden = np.array([farthest in edge for edge in edges])
-    ends = np.where(np.array(edges), np.asarray(high, float), np.asarray(low, float))
+    pairs = itertools.combinations(np.indices((2, 2, 2)).reshape(3, -1).T, 2)
+    edges = np.array([pair for pair in pairs if np.ptp(pair, axis=0).sum() == 1])
+    # all that lead to the farthest corner
+    hidden = (edges == (view.eye < 0)).all(axis=2).any(axis=1)
+    ends = np.where(edges, high, low)
     return ends[hidden], ends[~hidden]

@@ -14,18 +14,7 @@ from typing import Any
 import numpy as np
 
 from lidarsim.grid import Field, Floats, GridSpec, Mask
-from scenegen.display.colours import (
-    DEEP,
-    DISTANCES,
-    GOAL,
-    HEIGHTS,
-    INVENTED,
-    MISSED,
-    PALE,
-    SENSOR,
-    START,
-    path_colours,
-)
+from scenegen.display.colours import ON_PAGE, path_colours
 from scenegen.display.look import MASKS, Guess, Look
 from scenegen.errors import DatasetError
 from scenegen.files import Json
@@ -34,18 +23,6 @@ MOST_VOXELS = 1 << 22
 """The most voxels of a grid on a page: a browser turns this many into cubes in seconds."""
 MOST_BYTES = 48 << 20
 """The most bytes of a page's samples; mail and telephones take no more."""
-COLOURS = {
-    "heights": HEIGHTS,
-    "distances": DISTANCES,
-    "sensor": SENSOR,
-    "missed": MISSED,
-    "invented": INVENTED,
-    "start": START,
-    "goal": GOAL,
-    "deep": DEEP,
-    "pale": PALE,
-}
-"""What the page's script colours by."""
 HERE = files("scenegen.display")
 
 
@@ -91,7 +68,7 @@ def _filled(about: Json, methods: Sequence[str], policy: str = "") -> str:
     """The page with what its script reads, and what its policy allows besides."""
     colours = list(zip(methods, path_colours(methods), strict=True))
     # JSON all the same, and no tag can end the element that holds it
-    data = json.dumps({"colours": COLOURS, "methods": colours, **about}).replace("<", "\\u003c")
+    data = json.dumps({"colours": ON_PAGE, "methods": colours, **about}).replace("<", "\\u003c")
     parts = {
         "TITLE": html.escape(about["title"]),
         "POLICY": policy,

@@ -137,15 +137,15 @@ def draw_panel(
     panel: Any,
     look: Look,
     name: str,
+    title: str,
     *,
-    title: str | None = None,
-    ticks: bool = True,
+    ticks: bool,
     view: View = VIEW,
 ) -> None:
     """Draws `points`, or the mask `name`, and the sensor in the map's box. Raises DatasetError as
     `draw_voxels`."""
     low, high = look.corners
-    put_title(panel, name if title is None else title)
+    put_title(panel, title)
     frame_box(panel, low, high, ticks=ticks, view=view)
     if name == "points" and look.points is not None:
         put_points(panel, look.points, low[2], high[2], 4, view)
@@ -213,24 +213,24 @@ def frame_box(
     room = 0.12 * span if ticks else 0.03 * span
     left, down = corners.min(axis=0) - room
     right, up = corners.max(axis=0) + room
-    panel.set(xlim=(left, right), ylim=(down, up))
-    panel.set_aspect("equal")
+    panel.set(xlim=(left, right), ylim=(down, up), aspect="equal")
     panel.set_axis_off()
 
 
 def _put_ticks(panel: Any, low: Any, high: Any, apart: float, view: View) -> None:
     """Numbers along an edge of each axis, and its name in their middle."""
-    (x, y, z), (right, _, _), along = low, high, np.nan
-    edges = ((along, y, z), (right, along, z), (x, y, along))
-    for axis, (edge, way) in enumerate(zip(edges, ((0.3, -1), (1, -0.6), (-1.1, 0)), strict=True)):
-        marks = MaxNLocator(4, steps=[1, 2, 5, 10]).tick_values(low[axis], high[axis])
-        marks = marks[(marks >= low[axis] - 1e-9) & (marks <= high[axis] + 1e-9)]
+    for axis, way in enumerate(((0.3, -1), (1, -0.6), (-1.1, 0))):
+        least, most = low[axis], high[axis]
+        marks = MaxNLocator(4, steps=[1, 2, 5, 10]).tick_values(least, most)
+        marks = marks[(marks >= least - 1e-9) & (marks <= most + 1e-9)]
         told = [(mark, apart, f"{mark:g}", 7) for mark in marks]
-        middle = ((low[axis] + high[axis]) / 2, 2.6 * apart)
         # of the height above its edge, where no number stands
-        told.append((*(middle if axis < 2 else (high[2] + 2 * apart, 0)), f"{'xyz'[axis]} / m", 8))
+        middle = ((least + most) / 2, 2.6 * apart) if axis < 2 else (most + 2 * apart, 0)
+        told.append((*middle, f"{'xyz'[axis]} / m", 8))
         for place, out, text, size in told:
-            at = view.project(np.where(np.isnan(edge), place, edge)) + out * np.array(way)
+            point = np.where([axis == 1, False, False], high, low)  # y stands at the far end of x
+            point[axis] = place
+            at = view.project(point) + out * np.array(way)
             panel.text(*at, text, ha="center", va="center", fontsize=size, color=INK, zorder=8)
 
 

@@ -13,7 +13,7 @@ from lidarsim.grid import Floats, GridSpec
 from lidarsim.sensors.device import angles_deg
 from scenegen.display.colours import HEIGHTS, colour
 from scenegen.display.look import Look
-from scenegen.display.oblique import VIEW, View
+from scenegen.display.oblique import VIEW, View, box_edges
 from scenegen.display.panels import (
     INK,
     MAP,
@@ -72,7 +72,7 @@ def draw_sample(
     handles = [ball("sensor"), line("the map's box")]
     grid = Grid(2, 3, title, handles, scale=1.25, width=width)
     for panel, name in zip(grid.panels[0], panels, strict=False):
-        draw_panel(panel, look, name, ticks=not width)
+        draw_panel(panel, look, name, name, ticks=not width)
     height = look.grid.shape[2]
     levels = sorted({height // 4, max(height // 2 - 1, 0), 3 * height // 4})
     for n, level in enumerate(levels):
@@ -123,8 +123,10 @@ def _film(frames: Sequence[tuple[Look, View, str]], pause_s: float, suffix: str)
         _with_returns(panel, look, view, 1.2, "")
         across, upward = view.project((low + high) / 2)
         # the same in every picture
-        panel.set_xlim(across - reach, across + reach)
-        panel.set_ylim(upward - 0.75 * reach, upward + 0.75 * reach)
+        panel.set(
+            xlim=(across - reach, across + reach),
+            ylim=(upward - 0.75 * reach, upward + 0.75 * reach),
+        )
         add_bar(figure, (0.88, 0.25, 0.02, 0.5), HEIGHTS, (low[2], high[2]), "height / m")
         add_legend(figure, MARKS)
         pictures.append(Image.open(io.BytesIO(to_bytes(figure, ".png"))).convert("RGB"))
@@ -143,7 +145,7 @@ def _film(frames: Sequence[tuple[Look, View, str]], pause_s: float, suffix: str)
 
 def _with_returns(panel: Any, look: Look, view: View, size: float, title: str) -> None:
     """Occupied voxels with the returns over them."""
-    draw_panel(panel, look, "occupancy", title=title, ticks=False, view=view)
+    draw_panel(panel, look, "occupancy", title, ticks=False, view=view)
     if look.points is not None:
         places = view.project(look.points).T
         panel.scatter(*places, s=size, color=INK, linewidths=0, zorder=6)
@@ -256,7 +258,7 @@ def see(
         Colours (rows, columns, 3), white where rays miss the box, and where the picture lies on the
         paper: left, right, down, up.
     """
-    corners = VIEW.project(np.stack(np.meshgrid(*zip(low, high, strict=True)), -1).reshape(-1, 3))
+    corners = VIEW.project(np.concatenate(box_edges(low, high)).reshape(-1, 3))
     (left, down), (right, up) = corners.min(axis=0), corners.max(axis=0)
     step = max(right - left, up - down) / PIXELS
     across, upward = np.meshgrid(

@@ -12,16 +12,16 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lidarsim import GridSpec, Pose
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelMap
 from lidarsim.grid import Floats, Ints
-from lidarsim.jit import kernel
 from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.pose import rotate
 from lidarsim.voxelize import ObservedGrid, sort_points, unknown_grid
 from scenegen.errors import DatasetError, SceneError
-from scenegen.files import check_free, disk_told, make_parent, sha256_of, write_whole
+from scenegen.files import check_free, disk_told, make_parent, remove_drafts, sha256_of, write_whole
 from scenegen.limits import MOST_PLACE_VOXELS
 from scenegen.logs import Fusing, LogScan
 from scenegen.logs.read import Log
@@ -43,6 +43,7 @@ LEAST_SHARED = 0.1
 it."""
 MOST_TOLD = 255
 """Scans that are counted of a voxel: beyond, both of its counts are halved."""
+Counts: TypeAlias = NDArray[np.uint8]
 Window: TypeAlias = tuple[Ints, ObservedGrid, Floats]
 """What one scan says of the voxels around it: the first of them (3,), counted from the world's
 origin; which are observed or free; and the returns (N, 3), from the sensor, along the world's axes,
@@ -82,6 +83,7 @@ def ingest(log: Log, out: Path, how: Fusing, *, on_scan: Counted = unheard) -> C
             raise
         for path in unfinished.glob(f"{PROGRESS}*"):
             path.unlink()
+        remove_drafts(unfinished)  # of runs that were killed while they wrote a map
         check_free(out)
         unfinished.rename(out)
     return run.counts
@@ -179,7 +181,7 @@ class _Run:
         (hits, misses), rest = self._told, range(self._scan, part.stop)
         for n, (scan, window) in zip(rest, self._windows(rest), strict=True):
             least, seen, points = window
-            met, observed = _count(hits, misses, least - first, seen.observed, seen.free)
+            met, observed = _count(hits, misses, least - first, seen)
             self.counts.update(
                 scans=1,
                 returns=len(points),
@@ -200,7 +202,7 @@ class _Run:
             if time.monotonic() - self._saved_s > SAVE_EVERY_S and n + 1 < part.stop:
                 self._save()
         self._told = NOTHING
-        self.counts.update(moved_voxels=int(_settle(hits, misses, self._how.moved_share)))
+        self.counts.update(moved_voxels=_settle(hits, misses, self._how.moved_share))
         (i, j, k), (a, b, c) = box = box_of(hits, lambda layer: layer != UNKNOWN)
         if not a:
             raise SceneError("no scan of the log has a return that its maps reach")
@@ -266,9 +268,7 @@ def _window(scan: LogScan, pace: tuple[Pose, float], how: Fusing) -> Window:
         points[now] = rotate(pose.quaternion, points[now]) + pose.position
         sensors[number] = pose.position
     cut = np.minimum(1.0, how.reach_m / ranges)[:, None]
-    ends = np.concatenate(
-        [here + cut * (points - here), [here], *[[one] for one in sensors.values()]]
-    )
+    ends = np.concatenate([here + cut * (points - here), [here, *sensors.values()]])
     low, high = ends.min(axis=0), ends.max(axis=0)
     low[2], high[2] = max(low[2], here[2] - how.rise_m), min(high[2], here[2] + how.rise_m)
     least = np.floor(low / voxel_m).astype(np.int64) - 2
@@ -282,46 +282,31 @@ def _window(scan: LogScan, pace: tuple[Pose, float], how: Fusing) -> Window:
     return least, seen, points - here
 
 
-@kernel
-def _count(hits, misses, least, observed, free):
+def _count(hits: Counts, misses: Counts, least: Ints, seen: ObservedGrid) -> tuple[int, int]:
     """Add a scan's window, whose first voxel is `least` (3,), to how many scans observed each voxel
     of the map or found it free. Gives how many of the observed ones an earlier scan met, and how
     many there are."""
-    met, total = 0, 0
-    for i in range(max(0, -least[0]), min(observed.shape[0], hits.shape[0] - least[0])):
-        for j in range(max(0, -least[1]), min(observed.shape[1], hits.shape[1] - least[1])):
-            for k in range(max(0, -least[2]), min(observed.shape[2], hits.shape[2] - least[2])):
-                if not (observed[i, j, k] or free[i, j, k]):
-                    continue
-                a, b, c = least[0] + i, least[1] + j, least[2] + k
-                hit, miss = hits[a, b, c], misses[a, b, c]
-                if hit == MOST_TOLD or miss == MOST_TOLD:  # a count above 0 stays so
-                    hit, miss = (hit + 1) >> 1, (miss + 1) >> 1
-                if observed[i, j, k]:
-                    total += 1
-                    met += hit + miss > 0
-                    hit += 1
-                else:
-                    miss += 1
-                hits[a, b, c], misses[a, b, c] = hit, miss
-    return met, total
+    low, high = np.maximum(least, 0), np.minimum(least + seen.observed.shape, hits.shape)
+    there, here = tuple(map(slice, low, high)), tuple(map(slice, low - least, high - least))
+    hit, miss, observed, free = hits[there], misses[there], seen.observed[here], seen.free[here]
+    full = (observed | free) & (np.maximum(hit, miss) == MOST_TOLD)
+    if full.any():  # a count above 0 stays so
+        hit[full] -= hit[full] >> 1
+        miss[full] -= miss[full] >> 1
+    met = observed & ((hit | miss) > 0)
+    hit += observed
+    miss += free
+    return int(met.sum()), int(observed.sum())
 
 
-@kernel
-def _settle(hits, misses, moved_share):
+def _settle(hits: Counts, misses: Counts, moved_share: float) -> int:
     """Write each voxel's state into `hits`. Gives how many voxels something has moved out of."""
-    nx, ny, nz = hits.shape
     moved = 0
-    for i in range(nx):
-        for j in range(ny):
-            for k in range(nz):
-                hit, miss = int(hits[i, j, k]), int(misses[i, j, k])
-                if hit + miss == 0:
-                    hits[i, j, k] = UNKNOWN
-                    continue
-                gone = hit > 0 and hit < moved_share * (hit + miss)
-                moved += gone
-                hits[i, j, k] = FREE if gone or hit == 0 else OCCUPIED
+    for hit, miss in zip(hits, misses, strict=True):  # layer by layer, for there may be very many
+        told = hit.astype(np.int64) + miss
+        gone = (hit > 0) & (hit < moved_share * told)
+        moved += int(gone.sum())
+        hit[:] = np.select([told == 0, gone | (hit == 0)], [UNKNOWN, FREE], OCCUPIED)
     return moved
 
 

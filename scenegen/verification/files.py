@@ -86,16 +86,15 @@ def _check_shards(contract: Manifest, page: Page) -> None:
                 f"{stem}.h5, {stem}.worlds.zip are expected",
             )
             full = (
-                bool(contract.sources)
+                contract.sources
                 or number == len(entries) - 1
                 or entry.samples % contract.recipe.flight.viewpoints == 0
             )
             page.expect(
                 full, f"{where}: {entry.file} holds {entry.samples} samples: a flight is cut"
             )
-    listed = {name for entry in contract.shards for name in (entry.file, entry.worlds)}
     files = {name for name in names_in(contract.folder) if name.endswith((".h5", ".zip"))}
-    others = printable(", ".join(sorted(files - listed)[:3]))
+    others = printable(", ".join(sorted(files - contract.files.keys())[:3]))
     page.expect(not others, f"{others}: in the folder, but {where} does not list it")
 
 

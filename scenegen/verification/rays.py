@@ -3,6 +3,7 @@ returns."""
 
 import itertools
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -66,21 +67,19 @@ class MapAuditor:
     def _from(self, start: Floats, rays: Floats, max_range_m: float) -> Floats:
         states, voxel_m = self._voxels.states, self._voxels.voxel_m
         begin = (start - self._voxels.origin) / voxel_m
-        planes = np.arange(math.ceil(max_range_m / voxel_m) + 2)
-        beyond = 4 * len(planes) * voxel_m
+        reach = math.ceil(max_range_m / voxel_m) + 2
+        planes = np.floor(begin)[:, None] + np.arange(-reach, reach) - begin[:, None]
         found = np.full(len(rays), np.inf)
-        several = max(MOST_CROSSINGS // len(planes), 1)
+        several = max(MOST_CROSSINGS // (2 * reach), 1)
         for first in range(0, len(rays), several):
             some = rays[first : first + several] / voxel_m  # voxels a metre
             with np.errstate(divide="ignore", invalid="ignore"):
-                up = (np.floor(begin) + 1 - begin)[:, None] + planes
-                down = (begin - np.ceil(begin) + 1)[:, None] + planes
-                ahead = np.where(some[..., None] > 0, up, down) / np.abs(some)[..., None]
-            ends = np.where(np.isfinite(ahead), ahead, beyond).reshape(len(some), -1)
-            stops = np.sort(np.concatenate([np.zeros((len(some), 1)), ends], axis=1))
+                ends = (planes / some[..., None]).reshape(len(some), -1)
+            # those behind the sensor, and those along which a ray runs, are no crossings
+            stops = np.sort(np.clip(np.nan_to_num(ends), 0, 2 * reach * voxel_m))
             middle, way = (stops[:, 1:] + stops[:, :-1]) / 2, np.diff(stops)
             cells = np.floor(begin + middle[..., None] * some[:, None]).astype(np.int64)
-            there = ((cells >= 0) & (cells < states.shape)).all(axis=2)
+            there: Any = ((cells >= 0) & (cells < states.shape)).all(axis=2)
             there[there] = states[tuple(cells[there].T)] == OCCUPIED
             there &= (way >= LEAST_CHORD_M) & (middle <= max_range_m)
             met = there.any(axis=1)

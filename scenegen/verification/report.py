@@ -2,7 +2,7 @@
 
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -73,11 +73,6 @@ class Page:
     """What the check leaves for its examination of the whole folder, in the order of shards and
     samples."""
 
-    @property
-    def touched(self) -> bool:
-        """Whether the check has examined or said anything."""
-        return bool(self.faults or self.skipped or self.counts)
-
     def fault(self, line: str) -> None:
         """Write down a fault: one line, which names the file, the sample and what was expected."""
         self.faults += 1
@@ -119,14 +114,27 @@ class Page:
 
     def detail(self) -> str:
         """What the report says of it."""
+        more = self.faults - len(self.told)
         if self.faults:
-            more = self.faults - len(self.told)
-            return "; ".join(self.told) + (f"; and {more} more" if more else "")
+            return "; ".join([*self.told, f"and {more} more"] if more else self.told)
         parts = [f"{count} {what}" for what, count in self.counts.items()]
-        examined = ", ".join(parts + [f"{what} {value:.2g}" for what, value in self.notes.items()])
-        if self.skipped:
-            return f"{self.skipped} ({examined})" if examined else self.skipped
-        return examined
+        parts += [f"{what} {value:.2g}" for what, value in self.notes.items()]
+        examined = ", ".join(parts)
+        if self.skipped and examined:
+            return f"{self.skipped} ({examined})"
+        return self.skipped or examined
+
+    def outcome(self, check: str) -> Outcome:
+        """What the report says of the check of that name."""
+        return Outcome(
+            name=check,
+            ok=not self.faults,
+            detail=self.detail(),
+            skipped=bool(self.skipped) and not self.faults,
+            faults=self.faults,
+            seconds=self.seconds,
+            counts=dict(self.counts),
+        )
 
 
 class Ledger(dict[str, Page]):
@@ -157,20 +165,3 @@ class Ledger(dict[str, Page]):
             whole = time.perf_counter() - begin
             page.seconds += whole - self._inner
             self._inner = before + whole
-
-    def outcomes(self, checks: Iterable[str]) -> tuple[Outcome, ...]:
-        """What the report says of these `checks`, in this order, less those that had nothing to
-        examine."""
-        return tuple(
-            Outcome(
-                name=name,
-                ok=not page.faults,
-                detail=page.detail(),
-                skipped=bool(page.skipped) and not page.faults,
-                faults=page.faults,
-                seconds=page.seconds,
-                counts=dict(page.counts),
-            )
-            for name in checks
-            if (page := self[name]).touched
-        )

@@ -1,15 +1,13 @@
 """Checks that splits share nothing: no world, and no map that looks nearly the same; and the search
-for such near-"""
+for such near-twins."""
 
 import functools
-import math
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.engines.voxels import VoxelMap
 from lidarsim.grid import Ints, Mask
-from lidarsim.jit import kernel
 from scenegen import SPLITS
 from scenegen.dataset.layout import ShardFile, open_file, open_shard
 from scenegen.dataset.trust import Manifest
@@ -31,7 +29,7 @@ at least the first number. A layer is floor where both maps fill at least the se
 Two floors that are nearly empty may by chance be observed alike, too; what stands on them then
 tells them apart."""
 MOST_PAIRS = 8_000_000
-"""The search keeps this many pairs of maps in memory at most."""
+"""The search ends once so many pairs of maps have blocks that may be those of twins."""
 MOST_COMPARED = 5_000
 """This many pairs are compared voxel by voxel at most."""
 MOST_TWINS = 200_000
@@ -75,73 +73,33 @@ def candidates(
     numbers; sorted by how much is occupied, only neighbours are looked at. Of what is left, the
     bits that two samples' observed voxels share tell almost all apart.
     """
-    counts = signatures.sum(axis=1, dtype=np.int64)
+    counts, share = signatures.sum(axis=1, dtype=np.int64), 1.0 - OCCUPIED_IOU
+    fine = signatures.astype(np.int32)
+    coarse = fine.reshape(-1, 2, 4, 2, 4, 5).sum(axis=(2, 4)).reshape(-1, 20)
+    # voxels whose bit another one has, too
+    lost = observed - np.bitwise_count(folds).sum(axis=1, dtype=np.int64)
     order = np.argsort(counts, kind="stable")
-    coarse = signatures.reshape(-1, 2, 4, 2, 4, 5).sum(axis=(2, 4), dtype=np.int64).reshape(-1, 20)
-    pairs = np.empty((MOST_PAIRS, 2), np.int32)
-    found = _pairs(
-        counts[order],
-        splits[order],
-        coarse[order].astype(np.int32),
-        signatures[order].astype(np.int32),
-        1.0 - OCCUPIED_IOU,
-        pairs,
-    )
-    kept = order[pairs[: min(found, MOST_PAIRS)]]
-    lost = observed - np.bitwise_count(folds).sum(
-        axis=1, dtype=np.int64
-    )  # voxels whose bit another one has, too
-    alike = np.zeros(len(kept), bool)
-    for begin in range(0, len(kept), 10_000):
-        a, b = kept[begin : begin + 10_000].T
-        shared = np.bitwise_count(folds[a] & folds[b]).sum(axis=1, dtype=np.int64) + np.minimum(
-            lost[a], lost[b]
-        )
-        # with s = |A| + |B| and IoU = |A and B| / (s - |A and B|), at least this many are in both
-        least = OBSERVED_IOU / (1.0 + OBSERVED_IOU) * (observed[a] + observed[b])
-        alike[begin : begin + 10_000] = shared >= least - 1e-6
-    chosen = kept[alike]
-    return chosen[:MOST_COMPARED], found <= MOST_PAIRS and len(chosen) <= MOST_COMPARED
-
-
-@kernel
-def _pairs(counts, splits, coarse, fine, share, pairs):
-    """Fill `pairs` with candidates and return how many there are; one more than fit where there are
-    more."""
-    found = 0
-    for i in range(len(counts)):
-        if counts[i] == 0:
+    ends = np.searchsorted((1.0 - share) * counts[order], counts[order], side="right")
+    found, tried = list[tuple[int, int]](), 0
+    for place, one in enumerate(order.tolist()):
+        if not counts[one]:
             continue  # an empty map has no twin
-        for j in range(i + 1, len(counts)):
-            if counts[i] < (1.0 - share) * counts[j]:
-                break
-            if splits[i] == splits[j]:
-                continue
+        others = order[place + 1 : ends[place]]
+        others = others[splits[others] != splits[one]]
+        for blocks in (coarse, fine):
             # with d voxels that differ and s = |A| + |B|, the union is (s + d) / 2, so IoU >= 1 -
             # share means this
-            most = math.floor(share * (counts[i] + counts[j]) / (2.0 - share) + 1e-9)
-            if _beyond(coarse[i], coarse[j], most) > most:
-                continue
-            if _beyond(fine[i], fine[j], most) > most:
-                continue
-            if found == len(pairs):
-                return found + 1
-            pairs[found, 0], pairs[found, 1] = i, j
-            found += 1
-    return found
-
-
-@kernel
-def _beyond(a, b, most):
-    """Return the sum of absolute differences, or some number above `most` as soon as the sum is
-    sure to be above it."""
-    total = 0
-    for begin in range(0, len(a), 20):
-        for n in range(begin, begin + 20):
-            total += abs(a[n] - b[n])
-        if total > most:
-            break
-    return total
+            most = np.floor(share * (counts[one] + counts[others]) / (2.0 - share) + 1e-9)
+            others = others[np.abs(blocks[others] - blocks[one]).sum(axis=1) <= most]
+        tried += len(others)
+        shared = np.bitwise_count(folds[others] & folds[one]).sum(axis=1, dtype=np.int64)
+        # with s = |A| + |B| and IoU = |A and B| / (s - |A and B|), at least this many are in both
+        least = OBSERVED_IOU / (1.0 + OBSERVED_IOU) * (observed[one] + observed[others])
+        others = others[shared + np.minimum(lost[one], lost[others]) >= least - 1e-6]
+        found += [(one, other) for other in others.tolist()]
+        if tried > MOST_PAIRS or len(found) > MOST_COMPARED:
+            return np.array(found[:MOST_COMPARED]), False
+    return np.array(found, np.int64).reshape(-1, 2), True
 
 
 def overlap(a: Mask, b: Mask) -> float:

@@ -23,7 +23,7 @@ PAGE = tutorial.PAGE.read_text(encoding="utf-8")
 def test_every_command_line_parses(words):
     program, name, *rest = words
     assert program == "scenegen"
-    command = app.find(name)
+    command = app.registry.find(name)
     assert command.make_context(name, list(rest)).params
 
 

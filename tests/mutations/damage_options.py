@@ -50,7 +50,7 @@ def attempt(random, valid, here):
     (here / "file").write_text("the user's own\n")
     (here / "folder").mkdir()
     name = random.choice(list(MADE))
-    command = app.find(name)
+    command = app.registry.find(name)
     words = [name, *MADE[name].split()]
     ends = ("", ".png", ".ply", ".html", ".toml", ".safetensors", ".xml", ".onnx")
     done, asked = [], [f"out{end}" for end in ends]

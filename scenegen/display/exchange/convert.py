@@ -13,7 +13,7 @@ from typing import Any
 
 from scenegen.dataset.read import Dataset, Rows
 from scenegen.display.exchange import FORMATS, Choices
-from scenegen.errors import DatasetError, printable
+from scenegen.errors import DatasetError, printable, raised_as
 from scenegen.files import make_parent, remove_drafts, write_whole
 from scenegen.run import Counted, Executor, unheard
 from scenegen.run.workers import ALONE
@@ -65,9 +65,11 @@ def convert(
         on_sample: Called with the number of samples done.
 
     Raises:
-        DatasetError: `out` holds another conversion, or the disk refuses.
+        DatasetError: There is no such format, `out` holds another conversion, or the disk refuses.
     """
-    form = FORMATS.find(to)(choices)
+    with raised_as(DatasetError):
+        kind = FORMATS.find(to)
+    form = kind(choices)
     _claim(dataset, out, to, choices)
     each = getattr(form, "together", None) or CHUNK
     whole = [
@@ -78,20 +80,20 @@ def convert(
     ]
     tasks = execute.mine(whole)
     total = sum(len(rows.numbers) for rows in tasks)
-    parts: dict[Rows, tuple[int, list[str]]] = {}
+    there, broken = 0, dict[Rows, list[str]]()
     work = partial(_write, dataset, out, form)
     try:
         with closing(execute(work, tasks, lambda: on_start(total))) as results:
-            for rows, there, lines in results:
-                parts[rows] = there, lines
+            for rows, count, wrong in results:
+                there += count
+                broken[rows] = wrong
                 on_sample(len(rows.numbers))
     finally:
         for folder in out.glob("**/"):  # what killed runs have left
             remove_drafts(folder)
-    there = sum(count for count, _ in parts.values())
-    broken = tuple(line for rows in tasks for line in parts[rows][1])
+    lines = tuple(line for rows in tasks for line in broken[rows])
     others = sum(len(rows.numbers) for rows in whole) - total
-    return Converted(total - there - len(broken), there, others, broken)
+    return Converted(total - there - len(lines), there, others, lines)
 
 
 def _write(dataset: Dataset, out: Path, form: Any, rows: Rows) -> tuple[Rows, int, list[str]]:
@@ -124,10 +126,10 @@ def _write(dataset: Dataset, out: Path, form: Any, rows: Rows) -> tuple[Rows, in
         if together:
             contents = form.encode(found, dataset.grid, sensor)
         several = (contents,) if isinstance(contents, bytes) else contents
-        if lines:  # so that the next run makes it again
-            make_parent(left_out)
-            write_whole(left_out, "\n".join(lines).encode(), sync=False)
-        for path, content in zip(paths, several, strict=True):
+        files = dict(zip(paths, several, strict=True))
+        if lines:  # before the others, so that the next run makes them again
+            files = {left_out: "\n".join(lines).encode()} | files
+        for path, content in files.items():
             make_parent(path)
             write_whole(path, content, sync=False)
         if not lines:

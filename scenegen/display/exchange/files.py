@@ -31,7 +31,7 @@ def write_points(
     intensity: Floats | None,
     about: Mapping[str, Any],
 ) -> None:
-    """Writes points in the kind of file that the name says.
+    """Writes points in the kind of file that the name says, one of `SUFFIXES`.
 
     Args:
         path: The file.
@@ -39,12 +39,7 @@ def write_points(
         intensity: Of each point (M,), if there is any; a .bin has 0 where there is none.
         about: Arrays and texts by name that an .npz holds, too. Where `frame` is "world", a .pcd
             has `sensor_position` as its viewpoint.
-
-    Raises:
-        DatasetError: The name says none of the kinds.
     """
-    if path.suffix not in SUFFIXES:
-        raise DatasetError(f"{path}: expected a name that ends in {', '.join(SUFFIXES)}")
     write_result(path, encode_points(path.suffix, points, intensity, about))
 
 
@@ -283,15 +278,14 @@ def _tree(keys: Ints, state: Ints) -> tuple[int, bytes]:
     for bit in range(DEPTH):
         for axis in range(3):
             codes |= ((keys[:, axis] >> bit) & 1) << (3 * bit + axis)
-    nodes, begins, depths, words = len(codes), [], [], []
+    places, words = [], []
     for depth in reversed(range(DEPTH)):
         parents, which = np.unique(codes >> 3, return_inverse=True)
         word = np.zeros(len(parents), np.uint16)
         np.bitwise_or.at(word, which, (state << (2 * (codes & 7))).astype(np.uint16))
-        begins.append(parents << (3 * (DEPTH - depth)))  # the first leaf that may lie below
-        depths.append(np.full(len(parents), depth))
+        # depth first: by the first leaf that may lie below, and then by the depth
+        places.append((parents << (3 * (DEPTH - depth))) * DEPTH + depth)
         words.append(word)
         codes, state = parents, np.full(len(parents), INNER)
-        nodes += len(parents)
-    order = np.lexsort((np.concatenate(depths), np.concatenate(begins)))  # depth first
-    return nodes, np.concatenate(words)[order].astype("<u2").tobytes()
+    order = np.argsort(np.concatenate(places))
+    return len(keys) + len(order), np.concatenate(words)[order].astype("<u2").tobytes()

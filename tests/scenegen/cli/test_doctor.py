@@ -50,9 +50,9 @@ def with_a_range_that_changes(number, sample):
 BROKEN = {"returns_occupied": without_one_solid_voxel, "repeatable": with_a_range_that_changes}
 
 
-def test_a_fit_machine_is_found_fit(monkeypatch, tmp_path):
+def test_a_fit_machine_is_found_fit(monkeypatch):
     asked = spoil(monkeypatch, lambda number, sample: sample)
-    found = doctor.examine(tmp_path)
+    found = doctor.examine()
     test = found["self_test"]
     assert found["ok"] is test["repeatable"] is test["returns_occupied"] is True
     assert asked == [0, 0, *range(len(asked) - 2)]  # the same unit twice, then one after the other

@@ -142,6 +142,7 @@ sensors small.toml           → expected its parameters at the top
 sensors velodine-vlp-16      → did you mean 'velodyne-vlp-16'
 scan piller --flight         → did you mean 'pillar'
 scan room.xml --flight --noise rnage:1    → did you mean 'range'
+scan room.xml --flight --engine no_such:X → there is no module no_such
 scan room.xml                → --pose X,Y,Z,YAW and --flight
 scan room.xml --pose 1,2,3,nan → is not a finite number
 scan room.xml --flight -o a.las → .ply, .pcd, .bin, .npz

@@ -77,8 +77,7 @@ def test_at_most_so_many_samples_are_measured_evenly_spread(full, most):
     check(split["statistics"], fields(full, "train"), chosen)
 
 
-def test_many_samples_are_measured_by_several_processes_some_at_a_time(full, monkeypatch):
-    monkeypatch.setattr("scenegen.display.inspect.AT_ONCE", 4)
+def test_many_samples_are_measured_by_several_processes(full):
     few, told = inspect(full, most=None, workers=2), []
     assert few == inspect(full, most=None, workers=1, on_done=told.append)
     assert sum(told) == sum(COUNTS.values())
