@@ -39,10 +39,12 @@ def search(occupied, first, shape, step, start, goal, edge_check, risk, weight):
 
 @kernel
 def explore(occupied, first, shape, step, start, goal, edge_check, risk, weight):
-    """The length of the shortest way from `start` to every node of the lattice that `search` has,
-    one after the other, and the node before it on that way; infinite and -1 for none. And the node
-    that ends the path to the `goal`, -1 for none: unless it is `aimed` at one, all ways are found
-    (Dijkstra 1959).
+    """The length of the shortest way from `start` to every node of the lattice, one after the
+    other, and the number of the node before it on that way; infinite and -1 for none. And the
+    number of the node that ends the path to the goal, -1 for none.
+
+    For the arguments see `search`. A `goal` of None makes it find the ways to all nodes (Dijkstra
+    1959), a `risk` of None weighs none; either spares numba the code for it.
 
     The straight line to the goal never exceeds what is left of a path, nor falls by more than an
     edge is long, so the first arrival is the shortest.
