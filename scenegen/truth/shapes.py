@@ -46,9 +46,10 @@ def _moved(x, y, z, rows, n, t):
 def distance(shape, size, x, y, z):
     """Distance in metres from the point (x, y, z) to the filled shape; 0 inside. A plane fills z <=
     0."""
+    if shape == SPHERE:
+        return max(math.sqrt(x * x + y * y + z * z) - size[0], 0.0)
     if shape == CAPSULE:
         z -= min(max(z, -size[1]), size[1])
-    if shape == SPHERE or shape == CAPSULE:  # noqa: SIM109 (Warp has no `in`)
         return max(math.sqrt(x * x + y * y + z * z) - size[0], 0.0)
     if shape == CYLINDER:
         radial, axial = max(math.sqrt(x * x + y * y) - size[0], 0.0), max(abs(z) - size[1], 0.0)
