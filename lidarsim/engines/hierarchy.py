@@ -173,12 +173,6 @@ def _grown(box, other):
     """Half the surface of `box` after it has grown around `other`; 0 while it holds nothing."""
     for a in range(3):
         box[a], box[3 + a] = min(box[a], other[a]), max(box[3 + a], other[3 + a])
-    return _surface(box)
-
-
-@kernel
-def _surface(box):
-    """Half a box's surface; 0 if it has no inside."""
     x, y, z = box[3] - box[0], box[4] - box[1], box[5] - box[2]
     return x * y + y * z + z * x if x >= 0.0 else 0.0
 

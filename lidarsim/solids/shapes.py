@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 
@@ -46,9 +45,9 @@ class Solids:
     def boxes(self) -> tuple[Floats, Floats]:
         """Bounding boxes of all n + m solids: least corners (n + m, 3) and greatest corners (n + m,
         3)."""
-        meshes = [self.triangles[a:b].reshape(-1, 3) for a, b in pairwise(self.mesh_start)]
-        lower = np.array([corners.min(axis=0) for corners in meshes]).reshape(-1, 3)
-        upper = np.array([corners.max(axis=0) for corners in meshes]).reshape(-1, 3)
+        first = self.mesh_start[:-1]
+        lower = np.minimum.reduceat(self.triangles.min(axis=1), first)
+        upper = np.maximum.reduceat(self.triangles.max(axis=1), first)
         return np.concatenate([self.lower, lower]), np.concatenate([self.upper, upper])
 
     def __len__(self) -> int:

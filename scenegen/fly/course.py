@@ -134,16 +134,16 @@ class Recording:
 
     robot: str
     """The robot's name."""
+    network: str = ""
+    """SHA-256 of the file of the network that the robot had complete; "" without one."""
     suite: str | None
     """The suite that it flew, where it did."""
-    courses: Flights
     track: str = ""
     """Which of the suite's courses; see `scenegen.fly.suite.track_name`. "" where a recording of
     an earlier commit does not say."""
     complete: bool = False
-    """Whether these are all of them."""
-    network: str = ""
-    """SHA-256 of the file of the network that the robot had complete; "" without one."""
+    """Whether these are all courses."""
+    courses: Flights
 
     def encoded(self) -> bytes:
         """As JSON, with what it was flown on. Commands are float32 in as many digits as tell them
@@ -164,14 +164,8 @@ class Recording:
             "numpy": np.__version__,
             "machine": platform.platform(),
             "cpu": processor(),
-            "robot": self.robot,
-            "network": self.network,
-            "suite": self.suite,
-            "track": self.track,
-            "complete": self.complete,
-            "courses": found,
         }
-        return (json.dumps(text) + "\n").encode()
+        return (json.dumps(text | vars(self) | {"courses": found}) + "\n").encode()
 
     @classmethod
     def read(cls, path: Path) -> "Recording":

@@ -105,8 +105,8 @@ class Geometric(WorldKind):
         self, spec: Drawing, count: int, scale: float, *, rng: np.random.Generator
     ) -> None:
         """Standing, floating and stacked ones."""
-        shape = rng.integers(0, len(SHAPES), count)
-        size = scale * rng.uniform(*self.half_size_m, (count, 3))
+        kind = rng.integers(0, len(SHAPES), count)
+        shape, size = SHAPES[kind], scale * rng.uniform(*self.half_size_m, (count, 3))
         plan = rng.uniform((0.0, 0.0), self.size_m[:2], (count, 2))
         tilt = attitudes(count, self.tilted_share, rng=rng)
         place = rng.random(count)
@@ -119,7 +119,7 @@ class Geometric(WorldKind):
         for n in np.flatnonzero(stacked).tolist():
             if n > 0:
                 plan[n], z[n] = plan[on[n]], z[on[n]] + reach[on[n]] + reach[n]
-        spec.add_geoms(SHAPES[shape], size, np.stack([*plan.T, z], axis=1), tilt, COLOURS[shape])
+        spec.add_geoms(shape, size, np.stack([*plan.T, z], axis=1), tilt, COLOURS[kind])
 
     def _add_walls(self, spec: Drawing, count: int, *, rng: np.random.Generator) -> None:
         """Upright slabs, each turned at will."""
@@ -137,10 +137,10 @@ class Geometric(WorldKind):
         for _ in range(heaps):
             centre = rng.uniform((0.0, 0.0), self.size_m[:2])
             count = int(rng.integers(self.clutter_count[0], self.clutter_count[1] + 1))
-            shape = rng.integers(0, len(SHAPES), count)
-            size = rng.uniform(*self.clutter_half_size_m, (count, 3))
+            kind = rng.integers(0, len(SHAPES), count)
+            shape, size = SHAPES[kind], rng.uniform(*self.clutter_half_size_m, (count, 3))
             offset = self.clutter_spread_m * normal((count, 3), rng=rng)
             tilt = attitudes(count, 1.0, rng=rng)
             z = half_height(shape, size, tilt) + np.abs(offset[:, 2])
             place = np.column_stack([centre + offset[:, :2], z])
-            spec.add_geoms(SHAPES[shape], size, place, tilt, COLOURS[shape])
+            spec.add_geoms(shape, size, place, tilt, COLOURS[kind])

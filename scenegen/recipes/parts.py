@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from lidarsim.elementary import sin_cos
 from lidarsim.grid import Floats, Ints
-from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID
+from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, bounding_boxes
 from scenegen.worlds.drawing import UPRIGHT, Drawing
 
 Point = Sequence[float]
@@ -253,10 +253,11 @@ def scattered(
 
 
 def half_height(shape: Ints, size: Floats, quaternion: Floats) -> Floats:
-    """How far solids (n,) reach above their centres, metres; shapes are 0 for a sphere, 1 for a
-    box, 2 for a cylinder."""
+    """How far solids (n,) of MuJoCo's shapes, sizes and attitudes reach above their centres,
+    metres."""
     w, x, y, z = quaternion.T
-    u, v, up = np.abs([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
-    box = u * size[:, 0] + v * size[:, 1] + up * size[:, 2]
-    cylinder = up * size[:, 1] + np.sqrt(np.maximum(1 - up * up, 0.0)) * size[:, 0]
-    return np.choose(shape, [size[:, 0], box, cylinder])
+    rotation = np.zeros((len(size), 3, 3))
+    rotation[:, 2] = np.transpose(
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]
+    )
+    return bounding_boxes(shape, size, np.zeros_like(size), rotation)[1][:, 2]

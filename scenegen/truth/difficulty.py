@@ -8,7 +8,6 @@ random.
 """
 
 import functools
-import heapq
 import itertools
 import math
 from typing import NamedTuple
@@ -18,6 +17,7 @@ import numpy as np
 from lidarsim.grid import Field, Floats, Ints, Mask
 from lidarsim.jit import kernel
 from scenegen.truth.guides import hardness
+from scenegen.worlds.search import explore
 
 STEP_M = 0.6
 """The lattice on which ways are looked for: the paper's planner's."""
@@ -188,33 +188,14 @@ def _mean_ways(occupancy, middle, step, directions):
     return (total / count, gaps / count) if count else (np.nan, np.nan)
 
 
-@kernel
-def _ways_out(occupancy, middle, step):
-    """The length of the shortest way from the middle to every node of its lattice (Dijkstra 1959)
-    through free voxels, in steps, and the node before it on the way; infinite and -1 for none."""
-    first = middle % step
+def _ways_out(occupancy: Mask, middle: Ints, step: int) -> tuple[Floats, Ints]:
+    """The length of the shortest way from the middle to every node of its lattice through free
+    voxels, in steps, and the node before it on the way; infinite and -1 for none."""
+    first, start = middle % step, middle // step
     counts = (np.array(occupancy.shape) - 1 - first) // step + 1
-    na, nb, nc = counts
-    length, before = np.full((na, nb, nc), np.inf), np.full((na, nb, nc), -1)
-    start = middle // step
-    length[start[0], start[1], start[2]] = 0.0
-    heap = [(0.0, start[0], start[1], start[2])]
-    while len(heap) > 0:
-        walked, a, b, c = heapq.heappop(heap)
-        if walked > length[a, b, c]:
-            continue
-        x, y, z = first[0] + step * a, first[1] + step * b, first[2] + step * c
-        for i in range(max(a - 1, 0), min(a + 2, na)):
-            for j in range(max(b - 1, 0), min(b + 2, nb)):
-                for k in range(max(c - 1, 0), min(c + 2, nc)):
-                    dx, dy, dz = i - a, j - b, k - c
-                    there = walked + math.sqrt(dx * dx + dy * dy + dz * dz)
-                    shorter = there < length[i, j, k] - 1e-9
-                    # a wall may stand between two nodes
-                    if shorter and _way(occupancy, x, y, z, dx, dy, dz)[0] >= step:
-                        length[i, j, k], before[i, j, k] = there, (a * nb + b) * nc + c
-                        heapq.heappush(heap, (there, i, j, k))
-    return length, before
+    # a wall may stand between two nodes
+    length, before, _ = explore(occupancy, first, counts, step, start, None, True, None, 0.0)
+    return length.reshape(counts), before.reshape(counts)
 
 
 def _tortuosity(length: Floats, start: Ints) -> float:

@@ -120,10 +120,9 @@ def within(shape, size, axes, x, y, z, half, slack):
 def _is_deep(shape, size, x, y, z, slack):
     """Whether a point lies in the shape, farther than `slack` from its surface; in an ellipsoid, so
     far in the direction of its least semi-axis, which errs on the side of the surface."""
-    if shape == SPHERE:
-        return math.sqrt(x * x + y * y + z * z) < size[0] - slack
     if shape == CAPSULE:
         z -= min(max(z, -size[1]), size[1])
+    if shape in (SPHERE, CAPSULE):
         return math.sqrt(x * x + y * y + z * z) < size[0] - slack
     if shape == CYLINDER:
         return math.sqrt(x * x + y * y) < size[0] - slack and abs(z) < size[1] - slack

@@ -11,44 +11,48 @@ painted and metal surfaces vary so much that theirs are round numbers between.
 
 OTHER = "other"
 """The class of a solid whose material is none of these."""
-_REFLECTS = {
-    "other": (0.40, (1.0, 1.0, 1.0)),
-    "road": (0.17, (1.0, 1.0, 1.05)),
-    "sidewalk": (0.24, (1.05, 1.0, 0.95)),
-    "terrain": (0.30, (1.2, 1.0, 0.7)),
-    "floor": (0.30, (1.05, 1.0, 0.95)),
-    "ceiling": (0.70, (1.0, 1.0, 1.0)),
-    "wall": (0.60, (1.05, 1.0, 0.92)),
-    "building": (0.45, (1.25, 0.95, 0.8)),
-    "roof": (0.35, (1.6, 0.85, 0.7)),
-    "door": (0.35, (1.3, 0.95, 0.6)),
-    "column": (0.30, (1.0, 1.0, 1.0)),
-    "stairs": (0.35, (1.0, 1.0, 1.1)),
-    "furniture": (0.50, (1.3, 0.95, 0.6)),
-    "shelf": (0.40, (0.7, 0.95, 1.8)),
-    "goods": (0.55, (1.3, 0.95, 0.6)),
-    "vegetation": (0.50, (0.5, 1.2, 0.5)),
-    "trunk": (0.25, (1.3, 0.95, 0.6)),
-    "rock": (0.30, (1.1, 1.0, 0.85)),
-    "pole": (0.35, (1.0, 1.0, 1.0)),
-    "cable": (0.10, (1.0, 1.0, 1.0)),
-    "sign": (0.60, (0.7, 1.0, 1.6)),
-    "fence": (0.40, (1.0, 1.0, 0.9)),
-    "vehicle": (0.35, (0.7, 1.0, 1.7)),
-    "tyre": (0.05, (1.0, 1.0, 1.0)),
-    "pipe": (0.45, (1.4, 0.95, 0.5)),
-    "tank": (0.55, (0.95, 1.0, 1.05)),
-    "machine": (0.40, (0.7, 1.1, 0.9)),
-    "beam": (0.30, (1.0, 1.0, 1.0)),
-}
+_REFLECTS = """
+other      0.40  1.00 1.00 1.00
+road       0.17  1.00 1.00 1.05
+sidewalk   0.24  1.05 1.00 0.95
+terrain    0.30  1.20 1.00 0.70
+floor      0.30  1.05 1.00 0.95
+ceiling    0.70  1.00 1.00 1.00
+wall       0.60  1.05 1.00 0.92
+building   0.45  1.25 0.95 0.80
+roof       0.35  1.60 0.85 0.70
+door       0.35  1.30 0.95 0.60
+column     0.30  1.00 1.00 1.00
+stairs     0.35  1.00 1.00 1.10
+furniture  0.50  1.30 0.95 0.60
+shelf      0.40  0.70 0.95 1.80
+goods      0.55  1.30 0.95 0.60
+vegetation 0.50  0.50 1.20 0.50
+trunk      0.25  1.30 0.95 0.60
+rock       0.30  1.10 1.00 0.85
+pole       0.35  1.00 1.00 1.00
+cable      0.10  1.00 1.00 1.00
+sign       0.60  0.70 1.00 1.60
+fence      0.40  1.00 1.00 0.90
+vehicle    0.35  0.70 1.00 1.70
+tyre       0.05  1.00 1.00 1.00
+pipe       0.45  1.40 0.95 0.50
+tank       0.55  0.95 1.00 1.05
+machine    0.40  0.70 1.10 0.90
+beam       0.30  1.00 1.00 1.00
+"""
+"""A class a line: the share that it reflects, and its hue as red, green and blue of any size."""
 
 
-def _coloured(albedo: float, hue: tuple[float, float, float]) -> tuple[float, ...]:
+def _coloured(albedo: float, *hue: float) -> tuple[float, ...]:
     """The colour of a hue whose brightness, by the weights of ITU-R BT.709, is `albedo`."""
     bright = 0.2126 * hue[0] + 0.7152 * hue[1] + 0.0722 * hue[2]
     return (*(round(min(albedo * part / bright, 1.0), 4) for part in hue), 1.0)
 
 
-COLOURS = {name: _coloured(*about) for name, about in _REFLECTS.items()}
+COLOURS = {
+    name: _coloured(*map(float, numbers))
+    for name, *numbers in map(str.split, _REFLECTS.strip().splitlines())
+}
 """Every class and its colour, as red, green, blue and alpha."""
 CLASSES = tuple(COLOURS)

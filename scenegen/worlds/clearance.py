@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from lidarsim.engines.voxels import FREE, UNKNOWN
 from lidarsim.grid import Floats
 from lidarsim.jit import kernel
 from lidarsim.solids.shapes import Solids
@@ -61,14 +62,9 @@ class Clearance:
             solids.mesh_filled,
         )
 
-    @property
-    def _kernels(self) -> tuple[Any, Any]:
-        """What answers both questions from `_arguments`; kernels cannot be pickled."""
-        return _clearance, _motion_is_free
-
     def at(self, x: float, y: float, z: float) -> float:
         """Distance in metres from a point to the nearest solid, at most `CAP_M`; 0 inside one."""
-        return float(self._kernels[0](x, y, z, *self._arguments))
+        return float(_clearance(x, y, z, CAP_M, 0.0, self._arguments))
 
     def motion_is_free(
         self, p: tuple[float, float, float], q: tuple[float, float, float], radius_m: float
@@ -79,7 +75,7 @@ class Clearance:
         Walks by the distance still free, which no solid can undercut, in steps of at least
         `STEP_M`.
         """
-        return bool(self._kernels[1](p, q, radius_m, self._arguments))
+        return bool(_motion_is_free(p, q, radius_m, self._arguments))
 
 
 @kernel
@@ -106,7 +102,16 @@ def _sort_into_cells(first, last, cells):
 
 
 @kernel
-def _clearance(
+def _clearance(x, y, z, cap_m, enough_m, arguments):
+    """Distance of a point, up to `cap_m`; one below `enough_m` may be that of another solid than
+    the nearest. Of the two branches, numba compiles that for the `arguments`."""
+    if len(arguments) == 4:
+        return _from_voxels(x, y, z, cap_m, enough_m, *arguments)
+    return _from_solids(x, y, z, *arguments)
+
+
+@kernel
+def _from_solids(
     x,
     y,
     z,
@@ -123,6 +128,7 @@ def _clearance(
     owner,
     filled,
 ):
+    """`_clearance` among the solids of a `Clearance`, up to `CAP_M`."""
     i = min(max(math.floor((x - low[0]) / cell_m), 0), cells[0] - 1)
     j = min(max(math.floor((y - low[1]) / cell_m), 0), cells[1] - 1)
     cell = i * cells[1] + j
@@ -150,19 +156,49 @@ def _clearance(
 
 
 @kernel
+def _from_voxels(x, y, z, cap_m, enough_m, states, voxel_m, origin, opened):
+    """`_clearance` in a map of voxels: those that are not free count as solids, or, where it is
+    `opened`, the occupied ones alone."""
+    nx, ny, nz = states.shape
+    sx, sy, sz = (x - origin[0]) / voxel_m, (y - origin[1]) / voxel_m, (z - origin[2]) / voxel_m
+    nearest, enough = cap_m / voxel_m, enough_m / voxel_m
+    i, j, k = math.floor(sx), math.floor(sy), math.floor(sz)
+    # shells of voxels around the point's own, until the next one is farther than what was found
+    for shell in range(math.ceil(nearest) + 1):
+        if shell - 1 >= nearest or nearest < enough:
+            break
+        for a in range(i - shell, i + shell + 1):
+            for b in range(j - shell, j + shell + 1):
+                side = abs(a - i) == shell or abs(b - j) == shell
+                step = 1 if side or shell == 0 else 2 * shell
+                for c in range(k - shell, k + shell + 1, step):
+                    inside = 0 <= a < nx and 0 <= b < ny and 0 <= c < nz
+                    state = states[a, b, c] if inside else UNKNOWN
+                    if state == FREE or (opened and state == UNKNOWN):
+                        continue
+                    u = max(max(a - sx, sx - (a + 1)), 0.0)
+                    v = max(max(b - sy, sy - (b + 1)), 0.0)
+                    w = max(max(c - sz, sz - (c + 1)), 0.0)
+                    nearest = min(nearest, math.sqrt(u * u + v * v + w * w))
+    return nearest * voxel_m
+
+
+@kernel
 def _motion_is_free(p, q, radius, arguments):
     dx, dy, dz = joining(p, q)
     length = math.sqrt(dx * dx + dy * dy + dz * dz)
-    # most motions that are refused are so at their ends, many more at their middles; the walk
-    # below steps over no point that is nearer than asked by two of its steps
-    for s, spare in ((1.0, 0.0), (0.5, 2 * STEP_M)):
-        near = _clearance(p[0] + s * dx, p[1] + s * dy, p[2] + s * dz, *arguments)
-        if near < radius - spare:
+    # the walk below cannot pass a point that is closer than asked by two of its steps, and most
+    # motions that it would refuse have one here
+    least = radius - 2 * STEP_M
+    for s in (1.0, 0.5):
+        x, y, z = p[0] + s * dx, p[1] + s * dy, p[2] + s * dz
+        if _clearance(x, y, z, radius, least, arguments) < least:
             return False
     t = 0.0
     while True:
         s = min(t / length, 1.0) if length > 0.0 else 1.0
-        free = _clearance(p[0] + s * dx, p[1] + s * dy, p[2] + s * dz, *arguments) - radius
+        x, y, z = p[0] + s * dx, p[1] + s * dy, p[2] + s * dz
+        free = _clearance(x, y, z, CAP_M, 0.0, arguments) - radius
         if free < 0.0:
             return False
         if s >= 1.0:

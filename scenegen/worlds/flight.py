@@ -301,14 +301,10 @@ def acceleration(
     along it. Each change of velocity is spread over `settle_s` before and after, by a triangle:
     this is the second derivative of the path smoothed by that triangle.
     """
-    x, y, z = 0.0, 0.0, 0.0
-    for turn, end in zip(turns.tolist(), ends_m.tolist(), strict=True):
-        share = 1.0 - abs((flown_m - end) / speed_mps) / settle_s
-        if share > 0.0:
-            x, y, z = (
-                before + speed_mps * change * share / settle_s
-                for before, change in zip((x, y, z), turn, strict=True)
-            )
+    shares = 1.0 - np.abs((flown_m - ends_m) / speed_mps) / settle_s
+    near = shares > 0.0
+    pulls = speed_mps * turns[near] * shares[near, None] / settle_s
+    x, y, z = pulls.sum(axis=0, initial=0.0).tolist()  # one after the other
     return x, y, z
 
 

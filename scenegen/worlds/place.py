@@ -3,7 +3,6 @@ through what is free there."""
 
 import functools
 import hashlib
-import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -15,18 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim import GridSpec, Pose, Scan, Sensor
-from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelEngine, VoxelMap
+from lidarsim.engines.voxels import FREE, OCCUPIED, VoxelEngine, VoxelMap
 from lidarsim.grid import Floats, Ints, Mask
-from lidarsim.jit import kernel
 from lidarsim.pose import rotate
 from lidarsim.sensors.table import MOST_HEADER_BYTES
 from scenegen.clouds import encode_npz, read_npz
 from scenegen.errors import SceneError, printable
 from scenegen.files import read_bounded, sha256_of
 from scenegen.limits import MOST_ASSET_BYTES, MOST_PLACE_VOXELS
-from scenegen.truth.triangles import joining
 from scenegen.truth.voxels import resample
-from scenegen.worlds.clearance import CAP_M, STEP_M, Clearance
+from scenegen.worlds.clearance import Clearance
 from scenegen.worlds.mapping import Known
 from scenegen.worlds.octomap import check_voxel, parse_octomap
 
@@ -232,59 +229,4 @@ class PlaceClearance(Clearance):
     `opened`."""
 
     def __init__(self, voxels: VoxelMap, opened: bool):
-        self._arguments = CAP_M, 0.0, voxels.states, voxels.voxel_m, voxels.origin, opened
-
-    @property
-    def _kernels(self) -> tuple[Any, Any]:
-        return _clearance, _motion_is_free
-
-
-@kernel
-def _clearance(x, y, z, cap_m, enough_m, states, voxel_m, origin, opened):
-    """Distances up to `cap_m`; one below `enough_m` may be of another voxel than the nearest."""
-    nx, ny, nz = states.shape
-    sx, sy, sz = (x - origin[0]) / voxel_m, (y - origin[1]) / voxel_m, (z - origin[2]) / voxel_m
-    nearest, enough = cap_m / voxel_m, enough_m / voxel_m
-    i, j, k = math.floor(sx), math.floor(sy), math.floor(sz)
-    # shells of voxels around the point's own, until the next one is farther than what was found
-    for shell in range(math.ceil(nearest) + 1):
-        if shell - 1 >= nearest or nearest < enough:
-            break
-        for a in range(i - shell, i + shell + 1):
-            for b in range(j - shell, j + shell + 1):
-                side = abs(a - i) == shell or abs(b - j) == shell
-                step = 1 if side or shell == 0 else 2 * shell
-                for c in range(k - shell, k + shell + 1, step):
-                    inside = 0 <= a < nx and 0 <= b < ny and 0 <= c < nz
-                    state = states[a, b, c] if inside else UNKNOWN
-                    if state == FREE or (opened and state == UNKNOWN):
-                        continue
-                    u = max(max(a - sx, sx - (a + 1)), 0.0)
-                    v = max(max(b - sy, sy - (b + 1)), 0.0)
-                    w = max(max(c - sz, sz - (c + 1)), 0.0)
-                    nearest = min(nearest, math.sqrt(u * u + v * v + w * w))
-    return nearest * voxel_m
-
-
-@kernel
-def _motion_is_free(p, q, radius, arguments):
-    _, _, states, voxel_m, origin, opened = arguments
-    dx, dy, dz = joining(p, q)
-    length = math.sqrt(dx * dx + dy * dy + dz * dz)
-    # the walk below cannot pass a point that is closer than asked by two of its steps, and most
-    # motions that it would refuse have one here
-    least = radius - 2 * STEP_M
-    for s in (1.0, 0.5, 0.25, 0.75):
-        x, y, z = p[0] + s * dx, p[1] + s * dy, p[2] + s * dz
-        if _clearance(x, y, z, radius, least, states, voxel_m, origin, opened) < least:
-            return False
-    t = 0.0
-    while True:
-        s = min(t / length, 1.0) if length > 0.0 else 1.0
-        x, y, z = p[0] + s * dx, p[1] + s * dy, p[2] + s * dz
-        free = _clearance(x, y, z, *arguments) - radius
-        if free < 0.0:
-            return False
-        if s >= 1.0:
-            return True
-        t = min(t + max(free, STEP_M), length)
+        self._arguments = voxels.states, voxels.voxel_m, voxels.origin, opened
