@@ -28,7 +28,7 @@ ROOT = Path(__file__).parents[1]
 ROOMS = {
     "rays": ("lidarsim/engines/*.py", "tests/lidarsim/engines"),
     "truth": ("scenegen/truth/[!g]*.py", "tests/scenegen/truth"),
-    "voxelize": ("lidarsim/voxelize.py", "tests/lidarsim/test_voxelize.py tests/lidarsim"),
+    "voxelize": ("lidarsim/voxelization.py", "tests/lidarsim/test_voxelization.py tests/lidarsim"),
     "losses": ("model/losses.py", "tests/model/test_losses.py"),
     "planning": ("model/*/planning/*.py", "tests/model/evaluation"),
     "statistics": ("model/*/statistics.py", "tests/model/evaluation"),

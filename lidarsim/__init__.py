@@ -13,7 +13,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from lidarsim.attach import Attached, attach
+    from lidarsim.attachment import Attached, attach
     from lidarsim.engines import Engine
     from lidarsim.engines.analytic import AnalyticEngine
     from lidarsim.engines.mujoco import MujocoEngine
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from lidarsim.sensors import Sensor
     from lidarsim.sensors.raster import Lidar
     from lidarsim.sensors.table import BeamTable
-    from lidarsim.voxelize import ObservedGrid, fuse, voxelize
+    from lidarsim.voxelization import ObservedGrid, fuse, voxelize
 
 __all__ = [
     "AnalyticEngine",
@@ -47,7 +47,7 @@ __all__ = [
 
 
 _PLACES = {
-    "attach": "Attached attach",
+    "attachment": "Attached attach",
     "engines": "Engine",
     "engines.analytic": "AnalyticEngine",
     "engines.mujoco": "MujocoEngine",
@@ -58,7 +58,7 @@ _PLACES = {
     "sensors": "Sensor",
     "sensors.raster": "Lidar",
     "sensors.table": "BeamTable",
-    "voxelize": "ObservedGrid fuse voxelize",
+    "voxelization": "ObservedGrid fuse voxelize",
 }
 
 
@@ -71,8 +71,7 @@ def __getattr__(name: str) -> Any:
     `lidarsim.parameters` alone, without numpy and MuJoCo."""
     for module, names in _PLACES.items():
         if name in names.split():
-            found = importlib.import_module(f"lidarsim.{module}")
-            # of `voxelize`, the function stays
-            globals().update({each: getattr(found, each) for each in names.split()})
-            return globals()[name]
+            found = getattr(importlib.import_module(f"lidarsim.{module}"), name)
+            globals()[name] = found
+            return found
     raise AttributeError(f"module 'lidarsim' has no attribute {name!r}")

@@ -1,4 +1,4 @@
-"""How several scans become one map: the parameters of `lidarsim.voxelize.fuse`, which commands read
+"""How several scans become one map: the parameters of `lidarsim.fuse`, which commands read
 without numpy."""
 
 from dataclasses import dataclass

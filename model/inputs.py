@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
 from lidarsim.pose import rotate
 from lidarsim.scan import Scan
-from lidarsim.voxelize import fuse, sort_points
+from lidarsim.voxelization import fuse, sort_points
 from scenegen.errors import DatasetError, told
 from scenegen.model.config import INPUTS, is_own, named
 from scenegen.sample import Sample

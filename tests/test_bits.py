@@ -30,18 +30,12 @@ def here():
     return of_datasets()
 
 
-def check(*parts):
-    """The digests are the same where these parts of the processor are hidden, though others are
-    not."""
+@pytest.mark.slow
+@pytest.mark.parametrize("parts", [*([part] for part in HIDDEN), [*HIDDEN]])
+def test_digests_are_the_same_where_parts_of_the_processor_are_hidden(parts):
     hidden = {name: value for part in parts for name, value in HIDDEN[part].items()}
     environment = os.environ | {"PYTHONPATH": str(ROOT)} | hidden
     there = json.loads(python("-W", "ignore", "-m", "tests.bits", env=environment).stdout)
     assert there["datasets"] == here()
-    if parts != ("numba",) and there["processor"] == of_processor():
+    if parts != ["numba"] and there["processor"] == of_processor():
         pytest.skip(f"sines, arctangents and products are the same without {', '.join(parts)}")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("parts", [*([part] for part in HIDDEN), [*HIDDEN]])
-def test_without_what_is_found_in_the_processor(parts):
-    check(*parts)

@@ -1,12 +1,14 @@
 """Imports run one way: the command, the model, scenegen, lidarsim; and in no circle of files."""
 
 import ast
+import pkgutil
 import re
 import subprocess
 from functools import cache
 
 import pytest
 
+import lidarsim
 import scenegen
 from tests.command_line import ROOT
 
@@ -148,3 +150,9 @@ def test_the_top_level_holds_what_it_should_and_no_more():
     )
     expected += " LICENSE CHANGELOG.md CITATION.cff CONTRIBUTING.md mkdocs.yml"
     assert {name for name in there if name[0] != "."} == set(expected.split())
+
+
+@pytest.mark.parametrize("package", [lidarsim, scenegen])
+def test_no_module_takes_the_place_of_a_name_that_is_offered(package):
+    """Once it is imported, a module is an attribute of its package."""
+    assert not {found.name for found in pkgutil.iter_modules(package.__path__)} & {*dir(package)}

@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lidarsim import voxelize as _function  # noqa: F401 (first: `lidarsim.voxelize` stays it)
 from lidarsim.engines import forms, traverse
 from lidarsim.gpu.translate import translated
 from lidarsim.gpu.worlds import EXACT, Packed, Worlds, on_device, wp
 from lidarsim.grid import GridSpec
 from lidarsim.solids.shapes import PLANE
-from lidarsim.voxelize import cell_at, clear
+from lidarsim.voxelization import cell_at, clear
 
 wp.set_module_options(EXACT)
 INF = wp.constant(wp.float64(np.inf))

@@ -15,7 +15,7 @@ from PIL import Image, ImageDraw
 from lidarsim import GridSpec
 from lidarsim.grid import Floats, Mask
 from lidarsim.pose import rotate
-from lidarsim.voxelize import sort_points
+from lidarsim.voxelization import sort_points
 from scenegen.cli.show import Progress
 from scenegen.display.colours import GOAL, INVENTED, SENSOR
 from scenegen.display.look import Guess, Look, Route

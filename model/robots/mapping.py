@@ -20,8 +20,8 @@ from scenegen.model.config import PlanConfig, Thresholds
 from scenegen.model.evaluation.planning.measure import RATHER, field_at, refine, risk_of
 from scenegen.model.robots.steering import LAG_S, follow, no_way
 from scenegen.truth import distance_field
+from scenegen.truth.search import search
 from scenegen.worlds.place import Place
-from scenegen.worlds.search import search
 from scenegen.worlds.world import World
 
 SPARES_M = (0.3, 0.2, 0.15, 0.1, 0.0)

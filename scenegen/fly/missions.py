@@ -13,8 +13,8 @@ from scenegen.errors import GenerationError
 from scenegen.fly import Rules, Vehicle
 from scenegen.truth import distance_field
 from scenegen.truth.difficulty import Difficulty, way_difficulty
+from scenegen.truth.search import NO_RISK, search
 from scenegen.worlds.place import Place
-from scenegen.worlds.search import NO_RISK, search
 from scenegen.worlds.world import AnyWorld, World
 
 VOXEL_M = 0.1

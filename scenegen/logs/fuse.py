@@ -19,7 +19,7 @@ from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelMap
 from lidarsim.grid import Floats, Ints
 from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.pose import rotate
-from lidarsim.voxelize import ObservedGrid, sort_points, unknown_grid
+from lidarsim.voxelization import ObservedGrid, sort_points, unknown_grid
 from scenegen.errors import DatasetError, SceneError
 from scenegen.files import check_free, disk_told, make_parent, remove_drafts, sha256_of, write_whole
 from scenegen.limits import MOST_PLACE_VOXELS

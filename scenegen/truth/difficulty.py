@@ -17,7 +17,7 @@ import numpy as np
 from lidarsim.grid import Field, Floats, Ints, Mask
 from lidarsim.jit import kernel
 from scenegen.truth.guides import hardness
-from scenegen.worlds.search import explore
+from scenegen.truth.search import explore
 
 STEP_M = 0.6
 """The lattice on which ways are looked for: the paper's planner's."""

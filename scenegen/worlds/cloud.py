@@ -16,7 +16,7 @@ from lidarsim.grid import Floats
 from lidarsim.jit import kernel
 from lidarsim.parameters import Checked, number
 from lidarsim.pose import rotate
-from lidarsim.voxelize import clear
+from lidarsim.voxelization import clear
 from scenegen.clouds import read_cloud
 from scenegen.errors import SceneError
 from scenegen.limits import MOST_CLOUD_BYTES, MOST_PLACE_VOXELS

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
 from scenegen.model.config import PlanConfig
-from scenegen.worlds.search import NO_RISK, search
+from scenegen.truth.search import NO_RISK, search
 
 
 class Plan(NamedTuple):
