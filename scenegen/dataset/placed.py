@@ -82,7 +82,7 @@ def look(
         now = [there.get(name) for name in (spec.file, spec.worlds)]
         report = _noted(spec, now, there) if None not in now else None
         if report is None or (listed and report.sums != listed.sums):
-            report = read_report(spec, listed, verify=True)
+            report = read_report(task)
             if report is None:
                 for place in _places(spec):
                     place.unlink(missing_ok=True)

@@ -260,16 +260,15 @@ def compress(values: NDArray[Any]) -> bytes:
     return first + stream.compress(raw[_FIRST:]) + stream.flush()
 
 
-def read_report(
-    spec: ShardTask, listed: Entry | None = None, *, verify: bool = False
-) -> ShardReport | None:
-    """The report of a shard that is on disk already, or None where there is none that `spec`
-    describes.
+def read_report(task: tuple[ShardTask, Entry | None]) -> ShardReport | None:
+    """The report of a shard that is on disk already, or None where there is none as `task` has it:
+    what the shard is to be, and what the manifest lists of it.
 
-    A shard whose files are no longer what the manifest's entry `listed` says, or whose archive is
-    not the one that was written with it, is damaged, and counts as absent. `verify` also holds
-    samples against their own digests where there is no such entry.
+    A shard whose files are no longer what its entry says, or whose archive is not the one that was
+    written with it, is damaged, and counts as absent. Where there is no entry, samples are held
+    against their own digests.
     """
+    spec, listed = task
     try:
         path = spec.folder / spec.file
         with open_file(path) as file, open_file(spec.folder / spec.worlds) as worlds:
@@ -286,7 +285,7 @@ def read_report(
             )
             if listed is not None and listed.sums != sums:
                 return None
-            for row in range(spec.samples) if listed is None and verify else ():
+            for row in range(spec.samples) if listed is None else ():
                 shard.check(row)
                 for name in (name for name in DERIVED if name in shard.columns):
                     shard.value(name, row, read_only=True)  # which must be there

@@ -22,7 +22,7 @@ from scenegen.dataset.shard import ARCHIVE, ShardReport, ShardTask, read_report,
 from scenegen.errors import BrokenError, DatasetError
 from scenegen.files import Json, disk_told, names_in, open_bounded, remove_drafts, sha256_of
 from scenegen.run.workers import run
-from scenegen.stores import StorePath, Version
+from scenegen.stores import StorePath
 
 FULL_BYTES, COMPACT_BYTES, RAY_BYTES = 0.3, 0.03, 3
 """About what a voxel and a ray take on disk; half of it may do."""
@@ -75,8 +75,6 @@ class State:
         self._force = force
         self._smaller: trust.Manifest | None = None
         """The dataset that this one begins with, as far as the folder holds it."""
-        self._there: Mapping[str, Version] | None = None
-        """What lies there, if that was just listed."""
         self._written: Json = {}
         """The manifest as it was read."""
         self._listed = self._read()
@@ -105,31 +103,31 @@ class State:
         folder = self.plan.folder
         with disk_told(folder):
             try:
-                self._there = names_in(folder)
+                there = names_in(folder)
             except FileNotFoundError:
                 return None
             except NotADirectoryError:
                 raise DatasetError(
                     f"{folder}: is a file, expected a folder; choose another one with --out"
                 ) from None
-        others = sorted(name for name in self._there if not name.endswith(".tmp"))
+        others = sorted(name for name in there if not name.endswith(".tmp"))
         if not others:
             return None
         if manifest.NAME not in others:
             found_here = (shard for shard in self.plan.shards if shard.file in others)
-            if any(shard.tells and read_report(shard) for shard in found_here):
+            if any(shard.tells and read_report((shard, None)) for shard in found_here):
                 return {}  # the manifest alone was lost
             raise DatasetError(
                 f"{folder}: holds other files ({others[0]}, …) and no dataset; choose another "
                 f"folder with --out"
             )
-        self._written = there = manifest.read(folder)
+        self._written = manifest.read(folder)
         differing = manifest.differences(
-            manifest.completed(there), manifest.completed(self.plan.parameters)
+            manifest.completed(self._written), manifest.completed(self.plan.parameters)
         )
         found: trust.Manifest | None = None
         with contextlib.suppress(BrokenError):
-            found = trust.parse(there, folder)
+            found = trust.parse(self._written, folder)
         if not differing:
             # if what it says of its shards is damaged, they are held against their own digests
             return {} if found is None else {entry.file: entry for entry in found.shards}
@@ -160,7 +158,6 @@ class State:
             entry = listed.get(shard.file)
             if entry is not None and entry.samples == shard.samples:
                 relabel(shard, old, entry)
-        self._there = None
         self.look(self.plan.shards)
         self.note()
         self._smaller = None
@@ -174,18 +171,16 @@ class State:
         """
         if self._listed is None:
             return
-        there = names_in(self.plan.folder) if self._there is None else self._there
-        self._there = None
         folder, stored = self.plan.folder, isinstance(self.plan.folder, StorePath)
         noted = {} if stored else read_notes(folder, manifest.fingerprint(self.plan.parameters))
-        listed = {**noted, **self._listed}
+        listed, there = {**noted, **self._listed}, names_in(folder)
         tasks = [
             (shard, listed.get(shard.file))
             for shard in shards
             if shard.file not in self.reports and shard.file in there
         ]
         with closing(
-            placed.look(there, tasks) if stored else run(_report, tasks, workers)
+            placed.look(there, tasks) if stored else run(read_report, tasks, workers)
         ) as found:
             self.reports |= {report.file: report for report in found if report is not None}
 
@@ -205,7 +200,7 @@ class State:
             folder.mkdir(parents=True, exist_ok=True)
             # listed first: what comes later is another job's, and this dataset's
             there = names_in(folder).keys()
-            self._listed, self._there = self._read(), None
+            self._listed = self._read()
             remove_drafts(folder)
             former = [] if self.begun else _former(folder, there)
         if not self.begun:
@@ -290,10 +285,6 @@ class State:
 def _text(there: Json) -> str:
     """A manifest to compare with another one: to Python, false is 0 and 1.0 is 1."""
     return json.dumps(there, sort_keys=True)
-
-
-def _report(task: tuple[ShardTask, trust.Entry | None]) -> ShardReport | None:
-    return read_report(*task, verify=True)
 
 
 def _former(folder: Path, names: Set[str]) -> list[str]:
