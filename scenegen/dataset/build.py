@@ -4,10 +4,11 @@ whole."""
 import math
 import shutil
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,14 +20,9 @@ from scenegen.dataset.parts import schema_of
 from scenegen.dataset.placed import write_placed
 from scenegen.dataset.shard import ShardReport, ShardSpec, ShardTask, find_engine, write_shard
 from scenegen.dataset.state import Plan, State
-from scenegen.errors import DatasetError, whole_number
+from scenegen.errors import DatasetError
 from scenegen.files import Json, remove_drafts, writable
-from scenegen.limits import (
-    MOST_SAMPLES_IN_SHARD,
-    MOST_SEED,
-    MOST_SHARDS,
-    USUAL_IN_SHARD,
-)
+from scenegen.limits import MOST_SHARDS
 from scenegen.recipe import Recipe
 from scenegen.run import Executor, undone_if_stopped
 from scenegen.run.workers import Local
@@ -59,31 +55,16 @@ def plan_dataset(
     folder: Path,
     recipe: Recipe,
     source: Source,
-    *,
-    seed: int,
-    counts: Mapping[str, int],
-    compact: bool = False,
-    shard_samples: int = USUAL_IN_SHARD,
-    engine: str = DEFAULT,
+    **options: Any,
 ) -> Plan:
-    """Divide `counts` (samples a split) into shards of about `shard_samples` samples, made of whole
-    units.
+    """Divide the samples that `options` ask for, those of `manifest.parameters`, into shards made
+    of whole units.
 
-    `engine` names what casts the rays; see `lidarsim.engines.ENGINES`. Raises DatasetError for an
-    engine that is not to be had, and for numbers beyond those that readers take.
+    Raises DatasetError for an engine that is not to be had, and for numbers beyond those that
+    readers take.
     """
-    seed = whole_number("--seed", seed, 0, MOST_SEED)
-    shard_samples = whole_number("--shard-samples", shard_samples, 1, MOST_SAMPLES_IN_SHARD)
-    find_engine(engine)
-    given = manifest.parameters(
-        recipe,
-        source,
-        seed=seed,
-        counts=counts,
-        compact=compact,
-        shard_samples=shard_samples,
-        engine=engine,
-    )
+    given = manifest.parameters(recipe, source, **options)
+    find_engine(options.get("engine", DEFAULT))
     return divide(folder, given, recipe, source)
 
 

@@ -22,7 +22,7 @@ from scenegen.dataset.shard import ShardReport, ShardTask, put, report_of
 from scenegen.dataset.state import Plan
 from scenegen.dataset.trust import Entry, Manifest
 from scenegen.draw import Rejections
-from scenegen.errors import BrokenError, DatasetError, short
+from scenegen.errors import BrokenError, DatasetError
 from scenegen.files import Json, real_path, world_digest, write_whole
 from scenegen.limits import MOST_SHARDS, MOST_SOURCES
 from scenegen.run.workers import run
@@ -192,8 +192,7 @@ def plan_merge(datasets: Sequence[Dataset], folder: Path, *, workers: int = 1) -
     for other in datasets[1:]:
         if said := unlike(first.manifest.parameters, other.manifest.parameters):
             raise DatasetError(
-                f"{other.folder}: {said[0]} is {said[2]} there, and {said[1]} in {first.folder}; "
-                "merge datasets that share it"
+                f"{other.folder}: {said} by {first.folder}; merge datasets that share it"
             )
     check_disjoint(datasets, workers=workers)
     pieces = (
@@ -205,19 +204,14 @@ def plan_merge(datasets: Sequence[Dataset], folder: Path, *, workers: int = 1) -
     return _plan(folder, pieces, taken="", nothing="the datasets hold no sample; merge others")
 
 
-def unlike(first: Json, other: Json) -> tuple[str, str, str] | None:
-    """The first parameter in which two datasets differ that cannot be in one: its name, and its
-    values, for people; None where there is none."""
-    ours, theirs = manifest.completed(first), manifest.completed(other)
-    for name in manifest.differing(ours, [theirs]):
-        if name in manifest.MAY_DIFFER:
-            continue
-        one, two = ours.get(name), theirs.get(name)
-        if isinstance(one, dict) and isinstance(two, dict):
-            part = next(key for key in (*one, *two) if one.get(key) != two.get(key))
-            name, one, two = f"{name}.{part}", one.get(part), two.get(part)
-        return name, short(one), short(two)
-    return None
+def unlike(first: Json, other: Json) -> str:
+    """The first parameter in which datasets of these parameters differ, and cannot be in one, as
+    `manifest.differences` says it of the other; "" where there is none."""
+    names = [name for name in manifest.ALIKE if name not in manifest.MAY_DIFFER]
+    there, asked = (
+        {name: one.get(name) for name in names} for one in map(manifest.completed, (other, first))
+    )
+    return next(iter(manifest.differences(there, asked)), "")
 
 
 def _plan(

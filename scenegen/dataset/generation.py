@@ -109,7 +109,8 @@ def plan_generation(
         seed: The same seed gives the same dataset.
         allow_unseen: Whether scenes may have geoms that rays cannot see.
         tell: Called with a sentence for whatever of the scenes is left out.
-        more: `engine`, `compact` and `shard_samples`; see `plan_dataset`.
+        more: `engine`, `compact` and `shard_samples`; see
+            `scenegen.dataset.manifest.parameters`.
 
     Raises:
         RecipeError, SceneError, DatasetError: What is asked for cannot be.
@@ -310,8 +311,8 @@ def plan_mixed(
     for plan, (recipe, _) in zip(plans, components, strict=True):
         if said := unlike(plans[0].parameters, plan.parameters):
             raise RecipeError(
-                f"mixed: {said[0]} of {recipe.kind} is {said[2]}, and of {components[0][0].kind} "
-                f"{said[1]}; give all components the same"
+                f"mixed: component {recipe.kind}: {said} by {components[0][0].kind}; give all "
+                "components the same"
             )
     shards: list[ShardTask] = []
     for split in SPLITS:

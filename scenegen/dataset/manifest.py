@@ -13,9 +13,15 @@ from lidarsim.engines import DEFAULT, MUJOCO
 from lidarsim.parameters import MOST_SHOWN
 from scenegen import GENERATOR, SPLITS, __version__
 from scenegen.dataset.parts import NAMES, PARTS, entries, plain, schema_of
-from scenegen.errors import DatasetError, StoreError, printable, short
+from scenegen.errors import DatasetError, StoreError, printable, short, whole_number
 from scenegen.files import Json, read_bounded, sha256_of, write_whole
-from scenegen.limits import MOST_DEPTH, MOST_MANIFEST_BYTES
+from scenegen.limits import (
+    MOST_DEPTH,
+    MOST_MANIFEST_BYTES,
+    MOST_SAMPLES_IN_SHARD,
+    MOST_SEED,
+    USUAL_IN_SHARD,
+)
 from scenegen.run.software import software
 from scenegen.stores import ConflictError
 
@@ -61,26 +67,39 @@ def parameters(
     *,
     seed: int,
     counts: Mapping[str, int],
-    compact: bool,
-    shard_samples: int,
+    compact: bool = False,
+    shard_samples: int = USUAL_IN_SHARD,
     engine: str = DEFAULT,
 ) -> Json:
     """The part of the manifest that is known before anything is drawn, and decides everything
-    after."""
+    after.
+
+    Args:
+        recipe: What samples hold.
+        source: Where worlds come from.
+        seed: What everything is drawn by.
+        counts: Samples of each split.
+        compact: Whether fields that follow from others are left out.
+        shard_samples: About how many samples a shard has.
+        engine: Names what casts the rays; see `lidarsim.engines.ENGINES`.
+
+    Raises:
+        DatasetError: A number is beyond those that readers take.
+    """
     more = entries(recipe)
     return {
         "format": FORMAT,
         "version": version_of(more),
         "generator": GENERATOR,
         "kind": recipe.kind,
-        "seed": seed,
+        "seed": whole_number("--seed", seed, 0, MOST_SEED),
         "counts": {split: counts[split] for split in SPLITS},
         "recipe": plain(
             recipe.resolved() | ({"scenes": source.describe()} if source.describe() else {})
         ),
         "fields": list(schema_of(recipe).stored(compact=compact)),
         **more,
-        "shard_samples": shard_samples,
+        "shard_samples": whole_number("--shard-samples", shard_samples, 1, MOST_SAMPLES_IN_SHARD),
         **({} if engine == MUJOCO else {"engine": engine}),
         "software": software(),
     }

@@ -12,7 +12,7 @@ import numpy as np
 from lidarsim import Pose, Sensor
 from lidarsim.engines import ENGINES, EngineFactory
 from lidarsim.noise.chain import Noise
-from scenegen import GENERATOR, SPLITS
+from scenegen import GENERATOR
 from scenegen.dataset import manifest
 from scenegen.dataset.build import divide
 from scenegen.dataset.parts import NAMES, entries, schema_of
@@ -97,9 +97,6 @@ class Archived:
     """The worlds of a dataset, as a `Source`: read from its archives, and never drawn."""
 
     folder: Path
-    scenes: Mapping[str, int] | None
-    """Worlds of each split, where MJCF files were visited in turn; None where each flight has a
-    world of its own."""
 
     @cached_property
     def dataset(self) -> Dataset:
@@ -108,13 +105,13 @@ class Archived:
         return Dataset(self.folder, checked=True)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"folder": self.folder, "scenes": self.scenes}
+        return {"folder": self.folder}
 
     def number(self, split: str, unit: int) -> tuple[int, int]:
         """See `Source.number`."""
-        if self.scenes is None:
-            return unit, 0
-        return unit % self.scenes[split], unit // self.scenes[split]
+        numbering = self.dataset.manifest.numbering(split)
+        world, viewpoint = numbering.name(unit * numbering.viewpoints)
+        return world, viewpoint // numbering.viewpoints
 
     def world(self, split: str, number: int, *, rng: np.random.Generator) -> AnyWorld:
         """See `Source.world`; nothing is drawn."""
@@ -212,6 +209,4 @@ def plan_rescan(
         "software": software(),
     }
     given["version"] = manifest.version_of(given)
-    scenes = found.scenes
-    counts = None if scenes is None else {name: len(scenes.get(name, ())) for name in SPLITS}
-    return divide(folder, given, recipe, Archived(dataset.folder, counts), RescanSpec)
+    return divide(folder, given, recipe, Archived(dataset.folder), RescanSpec)

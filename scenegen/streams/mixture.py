@@ -87,8 +87,6 @@ class Component:
             self.source,
             seed=self.seed,
             counts=dict.fromkeys(SPLITS, 0),
-            compact=True,
-            shard_samples=1,
             engine=self.engine,
         )
         left_out = {"counts", "fields", "shard_samples"}
