@@ -20,9 +20,9 @@ from scenegen.files import sha256_of
 from scenegen.limits import MOST_SAMPLES, MOST_SEED, MOST_WORKERS
 from scenegen.sample import Sample, Samples, Schema
 from scenegen.source import DrawnWorlds
-from scenegen.streams.ahead import Ahead, Cache, Unit, pack, record_type, unpack
+from scenegen.streams.ahead import Ahead, Cache, Slot, Unit, pack, record_type, unpack
 from scenegen.streams.batches import Batches, Place
-from scenegen.streams.mixture import Mixture, component_of, parts_of
+from scenegen.streams.mixture import Component, Mixture, component_of, parts_of
 
 KEPT_BYTES = 256 << 20
 """Packed units that a process keeps in memory, those asked for last; with default maps, these are
@@ -44,7 +44,7 @@ class Stream(Samples):
     """
 
     _ahead: Ahead | None
-    _coming: Iterator[int]
+    _coming: Iterator[Slot]
 
     def __init__(
         self,
@@ -83,7 +83,7 @@ class Stream(Samples):
             Cache(Path(str(cache)), part.fingerprint(software=True), part.split)
             for part in (mixture.components if cache is not None else ())
         ]
-        self._make = partial(_unit_of, mixture, caches, self._records)
+        self._make = partial(_unit_of, mixture.components, caches, self._records)
         self._forget()
 
     def __len__(self) -> int:
@@ -96,7 +96,7 @@ class Stream(Samples):
         self._prepare(dict.fromkeys(slot for slot, _ in places))
         found = []
         for slot, view in places:
-            part, _ = self.mixture.unit(slot)
+            part, _ = slot
             packed = self._unit(slot)[view]
             found.append(unpack(packed, self._records[part], self._schemas[part]))
         return found
@@ -114,8 +114,7 @@ class Stream(Samples):
     def part(self, index: int) -> tuple[int, int]:
         """(which part of the mixture sample `index` is of, from 0; its number in that part's
         dataset)."""
-        slot, view = self.mixture.place(self._checked(index))
-        part, unit = self.mixture.unit(slot)
+        (part, unit), view = self.mixture.place(self._checked(index))
         return part, unit * self.mixture.components[part].viewpoints + view
 
     @property
@@ -139,12 +138,12 @@ class Stream(Samples):
 
     def _forget(self) -> None:
         """Begin anew, as a process of its own."""
-        self._units, self._bytes = dict[int, Unit](), 0
+        self._units, self._bytes = dict[Slot, Unit](), 0
         self._coming = iter(())
         self._ahead = None
         self._process = os.getpid()
 
-    def _prepare(self, slots: Iterable[int]) -> None:
+    def _prepare(self, slots: Iterable[Slot]) -> None:
         """Have workers make the units of `slots` that are not there, and then those that come
         next."""
         if (
@@ -167,7 +166,7 @@ class Stream(Samples):
                 self._ahead.give(later)
                 room -= 1
 
-    def _unit(self, slot: int) -> Unit:
+    def _unit(self, slot: Slot) -> Unit:
         """A unit's records, which are then those asked for last."""
         unit = self._units.pop(slot, None)
         if unit is None:
@@ -180,14 +179,17 @@ class Stream(Samples):
 
 
 def _unit_of(
-    mixture: Mixture, caches: Sequence[Cache], records: Sequence[np.dtype], slot: int
+    components: Sequence[Component],
+    caches: Sequence[Cache],
+    records: Sequence[np.dtype],
+    slot: Slot,
 ) -> Unit:
     """The unit of a slot, in whatever process: from its part's cache, where there are any, or
     drawn. Raises GenerationError, and DatasetError where the cache's disk refuses."""
-    part, unit = mixture.unit(slot)
+    part, unit = slot
 
     def drawn() -> Unit:
-        samples = mixture.components[part].draw(unit).samples
+        samples = components[part].draw(unit).samples
         return tuple(pack(sample, records[part]) for sample in samples)
 
     return caches[part].unit(unit, drawn) if caches else drawn()
