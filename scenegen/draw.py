@@ -3,8 +3,8 @@ whole method is here."""
 
 import math
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -57,12 +57,13 @@ class UnitKey(NamedTuple):
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
 
 
-@dataclass(frozen=True, eq=False)
-class Rejections:
-    """How many draws were not kept, by reason."""
+Rejections = Mapping[str, Counter[str]]
+"""How many draws were not kept, by reason: of `worlds`, and of `viewpoints`."""
 
-    worlds: Counter[str] = field(default_factory=Counter)
-    viewpoints: Counter[str] = field(default_factory=Counter)
+
+def none_rejected() -> Rejections:
+    """The counts where none was drawn yet."""
+    return {"worlds": Counter(), "viewpoints": Counter()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +103,7 @@ def draw_unit(
     Raises:
         GenerationError: None of `recipe.accept.max_draws` draws was kept.
     """
-    rejected, key = Rejections(), UnitKey(seed, split, unit)
+    rejected, key = none_rejected(), UnitKey(seed, split, unit)
     number, turn = source.number(split, unit)
     for attempt in range(recipe.accept.max_draws):
         world = source.world(split, number, rng=key.rng(WORLD, attempt))
@@ -112,8 +113,8 @@ def draw_unit(
             names = number, turn * recipe.flight.viewpoints
             samples = samples_of(views, recipe, world, caster, key, names, derived)
             return Unit(number, world, samples, rejected)
-    counted = ", ".join(f"{count} {reason}" for reason, count in rejected.worlds.items())
-    advice = "; ".join(ADVICE[reason] for reason, _ in rejected.worlds.most_common())
+    counted = ", ".join(f"{count} {reason}" for reason, count in rejected["worlds"].items())
+    advice = "; ".join(ADVICE[reason] for reason, _ in rejected["worlds"].most_common())
     crowded = () if recipe.world is None else recipe.world.crowded_by
     fewer, more = _turned(crowded, "lower", "raise"), _turned(crowded, "raise", "lower")
     raise GenerationError(
@@ -158,7 +159,7 @@ def _fly(
             if all(square >= flight.spacing_m * flight.spacing_m for square in apart):
                 view = _look(world, engine, pose, recipe)
                 if isinstance(view, str):
-                    rejected.viewpoints[view] += 1
+                    rejected["viewpoints"][view] += 1
                 else:
                     kept.append((flown_m, *view))
             if len(kept) == flight.viewpoints:
@@ -168,7 +169,7 @@ def _fly(
                     views.append(([scan, *scans_from(before, engine, recipe.lidar)], truth))
                 return views
         reason = "few_viewpoints"
-    rejected.worlds[reason] += 1
+    rejected["worlds"][reason] += 1
     return None
 
 

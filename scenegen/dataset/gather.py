@@ -21,7 +21,7 @@ from scenegen.dataset.read import Dataset, advised
 from scenegen.dataset.shard import ShardReport, ShardTask, put, report_of
 from scenegen.dataset.state import Plan
 from scenegen.dataset.trust import Entry, Manifest
-from scenegen.draw import Rejections
+from scenegen.draw import none_rejected
 from scenegen.errors import BrokenError, DatasetError
 from scenegen.files import Json, real_path, world_digest, write_whole
 from scenegen.limits import MOST_SHARDS, MOST_SOURCES
@@ -138,7 +138,7 @@ class Part(ShardTask):
             write_whole(self.folder / target, content := file.read())
             size += len(content)
         own = shard.column(DIGEST).tobytes()
-        return report_of(self, self.entry.sums, size, Rejections(**shard.rejected()), own)
+        return report_of(self, self.entry.sums, size, shard.rejected(), own)
 
     def _repack(
         self, worlds: BufferedReader, shard: ShardFile, rows: tuple[int, ...]
@@ -158,7 +158,7 @@ class Part(ShardTask):
 
         # what was rejected on the way to the whole shard cannot be told apart; the source's own
         # manifest has it
-        return put(self, stored(), documents, Rejections())
+        return put(self, stored(), documents, none_rejected())
 
 
 EMPTY: Json = {

@@ -172,7 +172,7 @@ def _said(value: Any) -> str:
 def assemble(given: Json, reports: Sequence["ShardReport"], *, complete: bool) -> Json:
     """The manifest of the shards reported, in order."""
     rejected = {
-        what: sum((getattr(report.rejected, what) for report in reports), Counter[str]())
+        what: sum((Counter(report.rejected[what]) for report in reports), Counter[str]())
         for what in ("worlds", "viewpoints")
     }
     digest = sha256_of(b"".join(report.digests for report in reports))

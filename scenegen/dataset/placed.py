@@ -2,18 +2,16 @@
 store."""
 
 import json
-from collections import Counter
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from scenegen.dataset.rules import DIGEST, LIST, check, checked
-from scenegen.dataset.shard import ShardReport, ShardTask, read_report, write_shard
+from scenegen.dataset.rules import DIGEST, LIST, REJECTED, check, checked, rules_of
+from scenegen.dataset.shard import ShardReport, ShardTask, read_report, report_of, write_shard
 from scenegen.dataset.trust import Entry
-from scenegen.draw import Rejections
 from scenegen.errors import BrokenError, DatasetError
-from scenegen.files import read_bounded, sha256_of, write_whole
+from scenegen.files import Json, read_bounded, sha256_of, write_whole
 from scenegen.limits import MOST_MANIFEST_BYTES, MOST_SAMPLES_IN_SHARD
 from scenegen.stores import StorePath, Version
 
@@ -101,17 +99,22 @@ def _places(spec: ShardTask) -> list[Any]:
     return [spec.folder / spec.file, spec.folder / spec.worlds]
 
 
-def _note(spec: ShardTask, report: ShardReport, versions: Iterable[str | None]) -> None:
-    said = {
+def _said(spec: ShardTask, report: ShardReport, versions: Sequence[Version]) -> Json:
+    """What stands in the report beside a shard whose objects are of these versions."""
+    return {
         "parameters": spec.parameters,
-        "versions": list(versions),
+        "versions": versions,
         **report.entry(),
         "size": report.size,
-        "rejected": vars(report.rejected),
+        "rejected": report.rejected,
         "digests": report.digests.hex(),
     }
+
+
+def _note(spec: ShardTask, report: ShardReport, versions: Sequence[Version]) -> None:
+    content = json.dumps(_said(spec, report, versions)).encode()
     assert isinstance(spec.folder, StorePath)
-    spec.folder.store.put(_report_name(spec), json.dumps(said).encode())
+    spec.folder.store.put(_report_name(spec), content)
 
 
 def _report_name(spec: ShardTask) -> str:
@@ -124,20 +127,12 @@ def _noted(
     """What the report beside a shard says, if it is of just these objects."""
     if (name := _report_name(spec)) not in there:
         return None
-    try:
+    with suppress(FileNotFoundError, DatasetError, ValueError, KeyError, TypeError):
         said = json.loads(read_bounded(spec.folder / name, MOST_BYTES))
-        report = ShardReport(
-            **checked(Entry, said, ""),
-            size=said["size"],
-            rejected=Rejections(*map(Counter, map(said["rejected"].get, ("worlds", "viewpoints")))),
-            digests=bytes.fromhex(said["digests"]),
-            more=spec.more,
-        )
-        fits = (said["parameters"], said["versions"], report.samples) == (
-            spec.parameters,
-            list(now),
-            spec.samples,
-        )
-        return report if fits and len(report.digests) == 32 * spec.samples else None
-    except (FileNotFoundError, DatasetError, ValueError, KeyError, TypeError, AttributeError):
-        return None
+        check(said, rules_of(Entry), "")
+        check(said["rejected"], REJECTED, "")
+        sums, digests = (said["sha256"], said["worlds_sha256"]), bytes.fromhex(said["digests"])
+        report = report_of(spec, sums, said["size"], said["rejected"], digests)
+        if said == _said(spec, report, now) and len(digests) == 32 * spec.samples:
+            return report
+    return None

@@ -21,9 +21,9 @@ from scenegen.dataset.shard import ShardSpec, find_engine
 from scenegen.dataset.state import Plan
 from scenegen.draw import (
     FLIGHT,
-    Rejections,
     Unit,
     UnitKey,
+    none_rejected,
     samples_of,
     scans_from,
     truth_of,
@@ -89,7 +89,7 @@ def scan_again(
         scans = scans_from(before, caster, recipe.lidar)
         views.append((scans, truth_of(world, scans[0], recipe)))
     samples = samples_of(views, recipe, world, caster, key, names, derived)
-    return Unit(names[0], world, samples, Rejections())
+    return Unit(names[0], world, samples, none_rejected())
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ from scenegen.dataset.hdf5 import tells, with_index
 from scenegen.dataset.layout import DIGEST, Layout, open_file, open_shard
 from scenegen.dataset.rules import rules_of, stem_of
 from scenegen.dataset.trust import Entry
-from scenegen.draw import Rejections, Unit, compile_truth, draw_unit
+from scenegen.draw import Rejections, Unit, compile_truth, draw_unit, none_rejected
 from scenegen.errors import BrokenError, DatasetError, raised_as
 from scenegen.files import sha256_in, sha256_of, write_whole
 from scenegen.recipe import Recipe
@@ -130,14 +130,14 @@ class ShardSpec(ShardTask):
     def write(self) -> "ShardReport":
         """See `ShardTask`: its units are drawn into memory, a few megabytes. Raises
         GenerationError, DatasetError."""
-        rejected, documents = Rejections(), dict[str, bytes]()
+        rejected, documents = none_rejected(), dict[str, bytes]()
 
         def drawn() -> Iterator[tuple[Callable[[str], Any], bytes]]:
             left = self.samples
             for n in range(len(self.numbers)):
                 unit = self.draw(self.first_unit + n)
-                rejected.worlds.update(unit.rejected.worlds)
-                rejected.viewpoints.update(unit.rejected.viewpoints)
+                for what, counts in unit.rejected.items():
+                    rejected[what].update(counts)
                 documents.update({f"{unit.number:06d}.xml": unit.world.mjcf, **unit.world.assets})
                 for sample in unit.samples[: max(left, 0)]:
                     yield partial(getattr, sample), sample.sha256()
@@ -204,7 +204,7 @@ def put(
         file.attrs["first_world"] = min(spec.numbers)
         file.attrs["worlds_sha256"] = sha256_of(worlds)
         file.attrs["parameters"] = spec.parameters
-        file.attrs["rejected"] = json.dumps(vars(rejected), sort_keys=True)
+        file.attrs["rejected"] = json.dumps(rejected, sort_keys=True)
         file.flush()
         content = with_index(file.id.get_file_image(), file, spec.samples)
     write_whole(spec.folder / spec.worlds, worlds)
@@ -289,9 +289,7 @@ def read_report(task: tuple[ShardTask, Entry | None]) -> ShardReport | None:
                 shard.check(row)
                 for name in (name for name in DERIVED if name in shard.columns):
                     shard.value(name, row, read_only=True)  # which must be there
-            return report_of(
-                spec, sums, size, Rejections(**shard.rejected()), shard.column(DIGEST).tobytes()
-            )
+            return report_of(spec, sums, size, shard.rejected(), shard.column(DIGEST).tobytes())
     except (BrokenError, OSError, KeyError, ValueError):
         return None
 
