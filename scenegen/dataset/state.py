@@ -22,7 +22,7 @@ from scenegen.dataset.shard import ARCHIVE, ShardReport, ShardTask, read_report,
 from scenegen.errors import BrokenError, DatasetError
 from scenegen.files import Json, disk_told, names_in, open_bounded, remove_drafts, sha256_of
 from scenegen.run.workers import run
-from scenegen.stores import StorePath
+from scenegen.stores import StorePath, Version
 
 FULL_BYTES, COMPACT_BYTES, RAY_BYTES = 0.3, 0.03, 3
 """About what a voxel and a ray take on disk; half of it may do."""
@@ -75,6 +75,8 @@ class State:
         self._force = force
         self._smaller: trust.Manifest | None = None
         """The dataset that this one begins with, as far as the folder holds it."""
+        self._there: Mapping[str, Version] | None = None
+        """What lies there, if that was just listed."""
         self._written: Json = {}
         """The manifest as it was read."""
         self._listed = self._read()
@@ -103,14 +105,14 @@ class State:
         folder = self.plan.folder
         with disk_told(folder):
             try:
-                there = names_in(folder)
+                self._there = names_in(folder)
             except FileNotFoundError:
                 return None
             except NotADirectoryError:
                 raise DatasetError(
                     f"{folder}: is a file, expected a folder; choose another one with --out"
                 ) from None
-        others = sorted(name for name in there if not name.endswith(".tmp"))
+        others = sorted(name for name in self._there if not name.endswith(".tmp"))
         if not others:
             return None
         if manifest.NAME not in others:
@@ -158,6 +160,7 @@ class State:
             entry = listed.get(shard.file)
             if entry is not None and entry.samples == shard.samples:
                 relabel(shard, old, entry)
+        self._there = None
         self.look(self.plan.shards)
         self.note()
         self._smaller = None
@@ -171,9 +174,11 @@ class State:
         """
         if self._listed is None:
             return
+        there = names_in(self.plan.folder) if self._there is None else self._there
+        self._there = None
         folder, stored = self.plan.folder, isinstance(self.plan.folder, StorePath)
         noted = {} if stored else read_notes(folder, manifest.fingerprint(self.plan.parameters))
-        listed, there = {**noted, **self._listed}, names_in(folder)
+        listed = {**noted, **self._listed}
         tasks = [
             (shard, listed.get(shard.file))
             for shard in shards
@@ -200,7 +205,7 @@ class State:
             folder.mkdir(parents=True, exist_ok=True)
             # listed first: what comes later is another job's, and this dataset's
             there = names_in(folder).keys()
-            self._listed = self._read()
+            self._listed, self._there = self._read(), None
             remove_drafts(folder)
             former = [] if self.begun else _former(folder, there)
         if not self.begun:
@@ -215,7 +220,7 @@ class State:
                 (folder / name).unlink(missing_ok=True)
             remove_notes(folder)
         if not self.begun or manifest.NAME not in there:
-            manifest.write(folder, manifest.assemble(self.plan.parameters, [], complete=False))
+            self.note()
             self._listed = self._listed or {}
         with disk_told(folder):
             for part in {shard.file.rpartition("/")[0] for shard in self.plan.shards}:
@@ -233,10 +238,7 @@ class State:
                 self.plan.folder, parameters, [shard.file for shard in mine], self._known(mine)
             )
             return
-        known = self._known(self.plan.shards)
-        manifest.write(
-            self.plan.folder, manifest.assemble(self.plan.parameters, known, complete=False)
-        )
+        manifest.write(self.plan.folder, self._final())
 
     def sign(self, *, workers: int = 1) -> Json:
         """Write the manifest, complete if no shard is missing; the manifest.
