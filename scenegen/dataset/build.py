@@ -24,7 +24,7 @@ from scenegen.errors import DatasetError
 from scenegen.files import Json, remove_drafts, writable
 from scenegen.limits import MOST_SHARDS
 from scenegen.recipe import Recipe
-from scenegen.run import Executor, undone_if_stopped
+from scenegen.run import Executor, undone
 from scenegen.run.workers import Local
 from scenegen.source import Source
 from scenegen.stores import StorePath
@@ -153,18 +153,17 @@ def build(
         on_shard(report, False)
     write = write_placed if isinstance(plan.folder, StorePath) else write_shard
     written, noted = 0, time.monotonic()
-    with undone_if_stopped(lambda: remove_drafts(plan.folder)):
-        try:
-            with closing(execute(write, missing, on_start)) as results:
-                for report in results:
-                    state.reports[report.file] = report
-                    written += report.samples
-                    on_shard(report, True)
-                    if time.monotonic() - noted > NOTE_S:
-                        state.note(mine)
-                        noted = time.monotonic()
-        finally:
-            remove_drafts(plan.folder)
+    with (
+        undone(lambda: remove_drafts(plan.folder)),
+        closing(execute(write, missing, on_start)) as results,
+    ):
+        for report in results:
+            state.reports[report.file] = report
+            written += report.samples
+            on_shard(report, True)
+            if time.monotonic() - noted > NOTE_S:
+                state.note(mine)
+                noted = time.monotonic()
     if written and len(mine) < len(plan.shards):
         state.note(mine)
     return _summarise(state, state.sign(workers=workers), written)

@@ -16,7 +16,6 @@ from collections.abc import Iterable, Mapping
 from contextlib import closing, suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import IO
 
 from lidarsim.jit import folder_trouble, is_ours
 from scenegen.errors import StoreError
@@ -30,6 +29,7 @@ from scenegen.stores.copies import (
     alone,
     disk_told,
     root,
+    sha256_in,
     stamp,
 )
 
@@ -104,16 +104,12 @@ def _is_whole(path: Path, digest: str) -> bool:
                     os.utime(path, ns=(time.time_ns(), found.st_size))
             return True
         with open(path, "rb") as file:
-            if _sum(file) != digest:
+            if sha256_in(file) != digest:
                 return False
             stamp(file.fileno())
     except OSError:
         return False
     return True
-
-
-def _sum(file: IO[bytes]) -> str:
-    return hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
 
 
 def fetch_all(folder: Path, names: Iterable[str]) -> None:
@@ -153,9 +149,8 @@ def note_of(folder: Path) -> Note | None:
 def bytes_in(folder: Path) -> int:
     """Bytes of the files in a dataset's folder, or of those that a folder of copies is of, fetched
     or not. Raises StoreError."""
-    found = (item for part in (folder, *folder.glob("*-*x/")) for item in os.scandir(part))
-    there = {item.path: item.stat().st_size for item in found if item.is_file()}
-    there = {path.removeprefix(f"{folder}/"): size for path, size in there.items()}
+    found = (path for path in (*folder.glob("*"), *folder.glob("*-*x/*")) if path.is_file())
+    there = {str(path.relative_to(folder)): path.stat().st_size for path in found}
     if (about := note_of(folder)) is not None:
         there = {name: size for name, size in there.items() if not name.endswith(PART)} | {
             item.name: item.bytes
