@@ -10,8 +10,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from lidarsim.engines import DEFAULT, MUJOCO
 from scenegen import SPLITS
 from scenegen.dataset import manifest
@@ -187,24 +185,22 @@ def _check_space(plan: Plan, missing: list[ShardTask]) -> None:
 def _summarise(state: State, final: Json, written: int) -> Summary:
     plan, reports = state.plan, state.reports
     samples = dict.fromkeys(SPLITS, 0)
-    worlds = {split: [np.empty(0, np.int64)] for split in SPLITS}
+    worlds = {split: set[int]() for split in SPLITS}
     for shard in plan.shards:
         if shard.file in reports:
             samples[shard.split] += shard.samples
-            worlds[shard.split].append(
-                np.unique(shard.numbers) + (shard.more.get("source", 0) << 32)
-            )
+            source = shard.more.get("source", 0) << 32
+            worlds[shard.split].update(source + number for number in shard.numbers)
+    missing = len(state.absent()) or len(plan.shards) - len(reports)
     return Summary(
         folder=plan.folder,
         complete=final["complete"],
         samples=samples,
-        worlds={split: len(np.unique(np.concatenate(worlds[split]))) for split in SPLITS},
+        worlds={split: len(found) for split, found in worlds.items()},
         rejected=final["rejected"],
         bytes=sum(report.size for report in reports.values()),
         shards=len(plan.shards),
-        shards_missing=0
-        if final["complete"]
-        else len(state.absent()) or len(plan.shards) - len(reports),
+        shards_missing=0 if final["complete"] else missing,
         samples_written=written,
         digest=final["digest"],
     )
