@@ -133,31 +133,23 @@ def _read_ply(content: bytes) -> NDArray[np.generic]:
             "expected a header of `format`, then `element vertex`, with x, y and z among its "
             "properties, and no lists"
         ) from None
-    layout = [(name, order + kind, 1) for name, kind in properties.items()]
-    fields = _fields(properties)
-    return _points(memoryview(content)[start:], layout, fields, count, text=not order)
+    layout = np.dtype([(name, order + kind, (1,)) for name, kind in properties.items()])
+    return _points(memoryview(content)[start:], layout, count, text=not order)
 
 
-def _points(
-    content: memoryview,
-    layout: Sequence[tuple[str, str, int]],
-    fields: Sequence[str],
-    count: int,
-    *,
-    text: bool,
-) -> Floats:
-    """The first numbers of `fields` of `count` points. `layout` names what each point has, its
-    type, and how many numbers it is of: a line of `text` a point, or point after point. Raises
-    ValueError for too many points, or fewer than that."""
+def _points(content: memoryview, layout: np.dtype, count: int, *, text: bool) -> Floats:
+    """Where `count` points are, and what they were seen from, see `_fields`: the first numbers of
+    these. `layout` is the type of a point, whose fields are arrays: a line of `text` a point, or
+    point after point. Raises ValueError for too many points, or fewer than that."""
     if not 0 <= count <= MOST_POINTS:
         raise ValueError(f"promises {count} points, expected {MOST_POINTS} at most")
+    names = layout.names or ()
+    fields = _fields(names)
     if text:
-        names, _, many = zip(*layout, strict=True)
-        starts = dict(zip(names, np.cumsum([0, *many]).tolist(), strict=False))
-        points = _numbers(content, [starts[name] for name in fields], count)
+        starts = np.cumsum([0, *(layout[name].shape[0] for name in names)]).tolist()
+        points = _numbers(content, [starts[names.index(name)] for name in fields], count)
     else:
-        dtype = np.dtype([(name, kind, (many,)) for name, kind, many in layout])
-        rows = np.frombuffer(content, dtype, min(count, len(content) // dtype.itemsize))
+        rows = np.frombuffer(content, layout, min(count, len(content) // layout.itemsize))
         points = np.stack([rows[name][:, 0].astype(np.float64) for name in fields], axis=1)
     if len(points) != count:
         raise ValueError(f"promises {count} points and holds {len(points)}")
@@ -215,34 +207,32 @@ def _read_pcd(content: bytes) -> NDArray[np.generic]:
         raise ValueError(f"has points of {' '.join(names)[:60]}, expected x, y and z once each")
     repeats = map(int, said.get("COUNT", ["1"] * len(names)))
     types = [PCD_TYPES[kind] + size for kind, size in zip(said["TYPE"], said["SIZE"], strict=True)]
-    layout, fields = list(zip(names, types, repeats, strict=True)), _fields(names)
+    each = zip(names, types, repeats, strict=True)
+    layout = np.dtype([(name, kind, (many,)) for name, kind, many in each])
     count = int(said["POINTS"][0])
     body = memoryview(content)[start:]
     if form == b"binary_compressed":
         body = _unpacked(body, layout, count)
-    points = _points(body, layout, fields, count, text=form == b"ascii")
+    points = _points(body, layout, count, text=form == b"ascii")
     stood = list(map(float, said.get("VIEWPOINT", NOWHERE)))
-    if len(fields) == 3 and stood != NOWHERE:
+    if points.shape[1] == 3 and stood != NOWHERE:
         return np.concatenate([points, np.broadcast_to(stood[:3], points.shape)], axis=1)
     return points
 
 
-def _unpacked(
-    content: memoryview, layout: Sequence[tuple[str, str, int]], count: int
-) -> memoryview:
+def _unpacked(content: memoryview, layout: np.dtype, count: int) -> memoryview:
     """Point after point what a compressed PCD holds: two sizes, and what LZF made of one field's
     values after the other's. Raises ValueError where they do not fit."""
     packed, size = np.frombuffer(content, "<u4", min(2, len(content) // 4)).tolist()
-    dtype = np.dtype([(name, kind, (many,)) for name, kind, many in layout])
-    if size != count * dtype.itemsize or size > MOST_CLOUD_BYTES:
-        raise ValueError(f"unpacks to {size} bytes, expected {dtype.itemsize} for each point")
+    if size != count * layout.itemsize or size > MOST_CLOUD_BYTES:
+        raise ValueError(f"unpacks to {size} bytes, expected {layout.itemsize} for each point")
     columns = np.zeros(size, np.uint8)
     if _unpack_lzf(np.frombuffer(content, np.uint8)[8 : 8 + packed], columns) != size:
         raise ValueError("its compressed points are damaged, or end early")
-    rows, first = np.zeros(count, dtype), 0
-    for name in dtype.names or ():
+    rows, first = np.zeros(count, layout), 0
+    for name in layout.names or ():
         last = first + rows[name].nbytes
-        rows[name] = columns[first:last].view(dtype[name].base).reshape(rows[name].shape)
+        rows[name] = columns[first:last].view(layout[name].base).reshape(rows[name].shape)
         first = last
     return memoryview(rows.tobytes())
 
