@@ -211,7 +211,7 @@ def verify(
     return Report(folder=str(folder), quick=quick, seed=seed, samples=samples, checks=outcomes)
 
 
-class _Examination(Limited[Task, Findings]):
+class _Examination(Limited):
     """Copies on another machine what a task reads of a store, before limits are set: that a store
     is slow or refuses is no fault of the dataset."""
 
