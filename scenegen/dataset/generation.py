@@ -20,6 +20,7 @@ from scenegen.dataset.read import Dataset
 from scenegen.dataset.shard import ShardTask
 from scenegen.dataset.state import Plan
 from scenegen.errors import AskedError, RecipeError, SceneError, printable, short, whole_number
+from scenegen.files import Json
 from scenegen.limits import MOST_SAMPLES, MOST_SOURCES, MOST_WEIGHT
 from scenegen.recipe import Recipe, make_recipe, preset, read_recipe
 from scenegen.recipes import kind_names
@@ -123,7 +124,7 @@ def plan_generation(
         raise AskedError("a kind draws worlds and a scene has them; give one of the two")
     named, path = ("scene", Path(scene)) if scene is not None else (kind, None)
     sensor = named_lidar(lidar) if isinstance(lidar, str) else lidar
-    given: dict[str, Any] = {"lidar": sensor, "noise": noise}
+    given: Json = {"lidar": sensor, "noise": noise}
     given |= {"mapping": mapping, "difficulty": difficulty}
     if isinstance(recipe, Recipe):
         if named not in (None, recipe.kind) or any(given.values()):
@@ -260,7 +261,7 @@ def read_components(path: Path | None = None, *, seed: int = 0, **given: Any) ->
     return found
 
 
-def _over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+def _over(below: Mapping[str, Any], above: Mapping[str, Any]) -> Json:
     """The tables `below` with the values of those `above` on top."""
     found = dict(below)
     for name, table in above.items():

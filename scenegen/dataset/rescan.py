@@ -29,7 +29,7 @@ from scenegen.draw import (
     truth_of,
 )
 from scenegen.errors import DatasetError, GenerationError, raised_as, short
-from scenegen.files import real_path
+from scenegen.files import Json, real_path
 from scenegen.recipe import Recipe
 from scenegen.run.software import software
 from scenegen.worlds.flight import fly, viewpoints
@@ -121,7 +121,7 @@ class Archived:
     def _world(self, split: str, number: int) -> AnyWorld:
         return self.dataset.compile(split, number)
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> Json:
         """See `Source.describe`."""
         return {}
 

@@ -25,7 +25,7 @@ from scenegen.dataset.rules import rules_of, stem_of
 from scenegen.dataset.trust import Entry
 from scenegen.draw import Rejections, Unit, compile_truth, draw_unit, none_rejected
 from scenegen.errors import BrokenError, DatasetError, raised_as
-from scenegen.files import sha256_in, sha256_of, write_whole
+from scenegen.files import Json, sha256_in, sha256_of, write_whole
 from scenegen.recipe import Recipe
 from scenegen.run.workers import Worker
 from scenegen.sample import DERIVED, FIELDS
@@ -158,7 +158,7 @@ class ShardReport(Entry):
     more: Mapping[str, int] = field(default_factory=dict)
     """See `ShardTask.more`."""
 
-    def entry(self) -> dict[str, Any]:
+    def entry(self) -> Json:
         """The shard's entry in the manifest."""
         return {name: getattr(self, name) for name in rules_of(Entry)} | dict(self.more)
 

@@ -276,7 +276,7 @@ def parse(document: Json, folder: Path, named: str | None = None) -> Manifest:
     check(plain["counts"], dict.fromkeys(SPLITS, COUNT), "counts")
     check(plain["rejected"], REJECTED, "rejected")
     check(_RECIPE | found["recipe"], RECIPE_RULES, "recipe")
-    parts: dict[str, Any] = {}
+    parts: Json = {}
     for part in PARTS:
         if part.since == manifest.VERSION:
             check(found, {part.name: TABLE}, "")
