@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarsim.grid import Floats
 from lidarsim.jit import kernel
@@ -113,13 +112,13 @@ def _fields(names: Collection[str]) -> list[str]:
     return [*"xyz"]
 
 
-def _read_xyz(content: bytes) -> NDArray[np.generic]:
+def _read_xyz(content: bytes) -> np.ndarray:
     if re.search(rb"(?<!,)\b\d+,\d+[ \t]+[-+]?\d+,\d", content):
         raise ValueError("has commas within numbers, expected 3.5 and not 3,5")
     return _numbers(content.replace(b",", b" "), (0, 1, 2), MOST_POINTS + 1)
 
 
-def _read_ply(content: bytes) -> NDArray[np.generic]:
+def _read_ply(content: bytes) -> np.ndarray:
     """The vertices of a PLY file (Turk 1994), which must come before all other elements, and where
     they were seen from."""
     head, end, _ = content[:MOST_HEADER_BYTES].partition(b"end_header")
@@ -186,7 +185,7 @@ def _numbers(text: bytes | memoryview, columns: Sequence[int], most: int) -> Flo
         )
 
 
-def _read_pcd(content: bytes) -> NDArray[np.generic]:
+def _read_pcd(content: bytes) -> np.ndarray:
     """The points of a PCD file, and where they were seen from: fields or its VIEWPOINT
     (pointclouds.org, "The PCD file format")."""
     head, mark, rest = content[:MOST_HEADER_BYTES].partition(b"\nDATA ")
@@ -272,7 +271,7 @@ def _unpack_lzf(packed, unpacked):
     return written
 
 
-def _read_las(content: bytes) -> NDArray[np.generic]:
+def _read_las(content: bytes) -> np.ndarray:
     """The points of a LAS or LAZ file (ASPRS LAS 1.4), scaled and with its offset, by laspy, which
     damaged files can make hang."""
     return guarded(
@@ -303,23 +302,23 @@ def _unpack_las(content: bytes) -> Floats:
     return points
 
 
-def _read_bin(content: bytes) -> NDArray[np.generic]:
+def _read_bin(content: bytes) -> np.ndarray:
     """KITTI's: x, y, z and intensity, float32, point after point."""
     if len(content) % 16:
         raise ValueError(f"{len(content)} bytes, expected four float32 a point as in KITTI")
     return np.frombuffer(content, "<f4").reshape(-1, 4)
 
 
-def _read_npz(content: bytes) -> NDArray[np.generic]:
+def _read_npz(content: bytes) -> np.ndarray:
     """The array `points` of NumPy's archive."""
     (points,) = read_npz(content, "points", most_bytes=MOST_SCAN_BYTES)
     return points
 
 
-def read_npz(content: bytes, *names: str, most_bytes: int) -> list[NDArray[Any]]:
+def read_npz(content: bytes, *names: str, most_bytes: int) -> list[np.ndarray]:
     """The arrays `names` of NumPy's archive, of at most `most_bytes` bytes each. Raises whatever a
     crafted file leads to."""
-    found = list[NDArray[Any]]()
+    found = list[np.ndarray]()
     with zipfile.ZipFile(io.BytesIO(content)) as members:
         for name in names:
             about = members.getinfo(f"{name}.npy")

@@ -223,7 +223,7 @@ def read_recipe(path: Path, kind: str | None = None, **given: Any) -> Recipe:
 
 
 def _with_beside(
-    tables: Mapping[str, Any],
+    tables: Json,
     where: str,
     *,
     lidar: Sensor | None = None,

@@ -6,7 +6,6 @@ import itertools
 import json
 import re
 import tomllib
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -107,7 +106,7 @@ def named_noise(text: str | Noise | None, sensor: Sensor, where: str = "") -> No
         return Noise() if text is None else Noise.parse(text, sensor)
 
 
-def sensor_of(table: Mapping[str, Any], where: str, folder: Path) -> Sensor:
+def sensor_of(table: Json, where: str, folder: Path) -> Sensor:
     """The sensor of a table [lidar]: `sensor` names it, and the other entries are its parameters.
     Paths in it are relative to `folder`. Raises RecipeError, which begins with `where`."""
     given = dict(table)

@@ -261,7 +261,7 @@ def read_components(path: Path | None = None, *, seed: int = 0, **given: Any) ->
     return found
 
 
-def _over(below: Mapping[str, Any], above: Mapping[str, Any]) -> Json:
+def _over(below: Json, above: Json) -> Json:
     """The tables `below` with the values of those `above` on top."""
     found = dict(below)
     for name, table in above.items():

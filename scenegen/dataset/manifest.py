@@ -149,7 +149,7 @@ def differing(given: Json, others: Iterable[Json]) -> list[str]:
     return [name for name in ALIKE if any(one.get(name) != given.get(name) for one in others)]
 
 
-def differences(there: Mapping[str, Any], asked: Mapping[str, Any], prefix: str = "") -> list[str]:
+def differences(there: Json, asked: Json, prefix: str = "") -> list[str]:
     """Where two sets of parameters differ: "name: there, asked", nested names joined by dots."""
     found = []
     for name in [*there, *(name for name in asked if name not in there)]:

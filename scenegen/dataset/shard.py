@@ -15,7 +15,6 @@ from typing import Any
 import h5py
 import isal.isal_zlib
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarsim.engines import DEFAULT, ENGINES, EngineFactory
 from lidarsim.jit import cache_trouble, no_kernels
@@ -247,7 +246,7 @@ def report_of(
     )
 
 
-def compress(values: NDArray[Any]) -> bytes:
+def compress(values: np.ndarray) -> bytes:
     """A chunk as HDF5's gzip filter would write it: the same bytes for the same values.
 
     Fed all at once, ISA-L hashes an address on the stack as if it were the third byte

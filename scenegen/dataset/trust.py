@@ -308,7 +308,7 @@ def parse(document: Json, folder: Path, named: str | None = None) -> Manifest:
     )
 
 
-def _check_fields(names: Sequence[Any], parts: Mapping[str, Any]) -> None:
+def _check_fields(names: Sequence[Any], parts: Json) -> None:
     """Raise BrokenError unless the fields `names` are what samples of these `parts` have, with the
     derived ones or without them."""
     check(dict.fromkeys(name for name in names if isinstance(name, str)), {}, "fields", FIELDS)

@@ -15,7 +15,6 @@ from typing import Any
 
 import isal.isal_zlib
 import numpy as np
-from numpy.typing import NDArray
 
 from scenegen.errors import DatasetError, GenerationError, raised_as
 from scenegen.files import make_way, read_bounded, write_whole
@@ -67,7 +66,7 @@ def unpack(packed: bytes, kind: np.dtype, schema: Schema) -> Sample:
     def find(sample: Sample, name: str) -> Any:
         if name == "tudf":
             return distance_field(sample.occupancy, grid)
-        value: NDArray[Any] = record[name]
+        value: np.ndarray = record[name]
         if FIELDS[name]["axes"] == "grid":
             count = int(np.prod(grid.shape))
             return np.unpackbits(value, count=count).view(bool).reshape(grid.shape)

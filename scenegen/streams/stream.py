@@ -16,7 +16,7 @@ from lidarsim.engines import DEFAULT
 from scenegen.dataset.generation import MIXED, fraction, is_mixed, read_components, seeds
 from scenegen.dataset.parts import schema_of
 from scenegen.errors import DatasetError, short, whole_number
-from scenegen.files import sha256_of
+from scenegen.files import Json, sha256_of
 from scenegen.limits import MOST_BATCH, MOST_SAMPLES, MOST_SEED, MOST_WORKERS
 from scenegen.sample import Sample, Samples, Schema, rng_of
 from scenegen.source import DrawnWorlds
@@ -197,7 +197,7 @@ def _unit_of(
 class Place:
     """A count of what was read, of what `of` says, in `unit`, up to `most`."""
 
-    def __init__(self, of: Mapping[str, Any], unit: str, most: int):
+    def __init__(self, of: Json, unit: str, most: int):
         self._of, self._unit, self._most = dict(of), unit, most
         self._done = 0
 
