@@ -125,13 +125,6 @@ class Archived:
         """See `Source.describe`."""
         return {}
 
-    def poses(self, split: str, samples: Sequence[int]) -> list[list[Pose]]:
-        """Poses of the sensor, by the samples' places in their split: of each its own, and those
-        before it, the last one first. Raises DatasetError."""
-        found = self.dataset.split(split)
-        with raised_as(DatasetError, f"{self.folder}: {split} sample: ", "; verify the dataset"):
-            return [[scan.pose for scan in found[place].scans()] for place in samples]
-
 
 @dataclass(frozen=True)
 class RescanSpec(ShardSpec):
@@ -141,14 +134,15 @@ class RescanSpec(ShardSpec):
         """See `ShardSpec.draw`: the unit as it was flown, scanned by the recipe's sensor and
         noise."""
         source: Any = self.source
-        each = self.recipe.flight.viewpoints
-        begin = unit * each
-        places = range(begin, min(begin + each, len(source.dataset.split(self.split))))
+        dataset, each = source.dataset, self.recipe.flight.viewpoints
+        samples = dataset.split(self.split)[unit * each : (unit + 1) * each]
         number, turn = source.number(self.split, unit)
         world = source.world(self.split, number, rng=np.random.default_rng(0))
         key = UnitKey(self.seed, self.split, unit)
-        mapping, there = self.recipe.mapping, source.dataset.manifest.mapping
-        poses = [stored[: mapping.scans] for stored in source.poses(self.split, places)]
+        mapping, there = self.recipe.mapping, dataset.manifest.mapping
+        odd = f"{dataset.folder}: {self.split} sample: "
+        with raised_as(DatasetError, odd, "; verify the dataset"):
+            poses = [[scan.pose for scan in one.scans()[: mapping.scans]] for one in samples]
         if mapping.scans > there.scans or mapping.scan_spacing_m != there.scan_spacing_m:
             own = [stored[0] for stored in poses]
             poses = fly_again(world, own, self.recipe, key)
