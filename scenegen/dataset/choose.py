@@ -5,7 +5,6 @@ import io
 import operator
 import re
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -202,8 +201,7 @@ def choose(dataset: Dataset, choice: Choice, *, workers: int = 1) -> Iterator[Ch
             }
             if measured and not kept:
                 tasks = [(n, one.rows) for n, one in found.items()]
-                with closing(run(partial(_measured, split, measured), tasks, workers)) as results:
-                    good = dict(results)
+                good = dict(run(partial(_measured, split, measured), tasks, workers))
                 found = {n: one.but(good[n]) for n, one in found.items()}
             for one in found.values():
                 one = one.but(slice(left))

@@ -2,7 +2,6 @@
 shards."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from io import BufferedReader
@@ -10,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scenegen import SPLITS
 from scenegen.dataset import manifest
@@ -38,33 +36,29 @@ def check_disjoint(datasets: Sequence[Dataset], *, workers: int = 1) -> None:
     Samples are told apart by their own digests, worlds by the bytes of their MJCF and of the files
     that it refers to.
     """
+    shards = [(dataset, entry) for dataset in datasets for entry in dataset.manifest.shards]
     tasks = [
         (n, dataset.folder, entry, dataset.manifest.home(entry).layout)
-        for n, (dataset, entry) in enumerate(
-            (one, entry) for one in datasets for entry in one.manifest.shards
-        )
+        for n, (dataset, entry) in enumerate(shards)
     ]
-    with closing(run(_look, tasks, workers)) as results:
-        found = sorted(results, key=lambda one: one[0])
-    names = [f"{there}/{entry.file}" for _, there, entry, _ in tasks]
-    splits = np.array([SPLITS.index(entry.split) for _, _, entry, _ in tasks])
-    for one, other in _twice([samples for _, samples, _ in found]):
+    found = dict(run(_look, tasks, workers))
+    names = [dataset.folder / entry.file for dataset, entry in shards]
+    for one, other in _twice([found[n][0] for n in range(len(shards))]):
         raise DatasetError(
             f"{names[one]} and {names[other]}: hold the same sample; leave one of the two "
             f"datasets out, or make one with another --seed"
         )
-    for one, other in _twice([worlds for _, _, worlds in found]):
-        if splits[one] != splits[other]:
+    for one, other in _twice([found[n][1] for n in range(len(shards))]):
+        if shards[one][1].split != shards[other][1].split:
             raise DatasetError(
                 f"{names[one]} and {names[other]}: samples of one world would be in two splits; "
                 "take one split of either, with `scenegen take --split`"
             )
 
 
-def _look(
-    task: tuple[int, Path, Entry, Layout],
-) -> tuple[int, NDArray[np.uint64], NDArray[np.uint64]]:
-    """A shard's number, and the first bytes of the digests of its samples and of its worlds."""
+def _look(task: tuple[int, Path, Entry, Layout]) -> tuple[int, tuple[np.ndarray, np.ndarray]]:
+    """A shard's number, and the first bytes of the digests of its samples and of its worlds, as
+    whole numbers."""
     number, there, entry, layout = task
     path, archive, worlds = there / entry.file, entry.worlds, b""
     with advised(there):
@@ -73,14 +67,11 @@ def _look(
         with open_file(there / archive) as file, open_archive(file, archive) as members:
             for name in sorted(name for name in members if name.endswith(".xml")):
                 worlds += world_digest(*members.world(name))[:KEPT]
-    return (
-        number,
-        np.ascontiguousarray(own[:, :KEPT]).view(np.uint64)[:, 0],
-        np.frombuffer(worlds, np.uint64),
-    )
+    samples = np.ascontiguousarray(own[:, :KEPT]).view(np.uint64)[:, 0]
+    return number, (samples, np.frombuffer(worlds, np.uint64))
 
 
-def _twice(digests: Sequence[NDArray[np.uint64]]) -> list[tuple[int, int]]:
+def _twice(digests: Sequence[np.ndarray]) -> list[tuple[int, int]]:
     """Pairs of shards that have a digest in common, one for each digest's neighbours."""
     owner = np.repeat(np.arange(len(digests)), [len(one) for one in digests])
     values = np.concatenate([*digests, np.empty(0, np.uint64)])

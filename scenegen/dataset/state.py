@@ -8,7 +8,6 @@ import math
 import re
 import sys
 from collections.abc import Mapping, Sequence, Set
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -184,10 +183,8 @@ class State:
             for shard in shards
             if shard.file not in self.reports and shard.file in there
         ]
-        with closing(
-            placed.look(there, tasks) if stored else run(read_report, tasks, workers)
-        ) as found:
-            self.reports |= {report.file: report for report in found if report is not None}
+        found = placed.look(there, tasks) if stored else run(read_report, tasks, workers)
+        self.reports |= {report.file: report for report in found if report is not None}
 
     def open(self) -> None:
         """Make the folder ready for shards, if it lacks any, and touch nothing but the dataset that
