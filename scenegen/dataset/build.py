@@ -15,8 +15,8 @@ from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.layout import layout_of
 from scenegen.dataset.parts import schema_of
-from scenegen.dataset.placed import write_placed
-from scenegen.dataset.shard import ShardReport, ShardSpec, ShardTask, find_engine, write_shard
+from scenegen.dataset.placed import write_shard
+from scenegen.dataset.shard import ShardReport, ShardSpec, ShardTask, find_engine
 from scenegen.dataset.state import Plan, State
 from scenegen.errors import DatasetError
 from scenegen.files import Json, remove_drafts, writable
@@ -149,11 +149,10 @@ def build(
     state.open()
     for report in state.reports.values():
         on_shard(report, False)
-    write = write_placed if isinstance(plan.folder, StorePath) else write_shard
     written, noted = 0, time.monotonic()
     with (
         undone(lambda: remove_drafts(plan.folder)),
-        closing(execute(write, missing, on_start)) as results,
+        closing(execute(write_shard, missing, on_start)) as results,
     ):
         for report in results:
             state.reports[report.file] = report

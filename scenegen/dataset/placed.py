@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from scenegen.dataset.rules import DIGEST, LIST, REJECTED, check, checked, rules_of
-from scenegen.dataset.shard import ShardReport, ShardTask, read_report, report_of, write_shard
+from scenegen.dataset.shard import ShardReport, ShardTask, read_report, report_of
 from scenegen.dataset.trust import Entry
 from scenegen.errors import BrokenError, DatasetError
 from scenegen.files import Json, read_bounded, sha256_of, write_whole
@@ -57,10 +57,12 @@ MOST_BYTES = 10_000 + 80 * MOST_SAMPLES_IN_SHARD
 """A report is no larger."""
 
 
-def write_placed(spec: ShardTask) -> ShardReport:
-    """`write_shard` at a place, and the shard's report beside it. Raises StoreError as well."""
-    report = write_shard(spec)
-    _note(spec, report, [place.version for place in _places(spec)])
+def write_shard(spec: ShardTask) -> ShardReport:
+    """Write a shard, whatever its samples come from, and at a place its report beside it. Pure but
+    for its files. Raises GenerationError, DatasetError, StoreError."""
+    report = spec.write()
+    if isinstance(spec.folder, StorePath):
+        _note(spec, report, [place.version for place in _places(spec)])
     return report
 
 

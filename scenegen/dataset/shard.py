@@ -154,18 +154,12 @@ class ShardReport(Entry):
     rejected: Rejections
     digests: bytes
     """The samples' own SHA-256s, 32 bytes each, in order."""
-    more: Mapping[str, int] = field(default_factory=dict)
+    more: Mapping[str, int]
     """See `ShardTask.more`."""
 
     def entry(self) -> Json:
         """The shard's entry in the manifest."""
         return {name: getattr(self, name) for name in rules_of(Entry)} | dict(self.more)
-
-
-def write_shard(spec: ShardTask) -> ShardReport:
-    """Write a shard, whatever its samples come from. Pure but for its files. Raises
-    GenerationError, DatasetError."""
-    return spec.write()
 
 
 def put(

@@ -446,7 +446,7 @@ def test_too_small_a_disk_is_noticed_before_the_work(tmp_path, monkeypatch):
 def die_of_test_worlds(spec):
     if spec.split == "test":
         os.kill(os.getpid(), 9)
-    return shards.write_shard(spec)
+    return spec.write()
 
 
 def test_a_killed_worker_is_reported_and_the_rest_is_kept(tmp_path, monkeypatch, undisturbed):
