@@ -46,12 +46,12 @@ class Source(Protocol):
         ...
 
     def describe(self) -> Json:
-        """What identifies the source, for the manifest."""
-        ...
+        """What identifies the source, for the manifest; nothing where the recipe says all."""
+        return {}
 
 
 @dataclass(frozen=True)
-class DrawnWorlds:
+class DrawnWorlds(Source):
     """A new world for every unit, drawn by the recipe's kind."""
 
     recipe: Recipe
@@ -77,10 +77,6 @@ class DrawnWorlds:
             of=(ValueError, BrokenError, SceneError),
         ):
             return write_world(lambda spec: kind.add_to(spec, rng=rng), flight_bounds=bounds)
-
-    def describe(self) -> Json:
-        """Nothing: the recipe says all."""
-        return {}
 
     def class_names(self, by: By) -> set[str]:
         """Classes of its worlds' geoms, as far as the kind says: its `classes`."""

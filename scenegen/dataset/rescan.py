@@ -29,9 +29,10 @@ from scenegen.draw import (
     truth_of,
 )
 from scenegen.errors import DatasetError, GenerationError, raised_as, short
-from scenegen.files import Json, real_path
+from scenegen.files import real_path
 from scenegen.recipe import Recipe
 from scenegen.run.software import software
+from scenegen.source import Source
 from scenegen.worlds.flight import fly, viewpoints
 from scenegen.worlds.world import AnyWorld
 
@@ -93,7 +94,7 @@ def scan_again(
 
 
 @dataclass(frozen=True, eq=False)
-class Archived:
+class Archived(Source):
     """The worlds of a dataset, as a `Source`: read from its archives, and never drawn."""
 
     folder: Path
@@ -120,10 +121,6 @@ class Archived:
     @lru_cache(maxsize=8)  # noqa: B019 (flights through a world from a file share it)
     def _world(self, split: str, number: int) -> AnyWorld:
         return self.dataset.compile(split, number)
-
-    def describe(self) -> Json:
-        """See `Source.describe`."""
-        return {}
 
 
 @dataclass(frozen=True)

@@ -2,10 +2,8 @@
 manifest says of it."""
 
 import contextlib
-import fnmatch
 import json
 import math
-import re
 import sys
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
@@ -19,7 +17,7 @@ from scenegen.dataset.placed import read_notes, remove_notes, write_note
 from scenegen.dataset.rules import FILE_RULE
 from scenegen.dataset.shard import ARCHIVE, ShardReport, ShardTask, read_report, relabel
 from scenegen.errors import BrokenError, DatasetError
-from scenegen.files import Json, disk_told, names_in, open_bounded, remove_drafts, sha256_of
+from scenegen.files import Json, disk_told, names_in, open_bounded, remove_drafts
 from scenegen.run.workers import run
 from scenegen.stores import StorePath, Version
 
@@ -293,24 +291,21 @@ def _former(folder: Path, names: Set[str]) -> list[str]:
     samples, which hold their digest."""
     if manifest.NAME not in names:
         return []
-    there = manifest.read(folder)
-    said = set(re.findall(r'"((?:[^"\\]|\\.)*)"', json.dumps(there)))
-    owners = [manifest.fingerprint(manifest.parameters_of(there)).encode()]
+    there, found = manifest.read(folder), set[str]()
+    owners = [manifest.fingerprint(manifest.parameters_of(there))]
     with contextlib.suppress(BrokenError):
-        owners += [source.fingerprint.encode() for source in trust.parse(there, folder).sources]
-    found = {name for name in names & said if FILE_RULE.fits(name)}
+        former = trust.parse(there, folder)
+        found |= names & former.files.keys()
+        owners += [source.fingerprint for source in former.sources]
     for name in filter(FILE_RULE.fits, sorted(names - found)):
         content, samples = _content(folder / name), name.replace(".worlds.zip", ".h5")
         if name == samples:
-            known = any(owner in content for owner in owners)
+            known = any(owner.encode() in content for owner in owners)
         elif samples in names:
             known = samples in found
         else:  # whose writer was killed before it put the samples beside them
             known = content.startswith(ARCHIVE)
         if known:
-            found.add(name)
-    for name in fnmatch.filter(names, "rays*.npy"):
-        if sha256_of(_content(folder / name)) in said:
             found.add(name)
     return sorted(found, reverse=True)
 
