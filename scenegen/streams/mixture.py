@@ -181,10 +181,9 @@ class Mixture:
             fraction(weight, component.label) / count
             for weight, component, count in zip(weights, components, each, strict=True)
         ]
+        shares = [share / sum(shares) for share in shares]
         whole = math.lcm(*(share.denominator for share in shares))
-        parts = [int(share * whole) for share in shares]
-        common = math.gcd(*parts)
-        self.units = tuple(part // common for part in parts)
+        self.units = tuple(int(share * whole) for share in shares)
         """Units of each component in a round."""
         if sum(self.units) > MOST_UNITS_IN_ROUND:
             said = ", ".join(
