@@ -181,7 +181,8 @@ class Mixture:
             fraction(weight, component.label) / count
             for weight, component, count in zip(weights, components, each, strict=True)
         ]
-        shares = [share / sum(shares) for share in shares]
+        total = sum(shares)
+        shares = [share / total for share in shares]
         whole = math.lcm(*(share.denominator for share in shares))
         self.units = tuple(int(share * whole) for share in shares)
         """Units of each component in a round."""
