@@ -122,10 +122,10 @@ def plan_generation(
         )
     if kind is not None and scene is not None:
         raise AskedError("a kind draws worlds and a scene has them; give one of the two")
-    named, path = ("scene", Path(scene)) if scene is not None else (kind, None)
+    named = kind if scene is None else "scene"
     sensor = named_lidar(lidar) if isinstance(lidar, str) else lidar
-    given: Json = {"lidar": sensor, "noise": noise}
-    given |= {"mapping": mapping, "difficulty": difficulty}
+    given: Json = {"lidar": sensor, "noise": noise, "mapping": mapping, "difficulty": difficulty}
+    file = Path(recipe) if isinstance(recipe, str | Path) else None
     if isinstance(recipe, Recipe):
         if named not in (None, recipe.kind) or any(given.values()):
             raise AskedError(
@@ -133,49 +133,45 @@ def plan_generation(
                 f"out a kind, {', '.join(given)}"
             )
         asked = recipe
-    elif named == MIXED or (recipe is not None and is_mixed(Path(recipe))):
+    elif named == MIXED or (file is not None and is_mixed(file)):
         if named not in (None, MIXED):
             raise RecipeError(f"{recipe}: is of several kinds, not of {named}; leave --kind out")
-        parts = read_components(None if recipe is None else Path(recipe), seed=seed, **given)
         parts = [
             (dataclasses.replace(one, labels=_labels(labels, DrawnWorlds(one))), weight)
-            for one, weight in parts
+            for one, weight in read_components(file, seed=seed, **given)
         ]
         counts = _counts(n, val, test, alone=False)
         return plan_mixed(_folder(out, MIXED), parts, seed=seed, counts=counts, **more)
-    elif recipe is not None:
-        asked = read_recipe(Path(recipe), named, **given)
+    elif file is not None:
+        asked = read_recipe(file, named, **given)
     else:
         assert named is not None
         asked = preset(named, **given)
-    alone = False
     source: DrawnWorlds | SceneWorlds
-    if path is not None:
+    if scene is not None:
         source = read_scenes(
-            path,
+            Path(scene),
             {"train": n, "val": val, "test": test},
             seed=seed,
             allow_unseen=allow_unseen,
             materials=labels in ("class", "material"),
         )
-        alone = sum(map(len, source.scenes.values())) == 1
         for line in source.notes:
             tell(line)
-    elif asked.world is None:
-        raise RecipeError('a recipe of kind "scene" needs the worlds, too: give a scene')
-    else:
-        source = DrawnWorlds(asked)
-    asked = dataclasses.replace(asked, labels=_labels(labels, source) or asked.labels)
-    if isinstance(source, SceneWorlds):
-        asked = source.suited(asked)
         if source.maps and more.get("engine", DEFAULT) != DEFAULT:
             raise SceneError(
                 f"{source.maps[0]}: is a map of voxels, which has no engine but its own; leave "
                 "--engine out"
             )
+        asked, name = source.suited(asked), Path(scene).stem
+        alone = sum(map(len, source.scenes.values())) == 1
+    elif asked.world is None:
+        raise RecipeError('a recipe of kind "scene" needs the worlds, too: give a scene')
+    else:
+        source, alone = DrawnWorlds(asked), False
+        name = asked.kind.rpartition(":")[2]  # data/Towers for my_worlds:Towers
+    asked = dataclasses.replace(asked, labels=_labels(labels, source) or asked.labels)
     counts = _counts(n, val, test, alone=alone)
-    # data/Towers for my_worlds:Towers
-    name = path.stem if path is not None else asked.kind.rpartition(":")[2]
     return plan_dataset(_folder(out, name), asked, source, seed=seed, counts=counts, **more)
 
 
