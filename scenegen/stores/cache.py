@@ -12,7 +12,7 @@ import os
 import stat
 import tempfile
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Mapping
 from contextlib import closing, suppress
 from functools import lru_cache
 from pathlib import Path
@@ -112,7 +112,7 @@ def _is_whole(path: Path, digest: str) -> bool:
     return True
 
 
-def fetch_all(folder: Path, names: Iterable[str]) -> None:
+def fetch_all(folder: Path, names: Collection[str]) -> None:
     """Have all of these be in a folder of copies. Raises StoreError, also for one that is not
     there."""
 
@@ -127,7 +127,7 @@ def fetch_all(folder: Path, names: Iterable[str]) -> None:
     from concurrent.futures import ThreadPoolExecutor  # importing it takes time
 
     with ThreadPoolExecutor(AT_A_TIME) as pool:
-        list(pool.map(one, names := list(names)))
+        list(pool.map(one, names))
     if lost := [name for name in names if not (folder / name).exists()]:
         raise StoreError(
             f"{folder / lost[0]}: made room for others, though all are needed; raise {ROOM}"

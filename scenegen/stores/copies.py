@@ -282,10 +282,9 @@ def make_room(asked: int) -> None:
     for path in (*root().glob("*/*/*"), *root().glob("*/*/*-*x/*")):
         with suppress(FileNotFoundError):
             found = path.stat()
-            if path.is_dir():
-                continue
             used = max(found.st_atime_ns, found.st_mtime_ns)
-            files += [(used, 512 * found.st_blocks, path)] if path.suffix not in KEPT else []
+            if path.suffix not in KEPT and not path.is_dir():
+                files.append((used, 512 * found.st_blocks, path))
     total = sum(size for _, size, _ in files)
     most = _most_bytes(total)
     _left = most // 64
