@@ -26,9 +26,11 @@ from scenegen.worlds.labels import label_fields
 from scenegen.worlds.place import Place
 from scenegen.worlds.world import AnyWorld, World
 
-View = tuple[Sequence[Scan], dict[str, np.ndarray]]
+Truth = dict[str, np.ndarray]
+"""What is there in a viewpoint's map, and what of it is known, by the names of fields."""
+View = tuple[Sequence[Scan], Truth]
 """What one viewpoint gave: its own clean scan, those before it, the last one first, and the truth
-of its map by the names of fields."""
+of its map."""
 WORLD, FLIGHT, NOISE = 0, 1, 2
 """The streams of random numbers of a unit."""
 ADVICE = {
@@ -152,7 +154,7 @@ def _fly(
         if _solids_nearby(world, route, candidates, recipe) < recipe.accept.min_solids:
             reason = "few_solids"
             break
-        kept: list[tuple[float, Scan, dict[str, np.ndarray]]] = []
+        kept: list[tuple[float, Scan, Truth]] = []
         for flown_m in candidates:
             pose = route.pose(flown_m, recipe.mapping)
             apart = [((pose.position - scan.pose.position) ** 2).sum() for _, scan, _ in kept]
@@ -182,9 +184,7 @@ def _turned(crowded: tuple[str, ...], verb: str, opposite: str) -> str:
     return said or f"{verb} how many solids, or in a map unknown voxels, there are where it flies"
 
 
-def _look(
-    world: AnyWorld, engine: Caster, pose: Pose, recipe: Recipe
-) -> tuple[Scan, dict[str, np.ndarray]] | str:
+def _look(world: AnyWorld, engine: Caster, pose: Pose, recipe: Recipe) -> tuple[Scan, Truth] | str:
     """The scan and the truth at a viewpoint; the reason not to keep it where there is next to
     nothing, or too little is known."""
     accept, known = recipe.accept, recipe.known
@@ -204,7 +204,7 @@ def _look(
     return scan, truth
 
 
-def truth_of(world: AnyWorld, scan: Scan, recipe: Recipe) -> dict[str, np.ndarray]:
+def truth_of(world: AnyWorld, scan: Scan, recipe: Recipe) -> Truth:
     """The fields of a sample that say what is there at its own `scan`, and what of it is known."""
     truth = world.truth(recipe.grid, recipe.mapping.origin(recipe.grid, scan.pose))
     if recipe.known is not None:

@@ -1,12 +1,11 @@
 """Datasets made of samples that are there: which may be one, what the new one is to hold, and its
 shards."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from io import BufferedReader
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from scenegen.dataset.archive import open_archive
 from scenegen.dataset.choose import Choice, Chosen, choose
 from scenegen.dataset.layout import DIGEST, Layout, ShardFile, check_sum, open_file, open_shard
 from scenegen.dataset.read import Dataset, advised
-from scenegen.dataset.shard import ShardReport, ShardTask, put, report_of
+from scenegen.dataset.shard import Drawn, ShardReport, ShardTask, put, report_of
 from scenegen.dataset.state import Plan
 from scenegen.dataset.trust import Entry, Manifest
 from scenegen.draw import none_rejected
@@ -143,7 +142,7 @@ class Part(ShardTask):
                 document, others = members.world(member)
                 documents |= {member: document, **others}
 
-        def stored() -> Iterator[tuple[Callable[[str], Any], bytes]]:
+        def stored() -> Iterator[Drawn]:
             for row in rows:
                 yield partial(shard.value, row=row), shard.value(DIGEST, row).tobytes()
 

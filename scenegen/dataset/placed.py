@@ -2,7 +2,7 @@
 store."""
 
 import json
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -68,7 +68,7 @@ def write_shard(spec: ShardTask) -> ShardReport:
 
 def look(
     there: Mapping[str, Version], tasks: Sequence[tuple[ShardTask, Entry | None]]
-) -> Generator[ShardReport | None, None, None]:
+) -> Iterator[ShardReport | None]:
     """The reports of shards, each with what the manifest lists of it, at the place where objects
     are `there`, by their versions; None for one that is not as it should be.
 

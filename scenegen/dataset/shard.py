@@ -37,6 +37,10 @@ _FIRST = 4
 """Bytes of a block that ISA-L is fed before the rest: the fewest that begin its history."""
 
 
+Drawn = tuple[Callable[[str], Any], bytes]
+"""A sample that is to be written: what gives its fields by their names, and its digest."""
+
+
 def find_engine(name: str) -> EngineFactory:
     """What makes the engine called `name`. Raises DatasetError for one that is not to be had."""
     with raised_as(DatasetError):
@@ -131,7 +135,7 @@ class ShardSpec(ShardTask):
         GenerationError, DatasetError."""
         rejected, documents = none_rejected(), dict[str, bytes]()
 
-        def drawn() -> Iterator[tuple[Callable[[str], Any], bytes]]:
+        def drawn() -> Iterator[Drawn]:
             left = self.samples
             for n in range(len(self.numbers)):
                 unit = self.draw(self.first_unit + n)
@@ -164,13 +168,12 @@ class ShardReport(Entry):
 
 def put(
     spec: ShardTask,
-    samples: Iterable[tuple[Callable[[str], Any], bytes]],
+    samples: Iterable[Drawn],
     documents: Mapping[str, bytes],
     rejected: Rejections,
 ) -> ShardReport:
-    """Write a shard of `samples`, each a function of its fields' names and its digest, and of
-    worlds: these first, then the samples, which commit it. `documents` and `rejected` are looked at
-    once the samples have come to their end.
+    """Write a shard of `samples` and of worlds: these first, then the samples, which commit it.
+    `documents` and `rejected` are looked at once the samples have come to their end.
 
     Raises DatasetError, and whatever `samples` raise.
     """
