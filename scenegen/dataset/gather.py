@@ -204,12 +204,17 @@ def unlike(first: Json, other: Json) -> str:
     return next(iter(manifest.differences(there, asked)), "")
 
 
+Sources = dict[tuple[str, str], tuple[Manifest, list[str]]]
+"""The datasets that samples were made for, by fingerprint and digest, and the ways in which samples
+of each were taken."""
+
+
 def _plan(
     folder: Path, pieces: Iterable[tuple[Dataset, Chosen]], *, taken: str, nothing: str
 ) -> Plan:
     """The plan of `pieces`, which stand in the order train, val, test; `taken` says how they were
     chosen, and `nothing` what is wrong where there is none."""
-    sources: dict[tuple[str, str], tuple[Manifest, list[str]]] = {}
+    sources: Sources = {}
     counts = dict.fromkeys(SPLITS, 0)
     parts: list[Part] = []
     index = dict.fromkeys(SPLITS, 0)
@@ -252,12 +257,7 @@ def _plan(
     return Plan(folder=folder, parameters=given, shards=tuple(parts), lidars=lidars)
 
 
-def _source(
-    found: dict[tuple[str, str], tuple[Manifest, list[str]]],
-    dataset: Dataset,
-    chosen: Chosen,
-    taken: str,
-) -> tuple[int, Manifest]:
+def _source(found: Sources, dataset: Dataset, chosen: Chosen, taken: str) -> tuple[int, Manifest]:
     """The number, among those `found`, of the dataset for which what is `chosen` was made, and its
     manifest; noted there with the ways in which samples were taken. Raises DatasetError."""
     it = dataset.manifest
