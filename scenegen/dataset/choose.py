@@ -163,6 +163,7 @@ class Choice:
 class Chosen:
     """What is taken of one shard."""
 
+    dataset: Dataset
     entry: Entry
     rows: Ints
     """Its samples that are taken, in order."""
@@ -243,7 +244,8 @@ def _told(split: Split, number: int, choice: Choice, figures: Mapping[str, Float
     for condition in choice.where:
         if condition.name in values:
             kept &= condition.holds(values[condition.name])
-    return Chosen(entry=entry, rows=np.arange(len(places)), places=places).but(kept)
+    rows = np.flatnonzero(kept)
+    return Chosen(dataset=split.dataset, entry=entry, rows=rows, places=places[kept])
 
 
 def _measured(

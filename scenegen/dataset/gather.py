@@ -164,7 +164,7 @@ EMPTY: Json = {
 def plan_take(dataset: Dataset, folder: Path, choice: Choice, *, workers: int = 1) -> Plan:
     """Plan in `folder` the samples of `dataset` that `choice` lets through, in their order. Raises
     DatasetError."""
-    pieces = ((dataset, one) for one in choose(dataset, choice, workers=workers))
+    pieces = choose(dataset, choice, workers=workers)
     nothing = (
         f"{dataset.folder}: no sample is as asked for ({str(choice) or 'any'}); ask for others"
     )
@@ -186,7 +186,7 @@ def plan_merge(datasets: Sequence[Dataset], folder: Path, *, workers: int = 1) -
             )
     check_disjoint(datasets, workers=workers)
     pieces = (
-        (dataset, one)
+        one
         for split in SPLITS
         for dataset in datasets
         for one in choose(dataset, Choice(splits=(split,)))
@@ -204,14 +204,12 @@ def unlike(first: Json, other: Json) -> str:
     return next(iter(manifest.differences(there, asked)), "")
 
 
-Sources = dict[tuple[str, str], tuple[Manifest, list[str]]]
+Sources = dict[tuple[str, str], tuple[Manifest, dict[str, None]]]
 """The datasets that samples were made for, by fingerprint and digest, and the ways in which samples
 of each were taken."""
 
 
-def _plan(
-    folder: Path, pieces: Iterable[tuple[Dataset, Chosen]], *, taken: str, nothing: str
-) -> Plan:
+def _plan(folder: Path, pieces: Iterable[Chosen], *, taken: str, nothing: str) -> Plan:
     """The plan of `pieces`, which stand in the order train, val, test; `taken` says how they were
     chosen, and `nothing` what is wrong where there is none."""
     sources: Sources = {}
@@ -219,13 +217,14 @@ def _plan(
     parts: list[Part] = []
     index = dict.fromkeys(SPLITS, 0)
     here, before = real_path(folder), None
-    for dataset, chosen in pieces:
+    for chosen in pieces:
+        dataset = chosen.dataset
         if dataset is not before and real_path(dataset.folder) in (here, *here.parents):
             raise DatasetError(
                 f"{folder}: is {dataset.folder} itself, or in it; choose another folder with --out"
             )
         before = dataset
-        source, home = _source(sources, dataset, chosen, taken)
+        source, home = _source(sources, chosen, taken)
         split = chosen.entry.split
         start, stop = int(chosen.places[0]), int(chosen.places[-1]) + 1
         worlds, _ = home.numbering(split).name(chosen.places)
@@ -257,27 +256,23 @@ def _plan(
     return Plan(folder=folder, parameters=given, shards=tuple(parts), lidars=lidars)
 
 
-def _source(found: Sources, dataset: Dataset, chosen: Chosen, taken: str) -> tuple[int, Manifest]:
+def _source(found: Sources, chosen: Chosen, taken: str) -> tuple[int, Manifest]:
     """The number, among those `found`, of the dataset for which what is `chosen` was made, and its
     manifest; noted there with the ways in which samples were taken. Raises DatasetError."""
-    it = dataset.manifest
+    it = chosen.dataset.manifest
     home, before = it.home(chosen.entry), [""]
     if it.sources:
         before = it.parameters["sources"][chosen.entry.source]["taken"] or before
     key = home.fingerprint, str(home.digest)
-    ways = found.setdefault(key, (home, []))[1]
-    for old in before:
-        if (way := ", then ".join(filter(None, (old, taken)))) and way not in ways:
-            ways.append(way)
+    ways = [", then ".join(filter(None, (old, taken))) for old in before]
+    found.setdefault(key, (home, {}))[1].update(dict.fromkeys(filter(None, ways)))
     if len(found) > MOST_SOURCES:
-        raise DatasetError(
-            f"{dataset.folder}: more than {MOST_SOURCES} datasets in one; merge fewer"
-        )
+        raise DatasetError(f"{it.folder}: more than {MOST_SOURCES} datasets in one; merge fewer")
     return list(found).index(key), home
 
 
 def gathered(
-    sources: Sequence[tuple[Json, str | None, Sequence[str]]],
+    sources: Sequence[tuple[Json, str | None, Iterable[str]]],
     counts: Mapping[str, int],
     shard_samples: int,
 ) -> Json:
