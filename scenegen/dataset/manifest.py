@@ -86,7 +86,7 @@ def parameters(
     Raises:
         DatasetError: A number is beyond those that readers take.
     """
-    more = entries(recipe)
+    more, scenes = entries(recipe), source.describe()
     return {
         "format": FORMAT,
         "version": version_of(more),
@@ -94,9 +94,7 @@ def parameters(
         "kind": recipe.kind,
         "seed": whole_number("--seed", seed, 0, MOST_SEED),
         "counts": {split: counts[split] for split in SPLITS},
-        "recipe": plain(
-            recipe.resolved() | ({"scenes": source.describe()} if source.describe() else {})
-        ),
+        "recipe": plain(recipe.resolved() | ({"scenes": scenes} if scenes else {})),
         "fields": list(schema_of(recipe).stored(compact=compact)),
         **more,
         "shard_samples": whole_number("--shard-samples", shard_samples, 1, MOST_SAMPLES_IN_SHARD),

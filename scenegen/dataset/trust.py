@@ -271,8 +271,8 @@ def parse(document: Json, folder: Path, named: str | None = None) -> Manifest:
     """
     found = manifest.BEFORE | dict(document)
     plain = checked(Manifest, found, "")
-    check(found, {"shards": LIST, "fields": LIST, "recipe": TABLE}, "")
-    check(found, {"sources": optional(SOURCES_RULE)}, "")
+    tables = {"shards": LIST, "fields": LIST, "recipe": TABLE, "sources": optional(SOURCES_RULE)}
+    check(found, tables, "")
     check(plain["counts"], dict.fromkeys(SPLITS, COUNT), "counts")
     check(plain["rejected"], REJECTED, "rejected")
     check(_RECIPE | found["recipe"], RECIPE_RULES, "recipe")
