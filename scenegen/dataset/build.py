@@ -190,16 +190,17 @@ def _summarise(state: State, final: Json, written: int) -> Summary:
             samples[shard.split] += shard.samples
             source = shard.more.get("source", 0) << 32
             worlds[shard.split].update(source + number for number in shard.numbers)
-    missing = len(state.absent()) or len(plan.shards) - len(reports)
+    whole = final["complete"]
+    missing = 0 if whole else len(state.absent()) or len(plan.shards) - len(reports)
     return Summary(
         folder=plan.folder,
-        complete=final["complete"],
+        complete=whole,
         samples=samples,
         worlds={split: len(found) for split, found in worlds.items()},
         rejected=final["rejected"],
         bytes=sum(report.size for report in reports.values()),
         shards=len(plan.shards),
-        shards_missing=0 if final["complete"] else missing,
+        shards_missing=missing,
         samples_written=written,
         digest=final["digest"],
     )
