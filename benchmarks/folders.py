@@ -110,7 +110,7 @@ def forge(folder: Path, recipe: Path, train: int, test: int, workers: int) -> No
 def _forge(unit: Any, task: tuple[int, Any]) -> None:
     """Write a shard of the one sample of `unit`, as if it were another one's."""
     from scenegen.dataset.shard import put
-    from scenegen.draw import Rejections
+    from scenegen.draw import none_rejected
 
     number, spec = task
     (sample,) = unit.samples
@@ -120,7 +120,7 @@ def _forge(unit: Any, task: tuple[int, Any]) -> None:
     sample = replace(sample, world=spec.first_unit, position=position, origin=origin)
     world = re.sub(rb'pos="(\S+)', rb'pos="\g<1>%06d' % number, unit.world.mjcf, count=1)
     documents = {f"{spec.first_unit:06d}.xml": world}
-    put(spec, [(partial(getattr, sample), sample.sha256())], documents, Rejections())
+    put(spec, [(partial(getattr, sample), sample.sha256())], documents, none_rejected())
 
 
 def _measure(folder: Path, generate: str, given: Options, here: Path) -> None:

@@ -25,7 +25,7 @@ from unittest.mock import patch
 import measuring
 
 from scenegen.dataset.generation import plan_generation
-from scenegen.dataset.shard import write_shard
+from scenegen.dataset.placed import write_shard
 from scenegen.run.workers import cores
 
 STAGES = {

@@ -52,7 +52,7 @@ def measure(kinds: Collection[str], worlds: int, level: str) -> dict[str, dict[s
         if number < 0:  # it compiled kernels
             continue
         taken[kind] += time.process_time() - begin
-        rejected[kind] += sum(unit.rejected.worlds.values())
+        rejected[kind] += sum(unit.rejected["worlds"].values())
         solids = solid(unit.world, "drawn").model.ngeom
         for one in unit.samples:
             hard = difficulty(one.occupancy, one.tudf, recipe.grid.voxel_m)

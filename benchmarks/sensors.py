@@ -14,7 +14,7 @@ from typing import Any
 import measuring
 
 from scenegen.dataset.generation import plan_generation
-from scenegen.dataset.shard import write_shard
+from scenegen.dataset.placed import write_shard
 
 SENSORS = ("velodyne-vlp-16", "ouster-os1-64", "livox-mid-360", "livox-avia", "realsense-d435")
 NOISES = ("range", "dropout", "divergence,range", "grazing", "faint")

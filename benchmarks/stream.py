@@ -15,7 +15,7 @@ import measuring
 
 import scenegen
 from scenegen.dataset.generation import plan_generation
-from scenegen.dataset.shard import write_shard
+from scenegen.dataset.placed import write_shard
 
 BATCH = 8
 

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarsim.grid import Floats
 from lidarsim.jit import kernel
@@ -113,13 +112,13 @@ def _fields(names: Collection[str]) -> list[str]:
     return [*"xyz"]
 
 
-def _read_xyz(content: bytes) -> NDArray[np.generic]:
+def _read_xyz(content: bytes) -> np.ndarray:
     if re.search(rb"(?<!,)\b\d+,\d+[ \t]+[-+]?\d+,\d", content):
         raise ValueError("has commas within numbers, expected 3.5 and not 3,5")
     return _numbers(content.replace(b",", b" "), (0, 1, 2), MOST_POINTS + 1)
 
 
-def _read_ply(content: bytes) -> NDArray[np.generic]:
+def _read_ply(content: bytes) -> np.ndarray:
     """The vertices of a PLY file (Turk 1994), which must come before all other elements, and where
     they were seen from."""
     head, end, _ = content[:MOST_HEADER_BYTES].partition(b"end_header")
@@ -133,31 +132,23 @@ def _read_ply(content: bytes) -> NDArray[np.generic]:
             "expected a header of `format`, then `element vertex`, with x, y and z among its "
             "properties, and no lists"
         ) from None
-    layout = [(name, order + kind, 1) for name, kind in properties.items()]
-    fields = _fields(properties)
-    return _points(memoryview(content)[start:], layout, fields, count, text=not order)
+    layout = np.dtype([(name, order + kind, (1,)) for name, kind in properties.items()])
+    return _points(memoryview(content)[start:], layout, count, text=not order)
 
 
-def _points(
-    content: memoryview,
-    layout: Sequence[tuple[str, str, int]],
-    fields: Sequence[str],
-    count: int,
-    *,
-    text: bool,
-) -> Floats:
-    """The first numbers of `fields` of `count` points. `layout` names what each point has, its
-    type, and how many numbers it is of: a line of `text` a point, or point after point. Raises
-    ValueError for too many points, or fewer than that."""
+def _points(content: memoryview, layout: np.dtype, count: int, *, text: bool) -> Floats:
+    """Where `count` points are, and what they were seen from, see `_fields`: the first numbers of
+    these. `layout` is the type of a point, whose fields are arrays: a line of `text` a point, or
+    point after point. Raises ValueError for too many points, or fewer than that."""
     if not 0 <= count <= MOST_POINTS:
         raise ValueError(f"promises {count} points, expected {MOST_POINTS} at most")
+    names = layout.names or ()
+    fields = _fields(names)
     if text:
-        names, _, many = zip(*layout, strict=True)
-        starts = dict(zip(names, np.cumsum([0, *many]).tolist(), strict=False))
-        points = _numbers(content, [starts[name] for name in fields], count)
+        starts = np.cumsum([0, *(layout[name].shape[0] for name in names)]).tolist()
+        points = _numbers(content, [starts[names.index(name)] for name in fields], count)
     else:
-        dtype = np.dtype([(name, kind, (many,)) for name, kind, many in layout])
-        rows = np.frombuffer(content, dtype, min(count, len(content) // dtype.itemsize))
+        rows = np.frombuffer(content, layout, min(count, len(content) // layout.itemsize))
         points = np.stack([rows[name][:, 0].astype(np.float64) for name in fields], axis=1)
     if len(points) != count:
         raise ValueError(f"promises {count} points and holds {len(points)}")
@@ -194,7 +185,7 @@ def _numbers(text: bytes | memoryview, columns: Sequence[int], most: int) -> Flo
         )
 
 
-def _read_pcd(content: bytes) -> NDArray[np.generic]:
+def _read_pcd(content: bytes) -> np.ndarray:
     """The points of a PCD file, and where they were seen from: fields or its VIEWPOINT
     (pointclouds.org, "The PCD file format")."""
     head, mark, rest = content[:MOST_HEADER_BYTES].partition(b"\nDATA ")
@@ -215,34 +206,32 @@ def _read_pcd(content: bytes) -> NDArray[np.generic]:
         raise ValueError(f"has points of {' '.join(names)[:60]}, expected x, y and z once each")
     repeats = map(int, said.get("COUNT", ["1"] * len(names)))
     types = [PCD_TYPES[kind] + size for kind, size in zip(said["TYPE"], said["SIZE"], strict=True)]
-    layout, fields = list(zip(names, types, repeats, strict=True)), _fields(names)
+    each = zip(names, types, repeats, strict=True)
+    layout = np.dtype([(name, kind, (many,)) for name, kind, many in each])
     count = int(said["POINTS"][0])
     body = memoryview(content)[start:]
     if form == b"binary_compressed":
         body = _unpacked(body, layout, count)
-    points = _points(body, layout, fields, count, text=form == b"ascii")
+    points = _points(body, layout, count, text=form == b"ascii")
     stood = list(map(float, said.get("VIEWPOINT", NOWHERE)))
-    if len(fields) == 3 and stood != NOWHERE:
+    if points.shape[1] == 3 and stood != NOWHERE:
         return np.concatenate([points, np.broadcast_to(stood[:3], points.shape)], axis=1)
     return points
 
 
-def _unpacked(
-    content: memoryview, layout: Sequence[tuple[str, str, int]], count: int
-) -> memoryview:
+def _unpacked(content: memoryview, layout: np.dtype, count: int) -> memoryview:
     """Point after point what a compressed PCD holds: two sizes, and what LZF made of one field's
     values after the other's. Raises ValueError where they do not fit."""
     packed, size = np.frombuffer(content, "<u4", min(2, len(content) // 4)).tolist()
-    dtype = np.dtype([(name, kind, (many,)) for name, kind, many in layout])
-    if size != count * dtype.itemsize or size > MOST_CLOUD_BYTES:
-        raise ValueError(f"unpacks to {size} bytes, expected {dtype.itemsize} for each point")
+    if size != count * layout.itemsize or size > MOST_CLOUD_BYTES:
+        raise ValueError(f"unpacks to {size} bytes, expected {layout.itemsize} for each point")
     columns = np.zeros(size, np.uint8)
     if _unpack_lzf(np.frombuffer(content, np.uint8)[8 : 8 + packed], columns) != size:
         raise ValueError("its compressed points are damaged, or end early")
-    rows, first = np.zeros(count, dtype), 0
-    for name in dtype.names or ():
+    rows, first = np.zeros(count, layout), 0
+    for name in layout.names or ():
         last = first + rows[name].nbytes
-        rows[name] = columns[first:last].view(dtype[name].base).reshape(rows[name].shape)
+        rows[name] = columns[first:last].view(layout[name].base).reshape(rows[name].shape)
         first = last
     return memoryview(rows.tobytes())
 
@@ -282,7 +271,7 @@ def _unpack_lzf(packed, unpacked):
     return written
 
 
-def _read_las(content: bytes) -> NDArray[np.generic]:
+def _read_las(content: bytes) -> np.ndarray:
     """The points of a LAS or LAZ file (ASPRS LAS 1.4), scaled and with its offset, by laspy, which
     damaged files can make hang."""
     return guarded(
@@ -313,23 +302,23 @@ def _unpack_las(content: bytes) -> Floats:
     return points
 
 
-def _read_bin(content: bytes) -> NDArray[np.generic]:
+def _read_bin(content: bytes) -> np.ndarray:
     """KITTI's: x, y, z and intensity, float32, point after point."""
     if len(content) % 16:
         raise ValueError(f"{len(content)} bytes, expected four float32 a point as in KITTI")
     return np.frombuffer(content, "<f4").reshape(-1, 4)
 
 
-def _read_npz(content: bytes) -> NDArray[np.generic]:
+def _read_npz(content: bytes) -> np.ndarray:
     """The array `points` of NumPy's archive."""
     (points,) = read_npz(content, "points", most_bytes=MOST_SCAN_BYTES)
     return points
 
 
-def read_npz(content: bytes, *names: str, most_bytes: int) -> list[NDArray[Any]]:
+def read_npz(content: bytes, *names: str, most_bytes: int) -> list[np.ndarray]:
     """The arrays `names` of NumPy's archive, of at most `most_bytes` bytes each. Raises whatever a
     crafted file leads to."""
-    found = list[NDArray[Any]]()
+    found = list[np.ndarray]()
     with zipfile.ZipFile(io.BytesIO(content)) as members:
         for name in names:
             about = members.getinfo(f"{name}.npy")

@@ -3,8 +3,8 @@ whole method is here."""
 
 import math
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,9 +26,11 @@ from scenegen.worlds.labels import label_fields
 from scenegen.worlds.place import Place
 from scenegen.worlds.world import AnyWorld, World
 
-View = tuple[Sequence[Scan], dict[str, np.ndarray]]
+Truth = dict[str, np.ndarray]
+"""What is there in a viewpoint's map, and what of it is known, by the names of fields."""
+View = tuple[Sequence[Scan], Truth]
 """What one viewpoint gave: its own clean scan, those before it, the last one first, and the truth
-of its map by the names of fields."""
+of its map."""
 WORLD, FLIGHT, NOISE = 0, 1, 2
 """The streams of random numbers of a unit."""
 ADVICE = {
@@ -57,12 +59,13 @@ class UnitKey(NamedTuple):
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
 
 
-@dataclass(frozen=True, eq=False)
-class Rejections:
-    """How many draws were not kept, by reason."""
+Rejections = Mapping[str, Counter[str]]
+"""How many draws were not kept, by reason: of `worlds`, and of `viewpoints`."""
 
-    worlds: Counter[str] = field(default_factory=Counter)
-    viewpoints: Counter[str] = field(default_factory=Counter)
+
+def none_rejected() -> Rejections:
+    """The counts where none was drawn yet."""
+    return {"worlds": Counter(), "viewpoints": Counter()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +105,7 @@ def draw_unit(
     Raises:
         GenerationError: None of `recipe.accept.max_draws` draws was kept.
     """
-    rejected, key = Rejections(), UnitKey(seed, split, unit)
+    rejected, key = none_rejected(), UnitKey(seed, split, unit)
     number, turn = source.number(split, unit)
     for attempt in range(recipe.accept.max_draws):
         world = source.world(split, number, rng=key.rng(WORLD, attempt))
@@ -112,8 +115,8 @@ def draw_unit(
             names = number, turn * recipe.flight.viewpoints
             samples = samples_of(views, recipe, world, caster, key, names, derived)
             return Unit(number, world, samples, rejected)
-    counted = ", ".join(f"{count} {reason}" for reason, count in rejected.worlds.items())
-    advice = "; ".join(ADVICE[reason] for reason, _ in rejected.worlds.most_common())
+    counted = ", ".join(f"{count} {reason}" for reason, count in rejected["worlds"].items())
+    advice = "; ".join(ADVICE[reason] for reason, _ in rejected["worlds"].most_common())
     crowded = () if recipe.world is None else recipe.world.crowded_by
     fewer, more = _turned(crowded, "lower", "raise"), _turned(crowded, "raise", "lower")
     raise GenerationError(
@@ -151,14 +154,14 @@ def _fly(
         if _solids_nearby(world, route, candidates, recipe) < recipe.accept.min_solids:
             reason = "few_solids"
             break
-        kept: list[tuple[float, Scan, dict[str, np.ndarray]]] = []
+        kept: list[tuple[float, Scan, Truth]] = []
         for flown_m in candidates:
             pose = route.pose(flown_m, recipe.mapping)
             apart = [((pose.position - scan.pose.position) ** 2).sum() for _, scan, _ in kept]
             if all(square >= flight.spacing_m * flight.spacing_m for square in apart):
                 view = _look(world, engine, pose, recipe)
                 if isinstance(view, str):
-                    rejected.viewpoints[view] += 1
+                    rejected["viewpoints"][view] += 1
                 else:
                     kept.append((flown_m, *view))
             if len(kept) == flight.viewpoints:
@@ -168,7 +171,7 @@ def _fly(
                     views.append(([scan, *scans_from(before, engine, recipe.lidar)], truth))
                 return views
         reason = "few_viewpoints"
-    rejected.worlds[reason] += 1
+    rejected["worlds"][reason] += 1
     return None
 
 
@@ -181,9 +184,7 @@ def _turned(crowded: tuple[str, ...], verb: str, opposite: str) -> str:
     return said or f"{verb} how many solids, or in a map unknown voxels, there are where it flies"
 
 
-def _look(
-    world: AnyWorld, engine: Caster, pose: Pose, recipe: Recipe
-) -> tuple[Scan, dict[str, np.ndarray]] | str:
+def _look(world: AnyWorld, engine: Caster, pose: Pose, recipe: Recipe) -> tuple[Scan, Truth] | str:
     """The scan and the truth at a viewpoint; the reason not to keep it where there is next to
     nothing, or too little is known."""
     accept, known = recipe.accept, recipe.known
@@ -203,7 +204,7 @@ def _look(
     return scan, truth
 
 
-def truth_of(world: AnyWorld, scan: Scan, recipe: Recipe) -> dict[str, np.ndarray]:
+def truth_of(world: AnyWorld, scan: Scan, recipe: Recipe) -> Truth:
     """The fields of a sample that say what is there at its own `scan`, and what of it is known."""
     truth = world.truth(recipe.grid, recipe.mapping.origin(recipe.grid, scan.pose))
     if recipe.known is not None:

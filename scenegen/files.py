@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from scenegen.errors import DatasetError
-from scenegen.run import undone_if_stopped
+from scenegen.run import undone
 from scenegen.stores import LOCATED, PART, StorePath, Version, note_file
 
 if TYPE_CHECKING:
@@ -187,7 +187,7 @@ def write_whole(path: Path, content: bytes, *, sync: bool = True) -> None:
     if isinstance(path, StorePath):
         path.put(content)
         return
-    with _draft(path, sync) as (_, file):
+    with _draft(path, sync) as file:
         file.write(content)
 
 
@@ -205,8 +205,8 @@ def whole(path: Path) -> Iterator[Path]:
 
     Raises DatasetError where the disk refuses, or where `path` is neither free nor a regular file.
     """
-    with _draft(path) as (draft, _):
-        yield draft
+    with _draft(path) as file:
+        yield Path(file.name)
 
 
 def check_free(path: Path) -> None:
@@ -233,46 +233,39 @@ def whole_folder(path: Path, check: Callable[[Path], None] = check_free) -> Iter
         for stale in (draft, former):
             shutil.rmtree(stale, ignore_errors=True)
 
-    with undone_if_stopped(clear), disk_told(path):
-        try:
-            draft.mkdir()
-            yield draft
-            sync_folder(draft)
-            check(path)
-            if path.exists():
-                path.rename(former)
-            draft.rename(path)
-            sync_folder(path.parent)
-        finally:
-            clear()
+    with disk_told(path), undone(clear):
+        draft.mkdir()
+        yield draft
+        sync_folder(draft)
+        check(path)
+        if path.exists():
+            path.rename(former)
+        draft.rename(path)
+        sync_folder(path.parent)
 
 
 @contextmanager
-def _draft(path: Path, sync: bool = True) -> Iterator[tuple[Path, BinaryIO]]:
-    """What `whole` gives, and the same file opened for writing."""
+def _draft(path: Path, sync: bool = True) -> Iterator[BinaryIO]:
+    """What `whole` gives, opened for writing under its name."""
     check_target(path)
     draft = draft_of(path)
-    with disk_told(path):
-        with undone_if_stopped(lambda: draft.unlink(missing_ok=True)):
-            handle = os.open(
-                draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666
-            )
-            try:
-                with open(handle, "wb") as file:
-                    yield draft, file
-                    file.flush()
-                    there = os.fstat(file.fileno())
-                    with suppress(OSError):
-                        os.setxattr(file.fileno(), MARK, str(there.st_mtime_ns).encode())
-                    if sync:
-                        os.fsync(file.fileno())
-                    if not os.path.samestat(draft.lstat(), there):
-                        raise DatasetError(f"{path}: was exchanged while it was written")
-                check_target(path)
-                draft.replace(path)
-            except BaseException:
-                draft.unlink(missing_ok=True)
-                raise
+    # a file of its own: where somebody else's has this name, it stays
+    with (
+        disk_told(path),
+        open(draft, "xb") as file,
+        undone(lambda: draft.unlink(missing_ok=True)),
+    ):
+        yield file
+        file.flush()
+        there = os.fstat(file.fileno())
+        with suppress(OSError):
+            os.setxattr(file.fileno(), MARK, str(there.st_mtime_ns).encode())
+        if sync:
+            os.fsync(file.fileno())
+        if not os.path.samestat(draft.lstat(), there):
+            raise DatasetError(f"{path}: was exchanged while it was written")
+        check_target(path)
+        draft.replace(path)
         if sync:
             sync_folder(path.parent)
 

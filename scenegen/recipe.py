@@ -15,6 +15,7 @@ from lidarsim import BeamTable, GridSpec, Lidar, Sensor
 from lidarsim.noise.chain import Noise
 from lidarsim.parameters import Checked, number
 from scenegen.errors import RecipeError, printable, raised_as, short
+from scenegen.files import Json
 from scenegen.limits import (
     MOST_CANDIDATES,
     MOST_DRAWS,
@@ -153,7 +154,7 @@ class Recipe:
         """The version of the kind's preset; 0 for worlds from MJCF files."""
         return 0 if self.world is None else self.world.version
 
-    def resolved(self) -> dict[str, Any]:
+    def resolved(self) -> Json:
         """The manifest's `recipe`: all but sensor, noise, grid and mapping, as plain JSON
         values."""
         tables = {"world": self.world, "flight": self.flight, "accept": self.accept}
@@ -222,14 +223,14 @@ def read_recipe(path: Path, kind: str | None = None, **given: Any) -> Recipe:
 
 
 def _with_beside(
-    tables: Mapping[str, Any],
+    tables: Json,
     where: str,
     *,
     lidar: Sensor | None = None,
     noise: str | None = None,
     mapping: Mapping[str, Any] | None = None,
     difficulty: str | None = None,
-) -> dict[str, Any]:
+) -> Json:
     """The tables of a file with what is given beside them, see `preset`; the sensor stands as it
     is. Raises RecipeError where the file has one of them, too."""
     stages = None if noise is None else {"stages": noise}
@@ -244,7 +245,7 @@ def _with_beside(
     return {**tables, **given}
 
 
-def _graded(kind: type[WorldKind], level: Any, at: str) -> dict[str, Any]:
+def _graded(kind: type[WorldKind], level: Any, at: str) -> Json:
     """The parameters in which a kind's preset of this difficulty differs from its defaults."""
     known = {**kind.graded, "medium": {}}
     if not isinstance(level, str) or level not in known:
@@ -254,7 +255,7 @@ def _graded(kind: type[WorldKind], level: Any, at: str) -> dict[str, Any]:
 
 def make_recipe(
     kind: str,
-    tables: dict[str, Any],
+    tables: Json,
     *,
     where: str = "",
     folder: Path = Path(),
@@ -277,7 +278,7 @@ def make_recipe(
     }
     if "known" in tables:
         parts["known"] = Known
-    defaults: dict[str, dict[str, Any]] = {}
+    defaults: dict[str, Json] = {}
     at, tables = f"{where}: " if where else "", _with_beside(tables, where, **given)
     level = tables.pop("difficulty", "medium")
     if kind != "scene":

@@ -293,7 +293,7 @@ class Schema:
         }
 
 
-def earlier_fields(scans: Sequence[Scan]) -> dict[str, NDArray[Any]]:
+def earlier_fields(scans: Sequence[Scan]) -> dict[str, np.ndarray]:
     """The fields of a sample that hold the scans before its own, the last made first; none where
     there is none."""
     if not scans:

@@ -12,13 +12,13 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from scenegen import SPLITS
 from scenegen.errors import BrokenError, RecipeError, SceneError, printable, raised_as
-from scenegen.files import real_path, world_digest
+from scenegen.files import Json, real_path, world_digest
 from scenegen.limits import MOST_ARCHIVE_BYTES, MOST_GEOMS, MOST_MEMBERS, SCENE_BYTES, SCENE_SECONDS
 from scenegen.recipe import Acceptance, Recipe, preset
 from scenegen.run.workers import Limited, run
@@ -45,13 +45,13 @@ class Source(Protocol):
         """The world itself; a source that draws does so from `rng` alone."""
         ...
 
-    def describe(self) -> dict[str, Any]:
-        """What identifies the source, for the manifest."""
-        ...
+    def describe(self) -> Json:
+        """What identifies the source, for the manifest; nothing where the recipe says all."""
+        return {}
 
 
 @dataclass(frozen=True)
-class DrawnWorlds:
+class DrawnWorlds(Source):
     """A new world for every unit, drawn by the recipe's kind."""
 
     recipe: Recipe
@@ -77,10 +77,6 @@ class DrawnWorlds:
             of=(ValueError, BrokenError, SceneError),
         ):
             return write_world(lambda spec: kind.add_to(spec, rng=rng), flight_bounds=bounds)
-
-    def describe(self) -> dict[str, Any]:
-        """Nothing: the recipe says all."""
-        return {}
 
     def class_names(self, by: By) -> set[str]:
         """Classes of its worlds' geoms, as far as the kind says: its `classes`."""
@@ -111,7 +107,7 @@ class SceneWorlds:
         scene = self.scenes[split][number]
         return _compiled(scene.name, scene.mjcf, tuple(scene.assets.items()))
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> Json:
         """The files and their digests, by split."""
         return {
             split: [

@@ -6,7 +6,6 @@ import itertools
 import json
 import re
 import tomllib
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ from lidarsim.parameters import FILE
 from lidarsim.registry import suggestion
 from lidarsim.sensors import FAMILIES, RASTER, SENSORS
 from scenegen.errors import DatasetError, RecipeError, printable, raised_as, short
-from scenegen.files import read_bounded
+from scenegen.files import Json, read_bounded
 from scenegen.limits import MOST_DEPTH, MOST_RECIPE_BYTES, MOST_SOURCES
 
 _DECIMAL = re.compile(r"(?<![\w.])\d+\.\d+(?:[eE][-+]?\d+)?(?![\w.])")
@@ -29,7 +28,7 @@ _INTERVAL = re.compile(
 """How a domain writes an interval: 0.01..0.05, or 1..5 for whole numbers."""
 
 
-def read_toml(path: Path) -> dict[str, Any]:
+def read_toml(path: Path) -> Json:
     """The tables of a TOML file. Raises RecipeError, naming the file."""
     where = printable(path)
     try:
@@ -53,7 +52,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise RecipeError(f"{where}: nested too deeply; expected tables of parameters") from None
 
 
-def from_table(part: Any, table: dict[str, Any], where: str, folder: Path) -> Any:
+def from_table(part: Any, table: Json, where: str, folder: Path) -> Any:
     """An instance of the dataclass `part`, which checks its values, or a copy of the instance
     `part` with the values changed; paths in `table` are relative to `folder`. Raises
     RecipeError."""
@@ -107,7 +106,7 @@ def named_noise(text: str | Noise | None, sensor: Sensor, where: str = "") -> No
         return Noise() if text is None else Noise.parse(text, sensor)
 
 
-def sensor_of(table: Mapping[str, Any], where: str, folder: Path) -> Sensor:
+def sensor_of(table: Json, where: str, folder: Path) -> Sensor:
     """The sensor of a table [lidar]: `sensor` names it, and the other entries are its parameters.
     Paths in it are relative to `folder`. Raises RecipeError, which begins with `where`."""
     given = dict(table)
@@ -154,7 +153,7 @@ def beam_table(sensor: Sensor, where: str = "[lidar]") -> BeamTable:
         raise ValueError(f"{where} sensor {type(sensor).__name__}: {printable(said)}") from None
 
 
-def combinations(domain: Any, at: str, rng: np.random.Generator) -> list[dict[str, dict[str, Any]]]:
+def combinations(domain: Any, at: str, rng: np.random.Generator) -> list[dict[str, Json]]:
     """Every combination of the values that a [domain] lists, as tables; where some have intervals,
     each so often as its `draws` says, with numbers from these. Raises RecipeError."""
     rows = dict(domain) if isinstance(domain, dict) else {"": domain}
@@ -183,7 +182,7 @@ def combinations(domain: Any, at: str, rng: np.random.Generator) -> list[dict[st
     # of a range, `product` would make a tuple
     times = range(min(max(draws, 1), MOST_SOURCES + 1))
     chosen = itertools.product(times, *listed.values())
-    found: list[dict[str, dict[str, Any]]] = []
+    found: list[dict[str, Json]] = []
     for _, *each in itertools.islice(chosen, MOST_SOURCES + 1):
         found.append({})
         for (table, name), value in zip(listed, each, strict=True):

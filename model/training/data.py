@@ -23,8 +23,7 @@ from scenegen.model.config import TrainConfig
 from scenegen.model.inputs import SYMMETRIES, channels, points_of, turned
 from scenegen.model.network import Batch
 from scenegen.sample import Sample, rng_of
-from scenegen.streams.batches import Batches
-from scenegen.streams.stream import Stream
+from scenegen.streams.stream import Batches, Stream
 from scenegen.truth import distance_field
 from scenegen.worlds.mapping import Mapper
 

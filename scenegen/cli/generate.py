@@ -282,9 +282,7 @@ def recipe(kind: str, lidar: str | None, out: Path | None) -> None:
             f"--lidar {lidar}: is no raster, which a recipe file could hold; give it to generate"
         )
     counts = {"train": 0, "val": 0, "test": 0}
-    given = manifest.parameters(
-        found, DrawnWorlds(found), seed=0, counts=counts, compact=False, shard_samples=1
-    )
+    given = manifest.parameters(found, DrawnWorlds(found), seed=0, counts=counts)
     text = recipe_text(given, f"the preset of {kind}, version {found.version}; lengths are metres")
     if out is None:
         say(text.rstrip())

@@ -4,31 +4,25 @@ whole."""
 import math
 import shutil
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
-
-import numpy as np
+from typing import Any
 
 from lidarsim.engines import DEFAULT, MUJOCO
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.layout import layout_of
 from scenegen.dataset.parts import schema_of
-from scenegen.dataset.placed import write_placed
-from scenegen.dataset.shard import ShardReport, ShardSpec, ShardTask, find_engine, write_shard
+from scenegen.dataset.placed import write_shard
+from scenegen.dataset.shard import ShardReport, ShardSpec, ShardTask, find_engine
 from scenegen.dataset.state import Plan, State
-from scenegen.errors import DatasetError, whole_number
+from scenegen.errors import DatasetError
 from scenegen.files import Json, remove_drafts, writable
-from scenegen.limits import (
-    MOST_SAMPLES_IN_SHARD,
-    MOST_SEED,
-    MOST_SHARDS,
-    USUAL_IN_SHARD,
-)
+from scenegen.limits import MOST_SHARDS
 from scenegen.recipe import Recipe
-from scenegen.run import Executor, undone_if_stopped
+from scenegen.run import Executor, undone
 from scenegen.run.workers import Local
 from scenegen.source import Source
 from scenegen.stores import StorePath
@@ -59,31 +53,16 @@ def plan_dataset(
     folder: Path,
     recipe: Recipe,
     source: Source,
-    *,
-    seed: int,
-    counts: Mapping[str, int],
-    compact: bool = False,
-    shard_samples: int = USUAL_IN_SHARD,
-    engine: str = DEFAULT,
+    **options: Any,
 ) -> Plan:
-    """Divide `counts` (samples a split) into shards of about `shard_samples` samples, made of whole
-    units.
+    """Divide the samples that `options` ask for, those of `manifest.parameters`, into shards made
+    of whole units.
 
-    `engine` names what casts the rays; see `lidarsim.engines.ENGINES`. Raises DatasetError for an
-    engine that is not to be had, and for numbers beyond those that readers take.
+    Raises DatasetError for an engine that is not to be had, and for numbers beyond those that
+    readers take.
     """
-    seed = whole_number("--seed", seed, 0, MOST_SEED)
-    shard_samples = whole_number("--shard-samples", shard_samples, 1, MOST_SAMPLES_IN_SHARD)
-    find_engine(engine)
-    given = manifest.parameters(
-        recipe,
-        source,
-        seed=seed,
-        counts=counts,
-        compact=compact,
-        shard_samples=shard_samples,
-        engine=engine,
-    )
+    given = manifest.parameters(recipe, source, **options)
+    find_engine(options.get("engine", DEFAULT))
     return divide(folder, given, recipe, source)
 
 
@@ -170,20 +149,18 @@ def build(
     state.open()
     for report in state.reports.values():
         on_shard(report, False)
-    write = write_placed if isinstance(plan.folder, StorePath) else write_shard
     written, noted = 0, time.monotonic()
-    with undone_if_stopped(lambda: remove_drafts(plan.folder)):
-        try:
-            with closing(execute(write, missing, on_start)) as results:
-                for report in results:
-                    state.reports[report.file] = report
-                    written += report.samples
-                    on_shard(report, True)
-                    if time.monotonic() - noted > NOTE_S:
-                        state.note(mine)
-                        noted = time.monotonic()
-        finally:
-            remove_drafts(plan.folder)
+    with (
+        undone(lambda: remove_drafts(plan.folder)),
+        closing(execute(write_shard, missing, on_start)) as results,
+    ):
+        for report in results:
+            state.reports[report.file] = report
+            written += report.samples
+            on_shard(report, True)
+            if time.monotonic() - noted > NOTE_S:
+                state.note(mine)
+                noted = time.monotonic()
     if written and len(mine) < len(plan.shards):
         state.note(mine)
     return _summarise(state, state.sign(workers=workers), written)
@@ -207,24 +184,23 @@ def _check_space(plan: Plan, missing: list[ShardTask]) -> None:
 def _summarise(state: State, final: Json, written: int) -> Summary:
     plan, reports = state.plan, state.reports
     samples = dict.fromkeys(SPLITS, 0)
-    worlds = {split: [np.empty(0, np.int64)] for split in SPLITS}
+    worlds = {split: set[int]() for split in SPLITS}
     for shard in plan.shards:
         if shard.file in reports:
             samples[shard.split] += shard.samples
-            worlds[shard.split].append(
-                np.unique(shard.numbers) + (shard.more.get("source", 0) << 32)
-            )
+            source = shard.more.get("source", 0) << 32
+            worlds[shard.split].update(source + number for number in shard.numbers)
+    whole = final["complete"]
+    missing = 0 if whole else len(state.absent()) or len(plan.shards) - len(reports)
     return Summary(
         folder=plan.folder,
-        complete=final["complete"],
+        complete=whole,
         samples=samples,
-        worlds={split: len(np.unique(np.concatenate(worlds[split]))) for split in SPLITS},
+        worlds={split: len(found) for split, found in worlds.items()},
         rejected=final["rejected"],
         bytes=sum(report.size for report in reports.values()),
         shards=len(plan.shards),
-        shards_missing=0
-        if final["complete"]
-        else len(state.absent()) or len(plan.shards) - len(reports),
+        shards_missing=missing,
         samples_written=written,
         digest=final["digest"],
     )

@@ -5,7 +5,6 @@ import io
 import operator
 import re
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -164,6 +163,7 @@ class Choice:
 class Chosen:
     """What is taken of one shard."""
 
+    dataset: Dataset
     entry: Entry
     rows: Ints
     """Its samples that are taken, in order."""
@@ -202,8 +202,7 @@ def choose(dataset: Dataset, choice: Choice, *, workers: int = 1) -> Iterator[Ch
             }
             if measured and not kept:
                 tasks = [(n, one.rows) for n, one in found.items()]
-                with closing(run(partial(_measured, split, measured), tasks, workers)) as results:
-                    good = dict(results)
+                good = dict(run(partial(_measured, split, measured), tasks, workers))
                 found = {n: one.but(good[n]) for n, one in found.items()}
             for one in found.values():
                 one = one.but(slice(left))
@@ -245,7 +244,8 @@ def _told(split: Split, number: int, choice: Choice, figures: Mapping[str, Float
     for condition in choice.where:
         if condition.name in values:
             kept &= condition.holds(values[condition.name])
-    return Chosen(entry=entry, rows=np.arange(len(places)), places=places).but(kept)
+    rows = np.flatnonzero(kept)
+    return Chosen(dataset=split.dataset, entry=entry, rows=rows, places=places[kept])
 
 
 def _measured(

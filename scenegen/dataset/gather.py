@@ -1,16 +1,13 @@
 """Datasets made of samples that are there: which may be one, what the new one is to hold, and its
 shards."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from io import BufferedReader
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scenegen import SPLITS
 from scenegen.dataset import manifest
@@ -18,11 +15,11 @@ from scenegen.dataset.archive import open_archive
 from scenegen.dataset.choose import Choice, Chosen, choose
 from scenegen.dataset.layout import DIGEST, Layout, ShardFile, check_sum, open_file, open_shard
 from scenegen.dataset.read import Dataset, advised
-from scenegen.dataset.shard import ShardReport, ShardTask, put, report_of
+from scenegen.dataset.shard import Drawn, ShardReport, ShardTask, put, report_of
 from scenegen.dataset.state import Plan
 from scenegen.dataset.trust import Entry, Manifest
-from scenegen.draw import Rejections
-from scenegen.errors import BrokenError, DatasetError, short
+from scenegen.draw import none_rejected
+from scenegen.errors import BrokenError, DatasetError
 from scenegen.files import Json, real_path, world_digest, write_whole
 from scenegen.limits import MOST_SHARDS, MOST_SOURCES
 from scenegen.run.workers import run
@@ -38,33 +35,29 @@ def check_disjoint(datasets: Sequence[Dataset], *, workers: int = 1) -> None:
     Samples are told apart by their own digests, worlds by the bytes of their MJCF and of the files
     that it refers to.
     """
+    shards = [(dataset, entry) for dataset in datasets for entry in dataset.manifest.shards]
     tasks = [
         (n, dataset.folder, entry, dataset.manifest.home(entry).layout)
-        for n, (dataset, entry) in enumerate(
-            (one, entry) for one in datasets for entry in one.manifest.shards
-        )
+        for n, (dataset, entry) in enumerate(shards)
     ]
-    with closing(run(_look, tasks, workers)) as results:
-        found = sorted(results, key=lambda one: one[0])
-    names = [f"{there}/{entry.file}" for _, there, entry, _ in tasks]
-    splits = np.array([SPLITS.index(entry.split) for _, _, entry, _ in tasks])
-    for one, other in _twice([samples for _, samples, _ in found]):
+    found = dict(run(_look, tasks, workers))
+    names = [dataset.folder / entry.file for dataset, entry in shards]
+    for one, other in _twice([found[n][0] for n in range(len(shards))]):
         raise DatasetError(
             f"{names[one]} and {names[other]}: hold the same sample; leave one of the two "
             f"datasets out, or make one with another --seed"
         )
-    for one, other in _twice([worlds for _, _, worlds in found]):
-        if splits[one] != splits[other]:
+    for one, other in _twice([found[n][1] for n in range(len(shards))]):
+        if shards[one][1].split != shards[other][1].split:
             raise DatasetError(
                 f"{names[one]} and {names[other]}: samples of one world would be in two splits; "
                 "take one split of either, with `scenegen take --split`"
             )
 
 
-def _look(
-    task: tuple[int, Path, Entry, Layout],
-) -> tuple[int, NDArray[np.uint64], NDArray[np.uint64]]:
-    """A shard's number, and the first bytes of the digests of its samples and of its worlds."""
+def _look(task: tuple[int, Path, Entry, Layout]) -> tuple[int, tuple[np.ndarray, np.ndarray]]:
+    """A shard's number, and the first bytes of the digests of its samples and of its worlds, as
+    whole numbers."""
     number, there, entry, layout = task
     path, archive, worlds = there / entry.file, entry.worlds, b""
     with advised(there):
@@ -73,14 +66,11 @@ def _look(
         with open_file(there / archive) as file, open_archive(file, archive) as members:
             for name in sorted(name for name in members if name.endswith(".xml")):
                 worlds += world_digest(*members.world(name))[:KEPT]
-    return (
-        number,
-        np.ascontiguousarray(own[:, :KEPT]).view(np.uint64)[:, 0],
-        np.frombuffer(worlds, np.uint64),
-    )
+    samples = np.ascontiguousarray(own[:, :KEPT]).view(np.uint64)[:, 0]
+    return number, (samples, np.frombuffer(worlds, np.uint64))
 
 
-def _twice(digests: Sequence[NDArray[np.uint64]]) -> list[tuple[int, int]]:
+def _twice(digests: Sequence[np.ndarray]) -> list[tuple[int, int]]:
     """Pairs of shards that have a digest in common, one for each digest's neighbours."""
     owner = np.repeat(np.arange(len(digests)), [len(one) for one in digests])
     values = np.concatenate([*digests, np.empty(0, np.uint64)])
@@ -138,7 +128,7 @@ class Part(ShardTask):
             write_whole(self.folder / target, content := file.read())
             size += len(content)
         own = shard.column(DIGEST).tobytes()
-        return report_of(self, self.entry.sums, size, Rejections(**shard.rejected()), own)
+        return report_of(self, self.entry.sums, size, shard.rejected(), own)
 
     def _repack(
         self, worlds: BufferedReader, shard: ShardFile, rows: tuple[int, ...]
@@ -152,13 +142,13 @@ class Part(ShardTask):
                 document, others = members.world(member)
                 documents |= {member: document, **others}
 
-        def stored() -> Iterator[tuple[Callable[[str], Any], bytes]]:
+        def stored() -> Iterator[Drawn]:
             for row in rows:
                 yield partial(shard.value, row=row), shard.value(DIGEST, row).tobytes()
 
         # what was rejected on the way to the whole shard cannot be told apart; the source's own
         # manifest has it
-        return put(self, stored(), documents, Rejections())
+        return put(self, stored(), documents, none_rejected())
 
 
 EMPTY: Json = {
@@ -174,7 +164,7 @@ EMPTY: Json = {
 def plan_take(dataset: Dataset, folder: Path, choice: Choice, *, workers: int = 1) -> Plan:
     """Plan in `folder` the samples of `dataset` that `choice` lets through, in their order. Raises
     DatasetError."""
-    pieces = ((dataset, one) for one in choose(dataset, choice, workers=workers))
+    pieces = choose(dataset, choice, workers=workers)
     nothing = (
         f"{dataset.folder}: no sample is as asked for ({str(choice) or 'any'}); ask for others"
     )
@@ -192,12 +182,11 @@ def plan_merge(datasets: Sequence[Dataset], folder: Path, *, workers: int = 1) -
     for other in datasets[1:]:
         if said := unlike(first.manifest.parameters, other.manifest.parameters):
             raise DatasetError(
-                f"{other.folder}: {said[0]} is {said[2]} there, and {said[1]} in {first.folder}; "
-                "merge datasets that share it"
+                f"{other.folder}: {said} by {first.folder}; merge datasets that share it"
             )
     check_disjoint(datasets, workers=workers)
     pieces = (
-        (dataset, one)
+        one
         for split in SPLITS
         for dataset in datasets
         for one in choose(dataset, Choice(splits=(split,)))
@@ -205,38 +194,37 @@ def plan_merge(datasets: Sequence[Dataset], folder: Path, *, workers: int = 1) -
     return _plan(folder, pieces, taken="", nothing="the datasets hold no sample; merge others")
 
 
-def unlike(first: Json, other: Json) -> tuple[str, str, str] | None:
-    """The first parameter in which two datasets differ that cannot be in one: its name, and its
-    values, for people; None where there is none."""
-    ours, theirs = manifest.completed(first), manifest.completed(other)
-    for name in manifest.differing(ours, [theirs]):
-        if name in manifest.MAY_DIFFER:
-            continue
-        one, two = ours.get(name), theirs.get(name)
-        if isinstance(one, dict) and isinstance(two, dict):
-            part = next(key for key in (*one, *two) if one.get(key) != two.get(key))
-            name, one, two = f"{name}.{part}", one.get(part), two.get(part)
-        return name, short(one), short(two)
-    return None
+def unlike(first: Json, other: Json) -> str:
+    """The first parameter in which datasets of these parameters differ, and cannot be in one, as
+    `manifest.differences` says it of the other; "" where there is none."""
+    names = [name for name in manifest.ALIKE if name not in manifest.MAY_DIFFER]
+    there, asked = (
+        {name: one.get(name) for name in names} for one in map(manifest.completed, (other, first))
+    )
+    return next(iter(manifest.differences(there, asked)), "")
 
 
-def _plan(
-    folder: Path, pieces: Iterable[tuple[Dataset, Chosen]], *, taken: str, nothing: str
-) -> Plan:
+Sources = dict[tuple[str, str], tuple[Manifest, dict[str, None]]]
+"""The datasets that samples were made for, by fingerprint and digest, and the ways in which samples
+of each were taken."""
+
+
+def _plan(folder: Path, pieces: Iterable[Chosen], *, taken: str, nothing: str) -> Plan:
     """The plan of `pieces`, which stand in the order train, val, test; `taken` says how they were
     chosen, and `nothing` what is wrong where there is none."""
-    sources: dict[tuple[str, str], tuple[Manifest, list[str]]] = {}
+    sources: Sources = {}
     counts = dict.fromkeys(SPLITS, 0)
     parts: list[Part] = []
     index = dict.fromkeys(SPLITS, 0)
     here, before = real_path(folder), None
-    for dataset, chosen in pieces:
+    for chosen in pieces:
+        dataset = chosen.dataset
         if dataset is not before and real_path(dataset.folder) in (here, *here.parents):
             raise DatasetError(
                 f"{folder}: is {dataset.folder} itself, or in it; choose another folder with --out"
             )
         before = dataset
-        source, home = _source(sources, dataset, chosen, taken)
+        source, home = _source(sources, chosen, taken)
         split = chosen.entry.split
         start, stop = int(chosen.places[0]), int(chosen.places[-1]) + 1
         worlds, _ = home.numbering(split).name(chosen.places)
@@ -268,32 +256,23 @@ def _plan(
     return Plan(folder=folder, parameters=given, shards=tuple(parts), lidars=lidars)
 
 
-def _source(
-    found: dict[tuple[str, str], tuple[Manifest, list[str]]],
-    dataset: Dataset,
-    chosen: Chosen,
-    taken: str,
-) -> tuple[int, Manifest]:
+def _source(found: Sources, chosen: Chosen, taken: str) -> tuple[int, Manifest]:
     """The number, among those `found`, of the dataset for which what is `chosen` was made, and its
     manifest; noted there with the ways in which samples were taken. Raises DatasetError."""
-    it = dataset.manifest
+    it = chosen.dataset.manifest
     home, before = it.home(chosen.entry), [""]
     if it.sources:
         before = it.parameters["sources"][chosen.entry.source]["taken"] or before
     key = home.fingerprint, str(home.digest)
-    ways = found.setdefault(key, (home, []))[1]
-    for old in before:
-        if (way := ", then ".join(filter(None, (old, taken)))) and way not in ways:
-            ways.append(way)
+    ways = [", then ".join(filter(None, (old, taken))) for old in before]
+    found.setdefault(key, (home, {}))[1].update(dict.fromkeys(filter(None, ways)))
     if len(found) > MOST_SOURCES:
-        raise DatasetError(
-            f"{dataset.folder}: more than {MOST_SOURCES} datasets in one; merge fewer"
-        )
+        raise DatasetError(f"{it.folder}: more than {MOST_SOURCES} datasets in one; merge fewer")
     return list(found).index(key), home
 
 
 def gathered(
-    sources: Sequence[tuple[Json, str | None, Sequence[str]]],
+    sources: Sequence[tuple[Json, str | None, Iterable[str]]],
     counts: Mapping[str, int],
     shard_samples: int,
 ) -> Json:

@@ -20,6 +20,7 @@ from scenegen.dataset.read import Dataset
 from scenegen.dataset.shard import ShardTask
 from scenegen.dataset.state import Plan
 from scenegen.errors import AskedError, RecipeError, SceneError, printable, short, whole_number
+from scenegen.files import Json
 from scenegen.limits import MOST_SAMPLES, MOST_SOURCES, MOST_WEIGHT
 from scenegen.recipe import Recipe, make_recipe, preset, read_recipe
 from scenegen.recipes import kind_names
@@ -109,7 +110,8 @@ def plan_generation(
         seed: The same seed gives the same dataset.
         allow_unseen: Whether scenes may have geoms that rays cannot see.
         tell: Called with a sentence for whatever of the scenes is left out.
-        more: `engine`, `compact` and `shard_samples`; see `plan_dataset`.
+        more: `engine`, `compact` and `shard_samples`; see
+            `scenegen.dataset.manifest.parameters`.
 
     Raises:
         RecipeError, SceneError, DatasetError: What is asked for cannot be.
@@ -120,10 +122,10 @@ def plan_generation(
         )
     if kind is not None and scene is not None:
         raise AskedError("a kind draws worlds and a scene has them; give one of the two")
-    named, path = ("scene", Path(scene)) if scene is not None else (kind, None)
+    named = kind if scene is None else "scene"
     sensor = named_lidar(lidar) if isinstance(lidar, str) else lidar
-    given: dict[str, Any] = {"lidar": sensor, "noise": noise}
-    given |= {"mapping": mapping, "difficulty": difficulty}
+    given: Json = {"lidar": sensor, "noise": noise, "mapping": mapping, "difficulty": difficulty}
+    file = Path(recipe) if isinstance(recipe, str | Path) else None
     if isinstance(recipe, Recipe):
         if named not in (None, recipe.kind) or any(given.values()):
             raise AskedError(
@@ -131,49 +133,45 @@ def plan_generation(
                 f"out a kind, {', '.join(given)}"
             )
         asked = recipe
-    elif named == MIXED or (recipe is not None and is_mixed(Path(recipe))):
+    elif named == MIXED or (file is not None and is_mixed(file)):
         if named not in (None, MIXED):
             raise RecipeError(f"{recipe}: is of several kinds, not of {named}; leave --kind out")
-        parts = read_components(None if recipe is None else Path(recipe), seed=seed, **given)
         parts = [
             (dataclasses.replace(one, labels=_labels(labels, DrawnWorlds(one))), weight)
-            for one, weight in parts
+            for one, weight in read_components(file, seed=seed, **given)
         ]
         counts = _counts(n, val, test, alone=False)
         return plan_mixed(_folder(out, MIXED), parts, seed=seed, counts=counts, **more)
-    elif recipe is not None:
-        asked = read_recipe(Path(recipe), named, **given)
+    elif file is not None:
+        asked = read_recipe(file, named, **given)
     else:
         assert named is not None
         asked = preset(named, **given)
-    alone = False
     source: DrawnWorlds | SceneWorlds
-    if path is not None:
+    if scene is not None:
         source = read_scenes(
-            path,
+            Path(scene),
             {"train": n, "val": val, "test": test},
             seed=seed,
             allow_unseen=allow_unseen,
             materials=labels in ("class", "material"),
         )
-        alone = sum(map(len, source.scenes.values())) == 1
         for line in source.notes:
             tell(line)
-    elif asked.world is None:
-        raise RecipeError('a recipe of kind "scene" needs the worlds, too: give a scene')
-    else:
-        source = DrawnWorlds(asked)
-    asked = dataclasses.replace(asked, labels=_labels(labels, source) or asked.labels)
-    if isinstance(source, SceneWorlds):
-        asked = source.suited(asked)
         if source.maps and more.get("engine", DEFAULT) != DEFAULT:
             raise SceneError(
                 f"{source.maps[0]}: is a map of voxels, which has no engine but its own; leave "
                 "--engine out"
             )
+        asked, name = source.suited(asked), Path(scene).stem
+        alone = sum(map(len, source.scenes.values())) == 1
+    elif asked.world is None:
+        raise RecipeError('a recipe of kind "scene" needs the worlds, too: give a scene')
+    else:
+        source, alone = DrawnWorlds(asked), False
+        name = asked.kind.rpartition(":")[2]  # data/Towers for my_worlds:Towers
+    asked = dataclasses.replace(asked, labels=_labels(labels, source) or asked.labels)
     counts = _counts(n, val, test, alone=alone)
-    # data/Towers for my_worlds:Towers
-    name = path.stem if path is not None else asked.kind.rpartition(":")[2]
     return plan_dataset(_folder(out, name), asked, source, seed=seed, counts=counts, **more)
 
 
@@ -259,7 +257,7 @@ def read_components(path: Path | None = None, *, seed: int = 0, **given: Any) ->
     return found
 
 
-def _over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+def _over(below: Json, above: Json) -> Json:
     """The tables `below` with the values of those `above` on top."""
     found = dict(below)
     for name, table in above.items():
@@ -310,8 +308,8 @@ def plan_mixed(
     for plan, (recipe, _) in zip(plans, components, strict=True):
         if said := unlike(plans[0].parameters, plan.parameters):
             raise RecipeError(
-                f"mixed: {said[0]} of {recipe.kind} is {said[2]}, and of {components[0][0].kind} "
-                f"{said[1]}; give all components the same"
+                f"mixed: component {recipe.kind}: {said} by {components[0][0].kind}; give all "
+                "components the same"
             )
     shards: list[ShardTask] = []
     for split in SPLITS:

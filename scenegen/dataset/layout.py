@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 
 import isal.isal_zlib
 import numpy as np
-from numpy.typing import NDArray
 
 from scenegen.dataset.hdf5 import Hdf5Error, Stored, read_index
 from scenegen.dataset.rules import REJECTED, check
@@ -87,7 +86,7 @@ class ShardFile:
         # a single value is a number, and no array
         return values.view(column.dtype).reshape(column.shape[1:])[()]
 
-    def column(self, name: str) -> NDArray[Any]:
+    def column(self, name: str) -> np.ndarray:
         """A field of all samples, (N, ...). Raises BrokenError."""
         rows = range(len(self.columns[name].places))
         return np.stack([self.value(name, row, read_only=True) for row in rows])

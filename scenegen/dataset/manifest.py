@@ -13,9 +13,15 @@ from lidarsim.engines import DEFAULT, MUJOCO
 from lidarsim.parameters import MOST_SHOWN
 from scenegen import GENERATOR, SPLITS, __version__
 from scenegen.dataset.parts import NAMES, PARTS, entries, plain, schema_of
-from scenegen.errors import DatasetError, StoreError, printable, short
+from scenegen.errors import DatasetError, StoreError, printable, short, whole_number
 from scenegen.files import Json, read_bounded, sha256_of, write_whole
-from scenegen.limits import MOST_DEPTH, MOST_MANIFEST_BYTES
+from scenegen.limits import (
+    MOST_DEPTH,
+    MOST_MANIFEST_BYTES,
+    MOST_SAMPLES_IN_SHARD,
+    MOST_SEED,
+    USUAL_IN_SHARD,
+)
 from scenegen.run.software import software
 from scenegen.stores import ConflictError
 
@@ -61,26 +67,37 @@ def parameters(
     *,
     seed: int,
     counts: Mapping[str, int],
-    compact: bool,
-    shard_samples: int,
+    compact: bool = False,
+    shard_samples: int = USUAL_IN_SHARD,
     engine: str = DEFAULT,
 ) -> Json:
     """The part of the manifest that is known before anything is drawn, and decides everything
-    after."""
-    more = entries(recipe)
+    after.
+
+    Args:
+        recipe: What samples hold.
+        source: Where worlds come from.
+        seed: What everything is drawn by.
+        counts: Samples of each split.
+        compact: Whether fields that follow from others are left out.
+        shard_samples: About how many samples a shard has.
+        engine: Names what casts the rays; see `lidarsim.engines.ENGINES`.
+
+    Raises:
+        DatasetError: A number is beyond those that readers take.
+    """
+    more, scenes = entries(recipe), source.describe()
     return {
         "format": FORMAT,
         "version": version_of(more),
         "generator": GENERATOR,
         "kind": recipe.kind,
-        "seed": seed,
+        "seed": whole_number("--seed", seed, 0, MOST_SEED),
         "counts": {split: counts[split] for split in SPLITS},
-        "recipe": plain(
-            recipe.resolved() | ({"scenes": source.describe()} if source.describe() else {})
-        ),
+        "recipe": plain(recipe.resolved() | ({"scenes": scenes} if scenes else {})),
         "fields": list(schema_of(recipe).stored(compact=compact)),
         **more,
-        "shard_samples": shard_samples,
+        "shard_samples": whole_number("--shard-samples", shard_samples, 1, MOST_SAMPLES_IN_SHARD),
         **({} if engine == MUJOCO else {"engine": engine}),
         "software": software(),
     }
@@ -130,7 +147,7 @@ def differing(given: Json, others: Iterable[Json]) -> list[str]:
     return [name for name in ALIKE if any(one.get(name) != given.get(name) for one in others)]
 
 
-def differences(there: Mapping[str, Any], asked: Mapping[str, Any], prefix: str = "") -> list[str]:
+def differences(there: Json, asked: Json, prefix: str = "") -> list[str]:
     """Where two sets of parameters differ: "name: there, asked", nested names joined by dots."""
     found = []
     for name in [*there, *(name for name in asked if name not in there)]:
@@ -153,7 +170,7 @@ def _said(value: Any) -> str:
 def assemble(given: Json, reports: Sequence["ShardReport"], *, complete: bool) -> Json:
     """The manifest of the shards reported, in order."""
     rejected = {
-        what: sum((getattr(report.rejected, what) for report in reports), Counter[str]())
+        what: sum((Counter(report.rejected[what]) for report in reports), Counter[str]())
         for what in ("worlds", "viewpoints")
     }
     digest = sha256_of(b"".join(report.digests for report in reports))

@@ -83,7 +83,7 @@ def grid_entry(grid: GridSpec) -> Json:
     }
 
 
-def _read_grid(entry: Any, before: Mapping[str, Any]) -> GridSpec:
+def _read_grid(entry: Any, before: Json) -> GridSpec:
     grid = made(GridSpec, entry, "grid", GRID, needed=NEEDED)
     if math.prod(grid.shape) > MOST_VOXELS:
         raise BrokenError(
@@ -107,7 +107,7 @@ def sensor_entry(sensor: Sensor) -> Json:
     }
 
 
-def read_sensor(entry: Any, before: Mapping[str, Any]) -> Json:
+def read_sensor(entry: Any, before: Json) -> Json:
     """A sensor's entry, checked. Raises BrokenError."""
     if isinstance(entry, Mapping) and "sensor" in entry:
         check(entry, _TABLE_OF_RAYS, "lidar", _TABLE_OF_RAYS)
@@ -181,10 +181,10 @@ def noise_entry(noise: "Noise", max_range_m: float) -> Json | None:
     return entry
 
 
-def _read_plain(name: str, rules: Mapping[str, Rule]) -> Callable[[Any, Mapping[str, Any]], Any]:
+def _read_plain(name: str, rules: Mapping[str, Rule]) -> Callable[[Any, Json], Any]:
     """What reads an entry that stays a table, where it is there."""
 
-    def read(entry: Any, before: Mapping[str, Any]) -> Any:
+    def read(entry: Any, before: Json) -> Any:
         if entry is not None:
             check(entry, rules, name, rules)
         return entry
@@ -222,7 +222,7 @@ def described(mapping: Mapper) -> Json:
     return plain(dataclasses.asdict(Mapper() if mapping.plain else mapping))
 
 
-def _read_mapping(entry: Any, before: Mapping[str, Any]) -> Mapper:
+def _read_mapping(entry: Any, before: Json) -> Mapper:
     if entry is None:
         return Mapper()
     mapping = made(Mapper, entry, "mapping")
@@ -250,7 +250,7 @@ class Part:
     """The first version of the format in which manifests may have the entry."""
     entry: Callable[["Recipe"], Any]
     """The entry that a recipe has in the manifest; None for none."""
-    read: Callable[[Any, Mapping[str, Any]], Any]
+    read: Callable[[Any, Json], Any]
     """What `Manifest` holds, from the entry (None where it is not there) and the parts before it.
     Raises BrokenError."""
     group: str = ""

@@ -2,18 +2,16 @@
 store."""
 
 import json
-from collections import Counter
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from scenegen.dataset.rules import DIGEST, LIST, check, checked
-from scenegen.dataset.shard import ShardReport, ShardTask, read_report, write_shard
+from scenegen.dataset.rules import DIGEST, LIST, REJECTED, check, checked, rules_of
+from scenegen.dataset.shard import ShardReport, ShardTask, read_report, report_of
 from scenegen.dataset.trust import Entry
-from scenegen.draw import Rejections
 from scenegen.errors import BrokenError, DatasetError
-from scenegen.files import read_bounded, sha256_of, write_whole
+from scenegen.files import Json, read_bounded, sha256_of, write_whole
 from scenegen.limits import MOST_MANIFEST_BYTES, MOST_SAMPLES_IN_SHARD
 from scenegen.stores import StorePath, Version
 
@@ -59,16 +57,18 @@ MOST_BYTES = 10_000 + 80 * MOST_SAMPLES_IN_SHARD
 """A report is no larger."""
 
 
-def write_placed(spec: ShardTask) -> ShardReport:
-    """`write_shard` at a place, and the shard's report beside it. Raises StoreError as well."""
-    report = write_shard(spec)
-    _note(spec, report, [place.version for place in _places(spec)])
+def write_shard(spec: ShardTask) -> ShardReport:
+    """Write a shard, whatever its samples come from, and at a place its report beside it. Pure but
+    for its files. Raises GenerationError, DatasetError, StoreError."""
+    report = spec.write()
+    if isinstance(spec.folder, StorePath):
+        _note(spec, report, [place.version for place in _places(spec)])
     return report
 
 
 def look(
     there: Mapping[str, Version], tasks: Sequence[tuple[ShardTask, Entry | None]]
-) -> Generator[ShardReport | None, None, None]:
+) -> Iterator[ShardReport | None]:
     """The reports of shards, each with what the manifest lists of it, at the place where objects
     are `there`, by their versions; None for one that is not as it should be.
 
@@ -82,7 +82,7 @@ def look(
         now = [there.get(name) for name in (spec.file, spec.worlds)]
         report = _noted(spec, now, there) if None not in now else None
         if report is None or (listed and report.sums != listed.sums):
-            report = read_report(spec, listed, verify=True)
+            report = read_report(task)
             if report is None:
                 for place in _places(spec):
                     place.unlink(missing_ok=True)
@@ -101,17 +101,22 @@ def _places(spec: ShardTask) -> list[Any]:
     return [spec.folder / spec.file, spec.folder / spec.worlds]
 
 
-def _note(spec: ShardTask, report: ShardReport, versions: Iterable[str | None]) -> None:
-    said = {
+def _said(spec: ShardTask, report: ShardReport, versions: Sequence[Version]) -> Json:
+    """What stands in the report beside a shard whose objects are of these versions."""
+    return {
         "parameters": spec.parameters,
-        "versions": list(versions),
+        "versions": versions,
         **report.entry(),
         "size": report.size,
-        "rejected": vars(report.rejected),
+        "rejected": report.rejected,
         "digests": report.digests.hex(),
     }
+
+
+def _note(spec: ShardTask, report: ShardReport, versions: Sequence[Version]) -> None:
+    content = json.dumps(_said(spec, report, versions)).encode()
     assert isinstance(spec.folder, StorePath)
-    spec.folder.store.put(_report_name(spec), json.dumps(said).encode())
+    spec.folder.store.put(_report_name(spec), content)
 
 
 def _report_name(spec: ShardTask) -> str:
@@ -124,20 +129,12 @@ def _noted(
     """What the report beside a shard says, if it is of just these objects."""
     if (name := _report_name(spec)) not in there:
         return None
-    try:
+    with suppress(FileNotFoundError, DatasetError, ValueError, KeyError, TypeError):
         said = json.loads(read_bounded(spec.folder / name, MOST_BYTES))
-        report = ShardReport(
-            **checked(Entry, said, ""),
-            size=said["size"],
-            rejected=Rejections(*map(Counter, map(said["rejected"].get, ("worlds", "viewpoints")))),
-            digests=bytes.fromhex(said["digests"]),
-            more=spec.more,
-        )
-        fits = (said["parameters"], said["versions"], report.samples) == (
-            spec.parameters,
-            list(now),
-            spec.samples,
-        )
-        return report if fits and len(report.digests) == 32 * spec.samples else None
-    except (FileNotFoundError, DatasetError, ValueError, KeyError, TypeError, AttributeError):
-        return None
+        check(said, rules_of(Entry), "")
+        check(said["rejected"], REJECTED, "")
+        sums, digests = (said["sha256"], said["worlds_sha256"]), bytes.fromhex(said["digests"])
+        report = report_of(spec, sums, said["size"], said["rejected"], digests)
+        if said == _said(spec, report, now) and len(digests) == 32 * spec.samples:
+            return report
+    return None

@@ -145,11 +145,15 @@ class Dataset:
     def _by_world(self) -> dict[str, list[tuple[int, trust.Entry]]]:
         """The shards of each split, with the number of the first world of each, in the order of
         these: there may be very many, of which one is looked for."""
-        found: dict[str, list[tuple[int, trust.Entry]]] = {}
-        for entry in self.manifest.shards:
-            first = self.manifest.first_worlds[entry.split, entry.source] + entry.first_world
-            found.setdefault(entry.split, []).append((first, entry))
-        return {split: sorted(shards, key=FIRST) for split, shards in found.items()}
+        before = self.manifest.first_worlds
+        found = [
+            (before[entry.split, entry.source] + entry.first_world, entry)
+            for entry in self.manifest.shards
+        ]
+        return {
+            split: sorted((one for one in found if one[1].split == split), key=FIRST)
+            for split in SPLITS
+        }
 
     def _shard(self, entry: trust.Entry) -> ShardFile:
         """An open shard, of this dataset by its own word."""

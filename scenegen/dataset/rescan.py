@@ -12,7 +12,7 @@ import numpy as np
 from lidarsim import Pose, Sensor
 from lidarsim.engines import ENGINES, EngineFactory
 from lidarsim.noise.chain import Noise
-from scenegen import GENERATOR, SPLITS
+from scenegen import GENERATOR
 from scenegen.dataset import manifest
 from scenegen.dataset.build import divide
 from scenegen.dataset.parts import NAMES, entries, schema_of
@@ -21,9 +21,9 @@ from scenegen.dataset.shard import ShardSpec, find_engine
 from scenegen.dataset.state import Plan
 from scenegen.draw import (
     FLIGHT,
-    Rejections,
     Unit,
     UnitKey,
+    none_rejected,
     samples_of,
     scans_from,
     truth_of,
@@ -32,6 +32,7 @@ from scenegen.errors import DatasetError, GenerationError, raised_as, short
 from scenegen.files import real_path
 from scenegen.recipe import Recipe
 from scenegen.run.software import software
+from scenegen.source import Source
 from scenegen.worlds.flight import fly, viewpoints
 from scenegen.worlds.world import AnyWorld
 
@@ -89,17 +90,14 @@ def scan_again(
         scans = scans_from(before, caster, recipe.lidar)
         views.append((scans, truth_of(world, scans[0], recipe)))
     samples = samples_of(views, recipe, world, caster, key, names, derived)
-    return Unit(names[0], world, samples, Rejections())
+    return Unit(names[0], world, samples, none_rejected())
 
 
 @dataclass(frozen=True, eq=False)
-class Archived:
+class Archived(Source):
     """The worlds of a dataset, as a `Source`: read from its archives, and never drawn."""
 
     folder: Path
-    scenes: Mapping[str, int] | None
-    """Worlds of each split, where MJCF files were visited in turn; None where each flight has a
-    world of its own."""
 
     @cached_property
     def dataset(self) -> Dataset:
@@ -108,13 +106,13 @@ class Archived:
         return Dataset(self.folder, checked=True)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"folder": self.folder, "scenes": self.scenes}
+        return {"folder": self.folder}
 
     def number(self, split: str, unit: int) -> tuple[int, int]:
         """See `Source.number`."""
-        if self.scenes is None:
-            return unit, 0
-        return unit % self.scenes[split], unit // self.scenes[split]
+        numbering = self.dataset.manifest.numbering(split)
+        world, viewpoint = numbering.name(unit * numbering.viewpoints)
+        return world, viewpoint // numbering.viewpoints
 
     def world(self, split: str, number: int, *, rng: np.random.Generator) -> AnyWorld:
         """See `Source.world`; nothing is drawn."""
@@ -123,17 +121,6 @@ class Archived:
     @lru_cache(maxsize=8)  # noqa: B019 (flights through a world from a file share it)
     def _world(self, split: str, number: int) -> AnyWorld:
         return self.dataset.compile(split, number)
-
-    def describe(self) -> dict[str, Any]:
-        """See `Source.describe`."""
-        return {}
-
-    def poses(self, split: str, samples: Sequence[int]) -> list[list[Pose]]:
-        """Poses of the sensor, by the samples' places in their split: of each its own, and those
-        before it, the last one first. Raises DatasetError."""
-        found = self.dataset.split(split)
-        with raised_as(DatasetError, f"{self.folder}: {split} sample: ", "; verify the dataset"):
-            return [[scan.pose for scan in found[place].scans()] for place in samples]
 
 
 @dataclass(frozen=True)
@@ -144,14 +131,15 @@ class RescanSpec(ShardSpec):
         """See `ShardSpec.draw`: the unit as it was flown, scanned by the recipe's sensor and
         noise."""
         source: Any = self.source
-        each = self.recipe.flight.viewpoints
-        begin = unit * each
-        places = range(begin, min(begin + each, len(source.dataset.split(self.split))))
+        dataset, each = source.dataset, self.recipe.flight.viewpoints
+        samples = dataset.split(self.split)[unit * each : (unit + 1) * each]
         number, turn = source.number(self.split, unit)
         world = source.world(self.split, number, rng=np.random.default_rng(0))
         key = UnitKey(self.seed, self.split, unit)
-        mapping, there = self.recipe.mapping, source.dataset.manifest.mapping
-        poses = [stored[: mapping.scans] for stored in source.poses(self.split, places)]
+        mapping, there = self.recipe.mapping, dataset.manifest.mapping
+        odd = f"{dataset.folder}: {self.split} sample: "
+        with raised_as(DatasetError, odd, "; verify the dataset"):
+            poses = [[scan.pose for scan in one.scans()[: mapping.scans]] for one in samples]
         if mapping.scans > there.scans or mapping.scan_spacing_m != there.scan_spacing_m:
             own = [stored[0] for stored in poses]
             poses = fly_again(world, own, self.recipe, key)
@@ -212,6 +200,4 @@ def plan_rescan(
         "software": software(),
     }
     given["version"] = manifest.version_of(given)
-    scenes = found.scenes
-    counts = None if scenes is None else {name: len(scenes.get(name, ())) for name in SPLITS}
-    return divide(folder, given, recipe, Archived(dataset.folder, counts), RescanSpec)
+    return divide(folder, given, recipe, Archived(dataset.folder), RescanSpec)

@@ -9,6 +9,7 @@ from typing import Any
 
 from scenegen import SPLITS
 from scenegen.errors import BrokenError, NewerError, short
+from scenegen.files import Json
 from scenegen.limits import MOST_SAMPLES, MOST_SEED, MOST_SOURCES
 
 
@@ -110,7 +111,7 @@ def ruled(rule: Rule) -> Any:
     return field(metadata={"rule": rule})
 
 
-def checked(kind: type, found: Any, at: str) -> dict[str, Any]:
+def checked(kind: type, found: Any, at: str) -> Json:
     """The values in the table `found` of those fields of the dataclass `kind` that have a rule.
     Raises BrokenError."""
     rules = rules_of(kind)

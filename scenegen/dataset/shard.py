@@ -15,7 +15,6 @@ from typing import Any
 import h5py
 import isal.isal_zlib
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarsim.engines import DEFAULT, ENGINES, EngineFactory
 from lidarsim.jit import cache_trouble, no_kernels
@@ -23,9 +22,9 @@ from scenegen.dataset.hdf5 import tells, with_index
 from scenegen.dataset.layout import DIGEST, Layout, open_file, open_shard
 from scenegen.dataset.rules import rules_of, stem_of
 from scenegen.dataset.trust import Entry
-from scenegen.draw import Rejections, Unit, compile_truth, draw_unit
+from scenegen.draw import Rejections, Unit, compile_truth, draw_unit, none_rejected
 from scenegen.errors import BrokenError, DatasetError, raised_as
-from scenegen.files import sha256_in, sha256_of, write_whole
+from scenegen.files import Json, sha256_in, sha256_of, write_whole
 from scenegen.recipe import Recipe
 from scenegen.run.workers import Worker
 from scenegen.sample import DERIVED, FIELDS
@@ -36,6 +35,10 @@ _LEVEL = 1
 (docs/log.md)."""
 _FIRST = 4
 """Bytes of a block that ISA-L is fed before the rest: the fewest that begin its history."""
+
+
+Drawn = tuple[Callable[[str], Any], bytes]
+"""A sample that is to be written: what gives its fields by their names, and its digest."""
 
 
 def find_engine(name: str) -> EngineFactory:
@@ -130,14 +133,14 @@ class ShardSpec(ShardTask):
     def write(self) -> "ShardReport":
         """See `ShardTask`: its units are drawn into memory, a few megabytes. Raises
         GenerationError, DatasetError."""
-        rejected, documents = Rejections(), dict[str, bytes]()
+        rejected, documents = none_rejected(), dict[str, bytes]()
 
-        def drawn() -> Iterator[tuple[Callable[[str], Any], bytes]]:
+        def drawn() -> Iterator[Drawn]:
             left = self.samples
             for n in range(len(self.numbers)):
                 unit = self.draw(self.first_unit + n)
-                rejected.worlds.update(unit.rejected.worlds)
-                rejected.viewpoints.update(unit.rejected.viewpoints)
+                for what, counts in unit.rejected.items():
+                    rejected[what].update(counts)
                 documents.update({f"{unit.number:06d}.xml": unit.world.mjcf, **unit.world.assets})
                 for sample in unit.samples[: max(left, 0)]:
                     yield partial(getattr, sample), sample.sha256()
@@ -155,29 +158,22 @@ class ShardReport(Entry):
     rejected: Rejections
     digests: bytes
     """The samples' own SHA-256s, 32 bytes each, in order."""
-    more: Mapping[str, int] = field(default_factory=dict)
+    more: Mapping[str, int]
     """See `ShardTask.more`."""
 
-    def entry(self) -> dict[str, Any]:
+    def entry(self) -> Json:
         """The shard's entry in the manifest."""
         return {name: getattr(self, name) for name in rules_of(Entry)} | dict(self.more)
 
 
-def write_shard(spec: ShardTask) -> ShardReport:
-    """Write a shard, whatever its samples come from. Pure but for its files. Raises
-    GenerationError, DatasetError."""
-    return spec.write()
-
-
 def put(
     spec: ShardTask,
-    samples: Iterable[tuple[Callable[[str], Any], bytes]],
+    samples: Iterable[Drawn],
     documents: Mapping[str, bytes],
     rejected: Rejections,
 ) -> ShardReport:
-    """Write a shard of `samples`, each a function of its fields' names and its digest, and of
-    worlds: these first, then the samples, which commit it. `documents` and `rejected` are looked at
-    once the samples have come to their end.
+    """Write a shard of `samples` and of worlds: these first, then the samples, which commit it.
+    `documents` and `rejected` are looked at once the samples have come to their end.
 
     Raises DatasetError, and whatever `samples` raise.
     """
@@ -204,7 +200,7 @@ def put(
         file.attrs["first_world"] = min(spec.numbers)
         file.attrs["worlds_sha256"] = sha256_of(worlds)
         file.attrs["parameters"] = spec.parameters
-        file.attrs["rejected"] = json.dumps(vars(rejected), sort_keys=True)
+        file.attrs["rejected"] = json.dumps(rejected, sort_keys=True)
         file.flush()
         content = with_index(file.id.get_file_image(), file, spec.samples)
     write_whole(spec.folder / spec.worlds, worlds)
@@ -247,7 +243,7 @@ def report_of(
     )
 
 
-def compress(values: NDArray[Any]) -> bytes:
+def compress(values: np.ndarray) -> bytes:
     """A chunk as HDF5's gzip filter would write it: the same bytes for the same values.
 
     Fed all at once, ISA-L hashes an address on the stack as if it were the third byte
@@ -260,16 +256,15 @@ def compress(values: NDArray[Any]) -> bytes:
     return first + stream.compress(raw[_FIRST:]) + stream.flush()
 
 
-def read_report(
-    spec: ShardTask, listed: Entry | None = None, *, verify: bool = False
-) -> ShardReport | None:
-    """The report of a shard that is on disk already, or None where there is none that `spec`
-    describes.
+def read_report(task: tuple[ShardTask, Entry | None]) -> ShardReport | None:
+    """The report of a shard that is on disk already, or None where there is none as `task` has it:
+    what the shard is to be, and what the manifest lists of it.
 
-    A shard whose files are no longer what the manifest's entry `listed` says, or whose archive is
-    not the one that was written with it, is damaged, and counts as absent. `verify` also holds
-    samples against their own digests where there is no such entry.
+    A shard whose files are no longer what its entry says, or whose archive is not the one that was
+    written with it, is damaged, and counts as absent. Where there is no entry, samples are held
+    against their own digests.
     """
+    spec, listed = task
     try:
         path = spec.folder / spec.file
         with open_file(path) as file, open_file(spec.folder / spec.worlds) as worlds:
@@ -286,13 +281,11 @@ def read_report(
             )
             if listed is not None and listed.sums != sums:
                 return None
-            for row in range(spec.samples) if listed is None and verify else ():
+            for row in range(spec.samples) if listed is None else ():
                 shard.check(row)
                 for name in (name for name in DERIVED if name in shard.columns):
                     shard.value(name, row, read_only=True)  # which must be there
-            return report_of(
-                spec, sums, size, Rejections(**shard.rejected()), shard.column(DIGEST).tobytes()
-            )
+            return report_of(spec, sums, size, shard.rejected(), shard.column(DIGEST).tobytes())
     except (BrokenError, OSError, KeyError, ValueError):
         return None
 

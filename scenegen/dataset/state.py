@@ -2,13 +2,10 @@
 manifest says of it."""
 
 import contextlib
-import fnmatch
 import json
 import math
-import re
 import sys
 from collections.abc import Mapping, Sequence, Set
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +17,7 @@ from scenegen.dataset.placed import read_notes, remove_notes, write_note
 from scenegen.dataset.rules import FILE_RULE
 from scenegen.dataset.shard import ARCHIVE, ShardReport, ShardTask, read_report, relabel
 from scenegen.errors import BrokenError, DatasetError
-from scenegen.files import Json, disk_told, names_in, open_bounded, remove_drafts, sha256_of
+from scenegen.files import Json, disk_told, names_in, open_bounded, remove_drafts
 from scenegen.run.workers import run
 from scenegen.stores import StorePath, Version
 
@@ -117,19 +114,19 @@ class State:
             return None
         if manifest.NAME not in others:
             found_here = (shard for shard in self.plan.shards if shard.file in others)
-            if any(shard.tells and read_report(shard) for shard in found_here):
+            if any(shard.tells and read_report((shard, None)) for shard in found_here):
                 return {}  # the manifest alone was lost
             raise DatasetError(
                 f"{folder}: holds other files ({others[0]}, …) and no dataset; choose another "
                 f"folder with --out"
             )
-        self._written = there = manifest.read(folder)
+        self._written = manifest.read(folder)
         differing = manifest.differences(
-            manifest.completed(there), manifest.completed(self.plan.parameters)
+            manifest.completed(self._written), manifest.completed(self.plan.parameters)
         )
         found: trust.Manifest | None = None
         with contextlib.suppress(BrokenError):
-            found = trust.parse(there, folder)
+            found = trust.parse(self._written, folder)
         if not differing:
             # if what it says of its shards is damaged, they are held against their own digests
             return {} if found is None else {entry.file: entry for entry in found.shards}
@@ -184,10 +181,8 @@ class State:
             for shard in shards
             if shard.file not in self.reports and shard.file in there
         ]
-        with closing(
-            placed.look(there, tasks) if stored else run(_report, tasks, workers)
-        ) as found:
-            self.reports |= {report.file: report for report in found if report is not None}
+        found = placed.look(there, tasks) if stored else run(read_report, tasks, workers)
+        self.reports |= {report.file: report for report in found if report is not None}
 
     def open(self) -> None:
         """Make the folder ready for shards, if it lacks any, and touch nothing but the dataset that
@@ -220,7 +215,7 @@ class State:
                 (folder / name).unlink(missing_ok=True)
             remove_notes(folder)
         if not self.begun or manifest.NAME not in there:
-            manifest.write(folder, manifest.assemble(self.plan.parameters, [], complete=False))
+            self.note()
             self._listed = self._listed or {}
         with disk_told(folder):
             for part in {shard.file.rpartition("/")[0] for shard in self.plan.shards}:
@@ -238,10 +233,7 @@ class State:
                 self.plan.folder, parameters, [shard.file for shard in mine], self._known(mine)
             )
             return
-        known = self._known(self.plan.shards)
-        manifest.write(
-            self.plan.folder, manifest.assemble(self.plan.parameters, known, complete=False)
-        )
+        manifest.write(self.plan.folder, self._final())
 
     def sign(self, *, workers: int = 1) -> Json:
         """Write the manifest, complete if no shard is missing; the manifest.
@@ -292,10 +284,6 @@ def _text(there: Json) -> str:
     return json.dumps(there, sort_keys=True)
 
 
-def _report(task: tuple[ShardTask, trust.Entry | None]) -> ShardReport | None:
-    return read_report(*task, verify=True)
-
-
 def _former(folder: Path, names: Set[str]) -> list[str]:
     """Those of the `names` in `folder` that are of the dataset whose manifest lies there: its
     tables of rays, the shards that it lists, and those not listed yet, which carry its fingerprint,
@@ -303,24 +291,21 @@ def _former(folder: Path, names: Set[str]) -> list[str]:
     samples, which hold their digest."""
     if manifest.NAME not in names:
         return []
-    there = manifest.read(folder)
-    said = set(re.findall(r'"((?:[^"\\]|\\.)*)"', json.dumps(there)))
-    owners = [manifest.fingerprint(manifest.parameters_of(there)).encode()]
+    there, found = manifest.read(folder), set[str]()
+    owners = [manifest.fingerprint(manifest.parameters_of(there))]
     with contextlib.suppress(BrokenError):
-        owners += [source.fingerprint.encode() for source in trust.parse(there, folder).sources]
-    found = {name for name in names & said if FILE_RULE.fits(name)}
+        former = trust.parse(there, folder)
+        found |= names & former.files.keys()
+        owners += [source.fingerprint for source in former.sources]
     for name in filter(FILE_RULE.fits, sorted(names - found)):
         content, samples = _content(folder / name), name.replace(".worlds.zip", ".h5")
         if name == samples:
-            known = any(owner in content for owner in owners)
+            known = any(owner.encode() in content for owner in owners)
         elif samples in names:
             known = samples in found
         else:  # whose writer was killed before it put the samples beside them
             known = content.startswith(ARCHIVE)
         if known:
-            found.add(name)
-    for name in fnmatch.filter(names, "rays*.npy"):
-        if sha256_of(_content(folder / name)) in said:
             found.add(name)
     return sorted(found, reverse=True)
 

@@ -271,12 +271,12 @@ def parse(document: Json, folder: Path, named: str | None = None) -> Manifest:
     """
     found = manifest.BEFORE | dict(document)
     plain = checked(Manifest, found, "")
-    check(found, {"shards": LIST, "fields": LIST, "recipe": TABLE}, "")
-    check(found, {"sources": optional(SOURCES_RULE)}, "")
+    tables = {"shards": LIST, "fields": LIST, "recipe": TABLE, "sources": optional(SOURCES_RULE)}
+    check(found, tables, "")
     check(plain["counts"], dict.fromkeys(SPLITS, COUNT), "counts")
     check(plain["rejected"], REJECTED, "rejected")
     check(_RECIPE | found["recipe"], RECIPE_RULES, "recipe")
-    parts: dict[str, Any] = {}
+    parts: Json = {}
     for part in PARTS:
         if part.since == manifest.VERSION:
             check(found, {part.name: TABLE}, "")
@@ -308,7 +308,7 @@ def parse(document: Json, folder: Path, named: str | None = None) -> Manifest:
     )
 
 
-def _check_fields(names: Sequence[Any], parts: Mapping[str, Any]) -> None:
+def _check_fields(names: Sequence[Any], parts: Json) -> None:
     """Raise BrokenError unless the fields `names` are what samples of these `parts` have, with the
     derived ones or without them."""
     check(dict.fromkeys(name for name in names if isinstance(name, str)), {}, "fields", FIELDS)

@@ -107,6 +107,16 @@ def undone_if_stopped(undo: Callable[[], object]) -> Iterator[None]:
         _begun.remove(undo)
 
 
+@contextmanager
+def undone(undo: Callable[[], object]) -> Iterator[None]:
+    """Call `undo` when the block ends, in whatever way, also as `undone_if_stopped`."""
+    with undone_if_stopped(undo):
+        try:
+            yield
+        finally:
+            undo()
+
+
 def undo_all() -> str:
     """Undo what is begun and not finished, the latest first, for a process that ends at once:
     drafts are removed, workers ended. Returns what is to be said of it; "" for nothing."""

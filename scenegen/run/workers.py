@@ -15,11 +15,11 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 from scenegen.errors import (
     DatasetError,
@@ -54,9 +54,6 @@ RANKS = (
 """Where rank and world size stand in the environment; the first pair that is there counts. What the
 user set, for an indexed Job of Kubernetes the size alone, comes first. Then torchrun, which begins
 several processes in one of Slurm's tasks; then Slurm's own job arrays and tasks."""
-
-Task = TypeVar("Task")
-Result = TypeVar("Result")
 
 
 class Local(Executor):
@@ -130,20 +127,20 @@ def keep_memory() -> None:
 
 
 @dataclass(frozen=True)
-class Limited(Generic[Task, Result]):
+class Limited:
     """A function of tasks whose input nobody vouches for: it never runs in this process, and may
     crash or hang in its own. `run` sees to that, and so does calling it."""
 
-    function: Callable[[Task], Result]
-    seconds: Callable[[Task], float]
+    function: Function
+    seconds: Callable[[Any], float]
     """How long a task may take."""
     memory_bytes: int
     """Address space a worker may take beyond what it starts with, where the system can limit it."""
-    given_up: Callable[[Task, str], Result]
+    given_up: Callable[[Any, str], Any]
     """The result of a task whose worker died, or was ended for taking too long: made of the task
     and what happened."""
 
-    def __call__(self, task: Task) -> Result:
+    def __call__(self, task: Any) -> Any:
         """The result, from a process that is kept for this thread's next task: for executors that
         call functions in processes of their own, which may run threads."""
         worker = vars(_kept).pop("worker", None) or Worker(self, "spawn")
@@ -154,7 +151,7 @@ class Limited(Generic[Task, Result]):
             ended.callback(worker.end)
             worker.give(task)
             _ready([worker])
-            result: Result = worker.take(1)
+            result = worker.take(1)
             if worker.alive:
                 ended.pop_all()
                 _kept.worker = worker
@@ -172,11 +169,8 @@ os.register_at_fork(after_in_child=_begins._at_fork_reinit)  # type: ignore[attr
 
 
 def run(
-    function: Callable[[Task], Result],
-    tasks: Iterable[Task],
-    workers: int,
-    on_start: Callable[[], None] = lambda: None,
-) -> Generator[Result, None, None]:
+    function: Function, tasks: Iterable[Any], workers: int, on_start: Begun = lambda: None
+) -> Results:
     """Results of `function` over `tasks`, as they come; in this process where one worker is enough
     and `function` is not `Limited`.
 
@@ -219,9 +213,7 @@ def run(
                 worker.end()
 
 
-def guarded(
-    function: Callable[[Task], Result], task: Task, *, seconds: float, memory_bytes: int
-) -> Result:
+def guarded(function: Function, task: Any, *, seconds: float, memory_bytes: int) -> Any:
     """`function(task)`, computed in a process of its own that may take `seconds` and `memory_bytes`
     more than this one.
 
@@ -242,7 +234,7 @@ def guarded(
     return outcome[0]
 
 
-def _outcome(function: Callable[[Task], Result], task: Task) -> tuple[Result] | ScenegenError:
+def _outcome(function: Function, task: Any) -> tuple[Any] | ScenegenError:
     """The result of a function, or its ScenegenError."""
     try:
         return (function(task),)

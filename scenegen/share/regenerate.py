@@ -104,14 +104,12 @@ def recipe_text(parameters: Json, title: str) -> str:
 def _weights(counts: Sequence[Mapping[str, int]]) -> list[int]:
     """The least weights by which components come out with these `counts`; where none are found,
     their samples."""
-    largest = max(SPLITS, key=lambda split: sum(one[split] for one in counts))
-    whole = sum(one[largest] for one in counts)
+    splits = [[one[split] for one in counts] for split in SPLITS]
+    largest = max(splits, key=sum)
+    whole = sum(largest)
     for total in range(len(counts), min(whole, MOST_PARTS) + 1):
-        weights = [Fraction(round(Fraction(one[largest] * total, whole))) for one in counts]
-        if all(weights) and all(
-            shares(sum(one[split] for one in counts), weights) == [one[split] for one in counts]
-            for split in SPLITS
-        ):
+        weights = [Fraction(round(Fraction(count * total, whole))) for count in largest]
+        if all(weights) and all(shares(sum(split), weights) == split for split in splits):
             return [int(weight) for weight in weights]
     return [sum(one.values()) for one in counts]
 

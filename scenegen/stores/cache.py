@@ -12,11 +12,10 @@ import os
 import stat
 import tempfile
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Mapping
 from contextlib import closing, suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import IO
 
 from lidarsim.jit import folder_trouble, is_ours
 from scenegen.errors import StoreError
@@ -30,6 +29,7 @@ from scenegen.stores.copies import (
     alone,
     disk_told,
     root,
+    sha256_in,
     stamp,
 )
 
@@ -104,7 +104,7 @@ def _is_whole(path: Path, digest: str) -> bool:
                     os.utime(path, ns=(time.time_ns(), found.st_size))
             return True
         with open(path, "rb") as file:
-            if _sum(file) != digest:
+            if sha256_in(file) != digest:
                 return False
             stamp(file.fileno())
     except OSError:
@@ -112,11 +112,7 @@ def _is_whole(path: Path, digest: str) -> bool:
     return True
 
 
-def _sum(file: IO[bytes]) -> str:
-    return hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
-
-
-def fetch_all(folder: Path, names: Iterable[str]) -> None:
+def fetch_all(folder: Path, names: Collection[str]) -> None:
     """Have all of these be in a folder of copies. Raises StoreError, also for one that is not
     there."""
 
@@ -131,7 +127,7 @@ def fetch_all(folder: Path, names: Iterable[str]) -> None:
     from concurrent.futures import ThreadPoolExecutor  # importing it takes time
 
     with ThreadPoolExecutor(AT_A_TIME) as pool:
-        list(pool.map(one, names := list(names)))
+        list(pool.map(one, names))
     if lost := [name for name in names if not (folder / name).exists()]:
         raise StoreError(
             f"{folder / lost[0]}: made room for others, though all are needed; raise {ROOM}"
@@ -153,9 +149,8 @@ def note_of(folder: Path) -> Note | None:
 def bytes_in(folder: Path) -> int:
     """Bytes of the files in a dataset's folder, or of those that a folder of copies is of, fetched
     or not. Raises StoreError."""
-    found = (item for part in (folder, *folder.glob("*-*x/")) for item in os.scandir(part))
-    there = {item.path: item.stat().st_size for item in found if item.is_file()}
-    there = {path.removeprefix(f"{folder}/"): size for path, size in there.items()}
+    found = (path for path in (*folder.glob("*"), *folder.glob("*-*x/*")) if path.is_file())
+    there = {str(path.relative_to(folder)): path.stat().st_size for path in found}
     if (about := note_of(folder)) is not None:
         there = {name: size for name, size in there.items() if not name.endswith(PART)} | {
             item.name: item.bytes

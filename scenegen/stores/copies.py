@@ -15,7 +15,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import IO, Any, NamedTuple
 
 import isal.isal_zlib
 
@@ -103,17 +103,14 @@ class Copy:
             while (first := self._lacking(blocks)) is not None:
                 self._fetch_run(first, blocks.stop)
             if self.whole and os.fstat(self._handle).st_size != self.bytes:
-                self._finish()
+                self._finish(file)
 
-    def _finish(self) -> None:
-        """Give the file its name, if it is what the manifest lists. Raises StoreError."""
-        digest = hashlib.sha256()
-        for begin in range(0, self.bytes, MOST_BYTES):
-            digest.update(os.pread(self._handle, min(MOST_BYTES, self.bytes - begin), begin))
-        if digest.hexdigest() != self._about.files[self._name]:
-            raise self._not_listed()
+    def _finish(self, file: IO[bytes]) -> None:
+        """Give the file, opened, its name, if it is what the manifest lists. Raises StoreError."""
         with disk_told(self._about.store):
             os.ftruncate(self._handle, self.bytes)
+            if sha256_in(file) != self._about.files[self._name]:
+                raise self._not_listed()
             os.fsync(self._handle)
             stamp(self._handle)
             if is_at(self._handle, part := part_of(self.path)):
@@ -176,6 +173,11 @@ class Copy:
         with disk_told(self._about.store):
             os.pwrite(self._handle, content, first * BLOCK_BYTES)
             os.pwrite(self._handle, sums, self.bytes + 4 * first)
+
+
+def sha256_in(file: Any) -> str:
+    """The SHA-256 of what is left of an open file, in hexadecimal."""
+    return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _checksum(content: bytes) -> bytes:
@@ -280,10 +282,9 @@ def make_room(asked: int) -> None:
     for path in (*root().glob("*/*/*"), *root().glob("*/*/*-*x/*")):
         with suppress(FileNotFoundError):
             found = path.stat()
-            if path.is_dir():
-                continue
             used = max(found.st_atime_ns, found.st_mtime_ns)
-            files += [(used, 512 * found.st_blocks, path)] if path.suffix not in KEPT else []
+            if path.suffix not in KEPT and not path.is_dir():
+                files.append((used, 512 * found.st_blocks, path))
     total = sum(size for _, size, _ in files)
     most = _most_bytes(total)
     _left = most // 64

@@ -15,7 +15,6 @@ from typing import Any
 
 import isal.isal_zlib
 import numpy as np
-from numpy.typing import NDArray
 
 from scenegen.errors import DatasetError, GenerationError, raised_as
 from scenegen.files import make_way, read_bounded, write_whole
@@ -25,6 +24,8 @@ from scenegen.truth import distance_field
 
 Unit = tuple[bytes, ...]
 """The records of a unit's samples."""
+Slot = tuple[int, int]
+"""Which unit: the number of its component in a mixture, and its own there."""
 LEVEL = 1
 """The level of compression, as in shards."""
 
@@ -65,7 +66,7 @@ def unpack(packed: bytes, kind: np.dtype, schema: Schema) -> Sample:
     def find(sample: Sample, name: str) -> Any:
         if name == "tudf":
             return distance_field(sample.occupancy, grid)
-        value: NDArray[Any] = record[name]
+        value: np.ndarray = record[name]
         if FIELDS[name]["axes"] == "grid":
             count = int(np.prod(grid.shape))
             return np.unpackbits(value, count=count).view(bool).reshape(grid.shape)
@@ -143,10 +144,10 @@ class Ahead:
     object, and with this process whatever ends it; one that dies is replaced, and its units are
     given again."""
 
-    def __init__(self, make: Callable[[int], Unit], workers: int):
+    def __init__(self, make: Callable[[Slot], Unit], workers: int):
         self._make, self._died = make, 0
-        self._given = {Worker(make): deque[int]() for _ in range(workers)}
-        self._done: dict[int, tuple[bool, Any]] = {}
+        self._given = {Worker(make): deque[Slot]() for _ in range(workers)}
+        self._done: dict[Slot, tuple[bool, Any]] = {}
         # unlike a `__del__`, it runs at exit before the modules that it needs are gone
         self.close = weakref.finalize(self, _end, self._given, os.getpid())
         """End the processes, whatever they are doing."""
@@ -159,7 +160,7 @@ class Ahead:
     def __contains__(self, slot: object) -> bool:
         return slot in self._done or any(slot in given for given in self._given.values())
 
-    def give(self, slot: int) -> None:
+    def give(self, slot: Slot) -> None:
         """Have a unit made; one that is under way is not given again."""
         if slot not in self:
             worker, given = min(self._given.items(), key=lambda one: len(one[1]))
@@ -167,7 +168,7 @@ class Ahead:
             with contextlib.suppress(OSError):  # it died, which `collect` notices
                 worker.pipe.send(slot)
 
-    def take(self, slot: int) -> Unit:
+    def take(self, slot: Slot) -> Unit:
         """A unit, as soon as it is there. Raises what making it raises, and GenerationError where
         processes die again and again."""
         self.give(slot)
@@ -206,7 +207,7 @@ class Ahead:
             another.pipe.send(slot)
 
 
-def _end(workers: dict[Worker, deque[int]], process: int) -> None:
+def _end(workers: dict[Worker, deque[Slot]], process: int) -> None:
     if process == os.getpid():  # not in a fork, whose parent's they are
         for worker in workers:
             worker.end()

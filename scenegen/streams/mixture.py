@@ -22,6 +22,7 @@ from scenegen.limits import MOST_UNITS_IN_ROUND
 from scenegen.recipe import Recipe, preset, read_recipe
 from scenegen.recipes import KINDS, graded
 from scenegen.source import DrawnWorlds, SceneWorlds, Source, read_scenes, world_files
+from scenegen.streams.ahead import Slot
 from scenegen.worlds import WORLD_FILES
 
 LEAST_SCENES = 3
@@ -87,8 +88,6 @@ class Component:
             self.source,
             seed=self.seed,
             counts=dict.fromkeys(SPLITS, 0),
-            compact=True,
-            shard_samples=1,
             engine=self.engine,
         )
         left_out = {"counts", "fields", "shard_samples"}
@@ -160,7 +159,7 @@ def _scenes(path: Path, seed: int) -> SceneWorlds:
 
 
 class Mixture:
-    """Components by weight. A *slot* is the number of a unit in the mixture's own order."""
+    """Components by weight, whose units come in a fixed order."""
 
     def __init__(self, components: Sequence[Component], weights: Sequence[Any]):
         """Raises RecipeError for no component, one that is there twice, ones of different grids,
@@ -182,10 +181,10 @@ class Mixture:
             fraction(weight, component.label) / count
             for weight, component, count in zip(weights, components, each, strict=True)
         ]
+        total = sum(shares)
+        shares = [share / total for share in shares]
         whole = math.lcm(*(share.denominator for share in shares))
-        parts = [int(share * whole) for share in shares]
-        common = math.gcd(*parts)
-        self.units = tuple(part // common for part in parts)
+        self.units = tuple(int(share * whole) for share in shares)
         """Units of each component in a round."""
         if sum(self.units) > MOST_UNITS_IN_ROUND:
             said = ", ".join(
@@ -210,17 +209,12 @@ class Mixture:
         greatest number that divides every unit."""
         return math.gcd(*(component.viewpoints for component in self.components))
 
-    def place(self, index: int) -> tuple[int, int]:
-        """(slot, the sample's place in its unit) of a sample of the mixture."""
+    def place(self, index: int) -> tuple[Slot, int]:
+        """(which unit of which component, the sample's place in it) of a sample of the mixture."""
         turn, rest = divmod(index, int(self._start[-1]))
         within = int(np.searchsorted(self._start, rest, side="right")) - 1
-        return turn * len(self._round) + within, rest - int(self._start[within])
-
-    def unit(self, slot: int) -> tuple[int, int]:
-        """(component, its unit) of a slot."""
-        turn, within = divmod(slot, len(self._round))
         component, number = self._round[within]
-        return component, turn * self.units[component] + number
+        return (component, turn * self.units[component] + number), rest - int(self._start[within])
 
 
 def parts_of(worlds: Any) -> list[tuple[Any, Any]]:

@@ -1,10 +1,10 @@
 """A dataset without a disk and without an end: sample i is drawn when it is asked for, or ahead of
-that."""
+that; and who reads one, in order or in batches of different worlds, knows how far it has come."""
 
 import json
 import multiprocessing
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,15 +15,14 @@ import numpy as np
 from lidarsim.engines import DEFAULT
 from scenegen.dataset.generation import MIXED, fraction, is_mixed, read_components, seeds
 from scenegen.dataset.parts import schema_of
-from scenegen.errors import DatasetError, whole_number
-from scenegen.files import sha256_of
-from scenegen.limits import MOST_SAMPLES, MOST_SEED, MOST_WORKERS
-from scenegen.sample import Sample, Samples, Schema
+from scenegen.errors import DatasetError, short, whole_number
+from scenegen.files import Json, sha256_of
+from scenegen.limits import MOST_BATCH, MOST_SAMPLES, MOST_SEED, MOST_WORKERS
+from scenegen.sample import Sample, Samples, Schema, rng_of
 from scenegen.source import DrawnWorlds
 from scenegen.stores import is_remote
-from scenegen.streams.ahead import Ahead, Cache, Unit, pack, record_type, unpack
-from scenegen.streams.batches import Batches, Place
-from scenegen.streams.mixture import Mixture, component_of, parts_of
+from scenegen.streams.ahead import Ahead, Cache, Slot, Unit, pack, record_type, unpack
+from scenegen.streams.mixture import Component, Mixture, component_of, parts_of
 
 KEPT_BYTES = 256 << 20
 """Packed units that a process keeps in memory, those asked for last; with default maps, these are
@@ -45,7 +44,7 @@ class Stream(Samples):
     """
 
     _ahead: Ahead | None
-    _coming: Iterator[int]
+    _coming: Iterator[Slot]
 
     def __init__(
         self,
@@ -86,7 +85,7 @@ class Stream(Samples):
             Cache(Path(str(cache)), part.fingerprint(software=True), part.split)
             for part in (mixture.components if cache is not None else ())
         ]
-        self._make = partial(_unit_of, mixture, caches, self._records)
+        self._make = partial(_unit_of, mixture.components, caches, self._records)
         self._forget()
 
     def __len__(self) -> int:
@@ -99,7 +98,7 @@ class Stream(Samples):
         self._prepare(dict.fromkeys(slot for slot, _ in places))
         found = []
         for slot, view in places:
-            part, _ = self.mixture.unit(slot)
+            part, _ = slot
             packed = self._unit(slot)[view]
             found.append(unpack(packed, self._records[part], self._schemas[part]))
         return found
@@ -110,15 +109,14 @@ class Stream(Samples):
     def __iter__(self) -> "Reader":
         return iter(Reader(self))
 
-    def batches(self, size: int, *, rank: int = 0, ranks: int = 1, loaders: int = 1) -> Batches:
+    def batches(self, size: int, *, rank: int = 0, ranks: int = 1, loaders: int = 1) -> "Batches":
         """Which samples each of many batches takes: see `Batches`. Raises DatasetError."""
         return Batches(self, size, rank=rank, ranks=ranks, loaders=loaders)
 
     def part(self, index: int) -> tuple[int, int]:
         """(which part of the mixture sample `index` is of, from 0; its number in that part's
         dataset)."""
-        slot, view = self.mixture.place(self._checked(index))
-        part, unit = self.mixture.unit(slot)
+        (part, unit), view = self.mixture.place(self._checked(index))
         return part, unit * self.mixture.components[part].viewpoints + view
 
     @property
@@ -142,12 +140,12 @@ class Stream(Samples):
 
     def _forget(self) -> None:
         """Begin anew, as a process of its own."""
-        self._units, self._bytes = dict[int, Unit](), 0
+        self._units, self._bytes = dict[Slot, Unit](), 0
         self._coming = iter(())
         self._ahead = None
         self._process = os.getpid()
 
-    def _prepare(self, slots: Iterable[int]) -> None:
+    def _prepare(self, slots: Iterable[Slot]) -> None:
         """Have workers make the units of `slots` that are not there, and then those that come
         next."""
         if (
@@ -170,7 +168,7 @@ class Stream(Samples):
                 self._ahead.give(later)
                 room -= 1
 
-    def _unit(self, slot: int) -> Unit:
+    def _unit(self, slot: Slot) -> Unit:
         """A unit's records, which are then those asked for last."""
         unit = self._units.pop(slot, None)
         if unit is None:
@@ -183,17 +181,51 @@ class Stream(Samples):
 
 
 def _unit_of(
-    mixture: Mixture, caches: Sequence[Cache], records: Sequence[np.dtype], slot: int
+    components: Sequence[Component],
+    caches: Sequence[Cache],
+    records: Sequence[np.dtype],
+    slot: Slot,
 ) -> Unit:
     """The unit of a slot, in whatever process: from its part's cache, where there are any, or
     drawn. Raises GenerationError, and DatasetError where the cache's disk refuses."""
-    part, unit = mixture.unit(slot)
+    part, unit = slot
 
     def drawn() -> Unit:
-        samples = mixture.components[part].draw(unit).samples
+        samples = components[part].draw(unit).samples
         return tuple(pack(sample, records[part]) for sample in samples)
 
     return caches[part].unit(unit, drawn) if caches else drawn()
+
+
+class Place:
+    """A count of what was read, of what `of` says, in `unit`, up to `most`."""
+
+    def __init__(self, of: Json, unit: str, most: int):
+        self._of, self._unit, self._most = dict(of), unit, most
+        self._done = 0
+
+    def state_dict(self) -> dict[str, Any]:
+        """How much came, in a few bytes that JSON takes; of batches, the same for all ranks.
+
+        Torch's loader asks for batches ahead of what it hands out: count those yourself where you
+        use one.
+        """
+        return {**self._of, self._unit: self._done}
+
+    def load_state_dict(self, state: Any) -> None:
+        """Go on from there. Raises DatasetError for the state of anything else."""
+        if not isinstance(state, Mapping):
+            raise DatasetError(
+                f"state of a stream: {short(state)}: expected what state_dict() gave"
+            )
+        for name, ours in self._of.items():
+            if state.get(name) != ours:
+                raise DatasetError(
+                    f"state of a stream: its {name} is {short(state.get(name))}, expected "
+                    f"{short(ours)}: it is of another one"
+                )
+        where = f"state of a stream: its {self._unit} ="
+        self._done = whole_number(where, state.get(self._unit), 0, self._most)
 
 
 class Reader(Place, Iterator[Sample]):
@@ -213,6 +245,74 @@ class Reader(Place, Iterator[Sample]):
         sample = self._stream[self._done]
         self._done += 1
         return sample
+
+
+class Batches(Place, Iterator[list[int]]):
+    """Numbers of the samples in every batch of `size`; a torch batch sampler. `batches[n]` depends
+    on the stream's seed, `size`, `loaders` and n alone.
+
+    A *row* is the V samples, one after the other, of one world (see `Mixture.row`). The stream is
+    cut into blocks of `size` rows, in order; a block gives V batches, the v-th of the v-th sample
+    of each of its rows, which have an order that is drawn from the seed and the block's number. So
+    no batch holds two samples of a row, each sample comes once, and the same place in the V batches
+    of a block is always the same row: rank r of `ranks` takes every `ranks`-th place from r on, and
+    draws units that no other rank draws.
+
+    With `loaders` blocks at a time, batch n is of block n mod `loaders` among these. Torch deals
+    batches to its loader processes in just this way, so as many of them draw units that no other
+    draws; `loaders` may also be a multiple of their number.
+    """
+
+    def __init__(
+        self, stream: Stream, size: int, *, rank: int = 0, ranks: int = 1, loaders: int = 1
+    ):
+        size = whole_number("stream: size =", size, 1, MOST_BATCH)
+        ranks = whole_number("stream: ranks =", ranks, 1, MOST_WORKERS)
+        rank = whole_number("stream: rank =", rank, 0, ranks - 1)
+        loaders = whole_number("stream: loaders =", loaders, 1, MOST_WORKERS)
+        if size % ranks:
+            raise DatasetError(
+                f"batches of a stream: size = {size} does not divide among {ranks} ranks; use a "
+                f"multiple"
+            )
+        self._stream, self._size, self._loaders = stream, size, loaders
+        self._mine = slice(rank, None, ranks)
+        self._row = stream.mixture.row
+        self._count = len(stream) // (self._row * size * loaders) * self._row * loaders
+        if not self._count:
+            raise DatasetError(
+                f"batches of a stream: {len(stream)} samples are fewer than one round of "
+                f"{self._row * size * loaders}; give the stream more samples, or a smaller size"
+            )
+        place = {"stream": stream.digest[:16], "size": size, "loaders": loaders}
+        super().__init__(place, "batches", self._count)
+
+    def __len__(self) -> int:
+        """Batches of whole rounds of `loaders` blocks; samples beyond them come in none."""
+        return self._count
+
+    def __getitem__(self, number: int) -> list[int]:
+        """Batch `number`, or this rank's part of it. Raises IndexError."""
+        if not 0 <= number < self._count:
+            raise IndexError(f"batch {short(number)} of {self._count}")
+        turn, rest = divmod(number, self._row * self._loaders)
+        view, within = divmod(rest, self._loaders)
+        block = turn * self._loaders + within
+        rng = rng_of(self._stream.seed, block)
+        rows = block * self._size + rng.permutation(self._size)[self._mine]
+        return (rows * self._row + view).tolist()
+
+    def __iter__(self) -> "Batches":
+        if self._done == self._count:  # a pass that ended: the next begins anew
+            self._done = 0
+        self._stream.expect(index for n in range(self._done, self._count) for index in self[n])
+        return self
+
+    def __next__(self) -> list[int]:
+        if self._done >= self._count:
+            raise StopIteration
+        self._done += 1
+        return self[self._done - 1]
 
 
 def stream(

@@ -200,7 +200,7 @@ def verify(
     return report(samples=samples, checks=tuple(outcomes))
 
 
-class _Examination(Limited[Task, Findings]):
+class _Examination(Limited):
     """Copies on another machine what a task reads of a store, before limits are set: that a store
     is slow or refuses is no fault of the dataset."""
 

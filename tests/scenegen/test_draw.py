@@ -83,7 +83,7 @@ def test_rejected_worlds_and_viewpoints_are_counted_by_reason():
     rejected = Counter()
     for number in range(12):
         unit = drawn_unit(recipe, number)
-        rejected += unit.rejected.worlds + unit.rejected.viewpoints
+        rejected += sum(unit.rejected.values(), Counter())
         for sample in unit.samples:
             assert sample.occupancy.mean() >= recipe.accept.min_occupied_share
             assert np.isfinite(sample.ranges).mean() >= recipe.accept.min_returned_share
