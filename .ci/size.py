@@ -14,8 +14,8 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 301_250, "benchmarks": 24_840, "tests": 220_490}
-FILES = 242
+TOKENS = {"product": 296_350, "benchmarks": 24_840, "tests": 220_490}
+FILES = 236
 LINES = 400
 """The longest file of product code."""
 WIDTH = 100
