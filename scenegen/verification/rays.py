@@ -67,15 +67,15 @@ class MapAuditor:
     def _from(self, start: Floats, rays: Floats, max_range_m: float) -> Floats:
         states, voxel_m = self._voxels.states, self._voxels.voxel_m
         begin = (start - self._voxels.origin) / voxel_m
-        reach = math.ceil(max_range_m / voxel_m) + 2
-        planes = np.floor(begin)[:, None] + np.arange(-reach, reach) - begin[:, None]
+        reach, above = math.ceil(max_range_m / voxel_m) + 2, begin % 1
         found = np.full(len(rays), np.inf)
-        several = max(MOST_CROSSINGS // (2 * reach), 1)
+        several = max(MOST_CROSSINGS // reach, 1)
         for first in range(0, len(rays), several):
             some = rays[first : first + several] / voxel_m  # voxels a metre
+            planes = np.where(some > 0, -above, above - 1)[..., None] + np.arange(reach)
             with np.errstate(divide="ignore", invalid="ignore"):
-                ends = (planes / some[..., None]).reshape(len(some), -1)
-            # those behind the sensor, and those along which a ray runs, are no crossings
+                ends = (planes / np.abs(some)[..., None]).reshape(len(some), -1)
+            # one behind the sensor, and those along which a ray runs, are no crossings
             stops = np.sort(np.clip(np.nan_to_num(ends), 0, 2 * reach * voxel_m))
             middle, way = (stops[:, 1:] + stops[:, :-1]) / 2, np.diff(stops)
             cells = np.floor(begin + middle[..., None] * some[:, None]).astype(np.int64)
