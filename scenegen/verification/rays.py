@@ -67,7 +67,7 @@ class MapAuditor:
     def _from(self, start: Floats, rays: Floats, max_range_m: float) -> Floats:
         states, voxel_m = self._voxels.states, self._voxels.voxel_m
         begin = (start - self._voxels.origin) / voxel_m
-        reach, above = math.ceil(max_range_m / voxel_m) + 2, begin - np.floor(begin)
+        reach, above = math.ceil(max_range_m / voxel_m) + 2, begin % 1
         found = np.full(len(rays), np.inf)
         several = max(MOST_CROSSINGS // reach, 1)
         for first in range(0, len(rays), several):
