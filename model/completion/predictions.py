@@ -74,12 +74,11 @@ def predict_split(
         (f"{stem_of(split, first // PART)}.h5", range(count)[first : first + PART])
         for first in range(0, count, PART)
     ]
-    if execute is None:
-        execute = ALONE
-    else:
-        completer = opened_once(*completer.opened)
+    # a runtime's threads do not outlive a fork: each process opens the network by itself
+    asked = completer if execute is None else completer.opened
+    execute = execute or ALONE
     tasks = [part for part in execute.mine(parts) if part[0] not in there]
-    work, total = partial(_write, completer, samples, about, out), sum(len(n) for _, n in tasks)
+    work, total = partial(_write, asked, samples, about, out), sum(len(n) for _, n in tasks)
     several = counted(execute, progress, work, tasks, "complete", total)
     return [far for some in several for far in some if far is not None]
 
@@ -104,14 +103,16 @@ def _begun(out: Path, completer: Completer, about: Mapping[str, Any]) -> Contain
 
 
 def _write(
-    completer: Completer,
+    asked: Completer | tuple[str, str, int],
     samples: Split,
     about: Mapping[str, Any],
     out: Path,
     part: tuple[str, Sequence[int]],
 ) -> list[float | None]:
     """Write the predictions of some samples, by their numbers, into a file of the folder `out`,
-    whole or not. How far from home each is; None where nobody knows."""
+    whole or not, by the network that is given, or is opened now. How far from home each is; None
+    where nobody knows."""
+    completer = opened_once(*asked) if isinstance(asked, tuple) else asked
     (name, numbers), grid = part, samples.dataset.grid
     path, count = out / name, len(numbers)
     who: list[tuple[int, int]] = []
