@@ -29,7 +29,6 @@ from scenegen.stores.copies import (
     alone,
     disk_told,
     root,
-    sha256_in,
     stamp,
 )
 
@@ -104,7 +103,7 @@ def _is_whole(path: Path, digest: str) -> bool:
                     os.utime(path, ns=(time.time_ns(), found.st_size))
             return True
         with open(path, "rb") as file:
-            if sha256_in(file) != digest:
+            if hashlib.file_digest(file, "sha256").hexdigest() != digest:
                 return False
             stamp(file.fileno())
     except OSError:

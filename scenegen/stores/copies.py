@@ -15,7 +15,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import NamedTuple
 
 import isal.isal_zlib
 
@@ -103,14 +103,18 @@ class Copy:
             while (first := self._lacking(blocks)) is not None:
                 self._fetch_run(first, blocks.stop)
             if self.whole and os.fstat(self._handle).st_size != self.bytes:
-                self._finish(file)
+                self._finish()
 
-    def _finish(self, file: IO[bytes]) -> None:
-        """Give the file, opened, its name, if it is what the manifest lists. Raises StoreError."""
+    def _finish(self) -> None:
+        """Give the file its name, if it is what the manifest lists: until then, checksums stand at
+        its end, and who reads on is told again. Raises StoreError."""
+        digest = hashlib.sha256()
+        for begin in range(0, self.bytes, MOST_BYTES):
+            digest.update(os.pread(self._handle, min(MOST_BYTES, self.bytes - begin), begin))
+        if digest.hexdigest() != self._about.files[self._name]:
+            raise self._not_listed()
         with disk_told(self._about.store):
             os.ftruncate(self._handle, self.bytes)
-            if sha256_in(file) != self._about.files[self._name]:
-                raise self._not_listed()
             os.fsync(self._handle)
             stamp(self._handle)
             if is_at(self._handle, part := part_of(self.path)):
@@ -173,11 +177,6 @@ class Copy:
         with disk_told(self._about.store):
             os.pwrite(self._handle, content, first * BLOCK_BYTES)
             os.pwrite(self._handle, sums, self.bytes + 4 * first)
-
-
-def sha256_in(file: Any) -> str:
-    """The SHA-256 of what is left of an open file, in hexadecimal."""
-    return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _checksum(content: bytes) -> bytes:
