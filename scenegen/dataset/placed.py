@@ -2,12 +2,13 @@
 store."""
 
 import json
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from scenegen.dataset.rules import DIGEST, LIST, REJECTED, check, checked, rules_of
+from scenegen.dataset.rules import DIGEST, LIST, REJECTED, check, checked, rules_of, whole
 from scenegen.dataset.shard import ShardReport, ShardTask, read_report, report_of
 from scenegen.dataset.trust import Entry
 from scenegen.errors import BrokenError, DatasetError
@@ -129,9 +130,9 @@ def _noted(
     """What the report beside a shard says, if it is of just these objects."""
     if (name := _report_name(spec)) not in there:
         return None
-    with suppress(FileNotFoundError, DatasetError, ValueError, KeyError, TypeError):
+    with suppress(FileNotFoundError, DatasetError, ValueError, RecursionError, KeyError, TypeError):
         said = json.loads(read_bounded(spec.folder / name, MOST_BYTES))
-        check(said, rules_of(Entry), "")
+        check(said, {**rules_of(Entry), "size": whole(0, sys.maxsize)}, "")
         check(said["rejected"], REJECTED, "")
         sums, digests = (said["sha256"], said["worlds_sha256"]), bytes.fromhex(said["digests"])
         report = report_of(spec, sums, said["size"], said["rejected"], digests)

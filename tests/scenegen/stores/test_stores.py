@@ -29,7 +29,7 @@ from tests.scenegen.conftest import names
 from tests.scenegen.stores.conftest import forget
 from tests.scenegen.stores.kept import ROOM, Kept
 
-NAME = "s3://lab/pillar"
+NAME, HOME = "s3://lab/pillar", "lab/pillar"
 pytestmark = pytest.mark.usefixtures("drawn_once")
 
 
@@ -40,9 +40,9 @@ def plan(folder, seed=3, **counts):
 @pytest.fixture
 def there(store, made):
     """The dataset's folder in the store."""
-    shutil.copytree(made, store / "lab" / "pillar")
+    shutil.copytree(made, store / HOME)
     forget()
-    return store / "lab" / "pillar"
+    return store / HOME
 
 
 def write(**options):
@@ -52,7 +52,7 @@ def write(**options):
 
 def objects(store):
     """What the bucket holds of the dataset, less what is there for resuming alone."""
-    home = store / "lab" / "pillar"
+    home = store / HOME
     return {
         path.name: path.read_bytes() for path in home.glob("*") if not path.name.endswith(SUFFIX)
     }
@@ -132,14 +132,12 @@ def test_a_resumed_run_reads_no_samples(store, made):
     write()
     assert [asked().count(what) for what in ("list", "read dataset.json")] == [1, 1]
     assert len(asked()) == 2 + 7  # and a report of each shard
-    (store / "lab" / "pillar" / "train-00001.h5").unlink()
-    written = write().samples_written
-    assert written == 3
+    (store / HOME / "train-00001.h5").unlink()
+    assert write().samples_written == 3
     read = [what for what in asked() if what.startswith("read") and not what.endswith(".json")]
-    assert read == [
-        "read train-00001.worlds.zip"
-    ]  # which is there, and is held against what would be put
-    (store / "lab" / "pillar" / f"train-00002{SUFFIX}").unlink()
+    # it is there, and is held against what would be put
+    assert read == ["read train-00001.worlds.zip"]
+    (store / HOME / f"train-00002{SUFFIX}").unlink()
     assert write().samples_written == 0
     assert [what for what in asked() if what.endswith(".h5")] == ["read train-00002.h5"]
     assert objects(store) == contents(made)
@@ -147,11 +145,12 @@ def test_a_resumed_run_reads_no_samples(store, made):
 
 def test_what_is_damaged_or_lost_is_made_again(store, made):
     write()
-    home = store / "lab" / "pillar"
+    home = store / HOME
     for name in ("train-00001.h5", "test-00000.worlds.zip", f"train-00000{SUFFIX}"):
         os.truncate(home / name, (home / name).stat().st_size - 1)
-    for name in ("val-00000.h5", "test-00001.worlds.zip", f"train-00002{SUFFIX}", "dataset.json"):
+    for name in ("val-00000.h5", "test-00001.worlds.zip", "dataset.json"):
         (home / name).unlink()
+    (home / f"train-00002{SUFFIX}").write_text("[" * 10**5)
     write()
     assert objects(store) == contents(made)
 
@@ -159,7 +158,7 @@ def test_what_is_damaged_or_lost_is_made_again(store, made):
 def test_a_disk_without_room_for_a_copy_is_no_damage(store, made, monkeypatch):
     """Nothing is removed because this machine could not look at it."""
     write()
-    (store / "lab" / "pillar" / f"train-00002{SUFFIX}").unlink()
+    (store / HOME / f"train-00002{SUFFIX}").unlink()
     plain = Kept.read
 
     def full(self, name, file, most_bytes):
