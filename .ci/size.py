@@ -14,7 +14,7 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 296_350, "benchmarks": 24_840, "tests": 220_500}
+TOKENS = {"product": 296_400, "benchmarks": 24_840, "tests": 220_490}
 FILES = 236
 LINES = 400
 """The longest file of product code."""
