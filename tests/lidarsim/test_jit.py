@@ -94,7 +94,7 @@ def test_the_folder_changes_with_files_that_hold_kernels_and_with_no_others(pack
     (package / "deeper").mkdir()
     (package / "deeper" / "extra.py").write_text(CALLEE)
     seen = {before, folder_now()}
-    for file in (package / "callee.py", package / "caller.py", lidarsim / "voxelize.py"):
+    for file in (package / "callee.py", package / "caller.py", lidarsim / "voxelization.py"):
         file.write_text(file.read_text() + "\n# a word\n")
         seen.add(folder_now())
     monkeypatch.setattr(numba, "__version__", "0.0")
