@@ -14,8 +14,8 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 296_400, "benchmarks": 24_840, "tests": 220_490}
-FILES = 236
+TOKENS = {"product": 296_520, "benchmarks": 24_840, "tests": 220_560}
+FILES = 239
 LINES = 400
 """The longest file of product code."""
 WIDTH = 100

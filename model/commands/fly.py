@@ -174,7 +174,7 @@ def fly(
     worlds: int,
     recorded: Path | None,
     entries: Path | None,
-    out: Any,
+    out: Path | None,
     picture: Path | None,
     film: Path | None,
     log: Path | None,
@@ -189,7 +189,9 @@ def fly(
     """
     _check()
     if entries is not None:
-        from scenegen.model.robots.film import leaderboard
+        if out is None:
+            raise click.UsageError("--leaderboard: say where to write the page with -o, .html")
+        from scenegen.model.robots.board import leaderboard
 
         with Progress("film", shown=talk) as progress:
             write_result(out, leaderboard(entries, progress, hidden, maps).encode())
@@ -273,8 +275,6 @@ def _check() -> None:
             "--weights says which robot flies; leave out --robot, but for --robot returns, which "
             "completes the last scan alone"
         )
-    if asked.entries is not None and asked.out is None:
-        raise click.UsageError("--leaderboard: say where to write the page with -o, .html")
     if asked.out and asked.recorded:
         raise click.UsageError("--replay records nothing; leave out -o")
     if asked.log is not None:

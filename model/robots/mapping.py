@@ -17,7 +17,8 @@ from scenegen.fly.simulation import Observation
 from scenegen.model.completion.protocol import MapCompleter
 from scenegen.model.completion.unlearned import Returns
 from scenegen.model.config import PlanConfig, Thresholds
-from scenegen.model.evaluation.planning.measure import RATHER, field_at, refine, risk_of
+from scenegen.model.evaluation.planning.measure import RATHER, risk_of
+from scenegen.model.evaluation.planning.refine import field_at, refine
 from scenegen.model.robots.steering import LAG_S, follow, no_way
 from scenegen.truth import distance_field
 from scenegen.truth.search import search

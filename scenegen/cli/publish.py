@@ -1,8 +1,6 @@
-"""`scenegen verify` and `scenegen publish`: a dataset held against the format; and a verified one's
-folder for the Hugging Face Hub."""
+"""`scenegen publish`: a verified dataset, and its folder for the Hugging Face Hub."""
 
 import json
-import time
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,78 +15,18 @@ from scenegen.cli.options import (
     kind_option,
     out_option,
     printing,
-    seed_option,
 )
 from scenegen.cli.show import (
     Progress,
     announce_compilation,
     note,
-    say,
     seconds_taken,
     show_table,
 )
-from scenegen.errors import ScenegenError
 from scenegen.share import USUAL
 
 if TYPE_CHECKING:
     from scenegen.share.stage import Staged
-    from scenegen.verification import Report
-
-
-@command("verify data/pillar", "verify hf://user/name --quick", "verify data/d --json")
-@dataset_argument
-@click.option(
-    "--quick", is_flag=True, help="The cheap half: files, digests, numbers, laws, splits."
-)
-@seed_option("Chooses what is audited at random.")
-@kind_option
-@click.option(
-    "--check",
-    "own",
-    multiple=True,
-    metavar="MODULE:OBJECT",
-    help="Also make a check of your own; may be given several times.",
-)
-@executing
-@printing
-def verify(dataset: Path | str, as_json: bool, talk: bool, **options: Any) -> None:
-    """Check a dataset against the format: files, digests, truth, rays, splits; end with 1 where a
-    check fails."""
-    if talk:
-        announce_compilation()
-    from scenegen.dataset.locate import locate
-    from scenegen.verification import verify as prove
-
-    folder = locate(dataset, shown=talk, whole=True)
-    begin = time.perf_counter()
-    with Progress("verify", shown=talk) as progress:
-        report = prove(folder, on_start=progress.start, on_done=progress.count, **options)
-    if as_json:
-        print(json.dumps({**report.to_json(), "seconds": time.perf_counter() - begin}))
-    elif talk:
-        _show_checks(report, time.perf_counter() - begin)
-    if not report.ok:
-        raise ScenegenError(
-            f"verify: {len(report.failed)} of {len(report.checks)} checks failed: "
-            f"{', '.join(report.failed)}"
-        )
-
-
-def _show_checks(report: "Report", seconds: float) -> None:
-    """Prints a line for each check."""
-    rows, marks = {}, {}
-    for check in report.checks:
-        if not check.ok:
-            marks[check.name] = "FAILED ", "red"
-        else:
-            marks[check.name] = ("skipped", "yellow") if check.skipped else ("ok     ", "green")
-        rows[check.name] = f"{check.seconds:7.2f} s  {check.detail}"
-    show_table(rows, marks=marks)
-    say(f"\n{report.samples} samples in {seconds:.1f} s, {report.samples / seconds:.0f} a second")
-    if report.ok:
-        skipped = sum(check.skipped for check in report.checks)
-        passed = len(report.checks) - skipped
-        say(f"{passed} passed, {skipped} skipped" if skipped else f"all {passed} checks passed")
 
 
 @command(

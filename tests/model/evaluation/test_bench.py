@@ -118,9 +118,9 @@ def strictly(path):
     return json.loads(path.read_text(), parse_constant=pytest.fail)
 
 
-def test_the_report_holds_every_figure_in_its_place(dataset, tmp_path):
-    report = report_of(dataset, tmp_path / "bench")
-
+def test_the_report_holds_every_figure_in_its_place(dataset, tmp_path, capsys):
+    report = report_of(dataset, tmp_path / "bench", "--json")
+    assert json.loads(capsys.readouterr().out) == report
     for table, names in (("reconstruction", METRICS), ("planning", PLAN_METRICS)):
         assert list(report[table]["pillar"]) == ["returns", "conservative", "extrude", "truth"]
         for row in report[table]["pillar"].values():
@@ -139,7 +139,6 @@ def test_a_study_stands_beside_tables_that_it_does_not_change(dataset, tmp_path,
     report = report_of(dataset, tmp_path / "study", "--study", names=rows)
     assert {name: value for name, value in report.items() if name != "study"} == plain
     assert "study" not in plain
-
     study = report["study"]["pillar"]
     assert list(study) == list(rows)
     assert study["truth"]["reliability"]["map"]["said"]["ece"] == 0.0

@@ -124,6 +124,8 @@ def test_an_object_that_is_replaced_meanwhile_is_noticed(server):
         for _ in range(2):  # also whoever asks again
             with pytest.raises(StoreError, match=told):
                 copy.fileno()
+    with pytest.raises(StoreError, match=told):
+        cache.fetch(folder / "a.h5")
     assert names(folder) == {"dataset.json"}
 
 

@@ -136,7 +136,8 @@ def test_a_dataset_of_maps_passes_every_check(dataset):
 def test_a_dataset_of_maps_is_published(undrawn, dataset, tmp_path):
     """Its recipe says how much must be known, and makes the same parameters again."""
     out = tmp_path / "out"
-    stage(Request(dataset=dataset, repository="ada/hall", out=out), ())
+    staged = stage(Request(dataset=dataset, repository="ada/hall", out=out), ())
+    assert staged.digest == str(Dataset(dataset).manifest.digest)
     assert "[known]" in (out / "recipe.toml").read_text()
     assert "places or people, only their publisher can say" in (out / "README.md").read_text()
 

@@ -9,7 +9,8 @@ from scipy.interpolate import RegularGridInterpolator
 from lidarsim import GridSpec
 from scenegen.model.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import Lattice, Plan, plan_path
-from scenegen.model.evaluation.planning.measure import draw_trials, judge, refine, run_trial
+from scenegen.model.evaluation.planning.measure import draw_trials, judge, run_trial
+from scenegen.model.evaluation.planning.refine import refine
 from scenegen.truth import distance_field
 
 GRID = GridSpec(shape=(40, 40, 20))

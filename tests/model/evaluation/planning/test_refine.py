@@ -9,7 +9,7 @@ from scipy.interpolate import RegularGridInterpolator
 from lidarsim import GridSpec
 from scenegen.model.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import Lattice, plan_path
-from scenegen.model.evaluation.planning.measure import _cost, refine
+from scenegen.model.evaluation.planning.refine import _cost, refine
 from scenegen.truth import distance_field
 from tests.model.test_losses import finite_differences
 
