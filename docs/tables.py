@@ -25,7 +25,9 @@ from lidarsim.noise import STAGES
 from lidarsim.parameters import BOUNDS, Bounds
 from lidarsim.sensors import CATALOGUE, SENSORS
 from lidarsim.sensors.device import angles_deg
+from scenegen.recipe import Acceptance
 from scenegen.recipes.kind import WorldKind, bounds_by_name
+from scenegen.worlds.flight import Flight
 
 PAGES = Path(__file__).parent
 ASKED = re.compile(r"(<!-- parameters of ([\w.]+):(\w+) -->\n).*?(<!-- end -->)", re.S)
@@ -49,45 +51,50 @@ def meanings(kind: type) -> dict[str, str]:
     return found
 
 
-def table(kind: type) -> str:
-    """The parameters of a dataclass: name, default, the values allowed, and the meaning; of a kind
-    of worlds also the unit, what is easy and hard, and the source of the default. Fields that are
-    such dataclasses themselves are left out: they have tables of their own."""
-    said, drawn = meanings(kind), issubclass(kind, WorldKind)
-    levels = getattr(kind, "graded", {})
-    heads = ["parameter", "default", "allowed", "meaning"]
-    if drawn:
-        heads = ["parameter", "default", "easy · hard", "allowed", "meaning", "source"]
-    lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
+def table(kind: type[Any]) -> str:
+    """The parameters of a dataclass: name, default, the values allowed, and the meaning. Fields
+    that are such dataclasses themselves are left out: they have tables of their own."""
+    said = meanings(kind)
+    if issubclass(kind, WorldKind):
+        return kind_table(kind, said)
+    lines = ["| parameter | default | allowed | meaning |", "|---|---|---|---|"]
     for item in dataclasses.fields(kind):
         if item.default_factory is dataclasses.MISSING:
-            otherwise = bounds_by_name(item.name, item.default) if drawn else Bounds()
-            bounds = item.metadata.get(BOUNDS, otherwise)
-            allowed = str(bounds).replace("a finite number", "").replace("a ", "").strip()
-            meaning, _, source = said[item.name].replace("|", "/").partition(" Source: ")
-            if drawn:
-                shown = f"{_value(item.default)}{_unit(item.name, item.default)}"
-                graded = (levels[level].get(item.name) for level in ("easy", "hard"))
-                others = " · ".join("–" if value is None else _value(value) for value in graded)
-                others = others.replace("– · –", "")
-                cells = [shown, others, allowed, meaning, source.removesuffix(".") or "ours"]
-            else:
-                cells = [_value(item.default), allowed, meaning]
-            lines.append(f"| `{item.name}` | {' | '.join(cells)} |")
-    for name in ("flight", "accept"):
-        for parameter, value in getattr(kind, f"{name}_defaults", {}).items():
-            shown = f"{_value(value)}{_unit(parameter, value)}"
-            text = "The preset of this kind differs here."
-            lines.append(f"| `[{name}] {parameter}` | {shown} | | | {text} | ours |")
+            allowed = _allowed(item.metadata.get(BOUNDS, Bounds()))
+            meaning = said[item.name].replace("|", "/")
+            lines.append(f"| `{item.name}` | {_value(item.default)} | {allowed} | {meaning} |")
     return "\n".join(lines) + "\n"
 
 
-def _unit(name: str, value: Any) -> str:
-    """The unit of a parameter of a kind of worlds, before a space; shares, ratios and counts have
-    none."""
-    if isinstance(value, bool):
-        return ""
-    return " m" if name.endswith("_m") else " per m²" if name.endswith("density") else ""
+def kind_table(kind: type[WorldKind], said: dict[str, str]) -> str:
+    """The parameters of a kind of worlds: name, the values of its three presets ("easy" and "hard"
+    where they differ from "medium"), and the meaning. The meaning ends with the values allowed,
+    where the name does not tell them, and with the source of the default, if there is one. Then
+    the parameters of flights and of acceptance in which the presets of this kind differ."""
+    lines = ["| parameter | easy | medium | hard | meaning |", "|---|---|---|---|---|"]
+    for item in dataclasses.fields(kind):
+        usual = bounds_by_name(item.name, item.default)
+        bounds = item.metadata.get(BOUNDS, usual)
+        meaning, _, source = said[item.name].replace("|", "/").partition(" Source: ")
+        if str(bounds) != str(usual):
+            meaning += f" Allowed: {_allowed(bounds)}."
+        if source:
+            page = "results/calibration.md"
+            meaning += f" Source: {source}".replace(f"calibrated, {page}", f"[calibrated]({page})")
+        graded = (kind.graded.get(level, {}).get(item.name) for level in ("easy", "hard"))
+        easy, hard = ("" if value is None else _value(value) for value in graded)
+        medium = _value(item.default)
+        lines.append(f"| `{item.name}` | {easy} | {medium} | {hard} | {meaning} |")
+    for name, fields in (("flight", Flight), ("accept", Acceptance)):
+        for parameter, value in getattr(kind, f"{name}_defaults").items():
+            meaning = meanings(fields)[parameter].partition(";")[0].rstrip(".") + "."
+            lines.append(f"| `[{name}] {parameter}` | | {_value(value)} | | {meaning} |")
+    return "\n".join(lines) + "\n"
+
+
+def _allowed(bounds: Bounds) -> str:
+    """Bounds in as few words as a table needs."""
+    return str(bounds).replace("a finite number", "").replace("a ", "").strip()
 
 
 def sensors() -> str:
