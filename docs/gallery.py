@@ -118,7 +118,7 @@ them.
 ## Networks, at home
 
 The paper's three networks on a test sample of `geometric`, a kind that they learned from
-([training](training.md)); magenta is missed, black is invented.
+([complete](complete.md#bundled-networks)); magenta is missed, black is invented.
 
 ![completions beside the truth](pictures/look/completions.webp)
 

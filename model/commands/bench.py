@@ -66,12 +66,12 @@ QUICK = {"samples": 50, "trials": 200}
 )
 @options_of(
     BenchConfig,
-    study="Also measure probabilities, bounds and risks: slower. See docs/bench.md.",
+    study="Also measure probabilities, bounds and risks: slower. See docs/reliability.md.",
     seed="Decides the goals.",
 )
 @options_of(
     PlanConfig,
-    planner="The paper's, or one that weighs ways by their risk. See docs/bench.md.",
+    planner="The paper's, or one that weighs ways by their risk. See docs/planning.md.",
     edge_check="Let A* ask that the way between two nodes be free, too.",
     field="What paths are refined on: predicted distances, or the transform of the occupancy.",
     clearance_weight="λ_c, of clearance against smoothness.",

@@ -18,7 +18,7 @@ def test_the_documented_maps_train(tmp_path, monkeypatch, rng):
             occupancy=occupancy,
         )
     small = 'maps=8, width=4, precision="float32"'
-    text = example("training.md", "# recorded.py").replace("maps=5000", small)
+    text = example("own-maps.md", "# recorded.py").replace("maps=5000", small)
     text = text.replace("GridSpec()", "GridSpec(shape=(16, 16, 16))")
     exec(text, {})
     network, grid, about = load_network(tmp_path / "runs" / "yard" / "best.safetensors")

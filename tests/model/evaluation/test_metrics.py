@@ -27,7 +27,7 @@ def test_the_docs_name_every_metric():
     ]
     needs = r"(?:distance|occupancy|trial|path)"
     pattern = rf"^\| `\w+` \| [^|]+ \| {needs} \| [^|]+ \|$"
-    assert re.findall(pattern, page("bench.md"), re.M) == rows
+    assert re.findall(pattern, page("metrics.md"), re.M) == rows
 
 
 def test_metrics_that_the_paper_lacks_are_in_every_table(dataset, tmp_path, monkeypatch, capsys):

@@ -1,13 +1,12 @@
-"""docs/verify.md says of every check what the check says of itself, and how to write one's own."""
+"""docs/checks.md says of every check what the check says of itself, docs/verify.md how to write
+one's own."""
 
 import pytest
 
 from scenegen.errors import DatasetError
 from scenegen.verification import verify
 from scenegen.verification.folder import CHECKS
-from tests.command_line import ROOT, run
-
-PAGE = ROOT / "docs" / "verify.md"
+from tests.command_line import page, run
 
 
 def test_the_table_is_that_of_the_checks():
@@ -15,7 +14,7 @@ def test_the_table_is_that_of_the_checks():
         f"| `{check.name}` | {'yes' if check.quick else ''} | {check.proves} |" for check in CHECKS
     ]
     table = "\n".join(["| check | `--quick` | proves |", "|---|---|---|", *rows])
-    assert f"\n\n{table}\n\n" in PAGE.read_text(encoding="utf-8")
+    assert f"\n\n{table}\n\n" in page("checks.md")
 
 
 OWN = """
@@ -25,7 +24,7 @@ bad = Check(name="bad", proves="x", sample=lambda s, page: 1 / 0)
 
 
 def test_a_check_of_ones_own(folder, tmp_path, monkeypatch, capsys):
-    code = PAGE.read_text(encoding="utf-8").split("```python\n")[-1].split("```")[0]
+    code = page("verify.md").split("```python\n")[-1].split("```")[0]
     (tmp_path / "my_checks.py").write_text(code + OWN)
     monkeypatch.chdir(tmp_path)
     own = [f"my_checks:{name}" for name in ("high", "low", "bad")]
