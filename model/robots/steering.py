@@ -23,6 +23,7 @@ SIDE_S = 0.2
 """The vehicle is so slow that it would take so many seconds to what is beside the way."""
 SLOWEST_MPS = 0.5
 """What it flies in the narrowest places, metres a second."""
+STRAIGHT_M = 0.1
 TURN = 2.0
 """Rate of yaw for each radian off the course, 1/s."""
 
@@ -86,6 +87,12 @@ def follow(
     way = np.maximum(np.linspace(-brakes, look - brakes, POINTS), 0)
     wanted = float(np.sqrt(allowed**2 + pull * way).min())
     wanted = min(most, wanted, math.sqrt(pull * float(ends[-1])) + 0.1)
+    if speed > SLOWEST_MPS:
+        straight = np.linspace(0, brakes + speed * speed / pull + 0.5, POINTS)
+        met = room(path[0] + straight[:, None] * observation["velocity"] / speed) < radius + STRAIGHT_M
+        if met.any():
+            free = float(straight[met.argmax()])
+            wanted = min(wanted, max(math.sqrt(pull * max(free - brakes, 0.0)), SLOWEST_MPS))
     return velocity_to(part[-1] - path[0], wanted, observation, about)
 
 
