@@ -192,8 +192,7 @@ class MappingRobot:
 
     def _narrowest_m(self, path: Floats) -> float:
         """How near a path (n, 3) from the vehicle comes to what was seen."""
-        between = np.concatenate([path[1:], 0.5 * (path[1:] + path[:-1])])
-        return float(self._seen[self._voxels(between)].min())
+        return float(self._seen[self._voxels(_halved(path)[1:])].min())
 
     def _voxels(self, points: Floats) -> tuple[Ints, ...]:
         """The fence's voxels that hold `points` (n, 3), world metres, or are next to them."""
@@ -227,7 +226,7 @@ class MappingRobot:
             return None
         rough = (first + step * nodes + 0.5) * voxel_m
         path = refine(rough, distance, self._fence, PLAN) if len(rough) > 2 else rough
-        met = self._voxels(path[1:] + self._start)
+        met = self._voxels(_halved(path)[1:] + self._start)
         path = (rough if (blocked | (self._risk > RATHER))[met].any() else path) + self._start
         return np.concatenate([[position, start], path[1:], goal[None]])
 
@@ -240,6 +239,12 @@ def _nearest(blocked: Mask, begin: Ints, goal: Ints) -> Ints:
     parts, _ = ndimage.label(free)
     nodes: Ints = np.argwhere(parts == parts[tuple(begin)])
     return nodes[np.argmin(((nodes - goal) ** 2).sum(axis=1))]
+
+
+def _halved(path: Floats) -> Floats:
+    """The points of a path (n, 3), and those halfway between them, (2 n - 1, 3)."""
+    both = np.repeat(path, 2, axis=0)
+    return 0.5 * (both[:-1] + both[1:])
 
 
 def _box(low: Ints, count: ArrayLike) -> tuple[slice, ...]:

@@ -23,6 +23,8 @@ SIDE_S = 0.2
 """The vehicle is so slow that it would take so many seconds to what is beside the way."""
 SLOWEST_MPS = 0.5
 """What it flies in the narrowest places, metres a second."""
+STRAIGHT_M = 0.1
+"""Room beside the vehicle that it keeps from what lies straight ahead, metres."""
 TURN = 2.0
 """Rate of yaw for each radian off the course, 1/s."""
 
@@ -55,7 +57,8 @@ def follow(
     room: Callable[[Floats], Floats],
 ) -> Floats:
     """The action (4,) that follows a path (n, 3), world metres, from the vehicle on: towards a
-    point on it a little ahead, so slowly that it can brake for narrow places and the path's end.
+    point on it a little ahead, so slowly that it can brake for narrow places, the path's end, and
+    what lies straight ahead where the path turns.
 
     `room` tells how far points (n, 3) are from what is taken for occupied, (n,) metres. A corner
     is cut no nearer to it than the path goes, unless `CUT_M` is left beside the vehicle.
@@ -86,6 +89,13 @@ def follow(
     way = np.maximum(np.linspace(-brakes, look - brakes, POINTS), 0)
     wanted = float(np.sqrt(allowed**2 + pull * way).min())
     wanted = min(most, wanted, math.sqrt(pull * float(ends[-1])) + 0.1)
+    if speed > SLOWEST_MPS:
+        beyond = np.linspace(0, brakes + speed * speed / pull + 0.5, POINTS)
+        straight = path[0] + beyond[:, None] * observation["velocity"] / speed
+        met = room(straight) < radius + STRAIGHT_M
+        if met.any():
+            free = float(beyond[met.argmax()])
+            wanted = min(wanted, max(math.sqrt(pull * max(free - brakes, 0.0)), SLOWEST_MPS))
     return velocity_to(part[-1] - path[0], wanted, observation, about)
 
 

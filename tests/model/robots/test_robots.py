@@ -83,6 +83,17 @@ def test_a_dead_end_deeper_than_the_window_is_left(tmp_path, monkeypatch):
     assert flown.path[:, 0].min() < 0  # around the walls
 
 
+def test_who_knows_the_truth_hits_nothing_at_full_speed(monkeypatch):
+    """Behind a corner it would be carried into a wall; a way led past one at the window's end."""
+    course = Course(world="maze", difficulty="easy", seed=901, vehicle=suite.VEHICLE)
+    ways = ((26.85, 9.35, 2.55), (11.45, 25.55, 4.75)), ((16.05, 28.75, 1.55), (12.75, 11.25, 1.55))
+    within = {"shortest_m": 20.0, "bounds": ((8.0, 8.0, 0.6), (32.0, 32.0, 6.2))}
+    missions = [Mission(start=start, goal=goal, **within) for start, goal in ways]
+    monkeypatch.setattr(Course, "missions", missions)
+    robot = robot_maker("truth", None)(course)
+    assert [fly(course.simulation(n), robot).outcome for n in (0, 1)] == ["success"] * 2
+
+
 class Idle:
     def reset(self, about):
         pass
