@@ -123,9 +123,6 @@ def _rejections_add_up(contract: Manifest, page: Page) -> None:
 
 MANIFEST = Check(
     name="manifest",
-    proves="Every value in `dataset.json` has the type and bounds of the format; its shards have "
-    "plain names, follow in order, hold what `counts` asks for, were written for its parameters "
-    "and reject what it says; no other `.h5` or `.zip` file lies in the folder.",
     quick=True,
     shard=_written_for_these_parameters,
     folder=_rejections_add_up,
@@ -133,11 +130,7 @@ MANIFEST = Check(
 """`read_contract` examines the manifest itself, before all else."""
 
 
-EXAMINED = Check(
-    name="examined",
-    proves="Every shard could be examined to the end, within its limits of time and memory.",
-    quick=True,
-)
+EXAMINED = Check(name="examined", quick=True)
 """`verify` counts, and writes the faults: it sees the processes end."""
 
 
@@ -150,22 +143,10 @@ def _same_sum(signed: SignedFile, page: Page) -> None:
     )
 
 
-CHECKSUMS = Check(
-    name="checksums",
-    proves="Every shard and every archive has the SHA-256 that the manifest lists.",
-    quick=True,
-    file=_same_sum,
-)
+CHECKSUMS = Check(name="checksums", quick=True, file=_same_sum)
 
 
-LAYOUT = Check(
-    name="layout",
-    proves="A shard holds the fields of the format and nothing else, in their types and shapes: "
-    "hard links alone, no data in other files, no filter but gzip, shuffle and fletcher32, one "
-    "chunk a sample, no byte between; every chunk unpacks to just its size (with `--quick`, every "
-    "chunk but those of `tudf` and `free`).",
-    quick=True,
-)
+LAYOUT = Check(name="layout", quick=True)
 """The walk over a shard writes the faults: opening the file and unpacking its samples is the
 examination."""
 
@@ -202,15 +183,7 @@ def _spans(numbers: Sequence[int]) -> str:
     return f"{numbers[0]} to {numbers[-1]} ({len(numbers)})" if numbers else "none"
 
 
-ARCHIVES = Check(
-    name="archives",
-    proves="An archive has plain member names, bounded sizes and self-contained MJCF, and holds "
-    "just the worlds of "
-    "its shard's samples; worlds from your own MJCF are those that the recipe names.",
-    quick=True,
-    archive=_worlds_from_files,
-    shard=_worlds_of_samples,
-)
+ARCHIVES = Check(name="archives", quick=True, archive=_worlds_from_files, shard=_worlds_of_samples)
 """The walk over a shard adds the faults of an archive that cannot be read."""
 
 CHECKS = (MANIFEST, EXAMINED, CHECKSUMS, LAYOUT, ARCHIVES)

@@ -200,22 +200,6 @@ def _compare(contract: Manifest, page: Page) -> None:
 
 
 CHECKS = (
-    Check(
-        name="splits",
-        proves="No two splits share a world, however its solids are named, grouped in bodies and "
-        "ordered (with "
-        "`--quick`: however the elements of its MJCF are named, coloured and ordered).",
-        quick=True,
-        archive=_digest_worlds,
-        folder=_in_one_split,
-    ),
-    Check(
-        name="near-twins",
-        proves="No two samples of different splits show nearly the same map, seen nearly the same "
-        "way: their occupied voxels agree to less than 90 % (intersection over union), or their "
-        "observed voxels to less than 50 %, or what stands on the floor to less than 50 %; of more "
-        "than 200,000 samples, so many, evenly spread, are compared.",
-        sample=_keep_signature,
-        folder=_compare,
-    ),
+    Check(name="splits", quick=True, archive=_digest_worlds, folder=_in_one_split),
+    Check(name="near-twins", sample=_keep_signature, folder=_compare),
 )

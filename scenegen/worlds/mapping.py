@@ -18,7 +18,7 @@ class Known(Checked):
     """A recipe's [known]: how much of a map of a real place must be known where a sensor scans."""
 
     most_unknown_m: float = number(0.6, least=0, most=MOST_LENGTH_M)
-    """A ray that crosses more metres of unknown space than this is marked in `ray_known`."""
+    """A ray that crosses more metres of unknown space than this is not in `ray_known`."""
     most_marked_share: float = number(0.35, least=0, most=1)
     """A viewpoint is rejected when a larger share of its rays is marked."""
     least_share: float = number(0.05, least=0, most=1)

@@ -1,5 +1,6 @@
-"""docs/checks.md says of every check what the check says of itself, docs/verify.md how to write
-one's own."""
+"""docs/checks.md lists every check, docs/verify.md says how to write one's own."""
+
+import re
 
 import pytest
 
@@ -9,12 +10,9 @@ from scenegen.verification.folder import CHECKS
 from tests.command_line import page, run
 
 
-def test_the_table_is_that_of_the_checks():
-    rows = [
-        f"| `{check.name}` | {'yes' if check.quick else ''} | {check.proves} |" for check in CHECKS
-    ]
-    table = "\n".join(["| check | `--quick` | proves |", "|---|---|---|", *rows])
-    assert f"\n\n{table}\n\n" in page("checks.md")
+def test_the_table_has_the_checks_in_order():
+    rows = re.findall(r"^\| `([a-z-]+)` \| (yes)? *\| ", page("checks.md"), re.MULTILINE)
+    assert rows == [(check.name, "yes" if check.quick else "") for check in CHECKS]
 
 
 OWN = """
