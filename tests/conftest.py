@@ -148,11 +148,11 @@ def picky_recipe():
     )
 
 
-def quarter(count):
-    """A test of so many instances, its argument `count`: a quarter of them by default, all among
-    the slow tests."""
+def quarter(count, part=4):
+    """A test of so many instances, its argument `count`: a quarter of them, or another part, by
+    default, all among the slow tests."""
     return pytest.mark.parametrize(
-        "count", [count // 4, pytest.param(count, marks=pytest.mark.slow)]
+        "count", [count // part, pytest.param(count, marks=pytest.mark.slow)]
     )
 
 

@@ -389,9 +389,10 @@ def test_the_suite_is_drawn_as_it_was_frozen(chosen):
     assert {course.difficulty for course in quick} == {"easy", "medium", "hard"}
     named = chosen_courses("aerial-1", 5, None, quick=False)
     assert len(named) == 50
-    assert hidden_course(named[6], 5).seed != hidden_course(named[6], 6).seed
+    one = replace(named[6], flights=1)  # missions take the time
+    assert hidden_course(one, 5).seed != hidden_course(one, 6).seed
     with pytest.raises(GenerationError, match="another world"):
-        hidden_course(replace(named[0], document="0"), 5)
+        hidden_course(replace(one, document="0"), 5)
 
 
 def test_an_entry_keeps_to_its_suite():
@@ -456,7 +457,8 @@ def test_the_real_track_is_of_these_maps_alone(tmp_path, monkeypatch):
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_gymnasium_takes_it():
+def test_gymnasium_takes_it(monkeypatch):
+    monkeypatch.setattr("scenegen.fly.missions.VOXEL_M", 0.5)  # missions take the time
     gymnasium = pytest.importorskip("gymnasium")
     from gymnasium.utils.env_checker import check_env
 
