@@ -293,7 +293,8 @@ def test_a_robot_that_never_begins_is_asked_a_few_times_only():
     assert time.monotonic() - begin < 4
 
 
-def test_missions_follow_the_rule():
+def test_missions_follow_the_rule(monkeypatch):
+    monkeypatch.setattr("scenegen.fly.missions.VOXEL_M", 0.2)  # ways take the time
     world, rules = balls(), Rules(apart_m=5.0)
     missions = draw_missions(world, VEHICLE, rules, 4, seed=1)
     assert missions[:2] == draw_missions(world, VEHICLE, rules, 2, seed=1)
@@ -423,8 +424,9 @@ def test_an_entry_keeps_to_its_suite():
         part(courses, "easy")
 
 
-def test_what_is_unknown_of_a_map_is_flown_through_and_never_flown_to(tmp_path):
+def test_what_is_unknown_of_a_map_is_flown_through_and_never_flown_to(tmp_path, monkeypatch):
     """A hall of 12 m, of which a slice is unknown, and another is a wall with a hole in it."""
+    monkeypatch.setattr("scenegen.fly.missions.VOXEL_M", 0.2)  # as the map's
     states = np.full((60, 60, 15), FREE, np.uint8)
     states[25:30], states[45], states[45, 20:40, 4:12] = UNKNOWN, OCCUPIED, FREE
     voxels = VoxelMap(states, 0.2, np.zeros(3))
