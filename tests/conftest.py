@@ -44,8 +44,9 @@ COUNTS, THREE = {"train": 11, "val": 2, "test": 4}, {"train": 3, "val": 0, "test
 @pytest.hookimpl(wrapper=True)
 def pytest_collection():
     """What is imported stays: the garbage collector looks for none in it, neither meanwhile nor in
-    any test. Its bytecode is kept, whatever the environment says: pytest writes assertions anew for
-    five seconds, and processes that tests start would compile all of scenegen."""
+    any test, where it comes seldom. Its bytecode is kept, whatever the environment says: pytest
+    writes assertions anew for five seconds, and processes that tests start would compile all of
+    scenegen."""
     unkept, sys.dont_write_bytecode = sys.dont_write_bytecode, False
     if "PYTEST_XDIST_WORKER" in os.environ:
         atexit.register(
@@ -57,6 +58,7 @@ def pytest_collection():
     finally:
         sys.dont_write_bytecode = unkept
         gc.freeze()
+        gc.set_threshold(20_000)
         gc.enable()
 
 
