@@ -83,10 +83,9 @@ def _is_in(quad, spot):
     return bool((sides > 0).all() or (sides < 0).all())
 
 
-def test_a_world_is_what_another_engine_meets(rng, monkeypatch):
+def test_a_world_is_what_another_engine_meets(rng):
     """A ball, a pillar through the box's lid, and a floor: where the picture is white, MuJoCo's
     rays meet nothing."""
-    monkeypatch.setattr("scenegen.display.pictures.PIXELS", 500)
     world = compile_world(
         b"<mujoco><custom><numeric name='flight_bounds' data='0 0 0 10 8 4'/></custom><worldbody>"
         b"<geom type='sphere' size='1' pos='4 4 2'/><geom type='box' size='.5 .5 9' pos='8 2 0'/>"
@@ -115,7 +114,7 @@ def test_a_world_is_what_another_engine_meets(rng, monkeypatch):
     white = (colours == 1).all(axis=1)
     assert (
         white[inside] == np.isinf(ranges[inside])
-    ).mean() > 0.98  # a pixel is a fiftieth of a metre
+    ).mean() > 0.98  # a pixel is a hundredth of a metre
     assert white[begin < end].all()
     assert 0 < (image == CUT).all(axis=2).mean() < 0.2  # where the box's lid cuts the pillar
 

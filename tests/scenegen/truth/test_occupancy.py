@@ -43,18 +43,15 @@ def check(shape, solids, grid_shape, voxel, origin):
     return truth
 
 
-def compiled(shapes):
-    """The solids of each shape by itself, which MuJoCo compiled together: that takes a hundredth of
-    the time."""
-    together = solids_of(reference.world_of(*shapes))
-    assert len(together) == len(shapes)
+def compiled(cases):
+    """Each case, which begins with a shape, and then the solids of that by itself, which MuJoCo
+    compiled together: that takes a hundredth of the time."""
+    together = solids_of(reference.world_of(*(shape for shape, *_ in cases)))
+    assert len(together) == len(cases)
     names = ("shape", "size", "position", "rotation", "lower", "upper")
-    return [
-        dataclasses.replace(
-            together, **{name: getattr(together, name)[n : n + 1] for name in names}
-        )
-        for n in range(len(shapes))
-    ]
+    for n, case in enumerate(cases):
+        alone = {name: getattr(together, name)[n : n + 1] for name in names}
+        yield *case, dataclasses.replace(together, **alone)
 
 
 def unit(rng):
@@ -195,10 +192,7 @@ def test_primitives_at_many_attitudes_occupy_the_cubes_they_touch(kind, count):
     rng = np.random.default_rng([13, KINDS.index(kind)])
     n = 16
     boundary = filled = undecidable = 0
-    cases = [placed(kind, rng, n) for _ in range(count)]
-    for (shape, voxel, origin), solids in zip(
-        cases, compiled([case[0] for case in cases]), strict=True
-    ):
+    for shape, voxel, origin, solids in compiled([placed(kind, rng, n) for _ in range(count)]):
         truth = check(shape, solids, (n, n, n), voxel, origin)
         boundary += int(truth.boundary.sum())
         filled += int((truth.boundary & (truth.verdict == OCCUPIED)).sum())
@@ -223,7 +217,7 @@ def test_right_angled_attitudes_on_and_off_the_lattice(kind, rng):
             size = tuple(float(v) for v in rng.integers(1, 4, 3) * voxel / rng.choice([1, 2]))
             pos = np.full(3, (5 + shift) * voxel)
             cases.append((Shape(kind, size, pos, quat), voxel))
-    for (shape, voxel), solids in zip(cases, compiled([shape for shape, _ in cases]), strict=True):
+    for shape, voxel, solids in compiled(cases):
         check(shape, solids, (10, 10, 10), voxel, np.zeros(3))
 
 
