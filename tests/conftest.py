@@ -44,8 +44,9 @@ COUNTS, THREE = {"train": 11, "val": 2, "test": 4}, {"train": 3, "val": 0, "test
 @pytest.hookimpl(wrapper=True)
 def pytest_collection():
     """What is imported stays: the garbage collector looks for none in it, neither meanwhile nor in
-    any test. Its bytecode is kept, whatever the environment says: pytest writes assertions anew for
-    five seconds, and processes that tests start would compile all of scenegen."""
+    any test, where it comes seldom. Its bytecode is kept, whatever the environment says: pytest
+    writes assertions anew for five seconds, and processes that tests start would compile all of
+    scenegen."""
     unkept, sys.dont_write_bytecode = sys.dont_write_bytecode, False
     if "PYTEST_XDIST_WORKER" in os.environ:
         atexit.register(
@@ -57,6 +58,7 @@ def pytest_collection():
     finally:
         sys.dont_write_bytecode = unkept
         gc.freeze()
+        gc.set_threshold(20_000)
         gc.enable()
 
 
@@ -148,11 +150,11 @@ def picky_recipe():
     )
 
 
-def quarter(count):
-    """A test of so many instances, its argument `count`: a quarter of them by default, all among
-    the slow tests."""
+def quarter(count, part=4):
+    """A test of so many instances, its argument `count`: a quarter of them, or another part, by
+    default, all among the slow tests."""
     return pytest.mark.parametrize(
-        "count", [count // 4, pytest.param(count, marks=pytest.mark.slow)]
+        "count", [count // part, pytest.param(count, marks=pytest.mark.slow)]
     )
 
 

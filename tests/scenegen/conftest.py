@@ -1,5 +1,6 @@
 """A small dataset of a few shards, a check that passes it, and a stand-in for the Hub."""
 
+import functools
 import shutil
 import sys
 import time
@@ -15,6 +16,7 @@ from scenegen.dataset.read import Dataset
 from scenegen.display.look import looks
 from scenegen.draw import draw_unit
 from scenegen.sample import GROUPS
+from scenegen.share.regenerate import closure
 from scenegen.share.stage import Request
 from scenegen.source import DrawnWorlds
 from tests.scenegen.hub import TOKEN, Hub
@@ -50,6 +52,8 @@ def wait_for(condition, seconds=60):
         time.sleep(0.05)
 
 
+needed = functools.cache(closure)
+"""What a package needs is looked up once a process."""
 Check = namedtuple("Check", "name ok detail skipped", defaults=[False])
 
 
@@ -90,6 +94,7 @@ def verified(monkeypatch):
 def undrawn(monkeypatch):
     """No picture is drawn for a published folder: that of test_stage.py has them."""
     pytest.importorskip("matplotlib")
+    monkeypatch.setattr("scenegen.share.regenerate.closure", needed)
     monkeypatch.setattr("scenegen.share.stage.SHOWN", 1)
     monkeypatch.setattr("scenegen.display.pictures.draw_sample", lambda look: None)
     monkeypatch.setattr("scenegen.display.panels.to_bytes", lambda figure, ending: b"\x89PNG")

@@ -65,7 +65,7 @@ def test_fewer_samples_of_a_folder_are_the_first_of_more(folder, tmp_path):
 
 
 def test_how_many_samples_are_asked_for_deals_no_world_otherwise(tmp_path):
-    for n in range(20):
+    for n in range(14):
         (tmp_path / f"room{n:02d}.xml").write_text(ROOM.format(n=3 + n / 10))
 
     def dealt(n):

@@ -114,7 +114,8 @@ def test_what_is_lost_is_made_again_by_any_number_of_workers(mixed, recipe):
     assert manifest.read(again.folder) == before
 
 
-def test_it_is_verified_inspected_measured_and_gathered(mixed, tmp_path, capsys):
+def test_it_is_verified_inspected_measured_and_gathered(mixed, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("scenegen.model.evaluation.shown._webp", lambda figure: b"")
     folder = mixed.folder
     done(capsys, f"verify {folder} --kind clutter")
     named = trust.parse(manifest.read(folder), folder, "clutter")

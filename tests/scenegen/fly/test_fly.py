@@ -293,7 +293,8 @@ def test_a_robot_that_never_begins_is_asked_a_few_times_only():
     assert time.monotonic() - begin < 4
 
 
-def test_missions_follow_the_rule():
+def test_missions_follow_the_rule(monkeypatch):
+    monkeypatch.setattr("scenegen.fly.missions.VOXEL_M", 0.2)  # ways take the time
     world, rules = balls(), Rules(apart_m=5.0)
     missions = draw_missions(world, VEHICLE, rules, 4, seed=1)
     assert missions[:2] == draw_missions(world, VEHICLE, rules, 2, seed=1)
@@ -389,9 +390,10 @@ def test_the_suite_is_drawn_as_it_was_frozen(chosen):
     assert {course.difficulty for course in quick} == {"easy", "medium", "hard"}
     named = chosen_courses("aerial-1", 5, None, quick=False)
     assert len(named) == 50
-    assert hidden_course(named[6], 5).seed != hidden_course(named[6], 6).seed
+    one = replace(named[6], flights=1)  # missions take the time
+    assert hidden_course(one, 5).seed != hidden_course(one, 6).seed
     with pytest.raises(GenerationError, match="another world"):
-        hidden_course(replace(named[0], document="0"), 5)
+        hidden_course(replace(one, document="0"), 5)
 
 
 def test_an_entry_keeps_to_its_suite():
@@ -422,8 +424,9 @@ def test_an_entry_keeps_to_its_suite():
         part(courses, "easy")
 
 
-def test_what_is_unknown_of_a_map_is_flown_through_and_never_flown_to(tmp_path):
+def test_what_is_unknown_of_a_map_is_flown_through_and_never_flown_to(tmp_path, monkeypatch):
     """A hall of 12 m, of which a slice is unknown, and another is a wall with a hole in it."""
+    monkeypatch.setattr("scenegen.fly.missions.VOXEL_M", 0.2)  # as the map's
     states = np.full((60, 60, 15), FREE, np.uint8)
     states[25:30], states[45], states[45, 20:40, 4:12] = UNKNOWN, OCCUPIED, FREE
     voxels = VoxelMap(states, 0.2, np.zeros(3))
@@ -456,7 +459,8 @@ def test_the_real_track_is_of_these_maps_alone(tmp_path, monkeypatch):
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_gymnasium_takes_it():
+def test_gymnasium_takes_it(monkeypatch):
+    monkeypatch.setattr("scenegen.fly.missions.VOXEL_M", 0.5)  # missions take the time
     gymnasium = pytest.importorskip("gymnasium")
     from gymnasium.utils.env_checker import check_env
 

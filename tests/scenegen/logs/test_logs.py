@@ -115,7 +115,7 @@ def test_a_log_that_is_recorded_and_ingested_agrees_with_its_world(here, capsys)
 def test_what_a_moving_sensor_tells_is_put_right_by_its_times(here, capsys, ros):
     (here / "mine.toml").write_text(f"{SENSOR}lever_arm_m = [1, 0, 0]")
     for name in ("raw.mcap", "right"):
-        done(capsys, f"{RECORD} --length 8 --seed 5 --moving -o {name} --quiet")
+        done(capsys, f"{RECORD} --length 4 --seed 5 --moving -o {name} --quiet")
 
     def points(name, deskew):
         out = here / f"{name}-{deskew}"
@@ -307,6 +307,10 @@ def test_what_moves_on_is_free_and_jumps_are_counted(tmp_path):
     assert (off < 0.2).mean() > 0.999  # but for a ray along the voxels' faces
 
 
+NEAR = Fusing(every=2, reach_m=10, rise_m=5)
+"""Maps of less than a million voxels."""
+
+
 def ingest_and_be_killed(log, out, at):
     """SIGKILL at a scan, with every scan saved."""
     scenegen.logs.fuse.SAVE_EVERY_S = -1.0
@@ -316,13 +320,13 @@ def ingest_and_be_killed(log, out, at):
         if next(seen) == at:
             os.kill(os.getpid(), signal.SIGKILL)
 
-    ingest(read_log(log), out, Fusing(every=2), on_scan=count)
+    ingest(read_log(log), out, NEAR, on_scan=count)
 
 
 def test_a_killed_ingest_goes_on_to_the_same_bits(tmp_path, monkeypatch):
     """Of a place that takes several maps."""
-    monkeypatch.setattr(scenegen.logs.fuse, "MOST_PLACE_VOXELS", 12_000_000)
-    log, how = tmp_path / "log", Fusing(every=2)
+    monkeypatch.setattr(scenegen.logs.fuse, "MOST_PLACE_VOXELS", 800_000)
+    log, how = tmp_path / "log", NEAR
     whole, out, mended = (tmp_path / name for name in ("whole", "out", "mended"))
     written(log, 12)
     counts = ingest(read_log(log), whole, how)
@@ -334,7 +338,7 @@ def test_a_killed_ingest_goes_on_to_the_same_bits(tmp_path, monkeypatch):
         assert os.WTERMSIG(os.waitpid(child, 0)[1]) == signal.SIGKILL
     assert not out.exists()
     with pytest.raises(DatasetError, match="other options"):
-        ingest(read_log(log), out, Fusing(every=3))
+        ingest(read_log(log), out, dataclasses.replace(NEAR, every=3))
     done = []
     assert ingest(read_log(log), out, how, on_scan=done.append) == counts
     assert done[0] == 9

@@ -73,8 +73,8 @@ def read_parts(task):
 
 def test_processes_that_read_all_over_fetch_every_byte_once(server):
     folder, held = objects(server, "a.h5")
-    tasks = [(folder / "a.h5", held["a.h5"], seed) for seed in range(4)]
-    with multiprocessing.get_context("fork").Pool(4) as pool:
+    tasks = [(folder / "a.h5", held["a.h5"], seed) for seed in range(3)]
+    with multiprocessing.get_context("fork").Pool(3) as pool:
         assert all(pool.map(read_parts, tasks))
         pool.close()
         pool.join()

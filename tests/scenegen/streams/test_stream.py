@@ -35,7 +35,7 @@ def never(component, unit):
 )
 def test_its_first_samples_are_those_of_the_dataset(recipe, tmp_path):
     """The picky recipe rejects some draws of most units."""
-    counts = {"train": 8, "val": 2, "test": 4}
+    counts = {"train": 5, "val": 1, "test": 2}
     made = dataset_in(tmp_path / "d", recipe, seed=5, counts=counts, shard_samples=3)
     for split in SPLITS:
         stored, drawn = made.split(split), scenegen.stream(recipe, seed=5, split=split)

@@ -389,12 +389,14 @@ def winding_number(triangles, points):
     """How often a closed surface (f, 3, 3) winds around each point (n, 3): the sum of solid
     angles."""
     total = np.zeros(len(points))
-    for triangle in triangles:
-        a, b, c = (corner - points for corner in triangle)
-        la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
-        ab, bc, ca = ((u * v).sum(axis=1) for u, v in ((a, b), (b, c), (c, a)))
-        volume = (a * np.cross(b, c)).sum(axis=1)
-        total += 2 * np.arctan2(volume, la * lb * lc + ab * lc + bc * la + ca * lb)
+    for first in range(0, len(points), 200):
+        corners = triangles[:, :, None] - points[first : first + 200]
+        a, b, c = (corners[:, n].transpose(2, 0, 1) for n in range(3))
+        la, lb, lc = (np.sqrt(_dot.py_func(v, v)) for v in (a, b, c))
+        volume = _dot.py_func(a, _cross.py_func(b, c))
+        ab, bc, ca = _dot.py_func(a, b), _dot.py_func(b, c), _dot.py_func(c, a)
+        angles = 2 * np.arctan2(volume, la * lb * lc + ab * lc + bc * la + ca * lb)
+        total[first : first + 200] = angles.sum(axis=0)
     return total / (4 * np.pi)
 
 

@@ -57,11 +57,8 @@ def eroded(shape, by):
 @pytest.mark.parametrize("kind", reference.KINDS)
 def test_what_is_left_out_lies_wholly_inside_one_solid_and_nothing_else_does(kind):
     rng = np.random.default_rng(list(kind.encode()))
-    places = [placed(kind, rng, EDGE) for _ in range(40)]
     inner = 0
-    for solids, (shape, voxel, origin) in zip(
-        compiled([shape for shape, _, _ in places]), places, strict=True
-    ):
+    for shape, voxel, origin, solids in compiled([placed(kind, rng, EDGE) for _ in range(40)]):
         solid, surface = both(solids, (EDGE,) * 3, voxel, origin)
         assert not (surface & ~solid).any()
         centres = reference.voxel_centres(solid.shape, voxel, origin)
