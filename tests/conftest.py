@@ -57,6 +57,7 @@ def pytest_collection():
     finally:
         sys.dont_write_bytecode = unkept
         gc.freeze()
+        gc.set_threshold(10_000, 50, 100)
         gc.enable()
 
 
