@@ -145,7 +145,6 @@ SAID = r"""
 {"variant": "wrong:Peeking"}                     → gives .None, 'shown no truth'
 {"variant": "wrong:Masked"}                      → mask is torch.bool, expected float32 or int64
 {"objective": "wrong:detached"}                  → no weight of variant my_net:Net changes it
-{"variant": "wrong:Broken"}                      → line \d+ of wrong.py: KeyError
 {"variant": "wrong:Gone"}                        → has no Gone
 {"objective": "wrong:vector"}                    → iou is .*no metric has
 {"objective": "wrong:Scaled", "choose": "occupancy"} → the loss has no such term, but loss
@@ -161,6 +160,12 @@ def test_what_is_wrong_with_own_code_is_told_in_one_line(here, asked, said):
     with pytest.raises(ScenegenError, match=said):
         train([here / "data" / "pillar"], config, here / "run")
     assert not (here / "run").exists()
+
+
+def test_an_error_of_ones_own_network_names_its_line(here, capsys):
+    (here / "wrong.py").write_text(WRONG)
+    words = "train data/pillar --epochs 1 --device cpu --quiet --variant wrong:Broken"
+    assert "of wrong.py: KeyError" in refused(capsys, words)
 
 
 @pytest.mark.slow
