@@ -272,8 +272,10 @@ def main():
 
     from scenegen.cli import doctor
     from scenegen.display import panels, pictures
+    from scenegen.share import stage
 
     doctor.SELF_TEST_S = 0.1  # which draws as many samples as it finds time for
+    stage.SHOWN = 1
     pictures.PIXELS, panels.DPI = 200, 50  # pictures have their own tests
     for words in json.load(sys.stdin):
         begin = time.process_time()

@@ -10,7 +10,7 @@ from tests.conftest import dataset_in
 
 
 @pytest.fixture
-def here(once, tmp_path, monkeypatch):
+def here(once, tmp_path, monkeypatch, undrawn):
     """A folder with a small dataset under data/, to stand in."""
 
     def generate(folder):

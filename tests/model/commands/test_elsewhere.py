@@ -17,7 +17,7 @@ RANKS = 3
 
 
 @pytest.fixture
-def here(once, tmp_path, monkeypatch):
+def here(once, tmp_path, monkeypatch, undrawn):
     """A folder to stand in, with a dataset and a network."""
     made = once("everywhere", everywhere.make)
     for name in ("d", "n.safetensors"):

@@ -75,7 +75,6 @@ def test_train_complete_and_bench_work_together(here, capsys):
     assert made[1].stat().st_mtime_ns == kept
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_a_stream_trains_without_a_dataset(here, small, capsys):
     mixed = f"--stream {small}=2 --stream geometric.toml --stream-seed 3 --interval 8"
     words = (*mixed.split(), *QUICK)
@@ -146,7 +145,6 @@ def train_until_stopped(error):
     cli.main()
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_the_same_command_goes_on_after_a_signal(here, capsys, monkeypatch):
     running = elsewhere(train_until_stopped, here / "error.txt")
     while not (here / "runs" / "proposed" / "metrics.csv").exists():

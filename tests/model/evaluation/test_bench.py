@@ -133,7 +133,9 @@ def test_the_report_holds_every_figure_in_its_place(dataset, tmp_path, capsys):
     assert "0.559 ± 0.058" in (tmp_path / "bench" / "report.md").read_text()  # the paper's
 
 
-def test_a_study_stands_beside_tables_that_it_does_not_change(dataset, tmp_path, monkeypatch):
+def test_a_study_stands_beside_tables_that_it_does_not_change(
+    dataset, tmp_path, monkeypatch, undrawn
+):
     rows = ("truth", "seen", "returns")
     plain = report_of(dataset, tmp_path / "plain", names=rows)
     report = report_of(dataset, tmp_path / "study", "--study", names=rows)
@@ -209,7 +211,7 @@ def test_methods_that_are_none_are_refused_in_one_line(dataset, tmp_path):
             report_of(dataset, tmp_path / "bench", names=(f"{__name__}:{method}",))
 
 
-def test_one_world_gives_no_interval_and_an_empty_split_nothing(tmp_path):
+def test_one_world_gives_no_interval_and_an_empty_split_nothing(tmp_path, undrawn):
     counts = {"train": 3, "val": 0, "test": 3}
     dataset = dataset_in(tmp_path / "d", small_recipe(), counts=counts)
     report = report_of(dataset, tmp_path / "bench", names=("returns", "truth"))

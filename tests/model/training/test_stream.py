@@ -15,7 +15,7 @@ from scenegen.model.training.course import Course
 from scenegen.model.training.data import Maps, load, opened
 from scenegen.model.training.loop import Watcher
 from scenegen.streams.mixture import Component
-from tests.conftest import small_recipe
+from tests.conftest import remembered, small_recipe
 from tests.model.training.runs import SMALL, check_same
 from tests.scenegen.streams.test_stream import same
 
@@ -50,7 +50,8 @@ def drawers(tmp_path, monkeypatch):
     return folder
 
 
-def test_a_stopped_run_ends_where_an_uninterrupted_one_does(tmp_path):
+def test_a_stopped_run_ends_where_an_uninterrupted_one_does(tmp_path, monkeypatch):
+    monkeypatch.setattr("scenegen.streams.mixture.draw_unit", remembered)
     rows = run(tmp_path / "whole")
     assert [row["maps"] for row in rows] == [8, 16, 24]
     seen = 0
