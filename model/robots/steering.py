@@ -24,7 +24,7 @@ SIDE_S = 0.2
 SLOWEST_MPS = 0.5
 """What it flies in the narrowest places, metres a second."""
 STRAIGHT_M = 0.1
-"""Room beside the vehicle that it keeps from what lies straight ahead, metres."""
+"""Room that it keeps from what lies straight ahead, metres."""
 TURN = 2.0
 """Rate of yaw for each radian off the course, 1/s."""
 
@@ -73,6 +73,10 @@ def follow(
         way = np.linspace(0, length, POINTS)
         return np.stack([np.interp(way, ends, axis) for axis in path.T], axis=1)
 
+    def spare(points: Floats) -> Floats:
+        edges = np.minimum(points - low, high - points).min(axis=1)
+        return np.minimum(room(points) - radius, edges)
+
     ahead = min(AHEAD_M + AHEAD_S * speed, float(ends[-1]))
     while True:
         part = next_points(ahead)
@@ -83,16 +87,14 @@ def follow(
         ahead *= 0.7
     brakes = LAG_S * speed
     look = min(brakes + speed * speed / pull + 0.5, float(ends[-1]))
-    points = next_points(look)
-    wide = np.minimum(room(points) - radius, np.minimum(points - low, high - points).min(axis=1))
-    allowed = np.maximum(wide / SIDE_S, SLOWEST_MPS)
+    allowed = np.maximum(spare(next_points(look)) / SIDE_S, SLOWEST_MPS)
     way = np.maximum(np.linspace(-brakes, look - brakes, POINTS), 0)
     wanted = float(np.sqrt(allowed**2 + pull * way).min())
     wanted = min(most, wanted, math.sqrt(pull * float(ends[-1])) + 0.1)
     if speed > SLOWEST_MPS:
         beyond = np.linspace(0, brakes + speed * speed / pull + 0.5, POINTS)
         straight = path[0] + beyond[:, None] * observation["velocity"] / speed
-        met = room(straight) < radius + STRAIGHT_M
+        met = spare(straight) < STRAIGHT_M
         if met.any():
             free = float(beyond[met.argmax()])
             wanted = min(wanted, max(math.sqrt(pull * max(free - brakes, 0.0)), SLOWEST_MPS))
