@@ -26,7 +26,7 @@ import measuring
 
 from scenegen.dataset.generation import plan_generation
 from scenegen.dataset.placed import write_shard
-from scenegen.run.workers import cores
+from scenegen.run import cores
 
 STAGES = {
     "draw world, write MJCF, compile": "scenegen.source.write_world",

@@ -38,6 +38,7 @@ class Registry:
     def find(self, name: str) -> Any:
         """The object called `name`. Raises ValueError, in one line, for a name that leads to none,
         or to one that lacks what it needs."""
+        name = str(name)
         place = self.known.get(name, name)
         module, colon, attribute = place.partition(":")
         if not (

@@ -15,7 +15,8 @@ from scenegen.model.evaluation.run import bench_all
 from scenegen.model.training.data import Samples, opened
 from scenegen.model.training.loop import Watcher
 from scenegen.model.training.loop import train as run
-from scenegen.run.workers import Local, cores
+from scenegen.run import cores
+from scenegen.run.workers import Local
 
 
 def train(

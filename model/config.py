@@ -352,7 +352,7 @@ class BenchConfig(Checked):
 
     split: Literal["train", "val", "test"] = "test"
     """The split that is measured; calibration looks at val."""
-    samples: int | None = None
+    samples: int | None = number(None, least=1)
     """At most this many of the split's samples, evenly spread; None for all."""
     trials: int = number(2000, least=1)
     """Valid planning trials a dataset, spread over its samples (the paper's number)."""

@@ -52,6 +52,10 @@ class DatasetError(ScenegenError):
     """A folder does not hold the dataset that it should, or cannot take it."""
 
 
+class DiskError(DatasetError):
+    """The disk refuses, whatever is written next."""
+
+
 class BrokenError(DatasetError):
     """A file of a dataset is not as the format says, and cannot be looked at any further; the
     message is the fault."""

@@ -18,7 +18,7 @@ from io import BufferedReader
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
-from scenegen.errors import DatasetError
+from scenegen.errors import DatasetError, DiskError
 from scenegen.run import undone
 from scenegen.stores import LOCATED, PART, StorePath, Version, note_file
 
@@ -281,7 +281,7 @@ def sync_folder(folder: Path) -> None:
 
 @contextmanager
 def disk_told(path: Path) -> Iterator[None]:
-    """An operating system's refusal in the block comes out as a DatasetError about `path`, with
+    """An operating system's refusal in the block comes out as a DiskError about `path`, with
     what a user can do about it."""
     try:
         yield
@@ -292,7 +292,7 @@ def disk_told(path: Path) -> Iterator[None]:
             advice = "no permission to write there: choose another place"
         else:
             advice = f"{error.strerror or error}: choose another place"
-        raise DatasetError(f"{path}: {advice}") from None
+        raise DiskError(f"{path}: {advice}") from None
 
 
 def draft_of(path: Path) -> Path:

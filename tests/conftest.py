@@ -22,6 +22,7 @@ from scenegen.errors import ScenegenError
 from scenegen.recipe import make_recipe
 from scenegen.source import DrawnWorlds
 from scenegen.verification import verify
+from scenegen.worlds.place import VoxelMap, encode_map
 from tests.command_line import SMALL as SMALL_FILE
 from tests.shell import Shell
 
@@ -113,6 +114,19 @@ def plan_of(folder, recipe=None, **options):
     """What a dataset of worlds that a recipe draws will be; of three samples by default."""
     recipe, usual = recipe or small_recipe(), {"seed": 0, "counts": THREE}
     return plan_dataset(folder, recipe, DrawnWorlds(recipe), **usual | options)
+
+
+def hall_in(folder, states):
+    """The file of a map of voxels of 0.2 m that have these states."""
+    path = folder / "hall.npz"
+    path.write_bytes(encode_map(VoxelMap(states, 0.2, np.zeros(3)), "hall"))
+    return path
+
+
+def stop_at_val(report, fresh):
+    """Stops a build at the first shard of its val split."""
+    if report.file.startswith("val"):
+        raise KeyboardInterrupt
 
 
 def dataset_in(folder, recipe=None, **options):

@@ -15,7 +15,7 @@ from scenegen.cli.options import (
     quiet_option,
     split_option,
     was_given,
-    workers_option,
+    workers_by,
 )
 from scenegen.cli.show import Progress, note, say
 from scenegen.cli.types import FILE, DatasetPath, Number, OutputFile
@@ -80,7 +80,7 @@ MOST_SHOWN = 24
     default=8,
     help="Maps at once.",
 )
-@workers_option
+@workers_by("1; with --on, all cores")
 @on_option
 @quiet_option
 @group("Scans, logs and maps", "n sensor every poses topic")
@@ -128,10 +128,10 @@ def complete(
     several = not stored and (found.is_dir() or is_log(found) or scans["poses"] is not None)
     tasks = tasks_of(found, **scans) if several else None  # which may refuse what is there at once
     completer = Completer.from_pretrained(weights, device=chosen, batch=batch)
-    if tasks is not None or is_map(found):
+    if tasks or is_map(found):
         name = found.stem if found.is_file() else real_path(found).name
         out = out or Path(f"{name}.completed")
-        if tasks is not None:
+        if tasks:
             complete_all(completer, tasks, out, MOST_SHOWN, quiet)
         else:
             _complete_map(completer, found, count, out, quiet)

@@ -37,6 +37,7 @@ from scenegen.model.config import (
     TrainConfig,
     split_own,
 )
+from scenegen.run import cores
 
 if TYPE_CHECKING:
     from scenegen.model.training.data import Samples
@@ -207,7 +208,6 @@ def train(
     from scenegen.model.training.loop import Watcher
     from scenegen.model.training.loop import train as run
     from scenegen.model.training.run_folder import kept
-    from scenegen.run.workers import cores
 
     first = int(os.environ.get("RANK", "0")) == 0
     talk = first and talk

@@ -1,11 +1,11 @@
 """`scenegen view`: samples in three dimensions, and what was predicted of them."""
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
+from scenegen.cli import stops
 from scenegen.cli.options import (
     command,
     dataset_argument,
@@ -116,15 +116,18 @@ def view(
     server = Live(
         opened, split=split, index=index, host=host, port=port, guesses=guesses, methods=methods
     )
-    say(f"{server.address}  shows {', '.join(str(one.folder) for one in opened)}; Ctrl-C ends it")
-    if server.on_loopback:
-        bound = server.server_address[1]
+    with stops.noted() as stopped:
         say(
-            f"from another machine: ssh -L {bound}:127.0.0.1:{bound} to this one, then the same "
-            f"address there"
+            f"{server.address}  shows {', '.join(str(one.folder) for one in opened)}; "
+            "Ctrl-C ends it"
         )
-    sys.stdout.flush()
-    server.serve_forever()
+        if server.on_loopback:
+            say(
+                f"from another machine: ssh -L {server.server_address[1]}:127.0.0.1:"
+                f"{server.server_address[1]} to this one, then the same address there"
+            )
+        while not stopped():
+            server.handle_request()
 
 
 def write_page(

@@ -24,7 +24,7 @@ from scenegen.dataset.shard import compress
 from scenegen.display.exchange.files import encode_points
 from scenegen.display.look import Guess, Look, evenly
 from scenegen.display.page import page
-from scenegen.errors import DatasetError, printable, raised_as
+from scenegen.errors import DatasetError, DiskError, printable, raised_as
 from scenegen.files import check_ours, make_way, read_bounded, write_result, write_whole
 from scenegen.limits import MOST_SCAN_BYTES, MOST_VOXELS
 from scenegen.logs import LogScan
@@ -152,16 +152,14 @@ def predict_scan(
     prediction = completer(maps)
     occupied = prediction.occupied(thresholds)
     # the truth that came with a scan, if it is on the network's grid
-    truth = {name: np.asarray(given.truth[name]) for name in TRUTH if name in given.truth}
+    truth, iou = {name: np.asarray(given.truth.get(name)) for name in TRUTH}, None
     alike = all(one.shape == seen.grid.shape and one.dtype == np.bool_ for one in truth.values())
-    if not alike or given.truth.get("voxel_m") != seen.grid.voxel_m:
-        truth = {}
-    iou = None
-    if truth:
-        either = (occupied | truth["occupancy"]) & truth["known"]
-        both = occupied & truth["occupancy"] & truth["known"]
+    if alike and given.truth["voxel_m"] == seen.grid.voxel_m:
+        solid, known = truth.values()
+        either, both = (occupied | solid) & known, occupied & solid & known
         iou = float(both.sum() / either.sum()) if either.any() else 1.0
-
+    else:
+        truth = {}
     result = Completed(
         completer=completer.name,
         points=len(given.points),
@@ -218,7 +216,6 @@ def _completion(path: Path) -> Look:
         grid = GridSpec(shape=shape, voxel_m=voxel_m)
         parts: Any = {name: maps[name].astype(np.float32) for name in PARTS if name in maps}
         said = check_prediction(Prediction(**parts), shape, str(path))
-        seen = [name for name in ("observed", "occupancy") if name in maps]
         guess = Guess(
             name=method,
             occupied=said.occupied() & maps.get("known", np.ones(shape)).astype(bool),
@@ -230,7 +227,9 @@ def _completion(path: Path) -> Look:
             origin=origin,
             position=origin + grid.extent_m / 2,
             quaternion=np.array([1.0, 0.0, 0.0, 0.0]),
-            masks={name: maps[name].astype(bool) for name in seen},
+            masks={
+                name: maps[name].astype(bool) for name in ("observed", "occupancy") if name in maps
+            },
             guesses=(guess,),
         )
     except Exception:  # h5py's errors share no base
@@ -284,8 +283,8 @@ def complete_all(
     """Complete scans into files of their names in the folder `out`, and write a page of at most so
     many.
 
-    Those that are there already are passed over. Raises DatasetError at the end where some could
-    not be completed.
+    Those that are there already are passed over. Raises DiskError at once, and DatasetError at the
+    end where some could not be completed.
     """
     count, scans = tasks
     done, there, broken = [], [], 0
@@ -296,6 +295,8 @@ def complete_all(
             if not target.exists():
                 try:
                     done.append(predict_scan(completer, read(), target))
+                except DiskError:
+                    raise
                 except DatasetError as error:
                     broken += 1
                     note(printable(error))

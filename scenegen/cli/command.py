@@ -7,6 +7,7 @@ import importlib.util
 import io
 import os
 import sys
+import time
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -60,7 +61,9 @@ class Commands(click.RichGroup):
             raise click.UsageError(str(error)) from None
 
     def invoke(self, ctx: Any) -> None:
-        """Runs the command. What it returns is dropped, so that `main` returns exit codes alone."""
+        """Runs the command, which finds in its context's `obj` when it began. What it returns is
+        dropped, so that `main` returns exit codes alone."""
+        ctx.obj = time.perf_counter()
         super().invoke(ctx)
 
 

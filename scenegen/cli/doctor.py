@@ -72,8 +72,8 @@ def examine() -> Json:
     """Everything about this machine that matters here. `ok` is False where the self-test found a
     law broken; the free disk is that of the working folder."""
     from lidarsim.jit import cache_folder, cache_trouble
+    from scenegen.run import cores
     from scenegen.run.software import installed, software
-    from scenegen.run.workers import cores
 
     test = self_test()
     return {

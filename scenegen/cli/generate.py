@@ -243,18 +243,18 @@ def make(
     if not talk:
         return
     samples, written = sum(summary.samples.values()), summary.samples_written
-    size = f"{summary.bytes / 1e6:.1f} MB, {summary.bytes / max(samples, 1) / 1e3:.1f} KB a sample"
-    rate = f"{written / seconds:.1f} samples a second, start-up included"
-    missing = f"none yet: {summary.shards_missing} of {summary.shards} shards are missing"
+    rate = f", {written / seconds:.1f} samples a second, start-up included"
     show_table(
         {
             "folder": summary.folder,
             "samples": f"{samples}  ({per_split(summary.samples)})",
             "worlds": f"{sum(summary.worlds.values())}  ({per_split(summary.worlds)})",
             "rejected": rejections(summary.rejected),
-            "size": size,
-            "time": f"{seconds:.1f} s" + (f", {rate}" if written else "; nothing was left to make"),
-            "digest": summary.digest or missing,
+            "size": f"{summary.bytes / 1e6:.1f} MB, "
+            f"{summary.bytes / max(samples, 1) / 1e3:.1f} KB a sample",
+            "time": f"{seconds:.1f} s" + (rate if written else "; nothing was left to make"),
+            "digest": summary.digest
+            or f"none yet: {summary.shards_missing} of {summary.shards} shards are missing",
             "next": f"scenegen inspect {quote(str(summary.folder))}",
         }
     )

@@ -28,7 +28,7 @@ from scenegen.cli.types import (
 )
 from scenegen.limits import MOST_WORKERS
 from scenegen.recipes import KINDS
-from scenegen.run import EXECUTORS, LOCAL, executor
+from scenegen.run import EXECUTORS, LOCAL, cores, executor
 from scenegen.worlds.mapping import Mapper
 
 if typing.TYPE_CHECKING:
@@ -67,23 +67,21 @@ def command(*examples: str) -> Any:
     return together(*reversed(groups), named)
 
 
-def _cores() -> int:
-    from scenegen.run.workers import cores
-
-    return cores()
-
-
 WORLD = Named(KINDS, paths=True)
 """A kind's name, or a file of a world."""
 dataset_argument = click.argument("dataset", type=DatasetPath())
 datasets_argument = click.argument("datasets", nargs=-1, type=DatasetPath())
-workers_option = click.option(
-    "--workers",
-    type=click.IntRange(1, MOST_WORKERS),
-    default=_cores,
-    show_default="all cores",
-    help="Processes.",
-)
+
+
+def workers_by(default: str) -> Decorator:
+    """--workers, all cores unless given; help pages show the text `default`."""
+    kind = click.IntRange(1, MOST_WORKERS)
+    return click.option(
+        "--workers", type=kind, default=cores, show_default=default, help="Processes."
+    )
+
+
+workers_option = workers_by("all cores")
 on_option = click.option(
     "--on",
     type=Named(EXECUTORS, address=True),

@@ -132,5 +132,5 @@ def _show_staged(staged: "Staged", commit: str | None, as_json: bool) -> None:
         show_table({name: f"{size:>15,}" for name, size in listed.items()}, "would send, in bytes")
         show_table(said | {"next": "the same command without --dry-run"}, "ready")
     else:
-        page = f"https://huggingface.co/datasets/{staged.repository}/tree/{staged.tag}"
-        show_table(said | {"page": page}, "published")
+        said["page"] = f"https://huggingface.co/datasets/{staged.repository}/tree/{staged.tag}"
+        show_table(said, "published")

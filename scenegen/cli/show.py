@@ -22,13 +22,12 @@ MOST_BARS = 60
 """Bars of a curve."""
 SHOW_CURSOR = b"\x1b[?25h\n"
 """Undoes what a progress bar does to a terminal."""
-BEGUN_S = time.perf_counter()
-"""When this process began: every command imports this first of all."""
 
 
 def seconds_taken() -> float:
-    """How long the command has taken so far, start-up included."""
-    return time.perf_counter() - BEGUN_S
+    """How long the current command has taken so far, its imports included."""
+    context: Any = click.get_current_context()
+    return time.perf_counter() - context.obj
 
 
 def say(text: object) -> None:
@@ -170,8 +169,9 @@ class Progress:
             console=Console(stderr=True, force_terminal=sys.stderr.isatty()),
         )
         self._begin, self._at_begin = time.perf_counter(), self._done
-        label = escaped(self._label)
-        self._task = self._bar.add_task(label, total=total, completed=self._done, rate="")
+        self._task = self._bar.add_task(
+            escaped(self._label), total=total, completed=self._done, rate=""
+        )
         self._bar.start()
 
     def restart(self, label: str, total: int, done: int) -> None:

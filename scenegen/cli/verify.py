@@ -50,10 +50,11 @@ def verify(dataset: Path | str, as_json: bool, talk: bool, **options: Any) -> No
     begin = time.perf_counter()
     with Progress("verify", shown=talk) as progress:
         report = prove(folder, on_start=progress.start, on_done=progress.count, **options)
+    seconds = time.perf_counter() - begin
     if as_json:
-        print(json.dumps({**report.to_json(), "seconds": time.perf_counter() - begin}))
+        print(json.dumps({**report.to_json(), "seconds": seconds}))
     elif talk:
-        _show_checks(report, time.perf_counter() - begin)
+        _show_checks(report, seconds)
     if not report.ok:
         raise ScenegenError(
             f"verify: {len(report.failed)} of {len(report.checks)} checks failed: "

@@ -125,7 +125,7 @@ def plan_generation(
     named = kind if scene is None else "scene"
     sensor = named_lidar(lidar) if isinstance(lidar, str) else lidar
     given: Json = {"lidar": sensor, "noise": noise, "mapping": mapping, "difficulty": difficulty}
-    file = Path(recipe) if isinstance(recipe, str | Path) else None
+    file = None if isinstance(recipe, Recipe | None) else Path(recipe)
     if isinstance(recipe, Recipe):
         if named not in (None, recipe.kind) or any(given.values()):
             raise AskedError(

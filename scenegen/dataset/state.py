@@ -12,7 +12,7 @@ from pathlib import Path
 from lidarsim import Sensor
 from scenegen import SPLITS
 from scenegen.dataset import manifest, placed, trust
-from scenegen.dataset.parts import tables_of, write_rays
+from scenegen.dataset.parts import rays_named, tables_of, write_rays
 from scenegen.dataset.placed import read_notes, remove_notes, write_note
 from scenegen.dataset.rules import FILE_RULE
 from scenegen.dataset.shard import ARCHIVE, ShardReport, ShardTask, read_report, relabel
@@ -117,8 +117,8 @@ class State:
             if any(shard.tells and read_report((shard, None)) for shard in found_here):
                 return {}  # the manifest alone was lost
             raise DatasetError(
-                f"{folder}: holds other files ({others[0]}, …) and no dataset; choose another "
-                f"folder with --out"
+                f"{folder}: holds files ({others[0]}, …), but no {manifest.NAME} and no sound "
+                "shard of this dataset; choose another folder with --out"
             )
         self._written = manifest.read(folder)
         differing = manifest.differences(
@@ -202,8 +202,8 @@ class State:
             there = names_in(folder).keys()
             self._listed, self._there = self._read(), None
             remove_drafts(folder)
-            former = [] if self.begun else _former(folder, there)
         if not self.begun:
+            former = _former(folder, there)
             planned = {name for shard in self.plan.shards for name in (shard.file, shard.worlds)}
             planned |= tables_of(self.plan.lidars).keys()
             for name in sorted(planned & there - set(former)):
@@ -293,12 +293,16 @@ def _former(folder: Path, names: Set[str]) -> list[str]:
         return []
     there, found = manifest.read(folder), set[str]()
     owners = [manifest.fingerprint(manifest.parameters_of(there))]
-    with contextlib.suppress(BrokenError):
+    with contextlib.suppress(BrokenError, LookupError, TypeError):
+        # first: it needs no more of a damaged manifest than its sensors
+        found |= names & set(rays_named(there).values())
         former = trust.parse(there, folder)
         found |= names & former.files.keys()
         owners += [source.fingerprint for source in former.sources]
     for name in filter(FILE_RULE.fits, sorted(names - found)):
-        content, samples = _content(folder / name), name.replace(".worlds.zip", ".h5")
+        with open_bounded(folder / name, sys.maxsize) as file:
+            content = file.read()
+        samples = name.replace(".worlds.zip", ".h5")
         if name == samples:
             known = any(owner.encode() in content for owner in owners)
         elif samples in names:
@@ -308,8 +312,3 @@ def _former(folder: Path, names: Set[str]) -> list[str]:
         if known:
             found.add(name)
     return sorted(found, reverse=True)
-
-
-def _content(path: Path) -> bytes:
-    with open_bounded(path, sys.maxsize) as file:
-        return file.read()

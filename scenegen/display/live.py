@@ -48,7 +48,7 @@ class Live(ThreadingHTTPServer):
     for a grid that no browser takes.
     """
 
-    daemon_threads = True
+    timeout = 0.5
     request_queue_size = 64
 
     def __init__(

@@ -111,7 +111,7 @@ class Look:
         if truth is None:
             return ""
         both, either = truth & guess.occupied, truth | guess.occupied
-        return f"IoU {both.sum() / max(either.sum(), 1) if either.any() else 1:.3f}"
+        return f"IoU {both.sum() / either.sum() if either.any() else 1:.3f}"
 
     def heading_deg(self) -> float:
         """Yaw of the body, degrees, counter-clockwise from x; rounded, so that it is the same on

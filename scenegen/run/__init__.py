@@ -5,6 +5,7 @@ What one task gives depends on the task alone, so what a command makes of them h
 wherever they run.
 """
 
+import os
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any, Protocol
@@ -20,6 +21,11 @@ Results = Generator[Any, None, None]
 """Results as they come."""
 Counted = Callable[[int], None]
 """What is told how many samples there are, or that so many more are done."""
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0))
 
 
 def unheard(samples: int) -> None:

@@ -110,11 +110,6 @@ def rank_of(environment: Mapping[str, str]) -> tuple[int, int]:
     )
 
 
-def cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0))
-
-
 def keep_memory() -> None:
     """Have up to 64 MB of freed memory stay with this process and those that it begins, for the
     next shard takes as much: pages that are given back and taken anew cost the system time

@@ -283,7 +283,7 @@ def croissant(given: Json, made: Manifest, told: Json, sums: Mapping[str, str]) 
                 "RecordSet",
                 split,
                 description=f"{counted['samples']} {said}.",
-                key=[{"@id": f"{split}/world"}, {"@id": f"{split}/viewpoint"}],
+                key=[{"@id": f"{split}/{DIGEST}"}],
                 field=[_field(split, name, meta) for name, meta in stored(made).items()],
             )
         )

@@ -42,7 +42,7 @@ OF_TWO_LINES = (
 )
 
 
-@pytest.mark.parametrize(("name", "told"), [*rows(WRONG), OF_TWO_LINES])
+@pytest.mark.parametrize(("name", "told"), [*rows(WRONG), OF_TWO_LINES, (5, "unknown engine '5'")])
 def test_what_is_missing_is_told_in_one_line(standing, name, told):
     (standing / "own.py").write_text("here = 1\nclass Empty: pass")
     (standing / "broken.py").write_text("\n1 / 0")

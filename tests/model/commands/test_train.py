@@ -160,7 +160,8 @@ def test_the_same_command_goes_on_after_a_signal(here, capsys, monkeypatch):
     begun = len((here / "runs" / "proposed" / "metrics.csv").read_text().splitlines()) - 1
     fixed = dict.fromkeys(METRICS, 0.0) | {"loss": 1e9}  # patience runs out
     monkeypatch.setattr("scenegen.model.training.loop.validate", lambda *given: fixed)
-    ended, said, _ = run(capsys, "train", "--epochs", 1000, "--patience", 3, *QUICK)
+    words = ("train", "--epochs", 1000, "--patience", 3, *QUICK)
+    ended, said, _ = run(capsys, *words)
     assert (ended, f"epoch {begun + 1}:" in said, "epoch 1:" in said) == (0, True, begun == 0)
-    ended, said, _ = run(capsys, "train", "--epochs", 1000, "--patience", 3, *QUICK, "--json")
+    ended, said, _ = run(capsys, *words, "--json")
     assert (ended, json.loads(said)["folder"]) == (0, "runs/proposed")  # it is complete already

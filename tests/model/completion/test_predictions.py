@@ -16,7 +16,7 @@ from lidarsim import GridSpec
 from scenegen.dataset.read import Dataset
 from scenegen.errors import DatasetError
 from scenegen.model.completion.predictions import predict_split
-from scenegen.model.completion.scans import predict_scan, read_scan
+from scenegen.model.completion.scans import complete_all, predict_scan, read_scan
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.methods import Predicted
 from tests.model.conftest import completer_of
@@ -83,6 +83,11 @@ def test_a_scan_of_a_sample_is_completed_as_the_sample_is(folders, net, tmp_path
     )
 
 
+def completed(net, folder, name, out):
+    """What became of a scan in the folder, whose sensor is at the origin."""
+    return predict_scan(net, read_scan(folder / name, np.zeros(3)), folder / out)
+
+
 def test_files_that_are_no_scans_are_refused(net, tmp_path):
     np.save(tmp_path / "far.npy", np.full((4, 3), 1000.0))
     np.save(tmp_path / "good.npy", np.zeros((4, 3)))
@@ -93,7 +98,7 @@ def test_files_that_are_no_scans_are_refused(net, tmp_path):
         ("good.npy", "o.txt", "ends in .h5 or .ply"),
     ):
         with pytest.raises(DatasetError, match=said):
-            predict_scan(net, read_scan(tmp_path / name, np.zeros(3)), tmp_path / out)
+            completed(net, tmp_path, name, out)
         assert not (tmp_path / out).exists()
 
 
@@ -102,13 +107,13 @@ def test_points_beyond_the_map_and_without_a_return_are_counted(net, tmp_path):
     np.save(tmp_path / "scan.npy", [[0, 0, 0], [0.1, 0, 0], *far, [np.nan, 0, 0], [0, np.inf, 0]])
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        used = predict_scan(net, read_scan(tmp_path / "scan.npy", [0, 0, 0]), tmp_path / "out.h5")
+        used = completed(net, tmp_path, "scan.npy", "out.h5")
     assert (used.inside, used.points, used.without) == (2, 7, 2)
     assert used.height_m is None
     assert "3 outside the map; the sensor's height is unknown" in str(used)
     np.save(tmp_path / "scan.npy", np.full((4, 3), np.nan))
     with pytest.raises(DatasetError, match="none of 4 points is in the map"):
-        predict_scan(net, read_scan(tmp_path / "scan.npy", [0, 0, 0]), tmp_path / "none.h5")
+        completed(net, tmp_path, "scan.npy", "none.h5")
     with pytest.raises(DatasetError, match="--sensor"):
         read_scan(tmp_path / "scan.npy", [0, 0, np.nan])
 
@@ -128,14 +133,14 @@ def test_only_completions_are_replaced(net, tmp_path):
 def test_a_full_disk_ends_in_one_line_and_leaves_nothing(room, folders, net, tmp_path, capfd):
     """As a limit of files' sizes has it; HDF5 itself says more, and goes on saying it."""
     np.save(tmp_path / "scan.npy", np.zeros((4, 3)))
-    before = set(tmp_path.iterdir())
+    before, given = set(tmp_path.iterdir()), read_scan(tmp_path / "scan.npy", np.zeros(3))
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
     try:
         with pytest.raises(DatasetError, match=r"(json|h5): File too large"):
             predict_split(net, folders[0], "train", tmp_path / "p")
         with pytest.raises(DatasetError, match=r"s\.h5: File too large"):
-            predict_scan(net, read_scan(tmp_path / "scan.npy", [0, 0, 0]), tmp_path / "s.h5")
+            complete_all(net, (2, [("s", lambda: given), ("t", lambda: given)]), tmp_path, 1, True)
         gc.collect()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))

@@ -11,8 +11,9 @@ from lidarsim.pose import rotate
 from scenegen.display.exchange.files import write_points
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.scans import height_above_returns, predict_scan, read_scan
-from scenegen.worlds.place import FREE, OCCUPIED, VoxelMap, encode_map
+from scenegen.worlds.place import FREE, OCCUPIED
 from tests.command_line import done, run
+from tests.conftest import hall_in
 
 TILT = Pose(
     position=np.array([3.0, -2.0, 1.2]),
@@ -75,10 +76,8 @@ def test_the_ground_is_what_lies_below_the_sensor(points):
 def test_a_map_is_flown_through_and_what_is_seen_is_completed(tmp_path, capsys):
     states = np.full((160, 160, 60), FREE, np.uint8)
     states[:, :, 0] = states[::30, :, :20] = states[:, ::40, :8] = OCCUPIED
-    content = encode_map(VoxelMap(states, 0.2, np.zeros(3)), "hall")
-    (tmp_path / "hall.npz").write_bytes(content)
     out = tmp_path / "out"
-    words = ("complete", tmp_path / "hall.npz", "--n", 2, "-o", out, "--device", "cpu")
+    words = ("complete", hall_in(tmp_path, states), "--n", 2, "-o", out, "--device", "cpu")
     done(capsys, *words)
     seen = scenegen.load(out / "seen")
     with h5py.File(out / "predictions/train-00000.h5") as file:

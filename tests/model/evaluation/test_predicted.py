@@ -22,6 +22,10 @@ def test_predictions_that_do_not_fit_are_refused_before_anything_is_measured(dat
     assert not (tmp_path / "bench").exists()
 
 
+ROWS = (9, 24, 24, 16)
+"""Samples of the split, and the shape of their maps."""
+
+
 def set_voxel(name, value):
     def change(file):
         file[name][3, 1, 2, 3] = value
@@ -40,13 +44,7 @@ def put(name, value, **options):
 def promise_a_terabyte(file):
     """Chunks that were never written: a file of a few kilobytes."""
     del file["tudf"]
-    file.create_dataset(
-        "tudf",
-        (9, 24, 24, 16),
-        np.float32,
-        chunks=(9, 24, 24, 16),
-        maxshape=(None, None, None, None),
-    )
+    file.create_dataset("tudf", ROWS, np.float32, chunks=ROWS, maxshape=(None,) * 4)
     del file["occupancy_probability"], file["world"]
     file.create_dataset("world", (10**12,), np.int64, chunks=(10**6,))
 
@@ -58,7 +56,7 @@ def repeat_a_row(file):
 def leave_unwritten(file):
     """What a program leaves that ended too early."""
     del file["tudf"]
-    file.create_dataset("tudf", (9, 24, 24, 16), np.float32, chunks=(1, 24, 24, 16))[:5] = 1.0
+    file.create_dataset("tudf", ROWS, np.float32, chunks=(1, *ROWS[1:]))[:5] = 1.0
 
 
 def link_outside(file):
@@ -80,7 +78,7 @@ def link_outside(file):
             put("tudf", np.zeros((8, 24, 24, 16), np.float32)),
             "tudf has shape (8, 24, 24, 16), expected (9, 24",
         ),
-        (put("tudf", np.zeros((9, 24, 24, 16), "S3")), "tudf is no array of float32"),
+        (put("tudf", np.zeros(ROWS, "S3")), "tudf is no array of float32"),
         (lambda file: file.move("world", "elsewhere"), "expected world, viewpoint"),
         (link_outside, "is no array of"),
         (lambda file: file.attrs.update({"split": np.arange(3)}), "predicts split"),

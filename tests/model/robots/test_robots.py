@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from lidarsim import GridSpec
-from lidarsim.engines.voxels import FREE, OCCUPIED, VoxelMap
+from lidarsim.engines.voxels import FREE, OCCUPIED
 from lidarsim.pose import rotate
 from scenegen.cli.show import silent
 from scenegen.display.colours import SENSOR
@@ -25,9 +25,8 @@ from scenegen.model.robots.film import flight_page
 from scenegen.model.robots.flights import fly_course, robot_maker
 from scenegen.model.robots.mapping import MappingRobot
 from scenegen.run import undo_all
-from scenegen.worlds.place import encode_map
 from tests.command_line import done, refused, rows, run
-from tests.conftest import remembered
+from tests.conftest import hall_in, remembered
 from tests.scenegen.display.test_page import Seen
 
 DEAR = ("pessimistic", "extrude")
@@ -267,9 +266,7 @@ def test_hidden_and_real_tracks_are_flown_again_by_who_has_their_worlds(
     """An entry holds no seed and no folder; without its number, or its maps, it is refused."""
     states = np.full((60, 60, 15), FREE, np.uint8)
     states[30, :40] = OCCUPIED
-    content = encode_map(VoxelMap(states, 0.2, np.zeros(3)), "hall")
-    (tmp_path / "hall.npz").write_bytes(content)
-    hall = Course(world=str(tmp_path / "hall.npz")).sha256[:16]
+    hall = Course(world=str(hall_in(tmp_path, states))).sha256[:16]
     monkeypatch.setattr(suite, "MAPS", {"hall.npz": hall})
     monkeypatch.setattr(suite, "MAP_COURSES", 1)
     monkeypatch.setattr(suite, "HIDDEN", 2)

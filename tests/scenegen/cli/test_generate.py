@@ -1,6 +1,7 @@
 """`scenegen generate` as users meet it, with what `inspect` and `world` make of its datasets."""
 
 import json
+import time
 from pathlib import Path
 
 import mujoco
@@ -9,7 +10,7 @@ import pytest
 from scenegen.cli.options import find_datasets
 from scenegen.dataset import manifest
 from scenegen.dataset.read import Dataset
-from tests.command_line import ROOT, SMALL, done, refused, rows, run
+from tests.command_line import SMALL, done, example, refused, rows, run
 
 
 def test_generate_inspect_and_world_work_together(small, tmp_path, capsys):
@@ -17,7 +18,9 @@ def test_generate_inspect_and_world_work_together(small, tmp_path, capsys):
     command = f"generate --recipe {small} --n 12 --out {out} --workers 1"
     said, digest = done(capsys, command), Dataset(out).manifest.digest
     assert (digest in said, f"scenegen inspect {out}" in said) == (True, True)
-    assert json.loads(done(capsys, f"{command} --json"))["complete"]
+    begun = time.perf_counter()
+    again = json.loads(done(capsys, f"{command} --json"))
+    assert (again["complete"], again["seconds"] < time.perf_counter() - begun) == (True, True)
     assert run(capsys, f"{command} --quiet") == (0, "", "")
     found = json.loads(done(capsys, f"inspect {out} --json"))
     assert [split["samples"] for split in found["splits"].values()] == [12, 1, 2]
@@ -102,8 +105,7 @@ def test_a_dry_run_prints_a_recipe_file_that_asks_for_the_same(small, tmp_path, 
 
 
 def test_a_world_of_ones_own_as_the_docs_show_it(tmp_path, capsys):
-    page = (ROOT / "docs" / "own-worlds.md").read_text()
-    (tmp_path / "yard.xml").write_text(page.split("```xml\n")[1].split("```")[0])
+    (tmp_path / "yard.xml").write_text(example("own-worlds.md", 'model="yard"'))
     command = f"generate --scene {tmp_path}/yard.xml --n 2 --workers 1 --out {tmp_path}/d"
     done(capsys, f"{command} --quiet")
     assert len(Dataset(tmp_path / "d").split("train")) == 2

@@ -96,6 +96,13 @@ def test_a_loop_notes_the_first_stop_and_the_second_ends_all():
     assert running.returncode == 130
 
 
+def test_a_viewer_that_is_closed_ends_well(made):
+    running = begin(sys.executable, "cli.py", "view", made, "--port", "0")
+    assert running.stdout.readline().endswith("; Ctrl-C ends it\n")
+    running.send_signal(signal.SIGINT)
+    assert (running.communicate(timeout=20)[1], running.returncode) == ("", 0)
+
+
 def answers(process):
     """Whether our handlers stand; before, Python has one for Ctrl-C alone."""
     status = Path(f"/proc/{process.pid}/status").read_text()

@@ -80,9 +80,10 @@ def test_a_copy_of_a_sample_is_plain_and_whole(made):
 def test_many_processes_read_what_one_reads(made):
     """Forked ones with its open files, and those that a split travels to as bytes."""
     split = scenegen.load(made)
-    expected = [digest((split, index)) for index in range(11)]  # which opens files in this process
+    asked = [(split, index) for index in range(11)]
+    expected = list(map(digest, asked))  # which opens files in this process
     with multiprocessing.get_context("fork").Pool(2) as pool:
-        found = pool.map(digest, [(split, index) for index in range(11)], chunksize=1)
+        found = pool.map(digest, asked, chunksize=1)
         pool.close()
         pool.join()
     sent = pickle.loads(pickle.dumps(split))

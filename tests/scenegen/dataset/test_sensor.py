@@ -61,6 +61,7 @@ def test_a_table_is_kept_read_verified_and_replaced(tmp_path, table):
         Dataset(tmp_path)
     assert build_with(tmp_path, table).lidar == table
     raster = Lidar(rows=8, columns=24)
+    forge.edit_manifest(tmp_path, shards=None)  # damaged
     assert build_with(tmp_path, raster, force=True).lidar == raster
     found = manifest.read(tmp_path)
     assert (found["lidar"], "engine" in found) == (dataclasses.asdict(raster), False)

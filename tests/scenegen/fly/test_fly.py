@@ -15,7 +15,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal, assert_equal
 
 from lidarsim import AnalyticEngine, GridSpec, Lidar
-from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelMap
+from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
 from lidarsim.pose import rotate
 from scenegen.errors import DatasetError, GenerationError, ScenegenError
 from scenegen.fly import Rules, Vehicle, suite
@@ -26,9 +26,9 @@ from scenegen.fly.motion import STEP_S, Quadrotor, advance, most_pull, pose_of
 from scenegen.fly.pipe import PipeRobot
 from scenegen.fly.simulation import Simulation, bounded
 from scenegen.fly.suite import chosen_courses, courses_of, hidden_course, part_of, track_name
-from scenegen.worlds.place import encode_map
 from scenegen.worlds.world import compile_world
 from tests.command_line import rows
+from tests.conftest import hall_in
 
 VEHICLE = Vehicle()
 DIGEST = "3cd1afbdf9bc5a23758ff3686f50abbf63dc08240ea10b2ef25c1e3ece71af49"
@@ -429,9 +429,7 @@ def test_what_is_unknown_of_a_map_is_flown_through_and_never_flown_to(tmp_path, 
     monkeypatch.setattr("scenegen.fly.missions.VOXEL_M", 0.2)  # as the map's
     states = np.full((60, 60, 15), FREE, np.uint8)
     states[25:30], states[45], states[45, 20:40, 4:12] = UNKNOWN, OCCUPIED, FREE
-    voxels = VoxelMap(states, 0.2, np.zeros(3))
-    (tmp_path / "hall.npz").write_bytes(encode_map(voxels, "hall"))
-    course = Course(world=str(tmp_path / "hall.npz"), rules=Rules(apart_m=6.0), flights=8)
+    course = Course(world=str(hall_in(tmp_path, states)), rules=Rules(apart_m=6.0), flights=8)
     parts = [{end[0] > 5 for end in (one.start, one.goal)} for one in course.missions]
     assert {len(part) for part in parts} == {1}  # a way leads through what is unknown
     number = parts.index({False})
@@ -449,8 +447,7 @@ def test_the_real_track_is_of_these_maps_alone(tmp_path, monkeypatch):
     with pytest.raises(GenerationError, match=r"geb079\.bt is not there"):
         chosen_courses("aerial-1", None, tmp_path, quick=False)
     states = np.full((6, 6, 5), FREE, np.uint8)
-    content = encode_map(VoxelMap(states, 0.2, np.zeros(3)), "hall")
-    (tmp_path / "hall.npz").write_bytes(content)
+    hall_in(tmp_path, states)
     monkeypatch.setattr(suite, "MAPS", {"hall.npz": "0" * 16})
     courses = chosen_courses("aerial-1", None, tmp_path, quick=False)
     assert [course.seed for course in courses] == [0, 1, 2, 3]

@@ -89,10 +89,9 @@ def test_corners_count_by_their_angles_and_only_where_they_are_needed():
     occupancy = np.zeros((21, 21, 5), bool)
     far = np.full(occupancy.shape, 2.0, np.float32)
     path = np.array([(0, 0, 2), (5, 0, 2), (10, 0, 2), (10, 5, 2), (10, 10, 2)])
-    _, _, turning = hardness([path], occupancy, far, VOXEL)
-    assert turning == 0.0  # its ends see each other
+    assert hardness([path], occupancy, far, VOXEL)[2] == 0.0  # its ends see each other
     occupancy[1:10, 1:10, 2] = True
-    _, _, turning = hardness([path], occupancy, far, VOXEL)
+    turning = hardness([path], occupancy, far, VOXEL)[2]
     assert turning == pytest.approx((math.e - 1) / 4.0)
     assert all(map(math.isnan, hardness([], occupancy, far, VOXEL)))
 

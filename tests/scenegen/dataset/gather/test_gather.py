@@ -20,7 +20,7 @@ from scenegen.share.stage import Request, examine
 from scenegen.source import read_scenes
 from scenegen.verification import verify
 from tests.command_line import rows
-from tests.conftest import COUNTS, contents, dataset_in, scene_recipe, small_recipe
+from tests.conftest import COUNTS, contents, dataset_in, scene_recipe, small_recipe, stop_at_val
 from tests.scenegen.conftest import built, same
 from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
@@ -106,12 +106,8 @@ def test_workers_and_interruptions_change_no_byte(first, second, tmp_path):
     merged(tmp_path / "two", first, second, workers=2)
     plan = plan_merge([Dataset(first), Dataset(second)], tmp_path / "cut")
 
-    def stop(report, fresh):
-        if report.file.startswith("val"):
-            raise KeyboardInterrupt
-
     with pytest.raises(KeyboardInterrupt):
-        build(plan, on_shard=stop)
+        build(plan, on_shard=stop_at_val)
     with pytest.raises(DatasetError, match="incomplete"):
         Dataset(plan.folder)
     assert 0 < build(plan).samples_written < sum(COUNTS.values()) * 2
