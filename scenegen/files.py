@@ -141,11 +141,11 @@ def check_target(path: Path) -> None:
 
 
 def writable(folder: Path) -> Path:
-    """`folder`, or the nearest above it that is there. Raises DatasetError where nothing may be
+    """`folder`, or the nearest above it that is there. Raises DiskError where nothing may be
     written into that."""
     there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
     if not os.access(there, os.W_OK):
-        raise DatasetError(f"{folder}: no permission to write there: choose another place")
+        raise DiskError(f"{folder}: no permission to write there: choose another place")
     return there
 
 

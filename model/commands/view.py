@@ -116,7 +116,7 @@ def view(
     server = Live(
         opened, split=split, index=index, host=host, port=port, guesses=guesses, methods=methods
     )
-    with stops.noted() as stopped:
+    with server, stops.noted() as stopped:
         say(
             f"{server.address}  shows {', '.join(str(one.folder) for one in opened)}; "
             "Ctrl-C ends it"

@@ -68,6 +68,8 @@ def follow(
     speed = math.sqrt(float(observation["velocity"] @ observation["velocity"]))
     steps = np.diff(path, axis=0)
     ends = np.append(0.0, np.cumsum(np.sqrt((steps * steps).sum(axis=1))))
+    left, brakes = float(ends[-1]), LAG_S * speed
+    sight = brakes + speed * speed / pull + 0.5
 
     def next_points(length: float) -> Floats:
         way = np.linspace(0, length, POINTS)
@@ -77,7 +79,7 @@ def follow(
         edges = np.minimum(points - low, high - points).min(axis=1)
         return np.minimum(room(points) - radius, edges)
 
-    ahead = min(AHEAD_M + AHEAD_S * speed, float(ends[-1]))
+    ahead = min(AHEAD_M + AHEAD_S * speed, left)
     while True:
         part = next_points(ahead)
         straight = np.linspace(part[0], part[-1], POINTS)
@@ -85,18 +87,17 @@ def follow(
         if ahead <= LEAST_AHEAD_M or room(straight).min() > least - 1e-6:
             break
         ahead *= 0.7
-    brakes = LAG_S * speed
-    look = min(brakes + speed * speed / pull + 0.5, float(ends[-1]))
+    look = min(sight, left)
     allowed = np.maximum(spare(next_points(look)) / SIDE_S, SLOWEST_MPS)
     way = np.maximum(np.linspace(-brakes, look - brakes, POINTS), 0)
     wanted = float(np.sqrt(allowed**2 + pull * way).min())
-    wanted = min(most, wanted, math.sqrt(pull * float(ends[-1])) + 0.1)
+    wanted = min(most, wanted, math.sqrt(pull * left) + 0.1)
     if speed > SLOWEST_MPS:
-        beyond = np.linspace(0, brakes + speed * speed / pull + 0.5, POINTS)
+        beyond = np.linspace(0, sight, POINTS)
         straight = path[0] + beyond[:, None] * observation["velocity"] / speed
         met = spare(straight) < STRAIGHT_M
         if met.any():
-            free = float(beyond[met.argmax()])
+            free = beyond[met.argmax()]
             wanted = min(wanted, max(math.sqrt(pull * max(free - brakes, 0.0)), SLOWEST_MPS))
     return velocity_to(part[-1] - path[0], wanted, observation, about)
 

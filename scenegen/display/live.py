@@ -85,9 +85,9 @@ class Live(ThreadingHTTPServer):
         try:
             super().__init__((str(place), port), _Handler)
         except OSError as error:
-            why = error.strerror or error
             raise ScenegenError(
-                f"{host}, port {port}: cannot be served on ({why}); give another --port, or 0"
+                f"{host}, port {port}: cannot be served on ({error.strerror or error}); give "
+                "another --port, or 0"
             ) from None
         shown = f"[{place}]" if place.version == 6 else str(place)
         if place.is_unspecified:
@@ -98,6 +98,12 @@ class Live(ThreadingHTTPServer):
     def server_bind(self) -> None:
         """Bind; the base class would look this machine's name up in the network."""
         socketserver.TCPServer.server_bind(self)
+
+    def server_close(self) -> None:
+        """Close, and read no more samples: threads that were in torch have been seen to abort a
+        process that Python takes down around them."""
+        super().server_close()
+        self._reading.acquire()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """A browser that went away is no error; any other is ours, and is told in one line."""
