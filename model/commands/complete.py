@@ -99,8 +99,8 @@ def complete(
 ) -> None:
     """Complete a dataset's split, a scan, all scans in a folder and below it, a log, or a map.
 
-    Scans are .ply, .pcd, .bin, .npz, .xyz or .npy: points in metres, z up, the sensor at the
-    origin. A log is what `ingest` takes: a recording of ROS, or a folder with poses, such as a
+    Scans are .ply, .pcd, .bin, .npz, .xyz, .npy, .las or .laz: points in metres, z up. A log is
+    what `ingest` takes: a recording of ROS, or a folder with poses, such as a
     sequence of KITTI's; its scans are turned upright by their poses. Through a map (.bt, .ot, or
     .npz of `scenegen map`), the paper's sensor flies, and what it sees is completed. A page shows
     some completions where there are several. Given a dataset again after a stop, it goes on where

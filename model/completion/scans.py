@@ -271,7 +271,7 @@ def tasks_of(
     if not scans:
         raise DatasetError(
             f"{found}: holds neither a dataset (no dataset.json) nor scans; expected .ply, .pcd, "
-            ".bin, .npz, .xyz or .npy files"
+            ".bin, .npz, .xyz, .npy, .las or .laz files"
         )
     names = [str(scan.relative_to(found).with_suffix("")) for scan in scans]
     return len(scans), zip(names, (partial(read_scan, scan, sensor) for scan in scans), strict=True)

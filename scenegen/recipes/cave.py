@@ -49,8 +49,8 @@ class Cave(Classed):
     ground: bool = True
     """Whether there are a floor and a roof."""
     ground_m: float = 0.2
-    """Thickness of the floor that `bench` scores, metres. Both fields are filled 0.5 m beyond their
-    lowest points."""
+    """Thickness of the floor that `bench` scores, metres. Floor and roof are filled 0.5 m beyond
+    their lowest points."""
     height_m: Range = (3.2, 5.5)
     """From floor to roof, metres; one value a world."""
     rough_m: Range = (0.2, 0.8)

@@ -51,7 +51,7 @@ class Clutter(Classed):
     half_size_m: Range = (0.06, 1.4)
     """Radii and half edges, metres; their logarithms are uniform."""
     thin_share: float = 0.35
-    """Share of solids that are thin: two of their sizes are a fifth."""
+    """Share of solids that are thin: two of their sizes are divided by 5."""
     tilted_share: float = 0.7
     """Share of solids at any attitude; the rest are upright."""
 

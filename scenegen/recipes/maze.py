@@ -55,7 +55,7 @@ class Maze(Classed):
     open_share: float = 0.4
     """Share of walls between joined cells that are left out."""
     slit_share: float = 0.15
-    """Share of the others whose window is a slit from floor to ceiling."""
+    """Share of the remaining ones whose window is a slit from floor to ceiling."""
     loop_share: float = 0.35
     """Share of walls between cells that are joined though there is another way."""
     shelf_share: float = 0.2
