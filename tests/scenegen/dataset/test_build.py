@@ -371,7 +371,7 @@ def test_a_plan_of_many_samples_is_small(tmp_path):
 def test_a_folder_that_is_no_dataset_is_left_alone(tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
     for force in (False, True):
-        with pytest.raises(DatasetError, match="holds files .thesis.tex"):
+        with pytest.raises(DatasetError, match="holds files"):
             build(plan(tmp_path), force=force)
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
     with pytest.raises(DatasetError, match="is a file"):
