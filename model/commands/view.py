@@ -122,9 +122,10 @@ def view(
             "Ctrl-C ends it"
         )
         if server.on_loopback:
+            bound = server.server_address[1]
             say(
-                f"from another machine: ssh -L {server.server_address[1]}:127.0.0.1:"
-                f"{server.server_address[1]} to this one, then the same address there"
+                f"from another machine: ssh -L {bound}:127.0.0.1:{bound} to this one, then the "
+                "same address there"
             )
         while not stopped():
             server.handle_request()

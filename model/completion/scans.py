@@ -152,14 +152,16 @@ def predict_scan(
     prediction = completer(maps)
     occupied = prediction.occupied(thresholds)
     # the truth that came with a scan, if it is on the network's grid
-    truth, iou = {name: np.asarray(given.truth.get(name)) for name in TRUTH}, None
+    truth = {name: np.asarray(given.truth[name]) for name in TRUTH} if given.truth else {}
     alike = all(one.shape == seen.grid.shape and one.dtype == np.bool_ for one in truth.values())
-    if alike and given.truth["voxel_m"] == seen.grid.voxel_m:
-        solid, known = truth.values()
+    if not alike or given.truth.get("voxel_m") != seen.grid.voxel_m:
+        truth = {}
+    iou = None
+    if truth:
+        solid, known = truth["occupancy"], truth["known"]
         either, both = (occupied | solid) & known, occupied & solid & known
         iou = float(both.sum() / either.sum()) if either.any() else 1.0
-    else:
-        truth = {}
+
     result = Completed(
         completer=completer.name,
         points=len(given.points),

@@ -32,7 +32,7 @@ def test_the_interval_of_as_many_samples_a_world_is_students_of_the_worlds_means
     assert of_mean.chance == pytest.approx(stats.ttest_1samp(means, 0).pvalue)
 
 
-@pytest.mark.parametrize("worlds", WORLDS[::2])
+@pytest.mark.parametrize("worlds", WORLDS)
 def test_intervals_cover_the_mean_of_worlds_that_differ(worlds):
     """95 % within 2, and each population within what 500 draws leave open;
     `benchmarks/intervals.py` draws more. Where three to five trials a world decide, chance comes in
