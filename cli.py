@@ -1,5 +1,5 @@
-"""The command line from a checkout: ``python cli.py generate pillar`` is ``scenegen generate
-pillar``."""
+"""The command line from a checkout: ``python cli.py verify data/pillar`` is ``scenegen verify
+data/pillar``. `scenegen.__main__` lists the commands."""
 
 from scenegen.__main__ import main
 

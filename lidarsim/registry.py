@@ -1,9 +1,11 @@
 """Things by name: those that come with the toolkit, and a user's own as ``module:Object``.
 
-SENSORS = Registry("sensor", {"raster": "lidarsim.sensors.raster:Lidar"}, needs={"shape": "a tuple
-of counts"}) SENSORS.find("raster")  # imported now, and not before
-SENSORS.find("my_sensors:Rosette")  # from a file my_sensors.py where the user stands, or from an
-installed package
+    SENSORS = Registry("sensor", {"raster": "lidarsim.sensors.raster:Lidar"})
+    SENSORS.find("raster")  # imported now, and not before
+    SENSORS.find("my_sensors:Rosette")  # from my_sensors.py where the user stands, or installed
+
+The command line reads the names alone, so a registry stands where importing it is cheap: most often
+in the `__init__.py` of the package whose modules it names.
 """
 
 import difflib

@@ -311,8 +311,7 @@ def _read_bin(content: bytes) -> np.ndarray:
 
 def _read_npz(content: bytes) -> np.ndarray:
     """The array `points` of NumPy's archive."""
-    (points,) = read_npz(content, "points", most_bytes=MOST_SCAN_BYTES)
-    return points
+    return read_npz(content, "points", most_bytes=MOST_SCAN_BYTES)[0]
 
 
 def read_npz(content: bytes, *names: str, most_bytes: int) -> list[np.ndarray]:
@@ -353,7 +352,9 @@ READERS = {
     ".las": _read_las,
     ".laz": _read_las,
 }
-"""File types of scans."""
+"""File types of scans, and what reads each: bytes to points (N, 3 or more), of which the first
+three columns count, and six where `NAMED` says so. A reader may raise anything: `read_cloud` makes
+one line of it."""
 NAMED = (".ply", ".pcd", ".las", ".laz")
 """Those whose columns have names, so that three of them can say where a point was seen from."""
 

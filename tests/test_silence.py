@@ -97,11 +97,12 @@ grid = {shape = [16, 16, 16]}
 COMMANDS = """
 generate --recipe small.toml --n 4 --val 40 --test 2 --out d --workers 1
 inspect d
+inspect scan.XYZ
 world d 0 -o w.xml
 verify d --workers 1
 train d --epochs 1 --width 1 --out run --device cpu
 complete d --weights run -o p --device cpu
-complete scan.xyz --weights run -o s.h5 --device cpu
+complete scan.XYZ --weights run -o s.h5 --device cpu
 complete d --weights n.onnx -o o
 bench d --weights run --predictions p --quick --workers 1
 fly w.xml --robot reactive --flights 1 --apart 4 --speed 4 -o f.json --picture f.png
@@ -116,7 +117,7 @@ reproduce --scale 0.001 --dry-run --device cpu --workers 1
 sensors velodyne-vlp-16 -o p.png
 scan w.xml --flight --noise range:0.02 -o s.ply
 scan w.xml --flight --sequence --length 3 -o log
-map scan.xyz --assume-free -o m.npz
+map scan.XYZ --assume-free -o m.npz
 ingest log -o maps
 view d --html v.html --weights run
 render d --split test --predictions p -o r.png
@@ -136,7 +137,7 @@ DEAR = {"export", "networks"}
 """Commands that take ten seconds and more."""
 ASKED = (
     "again bench c.safetensors d e.onnx f.json f.png i.html k log m.npz maps merged n.onnx o "
-    "others p p.png publish r.png run s.h5 s.ply scan.xyz small.toml t taken v.html w.xml"
+    "others p p.png publish r.png run s.h5 s.ply scan.XYZ small.toml t taken v.html w.xml"
 )
 """What commands are asked to leave where they run."""
 FONTS = ".cache/matplotlib/"
@@ -226,7 +227,7 @@ def lines_of(names):
 def prepare(here):
     """What the commands read and do not make."""
     (here / "small.toml").write_text(SMALL)
-    (here / "scan.xyz").write_text(
+    (here / "scan.XYZ").write_text(
         "".join(f"{x / 10} {y / 10} 0.3\n" for x in range(9) for y in range(9))
     )
     if importlib.util.find_spec("onnx"):

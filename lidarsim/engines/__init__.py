@@ -34,13 +34,19 @@ class Caster(Protocol):
 
 
 class Engine(Caster, Protocol):
-    """A caster that knows one compiled world."""
+    """A caster that knows one compiled world.
+
+    Two members are optional. A static method `missing` says what this machine lacks for the engine,
+    as the end of a sentence, before any work begins; "" for nothing. A method `hits`, see
+    `AnalyticEngine.hits`, says what every ray met: stages of noise that ask for surfaces need it.
+    """
 
     @classmethod
     def of(cls, model: mujoco.MjModel, data: mujoco.MjData | None = None) -> Self:
         """The engine of a compiled world, in its reference configuration, or in that of `data`,
         which MuJoCo has forwarded. Geoms whose material, or whose own colour without one, has alpha
-        0 are not there. Neither argument is changed."""
+        0 are not there. Neither argument is changed. A world that an engine of ours cannot cast is
+        refused when it is read, not here: `lidarsim.solids.model` knows every shape that is."""
         ...
 
 

@@ -1,8 +1,11 @@
-"""What a real sensor adds to clean ranges: stages that compose, drawn from an explicit `rng`. One
-file a kind of fault.
+"""What a real sensor adds to clean ranges: stages that compose, drawn from an explicit `rng`.
 
-chain = Noise.parse("divergence:3,range:0.02,dropout:0.05")
-seen = chain.observe(scan, engine, rng=np.random.default_rng(0))
+    chain = Noise.parse("divergence:3,range:0.02,dropout:0.05")
+    seen = chain.observe(scan, engine, rng=np.random.default_rng(0))
+
+`ranges` has the faults of a range itself, and beams that are cones; `losses` has returns that go
+missing or are of nothing, and motion; `returns` has intensity, and what stages pass on. `chain`
+reads and applies them.
 """
 
 from __future__ import annotations

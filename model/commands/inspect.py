@@ -49,8 +49,7 @@ def inspect(dataset: Path | str, every: bool, keep: bool, workers: int, as_json:
     from scenegen.model.config import NetworkConfig
 
     path = Path(dataset)
-    several = path.is_dir() and not (path / NAME).exists() and any(path.glob(f"*/{NAME}"))
-    if several:
+    if not (path / NAME).exists() and any(path.glob(f"*/{NAME}")):
         _show_all(inspect_all(path), as_json)
         return
     if facts := _facts(path):
@@ -90,18 +89,18 @@ def _facts(path: Path) -> Json | None:
         path = min(path.glob("*.h5"), default=path)
     if path.suffix in (".xml", *MESHES) or is_map(path):
         return inspect_world(path)
-    if path.suffix in READERS:
+    if path.suffix.lower() in READERS:
         return scan_facts(path)
-    if path.suffix != ".h5" and not (path / "metrics.csv").is_file():
-        return None
-    # these load torch
+    # what these import loads torch
     if path.suffix == ".h5":
         from scenegen.model.completion.predictions import prediction_facts
 
         return prediction_facts(path)
-    from scenegen.model.training.run_folder import run_facts
+    if (path / "metrics.csv").is_file():
+        from scenegen.model.training.run_folder import run_facts
 
-    return run_facts(path)
+        return run_facts(path)
+    return None
 
 
 def _show_all(rows: list[Json], as_json: bool) -> None:
@@ -120,7 +119,7 @@ def _show_all(rows: list[Json], as_json: bool) -> None:
 def _show(dataset: Path | str, found: Json) -> None:
     """Prints the summary of a dataset, and a table of each split."""
     from scenegen.dataset.manifest import SEVERAL
-    from scenegen.display.inspect import LABELS
+    from scenegen.display.inspect import TITLES
 
     grid, sources = found["grid"], found.get("sources", ())
     hollow = ", truth of surfaces" if grid.get("hollow") else ""
@@ -143,7 +142,7 @@ def _show(dataset: Path | str, found: Json) -> None:
             "rejected": rejections(found["rejected"]),
         },
     )
-    units = {key: (unit, 100 if unit == "%" else 1) for key, (_, unit) in LABELS.items()}
+    units = {key: (unit, 100 if unit == "%" else 1) for key, (_, unit) in TITLES.items()}
     for name, split in found["splits"].items():
         rows = {}
         for key, value in split["statistics"].items():

@@ -156,7 +156,7 @@ def _draw_file(path: Path, seed: int | None) -> Any:
     title = plain(path.name)
     if path.suffix in (".xml", *MESHES):
         return _draw_world(path, seed, title)
-    if path.suffix in READERS:
+    if path.suffix.lower() in READERS:
         return pictures.draw_cloud(read_points(path), title=title)
     if path.suffix == ".h5":
         from scenegen.model.completion.scans import read_completion

@@ -20,6 +20,8 @@ class Sums(NamedTuple):
     """Sums over some voxels of one map; errors are predicted less true distances, metres."""
 
     voxels: float
+    """Voxels whose true distance is certain: the sums of errors, and those of voxels near an
+    obstacle, are over these alone; hits, alarms and misses are over all."""
     error: float
     size: float
     """Absolute errors."""
@@ -158,7 +160,7 @@ def measure(
 
 @kernel
 def _accumulate(occupied, distance, true_occupancy, true_distance, classes, certain, sums):
-    """Add up, by class, what `Sums` names, in its order."""
+    """Add up, by class, what `Sums` names, in its order: a new sum goes to the end of both."""
     for v in range(len(classes)):
         if classes[v] >= len(sums):
             continue

@@ -197,11 +197,11 @@ def _over_seeds(one: Json, variance: float, freedom: int) -> Estimate | None:
 
 def losses(means: Mapping[str, Json], metric: str) -> dict[str, float]:
     """The mean of every network that has a seed, as something to be small, from `means`
-    or what a file holds of them."""
+    or what a file holds of them: a file older than the metric holds none."""
     return {
         row: _loss(metric, figures[metric]["mean"])
         for row, figures in means.items()
-        if seeded(row)[1] is not None and figures[metric]["n"]
+        if seeded(row)[1] is not None and metric in figures and figures[metric]["n"]
     }
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import rich_click as click
 
-from lidarsim.engines import ENGINES, EngineFactory
+from lidarsim.engines import EngineFactory
 from lidarsim.parameters import MOST_LENGTH_M, Bounds
 from lidarsim.sensors import CATALOGUE, RASTER, SENSORS
 from scenegen.cli.options import (
@@ -29,7 +29,6 @@ from scenegen.cli.options import (
 from scenegen.cli.show import Progress, say, show_figures, show_table
 from scenegen.cli.types import Named, Number, Numbers
 from scenegen.display.exchange import Choices
-from scenegen.errors import raised_as
 from scenegen.limits import LEAST_DRAWN_M
 from scenegen.logs import Cruise
 from scenegen.worlds import CLOUDS, MAPS
@@ -194,6 +193,7 @@ def scan(
         raise click.UsageError("--moving and the options of the long flight go with --sequence")
     if Path(world).suffix in (*MAPS, *CLOUDS) and was_given("engine"):
         raise click.UsageError(f"{world}: a map takes no --engine: it has its own")
+    from scenegen.dataset.shard import find_engine
     from scenegen.display.exchange.files import SUFFIXES
     from scenegen.files import check_ours
     from scenegen.source import named_world
@@ -204,8 +204,7 @@ def scan(
         raise click.UsageError(f"{out}: expected a name that ends in {', '.join(SUFFIXES)}")
     sensor = named_lidar(lidar or RASTER)
     chain = named_noise(noise, sensor)
-    with raised_as(click.UsageError):
-        factory = ENGINES.find(engine).of
+    factory = find_engine(engine)
     found, files = named_world(world, seed), [out]
     if sequence:
         cruise = Cruise(**options)

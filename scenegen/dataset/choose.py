@@ -58,7 +58,8 @@ FIGURES: Mapping[str, Callable[[Sample], float]] = {
     "tudf_m": lambda sample: float(sample.tudf.mean()),
     **{name: partial(_difficulty, n) for n, name in enumerate(Difficulty._fields)},
 }
-"""Shares of all voxels; of all rays, those that returned; the mean range of these, metres, NaN for
+"""What `inspect` measures of a sample, and `take --where` asks by; nothing of it is stored in one.
+Shares of all voxels; of all rays, those that returned; the mean range of these, metres, NaN for
 none; the mean distance of the map's voxels, metres; and how hard the map is."""
 COLUMNS = tuple(FIGURES)
 ROW = np.dtype([(name, "<f8") for name in FIGURES])

@@ -110,8 +110,7 @@ class Manifest:
         text(rf"(?=.{{1,{MOST_KIND_NAME}}}$)\w[\w.-]*(:\w+)?", "the name of a kind of worlds")
     )
     seed: int = ruled(optional(whole(0, MOST_SEED)))
-    """None where its `sources` have different ones; of a dataset without `sources`, and of a
-    source, always there."""
+    """None where its `sources` have different ones, and never in a dataset without `sources`."""
     counts: Mapping[str, int] = ruled(TABLE)
     """Samples that each split is to hold."""
     tables: Json
@@ -136,8 +135,9 @@ class Manifest:
     """The `digest` of the dataset whose worlds and poses were scanned again; None where they were
     drawn."""
     mapping: Mapper
-    known: Known | None
     """How maps are made."""
+    known: Known | None
+    """How much must be known where a sensor scans a real place; None where no world is one."""
     sources: tuple["Manifest", ...] = ()
     """The datasets that its samples were made for, each without shards; none where they were made
     for this one."""

@@ -111,7 +111,7 @@ def inspect(
     told = {}
     for split in splits:
         table = tables[split.name]
-        told[split.name] = {
+        told[split.name] = about = {
             "samples": len(split),
             "worlds": split.count_worlds(),
             "sampled": len(table),
@@ -120,15 +120,15 @@ def inspect(
         if len(table) == len(split):
             first = np.unique(split.numbers[0], return_index=True)[1]
             means = [figure(split, table, OF_WORLD + name)[first] for name in FIGURES]
-            told[split.name]["world_means"] = _statistics(np.transpose(means))
+            about["world_means"] = _statistics(np.transpose(means))
         if len({home.graded for home in it.homes}) > 1:
-            told[split.name]["kinds"] = _by_kind(split, table)
+            about["kinds"] = _by_kind(split, table)
     size, samples = bytes_in(folder), sum(map(len, splits))
-    found |= {"samples": samples, "bytes": size, "bytes_per_sample": size / max(samples, 1)}
     if keep:
         content = json.dumps(told, indent=1).encode()
         write_whole(figures_file(dataset).with_suffix(".json"), content)
-    return found | {"splits": told}
+    each = size / max(samples, 1)
+    return found | {"samples": samples, "bytes": size, "bytes_per_sample": each, "splits": told}
 
 
 def _measure(dataset: Dataset, task: tuple[str, int, int]) -> tuple[str, int, list[float]]:
@@ -254,7 +254,7 @@ def misfits(grid: GridSpec, lidar: Sensor) -> list[str]:
     ]
 
 
-LABELS = {
+TITLES = {
     "occupied": ("voxels occupied", "%"),
     "observed": ("voxels observed", "%"),
     "free": ("voxels known to be free", "%"),

@@ -15,7 +15,7 @@ from scenegen.dataset.layout import DIGEST
 from scenegen.dataset.manifest import NAME, VERSION
 from scenegen.dataset.rules import pattern_of
 from scenegen.dataset.trust import Manifest
-from scenegen.display.inspect import LABELS
+from scenegen.display.inspect import TITLES
 from scenegen.files import Json
 from scenegen.share import LICENCES
 from scenegen.share.regenerate import ORIGINAL, RECIPE, command, source_file
@@ -226,7 +226,7 @@ def _statistics(splits: Json) -> str:
     rows = [["", *splits]]
     for name, key in (("samples", "samples"), ("worlds", "worlds"), ("measured", "sampled")):
         rows.append([name, *(str(it[key]) for it in splits.values())])
-    for key, (label, unit) in LABELS.items():
+    for key, (label, unit) in TITLES.items():
         factor = 100 if unit == "%" else 1
         found = [it["statistics"][key] for it in splits.values()]
         cells = [

@@ -39,7 +39,7 @@ from scenegen.verification.stages import (
 from scenegen.verification.stored import CHECKS as STORED
 from scenegen.worlds.world import quiet_mujoco
 
-CHECKS: tuple[Check, ...] = tuple(
+CHECKS = tuple(
     sorted(
         (*OF_FILES, *STORED, *BETWEEN_SPLITS, *REPEATED),
         key=lambda check: not check.quick,
@@ -195,7 +195,7 @@ def verify(
                     f"compares all {len(whole)} shards, and {len(tasks)} are examined here"
                 )
             if not (page.faults or page.skipped or page.counts):
-                page.skipped = "nothing that could be examined: see what failed"
+                page.skipped = "counted nothing that it examined: see what failed"
         outcomes.append(page.outcome(check.name))
     return report(samples=samples, checks=tuple(outcomes))
 

@@ -38,7 +38,8 @@ class Check:
     Its examinations are functions, one for each stage at which it looks. Each is handed what the
     stage is about, and the check's page of the ledger: there it writes down faults, counts what it
     examined, and keeps what it needs at the end. A BrokenError that it raises becomes a fault of
-    this check.
+    this check. One that counts nothing and finds no fault is told as skipped, so a check counts
+    also the samples in which there is nothing to find.
     """
 
     name: str
@@ -47,7 +48,9 @@ class Check:
     quick: bool = False
     """Whether `--quick` makes it."""
     field: str = ""
-    """The field of samples that it examines, where not every dataset stores that field."""
+    """The field of samples that it examines, where not every dataset stores that field: without it
+    the check is left out. What else a check depends on, such as `Manifest.tables` or `noise`, it
+    asks its `Sample.contract` itself."""
     file: "Callable[[SignedFile, Page], None] | None" = None
     """Looks at the bytes of a shard or of an archive."""
     archive: "Callable[[Worlds, Page], None] | None" = None

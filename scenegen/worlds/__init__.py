@@ -5,8 +5,9 @@ from pathlib import Path
 
 MAPS = (".bt", ".ot", ".npz")
 """How the names of maps of real places end."""
-CLOUDS = (".ply", ".pcd", ".las", ".laz", ".xyz", ".yaml")
-"""How the names of point clouds end, and of ROS's plans, which become maps."""
+CLOUDS = (".ply", ".pcd", ".las", ".laz", ".xyz", ".npy", ".yaml")
+"""How the names of point clouds end, and of ROS's plans, which become maps. `scenegen map` reads
+all that `scenegen.clouds.READERS` names; an .npz file is taken for a map here."""
 MESHES = (".obj", ".glb", ".stl")
 """How the names of meshes end that are worlds of their own."""
 WORLD_FILES = (".xml", *MAPS, *CLOUDS, *MESHES)

@@ -16,7 +16,7 @@ from lidarsim.solids.shapes import HFIELD, MESH, PLANE, Solids
 from scenegen.errors import BrokenError, DatasetError, SceneError, printable, raised_as
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_ASSET_BYTES, MOST_DOCUMENT_BYTES, MOST_GEOMS
-from scenegen.worlds import CLOUDS, MAPS, MESHES
+from scenegen.worlds import CLOUDS, MAPS, MESHES, WORLD_FILES
 from scenegen.worlds.cloud import Survey, map_clouds
 from scenegen.worlds.drawing import flatten, least_memory
 from scenegen.worlds.place import encode_map, map_digest, named_map, place_of, read_place
@@ -144,7 +144,10 @@ def _compile(path: Path) -> tuple[mujoco.MjModel, int]:
     is_mesh = path.suffix in MESHES
     what = "a mesh that MuJoCo refuses" if is_mesh else "not valid MJCF"
     refused = (ValueError, OSError, MemoryError, RuntimeError, mujoco.FatalError)
-    with raised_as(SceneError, f"{path}: {what}: ", of=refused):
+    # MuJoCo calls a file of another type an MJCF file without a decoder
+    told = f"; expected {', '.join(WORLD_FILES)}, or a map, which scenegen map makes of points"
+    end = told * (path.suffix not in WORLD_FILES)
+    with raised_as(SceneError, f"{path}: {what}: ", end, of=refused):
         spec = mesh_spec(path) if is_mesh else mujoco.MjSpec.from_file(str(path))
         skins = len(spec.skins)
         if len(spec.geoms) > MOST_GEOMS:

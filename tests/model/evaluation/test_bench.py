@@ -82,7 +82,7 @@ def test_a_perfect_prediction_scores_perfectly_and_plans_like_the_truth(dataset,
     predicted.check(dataset, "test")
     found = bench(dataset, [Truth(), predicted, Completed(Copied(dataset))], CONFIG)
     truth, from_file, copied = found.methods.values()
-    for perfect in (truth, from_file):
+    for perfect in (truth, from_file):  # six metrics of distance, and then those of occupancy
         assert_array_equal(perfect.reconstruction[:, 0, :6], 0)
         assert_array_equal(perfect.reconstruction[:, 0, 6:], 1)
     assert truth.trials == from_file.trials

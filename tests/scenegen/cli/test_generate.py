@@ -52,13 +52,14 @@ def test_a_split_range_makes_its_shards_alone(small, tmp_path, capsys):
     assert (said["complete"], said["samples_written"]) == (True, 5)
 
 
-BAD_USE = """
+BAD_USE = f"""
 --kind piller                → did you mean 'pillar'?
 room.xml                     → give it as --scene room.xml
 pillar --kind pillar         → the kind is given twice
 --workers 2                  → no worlds are named; give a kind, such as --kind pillar
 --kind pillar --workers 0    → --workers
 --kind pillar --scene x.xml  → give one of the two
+--scene {__file__}           → .py'; expected .xml, .bt,
 --kind pillar --split-range 5:2          → FIRST:STOP
 --kind pillar --n 10 --split-range 0:99  → there are 3 shards
 --kin pillar                 → --kind
