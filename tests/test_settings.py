@@ -2,42 +2,62 @@
 
 import dataclasses
 import itertools
+import json
 import math
 
 import pytest
 
 from lidarsim import Fusion, GridSpec, Lidar
 from scenegen.model.config import LossConfig, NetworkConfig, PlanConfig, TrainConfig
+from tests.command_line import rows
 
-WEIGHTS = {one.name for one in dataclasses.fields(LossConfig)} - {"objective"}
-WRONG = {
-    GridSpec: [
-        *(("shape", (80, 0, 40)), ("shape", (80, 80.5, 40))),
-        *(("voxel_m", 0.0), ("truncation_m", -1.0)),
-    ],
-    Lidar: [
-        *(("rows", 0), ("columns", 0), ("vertical_fov_deg", 180.5), ("horizontal_fov_deg", 360.5)),
-        *(("pitch_deg", 90.5), ("max_range_m", 0.0), ("mount", "gimbal")),
-    ],
-    Fusion: [
-        *(("fusion", "average"), ("hit", 0.5), ("miss", 0.5), ("least", 0.6)),
-        *(("most", math.nan), ("occupied", 0.4), ("occupied", 0.98)),
-    ],
-    NetworkConfig: [("variant", "both"), ("stem_stride", 3), ("heads", 5), ("width", 0)],
-    TrainConfig: [
-        *(("epochs", 0), ("batch", 10**9), ("lr", math.nan), ("lr", 0.0)),
-        *(("clip", math.inf), ("warmup_share", 1.0)),
-    ],
-    LossConfig: [*itertools.product(WEIGHTS, (-0.1, math.nan, math.inf)), ("beta_m", 0.0)],
-    PlanConfig: [
-        *(("step_voxels", 0), ("iterations", -1), ("clearance_weight", math.inf)),
-        ("field", "exact"),
-    ],
-}
+KINDS = (GridSpec, Lidar, Fusion, NetworkConfig, TrainConfig, LossConfig, PlanConfig)
+KINDS = {kind.__name__: kind for kind in KINDS}
+WRONG = """
+GridSpec      → shape              → [80, 0, 40]
+GridSpec      → shape              → [80, 80.5, 40]
+GridSpec      → voxel_m            → 0.0
+GridSpec      → truncation_m       → -1.0
+Lidar         → rows               → 0
+Lidar         → columns            → 0
+Lidar         → vertical_fov_deg   → 180.5
+Lidar         → horizontal_fov_deg → 360.5
+Lidar         → pitch_deg          → 90.5
+Lidar         → max_range_m        → 0.0
+Lidar         → mount              → "gimbal"
+Fusion        → fusion             → "average"
+Fusion        → hit                → 0.5
+Fusion        → miss               → 0.5
+Fusion        → least              → 0.6
+Fusion        → most               → NaN
+Fusion        → occupied           → 0.4
+Fusion        → occupied           → 0.98
+NetworkConfig → variant            → "both"
+NetworkConfig → stem_stride        → 3
+NetworkConfig → heads              → 5
+NetworkConfig → width              → 0
+TrainConfig   → epochs             → 0
+TrainConfig   → batch              → 1000000000
+TrainConfig   → lr                 → NaN
+TrainConfig   → lr                 → 0.0
+TrainConfig   → clip               → Infinity
+TrainConfig   → warmup_share       → 1.0
+LossConfig    → beta_m             → 0.0
+PlanConfig    → step_voxels        → 0
+PlanConfig    → iterations         → -1
+PlanConfig    → clearance_weight   → Infinity
+PlanConfig    → field              → "exact"
+"""
 
 
-@pytest.mark.parametrize("kind", WRONG)
-def test_a_setting_that_makes_no_sense_is_refused_by_name(kind):
-    for name, value in WRONG[kind]:
+@pytest.mark.parametrize(("kind", "name", "value"), rows(WRONG))
+def test_a_setting_that_makes_no_sense_is_refused_by_name(kind, name, value):
+    with pytest.raises(ValueError, match=rf"\b{name} (= |')"):
+        KINDS[kind](**{name: json.loads(value)})
+
+
+def test_no_weight_of_a_loss_is_negative_or_endless():
+    names = {one.name for one in dataclasses.fields(LossConfig)} - {"objective"}
+    for name, value in itertools.product(names, (-0.1, math.nan, math.inf)):
         with pytest.raises(ValueError, match=rf"\b{name} (= |')"):
-            kind(**{name: value})
+            LossConfig(**{name: value})

@@ -33,9 +33,8 @@ way."""
 
 
 def rotation(quaternion_wxyz):
-    """The rotation of a (w, x, y, z) quaternion; scipy orders it (x, y, z, w)."""
-    w, x, y, z = np.asarray(quaternion_wxyz, float)
-    return Rotation.from_quat([x, y, z, w])
+    """The rotation of a (w, x, y, z) quaternion."""
+    return Rotation.from_quat(quaternion_wxyz, scalar_first=True)
 
 
 def unit(vectors):

@@ -4,6 +4,7 @@ with its bounds."""
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 from lidarsim.parameters import Bounds, check, number, shown
+from tests.command_line import rows
 
 if TYPE_CHECKING:
     from nowhere import Unknown
@@ -61,39 +63,36 @@ def test_what_fits_becomes_the_annotated_type(name, value, kept):
         assert [type(one) for one in found] == [type(one) for one in kept]
 
 
-REFUSED = [
-    ("rows", 0, "rows = 0: expected a whole number from 1 to 1000"),
-    ("rows", 2.5, "rows = 2.5: expected a whole number from 1 to 1000"),
-    ("rows", True, "rows = True: expected a whole number"),
-    ("rows", "16", "rows = '16': expected a whole number"),
-    ("range_m", 0.0, "range_m = 0.0: expected a finite number above 0"),
-    ("range_m", math.inf, "range_m = inf: expected a finite number above 0"),
-    ("range_m", 10**400, "range_m = 1000"),
-    ("tilt_deg", 90, "tilt_deg = 90: expected a finite number at least -90 and below 90"),
-    ("shape", (8, 8), "shape = [8, 8]: expected three whole numbers at least 1, such as [8, 8, 4]"),
-    ("shape", "888", "shape = '888': expected three whole numbers"),
-    ("shape", {8: 8, 9: 9, 4: 4}, "expected three whole numbers"),
-    ("shape", [8, [8], 4], "shape = [8, [8], 4]: expected three whole numbers"),
-    (
-        "span_m",
-        (2.0, 1.0),
-        "span_m = [2.0, 1.0]: expected [low, high] with low <= high, finite numbers from 0 to 9",
-    ),
-    ("edges_m", (1.0, 0.0), "edges_m = [1.0, 0.0]: expected a list, each a finite number above 0"),
-    ("even", 2.5, "even = 2.5: expected a whole number"),
-    ("limit", 0, "limit = 0: expected a finite number above 0 or none"),
-    ("mount", "gimbal", "mount = 'gimbal': expected 'tilt' or 'band'"),
-    ("mount", ["tilt"], "mount = ['tilt']: expected 'tilt' or 'band'"),
-    ("spin", 1, "spin = 1: expected true or false"),
-    ("name", 3, "name = 3: expected text"),
-    ("anything", [1.0, [math.nan]], "anything = [1.0, [nan]]: expected a finite number"),
-]
+REFUSED = f"""
+rows     → 0            → rows = 0: expected a whole number from 1 to 1000
+rows     → 2.5          → rows = 2.5: expected a whole number from 1 to 1000
+rows     → true         → rows = True: expected a whole number
+rows     → "16"         → rows = '16': expected a whole number
+range_m  → 0.0          → range_m = 0.0: expected a finite number above 0
+range_m  → Infinity     → range_m = inf: expected a finite number above 0
+range_m  → 1{"0" * 400} → range_m = 1000
+tilt_deg → 90           → tilt_deg = 90: expected a finite number at least -90 and below 90
+shape    → [8, 8]       → shape = [8, 8]: expected three whole numbers at least 1, such as [8, 8, 4]
+shape    → "888"        → shape = '888': expected three whole numbers
+shape    → {{"8": 8, "9": 9, "4": 4}} → expected three whole numbers
+shape    → [8, [8], 4]  → shape = [8, [8], 4]: expected three whole numbers
+span_m   → [2.0, 1.0]   → span_m = [2.0, 1.0]: expected [low, high] with low <= high, \
+finite numbers from 0 to 9
+edges_m  → [1.0, 0.0]   → edges_m = [1.0, 0.0]: expected a list, each a finite number above 0
+even     → 2.5          → even = 2.5: expected a whole number
+limit    → 0            → limit = 0: expected a finite number above 0 or none
+mount    → "gimbal"     → mount = 'gimbal': expected 'tilt' or 'band'
+mount    → ["tilt"]     → mount = ['tilt']: expected 'tilt' or 'band'
+spin     → 1            → spin = 1: expected true or false
+name     → 3            → name = 3: expected text
+anything → [1.0, [NaN]] → anything = [1.0, [nan]]: expected a finite number
+"""
 
 
-@pytest.mark.parametrize(("name", "value", "line"), REFUSED)
+@pytest.mark.parametrize(("name", "value", "line"), rows(REFUSED))
 def test_what_does_not_fit_is_named_with_its_bounds(name, value, line):
     with pytest.raises(ValueError) as error:
-        Sensor(**{name: value})
+        Sensor(**{name: json.loads(value)})
     assert line in str(error.value)
 
 

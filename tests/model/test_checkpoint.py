@@ -17,6 +17,7 @@ from scenegen.model.checkpoint import (
     load_tensors,
     save_tensors,
 )
+from tests.command_line import rows
 from tests.model.conftest import saved_network
 
 GRID = GridSpec(shape=(16, 16, 8), voxel_m=0.1, truncation_m=1.0)
@@ -62,26 +63,23 @@ def test_a_pickle_is_refused_and_not_run(tmp_path, zipped):
     assert not (tmp_path / "sprung").exists()
 
 
-@pytest.mark.parametrize(
-    ("change", "named"),
-    [
-        ({"format": "other"}, "not a network"),
-        ({"version": 99}, "this scenegen reads scenegen-network 1"),
-        ({"network": {"variant": "occ", "width": 4}}, "do not fit"),
-        ({"network": {"depth": 3}}, "do not fit"),
-        ({"network": {"variant": "dual", "width": 1024}}, "width = 1024: expected a whole number"),
-        ({"network": {"variant": "dual", "width": "4"}}, "width = '4': expected a whole number"),
-        (
-            {"grid": {"shape": [4096, 4096, 4096], "voxel_m": 0.1, "truncation_m": 1}},
-            "voxels at most",
-        ),
-        ({"grid": {"shape": [1e400, 8, 8], "voxel_m": 0.1, "truncation_m": 1}}, "do not fit"),
-        ({"grid": None}, "do not fit"),
-    ],
-)
+HEADERS = """
+{"format": "other"}                                → not a network
+{"version": 99}                                    → this scenegen reads scenegen-network 1
+{"network": {"variant": "occ", "width": 4}}        → do not fit
+{"network": {"depth": 3}}                          → do not fit
+{"network": {"variant": "dual", "width": 1024}}    → width = 1024: expected a whole number
+{"network": {"variant": "dual", "width": "4"}}     → width = '4': expected a whole number
+{"grid": {"shape": [4096, 4096, 4096], "voxel_m": 0.1, "truncation_m": 1}} → voxels at most
+{"grid": {"shape": [1e400, 8, 8], "voxel_m": 0.1, "truncation_m": 1}}      → do not fit
+{"grid": null}                                     → do not fit
+"""
+
+
+@pytest.mark.parametrize(("change", "named"), rows(HEADERS))
 def test_headers_that_do_not_fit_are_refused(saved, tmp_path, change, named):
     tensors, header = load_tensors(saved[0])
-    save_tensors(tmp_path / "changed.safetensors", tensors, header | change)
+    save_tensors(tmp_path / "changed.safetensors", tensors, header | json.loads(change))
     with pytest.raises(CheckpointError, match=named):
         load_network(tmp_path / "changed.safetensors")
 

@@ -59,7 +59,7 @@ def test_a_file_carries_its_calibration(dataset, weights, tmp_path):
 
 
 @pytest.mark.slow
-def test_bounds_of_others_are_a_row_of_the_study(dataset, weights, tmp_path, monkeypatch):
+def test_bounds_of_others_are_a_row_of_the_study(dataset, weights, tmp_path):
     completer = Completer.from_pretrained(weights)
     predict_split(completer, dataset.folder, "test", tmp_path / "p")
     with h5py.File(tmp_path / "p/test-00000.h5", "a") as file:

@@ -77,7 +77,7 @@ def test_a_stall_begins_the_decay_and_the_run_ends_at_its_end(
 
     monkeypatch.setattr(scenegen.model.training.loop, "validate", stalling)
     config = dataclasses.replace(TINY, epochs=100, patience=2, decay_share=0.5)
-    rows = train(folders[:1], config, tmp_path / "run")
+    rows = train(folders, config, tmp_path / "run")
     steps = rows[0]["maps"]
     assert [row["maps"] / steps for row in rows] == list(range(1, 9))
 
@@ -108,17 +108,15 @@ def test_a_budget_grows_from_where_the_rate_was_level(undrawn, folders, tmp_path
     short, long = (
         dataclasses.replace(TINY, epochs=n, warmup_share=0.0, decay_share=0.5) for n in (2, 4)
     )
-    straight = train(folders[:1], long, tmp_path / "straight")
-    train(folders[:1], short, tmp_path / "grown")
+    straight = train(folders, long, tmp_path / "straight")
+    train(folders, short, tmp_path / "grown")
     earlier = (tmp_path / "grown" / "best.safetensors").read_bytes()
-    grown = train(folders[:1], long, tmp_path / "grown")
+    grown = train(folders, long, tmp_path / "grown")
     assert [{**row, "seconds": 0} for row in grown] == [{**row, "seconds": 0} for row in straight]
     assert [path.read_bytes() for path in (tmp_path / "grown").glob("best-*.safetensors")] == [
         earlier
     ]
     with pytest.raises(DatasetError, match="epochs is 4 there, 2 asked for"):
-        train(folders[:1], short, tmp_path / "grown")
+        train(folders, short, tmp_path / "grown")
     with pytest.raises(DatasetError, match="epochs is 4 there, 9 asked for"):
-        train(
-            folders[:1], dataclasses.replace(long, epochs=9, schedule="cosine"), tmp_path / "grown"
-        )
+        train(folders, dataclasses.replace(long, epochs=9, schedule="cosine"), tmp_path / "grown")

@@ -63,7 +63,6 @@ def test_damage_is_named(folders, tmp_path):
         file["occupancy"].id.write_direct_chunk((1, 0, 0, 0), b"not a chunk")
     maps = maps_of([copy])
     maps[0]
-    before = set(multiprocessing.active_children())
     said = r"^\S*train-00000\.h5: sample 1: occupancy cannot be unpacked"
     with pytest.raises(DatasetError, match=said):
         maps[1]

@@ -1,5 +1,5 @@
-"""A map turned or mirrored about its vertical axis is another map of the same world, and so is its
-distance field."""
+"""A map turned or mirrored about its vertical axis is another map of the same world; its distance
+field is turned alike, for tests/scenegen/truth/test_distance.py has it exact."""
 
 import itertools
 from types import SimpleNamespace
@@ -13,7 +13,6 @@ from lidarsim.sensors.catalogue import MID_360, OS1_64
 from scenegen.model.config import TrainConfig
 from scenegen.model.inputs import turned
 from scenegen.model.training.data import epoch_batches, is_mirrored
-from scenegen.truth import distance_field
 from tests.model.training.runs import Counted
 
 ALL = range(8)
@@ -39,20 +38,6 @@ def test_the_eight_symmetries_are_those_of_a_square():
         place = (x - 1j * y if symmetry >= 4 else x + 1j * y) * 1j ** (symmetry % 4)
         at = np.rint([place.real, place.imag]).astype(int) + 2
         assert_array_equal(found[at[0], at[1], z], grid)
-
-
-# The distance field.
-
-
-@pytest.mark.parametrize("symmetry", ALL)
-def test_the_field_of_a_turned_map_is_the_turned_field(symmetry):
-    shapes = [(11, 11, 6)] if symmetry % 2 else [(11, 11, 6), (10, 7, 6)]
-    for grid in (GridSpec(shape=shape, voxel_m=0.13) for shape in shapes):
-        occupancy = np.random.default_rng(symmetry).random(grid.shape) < 0.01
-        occupancy[1, 2, 3] = True
-        field = distance_field(occupancy, grid)
-        of_turned = distance_field(turned(occupancy, symmetry), grid)
-        assert_array_equal(of_turned, turned(field, symmetry))
 
 
 # The epochs.

@@ -143,7 +143,7 @@ def test_no_shard_ends_in_a_traceback_or_takes_the_memory(dataset, damage, seed)
     assert "train-00000.h5" in failed(dataset, quick=True)["layout"]
 
 
-def test_an_archive_writes_nowhere_else_and_takes_no_memory(dataset, tmp_path, monkeypatch):
+def test_an_archive_writes_nowhere_else_and_takes_no_memory(dataset, monkeypatch):
     path = dataset / "train-00000.worlds.zip"
     whole = path.read_bytes()
     for name in ("../up.obj", ".hidden"):

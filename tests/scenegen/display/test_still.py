@@ -7,6 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 from matplotlib.image import imread
+from matplotlib.path import Path as Outline
 from numpy.testing import assert_allclose
 from PIL import Image
 
@@ -68,19 +69,13 @@ def test_the_face_painted_last_is_the_one_that_the_eye_meets_first(seed):
         cells = np.floor(ray).astype(int)
         inside = ((cells >= 0) & (cells < mask.shape)).all(axis=1)
         hits = [tuple(cell) for cell in cells[inside] if mask[tuple(cell)]]
-        painted = [n for n, quad in enumerate(quads) if _is_in(quad, spot)]
+        painted = [n for n, quad in enumerate(quads) if Outline(quad).contains_point(spot)]
         assert bool(hits) == bool(painted)
         if hits:
             met += 1
             assert tuple(voxels[painted[-1]]) == hits[0]
             assert np.abs(corners[painted[-1]].mean(axis=0) - np.array(hits[0]) - 0.5).max() <= 0.5
     assert met > 30
-
-
-def _is_in(quad, spot):
-    edges, ways = np.roll(quad, -1, axis=0) - quad, spot - quad
-    sides = edges[:, 0] * ways[:, 1] - edges[:, 1] * ways[:, 0]
-    return bool((sides > 0).all() or (sides < 0).all())
 
 
 def test_a_world_is_what_another_engine_meets(rng):

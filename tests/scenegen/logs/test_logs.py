@@ -15,7 +15,6 @@ import pytest
 import scenegen.logs.fuse
 from lidarsim import AnalyticEngine, GridSpec, Lidar, Pose, cast
 from lidarsim.noise.chain import Noise
-from lidarsim.pose import chained, rotate
 from lidarsim.sensors.catalogue import MID_360
 from scenegen.display.exchange.files import write_points
 from scenegen.display.exchange.recordings import DEFINITIONS, POINT_TYPES, TRANSFORMS
@@ -181,11 +180,12 @@ def test_every_layout_of_a_log_reads_back(tmp_path):
     assert close(late, scans)
     # as KITTI's archives have it: poses of a camera, elsewhere
     camera = Pose(np.array([0.1, -0.2, 0.3]), np.array([0.5, 0.5, -0.5, 0.5]))
-    rows = [matrix_of(chained(chained(camera, one.pose), inverse(camera))) for one in scans]
+    turn = matrix_of(camera)
+    rows = [turn @ matrix_of(one.pose) @ np.linalg.inv(turn) for one in scans]
     (tmp_path / "poses").mkdir()
     (log / "poses.txt").unlink()
     np.savetxt(tmp_path / "poses" / "00.txt", [row[:3].reshape(-1) for row in rows])
-    tr = " ".join(map(str, matrix_of(camera)[:3].reshape(-1)))
+    tr = " ".join(map(str, turn[:3].reshape(-1)))
     (log / "calib.txt").write_text(f"P0: 1 2\nTr: {tr}\n")
     assert close(read_log(log), scans)
 
@@ -216,11 +216,6 @@ def test_recordings_of_either_ros_say_the_same(tmp_path, form, ros):
     source = [tmp_path / "log.mcap"]
     rosbags.convert(source, out, "sqlite3", 9, None, "message", None, types, *chosen)
     assert close(read_log(tmp_path / form), scans)
-
-
-def inverse(pose):
-    back = pose.quaternion * (1, -1, -1, -1)
-    return Pose(-rotate(back, pose.position), back)
 
 
 def test_poses_come_from_a_chain_of_frames():

@@ -64,7 +64,7 @@ def test_a_store_that_does_not_answer_a_machine_is_no_fault_of_the_dataset(
     )
 
 
-def test_a_dataset_that_changes_meanwhile_is_not_mixed_with_the_first(here, store, capsys):
+def test_a_dataset_that_changes_meanwhile_is_not_mixed_with_the_first(here, store):
     folder = locate(NAME)
     manifest = store / "lab" / "d" / "dataset.json"
     manifest.write_text(json.dumps(json.loads(manifest.read_text())))  # the same, written otherwise

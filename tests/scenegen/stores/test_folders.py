@@ -70,7 +70,7 @@ def test_what_is_made_of_it_lies_in_folders_too(deep, digest, tmp_path):
     assert (one.ranges == other.ranges).all()
 
 
-def test_a_store_holds_the_same_folders(store, digest, tmp_path):
+def test_a_store_holds_the_same_folders(store, digest):
     for _ in range(2):
         forget()
         assert build(plan(folder_of("s3://lab/deep"))).digest == digest

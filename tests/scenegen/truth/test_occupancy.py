@@ -222,7 +222,7 @@ def test_right_angled_attitudes_on_and_off_the_lattice(kind, rng):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@quarter(8, 8)
+@quarter(8)
 def test_a_hair_off_upright_is_not_upright(kind, count):
     """Tilts of 0, and from 1e-9 to 1e-2 rad, of solids up to 50 m long, whose far end is then
     micrometres to metres off.

@@ -1,7 +1,6 @@
 """Laws of a leaning body: the acceleration against finite differences, the attitude against scipy
 and MuJoCo."""
 
-import mujoco
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -11,6 +10,7 @@ from lidarsim import Pose
 from scenegen.worlds.flight import GRAVITY, Route, acceleration, leaning
 from scenegen.worlds.mapping import Mapper
 from tests.conftest import small_recipe
+from tests.lidarsim.engines.test_laws import from_mujoco
 from tests.scenegen.conftest import drawn_unit
 
 PATH = np.loadtxt(["0 0 2", "3 0 2", "3 0 2", "3 4 3", "1 4 5", "1 4 1.5", "-4 2 2"])
@@ -78,21 +78,16 @@ def test_a_leaning_sensors_ranges_are_mujocos():
     """Each ray by `mj_ray`, its direction by scipy from the stored attitude."""
     recipe = small_recipe(mapping={"tilt_mps": 4.0, "scans": 2})
     unit = drawn_unit(recipe)
-    model = mujoco.MjModel.from_xml_string(unit.world.mjcf.decode())
-    data, leans = mujoco.MjData(model), []
-    mujoco.mj_forward(model, data)
-    geom = np.zeros(1, np.int32)
+    world, leans = unit.world, []
     for sample in unit.samples:
         for scan in sample.scans(recipe.lidar):
             attitude = turned(scan.pose)
             leans.append(np.degrees(np.arccos(attitude.apply([0, 0, 1])[2])))
             rays = attitude.apply(recipe.lidar.directions_body.reshape(-1, 3).copy())
             place = scan.pose.position.copy()
-            found = np.array(
-                [mujoco.mj_ray(model, data, place, ray, None, True, -1, geom, None) for ray in rays]
+            expected, *_ = from_mujoco(
+                world.model, world.data, place, rays, recipe.lidar.max_range_m
             )
-            there = (found >= 0) & (found <= recipe.lidar.max_range_m)
-            expected = np.where(there, found, np.inf)
             assert_allclose(scan.ranges.reshape(-1), expected, atol=2e-6)
     assert max(leans) == pytest.approx(30.0, abs=25.0)  # else no body leans
     assert len(set(np.round(leans, 6))) > 2

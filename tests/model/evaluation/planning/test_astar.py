@@ -112,16 +112,6 @@ def test_paths_are_as_short_as_dijkstras(step, density, weight, edge_check):
         assert reached > 3
 
 
-def test_the_default_lattice_is_the_papers():
-    """Steps of 0.6 m around voxel (40, 40, 20) of 80 x 80 x 40."""
-    lattice = Lattice(GridSpec(), PlanConfig().step_voxels)
-    assert lattice.shape.tolist() == [27, 27, 13]
-    assert lattice.voxels(lattice.start).tolist() == [40, 40, 20]
-    assert_allclose(
-        lattice.centres([[0, 0, 0], [26, 26, 12]]), [[0.3, 0.3, 0.5], [15.9, 15.9, 7.7]]
-    )
-
-
 def test_a_goal_that_is_no_node_and_a_map_of_another_shape_are_refused():
     free = np.zeros(GRID.shape, bool)
     for goal in ([2.5, 2.1, 1.6], [2.7, 2.1, 1.5], [99, 2, 2], [2.5, 2.1, np.nan]):

@@ -38,10 +38,6 @@ def cost(path, tudf, grid, config):
     return cost_and_gradient(path, tudf, grid, config)[0]
 
 
-def gradient(path, tudf, grid, config):
-    return cost_and_gradient(path, tudf, grid, config)[1]
-
-
 def searched(rng, grid, density):
     """A random map's distance field, and A*'s path across it."""
     lattice = Lattice(grid, 3)
@@ -63,12 +59,12 @@ def test_cost_and_gradient_are_the_formulas(safety_m, weight, shape):
     inside = rng.uniform(0.2, grid.extent_m - 0.2, (40, 3))
     outside = rng.uniform(-0.5, grid.extent_m + 0.5, (40, 3))
     for path in (inside, outside):
-        assert cost(path, tudf, grid, config) == pytest.approx(
-            reference_cost(path, tudf, grid, safety_m, weight)
-        )
-        expected = finite_differences(reference_cost, path, tudf, grid, safety_m, weight, step=1e-6)
+        found, gradient = cost_and_gradient(path, tudf, grid, config)
+        given = tudf, grid, safety_m, weight
+        assert found == pytest.approx(reference_cost(path, *given))
+        expected = finite_differences(reference_cost, path, *given, step=1e-6)
         expected[[0, -1]] = 0.0
-        assert_allclose(gradient(path, tudf, grid, config), expected, rtol=1e-6, atol=2e-6)
+        assert_allclose(gradient, expected, rtol=1e-6, atol=2e-6)
 
 
 def test_the_cost_never_rises_and_the_ends_stay(rng):
