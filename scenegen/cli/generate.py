@@ -220,22 +220,15 @@ def make(
     from scenegen.dataset.build import build
     from scenegen.run import executor
 
-    execute = executor(on, workers)
-    chosen = execute.mine(plan.shards[slice(*shards)] if shards else plan.shards)
-    names = {shard.file for shard in chosen}
-
-    def count(report: Any, fresh: bool) -> None:
-        progress.count(report.samples if report.file in names else 0)
-
     with Progress(plan.folder.name, shown=talk) as progress:
         summary = build(
             plan,
-            execute=execute,
+            execute=executor(on, workers),
             workers=workers,
             shard_range=shards,
             force=force,
-            on_start=lambda: progress.start(sum(shard.samples for shard in chosen)),
-            on_shard=count,
+            on_start=progress.start,
+            on_shard=lambda report, fresh: progress.count(report.samples),
         )
     seconds = seconds_taken()
     if as_json:
