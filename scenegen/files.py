@@ -18,7 +18,7 @@ from io import BufferedReader
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
-from scenegen.errors import DatasetError, DiskError
+from scenegen.errors import AbsentError, DatasetError, DiskError
 from scenegen.run import undone
 from scenegen.stores import LOCATED, PART, StorePath, Version, note_file
 
@@ -41,7 +41,7 @@ def open_bounded(path: Path, most_bytes: int) -> BufferedReader:
     device, whose reading might never end. An object of a place is copied first, unless it was
     before.
 
-    Raises DatasetError for anything else, FileNotFoundError where there is nothing, and StoreError.
+    Raises DatasetError for anything else, AbsentError where there is nothing, and StoreError.
     """
     if isinstance(path, StorePath):
         return path.open_bounded(most_bytes)
@@ -54,7 +54,7 @@ def open_bounded(path: Path, most_bytes: int) -> BufferedReader:
             path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK
         )  # opening a pipe does not wait for its writer
     except (FileNotFoundError, NotADirectoryError):
-        raise FileNotFoundError(errno.ENOENT, "no such file", str(path)) from None
+        raise AbsentError(f"{path}: no such file") from None
     except OSError as error:
         raise DatasetError(
             f"{path}: cannot be opened ({error.strerror}); give a file that can be read"

@@ -42,8 +42,6 @@ def read_toml(path: Path) -> Json:
             # dotted keys: tomllib's time grows with the square of their depth, or worse
             raise RecursionError
         return tomllib.loads(text)
-    except OSError as error:
-        raise RecipeError(f"{where}: cannot be read: {error.strerror}") from None
     except DatasetError as error:
         raise RecipeError(printable(error)) from None
     except ValueError as error:  # TOMLDecodeError, and int()'s for thousands of digits
