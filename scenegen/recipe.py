@@ -31,6 +31,7 @@ from scenegen.tables import (
     check_name,
     field_names,
     from_table,
+    named_lidar,
     named_noise,
     read_toml,
     sensor_of,
@@ -185,8 +186,6 @@ def preset(
     Raises:
         RecipeError: One of them cannot be; an unknown kind's nearest name is suggested.
     """
-    if isinstance(lidar, str):
-        lidar = sensor_of({"sensor": lidar}, "[lidar]", Path())
     return make_recipe(kind, {}, lidar=lidar, noise=noise, mapping=mapping, difficulty=difficulty)
 
 
@@ -226,7 +225,7 @@ def _with_beside(
     tables: Json,
     where: str,
     *,
-    lidar: Sensor | None = None,
+    lidar: Sensor | str | None = None,
     noise: str | None = None,
     mapping: Mapping[str, Any] | None = None,
     difficulty: str | None = None,
@@ -290,7 +289,7 @@ def make_recipe(
         raise RecipeError(f"{at}difficulty: worlds from MJCF files have none; leave it out")
     sensor = given.get("lidar")
     if sensor is not None:
-        tables["lidar"] = {}
+        sensor, tables["lidar"] = named_lidar(sensor), {}
     for name, table in tables.items():
         whose = [f"[{part}]" for part, made in parts.items() if name in field_names(made)]
         if whose and name not in parts and not isinstance(table, dict):

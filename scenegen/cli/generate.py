@@ -267,9 +267,8 @@ def recipe(kind: str, lidar: str | None, out: Path | None) -> None:
     from scenegen.recipe import preset
     from scenegen.share.regenerate import recipe_text
     from scenegen.source import DrawnWorlds
-    from scenegen.tables import named_lidar
 
-    found = preset(kind, lidar=named_lidar(lidar) if lidar else None)
+    found = preset(kind, lidar=lidar)
     if not isinstance(found.lidar, Lidar):
         raise RecipeError(
             f"--lidar {lidar}: is no raster, which a recipe file could hold; give it to generate"
