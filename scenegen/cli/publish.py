@@ -74,7 +74,6 @@ def publish(
         announce_compilation()
     from scenegen.dataset.locate import locate
     from scenegen.run import check_together
-    from scenegen.run.software import commit
     from scenegen.share.stage import Request
     from scenegen.share.upload import publish as run_publish
 
@@ -86,7 +85,6 @@ def publish(
         tag=tag,
         licence=licence,
         kind=kind,
-        commit=commit(),
     )
     with Progress("verify", shown=talk) as progress:
 
