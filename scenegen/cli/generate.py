@@ -1,7 +1,6 @@
 """`scenegen generate` and `scenegen recipe`: from options to a plan, and from a plan to a
 dataset."""
 
-import json
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
@@ -29,6 +28,7 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import (
     Progress,
+    Tell,
     announce_compilation,
     flat,
     note,
@@ -135,7 +135,7 @@ def generate(
     workers: int,
     on: str,
     dry_run: bool,
-    as_json: bool,
+    tell: Tell,
     talk: bool,
     **options: Any,
 ) -> None:
@@ -164,7 +164,7 @@ def generate(
         )
     if dry_run:
         State(plan, force=force)  # which refuses a folder that holds something else
-        _show_plan(plan, as_json)
+        _show_plan(plan, tell)
         return
     make(
         plan,
@@ -172,12 +172,12 @@ def generate(
         on=on,
         shards=shards,
         force=force,
-        as_json=as_json,
+        tell=tell,
         talk=talk,
     )
 
 
-def _show_plan(plan: "Plan", as_json: bool) -> None:
+def _show_plan(plan: "Plan", tell: Tell) -> None:
     """Prints what would be made, and the recipe file that says all of it."""
     rows = {
         "folder": str(plan.folder),
@@ -185,8 +185,7 @@ def _show_plan(plan: "Plan", as_json: bool) -> None:
         "shards": len(plan.shards),
         "bytes_expected": plan.bytes_expected,
     }
-    if as_json:
-        print(json.dumps(rows | {"parameters": plan.parameters}))
+    if not tell(rows | {"parameters": plan.parameters}):
         return
     from scenegen.share.regenerate import recipe_text
 
@@ -202,7 +201,7 @@ def make(
     workers: int,
     on: str,
     force: bool,
-    as_json: bool,
+    tell: Tell,
     talk: bool,
     shards: tuple[int, int] | None = None,
 ) -> None:
@@ -213,8 +212,8 @@ def make(
         workers: Processes.
         on: Where the work is done, as `scenegen.run.executor` takes it.
         force: Replace another dataset in the folder.
-        as_json: Print the result as JSON.
-        talk: Print it for people, with a bar meanwhile.
+        tell: Prints the result as JSON, if that is asked for.
+        talk: Show a bar meanwhile.
         shards: First of the shards that are made, and the one after the last; all unless given.
     """
     from scenegen.dataset.build import build
@@ -231,9 +230,7 @@ def make(
             on_shard=lambda report, fresh: progress.count(report.samples),
         )
     seconds = seconds_taken()
-    if as_json:
-        print(json.dumps({**vars(summary), "folder": str(summary.folder), "seconds": seconds}))
-    if not talk:
+    if not tell({**vars(summary), "folder": str(summary.folder), "seconds": seconds}):
         return
     samples, written = sum(summary.samples.values()), summary.samples_written
     rate = f", {written / seconds:.1f} samples a second, start-up included"

@@ -1,6 +1,5 @@
 """`scenegen publish`: a verified dataset, and its folder for the Hugging Face Hub."""
 
-import json
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +17,7 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import (
     Progress,
+    Tell,
     announce_compilation,
     note,
     seconds_taken,
@@ -61,7 +61,7 @@ def publish(
     licence: str,
     out: Path | None,
     kind: str | None,
-    as_json: bool,
+    tell: Tell,
     talk: bool,
     **options: Any,
 ) -> None:
@@ -94,7 +94,7 @@ def publish(
                 then = "nothing is sent" if options["dry_run"] else "sending …"
                 note(f"{found.folder} stands; {then}")
 
-        found, commit_sent = run_publish(
+        found, commit = run_publish(
             request,
             shown=talk,
             on_start=progress.start,
@@ -102,20 +102,17 @@ def publish(
             on_staged=staged,
             **options,
         )
-    if talk or as_json:
-        _show_staged(found, commit_sent, as_json)
+    size, seconds = sum(found.files.values()), seconds_taken()
+    sent = {"folder": str(found.folder), "commit": commit, "bytes": size, "seconds": seconds}
+    if tell(vars(found) | sent):
+        _show_staged(found, commit, size, seconds)
 
 
-def _show_staged(staged: "Staged", commit: str | None, as_json: bool) -> None:
+def _show_staged(staged: "Staged", commit: str | None, size: int, seconds: float) -> None:
     """Prints what was made, and sent."""
     from scenegen.dataset.rules import pattern_of
     from scenegen.share.upload import IN_COMMIT
 
-    size, seconds = sum(staged.files.values()), seconds_taken()
-    if as_json:
-        told = {"folder": str(staged.folder), "commit": commit, "bytes": size, "seconds": seconds}
-        print(json.dumps(vars(staged) | told))
-        return
     said = {
         "folder": staged.folder,
         "files": f"{len(staged.files)}, {size / 1e6:.1f} MB",

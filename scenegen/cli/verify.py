@@ -1,6 +1,5 @@
 """`scenegen verify`: a dataset held against the format."""
 
-import json
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +14,7 @@ from scenegen.cli.options import (
     printing,
     seed_option,
 )
-from scenegen.cli.show import Progress, announce_compilation, say, show_table
+from scenegen.cli.show import Progress, Tell, announce_compilation, say, show_table
 from scenegen.errors import ScenegenError
 
 if TYPE_CHECKING:
@@ -38,7 +37,7 @@ if TYPE_CHECKING:
 )
 @executing
 @printing
-def verify(dataset: Path | str, as_json: bool, talk: bool, **options: Any) -> None:
+def verify(dataset: Path | str, tell: Tell, talk: bool, **options: Any) -> None:
     """Check a dataset against the format: files, digests, truth, rays, splits; end with 1 where a
     check fails."""
     if talk:
@@ -51,9 +50,7 @@ def verify(dataset: Path | str, as_json: bool, talk: bool, **options: Any) -> No
     with Progress("verify", shown=talk) as progress:
         report = prove(folder, on_start=progress.start, on_done=progress.count, **options)
     seconds = time.perf_counter() - begin
-    if as_json:
-        print(json.dumps({**report.to_json(), "seconds": seconds}))
-    elif talk:
+    if tell({**report.to_json(), "seconds": seconds}):
         _show_checks(report, seconds)
     if not report.ok:
         raise ScenegenError(
