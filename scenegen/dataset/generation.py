@@ -123,6 +123,7 @@ def plan_generation(
     if kind is not None and scene is not None:
         raise AskedError("a kind draws worlds and a scene has them; give one of the two")
     named = kind if scene is None else "scene"
+    mapping = mapping or None  # of no parameters, it is none
     given: Json = {"lidar": lidar, "noise": noise, "mapping": mapping, "difficulty": difficulty}
     file = None if isinstance(recipe, Recipe | None) else Path(recipe)
     if isinstance(recipe, Recipe):
