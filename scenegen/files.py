@@ -3,6 +3,7 @@ all."""
 
 import errno
 import hashlib
+import json
 import os
 import re
 import secrets
@@ -11,7 +12,7 @@ import socket
 import stat
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache
 from io import BufferedReader
@@ -19,6 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from scenegen.errors import AbsentError, DatasetError, DiskError
+from scenegen.limits import MOST_MANIFEST_BYTES
 from scenegen.run import undone
 from scenegen.stores import LOCATED, PART, StorePath, Version, note_file
 
@@ -242,6 +244,30 @@ def whole_folder(path: Path, check: Callable[[Path], None] = check_free) -> Iter
             path.rename(former)
         draft.rename(path)
         sync_folder(path.parent)
+
+
+def claim(folder: Path, name: str, about: Json) -> Collection[str]:
+    """The names of what is in `folder`, made where it is not: nothing, or what a run began that is
+    `about` the same, as its file `name` says from now on. Raises DatasetError where it is anything
+    else."""
+    content = json.dumps(about, indent=1).encode()
+    with disk_told(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        remove_drafts(folder)
+        # listed first: what another process begins meanwhile, it begins with that file
+        there = names_in(folder)
+    state = folder / name
+    if begun := state.exists():
+        wrong = read_bounded(state, MOST_MANIFEST_BYTES) != content
+    else:
+        wrong = any(not one.endswith(".tmp") for one in there)
+    if wrong:
+        raise DatasetError(
+            f"{folder}: holds other files, or what another command began; choose another folder"
+        )
+    if not begun:
+        write_whole(state, content)
+    return there
 
 
 @contextmanager
