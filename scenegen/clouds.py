@@ -76,10 +76,7 @@ def read_cloud(path: Path, most_bytes: int = MOST_SCAN_BYTES) -> Cloud:
         raise DatasetError(
             f"{path}: neither a dataset's folder nor a scan; expected one of {', '.join(READERS)}"
         )
-    try:
-        content = read_bounded(path, most_bytes)
-    except FileNotFoundError:
-        raise DatasetError(f"{path}: no such file") from None
+    content = read_bounded(path, most_bytes)
     try:
         found = READERS[suffix](content)
     except ModuleNotFoundError:

@@ -52,6 +52,10 @@ class DatasetError(ScenegenError):
     """A folder does not hold the dataset that it should, or cannot take it."""
 
 
+class AbsentError(DatasetError, FileNotFoundError):
+    """There is no file where one is to be read."""
+
+
 class DiskError(DatasetError):
     """The disk refuses, whatever is written next."""
 

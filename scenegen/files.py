@@ -3,6 +3,7 @@ all."""
 
 import errno
 import hashlib
+import json
 import os
 import re
 import secrets
@@ -11,14 +12,15 @@ import socket
 import stat
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache
 from io import BufferedReader
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
-from scenegen.errors import DatasetError, DiskError
+from scenegen.errors import AbsentError, DatasetError, DiskError
+from scenegen.limits import MOST_MANIFEST_BYTES
 from scenegen.run import undone
 from scenegen.stores import LOCATED, PART, StorePath, Version, note_file
 
@@ -41,7 +43,7 @@ def open_bounded(path: Path, most_bytes: int) -> BufferedReader:
     device, whose reading might never end. An object of a place is copied first, unless it was
     before.
 
-    Raises DatasetError for anything else, FileNotFoundError where there is nothing, and StoreError.
+    Raises DatasetError for anything else, AbsentError where there is nothing, and StoreError.
     """
     if isinstance(path, StorePath):
         return path.open_bounded(most_bytes)
@@ -54,7 +56,7 @@ def open_bounded(path: Path, most_bytes: int) -> BufferedReader:
             path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK
         )  # opening a pipe does not wait for its writer
     except (FileNotFoundError, NotADirectoryError):
-        raise FileNotFoundError(errno.ENOENT, "no such file", str(path)) from None
+        raise AbsentError(f"{path}: no such file") from None
     except OSError as error:
         raise DatasetError(
             f"{path}: cannot be opened ({error.strerror}); give a file that can be read"
@@ -242,6 +244,30 @@ def whole_folder(path: Path, check: Callable[[Path], None] = check_free) -> Iter
             path.rename(former)
         draft.rename(path)
         sync_folder(path.parent)
+
+
+def claim(folder: Path, name: str, about: Json) -> Collection[str]:
+    """The names of what is in `folder`, made where it is not: nothing, or what a run began that is
+    `about` the same, as its file `name` says from now on. Raises DatasetError where it is anything
+    else."""
+    content = json.dumps(about, indent=1).encode()
+    with disk_told(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        remove_drafts(folder)
+        # listed first: what another process begins meanwhile, it begins with that file
+        there = names_in(folder)
+    state = folder / name
+    if begun := state.exists():
+        wrong = read_bounded(state, MOST_MANIFEST_BYTES) != content
+    else:
+        wrong = any(not one.endswith(".tmp") for one in there)
+    if wrong:
+        raise DatasetError(
+            f"{folder}: holds other files, or what another command began; choose another folder"
+        )
+    if not begun:
+        write_whole(state, content)
+    return there
 
 
 @contextmanager

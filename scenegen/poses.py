@@ -100,10 +100,7 @@ def poses_of(rows: Floats, where: str) -> list[Pose]:
 def read_numbers(path: Path) -> tuple[tuple[str, ...], Floats]:
     """A table of finite numbers, (rows, columns), and the names in its first line, if any; lines
     are passed over from # on. Raises DatasetError for anything else."""
-    try:
-        text = read_bounded(path, MOST_ASSET_BYTES).decode("latin-1")
-    except FileNotFoundError:
-        raise DatasetError(f"{path}: no such file; expected poses") from None
+    text = read_bounded(path, MOST_ASSET_BYTES).decode("latin-1")
     rows, names = list[list[float]](), tuple[str, ...]()
     for number, line in enumerate(text.replace(",", " ").splitlines(), start=1):
         words = line.partition("#")[0].split()

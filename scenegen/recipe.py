@@ -31,6 +31,7 @@ from scenegen.tables import (
     check_name,
     field_names,
     from_table,
+    named_lidar,
     named_noise,
     read_toml,
     sensor_of,
@@ -185,8 +186,6 @@ def preset(
     Raises:
         RecipeError: One of them cannot be; an unknown kind's nearest name is suggested.
     """
-    if isinstance(lidar, str):
-        lidar = sensor_of({"sensor": lidar}, "[lidar]", Path())
     return make_recipe(kind, {}, lidar=lidar, noise=noise, mapping=mapping, difficulty=difficulty)
 
 
@@ -222,22 +221,14 @@ def read_recipe(path: Path, kind: str | None = None, **given: Any) -> Recipe:
     return make_recipe(named, tables, where=where, folder=path.parent, **given)
 
 
-def _with_beside(
-    tables: Json,
-    where: str,
-    *,
-    lidar: Sensor | None = None,
-    noise: str | None = None,
-    mapping: Mapping[str, Any] | None = None,
-    difficulty: str | None = None,
-) -> Json:
+def _with_beside(tables: Json, where: str, given: Json) -> Json:
     """The tables of a file with what is given beside them, see `preset`; the sensor stands as it
     is. Raises RecipeError where the file has one of them, too."""
-    stages = None if noise is None else {"stages": noise}
-    given = {"lidar": lidar, "noise": stages, "mapping": mapping or None, "difficulty": difficulty}
     given = {name: value for name, value in given.items() if value is not None}
+    if "noise" in given:
+        given["noise"] = {"stages": given["noise"]}
     for name in given.keys() & tables.keys():
-        named = ", ".join(mapping or ()) if name == "mapping" else f"--{name}"
+        named = ", ".join(given[name]) if name == "mapping" else f"--{name}"
         what = name if name == "difficulty" else f"a table [{name}]"
         raise RecipeError(
             f"{where}: has {what}, and {named} is given beside it; leave one of the two out"
@@ -279,7 +270,7 @@ def make_recipe(
     if "known" in tables:
         parts["known"] = Known
     defaults: dict[str, Json] = {}
-    at, tables = f"{where}: " if where else "", _with_beside(tables, where, **given)
+    at, tables = f"{where}: " if where else "", _with_beside(tables, where, given)
     level = tables.pop("difficulty", "medium")
     if kind != "scene":
         with raised_as(RecipeError, at):
@@ -290,7 +281,7 @@ def make_recipe(
         raise RecipeError(f"{at}difficulty: worlds from MJCF files have none; leave it out")
     sensor = given.get("lidar")
     if sensor is not None:
-        tables["lidar"] = {}
+        sensor, tables["lidar"] = named_lidar(sensor), {}
     for name, table in tables.items():
         whose = [f"[{part}]" for part, made in parts.items() if name in field_names(made)]
         if whose and name not in parts and not isinstance(table, dict):

@@ -42,8 +42,6 @@ def read_toml(path: Path) -> Json:
             # dotted keys: tomllib's time grows with the square of their depth, or worse
             raise RecursionError
         return tomllib.loads(text)
-    except OSError as error:
-        raise RecipeError(f"{where}: cannot be read: {error.strerror}") from None
     except DatasetError as error:
         raise RecipeError(printable(error)) from None
     except ValueError as error:  # TOMLDecodeError, and int()'s for thousands of digits
@@ -84,9 +82,12 @@ def check_name(name: Any, known: tuple[str, ...], what: str, where: str) -> None
         raise RecipeError(f"{where}{': ' if where else ''}unknown {what} {short(name)}; {hint}")
 
 
-def named_lidar(word: str) -> Sensor:
+def named_lidar(word: str | Sensor) -> Sensor:
     """The sensor that a word on the command line names: one of `SENSORS`, a user's own, or a file
-    that ends in .toml and holds what a recipe's [lidar] does. Raises RecipeError."""
+    that ends in .toml and holds what a recipe's [lidar] does; a sensor is itself. Raises
+    RecipeError."""
+    if not isinstance(word, str):
+        return word
     path = Path(word)
     if path.suffix != ".toml":
         return sensor_of({"sensor": word}, "--lidar", Path())

@@ -22,7 +22,7 @@ from scenegen.cli.options import (
     printing,
     taken,
 )
-from scenegen.cli.show import Progress, announce_compilation, note, say, show_figures
+from scenegen.cli.show import Progress, Tell, announce_compilation, note, say, show_figures
 from scenegen.cli.types import FILE, Named
 from scenegen.files import Json, check_ours, write_result
 from scenegen.model.commands.weights import Weights
@@ -88,7 +88,7 @@ def bench(
     out: Path,
     quick: bool,
     execute: Executor,
-    as_json: bool,
+    tell: Tell,
     talk: bool,
     **options: Any,
 ) -> None:
@@ -127,9 +127,7 @@ def bench(
         for one in results:
             pictures[one.kind] = draw_charts(report, one.kind) + draw_failures(one, methods)
     write_result(out / "report.html", to_html(report, pictures).encode())
-    if as_json:
-        print(json.dumps(report))
-    elif talk:
+    if tell(report):
         show_tables(report)
         say(f"\nwritten: {out / 'report.html'}, {out / 'report.md'}, {out / 'report.json'}")
 

@@ -1,7 +1,6 @@
 """`scenegen fly`: a robot flies to goals through a world, closed loop, and is scored."""
 
 import dataclasses
-import json
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -26,7 +25,7 @@ from scenegen.cli.options import (
     taken,
     was_given,
 )
-from scenegen.cli.show import Progress, announce_compilation, say, show_table
+from scenegen.cli.show import Progress, Tell, announce_compilation, say, show_table
 from scenegen.cli.types import FILE, Choice, Named, OutputFile
 from scenegen.files import check_free, write_result
 from scenegen.fly import SUITES, Rules, Vehicle
@@ -179,7 +178,7 @@ def fly(
     film: Path | None,
     log: Path | None,
     execute: Executor,
-    as_json: bool,
+    tell: Tell,
     talk: bool,
     **options: Any,
 ) -> None:
@@ -241,9 +240,7 @@ def fly(
         shown = (robot, weights) if is_given or not recorded else None
         _show(real_course(course, hidden), flown, name, shown, picture, film, log)
     row = summary(name, [one for _, flown in found for one in flown]) | told
-    if as_json:
-        print(json.dumps(row | {"flights": rows_of(found, hidden, crew)}))
-    elif talk:
+    if tell(lambda: row | {"flights": rows_of(found, hidden, crew)}):
         show_table(row)
         for end in sorted({one.trouble for _, flown in found for one in flown} - {""}):
             say(f"robot: {end}")

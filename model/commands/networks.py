@@ -20,7 +20,7 @@ from scenegen.cli.options import (
     seed_option,
     split_option,
 )
-from scenegen.cli.show import Progress, announce_compilation, say, show_figures
+from scenegen.cli.show import Progress, Tell, announce_compilation, say, show_figures
 from scenegen.limits import MOST_SAMPLES
 from scenegen.model.commands.weights import Weights
 from scenegen.model.config import DEFAULT_NETWORK, split_own
@@ -85,7 +85,7 @@ def calibrate(
     weights: str,
     datasets: tuple[Path | str, ...],
     out: Path | None,
-    as_json: bool,
+    tell: Tell,
     talk: bool,
     **options: Any,
 ) -> None:
@@ -113,9 +113,7 @@ def calibrate(
         announce_compilation()
     folders = find_datasets(datasets, shown=talk)
     found = fit(weights, folders, out, **options, progress=partial(Progress, shown=talk))
-    if as_json:
-        print(json.dumps(asdict(found)))
-    elif talk:
+    if tell(asdict(found)):
         heat = "" if found.temperature is None else f"temperature {found.temperature:.3f}, "
         say(f"{found.worlds} worlds: {heat}bounds down to a risk of {found.risks[-1]:g}")
         if found.path_risks:

@@ -1,6 +1,5 @@
 """`scenegen reproduce`: the study of the paper's claims, from a seed to its report."""
 
-import json
 from collections import Counter
 from functools import partial
 from pathlib import Path
@@ -16,7 +15,7 @@ from scenegen.cli.options import (
     out_option,
     printing,
 )
-from scenegen.cli.show import Progress, announce_compilation, say, show_table
+from scenegen.cli.show import Progress, Tell, announce_compilation, say, show_table
 from scenegen.cli.types import FILE
 from scenegen.errors import DatasetError
 from scenegen.files import Json
@@ -57,7 +56,7 @@ def reproduce(
     given: Path | None,
     execute: Executor,
     dry_run: bool,
-    as_json: bool,
+    tell: Tell,
     talk: bool,
     **options: Any,
 ) -> None:
@@ -74,7 +73,8 @@ def reproduce(
             raise DatasetError(
                 f"{given}: is no study; expected the study.json that reproduce wrote"
             ) from None
-        print(json.dumps(found, allow_nan=False)) if as_json else _show_verdicts(found)
+        if tell(found):
+            _show_verdicts(found)
         return
     config, runs = ReproduceConfig(**options), chosen(only)
     if talk or dry_run:
@@ -84,7 +84,8 @@ def reproduce(
             "networks": f"{len(runs)}, {maps * len(runs)} maps of training in all",
             "bench": f"{config.scaled(TRIALS)} trials a kind and network",
         }
-        print(json.dumps(takes)) if as_json else show_table(takes)
+        if tell(takes):
+            show_table(takes)
     if dry_run:
         return
     if talk:
@@ -97,9 +98,7 @@ def reproduce(
         execute=execute,
         progress=partial(Progress, shown=talk),
     )
-    if as_json:
-        print(json.dumps({"folder": str(out), "verdicts": found["verdicts"]}))
-    elif talk:
+    if tell({"folder": str(out), "verdicts": found["verdicts"]}):
         _show_verdicts(found)
         say(f"written: {out / stages.TEXT}, {out / stages.STUDY}")
 

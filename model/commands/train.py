@@ -1,6 +1,5 @@
 """`scenegen train`: options become a configuration, and the run is reported."""
 
-import json
 import os
 import shlex
 import sys
@@ -22,7 +21,7 @@ from scenegen.cli.options import (
     taken,
     was_given,
 )
-from scenegen.cli.show import Progress, curve, say
+from scenegen.cli.show import Progress, Tell, curve, say
 from scenegen.cli.types import Choice, DatasetPath, Named
 from scenegen.errors import raised_as
 from scenegen.limits import MOST_SAMPLES, MOST_SEED
@@ -195,7 +194,7 @@ def train(
     out: Path | None,
     device: str,
     workers: int | None,
-    as_json: bool,
+    tell: Tell,
     talk: bool,
     **options: Any,
 ) -> None:
@@ -244,11 +243,8 @@ def train(
         )
     best = kept(rows, config.choose)
     seconds = time.monotonic() - begin
-    if first and as_json:
-        print(
-            json.dumps({"folder": str(out), "epochs": len(rows), "best": best, "seconds": seconds})
-        )
-    if not talk:
+    told = {"folder": str(out), "epochs": len(rows), "best": best, "seconds": seconds}
+    if not (first and tell(told)):
         return
     if not shown.begun:
         say(f"{out}: this run is complete already; give another --out for another one")

@@ -200,7 +200,7 @@ def _kept(
     if out is None:
         return {}
     if entry.suite is None or not out.exists():
-        with suppress(DatasetError, FileNotFoundError):  # another file, or none
+        with suppress(DatasetError):  # another file, or none
             if Recording.read(out).suite:
                 raise ScenegenError(f"{out}: is an entry to a suite; give another name")
         check_ours(out)

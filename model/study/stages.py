@@ -119,9 +119,12 @@ def _dataset(folder: Path, config: ReproduceConfig, execute: Executor, progress:
         folder.name, n, val=val, test=test, out=folder, seed=config.seed, compact=True
     )
     with progress(folder.name) as shown:
-        start = partial(shown.start, plan.samples)
-        count = lambda report, fresh: shown.count(report.samples)  # noqa: E731
-        build(plan, execute=execute, on_start=start, on_shard=count)
+        build(
+            plan,
+            execute=execute,
+            on_start=shown.start,
+            on_shard=lambda report, fresh: shown.count(report.samples),
+        )
     return folder
 
 

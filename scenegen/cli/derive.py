@@ -33,7 +33,10 @@ from scenegen.cli.types import Written, read_ranges
 from scenegen.dataset.choose import FIGURES, NUMBERS, Choice, Condition
 from scenegen.worlds.mapping import Mapper
 
-making = together(force_option, workers_option, on_option, printing)
+making = together(
+    out_option("Folder of the new dataset, or s3://bucket/folder.", stores=True, required=True),
+    *(force_option, workers_option, on_option, printing),
+)
 """Options of all that make a dataset of others."""
 
 
@@ -46,7 +49,6 @@ making = together(force_option, workers_option, on_option, printing)
 @noise_option
 @mapping_options("the dataset's")
 @engine_option("What casts the rays.  [default: what cast the dataset's]")
-@out_option("Folder of the new dataset, or s3://bucket/folder.", stores=True, required=True)
 @making
 def rescan(
     dataset: Path | str,
@@ -104,7 +106,6 @@ def rescan(
     help="Samples for which this holds, in quotes: 'occupied>=0.05'; repeatable. Names are "
     f"{', '.join((*NUMBERS, *FIGURES))}.",
 )
-@out_option("Folder of the new dataset, or s3://bucket/folder.", stores=True, required=True)
 @making
 @group("Which samples", "split n kind worlds where")
 def take(
@@ -133,7 +134,6 @@ def take(
 
 @command("merge data/pillar data/geometric -o data/both")
 @datasets_argument
-@out_option("Folder of the new dataset, or s3://bucket/folder.", stores=True, required=True)
 @making
 def merge(datasets: tuple[Path | str, ...], out: Path, **options: Any) -> None:
     """Make one dataset of several that share grid and labels.

@@ -1,7 +1,6 @@
 """`scenegen generate` and `scenegen recipe`: from options to a plan, and from a plan to a
 dataset."""
 
-import json
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
@@ -29,6 +28,7 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import (
     Progress,
+    Tell,
     announce_compilation,
     flat,
     note,
@@ -135,7 +135,7 @@ def generate(
     workers: int,
     on: str,
     dry_run: bool,
-    as_json: bool,
+    tell: Tell,
     talk: bool,
     **options: Any,
 ) -> None:
@@ -164,7 +164,7 @@ def generate(
         )
     if dry_run:
         State(plan, force=force)  # which refuses a folder that holds something else
-        _show_plan(plan, as_json)
+        _show_plan(plan, tell)
         return
     make(
         plan,
@@ -172,12 +172,12 @@ def generate(
         on=on,
         shards=shards,
         force=force,
-        as_json=as_json,
+        tell=tell,
         talk=talk,
     )
 
 
-def _show_plan(plan: "Plan", as_json: bool) -> None:
+def _show_plan(plan: "Plan", tell: Tell) -> None:
     """Prints what would be made, and the recipe file that says all of it."""
     rows = {
         "folder": str(plan.folder),
@@ -185,8 +185,7 @@ def _show_plan(plan: "Plan", as_json: bool) -> None:
         "shards": len(plan.shards),
         "bytes_expected": plan.bytes_expected,
     }
-    if as_json:
-        print(json.dumps(rows | {"parameters": plan.parameters}))
+    if not tell(rows | {"parameters": plan.parameters}):
         return
     from scenegen.share.regenerate import recipe_text
 
@@ -202,7 +201,7 @@ def make(
     workers: int,
     on: str,
     force: bool,
-    as_json: bool,
+    tell: Tell,
     talk: bool,
     shards: tuple[int, int] | None = None,
 ) -> None:
@@ -213,34 +212,25 @@ def make(
         workers: Processes.
         on: Where the work is done, as `scenegen.run.executor` takes it.
         force: Replace another dataset in the folder.
-        as_json: Print the result as JSON.
-        talk: Print it for people, with a bar meanwhile.
+        tell: Prints the result as JSON, if that is asked for.
+        talk: Show a bar meanwhile.
         shards: First of the shards that are made, and the one after the last; all unless given.
     """
     from scenegen.dataset.build import build
     from scenegen.run import executor
 
-    execute = executor(on, workers)
-    chosen = execute.mine(plan.shards[slice(*shards)] if shards else plan.shards)
-    names = {shard.file for shard in chosen}
-
-    def count(report: Any, fresh: bool) -> None:
-        progress.count(report.samples if report.file in names else 0)
-
     with Progress(plan.folder.name, shown=talk) as progress:
         summary = build(
             plan,
-            execute=execute,
+            execute=executor(on, workers),
             workers=workers,
             shard_range=shards,
             force=force,
-            on_start=lambda: progress.start(sum(shard.samples for shard in chosen)),
-            on_shard=count,
+            on_start=progress.start,
+            on_shard=lambda report, fresh: progress.count(report.samples),
         )
     seconds = seconds_taken()
-    if as_json:
-        print(json.dumps({**vars(summary), "folder": str(summary.folder), "seconds": seconds}))
-    if not talk:
+    if not tell({**vars(summary), "folder": str(summary.folder), "seconds": seconds}):
         return
     samples, written = sum(summary.samples.values()), summary.samples_written
     rate = f", {written / seconds:.1f} samples a second, start-up included"
@@ -274,9 +264,8 @@ def recipe(kind: str, lidar: str | None, out: Path | None) -> None:
     from scenegen.recipe import preset
     from scenegen.share.regenerate import recipe_text
     from scenegen.source import DrawnWorlds
-    from scenegen.tables import named_lidar
 
-    found = preset(kind, lidar=named_lidar(lidar) if lidar else None)
+    found = preset(kind, lidar=lidar)
     if not isinstance(found.lidar, Lidar):
         raise RecipeError(
             f"--lidar {lidar}: is no raster, which a recipe file could hold; give it to generate"

@@ -1,7 +1,6 @@
 """`scenegen map` and `scenegen ingest`: point clouds, and logs of a real sensor, become maps to
 make datasets in."""
 
-import json
 from pathlib import Path
 from shlex import quote
 from typing import Any
@@ -9,7 +8,7 @@ from typing import Any
 import rich_click as click
 
 from scenegen.cli.options import command, group, options_of, out_option, printing, was_given
-from scenegen.cli.show import Progress, plain, show_table
+from scenegen.cli.show import Progress, Tell, plain, show_table
 from scenegen.cli.types import FILE, Number
 from scenegen.errors import raised_as
 from scenegen.logs import Fusing
@@ -53,7 +52,7 @@ def map(
     poses: Path | None,
     box: tuple[float, ...] | None,
     out: Path,
-    as_json: bool,
+    tell: Tell,
     talk: bool,
     **options: Any,
 ) -> None:
@@ -87,9 +86,7 @@ def map(
     write_result(out, encode_map(made.voxels, str(clouds[0]), offset=made.offset))
     about = {"file": str(out), "points": made.points, "taken_off_m": made.offset.tolist()}
     row = about | map_facts(made.voxels)
-    if as_json:
-        print(json.dumps(row))
-    elif talk:
+    if tell(row):
         show_table(plain(row) | {"next": f"scenegen generate --scene {quote(str(out))}"})
 
 
@@ -125,7 +122,7 @@ def ingest(
     poses: Path | None,
     topic: str | None,
     out: Path | None,
-    as_json: bool,
+    tell: Tell,
     talk: bool,
     **options: Any,
 ) -> None:
@@ -147,8 +144,6 @@ def ingest(
     with Progress("ingest", shown=talk) as progress:
         progress.start(len(found.poses))
         counts = write(found, target, how, on_scan=progress.count)
-    if as_json:
-        print(json.dumps({"folder": str(target), **counts}))
-    elif talk:
+    if tell({"folder": str(target), **counts}):
         source, folder = quote(str(target)), quote(f"{target}-samples")
         show_table(plain(counts) | {"next": f"scenegen generate --scene {source} -o {folder}"})

@@ -1,6 +1,7 @@
 """Options of commands: those that several share, and those that are fields of a configuration."""
 
 import dataclasses
+import json
 import math
 import re
 import typing
@@ -107,14 +108,21 @@ kind_option = click.option(
 
 
 def printing(function: Callable[..., Any]) -> Any:
-    """--json and --quiet, below all other options. The command is told by `as_json` whether to
-    print JSON, and by `talk` whether to print for people."""
+    """--json and --quiet, below all other options. The command is told by `talk` whether to print
+    for people, and says what came of it by `tell`."""
 
     @json_option
     @quiet_option
     @wraps(function)
     def command(*, as_json: bool, quiet: bool, **options: Any) -> Any:
-        return function(as_json=as_json, talk=not (as_json or quiet), **options)
+        talk = not (as_json or quiet)
+
+        def tell(row: Any) -> bool:
+            if as_json:
+                print(json.dumps(row() if callable(row) else row))
+            return talk
+
+        return function(tell=tell, talk=talk, **options)
 
     return command
 

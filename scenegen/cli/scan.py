@@ -26,7 +26,7 @@ from scenegen.cli.options import (
     seed_option,
     was_given,
 )
-from scenegen.cli.show import Progress, say, show_figures, show_table
+from scenegen.cli.show import Progress, Tell, say, show_figures, show_table
 from scenegen.cli.types import Named, Number, Numbers
 from scenegen.display.exchange import Choices
 from scenegen.limits import LEAST_DRAWN_M
@@ -174,7 +174,7 @@ def scan(
     frame: str,
     seed: int,
     out: Path | None,
-    as_json: bool,
+    tell: Tell,
     talk: bool,
     **options: Any,
 ) -> None:
@@ -219,10 +219,8 @@ def scan(
             drawn = seed if every is None else [seed, number]
             facts.append(_write_scan(file, found, factory, sensor, chain, at, drawn, frame))
     about = {"lidar": str(sensor), "noise": str(chain) or "none"}
-    if as_json:
-        rows = [{"file": str(file), **about, **one} for file, one in zip(files, facts, strict=True)]
-        print(json.dumps(rows[0] if every is None else {"scans": rows}))
-    elif talk:
+    rows = [{"file": str(file), **about, **one} for file, one in zip(files, facts, strict=True)]
+    if tell(rows[0] if every is None else {"scans": rows}):
         several = {"scans": len(files)} if len(files) > 1 else {}
         told = about | facts[0] | several
         show_table({name: value for name, value in told.items() if name != "quaternion"})

@@ -199,6 +199,9 @@ class Progress:
                 os.write(2, SHOW_CURSOR)
 
 
+Tell = Callable[[Any], bool]
+"""What prints a command's result as JSON, if that is asked for, and says whether to show it to
+people; it is given the result, or what makes one that takes time."""
 Showing = Callable[[str], Progress]
 """What makes the bar of work that has a label."""
 

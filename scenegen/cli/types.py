@@ -92,13 +92,13 @@ class DatasetPath(Written, click.Path):
         self.name = "dataset"
 
     def read(self, text: str) -> Path | str:
-        """A path as it is, or a name with a scheme, if it can be one."""
-        from scenegen.dataset.locate import check_name
-        from scenegen.stores import folder_of, is_remote
+        """A name on the Hub as it is, and of any other what it stands for, if it can be one."""
+        from scenegen.dataset.locate import SCHEME, parse
+        from scenegen.stores import folder_of
 
-        if not is_remote(text):
+        if not text.startswith(SCHEME):
             return folder_of(text)
-        check_name(text)
+        parse(text)
         return text
 
 

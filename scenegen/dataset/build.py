@@ -22,7 +22,7 @@ from scenegen.errors import DatasetError
 from scenegen.files import Json, remove_drafts, writable
 from scenegen.limits import MOST_SHARDS
 from scenegen.recipe import Recipe
-from scenegen.run import Executor, undone
+from scenegen.run import Counted, Executor, undone, unheard
 from scenegen.run.workers import Local
 from scenegen.source import Source
 from scenegen.stores import StorePath
@@ -117,7 +117,7 @@ def build(
     execute: Executor | None = None,
     shard_range: tuple[int, int] | None = None,
     force: bool = False,
-    on_start: Callable[[], None] = lambda: None,
+    on_start: Counted = unheard,
     on_shard: Callable[[ShardReport, bool], None] = lambda report, fresh: None,
 ) -> Summary:
     """Make `plan`'s dataset, or go on with it, or, with `shard_range` (first, one past last), make
@@ -126,10 +126,10 @@ def build(
     A folder that holds the same dataset with fewer samples goes on from there.
 
     `workers` processes of this machine write the shards, or whatever `execute` has do it. `force`
-    replaces another dataset in the folder. `on_start` is called once the work has begun, and
-    `on_shard` for every shard that is there already (False) and for every one that is written
-    (True). A run that ends in any way leaves whole shards, and the next one goes on from there. The
-    run that finds every shard completes the manifest.
+    replaces another dataset in the folder. `on_start` is told once the work has begun how many
+    samples this run sees to, and `on_shard` of each of its shards that is there already (False) and
+    of each that is written (True). A run that ends in any way leaves whole shards, and the next one
+    goes on from there. The run that finds every shard completes the manifest.
 
     Raises DatasetError for a folder that holds something else, and what writing shards raises.
     """
@@ -147,12 +147,13 @@ def build(
     if missing and (not begun or (len(missing) > 1 and workers > 1)):
         missing[0].prepare(workers)
     state.open()
-    for report in state.reports.values():
+    for report in state.known(mine):
         on_shard(report, False)
+    samples = sum(shard.samples for shard in mine)
     written, noted = 0, time.monotonic()
     with (
         undone(lambda: remove_drafts(plan.folder)),
-        closing(execute(write_shard, missing, on_start)) as results,
+        closing(execute(write_shard, missing, lambda: on_start(samples))) as results,
     ):
         for report in results:
             state.reports[report.file] = report

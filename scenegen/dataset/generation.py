@@ -27,7 +27,7 @@ from scenegen.recipes import kind_names
 from scenegen.sample import rng_of
 from scenegen.source import DrawnWorlds, SceneWorlds, read_scenes
 from scenegen.stores import folder_of
-from scenegen.tables import combinations, named_lidar, read_toml
+from scenegen.tables import combinations, read_toml
 from scenegen.worlds.labels import By, Labels, labels_by
 
 MIXED = "mixed"
@@ -123,8 +123,8 @@ def plan_generation(
     if kind is not None and scene is not None:
         raise AskedError("a kind draws worlds and a scene has them; give one of the two")
     named = kind if scene is None else "scene"
-    sensor = named_lidar(lidar) if isinstance(lidar, str) else lidar
-    given: Json = {"lidar": sensor, "noise": noise, "mapping": mapping, "difficulty": difficulty}
+    mapping = mapping or None  # of no parameters, it is none
+    given: Json = {"lidar": lidar, "noise": noise, "mapping": mapping, "difficulty": difficulty}
     file = None if isinstance(recipe, Recipe | None) else Path(recipe)
     if isinstance(recipe, Recipe):
         if named not in (None, recipe.kind) or any(given.values()):

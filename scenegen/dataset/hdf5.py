@@ -258,11 +258,8 @@ def read_guarded(
     with limits, of time among others: anybody may have written it. Raises DatasetError."""
     from scenegen.run.workers import guarded  # which takes time to import
 
+    open_bounded(path, most_bytes).close()
     try:
-        with open_bounded(path, most_bytes):
-            pass
         return guarded(read, path, seconds=seconds, memory_bytes=GUARD_BYTES)
-    except FileNotFoundError:
-        raise DatasetError(f"{path}: no such file") from None
     except GuardError as error:
         raise DatasetError(f"{path}: cannot be read as HDF5 ({error})") from None

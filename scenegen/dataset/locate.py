@@ -32,11 +32,6 @@ TIMEOUT_S = 20.0
 """After which a silent Hub counts as out of reach, seconds."""
 
 
-def check_name(name: str) -> None:
-    """Raise DatasetError for a name of a place, or of a dataset on the Hub, that cannot be."""
-    _ = parse(name) if name.startswith(SCHEME) else folder_of(name)
-
-
 def parse(name: str) -> tuple[str, str | None]:
     """Repository and revision (None: the newest) of ``hf://user/name[@revision]``. Raises
     DatasetError."""

@@ -11,7 +11,7 @@ from typing import Any
 from scenegen.dataset.rules import DIGEST, LIST, REJECTED, check, checked, rules_of, whole
 from scenegen.dataset.shard import ShardReport, ShardTask, read_report, report_of
 from scenegen.dataset.trust import Entry
-from scenegen.errors import BrokenError, DatasetError
+from scenegen.errors import DatasetError
 from scenegen.files import Json, read_bounded, sha256_of, write_whole
 from scenegen.limits import MOST_MANIFEST_BYTES, MOST_SAMPLES_IN_SHARD
 from scenegen.stores import StorePath, Version
@@ -36,7 +36,7 @@ def read_notes(folder: Path, parameters: str) -> dict[str, Entry]:
     there."""
     found: dict[str, Entry] = {}
     for path in folder.glob(NOTES):
-        with suppress(OSError, ValueError, RecursionError, BrokenError, DatasetError):
+        with suppress(OSError, ValueError, RecursionError, DatasetError):
             said = json.loads(read_bounded(path, MOST_MANIFEST_BYTES))
             check(said, {"parameters": DIGEST, "shards": LIST}, "")
             if said["parameters"] == parameters:

@@ -92,16 +92,21 @@ class ShardTask:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ShardSpec(ShardTask):
-    """A shard whose units are drawn: all that its samples depend on."""
+class Units:
+    """The units of a split: all that they are drawn by, but for their number; small, and can be
+    pickled."""
 
-    first_unit: int
-    """The first of as many as `numbers`; their samples, in order, are cut to `samples`."""
-    seed: int
     recipe: Recipe
     source: Source
+    seed: int = 0
+    split: str = "train"
     engine: str = DEFAULT
     """Name of the engine that casts the rays; see `lidarsim.engines.ENGINES`."""
+
+    @property
+    def derived(self) -> bool:
+        """Whether samples hold what could be derived."""
+        return False
 
     def draw(self, unit: int) -> Unit:
         """Unit `unit` of the split. Raises GenerationError, and DatasetError for an engine that is
@@ -116,9 +121,17 @@ class ShardSpec(ShardTask):
             engine=find_engine(self.engine),
         )
 
+
+@dataclass(frozen=True, kw_only=True)
+class ShardSpec(ShardTask, Units):
+    """A shard whose units are drawn: all that its samples depend on."""
+
+    first_unit: int
+    """The first of as many as `numbers`; their samples, in order, are cut to `samples`."""
+
     @property
     def derived(self) -> bool:
-        """Whether samples hold what could be derived."""
+        """See `Units`."""
         return "tudf" in self.layout
 
     def prepare(self, workers: int = 1) -> None:

@@ -114,7 +114,7 @@ def _readable(path: Path) -> Iterator[None]:
     """Says that a file is no recording whatever its reader raises."""
     try:
         yield
-    except (DatasetError, FileNotFoundError, ModuleNotFoundError):
+    except (DatasetError, ModuleNotFoundError):
         raise
     except Exception as error:  # the library's, struct's, and what else a crafted file brings
         raise DatasetError(

@@ -28,6 +28,7 @@ from scenegen.limits import MOST_RECIPE_BYTES
 from scenegen.recipe import read_recipe
 from scenegen.recipes import KINDS
 from scenegen.run import undone_if_stopped
+from scenegen.run.software import commit
 from scenegen.source import DrawnWorlds
 from scenegen.tables import named_lidar
 
@@ -240,17 +241,17 @@ def _toml(value: Any) -> str:
     return repr(value) if isinstance(value, float) else json.dumps(value, ensure_ascii=False)
 
 
-def environment_lock(made_with: Mapping[str, str], commit: str) -> str:
+def environment_lock(made_with: Mapping[str, str]) -> str:
     """A requirements file of what scenegen needs, as installed here.
 
     Packages in `made_with`, the manifest's `software`, come in the version that made the dataset.
-    scenegen itself stands in a comment, with the `commit` of its checkout: it is installed from its
+    scenegen itself stands in a comment, with the commit of its checkout: it is installed from its
     own source, and a line here would ask a package index for whatever bears its name there.
     """
     made = made_with.get("scenegen", __version__)
     python = f"{platform.python_implementation()} {platform.python_version()}"
     lines = [
-        f"# scenegen {made}, published with {__version__}, commit {commit}",
+        f"# scenegen {made}, published with {__version__}, commit {commit()}",
         f"# {python}, {platform.system()} {platform.machine()}",
     ]
     for name, number in sorted(closure("scenegen-lidar").items()):

@@ -70,8 +70,6 @@ class Request:
     kind: str | None = None
     """The dataset's kind, where its own module may be imported: a user's own, as
     ``module:Class``."""
-    commit: str = "unknown"
-    """The commit of the scenegen checkout that publishes."""
 
     def __post_init__(self) -> None:
         known = {name.lower(): name for name in LICENCES}
@@ -163,7 +161,7 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
                 given, found, told, sums if len(sums) <= MOST_LISTED else listed
             ),
             "LICENSE": LICENCE.format(spdx=request.licence, **given),
-            "requirements.lock.txt": environment_lock(found.software, request.commit),
+            "requirements.lock.txt": environment_lock(found.software),
             **dict([source_file(found)]),
         }
         for file, text in texts.items():

@@ -103,16 +103,9 @@ class Store(Protocol):
 OTHERS = "fsspec"
 """What reads the stores that are not named below."""
 STORES = Registry(
-    "store",
-    {"s3": "scenegen.stores.bucket:Bucket", OTHERS: "scenegen.stores.bucket:Foreign"},
-    needs={
-        "list": "a method: () -> objects",
-        "read": "a method: (name, file, most_bytes, part) -> object",
-        "put": "a method: (name, content, version) -> version",
-        "remove": "a method: name -> None",
-    },
+    "store", {"s3": "scenegen.stores.bucket:Bucket", OTHERS: "scenegen.stores.bucket:Foreign"}
 )
-"""Stores by the scheme of their names."""
+"""Stores by the scheme of their names, each a `Store`."""
 
 
 def is_remote(name: object) -> bool:

@@ -10,18 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from lidarsim.engines import DEFAULT
 from scenegen import SPLITS
 from scenegen.dataset import manifest
 from scenegen.dataset.generation import fraction
-from scenegen.dataset.shard import find_engine
-from scenegen.draw import Unit, draw_unit
+from scenegen.dataset.shard import Units, find_engine
 from scenegen.errors import DatasetError, RecipeError, SceneError, short
 from scenegen.files import Json
 from scenegen.limits import MOST_UNITS_IN_ROUND
 from scenegen.recipe import Recipe, preset, read_recipe
 from scenegen.recipes import KINDS, graded
-from scenegen.source import DrawnWorlds, SceneWorlds, Source, read_scenes, world_files
+from scenegen.source import DrawnWorlds, SceneWorlds, read_scenes, world_files
 from scenegen.streams.ahead import Slot
 from scenegen.worlds import WORLD_FILES
 
@@ -30,8 +28,8 @@ LEAST_SCENES = 3
 
 
 @dataclass(frozen=True, kw_only=True)
-class Component:
-    """All that one dataset's samples depend on, but for their number; small, and can be pickled.
+class Component(Units):
+    """All that one dataset's samples depend on, but for their number; `tudf` is not among them.
 
     Raises DatasetError for another split, an engine that is not to be had, and a split without
     worlds.
@@ -39,12 +37,6 @@ class Component:
 
     label: str
     """What it is called, for people: a kind, or a file."""
-    recipe: Recipe
-    source: Source
-    seed: int = 0
-    split: str = "train"
-    engine: str = DEFAULT
-    """Name of the engine that casts the rays; see `lidarsim.engines.ENGINES`."""
 
     def __post_init__(self) -> None:
         if self.split not in SPLITS:
@@ -62,19 +54,6 @@ class Component:
     def viewpoints(self) -> int:
         """Samples of a unit."""
         return self.recipe.flight.viewpoints
-
-    def draw(self, unit: int) -> Unit:
-        """Unit `unit` as `generate` draws it, but for `tudf`. Raises GenerationError."""
-        engine = find_engine(self.engine)
-        return draw_unit(
-            self.source,
-            self.recipe,
-            seed=self.seed,
-            split=self.split,
-            unit=unit,
-            derived=False,
-            engine=engine,
-        )
 
     def described(self, *, software: bool) -> Json:
         """What decides the samples, as plain JSON values: a manifest's parameters without counts,

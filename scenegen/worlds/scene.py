@@ -33,8 +33,6 @@ PART = "<mujocoinclude"
 MOST_MOVED = 1e-6
 """How far a solid may lie from where MuJoCo put it, metres, and for each metre of the world's reach
 as much again: what float32 vertices keep."""
-UNREAD = (DatasetError, FileNotFoundError)
-"""What reading a file raises."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +80,7 @@ def read_file(path: Path, *, materials: bool = False) -> Reading:
         return Reading(path, error, includes)
 
 
-@raised_as(SceneError, of=UNREAD)
+@raised_as(SceneError, of=DatasetError)
 def load_map(path: Path) -> Scene:
     """Read a map of a real place, or make one of a point cloud that says where its sensor was.
     Raises SceneError."""
@@ -209,7 +207,7 @@ def look_over(main: Path) -> tuple[bool, frozenset[Path]]:
     is_world, included, waiting = True, set[Path](), [main]
     while waiting:
         path = waiting.pop()
-        with raised_as(SceneError, of=UNREAD):
+        with raised_as(SceneError, of=DatasetError):
             text = read_bounded(path, MOST_DOCUMENT_BYTES).decode(errors="replace")
         text = COMMENT.sub(" ", text)
         if _repeats(text) > MOST_GEOMS:  # over many more, MuJoCo takes hours and gigabytes
@@ -248,7 +246,7 @@ def mesh_spec(path: Path) -> mujoco.MjSpec:
     """
     import trimesh  # takes a second to load
 
-    with raised_as(SceneError, of=UNREAD):
+    with raised_as(SceneError, of=DatasetError):
         content = read_bounded(path, MOST_ASSET_BYTES)
     # trimesh's loaders raise anything
     with raised_as(SceneError, f"{path}: cannot be read as {path.suffix}: ", of=Exception):

@@ -45,7 +45,7 @@ def test_train_complete_and_bench_work_together(here, capsys):
     assert tuned == LossConfig(occupancy=0.7, beta_m=2, near_m=0.9)
     said = done(capsys, "complete data/pillar --weights runs/proposed --device cpu")
     assert said == "written: predictions\n"
-    assert "another dataset, split or network" in refused(
+    assert "what another command began" in refused(
         capsys, "complete data/pillar --weights runs/tuned --quiet"
     )
     with h5py.File("predictions/test-00000.h5") as file:

@@ -51,7 +51,7 @@ def drawers(tmp_path, monkeypatch):
 
 
 def test_a_stopped_run_ends_where_an_uninterrupted_one_does(tmp_path, monkeypatch):
-    monkeypatch.setattr("scenegen.streams.mixture.draw_unit", remembered)
+    monkeypatch.setattr("scenegen.dataset.shard.draw_unit", remembered)
     rows = run(tmp_path / "whole")
     assert [row["maps"] for row in rows] == [8, 16, 24]
     seen = 0

@@ -182,7 +182,7 @@ def test_a_stopped_conversion_goes_on(made, tmp_path, monkeypatch):
     assert (done.written, done.there) == (0, 2)
     assert contents(converted(made, tmp_path / "whole", to)) == contents(out)
     for other, choices in ((to, {"label": 70}), ("ply", {})):
-        with pytest.raises(DatasetError, match="another conversion"):
+        with pytest.raises(DatasetError, match="another command"):
             converted(made, out, other, **choices)
 
 

@@ -86,7 +86,7 @@ def test_what_is_no_executor_is_refused(place, told):
 def test_a_machine_with_another_scenegen_refuses_and_says_what_it_has(tmp_path, monkeypatch):
     theirs = identity() | {"numpy": "1.0", "source": "f00d"}
 
-    def arrive():
+    def arrive(samples):
         """From here on, this process is the other machine's."""
         monkeypatch.setattr("scenegen.run.remote.identity", lambda: theirs)
 

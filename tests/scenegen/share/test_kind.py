@@ -40,7 +40,7 @@ def test_the_lock_pins_what_is_needed_as_the_dataset_s_makers_had_it():
         assert needed[name] == version(name)
     assert not {"pytest", "pyvista", "scenegen", "huggingface-hub"} & set(needed)
     made_with = {"numpy": "2.0.1", "scenegen": "0.0.9", "machine": "x86_64"}
-    head, _, *lines = environment_lock(made_with, "abc123").splitlines()
+    head, _, *lines = environment_lock(made_with).splitlines()
     assert head.startswith("# scenegen 0.0.9, published with ")
     assert "numpy==2.0.1" in lines
     assert [line.partition("==")[0] for line in lines] == sorted(needed)
