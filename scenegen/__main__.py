@@ -17,7 +17,8 @@ COMMANDS = {
     "Datasets": {
         "scenegen.cli.generate": "generate recipe",
         "scenegen.cli.derive": "rescan take merge",
-        "scenegen.cli.verify": "verify publish",
+        "scenegen.cli.verify": "verify",
+        "scenegen.cli.publish": "publish",
         "scenegen.cli.convert": "convert world",
         "scenegen.cli.maps": "map ingest",
     },

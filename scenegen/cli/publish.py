@@ -1,0 +1,131 @@
+"""`scenegen publish`: a verified dataset, and its folder for the Hugging Face Hub."""
+
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import rich_click as click
+
+from scenegen.cli.options import (
+    command,
+    dataset_argument,
+    executing,
+    group,
+    kind_option,
+    out_option,
+    printing,
+)
+from scenegen.cli.show import (
+    Progress,
+    Tell,
+    announce_compilation,
+    note,
+    seconds_taken,
+    show_table,
+)
+from scenegen.share import USUAL
+
+if TYPE_CHECKING:
+    from scenegen.share.stage import Staged
+
+
+@command(
+    "publish data/pillar --repo user/pillar --dry-run",
+    "publish data/pillar --repo user/pillar --tag v1 --licence CC-BY-4.0",
+)
+@dataset_argument
+@click.option(
+    "--repo", required=True, metavar="USER/NAME", help="Dataset repository on the Hugging Face Hub."
+)
+@click.option("--tag", help="Revision to give it, last of all.  [default: named by the content]")
+@click.option(
+    "--licence",
+    "--license",
+    default=USUAL,
+    help="SPDX name of the data's licence.",
+)
+@out_option("Where the folder goes.  [default: publish/<name>]")
+@click.option("--private", is_flag=True, help="Make the repository a private one.")
+@click.option(
+    "--dry-run", is_flag=True, help="Make the folder, list what would go, and contact nobody."
+)
+@click.option("--quick", is_flag=True, help="Verify the cheap half: files, digests, numbers, laws.")
+@kind_option
+@executing
+@printing
+@group("On the Hub", "repo tag licence private")
+def publish(
+    dataset: Path | str,
+    repo: str,
+    tag: str | None,
+    licence: str,
+    out: Path | None,
+    kind: str | None,
+    tell: Tell,
+    talk: bool,
+    **options: Any,
+) -> None:
+    """Verify a dataset, make a folder of it for the Hugging Face Hub, and send that.
+
+    Given again after a stop, it goes on where it was. The token is the one that `hf auth login`
+    keeps, or HF_TOKEN.
+    """
+    if talk:
+        announce_compilation()
+    from scenegen.dataset.locate import locate
+    from scenegen.run import check_together
+    from scenegen.share.stage import Request
+    from scenegen.share.upload import publish as run_publish
+
+    check_together(options["execute"], "publish takes")
+    request = Request(
+        dataset=locate(dataset, shown=talk, whole=True),
+        repository=repo,
+        out=out or Path("publish") / repo.rpartition("/")[2],
+        tag=tag,
+        licence=licence,
+        kind=kind,
+    )
+    with Progress("verify", shown=talk) as progress:
+
+        def staged(found: Any) -> None:
+            progress.stop()
+            if talk:
+                then = "nothing is sent" if options["dry_run"] else "sending …"
+                note(f"{found.folder} stands; {then}")
+
+        found, commit = run_publish(
+            request,
+            shown=talk,
+            on_start=progress.start,
+            on_done=progress.count,
+            on_staged=staged,
+            **options,
+        )
+    size, seconds = sum(found.files.values()), seconds_taken()
+    sent = {"folder": str(found.folder), "commit": commit, "bytes": size, "seconds": seconds}
+    if tell(vars(found) | sent):
+        _show_staged(found, commit, size, seconds)
+
+
+def _show_staged(staged: "Staged", commit: str | None, size: int, seconds: float) -> None:
+    """Prints what was made, and sent."""
+    from scenegen.dataset.rules import pattern_of
+    from scenegen.share.upload import IN_COMMIT
+
+    said = {
+        "folder": staged.folder,
+        "files": f"{len(staged.files)}, {size / 1e6:.1f} MB",
+        "commits": f"at most {-(-len(staged.files) // IN_COMMIT)}",
+        "revision": f"hf://{staged.repository}@{staged.tag}",
+        "time": f"{seconds:.1f} s",
+    }
+    if commit is None:
+        listed = Counter[str]()
+        for name, size in staged.files.items():
+            listed[pattern_of(name)] += size
+        show_table({name: f"{size:>15,}" for name, size in listed.items()}, "would send, in bytes")
+        show_table(said | {"next": "the same command without --dry-run"}, "ready")
+    else:
+        said["page"] = f"https://huggingface.co/datasets/{staged.repository}/tree/{staged.tag}"
+        show_table(said, "published")
