@@ -13,7 +13,7 @@ from lidarsim import Pose
 from lidarsim.grid import Floats
 from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.pose import chained
-from scenegen.clouds import read_points, scans_in
+from scenegen.clouds import READERS, read_points, scans_in
 from scenegen.errors import DatasetError, raised_as
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_HEADER_BYTES
@@ -89,7 +89,7 @@ def read_log(path: Path, *, poses: Path | None = None, topic: str | None = None)
     files = scans_in(clouds)
     track = read_poses(poses or beside)
     if not files:
-        raise DatasetError(f"{clouds}: holds no clouds; expected .bin, .ply, .pcd, .npz or .xyz")
+        raise DatasetError(f"{clouds}: holds no clouds; expected {', '.join(READERS)}")
     found: list[Pose | None] = list(track.poses)
     times = track.times_s
     if poses is None:
