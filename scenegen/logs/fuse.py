@@ -123,8 +123,14 @@ class _Run:
         on_scan(self._scan)
 
     def _save(self) -> None:
-        about = {"key": self._key, "scan": self._scan, "counts": json.dumps(self.counts)}
-        _put(self._folder / PROGRESS, np.savez, told=self._told, **about)
+        _put(
+            self._folder / PROGRESS,
+            np.savez,
+            told=self._told,
+            key=self._key,
+            scan=self._scan,
+            counts=json.dumps(self.counts),
+        )
         self._saved_s = time.monotonic()
 
     def write(self) -> None:
@@ -147,6 +153,10 @@ class _Run:
                 free_voxels=int(np.count_nonzero(place.states == FREE)),
             )
             self._save()
+        if not self.counts["occupied_voxels"]:
+            raise SceneError(
+                "no return of the log is within --reach of its sensor; expected clouds in metres"
+            )
 
     def _parts(self) -> Iterator[range]:
         """The numbers of the scans of each map."""

@@ -36,13 +36,12 @@ own:here          → engine own:here: lacks `__call__`, so that it can be calle
 broken:Engine     → broken:Engine: importing it fails (line 2 of broken.py): ZeroDivisionError(
 needy:Engine      → needy:Engine: importing it fails (line 1 of needy.py): ModuleNotFoundError(
 """
-OTHERS = (
-    ("lidar\n", "unknown engine 'lidar\\n'; known: plain (or one's own, as module:Object)"),
-    (5, "unknown engine '5'"),
+OF_TWO_LINES = "unknown engine 'lidar\\n'; known: plain (or one's own, as module:Object)"
+
+
+@pytest.mark.parametrize(
+    ("name", "told"), [*rows(WRONG), ("lidar\n", OF_TWO_LINES), (5, "unknown engine '5'")]
 )
-
-
-@pytest.mark.parametrize(("name", "told"), [*rows(WRONG), *OTHERS])
 def test_what_is_missing_is_told_in_one_line(standing, name, told):
     (standing / "own.py").write_text("here = 1\nclass Empty: pass")
     (standing / "broken.py").write_text("\n1 / 0")
