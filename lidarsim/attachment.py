@@ -16,7 +16,7 @@ from lidarsim.noise.returns import Returns, albedo_of
 from lidarsim.pose import Pose, chained, rotate
 from lidarsim.registry import suggestion
 from lidarsim.scan import Scan, mounted
-from lidarsim.sensors import Sensor
+from lidarsim.sensors import Sensor, check_sensor
 from lidarsim.sensors.raster import Lidar
 from lidarsim.solids.model import ModelSolids, check_forwarded
 
@@ -52,9 +52,9 @@ class Attached:
 
         `offset` is the sensor's pose in the body's frame, one for all or one for each; with several
         offsets and one body, all of them are on that. A `lever_arm_m` of the sensor's is added, in
-        the offset's frame. Shapes, sizes and colours are read now,
-        places at every scan. `threads` as for `AnalyticEngine`. Raises ValueError for a body that
-        the model does not have, for counts that do not fit, and as `ModelSolids` does.
+        the offset's frame. Shapes, sizes and colours are read now, places at every scan. `threads`
+        as for `AnalyticEngine`. Raises ValueError for a body that the model does not have, for what
+        is no sensor, for counts that do not fit, and as `ModelSolids` does.
         """
         offsets = [offset] if isinstance(offset, Pose) else list(offset)
         if not all(isinstance(one, Pose) for one in offsets):
@@ -71,6 +71,7 @@ class Attached:
                 f"attach: unseen = {unseen!r}, expected one of {', '.join(get_args(Unseen))}"
             )
         self.sensor, self._model, self._threads = sensor or Lidar(), model, threads
+        check_sensor(self.sensor)
         self._bodies = [_numbered(model, name) for name in names] * (count // len(names))
         self._offsets = offsets * (count // len(offsets))
         self._solids = ModelSolids(model)

@@ -25,6 +25,8 @@ BOUNDS = "bounds"
 """Key of a field's metadata under which its `Bounds` stand."""
 FILE = "file"
 """The same of a field that a table may give as the path of a file."""
+MOST_TEXT = 300
+"""Characters of what a sensor says of itself."""
 MOST_SHOWN = 60
 """Characters of a value that an error repeats."""
 _COUNTED = {2: "two", 3: "three", 4: "four"}
@@ -94,14 +96,16 @@ def check(
     type that its annotation says (numbers, bool, str, Literal, and tuples or unions of these) or is
     not within its bounds.
 
-    A field without bounds of its own has those that `otherwise` gives for its name and value; by
-    default, its numbers must be finite. An angle in degrees that is a multiple of 15 in radians is
-    refused: 6.283 is a turn, and no 6.283°. Values of the right kind become the annotated type: a
-    list a tuple, a whole float an int.
+    A field of a file is passed over. One without bounds of its own has those that `otherwise` gives
+    for its name and value; by default, its numbers must be finite. An angle in degrees that is a
+    multiple of 15 in radians is refused: 6.283 is a turn, and no 6.283°. Values of the right kind
+    become the annotated type: a list a tuple, a whole float an int.
     """
     kind_of: type = type(parameters)
     hints = _hints(kind_of)
     for item in dataclasses.fields(parameters):
+        if FILE in item.metadata:
+            continue
         given = getattr(parameters, item.name)
         kind = hints.get(item.name, Any)
         bounds = item.metadata.get(BOUNDS) or otherwise(item.name, given)
@@ -137,6 +141,14 @@ def _radians(value: float) -> int:
     steps = round(value / (math.pi / 12))
     is_near = abs(steps) <= 24 and math.isclose(value, steps * math.pi / 12, rel_tol=1e-3)
     return 15 * steps if is_near else 0
+
+
+def check_text(name: str, given: str) -> None:
+    """Raise ValueError, with the `name` of the text `given`, unless it is short and printable."""
+    if len(given) > MOST_TEXT or not given.isprintable():
+        raise ValueError(
+            f"{name} = {shown(given)}: expected {MOST_TEXT} printable characters at most"
+        )
 
 
 def shown(value: Any) -> str:

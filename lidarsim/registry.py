@@ -76,10 +76,9 @@ class Registry:
     def check(self, chosen: Any, name: str) -> None:
         """Raise ValueError, naming what is missing, unless `chosen` has all that it needs."""
         for attribute, meaning in self.needs.items():
-            # a dataclass's field without a default is no attribute of the class yet
-            if not hasattr(chosen, attribute) and attribute not in getattr(
-                chosen, "__annotations__", {}
-            ):
+            # a dataclass's field without a default is no attribute of the class yet; no value is
+            # asked for, since rays take time to compute
+            if attribute not in (*dir(chosen), *getattr(chosen, "__annotations__", ())):
                 raise ValueError(f"{self.what} {name}: lacks `{attribute}`, {meaning}")
 
     def _imported(self, module: str, name: str) -> Any:

@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 from lidarsim.engines import Caster
 from lidarsim.grid import Field, Floats
 from lidarsim.pose import Pose, rotate
-from lidarsim.sensors import Sensor
+from lidarsim.sensors import Sensor, check_sensor
 
 
 @dataclass(frozen=True, eq=False)
 class Scan:
     """What a LiDAR at a pose returned. `ranges` alone is measured: everything else about the rays
-    follows. Raises ValueError for ranges that are not a number from 0 on, or inf, for each ray."""
+    follows. Raises ValueError for ranges that are not a number from 0 on, or inf, for each ray, and
+    for a `lidar` that is no sensor."""
 
     ranges: Field
     """(*lidar.shape), metres along each ray; ``inf`` where nothing returned."""
@@ -23,6 +24,7 @@ class Scan:
     lidar: Sensor
 
     def __post_init__(self) -> None:
+        check_sensor(self.lidar)
         shape, expected = np.shape(self.ranges), tuple(self.lidar.shape)
         if shape != expected:
             raise ValueError(f"scan: ranges of shape {shape}, expected {expected}, as its sensor's")
@@ -45,7 +47,8 @@ class Scan:
 
 def mounted(lidar: Sensor, pose: Pose) -> Pose:
     """The pose of the sensor on a body at `pose`: moved by the sensor's `lever_arm_m`, if it has
-    one."""
+    one. Raises ValueError where it is none."""
+    check_sensor(lidar)
     if any(arm := getattr(lidar, "lever_arm_m", ())):
         return Pose(pose.position + rotate(pose.quaternion, [arm])[0], pose.quaternion)
     return pose
@@ -55,7 +58,8 @@ def cast(engine: Caster, lidar: Sensor, pose: Pose) -> Scan:
     """Scan the engine's world with `lidar` carried by a body at `pose`. The scan's pose is that of
     the sensor, as `mounted` has it.
 
-    Raises ValueError where the engine gives what are no ranges of the sensor's rays.
+    Raises ValueError where `lidar` is no sensor, and where the engine gives what are no ranges of
+    its rays.
     """
     pose = mounted(lidar, pose)
     directions = rotate(pose.quaternion, lidar.directions_body)

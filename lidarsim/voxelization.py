@@ -12,6 +12,7 @@ from lidarsim.engines.voxels import enter, slab
 from lidarsim.fusion import Fusion
 from lidarsim.grid import Floats, GridSpec, Mask, finite
 from lidarsim.jit import kernel
+from lidarsim.parameters import shown
 from lidarsim.scan import Scan
 
 TOUCH_M = 1e-9
@@ -45,8 +46,11 @@ def voxelize(scan: Scan, grid: GridSpec, origin: ArrayLike | None = None) -> Obs
 
     Returns outside the grid are dropped; the rays that led to them still clear the voxels on their
     way. Free space is found by walking every ray from voxel boundary to voxel boundary (Amanatides
-    and Woo 1987), not by sampling. Raises ValueError for an `origin` that is no point.
+    and Woo 1987), not by sampling. Raises ValueError for a `scan` that is none, and for an `origin`
+    that is no point.
     """
+    if not isinstance(scan, Scan):
+        raise ValueError(f"scan = {shown(scan)}: expected a Scan, such as lidarsim.cast gives")
     position = scan.pose.position
     corner = finite("origin", grid.origin_at(position) if origin is None else origin, 3)
     directions = scan.directions.reshape(-1, 3)

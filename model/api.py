@@ -98,7 +98,7 @@ def bench(
         number `n` of values.
 
     Raises:
-        DatasetError: A dataset is none, or its split is empty.
+        DatasetError: There is no dataset, or its split is empty.
         PredictionError: What stands for a method is none, or predicts what cannot be.
         ScenegenError: There is no such method, or two have one name.
     """
@@ -108,6 +108,8 @@ def bench(
         or USUAL
     )
     measured = [Dataset(locate(name)) for name in _listed(datasets)]
+    if not measured:
+        raise DatasetError("bench: no datasets; give one, or several of different kinds")
     execute = Local("", cores() if workers is None else workers)
     results = bench_all(measured, rows, config, execute=execute)
     return build_report(results, seed=config.seed, about={"split": config.split})

@@ -87,8 +87,8 @@ def read_cloud(path: Path, most_bytes: int = MOST_SCAN_BYTES) -> Cloud:
         ) from None
     if found.ndim != 2 or found.shape[1] < 3 or not len(found) or found.dtype.kind not in "fiu":
         raise DatasetError(
-            f"{path}: holds {found.dtype} of shape {found.shape}, expected (N, 3) numbers: x, y, "
-            f"z in metres"
+            f"{path}: holds {found.dtype} of shape {found.shape}, expected (N, 3) numbers, N "
+            f"from 1 on: x, y, z in metres"
         )
     if len(found) > MOST_POINTS:
         raise DatasetError(

@@ -157,7 +157,7 @@ class Sample:
         """The returns of all its scans.
 
         Args:
-            lidar: The sensor, for a sample that does not know its own.
+            lidar: The sensor; the sample's own by default, if it knows it.
             frame: "world", or "body" for the frame of the body that holds the sensor at the
                 sample's own scan.
 
@@ -166,7 +166,7 @@ class Sample:
 
         Raises:
             TypeError: The sensor is not known.
-            ValueError: There is no such frame.
+            ValueError: There is no such frame, or `lidar` is no sensor of these ranges.
         """
         if frame not in ("world", "body"):
             raise ValueError(f"frame = {frame!r}: expected 'world' or 'body'")
@@ -179,10 +179,9 @@ class Sample:
 
     def scans(self, lidar: Sensor | None = None) -> list[Scan]:
         """The scans that its map is made of: its own, and then those before it, the last made
-        first; `lidar` is the sensor of a sample that does not know its own. Raises TypeError where
-        neither is known."""
-        lidar = self.lidar if self.lidar is not None else lidar
-        if lidar is None:
+        first; by its own sensor, if it knows it, unless `lidar` is given. Raises TypeError where
+        neither is known, and ValueError for what is no sensor of its ranges."""
+        if (lidar := lidar or self.lidar) is None:
             raise TypeError(
                 "points() and scans() need the sensor that made this sample, such as recipe.lidar"
             )

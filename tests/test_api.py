@@ -55,6 +55,7 @@ def test_samples_are_shown(dataset, tmp_path):
     bare = scenegen.Sample(**{name: getattr(sample, name) for name in sample.names})
     for given, told in (
         ((sample, sample.tudf), "expected occupied voxels"),
+        ((sample, scenegen.Prediction(tudf=sample.tudf * np.nan)), "NaN"),
         ((sample, {}, path[0]), r"expected \(n, 3\)"),
         ((bare,), "grid"),
         ((sample, {"free": sample.free}), "free: a sample's own"),
@@ -78,6 +79,8 @@ def test_methods_are_measured(dataset):
     assert 0 < found["mine"]["iou"]["mean"] == found["returns"]["iou"]["mean"] < 1
     with pytest.raises(ScenegenError, match="two rows are called 'mine'"):
         scenegen.bench(dataset.folder, [Mine(), Mine()])
+    with pytest.raises(DatasetError, match="no datasets"):
+        scenegen.bench([])
 
 
 @pytest.mark.checkout

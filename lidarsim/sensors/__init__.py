@@ -11,6 +11,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
+from lidarsim.parameters import shown
 from lidarsim.registry import Registry
 
 if TYPE_CHECKING:  # the command line asks for the names, and must not load NumPy for that
@@ -78,3 +79,12 @@ SENSORS = Registry(
 whose fields a recipe changes."""
 RASTER = "raster"
 """The sensor of a recipe that names none."""
+
+
+def check_sensor(given: object) -> None:
+    """Raise ValueError unless `given` is a sensor: a name or a class is none."""
+    if isinstance(given, type) or not hasattr(given, "max_range_m"):
+        raise ValueError(
+            f"sensor = {shown(given)}: expected an object, such as lidarsim.Lidar() or "
+            f"lidarsim.sensors.catalogue.VLP_16"
+        )

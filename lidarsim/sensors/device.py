@@ -10,12 +10,18 @@ import numpy as np
 
 from lidarsim.elementary import sin_cos
 from lidarsim.grid import Floats
-from lidarsim.parameters import LEAST_RANGE_M, MOST_RANGE_M, MOST_RAYS, check, number
+from lidarsim.parameters import (
+    LEAST_RANGE_M,
+    MOST_RANGE_M,
+    MOST_RAYS,
+    MOST_TEXT,
+    check,
+    check_text,
+    number,
+)
 from lidarsim.pose import rotate
 from lidarsim.sensors import CATALOGUE, SENSORS
 
-MOST_TEXT = 300
-"""Characters of a field that is text."""
 ABOUT = ("name", "source", "checked", "error", "noise")
 """Fields that say something of a sensor and change none of its rays."""
 
@@ -49,10 +55,7 @@ class Device:
     def __post_init__(self) -> None:
         check(self)
         for item in ABOUT:
-            if len(said := getattr(self, item)) > MOST_TEXT or not said.isprintable():
-                raise ValueError(
-                    f"{item} = {said[:40]!a}: expected {MOST_TEXT} printable characters at most"
-                )
+            check_text(item, getattr(self, item))
         if self.min_range_m >= self.max_range_m:
             raise ValueError(
                 f"min_range_m = {self.min_range_m:g}: expected less than max_range_m = "

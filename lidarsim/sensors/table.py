@@ -6,7 +6,6 @@ import io
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +13,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lidarsim.grid import Floats
-from lidarsim.parameters import FILE, LEAST_RANGE_M, MOST_RANGE_M, MOST_RAYS, shown
-from lidarsim.sensors import Sensor
+from lidarsim.parameters import (
+    FILE,
+    LEAST_RANGE_M,
+    MOST_RANGE_M,
+    MOST_RAYS,
+    MOST_TEXT,
+    check,
+    check_text,
+    number,
+    shown,
+)
+from lidarsim.sensors import Sensor, check_sensor
 
 MOST_AXES = 4
 """The most axes of a sensor's shape."""
-MOST_MADE_BY = 300
-"""Characters that say what made a table."""
 MOST_HEADER_BYTES = 4096
 """The most bytes of an .npy file's header: more than any of ours takes."""
 UNIT = 1e-9
@@ -39,7 +46,7 @@ class BeamTable:
     rays: Floats = field(metadata={FILE: True})
     """(*shape, 4): x, y, z of each ray's unit vector in the body frame, and when it is cast,
     seconds after the scan begins; given as float64, or as the path of an .npy file of them."""
-    max_range_m: float = 10.0
+    max_range_m: float = number(10.0, least=LEAST_RANGE_M, most=MOST_RANGE_M)
     """Farthest return, metres."""
     made_by: str = ""
     """What the table was made by, for people to read."""
@@ -70,37 +77,20 @@ class BeamTable:
             raise ValueError(
                 "a ray's time is negative or no number; expected seconds after the scan begins"
             )
-        said: Any = self.made_by
-        if not isinstance(said, str) or len(said) > MOST_MADE_BY or not said.isprintable():
-            raise ValueError(
-                f"made_by = {shown(self.made_by)}: expected {MOST_MADE_BY} printable characters "
-                f"at most"
-            )
-        reach: Any = self.max_range_m
-        is_number = isinstance(reach, Real) and reach is not True
-        if not (is_number and LEAST_RANGE_M <= reach <= MOST_RANGE_M):
-            raise ValueError(
-                f"max_range_m = {shown(reach)}: expected metres from {LEAST_RANGE_M:g} "
-                f"to {MOST_RANGE_M:g}"
-            )
+        check(self)
+        check_text("made_by", self.made_by)
         rays.setflags(write=False)
         object.__setattr__(self, "rays", rays)
-        object.__setattr__(self, "max_range_m", float(reach))
         object.__setattr__(self, "sha256", hashlib.sha256(self.npy).hexdigest())
 
     @classmethod
     def of(cls, sensor: Sensor) -> "BeamTable":
         """The table of any sensor's rays, with the same bits. Raises ValueError where the sensor is
         none."""
+        check_sensor(sensor)
         shape = tuple(int(count) for count in sensor.shape)
-        directions = _numbers(sensor.directions_body, "directions_body")
-        times = _numbers(sensor.times_s, "times_s")
-        for name, there, expected in (
-            ("directions_body", directions.shape, (*shape, 3)),
-            ("times_s", times.shape, shape),
-        ):
-            if there != expected:
-                raise ValueError(f"{name} has shape {there}, expected {expected}, as `shape` says")
+        directions = _numbers(sensor.directions_body, "directions_body", (*shape, 3))
+        times = _numbers(sensor.times_s, "times_s", shape)
         rays = np.concatenate([directions, times[..., None]], axis=-1)
         return cls(
             rays=rays,
@@ -189,13 +179,14 @@ def _maker(sensor: Sensor) -> str:
         for name, value in values.items()
     )
     said = f"{type(sensor).__module__}:{type(sensor).__name__}({given})"
-    return "".join(character if character.isprintable() else "?" for character in said)[
-        :MOST_MADE_BY
-    ]
+    return "".join(one if one.isprintable() else "?" for one in said)[:MOST_TEXT]
 
 
-def _numbers(values: ArrayLike, what: str) -> Floats:
+def _numbers(values: ArrayLike, what: str, shape: tuple[int, ...]) -> Floats:
     try:
-        return np.asarray(values, float)
+        numbers = np.asarray(values, float)
     except (TypeError, ValueError):
         raise ValueError(f"{what} is no array of numbers") from None
+    if numbers.shape != shape:
+        raise ValueError(f"{what} has shape {numbers.shape}, expected {shape}, as `shape` says")
+    return numbers

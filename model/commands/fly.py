@@ -13,6 +13,7 @@ from lidarsim.registry import Registry
 from scenegen.cli.options import (
     WORLD,
     command,
+    difficulty_option,
     executing,
     flags_given,
     group,
@@ -108,11 +109,7 @@ OF_WORLD = (
     help="Worlds of a kind, drawn by the seed and those after it; each has its share of the "
     "flights.",
 )
-@click.option(
-    "--difficulty",
-    type=Choice(["easy", "medium", "hard"]),
-    help="How hard a kind's worlds are.  [default: medium]",
-)
+@difficulty_option
 @options_of(
     Vehicle,
     radius_m="Radius of the vehicle, metres.",

@@ -10,6 +10,7 @@ from lidarsim.parameters import Bounds
 from scenegen.cli.options import (
     command,
     group,
+    index_option,
     open_dataset,
     out_option,
     quiet_option,
@@ -53,13 +54,7 @@ def _width(text: str) -> float:
 )
 @click.argument("source", type=DatasetPath())
 @split_option("train", help="The split to draw samples of.")
-@click.option(
-    "--index",
-    "indices",
-    multiple=True,
-    type=click.IntRange(min=0),
-    help="A sample's number; repeatable.",
-)
+@index_option
 @click.option(
     "--sheet",
     "--n",

@@ -11,6 +11,7 @@ from scenegen.cli.options import (
     dataset_argument,
     flags_given,
     group,
+    index_option,
     quiet_option,
     split_option,
 )
@@ -42,13 +43,7 @@ MOST_SHOWN = 200
     type=OutputFile(),
     help="Write one file that shows samples without a network.  [default: serve all of them]",
 )
-@click.option(
-    "--index",
-    "indices",
-    multiple=True,
-    type=click.IntRange(0),
-    help="A number of a sample; in a file, repeatable.",
-)
+@index_option
 @click.option(
     "--n",
     "count",

@@ -58,13 +58,8 @@ def build_report(results: Sequence[DatasetResult], *, seed: int, about: Json) ->
     them; `about` as it is. Where there is one world, low and high are None; where nothing was
     measured, mean and std are, too. No number is NaN or infinite, which JSON has no words for:
     those are None."""
-    report = {
-        **about,
-        "reconstruction": {},
-        "planning": {},
-        "tests": {},
-        "datasets": {},
-    }
+    parts = ("reconstruction", "planning", "tests", "datasets")
+    report = {**about, **{part: {} for part in parts}}
     for result in results:
         rng = np.random.default_rng(seed)
         methods, partly = result.methods.items(), ""
@@ -82,12 +77,8 @@ def build_report(results: Sequence[DatasetResult], *, seed: int, about: Json) ->
             "trials": len(result.trial_worlds),
             "excluded": dict(result.excluded),
         }
-        report["reconstruction"][result.kind] = {
-            name: _reconstruction(found, result) for name, found in methods
-        }
-        report["planning"][result.kind] = {
-            name: _planning(found, result) for name, found in methods
-        }
+        for part, measured in (("reconstruction", _reconstruction), ("planning", _planning)):
+            report[part][result.kind] = {name: measured(found, result) for name, found in methods}
         report["tests"][result.kind] = _tests(result, rng)
         if result.config.study:
             report.setdefault("study", {})[result.kind] = {
@@ -172,9 +163,15 @@ def _tests(result: DatasetResult, rng: np.random.Generator) -> list[Json]:
             gained = figure(a - b, worlds, "gain" if name in PLAN_METRICS else "amount")
             title = name if region == "map" else f"{region}_{name}"
             found.append(
-                {"first": first, "second": second, "metric": title}
-                | {"difference": gained["mean"], "low": gained["low"], "high": gained["high"]}
-                | {"p": paired_p(a, b, worlds, rng=rng)}
+                {
+                    "first": first,
+                    "second": second,
+                    "metric": title,
+                    "difference": gained["mean"],
+                    "low": gained["low"],
+                    "high": gained["high"],
+                    "p": paired_p(a, b, worlds, rng=rng),
+                }
             )
     for row, corrected in zip(found, holm([row["p"] for row in found]).tolist(), strict=True):
         row["p_holm"] = corrected

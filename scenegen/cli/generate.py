@@ -11,6 +11,7 @@ from lidarsim.engines import DEFAULT, ENGINES
 from lidarsim.registry import Registry
 from scenegen.cli.options import (
     command,
+    difficulty_option,
     engine_option,
     force_option,
     group,
@@ -67,11 +68,7 @@ BESIDE = "this as a recipe file, without --scene, --labels, --compact, --engine,
     type=KIND,
     help=f"Kind of random worlds: {', '.join(KINDS.known)}; mixed for all; or MODULE:CLASS.",
 )
-@click.option(
-    "--difficulty",
-    type=Choice(["easy", "medium", "hard"]),
-    help="Which preset of the kind.  [default: medium]",
-)
+@difficulty_option
 @click.option(
     "--scene",
     type=FILE,
@@ -233,7 +230,7 @@ def make(
     if not tell({**vars(summary), "folder": str(summary.folder), "seconds": seconds}):
         return
     samples, written = sum(summary.samples.values()), summary.samples_written
-    rate = f", {written / seconds:.1f} samples a second, start-up included"
+    rate = f", {written / seconds:.1f} samples a second, imports included"
     show_table(
         {
             "folder": summary.folder,

@@ -99,6 +99,18 @@ device_option = click.option(
     default="auto",
     help="Where to compute: cpu, cuda, cuda:1 …",
 )
+difficulty_option = click.option(
+    "--difficulty",
+    type=Choice(["easy", "medium", "hard"]),
+    help="How hard a kind's worlds are.  [default: medium]",
+)
+index_option = click.option(
+    "--index",
+    "indices",
+    multiple=True,
+    type=click.IntRange(0),
+    help="A sample's number; in a file, repeatable.",
+)
 kind_option = click.option(
     "--kind",
     metavar="MODULE:CLASS",

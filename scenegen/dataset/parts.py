@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lidarsim import BeamTable, GridSpec, Lidar, Sensor
-from lidarsim.parameters import MOST_RAYS
-from lidarsim.sensors.table import MOST_AXES, MOST_MADE_BY, most_bytes, read_npy
+from lidarsim.parameters import MOST_RAYS, MOST_TEXT
+from lidarsim.sensors.table import MOST_AXES, most_bytes, read_npy
 from scenegen.dataset.rules import DIGEST, Rule, check, made, text
 from scenegen.errors import BrokenError, DatasetError, printable, raised_as, short
 from scenegen.files import Json, read_bounded, sha256_of, write_whole
@@ -56,7 +56,7 @@ _TABLE_OF_RAYS = {
         f"up to {MOST_AXES} counts, {MOST_RAYS} rays at most",
     ),
     "max_range_m": Rule(lambda value: type(value) in (int, float), "metres"),
-    "made_by": text(rf"(?s).{{0,{MOST_MADE_BY}}}", "what made the rays"),
+    "made_by": text(rf"(?s).{{0,{MOST_TEXT}}}", "what made the rays"),
 }
 """What a manifest says of a table of rays; a recipe's [lidar] takes the same, but for the shape."""
 _LABELS = {

@@ -120,7 +120,7 @@ class Look:
         return round(float(np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))), 9)
 
 
-def look_at(sample: Sample, grid: GridSpec, lidar: Sensor, name: str) -> Look:
+def look_at(sample: Sample, grid: GridSpec, lidar: Sensor | None, name: str) -> Look:
     """Reads a sample as far as that can be. Raises DatasetError where not even its pose can."""
     pose = {what: getattr(sample, what) for what in ("origin", "position", "quaternion")}
     if not all(np.isfinite(part).all() for part in pose.values()):
@@ -134,7 +134,7 @@ def look_at(sample: Sample, grid: GridSpec, lidar: Sensor, name: str) -> Look:
             missing.append(f"{name}: {what} is not shown: {printable(error)}")
             return None
 
-    scans = read("the scan", lambda: [each.points() for each in sample.scans(lidar)]) or ()
+    scans = read("the scan", lambda: sample.scans(lidar)) or ()
     masks = {what: read(what, partial(getattr, sample, what)) for what in MASKS}
     return Look(
         name=name,
@@ -142,8 +142,8 @@ def look_at(sample: Sample, grid: GridSpec, lidar: Sensor, name: str) -> Look:
         **pose,
         masks={what: mask for what, mask in masks.items() if mask is not None},
         tudf=read("tudf", lambda: sample.tudf),
-        scans=scans,
-        rays=int(np.prod(lidar.shape)) * len(scans),
+        scans=[scan.points() for scan in scans],
+        rays=sum(scan.ranges.size for scan in scans),
         missing=tuple(missing),
     )
 

@@ -99,9 +99,8 @@ def show(
         its_grid = grid or sample.grid
         if its_grid is None:
             raise DatasetError("this sample does not know its grid; give grid, such as recipe.grid")
-        its_lidar = lidar or sample.scans()[0].lidar
         name = f"world {sample.world}, viewpoint {sample.viewpoint}"
-        looks.append(look_at(sample, its_grid, its_lidar, name))
+        looks.append(look_at(sample, its_grid, lidar, name))
     if not looks:
         raise DatasetError("no samples to show; give one, or several")
     first = looks[0]
@@ -131,6 +130,9 @@ def _guess(name: str, found: Any, grid: GridSpec) -> Guess:
     """A prediction, or occupied voxels, to be shown. The thresholds of a prediction are the
     paper's."""
     told = hasattr(found, "occupied")
+    parts = [found.occupancy_probability, found.tudf] if told else []
+    if not all(np.isfinite(part).all() for part in parts if part is not None):
+        raise DatasetError(f"{name}: holds NaN or infinity; expected a number in every voxel")
     occupied = np.asarray(found.occupied() if told else found)
     if occupied.shape != grid.shape or occupied.dtype != bool:
         raise DatasetError(

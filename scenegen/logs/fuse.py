@@ -81,8 +81,7 @@ def ingest(log: Log, out: Path, how: Fusing, *, on_scan: Counted = unheard) -> C
         except SceneError:
             shutil.rmtree(unfinished)
             raise
-        for path in unfinished.glob(f"{PROGRESS}*"):
-            path.unlink()
+        (unfinished / PROGRESS).unlink()
         remove_drafts(unfinished)  # of runs that were killed while they wrote a map
         check_free(out)
         unfinished.rename(out)
@@ -107,7 +106,14 @@ class _Run:
         """(2, *shape): how many scans observed each voxel of the current map, and found it free;
         empty where no scan of it was counted."""
         if (folder / PROGRESS).exists():
-            self._resume()
+            with np.load(folder / PROGRESS) as saved:
+                if str(saved["key"]) != self._key:
+                    raise DatasetError(
+                        f"{folder}: holds another log's unfinished maps, or with other options; "
+                        "remove it, or give another name"
+                    )
+                self._scan, self._told = int(saved["scan"]), saved["told"]
+                self.counts = Counter(json.loads(str(saved["counts"])))
         else:
             check_free(folder)
             (folder / "observations").mkdir(parents=True)
@@ -116,19 +122,15 @@ class _Run:
         self._scans = log.scans(self._scan)
         on_scan(self._scan)
 
-    def _resume(self) -> None:
-        with np.load(self._folder / PROGRESS) as saved:
-            if str(saved["key"]) != self._key:
-                raise DatasetError(
-                    f"{self._folder}: holds another log's unfinished maps, or with other options; "
-                    "remove it, or give another name"
-                )
-            self._scan, self._told = int(saved["scan"]), saved["told"]
-            self.counts = Counter(json.loads(str(saved["counts"])))
-
     def _save(self) -> None:
-        about = {"key": self._key, "scan": self._scan, "counts": json.dumps(self.counts)}
-        _put(self._folder / PROGRESS, np.savez, told=self._told, **about)
+        _put(
+            self._folder / PROGRESS,
+            np.savez,
+            told=self._told,
+            key=self._key,
+            scan=self._scan,
+            counts=json.dumps(self.counts),
+        )
         self._saved_s = time.monotonic()
 
     def write(self) -> None:
@@ -151,6 +153,10 @@ class _Run:
                 free_voxels=int(np.count_nonzero(place.states == FREE)),
             )
             self._save()
+        if not self.counts["occupied_voxels"]:
+            raise SceneError(
+                "no return of the log is within --reach of its sensor; expected clouds in metres"
+            )
 
     def _parts(self) -> Iterator[range]:
         """The numbers of the scans of each map."""
@@ -320,9 +326,17 @@ def _observe(path: Path, place: VoxelMap) -> dict[str, int]:
     origin = grid.origin_at(here)
     seen = sort_points(here, found["points"] + here, grid, origin)
     occupancy, known = resample(place, grid, origin)
-    found |= {"origin": origin, "voxel_m": np.float64(grid.voxel_m)}
-    found |= {"observed": seen.observed, "free": seen.free}
-    _put(path, np.savez_compressed, **found, occupancy=occupancy, known=known)
+    _put(
+        path,
+        np.savez_compressed,
+        **found,
+        origin=origin,
+        voxel_m=np.float64(grid.voxel_m),
+        observed=seen.observed,
+        free=seen.free,
+        occupancy=occupancy,
+        known=known,
+    )
     voxels = grid.index(found["points"] + here, origin)
     within = voxels[((voxels >= 0) & (voxels < grid.shape)).all(axis=1)]
     outside = int(np.count_nonzero(~occupancy[tuple(within.T)]))

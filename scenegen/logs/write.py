@@ -14,7 +14,7 @@ from scenegen.display.exchange.recordings import (
     CLOUD,
     TRANSFORMS,
     Row,
-    cloud_message,
+    points_message,
     write_messages,
 )
 from scenegen.files import check_free, make_way, whole, whole_folder
@@ -96,6 +96,6 @@ def _rows(scans: Iterable[LogScan]) -> Iterator[Row]:
         }
         header = {"stamp": stamp, "frame_id": FRAME}
         link = {"header": header, "child_frame_id": SENSOR, "transform": transform}
-        columns = dict(zip("xyz", scan.points.T.astype(np.float32), strict=True), **scan.more)
-        cloud = cloud_message(columns, {"stamp": stamp, "frame_id": SENSOR})
+        own = {"stamp": stamp, "frame_id": SENSOR}
+        cloud = points_message(scan.points, own, **scan.more)
         yield number, when, {"tf": (TRANSFORMS, {"transforms": [link]}), "points": (CLOUD, cloud)}

@@ -15,13 +15,14 @@ from lidarsim import Pose
 from lidarsim.elementary import sin_cos
 from lidarsim.grid import Floats
 from lidarsim.parameters import MOST_LENGTH_M, check, number
-from scenegen.errors import GenerationError
+from scenegen.errors import GenerationError, whole_number
 from scenegen.limits import (
     LEAST_DRAWN_M,
     MOST_CANDIDATES,
     MOST_DRAWN_M,
     MOST_FLIGHTS,
     MOST_ITERATIONS,
+    MOST_SEED,
     MOST_VIEWPOINTS,
 )
 from scenegen.worlds.clearance import CAP_M, Clearance
@@ -264,10 +265,12 @@ def poses_in_flight(
 
     Raises:
         GenerationError: No flight fits.
+        DatasetError: The seed is no whole number from 0 on.
     """
     flight = flight or Flight()
-    every_m = flight.spacing_m if every_m is None else every_m
-    route, flown = _flown(world, dataclasses.replace(flight, spacing_m=every_m), seed)
+    if every_m is not None:
+        flight = dataclasses.replace(flight, spacing_m=every_m)
+    route, flown = _flown(world, flight, seed)
     return [route.pose(metres) for metres in sorted(flown)]
 
 
@@ -278,7 +281,7 @@ def pose_in_flight(world: AnyWorld, *, seed: int) -> Pose:
 
 
 def _flown(world: AnyWorld, flight: Flight, seed: int) -> tuple[Route, Floats]:
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(whole_number("flight: seed =", seed, 0, MOST_SEED))
     for _ in range(TRIES):
         path = fly(world, flight, rng=rng)
         if path is not None and (found := viewpoints(path, flight.spacing_m, rng=rng))[1].size:

@@ -4,7 +4,6 @@ be read."""
 import runpy
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 from scenegen.recipes import kind_names
@@ -24,14 +23,6 @@ def test_the_tables_of_parameters_are_those_of_the_code(path):
     text = path.read_text()
     assert text.count("<!-- parameters of") == len(tables.ASKED.findall(text))
     assert tables.filled(text) == text, "run python docs/tables.py"
-
-
-def test_no_table_hangs_on_the_last_bit_of_an_arctangent(monkeypatch):
-    """As without AVX-512, where the README's second command once failed."""
-    told, true = tables.sensors(), np.arctan2
-    for way in (-np.inf, np.inf):
-        monkeypatch.setattr(np, "arctan2", lambda y, x, way=way: np.nextafter(true(y, x), way))
-        assert tables.sensors() == told
 
 
 def test_pages_list_every_table_of_a_recipe():

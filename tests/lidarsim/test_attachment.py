@@ -96,12 +96,14 @@ def test_a_sensor_sees_of_its_carrier_what_it_is_to_see(model, data, unseen, mis
 
 def test_what_cannot_be_attached_is_told_in_one_line(model):
     data = mujoco.MjData(model)
-    with pytest.raises(ValueError, match="no body 'robto'; did you mean 'robot'"):
-        attach(model, "robto")
-    with pytest.raises(ValueError, match="2 bodies and 3 offsets"):
-        attach(model, ["robot", "ball"], offset=[Pose.level((0, 0, 0))] * 3)
-    with pytest.raises(ValueError, match="unseen = 'me', expected one of nothing, body, tree"):
-        attach(model, "robot", unseen="me")  # type: ignore[arg-type]
+    for body, more, told in (
+        ("robto", {}, "no body 'robto'; did you mean 'robot'"),
+        (["robot", "ball"], {"offset": [Pose.level((0, 0, 0))] * 3}, "2 bodies and 3 offsets"),
+        ("robot", {"unseen": "me"}, "unseen = 'me', expected one of nothing, body, tree"),
+        ("robot", {"sensor": "os1"}, "sensor = 'os1': expected an object, such as"),
+    ):
+        with pytest.raises(ValueError, match=told):
+            attach(model, body, **more)
     with pytest.raises(ValueError, match="never forwarded"):
         attach(model, "robot").scan(data)
     with pytest.raises(ValueError, match="give data of that model"):

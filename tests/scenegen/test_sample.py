@@ -28,6 +28,8 @@ def test_a_sample_without_a_dataset_needs_its_sensor(made):
     plain = Sample(**{name: getattr(stored, name) for name in GROUPS[""]})
     with pytest.raises(TypeError, match="sensor"):
         plain.points()
+    with pytest.raises(ValueError, match="sensor = 'os1'"):
+        stored.points("os1")
     assert_array_equal(plain.points(dataset.lidar), stored.points())
 
 

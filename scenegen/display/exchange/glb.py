@@ -8,12 +8,11 @@ import trimesh
 
 from lidarsim.grid import Floats
 from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE
+from scenegen.worlds.scene import UPRIGHT
 from scenegen.worlds.world import World
 
 SIDES = 32
 """How many sides round solids have around their axis."""
-UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-"""glTF's y is up; x stays."""
 THICK_M = 0.01
 """How far a plane goes down, metres: it has no thickness of its own."""
 
@@ -25,7 +24,9 @@ def encode_world(world: World) -> bytes:
     colours = (255 * world.model.geom_rgba).astype(np.uint8)
     for n, (mesh, geom) in enumerate(zip(surfaces(world), world.solids.geom, strict=True)):
         mesh.visual.face_colors = colours[geom]
-        scene.add_geometry(mesh, node_name=f"solid {n}", geom_name=f"solid {n}", transform=UPRIGHT)
+        scene.add_geometry(
+            mesh, node_name=f"solid {n}", geom_name=f"solid {n}", transform=UPRIGHT.T
+        )
     return bytes(scene.export(file_type="glb"))
 
 

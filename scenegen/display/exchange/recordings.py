@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lidarsim import Sensor
 from lidarsim.grid import Floats, GridSpec
 from scenegen.display.colours import HEIGHTS, MISSED, SENSOR, colour
+from scenegen.display.exchange import Choices
 from scenegen.display.exchange.files import Together
 from scenegen.display.look import MASKS
 from scenegen.sample import Sample
@@ -45,6 +46,10 @@ class Mcap(Together):
     """
 
     suffix = ".mcap"
+
+    def __init__(self, choices: Choices):
+        super().__init__(choices)
+        import mcap_ros2  # noqa: F401 (where it is missing, nothing is written)
 
     def encode(self, samples: list[tuple[int, Sample]], grid: GridSpec, lidar: Sensor) -> bytes:
         """The content of a file."""
@@ -84,13 +89,10 @@ def write_messages(file: IO[bytes], kinds: Iterable[str], rows: Iterable[Row]) -
     writer.finish()
 
 
-def points_message(points: Floats, header: Any) -> dict[str, Any]:
-    """The values of a PointCloud2 of points (n, 3), as float32, by the names of its fields."""
-    return cloud_message(dict(zip("xyz", points.T.astype(np.float32), strict=True)), header)
-
-
-def cloud_message(columns: Mapping[str, NDArray[Any]], header: Any) -> dict[str, Any]:
-    """A PointCloud2 of values by name, (n,) each, of the types in `POINT_TYPES`."""
+def points_message(points: Floats, header: Any, **more: NDArray[Any]) -> dict[str, Any]:
+    """A PointCloud2 of points (n, 3), as float32, with `more` of each, (n,), of the types in
+    `POINT_TYPES`."""
+    columns = dict(zip("xyz", points.T.astype(np.float32), strict=True), **more)
     dtype = np.dtype([(name, values.dtype.newbyteorder("<")) for name, values in columns.items()])
     rows = np.rec.fromarrays([*columns.values()], dtype)
     fields = [
@@ -164,6 +166,10 @@ class Rerun(Together):
     and a blueprint with `VIEWS`."""
 
     suffix = ".rrd"
+
+    def __init__(self, choices: Choices):
+        super().__init__(choices)
+        rerun()  # where it is missing, nothing is written
 
     def encode(self, samples: list[tuple[int, Sample]], grid: GridSpec, lidar: Sensor) -> bytes:
         """The content of a file."""

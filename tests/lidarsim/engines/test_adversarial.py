@@ -57,10 +57,10 @@ def features(rng, kind, size, count):
         return axes * ball, unit(ball / axes)
     if kind == "box":
         ends[np.arange(count), rng.integers(0, 3, count)] = True
+    if kind in ("box", "plane"):
         share = np.where(ends, sign, rng.uniform(-1, 1, (count, 3)))
-        return share * size, unit(np.where(ends, share * rng.random((count, 3)), 0.0))
-    if kind == "plane":
-        share = np.where(ends, sign, rng.uniform(-1, 1, (count, 3)))
+        if kind == "box":
+            return share * size, unit(np.where(ends, share * rng.random((count, 3)), 0.0))
         return share * [size[0] or 3.0, size[1] or 3.0, 0.0], np.tile([0.0, 0.0, 1.0], (count, 1))
     radius, half = size
     ring, up = unit(ball * [1.0, 1.0, 0.0]), sign[:, :1] * [0.0, 0.0, 1.0]

@@ -40,11 +40,13 @@ def model_of(*geoms):
     )
 
 
+SORTS = [f'type="{shape}" size="{size}"' for shape, size in SIZES.items() if shape != "plane"]
+
+
 def random_model(rng):
     """Two solids of every sort on a lattice with room between them, turned at random."""
     geoms = ['type="plane" size="0 0 1" pos="0 0 -4" euler="4 7 0"']
-    sorts = [f'type="{shape}" size="{size}"' for shape, size in SIZES.items() if shape != "plane"]
-    sorts += ['type="hfield" hfield="h"', 'type="mesh" mesh="m"', 'type="mesh" mesh="n"']
+    sorts = [*SORTS, 'type="hfield" hfield="h"', 'type="mesh" mesh="m"', 'type="mesh" mesh="n"']
     places = [(6.0 * i, 6.0 * j, 0.0) for i in range(4) for j in range(4)]
     for sort, place in zip(sorts * 2, rng.permutation(places), strict=True):
         x, y, z = place + rng.uniform(-0.5, 0.5, 3)

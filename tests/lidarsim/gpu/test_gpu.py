@@ -13,7 +13,7 @@ from lidarsim import AnalyticEngine, GridSpec, Lidar, Pose
 from lidarsim.gpu import WarpEngine
 from lidarsim.pose import rotate
 from lidarsim.solids.model import solids_of
-from tests.lidarsim.engines.test_laws import SIZES, model_of, random_model, random_rays
+from tests.lidarsim.engines.test_laws import SORTS, model_of, random_model, random_rays
 from tests.lidarsim.reference import unit
 
 wp = pytest.importorskip("warp", reason="NVIDIA Warp is not installed: pip install -e '.[gpu]'")
@@ -49,8 +49,7 @@ def test_many_worlds_at_once_give_the_analytic_engines_bits(rng):
 def test_rays_along_the_axes_are_the_analytic_engines():
     """From points level with faces, edges and centres, along all axes: where products of 0 and
     infinity would lurk."""
-    sorts = [f'type="{shape}" size="{size}"' for shape, size in SIZES.items() if shape != "plane"]
-    sorts.append('type="mesh" mesh="n"')
+    sorts = [*SORTS, 'type="mesh" mesh="n"']
     model = model_of(*(f'{sort} pos="{4 * n} 0 0"' for n, sort in enumerate(sorts)))
     steps = np.array([-0.8, -0.6, -0.5, -0.3, 0.0, 0.3, 0.5, 0.7, 0.8])
     around = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -71,7 +71,7 @@ def test_a_file_is_a_sensor_by_name(tmp_path):
     for wrong, told in (
         ({"rays": tmp_path / "fun.npy"}, "rays = 'fun.npy': there is no such file in"),
         ({"rays": tmp_path / "fan.npy", "sha256": "0" * 64}, "is not the file whose sha256 is"),
-        ({"rays": tmp_path / "fan.npy", "made_by": 3}, "printable characters"),
+        ({"rays": tmp_path / "fan.npy", "made_by": "a\n"}, "printable characters"),
     ):
         with pytest.raises(ValueError, match=told):
             BeamTable(**wrong)

@@ -184,6 +184,10 @@ def test_a_stopped_conversion_goes_on(made, tmp_path, monkeypatch):
     for other, choices in ((to, {"label": 70}), ("ply", {})):
         with pytest.raises(DatasetError, match="another command"):
             converted(made, out, other, **choices)
+    monkeypatch.setitem(sys.modules, "mcap_ros2", None)
+    with pytest.raises(ModuleNotFoundError):
+        converted(made, tmp_path / "lost", "mcap")
+    assert not (tmp_path / "lost").exists()
 
 
 def test_what_cannot_be_read_is_named_and_the_rest_is_written(dataset, tmp_path, capsys):

@@ -378,12 +378,13 @@ def test_damaged_logs_end_in_one_line_and_leave_nothing(tmp_path, capsys, file, 
     assert names(tmp_path) <= {"log", "aside"}
 
 
-def test_a_log_without_a_finite_point_or_a_recording_without_data_makes_no_maps(tmp_path, capsys):
+def test_a_log_without_a_point_in_reach_or_a_recording_without_data_makes_no_maps(tmp_path, capsys):
     ingested = f"ingest {tmp_path}/log -o {tmp_path}/out --quiet"
     written(tmp_path / "log")
-    for path in (tmp_path / "log" / "velodyne").iterdir():
-        path.write_bytes(np.full(40, np.nan, "<f4").tobytes())
-    assert "no scan of the log" in refused(capsys, ingested)
+    for value, told in ((1e3, "expected clouds in metres"), (np.nan, "no scan of the log")):
+        for path in (tmp_path / "log" / "velodyne").iterdir():
+            path.write_bytes(np.full(40, value, "<f4").tobytes())
+        assert told in refused(capsys, ingested)
     (tmp_path / "log" / "poses.txt").rename(tmp_path / "log" / "metadata.yaml")
     assert "recording of ROS" in refused(capsys, ingested)
     assert not (tmp_path / "out").exists()
