@@ -13,7 +13,6 @@ import numpy as np
 
 from lidarsim.engines.forms import (
     axes,
-    local,
     meet,
     meet_ball,
     meet_plane,
@@ -23,7 +22,7 @@ from lidarsim.engines.forms import (
 )
 from lidarsim.engines.hierarchy import WAITING, WIDTH
 from lidarsim.jit import kernel
-from lidarsim.solids.shapes import SPHERE
+from lidarsim.solids.shapes import SPHERE, local
 
 SPARE_LENGTH2 = 2e-6
 """How far the squared length of a unit vector may be from 1."""
@@ -301,8 +300,8 @@ def meet_solid(g, shape, size, rotation, sx, sy, sz, x, y, z):
     which is no plane; inf where it is not met."""
     if shape[g] == SPHERE:
         return meet_ball(sx, sy, sz, x, y, z, size[g, 0])
-    px, py, pz = local(rotation, g, sx, sy, sz)
-    dx, dy, dz = local(rotation, g, x, y, z)
+    px, py, pz = local(rotation[g], sx, sy, sz)
+    dx, dy, dz = local(rotation[g], x, y, z)
     return meet(shape[g], size[g, 0], size[g, 1], size[g, 2], px, py, pz, dx, dy, dz)
 
 
@@ -328,7 +327,7 @@ def normals_of(items, points, shape, size, position, rotation, triangles):
         elif g >= 0:
             sx, sy, sz = points[n, 0], points[n, 1], points[n, 2]
             sx, sy, sz = sx - position[g, 0], sy - position[g, 1], sz - position[g, 2]
-            px, py, pz = local(rotation, g, sx, sy, sz)
+            px, py, pz = local(rotation[g], sx, sy, sz)
             x, y, z = normal(shape[g], size[g, 0], size[g, 1], size[g, 2], px, py, pz)
             for axis in range(3):
                 turn = rotation[g, axis]

@@ -7,8 +7,8 @@ from numpy.typing import ArrayLike
 
 from lidarsim.grid import GridSpec, Mask, finite
 from lidarsim.jit import kernel
-from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, Solids
-from scenegen.truth.shapes import distance, local, touches, within
+from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, Solids, local
+from scenegen.truth.shapes import distance, touches, within
 from scenegen.truth.triangles import (
     bounds,
     crossing,

@@ -21,16 +21,6 @@ from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 
 
 @kernel
-def local(axes, x, y, z):
-    """A vector of the world's in the frame of a shape whose rotation is `axes` (3, 3)."""
-    return (
-        axes[0, 0] * x + axes[1, 0] * y + axes[2, 0] * z,
-        axes[0, 1] * x + axes[1, 1] * y + axes[2, 1] * z,
-        axes[0, 2] * x + axes[1, 2] * y + axes[2, 2] * z,
-    )
-
-
-@kernel
 def _along(rows, n, x, y, z):
     """The product of row n with a vector."""
     return rows[n, 0] * x + rows[n, 1] * y + rows[n, 2] * z

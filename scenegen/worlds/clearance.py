@@ -9,8 +9,8 @@ import numpy as np
 from lidarsim.engines.voxels import FREE, UNKNOWN
 from lidarsim.grid import Floats
 from lidarsim.jit import kernel
-from lidarsim.solids.shapes import Solids
-from scenegen.truth.shapes import distance, local
+from lidarsim.solids.shapes import Solids, local
+from scenegen.truth.shapes import distance
 from scenegen.truth.triangles import crossing, joining, triangle_distance
 
 CELL_M = 2.0
