@@ -21,7 +21,7 @@ from lidarsim.sensors.nonrepetitive import Windowed
 from scenegen.draw import scan_world
 from scenegen.errors import GenerationError
 from scenegen.logs import Cruise, LogScan
-from scenegen.worlds.flight import TRIES, Flight, connect, points_of
+from scenegen.worlds.flight import TRIES, Flight, Route, connect, points_of
 from scenegen.worlds.world import AnyWorld
 
 STEPS = 10
@@ -44,16 +44,15 @@ def cruise_poses(world: AnyWorld, cruise: Cruise, period_s: float, *, seed: int)
         GenerationError: No flight fits.
     """
     flight, rng = Flight(), np.random.default_rng(seed)
-    path = _tour(world, flight, cruise.length_m, rng=rng)
-    ends = np.append(0.0, np.cumsum(np.sqrt((np.diff(path, axis=0) ** 2).sum(axis=1))))
+    route = Route(_tour(world, flight, cruise.length_m, rng=rng))
     flown = np.arange(0.0, cruise.length_m, FINE_M)
     reach = round(2 * flight.robot_radius_m / FINE_M)
     weights = 1.0 - abs(np.arange(-reach, reach + 1)) / reach
     weights /= weights.sum()
     curve = np.stack(
         [
-            np.convolve(np.pad(np.interp(flown, ends, axis), reach, "edge"), weights, "valid")
-            for axis in path.T
+            np.convolve(np.pad(np.interp(flown, route.ends, axis), reach, "edge"), weights, "valid")
+            for axis in route.path.T
         ],
         axis=1,
     )
