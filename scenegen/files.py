@@ -3,6 +3,7 @@ all."""
 
 import errno
 import hashlib
+import json
 import os
 import re
 import secrets
@@ -315,6 +316,23 @@ def names_in(folder: Path) -> dict[str, Version]:
             names.pop(part)
             names |= dict.fromkeys(within)
     return names
+
+
+def claimed(folder: Path, name: str, about: Json, what: str) -> Mapping[str, Version]:
+    """What is in a folder that is to be filled, or was begun to be, made where it is not: nothing,
+    or what its file `name` says is `about` the same. Raises DatasetError where it holds anything
+    else; `what` it would then be, beside files of others."""
+    content = json.dumps(about, indent=1).encode()
+    with disk_told(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        remove_drafts(folder)
+        # listed first: what another process begins meanwhile, it begins with that file
+        there = names_in(folder)
+    if all(one.endswith(".tmp") for one in there):
+        write_whole(folder / name, content)
+    elif name not in there or (folder / name).read_bytes() != content:
+        raise DatasetError(f"{folder}: holds other files, or {what}; give another -o")
+    return there
 
 
 def remove_drafts(folder: Path, target: str | None = None) -> None:

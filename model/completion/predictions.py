@@ -1,8 +1,7 @@
 """Completions of a whole split of a dataset, in a folder of files."""
 
 import io
-import json
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -18,17 +17,7 @@ from scenegen.dataset.read import Dataset, Split
 from scenegen.dataset.rules import stem_of
 from scenegen.dataset.shard import compress
 from scenegen.errors import DatasetError, empty_split, printable, raised_as
-from scenegen.files import (
-    Json,
-    disk_told,
-    make_parent,
-    names_in,
-    read_bounded,
-    remove_drafts,
-    whole,
-    write_whole,
-)
-from scenegen.limits import MOST_HEADER_BYTES
+from scenegen.files import Json, claimed, make_parent, whole
 from scenegen.model.calibration import RISK
 from scenegen.model.completion.completer import Completer, locate, opened_once
 from scenegen.model.completion.protocol import PARTS, SURE
@@ -69,7 +58,10 @@ def predict_split(
     if not (count := len(samples)):
         raise DatasetError(f"{folder}: {empty_split(split)}, or give another --split")
     about = {"dataset": dataset.manifest.digest, "split": split, "method": completer.name}
-    there = _begun(out, completer, about)
+    weights = file_sha256(locate(completer.opened[0]))
+    held = {**about, "weights": weights, "samples": PART}
+    what = "predictions of another dataset, split or network"
+    there = claimed(out, PREDICTIONS, held, what)
     parts = [
         (f"{stem_of(split, first // PART)}.h5", range(count)[first : first + PART])
         for first in range(0, count, PART)
@@ -81,25 +73,6 @@ def predict_split(
     work, total = partial(_write, asked, samples, about, out), sum(len(n) for _, n in tasks)
     several = counted(execute, progress, work, tasks, "complete", total)
     return [far for some in several for far in some if far is not None]
-
-
-def _begun(out: Path, completer: Completer, about: Mapping[str, Any]) -> Container[str]:
-    """What is in the folder `out`, made where it is not: nothing, or predictions that are `about`
-    the same by the same network. Raises DatasetError where it is anything else."""
-    weights = file_sha256(locate(completer.opened[0]))
-    content = json.dumps({**about, "weights": weights, "samples": PART}, indent=1).encode()
-    with disk_told(out):
-        out.mkdir(parents=True, exist_ok=True)
-        remove_drafts(out)
-        there = names_in(out)
-    if all(name.endswith(".tmp") for name in there):
-        write_whole(out / PREDICTIONS, content)
-    elif PREDICTIONS not in there or read_bounded(out / PREDICTIONS, MOST_HEADER_BYTES) != content:
-        raise DatasetError(
-            f"{out}: holds other files, or predictions of another dataset, split or network; give "
-            "another -o"
-        )
-    return there
 
 
 def _write(

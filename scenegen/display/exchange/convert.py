@@ -2,7 +2,6 @@
 where it was."""
 
 import dataclasses
-import json
 from collections.abc import Sequence
 from contextlib import closing
 from copy import copy
@@ -14,7 +13,7 @@ from typing import Any
 from scenegen.dataset.read import Dataset, Rows
 from scenegen.display.exchange import FORMATS, Choices
 from scenegen.errors import DatasetError, printable, raised_as
-from scenegen.files import make_parent, remove_drafts, write_whole
+from scenegen.files import claimed, make_parent, remove_drafts, write_whole
 from scenegen.run import Counted, Executor, unheard
 from scenegen.run.workers import ALONE
 from scenegen.sample import Sample
@@ -70,7 +69,15 @@ def convert(
     with raised_as(DatasetError):
         kind = FORMATS.find(to)
     form = kind(choices)
-    _claim(dataset, out, to, choices)
+    manifest = dataset.manifest
+    about = {
+        "format": to,
+        "choices": dataclasses.asdict(choices),
+        "dataset": manifest.fingerprint,
+        "digest": manifest.digest or [shard.sha256 for shard in manifest.shards],
+        "grid": manifest.parameters["grid"],
+    }
+    claimed(out, STATE, about, "another conversion")
     each = getattr(form, "together", None) or CHUNK
     whole = [
         Rows(split, numbers[first : first + each])
@@ -135,27 +142,3 @@ def _write(dataset: Dataset, out: Path, form: Any, rows: Rows) -> tuple[Rows, in
         if not lines:
             left_out.unlink(missing_ok=True)
     return rows, there, broken
-
-
-def _claim(dataset: Dataset, out: Path, to: str, choices: Choices) -> None:
-    """Says in `out` what it holds. Raises DatasetError where it holds something else."""
-    manifest = dataset.manifest
-    about = {
-        "format": to,
-        "choices": dataclasses.asdict(choices),
-        "dataset": manifest.fingerprint,
-        "digest": manifest.digest or [shard.sha256 for shard in manifest.shards],
-        "grid": manifest.parameters["grid"],
-    }
-    content = json.dumps(about, indent=1).encode()
-    state = out / STATE
-    # listed first: what another rank begins meanwhile, it begins with the state
-    there = list(out.iterdir()) if out.is_dir() else [out] if out.exists() else []
-    if state.exists():
-        if state.read_bytes() == content:
-            return
-        raise DatasetError(f"{out}: holds another conversion; choose another folder")
-    if any(path.suffix != ".tmp" for path in there):
-        raise DatasetError(f"{out}: is there, and no conversion of ours; choose another folder")
-    make_parent(state)
-    write_whole(state, content)
