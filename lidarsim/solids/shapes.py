@@ -55,6 +55,12 @@ class Solids:
 
 
 @kernel
+def joining(one, other):
+    """The vector from one point to another."""
+    return other[0] - one[0], other[1] - one[1], other[2] - one[2]
+
+
+@kernel
 def local(axes, x, y, z):
     """A vector of the world's in the frame of a shape whose rotation is `axes` (3, 3)."""
     return (
@@ -70,7 +76,7 @@ def bounding_boxes(shape, size, position, rotation):
     lower, upper = np.empty_like(position), np.empty_like(position)
     for n in range(len(shape)):
         for a in range(3):
-            u, v, w = rotation[n, a, 0], rotation[n, a, 1], rotation[n, a, 2]
+            u, v, w = rotation[n, a]
             reach = np.inf
             if shape[n] == SPHERE:
                 reach = size[n, 0]

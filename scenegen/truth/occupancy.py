@@ -204,7 +204,7 @@ def _fill_surface(triangles, origin, voxel_m, occupancy):
     corners = np.empty((3, 3))
     across, up_x, up_y = np.empty((3, 4, max(occupancy.shape)))
     for n in range(len(triangles)):
-        a, b, c = triangles[n, 0], triangles[n, 1], triangles[n, 2]
+        a, b, c = triangles[n]
         i0, i1, j0, j1, k0, k1 = _spans_of(a, b, c, origin, voxel_m, occupancy.shape)
         if i0 >= i1 or j0 >= j1 or k0 >= k1:
             continue
@@ -264,7 +264,7 @@ def inside_columns(triangles, origin, voxel_m, occupancy):
     first = np.full((i_high - i_low, j_high - j_low), nz, np.int32)
     corners, across = np.empty((3, 3)), np.empty((4, nx))
     for n in range(len(triangles)):
-        a, b, c = triangles[n, 0], triangles[n, 1], triangles[n, 2]
+        a, b, c = triangles[n]
         i0, i1, j0, j1, _, _ = _spans_of(a, b, c, origin, voxel_m, occupancy.shape)
         if i0 >= i1 or j0 >= j1:
             continue

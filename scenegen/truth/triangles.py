@@ -4,6 +4,7 @@ crosses one. A GPU runs the first and `crossing`, too (`lidarsim.gpu.translate`)
 import math
 
 from lidarsim.jit import kernel
+from lidarsim.solids.shapes import joining
 
 
 @kernel
@@ -119,12 +120,6 @@ def bounds(corners, p, q, first, end, half, slack, spare, noise, found):
             found[1, n] = max(found[1, n], (least + doubt) * pace)
             found[2, n] = min(found[2, n], (most - doubt) * pace)
             found[3, n] = min(found[3, n], (most + doubt) * pace)
-
-
-@kernel
-def joining(one, other):
-    """The vector from one point to another."""
-    return other[0] - one[0], other[1] - one[1], other[2] - one[2]
 
 
 @kernel

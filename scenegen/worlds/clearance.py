@@ -9,9 +9,9 @@ import numpy as np
 from lidarsim.engines.voxels import FREE, UNKNOWN
 from lidarsim.grid import Floats
 from lidarsim.jit import kernel
-from lidarsim.solids.shapes import Solids, local
+from lidarsim.solids.shapes import Solids, joining, local
 from scenegen.truth.shapes import distance
-from scenegen.truth.triangles import crossing, joining, triangle_distance
+from scenegen.truth.triangles import crossing, triangle_distance
 
 CELL_M = 2.0
 """Edge of the square cells, seen from above, into which solids are sorted."""

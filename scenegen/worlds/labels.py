@@ -184,7 +184,7 @@ def _claim_primitives(forms, boxes, geoms, origin, voxel_m, nearest, owner):
 def _claim_triangles(triangles, geom, reach, origin, voxel_m, nearest, owner):
     """Claim the voxels near triangles (T, 3, 3) by the distances of their centres."""
     for n in range(len(triangles)):
-        a, b, c = triangles[n, 0], triangles[n, 1], triangles[n, 2]
+        a, b, c = triangles[n]
         low = np.minimum(np.minimum(a, b), c) - reach
         high = np.maximum(np.maximum(a, b), c) + reach
         i0, i1, j0, j1, k0, k1 = spans(low, high, origin, voxel_m, nearest.shape)

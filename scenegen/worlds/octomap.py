@@ -92,7 +92,7 @@ def _fill(data, states_alone, bounds, states):
     left, at, length = 1, 0, 2 if states_alone else 5
     while left > 0:
         left -= 1
-        x, y, z, size = waiting[left, 0], waiting[left, 1], waiting[left, 2], waiting[left, 3]
+        x, y, z, size = waiting[left]
         if at + length > len(data):
             return 1
         bits = np.int64(data[at]) | np.int64(data[at + 1]) << 8
