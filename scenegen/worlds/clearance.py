@@ -137,8 +137,7 @@ def _from_solids(
     for at in range(start[cell], start[cell + 1]):
         n = item[at]
         if n < len(shape):
-            at_n = position[n]
-            dx, dy, dz = local(rotation[n], x - at_n[0], y - at_n[1], z - at_n[2])
+            dx, dy, dz = local(rotation[n], *joining(position[n], (x, y, z)))
             nearest = min(nearest, distance(shape[n], size[n], dx, dy, dz))
         else:
             t = triangles[n - len(shape)]
