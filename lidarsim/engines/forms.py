@@ -11,7 +11,7 @@ import numpy as np
 
 from lidarsim.grid import Floats, Ints
 from lidarsim.jit import kernel
-from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE
+from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE, SPHERE, local
 
 
 @kernel
@@ -41,21 +41,11 @@ def meet(shape, a, b, c, px, py, pz, dx, dy, dz):
 
 
 @kernel
-def local(rotation, g, x, y, z):
-    """A vector of the world along the axes of primitive g."""
-    return (
-        rotation[g, 0, 0] * x + rotation[g, 1, 0] * y + rotation[g, 2, 0] * z,
-        rotation[g, 0, 1] * x + rotation[g, 1, 1] * y + rotation[g, 2, 1] * z,
-        rotation[g, 0, 2] * x + rotation[g, 1, 2] * y + rotation[g, 2, 2] * z,
-    )
-
-
-@kernel
 def meet_plane(g, size, rotation, sx, sy, sz, x, y, z):
     """Distance from s, seen from its centre, along the unit vector (x, y, z) to the plane g, seen
     from above and within its half sizes, where these are not 0."""
-    px, py, above = local(rotation, g, sx, sy, sz)
-    dx, dy, rising = local(rotation, g, x, y, z)
+    px, py, above = local(rotation[g], sx, sy, sz)
+    dx, dy, rising = local(rotation[g], x, y, z)
     if above < 0.0 or rising >= 0.0:
         return math.inf
     t = -above / rising

@@ -57,8 +57,7 @@ class Hierarchy:
         links, ends = np.zeros((2, most, WIDTH), np.uint64)
         order = np.arange(len(lower), dtype=np.uint64)
         centre, bins = 0.5 * (lower + upper), np.empty((BINS + 1, 8))
-        waiting = np.empty((WAITING, 4), np.int64)
-        nodes = _build(lower, upper, centre, order, boxes, links, ends, waiting, bins)
+        nodes = _build(lower, upper, centre, order, boxes, links, ends, bins)
         return cls(boxes[:nodes].copy(), links[:nodes].copy(), ends[:nodes].copy(), order)
 
     def refit(self, lower: Floats, upper: Floats) -> None:
@@ -68,18 +67,15 @@ class Hierarchy:
 
 
 @kernel
-def _build(lower, upper, centre, order, boxes, links, ends, waiting, bins):
+def _build(lower, upper, centre, order, boxes, links, ends, bins):
     """Fill boxes, links, ends and order from the root down; how many nodes there are.
 
-    `waiting` holds, of each group, where it begins and ends in `order`, its node and its level. All
-    arrays are made before: numba takes a second to compile what makes them.
+    Arrays are made before: numba takes a second to compile what makes them.
     """
-    waiting[0, 0], waiting[0, 1], waiting[0, 2], waiting[0, 3] = 0, len(order), 0, 0
-    left = nodes = min(len(order), 1)
-    while left > 0:
-        left -= 1
-        begin, end = waiting[left, 0], waiting[left, 1]
-        node, level = waiting[left, 2], waiting[left, 3]
+    # of each group, where it begins and ends in `order`, its node and its level
+    waiting, nodes = [(0, len(order), 0, 0)], min(len(order), 1)
+    while len(waiting) > 0:
+        begin, end, node, level = waiting.pop()
         middle = _cut(lower, upper, centre, order, begin, end, level, bins)
         quarter = _cut(lower, upper, centre, order, begin, middle, level, bins)
         last = _cut(lower, upper, centre, order, middle, end, level, bins)
@@ -93,9 +89,8 @@ def _build(lower, upper, centre, order, boxes, links, ends, waiting, bins):
                 links[node, k], ends[node, k] = begin, end
                 continue
             links[node, k] = nodes
-            waiting[left, 0], waiting[left, 1] = begin, end
-            waiting[left, 2], waiting[left, 3] = nodes, level + 1
-            left, nodes = left + 1, nodes + 1
+            waiting.append((begin, end, nodes, level + 1))
+            nodes += 1
     return nodes
 
 

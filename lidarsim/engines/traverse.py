@@ -13,7 +13,6 @@ import numpy as np
 
 from lidarsim.engines.forms import (
     axes,
-    local,
     meet,
     meet_ball,
     meet_plane,
@@ -23,7 +22,7 @@ from lidarsim.engines.forms import (
 )
 from lidarsim.engines.hierarchy import WAITING, WIDTH
 from lidarsim.jit import kernel
-from lidarsim.solids.shapes import SPHERE
+from lidarsim.solids.shapes import SPHERE, joining, local
 
 SPARE_LENGTH2 = 2e-6
 """How far the squared length of a unit vector may be from 1."""
@@ -111,7 +110,7 @@ def traverse(
                     if own >= 0 and part[g] == own:
                         continue
                     x, y, z = ray[0, i], ray[1, i], ray[2, i]
-                    sx, sy, sz = ox - position[g, 0], oy - position[g, 1], oz - position[g, 2]
+                    sx, sy, sz = joining(position[g], origin)
                     t = meet_plane(g, size, rotation, sx, sy, sz, x, y, z)
                     if _nearer(t, g, best[i], item[i]):
                         best[i], item[i] = t, g
@@ -301,8 +300,8 @@ def meet_solid(g, shape, size, rotation, sx, sy, sz, x, y, z):
     which is no plane; inf where it is not met."""
     if shape[g] == SPHERE:
         return meet_ball(sx, sy, sz, x, y, z, size[g, 0])
-    px, py, pz = local(rotation, g, sx, sy, sz)
-    dx, dy, dz = local(rotation, g, x, y, z)
+    px, py, pz = local(rotation[g], sx, sy, sz)
+    dx, dy, dz = local(rotation[g], x, y, z)
     return meet(shape[g], size[g, 0], size[g, 1], size[g, 2], px, py, pz, dx, dy, dz)
 
 
@@ -320,15 +319,14 @@ def normals_of(items, points, shape, size, position, rotation, triangles):
         g = items[n]
         if g >= len(shape):
             a, b, c = triangles[g - len(shape)]
-            ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-            vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+            ux, uy, uz = joining(a, b)
+            vx, vy, vz = joining(a, c)
             x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
             length = math.sqrt(x * x + y * y + z * z)
             normals[n, 0], normals[n, 1], normals[n, 2] = x / length, y / length, z / length
         elif g >= 0:
-            sx, sy, sz = points[n, 0], points[n, 1], points[n, 2]
-            sx, sy, sz = sx - position[g, 0], sy - position[g, 1], sz - position[g, 2]
-            px, py, pz = local(rotation, g, sx, sy, sz)
+            sx, sy, sz = joining(position[g], points[n])
+            px, py, pz = local(rotation[g], sx, sy, sz)
             x, y, z = normal(shape[g], size[g, 0], size[g, 1], size[g, 2], px, py, pz)
             for axis in range(3):
                 turn = rotation[g, axis]

@@ -129,7 +129,7 @@ def _cast(
                 if left_out:
                     continue
                 unknown[p, n] = 0.0
-                x, y, z = directions[p, n, 0], directions[p, n, 1], directions[p, n, 2]
+                x, y, z = directions[p, n]
                 length2 = x * x + y * y + z * z
                 if abs(length2 - 1.0) <= 2e-6:  # as `Engine.cast` has it; not where it is NaN
                     length = math.sqrt(length2)

@@ -55,12 +55,28 @@ class Solids:
 
 
 @kernel
+def joining(one, other):
+    """The vector from one point to another."""
+    return other[0] - one[0], other[1] - one[1], other[2] - one[2]
+
+
+@kernel
+def local(axes, x, y, z):
+    """A vector of the world's in the frame of a shape whose rotation is `axes` (3, 3)."""
+    return (
+        axes[0, 0] * x + axes[1, 0] * y + axes[2, 0] * z,
+        axes[0, 1] * x + axes[1, 1] * y + axes[2, 1] * z,
+        axes[0, 2] * x + axes[1, 2] * y + axes[2, 2] * z,
+    )
+
+
+@kernel
 def bounding_boxes(shape, size, position, rotation):
     """Axis-aligned bounding boxes (n, 3), (n, 3)."""
     lower, upper = np.empty_like(position), np.empty_like(position)
     for n in range(len(shape)):
         for a in range(3):
-            u, v, w = rotation[n, a, 0], rotation[n, a, 1], rotation[n, a, 2]
+            u, v, w = rotation[n, a]
             reach = np.inf
             if shape[n] == SPHERE:
                 reach = size[n, 0]

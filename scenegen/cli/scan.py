@@ -249,9 +249,8 @@ def _write_log(
         import mcap_ros2  # noqa: F401 (what is missing is said before a minute of scans)
     period = period_s(sensor)
     poses = cruise_poses(world, cruise, period, seed=seed)
-    caster = world.caster(factory)
     scans = record(
-        world, caster, sensor, poses, chain, seed=seed, moving=moving, corrected=corrected
+        world, factory, sensor, poses, chain, seed=seed, moving=moving, corrected=corrected
     )
     with Progress("scan", shown=talk) as progress:
         progress.start(len(poses))

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lidarsim import AnalyticEngine, Pose, Sensor
+from lidarsim import Pose, Sensor
 from lidarsim.noise.chain import Noise
 from lidarsim.parameters import check
 from lidarsim.sensors import RASTER
@@ -104,7 +104,6 @@ class Course:
         """Mission `number`, about to begin."""
         return Simulation(
             self.simulated,
-            self.simulated.caster(AnalyticEngine.of),
             self.missions[number],
             sensor=self.sensor,
             vehicle=self.vehicle,

@@ -8,13 +8,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lidarsim import Sensor, cast
-from lidarsim.engines import Caster
+from lidarsim import Sensor
 from lidarsim.grid import Floats
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.losses import Motion
 from lidarsim.pose import rotate
-from scenegen.draw import observed
+from scenegen.draw import scan_world
 from scenegen.fly import PERIOD_S, Rules, Vehicle
 from scenegen.fly.missions import Mission
 from scenegen.fly.motion import (
@@ -53,8 +52,6 @@ class Simulation:
     """
 
     world: AnyWorld
-    caster: Caster
-    """See `record` for this one, `noise` and `moving`."""
     mission: Mission
     _: KW_ONLY
     sensor: Sensor
@@ -62,6 +59,7 @@ class Simulation:
     rules: Rules
     noise: Noise = field(default_factory=Noise)
     moving: bool = False
+    """See `scenegen.logs.record.record` for this one and `noise`."""
     seed: int = 0
     """What the noise is drawn by."""
 
@@ -123,9 +121,7 @@ class Simulation:
                 forward_mps=forward, left_mps=left, up_mps=up, yaw_rate_deg_s=turning
             )
             chain = Noise((pace, *chain.stages))
-        scan = cast(self.caster, self.sensor, pose)
-        rng = np.random.default_rng([self.seed, self.periods])
-        seen = observed(scan, chain, self.world.albedo, self.caster, rng)
+        seen = scan_world(self.world, self.sensor, pose, chain, seed=[self.seed, self.periods])
         ranges = seen.ranges[0].astype(np.float32)
         self._seen = ranges.tobytes()
         hit = np.isfinite(ranges)

@@ -10,18 +10,18 @@ from typing import Any
 import numpy as np
 from ompl import geometric as og
 
-from lidarsim import Pose, Sensor, cast
-from lidarsim.engines import Caster
+from lidarsim import Pose, Sensor
+from lidarsim.engines import EngineFactory
 from lidarsim.grid import Floats
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.losses import Motion
 from lidarsim.pose import rotate
 from lidarsim.scan import mounted
 from lidarsim.sensors.nonrepetitive import Windowed
-from scenegen.draw import observed
+from scenegen.draw import scan_world
 from scenegen.errors import GenerationError
 from scenegen.logs import Cruise, LogScan
-from scenegen.worlds.flight import TRIES, Flight, connect, points_of
+from scenegen.worlds.flight import TRIES, Flight, Route, connect, points_of
 from scenegen.worlds.world import AnyWorld
 
 STEPS = 10
@@ -44,16 +44,15 @@ def cruise_poses(world: AnyWorld, cruise: Cruise, period_s: float, *, seed: int)
         GenerationError: No flight fits.
     """
     flight, rng = Flight(), np.random.default_rng(seed)
-    path = _tour(world, flight, cruise.length_m, rng=rng)
-    ends = np.append(0.0, np.cumsum(np.sqrt((np.diff(path, axis=0) ** 2).sum(axis=1))))
+    route = Route(_tour(world, flight, cruise.length_m, rng=rng))
     flown = np.arange(0.0, cruise.length_m, FINE_M)
     reach = round(2 * flight.robot_radius_m / FINE_M)
     weights = 1.0 - abs(np.arange(-reach, reach + 1)) / reach
     weights /= weights.sum()
     curve = np.stack(
         [
-            np.convolve(np.pad(np.interp(flown, ends, axis), reach, "edge"), weights, "valid")
-            for axis in path.T
+            np.convolve(np.pad(np.interp(flown, route.ends, axis), reach, "edge"), weights, "valid")
+            for axis in route.path.T
         ],
         axis=1,
     )
@@ -133,7 +132,7 @@ def period_s(sensor: Sensor) -> float:
 
 def record(
     world: AnyWorld,
-    caster: Caster,
+    engine: EngineFactory,
     sensor: Sensor,
     poses: Sequence[Pose],
     noise: Noise,
@@ -146,7 +145,7 @@ def record(
 
     Args:
         world: The world.
-        caster: What casts rays in it.
+        engine: What makes what casts rays in it.
         sensor: The sensor.
         poses: The body's, level, one `period_s` after the other.
         noise: What becomes of the clean ranges.
@@ -170,9 +169,8 @@ def record(
             here, there = (mounted(sensor, poses[n]) for n in (first, first + 1))
             pace = _pace(here, there, every, corrected)
             chain = Noise((pace, *noise.stages))
-        rng = np.random.default_rng([seed, number])
-        scan = cast(caster, sensor, pose)
-        seen, at = observed(scan, chain, world.albedo, caster, rng), scan.pose
+        seen = scan_world(world, sensor, pose, chain, seed=[seed, number], engine=engine)
+        at = mounted(sensor, pose)
         points = np.concatenate([seen.points(echo) for echo in range(len(seen.ranges))])
         hit = np.isfinite(seen.ranges)
         times = np.broadcast_to(sensor.times_s * moving, hit.shape)

@@ -7,8 +7,8 @@ from numpy.typing import ArrayLike
 
 from lidarsim.grid import GridSpec, Mask, finite
 from lidarsim.jit import kernel
-from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, Solids
-from scenegen.truth.shapes import distance, local, touches, within
+from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, Solids, local
+from scenegen.truth.shapes import distance, moved, touches, within
 from scenegen.truth.triangles import (
     bounds,
     crossing,
@@ -102,8 +102,7 @@ def _fill_primitives(
                         column[k] = True
                     elif not column[k]:
                         h = origin[2] + (k + 0.5) * voxel_m - position[n, 2]
-                        x, y, z = local(axes, dx, dy, h)
-                        deep = within(kind, sizes, axes, x, y, z, half, deepest)
+                        deep = within(kind, sizes, axes, local(axes, dx, dy, h), half, deepest)
                         column[k] = not deep
 
 
@@ -136,6 +135,7 @@ def touched(shape, size, axes, dx, dy, dz, voxel_m, count):
     half, most = 0.5 * voxel_m, float(count)
     outer = half * math.sqrt(3.0) + SLACK_M
     x, y, z = local(axes, dx, dy, 0.0)
+    foot = (x, y, z)
     h0, h1, sure0, sure1 = -math.inf, math.inf, math.inf, -math.inf
     if shape == ELLIPSOID:
         a, b, c = size[0], size[1], size[2]
@@ -155,12 +155,12 @@ def touched(shape, size, axes, dx, dy, dz, voxel_m, count):
         step = 1
         meets = h >= sure0 and h <= sure1
         if not meets:
-            px, py, pz = x + axes[2, 0] * h, y + axes[2, 1] * h, z + axes[2, 2] * h
-            gap = distance(shape, size, px, py, pz)
+            at_h = moved(foot, axes, 2, h)
+            gap = distance(shape, size, at_h[0], at_h[1], at_h[2])
             if gap > outer:
                 step = max(int(min((gap - outer) / voxel_m, most)), 1)
             else:
-                meets = gap <= half or touches(shape, size, axes, px, py, pz, half, SLACK_M)
+                meets = gap <= half or touches(shape, size, axes, at_h, half, SLACK_M)
         if meets:
             if found == 1:
                 break
@@ -204,7 +204,7 @@ def _fill_surface(triangles, origin, voxel_m, occupancy):
     corners = np.empty((3, 3))
     across, up_x, up_y = np.empty((3, 4, max(occupancy.shape)))
     for n in range(len(triangles)):
-        a, b, c = triangles[n, 0], triangles[n, 1], triangles[n, 2]
+        a, b, c = triangles[n]
         i0, i1, j0, j1, k0, k1 = _spans_of(a, b, c, origin, voxel_m, occupancy.shape)
         if i0 >= i1 or j0 >= j1 or k0 >= k1:
             continue
@@ -264,7 +264,7 @@ def inside_columns(triangles, origin, voxel_m, occupancy):
     first = np.full((i_high - i_low, j_high - j_low), nz, np.int32)
     corners, across = np.empty((3, 3)), np.empty((4, nx))
     for n in range(len(triangles)):
-        a, b, c = triangles[n, 0], triangles[n, 1], triangles[n, 2]
+        a, b, c = triangles[n]
         i0, i1, j0, j1, _, _ = _spans_of(a, b, c, origin, voxel_m, occupancy.shape)
         if i0 >= i1 or j0 >= j1:
             continue

@@ -21,25 +21,23 @@ from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 
 
 @kernel
-def local(axes, x, y, z):
-    """A vector of the world's in the frame of a shape whose rotation is `axes` (3, 3)."""
-    return (
-        axes[0, 0] * x + axes[1, 0] * y + axes[2, 0] * z,
-        axes[0, 1] * x + axes[1, 1] * y + axes[2, 1] * z,
-        axes[0, 2] * x + axes[1, 2] * y + axes[2, 2] * z,
-    )
-
-
-@kernel
-def _along(rows, n, x, y, z):
+def _along(rows, n, v):
     """The product of row n with a vector."""
-    return rows[n, 0] * x + rows[n, 1] * y + rows[n, 2] * z
+    return rows[n, 0] * v[0] + rows[n, 1] * v[1] + rows[n, 2] * v[2]
 
 
 @kernel
-def _moved(x, y, z, rows, n, t):
+def _square(v):
+    """A vector's squared length."""
+    return v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+
+
+@kernel
+def moved(point, rows, n, t):
     """A point moved by `t` times row n."""
-    return x + t * rows[n, 0], y + t * rows[n, 1], z + t * rows[n, 2]
+    # of a tuple with a name, Warp makes a vector
+    there = (point[0] + t * rows[n, 0], point[1] + t * rows[n, 1], point[2] + t * rows[n, 2])
+    return there
 
 
 @kernel
@@ -81,36 +79,36 @@ def _ellipsoid_distance(size, x, y, z):
 
 
 @kernel
-def touches(shape, size, axes, x, y, z, half, slack):
-    """Whether the closed cube about (x, y, z) comes within `slack` metres of the filled shape,
-    whose bounding box it touches."""
+def touches(shape, size, axes, centre, half, slack):
+    """Whether the closed cube about the point `centre` comes within `slack` metres of the filled
+    shape, whose bounding box it touches."""
     reach = size[0] + slack
     if shape == SPHERE:
-        return _point_to_cube2(axes, x, y, z, half) <= reach * reach
+        return _point_to_cube2(axes, centre, half) <= reach * reach
     if shape == CAPSULE:
-        return _segment_to_cube2(axes, x, y, z, size[1], half) <= reach * reach
+        return _segment_to_cube2(axes, centre, size[1], half) <= reach * reach
     if shape == CYLINDER:
-        return _cylinder_touches(reach, size[1] + slack, axes, x, y, z, half)
+        return _cylinder_touches(reach, size[1] + slack, axes, centre, half)
     if shape == BOX:
-        return _box_touches(size, axes, x, y, z, half, slack)
+        return _box_touches(size, axes, centre, half, slack)
     if shape == ELLIPSOID:
-        return _ellipsoid_touches(size, axes, x, y, z, half, slack)
-    return z - half * (abs(axes[0, 2]) + abs(axes[1, 2]) + abs(axes[2, 2])) <= slack
+        return _ellipsoid_touches(size, axes, centre, half, slack)
+    return centre[2] - half * (abs(axes[0, 2]) + abs(axes[1, 2]) + abs(axes[2, 2])) <= slack
 
 
 @kernel
-def within(shape, size, axes, x, y, z, half, slack):
-    """Whether the closed cube about (x, y, z) lies in the shape, farther than `slack` metres from
-    its surface.
+def within(shape, size, axes, centre, half, slack):
+    """Whether the closed cube about the point `centre` lies in the shape, farther than `slack`
+    metres from its surface.
 
     The shapes are convex, and so is what lies that deep in them: the cube's corners decide.
     """
     for i in (-half, half):
-        fx, fy, fz = _moved(x, y, z, axes, 0, i)
+        face = moved(centre, axes, 0, i)
         for j in (-half, half):
-            ex, ey, ez = _moved(fx, fy, fz, axes, 1, j)
+            edge = moved(face, axes, 1, j)
             for k in (-half, half):
-                u, v, w = _moved(ex, ey, ez, axes, 2, k)
+                u, v, w = moved(edge, axes, 2, k)
                 if not _is_deep(shape, size, u, v, w, slack):
                     return False
     return True
@@ -135,17 +133,17 @@ def _is_deep(shape, size, x, y, z, slack):
 
 
 @kernel
-def _point_to_cube2(axes, x, y, z, half):
+def _point_to_cube2(axes, centre, half):
     """Squared distance from the frame's origin to the cube."""
     total = 0.0
     for a in range(3):
-        gap = max(abs(_along(axes, a, x, y, z)) - half, 0.0)
+        gap = max(abs(_along(axes, a, centre)) - half, 0.0)
         total += gap * gap
     return total
 
 
 @kernel
-def _segment_to_cube2(axes, x, y, z, reach, half):
+def _segment_to_cube2(axes, centre, reach, half):
     """Squared distance from the segment |z| <= reach of the frame's z axis to the cube.
 
     Along the segment the squared distance is convex and piecewise quadratic; its derivative is
@@ -153,34 +151,35 @@ def _segment_to_cube2(axes, x, y, z, reach, half):
     derivative's root are found, then the root.
     """
     low, high = -reach, reach
-    slope_low = _segment_slope(axes, x, y, z, low, half)
-    slope_high = _segment_slope(axes, x, y, z, high, half)
+    slope_low = _segment_slope(axes, centre, low, half)
+    slope_high = _segment_slope(axes, centre, high, half)
     if slope_low >= 0.0:
-        return _point_to_cube2(axes, x, y, z - low, half)
-    if slope_high <= 0.0:
-        return _point_to_cube2(axes, x, y, z - high, half)
+        high = low
+    elif slope_high <= 0.0:
+        low = high
     for a in range(3):
-        if axes[a, 2] != 0.0:
-            centre = _along(axes, a, x, y, z)
+        if low < high and axes[a, 2] != 0.0:
+            middle = _along(axes, a, centre)
             for side in (-half, half):
-                t = (centre + side) / axes[a, 2]
+                t = (middle + side) / axes[a, 2]
                 if low < t < high:
-                    slope = _segment_slope(axes, x, y, z, t, half)
+                    slope = _segment_slope(axes, centre, t, half)
                     if slope <= 0.0:
                         low, slope_low = t, slope
                     else:
                         high, slope_high = t, slope
     if slope_high > slope_low:
         low -= slope_low * (high - low) / (slope_high - slope_low)
-    return _point_to_cube2(axes, x, y, z - low, half)
+    nearest = (centre[0], centre[1], centre[2] - low)
+    return _point_to_cube2(axes, nearest, half)
 
 
 @kernel
-def _segment_slope(axes, x, y, z, t, half):
+def _segment_slope(axes, centre, t, half):
     """Half the derivative by t of the squared distance from the point (0, 0, t) to the cube."""
     total = 0.0
     for a in range(3):
-        offset = axes[a, 2] * t - _along(axes, a, x, y, z)
+        offset = axes[a, 2] * t - _along(axes, a, centre)
         if offset > half:
             total += (offset - half) * axes[a, 2]
         elif offset < -half:
@@ -189,10 +188,9 @@ def _segment_slope(axes, x, y, z, t, half):
 
 
 @kernel
-def _box_touches(size, axes, x, y, z, half, slack):
+def _box_touches(size, axes, centre, half, slack):
     """Separating axes (Gottschalk 1996): the box's 3 faces and the 9 products of both's edges. The
     cube's faces part it from no box whose bounding box it touches."""
-    centre = (x, y, z)
     for b in range(3):
         if (
             abs(centre[b])
@@ -217,62 +215,56 @@ def _box_touches(size, axes, x, y, z, half, slack):
 
 
 @kernel
-def _ellipsoid_touches(size, axes, x, y, z, half, slack):
+def _ellipsoid_touches(size, axes, centre, half, slack):
     """Scaled by its semi-axes the ellipsoid is the unit ball and the cube a parallelepiped, whose
     point nearest to the centre is found among the interiors of its faces and edges. There, the gap
     is at least (f - 1) / |grad f| with f the scaled length (f is convex), and equals it to first
     order."""
-    if _point_to_cube2(axes, x, y, z, half) == 0.0:
+    if _point_to_cube2(axes, centre, half) == 0.0:
         return True
     a, b, c = 1.0 / size[0], 1.0 / size[1], 1.0 / size[2]
-    cx, cy, cz = x * a, y * b, z * c  # the scaled centre
+    middle = (centre[0] * a, centre[1] * b, centre[2] * c)  # scaled
     m = np.empty((3, 3))  # the scaled half edges
     for i in range(3):
         m[i, 0] = half * axes[i, 0] * a
         m[i, 1] = half * axes[i, 1] * b
         m[i, 2] = half * axes[i, 2] * c
-    least = math.inf
-    nx, ny, nz = 0.0, 0.0, 0.0
+    least, nearest = math.inf, middle
     for i in range(3):  # every edge along half edge i, and the faces that the other two span
         j, k = (i + 1) % 3, (i + 2) % 3
-        ii = _along(m, i, m[i, 0], m[i, 1], m[i, 2])
-        jj = _along(m, j, m[j, 0], m[j, 1], m[j, 2])
-        kk = _along(m, k, m[k, 0], m[k, 1], m[k, 2])
-        jk = _along(m, j, m[k, 0], m[k, 1], m[k, 2])
+        ii = _along(m, i, m[i])
+        jj = _along(m, j, m[j])
+        kk = _along(m, k, m[k])
+        jk = _along(m, j, m[k])
         for s in (-1.0, 1.0):
-            u, v, w = _moved(cx, cy, cz, m, i, s)
-            ju, ku = _along(m, j, u, v, w), _along(m, k, u, v, w)
+            face = moved(middle, m, i, s)
+            ju, ku = _along(m, j, face), _along(m, k, face)
             det = jj * kk - jk * jk
             p, q = (jk * ku - kk * ju) / det, (jk * ju - jj * ku) / det
             if abs(p) <= 1.0 and abs(q) <= 1.0:
-                ex, ey, ez = _moved(u, v, w, m, j, p)
-                fx, fy, fz = _moved(ex, ey, ez, m, k, q)
-                length2 = fx * fx + fy * fy + fz * fz
-                if length2 < least:
-                    least, nx, ny, nz = length2, fx, fy, fz
+                at = moved(moved(face, m, j, p), m, k, q)
+                if _square(at) < least:
+                    least, nearest = _square(at), at
             for r in (-1.0, 1.0):
-                ex, ey, ez = _moved(cx, cy, cz, m, j, s)
-                u, v, w = _moved(ex, ey, ez, m, k, r)
-                p = min(max(-_along(m, i, u, v, w) / ii, -1.0), 1.0)
-                fx, fy, fz = _moved(u, v, w, m, i, p)
-                length2 = fx * fx + fy * fy + fz * fz
-                if length2 < least:
-                    least, nx, ny, nz = length2, fx, fy, fz
+                edge = moved(moved(middle, m, j, s), m, k, r)
+                at = moved(edge, m, i, min(max(-_along(m, i, edge) / ii, -1.0), 1.0))
+                if _square(at) < least:
+                    least, nearest = _square(at), at
     if least <= 1.0:
         return True
     f = math.sqrt(least)
-    u, v, w = nx * a, ny * b, nz * c
-    return (f - 1.0) * f <= slack * math.sqrt(u * u + v * v + w * w)
+    slope = (nearest[0] * a, nearest[1] * b, nearest[2] * c)
+    return (f - 1.0) * f <= slack * math.sqrt(_square(slope))
 
 
 @kernel
-def _cylinder_touches(radius, reach, axes, x, y, z, half):
+def _cylinder_touches(radius, reach, axes, centre, half):
     """The part of the cube between the cylinder's two end planes is convex, so it touches when its
     shadow along the axis does: when the axis runs through it, or one of its edges (the cube's, cut
     at the planes, and the cuts themselves) passes the axis within the radius."""
     enter, leave = -reach, reach
     for a in range(3):  # the axis, as a segment, against the cube's slabs
-        offset = -_along(axes, a, x, y, z)
+        offset = -_along(axes, a, centre)
         enter, leave = _clipped(enter, leave, offset, axes[a, 2], half, 1e-15)
     if enter <= leave:
         return True
@@ -281,18 +273,16 @@ def _cylinder_touches(radius, reach, axes, x, y, z, half):
         j, k = (i + 1) % 3, (i + 2) % 3
         for sj in (-half, half):
             for sk in (-half, half):
-                ex, ey, ez = _moved(x, y, z, axes, j, sj)
-                cx, cy, cz = _moved(ex, ey, ez, axes, k, sk)
-                low, high = _clipped(-half, half, cz, axes[i, 2], reach, 1e-15)
+                edge = moved(moved(centre, axes, j, sj), axes, k, sk)
+                low, high = _clipped(-half, half, edge[2], axes[i, 2], reach, 1e-15)
                 if low <= high:
-                    px, py = cx + low * axes[i, 0], cy + low * axes[i, 1]
-                    qx, qy = cx + high * axes[i, 0], cy + high * axes[i, 1]
-                    if _segment_norm2(px, py, qx, qy) <= limit:
+                    p, q = moved(edge, axes, i, low), moved(edge, axes, i, high)
+                    if _segment_norm2(p, q) <= limit:
                         return True
     for plane in (-reach, reach):
         for i in range(3):  # the cut of the end plane with each of the two faces across axis i
             for si in (-half, half):
-                if _face_cut_norm2(axes, x, y, z, i, si, plane, half) <= limit:
+                if _face_cut_norm2(axes, centre, i, si, plane, half) <= limit:
                     return True
     return False
 
@@ -310,9 +300,9 @@ def _clipped(low, high, offset, slope, reach, least):
 
 
 @kernel
-def _segment_norm2(px, py, qx, qy):
-    """Squared distance from the plane's origin to the segment pq."""
-    dx, dy = qx - px, qy - py
+def _segment_norm2(p, q):
+    """Squared distance from the z axis to the segment pq, seen along it."""
+    px, py, dx, dy = p[0], p[1], q[0] - p[0], q[1] - p[1]
     length2 = dx * dx + dy * dy
     t = min(max(-(px * dx + py * dy) / length2, 0.0), 1.0) if length2 > 0.0 else 0.0
     px, py = px + t * dx, py + t * dy
@@ -320,12 +310,12 @@ def _segment_norm2(px, py, qx, qy):
 
 
 @kernel
-def _face_cut_norm2(axes, x, y, z, i, si, height, half):
+def _face_cut_norm2(axes, centre, i, si, height, half):
     """Squared distance from the axis to the segment in which the plane z = height cuts one face;
     inf if it does not."""
     j, k = (i + 1) % 3, (i + 2) % 3
-    cx, cy, top = _moved(x, y, z, axes, i, si)
-    cz = top - height
+    face = moved(centre, axes, i, si)
+    cz = face[2] - height
     u, v = axes[j, 2], axes[k, 2]
     norm2 = u * u + v * v
     if norm2 < 1e-24:
@@ -337,10 +327,6 @@ def _face_cut_norm2(axes, x, y, z, i, si, height, half):
     low, high = _clipped(low, high, q0, u, half, 0.0)
     if low > high:
         return math.inf
-    pl, ql, ph, qh = p0 - low * v, q0 + low * u, p0 - high * v, q0 + high * u
-    return _segment_norm2(
-        cx + pl * axes[j, 0] + ql * axes[k, 0],
-        cy + pl * axes[j, 1] + ql * axes[k, 1],
-        cx + ph * axes[j, 0] + qh * axes[k, 0],
-        cy + ph * axes[j, 1] + qh * axes[k, 1],
-    )
+    p = moved(moved(face, axes, j, p0 - low * v), axes, k, q0 + low * u)
+    q = moved(moved(face, axes, j, p0 - high * v), axes, k, q0 + high * u)
+    return _segment_norm2(p, q)

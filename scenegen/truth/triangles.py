@@ -4,6 +4,7 @@ crosses one. A GPU runs the first and `crossing`, too (`lidarsim.gpu.translate`)
 import math
 
 from lidarsim.jit import kernel
+from lidarsim.solids.shapes import joining
 
 
 @kernel
@@ -13,9 +14,10 @@ def triangle_touches(a, b, c, x, y, z, half, slack):
     Separating axes (Akenine-Moller 2001): the triangle's normal, the cube's faces, and the products
     of their edges, which are tests in the three planes of the axes.
     """
-    ax, ay, az = a[0] - x, a[1] - y, a[2] - z
-    bx, by, bz = b[0] - x, b[1] - y, b[2] - z
-    cx, cy, cz = c[0] - x, c[1] - y, c[2] - z
+    middle = (x, y, z)
+    ax, ay, az = joining(middle, a)
+    bx, by, bz = joining(middle, b)
+    cx, cy, cz = joining(middle, c)
     reach = half + slack
     if min(ax, bx, cx) > reach or max(ax, bx, cx) < -reach:
         return False
@@ -122,22 +124,17 @@ def bounds(corners, p, q, first, end, half, slack, spare, noise, found):
 
 
 @kernel
-def joining(one, other):
-    """The vector from one point to another."""
-    return other[0] - one[0], other[1] - one[1], other[2] - one[2]
-
-
-@kernel
 def triangle_distance(a, b, c, x, y, z):
     """Distance in metres from the point (x, y, z) to the triangle abc (Ericson 2005, section
     5.1.5)."""
     abx, aby, abz = joining(a, b)
     acx, acy, acz = joining(a, c)
-    px, py, pz = x - a[0], y - a[1], z - a[2]
+    point = (x, y, z)
+    px, py, pz = joining(a, point)
     d1, d2 = abx * px + aby * py + abz * pz, acx * px + acy * py + acz * pz
-    qx, qy, qz = x - b[0], y - b[1], z - b[2]
+    qx, qy, qz = joining(b, point)
     d3, d4 = abx * qx + aby * qy + abz * qz, acx * qx + acy * qy + acz * qz
-    rx, ry, rz = x - c[0], y - c[1], z - c[2]
+    rx, ry, rz = joining(c, point)
     d5, d6 = abx * rx + aby * ry + abz * rz, acx * rx + acy * ry + acz * rz
     va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
     if d1 <= 0.0 and d2 <= 0.0:

@@ -9,9 +9,9 @@ import numpy as np
 from lidarsim.engines.voxels import FREE, UNKNOWN
 from lidarsim.grid import Floats
 from lidarsim.jit import kernel
-from lidarsim.solids.shapes import Solids
-from scenegen.truth.shapes import distance, local
-from scenegen.truth.triangles import crossing, joining, triangle_distance
+from lidarsim.solids.shapes import Solids, joining, local
+from scenegen.truth.shapes import distance
+from scenegen.truth.triangles import crossing, triangle_distance
 
 CELL_M = 2.0
 """Edge of the square cells, seen from above, into which solids are sorted."""
@@ -137,8 +137,7 @@ def _from_solids(
     for at in range(start[cell], start[cell + 1]):
         n = item[at]
         if n < len(shape):
-            at_n = position[n]
-            dx, dy, dz = local(rotation[n], x - at_n[0], y - at_n[1], z - at_n[2])
+            dx, dy, dz = local(rotation[n], *joining(position[n], (x, y, z)))
             nearest = min(nearest, distance(shape[n], size[n], dx, dy, dz))
         else:
             t = triangles[n - len(shape)]

@@ -187,7 +187,7 @@ def _carve(points, sensors, origin, voxel_m, states, occupied):
     nx, ny, nz = occupied.shape
     kept = 0
     for n in range(len(points)):
-        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        x, y, z = points[n]
         if not abs(x) + abs(y) + abs(z) < FARTHEST_M:
             continue
         i = math.floor((x - origin[0]) / voxel_m)

@@ -14,11 +14,11 @@ from lidarsim import AnalyticEngine, GridSpec, Sensor
 from lidarsim.grid import Mask
 from lidarsim.jit import kernel
 from lidarsim.pose import rotate
-from lidarsim.solids.shapes import Solids
+from lidarsim.solids.shapes import Solids, local
 from scenegen.errors import GenerationError, RecipeError, short
 from scenegen.limits import MOST_CLASSES
 from scenegen.truth.occupancy import SLACK_M, inside_columns, spans
-from scenegen.truth.shapes import distance, local
+from scenegen.truth.shapes import distance
 from scenegen.truth.triangles import triangle_distance
 from scenegen.worlds.classes import CLASSES, OTHER
 from scenegen.worlds.drawing import SHAPES
@@ -184,7 +184,7 @@ def _claim_primitives(forms, boxes, geoms, origin, voxel_m, nearest, owner):
 def _claim_triangles(triangles, geom, reach, origin, voxel_m, nearest, owner):
     """Claim the voxels near triangles (T, 3, 3) by the distances of their centres."""
     for n in range(len(triangles)):
-        a, b, c = triangles[n, 0], triangles[n, 1], triangles[n, 2]
+        a, b, c = triangles[n]
         low = np.minimum(np.minimum(a, b), c) - reach
         high = np.maximum(np.maximum(a, b), c) + reach
         i0, i1, j0, j1, k0, k1 = spans(low, high, origin, voxel_m, nearest.shape)

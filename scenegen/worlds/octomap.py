@@ -87,12 +87,9 @@ def _fill(data, states_alone, bounds, states):
     occupied, 3 a node of its own. One of an `.ot` file is its log-odds in four bytes, and one byte
     that says which children it has; without any it is a leaf, occupied from log-odds of 0 on.
     """
-    waiting = np.empty((8 * LEVELS + 8, 4), np.int64)
-    waiting[0, 0], waiting[0, 1], waiting[0, 2], waiting[0, 3] = 0, 0, 0, 2 * HALF
-    left, at, length = 1, 0, 2 if states_alone else 5
-    while left > 0:
-        left -= 1
-        x, y, z, size = waiting[left, 0], waiting[left, 1], waiting[left, 2], waiting[left, 3]
+    waiting, at, length = [(0, 0, 0, 2 * HALF)], 0, 2 if states_alone else 5
+    while len(waiting) > 0:
+        x, y, z, size = waiting.pop()
         if at + length > len(data):
             return 1
         bits = np.int64(data[at]) | np.int64(data[at + 1]) << 8
@@ -114,9 +111,7 @@ def _fill(data, states_alone, bounds, states):
             state = bits >> 2 * child & 3
             i, j, k = x + half * (child & 1), y + half * (child >> 1 & 1), z + half * (child >> 2)
             if state == 3:
-                waiting[left, 0], waiting[left, 1], waiting[left, 2] = i, j, k
-                waiting[left, 3] = half
-                left += 1
+                waiting.append((i, j, k, half))
             elif state > 0:
                 _mark(i, j, k, half, state, bounds, states)
     return 0 if at == len(data) else 3

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal, assert_equal
 
-from lidarsim import AnalyticEngine, GridSpec, Lidar
+from lidarsim import GridSpec, Lidar
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
 from lidarsim.pose import rotate
 from scenegen.errors import DatasetError, GenerationError, ScenegenError
@@ -63,7 +63,7 @@ def flown_by(robot, **options):
 def simulation(world, **options):
     mission = Mission(start=(0.0, 0.0, 2.0), goal=(8.0, 0.0, 2.0), shortest_m=8.2, bounds=BOUNDS)
     given = {"sensor": Lidar(rows=4, columns=16), "vehicle": VEHICLE, "rules": Rules(), **options}
-    return Simulation(world, world.caster(AnalyticEngine.of), mission, **given)
+    return Simulation(world, mission, **given)
 
 
 class Scripted:

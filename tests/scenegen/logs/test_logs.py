@@ -130,7 +130,7 @@ def test_what_a_moving_sensor_tells_is_put_right_by_its_times(here, capsys, ros)
 def test_scans_of_a_pattern_that_does_not_repeat_follow_each_other(here):
     world, pose = read_world(here / "room.xml"), Pose.level((0, 0, 1.5))
     caster, long = world.caster(AnalyticEngine.of), dataclasses.replace(MID_360, window_s=0.2)
-    one, other = record(world, caster, MID_360, [pose] * 2, Noise(), seed=0)
+    one, other = record(world, AnalyticEngine.of, MID_360, [pose] * 2, Noise(), seed=0)
     seen = pose.to_body(cast(caster, long, pose).points())
     assert np.concatenate([one.points, other.points]) == pytest.approx(seen, abs=1e-5)
     assert other.time_s == 0.1
