@@ -46,7 +46,7 @@ def inside(occupancy, at):
 
 @pytest.mark.parametrize("density", [0.0, 0.003, 0.03, 0.3])
 def test_ways_are_those_that_are_walked_voxel_by_voxel(density):
-    occupancy, middle = np.random.default_rng(4).random((13, 11, 8)) < density, (6, 5, 4)
+    occupancy, middle = np.random.default_rng(4).random((13, 17, 14)) < density, (6, 8, 7)
     occupancy[middle] = False
     found = measured(occupancy)
     metres, blocked = walked(occupancy, middle)
