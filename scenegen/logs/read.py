@@ -86,6 +86,8 @@ def read_log(path: Path, *, poses: Path | None = None, topic: str | None = None)
         if (path / BAG).exists():
             return _read_recording(path, topic)
         raise DatasetError(f"{path}: has no poses.txt; give the file of its poses with --poses")
+    if topic:
+        raise DatasetError(f"{path}: a folder of clouds has no topics; leave out --topic")
     files = scans_in(clouds)
     track = read_poses(poses or beside)
     if not files:
@@ -148,6 +150,8 @@ def _times_beside(path: Path, count: int) -> Floats:
     times = read_numbers(path / "times.txt")[1].reshape(-1)
     if len(times) != count:
         raise DatasetError(f"{path / 'times.txt'}: {len(times)} times of {count} clouds")
+    if (np.diff(times) < 0).any():
+        raise DatasetError(f"{path / 'times.txt'}: a time is before the one above it")
     return times
 
 

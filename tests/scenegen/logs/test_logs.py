@@ -359,6 +359,7 @@ poses.txt → {"1 0 0 1e9 0 1 0 0 0 0 1 0;" * 5}  → subtract the first
 poses.txt → {"1 2 3 4 5;" * 5}                  → 5 columns
 poses.txt →                                     → no numbers
 times.txt → 1; 2                                → 2 times
+times.txt → 1; 2; 4; 3; 5                       → before the one above
 calib.txt → Tr: 1 2                             → 12 numbers
 velodyne  → gone                                → no clouds
 .         → gone                                → no such recording
@@ -376,6 +377,12 @@ def test_damaged_logs_end_in_one_line_and_leave_nothing(tmp_path, capsys, file, 
         path.write_text(content.replace(";", "\n"))
     assert expected in refused(capsys, f"ingest {tmp_path}/log -o {tmp_path}/out --quiet")
     assert names(tmp_path) <= {"log", "aside"}
+
+
+def test_a_folder_of_clouds_has_no_topic(tmp_path, capsys):
+    written(tmp_path / "log")
+    asked = f"ingest {tmp_path}/log --topic /points -o {tmp_path}/out"
+    assert "leave out --topic" in refused(capsys, asked)
 
 
 def test_a_log_without_a_point_in_reach_or_a_recording_without_data_makes_no_maps(tmp_path, capsys):
