@@ -353,6 +353,7 @@ BEYOND = """
 {"counts": {"train": 1000000000, "val": 3, "test": 4}} → shards of 6; give 5001 or more
 {"seed": 1000000000000000000000000000000}                 → ^--seed 10+: expected a whole number
 {"shard_samples": 1000000000000}                 → ^--shard-samples 10+: expected a whole number
+{"shard_samples": 0}                             → ^--shard-samples 0: expected a whole number
 """
 
 
