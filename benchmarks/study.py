@@ -13,7 +13,12 @@ from tyro.conf import Positional
 
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
 
-COLOURS = {"confirmed": "C0", "refuted": "C3", "contradicted": "C1", "undecided": "0.5"}
+COLOURS = {
+    "confirmed": "tab:blue",
+    "refuted": "tab:red",
+    "contradicted": "tab:orange",
+    "undecided": "tab:gray",
+}
 CURVES = {"val_loss": "validation loss", "val_iou": "IoU", "val_near_rmse": "Near-RMSE, m"}
 
 
@@ -67,15 +72,15 @@ def claims(study: dict[str, Any]) -> Figure:
             colour = COLOURS[one["verdict"]]
             axes.errorbar(mean, n, xerr=reach, fmt="o", color=colour, markersize=4)
         names = [
-            f"{(METRICS | PLAN_METRICS)[one['metric']].label}: {one['best']} before {one['other']}"
+            f"{(METRICS | PLAN_METRICS)[one['metric']].label}: {one['best']} beats {one['other']}"
             for one in tried
         ]
         axes.axvline(0, color="grey", linewidth=0.8)
         axes.set_yticks(range(len(names)), names, fontsize="small")
         axes.invert_yaxis()
         axes.grid(alpha=0.3)
-        axes.set_title(f"{kind}: better by", fontsize="medium")
-    figure.suptitle(", ".join(f"{name}: {colour}" for name, colour in COLOURS.items()))
+        axes.set_title(f"{kind}: difference", fontsize="medium")
+    figure.suptitle(", ".join(f"{colour[4:]}: {name}" for name, colour in COLOURS.items()))
     return figure
 
 

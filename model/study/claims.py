@@ -271,42 +271,53 @@ SHOWN = ("iou", "near_rmse", "success")
 """The figures of every row; all others stand in the JSON."""
 RULE = f"""
 A claim says that one of the paper's methods is better than another, by one metric, on one kind of
-worlds. Each bold cell of the paper's tables makes one against every other row. It is confirmed, or
-contradicted, if the mean difference over all seeds (two of each method at least) is told from
-chance, in worlds and in training seeds, at a level of .05 for all claims together (Holm). Otherwise
-it is undecided. Only networks that trained for {PATIENCE} epochs without a lower validation loss,
-as the paper's early stopping asks, can refute a claim; others can contradict it.
+worlds. Each bold cell of the paper's tables gives a claim against every row that is worse. The
+difference is the mean over all pairs of seeds; it is positive if the claim is right. A claim is
+confirmed if its difference is positive and significant, contradicted if it is negative and
+significant, and undecided otherwise. Significant means at a family-wise level of {LEVEL:g} (Holm),
+over worlds and training seeds, with two seeds or more of each method. A contradicted claim is
+refuted if its networks were trained for {PATIENCE} epochs after their lowest validation loss, as
+the paper's early stopping asks. A question has a verdict if all claims that `proposed` is best have
+this verdict.
 """.strip().replace("\n", " ")
 
 
 def to_markdown(study: Json) -> str:
-    """Verdicts, then the figures behind them."""
+    """Verdicts, then how they were reached, then the figures behind them."""
     settings, runs = study["settings"], study["runs"]
     devices = ", ".join(sorted({run["device"] for run in runs.values()}))
     hours = sum(run["hours"] for run in runs.values())
+    verdicts = [
+        (f"{name}: {said['asks']}", (f"**{said['verdict']}**", _counts(said["claims"])))
+        for name, said in study["verdicts"].items()
+    ]
+    all_claims = Counter(claim["verdict"] for claim in study["claims"])
     blocks = [
         "# The study",
-        f"{len(runs)} networks at scale {settings['scale']:g}. The whole budget is "
-        f"{settings['maps'] * settings['scale']:.0f} maps seen. Training took {hours:.1f} hours on "
-        f"{devices}. Measured at commit {study['commit']} by `scenegen reproduce`; `study.json` "
-        f"holds every figure of this page.",
+        f"The paper's tables make {all_claims.total()} claims: {_counts(all_claims)}.",
+        table(("verdict", "claims"), verdicts),
+        "## How it was measured",
+        RULE,
+        f"Made by `scenegen reproduce` at commit {study['commit']}, of {len(runs)} networks at "
+        f"scale {settings['scale']:g}. Each saw {settings['maps'] * settings['scale']:.0f} maps at "
+        f"most. Training took {hours:.1f} hours on {devices}. `study.json` has all figures, also "
+        "those of each pair of seeds.",
     ]
     if study["missing"]:
         names = ", ".join(f"`{name}`" for name in study["missing"])
-        blocks.append(f"**Not trained**, so that verdicts do without them: {names}.")
-    verdicts = []
-    for name, said in study["verdicts"].items():
-        counts = ", ".join(f"{count} {said}" for said, count in sorted(said["claims"].items()))
-        verdicts.append((f"{name}: {said['asks']}", (f"**{said['verdict']}**", counts)))
-    blocks += ["## Verdicts", RULE, table(("verdict", "claims"), verdicts)]
+        blocks.append(f"**Not trained**: {names}. Claims without networks are left out below.")
     for kind in study["worlds"]:
         blocks += _of_kind(study, kind)
     spent = []
     for name, run in runs.items():
         maps = f"{run['maps']:.0f} of {run['samples']}, {run['hours']:.1f}"
         spent.append((f"`{name}`", (run["asks"], maps, f"{run['sha256'][:12]}…")))
-    blocks += ["## Runs", table(("what for", "maps, hours", "weights"), spent)]
-    return "\n\n".join(blocks) + "\n"
+    heads = ("what for", "maps seen of samples, hours", "weights")
+    return "\n\n".join([*blocks, "## Runs", table(heads, spent)]) + "\n"
+
+
+def _counts(verdicts: Mapping[str, int]) -> str:
+    return ", ".join(f"{count} {verdict}" for verdict, count in sorted(verdicts.items()))
 
 
 def _of_kind(study: Json, kind: str) -> list[str]:
@@ -314,17 +325,13 @@ def _of_kind(study: Json, kind: str) -> list[str]:
     if few := caution(study["worlds"][kind]):
         blocks.append(f"**{few}.**")
     for title, claims in (
-        ("The paper's claims", study["claims"]),
-        ("Those about paths again, where both methods of a pair have one", study["paths"]),
-        ("Beside them, judged alike", study["beside"]),
+        ("The paper's claims:", study["claims"]),
+        ("Claims about paths, over trials where both methods have a path:", study["paths"]),
+        ("Comparisons that the paper does not make:", study["beside"]),
     ):
-        rows = [claim for claim in claims if claim["kind"] == kind]
-        tried = [claim for claim in rows if claim["pairs"]]
-        heads = ("verdict", "chance (Holm)", "better by", "pair by pair")
-        blocks += [
-            f"{title}; {len(rows) - len(tried)} of {len(rows)} have no networks yet:",
-            table(heads, map(_judged, tried)),
-        ]
+        tried = [claim for claim in claims if claim["kind"] == kind and claim["pairs"]]
+        heads = ("verdict", "p (Holm)", "difference [95 % interval]")
+        blocks += [title, table(heads, map(_judged, tried))]
     means = [
         (row, [brief(figures[name]) for name in SHOWN])
         for row, figures in study["means"][kind].items()
@@ -338,12 +345,7 @@ def _of_kind(study: Json, kind: str) -> list[str]:
 
 def _judged(claim: Json) -> tuple[str, Sequence[str]]:
     """A claim's row."""
-    name = f"{ALL[claim['metric']].label}: {claim['best']} before {claim['other']}"
+    name = f"{ALL[claim['metric']].label}: {claim['best']} beats {claim['other']}"
     chance = "" if claim["holm"] is None else f"{claim['holm']:.4f}"
-    better = f"{_signed(claim)} {interval(claim, '+.3f')}"
-    pairs = "; ".join(_signed(one) for one in claim["pairs"])
-    return name, (claim["verdict"], chance, better, pairs)
-
-
-def _signed(found: Json) -> str:
-    return "–" if found["difference"] is None else f"{found['difference']:+.3f}"
+    value = "–" if claim["difference"] is None else f"{claim['difference']:+.3f}"
+    return name, (claim["verdict"], chance, f"{value} {interval(claim, '+.3f')}")
