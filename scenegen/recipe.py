@@ -178,7 +178,8 @@ def preset(
 
     Args:
         kind: Its name, or "module:Class".
-        lidar: The sensor, or the name of one, such as "livox-avia", in place of the paper's.
+        lidar: The sensor, or the name of one, such as "livox-avia", or of a TOML file of one, in
+            place of the paper's.
         noise: Stages of noise, such as "range:0.02".
         mapping: Parameters of how maps are made.
         difficulty: "easy", "medium" or "hard"; medium by default.

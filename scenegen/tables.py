@@ -83,14 +83,14 @@ def check_name(name: Any, known: tuple[str, ...], what: str, where: str) -> None
 
 
 def named_lidar(word: str | Sensor) -> Sensor:
-    """The sensor that a word on the command line names: one of `SENSORS`, a user's own, or a file
-    that ends in .toml and holds what a recipe's [lidar] does; a sensor is itself. Raises
-    RecipeError."""
+    """The sensor that a word names, as --lidar and `preset` take it: one of `SENSORS`, a user's
+    own, or a file that ends in .toml and holds what a recipe's [lidar] does; a sensor is itself.
+    Raises RecipeError."""
     if not isinstance(word, str):
         return word
     path = Path(word)
     if path.suffix != ".toml":
-        return sensor_of({"sensor": word}, "--lidar", Path())
+        return sensor_of({"sensor": word}, "lidar:", Path())
     table = read_toml(path)
     if isinstance(table.get("lidar"), dict):
         raise RecipeError(

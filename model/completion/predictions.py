@@ -17,12 +17,7 @@ from scenegen.dataset.read import Dataset, Split
 from scenegen.dataset.rules import stem_of
 from scenegen.dataset.shard import compress
 from scenegen.errors import DatasetError, empty_split, printable, raised_as
-from scenegen.files import (
-    Json,
-    claim,
-    make_parent,
-    whole,
-)
+from scenegen.files import Json, claim, make_parent, whole
 from scenegen.model.calibration import RISK
 from scenegen.model.completion.completer import Completer, locate, opened_once
 from scenegen.model.completion.protocol import PARTS, SURE
