@@ -87,9 +87,10 @@ class World:
 
     def caster(self, engine: EngineFactory) -> Engine:
         """What casts rays in it, made by `engine`, once: flights through a world from a file share
-        it."""
+        it. Raises SceneError where the engine refuses it, or finds no device."""
         if engine not in self._casters:
-            self._casters[engine] = engine(self.model, self.data)
+            with raised_as(SceneError):
+                self._casters[engine] = engine(self.model, self.data)
         return self._casters[engine]
 
     def truth(self, grid: GridSpec, origin: Floats) -> dict[str, Mask]:
