@@ -18,7 +18,6 @@ FILES = f"""
 world d 0 -o w.xml                      → w.xml
 render d --quiet                        → sample.png
 scan {ROOT}/scenes/forest.xml --flight --quiet                    → scan.ply
-scan {ROOT}/scenes/forest.xml --flight --quiet --every 5 -o s.npz → s-001.npz
 sensors raster -o s.png                 → s.png
 recipe pillar -o new/r.toml             → new/r.toml
 view d --html v.html --n 1              → v.html

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import rich_click as click
 
 from lidarsim.engines import EngineFactory
-from lidarsim.parameters import MOST_LENGTH_M, Bounds
 from lidarsim.sensors import CATALOGUE, RASTER, SENSORS
 from scenegen.cli.options import (
     WORLD,
@@ -27,9 +26,8 @@ from scenegen.cli.options import (
     was_given,
 )
 from scenegen.cli.show import Progress, Tell, say, show_figures, show_table
-from scenegen.cli.types import Named, Number, Numbers
+from scenegen.cli.types import Named, Numbers
 from scenegen.display.exchange import Choices
-from scenegen.limits import LEAST_DRAWN_M
 from scenegen.logs import Cruise
 from scenegen.worlds import CLOUDS, MAPS
 
@@ -113,7 +111,7 @@ def _cell(value: Any) -> str:
 
 @command(
     "scan scenes/room_with_gap.xml --pose 1,2,0.5,30 -o scan.ply",
-    "scan scenes/forest.xml --flight --every 0.5 --lidar livox-avia --noise datasheet -o walk.npz",
+    "scan scenes/forest.xml --flight --lidar livox-avia --noise datasheet -o forest.npz",
     "scan campus.bt --pose 10,5,1.2,90 --frame world -o campus.ply",
     "scan pillar --seed 3 --flight --sequence --lidar ouster-os1-64 -o log.mcap",
 )
@@ -124,12 +122,6 @@ def _cell(value: Any) -> str:
     help="Where the body is, metres, and its yaw, degrees.",
 )
 @click.option("--flight", is_flag=True, help="A viewpoint of a random flight instead.")
-@click.option(
-    "--every",
-    type=Number(Bounds(least=LEAST_DRAWN_M, most=MOST_LENGTH_M)),
-    help="With --flight: a scan whenever so many metres were flown, each in a file of its own, "
-    "numbered from 000.",
-)
 @click.option(
     "--sequence",
     is_flag=True,
@@ -159,13 +151,12 @@ def _cell(value: Any) -> str:
     file=True,
 )
 @printing
-@group("Poses", "pose flight every")
+@group("Poses", "pose flight")
 @group("A log", "sequence length speed acceleration yaw-rate moving")
 def scan(
     world: str,
     pose: tuple[float, ...] | None,
     flight: bool,
-    every: float | None,
     sequence: bool,
     moving: bool,
     lidar: str | None,
@@ -185,10 +176,8 @@ def scan(
     """
     if (pose is None) != flight:
         raise click.UsageError("give one of --pose X,Y,Z,YAW and --flight")
-    if every is not None and not flight:
-        raise click.UsageError("--every goes with --flight")
-    if sequence and (not flight or every is not None or was_given("frame")):
-        raise click.UsageError("--sequence goes with --flight, and without --every and --frame")
+    if sequence and (not flight or was_given("frame")):
+        raise click.UsageError("--sequence goes with --flight, and without --frame")
     if not sequence and (moving or any(map(was_given, options))):
         raise click.UsageError("--moving and the options of the long flight go with --sequence")
     if Path(world).suffix in (*MAPS, *CLOUDS) and was_given("engine"):
@@ -205,26 +194,20 @@ def scan(
     sensor = named_lidar(lidar or RASTER)
     chain = named_noise(noise, sensor)
     factory = find_engine(engine)
-    found, files = named_world(world, seed), [out]
+    found = named_world(world, seed)
     if sequence:
         cruise = Cruise(**options)
-        facts = [_write_log(out, found, factory, sensor, chain, cruise, seed, moving, talk)]
+        facts = _write_log(out, found, factory, sensor, chain, cruise, seed, moving, talk)
     else:
-        facts, poses = [], _poses(found, pose, every, seed)
-        if every is not None:
-            files = [out.with_stem(f"{out.stem}-{number:03d}") for number in range(len(poses))]
-        for file in files:
-            check_ours(file)
-        for number, (file, at) in enumerate(zip(files, poses, strict=True)):
-            drawn = seed if every is None else [seed, number]
-            facts.append(_write_scan(file, found, factory, sensor, chain, at, drawn, frame))
-    about = {"lidar": str(sensor), "noise": str(chain) or "none"}
-    rows = [{"file": str(file), **about, **one} for file, one in zip(files, facts, strict=True)]
-    if tell(rows[0] if every is None else {"scans": rows}):
-        several = {"scans": len(files)} if len(files) > 1 else {}
-        told = about | facts[0] | several
-        show_table({name: value for name, value in told.items() if name != "quaternion"})
-        say(f"written: {files[0]}" + (f" … {files[-1]}" if several else ""))
+        check_ours(out)
+        facts = _write_scan(
+            out, found, factory, sensor, chain, _pose(found, pose, seed), seed, frame
+        )
+    row = {"file": str(out), "lidar": str(sensor), "noise": str(chain) or "none", **facts}
+    if tell(row):
+        left_out = ("file", "quaternion")
+        show_table({name: value for name, value in row.items() if name not in left_out})
+        say(f"written: {out}")
 
 
 def _write_log(
@@ -259,18 +242,14 @@ def _write_log(
     return {"seconds": round(period * len(poses), 3), "metres": round(flown, 3), **counts}
 
 
-def _poses(
-    world: "AnyWorld", pose: tuple[float, ...] | None, every: float | None, seed: int
-) -> "list[Pose]":
-    """The pose given, one in a random flight, or those `every` so many metres of it."""
+def _pose(world: "AnyWorld", pose: tuple[float, ...] | None, seed: int) -> "Pose":
+    """The pose given, or one in a random flight."""
     from lidarsim import Pose
-    from scenegen.worlds.flight import pose_in_flight, poses_in_flight
+    from scenegen.worlds.flight import pose_in_flight
 
     if pose is not None:
-        return [Pose.level(pose[:3], math.radians(pose[3]))]
-    if every is not None:
-        return poses_in_flight(world, every_m=every, seed=seed)
-    return [pose_in_flight(world, seed=seed)]
+        return Pose.level(pose[:3], math.radians(pose[3]))
+    return pose_in_flight(world, seed=seed)
 
 
 def _write_scan(
@@ -280,7 +259,7 @@ def _write_scan(
     sensor: "Sensor",
     chain: "Noise",
     at: "Pose",
-    seed: int | list[int],
+    seed: int,
     frame: str,
 ) -> dict[str, Any]:
     """Scans from a pose, writes the returns, and gives what is to be said of them."""

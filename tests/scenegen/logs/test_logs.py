@@ -468,7 +468,7 @@ def test_times_of_poses_must_rise(tmp_path):
 
 BAD_USE = """
 scan pillar --flight --moving             → go with --sequence
-scan pillar --flight --sequence --every 1 → without --every
+scan pillar --flight --sequence --frame world → without --frame
 ingest log --voxel 0.01                   → voxels
 ingest gone.mcap                          → gone.mcap: no such recording
 """
