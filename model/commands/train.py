@@ -309,8 +309,7 @@ def _take_settings(weights: str, options: dict[str, Any]) -> None:
         )
     network, _, about = open_network(weights)
     try:
-        said = about["settings"]["loss"]  # earlier commits had other terms
-        loss = vars(LossConfig(**taken(LossConfig, said)))
+        loss = vars(LossConfig(**about["settings"]["loss"]))
     except (KeyError, TypeError, ValueError):  # a file of others may say nothing of it
         loss = {}
     loss = {

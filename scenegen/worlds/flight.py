@@ -1,7 +1,6 @@
 """Flights: OMPL's RRT between a random start and goal, the viewpoints along the path, and how a
 quadrotor leans there."""
 
-import dataclasses
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -252,24 +251,19 @@ def viewpoints(path: Floats, spacing_m: float, *, rng: np.random.Generator) -> t
     return route, flown[rng.permutation(len(flown))]
 
 
-def poses_in_flight(
-    world: AnyWorld, *, seed: int, every_m: float | None = None, flight: Flight | None = None
-) -> list[Pose]:
+def poses_in_flight(world: AnyWorld, *, seed: int, every_m: float | None = None) -> list[Pose]:
     """The viewpoints of a random flight through a world, in the order in which they are passed.
 
     Args:
         world: The world.
         seed: What the flight is drawn by.
-        every_m: Metres between them; the flight's own spacing by default.
-        flight: How the sensor flies.
+        every_m: Metres between them; those of a sample's flight by default.
 
     Raises:
         GenerationError: No flight fits.
         DatasetError: The seed is no whole number from 0 on.
     """
-    flight = flight or Flight()
-    if every_m is not None:
-        flight = dataclasses.replace(flight, spacing_m=every_m)
+    flight = Flight() if every_m is None else Flight(spacing_m=every_m)
     route, flown = _flown(world, flight, seed)
     return [route.pose(metres) for metres in sorted(flown)]
 
