@@ -8,7 +8,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
 from scenegen.files import Json
@@ -27,8 +26,7 @@ from scenegen.model.evaluation.uncertainty import (
     regions,
     reliability,
 )
-from scenegen.model.evaluation.visibility import UNOBSERVED, UNSCORED
-from scenegen.sample import Sample
+from scenegen.model.evaluation.visibility import UNOBSERVED, UNSCORED, Case, seen_occupancy
 from scenegen.truth import distance_field
 
 CLASS_WEIGHT = LossConfig().occupied_weight
@@ -79,38 +77,29 @@ class Study:
     """(goals, settings, figures): see `run_settings`."""
 
 
-def study_map(
-    said: Prediction,
-    distance: Field,
-    sample: Sample,
-    *,
-    classes: NDArray[np.uint8],
-    seen: Mask,
-    goals: Floats,
-    grid: GridSpec,
-    config: BenchConfig,
-) -> Study:
-    """Study what a method `said` of a sample's map, whose distances are `distance`; `classes` tells
-    how each voxel was seen (`classify`), `seen` what returned (`seen_occupancy`)."""
-    probability, calibrated = said.occupancy_probability, said.probability
+def study_map(prediction: Prediction, case: Case, config: BenchConfig) -> Study:
+    """Study what a method predicts of a sample's map."""
+    sample, grid = case.sample, case.split.dataset.grid
+    distance = prediction.distance(config.thresholds, grid)
+    probability, calibrated = prediction.occupancy_probability, prediction.probability
     inside = regions(
-        classes != UNSCORED,
-        np.isin(classes, UNOBSERVED),
+        case.classes != UNSCORED,
+        np.isin(case.classes, UNOBSERVED),
         distance,
         sample.tudf,
-        distance_field(seen, grid),
+        distance_field(seen_occupancy(sample, case.split), grid),
         truncation_m=grid.truncation_m,
     )
     readings = [] if probability is None else [probability, corrected(probability, CLASS_WEIGHT)]
     readings += [] if calibrated is None else [calibrated]
-    bounds, ause = judge_bounds(said, distance, sample.tudf, inside, grid.truncation_m)
-    settings, truth = settings_of(said), (sample.occupancy, sample.tudf)
+    bounds, ause = judge_bounds(prediction, distance, sample.tudf, inside, grid.truncation_m)
+    settings, truth = settings_of(prediction), (sample.occupancy, sample.tudf)
     return Study(
         counts=count(readings, sample.occupancy, inside),
         bounds=bounds,
         ause=ause,
         settings=settings,
-        careful=run_settings(settings, said, truth, goals, grid, config.plan),
+        careful=run_settings(settings, prediction, truth, case.goals, grid, config.plan),
     )
 
 
