@@ -18,7 +18,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from lidarsim import Lidar, Sensor
+from lidarsim import Lidar
 from lidarsim.grid import GridSpec, Mask, finite
 from lidarsim.parameters import MOST_LENGTH_M
 from scenegen.dataset.locate import client_output, without_tokens
@@ -36,7 +36,7 @@ from scenegen.model.inputs import BINARY, PointScan, channels
 from scenegen.model.network import Batch, Output, placed
 from scenegen.model.onnx import load_onnx
 from scenegen.sample import Sample
-from scenegen.worlds.mapping import Mapper
+from scenegen.worlds.mapping import Mapper, Sensing
 
 HUB = "hf://"
 MOST_SAID = 300
@@ -213,7 +213,7 @@ class Completer:
                 "network on this grid with `scenegen train`"
             )
 
-    def unlike(self, settings: Iterable[tuple[Sensor, Mapper, str]]) -> list[str]:
+    def unlike(self, settings: Iterable[Sensing]) -> list[str]:
         """A line for each sensor, mapping and noise of a dataset's `settings` that the network did
         not learn from; see the function `unlike`."""
         return sorted(filter(None, {unlike(self.name, self.about, *one) for one in settings}))

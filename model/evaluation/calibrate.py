@@ -4,11 +4,12 @@ of paths."""
 import json
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import asdict, replace
 from functools import partial
 from operator import add
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -18,6 +19,7 @@ from scenegen.cli.show import Showing, counted, silent
 from scenegen.dataset.read import Dataset, Split
 from scenegen.display.look import evenly
 from scenegen.errors import DatasetError, raised_as
+from scenegen.files import Json
 from scenegen.model.calibration import (
     KEY,
     Calibration,
@@ -172,8 +174,19 @@ LEAST_WORLDS = 20
 """Fewer promise no bound of a risk of .05, nor a temperature."""
 CHUNK = 10
 """Samples a task of a worker."""
-Look = Callable[[Prediction, Sample, Split, int], tuple[Any, ...]]
-"""Makes of a prediction for a sample, by its number in a split, what is summed by world."""
+Measure = Callable[[Prediction, Sample, Split, int], tuple[Any, ...]]
+"""What is measured of a prediction for a sample, by its number in a split; results are summed by
+world."""
+
+
+class _Task(NamedTuple):
+    """Maps of one dataset that a worker completes."""
+
+    dataset: int
+    """The dataset's number among those given."""
+    folder: Path
+    numbers: list[int]
+    """The samples' in their split."""
 
 
 def calibrate(
@@ -198,51 +211,35 @@ def calibrate(
     """
     check_together(execute, "a calibration takes")
     network, grid, about = open_network(weights)
-    weight = 1.0
-    if "occupancy" in network.tasks:
-        try:
-            weight = float(about["settings"]["loss"]["occupied_weight"])
-            if not weight > 0:
-                raise ValueError
-        except (KeyError, TypeError, ValueError):
-            raise CheckpointError(
-                f"{weights}: tells of no class weight above 0 of its loss; train it again"
-            ) from None
+    predicts_occupancy = "occupancy" in network.tasks
+    weight = _class_weight(weights, about) if predicts_occupancy else 1.0
     method = Completer.from_pretrained(weights)
-    datasets, tasks, worlds = [Dataset(folder) for folder in folders], [], set()
+    datasets = [Dataset(folder) for folder in folders]
     digests = tuple(str(dataset.manifest.digest) for dataset in datasets)
     if len(set(digests)) < len(digests):
         raise DatasetError("one dataset is given twice, and worlds count once; leave one out")
-    for number, dataset in enumerate(datasets):
-        part = filled(dataset, split)
+    for dataset in datasets:
         check_whole(dataset, "calibrate on drawn worlds")
         with raised_as(DatasetError, f"{dataset.folder}: "):
             method.check_grid(dataset.grid)
         if trials:
             check_middle(dataset, "give --trials 0")
-        chosen = evenly(len(part), samples or len(part))
-        worlds |= {(number, part.names[n][1]) for n in chosen}
-        parts = (chosen[n : n + CHUNK] for n in range(0, len(chosen), CHUNK))
-        tasks += [(number, dataset.folder, one) for one in parts]
-    if len(worlds) < LEAST_WORLDS:
-        raise DatasetError(
-            f"{', '.join(map(str, folders))}: {len(worlds)} worlds in split {split}, expected "
-            f"{LEAST_WORLDS} at least; make a larger {split} split, or give more datasets"
-        )
+    tasks = _tasks(datasets, split, samples)
 
-    def look(what: str, at: Look) -> list[Any]:
-        """What `at` makes of every map, summed by world."""
-        found: dict[tuple[int, int], Any] = {}
-        total, work = sum(len(chosen) for *_, chosen in tasks), partial(_work, split, method, at)
-        for several in counted(execute, progress, work, tasks, what, total):
-            for world, one in several:
-                found[world] = tuple(map(add, found[world], one)) if world in found else one
-        return [found[key] for key in sorted(found)]
+    def measured(label: str, measure: Measure) -> list[Any]:
+        """What is measured of every map, summed by world."""
+        sums: dict[tuple[int, int], Any] = {}
+        total = sum(len(task.numbers) for task in tasks)
+        work = partial(_complete, split, method, measure)
+        for results in counted(execute, progress, work, tasks, label, total):
+            for world, result in results:
+                sums[world] = tuple(map(add, sums[world], result)) if world in sums else result
+        return [sums[world] for world in sorted(sums)]
 
-    scores, logits, shares = zip(*look("voxels", partial(_count, weight)), strict=True)
-    chances = CHANCES if "occupancy" in network.tasks else ()
+    scores, logits, denied = zip(*measured("voxels", partial(_count, weight)), strict=True)
+    chances = CHANCES if predicts_occupancy else ()
     risks, margins = fit_margins(np.stack(scores), near_bins(grid, chances))
-    found = Calibration(
+    fitted = Calibration(
         worlds=len(scores),
         class_weight=weight,
         temperature=fit_temperature(sum(logits)) if chances else None,
@@ -251,28 +248,59 @@ def calibrate(
         risks=risks,
         margins=margins,
         datasets=digests,
-        denied=tuple(np.quantile(np.concatenate(shares), LEVELS).tolist()) if chances else (),
+        denied=tuple(np.quantile(np.concatenate(denied), LEVELS).tolist()) if chances else (),
     )
     if trials:
-        losses = look("paths", partial(_collisions, found, trials, seed))
-        hit = np.array([collided / count for collided, count in losses if count])
-        found = replace(found, path_risks=path_risks(hit))
+        losses = measured("paths", partial(_collisions, fitted, trials, seed))
+        shares = np.array([collided / count for collided, count in losses if count])
+        fitted = replace(fitted, path_risks=path_risks(shares))
     # as it is read again: lists for tuples
-    save_network(out, network, grid, {**about, KEY: json.loads(json.dumps(asdict(found)))})
-    return found
+    save_network(out, network, grid, {**about, KEY: json.loads(json.dumps(asdict(fitted)))})
+    return fitted
 
 
-def _work(
-    split: str, method: Completer, at: Look, task: tuple[int, Path, list[int]]
+def _class_weight(weights: str | Path, about: Json) -> float:
+    """The weight of occupied voxels in the loss that a network was trained by. Raises
+    CheckpointError where its file does not say."""
+    with suppress(KeyError, TypeError, ValueError):  # a file of others may hold anything
+        weight = float(about["settings"]["loss"]["occupied_weight"])
+        if weight > 0:
+            return weight
+    raise CheckpointError(
+        f"{weights}: tells of no class weight above 0 of its loss; train it again"
+    )
+
+
+def _tasks(datasets: Sequence[Dataset], split: str, most: int | None) -> list[_Task]:
+    """All samples of a split, or `most` of each dataset, evenly spread. Raises DatasetError where
+    they are of too few worlds."""
+    tasks, worlds = [], set()
+    for number, dataset in enumerate(datasets):
+        part = filled(dataset, split)
+        chosen = evenly(len(part), most or len(part))
+        worlds |= {(number, part.names[n][1]) for n in chosen}
+        for first in range(0, len(chosen), CHUNK):
+            tasks.append(_Task(number, dataset.folder, chosen[first : first + CHUNK]))
+    if len(worlds) < LEAST_WORLDS:
+        folders = ", ".join(str(dataset.folder) for dataset in datasets)
+        raise DatasetError(
+            f"{folders}: {len(worlds)} worlds in split {split}, expected {LEAST_WORLDS} at least; "
+            f"make a larger {split} split, or give more datasets"
+        )
+    return tasks
+
+
+def _complete(
+    split: str, method: Completer, measure: Measure, task: _Task
 ) -> list[tuple[tuple[int, int], tuple[Any, ...]]]:
-    """What `at` makes of maps of a dataset, each with the dataset's number and the world's."""
-    number, folder, indices = task
-    samples, found = Dataset(folder, whole=True).split(split), []
-    for index in indices:
-        sample = samples[index]
-        told = at(method.completion(sample, samples), sample, samples, index)
-        found.append(((number, int(sample.world)), told))
-    return found
+    """Complete a task's maps: for each, the dataset's number and the world's, and what is
+    measured."""
+    samples, results = Dataset(task.folder, whole=True).split(split), []
+    for number in task.numbers:
+        sample = samples[number]
+        result = measure(method.completion(sample, samples), sample, samples, number)
+        results.append(((task.dataset, int(sample.world)), result))
+    return results
 
 
 def _count(

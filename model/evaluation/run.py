@@ -120,7 +120,7 @@ def check_middle(
 ) -> None:
     """Raise DatasetError, with what to do `instead`, where plans, which begin in a map's middle,
     would not begin at the sensor."""
-    for _, mapping, _ in dataset.settings:
+    for mapping in (sensing.mapping for sensing in dataset.settings):
         if not mapping.centred:
             raise DatasetError(
                 f"{dataset.folder}: its maps lie {list(mapping.map_ahead_m)} m ahead of the "

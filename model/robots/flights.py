@@ -14,8 +14,8 @@ import numpy as np
 
 from scenegen.cli import show
 from scenegen.errors import DatasetError, ScenegenError, raised_as
-from scenegen.files import check_ours, write_result, write_whole
-from scenegen.fly.course import Course, Flights, Recording, replay
+from scenegen.files import Json, check_ours, write_result, write_whole
+from scenegen.fly.course import Course, Flights, FlownCourse, Recording, replay
 from scenegen.fly.loop import Flown, RobotError
 from scenegen.fly.loop import fly as fly_mission
 from scenegen.fly.pipe import own_robot
@@ -77,7 +77,7 @@ def real_course(course: Course, hidden: int | None) -> Course:
 
 def fly_course(
     course: Course, *, robot: str, weights: str | None, hidden: int | None = None
-) -> tuple[Course, Sequence[Flown]]:
+) -> FlownCourse:
     """All flights of a course, one after the other, by the same robot; with the course, which then
     has its world's hash. For `hidden` see `real_course`."""
     real = real_course(course, hidden)
@@ -95,7 +95,7 @@ Crew = Callable[..., Iterator[Any]]
 """The same, with an executor and what makes bars."""
 
 
-def rows_of(found: Flights, hidden: int | None, crew: Crew) -> list[dict[str, Any]]:
+def rows_of(found: Flights, hidden: int | None, crew: Crew) -> list[Json]:
     """What is told of each flight, and how hard its mission is."""
     courses = [course for course, _ in found]
     total = sum(course.flights for course in courses)
@@ -127,7 +127,7 @@ def check_begins(robot: str, course: Course) -> None:
         made.close()
 
 
-def summary(name: str, flown: Sequence[Flown]) -> dict[str, Any]:
+def summary(name: str, flown: Sequence[Flown]) -> Json:
     """What is told of flights, together."""
     ends = Counter(one.outcome for one in flown)
     row = {"robot": name, "flights": len(flown)}
@@ -140,7 +140,7 @@ def summary(name: str, flown: Sequence[Flown]) -> dict[str, Any]:
     return row | {part: sum(getattr(one, part) for one in flown) for part in COUNTS}
 
 
-Work = Callable[[Course], tuple[Course, Sequence[Flown]]]
+Work = Callable[[Course], FlownCourse]
 """What flies a course."""
 SAVED_S = 20.0
 """How often the entry to a suite is written, seconds."""
@@ -192,9 +192,7 @@ def fly_courses(
     return [(course, found[key][1]) for course, key in zip(courses, keys, strict=True)]
 
 
-def _kept(
-    out: Path | None, entry: Recording, keys: Sequence[Course]
-) -> dict[Course, tuple[Course, Sequence[Flown]]]:
+def _kept(out: Path | None, entry: Recording, keys: Sequence[Course]) -> dict[Course, FlownCourse]:
     """The flights that `out` holds of an entry, by their courses' names. Raises ScenegenError where
     anything would be lost."""
     if out is None:
@@ -264,9 +262,7 @@ def flown_again(
     return recording.robot, found, told
 
 
-def _replayed(
-    recorded: tuple[Course, Sequence[Flown]], *, hidden: int | None
-) -> tuple[Course, Sequence[Flown]]:
+def _replayed(recorded: FlownCourse, *, hidden: int | None) -> FlownCourse:
     """The recorded flights of a course, flown again: see `scenegen.fly.course.replay`."""
     course, flights = recorded
     return course, replay(real_course(course, hidden), flights)

@@ -13,10 +13,12 @@ from scenegen.limits import MOST_EPOCHS, MOST_LINE_BYTES
 from scenegen.model.config import VARIANTS
 from scenegen.model.evaluation.metrics import METRICS
 
+Scalars = dict[str, float]
+"""Figures of a step or an epoch, by name."""
 PANELS = {"loss": ("train_loss", "val_loss"), "IoU": ("val_iou",), "Near-MAE, m": ("val_near_mae",)}
 
 
-def read_rows(path: Path) -> list[dict[str, float]]:
+def read_rows(path: Path) -> list[Scalars]:
     """The figures of a run's epochs, from its ``metrics.csv``. Raises DatasetError for a file that
     holds none."""
     try:
@@ -37,7 +39,7 @@ def read_rows(path: Path) -> list[dict[str, float]]:
     return rows
 
 
-def draw(rows: list[dict[str, float]], *, title: str = "") -> Any:
+def draw(rows: list[Scalars], *, title: str = "") -> Any:
     """A figure of matplotlib, with a panel each for losses, IoU and Near-MAE. Raises ImportError
     where that is not installed."""
     from matplotlib.figure import Figure

@@ -18,6 +18,7 @@ from scenegen.model.config import TrainConfig
 from scenegen.model.evaluation.metrics import METRICS, measure
 from scenegen.model.losses import loss_of
 from scenegen.model.network import Output
+from scenegen.model.training.card import Scalars
 from scenegen.model.training.data import Maps, epoch_batches, load, views
 from scenegen.model.training.device import Group, autocast
 from scenegen.model.training.run_folder import Progress
@@ -27,7 +28,7 @@ from scenegen.sample import rng_of
 @torch.inference_mode()
 def validate(
     network: nn.Module, maps: Maps, config: TrainConfig, group: Group, workers: int
-) -> dict[str, float]:
+) -> Scalars:
     """Means over samples: the losses (of each batch for all its samples), and the bench's metrics
     at the paper's thresholds, over whole maps; a map that has no value of a metric is left out of
     it.

@@ -25,7 +25,7 @@ from scenegen.model.network import Batch
 from scenegen.sample import Sample, rng_of
 from scenegen.streams.stream import Batches, Stream
 from scenegen.truth import distance_field
-from scenegen.worlds.mapping import Mapper
+from scenegen.worlds.mapping import Mapper, Sensing
 
 LOADERS = 8
 """Loader processes, and any number that divides this, among which a stream's batches are dealt so
@@ -127,7 +127,7 @@ class Maps(Dataset):
         self.settings = [one for source in sources for one in settings_of(source)]
         self.partly_known = any(getattr(source, "known", None) is not None for source in sources)
         """Whether some are of maps of real places; then all say what is ``known`` of them."""
-        self.mirrored = all(is_mirrored(lidar) for lidar in {one for one, _, _ in self.settings})
+        self.mirrored = all(map(is_mirrored, {one.lidar for one in self.settings}))
         """Whether a map's mirror image is one, too, that the sensor could have seen."""
         self.starts = np.cumsum([0, *map(len, sources)])
         """The index of each source's first map."""
@@ -202,12 +202,11 @@ class Maps(Dataset):
         return self.sources[number], index - int(self.starts[number])
 
 
-def settings_of(source: Samples) -> tuple[tuple[Sensor, Mapper, str], ...]:
-    """Sensor, mapping and noise of every part of a source: of samples of a user's own, their
-    sensor, one scan a map, and none."""
+def settings_of(source: Samples) -> list[Sensing]:
+    """How the samples of every part of a source were sensed: those of a user's own by their sensor,
+    in one scan a map, without noise."""
     plain = (source.lidar, getattr(source, "mapping", Mapper()), "")
-    found: tuple[tuple[Sensor, Mapper, str], ...] = getattr(source, "settings", (plain,))
-    return found
+    return [Sensing(*one) for one in getattr(source, "settings", (plain,))]
 
 
 def check_alike(sources: Sequence[Samples]) -> None:

@@ -28,6 +28,7 @@ from scenegen.model.config import VARIANTS, TrainConfig, is_own
 from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.losses import loss_of
 from scenegen.model.network import Batch, Output, build, placed
+from scenegen.model.training.card import Scalars
 from scenegen.model.training.course import Course, validate
 from scenegen.model.training.data import Maps, Samples, check_alike, load, loaders_watched
 from scenegen.model.training.device import (
@@ -55,7 +56,7 @@ class Watcher:
     done."""
     on_step: Callable[[int, float], None] = lambda maps, loss: None
     """Called with the maps and the loss of every step."""
-    on_epoch: Callable[[dict[str, float]], None] = lambda row: None
+    on_epoch: Callable[[Scalars], None] = lambda row: None
     """Called with the figures of every finished epoch."""
     stop: Callable[[], bool] = lambda: False
     """Whether to stop, state saved."""
@@ -72,7 +73,7 @@ def train(
     command: str = "",
     watcher: Watcher | None = None,
     weights: str | Path | None = None,
-) -> list[dict[str, float]]:
+) -> list[Scalars]:
     """Train on the samples in `training`, validate on those in `checking`, keep the best network in
     `out`.
 
@@ -147,7 +148,7 @@ def train(
 
 
 def check_finite(
-    losses: dict[str, float], maps: Maps, batch: list[tuple[int, int]], progress: Progress
+    losses: Scalars, maps: Maps, batch: list[tuple[int, int]], progress: Progress
 ) -> None:
     """Raise TrainingError, which names the batch's samples, where a loss is not finite."""
     if all(map(math.isfinite, losses.values())):
@@ -182,7 +183,7 @@ class Step:
             model = DistributedDataParallel(model, find_unused_parameters=own)
         self._model = torch.compile(model) if self.config.compile else model
 
-    def __call__(self, batch: Batch, rate: float) -> dict[str, float]:
+    def __call__(self, batch: Batch, rate: float) -> Scalars:
         """The losses of a batch and the norm of their gradient, before learning from it: means over
         all processes.
 
@@ -202,7 +203,7 @@ class Step:
                 raise
         raise TrainingError(told)
 
-    def _learn(self, batch: Batch) -> dict[str, float]:
+    def _learn(self, batch: Batch) -> Scalars:
         batch = {
             name: values.to(self.group.device, non_blocking=True) for name, values in batch.items()
         }

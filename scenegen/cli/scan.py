@@ -36,6 +36,7 @@ from scenegen.worlds import CLOUDS, MAPS
 if TYPE_CHECKING:
     from lidarsim import Pose, Sensor
     from lidarsim.noise.chain import Noise
+    from scenegen.files import Json
     from scenegen.worlds.world import AnyWorld
 
 HEADS = {
@@ -82,7 +83,7 @@ def sensors(names: tuple[str, ...], out: Path | None, as_json: bool) -> None:
         say(f"written: {out}")
 
 
-def _facts(sensor: "Sensor") -> dict[str, Any]:
+def _facts(sensor: "Sensor") -> "Json":
     """What is to be said of a sensor, as plain JSON values; angles are measured on its rays."""
     import numpy as np
 
@@ -237,7 +238,7 @@ def _write_log(
     seed: int,
     moving: bool,
     talk: bool,
-) -> dict[str, Any]:
+) -> "Json":
     """Records a log, and gives what is to be said of it."""
     from scenegen.files import check_free
     from scenegen.logs.record import cruise_poses, period_s, record
@@ -282,7 +283,7 @@ def _write_scan(
     at: "Pose",
     seed: int | list[int],
     frame: str,
-) -> dict[str, Any]:
+) -> "Json":
     """Scans from a pose, writes the returns, and gives what is to be said of them."""
     import numpy as np
 

@@ -171,8 +171,8 @@ class Chosen:
     places: Ints
     """Where these stand in the split of the dataset that they were made for."""
 
-    def but(self, kept: Any) -> "Chosen":
-        """The same without the samples that are not `kept`, a mask or a slice."""
+    def only(self, kept: Any) -> "Chosen":
+        """The same with those samples alone that `kept` says, a mask or a slice."""
         return replace(self, rows=self.rows[kept], places=self.places[kept])
 
 
@@ -183,35 +183,58 @@ def choose(dataset: Dataset, choice: Choice, *, workers: int = 1) -> Iterator[Ch
     Samples are read only where something measured is asked for that is not kept beside them, by
     `workers` processes. Raises DatasetError, also where figures of whole worlds are not kept.
     """
-    measured = tuple(condition for condition in choice.where if condition.name not in NUMBERS)
-    kept = kept_figures(dataset) if measured else {}
-    for name in (one.name for one in measured if one.name not in FIGURES and not kept):
+    conditions = tuple(one for one in choice.where if one.name not in NUMBERS)
+    kept = kept_figures(dataset) if conditions else {}
+    of_worlds = [one.name for one in conditions if one.name not in FIGURES]
+    if of_worlds and not kept:
         raise DatasetError(
-            f"{dataset.folder}: {name} is a mean over all maps of a world; measure these first: "
-            f"scenegen inspect {quote(str(dataset.folder))} --keep"
+            f"{dataset.folder}: {of_worlds[0]} is a mean over all maps of a world; measure these "
+            f"first: scenegen inspect {quote(str(dataset.folder))} --keep"
         )
-    step = workers * AT_ONCE if measured and not kept else 1
-    for name in (name for name in SPLITS if name in choice.splits):
+    for name in SPLITS:
+        if name not in choice.splits:
+            continue
         split = dataset.split(name)
+        figures = {one.name: figure(split, kept[name], one.name) for one in conditions if kept}
         left = MOST_SAMPLES if choice.most is None else choice.most
-        figures = {c.name: figure(split, kept[name], c.name) for c in measured} if kept else {}
-        for begin in range(0, len(split.shards), step):
-            found = {
-                n: _told(split, n, choice, figures)
-                for n in range(begin, min(begin + step, len(split.shards)))
-                if not choice.kinds or dataset.manifest.home(split.shards[n]).graded in choice.kinds
-            }
-            if measured and not kept:
-                tasks = [(n, one.rows) for n, one in found.items()]
-                good = dict(run(partial(_measured, split, measured), tasks, workers))
-                found = {n: one.but(good[n]) for n, one in found.items()}
-            for one in found.values():
-                one = one.but(slice(left))
-                left -= len(one.rows)
-                if len(one.rows):
-                    yield one
+        for chosen in _of_split(split, choice, conditions, figures, workers):
+            chosen = chosen.only(slice(left))
+            left -= len(chosen.rows)
+            if len(chosen.rows):
+                yield chosen
             if not left:
                 break
+
+
+def _of_split(
+    split: Split,
+    choice: Choice,
+    conditions: tuple[Condition, ...],
+    figures: Mapping[str, Floats],
+    workers: int,
+) -> Iterator[Chosen]:
+    """What is taken of each shard of a split, however much that is. `conditions` are those on what
+    is measured: they are held against the `figures` of all samples by name, (samples,) each, or, if
+    these are not kept, against samples that are read."""
+    home = split.dataset.manifest.home
+    numbers = [
+        number
+        for number, entry in enumerate(split.shards)
+        if not choice.kinds or home(entry).graded in choice.kinds
+    ]
+    if len(figures) == len({one.name for one in conditions}):
+        yield from (_of_shard(split, number, choice, figures) for number in numbers)
+        return
+    # not all at once: whoever takes the first of them needs no more measured
+    at_once = workers * AT_ONCE
+    for first in range(0, len(numbers), at_once):
+        shards = {
+            number: _of_shard(split, number, choice, {})
+            for number in numbers[first : first + at_once]
+        }
+        tasks = [(number, shard.rows) for number, shard in shards.items()]
+        fulfil = dict(run(partial(_fulfil, split, conditions), tasks, workers))
+        yield from (shard.only(fulfil[number]) for number, shard in shards.items())
 
 
 def figure(split: Split, table: Floats, name: str) -> Floats:
@@ -226,22 +249,18 @@ def figure(split: Split, table: Floats, name: str) -> Floats:
     return means[worlds]
 
 
-def _told(split: Split, number: int, choice: Choice, figures: Mapping[str, Floats]) -> Chosen:
-    """What of a shard its samples' numbers, and the `figures` of all samples that are kept, let
-    through."""
+def _of_shard(split: Split, number: int, choice: Choice, figures: Mapping[str, Floats]) -> Chosen:
+    """What is taken of a shard by its samples' numbers, and by the `figures` of all samples of the
+    split, where these are kept."""
     entry, places = split.shards[number], split.places(number)
     samples = split.first(number) + np.arange(len(places))
     values = dict(zip(NUMBERS, (samples, *split.numbers_in(number)), strict=True))
     values |= {name: column[samples] for name, column in figures.items()}
     kept = np.ones(len(places), bool)
     if choice.worlds:
-        kept &= np.any(
-            [
-                (values["world"] >= least) & (values["world"] < stop)
-                for least, stop in choice.worlds
-            ],
-            axis=0,
-        )
+        world = values["world"]
+        ranges = [(world >= first) & (world < stop) for first, stop in choice.worlds]
+        kept &= np.any(ranges, axis=0)
     for condition in choice.where:
         if condition.name in values:
             kept &= condition.holds(values[condition.name])
@@ -249,12 +268,13 @@ def _told(split: Split, number: int, choice: Choice, figures: Mapping[str, Float
     return Chosen(dataset=split.dataset, entry=entry, rows=rows, places=places[kept])
 
 
-def _measured(
+def _fulfil(
     split: Split, conditions: tuple[Condition, ...], task: tuple[int, Ints]
 ) -> tuple[int, Mask]:
-    """Which of the rows of a shard fulfil the conditions on what is measured."""
+    """Which of the rows of a shard fulfil the conditions on what is measured; with its number."""
     number, rows = task
     samples = (split[split.first(number) + row] for row in rows.tolist())
     return number, np.array(
-        [all(c.holds(FIGURES[c.name](one)) for c in conditions) for one in samples], bool
+        [all(one.holds(FIGURES[one.name](sample)) for one in conditions) for sample in samples],
+        bool,
     )

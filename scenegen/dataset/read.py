@@ -77,8 +77,8 @@ class Dataset:
         with advised(self.folder):
             self.grid, self.lidar = self.manifest.grid, self.manifest.lidar
             self.settings = self.manifest.settings
-            """Sensor, mapping and noise of each of the datasets that its samples were made for;
-            `lidar` is that of the first."""
+            """How the samples of each of the datasets that they were made for were sensed; `lidar`
+            is that of the first."""
         if not (self.manifest.complete or partial):
             raise DatasetError(
                 f"{self.folder}: incomplete; give the command that made it again to go on where "

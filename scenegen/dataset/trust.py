@@ -59,7 +59,7 @@ from scenegen.limits import (
 )
 from scenegen.recipes import graded, kind_names
 from scenegen.sample import DERIVED, FIELDS, GROUPS, Schema
-from scenegen.worlds.mapping import Known, Mapper
+from scenegen.worlds.mapping import Known, Mapper, Sensing
 
 if TYPE_CHECKING:  # which imports what draws worlds
     from scenegen.recipe import Recipe
@@ -172,9 +172,9 @@ class Manifest:
         return self.sources or (self,)
 
     @property
-    def settings(self) -> tuple[tuple[Sensor, Mapper, str], ...]:
-        """Sensor, mapping and noise, as the manifest spells it, of each of its `homes`."""
-        return tuple((home.lidar, home.mapping, home.noise_stages) for home in self.homes)
+    def settings(self) -> tuple[Sensing, ...]:
+        """How the samples of each of its `homes` were sensed."""
+        return tuple(Sensing(home.lidar, home.mapping, home.noise_stages) for home in self.homes)
 
     @cached_property
     def schema(self) -> Schema:

@@ -123,8 +123,9 @@ def check_document(sha256: str, course: Course) -> None:
         )
 
 
-Flights = Sequence[tuple[Course, Sequence[Flown]]]
-"""What was flown through courses."""
+FlownCourse = tuple[Course, Sequence[Flown]]
+"""A course, and all flights through it, in the order of its missions."""
+Flights = Sequence[FlownCourse]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -180,7 +180,7 @@ def check_source(dataset: Dataset, name: str, text: str) -> None:
     with tempfile.TemporaryDirectory() as folder, undone_if_stopped(lambda: shutil.rmtree(folder)):
         path = Path(folder, name)
         path.write_text(text, encoding="utf-8")
-        write_rays([lidar for lidar, _, _ in dataset.settings], path.parent)
+        write_rays([sensing.lidar for sensing in dataset.settings], path.parent)
         try:
             if found.rescan is not None:
                 here = {"generator": GENERATOR, "lidar": sensor_entry(named_lidar(str(path)))}

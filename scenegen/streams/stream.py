@@ -23,6 +23,7 @@ from scenegen.source import DrawnWorlds
 from scenegen.stores import is_remote
 from scenegen.streams.ahead import Ahead, Cache, Slot, Unit, pack, record_type, unpack
 from scenegen.streams.mixture import Component, Mixture, component_of, parts_of
+from scenegen.worlds.mapping import Sensing
 
 KEPT_BYTES = 256 << 20
 """Packed units that a process keeps in memory, those asked for last; with default maps, these are
@@ -69,11 +70,11 @@ class Stream(Samples):
         first = mixture.components[0].recipe
         self.grid, self.lidar, self.known = first.grid, first.lidar, first.known
         self.settings = tuple(
-            (part.recipe.lidar, part.recipe.mapping, part.recipe.noise.spelled())
+            Sensing(part.recipe.lidar, part.recipe.mapping, part.recipe.noise.spelled())
             for part in mixture.components
         )
-        """Sensor, mapping and noise, as manifests spell it, of every part; `lidar` and `mapping`
-        are those of the first."""
+        """How the samples of every part are sensed; `lidar` and `mapping` are those of the
+        first."""
         self.kind = "+".join(part.recipe.kind for part in mixture.components)
         self.name = f"stream of {', '.join(part.label for part in mixture.components)}, seed {seed}"
         self.mapping = first.mapping
