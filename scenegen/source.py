@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from numpy.random import Generator
 
 from scenegen import SPLITS
 from scenegen.errors import BrokenError, RecipeError, SceneError, printable, raised_as
@@ -41,7 +42,7 @@ class Source(Protocol):
         the same world)."""
         ...
 
-    def world(self, split: str, number: int, *, rng: np.random.Generator) -> AnyWorld:
+    def world(self, split: str, number: int, *, rng: Generator) -> AnyWorld:
         """The world itself; a source that draws does so from `rng` alone."""
         ...
 
@@ -60,7 +61,7 @@ class DrawnWorlds(Source):
         """A world a unit."""
         return unit, 0
 
-    def world(self, split: str, number: int, *, rng: np.random.Generator) -> World:
+    def world(self, split: str, number: int, *, rng: Generator) -> World:
         """Draw the world from `rng`. Raises RecipeError for what MuJoCo does not take."""
         kind = self.recipe.world
         if kind is None:
@@ -102,7 +103,7 @@ class SceneWorlds:
         turn, number = divmod(unit, len(self.scenes[split]))
         return number, turn
 
-    def world(self, split: str, number: int, *, rng: np.random.Generator) -> AnyWorld:
+    def world(self, split: str, number: int, *, rng: Generator) -> AnyWorld:
         """The world of a file; nothing is drawn."""
         scene = self.scenes[split][number]
         return _compiled(scene.name, scene.mjcf, tuple(scene.assets.items()))

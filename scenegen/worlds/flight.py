@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.random import Generator
 from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
@@ -89,15 +90,13 @@ class Flight:
         return box
 
 
-def fly(world: AnyWorld, flight: Flight, *, rng: np.random.Generator) -> Floats | None:
+def fly(world: AnyWorld, flight: Flight, *, rng: Generator) -> Floats | None:
     """A path through a world as `plan` gives it, or None."""
     room = world.room(flight.robot_radius_m, flight.min_distance_m, rng=rng)
     return plan(world.clearance, room, flight, rng=rng)
 
 
-def plan(
-    clearance: Clearance, bounds: Floats, flight: Flight, *, rng: np.random.Generator
-) -> Floats | None:
+def plan(clearance: Clearance, bounds: Floats, flight: Flight, *, rng: Generator) -> Floats | None:
     """One collision-free path (n, 3) in world metres between a random start and goal in `bounds`
     (2, 3), or None.
 
@@ -171,7 +170,7 @@ class _Motions(ob.MotionValidator):
 
 
 def _start_and_goal(
-    clearance: Clearance, bounds: Floats, flight: Flight, *, rng: np.random.Generator
+    clearance: Clearance, bounds: Floats, flight: Flight, *, rng: Generator
 ) -> tuple[Floats, Floats] | None:
     """Two free points far enough apart, or None after a hundred draws."""
     apart = min(flight.min_distance_m, float(np.sqrt(((bounds[1] - bounds[0]) ** 2).sum())) / 3)
@@ -235,7 +234,7 @@ class Route:
         return [self.pose(max(flown_m - metres, 0.0), mapping) for metres in back]
 
 
-def viewpoints(path: Floats, spacing_m: float, *, rng: np.random.Generator) -> tuple[Route, Floats]:
+def viewpoints(path: Floats, spacing_m: float, *, rng: Generator) -> tuple[Route, Floats]:
     """Candidate viewpoints on a path (n, 3), `spacing_m` apart along it: the route, and the metres
     flown along it to each, (m,), in random order.
 
