@@ -4,12 +4,11 @@ object is made."""
 import dataclasses
 import functools
 import math
-import typing
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from types import NoneType, UnionType
-from typing import Any, Literal, Union
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 MOST_RAYS = 1_000_000
 """The most rays of one scan."""
@@ -169,7 +168,7 @@ class _UnfitError(Exception):
 def _hints(kind: type) -> dict[str, Any]:
     """The fields' annotations; none where some can be resolved by a type checker alone."""
     try:
-        return typing.get_type_hints(kind)
+        return get_type_hints(kind)
     except NameError:
         return {}
 
@@ -177,7 +176,7 @@ def _hints(kind: type) -> dict[str, Any]:
 def _read(given: Any, kind: Any, bounds: Bounds) -> Any:
     """`given` as a value of the type `kind` within `bounds`. Raises _UnfitError."""
     value = given.tolist() if hasattr(given, "tolist") else given  # NumPy's scalars and arrays
-    origin, options = typing.get_origin(kind), typing.get_args(kind)
+    origin, options = get_origin(kind), get_args(kind)
     if kind in (bool, str, NoneType):
         fits = isinstance(value, kind)
     elif kind in (int, float):
@@ -230,7 +229,7 @@ def _numbers(value: Any) -> list[float]:
 
 def _words(kind: Any, bounds: Bounds) -> str:
     """What `_read` takes, in words."""
-    origin, options = typing.get_origin(kind), typing.get_args(kind)
+    origin, options = get_origin(kind), get_args(kind)
     plain = {bool: "true or false", str: "text", NoneType: "none"}
     if kind in plain:
         return plain[kind]

@@ -1,11 +1,10 @@
 """Recipes: every number that decides what a dataset holds, resolved, checked, and read from
 TOML."""
 
-import dataclasses
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -162,7 +161,7 @@ class Recipe:
         return {
             "version": self.version,
             **({} if self.difficulty == "medium" else {"difficulty": self.difficulty}),
-            **{name: dataclasses.asdict(it) for name, it in tables.items() if it is not None},
+            **{name: asdict(it) for name, it in tables.items() if it is not None},
         }
 
 

@@ -4,13 +4,12 @@ A source answers one question: which world does unit u of a split fly through? A
 flight and its samples.
 """
 
-import dataclasses
 import functools
 import itertools
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -143,11 +142,11 @@ class SceneWorlds:
         usual, since many end at unknown space."""
         if not self.maps:
             return recipe
-        recipe = dataclasses.replace(recipe, known=recipe.known or Known())
+        recipe = replace(recipe, known=recipe.known or Known())
         if recipe.accept.max_draws == Acceptance.max_draws:
-            more = dataclasses.replace(recipe.accept, max_draws=MAP_DRAWS)
+            more = replace(recipe.accept, max_draws=MAP_DRAWS)
             with suppress(ValueError):  # of flights that search long, so many may not be drawn
-                return dataclasses.replace(recipe, accept=more)
+                return replace(recipe, accept=more)
         return recipe
 
 

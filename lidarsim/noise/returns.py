@@ -1,9 +1,8 @@
 """What stages pass on, what they may ask of the world, how bright a return is, and normal numbers
 with the same bits everywhere."""
 
-import dataclasses
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import mujoco
@@ -64,10 +63,10 @@ class Returns:
 
     def but(self, **changes: Floats) -> "Returns":
         """The same with other values; an intensity is 0 where nothing returns any more."""
-        changed = dataclasses.replace(self, **changes)
+        changed = replace(self, **changes)
         if changed.intensity is None:
             return changed
-        return dataclasses.replace(
+        return replace(
             changed, intensity=np.where(np.isfinite(changed.ranges), changed.intensity, 0.0)
         )
 

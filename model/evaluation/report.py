@@ -3,12 +3,12 @@ Markdown and one HTML page for people. The page has no script and fetches nothin
 are shown as text alone."""
 
 import base64
-import dataclasses
 import html
 import math
 import tomllib
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -127,7 +127,7 @@ def _reconstruction(found: MethodResult, result: DatasetResult) -> Json:
     )
     return {
         **whole,
-        "tuned": {**tuned, "thresholds": dataclasses.asdict(found.thresholds)},
+        "tuned": {**tuned, "thresholds": asdict(found.thresholds)},
         "unobserved": unobserved,
         "by_class": dict(zip(CLASSES, by_class, strict=True)),
     }
@@ -187,11 +187,11 @@ def tables(report: Json, kind: str) -> Iterator[tuple[str, Mapping[str, Metric],
     Beside IoU stands IoU at the row's best threshold. Where that is not the paper's, the figure
     says where it lies: `at`.
     """
-    metrics, usual = dict[str, Metric](), dataclasses.asdict(Thresholds())
+    metrics, usual = dict[str, Metric](), asdict(Thresholds())
     for name, metric in METRICS.items():
         metrics[name] = metric
         if name == "iou":
-            metrics[BEST_IOU] = dataclasses.replace(metric, title="IoU at its best threshold")
+            metrics[BEST_IOU] = replace(metric, title="IoU at its best threshold")
     rows = {}
     for method, row in report["reconstruction"][kind].items():
         tuned = row["tuned"]

@@ -1,11 +1,10 @@
 """Run the bench: every method on every test map of a dataset, reconstruction and planning, by all
 cores."""
 
-import dataclasses
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -329,7 +328,7 @@ def planner_maps(
     and for the careful planner the risk of every voxel, (*grid.shape) each."""
     at, plan, careful = config.thresholds, config.plan, config.plan.planner == "careful"
     if careful:
-        at = dataclasses.replace(at, probability=plan.careful_probability)
+        at = replace(at, probability=plan.careful_probability)
     occupied, distance = said.occupied(at), said.distance(at, grid)
     if plan.field == "transform":
         distance = distance_field(occupied, grid)
@@ -372,7 +371,7 @@ def tune(method: Method, dataset: Dataset, thresholds: Thresholds) -> Thresholds
             name, candidates = "distance_m", DISTANCES_M
         row = []
         for value in candidates:
-            at = dataclasses.replace(thresholds, **{name: float(value)})
+            at = replace(thresholds, **{name: float(value)})
             occupied = completion.occupied(at)[scored]
             union = np.count_nonzero(occupied | truth)
             row.append(np.count_nonzero(occupied & truth) / union if union else 1.0)
@@ -380,6 +379,4 @@ def tune(method: Method, dataset: Dataset, thresholds: Thresholds) -> Thresholds
     means = np.mean(scores, axis=0)
     if np.ptp(means) < 1e-12:
         return thresholds
-    return dataclasses.replace(
-        thresholds, **{name: round(float(candidates[int(means.argmax())]), 4)}
-    )
+    return replace(thresholds, **{name: round(float(candidates[int(means.argmax())]), 4)})

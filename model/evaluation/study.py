@@ -1,9 +1,8 @@
 """The study that the bench makes on request: whether what a method says of its sureness is so, and
 what a planner makes of it that asks for a risk."""
 
-import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -127,7 +126,7 @@ def run_settings(
     """Every trial of one map at each setting, (goals, settings, TOLD and then CHANCES); NaN for
     what a trial without a path, or a method without calibrated probabilities, lacks."""
     found = np.full((len(goals), len(chosen), len(TOLD) + len(CHANCES)), np.nan)
-    chance, careful = said.probability, dataclasses.replace(plan, planner="careful")
+    chance, careful = said.probability, replace(plan, planner="careful")
     for s, setting in enumerate(chosen):
         blocked, field = _maps(setting, said, grid)
         for g, goal in enumerate(goals):
@@ -155,7 +154,7 @@ def _maps(setting: Setting, said: Prediction, grid: GridSpec) -> tuple[Mask, Fie
         low = said.low(setting.value)
         return low <= 0, low
     name = "probability" if setting.by == "probability" else "distance_m"
-    at = dataclasses.replace(Thresholds(), **{name: setting.value})
+    at = replace(Thresholds(), **{name: setting.value})
     return said.occupied(at), said.distance(at, grid)
 
 
@@ -189,7 +188,7 @@ def careful_figures(trials: Floats, chosen: Sequence[Setting], worlds: Ints) -> 
     """The report of all trials (trials, settings, ...): a row a setting, and, by how likely paths
     were said to collide, how many did, over all settings."""
     rows = [
-        dataclasses.asdict(setting)
+        asdict(setting)
         | {
             name: figure(trials[:, s, n], worlds, "outcome" if name in OUTCOMES else "amount")
             for n, name in enumerate((*TOLD, *CHANCES))

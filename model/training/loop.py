@@ -1,14 +1,13 @@
 """Train a completion network: one plain loop, seeded, that can be interrupted anywhere and goes
 on."""
 
-import dataclasses
 import itertools
 import math
 import platform
 import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -312,7 +311,7 @@ def describe(maps: Maps, config: TrainConfig, precision: torch.dtype) -> Json:
         "kinds": [source.kind for source in maps.sources],
         "samples": None if maps.order(config.batch) else len(maps),
         **({} if maps.shares is None else {"shares": [str(share) for share in maps.shares]}),
-        **dataclasses.asdict(config),
+        **asdict(config),
         "precision": str(precision).removeprefix("torch."),
     }
 
@@ -380,7 +379,7 @@ def begin_from(weights: str | Path, network: Any) -> str:
     CheckpointError where that is another network."""
     found = open_network(weights)[0]
     if found.config != network.config:
-        there, asked = (dataclasses.asdict(one.config) for one in (found, network))
+        there, asked = (asdict(one.config) for one in (found, network))
         unlike = "; ".join(differences(there, asked))
         raise CheckpointError(f"{weights}: another network than the one to train: {unlike}")
     network.load_state_dict(found.state_dict())

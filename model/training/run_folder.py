@@ -2,14 +2,13 @@
 on."""
 
 import csv
-import dataclasses
 import fcntl
 import io
 import json
 import os
 import time
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from pathlib import Path
 
@@ -160,7 +159,7 @@ class RunFolder:
             for one, parameter in network.named_parameters()
             for key, value in optimizer.state.get(parameter, {}).items()
         }
-        save_tensors(self.path / name, state, dataclasses.asdict(progress))
+        save_tensors(self.path / name, state, asdict(progress))
         self._saved = time.monotonic()
 
     def save_in_time(self, progress: Progress) -> None:

@@ -1,11 +1,11 @@
 """Datasets from what a user asks for: a kind of worlds, several by weight, a recipe or MJCF files,
 and how many samples."""
 
-import dataclasses
 import hashlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -137,7 +137,7 @@ def plan_generation(
         if named not in (None, MIXED):
             raise RecipeError(f"{recipe}: is of several kinds, not of {named}; leave --kind out")
         parts = [
-            (dataclasses.replace(one, labels=_labels(labels, DrawnWorlds(one))), weight)
+            (replace(one, labels=_labels(labels, DrawnWorlds(one))), weight)
             for one, weight in read_components(file, seed=seed, **given)
         ]
         counts = _counts(n, val, test, alone=False)
@@ -170,7 +170,7 @@ def plan_generation(
     else:
         source, alone = DrawnWorlds(asked), False
         name = asked.kind.rpartition(":")[2]  # data/Towers for my_worlds:Towers
-    asked = dataclasses.replace(asked, labels=_labels(labels, source) or asked.labels)
+    asked = replace(asked, labels=_labels(labels, source) or asked.labels)
     counts = _counts(n, val, test, alone=alone)
     return plan_dataset(_folder(out, name), asked, source, seed=seed, counts=counts, **more)
 
@@ -319,7 +319,7 @@ def plan_mixed(
             for shard in (one for one in plan.shards if one.split == split):
                 start, stop = stop, stop + shard.samples
                 more = {"source": n, "start": start, "stop": stop}
-                shards.append(dataclasses.replace(shard, index=index, more=more))
+                shards.append(replace(shard, index=index, more=more))
                 index += 1
     each = [(plan.parameters, None, [""]) for plan in plans]
     given = gathered(each, counts, plans[0].parameters["shard_samples"])

@@ -1,12 +1,11 @@
 """The parts of a recipe that have entries of their own in a manifest: one table that writers,
 readers and checks walk."""
 
-import dataclasses
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -95,7 +94,7 @@ def _read_grid(entry: Any, before: Json) -> GridSpec:
 def sensor_entry(sensor: Sensor) -> Json:
     """What the manifest says of a sensor, as plain JSON values."""
     if isinstance(sensor, Lidar):
-        return plain(dataclasses.asdict(sensor))
+        return plain(asdict(sensor))
     table = BeamTable.of(sensor)
     return {
         "sensor": "table",
@@ -219,7 +218,7 @@ def mapping_entry(mapping: Mapper) -> Json | None:
 def described(mapping: Mapper) -> Json:
     """Every parameter of how maps are made, as plain JSON values; those of the default for what is
     the same."""
-    return plain(dataclasses.asdict(Mapper() if mapping.plain else mapping))
+    return plain(asdict(Mapper() if mapping.plain else mapping))
 
 
 def _read_mapping(entry: Any, before: Json) -> Mapper:
@@ -281,7 +280,7 @@ PARTS = (
     Part(
         name="labels",
         since=1.2,
-        entry=lambda recipe: recipe.labels and plain(dataclasses.asdict(recipe.labels)),
+        entry=lambda recipe: recipe.labels and plain(asdict(recipe.labels)),
         read=_read_plain("labels", _LABELS),
         group="labels",
     ),
@@ -296,7 +295,7 @@ PARTS = (
     Part(
         name="known",
         since="1.5",
-        entry=lambda recipe: recipe.known and plain(dataclasses.asdict(recipe.known)),
+        entry=lambda recipe: recipe.known and plain(asdict(recipe.known)),
         read=lambda entry, before: None if entry is None else made(Known, entry, "known"),
         group="known",
     ),

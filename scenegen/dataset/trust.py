@@ -1,9 +1,8 @@
 """What readers rely on in a manifest, checked before they do: it may come from a stranger."""
 
-import dataclasses
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -250,7 +249,7 @@ class Manifest:
 
         left = ("version", "scenes", *(() if self.drawn else ("world", "difficulty")))
         tables = {name: table for name, table in self.tables.items() if name not in left}
-        tables["grid"] = dataclasses.asdict(self.grid)
+        tables["grid"] = asdict(self.grid)
         for name in (name for name in NAMES if name in self.tables):
             raise BrokenError(f"recipe.{name}: is there, expected {name} beside recipe")
         noise = noise_of(self.noise if self.noise_is_ours else None, self.lidar.max_range_m)
@@ -259,7 +258,7 @@ class Manifest:
             found = make_recipe(kind, tables, lidar=self.lidar)
             said = self.labels and {**self.labels, "classes": tuple(self.labels["classes"])}
             labels = Labels(**said) if said else None
-            return dataclasses.replace(
+            return replace(
                 found, noise=noise, labels=labels, mapping=self.mapping, known=self.known
             )
 
@@ -349,7 +348,7 @@ def _sources(found: Json, folder: Path, named: str | None) -> tuple[Manifest, ..
     if (differ := manifest.differing(found, every) or None) != found["differ"]:
         raise BrokenError(f"differ = {short(found['differ'])}: expected {differ}, as sources say")
     rays = rays_named(found)
-    return tuple(dataclasses.replace(source, rays=rays) for source in sources)
+    return tuple(replace(source, rays=rays) for source in sources)
 
 
 def _entries(listed: Sequence[Any], sources: Sequence[Manifest]) -> tuple[Entry, ...]:

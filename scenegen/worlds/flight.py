@@ -1,9 +1,8 @@
 """Flights: OMPL's RRT between a random start and goal, the viewpoints along the path, and how a
 quadrotor leans there."""
 
-import dataclasses
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -268,7 +267,7 @@ def poses_in_flight(
     """
     flight = flight or Flight()
     if every_m is not None:
-        flight = dataclasses.replace(flight, spacing_m=every_m)
+        flight = replace(flight, spacing_m=every_m)
     route, flown = _flown(world, flight, seed)
     return [route.pose(metres) for metres in sorted(flown)]
 

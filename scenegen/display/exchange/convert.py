@@ -1,11 +1,10 @@
 """A dataset's samples, one after another, into a folder in another format; a stopped run goes on
 where it was."""
 
-import dataclasses
 from collections.abc import Sequence
 from contextlib import closing
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -72,7 +71,7 @@ def convert(
     manifest = dataset.manifest
     about = {
         "format": to,
-        "choices": dataclasses.asdict(choices),
+        "choices": asdict(choices),
         "dataset": manifest.fingerprint,
         "digest": manifest.digest or [shard.sha256 for shard in manifest.shards],
         "grid": manifest.parameters["grid"],
