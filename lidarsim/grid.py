@@ -15,6 +15,8 @@ Floats = NDArray[np.float64]
 """Positions, directions, lengths, figures."""
 Ints = NDArray[np.int64]
 """Indices and counts."""
+Vector = tuple[float, float, float]
+"""x, y and z."""
 MOST_EDGE = 8192
 """Voxels along an axis: distances are computed on rows of whole slices, padded by the
 truncation."""

@@ -10,7 +10,7 @@ from numpy.random import Generator
 from numpy.typing import ArrayLike
 
 from lidarsim.elementary import sin_cos
-from lidarsim.grid import Floats, Ints
+from lidarsim.grid import Floats, Ints, Vector
 from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, bounding_boxes
 from scenegen.worlds.drawing import UPRIGHT, Drawing
 
@@ -114,7 +114,7 @@ class Parts:
         turned = (c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w)
         self._rows.append((of_class, shape, size, self._moved(centre), turned))
 
-    def _moved(self, point: Point) -> tuple[float, float, float]:
+    def _moved(self, point: Point) -> Vector:
         (x, y, z), (x0, y0, z0), (_, (c, s)) = point, self._origin, self._turns
         return x0 + c * x - s * y, y0 + s * x + c * y, z0 + z
 

@@ -13,7 +13,7 @@ from ompl import util as ou
 
 from lidarsim import Pose
 from lidarsim.elementary import sin_cos
-from lidarsim.grid import Floats
+from lidarsim.grid import Floats, Vector
 from lidarsim.parameters import MOST_LENGTH_M, check, number
 from scenegen.errors import GenerationError, whole_number
 from scenegen.limits import (
@@ -74,7 +74,7 @@ class Flight:
                 f"altitude_m = {list(self.altitude_m)}: expected [low, high] in metres, low < high"
             )
 
-    def bounds(self, size_m: tuple[float, float, float]) -> Floats:
+    def bounds(self, size_m: Vector) -> Floats:
         """The box (2, 3) in which flights through a drawn world of extent `size_m` keep.
 
         Raises ValueError where the margin leaves none.
@@ -150,7 +150,7 @@ def points_of(path: og.PathGeometric) -> Floats:
     return np.array([_place(state) for state in path.getStates()])
 
 
-def _place(state: ob.State) -> tuple[float, float, float]:
+def _place(state: ob.State) -> Vector:
     return state[0], state[1], state[2]
 
 
@@ -294,7 +294,7 @@ def acceleration(
     *,
     speed_mps: float,
     settle_s: float,
-) -> tuple[float, float, float]:
+) -> Vector:
     """Acceleration, metres a second squared, `flown_m` along a path of straight legs that is flown
     at `speed_mps`.
 
@@ -309,7 +309,7 @@ def acceleration(
     return x, y, z
 
 
-def leaning(pose: Pose, pull: tuple[float, float, float], *, most_deg: float) -> Pose:
+def leaning(pose: Pose, pull: Vector, *, most_deg: float) -> Pose:
     """The level `pose` of a body that accelerates by `pull`, metres a second squared, as its thrust
     has it: turned the shortest way, so that its heading stays. It leans by `most_deg` at most."""
     up = max(GRAVITY + pull[2], LEAST_THRUST * GRAVITY)
