@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -44,8 +44,8 @@ def on_device(name: str, values: Any, dtype: Any, shape: tuple[int, ...], device
     return values
 
 
-Integers = wp.array[wp.int32]
-Vectors = wp.array[wp.vec3d]
+Integers: TypeAlias = wp.array[wp.int32]
+Vectors: TypeAlias = wp.array[wp.vec3d]
 
 
 @wp.struct

@@ -42,7 +42,7 @@ def reproduce(
     config: ReproduceConfig,
     runs: Sequence[Run],
     *,
-    device: str = "auto",
+    device: str,
     execute: Executor,
     progress: Showing,
 ) -> Json:

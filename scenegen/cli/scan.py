@@ -5,7 +5,7 @@ import json
 import math
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import rich_click as click
 
@@ -38,6 +38,16 @@ if TYPE_CHECKING:
     from lidarsim.noise.chain import Noise
     from scenegen.files import Json
     from scenegen.worlds.world import AnyWorld
+
+
+class _Setup(NamedTuple):
+    """What is scanned, and by what."""
+
+    sensor: "Sensor"
+    noise: "Noise"
+    engine: EngineFactory
+    world: "AnyWorld"
+
 
 HEADS = {
     "shape": "rays",
@@ -204,40 +214,36 @@ def scan(
     if not sequence and out.suffix not in SUFFIXES:
         raise click.UsageError(f"{out}: expected a name that ends in {', '.join(SUFFIXES)}")
     sensor = named_lidar(lidar or RASTER)
-    chain = named_noise(noise, sensor)
-    factory = find_engine(engine)
-    found, files = named_world(world, seed), [out]
+    setup = _Setup(
+        sensor, named_noise(noise, sensor), find_engine(engine), named_world(world, seed)
+    )
+    files = [out]
     if sequence:
-        cruise = Cruise(**options)
-        facts = [_write_log(out, found, factory, sensor, chain, cruise, seed, moving, talk)]
+        facts = [_write_log(out, setup, Cruise(**options), seed, moving, talk)]
     else:
-        facts, poses = [], _poses(found, pose, every, seed)
+        poses = _poses(setup.world, pose, every, seed)
+        seeds: list[Any] = [seed]
         if every is not None:
             files = [out.with_stem(f"{out.stem}-{number:03d}") for number in range(len(poses))]
+            seeds = [[seed, number] for number in range(len(poses))]
         for file in files:
             check_ours(file)
-        for number, (file, at) in enumerate(zip(files, poses, strict=True)):
-            drawn = seed if every is None else [seed, number]
-            facts.append(_write_scan(file, found, factory, sensor, chain, at, drawn, frame))
-    about = {"lidar": str(sensor), "noise": str(chain) or "none"}
-    rows = [{"file": str(file), **about, **one} for file, one in zip(files, facts, strict=True)]
+        scans = zip(files, poses, seeds, strict=True)
+        facts = [_write_scan(file, setup, at, drawn_by, frame) for file, at, drawn_by in scans]
+    about = {"lidar": str(sensor), "noise": str(setup.noise) or "none"}
+    rows = [{"file": str(file), **about, **row} for file, row in zip(files, facts, strict=True)]
     if tell(rows[0] if every is None else {"scans": rows}):
-        several = {"scans": len(files)} if len(files) > 1 else {}
-        told = about | facts[0] | several
-        show_table({name: value for name, value in told.items() if name != "quaternion"})
-        say(f"written: {files[0]}" + (f" … {files[-1]}" if several else ""))
+        shown: Json = {**about, **facts[0]}
+        written = f"written: {files[0]}"
+        if len(files) > 1:
+            shown["scans"] = len(files)
+            written += f" … {files[-1]}"
+        show_table({name: value for name, value in shown.items() if name != "quaternion"})
+        say(written)
 
 
 def _write_log(
-    out: Path,
-    world: "AnyWorld",
-    factory: EngineFactory,
-    sensor: "Sensor",
-    chain: "Noise",
-    cruise: Cruise,
-    seed: int,
-    moving: bool,
-    talk: bool,
+    out: Path, setup: _Setup, cruise: Cruise, seed: int, moving: bool, talk: bool
 ) -> "Json":
     """Records a log, and gives what is to be said of it."""
     from scenegen.files import check_free
@@ -248,10 +254,17 @@ def _write_log(
     corrected = out.suffix != ".mcap"
     if not corrected:
         import mcap_ros2  # noqa: F401 (what is missing is said before a minute of scans)
-    period = period_s(sensor)
-    poses = cruise_poses(world, cruise, period, seed=seed)
+    period = period_s(setup.sensor)
+    poses = cruise_poses(setup.world, cruise, period, seed=seed)
     scans = record(
-        world, factory, sensor, poses, chain, seed=seed, moving=moving, corrected=corrected
+        setup.world,
+        setup.engine,
+        setup.sensor,
+        poses,
+        setup.noise,
+        seed=seed,
+        moving=moving,
+        corrected=corrected,
     )
     with Progress("scan", shown=talk) as progress:
         progress.start(len(poses))
@@ -274,16 +287,7 @@ def _poses(
     return [pose_in_flight(world, seed=seed)]
 
 
-def _write_scan(
-    file: Path,
-    world: "AnyWorld",
-    factory: EngineFactory,
-    sensor: "Sensor",
-    chain: "Noise",
-    at: "Pose",
-    seed: int | list[int],
-    frame: str,
-) -> "Json":
+def _write_scan(file: Path, setup: _Setup, at: "Pose", seed: int | list[int], frame: str) -> "Json":
     """Scans from a pose, writes the returns, and gives what is to be said of them."""
     import numpy as np
 
@@ -294,7 +298,8 @@ def _write_scan(
     from scenegen.worlds.mapping import Known
     from scenegen.worlds.place import Place
 
-    seen = scan_world(world, sensor, at, chain, seed=seed, engine=factory)
+    sensor, noise, engine, world = setup
+    seen = scan_world(world, sensor, at, noise, seed=seed, engine=engine)
     points = np.concatenate([seen.points(echo) for echo in range(len(seen.ranges))])
     if frame == "body":
         points = at.to_body(points)
@@ -306,7 +311,7 @@ def _write_scan(
         "position": at.position,
         "quaternion": at.quaternion,
         "lidar": str(sensor),
-        "noise": str(chain),
+        "noise": str(noise),
         "frame": frame,
     }
     write_points(file, points, intensity, about)

@@ -153,7 +153,7 @@ Guesses = Callable[[Sample, Split], Sequence[Guess]]
 is."""
 
 
-def look_into(samples: Split, index: int, guesses: Guesses | None = None) -> Look:
+def look_into(samples: Split, index: int, guesses: Guesses | None) -> Look:
     """Reads sample `index` of a split as far as that can be, with what `guesses` predicts of it.
 
     Raises:

@@ -264,9 +264,7 @@ class Batches(Place, Iterator[list[int]]):
     draws; `loaders` may also be a multiple of their number.
     """
 
-    def __init__(
-        self, stream: Stream, size: int, *, rank: int = 0, ranks: int = 1, loaders: int = 1
-    ):
+    def __init__(self, stream: Stream, size: int, *, rank: int, ranks: int, loaders: int):
         size = whole_number("stream: size =", size, 1, MOST_BATCH)
         ranks = whole_number("stream: ranks =", ranks, 1, MOST_WORKERS)
         rank = whole_number("stream: rank =", rank, 0, ranks - 1)
