@@ -31,7 +31,7 @@ class Registry:
 
     what: str
     """The sort in one word, for errors: "sensor"."""
-    known: Mapping[str, str]
+    builtin: Mapping[str, str]
     """Names of those that come with the toolkit, each with its ``module:Object``."""
     needs: Mapping[str, str] = field(default_factory=dict)
     """Attributes that every object has to have, each with what it is: {"cast": "a method: (origins,
@@ -41,10 +41,10 @@ class Registry:
         """The object called `name`. Raises ValueError, in one line, for a name that leads to none,
         or to one that lacks what it needs."""
         name = str(name)
-        module, colon, attribute = self.known.get(name, name).partition(":")
+        module, colon, attribute = self.builtin.get(name, name).partition(":")
         if not colon or not all(map(str.isidentifier, (attribute, *module.split(".")))):
             raise ValueError(self.unknown(name))
-        if name in self.known:
+        if name in self.builtin:
             imported = importlib.import_module(module)
         else:
             imported = self._imported(module, name)
@@ -59,7 +59,7 @@ class Registry:
 
     def unknown(self, name: str) -> str:
         """What to say of a `name` that is none."""
-        hint = suggestion(name, self.known)
+        hint = suggestion(name, self.builtin)
         return f"unknown {self.what} {name[:MOST_NAMED]!a}; {hint} (or one's own, as module:Object)"
 
     def check(self, chosen: Any, name: str) -> None:

@@ -118,7 +118,7 @@ def sensor_of(table: Json, where: str, folder: Path) -> Sensor:
         raise RecipeError(
             f"{where} sensor = {short(name)}: expected a dataclass, whose fields a recipe sets"
         )
-    if isinstance(given.get("name"), str) and given["name"] in SENSORS.known:
+    if isinstance(given.get("name"), str) and given["name"] in SENSORS.builtin:
         raise RecipeError(
             f"{where} name = {short(given['name'])}: is that of another; give your sensor a name "
             f'of its own, or take that one with sensor = "{given["name"]}"'
@@ -138,7 +138,7 @@ def sensor_of(table: Json, where: str, folder: Path) -> Sensor:
     if isinstance(own := getattr(made, "noise", None), str) and own:
         with raised_as(RecipeError, f"{where} "):
             Noise.parse(own)
-    if name not in SENSORS.known:
+    if name not in SENSORS.builtin:
         with raised_as(RecipeError):
             beam_table(made, where)
     return made

@@ -18,7 +18,7 @@ from scenegen.cli.show import (
     per_split,
     plain,
     rejections,
-    show_figures,
+    show_columns,
     show_table,
 )
 from scenegen.files import Json
@@ -170,7 +170,7 @@ def _show_split(name: str, split: Json) -> None:
         for key, factor in factors.items():
             means = [kind["statistics"][key]["mean"] for kind in kinds.values()]
             cells[key] = ["–" if mean is None else f"{mean * factor:.3f}" for mean in means]
-        show_figures(cells, list(kinds), f"{name}: means of each kind, shares in %")
+        show_columns(cells, list(kinds), f"{name}: means of each kind, shares in %")
 
 
 def _source(source: Json) -> str:

@@ -86,7 +86,7 @@ class Weighted(click.ParamType):
     "--variant",
     type=Named(NETWORKS),
     default=NetworkConfig.variant,
-    help=f"The network: {', '.join(NETWORKS.known)}, or MODULE:CLASS; docs/own-network.md.",
+    help=f"The network: {', '.join(NETWORKS.builtin)}, or MODULE:CLASS; docs/own-network.md.",
 )
 @click.option(
     "--loss",
@@ -125,7 +125,7 @@ class Weighted(click.ParamType):
     type=Named(INPUTS),
     multiple=True,
     default=NetworkConfig.inputs,
-    help=f"A channel that it takes: {', '.join(INPUTS.known)}, or MODULE:FUNCTION; repeatable.",
+    help=f"A channel that it takes: {', '.join(INPUTS.builtin)}, or MODULE:FUNCTION; repeatable.",
 )
 @options_of(
     NetworkConfig,

@@ -16,7 +16,7 @@ from scipy.optimize import minimize_scalar
 
 from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
 from scenegen.cli.show import Showing, counted, silent
-from scenegen.dataset.read import Dataset, Split
+from scenegen.dataset.read import Dataset
 from scenegen.display.look import evenly
 from scenegen.errors import DatasetError, raised_as
 from scenegen.files import Json
@@ -36,10 +36,10 @@ from scenegen.model.config import PlanConfig, Thresholds
 from scenegen.model.evaluation.planning.measure import draw_trials
 from scenegen.model.evaluation.run import check_middle, check_whole, filled
 from scenegen.model.evaluation.study import TOLD, Setting, run_settings
-from scenegen.model.evaluation.visibility import UNOBSERVED, classify, scored_voxels
+from scenegen.model.evaluation.visibility import UNOBSERVED, Case
 from scenegen.run import Executor, check_together
 from scenegen.run.workers import ALONE
-from scenegen.sample import Sample, rng_of
+from scenegen.sample import rng_of
 
 RISKS = (0.5, 0.4, 0.3, 0.2, 0.15, 0.1, 0.07, 0.05, 0.03, 0.02, 0.01, 0.005, 0.002, 0.001)
 """Risks that bounds are made for, as far down as the worlds allow."""
@@ -174,9 +174,8 @@ LEAST_WORLDS = 20
 """Fewer promise no bound of a risk of .05, nor a temperature."""
 CHUNK = 10
 """Samples a task of a worker."""
-Measure = Callable[[Prediction, Sample, Split, int], tuple[Any, ...]]
-"""What is measured of a prediction for a sample, by its number in a split; results are summed by
-world."""
+Measure = Callable[[Prediction, Case], tuple[Any, ...]]
+"""What is measured of a prediction for a sample; results are summed by world."""
 
 
 class _Task(NamedTuple):
@@ -298,21 +297,18 @@ def _complete(
     samples, results = Dataset(task.folder, whole=True).split(split), []
     for number in task.numbers:
         sample = samples[number]
-        result = measure(method.completion(sample, samples), sample, samples, number)
+        prediction = method.completion(sample, samples)
+        result = measure(prediction, Case.of(sample, number, samples))
         results.append(((task.dataset, int(sample.world)), result))
     return results
 
 
-def _count(
-    weight: float, said: Prediction, sample: Sample, split: Split, index: int
-) -> tuple[Ints, Any, list[Any]]:
+def _count(weight: float, prediction: Prediction, case: Case) -> tuple[Ints, Any, list[Any]]:
     """Scores of a map's unknown voxels, and their logits where there are some; and what share of
     its returns is denied."""
-    grid = split.dataset.grid
-    scored = scored_voxels(sample, grid, split.home(index).tables)
-    classes = classify(sample, grid=grid, scored=scored)
-    unknown, probability = np.isin(classes, UNOBSERVED), said.occupancy_probability
-    distance = said.distance(Thresholds(), grid)
+    sample, grid = case.sample, case.split.dataset.grid
+    unknown, probability = np.isin(case.classes, UNOBSERVED), prediction.occupancy_probability
+    distance = prediction.distance(Thresholds(), grid)
     chance = None if probability is None else corrected(probability, weight)
     scores = count_scores(distance, chance, sample.tudf, unknown, grid)
     if probability is None:
@@ -322,18 +318,13 @@ def _count(
 
 
 def _collisions(
-    found: Calibration,
-    trials: int,
-    seed: int,
-    said: Prediction,
-    sample: Sample,
-    split: Split,
-    index: int,
+    fitted: Calibration, trials: int, seed: int, prediction: Prediction, case: Case
 ) -> tuple[Floats, int]:
     """How many of a map's trials collide at each risk, and how many there are."""
-    grid, rng = split.dataset.grid, rng_of(seed, int(sample.world), int(sample.viewpoint))
+    sample, grid = case.sample, case.split.dataset.grid
+    rng = rng_of(seed, int(sample.world), int(sample.viewpoint))
     goals = draw_trials(sample.occupancy, grid, PlanConfig(), count=trials, rng=rng).goals
-    risks = [Setting(by="risk", value=risk) for risk in found.risks]
-    sure, truth = replace(said, uncertainty=found, grid=grid), (sample.occupancy, sample.tudf)
-    came = run_settings(risks, sure, truth, goals, grid, PlanConfig())
-    return came[:, :, TOLD.index("collided")].sum(axis=0), len(goals)
+    risks = [Setting(by="risk", value=risk) for risk in fitted.risks]
+    sure, truth = replace(prediction, uncertainty=fitted, grid=grid), (case.solid, case.gap_m)
+    figures = run_settings(risks, sure, truth, goals, grid, PlanConfig())
+    return figures[:, :, TOLD.index("collided")].sum(axis=0), len(goals)

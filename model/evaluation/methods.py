@@ -244,7 +244,7 @@ def find_method(name: Any) -> Method:
     odd = f"--method {name}: cannot be made by calling it without arguments: "
     with raised_as(ScenegenError, odd, of=TypeError):
         made = found()
-    if name in METHODS.known and hasattr(made, "completion"):  # a row itself, not a completer
+    if name in METHODS.builtin and hasattr(made, "completion"):  # a row itself, not a completer
         return made
     return Completed(made)
 

@@ -22,10 +22,10 @@ from scenegen.model.evaluation.run import DatasetResult, MethodResult
 from scenegen.model.evaluation.statistics import (
     caution,
     cell,
-    figure,
     holm,
     interval,
     paired_p,
+    summarise,
     table,
     with_std,
 )
@@ -102,17 +102,17 @@ def finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def figures(
+def summaries(
     found: MethodResult,
     result: DatasetResult,
     metrics: Mapping[str, Metric],
     region: int = 0,
     chosen: Any = True,
 ) -> Json:
-    """The figures of what `MethodResult.values` gives, of the `chosen` trials alone, each {mean,
-    std, low, high, n}."""
+    """`summarise` of what `MethodResult.values` gives for each metric, of the `chosen` trials
+    alone."""
     return {
-        name: figure(
+        name: summarise(
             np.where(chosen, found.values(name, region), np.nan),
             result.worlds_of(name),
             metric.scale,
@@ -123,7 +123,7 @@ def figures(
 
 def _reconstruction(found: MethodResult, result: DatasetResult) -> Json:
     whole, unobserved, *by_class, tuned = (
-        figures(found, result, METRICS, region) for region in range(len(CLASSES) + 3)
+        summaries(found, result, METRICS, region) for region in range(len(CLASSES) + 3)
     )
     return {
         **whole,
@@ -142,9 +142,9 @@ def _planning(found: MethodResult, result: DatasetResult) -> Json:
     all_succeeded = [[trial.success for trial in method.trials] for method in learned]
     causes = (trial.cause for trial in found.trials if trial.cause is not None)
     return {
-        **figures(found, result, PLAN_METRICS),
-        "successes": figures(found, result, on_paths, chosen=succeeded),
-        "all_succeed": figures(found, result, on_paths, chosen=np.all(all_succeeded, axis=0)),
+        **summaries(found, result, PLAN_METRICS),
+        "successes": summaries(found, result, on_paths, chosen=succeeded),
+        "all_succeed": summaries(found, result, on_paths, chosen=np.all(all_succeeded, axis=0)),
         "failures": dict(Counter(causes)),
     }
 
@@ -163,7 +163,7 @@ def _tests(result: DatasetResult, rng: np.random.Generator) -> list[Json]:
         for region, name in tested:
             a, b = (of.values(name, REGIONS.index(region)) for of in (one, other))
             worlds = result.worlds_of(name)
-            gained = figure(a - b, worlds, "gain" if name in PLAN_METRICS else "amount")
+            gained = summarise(a - b, worlds, "gain" if name in PLAN_METRICS else "amount")
             title = name if region == "map" else f"{region}_{name}"
             found.append(
                 {

@@ -269,9 +269,9 @@ def _bench_samples(
     for index in rows.numbers:
         sample = split[index]
         drawn = trials_of(sample, index, split, config, trials_each)
-        case = Case.of(sample, index, split, drawn.goals)
+        case = Case.of(sample, index, split)
         results = [
-            _bench_method(method, best, case, config)
+            _bench_method(method, best, case, drawn.goals, config)
             for method, best in zip(methods, tuned, strict=True)
         ]
         known_share = 1.0 if sample.known is None else float(sample.known.mean())
@@ -281,10 +281,11 @@ def _bench_samples(
 
 
 def _bench_method(
-    method: Method, tuned: Thresholds, case: Case, config: BenchConfig
+    method: Method, tuned: Thresholds, case: Case, goals: Floats, config: BenchConfig
 ) -> _MethodOnSample:
     """Measure one method on one sample: its map at the usual and at its `tuned` thresholds, its
-    paths, and, if asked for, its probabilities and bounds."""
+    paths to `goals` (trials, 3), metres in the map's frame, and, if asked for, its probabilities
+    and bounds."""
     sample, grid, usual = case.sample, case.split.dataset.grid, config.thresholds
     prediction = method.completion(sample, case.split)
 
@@ -314,9 +315,9 @@ def _bench_method(
             grid=grid,
             config=config.plan,
         )
-        for goal in case.goals
+        for goal in goals
     ]
-    study = study_map(prediction, case, config) if config.study else None
+    study = study_map(prediction, case, goals, config) if config.study else None
     reconstruction = np.vstack([by_thresholds[usual], by_thresholds[tuned][:1]])
     return _MethodOnSample(reconstruction, trials, study)
 

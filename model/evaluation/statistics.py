@@ -1,4 +1,4 @@
-"""Figures with their uncertainty, and as text. Samples of one world are not independent, so worlds
+"""Means with their uncertainty, and as text. Samples of one world are not independent, so worlds
 are left out in turn."""
 
 import math
@@ -81,9 +81,9 @@ def estimate(sums: ArrayLike, worlds: ArrayLike, of: Callable[[Floats], Floats])
     return Estimate(value=value, error=error, freedom=count - 1)
 
 
-def figure(values: ArrayLike, worlds: ArrayLike, scale: Scale = "amount") -> Json:
-    """A figure as JSON holds it, from `values` (N,) of samples from `worlds` (N,); NaN values are
-    left out.
+def summarise(values: ArrayLike, worlds: ArrayLike, scale: Scale = "amount") -> Json:
+    """The mean of a metric with its interval, as JSON holds it, from `values` (N,) of samples from
+    `worlds` (N,); NaN values are left out.
 
     Intervals of shares and outcomes are symmetric in log-odds, so that they stay in [0, 1] and
     cover where a few worlds are far harder than the rest. Outcomes of a few trials can be all alike
@@ -170,27 +170,30 @@ def table(heads: Collection[str], rows: Iterable[tuple[str, Iterable[str]]]) -> 
     return "\n".join([*head, *(line(name, cells) for name, cells in rows)])
 
 
-def cell(figure: Json) -> str:
-    """A figure with its spread and interval, and its threshold; a dash where nothing was
-    measured."""
-    if not figure["n"]:
+def cell(summary: Json) -> str:
+    """What `summarise` gave: mean, standard deviation, interval, and threshold; a dash where
+    nothing was measured."""
+    if not summary["n"]:
         return "–"
-    return f"{with_std(figure['mean'], figure['std'])} {interval(figure, '.3f')}{threshold(figure)}"
+    mean = with_std(summary["mean"], summary["std"])
+    return f"{mean} {interval(summary, '.3f')}{threshold(summary)}"
 
 
-def brief(figure: Json, form: str = ".3f") -> str:
+def brief(summary: Json, form: str = ".3f") -> str:
     """A mean and its interval; a dash where nothing was measured."""
-    return f"{figure['mean']:{form}} {interval(figure, form)}" if figure["n"] else "–"
+    return f"{summary['mean']:{form}} {interval(summary, form)}" if summary["n"] else "–"
 
 
-def threshold(figure: Json) -> str:
-    """At which threshold a figure stands, where that is its own."""
-    return f" at {figure['at']}" if figure.get("at") else ""
+def threshold(summary: Json) -> str:
+    """At which threshold a metric was measured, where that is the method's own."""
+    return f" at {summary['at']}" if summary.get("at") else ""
 
 
-def interval(figure: Json, form: str) -> str:
+def interval(summary: Json, form: str) -> str:
     """[low, high], or a dash where one world gives none."""
-    return "[–]" if figure["low"] is None else f"[{figure['low']:{form}}, {figure['high']:{form}}]"
+    if summary["low"] is None:
+        return "[–]"
+    return f"[{summary['low']:{form}}, {summary['high']:{form}}]"
 
 
 def with_std(mean: float, std: float | None = None) -> str:

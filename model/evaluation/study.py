@@ -14,7 +14,7 @@ from scenegen.model.calibration import corrected
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import BenchConfig, LossConfig, PlanConfig, Thresholds
 from scenegen.model.evaluation.planning.measure import judge, met, plan_trial
-from scenegen.model.evaluation.statistics import brief, figure, interval
+from scenegen.model.evaluation.statistics import brief, interval, summarise
 from scenegen.model.evaluation.uncertainty import (
     JUDGED,
     PARTS,
@@ -76,8 +76,8 @@ class Study:
     """(goals, settings, figures): see `run_settings`."""
 
 
-def study_map(prediction: Prediction, case: Case, config: BenchConfig) -> Study:
-    """Study what a method predicts of a sample's map."""
+def study_map(prediction: Prediction, case: Case, goals: Floats, config: BenchConfig) -> Study:
+    """Study what a method predicts of a sample's map, and paths on it to `goals` (trials, 3)."""
     sample, grid = case.sample, case.split.dataset.grid
     distance = prediction.distance(config.thresholds, grid)
     probability, calibrated = prediction.occupancy_probability, prediction.probability
@@ -98,7 +98,7 @@ def study_map(prediction: Prediction, case: Case, config: BenchConfig) -> Study:
         bounds=bounds,
         ause=ause,
         settings=settings,
-        careful=run_settings(settings, prediction, truth, case.goals, grid, config.plan),
+        careful=run_settings(settings, prediction, truth, goals, grid, config.plan),
     )
 
 
@@ -176,7 +176,7 @@ def study_of(
     return {
         "reliability": {"class_weight": CLASS_WEIGHT, **found} if found else None,
         "bounds": bounds_of(bounds, sparse, risks, worlds) if risks else None,
-        "risk": careful_figures(
+        "risk": careful_report(
             np.array(careful).reshape(len(careful), len(settings), len(TOLD) + len(CHANCES)),
             settings,
             trial_worlds,
@@ -184,13 +184,13 @@ def study_of(
     }
 
 
-def careful_figures(trials: Floats, chosen: Sequence[Setting], worlds: Ints) -> Json:
+def careful_report(trials: Floats, chosen: Sequence[Setting], worlds: Ints) -> Json:
     """The report of all trials (trials, settings, ...): a row a setting, and, by how likely paths
     were said to collide, how many did, over all settings."""
     rows = [
         asdict(setting)
         | {
-            name: figure(trials[:, s, n], worlds, "outcome" if name in OUTCOMES else "amount")
+            name: summarise(trials[:, s, n], worlds, "outcome" if name in OUTCOMES else "amount")
             for n, name in enumerate((*TOLD, *CHANCES))
         }
         for s, setting in enumerate(chosen)
@@ -204,7 +204,7 @@ def careful_figures(trials: Floats, chosen: Sequence[Setting], worlds: Ints) -> 
             inside = (said >= low) & ((said < high) | (high == EDGES[-1]))
             if inside.any():
                 told = {"from": low, "to": high, "said": float(said[inside].mean())}
-                had = figure(collided[inside], repeated[inside], "outcome")
+                had = summarise(collided[inside], repeated[inside], "outcome")
                 paths[name].append({**told, "paths": int(inside.sum()), "collided": had})
     return {"settings": rows, "paths": paths}
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from lidarsim import AnalyticEngine, Sensor
-from lidarsim.grid import Field, Floats, GridSpec, Mask
+from lidarsim.grid import Field, GridSpec, Mask
 from lidarsim.solids.shapes import Solids
 from scenegen.dataset.read import Dataset, Split
 from scenegen.model.completion.protocol import Prediction
@@ -113,11 +113,9 @@ class Case(NamedTuple):
     occupied."""
     gap_m: Field
     """Its distance field, metres."""
-    goals: Floats
-    """(trials, 3): where paths end, map frame, metres."""
 
     @classmethod
-    def of(cls, sample: Sample, index: int, split: Split, goals: Floats) -> "Case":
+    def of(cls, sample: Sample, index: int, split: Split) -> "Case":
         """Of sample number `index` of a split."""
         grid = split.dataset.grid
         scored = scored_voxels(sample, grid, split.home(index).tables)
@@ -127,7 +125,6 @@ class Case(NamedTuple):
             classify(sample, grid=grid, scored=scored),
             certain_distances(sample, grid),
             *walled(sample.occupancy, sample.tudf, sample.known, grid),
-            goals,
         )
 
 

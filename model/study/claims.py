@@ -23,7 +23,7 @@ from lidarsim.grid import Floats
 from scenegen.files import Json
 from scenegen.model.config import TrainConfig
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
-from scenegen.model.evaluation.report import PAPER, figures
+from scenegen.model.evaluation.report import PAPER, summaries
 from scenegen.model.evaluation.run import DatasetResult
 from scenegen.model.evaluation.statistics import (
     Estimate,
@@ -49,7 +49,7 @@ ALL = METRICS | PLAN_METRICS
 
 def means(result: DatasetResult) -> dict[str, Json]:
     """Every metric of every row, {mean, std, low, high, n}."""
-    return {name: figures(row, result, ALL) for name, row in result.methods.items()}
+    return {name: summaries(row, result, ALL) for name, row in result.methods.items()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,9 +145,14 @@ def compared(claim: Claim, measured: DatasetResult, *, common: bool = False) -> 
         "worlds_error": overall and overall.error,
         "worlds_freedom": overall and overall.freedom,
         "pairs": [
-            {"best_seed": i, "other_seed": j, "difference": one.value}
-            | dict(zip(("low", "high"), one.ends, strict=True))
-            for (i, j), one in singles.items()
+            {
+                "best_seed": i,
+                "other_seed": j,
+                "difference": single.value,
+                "low": single.ends[0],
+                "high": single.ends[1],
+            }
+            for (i, j), single in singles.items()
         ],
     }
 

@@ -26,7 +26,7 @@ from scenegen.cli.options import (
     seed_option,
     was_given,
 )
-from scenegen.cli.show import Progress, Tell, say, show_figures, show_table
+from scenegen.cli.show import Progress, Tell, say, show_columns, show_table
 from scenegen.cli.types import Named, Number, Numbers
 from scenegen.display.exchange import Choices
 from scenegen.limits import LEAST_DRAWN_M
@@ -87,7 +87,7 @@ def sensors(names: tuple[str, ...], out: Path | None, as_json: bool) -> None:
             show_table({key: value for key, value in row.items() if value not in ("", [])}, name)
     else:
         cells = {name: [_cell(row[head]) for head in HEADS] for name, row in rows.items()}
-        show_figures(cells, list(HEADS.values()))
+        show_columns(cells, list(HEADS.values()))
         say("\nscenegen sensors NAME tells where its figures come from; --out FILE draws it")
     if out is not None and not as_json:
         say(f"written: {out}")

@@ -38,7 +38,7 @@ def _range_m(sample: Sample) -> float:
     return float(hit.mean()) if len(hit) else float("nan")
 
 
-@lru_cache(maxsize=1)  # its figures are asked for one after the other
+@lru_cache(maxsize=1)  # its measures are asked for one after the other
 def _difficulties(sample: Sample) -> Difficulty:
     assert sample.grid is not None
     return difficulty(sample.occupancy, sample.tudf, sample.grid.voxel_m)
@@ -48,7 +48,7 @@ def _difficulty(number: int, sample: Sample) -> float:
     return float(_difficulties(sample)[number])
 
 
-FIGURES: Mapping[str, Callable[[Sample], float]] = {
+MEASURES: Mapping[str, Callable[[Sample], float]] = {
     "occupied": lambda sample: float(sample.occupancy.mean()),
     "observed": lambda sample: float(sample.observed.mean()),
     "free": lambda sample: float(sample.free.mean()),
@@ -61,14 +61,14 @@ FIGURES: Mapping[str, Callable[[Sample], float]] = {
 """What `inspect` measures of a sample, and `take --where` asks by; nothing of it is stored in one.
 Shares of all voxels; of all rays, those that returned; the mean range of these, metres, NaN for
 none; the mean distance of the map's voxels, metres; and how hard the map is."""
-COLUMNS = tuple(FIGURES)
-ROW = np.dtype([(name, "<f8") for name in FIGURES])
-"""A sample in the file of figures."""
+COLUMNS = tuple(MEASURES)
+ROW = np.dtype([(name, "<f8") for name in MEASURES])
+"""A sample in the file of measures."""
 
 NUMBERS = ("sample", "world", "viewpoint")
 """What can be asked of a sample without reading it: its number in the split, and who it is."""
 OF_WORLD = "world_"
-"""Before the name of a figure: its mean over all maps of a sample's world."""
+"""Before the name of a measure: its mean over all maps of a sample's world."""
 SIGNS = {
     "<=": operator.le,
     ">=": operator.ge,
@@ -80,26 +80,27 @@ AT_ONCE = 16
 """Shards that a worker is given before it is seen whether enough was found."""
 
 
-def figures_file(dataset: Dataset) -> Path:
-    """Where `scenegen inspect --keep` puts the figures of all samples of a complete dataset: beside
-    its shards, by its digest, so that those of another dataset are never taken for its own."""
+def measures_file(dataset: Dataset) -> Path:
+    """Where `scenegen inspect --keep` puts the measures of all samples of a complete dataset:
+    beside its shards, by its digest, so that those of another dataset are never taken for its
+    own."""
     return dataset.folder / f"figures-{str(dataset.manifest.digest)[:16]}.npy"
 
 
-def encode_figures(table: Floats) -> bytes:
-    """The content of that file, from the `FIGURES` (samples, figures) of all splits in order."""
+def encode_measures(table: Floats) -> bytes:
+    """The content of that file, from the `MEASURES` (samples, measures) of all splits in order."""
     file = io.BytesIO()
     np.save(file, np.ascontiguousarray(table, "<f8").view(ROW)[:, 0])
     return file.getvalue()
 
 
-def kept_figures(dataset: Dataset) -> dict[str, Floats]:
-    """What that file holds, (samples, figures) by split; {} where there is none, or it is not as
+def kept_measures(dataset: Dataset) -> dict[str, Floats]:
+    """What that file holds, (samples, measures) by split; {} where there is none, or it is not as
     this version writes it."""
     counts = [len(dataset.split(name)) for name in SPLITS]
     try:
         most = sum(counts) * ROW.itemsize + MOST_HEADER_BYTES
-        table = read_npy(read_bounded(figures_file(dataset), most))
+        table = read_npy(read_bounded(measures_file(dataset), most))
     except (OSError, ValueError, ScenegenError):
         return {}
     if table.dtype != ROW or table.shape != (sum(counts),):
@@ -110,7 +111,7 @@ def kept_figures(dataset: Dataset) -> dict[str, Floats]:
 
 @dataclass(frozen=True)
 class Condition:
-    """A bound of one figure. A figure that a sample does not have fulfils none."""
+    """A bound of one measure. A measure that a sample does not have fulfils none."""
 
     name: str
     sign: str
@@ -121,7 +122,7 @@ class Condition:
         """The condition that is written like ``occupied>=0.05``. Raises ValueError."""
         number = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
         match = re.fullmatch(rf"\s*(\w+)\s*(<=|>=|<|>|=)\s*({number})\s*", text, re.ASCII)
-        known = (*NUMBERS, *FIGURES, *(OF_WORLD + name for name in FIGURES))
+        known = (*NUMBERS, *MEASURES, *(OF_WORLD + name for name in MEASURES))
         if match and match[1] in known:
             return cls(match[1], match[2], float(match[3]))
         raise ValueError(
@@ -181,11 +182,11 @@ def choose(dataset: Dataset, choice: Choice, *, workers: int = 1) -> Iterator[Ch
     without any.
 
     Samples are read only where something measured is asked for that is not kept beside them, by
-    `workers` processes. Raises DatasetError, also where figures of whole worlds are not kept.
+    `workers` processes. Raises DatasetError, also where measures of whole worlds are not kept.
     """
     conditions = tuple(one for one in choice.where if one.name not in NUMBERS)
-    kept = kept_figures(dataset) if conditions else {}
-    of_worlds = [one.name for one in conditions if one.name not in FIGURES]
+    kept = kept_measures(dataset) if conditions else {}
+    of_worlds = [one.name for one in conditions if one.name not in MEASURES]
     if of_worlds and not kept:
         raise DatasetError(
             f"{dataset.folder}: {of_worlds[0]} is a mean over all maps of a world; measure these "
@@ -195,9 +196,9 @@ def choose(dataset: Dataset, choice: Choice, *, workers: int = 1) -> Iterator[Ch
         if name not in choice.splits:
             continue
         split = dataset.split(name)
-        figures = {one.name: figure(split, kept[name], one.name) for one in conditions if kept}
+        measures = {one.name: measure_of(split, kept[name], one.name) for one in conditions if kept}
         left = MOST_SAMPLES if choice.most is None else choice.most
-        for chosen in _of_split(split, choice, conditions, figures, workers):
+        for chosen in _of_split(split, choice, conditions, measures, workers):
             chosen = chosen.only(slice(left))
             left -= len(chosen.rows)
             if len(chosen.rows):
@@ -210,20 +211,20 @@ def _of_split(
     split: Split,
     choice: Choice,
     conditions: tuple[Condition, ...],
-    figures: Mapping[str, Floats],
+    measures: Mapping[str, Floats],
     workers: int,
 ) -> Iterator[Chosen]:
     """What is taken of each shard of a split, however much that is. `conditions` are those on what
-    is measured: they are held against the `figures` of all samples by name, (samples,) each, or, if
-    these are not kept, against samples that are read."""
+    is measured: they are held against the `measures` of all samples by name, (samples,) each, or,
+    if these are not kept, against samples that are read."""
     home = split.dataset.manifest.home
     numbers = [
         number
         for number, entry in enumerate(split.shards)
         if not choice.kinds or home(entry).graded in choice.kinds
     ]
-    if len(figures) == len({one.name for one in conditions}):
-        yield from (_of_shard(split, number, choice, figures) for number in numbers)
+    if measures or not conditions:
+        yield from (_of_shard(split, number, choice, measures) for number in numbers)
         return
     # not all at once: whoever takes the first of them needs no more measured
     at_once = workers * AT_ONCE
@@ -237,11 +238,11 @@ def _of_split(
         yield from (shard.only(fulfil[number]) for number, shard in shards.items())
 
 
-def figure(split: Split, table: Floats, name: str) -> Floats:
-    """A figure of all samples of a split, from the `FIGURES` (samples, figures) of these; NaN for
-    none. Raises DatasetError."""
+def measure_of(split: Split, table: Floats, name: str) -> Floats:
+    """A measure of all samples of a split, from the `MEASURES` (samples, measures) of these; NaN
+    for none. Raises DatasetError."""
     own = table[:, COLUMNS.index(name.removeprefix(OF_WORLD))]
-    if name in FIGURES:
+    if name in MEASURES:
         return own
     worlds, here = split.numbers[0], ~np.isnan(own)
     with np.errstate(invalid="ignore"):  # a world may have none
@@ -249,13 +250,13 @@ def figure(split: Split, table: Floats, name: str) -> Floats:
     return means[worlds]
 
 
-def _of_shard(split: Split, number: int, choice: Choice, figures: Mapping[str, Floats]) -> Chosen:
-    """What is taken of a shard by its samples' numbers, and by the `figures` of all samples of the
+def _of_shard(split: Split, number: int, choice: Choice, measures: Mapping[str, Floats]) -> Chosen:
+    """What is taken of a shard by its samples' numbers, and by the `measures` of all samples of the
     split, where these are kept."""
     entry, places = split.shards[number], split.places(number)
     samples = split.first(number) + np.arange(len(places))
     values = dict(zip(NUMBERS, (samples, *split.numbers_in(number)), strict=True))
-    values |= {name: column[samples] for name, column in figures.items()}
+    values |= {name: column[samples] for name, column in measures.items()}
     kept = np.ones(len(places), bool)
     if choice.worlds:
         world = values["world"]
@@ -275,6 +276,6 @@ def _fulfil(
     number, rows = task
     samples = (split[split.first(number) + row] for row in rows.tolist())
     return number, np.array(
-        [all(one.holds(FIGURES[one.name](sample)) for one in conditions) for sample in samples],
+        [all(one.holds(MEASURES[one.name](sample)) for one in conditions) for sample in samples],
         bool,
     )

@@ -176,7 +176,7 @@ def plan_rescan(
             f"{dataset.folder}: its samples were made for other datasets; scan those again, and "
             f"take or merge then"
         )
-    if engine is None and found.engine not in ENGINES.known:
+    if engine is None and found.engine not in ENGINES.builtin:
         raise DatasetError(
             f"{dataset.folder}: made with the engine {short(found.engine)}, which is not imported "
             "because a manifest names it; give --engine with its name, or one of ours"

@@ -93,7 +93,7 @@ class State:
         """The manifest of what is known."""
         return manifest.assemble(
             self.plan.parameters,
-            self.known(self.plan.shards),
+            self.reports_of(self.plan.shards),
             complete=len(self.reports) == len(self.plan.shards),
         )
 
@@ -230,7 +230,7 @@ class State:
                 return  # a report lies beside each shard
             parameters = manifest.fingerprint(self.plan.parameters)
             write_note(
-                self.plan.folder, parameters, [shard.file for shard in mine], self.known(mine)
+                self.plan.folder, parameters, [shard.file for shard in mine], self.reports_of(mine)
             )
             return
         manifest.write(self.plan.folder, self._final())
@@ -275,7 +275,7 @@ class State:
         there = self.reports.keys() | names_in(self.plan.folder).keys()
         return [shard for shard in self.plan.shards if shard.file not in there]
 
-    def known(self, shards: Sequence[ShardTask]) -> list[ShardReport]:
+    def reports_of(self, shards: Sequence[ShardTask]) -> list[ShardReport]:
         """The reports of those of `shards` that are known, in their order."""
         return [self.reports[shard.file] for shard in shards if shard.file in self.reports]
 

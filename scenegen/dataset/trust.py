@@ -226,7 +226,7 @@ class Manifest:
     def noise_is_ours(self) -> bool:
         """Whether its noise is scenegen's own, so that reading imports nothing that is named."""
         stages = filter(None, self.noise_stages.split(","))
-        return all(stage.partition(":")[0] in STAGES.known for stage in stages)
+        return all(stage.partition(":")[0] in STAGES.builtin for stage in stages)
 
     @property
     def graded(self) -> str:

@@ -155,7 +155,7 @@ def _table(head: str, table: Json | None) -> list[str]:
 def check_kind(there: str, named: str | None) -> None:
     """Raise PublishError for a dataset of kind `there` whose worlds only a module of somebody's own
     can draw, unless the user `named` it: no module is imported because a manifest names it."""
-    if there != "scene" and there not in KINDS.known and there != named:
+    if there != "scene" and there not in KINDS.builtin and there != named:
         raise PublishError(
             f"the dataset's kind, {short(there)}, is none of scenegen's own, and only its module "
             "can say whether the recipe makes the same worlds again; give --kind with its name to "

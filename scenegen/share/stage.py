@@ -16,7 +16,7 @@ from pathlib import Path
 
 from scenegen import SPLITS
 from scenegen.dataset import manifest
-from scenegen.dataset.choose import figures_file, kept_figures
+from scenegen.dataset.choose import kept_measures, measures_file
 from scenegen.dataset.locate import REPOSITORY, REVISION, file_sha256
 from scenegen.dataset.read import Dataset
 from scenegen.display.inspect import inspect
@@ -139,8 +139,8 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
     with whole_folder(request.out, partial(check_out, request.dataset)) as draft:
         take(request.dataset, draft, found.files)
         write_whole(draft / manifest.NAME, content)
-        if kept_figures(dataset):
-            figures = figures_file(dataset)
+        if kept_measures(dataset):
+            figures = measures_file(dataset)
             write_whole(draft / figures.name, figures.read_bytes())
         listed = {manifest.NAME: file_sha256(draft / manifest.NAME)}
         sums = found.files | listed

@@ -96,7 +96,7 @@ def component_of(what: Any, *, seed: int, split: str, engine: str) -> Component:
         label, path = str(what), Path(what)
         given = isinstance(what, Path) or path.is_dir() or path.suffix in (".toml", *WORLD_FILES)
         own = isinstance(what, str) and ":" in what and not path.exists()
-        if what in KINDS.known or own or not given:
+        if what in KINDS.builtin or own or not given:
             recipe = preset(label)
         elif path.suffix == ".toml":
             recipe = read_recipe(path)

@@ -14,8 +14,8 @@ from scenegen.dataset.trust import Manifest
 from scenegen.errors import DatasetError, printable, raised_as, short
 from scenegen.files import names_in, sha256_in, world_digest
 from scenegen.recipes import find_kind
+from scenegen.verification.check import Check, Shard, SignedFile, Worlds
 from scenegen.verification.report import BrokenError, Ledger, Page
-from scenegen.verification.stages import Check, Shard, SignedFile, Worlds
 
 
 def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Manifest | None:

@@ -21,13 +21,7 @@ from scenegen.run.workers import Limited, Local
 from scenegen.sample import FIELDS
 from scenegen.source import DrawnWorlds
 from scenegen.stores.cache import fetch_all, note_of
-from scenegen.verification.files import ARCHIVES, EXAMINED, LAYOUT, MANIFEST, read_contract
-from scenegen.verification.files import CHECKS as OF_FILES
-from scenegen.verification.repeated import CHECKS as REPEATED
-from scenegen.verification.report import BrokenError, Ledger, Report
-from scenegen.verification.splits import CHECKS as BETWEEN_SPLITS
-from scenegen.verification.splits import MOST_TWINS
-from scenegen.verification.stages import (
+from scenegen.verification.check import (
     OWN_CHECKS,
     Check,
     Sample,
@@ -36,6 +30,12 @@ from scenegen.verification.stages import (
     Task,
     Worlds,
 )
+from scenegen.verification.files import ARCHIVES, EXAMINED, LAYOUT, MANIFEST, read_contract
+from scenegen.verification.files import CHECKS as OF_FILES
+from scenegen.verification.repeated import CHECKS as REPEATED
+from scenegen.verification.report import BrokenError, Ledger, Report
+from scenegen.verification.splits import CHECKS as BETWEEN_SPLITS
+from scenegen.verification.splits import MOST_TWINS
 from scenegen.verification.stored import CHECKS as STORED
 from scenegen.worlds.world import quiet_mujoco
 

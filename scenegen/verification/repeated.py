@@ -21,9 +21,9 @@ from scenegen.recipe import Recipe
 from scenegen.run.software import software
 from scenegen.sample import FIELDS, rng_of
 from scenegen.source import DrawnWorlds, SceneWorlds
+from scenegen.verification.check import Check, Sample, Shard, Worlds, auditor, scans_of
 from scenegen.verification.rays import audit, disagrees
 from scenegen.verification.report import BrokenError, Page
-from scenegen.verification.stages import Check, Sample, Shard, Worlds, auditor, scans_of
 from scenegen.worlds.place import Place
 from scenegen.worlds.world import AnyWorld
 
@@ -78,7 +78,7 @@ def why_not_scanned(contract: Manifest) -> str:
     """Why archived worlds cannot be scanned again here; empty where they can."""
     if not contract.noise_is_ours:
         return "made with noise that is not scenegen's own, so it is not imported"
-    if contract.engine not in ENGINES.known:
+    if contract.engine not in ENGINES.builtin:
         return (
             f"made with the engine {contract.engine!r}, which is not scenegen's own, so it is not "
             "imported"

@@ -11,8 +11,8 @@ from lidarsim.grid import Ints, Mask
 from scenegen import SPLITS
 from scenegen.dataset.layout import ShardFile, open_file, open_shard
 from scenegen.dataset.trust import Manifest
+from scenegen.verification.check import Check, Sample, Worlds
 from scenegen.verification.report import BrokenError, Page
-from scenegen.verification.stages import Check, Sample, Worlds
 from scenegen.worlds.place import map_digest
 from scenegen.worlds.world import geometry_digest
 

@@ -1,5 +1,5 @@
-"""What a check is, and what checks are handed at each stage of the walk over a shard. What several
-checks need is computed here, once."""
+"""What a check is, and what checks are handed at each level of the walk over a dataset: files,
+archives, shards, samples, and the folder. What several checks need is computed here, once."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -35,8 +35,8 @@ AUDITED_SHARE, LEAST_AUDITED = 0.05, 8
 class Check:
     """One check of a dataset.
 
-    Its examinations are functions, one for each stage at which it looks. Each is handed what the
-    stage is about, and the check's page of the ledger: there it writes down faults, counts what it
+    Its examinations are functions, one for each level at which it looks. Each is handed what it
+    looks at, and the check's page of the ledger: there it writes down faults, counts what it
     examined, and keeps what it needs at the end. A BrokenError that it raises becomes a fault of
     this check. One that counts nothing and finds no fault is told as skipped, so a check counts
     also the samples in which there is nothing to find.
@@ -60,7 +60,7 @@ class Check:
     sample: "Callable[[Sample, Page], None] | None" = None
     """Looks at one sample, whose fields are unpacked by then."""
     folder: Callable[[Manifest, Page], None] | None = None
-    """Looks at the whole folder in the end; the page holds what the stages before kept."""
+    """Looks at the whole folder in the end; the page holds what the levels before kept."""
 
 
 OWN_CHECKS = Registry("check", {}, needs={"name": "its name"})

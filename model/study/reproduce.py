@@ -1,4 +1,4 @@
-"""From a seed to the study's report, stage by stage: what is there is kept, what is damaged is made
+"""From a seed to the study's report, step by step: what is there is kept, what is damaged is made
 again."""
 
 import json
@@ -51,7 +51,7 @@ def reproduce(
     samples measured; on a GPU, this process trains one network after the other.
 
     Raises ScenegenError where `execute` leaves tasks to others, DatasetError where the folder holds
-    a study of other settings, and what its stages raise.
+    a study of other settings, and what its steps raise.
     """
     check_together(execute, "a study takes")
     begin(out, config)
