@@ -33,6 +33,12 @@ def finite(what: str, given: ArrayLike, size: int) -> Floats:
     return value
 
 
+def iou(one: Mask, other: Mask) -> float:
+    """Intersection over union of two masks of one shape; 1 where both are empty."""
+    union = np.count_nonzero(one | other)
+    return np.count_nonzero(one & other) / union if union else 1.0
+
+
 def rays_of(origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> tuple[Floats, Floats]:
     """Copies in C order of what `lidarsim.engines.Engine.cast` takes, origins (P, 3) and directions
     (P, *shape, 3). Raises ValueError for other shapes, and unless the range is from 0 on."""

@@ -211,20 +211,20 @@ def read_scenes(
     notes = [f"{path}: {named(parts)} left out: parts, which other files include"] if parts else []
     notes += [note for scene in scenes.values() for note in scene.notes]
     several = len(scenes) > 1
-    wanted = [split for split in SPLITS if (several if counts[split] is None else counts[split])]
-    if len(scenes) < len(wanted):
+    splits = [split for split in SPLITS if (several if counts[split] is None else counts[split])]
+    if len(scenes) < len(splits):
         raise SceneError(
-            f"{path}: {len(scenes)} worlds for {len(wanted)} splits, and no two splits share one; "
+            f"{path}: {len(scenes)} worlds for {len(splits)} splits, and no two splits share one; "
             "add worlds, or set --val and --test to 0 and measure on the training samples (bench "
             "--split train)"
         )
-    order = np.random.default_rng(seed).permutation(len(scenes))
-    whole = sum(SHARES[split] for split in wanted)
-    share = {split: max(1, len(scenes) * SHARES[split] // whole) for split in wanted}
-    share[wanted[0]] = len(scenes) - sum(share[split] for split in wanted[1:])
-    dealing = list(scenes.values())
-    dealt = iter([dealing[n] for n in order])
-    worlds = {split: tuple(itertools.islice(dealt, share.get(split, 0))) for split in SPLITS}
+    order = np.random.default_rng(seed).permutation(len(scenes)).tolist()
+    shares = sum(SHARES[split] for split in splits)
+    sizes = {split: max(1, len(scenes) * SHARES[split] // shares) for split in splits}
+    sizes[splits[0]] = len(scenes) - sum(sizes[split] for split in splits[1:])
+    by_number = list(scenes.values())
+    dealt = iter([by_number[number] for number in order])
+    worlds = {split: tuple(itertools.islice(dealt, sizes.get(split, 0))) for split in SPLITS}
     return SceneWorlds(worlds, tuple(notes))
 
 

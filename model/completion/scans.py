@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lidarsim import GridSpec
-from lidarsim.grid import Floats, Mask
+from lidarsim.grid import Floats, iou
 from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.pose import rotate
 from scenegen.cli.show import Progress, note, say
@@ -168,7 +168,7 @@ def predict_scan(
         height_m=height_above_returns(seen.points - scan.position),
         untold=tuple(UNTOLD[name] for name in completer.inputs if name in UNTOLD),
         away=(prediction.away(seen.observed) or 0) >= UNUSUAL,
-        iou=_iou(occupied, **truth) if truth else None,
+        iou=iou(occupied & truth["known"], truth["occupancy"] & truth["known"]) if truth else None,
     )
 
 
@@ -177,12 +177,6 @@ def _truth_of(scan: Scan, grid: GridSpec) -> dict[str, Any]:
     truth = {name: np.asarray(scan.truth[name]) for name in TRUTH if scan.truth}
     fits = all(part.shape == grid.shape and part.dtype == np.bool_ for part in truth.values())
     return truth if fits and scan.truth.get("voxel_m") == grid.voxel_m else {}
-
-
-def _iou(predicted: Mask, occupancy: Mask, known: Mask) -> float:
-    """Intersection over union of occupied voxels, among those whose truth is known."""
-    union = (predicted | occupancy) & known
-    return float((predicted & occupancy & known).sum() / union.sum()) if union.any() else 1.0
 
 
 def _write(out: Path, about: Mapping[str, Any], maps: Mapping[str, Any]) -> None:

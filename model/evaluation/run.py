@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
+from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask, iou
 from scenegen.cli.show import Showing, counted, silent
 from scenegen.dataset.read import Dataset, Rows, Split
 from scenegen.display.look import evenly
@@ -373,9 +373,7 @@ def tune(method: Method, dataset: Dataset, thresholds: Thresholds) -> Thresholds
         row = []
         for value in candidates:
             at = replace(thresholds, **{name: float(value)})
-            occupied = completion.occupied(at)[scored]
-            union = np.count_nonzero(occupied | truth)
-            row.append(np.count_nonzero(occupied & truth) / union if union else 1.0)
+            row.append(iou(completion.occupied(at)[scored], truth))
         scores.append(row)
     means = np.mean(scores, axis=0)
     if np.ptp(means) < 1e-12:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from lidarsim import Sensor
-from lidarsim.grid import Field, Floats, GridSpec, Mask
+from lidarsim.grid import Field, Floats, GridSpec, Mask, iou
 from scenegen.dataset.read import Dataset, Split
 from scenegen.errors import DatasetError, ScenegenError, printable
 from scenegen.sample import Sample
@@ -108,10 +108,7 @@ class Look:
     def iou(self, guess: Guess) -> str:
         """The intersection over union of a prediction, in words; nothing without a truth."""
         truth = self.masks.get("occupancy")
-        if truth is None:
-            return ""
-        both, either = truth & guess.occupied, truth | guess.occupied
-        return f"IoU {both.sum() / either.sum() if either.any() else 1:.3f}"
+        return "" if truth is None else f"IoU {iou(truth, guess.occupied):.3f}"
 
     def heading_deg(self) -> float:
         """Yaw of the body, degrees, counter-clockwise from x; rounded, so that it is the same on
