@@ -23,7 +23,7 @@ from scenegen.model.completion.completer import Completer, locate, opened_once
 from scenegen.model.completion.protocol import PARTS, SURE
 from scenegen.model.config import PREDICTIONS
 from scenegen.model.inputs import channels
-from scenegen.run import Executor
+from scenegen.run import Executor, chunked
 from scenegen.run.workers import ALONE
 
 PACKED = {"compression": "gzip", "compression_opts": 1}
@@ -61,8 +61,8 @@ def predict_split(
     weights = file_sha256(locate(completer.opened[0]))
     there = claim(out, PREDICTIONS, {**about, "weights": weights, "samples": PART})
     parts = [
-        (f"{stem_of(split, first // PART)}.h5", range(count)[first : first + PART])
-        for first in range(0, count, PART)
+        (f"{stem_of(split, number)}.h5", numbers)
+        for number, numbers in enumerate(chunked(range(count), PART))
     ]
     # a runtime's threads do not outlive a fork: each process opens the network by itself
     asked = completer if execute is None else completer.opened

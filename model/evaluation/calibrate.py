@@ -37,7 +37,7 @@ from scenegen.model.evaluation.planning.measure import draw_trials
 from scenegen.model.evaluation.run import check_middle, check_whole, filled
 from scenegen.model.evaluation.study import TOLD, Setting, run_settings
 from scenegen.model.evaluation.visibility import UNOBSERVED, Case
-from scenegen.run import Executor, check_together
+from scenegen.run import Executor, check_together, chunked
 from scenegen.run.workers import ALONE
 from scenegen.sample import rng_of
 
@@ -278,8 +278,7 @@ def _tasks(datasets: Sequence[Dataset], split: str, most: int | None) -> list[_T
         part = filled(dataset, split)
         chosen = evenly(len(part), most or len(part))
         worlds |= {(number, part.names[n][1]) for n in chosen}
-        for first in range(0, len(chosen), CHUNK):
-            tasks.append(_Task(number, dataset.folder, chosen[first : first + CHUNK]))
+        tasks += [_Task(number, dataset.folder, rows) for rows in chunked(chosen, CHUNK)]
     if len(worlds) < LEAST_WORLDS:
         folders = ", ".join(str(dataset.folder) for dataset in datasets)
         raise DatasetError(

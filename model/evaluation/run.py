@@ -30,7 +30,7 @@ from scenegen.model.evaluation.planning.measure import (
 )
 from scenegen.model.evaluation.study import Study, study_map
 from scenegen.model.evaluation.visibility import CLASSES, UNOBSERVED, Case, scored_voxels, walled
-from scenegen.run import Executor, check_together
+from scenegen.run import Executor, check_together, chunked
 from scenegen.run.workers import ALONE
 from scenegen.sample import Sample, rng_of
 from scenegen.truth import distance_field
@@ -170,7 +170,7 @@ def bench(
     if of_kind is None:
         raise DatasetError(f"{dataset.folder}: holds no {kind} in its {config.split} split")
     numbers = [of_kind[n] for n in evenly(len(of_kind), config.samples or len(of_kind))]
-    tasks = [Rows(config.split, numbers[n : n + CHUNK]) for n in range(0, len(numbers), CHUNK)]
+    tasks = [Rows(config.split, part) for part in chunked(numbers, CHUNK)]
     check_together(execute, "a report takes")
     tuned = [tune(method, dataset, config.thresholds) for method in methods]
     # a tenth more than asked for: not every sample has as many valid goals

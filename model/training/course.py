@@ -22,6 +22,7 @@ from scenegen.model.training.card import Scalars
 from scenegen.model.training.data import Maps, epoch_batches, load, views
 from scenegen.model.training.device import Group, autocast
 from scenegen.model.training.run_folder import Progress
+from scenegen.run import chunked
 from scenegen.sample import rng_of
 
 
@@ -37,11 +38,10 @@ def validate(
     is ever occupied.
     """
     network.eval()
-    loss, numbers = loss_of(config.loss, maps.grid), range(len(maps))
-    batches = [numbers[n : n + config.batch] for n in numbers[:: config.batch]]
+    loss = loss_of(config.loss, maps.grid)
     totals = defaultdict[str, Floats](lambda: np.zeros(2))  # sums and counts
     largest = 0.0
-    mine = batches[group.rank :: group.size]
+    mine = chunked(range(len(maps)), config.batch)[group.rank :: group.size]
     with closing(load(maps, mine, workers=workers, pinned=False)) as loaded:
         for batch in loaded:
             placed = {name: values.to(group.device) for name, values in batch.items()}

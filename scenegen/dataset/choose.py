@@ -21,6 +21,7 @@ from scenegen.dataset.trust import Entry
 from scenegen.errors import DatasetError, ScenegenError, short
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_SAMPLES
+from scenegen.run import chunked
 from scenegen.run.workers import run
 from scenegen.sample import Sample
 from scenegen.truth.difficulty import Difficulty, difficulty
@@ -227,12 +228,8 @@ def _of_split(
         yield from (_of_shard(split, number, choice, measures) for number in numbers)
         return
     # not all at once: whoever takes the first of them needs no more measured
-    at_once = workers * AT_ONCE
-    for first in range(0, len(numbers), at_once):
-        shards = {
-            number: _of_shard(split, number, choice, {})
-            for number in numbers[first : first + at_once]
-        }
+    for part in chunked(numbers, workers * AT_ONCE):
+        shards = {number: _of_shard(split, number, choice, {}) for number in part}
         tasks = [(number, shard.rows) for number, shard in shards.items()]
         fulfil = dict(run(partial(_fulfil, split, conditions), tasks, workers))
         yield from (shard.only(fulfil[number]) for number, shard in shards.items())
