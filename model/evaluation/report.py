@@ -194,10 +194,11 @@ def tables(report: Json, kind: str) -> Iterator[tuple[str, Mapping[str, Metric],
             metrics[BEST_IOU] = replace(metric, title="IoU at its best threshold")
     rows = {}
     for method, row in report["reconstruction"][kind].items():
-        tuned = row["tuned"]
-        places = ((tuned["thresholds"][name], unit, usual[name]) for name, unit in UNITS.items())
-        at = "".join(f"{value:g}{unit}" for value, unit, papers in places if value != papers)
-        rows[method] = {**row, BEST_IOU: {**tuned["iou"], "at": at}}
+        tuned = row["tuned"]["thresholds"]
+        at = "".join(
+            f"{tuned[name]:g}{unit}" for name, unit in UNITS.items() if tuned[name] != usual[name]
+        )
+        rows[method] = {**row, BEST_IOU: {**row["tuned"]["iou"], "at": at}}
     yield "reconstruction", metrics, rows, PAPER["reconstruction"].get(kind, {})
     yield "planning", PLAN_METRICS, report["planning"][kind], PAPER["planning"].get(kind, {})
 

@@ -196,42 +196,60 @@ def careful_report(trials: Floats, chosen: Sequence[Setting], worlds: Ints) -> J
         for s, setting in enumerate(chosen)
     ]
     collided = trials[:, :, TOLD.index("collided")].reshape(-1)
-    repeated = np.repeat(worlds, len(chosen))
+    world_of = np.repeat(worlds, len(chosen))
     paths: dict[str, list[Json]] = {name: [] for name in CHANCES}
     for n, name in enumerate(CHANCES, start=len(TOLD)):
-        said = trials[:, :, n].reshape(-1)
+        chances = trials[:, :, n].reshape(-1)
         for low, high in pairwise(EDGES):
-            inside = (said >= low) & ((said < high) | (high == EDGES[-1]))
+            inside = (chances >= low) & ((chances < high) | (high == EDGES[-1]))
             if inside.any():
-                told = {"from": low, "to": high, "said": float(said[inside].mean())}
-                had = summarise(collided[inside], repeated[inside], "outcome")
-                paths[name].append({**told, "paths": int(inside.sum()), "collided": had})
+                paths[name].append(
+                    {
+                        "from": low,
+                        "to": high,
+                        "said": float(chances[inside].mean()),
+                        "paths": int(inside.sum()),
+                        "collided": summarise(collided[inside], world_of[inside], "outcome"),
+                    }
+                )
     return {"settings": rows, "paths": paths}
 
 
 def study_tables(study: Json) -> list[tuple[Any, ...]]:
     """What `study_of` gave of every method, for people: tables by title, heads and rows; none where
     nothing was studied."""
-    names = ("promised", *TOLD, *CHANCES)
-    sure, careful, bounds = [], [], []
-    for name, found in study.items():
+    columns = ("promised", *TOLD, *CHANCES)
+    probabilities, planning, bounds = [], [], []
+    for name, studied in study.items():
         for region in SHOWN:
-            for reading, one in (found["reliability"] or {}).get(region, {}).items():
-                figures = ({**one, "mean": one["ece"]}, *(one[score] for score in SCORES[1:]))
-                cells = [f"{one['mean']:.4f} {interval(one, '.4f')}" for one in figures]
-                sure.append((f"{name}, {region}, {reading}", cells))
-        for row in found["risk"]["settings"]:
+            for reading, scores in (studied["reliability"] or {}).get(region, {}).items():
+                # the calibration error stands beside its interval, not in a table of its own
+                summaries = [{**scores, "mean": scores["ece"]}]
+                summaries += [scores[score] for score in SCORES[1:]]
+                cells = [f"{one['mean']:.4f} {interval(one, '.4f')}" for one in summaries]
+                probabilities.append((f"{name}, {region}, {reading}", cells))
+        for row in studied["risk"]["settings"]:
             promised = "–" if row["promised"] is None else f"{row['promised']:.3f}"
-            cells = [promised, *(brief(row[one]) for one in names[1:])]
-            careful.append((f"{name}, {row['by']} {row['value']:g}", cells))
-        for row in (found["bounds"] or {"risks": ()})["risks"]:
-            pairs = ([row[part][judged]["mean"] for judged in JUDGED] for part in PARTS)
-            cells = [", ".join("–" if m is None else f"{m:.3f}" for m in pair) for pair in pairs]
-            cells.append(brief(found["bounds"]["ause"]))
-            bounds.append((f"{name}, risk {row['risk']:g}", cells))
+            cells = [promised, *(brief(row[column]) for column in columns[1:])]
+            planning.append((f"{name}, {row['by']} {row['value']:g}", cells))
+        if studied["bounds"]:
+            ause = brief(studied["bounds"]["ause"])
+            for row in studied["bounds"]["risks"]:
+                bounds.append(
+                    (
+                        f"{name}, risk {row['risk']:g}",
+                        [*(_judged(row[part]) for part in PARTS), ause],
+                    )
+                )
     tables = (
-        ("Probabilities", ("ECE", "NLL", "Brier"), sure),
+        ("Probabilities", ("ECE", "NLL", "Brier"), probabilities),
         ("Bounds: coverage, and width in metres", (*PARTS, "AUSE"), bounds),
-        ("The careful planner", names, careful),
+        ("The careful planner", columns, planning),
     )
     return [table for table in tables if table[-1]]
+
+
+def _judged(part: Json) -> str:
+    """Coverage and width of bounds over one part of the map."""
+    means = [part[judged]["mean"] for judged in JUDGED]
+    return ", ".join("–" if mean is None else f"{mean:.3f}" for mean in means)
