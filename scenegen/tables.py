@@ -9,7 +9,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+from numpy.random import Generator
 
 from lidarsim import BeamTable, Sensor
 from lidarsim.noise.chain import Noise
@@ -154,7 +154,7 @@ def beam_table(sensor: Sensor, where: str = "[lidar]") -> BeamTable:
         raise ValueError(f"{where} sensor {type(sensor).__name__}: {printable(said)}") from None
 
 
-def combinations(domain: Any, at: str, rng: np.random.Generator) -> list[dict[str, Json]]:
+def combinations(domain: Any, at: str, rng: Generator) -> list[dict[str, Json]]:
     """Every combination of the values that a [domain] lists, as tables; where some have intervals,
     each so often as its `draws` says, with numbers from these. Raises RecipeError."""
     rows = dict(domain) if isinstance(domain, dict) else {"": domain}
@@ -195,7 +195,7 @@ def combinations(domain: Any, at: str, rng: np.random.Generator) -> list[dict[st
     return found
 
 
-def _drawn(value: Any, rng: np.random.Generator) -> Any:
+def _drawn(value: Any, rng: Generator) -> Any:
     """A value with a number from each interval that is written in it, of four digits, for people
     read it in the manifest."""
     if isinstance(value, list):

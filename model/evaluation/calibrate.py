@@ -305,7 +305,7 @@ def _complete(
 def _count(weight: float, prediction: Prediction, case: Case) -> tuple[Ints, Any, list[Any]]:
     """Scores of a map's unknown voxels, and their logits where there are some; and what share of
     its returns is denied."""
-    sample, grid = case.sample, case.split.dataset.grid
+    sample, grid = case.sample, case.grid
     unknown, probability = np.isin(case.classes, UNOBSERVED), prediction.occupancy_probability
     distance = prediction.distance(Thresholds(), grid)
     chance = None if probability is None else corrected(probability, weight)
@@ -320,7 +320,7 @@ def _collisions(
     fitted: Calibration, trials: int, seed: int, prediction: Prediction, case: Case
 ) -> tuple[Floats, int]:
     """How many of a map's trials collide at each risk, and how many there are."""
-    sample, grid = case.sample, case.split.dataset.grid
+    sample, grid = case.sample, case.grid
     rng = rng_of(seed, int(sample.world), int(sample.viewpoint))
     goals = draw_trials(sample.occupancy, grid, PlanConfig(), count=trials, rng=rng).goals
     risks = [Setting(by="risk", value=risk) for risk in fitted.risks]

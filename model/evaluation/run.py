@@ -286,7 +286,7 @@ def _bench_method(
     """Measure one method on one sample: its map at the usual and at its `tuned` thresholds, its
     paths to `goals` (trials, 3), metres in the map's frame, and, if asked for, its probabilities
     and bounds."""
-    sample, grid, usual = case.sample, case.split.dataset.grid, config.thresholds
+    sample, grid, usual = case.sample, case.grid, config.thresholds
     prediction = method.completion(sample, case.split)
 
     def scores(at: Thresholds) -> Floats:

@@ -170,30 +170,27 @@ def table(heads: Collection[str], rows: Iterable[tuple[str, Iterable[str]]]) -> 
     return "\n".join([*head, *(line(name, cells) for name, cells in rows)])
 
 
-def cell(summary: Json) -> str:
+def cell(metric: Json) -> str:
     """What `summarise` gave: mean, standard deviation, interval, and threshold; a dash where
     nothing was measured."""
-    if not summary["n"]:
+    if not metric["n"]:
         return "–"
-    mean = with_std(summary["mean"], summary["std"])
-    return f"{mean} {interval(summary, '.3f')}{threshold(summary)}"
+    return f"{with_std(metric['mean'], metric['std'])} {interval(metric, '.3f')}{threshold(metric)}"
 
 
-def brief(summary: Json, form: str = ".3f") -> str:
+def brief(metric: Json, form: str = ".3f") -> str:
     """A mean and its interval; a dash where nothing was measured."""
-    return f"{summary['mean']:{form}} {interval(summary, form)}" if summary["n"] else "–"
+    return f"{metric['mean']:{form}} {interval(metric, form)}" if metric["n"] else "–"
 
 
-def threshold(summary: Json) -> str:
+def threshold(metric: Json) -> str:
     """At which threshold a metric was measured, where that is the method's own."""
-    return f" at {summary['at']}" if summary.get("at") else ""
+    return f" at {metric['at']}" if metric.get("at") else ""
 
 
-def interval(summary: Json, form: str) -> str:
+def interval(metric: Json, form: str) -> str:
     """[low, high], or a dash where one world gives none."""
-    if summary["low"] is None:
-        return "[–]"
-    return f"[{summary['low']:{form}}, {summary['high']:{form}}]"
+    return "[–]" if metric["low"] is None else f"[{metric['low']:{form}}, {metric['high']:{form}}]"
 
 
 def with_std(mean: float, std: float | None = None) -> str:

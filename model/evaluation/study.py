@@ -78,7 +78,7 @@ class Study:
 
 def study_map(prediction: Prediction, case: Case, goals: Floats, config: BenchConfig) -> Study:
     """Study what a method predicts of a sample's map, and paths on it to `goals` (trials, 3)."""
-    sample, grid = case.sample, case.split.dataset.grid
+    sample, grid = case.sample, case.grid
     distance = prediction.distance(config.thresholds, grid)
     probability, calibrated = prediction.occupancy_probability, prediction.probability
     inside = regions(
@@ -223,7 +223,7 @@ def study_tables(study: Json) -> list[tuple[Any, ...]]:
     for name, studied in study.items():
         for region in SHOWN:
             for reading, scores in (studied["reliability"] or {}).get(region, {}).items():
-                # the calibration error stands beside its interval, not in a table of its own
+                # the interval of the first, the calibration error, stands beside it
                 summaries = [{**scores, "mean": scores["ece"]}]
                 summaries += [scores[score] for score in SCORES[1:]]
                 cells = [f"{one['mean']:.4f} {interval(one, '.4f')}" for one in summaries]
@@ -235,12 +235,8 @@ def study_tables(study: Json) -> list[tuple[Any, ...]]:
         if studied["bounds"]:
             ause = brief(studied["bounds"]["ause"])
             for row in studied["bounds"]["risks"]:
-                bounds.append(
-                    (
-                        f"{name}, risk {row['risk']:g}",
-                        [*(_judged(row[part]) for part in PARTS), ause],
-                    )
-                )
+                cells = [*(_judged(row[part]) for part in PARTS), ause]
+                bounds.append((f"{name}, risk {row['risk']:g}", cells))
     tables = (
         ("Probabilities", ("ECE", "NLL", "Brier"), probabilities),
         ("Bounds: coverage, and width in metres", (*PARTS, "AUSE"), bounds),

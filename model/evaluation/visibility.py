@@ -114,6 +114,11 @@ class Case(NamedTuple):
     gap_m: Field
     """Its distance field, metres."""
 
+    @property
+    def grid(self) -> GridSpec:
+        """The map's."""
+        return self.split.dataset.grid
+
     @classmethod
     def of(cls, sample: Sample, index: int, split: Split) -> "Case":
         """Of sample number `index` of a split."""

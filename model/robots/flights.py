@@ -238,9 +238,9 @@ def flown_again(
                 "--hidden and its number, --maps and their folder, or neither"
             )
         # the suite's own, in place of worlds that a stranger's file leads to by another path
-        there = {named(course): course for course in frozen_courses(recording.suite, track, maps)}
+        frozen = {named(course): course for course in frozen_courses(recording.suite, track, maps)}
         courses = [
-            (replace(there[named(course)], document=course.document), flights)
+            (replace(frozen[named(course)], document=course.document), flights)
             for course, flights in recording.courses
         ]
         recording, told["courses"] = replace(recording, courses=courses), str(part)
@@ -249,17 +249,20 @@ def flown_again(
     count = sum(len(flights) for _, flights in recording.courses)
     with raised_as(DatasetError, f"{path}: ", of=DatasetError):
         again = dict(crew(partial(_replayed, hidden=hidden), recording.courses, "replay", count))
-    found = [(course, again[course]) for course, _ in recording.courses]
     told["as recorded, to the bit"] = f"{count} flights"
     if anew is not None:
-        before = {named(course): flights for course, flights in recording.courses[::QUICK]}
-        some, count = [course for course, _ in found[::QUICK]], sum(map(len, before.values()))
-        same = 0
-        for course, flown in crew(anew, some, "fly anew", count):
-            pairs = zip(flown, before[named(course)], strict=True)
-            same += sum(one.digest == other.digest for one, other in pairs)
-        told["anew, equal to the bit"] = f"{same} of {count} flights"
-    return recording.robot, found, told
+        told["anew, equal to the bit"] = _flown_anew(recording.courses[::QUICK], anew, crew)
+    return recording.robot, [(course, again[course]) for course, _ in recording.courses], told
+
+
+def _flown_anew(recorded: Flights, work: Work, crew: Crew) -> str:
+    """How many of these flights a robot flies anew to the bit as they were recorded, in words."""
+    before = {named(course): flights for course, flights in recorded}
+    count, same = sum(map(len, before.values())), 0
+    for course, flown in crew(work, [course for course, _ in recorded], "fly anew", count):
+        pairs = zip(flown, before[named(course)], strict=True)
+        same += sum(one.digest == other.digest for one, other in pairs)
+    return f"{same} of {count} flights"
 
 
 def _replayed(recorded: FlownCourse, *, hidden: int | None) -> FlownCourse:

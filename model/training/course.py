@@ -19,7 +19,7 @@ from scenegen.model.evaluation.metrics import METRICS, measure
 from scenegen.model.losses import loss_of
 from scenegen.model.network import Output
 from scenegen.model.training.card import Scalars
-from scenegen.model.training.data import Maps, epoch_batches, load, views
+from scenegen.model.training.data import Key, Maps, epoch_batches, load, views
 from scenegen.model.training.device import Group, autocast
 from scenegen.model.training.run_folder import Progress
 from scenegen.run import chunked
@@ -158,7 +158,7 @@ class Course:
             return peak * 0.5 * (1 + math.cos(math.pi * (step - begin) / (end - begin)))
         return peak if step < begin else peak * (end - step) / (end - begin)
 
-    def batches(self, first: int, count: int) -> Iterator[list[tuple[int, int]]]:
+    def batches(self, first: int, count: int) -> Iterator[list[Key]]:
         """The keys of `Maps` that steps `first`, `first` + 1, … see, `count` batches: one pass
         after the other, or a stream's own, in which no map comes twice."""
         config, maps = self._config, self._maps

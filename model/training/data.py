@@ -63,6 +63,10 @@ class Samples(Protocol):
         ...
 
 
+Key = tuple[int, int]
+"""A map's index, and which view of it is taken: see `views`."""
+
+
 class SplitSamples:
     """The samples of a dataset's split. Files are opened in the process that reads them."""
 
@@ -146,7 +150,7 @@ class Maps(Dataset):
     def __len__(self) -> int:
         return int(self.starts[-1])
 
-    def __getitem__(self, key: int | tuple[int, int]) -> Batch:
+    def __getitem__(self, key: int | Key) -> Batch:
         index, view = key if isinstance(key, tuple) else (key, 0)
         source, row = self._place(index)
         sample = source[row]
@@ -248,7 +252,7 @@ def views(
 
 def epoch_batches(
     maps: Maps, config: TrainConfig, epoch: int, first: int = 0
-) -> Iterator[list[tuple[int, int]]]:
+) -> Iterator[list[Key]]:
     """The batches of a training epoch, from the `first` on: keys of `Maps`, in an order that
     depends on the seed and `epoch` alone. Meanwhile, a map takes five bytes.
 

@@ -29,7 +29,7 @@ from scenegen.model.losses import loss_of
 from scenegen.model.network import Batch, Output, build, placed
 from scenegen.model.training.card import Scalars
 from scenegen.model.training.course import Course, validate
-from scenegen.model.training.data import Maps, Samples, check_alike, load, loaders_watched
+from scenegen.model.training.data import Key, Maps, Samples, check_alike, load, loaders_watched
 from scenegen.model.training.device import (
     Group,
     SharedNorm,
@@ -146,9 +146,7 @@ def train(
         return progress.rows
 
 
-def check_finite(
-    losses: Scalars, maps: Maps, batch: list[tuple[int, int]], progress: Progress
-) -> None:
+def check_finite(losses: Scalars, maps: Maps, batch: list[Key], progress: Progress) -> None:
     """Raise TrainingError, which names the batch's samples, where a loss is not finite."""
     if all(map(math.isfinite, losses.values())):
         return

@@ -39,8 +39,10 @@ Head: TypeAlias = tuple[float, str]
 """The time, seconds, and the frame of a cloud."""
 Link: TypeAlias = tuple[str, list[float]]
 """The frame that another hangs from; where that is in it, x y z, and how it is turned, x y z w."""
-Reader: TypeAlias = Callable[[], tuple[Floats, dict[str, Floats]]]
-"""Reads a cloud: its points (n, 3), and what else is known of each."""
+Points: TypeAlias = tuple[Floats, dict[str, Floats]]
+"""The points (n, 3) of a cloud, and what else is known of each, by name, (n,)."""
+Reader: TypeAlias = Callable[[], Points]
+"""Reads a cloud."""
 
 
 class Recording:
@@ -87,7 +89,7 @@ class Recording:
             if on == topic:
                 yield partial(self._read, kind, data)
 
-    def _read(self, kind: str, data: bytes) -> tuple[Floats, dict[str, Floats]]:
+    def _read(self, kind: str, data: bytes) -> Points:
         with _readable(self._path):
             if kind == CLOUD:
                 return _of_cloud(self._decode(data, CLOUD))
@@ -178,9 +180,7 @@ def _seconds(stamp: Any) -> float:
     return float(stamp.sec + 1e-9 * stamp.nanosec)
 
 
-def _of_livox(
-    data: bytes, order: str, start: int, *, packed: bool
-) -> tuple[Floats, dict[str, Floats]]:
+def _of_livox(data: bytes, order: str, start: int, *, packed: bool) -> Points:
     """The points of a CustomMsg, (n, 3), and their `t`, (n,). After its header come a time of 8
     bytes, how many points it promises, four bytes, and how many follow; where the message is not
     `packed`, numbers lie at multiples of their size."""
@@ -202,7 +202,7 @@ def _points(rows: NDArray) -> Floats:
     return np.stack([rows[axis].astype(np.float64) for axis in "xyz"], axis=1)
 
 
-def _of_cloud(cloud: Any) -> tuple[Floats, dict[str, Floats]]:
+def _of_cloud(cloud: Any) -> Points:
     """The points of a PointCloud2, (n, 3), and, where it is told, their `t`, (n,). Raises
     ValueError where the message does not hold what it promises."""
     fields = {field.name: field for field in cloud.fields}

@@ -18,7 +18,7 @@ from scenegen.errors import DatasetError, raised_as
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_HEADER_BYTES
 from scenegen.logs import LogScan
-from scenegen.logs.bags import RECORDINGS, Reader, Recording
+from scenegen.logs.bags import RECORDINGS, Points, Reader, Recording
 from scenegen.poses import inverse, pose_of_matrix, read_numbers, read_poses
 
 USUAL_S = 0.1
@@ -118,7 +118,7 @@ def _read_folder(path: Path, given: Path | None, beside: Path) -> Log:
         )
     times = np.where(np.isfinite(times), times, USUAL_S * np.arange(len(files)))
 
-    def read(file: Path) -> tuple[Floats, dict[str, Floats]]:
+    def read(file: Path) -> Points:
         """Its points; nothing else is known of each."""
         return read_points(file), {}
 

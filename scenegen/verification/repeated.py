@@ -2,7 +2,6 @@
 from the seed."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -39,7 +38,11 @@ class ArchivedWorlds(SceneWorlds):
         return self.worlds.world(number)
 
 
-def _flown_again(shard: Shard, unit: int, views: Sequence[tuple[int, int]]) -> Unit:
+Views = list[tuple[int, int]]
+"""Samples of one flight: the row of each in its shard, and its number on the flight."""
+
+
+def _flown_again(shard: Shard, unit: int, views: Views) -> Unit:
     """A flight of a dataset that `why_not_made` lets be made, flown again; or, where the dataset is
     one that was scanned again, scanned so from the poses of the samples that are there, (row,
     view). Raises BrokenError where nothing comes of it."""
@@ -179,12 +182,12 @@ def _fly_again(shard: Shard, page: Page) -> None:
         page.excuse(f"not comparable, {why}: what comes out otherwise here is no fault")
 
 
-def _flights(shard: Shard) -> list[tuple[int, list[tuple[int, int]]]]:
+def _flights(shard: Shard) -> list[tuple[int, Views]]:
     """Units of which the shard has samples, and (row, view) of these; where the dataset was scanned
     again, those alone of which it has the first views in a row, for the noise of a view depends on
     its number. Raises BrokenError."""
     task = shard.task
-    found: dict[int, list[tuple[int, int]]] = {}
+    found: dict[int, Views] = {}
     for row, place in enumerate(shard.places):
         unit, view = divmod(place, task.contract.recipe.flight.viewpoints)
         found.setdefault(unit, []).append((row, view))
@@ -196,7 +199,7 @@ def _flights(shard: Shard) -> list[tuple[int, list[tuple[int, int]]]]:
     ]
 
 
-def _compare_flight(shard: Shard, unit: int, views: Sequence[tuple[int, int]], page: Page) -> None:
+def _compare_flight(shard: Shard, unit: int, views: Views, page: Page) -> None:
     """Fly a unit again, and compare its world and those of its samples that are there, (row, view),
     bit for bit."""
     task = shard.task

@@ -9,8 +9,8 @@ import torch
 from scenegen.errors import DatasetError
 from scenegen.model.checkpoint import load_tensors
 from scenegen.model.study.claims import to_markdown
-from scenegen.model.study.reproduce import STUDY, TEXT, begin
 from scenegen.model.study.runs import RUNS, ReproduceConfig, chosen
+from scenegen.model.study.steps import STUDY, TEXT, begin
 from tests.command_line import done
 
 JUDGED = ("verdicts", "claims", "beside", "paths", "means")
