@@ -132,13 +132,13 @@ def read_graph(content: bytes) -> tuple[NetworkConfig, GridSpec, Json, tuple[str
         raise CheckpointError(
             f"has loops or parts elsewhere, which no export has ({printable(odd)[:100]})"
         )
-    there = {output.name for output in graph.output}
-    tasks = [task for task, name in NAMES.items() if name in there]
-    known = VARIANTS.get(config.variant)  # a network of the user's own says what it likes
-    if known and set(tasks) != set(known.tasks):
+    outputs = {output.name for output in graph.output}
+    tasks = [task for task, name in NAMES.items() if name in outputs]
+    variant = VARIANTS.get(config.variant)  # a network of the user's own says what it likes
+    if variant and set(tasks) != set(variant.tasks):
         raise CheckpointError(
             f"gives {' and '.join(tasks) or 'nothing'}, where {config.variant} gives "
-            f"{' and '.join(known.tasks)}; export it again"
+            f"{' and '.join(variant.tasks)}; export it again"
         )
     return config, grid, about, tuple(NAMES[task] for task in tasks)
 

@@ -259,7 +259,7 @@ def make_recipe(
     stranger's file. Paths in `tables` are relative to `folder`. Raises RecipeError naming the table
     and the parameter.
     """
-    kinds: dict[str, Any] = {
+    kinds = {
         "flight": Flight,
         "accept": Acceptance,
         "lidar": Lidar,

@@ -183,16 +183,16 @@ def combinations(domain: Any, at: str, rng: Generator) -> list[dict[str, Json]]:
     # of a range, `product` would make a tuple
     times = range(min(max(draws, 1), MOST_SOURCES + 1))
     chosen = itertools.product(times, *listed.values())
-    found: list[dict[str, Json]] = []
-    for _, *each in itertools.islice(chosen, MOST_SOURCES + 1):
-        found.append({})
-        for (table, name), value in zip(listed, each, strict=True):
-            found[-1].setdefault(table, {})[name] = _drawn(value, rng)
-    if len(found) > MOST_SOURCES:
+    tables: list[dict[str, Json]] = []
+    for _, *chosen_values in itertools.islice(chosen, MOST_SOURCES + 1):
+        tables.append({})
+        for (table, name), value in zip(listed, chosen_values, strict=True):
+            tables[-1].setdefault(table, {})[name] = _drawn(value, rng)
+    if len(tables) > MOST_SOURCES:
         raise RecipeError(
             f"{at}: domain: more than {MOST_SOURCES} combinations; list or draw fewer"
         )
-    return found
+    return tables
 
 
 def _drawn(value: Any, rng: Generator) -> Any:

@@ -103,7 +103,7 @@ def finite(value: Any) -> Any:
 
 
 def summaries(
-    found: MethodResult,
+    method: MethodResult,
     result: DatasetResult,
     metrics: Mapping[str, Metric],
     region: int = 0,
@@ -113,7 +113,7 @@ def summaries(
     alone."""
     return {
         name: summarise(
-            np.where(chosen, found.values(name, region), np.nan),
+            np.where(chosen, method.values(name, region), np.nan),
             result.worlds_of(name),
             metric.scale,
         )
@@ -121,13 +121,13 @@ def summaries(
     }
 
 
-def _reconstruction(found: MethodResult, result: DatasetResult) -> Json:
-    whole, unobserved, *by_class, tuned = (
-        summaries(found, result, METRICS, region) for region in range(len(CLASSES) + 3)
+def _reconstruction(method: MethodResult, result: DatasetResult) -> Json:
+    whole_map, unobserved, *by_class, tuned = (
+        summaries(method, result, METRICS, region) for region in range(len(CLASSES) + 3)
     )
     return {
-        **whole,
-        "tuned": {**tuned, "thresholds": asdict(found.thresholds)},
+        **whole_map,
+        "tuned": {**tuned, "thresholds": asdict(method.thresholds)},
         "unobserved": unobserved,
         "by_class": dict(zip(CLASSES, by_class, strict=True)),
     }

@@ -162,34 +162,34 @@ def fly_courses(
     flown again; the entry is written every `SAVED_S` seconds, and when the run is stopped."""
     entry = Recording(robot=name, suite=suite, track=track, network=network, courses=())
     keys = [named(course) for course in courses]
-    found = _kept(out, entry, keys)
-    left = [course for course, key in zip(courses, keys, strict=True) if key not in found]
+    by_name = _kept(out, entry, keys)
+    todo = [course for course, key in zip(courses, keys, strict=True) if key not in by_name]
 
     def save() -> str:
         """Writes what there is; returns what to say of it if the run is stopped."""
         if out is None:
             return NOTHING_KEPT
-        both = _kept(out, entry, keys) | found  # another run may have written, too
-        held = replace(entry, courses=[both[key] for key in keys if key in both])
+        merged = _kept(out, entry, keys) | by_name  # another run may have written, too
+        held = replace(entry, courses=[merged[key] for key in keys if key in merged])
         # an entry that is there was read, wherever it was copied from
         write = write_whole if suite and out.exists() else write_result
         write(out, replace(held, complete=is_whole(held)).encoded())
         there = f"{len(held.courses)} of {len(keys)} courses"
         return f"stopped; {out} holds {there}: give the same command again to go on"
 
-    saved_s, total = time.monotonic(), sum(course.flights for course in left)
+    saved_s, total = time.monotonic(), sum(course.flights for course in todo)
     # only an entry is gone on with: of other flights, all are kept or none
     with undone_if_stopped(save if suite else lambda: NOTHING_KEPT):
         try:
-            for course, flown in crew(work, left, "fly", total):
-                found[named(course)] = course, flown
+            for course, flown in crew(work, todo, "fly", total):
+                by_name[named(course)] = course, flown
                 if suite and time.monotonic() - saved_s > SAVED_S:
                     save()
                     saved_s = time.monotonic()
         finally:
-            if left and len(found) >= (1 if suite else len(keys)):
+            if todo and len(by_name) >= (1 if suite else len(keys)):
                 save()
-    return [(course, found[key][1]) for course, key in zip(courses, keys, strict=True)]
+    return [(course, by_name[key][1]) for course, key in zip(courses, keys, strict=True)]
 
 
 def _kept(out: Path | None, entry: Recording, keys: Sequence[Course]) -> dict[Course, FlownCourse]:

@@ -120,10 +120,10 @@ class Maps(Dataset):
         if not sources:
             raise DatasetError("no dataset given; make one with `scenegen generate --kind pillar`")
         check_alike(sources)
-        for there, source in itertools.combinations(sources, 2):
-            if source.digest == there.digest:
+        for other, source in itertools.combinations(sources, 2):
+            if source.digest == other.digest:
                 raise DatasetError(
-                    f"{source.name}: holds the same samples as {there.name}; name one of the two"
+                    f"{source.name}: holds the same samples as {other.name}; name one of the two"
                 )
         self.split = split
         self.sources, self.inputs = tuple(sources), tuple(inputs)
@@ -135,15 +135,15 @@ class Maps(Dataset):
         """Whether a map's mirror image is one, too, that the sensor could have seen."""
         self.starts = np.cumsum([0, *map(len, sources)])
         """The index of each source's first map."""
-        given = [getattr(source, "weight", None) for source in sources]
+        weights = [getattr(source, "weight", None) for source in sources]
         self.shares: list[Fraction] | None = None
         """The weight of each source; None where each of their samples comes once a pass."""
         self.counts = [len(source) for source in sources]
         """How many maps of each come in a pass, which has as many as there are."""
-        if any(weight is not None for weight in given):
+        if any(weight is not None for weight in weights):
             self.shares = [
                 fraction(1 if weight is None else weight, source.name, "train")
-                for source, weight in zip(sources, given, strict=True)
+                for source, weight in zip(sources, weights, strict=True)
             ]
             self.counts = self._counted(self.shares)
 

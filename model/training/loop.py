@@ -90,13 +90,13 @@ def train(
     if is_own(variant) or VARIANTS[variant].columns:  # which is built for the maps' height
         config = replace(config, network=replace(config.network, height=maps.grid.shape[2]))
     # where nothing is asked for, a run keeps what it was begun with
-    begun: Json = {"optimizer": "muon"}
+    former: Json = {"optimizer": "muon"}
     if (out / CONFIG).exists():
-        begun = RunFolder(out).settings()
+        former = RunFolder(out).settings()
     if config.optimizer == "auto":
-        config = replace(config, optimizer=begun.get("optimizer", "adamw"))
-    chosen = begun.get("precision", "auto") if config.precision == "auto" else config.precision
-    precision = resolve_precision(chosen, where, maps.grid.shape)
+        config = replace(config, optimizer=former.get("optimizer", "adamw"))
+    wanted = former.get("precision", "auto") if config.precision == "auto" else config.precision
+    precision = resolve_precision(wanted, where, maps.grid.shape)
     group = Group(where, precision)
     with loaders_watched(), group, closing(RunFolder(out, writes=group.first)) as folder:
         check_maps(maps, checks, config, group.size)
@@ -120,12 +120,12 @@ def train(
             mine = (batch[group.rank :: group.size] for batch in ahead)
             read = load(maps, mine, workers=workers, pinned=where.type == "cuda")
             with closing(read):
-                for step, batch, given in zip(steps[done:], batches, read, strict=False):
+                for step, batch, tensors in zip(steps[done:], batches, read, strict=False):
                     if step == course.latest_decay and progress.decay is None:
                         folder.save(progress, LEVEL)  # a larger budget begins here
                     # a user's own network may draw, as dropout does
                     torch.manual_seed(config.seed + step * group.size + group.rank)
-                    losses = learn(given, course.rate(step, progress.decay))
+                    losses = learn(tensors, course.rate(step, progress.decay))
                     check_finite(losses, maps, batch, progress)
                     progress.add(losses, seconds=time.monotonic() - begin)
                     watcher.on_step(len(batch), losses["loss"])
@@ -134,10 +134,10 @@ def train(
                         raise StoppedError(f"stopped; the same command goes on with {out}")
                     folder.save_in_time(progress)
             group.share_statistics(network)
-            found = validate(network, checks, config, group, workers)
-            check_finite({"validation loss": found["loss"]}, maps, [], progress)
+            validated = validate(network, checks, config, group, workers)
+            check_finite({"validation loss": validated["loss"]}, maps, [], progress)
             seconds = time.monotonic() - begin
-            row = progress.close(found, maps=steps.stop * course.batch, seconds=seconds)
+            row = progress.close(validated, maps=steps.stop * course.batch, seconds=seconds)
             group.first_alone(  # and nobody opens a network before it is there
                 lambda: folder.close_round(progress, network, maps.grid, about, config.choose)
             )

@@ -268,27 +268,27 @@ def parse(document: Json, folder: Path, named: str | None = None) -> Manifest:
 
     Raises BrokenError with what is wrong, where, and what was expected.
     """
-    found = manifest.BEFORE | dict(document)
-    plain = checked(Manifest, found, "")
+    values = manifest.BEFORE | dict(document)
+    plain = checked(Manifest, values, "")
     tables = {"shards": LIST, "fields": LIST, "recipe": TABLE, "sources": optional(SOURCES_RULE)}
-    check(found, tables, "")
+    check(values, tables, "")
     check(plain["counts"], dict.fromkeys(SPLITS, COUNT), "counts")
     check(plain["rejected"], REJECTED, "rejected")
-    check(_RECIPE | found["recipe"], RECIPE_RULES, "recipe")
+    check(_RECIPE | values["recipe"], RECIPE_RULES, "recipe")
     parts: Json = {}
     for part in PARTS:
         if part.since == manifest.VERSION:
-            check(found, {part.name: TABLE}, "")
-        parts[part.name] = part.read(found[part.name], parts)
-    if found["rescan"] is not None:
-        check(found["rescan"], {"digest": DIGEST}, "rescan", ("digest",))
-    if found["version"] != (expected := manifest.version_of(found)):
-        there = ", ".join(name for name in manifest.MINOR if found[name] is not None)
+            check(values, {part.name: TABLE}, "")
+        parts[part.name] = part.read(values[part.name], parts)
+    if values["rescan"] is not None:
+        check(values["rescan"], {"digest": DIGEST}, "rescan", ("digest",))
+    if values["version"] != (expected := manifest.version_of(values)):
+        there = ", ".join(name for name in manifest.MINOR if values[name] is not None)
         named = there or "nothing of a minor version"
-        raise BrokenError(f"version = {short(found['version'])}: expected {expected} with {named}")
-    _check_fields(found["fields"], parts)
-    sources = _sources(found, folder, named)
-    shards = _entries(found["shards"], sources)
+        raise BrokenError(f"version = {short(values['version'])}: expected {expected} with {named}")
+    _check_fields(values["fields"], parts)
+    sources = _sources(values, folder, named)
+    shards = _entries(values["shards"], sources)
     names = Counter(name for entry in shards for name in (entry.file, entry.worlds))
     for name, count in names.most_common(1):
         if count > 1:
@@ -298,10 +298,10 @@ def parse(document: Json, folder: Path, named: str | None = None) -> Manifest:
         **{name: value for name, value in parts.items() if name != "lidar"},
         sources=sources,
         parameters=manifest.parameters_of(document),
-        tables=found["recipe"],
-        fields=tuple(found["fields"]),
+        tables=values["recipe"],
+        fields=tuple(values["fields"]),
         folder=folder,
-        rays=rays_named(found),
+        rays=rays_named(values),
         shards=shards,
         named=named,
     )

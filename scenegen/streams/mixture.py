@@ -94,9 +94,9 @@ def component_of(what: Any, *, seed: int, split: str, engine: str) -> Component:
         label, recipe = graded(what.kind, what.difficulty), what
     elif isinstance(what, str | Path):
         label, path = str(what), Path(what)
-        given = isinstance(what, Path) or path.is_dir() or path.suffix in (".toml", *WORLD_FILES)
-        own = isinstance(what, str) and ":" in what and not path.exists()
-        if what in KINDS.builtin or own or not given:
+        is_file = isinstance(what, Path) or path.is_dir() or path.suffix in (".toml", *WORLD_FILES)
+        is_own = isinstance(what, str) and ":" in what and not path.exists()
+        if what in KINDS.builtin or is_own or not is_file:
             recipe = preset(label)
         elif path.suffix == ".toml":
             recipe = read_recipe(path)

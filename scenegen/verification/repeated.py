@@ -110,7 +110,7 @@ def _cast_again(sample: Sample, page: Page) -> None:
         scans = _scanned_again(sample, world, page)
     page.count(samples=1)
     for number, scan in enumerate(scans):
-        rays, found, gap = audit(
+        rays, ranges_again, gap = audit(
             scan.ranges,
             scan.pose.position,
             scan.pose.quaternion,
@@ -119,7 +119,7 @@ def _cast_again(sample: Sample, page: Page) -> None:
             solids=_effort(world, lidar.max_range_m),
             rng=sample.shard.rng,
         )
-        wrong = disagrees(gap, found, lidar.max_range_m)
+        wrong = disagrees(gap, ranges_again, lidar.max_range_m)
         page.count(rays=len(rays))
         page.note_greatest("greatest difference in m", float(gap[~wrong].max(initial=0.0)))
         if wrong.any():
@@ -129,7 +129,7 @@ def _cast_again(sample: Sample, page: Page) -> None:
             page.fault(
                 f"{sample.where}{which}: {np.count_nonzero(wrong)} of {len(rays)} rays differ; ray "
                 f"{ray} has {scan.ranges[ray]} m, the solids of world {sample.world} are "
-                f"{found[n]:.7g} m away"
+                f"{ranges_again[n]:.7g} m away"
             )
 
 
