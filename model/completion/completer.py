@@ -182,8 +182,8 @@ class Completer:
                 )
 
             probability, tudf = map(joined, zip(*parts, strict=True))
-            found = Prediction(probability, tudf, self.calibration, self.grid)
-            return check_prediction(found, shape, self.name)
+            prediction = Prediction(probability, tudf, self.calibration, self.grid)
+            return check_prediction(prediction, shape, self.name)
 
     def __reduce__(self) -> Any:
         return opened_once, self.opened

@@ -97,17 +97,20 @@ def summarise(values: ArrayLike, worlds: ArrayLike, scale: Scale = "amount") -> 
         all but ``n`` are None.
     """
     values = np.asarray(values, float)
-    held = np.isfinite(values)
-    if not held.any():
+    has_value = np.isfinite(values)
+    if not has_value.any():
         return {"mean": None, "std": None, "low": None, "high": None, "n": 0}
-    chosen, count = values[held], int(held.sum())
-    found = estimate(np.stack([chosen, np.ones(count)], axis=1), np.asarray(worlds)[held], _mean)
-    mean, reach = found.value, found.reach
-    low, high = found.ends
+    chosen, count = values[has_value], int(has_value.sum())
+    estimated = estimate(
+        np.stack([chosen, np.ones(count)], axis=1), np.asarray(worlds)[has_value], _mean
+    )
+    mean, reach = estimated.value, estimated.reach
+    low, high = estimated.ends
     if low is not None and high is not None:
         if scale in ("outcome", "gain"):
             reach = max(reach, math.sqrt(float(((chosen - mean) ** 2).sum()) + 1) / count)
             low, high = mean - reach, mean + reach
+        # the delta method: an error in log-odds is greater by the slope of the logit there
         middle = (chosen.sum() + 0.5) / (count + 1) if scale == "outcome" else mean
         if scale in ("share", "outcome") and 0 < middle < 1:
             ends = expit(logit(middle) + np.array([-1, 1]) * reach / (middle * (1 - middle)))

@@ -119,25 +119,25 @@ class Look:
 
 def look_at(sample: Sample, grid: GridSpec, lidar: Sensor | None, name: str) -> Look:
     """Reads a sample as far as that can be. Raises DatasetError where not even its pose can."""
-    pose = {what: getattr(sample, what) for what in ("origin", "position", "quaternion")}
+    pose = {field: getattr(sample, field) for field in ("origin", "position", "quaternion")}
     if not all(np.isfinite(part).all() for part in pose.values()):
         raise DatasetError(f"{name}: its pose is not finite")
     missing: list[str] = []
 
-    def read(what: str, find: Callable[[], Any]) -> Any:
+    def read(field: str, find: Callable[[], Any]) -> Any:
         try:
             return find()
         except (DatasetError, ValueError) as error:
-            missing.append(f"{name}: {what} is not shown: {printable(error)}")
+            missing.append(f"{name}: {field} is not shown: {printable(error)}")
             return None
 
     scans = read("the scan", lambda: sample.scans(lidar)) or ()
-    masks = {what: read(what, partial(getattr, sample, what)) for what in MASKS}
+    masks = {field: read(field, partial(getattr, sample, field)) for field in MASKS}
     return Look(
         name=name,
         grid=grid,
         **pose,
-        masks={what: mask for what, mask in masks.items() if mask is not None},
+        masks={field: mask for field, mask in masks.items() if mask is not None},
         tudf=read("tudf", lambda: sample.tudf),
         scans=[scan.points() for scan in scans],
         rays=sum(scan.ranges.size for scan in scans),
