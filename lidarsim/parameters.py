@@ -24,11 +24,11 @@ it: 360 MB."""
 BOUNDS = "bounds"
 """Key of a field's metadata under which its `Bounds` stand."""
 FILE = "file"
-"""The same of a field that a table may give as the path of a file."""
+"""Key of a field's metadata that says that a table may give the path of a file."""
 MOST_TEXT = 300
-"""Characters of what a sensor says of itself."""
+"""The most characters of what a sensor says of itself."""
 MOST_SHOWN = 60
-"""Characters of a value that an error repeats."""
+"""The most characters of a value that an error repeats."""
 _COUNTED = {2: "two", 3: "three", 4: "four"}
 
 

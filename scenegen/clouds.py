@@ -50,7 +50,7 @@ PLY_TYPES = {
 MOST_SCANS = 100_000
 """The most scans of a folder."""
 MOST_DIGITS = 255
-"""Of a number in a file's name."""
+"""The most digits of a number in a file's name."""
 PLY_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 SENSOR_FIELDS = ("vp_", "viewpoint_", "sensor_", "origin_")
 """What the names of fields begin with that say where a point was seen from, before x, y and z: the

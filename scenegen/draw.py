@@ -52,7 +52,7 @@ class UnitKey(NamedTuple):
     split: str
     """ "train", "val" or "test"."""
     unit: int
-    """Its number in the split."""
+    """The unit's number in the split."""
 
     def rng(self, stream: int, attempt: int, *part: int) -> Generator:
         """What the world of a draw, its flights, or a part of its noise come from."""

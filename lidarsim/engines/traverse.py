@@ -27,10 +27,10 @@ from lidarsim.solids.shapes import SPHERE, joining, local
 SPARE_LENGTH2 = 2e-6
 """How far the squared length of a unit vector may be from 1."""
 ROUNDED = 1e-11
-"""As far, and the vector is taken as it is: a `Pose`'s quaternion may leave that much, and its bits
-stay. Beyond, it is made a unit vector."""
+"""If its squared length is so near to 1, a vector is taken as it is, and its bits stay: a `Pose`'s
+quaternion may leave that much. Beyond, it is made a unit vector."""
 FARTHER = 1.0 - 2.0 * ROUNDED
-"""What of a squared distance is left, at least, however it and the vector were rounded."""
+"""The least share of a squared distance that is left, however it and the vector were rounded."""
 NEGLIGIBLE = 1e-20
 """What is added to a ball's squared radius, in shares of its squared distance, so that rounding
 loses none."""
@@ -46,7 +46,7 @@ WORTH = 16
 """A packet that takes more steps than this for each of its rays gains nothing: among small
 triangles, rays go alone."""
 PATIENCE = 8
-"""So many packets must succeed before larger ones are tried."""
+"""The number of packets that must succeed before larger ones are tried."""
 
 
 @kernel

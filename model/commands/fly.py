@@ -236,10 +236,11 @@ def fly(
         course, flown = by_course[0]
         shown = (robot, weights) if is_given or not recorded else None
         _show(real_course(course, hidden), flown, name, shown, picture, film, log)
-    row = summary(name, [one for _, flown in by_course for one in flown]) | notes
+    all_flights = [flight for _, flown in by_course for flight in flown]
+    row = summary(name, all_flights) | notes
     if tell(lambda: row | {"flights": rows_of(by_course, hidden, crew)}):
         show_table(row)
-        for end in sorted({one.trouble for _, flown in by_course for one in flown} - {""}):
+        for end in sorted({flight.trouble for flight in all_flights} - {""}):
             say(f"robot: {end}")
         for path in filter(None, (out, picture, film, log)):
             say(f"written: {path}")

@@ -64,7 +64,7 @@ class Completer:
     batch: int
     """How many maps are completed at once, at most."""
     threads: int
-    """Of the processor, on which it computes; 0 for all."""
+    """Threads of the processor on which it computes; 0 for all."""
     opened: tuple[str, str, int]
     """Name, device and batch, by which `opened_once` has it in other processes."""
     learned = True

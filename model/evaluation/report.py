@@ -247,7 +247,7 @@ def blocks(report: Json, kind: str) -> Iterator[str | Table]:
 
 
 def _introduction(about: Json) -> str:
-    """Of one of the report's `datasets`: its size, and how its tables are to be read."""
+    """A dataset's size, and how its tables are to be read."""
     excluded = ", ".join(f"{cause} {count}" for cause, count in about["excluded"].items())
     return (
         f"{about['samples']} samples of {about['worlds']} worlds, dataset "

@@ -36,9 +36,9 @@ from scenegen.model.robots.steering import ReactiveRobot
 from scenegen.run import undone_if_stopped
 
 RATIOS = ("score", "spl", "ratio", "speed_mps", "mean_clearance_m", "jerk_mps3", "step_s")
-"""Figures of which the mean over flights is told."""
+"""Figures of a flight of which a summary has the mean."""
 COUNTS = ("late", "invalid", "speeding")
-"""Those of which the sum is."""
+"""Figures of a flight of which a summary has the sum."""
 
 
 def robot_maker(name: str, weights: str | None) -> Callable[[Course], Any]:
@@ -92,7 +92,7 @@ def fly_course(
 counted = partial(show.counted, size=lambda one: len(one[1]))
 """Courses and what is made of each flight, as they come; see `scenegen.cli.show.counted`."""
 Crew = Callable[..., Iterator[Any]]
-"""The same, with an executor and what makes bars."""
+"""`counted` with an executor and what makes progress bars."""
 
 
 def rows_of(found: Flights, hidden: int | None, crew: Crew) -> list[Json]:

@@ -275,8 +275,8 @@ class Muon(torch.optim.AdamW):
 
 
 def optimizer_of(network: nn.Module, config: TrainConfig) -> torch.optim.Optimizer:
-    """That of the configuration; weight decay is for what multiplies features, and for vectors only
-    where the configuration says so."""
+    """The optimiser of the configuration; weight decay is for what multiplies features, and for
+    vectors only where the configuration says so."""
     groups: dict[float, list[nn.Parameter]] = {config.weight_decay: [], 0.0: []}
     for one in network.parameters():
         groups[config.weight_decay if config.decay_all or one.ndim > 1 else 0.0].append(one)

@@ -163,7 +163,7 @@ class RunFolder:
         self._saved = time.monotonic()
 
     def save_in_time(self, progress: Progress) -> None:
-        """The same, where the last time is long ago."""
+        """Save the state if it was last saved long ago."""
         if time.monotonic() - self._saved > SAVE_EVERY_S:
             self.save(progress)
 

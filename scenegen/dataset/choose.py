@@ -28,7 +28,7 @@ from scenegen.truth.difficulty import Difficulty, difficulty
 
 
 def _ranges(sample: Sample) -> Field:
-    """Those of all its scans."""
+    """The ranges of all scans of a sample, (scans, *rays), metres."""
     earlier = sample.earlier_ranges
     return np.array([sample.ranges, *(() if earlier is None else earlier)])
 
@@ -146,7 +146,7 @@ class Choice:
 
     splits: tuple[str, ...] = SPLITS
     most: int | None = None
-    """So many of each split at most; None for no bound."""
+    """The most samples of each split; None for no bound."""
     kinds: tuple[str, ...] = ()
     """Kinds of worlds, as "maze", or "maze-hard" for another difficulty; empty for all."""
     worlds: tuple[tuple[int, int], ...] = ()
@@ -164,14 +164,14 @@ class Choice:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Chosen:
-    """What is taken of one shard."""
+    """The samples that are taken of one shard."""
 
     dataset: Dataset
     entry: Entry
     rows: Ints
-    """Its samples that are taken, in order."""
+    """The rows of the shard's samples that are taken, in order."""
     places: Ints
-    """Where these stand in the split of the dataset that they were made for."""
+    """The positions of these samples in the split of the dataset that they were made for."""
 
     def only(self, kept: Any) -> "Chosen":
         """The same with those samples alone that `kept` says, a mask or a slice."""

@@ -27,7 +27,8 @@ if TYPE_CHECKING:  # these import MuJoCo, which reading does not take
 GRID = {"shape": "shape", "voxel": "voxel_m", "truncation": "truncation_m", "hollow": "hollow"}
 """A grid's parameters: their names in the file, and in `GridSpec`."""
 NEEDED = ("shape", "voxel", "truncation")
-"""Those of them that every file names; the others only where they are not the default."""
+"""Parameters of a grid that every file names; it names the others only where they are not the
+default."""
 RAYS = "rays.npy"
 """The file of a table of rays, in a dataset's folder."""
 MOST_STAGES_TEXT = 4000

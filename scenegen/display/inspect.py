@@ -255,7 +255,7 @@ def scan_facts(path: Path) -> Json:
 
 
 def misfits(grid: GridSpec, lidar: Sensor) -> list[str]:
-    """What of a map its sensor can hardly know, in a line each."""
+    """Warnings, a line each: how much of a map lies beyond its sensor's range."""
     edges = [np.linspace(-extent / 2, extent / 2, 41) for extent in grid.extent_m]
     x, y, z = np.meshgrid(*edges, indexing="ij", sparse=True)
     beyond = float((x * x + y * y + z * z > lidar.max_range_m**2).mean())

@@ -1,4 +1,4 @@
-"""What of a sample there is to be seen, read as far as its dataset is sound."""
+"""A sample as it is drawn, read as far as its dataset is sound."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -85,13 +85,13 @@ class _Room(NamedTuple):
     grid: GridSpec
     """Over the bounds, and `MARGIN` voxels around them."""
     origin: Floats
-    """Its least corner (3,), metres."""
+    """The grid's least corner (3,), metres."""
     blocked: Mask
     """(*grid.shape): where a ball's centre may not be."""
     solid: Mask
-    """The same shape: what is not known to be free."""
+    """(*grid.shape): what is not known to be free."""
     tudf: Field
-    """The distances from it, metres."""
+    """(*grid.shape): distances from what is `solid`, metres."""
 
 
 def _room(world: AnyWorld, bounds: Floats, radius_m: float) -> _Room:

@@ -30,7 +30,7 @@ LIVOX = tuple(
 )
 """Livox's own message, as its drivers for ROS 2 and ROS 1 call it."""
 LIVOX_BYTES = 19
-"""Of a point in it: its time (uint32, ns), x, y, z (float32, m), and three bytes."""
+"""Bytes of a point in it: its time (uint32, ns), x, y, z (float32, m), and three more."""
 TIMES = ("t", "time", "timestamp", "time_stamp", "offset_time")
 """What drivers call the time of a point: seconds, or nanoseconds where they are whole numbers, or
 where a scan would take more than `MOST_SCAN_S`; before the cloud's stamp where below 0."""
@@ -50,7 +50,8 @@ class Recording:
     know, not those that the file defines."""
 
     def __init__(self, path: Path):
-        """Of a file, or of a bag's folder. Raises ModuleNotFoundError without the extra."""
+        """The recording in a file, or in a bag's folder. Raises ModuleNotFoundError without the
+        extra."""
         from rosbags.rosbag1 import Reader as Reader1
         from rosbags.rosbag2 import Reader as Reader2
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore

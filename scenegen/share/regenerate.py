@@ -218,7 +218,7 @@ def _read_again(found: Manifest, path: Path) -> Json:
 
 
 def _decided(parameters: Json) -> Json:
-    """What of a manifest's `parameters` a recipe decides."""
+    """The part of a manifest's `parameters` that a recipe decides."""
     left = manifest.completed(parameters)
     found = {name: it for name, it in left.items() if name not in _NOT_OURS}
     found["recipe"] = {name: it for name, it in found["recipe"].items() if name != "scenes"}

@@ -122,7 +122,7 @@ class Stream(Samples):
 
     @property
     def schema(self) -> Schema:
-        """That of the first part."""
+        """The schema of its samples; where parts differ, that of the first."""
         return self._schemas[0]
 
     def expect(self, indices: Iterable[int]) -> None:
