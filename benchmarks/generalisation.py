@@ -28,7 +28,7 @@ from scenegen import Dataset, preset
 from scenegen.model.config import PlanConfig
 from scenegen.model.evaluation.methods import Method, rows_of
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
-from scenegen.model.evaluation.statistics import brief, figure, table
+from scenegen.model.evaluation.statistics import brief, summarise, table
 from scenegen.recipes import kind_names
 from scenegen.run.software import commit
 
@@ -111,7 +111,7 @@ def figures(method: Method, tests: dict[str, Dataset], trials: int) -> dict[str,
     for kind, result in measured(tests, [method], trials, PlanConfig(edge_check=True)).items():
         alone, values = len(set(result.worlds.tolist())) == 1, result.methods[method.name].values
         found[kind] = {
-            name: figure(
+            name: summarise(
                 values(name),
                 by_map(result, name) if alone else result.worlds_of(name),
                 (METRICS | PLAN_METRICS)[name].scale,

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from lidarsim.grid import Floats, Ints
-from scenegen.model.evaluation.statistics import Scale, figure
+from scenegen.model.evaluation.statistics import Scale, summarise
 
 WORLDS = (3, 10, 30)
 REPEATS = 10_000
@@ -86,7 +86,7 @@ def coverage(population: Population, worlds: int, repeats: int, seed: int = 0) -
     least, most = population.samples
     for _ in range(repeats):
         member = np.repeat(np.arange(worlds), rng.integers(least, most + 1, worlds))
-        found = figure(population.draw(rng, member, worlds), member, population.scale)
+        found = summarise(population.draw(rng, member, worlds), member, population.scale)
         held += found["low"] <= population.mean <= found["high"]
     return held / repeats
 

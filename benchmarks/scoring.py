@@ -16,7 +16,7 @@ from scenegen.model.config import BenchConfig, PlanConfig
 from scenegen.model.evaluation.methods import Method
 from scenegen.model.evaluation.metrics import PLAN_METRICS
 from scenegen.model.evaluation.run import DatasetResult, bench
-from scenegen.model.evaluation.statistics import Scale, brief, figure, table
+from scenegen.model.evaluation.statistics import Scale, brief, summarise, table
 from scenegen.source import DrawnWorlds, Source, read_scenes
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
@@ -105,7 +105,7 @@ def titled(
 
 def told(values: Any, groups: Any, form: str, scale: Scale = "amount") -> str:
     """The mean of values (N,) in this form, and its interval over their groups (N,)."""
-    return brief(figure(values, groups, scale), form)
+    return brief(summarise(values, groups, scale), form)
 
 
 def by_map(result: DatasetResult, metric: str) -> Any:

@@ -234,7 +234,7 @@ def sensors(world: Any) -> Figure:
 
 def noise(world: Any) -> Figure:
     """Every stage's returns from above, over the clean ones in grey; metres."""
-    assert set(SHOWN) == set(STAGES.known), "a stage of noise is not shown"
+    assert set(SHOWN) == set(STAGES.builtin), "a stage of noise is not shown"
     lidar = named_lidar("velodyne-vlp-16")
     figure, every = panels(len(SHOWN), 4, (3.2, 2.6))
     clean = scan_world(world, lidar, POSE, seed=0).points()

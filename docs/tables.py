@@ -126,7 +126,7 @@ def sensors() -> str:
 def stages() -> str:
     """The stages of noise: name, values with their defaults, and what they do."""
     lines = ["| stage | values, in this order | what it does |", "|---|---|---|"]
-    for name in STAGES.known:
+    for name in STAGES.builtin:
         kind = STAGES.find(name)
         values = ", ".join(
             f"`{item.name}` {_value(item.default).strip('`')}" for item in dataclasses.fields(kind)

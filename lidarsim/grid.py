@@ -15,6 +15,8 @@ Floats = NDArray[np.float64]
 """Positions, directions, lengths, figures."""
 Ints = NDArray[np.int64]
 """Indices and counts."""
+Vector = tuple[float, float, float]
+"""x, y and z."""
 MOST_EDGE = 8192
 """Voxels along an axis: distances are computed on rows of whole slices, padded by the
 truncation."""
@@ -29,6 +31,12 @@ def finite(what: str, given: ArrayLike, size: int) -> Floats:
     if value.shape != (size,) or not np.isfinite(value).all():
         raise ValueError(f"{what} = {value} must be {size} finite numbers")
     return value
+
+
+def iou(one: Mask, other: Mask) -> float:
+    """Intersection over union of two masks of one shape; 1 where both are empty."""
+    union = np.count_nonzero(one | other)
+    return np.count_nonzero(one & other) / union if union else 1.0
 
 
 def rays_of(origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> tuple[Floats, Floats]:

@@ -51,8 +51,8 @@ class _Kernel:
 
     @cached_property
     def callee(self) -> Any:
-        """The same for kernels that call it, without the part by which Python would, unless it is
-        there."""
+        """Numba's dispatcher for kernels that call this one: without the part by which Python
+        would, unless that is there."""
         if "compiled" in self.__dict__:
             return self.compiled
         with _LOCK:

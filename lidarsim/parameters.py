@@ -4,11 +4,11 @@ object is made."""
 import dataclasses
 import functools
 import math
-import typing
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from types import NoneType, UnionType
-from typing import Any, Literal, Union
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 MOST_RAYS = 1_000_000
 """The most rays of one scan."""
@@ -24,11 +24,11 @@ it: 360 MB."""
 BOUNDS = "bounds"
 """Key of a field's metadata under which its `Bounds` stand."""
 FILE = "file"
-"""The same of a field that a table may give as the path of a file."""
+"""Key of a field's metadata that says that a table may give the path of a file."""
 MOST_TEXT = 300
-"""Characters of what a sensor says of itself."""
+"""The most characters of what a sensor says of itself."""
 MOST_SHOWN = 60
-"""Characters of a value that an error repeats."""
+"""The most characters of a value that an error repeats."""
 _COUNTED = {2: "two", 3: "three", 4: "four"}
 
 
@@ -168,7 +168,7 @@ class _UnfitError(Exception):
 def _hints(kind: type) -> dict[str, Any]:
     """The fields' annotations; none where some can be resolved by a type checker alone."""
     try:
-        return typing.get_type_hints(kind)
+        return get_type_hints(kind)
     except NameError:
         return {}
 
@@ -176,41 +176,46 @@ def _hints(kind: type) -> dict[str, Any]:
 def _read(given: Any, kind: Any, bounds: Bounds) -> Any:
     """`given` as a value of the type `kind` within `bounds`. Raises _UnfitError."""
     value = given.tolist() if hasattr(given, "tolist") else given  # NumPy's scalars and arrays
-    origin, options = typing.get_origin(kind), typing.get_args(kind)
+    origin, options = get_origin(kind), get_args(kind)
     if kind in (bool, str, NoneType):
-        return _expect(isinstance(value, kind), value)
-    if kind in (int, float):
-        plain = isinstance(value, int | float) and not isinstance(value, bool)
+        fits = isinstance(value, kind)
+    elif kind in (int, float):
         bounds = dataclasses.replace(bounds, whole=bounds.whole or kind is int)
-        return kind(_expect(plain and bounds.hold(value), value))
-    if origin is Literal:
-        return _expect(
-            any(type(value) is type(option) and value == option for option in options), value
-        )
-    if origin is tuple:
-        several = isinstance(value, list | tuple)
-        kinds = options[:1] * len(value) if several and options[1:] == (...,) else options
-        parts = zip(_expect(several and len(value) == len(kinds), value), kinds, strict=True)
-        read = tuple(_read(one, its, bounds) for one, its in parts)
-        return _expect(not bounds.rising or read[:1] <= read[-1:], read)
-    if origin in (Union, UnionType):
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        fits = is_number and bounds.hold(value)
+        value = kind(value) if fits else value
+    elif origin is Literal:
+        # True == 1, which is another option
+        fits = any(type(value) is type(option) and value == option for option in options)
+    elif origin is tuple:
+        return _read_tuple(value, options, bounds)
+    elif origin in (Union, UnionType):
         for option in options:
-            try:
+            with suppress(_UnfitError):
                 return _read(given, option, bounds)
-            except _UnfitError:
-                continue
-        raise _UnfitError
-    numbers = _numbers(value)
-    bounded = bounds != Bounds()
-    return _expect(
-        all(bounds.hold(one) for one in numbers) and not (bounded and not numbers), given
-    )
-
-
-def _expect(holds: bool, value: Any) -> Any:
-    if not holds:
+        fits = False
+    else:
+        # an annotation that cannot be resolved, or a type of somebody's own: only numbers are held
+        # against bounds, and where there are bounds, there must be some
+        value, numbers = given, _numbers(value)
+        fits = all(map(bounds.hold, numbers)) and (bool(numbers) or bounds == Bounds())
+    if not fits:
         raise _UnfitError
     return value
+
+
+def _read_tuple(value: Any, kinds: tuple[Any, ...], bounds: Bounds) -> tuple[Any, ...]:
+    """A list or tuple as a tuple of `kinds`, or of any length where these are (kind, ...)."""
+    if not isinstance(value, list | tuple):
+        raise _UnfitError
+    if kinds[1:] == (...,):
+        kinds = kinds[:1] * len(value)
+    if len(value) != len(kinds):
+        raise _UnfitError
+    read = tuple(_read(part, kind, bounds) for part, kind in zip(value, kinds, strict=True))
+    if bounds.rising and read[:1] > read[-1:]:
+        raise _UnfitError
+    return read
 
 
 def _numbers(value: Any) -> list[float]:
@@ -224,7 +229,7 @@ def _numbers(value: Any) -> list[float]:
 
 def _words(kind: Any, bounds: Bounds) -> str:
     """What `_read` takes, in words."""
-    origin, options = typing.get_origin(kind), typing.get_args(kind)
+    origin, options = get_origin(kind), get_args(kind)
     plain = {bool: "true or false", str: "text", NoneType: "none"}
     if kind in plain:
         return plain[kind]

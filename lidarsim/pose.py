@@ -75,7 +75,12 @@ def chained(parent: Pose, child: Pose) -> Pose:
     turned = np.empty(4)
     mujoco.mju_mulQuat(turned, parent.quaternion, child.quaternion)
     position = parent.position + rotate(parent.quaternion, child.position)
-    return Pose(position, turned / np.sqrt((turned**2).sum()))
+    return Pose(position, unit(turned))
+
+
+def unit(quaternion: Floats) -> Floats:
+    """A quaternion (4,) of length 1."""
+    return quaternion / np.sqrt((quaternion**2).sum())
 
 
 def rotate(quaternion: ArrayLike, vectors: ArrayLike) -> Floats:

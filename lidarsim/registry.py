@@ -31,7 +31,7 @@ class Registry:
 
     what: str
     """The sort in one word, for errors: "sensor"."""
-    known: Mapping[str, str]
+    builtin: Mapping[str, str]
     """Names of those that come with the toolkit, each with its ``module:Object``."""
     needs: Mapping[str, str] = field(default_factory=dict)
     """Attributes that every object has to have, each with what it is: {"cast": "a method: (origins,
@@ -41,36 +41,25 @@ class Registry:
         """The object called `name`. Raises ValueError, in one line, for a name that leads to none,
         or to one that lacks what it needs."""
         name = str(name)
-        place = self.known.get(name, name)
-        module, colon, attribute = place.partition(":")
-        if not (
-            colon
-            and attribute.isidentifier()
-            and all(part.isidentifier() for part in module.split("."))
-        ):
+        module, colon, attribute = self.builtin.get(name, name).partition(":")
+        if not colon or not all(map(str.isidentifier, (attribute, *module.split(".")))):
             raise ValueError(self.unknown(name))
-        found = (
-            importlib.import_module(module) if name in self.known else self._imported(module, name)
-        )
+        if name in self.builtin:
+            imported = importlib.import_module(module)
+        else:
+            imported = self._imported(module, name)
         try:
-            chosen = getattr(found, attribute)
+            chosen = getattr(imported, attribute)
         except AttributeError:
-            there = [
-                one
-                for one, it in vars(found).items()
-                if not one.startswith("_")
-                and not isinstance(it, ModuleType)
-                and (not hasattr(it, "__qualname__") or it.__module__ == module)  # not imported
-            ]
-            where = getattr(found, "__file__", None) or "no file"
-            hint = suggestion(attribute, there or ["nothing"])[: 2 * MOST_NAMED]
+            where = getattr(imported, "__file__", None) or "no file"
+            hint = suggestion(attribute, _defined(imported) or ["nothing"])[: 2 * MOST_NAMED]
             raise ValueError(f"{self.what} {name}: {where} has no {attribute}; {hint}") from None
         self.check(chosen, name)
         return chosen
 
     def unknown(self, name: str) -> str:
         """What to say of a `name` that is none."""
-        hint = suggestion(name, self.known)
+        hint = suggestion(name, self.builtin)
         return f"unknown {self.what} {name[:MOST_NAMED]!a}; {hint} (or one's own, as module:Object)"
 
     def check(self, chosen: Any, name: str) -> None:
@@ -100,6 +89,18 @@ class Registry:
                 ) from None
             at = f" ({line})" if (line := own_line(error)) else ""
             raise ValueError(f"{self.what} {name}: importing it fails{at}: {error!r}") from None
+
+
+def _defined(module: ModuleType) -> list[str]:
+    """Public names that a module defines, and does not import from another."""
+    return [
+        name
+        for name, value in vars(module).items()
+        if not name.startswith("_")
+        and not isinstance(value, ModuleType)
+        # only functions and classes say where they were defined
+        and (not hasattr(value, "__qualname__") or value.__module__ == module.__name__)
+    ]
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:

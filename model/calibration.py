@@ -13,7 +13,7 @@ from scenegen.errors import ScenegenError, short
 from scenegen.files import Json
 
 KEY = "calibration"
-"""Its name in what is said about a network."""
+"""The calibration's name in what is said about a network."""
 RISK = 0.05
 """The risk of a bound where none is named: the truth is at least the bound in 95 % of unknown
 voxels."""

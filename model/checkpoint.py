@@ -4,9 +4,9 @@ header.
 Nothing here is a pickle, so a file from a stranger can be opened.
 """
 
-import dataclasses
 import json
 from collections.abc import Collection, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -80,8 +80,8 @@ def save_network(path: Path, network: Any, grid: GridSpec, about: Json) -> None:
     header = {
         "format": FORMAT,
         "version": VERSION,
-        "network": dataclasses.asdict(network.config),
-        "grid": dataclasses.asdict(grid),
+        "network": asdict(network.config),
+        "grid": asdict(grid),
         "about": dict(about),
     }
     save_tensors(path, network.state_dict(), header)

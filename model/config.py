@@ -102,7 +102,7 @@ METHODS = Registry(
 )
 """Classes of completers and of the bench's rows, made without arguments; a user's own completer as
 ``module:Class``."""
-USUAL = tuple(name for name in METHODS.known if name != "seen")
+USUAL = tuple(name for name in METHODS.builtin if name != "seen")
 """The rows without any named: `seen` compiles every world, and is measured when it is asked for."""
 
 
@@ -152,7 +152,7 @@ class NetworkConfig:
         check(self)
         for registry, names in ((NETWORKS, [self.variant]), (INPUTS, self.inputs)):
             for name in names:
-                if not is_own(name) and name not in registry.known:
+                if not is_own(name) and name not in registry.builtin:
                     raise ValueError(registry.unknown(name))
         if not self.inputs or len(set(self.inputs)) < len(self.inputs):
             raise ValueError(f"inputs = {short(self.inputs)}: expected one or more, each once")
@@ -208,7 +208,7 @@ class LossConfig:
 
     def __post_init__(self) -> None:
         check(self)
-        if not is_own(self.objective) and self.objective not in LOSSES.known:
+        if not is_own(self.objective) and self.objective not in LOSSES.builtin:
             raise ValueError(LOSSES.unknown(self.objective))
 
 

@@ -234,7 +234,7 @@ class FinalUp(nn.Module):
         return self.each(x)[0]
 
     def each(self, x: Tensor) -> list[Tensor]:
-        """The same for every field that this head gives."""
+        """The fields (B, X, Y, Z) that this head gives."""
         x = self.refine(x)
         # bfloat16 keeps distances to a centimetre, and slopes, their differences, need better
         with torch.autocast(x.device.type, enabled=False):

@@ -1,14 +1,13 @@
 """ONNX files: written by `export_onnx`; examined in a process with limits, then run by a CPU
 runtime. OpenVINO is faster than torch."""
 
-import dataclasses
 import json
 import logging
 import sys
 import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import redirect_stderr
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cache
 from importlib.util import find_spec
 from io import StringIO
@@ -133,13 +132,13 @@ def read_graph(content: bytes) -> tuple[NetworkConfig, GridSpec, Json, tuple[str
         raise CheckpointError(
             f"has loops or parts elsewhere, which no export has ({printable(odd)[:100]})"
         )
-    there = {output.name for output in graph.output}
-    tasks = [task for task, name in NAMES.items() if name in there]
-    known = VARIANTS.get(config.variant)  # a network of the user's own says what it likes
-    if known and set(tasks) != set(known.tasks):
+    outputs = {output.name for output in graph.output}
+    tasks = [task for task, name in NAMES.items() if name in outputs]
+    variant = VARIANTS.get(config.variant)  # a network of the user's own says what it likes
+    if variant and set(tasks) != set(variant.tasks):
         raise CheckpointError(
             f"gives {' and '.join(tasks) or 'nothing'}, where {config.variant} gives "
-            f"{' and '.join(known.tasks)}; export it again"
+            f"{' and '.join(variant.tasks)}; export it again"
         )
     return config, grid, about, tuple(NAMES[task] for task in tasks)
 
@@ -283,8 +282,8 @@ def export_onnx(network: Any, grid: GridSpec, path: Path, *, about: Json) -> Non
                 f"variant {network.config.variant}: torch cannot export it as ONNX "
                 f"({type(error).__name__}: {line})"
             ) from None
-    settings = dataclasses.asdict(network.config)
-    header = {"grid": dataclasses.asdict(grid), "network": settings, "about": about}
+    settings = asdict(network.config)
+    header = {"grid": asdict(grid), "network": settings, "about": about}
     model = program.model_proto
     model.metadata_props.append(onnx.StringStringEntryProto(key=HEADER, value=json.dumps(header)))
     write_result(path, model.SerializeToString())

@@ -30,14 +30,27 @@ from scenegen.limits import (
 from scenegen.run.workers import guarded
 
 PLY_TYPES = {
-    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
-    **{"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2"},
-    **{"int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"},
+    "char": "i1",
+    "uchar": "u1",
+    "short": "i2",
+    "ushort": "u2",
+    "int": "i4",
+    "uint": "u4",
+    "float": "f4",
+    "double": "f8",
+    "int8": "i1",
+    "uint8": "u1",
+    "int16": "i2",
+    "uint16": "u2",
+    "int32": "i4",
+    "uint32": "u4",
+    "float32": "f4",
+    "float64": "f8",
 }
 MOST_SCANS = 100_000
 """The most scans of a folder."""
 MOST_DIGITS = 255
-"""Of a number in a file's name."""
+"""The most digits of a number in a file's name."""
 PLY_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 SENSOR_FIELDS = ("vp_", "viewpoint_", "sensor_", "origin_")
 """What the names of fields begin with that say where a point was seen from, before x, y and z: the
@@ -186,34 +199,36 @@ def _read_pcd(content: bytes) -> np.ndarray:
     """The points of a PCD file, and where they were seen from: fields or its VIEWPOINT
     (pointclouds.org, "The PCD file format")."""
     head, mark, rest = content[:MOST_HEADER_BYTES].partition(b"\nDATA ")
-    form, _, _ = rest.partition(b"\n")
-    start, form = len(head + mark + form) + 1, form.strip()
-    lines = [
-        line.split() for line in head.decode("latin-1").splitlines() if line and line[0] != "#"
-    ]
-    said = {line[0]: line[1:] for line in lines if line}
-    if form not in (b"ascii", b"binary", b"binary_compressed"):
+    coding, _, _ = rest.partition(b"\n")
+    body = memoryview(content)[len(head + mark + coding) + 1 :]
+    coding = coding.strip()
+    if coding not in (b"ascii", b"binary", b"binary_compressed"):
         raise ValueError(
-            f"DATA is {printable(form.decode('latin-1'))[:30]!r}, expected ascii, binary or "
+            f"DATA is {printable(coding.decode('latin-1'))[:30]!r}, expected ascii, binary or "
             "binary_compressed"
         )
+    lines = [line.split() for line in head.decode("latin-1").splitlines() if line[:1] != "#"]
+    header = {line[0]: line[1:] for line in lines if line}
+    layout, count = _pcd_layout(header), int(header["POINTS"][0])
+    if coding == b"binary_compressed":
+        body = _unpacked(body, layout, count)
+    points = _points(body, layout, count, text=coding == b"ascii")
+    viewpoint = list(map(float, header.get("VIEWPOINT", NOWHERE)))
+    if points.shape[1] == 3 and viewpoint != NOWHERE:
+        sensors = np.broadcast_to(viewpoint[:3], points.shape)
+        return np.concatenate([points, sensors], axis=1)
+    return points
+
+
+def _pcd_layout(header: Mapping[str, Sequence[str]]) -> np.dtype:
+    """NumPy's type of a point, from the lines of a PCD's header by their first words."""
     # what only fills a gap is called "_", as often as there are gaps
-    names = [f"_{n}" if name == "_" else name for n, name in enumerate(said["FIELDS"])]
+    names = [f"_{n}" if name == "_" else name for n, name in enumerate(header["FIELDS"])]
     if not set("xyz") <= set(names) or len(set(names)) < len(names):
         raise ValueError(f"has points of {' '.join(names)[:60]}, expected x, y and z once each")
-    repeats = map(int, said.get("COUNT", ["1"] * len(names)))
-    types = [PCD_TYPES[kind] + size for kind, size in zip(said["TYPE"], said["SIZE"], strict=True)]
-    each = zip(names, types, repeats, strict=True)
-    layout = np.dtype([(name, kind, (many,)) for name, kind, many in each])
-    count = int(said["POINTS"][0])
-    body = memoryview(content)[start:]
-    if form == b"binary_compressed":
-        body = _unpacked(body, layout, count)
-    points = _points(body, layout, count, text=form == b"ascii")
-    stood = list(map(float, said.get("VIEWPOINT", NOWHERE)))
-    if points.shape[1] == 3 and stood != NOWHERE:
-        return np.concatenate([points, np.broadcast_to(stood[:3], points.shape)], axis=1)
-    return points
+    counts = map(int, header.get("COUNT", ["1"] * len(names)))
+    rows = zip(names, header["TYPE"], header["SIZE"], counts, strict=True)
+    return np.dtype([(name, PCD_TYPES[kind] + size, (count,)) for name, kind, size, count in rows])
 
 
 def _unpacked(content: memoryview, layout: np.dtype, count: int) -> memoryview:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.random import Generator
 
 from lidarsim import AnalyticEngine, Pose, Scan, Sensor, cast, fuse
 from lidarsim.engines import ENGINES, Caster, EngineFactory
@@ -51,9 +52,9 @@ class UnitKey(NamedTuple):
     split: str
     """ "train", "val" or "test"."""
     unit: int
-    """Its number in the split."""
+    """The unit's number in the split."""
 
-    def rng(self, stream: int, attempt: int, *part: int) -> np.random.Generator:
+    def rng(self, stream: int, attempt: int, *part: int) -> Generator:
         """What the world of a draw, its flights, or a part of its noise come from."""
         key = SPLITS.index(self.split), self.unit, attempt, stream, *part
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
@@ -141,7 +142,7 @@ def _fly(
     recipe: Recipe,
     rejected: Rejections,
     *,
-    rng: np.random.Generator,
+    rng: Generator,
 ) -> list[View] | None:
     """The views of one flight, in flight order; None, with the reason counted, if the world yields
     no acceptable flight."""
@@ -349,7 +350,7 @@ def with_noise(
 
 
 def observed(
-    scan: Scan, noise: Noise, albedo: np.ndarray | None, engine: Caster, rng: np.random.Generator
+    scan: Scan, noise: Noise, albedo: np.ndarray | None, engine: Caster, rng: Generator
 ) -> Returns:
     """What `noise` makes of a clean scan, see `Noise.observe`. Raises GenerationError where it
     cannot."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from lidarsim import Pose
 from lidarsim.grid import Floats
-from lidarsim.pose import rotate
+from lidarsim.pose import rotate, unit
 from scenegen.errors import DatasetError, raised_as, short
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_ASSET_BYTES
@@ -51,7 +51,7 @@ def between(one: Pose, other: Pose, share: float) -> Pose:
     a, b = one.quaternion, other.quaternion
     turned = (1 - share) * a + share * (b if a @ b >= 0 else -b)
     position = (1 - share) * one.position + share * other.position
-    return Pose(position, turned / np.sqrt((turned**2).sum()))
+    return Pose(position, unit(turned))
 
 
 def inverse(pose: Pose) -> Pose:
@@ -132,4 +132,4 @@ def pose_of_matrix(row: Floats, where: str) -> Pose:
     if not skew <= SKEW or np.linalg.det(turn) < 0 or not np.isfinite(row).all():
         raise DatasetError(f"{where}: expected a rotation and a position, 3 × 4 row by row")
     mujoco.mju_mat2Quat(turned, np.ascontiguousarray(turn).reshape(-1))
-    return Pose(matrix[:, 3], turned / np.sqrt((turned**2).sum()))
+    return Pose(matrix[:, 3], unit(turned))

@@ -1,11 +1,10 @@
 """Recipes: every number that decides what a dataset holds, resolved, checked, and read from
 TOML."""
 
-import dataclasses
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -162,7 +161,7 @@ class Recipe:
         return {
             "version": self.version,
             **({} if self.difficulty == "medium" else {"difficulty": self.difficulty}),
-            **{name: dataclasses.asdict(it) for name, it in tables.items() if it is not None},
+            **{name: asdict(it) for name, it in tables.items() if it is not None},
         }
 
 
@@ -260,7 +259,7 @@ def make_recipe(
     stranger's file. Paths in `tables` are relative to `folder`. Raises RecipeError naming the table
     and the parameter.
     """
-    parts = {
+    kinds = {
         "flight": Flight,
         "accept": Acceptance,
         "lidar": Lidar,
@@ -269,43 +268,45 @@ def make_recipe(
         "mapping": Mapper,
     }
     if "known" in tables:
-        parts["known"] = Known
-    defaults: dict[str, Json] = {}
-    at, tables = f"{where}: " if where else "", _with_beside(tables, where, given)
+        kinds["known"] = Known
+    at = f"{where}: " if where else ""
+    tables = _with_beside(tables, where, given)
     level = tables.pop("difficulty", "medium")
+    defaults: dict[str, Json] = {}
     if kind != "scene":
         with raised_as(RecipeError, at):
-            parts["world"] = found = find_kind(kind)
-        defaults = {"flight": found.flight_defaults, "accept": found.accept_defaults}
-        defaults["world"] = _graded(found, level, at)
+            world = find_kind(kind)
+        kinds["world"] = world
+        defaults = {"flight": world.flight_defaults, "accept": world.accept_defaults}
+        defaults["world"] = _graded(world, level, at)
     elif level != "medium":
         raise RecipeError(f"{at}difficulty: worlds from MJCF files have none; leave it out")
     sensor = given.get("lidar")
     if sensor is not None:
         sensor, tables["lidar"] = named_lidar(sensor), {}
     for name, table in tables.items():
-        whose = [f"[{part}]" for part, made in parts.items() if name in field_names(made)]
-        if whose and name not in parts and not isinstance(table, dict):
+        owners = [f"[{part}]" for part, made in kinds.items() if name in field_names(made)]
+        if owners and name not in kinds and not isinstance(table, dict):
             raise RecipeError(
-                f"{at}{name} stands in no table; expected it below the line {' or '.join(whose)}"
+                f"{at}{name} stands in no table; expected it below the line {' or '.join(owners)}"
             )
-        check_name(name, tuple(sorted(parts)), "table", where)
+        check_name(name, tuple(sorted(kinds)), "table", where)
         if not isinstance(table, dict):
             raise RecipeError(
                 f"{at}{name} = {short(table)}: expected a table, [{name}], of parameters"
             )
-    given = {name: defaults.get(name, {}) | tables.get(name, {}) for name in parts}
-    lidar = given.pop("lidar")
-    built = {
-        name: from_table(parts[name], table, f"{at}[{name}]", folder)
-        for name, table in given.items()
+    values = {name: defaults.get(name, {}) | tables.get(name, {}) for name in kinds}
+    lidar = values.pop("lidar")
+    parts = {
+        name: from_table(kinds[name], table, f"{at}[{name}]", folder)
+        for name, table in values.items()
     }
     if sensor is None:
         sensor = sensor_of(lidar, f"{at}[lidar]", folder)
-    noise = named_noise(built["noise"].stages or None, sensor, at and f"{at}[noise]")
-    built |= {"lidar": sensor, "noise": noise}
+    noise = named_noise(parts["noise"].stages or None, sensor, at and f"{at}[noise]")
+    parts |= {"lidar": sensor, "noise": noise}
     odd = f"{at}[world] of kind {kind}: a parameter cannot stand in a manifest: "
     with raised_as(RecipeError, at), raised_as(RecipeError, odd, of=TypeError):
-        recipe = Recipe(kind=kind, difficulty=level, **built)
+        recipe = Recipe(kind=kind, difficulty=level, **parts)
         json.dumps(recipe.resolved())
     return recipe

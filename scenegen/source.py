@@ -4,17 +4,17 @@ A source answers one question: which world does unit u of a split fly through? A
 flight and its samples.
 """
 
-import dataclasses
 import functools
 import itertools
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from numpy.random import Generator
 
 from scenegen import SPLITS
 from scenegen.errors import BrokenError, RecipeError, SceneError, printable, raised_as
@@ -41,7 +41,7 @@ class Source(Protocol):
         the same world)."""
         ...
 
-    def world(self, split: str, number: int, *, rng: np.random.Generator) -> AnyWorld:
+    def world(self, split: str, number: int, *, rng: Generator) -> AnyWorld:
         """The world itself; a source that draws does so from `rng` alone."""
         ...
 
@@ -60,7 +60,7 @@ class DrawnWorlds(Source):
         """A world a unit."""
         return unit, 0
 
-    def world(self, split: str, number: int, *, rng: np.random.Generator) -> World:
+    def world(self, split: str, number: int, *, rng: Generator) -> World:
         """Draw the world from `rng`. Raises RecipeError for what MuJoCo does not take."""
         kind = self.recipe.world
         if kind is None:
@@ -102,7 +102,7 @@ class SceneWorlds:
         turn, number = divmod(unit, len(self.scenes[split]))
         return number, turn
 
-    def world(self, split: str, number: int, *, rng: np.random.Generator) -> AnyWorld:
+    def world(self, split: str, number: int, *, rng: Generator) -> AnyWorld:
         """The world of a file; nothing is drawn."""
         scene = self.scenes[split][number]
         return _compiled(scene.name, scene.mjcf, tuple(scene.assets.items()))
@@ -142,11 +142,11 @@ class SceneWorlds:
         usual, since many end at unknown space."""
         if not self.maps:
             return recipe
-        recipe = dataclasses.replace(recipe, known=recipe.known or Known())
+        recipe = replace(recipe, known=recipe.known or Known())
         if recipe.accept.max_draws == Acceptance.max_draws:
-            more = dataclasses.replace(recipe.accept, max_draws=MAP_DRAWS)
+            more = replace(recipe.accept, max_draws=MAP_DRAWS)
             with suppress(ValueError):  # of flights that search long, so many may not be drawn
-                return dataclasses.replace(recipe, accept=more)
+                return replace(recipe, accept=more)
         return recipe
 
 
@@ -211,20 +211,20 @@ def read_scenes(
     notes = [f"{path}: {named(parts)} left out: parts, which other files include"] if parts else []
     notes += [note for scene in scenes.values() for note in scene.notes]
     several = len(scenes) > 1
-    wanted = [split for split in SPLITS if (several if counts[split] is None else counts[split])]
-    if len(scenes) < len(wanted):
+    splits = [split for split in SPLITS if (several if counts[split] is None else counts[split])]
+    if len(scenes) < len(splits):
         raise SceneError(
-            f"{path}: {len(scenes)} worlds for {len(wanted)} splits, and no two splits share one; "
+            f"{path}: {len(scenes)} worlds for {len(splits)} splits, and no two splits share one; "
             "add worlds, or set --val and --test to 0 and measure on the training samples (bench "
             "--split train)"
         )
-    order = np.random.default_rng(seed).permutation(len(scenes))
-    whole = sum(SHARES[split] for split in wanted)
-    share = {split: max(1, len(scenes) * SHARES[split] // whole) for split in wanted}
-    share[wanted[0]] = len(scenes) - sum(share[split] for split in wanted[1:])
-    dealing = list(scenes.values())
-    dealt = iter([dealing[n] for n in order])
-    worlds = {split: tuple(itertools.islice(dealt, share.get(split, 0))) for split in SPLITS}
+    order = np.random.default_rng(seed).permutation(len(scenes)).tolist()
+    shares = sum(SHARES[split] for split in splits)
+    sizes = {split: max(1, len(scenes) * SHARES[split] // shares) for split in splits}
+    sizes[splits[0]] = len(scenes) - sum(sizes[split] for split in splits[1:])
+    by_number = list(scenes.values())
+    dealt = iter([by_number[number] for number in order])
+    worlds = {split: tuple(itertools.islice(dealt, sizes.get(split, 0))) for split in SPLITS}
     return SceneWorlds(worlds, tuple(notes))
 
 

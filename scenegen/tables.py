@@ -9,7 +9,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+from numpy.random import Generator
 
 from lidarsim import BeamTable, Sensor
 from lidarsim.noise.chain import Noise
@@ -118,7 +118,7 @@ def sensor_of(table: Json, where: str, folder: Path) -> Sensor:
         raise RecipeError(
             f"{where} sensor = {short(name)}: expected a dataclass, whose fields a recipe sets"
         )
-    if isinstance(given.get("name"), str) and given["name"] in SENSORS.known:
+    if isinstance(given.get("name"), str) and given["name"] in SENSORS.builtin:
         raise RecipeError(
             f"{where} name = {short(given['name'])}: is that of another; give your sensor a name "
             f'of its own, or take that one with sensor = "{given["name"]}"'
@@ -138,7 +138,7 @@ def sensor_of(table: Json, where: str, folder: Path) -> Sensor:
     if isinstance(own := getattr(made, "noise", None), str) and own:
         with raised_as(RecipeError, f"{where} "):
             Noise.parse(own)
-    if name not in SENSORS.known:
+    if name not in SENSORS.builtin:
         with raised_as(RecipeError):
             beam_table(made, where)
     return made
@@ -154,7 +154,7 @@ def beam_table(sensor: Sensor, where: str = "[lidar]") -> BeamTable:
         raise ValueError(f"{where} sensor {type(sensor).__name__}: {printable(said)}") from None
 
 
-def combinations(domain: Any, at: str, rng: np.random.Generator) -> list[dict[str, Json]]:
+def combinations(domain: Any, at: str, rng: Generator) -> list[dict[str, Json]]:
     """Every combination of the values that a [domain] lists, as tables; where some have intervals,
     each so often as its `draws` says, with numbers from these. Raises RecipeError."""
     rows = dict(domain) if isinstance(domain, dict) else {"": domain}
@@ -183,19 +183,19 @@ def combinations(domain: Any, at: str, rng: np.random.Generator) -> list[dict[st
     # of a range, `product` would make a tuple
     times = range(min(max(draws, 1), MOST_SOURCES + 1))
     chosen = itertools.product(times, *listed.values())
-    found: list[dict[str, Json]] = []
-    for _, *each in itertools.islice(chosen, MOST_SOURCES + 1):
-        found.append({})
-        for (table, name), value in zip(listed, each, strict=True):
-            found[-1].setdefault(table, {})[name] = _drawn(value, rng)
-    if len(found) > MOST_SOURCES:
+    tables: list[dict[str, Json]] = []
+    for _, *chosen_values in itertools.islice(chosen, MOST_SOURCES + 1):
+        tables.append({})
+        for (table, name), value in zip(listed, chosen_values, strict=True):
+            tables[-1].setdefault(table, {})[name] = _drawn(value, rng)
+    if len(tables) > MOST_SOURCES:
         raise RecipeError(
             f"{at}: domain: more than {MOST_SOURCES} combinations; list or draw fewer"
         )
-    return found
+    return tables
 
 
-def _drawn(value: Any, rng: np.random.Generator) -> Any:
+def _drawn(value: Any, rng: Generator) -> Any:
     """A value with a number from each interval that is written in it, of four digits, for people
     read it in the manifest."""
     if isinstance(value, list):

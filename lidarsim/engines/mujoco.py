@@ -19,7 +19,8 @@ rounding."""
 SPARE_LENGTH2 = 2e-6
 """How far the squared length of a unit vector may be from 1."""
 ROUNDED = 1e-11
-"""As far, and the vector is taken as it is; beyond, it is made a unit vector."""
+"""If its squared length is so near to 1, a vector is taken as it is; beyond, it is made a unit
+vector."""
 
 
 class MujocoEngine:

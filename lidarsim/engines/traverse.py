@@ -27,10 +27,10 @@ from lidarsim.solids.shapes import SPHERE, joining, local
 SPARE_LENGTH2 = 2e-6
 """How far the squared length of a unit vector may be from 1."""
 ROUNDED = 1e-11
-"""As far, and the vector is taken as it is: a `Pose`'s quaternion may leave that much, and its bits
-stay. Beyond, it is made a unit vector."""
+"""If its squared length is so near to 1, a vector is taken as it is, and its bits stay: a `Pose`'s
+quaternion may leave that much. Beyond, it is made a unit vector."""
 FARTHER = 1.0 - 2.0 * ROUNDED
-"""What of a squared distance is left, at least, however it and the vector were rounded."""
+"""The least share of a squared distance that is left, however it and the vector were rounded."""
 NEGLIGIBLE = 1e-20
 """What is added to a ball's squared radius, in shares of its squared distance, so that rounding
 loses none."""
@@ -46,7 +46,7 @@ WORTH = 16
 """A packet that takes more steps than this for each of its rays gains nothing: among small
 triangles, rays go alone."""
 PATIENCE = 8
-"""So many packets must succeed before larger ones are tried."""
+"""The number of packets that must succeed before larger ones are tried."""
 
 
 @kernel
@@ -71,11 +71,26 @@ def traverse(
     ranges,
     items,
 ):
-    """Fill ranges (P, n) and items (P, n) for directions (P, n, 3) from origins (P, 3); see
-    `AnalyticEngine`.
+    """Fill ranges (P, n) and items (P, n) for directions (P, n, 3) from origins (P, 3), metres, in
+    the world; see `AnalyticEngine`. A ray that meets nothing leaves both as they are.
 
-    The numbers of rays, neighbours one after the other, are `turn` (n,). The rays of pose p pass
-    through the items whose `part` is `through[p]`, unless that is -1.
+    Args:
+        origins: (P, 3). A pose that is not finite meets nothing.
+        directions: (P, n, 3). Vectors that are no unit vectors meet nothing; those that are nearly
+            so are made so in place.
+        max_range_m: How far rays go.
+        turn: (n,): the numbers of rays, neighbours one after the other.
+        shape, size, position, rotation: Of the m primitives: (m,), (m, 3), (m, 3), (m, 3, 3). Items
+            from m on are triangles.
+        reach2: (m,): squared radii of the balls around them.
+        planes: Numbers of those primitives that are planes, which no box holds.
+        triangles: (k, 3, 3).
+        boxes, links, ends: The hierarchy: of each node, its children's boxes (nodes, 6, WIDTH), and
+            what each child is (nodes, WIDTH): the node `links`, or where `ends` is above 0 a leaf,
+            with the items from `links` up to `ends` in `order`.
+        order: The items, leaf by leaf.
+        part: (items,): the part of the scene that an item belongs to.
+        through: (P,): the part whose items a pose's rays pass through; -1 for none.
 
     Numbers of nodes, items and lanes are unsigned: for signed ones numba allows for negative
     indices, a tenth of the time. Tests over children and over lanes are free of branches, which
@@ -83,31 +98,37 @@ def traverse(
     """
     plain, none = np.uint64(len(shape)), np.uint64(len(shape) + len(triangles))
     wide, root = np.uint64(WIDTH), np.uint64(WIDTH * len(boxes))
-    # of every lane: its ray and the inverse of that, its number, the nearest item and how far it is
+    # of every lane, a ray of the packet: its direction and the inverse of that, its number, the
+    # distance of the nearest item so far, and that item; `none` for no item
     ray, lanes = np.empty((6, LANES)), np.empty(LANES, np.uint64)
     best, item, missed = np.empty(LANES), np.empty(LANES, np.uint64), np.empty(LANES, np.bool_)
+    # the stack of children that are still to be entered, the nearest last, and where each begins
     waiting, begins, near = np.empty(WAITING, np.uint64), np.empty(WAITING), np.empty(WIDTH)
-    for p in range(len(origins)):
-        origin, own = origins[p], through[p]
+    for pose in range(len(origins)):
+        origin, skipped = origins[pose], through[pose]
         ox, oy, oz = origin[0], origin[1], origin[2]
         if not abs(ox) + abs(oy) + abs(oz) < math.inf:
             continue
+        # packets of up to `most` rays: halved where one gains nothing, doubled after `PATIENCE`
+        # that succeed
         start, most, patience = 0, LANES, 0
         while start < len(turn):
             end = min(start + most, len(turn))
             count, u, v, w, u0, u1, v0, v1, slowest, fastest = _pack(
-                directions[p], turn[start:end], ray, lanes
+                directions[pose], turn[start:end], ray, lanes
             )
             if count == 0:  # none of them is a unit vector
                 start = end
                 continue
+            # rays that run too far apart are packed anew, fewer at a time
             if count > 1 and not (slowest >= STEEP and max(u1 - u0, v1 - v0) <= SPREAD):
                 most, patience = most // 2, 0
                 continue
+            # planes have no end, and so no box: every ray meets them first
             for i in range(count):
                 best[i], item[i] = max_range_m, none
                 for g in planes:
-                    if own >= 0 and part[g] == own:
+                    if skipped >= 0 and part[g] == skipped:
                         continue
                     x, y, z = ray[0, i], ray[1, i], ray[2, i]
                     sx, sy, sz = joining(position[g], origin)
@@ -117,6 +138,7 @@ def traverse(
                 if plain < none:
                     for a in range(3):
                         ray[3 + a, i] = inverse(ray[a, i])
+            # what begins farther away than this, no ray of the packet has use for
             worst = best[0]
             for i in range(1, count):
                 worst = max(worst, best[i])
@@ -128,25 +150,27 @@ def traverse(
             av, fv, bv, gv, both_v = _sides(v, v0, v1)
             long_u0, long_u1 = math.sqrt(1.0 + u0 * u0), math.sqrt(1.0 + u1 * u1)
             long_v0, long_v1 = math.sqrt(1.0 + v0 * v0), math.sqrt(1.0 + v1 * v1)
-            left, steps = min(len(boxes), 1), WORTH * np.int64(count)
+            pending, steps = min(len(boxes), 1), WORTH * np.int64(count)
             waiting[0], begins[0] = root, 0.0
-            while left > 0:
-                left -= 1
-                if begins[left] > worst:
+            while pending > 0:
+                pending -= 1
+                if begins[pending] > worst:
                     continue
                 steps -= 1
                 if steps < 0 and count > 1:
                     break
-                # the child `kid` of the node `above`: a node, or the items of a leaf up to `close`
-                above, kid = waiting[left] // wide, waiting[left] % wide
-                node, close = np.uint64(0), np.uint64(0)
-                if waiting[left] < root:
-                    node, close = links[above, kid], ends[above, kid]
-                if close > 0:
-                    for q in range(node, close):
+                # the child `slot` of the node `parent`: a node, or the items of a leaf up to `stop`
+                parent, slot = waiting[pending] // wide, waiting[pending] % wide
+                node, stop = np.uint64(0), np.uint64(0)
+                if waiting[pending] < root:
+                    node, stop = links[parent, slot], ends[parent, slot]
+                if stop > 0:
+                    for q in range(node, stop):
                         g = order[q]
-                        if g >= plain or (own >= 0 and part[g] == own):
+                        if g >= plain or (skipped >= 0 and part[g] == skipped):
                             continue
+                        # the primitive's ball, against the four sides of the pyramid, its tip and
+                        # its end
                         sx, sy, sz = ox - position[g, 0], oy - position[g, 1], oz - position[g, 2]
                         apart2 = sx * sx + sy * sy + sz * sz
                         radius = math.sqrt(reach2[g] + NEGLIGIBLE * apart2)
@@ -161,6 +185,7 @@ def traverse(
                             | (apart2 > (worst + radius) * (worst + radius))
                         ):
                             continue
+                        # then against each ray; what is left is met in closed form
                         for i in range(count):
                             beyond = best[i] + radius
                             missed[i] = (apart2 > beyond * beyond) | passes(
@@ -173,10 +198,11 @@ def traverse(
                             t = meet_solid(g, shape, size, rotation, sx, sy, sz, x, y, z)
                             if _nearer(t, g, best[i], item[i]):
                                 best[i], item[i] = t, g
+                    # the triangles of the leaf, by those rays that meet its box
                     if plain < none:
-                        x0, x1 = boxes[above, 0, kid] - ox, boxes[above, 3, kid] - ox
-                        y0, y1 = boxes[above, 1, kid] - oy, boxes[above, 4, kid] - oy
-                        z0, z1 = boxes[above, 2, kid] - oz, boxes[above, 5, kid] - oz
+                        x0, x1 = boxes[parent, 0, slot] - ox, boxes[parent, 3, slot] - ox
+                        y0, y1 = boxes[parent, 1, slot] - oy, boxes[parent, 4, slot] - oy
+                        z0, z1 = boxes[parent, 2, slot] - oz, boxes[parent, 5, slot] - oz
                         for i in range(count):
                             a0, a1 = x0 * ray[3, i], x1 * ray[3, i]
                             b0, b1 = y0 * ray[4, i], y1 * ray[4, i]
@@ -188,9 +214,9 @@ def traverse(
                             if missed[i]:
                                 continue
                             frame = upright(origin, ray[:3, i])
-                            for q in range(node, close):
+                            for q in range(node, stop):
                                 g = order[q]
-                                if g < plain or (own >= 0 and part[g] == own):
+                                if g < plain or (skipped >= 0 and part[g] == skipped):
                                     continue
                                 t = meet_triangle(triangles, g - plain, frame)
                                 if _nearer(t, g, best[i], item[i]):
@@ -209,23 +235,25 @@ def traverse(
                     enter = max(enter, max(a1 if both_u else 0.0, b1 if both_v else 0.0))
                     leave = min(c1, min(math.inf if both_u else a1, math.inf if both_v else b1))
                     near[k] = math.inf if enter > leave else enter * pace
-                first = left
+                # the children that are met join the stack, farthest first
+                first = pending
                 for child in range(WIDTH):
                     k = np.uint64(child)
                     if near[k] > worst:
                         continue
-                    j = left
+                    j = pending
                     while j > first and begins[j - 1] < near[k]:
                         waiting[j], begins[j] = waiting[j - 1], begins[j - 1]
                         j -= 1
                     waiting[j], begins[j] = node * wide + k, near[k]
-                    left += 1
+                    pending += 1
+            # given up on the way: these rays are walked again, fewer at a time
             if steps < 0 and count > 1:
                 most, patience = most // 2, 0
                 continue
             for i in range(count):
                 if item[i] < none:
-                    ranges[p, lanes[i]], items[p, lanes[i]] = best[i], item[i]
+                    ranges[pose, lanes[i]], items[pose, lanes[i]] = best[i], item[i]
             start, patience = end, patience + 1
             if patience == PATIENCE:
                 most, patience = min(2 * most, LANES), 0

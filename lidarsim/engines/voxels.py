@@ -58,10 +58,10 @@ class VoxelEngine:
         """Ranges as `cast` gives them, and the metres of unknown space that each ray crosses before
         it returns, or within `max_range_m`; both (P, *shape). Who asks after `cast` for the same
         rays pays nothing: one walk gives both."""
-        self.known(origins, directions, max_range_m)
+        self.mostly_known(origins, directions, max_range_m)
         return self._last[-2].copy(), self._last[-1].copy()
 
-    def known(
+    def mostly_known(
         self,
         origins: ArrayLike,
         directions: ArrayLike,

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -44,6 +44,10 @@ def on_device(name: str, values: Any, dtype: Any, shape: tuple[int, ...], device
     return values
 
 
+Integers: TypeAlias = wp.array[wp.int32]
+Vectors: TypeAlias = wp.array[wp.vec3d]
+
+
 @wp.struct
 class Packed:
     """What kernels read. World w owns primitives primitive_start[w] to primitive_start[w + 1];
@@ -53,25 +57,25 @@ class Packed:
     misses to `beyond`.
     """
 
-    primitive_start: wp.array[wp.int32]
-    shape: wp.array[wp.int32]
+    primitive_start: Integers
+    shape: Integers
     size: wp.array2d[wp.float64]
     position: wp.array2d[wp.float64]
     rotation: wp.array3d[wp.float64]
-    lower: wp.array[wp.vec3d]
-    upper: wp.array[wp.vec3d]
+    lower: Vectors
+    upper: Vectors
     reach2: wp.array[wp.float64]  # squared radius of a ball around the primitive
-    mesh_start: wp.array[wp.int32]
-    filled: wp.array[wp.int32]
-    triangle_start: wp.array[wp.int32]  # by mesh
+    mesh_start: Integers
+    filled: Integers
+    triangle_start: Integers  # by mesh
     triangles: wp.array3d[wp.float64]
-    box_start: wp.array[wp.int32]
-    box_lower: wp.array[wp.vec3d]
-    box_upper: wp.array[wp.vec3d]
-    beyond: wp.array[wp.int32]
-    first: wp.array[wp.int32]  # the box holds items first to last, or boxes
-    last: wp.array[wp.int32]
-    item: wp.array[wp.int32]  # the number of a primitive, or -1 - that of a triangle
+    box_start: Integers
+    box_lower: Vectors
+    box_upper: Vectors
+    beyond: Integers
+    first: Integers  # the box holds items first to last, or boxes
+    last: Integers
+    item: Integers  # the number of a primitive, or -1 - that of a triangle
 
 
 class Worlds:

@@ -120,7 +120,7 @@ def _check_returns(returns: Any, scan: Scan, name: str) -> None:
 def _stage(text: str) -> Stage:
     """The stage that a text such as ``range:0.02:share=0.01`` names."""
     words = text.split(":")
-    known = words[0] in STAGES.known or len(words) == 1
+    known = words[0] in STAGES.builtin or len(words) == 1
     name, values = (words[0], words[1:]) if known else (":".join(words[:2]), words[2:])
     if not name:
         raise ValueError(f"noise: an empty stage; expected stages, as {SUCH_AS}")
@@ -169,7 +169,7 @@ def _number(word: str) -> Any:
 
 
 def _text(stage: Stage, *, every: bool = False) -> str:
-    names = {place: name for name, place in STAGES.known.items()}
+    names = {place: name for name, place in STAGES.builtin.items()}
     place = f"{type(stage).__module__}:{type(stage).__qualname__}"
     fields = dataclasses.fields(stage)  # type: ignore[arg-type]
     given = [

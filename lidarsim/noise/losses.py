@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.random import Generator
 
 from lidarsim.elementary import sin_cos
 from lidarsim.grid import Floats
@@ -20,7 +21,7 @@ TEN_PERCENT = 0.1
 class Loss(Fault):
     """Returns are lost, each by a chance of its own."""
 
-    def apply(self, returns: Returns, view: View, *, rng: np.random.Generator) -> Returns:
+    def apply(self, returns: Returns, view: View, *, rng: Generator) -> Returns:
         """See `Stage.apply`."""
         lost = rng.random(returns.ranges.shape) < self.chance(returns, view)
         return returns.but(ranges=np.where(lost, np.inf, returns.ranges))
@@ -86,7 +87,7 @@ class Faint(Fault):
     softness: float = number(0.05, least=0, most=1)
     """How much that range varies from return to return, as a share of it."""
 
-    def apply(self, returns: Returns, view: View, *, rng: np.random.Generator) -> Returns:
+    def apply(self, returns: Returns, view: View, *, rng: Generator) -> Returns:
         """See `Stage.apply`."""
         cosine, albedo = view.surfaces(returns)
         reach = self.range_m * np.sqrt(albedo * cosine / TEN_PERCENT)
@@ -102,7 +103,7 @@ class Spurious(Fault):
     share: float = number(0.001, least=0, most=1)
     """The probability, of every ray."""
 
-    def apply(self, returns: Returns, view: View, *, rng: np.random.Generator) -> Returns:
+    def apply(self, returns: Returns, view: View, *, rng: Generator) -> Returns:
         """See `Stage.apply`."""
         first = returns.ranges[0]
         chosen, where = rng.random(first.shape) < self.share, 1.0 - rng.random(first.shape)
@@ -138,7 +139,7 @@ class Motion(Fault):
     poses: int = number(100, least=1, most=10_000)
     """Poses that the scan is divided into: rays between two are cast from one in their middle."""
 
-    def apply(self, returns: Returns, view: View, *, rng: np.random.Generator) -> Returns:
+    def apply(self, returns: Returns, view: View, *, rng: Generator) -> Returns:
         """See `Stage.apply`."""
         times = view.sensor.times_s
         length = float(times.max()) / self.poses

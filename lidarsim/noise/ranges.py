@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.random import Generator
 
 from lidarsim.elementary import sin_cos
 from lidarsim.grid import Floats, Ints
@@ -20,7 +21,7 @@ it."""
 class Spread(Fault):
     """Ranges with normal noise."""
 
-    def apply(self, returns: Returns, view: View, *, rng: np.random.Generator) -> Returns:
+    def apply(self, returns: Returns, view: View, *, rng: Generator) -> Returns:
         """See `Stage.apply`."""
         ranges = returns.ranges
         noise = np.clip(normal(ranges.shape, rng=rng), -SIGMAS, SIGMAS)
@@ -84,7 +85,7 @@ class Quantise(Fault):
     step_m: float = number(0.01, above=0, most=1)
     """The step, metres."""
 
-    def apply(self, returns: Returns, view: View, *, rng: np.random.Generator) -> Returns:
+    def apply(self, returns: Returns, view: View, *, rng: Generator) -> Returns:
         """See `Stage.apply`."""
         return returns.but(ranges=_kept(np.rint(returns.ranges / self.step_m) * self.step_m, view))
 
@@ -100,7 +101,7 @@ class Near(Fault):
     min_range_m: float = number(0.3, least=0, most=1000)
     """The least range, metres."""
 
-    def apply(self, returns: Returns, view: View, *, rng: np.random.Generator) -> Returns:
+    def apply(self, returns: Returns, view: View, *, rng: Generator) -> Returns:
         """See `Stage.apply`."""
         return returns.but(
             ranges=np.where(returns.ranges < self.min_range_m, np.inf, returns.ranges)
@@ -137,7 +138,7 @@ class Divergence(Fault):
     resolution_m: float = number(0.3, least=0, most=100)
     """How far apart two surfaces must be to be told apart, metres: half the length of the pulse."""
 
-    def apply(self, returns: Returns, view: View, *, rng: np.random.Generator) -> Returns:
+    def apply(self, returns: Returns, view: View, *, rng: Generator) -> Returns:
         """See `Stage.apply`."""
         along = returns.directions
         across, upward = _beside(along)

@@ -1,13 +1,13 @@
 """What stages pass on, what they may ask of the world, how bright a return is, and normal numbers
 with the same bits everywhere."""
 
-import dataclasses
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import mujoco
 import numpy as np
+from numpy.random import Generator
 
 from lidarsim.elementary import log, sin_cos
 from lidarsim.engines import Caster
@@ -19,7 +19,7 @@ from lidarsim.sensors import Sensor
 from lidarsim.solids.model import colours
 
 
-def normal(shape: tuple[int, ...], *, rng: np.random.Generator) -> Floats:
+def normal(shape: tuple[int, ...], *, rng: Generator) -> Floats:
     """Standard normal numbers of any shape, two of each pair of even ones (Box and Muller 1958)."""
     count = math.prod(shape)
     length, angle = rng.random((2, (count + 1) // 2))
@@ -64,10 +64,10 @@ class Returns:
 
     def but(self, **changes: Floats) -> "Returns":
         """The same with other values; an intensity is 0 where nothing returns any more."""
-        changed = dataclasses.replace(self, **changes)
+        changed = replace(self, **changes)
         if changed.intensity is None:
             return changed
-        return dataclasses.replace(
+        return replace(
             changed, intensity=np.where(np.isfinite(changed.ranges), changed.intensity, 0.0)
         )
 
@@ -149,7 +149,7 @@ class Intensity(Fault):
     sigma: float = number(0.0, least=0, most=1)
     """Standard deviation of the noise."""
 
-    def apply(self, returns: Returns, view: View, *, rng: np.random.Generator) -> Returns:
+    def apply(self, returns: Returns, view: View, *, rng: Generator) -> Returns:
         """See `Stage.apply`."""
         cosine, albedo = view.surfaces(returns)
         noise = self.sigma * normal(returns.ranges.shape, rng=rng)

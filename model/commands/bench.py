@@ -22,7 +22,7 @@ from scenegen.cli.options import (
     printing,
     taken,
 )
-from scenegen.cli.show import Progress, Tell, announce_compilation, note, say, show_figures
+from scenegen.cli.show import Progress, Tell, announce_compilation, note, say, show_columns
 from scenegen.cli.types import FILE, Named
 from scenegen.files import Json, check_ours, write_result
 from scenegen.model.commands.weights import Weights
@@ -45,7 +45,7 @@ QUICK = {"samples": 50, "trials": 200}
     "names",
     type=Named(METHODS),
     multiple=True,
-    help=f"A row: {', '.join(METHODS.known)}, or MODULE:CLASS; repeatable.  [default: all of "
+    help=f"A row: {', '.join(METHODS.builtin)}, or MODULE:CLASS; repeatable.  [default: all of "
     f"these but seen]",
 )
 @click.option(
@@ -146,6 +146,6 @@ def show_tables(report: Json) -> None:
                 ]
                 for method, row in rows.items()
             }
-            show_figures(cells, list(names), f"{kind}, {table}")
+            show_columns(cells, list(names), f"{kind}, {table}")
         for told in notes(about):
             say(f"note: {kind}: {told}")

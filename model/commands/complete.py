@@ -117,35 +117,35 @@ def complete(
     from scenegen.worlds import is_map
 
     elsewhere = was_given("on") or was_given("workers")
-    chosen = choose_device("cpu" if elsewhere and device == "auto" else device)
-    execute = executor(on, workers if chosen.type == "cpu" else 1) if elsewhere else None
-    found = locate(source, shown=not quiet)
-    stored = (found / NAME).exists()
-    if execute is not None and found.exists() and not stored:
+    device_here = choose_device("cpu" if elsewhere and device == "auto" else device)
+    execute = executor(on, workers if device_here.type == "cpu" else 1) if elsewhere else None
+    path = locate(source, shown=not quiet)
+    stored = (path / NAME).exists()
+    if execute is not None and path.exists() and not stored:
         raise DatasetError(
-            f"{found}: --on and --workers complete a dataset's split; leave them out for scans"
+            f"{path}: --on and --workers complete a dataset's split; leave them out for scans"
         )
-    several = not stored and (found.is_dir() or is_log(found) or scans["poses"] is not None)
-    tasks = tasks_of(found, **scans) if several else None  # which may refuse what is there at once
-    completer = Completer.from_pretrained(weights, device=chosen, batch=batch)
-    if tasks or is_map(found):
-        name = found.stem if found.is_file() else real_path(found).name
+    several = not stored and (path.is_dir() or is_log(path) or scans["poses"] is not None)
+    tasks = tasks_of(path, **scans) if several else None  # which may refuse what is there at once
+    completer = Completer.from_pretrained(weights, device=device_here, batch=batch)
+    if tasks or is_map(path):
+        name = path.stem if path.is_file() else real_path(path).name
         out = out or Path(f"{name}.completed")
         if tasks:
             complete_all(completer, tasks, out, MOST_SHOWN, quiet)
         else:
-            _complete_map(completer, found, count, out, quiet)
+            _complete_map(completer, path, count, out, quiet)
         return
-    out = out or (Path("predictions") if stored else found.with_suffix(".completed.h5"))
-    there = out.is_file()
+    out = out or (Path("predictions") if stored else path.with_suffix(".completed.h5"))
+    existed = out.is_file()
     if stored:
-        _complete_split(completer, found, split, out, execute, quiet)
+        _complete_split(completer, path, split, out, execute, quiet)
     else:
-        done = predict_scan(completer, read_scan(found, scans["sensor"]), out)
+        completed = predict_scan(completer, read_scan(path, scans["sensor"]), out)
         if not quiet:
-            say(f"{found}: {done}; completed by {completer.name}")
+            say(f"{path}: {completed}; completed by {completer.name}")
     if not quiet:
-        say(f"{'replaced' if there else 'written'}: {out}")
+        say(f"{'replaced' if existed else 'written'}: {out}")
 
 
 def _complete_split(

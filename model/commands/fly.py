@@ -218,10 +218,10 @@ def fly(
     fly_one = partial(fly_course, robot=robot, weights=weights, hidden=hidden)
     check_together(execute, "a row of flights takes")
     crew = partial(counted, execute, partial(Progress, shown=talk))
-    told = dict[str, str]()
+    notes = dict[str, str]()
     if recorded is not None:
         anew = fly_one if is_given else None
-        name, found, told = flown_again(recorded, hidden, maps, anew, crew)
+        name, by_course, notes = flown_again(recorded, hidden, maps, anew, crew)
     else:
         name = f"{weights}, last scan" if weights and robot == FORGETFUL else weights or robot
         if suite is None:
@@ -231,15 +231,16 @@ def fly(
         if weights is None:
             check_begins(robot, real_course(courses[0], hidden))
         about = {"network": network, "track": track_name(hidden, maps) if suite else ""}
-        found = fly_courses(courses, fly_one, name, suite, out, crew, **about)
+        by_course = fly_courses(courses, fly_one, name, suite, out, crew, **about)
     if picture or film or log:
-        course, flown = found[0]
+        course, flown = by_course[0]
         shown = (robot, weights) if is_given or not recorded else None
         _show(real_course(course, hidden), flown, name, shown, picture, film, log)
-    row = summary(name, [one for _, flown in found for one in flown]) | told
-    if tell(lambda: row | {"flights": rows_of(found, hidden, crew)}):
+    all_flights = [flight for _, flown in by_course for flight in flown]
+    row = summary(name, all_flights) | notes
+    if tell(lambda: row | {"flights": rows_of(by_course, hidden, crew)}):
         show_table(row)
-        for end in sorted({one.trouble for _, flown in found for one in flown} - {""}):
+        for end in sorted({flight.trouble for flight in all_flights} - {""}):
             say(f"robot: {end}")
         for path in filter(None, (out, picture, film, log)):
             say(f"written: {path}")

@@ -18,7 +18,7 @@ from scenegen.cli.show import (
     per_split,
     plain,
     rejections,
-    show_figures,
+    show_columns,
     show_table,
 )
 from scenegen.files import Json
@@ -65,7 +65,7 @@ def inspect(dataset: Path | str, every: bool, keep: bool, workers: int, as_json:
             on_start=progress.start,
             on_done=progress.count,
         )
-    sensors = dict.fromkeys(lidar for lidar, _, _ in opened.settings)
+    sensors = dict.fromkeys(sensing.lidar for sensing in opened.settings)
     warnings = [line for lidar in sensors for line in misfits(opened.grid, lidar)]
     try:
         NetworkConfig(height=opened.grid.shape[2]).check_map(opened.grid.shape)
@@ -116,58 +116,70 @@ def _show_all(rows: list[Json], as_json: bool) -> None:
         show_table({row["folder"]: told})
 
 
-def _show(dataset: Path | str, found: Json) -> None:
+def _show(dataset: Path | str, summary: Json) -> None:
     """Prints the summary of a dataset, and a table of each split."""
     from scenegen.dataset.manifest import SEVERAL
-    from scenegen.display.inspect import TITLES
 
-    grid, sources = found["grid"], found.get("sources", ())
+    grid, sources = summary["grid"], summary.get("sources", ())
     hollow = ", truth of surfaces" if grid.get("hollow") else ""
-    each = f", {found['bytes_per_sample'] / 1e3:.1f} KB a sample"
+    size = f"{summary['bytes'] / 1e6:.1f} MB"
+    if summary["samples"]:
+        size += f", {summary['bytes_per_sample'] / 1e3:.1f} KB a sample"
+    maps = SEVERAL
+    if not any("mapping" in source for source in sources):
+        maps = str(Mapper(**(summary["mapping"] or {})))
     show_table(
         {
             "dataset": dataset,
-            "kind": found["kind"],
-            "seed": SEVERAL if found["seed"] is None else found["seed"],
+            "kind": summary["kind"],
+            "seed": SEVERAL if summary["seed"] is None else summary["seed"],
             **{f"from {n}": _source(source) for n, source in enumerate(sources)},
-            "complete": "yes" if found["complete"] else "no",
-            "digest": found["digest"] or "none yet",
+            "complete": "yes" if summary["complete"] else "no",
+            "digest": summary["digest"] or "none yet",
             "grid": f"{grid['shape']} voxels of {grid['voxel']} m{hollow}",
-            "maps": SEVERAL
-            if any("mapping" in one for one in sources)
-            else Mapper(**(found["mapping"] or {})),
-            "fields": ", ".join(found["fields"]),
-            "samples": found["samples"] or "none is listed before the run is complete",
-            "size": f"{found['bytes'] / 1e6:.1f} MB" + (each if found["samples"] else ""),
-            "rejected": rejections(found["rejected"]),
+            "maps": maps,
+            "fields": ", ".join(summary["fields"]),
+            "samples": summary["samples"] or "none is listed before the run is complete",
+            "size": size,
+            "rejected": rejections(summary["rejected"]),
         },
     )
-    units = {key: (unit, 100 if unit == "%" else 1) for key, (_, unit) in TITLES.items()}
-    for name, split in found["splits"].items():
-        rows = {}
-        for key, value in split["statistics"].items():
-            unit, factor = units[key]
-            rows[key] = "–"
-            if value["mean"] is not None:
-                mean, std, low, high = (value[one] * factor for one in value)
-                rows[key] = f"{mean:6.2f} ± {std:5.2f} {unit}   from {low:.2f} to {high:.2f}"
-                if worlds := split.get("world_means"):
-                    low, high = (worlds[key][one] * factor for one in ("min", "max"))
-                    rows[key] += f", worlds from {low:.2f} to {high:.2f}"
-        counts = f"{split['samples']} samples of {split['worlds']} worlds"
-        show_table(rows, f"{name}: {counts} ({split['sampled']} measured)")
-        if kinds := split.get("kinds"):
-            cells = {"measured": [str(one["sampled"]) for one in kinds.values()]}
-            for key, (_, factor) in units.items():
-                means = [one["statistics"][key]["mean"] for one in kinds.values()]
-                cells[key] = ["–" if mean is None else f"{mean * factor:.3f}" for mean in means]
-            show_figures(cells, list(kinds), f"{name}: means of each kind, shares in %")
+    for name, split in summary["splits"].items():
+        _show_split(name, split)
+
+
+def _show_split(name: str, split: Json) -> None:
+    """Prints the statistics of a split, and the means of each of several kinds in it."""
+    from scenegen.display.inspect import TITLES
+
+    rows, worlds = {}, split.get("world_means")
+    factors = {key: 100 if unit == "%" else 1 for key, (_, unit) in TITLES.items()}
+    for key, statistics in split["statistics"].items():
+        rows[key] = "–"
+        if statistics["mean"] is not None:
+            mean, std, low, high = (factors[key] * value for value in statistics.values())
+            unit = TITLES[key][1]
+            rows[key] = f"{mean:6.2f} ± {std:5.2f} {unit}   from {low:.2f} to {high:.2f}"
+            if worlds:
+                _, _, low, high = (factors[key] * value for value in worlds[key].values())
+                rows[key] += f", worlds from {low:.2f} to {high:.2f}"
+    counts = f"{split['samples']} samples of {split['worlds']} worlds"
+    show_table(rows, f"{name}: {counts} ({split['sampled']} measured)")
+    if kinds := split.get("kinds"):
+        cells = {"measured": [str(kind["sampled"]) for kind in kinds.values()]}
+        for key, factor in factors.items():
+            means = [kind["statistics"][key]["mean"] for kind in kinds.values()]
+            cells[key] = ["–" if mean is None else f"{mean * factor:.3f}" for mean in means]
+        show_columns(cells, list(kinds), f"{name}: means of each kind, shares in %")
 
 
 def _source(source: Json) -> str:
     """A dataset that samples were taken from, in words."""
-    how = f", {' or '.join(ways)}" if (ways := [way for way in source["taken"] if way]) else ""
-    digest = f", digest {source['digest'][:8]}" if source["digest"] else ""
-    said = [source[name] for name in ("lidar", "mapping", "noise") if source.get(name)]
-    said = [*said, per_split(source["samples"])]
-    return f"{source['kind']}, seed {source['seed']}{digest}, {', '.join(said)}{how}"
+    words = [f"{source['kind']}, seed {source['seed']}"]
+    if source["digest"]:
+        words.append(f"digest {source['digest'][:8]}")
+    words += [source[name] for name in ("lidar", "mapping", "noise") if source.get(name)]
+    words.append(per_split(source["samples"]))
+    if choices := " or ".join(filter(None, source["taken"])):
+        words.append(choices)
+    return ", ".join(words)

@@ -20,7 +20,7 @@ from scenegen.cli.options import (
     seed_option,
     split_option,
 )
-from scenegen.cli.show import Progress, Tell, announce_compilation, say, show_figures
+from scenegen.cli.show import Progress, Tell, announce_compilation, say, show_columns
 from scenegen.limits import MOST_SAMPLES
 from scenegen.model.commands.weights import Weights
 from scenegen.model.config import DEFAULT_NETWORK, split_own
@@ -44,7 +44,7 @@ def networks(as_json: bool) -> None:
         )
         for row in found
     }
-    show_figures(rows, ("parameters", "GMACs", "activations"))
+    show_columns(rows, ("parameters", "GMACs", "activations"))
 
 
 @command("export", "export runs/mine -o mine.onnx")

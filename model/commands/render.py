@@ -125,16 +125,16 @@ def render(
     from scenegen.files import write_result
 
     notes: list[str] = []
-    made = _draw_file(source, seed if flight else None) if isinstance(source, Path) else None
-    if made and (options["paper"] or LEAST_WIDE) < LEAST_WIDE:
+    figure = _draw_file(source, seed if flight else None) if isinstance(source, Path) else None
+    if figure and (options["paper"] or LEAST_WIDE) < LEAST_WIDE:
         raise click.UsageError("--paper: only samples fit into less than 140 mm; give two, or more")
-    if made is None:
-        made, notes = _draw_samples(
+    if figure is None:
+        figure, notes = _draw_samples(
             source, shown=not quiet, film=film, suffix=out.suffix, **options
         )
     if options["paper"]:
-        for_paper(made, options["paper"], font_size)
-    content = made if isinstance(made, bytes) else to_bytes(made, out.suffix)
+        for_paper(figure, options["paper"], font_size)
+    content = figure if isinstance(figure, bytes) else to_bytes(figure, out.suffix)
     write_result(out, content)
     for line in notes:
         note(line)
@@ -203,27 +203,27 @@ def _draw_samples(
     from scenegen.display.panels import plain
     from scenegen.display.pictures import draw_flight, draw_sample, draw_sheet, draw_turn
 
-    found = open_dataset(source, shown=shown)
+    dataset = open_dataset(source, shown=shown)
     bare = figure in ("sample", "world") or film
-    guesses, methods = (None, ()) if bare else chosen(found, split, **predicted)
+    guesses, methods = (None, ()) if bare else chosen(dataset, split, **predicted)
     figure = figure or ("completions" if methods else "sample")
-    numbers = indices or (spread(found, split, count) if count else (0,))
+    numbers = indices or (spread(dataset, split, count) if count else (0,))
     if film == "flight":
-        numbers = _same_world(found, split, numbers[0])
-    seen, notes = looks(found, split, numbers, guesses)
-    title = plain(title_of(found))
-    alone = len(seen) == 1 and not count
-    told = "" if paper else f"{title}, {seen[0].name}" if alone else title
+        numbers = _same_world(dataset, split, numbers[0])
+    looked, notes = looks(dataset, split, numbers, guesses)
+    title = plain(title_of(dataset))
+    alone = len(looked) == 1 and not count
+    heading = "" if paper else f"{title}, {looked[0].name}" if alone else title
     if film == "turn":
-        return draw_turn(seen[0], title=told, suffix=suffix), notes
+        return draw_turn(looked[0], title=heading, suffix=suffix), notes
     if film == "flight":
-        return draw_flight(seen, title=title, suffix=suffix), notes
+        return draw_flight(looked, title=title, suffix=suffix), notes
     if figure == "world":
-        return _draw_archived(found, split, numbers[0], told), notes
+        return _draw_archived(dataset, split, numbers[0], heading), notes
     if figure == "sample" and alone:
-        return draw_sample(seen[0], title=told, width=paper), notes
+        return draw_sample(looked[0], title=heading, width=paper), notes
     draw = draw_sheet if figure == "sample" else DRAWN[figure]
-    return draw(seen, title=told, width=paper), notes
+    return draw(looked, title=heading, width=paper), notes
 
 
 def _same_world(found: "Dataset", split: str, index: int) -> list[int]:

@@ -64,11 +64,11 @@ def reproduce(
 
     Given again after a stop, it goes on where it was.
     """
-    from scenegen.model.study import claims, stages
+    from scenegen.model.study import claims, steps
 
     if given is not None:
         try:
-            found = claims.judged(stages.read_json(given) or {})
+            found = claims.judged(steps.read_json(given) or {})
         except (KeyError, TypeError, ValueError, AttributeError, IndexError):
             raise DatasetError(
                 f"{given}: is no study; expected the study.json that reproduce wrote"
@@ -90,7 +90,7 @@ def reproduce(
         return
     if talk:
         announce_compilation()
-    found = stages.reproduce(
+    found = steps.reproduce(
         out,
         config,
         runs,
@@ -100,7 +100,7 @@ def reproduce(
     )
     if tell({"folder": str(out), "verdicts": found["verdicts"]}):
         _show_verdicts(found)
-        say(f"written: {out / stages.TEXT}, {out / stages.STUDY}")
+        say(f"written: {out / steps.TEXT}, {out / steps.STUDY}")
 
 
 def _show_verdicts(study: Json) -> None:

@@ -39,6 +39,7 @@ from scenegen.model.config import (
 from scenegen.run import cores
 
 if TYPE_CHECKING:
+    from scenegen.model.training.card import Scalars
     from scenegen.model.training.data import Samples
 
 MOST_LOADERS = 8
@@ -85,7 +86,7 @@ class Weighted(click.ParamType):
     "--variant",
     type=Named(NETWORKS),
     default=NetworkConfig.variant,
-    help=f"The network: {', '.join(NETWORKS.known)}, or MODULE:CLASS; docs/own-network.md.",
+    help=f"The network: {', '.join(NETWORKS.builtin)}, or MODULE:CLASS; docs/own-network.md.",
 )
 @click.option(
     "--loss",
@@ -124,7 +125,7 @@ class Weighted(click.ParamType):
     type=Named(INPUTS),
     multiple=True,
     default=NetworkConfig.inputs,
-    help=f"A channel that it takes: {', '.join(INPUTS.known)}, or MODULE:FUNCTION; repeatable.",
+    help=f"A channel that it takes: {', '.join(INPUTS.builtin)}, or MODULE:FUNCTION; repeatable.",
 )
 @options_of(
     NetworkConfig,
@@ -337,13 +338,13 @@ class _Shown:
         self._progress.count(maps)
         self._progress.note(f"loss {self._recent:.4f}{self._iou}")
 
-    def on_epoch(self, row: dict[str, float]) -> None:
+    def on_epoch(self, row: "Scalars") -> None:
         self._iou = f", validation IoU {row['val_iou']:.3f}"
         if self._talk:
             seconds, loss = row["seconds"], row["train_loss"]
             say(f"epoch {row['epoch']:.0f}: loss {loss:.4f}, {_validated(row)}, {seconds:.0f} s")
 
 
-def _validated(row: dict[str, float]) -> str:
+def _validated(row: "Scalars") -> str:
     near = f"Near-MAE {row['val_near_mae']:.3f} m"
     return f"validation loss {row['val_loss']:.4f}, IoU {row['val_iou']:.3f}, {near}"

@@ -18,7 +18,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from lidarsim import Lidar, Sensor
+from lidarsim import Lidar
 from lidarsim.grid import GridSpec, Mask, finite
 from lidarsim.parameters import MOST_LENGTH_M
 from scenegen.dataset.locate import client_output, without_tokens
@@ -36,7 +36,7 @@ from scenegen.model.inputs import BINARY, PointScan, channels
 from scenegen.model.network import Batch, Output, placed
 from scenegen.model.onnx import load_onnx
 from scenegen.sample import Sample
-from scenegen.worlds.mapping import Mapper
+from scenegen.worlds.mapping import Mapper, Sensing
 
 HUB = "hf://"
 MOST_SAID = 300
@@ -64,7 +64,7 @@ class Completer:
     batch: int
     """How many maps are completed at once, at most."""
     threads: int
-    """Of the processor, on which it computes; 0 for all."""
+    """Threads of the processor on which it computes; 0 for all."""
     opened: tuple[str, str, int]
     """Name, device and batch, by which `opened_once` has it in other processes."""
     learned = True
@@ -182,8 +182,8 @@ class Completer:
                 )
 
             probability, tudf = map(joined, zip(*parts, strict=True))
-            found = Prediction(probability, tudf, self.calibration, self.grid)
-            return check_prediction(found, shape, self.name)
+            prediction = Prediction(probability, tudf, self.calibration, self.grid)
+            return check_prediction(prediction, shape, self.name)
 
     def __reduce__(self) -> Any:
         return opened_once, self.opened
@@ -213,7 +213,7 @@ class Completer:
                 "network on this grid with `scenegen train`"
             )
 
-    def unlike(self, settings: Iterable[tuple[Sensor, Mapper, str]]) -> list[str]:
+    def unlike(self, settings: Iterable[Sensing]) -> list[str]:
         """A line for each sensor, mapping and noise of a dataset's `settings` that the network did
         not learn from; see the function `unlike`."""
         return sorted(filter(None, {unlike(self.name, self.about, *one) for one in settings}))
@@ -299,27 +299,35 @@ def unlike(name: str, about: Json, lidar: Any, mapping: Mapper, noise: str) -> s
     """
     here, usual = sensor_entry(lidar), described(Mapper())
 
-    def told(way: Json) -> str:
-        """How they differ from one way of those that the network learned from."""
-        there, known = way.get("lidar") or sensor_entry(Lidar()), way.get("noise") or [""]
-        sensor = differences(there, here)
+    def told(way: Json) -> tuple[int, str]:
+        """How far they are from one way of those that the network learned from, and why."""
+        there, noises = way.get("lidar") or sensor_entry(Lidar()), way.get("noise") or [""]
+        sensor, faults = differences(there, here), []
         if sensor and ("sensor" in there or "sensor" in here):  # tables of rays have nothing else
             sensor = [f"sensor is {_titled(there)} there, {_titled(here)} asked for"]
-        kinds = " or ".join(one or "none" for one in known)
-        faults = [] if noise in known else [f"noise is {kinds} there, {noise or 'none'} asked for"]
-        learned = {"mapping": way.get("mapping") or usual}
-        maps = differences(learned, {"mapping": described(mapping)})
-        if not sensor + faults + maps:
-            return ""
-        what = "another sensor" if sensor else "other noise" if faults else "maps made otherwise"
-        said = "; ".join(sensor + faults + maps)[:MOST_SAID]
-        said = printable(said.replace("there", "in training").replace("asked for", "here"))
-        return f"{name} was trained on {what}, so expect worse completions: {said}"
+        if noise not in noises:
+            learned = " or ".join(stages or "none" for stages in noises)
+            faults = [f"noise is {learned} there, {noise or 'none'} asked for"]
+        maps = differences(
+            {"mapping": way.get("mapping") or usual}, {"mapping": described(mapping)}
+        )
+        # a sensor that differs says more than noise, and that more than maps
+        if sensor:
+            distance, what = 3, "another sensor"
+        elif faults:
+            distance, what = 2, "other noise"
+        elif maps:
+            distance, what = 1, "maps made otherwise"
+        else:
+            return 0, ""
+        # `differences` speaks of a manifest that is there, and of what a command asks for
+        line = "; ".join(sensor + faults + maps)[:MOST_SAID]
+        line = line.replace("there", "in training").replace("asked for", "here")
+        line = f"{name} was trained on {what}, so expect worse completions: {printable(line)}"
+        return distance, line
 
-    # sensors and maps of several ways, each with its noise; of these, the nearest is told: a sensor
-    # that differs says more than noise, and that more than maps
-    ways = map(told, (about, *about.get("also", ())))
-    return min(ways, key=lambda one: ("another sensor" in one, "other noise" in one, one))
+    # sensors and maps of several ways, each with its noise; the nearest is told
+    return min(map(told, (about, *about.get("also", ()))))[1]
 
 
 def _titled(entry: Json) -> str:

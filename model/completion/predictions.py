@@ -23,7 +23,7 @@ from scenegen.model.completion.completer import Completer, locate, opened_once
 from scenegen.model.completion.protocol import PARTS, SURE
 from scenegen.model.config import PREDICTIONS
 from scenegen.model.inputs import channels
-from scenegen.run import Executor
+from scenegen.run import Executor, chunked
 from scenegen.run.workers import ALONE
 
 PACKED = {"compression": "gzip", "compression_opts": 1}
@@ -61,8 +61,8 @@ def predict_split(
     weights = file_sha256(locate(completer.opened[0]))
     there = claim(out, PREDICTIONS, {**about, "weights": weights, "samples": PART})
     parts = [
-        (f"{stem_of(split, first // PART)}.h5", range(count)[first : first + PART])
-        for first in range(0, count, PART)
+        (f"{stem_of(split, number)}.h5", numbers)
+        for number, numbers in enumerate(chunked(range(count), PART))
     ]
     # a runtime's threads do not outlive a fork: each process opens the network by itself
     asked = completer if execute is None else completer.opened
@@ -84,28 +84,32 @@ def _write(
     whole or not, by the network that is given, or is opened now. How far from home each is; None
     where nobody knows."""
     completer = opened_once(*asked) if isinstance(asked, tuple) else asked
-    (name, numbers), grid = part, samples.dataset.grid
-    path, count = out / name, len(numbers)
+    (file_name, numbers), grid = part, samples.dataset.grid
     who: list[tuple[int, int]] = []
     away: list[float | None] = []
-    make_parent(path)
-    with new_hdf5(path) as file:
-        file.attrs.update({**about, **({} if completer.calibration is None else {"risk": RISK})})
-        for first in range(0, count, completer.batch):
-            several = [samples[number] for number in numbers[first : first + completer.batch]]
-            read = [channels(completer.inputs, one, grid, one.lidar) for one in several]
-            given = {name: np.stack([one[name] for one in read]) for name in completer.inputs}
-            said = completer(given)
+    make_parent(out / file_name)
+    with new_hdf5(out / file_name) as file:
+        file.attrs.update(about)
+        if completer.calibration is not None:
+            file.attrs["risk"] = RISK
+        for first in range(0, len(numbers), completer.batch):
+            batch = [samples[number] for number in numbers[first : first + completer.batch]]
+            inputs = [channels(completer.inputs, sample, grid, sample.lidar) for sample in batch]
+            prediction = completer(
+                {name: np.stack([maps[name] for maps in inputs]) for name in completer.inputs}
+            )
             for name in PARTS | SURE:
-                maps = getattr(said, name)
-                if maps is not None and name not in file:
-                    full, chunk = (count, *grid.shape), (1, *grid.shape)
+                maps = getattr(prediction, name)
+                if maps is None:
+                    continue
+                if name not in file:
+                    full, chunk = (len(numbers), *grid.shape), (1, *grid.shape)
                     file.create_dataset(name, full, np.float32, chunks=chunk, **PACKED)
-                for row, values in enumerate(() if maps is None else maps, first):
+                for row, values in enumerate(maps, first):
                     file[name].id.write_direct_chunk((row, 0, 0, 0), compress(values))
-            who += [(one.world, one.viewpoint) for one in several]
-            far = said.away(np.stack([one.observed for one in several]))
-            away += [None] * len(several) if far is None else far.tolist()
+            who += [(sample.world, sample.viewpoint) for sample in batch]
+            far = prediction.away(np.stack([sample.observed for sample in batch]))
+            away += [None] * len(batch) if far is None else far.tolist()
         file["world"], file["viewpoint"] = np.array(who, np.int64).T
     return away
 

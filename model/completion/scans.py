@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lidarsim import GridSpec
-from lidarsim.grid import Floats
+from lidarsim.grid import Floats, iou
 from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.pose import rotate
 from scenegen.cli.show import Progress, note, say
@@ -46,7 +46,7 @@ LEAST_BELOW, LOWEST = 20, 0.1
 ground, where the sensor looks down far enough."""
 
 
-class Given(NamedTuple):
+class Scan(NamedTuple):
     """A scan to complete."""
 
     name: str
@@ -59,7 +59,7 @@ class Given(NamedTuple):
     known."""
 
 
-Task: TypeAlias = tuple[str, Callable[[], Given]]
+Task: TypeAlias = tuple[str, Callable[[], Scan]]
 """The name of a completion, and what reads the scan for it. Reading raises DatasetError."""
 
 
@@ -101,7 +101,7 @@ class Completed:
         return "; ".join(parts)
 
 
-def read_scan(path: Path, sensor: ArrayLike) -> Given:
+def read_scan(path: Path, sensor: ArrayLike) -> Scan:
     """The scan in a file, seen from `sensor` (3,); with the truth if it is an observation. Raises
     DatasetError for a file that is no scan, and for a position out of bounds."""
     position = np.asarray(sensor, float)
@@ -115,24 +115,24 @@ def read_scan(path: Path, sensor: ArrayLike) -> Given:
             content = read_bounded(path, MOST_SCAN_BYTES)
             found = read_npz(content, *TRUTH, "voxel_m", most_bytes=MOST_VOXELS)
             truth = dict(zip((*TRUTH, "voxel_m"), found, strict=True))
-    return Given(name=str(path), points=points, position=position, truth=truth)
+    return Scan(name=str(path), points=points, position=position, truth=truth)
 
 
 def scans_of_log(log: Log, every: int) -> Iterator[Task]:
     """Every so many scans of a log, in the frame of its poses."""
 
-    def given(name: str, scan: LogScan) -> Given:
-        here = scan.pose.position
-        points = rotate(scan.pose.quaternion, scan.points) + here
-        return Given(name=name, points=points, position=here)
+    def read(name: str, scan: LogScan) -> Scan:
+        position = scan.pose.position
+        points = rotate(scan.pose.quaternion, scan.points) + position
+        return Scan(name=name, points=points, position=position)
 
     for number, scan in enumerate(log.scans()):
         if number % every == 0:
-            yield f"{number:06d}", partial(given, f"scan {number}", scan)
+            yield f"{number:06d}", partial(read, f"scan {number}", scan)
 
 
 def predict_scan(
-    completer: Completer, given: Given, out: Path, *, thresholds: Thresholds | None = None
+    completer: Completer, scan: Scan, out: Path, *, thresholds: Thresholds | None = None
 ) -> Completed:
     """Complete one scan.
 
@@ -146,47 +146,49 @@ def predict_scan(
         raise DatasetError(f"{out}: expected a name that ends in .h5 or .ply")
     check_ours(out)
     make_way(out)
-    with raised_as(DatasetError, f"{given.name}: ", " (--sensor)"):
-        seen = completer.scan_of(given.points, given.position)
+    with raised_as(DatasetError, f"{scan.name}: ", " (--sensor)"):
+        seen = completer.scan_of(scan.points, scan.position)
     maps = channels(completer.inputs, seen, seen.grid)
     prediction = completer(maps)
     occupied = prediction.occupied(thresholds)
-    # the truth that came with a scan, if it is on the network's grid
-    truth = {name: np.asarray(given.truth[name]) for name in TRUTH} if given.truth else {}
-    alike = all(one.shape == seen.grid.shape and one.dtype == np.bool_ for one in truth.values())
-    if not alike or given.truth.get("voxel_m") != seen.grid.voxel_m:
-        truth = {}
-    iou = None
-    if truth:
-        solid, known = truth["occupancy"], truth["known"]
-        either, both = (occupied | solid) & known, occupied & solid & known
-        iou = float(both.sum() / either.sum()) if either.any() else 1.0
-
-    result = Completed(
+    truth = _truth_of(scan, seen.grid)
+    if out.suffix == ".ply":
+        write_whole(out, encode_points(".ply", seen.grid.centres(seen.origin)[occupied]))
+    else:
+        about = {"method": completer.name, "origin": seen.origin, "voxel": seen.grid.voxel_m}
+        if prediction.uncertainty is not None:
+            about["risk"] = RISK
+        predicted = {name: getattr(prediction, name) for name in PARTS | SURE}
+        _write(out, about, maps | predicted | truth)
+    return Completed(
         completer=completer.name,
-        points=len(given.points),
-        without=int((~np.isfinite(given.points)).any(axis=1).sum()),
+        points=len(scan.points),
+        without=int((~np.isfinite(scan.points)).any(axis=1).sum()),
         inside=len(seen.voxels),
-        height_m=height_above_returns(seen.points - given.position),
+        height_m=height_above_returns(seen.points - scan.position),
         untold=tuple(UNTOLD[name] for name in completer.inputs if name in UNTOLD),
         away=(prediction.away(seen.observed) or 0) >= UNUSUAL,
-        iou=iou,
+        iou=iou(occupied & truth["known"], truth["occupancy"] & truth["known"]) if truth else None,
     )
-    if out.suffix == ".ply":
-        centres = seen.grid.centres(seen.origin)[occupied]
-        write_whole(out, encode_points(".ply", centres))
-        return result
-    about = {"method": completer.name, "origin": seen.origin, "voxel": seen.grid.voxel_m}
-    said = {name: getattr(prediction, name) for name in PARTS | SURE}
+
+
+def _truth_of(scan: Scan, grid: GridSpec) -> dict[str, Any]:
+    """The truth that came with a scan; nothing if that is on another grid than the network's."""
+    truth = {name: np.asarray(scan.truth[name]) for name in TRUTH if scan.truth}
+    fits = all(part.shape == grid.shape and part.dtype == np.bool_ for part in truth.values())
+    return truth if fits and scan.truth.get("voxel_m") == grid.voxel_m else {}
+
+
+def _write(out: Path, about: Mapping[str, Any], maps: Mapping[str, Any]) -> None:
+    """Write a completion: maps (*grid.shape) but for those that are None, each as one chunk."""
     with new_hdf5(out) as file:
-        file.attrs.update(about | ({} if prediction.uncertainty is None else {"risk": RISK}))
-        for name, values in (maps | said | truth).items():
+        file.attrs.update(about)
+        for name, values in maps.items():
             if values is not None:
                 chunk = file.create_dataset(
                     name, values.shape, values.dtype, chunks=values.shape, **PACKED
                 )
                 chunk.id.write_direct_chunk((0, 0, 0), compress(values))
-    return result
 
 
 def height_above_returns(points: Floats) -> float | None:

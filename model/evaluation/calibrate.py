@@ -4,20 +4,22 @@ of paths."""
 import json
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import asdict, replace
 from functools import partial
 from operator import add
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
 from scenegen.cli.show import Showing, counted, silent
-from scenegen.dataset.read import Dataset, Split
+from scenegen.dataset.read import Dataset
 from scenegen.display.look import evenly
 from scenegen.errors import DatasetError, raised_as
+from scenegen.files import Json
 from scenegen.model.calibration import (
     KEY,
     Calibration,
@@ -34,10 +36,10 @@ from scenegen.model.config import PlanConfig, Thresholds
 from scenegen.model.evaluation.planning.measure import draw_trials
 from scenegen.model.evaluation.run import check_middle, check_whole, filled
 from scenegen.model.evaluation.study import TOLD, Setting, run_settings
-from scenegen.model.evaluation.visibility import UNOBSERVED, classify, scored_voxels
-from scenegen.run import Executor, check_together
+from scenegen.model.evaluation.visibility import UNOBSERVED, Case
+from scenegen.run import Executor, check_together, chunked
 from scenegen.run.workers import ALONE
-from scenegen.sample import Sample, rng_of
+from scenegen.sample import rng_of
 
 RISKS = (0.5, 0.4, 0.3, 0.2, 0.15, 0.1, 0.07, 0.05, 0.03, 0.02, 0.01, 0.005, 0.002, 0.001)
 """Risks that bounds are made for, as far down as the worlds allow."""
@@ -172,8 +174,18 @@ LEAST_WORLDS = 20
 """Fewer promise no bound of a risk of .05, nor a temperature."""
 CHUNK = 10
 """Samples a task of a worker."""
-Look = Callable[[Prediction, Sample, Split, int], tuple[Any, ...]]
-"""Makes of a prediction for a sample, by its number in a split, what is summed by world."""
+Measure = Callable[[Prediction, Case], tuple[Any, ...]]
+"""What is measured of a prediction for a sample; results are summed by world."""
+
+
+class _Task(NamedTuple):
+    """Maps of one dataset that a worker completes."""
+
+    dataset: int
+    """The dataset's number among those given."""
+    folder: Path
+    numbers: list[int]
+    """The samples' in their split."""
 
 
 def calibrate(
@@ -198,51 +210,35 @@ def calibrate(
     """
     check_together(execute, "a calibration takes")
     network, grid, about = open_network(weights)
-    weight = 1.0
-    if "occupancy" in network.tasks:
-        try:
-            weight = float(about["settings"]["loss"]["occupied_weight"])
-            if not weight > 0:
-                raise ValueError
-        except (KeyError, TypeError, ValueError):
-            raise CheckpointError(
-                f"{weights}: tells of no class weight above 0 of its loss; train it again"
-            ) from None
+    predicts_occupancy = "occupancy" in network.tasks
+    weight = _class_weight(weights, about) if predicts_occupancy else 1.0
     method = Completer.from_pretrained(weights)
-    datasets, tasks, worlds = [Dataset(folder) for folder in folders], [], set()
+    datasets = [Dataset(folder) for folder in folders]
     digests = tuple(str(dataset.manifest.digest) for dataset in datasets)
     if len(set(digests)) < len(digests):
         raise DatasetError("one dataset is given twice, and worlds count once; leave one out")
-    for number, dataset in enumerate(datasets):
-        part = filled(dataset, split)
+    for dataset in datasets:
         check_whole(dataset, "calibrate on drawn worlds")
         with raised_as(DatasetError, f"{dataset.folder}: "):
             method.check_grid(dataset.grid)
         if trials:
             check_middle(dataset, "give --trials 0")
-        chosen = evenly(len(part), samples or len(part))
-        worlds |= {(number, part.names[n][1]) for n in chosen}
-        parts = (chosen[n : n + CHUNK] for n in range(0, len(chosen), CHUNK))
-        tasks += [(number, dataset.folder, one) for one in parts]
-    if len(worlds) < LEAST_WORLDS:
-        raise DatasetError(
-            f"{', '.join(map(str, folders))}: {len(worlds)} worlds in split {split}, expected "
-            f"{LEAST_WORLDS} at least; make a larger {split} split, or give more datasets"
-        )
+    tasks = _tasks(datasets, split, samples)
 
-    def look(what: str, at: Look) -> list[Any]:
-        """What `at` makes of every map, summed by world."""
-        found: dict[tuple[int, int], Any] = {}
-        total, work = sum(len(chosen) for *_, chosen in tasks), partial(_work, split, method, at)
-        for several in counted(execute, progress, work, tasks, what, total):
-            for world, one in several:
-                found[world] = tuple(map(add, found[world], one)) if world in found else one
-        return [found[key] for key in sorted(found)]
+    def measured(label: str, measure: Measure) -> list[Any]:
+        """What is measured of every map, summed by world."""
+        sums: dict[tuple[int, int], Any] = {}
+        total = sum(len(task.numbers) for task in tasks)
+        work = partial(_complete, split, method, measure)
+        for results in counted(execute, progress, work, tasks, label, total):
+            for world, result in results:
+                sums[world] = tuple(map(add, sums[world], result)) if world in sums else result
+        return [sums[world] for world in sorted(sums)]
 
-    scores, logits, shares = zip(*look("voxels", partial(_count, weight)), strict=True)
-    chances = CHANCES if "occupancy" in network.tasks else ()
+    scores, logits, denied = zip(*measured("voxels", partial(_count, weight)), strict=True)
+    chances = CHANCES if predicts_occupancy else ()
     risks, margins = fit_margins(np.stack(scores), near_bins(grid, chances))
-    found = Calibration(
+    fitted = Calibration(
         worlds=len(scores),
         class_weight=weight,
         temperature=fit_temperature(sum(logits)) if chances else None,
@@ -251,40 +247,67 @@ def calibrate(
         risks=risks,
         margins=margins,
         datasets=digests,
-        denied=tuple(np.quantile(np.concatenate(shares), LEVELS).tolist()) if chances else (),
+        denied=tuple(np.quantile(np.concatenate(denied), LEVELS).tolist()) if chances else (),
     )
     if trials:
-        losses = look("paths", partial(_collisions, found, trials, seed))
-        hit = np.array([collided / count for collided, count in losses if count])
-        found = replace(found, path_risks=path_risks(hit))
+        losses = measured("paths", partial(_collisions, fitted, trials, seed))
+        shares = np.array([collided / count for collided, count in losses if count])
+        fitted = replace(fitted, path_risks=path_risks(shares))
     # as it is read again: lists for tuples
-    save_network(out, network, grid, {**about, KEY: json.loads(json.dumps(asdict(found)))})
-    return found
+    save_network(out, network, grid, {**about, KEY: json.loads(json.dumps(asdict(fitted)))})
+    return fitted
 
 
-def _work(
-    split: str, method: Completer, at: Look, task: tuple[int, Path, list[int]]
+def _class_weight(weights: str | Path, about: Json) -> float:
+    """The weight of occupied voxels in the loss that a network was trained by. Raises
+    CheckpointError where its file does not say."""
+    with suppress(KeyError, TypeError, ValueError):  # a file of others may hold anything
+        weight = float(about["settings"]["loss"]["occupied_weight"])
+        if weight > 0:
+            return weight
+    raise CheckpointError(
+        f"{weights}: tells of no class weight above 0 of its loss; train it again"
+    )
+
+
+def _tasks(datasets: Sequence[Dataset], split: str, most: int | None) -> list[_Task]:
+    """All samples of a split, or `most` of each dataset, evenly spread. Raises DatasetError where
+    they are of too few worlds."""
+    tasks, worlds = [], set()
+    for number, dataset in enumerate(datasets):
+        part = filled(dataset, split)
+        chosen = evenly(len(part), most or len(part))
+        worlds |= {(number, part.names[n][1]) for n in chosen}
+        tasks += [_Task(number, dataset.folder, rows) for rows in chunked(chosen, CHUNK)]
+    if len(worlds) < LEAST_WORLDS:
+        folders = ", ".join(str(dataset.folder) for dataset in datasets)
+        raise DatasetError(
+            f"{folders}: {len(worlds)} worlds in split {split}, expected {LEAST_WORLDS} at least; "
+            f"make a larger {split} split, or give more datasets"
+        )
+    return tasks
+
+
+def _complete(
+    split: str, method: Completer, measure: Measure, task: _Task
 ) -> list[tuple[tuple[int, int], tuple[Any, ...]]]:
-    """What `at` makes of maps of a dataset, each with the dataset's number and the world's."""
-    number, folder, indices = task
-    samples, found = Dataset(folder, whole=True).split(split), []
-    for index in indices:
-        sample = samples[index]
-        told = at(method.completion(sample, samples), sample, samples, index)
-        found.append(((number, int(sample.world)), told))
-    return found
+    """Complete a task's maps: for each, the dataset's number and the world's, and what is
+    measured."""
+    samples, results = Dataset(task.folder, whole=True).split(split), []
+    for number in task.numbers:
+        sample = samples[number]
+        prediction = method.completion(sample, samples)
+        result = measure(prediction, Case.of(sample, number, samples))
+        results.append(((task.dataset, int(sample.world)), result))
+    return results
 
 
-def _count(
-    weight: float, said: Prediction, sample: Sample, split: Split, index: int
-) -> tuple[Ints, Any, list[Any]]:
+def _count(weight: float, prediction: Prediction, case: Case) -> tuple[Ints, Any, list[Any]]:
     """Scores of a map's unknown voxels, and their logits where there are some; and what share of
     its returns is denied."""
-    grid = split.dataset.grid
-    scored = scored_voxels(sample, grid, split.home(index).tables)
-    classes = classify(sample, grid=grid, scored=scored)
-    unknown, probability = np.isin(classes, UNOBSERVED), said.occupancy_probability
-    distance = said.distance(Thresholds(), grid)
+    sample, grid = case.sample, case.grid
+    unknown, probability = np.isin(case.classes, UNOBSERVED), prediction.occupancy_probability
+    distance = prediction.distance(Thresholds(), grid)
     chance = None if probability is None else corrected(probability, weight)
     scores = count_scores(distance, chance, sample.tudf, unknown, grid)
     if probability is None:
@@ -294,18 +317,13 @@ def _count(
 
 
 def _collisions(
-    found: Calibration,
-    trials: int,
-    seed: int,
-    said: Prediction,
-    sample: Sample,
-    split: Split,
-    index: int,
+    fitted: Calibration, trials: int, seed: int, prediction: Prediction, case: Case
 ) -> tuple[Floats, int]:
     """How many of a map's trials collide at each risk, and how many there are."""
-    grid, rng = split.dataset.grid, rng_of(seed, int(sample.world), int(sample.viewpoint))
+    sample, grid = case.sample, case.grid
+    rng = rng_of(seed, int(sample.world), int(sample.viewpoint))
     goals = draw_trials(sample.occupancy, grid, PlanConfig(), count=trials, rng=rng).goals
-    risks = [Setting(by="risk", value=risk) for risk in found.risks]
-    sure, truth = replace(said, uncertainty=found, grid=grid), (sample.occupancy, sample.tudf)
-    came = run_settings(risks, sure, truth, goals, grid, PlanConfig())
-    return came[:, :, TOLD.index("collided")].sum(axis=0), len(goals)
+    risks = [Setting(by="risk", value=risk) for risk in fitted.risks]
+    sure, truth = replace(prediction, uncertainty=fitted, grid=grid), (case.solid, case.gap_m)
+    figures = run_settings(risks, sure, truth, goals, grid, PlanConfig())
+    return figures[:, :, TOLD.index("collided")].sum(axis=0), len(goals)

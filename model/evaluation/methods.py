@@ -165,27 +165,31 @@ def _check_file(path: Path, *, dataset: Dataset, split: str, most: int) -> list[
 
 
 def _check_arrays(file: h5py.File, split: str, most: int, shape: tuple[int, ...]) -> None:
+    """Raise DatasetError unless the arrays of a file of predictions are stored in it, and whole:
+    one row a sample, at most so many, and maps of this shape."""
     links = {name: file.get(name, getlink=True) for name in (*WHO, *PARTS, *SURE)}
-    held = [name for name, link in links.items() if link is not None]
-    if not set(WHO) <= set(held) or not set(PARTS) & set(held):
+    names = [name for name, link in links.items() if link is not None]
+    if not set(WHO) <= set(names) or not set(PARTS) & set(names):
         raise DatasetError(
-            f"expected world, viewpoint, and at least one of {', '.join(PARTS)}; found {held}"
+            f"expected world, viewpoint, and at least one of {', '.join(PARTS)}; found {names}"
         )
-    for name in held:
-        kinds, what, maps = (
-            ("iu", "whole numbers", ()) if name in WHO else ("fiub", "float32", shape)
-        )
+    for name in names:
+        # other links lead to other files, as virtual and external data do
         data: Any = file[name] if isinstance(links[name], h5py.HardLink) else None
-        own = isinstance(data, h5py.Dataset) and not data.is_virtual and not data.external
-        if not own or data.dtype.kind not in kinds:
-            raise DatasetError(f"{name} is no array of {what} in this file")
-        if data.shape != (expected := (*file["world"].shape[:1], *maps)):
+        is_here = isinstance(data, h5py.Dataset) and not data.is_virtual and not data.external
+        kinds, numbers, row_shape = "fiub", "float32", shape
+        if name in WHO:
+            kinds, numbers, row_shape = "iu", "whole numbers", ()
+        if not is_here or data.dtype.kind not in kinds:
+            raise DatasetError(f"{name} is no array of {numbers} in this file")
+        expected = (*file["world"].shape[:1], *row_shape)
+        if data.shape != expected:
             raise DatasetError(f"{name} has shape {data.shape}, expected {expected}")
         if data.chunks:
             _check_chunks(name, data)
     if (count := file["world"].shape[0]) > most:
         raise DatasetError(f"predicts {count} samples, split {split} has {most}")
-    for name in held:  # HDF5 would make up zeros
+    for name in names:  # HDF5 would make up zeros
         if file[name].size and file[name].id.get_space_status() != h5py.h5d.SPACE_STATUS_ALLOCATED:
             raise DatasetError(
                 f"{name} is not written to its end; predict each sample of split {split} once"
@@ -240,7 +244,7 @@ def find_method(name: Any) -> Method:
     odd = f"--method {name}: cannot be made by calling it without arguments: "
     with raised_as(ScenegenError, odd, of=TypeError):
         made = found()
-    if name in METHODS.known and hasattr(made, "completion"):  # a row itself, not a completer
+    if name in METHODS.builtin and hasattr(made, "completion"):  # a row itself, not a completer
         return made
     return Completed(made)
 

@@ -3,12 +3,12 @@ Markdown and one HTML page for people. The page has no script and fetches nothin
 are shown as text alone."""
 
 import base64
-import dataclasses
 import html
 import math
 import tomllib
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,10 +22,10 @@ from scenegen.model.evaluation.run import DatasetResult, MethodResult
 from scenegen.model.evaluation.statistics import (
     caution,
     cell,
-    figure,
     holm,
     interval,
     paired_p,
+    summarise,
     table,
     with_std,
 )
@@ -102,18 +102,18 @@ def finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def figures(
-    found: MethodResult,
+def summaries(
+    method: MethodResult,
     result: DatasetResult,
     metrics: Mapping[str, Metric],
     region: int = 0,
     chosen: Any = True,
 ) -> Json:
-    """The figures of what `MethodResult.values` gives, of the `chosen` trials alone, each {mean,
-    std, low, high, n}."""
+    """`summarise` of what `MethodResult.values` gives for each metric, of the `chosen` trials
+    alone."""
     return {
-        name: figure(
-            np.where(chosen, found.values(name, region), np.nan),
+        name: summarise(
+            np.where(chosen, method.values(name, region), np.nan),
             result.worlds_of(name),
             metric.scale,
         )
@@ -121,28 +121,31 @@ def figures(
     }
 
 
-def _reconstruction(found: MethodResult, result: DatasetResult) -> Json:
-    whole, unobserved, *by_class, tuned = (
-        figures(found, result, METRICS, region) for region in range(len(CLASSES) + 3)
+def _reconstruction(method: MethodResult, result: DatasetResult) -> Json:
+    whole_map, unobserved, *by_class, tuned = (
+        summaries(method, result, METRICS, region) for region in range(len(CLASSES) + 3)
     )
     return {
-        **whole,
-        "tuned": {**tuned, "thresholds": dataclasses.asdict(found.thresholds)},
+        **whole_map,
+        "tuned": {**tuned, "thresholds": asdict(method.thresholds)},
         "unobserved": unobserved,
         "by_class": dict(zip(CLASSES, by_class, strict=True)),
     }
 
 
 def _planning(found: MethodResult, result: DatasetResult) -> Json:
-    on_paths = {name: one for name, one in PLAN_METRICS.items() if one.needs == "path"}
-    rows = result.methods.values()
-    learned = [other for other in rows if other.learned] or rows
-    ours, *theirs = ([trial.success for trial in one.trials] for one in (found, *learned))
+    on_paths = {name: metric for name, metric in PLAN_METRICS.items() if metric.needs == "path"}
+    methods = result.methods.values()
+    learned = [method for method in methods if method.learned] or methods
+    succeeded = [trial.success for trial in found.trials]
+    # (learned methods, trials)
+    all_succeeded = [[trial.success for trial in method.trials] for method in learned]
+    causes = (trial.cause for trial in found.trials if trial.cause is not None)
     return {
-        **figures(found, result, PLAN_METRICS),
-        "successes": figures(found, result, on_paths, chosen=ours),
-        "all_succeed": figures(found, result, on_paths, chosen=np.all(theirs, axis=0)),
-        "failures": dict(Counter(trial.cause for trial in found.trials if trial.cause is not None)),
+        **summaries(found, result, PLAN_METRICS),
+        "successes": summaries(found, result, on_paths, chosen=succeeded),
+        "all_succeed": summaries(found, result, on_paths, chosen=np.all(all_succeeded, axis=0)),
+        "failures": dict(Counter(causes)),
     }
 
 
@@ -160,7 +163,7 @@ def _tests(result: DatasetResult, rng: np.random.Generator) -> list[Json]:
         for region, name in tested:
             a, b = (of.values(name, REGIONS.index(region)) for of in (one, other))
             worlds = result.worlds_of(name)
-            gained = figure(a - b, worlds, "gain" if name in PLAN_METRICS else "amount")
+            gained = summarise(a - b, worlds, "gain" if name in PLAN_METRICS else "amount")
             title = name if region == "map" else f"{region}_{name}"
             found.append(
                 {
@@ -184,17 +187,18 @@ def tables(report: Json, kind: str) -> Iterator[tuple[str, Mapping[str, Metric],
     Beside IoU stands IoU at the row's best threshold. Where that is not the paper's, the figure
     says where it lies: `at`.
     """
-    metrics, usual = dict[str, Metric](), dataclasses.asdict(Thresholds())
+    metrics, usual = dict[str, Metric](), asdict(Thresholds())
     for name, metric in METRICS.items():
         metrics[name] = metric
         if name == "iou":
-            metrics[BEST_IOU] = dataclasses.replace(metric, title="IoU at its best threshold")
+            metrics[BEST_IOU] = replace(metric, title="IoU at its best threshold")
     rows = {}
     for method, row in report["reconstruction"][kind].items():
-        tuned = row["tuned"]
-        places = ((tuned["thresholds"][name], unit, usual[name]) for name, unit in UNITS.items())
-        at = "".join(f"{value:g}{unit}" for value, unit, papers in places if value != papers)
-        rows[method] = {**row, BEST_IOU: {**tuned["iou"], "at": at}}
+        tuned = row["tuned"]["thresholds"]
+        at = "".join(
+            f"{tuned[name]:g}{unit}" for name, unit in UNITS.items() if tuned[name] != usual[name]
+        )
+        rows[method] = {**row, BEST_IOU: {**row["tuned"]["iou"], "at": at}}
     yield "reconstruction", metrics, rows, PAPER["reconstruction"].get(kind, {})
     yield "planning", PLAN_METRICS, report["planning"][kind], PAPER["planning"].get(kind, {})
 
@@ -212,50 +216,69 @@ class Table(NamedTuple):
     """The best cells: rows' names and columns."""
 
 
-def shown(report: Json, kind: str) -> Iterator[str | Table]:
+def blocks(report: Json, kind: str) -> Iterator[str | Table]:
     """What people are shown of one kind: sentences and tables."""
     about = report["datasets"][kind]
+    yield _introduction(about)
+    yield from (f"{note}." for note in notes(about))
+    for title, metrics, rows, paper in tables(report, kind):
+        yield Table(
+            title.capitalize(),
+            [f"{metric.label}{ARROWS[metric.better]}" for metric in metrics.values()],
+            [(method, [cell(row[name]) for name in metrics]) for method, row in rows.items()],
+            [
+                (method, [with_std(*row[name]) if name in row else "–" for name in metrics])
+                for method, row in paper.items()
+            ],
+            [
+                (method, column)
+                for column, (name, metric) in enumerate(metrics.items())
+                for method in best(rows, name, metric)
+            ],
+        )
+    yield _failures(report["planning"][kind])
+    yield from (Table(*table) for table in study_tables(report.get("study", {}).get(kind, {})))
+    by_class = [
+        (method, [cell(row["by_class"][name]["iou"]) for name in CLASSES])
+        for method, row in report["reconstruction"][kind].items()
+    ]
+    yield Table("IoU by what was seen", CLASSES, by_class)
+    yield _paired_tests(report["tests"][kind])
+
+
+def _introduction(about: Json) -> str:
+    """A dataset's size, and how its tables are to be read."""
     excluded = ", ".join(f"{cause} {count}" for cause, count in about["excluded"].items())
-    yield (
+    return (
         f"{about['samples']} samples of {about['worlds']} worlds, dataset "
         f"{str(about['digest'])[:12]}…; {about['trials']} planning trials, excluded draws: "
         f"{excluded or 'none'}. Mean ± standard deviation over samples or trials, in brackets the "
         f"95 % interval of the mean, by a jackknife over worlds"
         f"{', which one world does not give' * (about['worlds'] == 1)}. In italics: the paper's."
     )
-    yield from (f"{told}." for told in notes(about))
-    for title, metrics, rows, reference in tables(report, kind):
-        ours = [(name, [cell(row[m]) for m in metrics]) for name, row in rows.items()]
-        theirs = [
-            (name, [with_std(*row[m]) if m in row else "–" for m in metrics])
-            for name, row in reference.items()
-        ]
-        heads = [f"{metric.label}{ARROWS[metric.better]}" for metric in metrics.values()]
-        bold = [
-            (name, n)
-            for n, (m, metric) in enumerate(metrics.items())
-            for name in best(rows, m, metric)
-        ]
-        yield Table(title.capitalize(), heads, ours, theirs, bold)
-    failed = {name: row["failures"] for name, row in report["planning"][kind].items()}
-    causes = [cause for cause in CAUSES if any(cause in row for row in failed.values())]
-    yield Table(
+
+
+def _failures(planning: Json) -> Table:
+    """How many trials of each method failed from which of the `CAUSES` that there are."""
+    rows = {method: row["failures"] for method, row in planning.items()}
+    causes = [cause for cause in CAUSES if any(cause in row for row in rows.values())]
+    return Table(
         "Trials that failed, by what became of the path",
         [CAUSES[cause] for cause in causes],
-        [(name, [str(row.get(cause, 0)) for cause in causes]) for name, row in failed.items()],
+        [(method, [str(row.get(cause, 0)) for cause in causes]) for method, row in rows.items()],
     )
-    yield from (Table(*table) for table in study_tables(report.get("study", {}).get(kind, {})))
-    seen = {name: row["by_class"] for name, row in report["reconstruction"][kind].items()}
-    by_class = [(name, [cell(row[c]["iou"]) for c in CLASSES]) for name, row in seen.items()]
-    yield Table("IoU by what was seen", CLASSES, by_class)
-    compared = []
-    for test in report["tests"][kind]:
-        found = "–"
+
+
+def _paired_tests(tests: Sequence[Json]) -> Table:
+    """The differences that `_tests` found, a row each."""
+    rows = []
+    for test in tests:
+        difference = "–"
         if test["difference"] is not None:
-            found = f"{test['difference']:+.3f} {interval(test, '+.3f')}"
-        cells = (test["metric"], found, f"{test['p_holm']:.4f}")
-        compared.append((f"{test['first']} − {test['second']}", cells))
-    yield Table("Paired tests, by world, Holm-corrected", ("metric", "difference", "p"), compared)
+            difference = f"{test['difference']:+.3f} {interval(test, '+.3f')}"
+        cells = (test["metric"], difference, f"{test['p_holm']:.4f}")
+        rows.append((f"{test['first']} − {test['second']}", cells))
+    return Table("Paired tests, by world, Holm-corrected", ("metric", "difference", "p"), rows)
 
 
 def best(rows: Json, name: str, metric: Metric) -> set[str]:
@@ -274,19 +297,19 @@ def best(rows: Json, name: str, metric: Metric) -> set[str]:
 def to_markdown(report: Json) -> str:
     """The report as Markdown."""
     about = [f"- {name}: {value}" for name, value in report.items() if isinstance(value, str)]
-    blocks = ["# Bench", "\n".join(about)]
+    parts = ["# Bench", "\n".join(about)]
     for kind in report["datasets"]:
-        blocks.append(f"## {kind}")
-        for block in shown(report, kind):
-            if isinstance(block, str):
-                blocks.append(block)
+        parts.append(f"## {kind}")
+        for shown in blocks(report, kind):
+            if isinstance(shown, str):
+                parts.append(shown)
                 continue
-            theirs = [
-                (f"*{name}*", [f"*{c}*" if c != "–" else c for c in cells])
-                for name, cells in block.paper
+            paper = [
+                (f"*{method}*", [text if text == "–" else f"*{text}*" for text in cells])
+                for method, cells in shown.paper
             ]
-            blocks += [f"### {block.title}", table(block.heads, [*block.rows, *theirs])]
-    return "\n\n".join(blocks) + "\n"
+            parts += [f"### {shown.title}", table(shown.heads, [*shown.rows, *paper])]
+    return "\n\n".join(parts) + "\n"
 
 
 STYLE = """
@@ -329,7 +352,7 @@ def to_html(report: Json, pictures: Mapping[str, Sequence[tuple[str, bytes]]]) -
     body = [f"<h1>Bench</h1><dl>{about}</dl>"]
     for kind in report["datasets"]:
         body.append(f"<h2>{_text(kind)}</h2>")
-        body += [block(one) for one in shown(report, kind)]
+        body += [block(shown) for shown in blocks(report, kind)]
         body.append(framed(pictures.get(kind, ()), "webp"))
     head = f"{HEAD}<title>Bench</title><style>{STYLE}</style></head>"
     return f"{head}<body>{''.join(body)}</body></html>\n"
@@ -350,14 +373,17 @@ def block(shown: str | Table) -> str:
     if isinstance(shown, str):
         return f"<p>{_text(shown)}</p>"
     lines = ""
-    for row, (name, cells) in enumerate((*shown.rows, *shown.paper)):
-        mark, told = " class='paper'" * (row >= len(shown.rows)), ""
-        for n, one in enumerate(cells):
-            figure, _, more = one.partition(" ")
-            best = " class='best'" if not mark and (name, n) in shown.best else ""
-            told += f"<td{best}>{_text(figure)}<small>{_text(more)}</small></td>"
-        lines += f"<tr{mark}><th>{_text(name)}</th>{told}</tr>"
-    heads = "".join(f"<th>{_text(one)}</th>" for one in shown.heads)
+    for number, (method, texts) in enumerate((*shown.rows, *shown.paper)):
+        is_paper = number >= len(shown.rows)
+        cells = ""
+        for column, text in enumerate(texts):
+            mean, _, spread = text.partition(" ")
+            is_best = not is_paper and (method, column) in shown.best
+            mark = " class='best'" * is_best
+            cells += f"<td{mark}>{_text(mean)}<small>{_text(spread)}</small></td>"
+        mark = " class='paper'" * is_paper
+        lines += f"<tr{mark}><th>{_text(method)}</th>{cells}</tr>"
+    heads = "".join(f"<th>{_text(head)}</th>" for head in shown.heads)
     return (
         f"<h3>{_text(shown.title)}</h3><div class='wide'><table><thead><tr><th></th>{heads}</tr>"
         f"</thead><tbody>{lines}</tbody></table></div>"

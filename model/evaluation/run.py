@@ -1,11 +1,10 @@
 """Run the bench: every method on every test map of a dataset, reconstruction and planning, by all
 cores."""
 
-import dataclasses
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
+from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask, iou
 from scenegen.cli.show import Showing, counted, silent
 from scenegen.dataset.read import Dataset, Rows, Split
 from scenegen.display.look import evenly
@@ -30,16 +29,8 @@ from scenegen.model.evaluation.planning.measure import (
     run_trial,
 )
 from scenegen.model.evaluation.study import Study, study_map
-from scenegen.model.evaluation.visibility import (
-    CLASSES,
-    UNOBSERVED,
-    certain_distances,
-    classify,
-    scored_voxels,
-    seen_occupancy,
-    walled,
-)
-from scenegen.run import Executor, check_together
+from scenegen.model.evaluation.visibility import CLASSES, UNOBSERVED, Case, scored_voxels, walled
+from scenegen.run import Executor, check_together, chunked
 from scenegen.run.workers import ALONE
 from scenegen.sample import Sample, rng_of
 from scenegen.truth import distance_field
@@ -102,23 +93,25 @@ class DatasetResult:
         return self.trial_worlds if metric in PLAN_METRICS else self.worlds
 
 
-class _OfMap(NamedTuple):
+class _MethodOnSample(NamedTuple):
     """What one method gave on one sample; see `MethodResult`."""
 
     reconstruction: Floats
+    """(3 + classes, metrics)"""
     trials: list[Measurement]
     study: Study | None
     """None unless asked for."""
 
 
-class _Found(NamedTuple):
-    """What one sample gave."""
+class _SampleResult(NamedTuple):
+    """What all methods gave on one sample."""
 
     number: int
+    """The sample's in its split."""
     world: int
     known_share: float
     excluded: Counter[str]
-    methods: list[_OfMap]
+    methods: list[_MethodOnSample]
 
 
 def check_middle(
@@ -126,7 +119,7 @@ def check_middle(
 ) -> None:
     """Raise DatasetError, with what to do `instead`, where plans, which begin in a map's middle,
     would not begin at the sensor."""
-    for _, mapping, _ in dataset.settings:
+    for mapping in (sensing.mapping for sensing in dataset.settings):
         if not mapping.centred:
             raise DatasetError(
                 f"{dataset.folder}: its maps lie {list(mapping.map_ahead_m)} m ahead of the "
@@ -173,46 +166,58 @@ def bench(
     if config.study:
         check_whole(dataset, "leave --study out")
     kind = kind or dataset.manifest.graded
-    ours = split.by_kind().get(kind)
-    if ours is None:
+    of_kind = split.by_kind().get(kind)
+    if of_kind is None:
         raise DatasetError(f"{dataset.folder}: holds no {kind} in its {config.split} split")
-    indices = [ours[n] for n in evenly(len(ours), config.samples or len(ours))]
-    tasks = [Rows(config.split, indices[n : n + CHUNK]) for n in range(0, len(indices), CHUNK)]
+    numbers = [of_kind[n] for n in evenly(len(of_kind), config.samples or len(of_kind))]
+    tasks = [Rows(config.split, part) for part in chunked(numbers, CHUNK)]
     check_together(execute, "a report takes")
     tuned = [tune(method, dataset, config.thresholds) for method in methods]
-    work = partial(
-        _work, dataset.folder, methods, tuned, math.ceil(1.1 * config.trials / len(indices)), config
-    )
-    several = counted(execute, progress, work, tasks, kind, len(indices))
-    found: list[_Found] = sorted(chain.from_iterable(several), key=lambda one: one.number)
-    # of the trials, the first of every sample first, cut to the number asked for
-    turns = sorted(
-        (turn, n) for n, one in enumerate(found) for turn in range(len(one.methods[0].trials))
+    # a tenth more than asked for: not every sample has as many valid goals
+    trials_each = math.ceil(1.1 * config.trials / len(numbers))
+    work = partial(_bench_samples, dataset.folder, methods, tuned, trials_each, config)
+    chunks = counted(execute, progress, work, tasks, kind, len(numbers))
+    samples = sorted(chain.from_iterable(chunks), key=lambda sample: sample.number)
+    # (trial's number within its sample, sample): first trials come first, so that a cut to the
+    # number asked for leaves all samples about as many
+    trials = sorted(
+        (trial, n)
+        for n, sample in enumerate(samples)
+        for trial in range(len(sample.methods[0].trials))
     )[: config.trials]
-
-    def of_method(m: int) -> MethodResult:
-        """What all samples gave of one method."""
-        given = [one.methods[m] for one in found]
-        studies = tuple(one.study for one in given if one.study is not None)
-        return MethodResult(
-            reconstruction=np.array([one.reconstruction for one in given]),
-            thresholds=tuned[m],
-            trials=tuple(given[n].trials[turn] for turn, n in turns),
-            learned=methods[m].learned,
-            studies=studies,
-            careful=[studies[n].careful[turn] for turn, n in turns if studies],
-        )
-
+    by_method = zip(*(sample.methods for sample in samples), strict=True)
     return DatasetResult(
         kind=kind,
         dataset=dataset,
         config=config,
-        worlds=np.array([one.world for one in found]),
-        known_share=float(np.mean([one.known_share for one in found])),
-        trial_worlds=np.array([found[n].world for _, n in turns], np.int64),
-        trial_places=tuple((found[n].number, turn) for turn, n in turns),
-        excluded=sum((one.excluded for one in found), start=Counter()),
-        methods={method.name: of_method(m) for m, method in enumerate(methods)},
+        worlds=np.array([sample.world for sample in samples]),
+        known_share=float(np.mean([sample.known_share for sample in samples])),
+        trial_worlds=np.array([samples[n].world for _, n in trials], np.int64),
+        trial_places=tuple((samples[n].number, trial) for trial, n in trials),
+        excluded=sum((sample.excluded for sample in samples), start=Counter()),
+        methods={
+            method.name: _joined(method, best, results, trials)
+            for method, best, results in zip(methods, tuned, by_method, strict=True)
+        },
+    )
+
+
+def _joined(
+    method: Method,
+    tuned: Thresholds,
+    results: Sequence[_MethodOnSample],
+    trials: Sequence[tuple[int, int]],
+) -> MethodResult:
+    """The result of a method from its results on all samples. Of `trials`, each the number of a
+    trial within its sample and the number of that sample, all others are left out."""
+    studies = tuple(result.study for result in results if result.study is not None)
+    return MethodResult(
+        reconstruction=np.array([result.reconstruction for result in results]),
+        thresholds=tuned,
+        trials=tuple(results[n].trials[trial] for trial, n in trials),
+        learned=method.learned,
+        studies=studies,
+        careful=[studies[n].careful[trial] for trial, n in trials if studies],
     )
 
 
@@ -249,62 +254,72 @@ def bench_all(
     ]
 
 
-def _work(
+def _bench_samples(
     folder: Path,
     methods: Sequence[Method],
     tuned: Sequence[Thresholds],
     trials_each: int,
     config: BenchConfig,
     rows: Rows,
-) -> list[_Found]:
-    dataset = Dataset(folder)
-    split, grid, usual = dataset.split(rows.split), dataset.grid, config.thresholds
+) -> list[_SampleResult]:
+    """Measure all methods, each with its tuned thresholds, on the samples `rows` of a dataset, with
+    `trials_each` planning trials on each."""
+    split = Dataset(folder).split(rows.split)
     found = []
     for index in rows.numbers:
         sample = split[index]
-        truth = sample.occupancy, sample.tudf
-        scored = scored_voxels(sample, grid, split.home(index).tables)
-        classes = classify(sample, grid=grid, scored=scored)
-        certain = certain_distances(sample, grid)
-        solid, gap = walled(*truth, sample.known, grid)
         drawn = trials_of(sample, index, split, config, trials_each)
-        trial = partial(
-            run_trial, occupancy_truth=solid, tudf_truth=gap, grid=grid, config=config.plan
-        )
-        seen = seen_occupancy(sample, split) if config.study else None
-        given = []
-        for method, best in zip(methods, tuned, strict=True):
-            said = method.completion(sample, split)
-            maps = {at: (said.occupied(at), said.distance(at, grid)) for at in {usual, best}}
-            figures = {
-                at: measure(
-                    *maps[at],
-                    *truth,
-                    classes=classes,
-                    class_count=len(CLASSES),
-                    union=UNOBSERVED,
-                    certain=certain,
-                )
-                for at in maps
-            }
-            occupied, distance, risk = planner_maps(said, sample, grid, config)
-            trials = [trial(occupied, distance, goal=goal, risk=risk) for goal in drawn.goals]
-            study = None
-            if seen is not None:
-                study = study_map(
-                    said,
-                    maps[usual][1],
-                    sample,
-                    classes=classes,
-                    seen=seen,
-                    goals=drawn.goals,
-                    grid=grid,
-                    config=config,
-                )
-            given.append(_OfMap(np.vstack([figures[usual], figures[best][:1]]), trials, study))
-        known = 1.0 if sample.known is None else float(sample.known.mean())
-        found.append(_Found(index, int(sample.world), known, Counter(drawn.excluded), given))
+        case = Case.of(sample, index, split)
+        results = [
+            _bench_method(method, best, case, drawn.goals, config)
+            for method, best in zip(methods, tuned, strict=True)
+        ]
+        known_share = 1.0 if sample.known is None else float(sample.known.mean())
+        excluded = Counter(drawn.excluded)
+        found.append(_SampleResult(index, int(sample.world), known_share, excluded, results))
     return found
+
+
+def _bench_method(
+    method: Method, tuned: Thresholds, case: Case, goals: Floats, config: BenchConfig
+) -> _MethodOnSample:
+    """Measure one method on one sample: its map at the usual and at its `tuned` thresholds, its
+    paths to `goals` (trials, 3), metres in the map's frame, and, if asked for, its probabilities
+    and bounds."""
+    sample, grid, usual = case.sample, case.grid, config.thresholds
+    prediction = method.completion(sample, case.split)
+
+    def scores(at: Thresholds) -> Floats:
+        """(2 + classes, metrics) of the map at some thresholds."""
+        return measure(
+            prediction.occupied(at),
+            prediction.distance(at, grid),
+            sample.occupancy,
+            sample.tudf,
+            classes=case.classes,
+            class_count=len(CLASSES),
+            union=UNOBSERVED,
+            certain=case.certain,
+        )
+
+    by_thresholds = {at: scores(at) for at in {usual, tuned}}  # most often, these are the same
+    occupied, distance, risk = planner_maps(prediction, sample, grid, config)
+    trials = [
+        run_trial(
+            occupied,
+            distance,
+            goal=goal,
+            risk=risk,
+            occupancy_truth=case.solid,
+            tudf_truth=case.gap_m,
+            grid=grid,
+            config=config.plan,
+        )
+        for goal in goals
+    ]
+    study = study_map(prediction, case, goals, config) if config.study else None
+    reconstruction = np.vstack([by_thresholds[usual], by_thresholds[tuned][:1]])
+    return _MethodOnSample(reconstruction, trials, study)
 
 
 def planner_maps(
@@ -314,7 +329,7 @@ def planner_maps(
     and for the careful planner the risk of every voxel, (*grid.shape) each."""
     at, plan, careful = config.thresholds, config.plan, config.plan.planner == "careful"
     if careful:
-        at = dataclasses.replace(at, probability=plan.careful_probability)
+        at = replace(at, probability=plan.careful_probability)
     occupied, distance = said.occupied(at), said.distance(at, grid)
     if plan.field == "transform":
         distance = distance_field(occupied, grid)
@@ -357,14 +372,10 @@ def tune(method: Method, dataset: Dataset, thresholds: Thresholds) -> Thresholds
             name, candidates = "distance_m", DISTANCES_M
         row = []
         for value in candidates:
-            at = dataclasses.replace(thresholds, **{name: float(value)})
-            occupied = completion.occupied(at)[scored]
-            union = np.count_nonzero(occupied | truth)
-            row.append(np.count_nonzero(occupied & truth) / union if union else 1.0)
+            at = replace(thresholds, **{name: float(value)})
+            row.append(iou(completion.occupied(at)[scored], truth))
         scores.append(row)
     means = np.mean(scores, axis=0)
     if np.ptp(means) < 1e-12:
         return thresholds
-    return dataclasses.replace(
-        thresholds, **{name: round(float(candidates[int(means.argmax())]), 4)}
-    )
+    return replace(thresholds, **{name: round(float(candidates[int(means.argmax())]), 4)})

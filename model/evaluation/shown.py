@@ -126,22 +126,22 @@ def draw_charts(report: Json, kind: str) -> list[tuple[str, bytes]]:
 
     from scenegen.display.panels import MAP, SOFT, plain
 
-    found = []
+    charts = []
     for table, metrics, rows, reference in tables(report, kind):
         for name in CHARTS[table]:
             dots = {method: row[name] for method, row in rows.items() if row[name]["n"]}
             papers = {f"{method} (paper)": row[name][0] for method, row in reference.items()}
             figure = Figure(figsize=(5.8, 0.6 + 0.26 * len([*dots, *papers])), layout="constrained")
             axes = figure.subplots()
-            for method, one in dots.items():
-                ends = None if one["low"] is None else [one["low"], one["high"]]
-                axes.plot(ends or [one["mean"]] * 2, [plain(method)[:24]] * 2, "-", color=MAP)
-                axes.plot(one["mean"], plain(method)[:24], "o", color=MAP)
+            for method, metric in dots.items():
+                ends = None if metric["low"] is None else [metric["low"], metric["high"]]
+                axes.plot(ends or [metric["mean"]] * 2, [plain(method)[:24]] * 2, "-", color=MAP)
+                axes.plot(metric["mean"], plain(method)[:24], "o", color=MAP)
             axes.plot(list(papers.values()), list(papers), "o", color=SOFT, fillstyle="none")
             axes.invert_yaxis()
             axes.grid(axis="x")
-            found.append((metrics[name].label, _webp(figure)))
-    return found
+            charts.append((metrics[name].label, _webp(figure)))
+    return charts
 
 
 def _webp(figure: Any) -> bytes:

@@ -1,4 +1,4 @@
-"""Figures with their uncertainty, and as text. Samples of one world are not independent, so worlds
+"""Means with their uncertainty, and as text. Samples of one world are not independent, so worlds
 are left out in turn."""
 
 import math
@@ -81,9 +81,9 @@ def estimate(sums: ArrayLike, worlds: ArrayLike, of: Callable[[Floats], Floats])
     return Estimate(value=value, error=error, freedom=count - 1)
 
 
-def figure(values: ArrayLike, worlds: ArrayLike, scale: Scale = "amount") -> Json:
-    """A figure as JSON holds it, from `values` (N,) of samples from `worlds` (N,); NaN values are
-    left out.
+def summarise(values: ArrayLike, worlds: ArrayLike, scale: Scale = "amount") -> Json:
+    """The mean of a metric with its interval, as JSON holds it, from `values` (N,) of samples from
+    `worlds` (N,); NaN values are left out.
 
     Intervals of shares and outcomes are symmetric in log-odds, so that they stay in [0, 1] and
     cover where a few worlds are far harder than the rest. Outcomes of a few trials can be all alike
@@ -97,17 +97,20 @@ def figure(values: ArrayLike, worlds: ArrayLike, scale: Scale = "amount") -> Jso
         all but ``n`` are None.
     """
     values = np.asarray(values, float)
-    held = np.isfinite(values)
-    if not held.any():
+    has_value = np.isfinite(values)
+    if not has_value.any():
         return {"mean": None, "std": None, "low": None, "high": None, "n": 0}
-    chosen, count = values[held], int(held.sum())
-    found = estimate(np.stack([chosen, np.ones(count)], axis=1), np.asarray(worlds)[held], _mean)
-    mean, reach = found.value, found.reach
-    low, high = found.ends
+    chosen, count = values[has_value], int(has_value.sum())
+    estimated = estimate(
+        np.stack([chosen, np.ones(count)], axis=1), np.asarray(worlds)[has_value], _mean
+    )
+    mean, reach = estimated.value, estimated.reach
+    low, high = estimated.ends
     if low is not None and high is not None:
         if scale in ("outcome", "gain"):
             reach = max(reach, math.sqrt(float(((chosen - mean) ** 2).sum()) + 1) / count)
             low, high = mean - reach, mean + reach
+        # the delta method: an error in log-odds is greater by the slope of the logit there
         middle = (chosen.sum() + 0.5) / (count + 1) if scale == "outcome" else mean
         if scale in ("share", "outcome") and 0 < middle < 1:
             ends = expit(logit(middle) + np.array([-1, 1]) * reach / (middle * (1 - middle)))
@@ -170,27 +173,27 @@ def table(heads: Collection[str], rows: Iterable[tuple[str, Iterable[str]]]) -> 
     return "\n".join([*head, *(line(name, cells) for name, cells in rows)])
 
 
-def cell(figure: Json) -> str:
-    """A figure with its spread and interval, and its threshold; a dash where nothing was
-    measured."""
-    if not figure["n"]:
+def cell(metric: Json) -> str:
+    """What `summarise` gave: mean, standard deviation, interval, and threshold; a dash where
+    nothing was measured."""
+    if not metric["n"]:
         return "–"
-    return f"{with_std(figure['mean'], figure['std'])} {interval(figure, '.3f')}{threshold(figure)}"
+    return f"{with_std(metric['mean'], metric['std'])} {interval(metric, '.3f')}{threshold(metric)}"
 
 
-def brief(figure: Json, form: str = ".3f") -> str:
+def brief(metric: Json, form: str = ".3f") -> str:
     """A mean and its interval; a dash where nothing was measured."""
-    return f"{figure['mean']:{form}} {interval(figure, form)}" if figure["n"] else "–"
+    return f"{metric['mean']:{form}} {interval(metric, form)}" if metric["n"] else "–"
 
 
-def threshold(figure: Json) -> str:
-    """At which threshold a figure stands, where that is its own."""
-    return f" at {figure['at']}" if figure.get("at") else ""
+def threshold(metric: Json) -> str:
+    """At which threshold a metric was measured, where that is the method's own."""
+    return f" at {metric['at']}" if metric.get("at") else ""
 
 
-def interval(figure: Json, form: str) -> str:
+def interval(metric: Json, form: str) -> str:
     """[low, high], or a dash where one world gives none."""
-    return "[–]" if figure["low"] is None else f"[{figure['low']:{form}}, {figure['high']:{form}}]"
+    return "[–]" if metric["low"] is None else f"[{metric['low']:{form}}, {metric['high']:{form}}]"
 
 
 def with_std(mean: float, std: float | None = None) -> str:

@@ -1,14 +1,12 @@
 """The study that the bench makes on request: whether what a method says of its sureness is so, and
 what a planner makes of it that asks for a risk."""
 
-import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
 from scenegen.files import Json
@@ -16,7 +14,7 @@ from scenegen.model.calibration import corrected
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import BenchConfig, LossConfig, PlanConfig, Thresholds
 from scenegen.model.evaluation.planning.measure import judge, met, plan_trial
-from scenegen.model.evaluation.statistics import brief, figure, interval
+from scenegen.model.evaluation.statistics import brief, interval, summarise
 from scenegen.model.evaluation.uncertainty import (
     JUDGED,
     PARTS,
@@ -27,8 +25,7 @@ from scenegen.model.evaluation.uncertainty import (
     regions,
     reliability,
 )
-from scenegen.model.evaluation.visibility import UNOBSERVED, UNSCORED
-from scenegen.sample import Sample
+from scenegen.model.evaluation.visibility import UNOBSERVED, UNSCORED, Case, seen_occupancy
 from scenegen.truth import distance_field
 
 CLASS_WEIGHT = LossConfig().occupied_weight
@@ -79,38 +76,29 @@ class Study:
     """(goals, settings, figures): see `run_settings`."""
 
 
-def study_map(
-    said: Prediction,
-    distance: Field,
-    sample: Sample,
-    *,
-    classes: NDArray[np.uint8],
-    seen: Mask,
-    goals: Floats,
-    grid: GridSpec,
-    config: BenchConfig,
-) -> Study:
-    """Study what a method `said` of a sample's map, whose distances are `distance`; `classes` tells
-    how each voxel was seen (`classify`), `seen` what returned (`seen_occupancy`)."""
-    probability, calibrated = said.occupancy_probability, said.probability
+def study_map(prediction: Prediction, case: Case, goals: Floats, config: BenchConfig) -> Study:
+    """Study what a method predicts of a sample's map, and paths on it to `goals` (trials, 3)."""
+    sample, grid = case.sample, case.grid
+    distance = prediction.distance(config.thresholds, grid)
+    probability, calibrated = prediction.occupancy_probability, prediction.probability
     inside = regions(
-        classes != UNSCORED,
-        np.isin(classes, UNOBSERVED),
+        case.classes != UNSCORED,
+        np.isin(case.classes, UNOBSERVED),
         distance,
         sample.tudf,
-        distance_field(seen, grid),
+        distance_field(seen_occupancy(sample, case.split), grid),
         truncation_m=grid.truncation_m,
     )
     readings = [] if probability is None else [probability, corrected(probability, CLASS_WEIGHT)]
     readings += [] if calibrated is None else [calibrated]
-    bounds, ause = judge_bounds(said, distance, sample.tudf, inside, grid.truncation_m)
-    settings, truth = settings_of(said), (sample.occupancy, sample.tudf)
+    bounds, ause = judge_bounds(prediction, distance, sample.tudf, inside, grid.truncation_m)
+    settings, truth = settings_of(prediction), (sample.occupancy, sample.tudf)
     return Study(
         counts=count(readings, sample.occupancy, inside),
         bounds=bounds,
         ause=ause,
         settings=settings,
-        careful=run_settings(settings, said, truth, goals, grid, config.plan),
+        careful=run_settings(settings, prediction, truth, goals, grid, config.plan),
     )
 
 
@@ -138,7 +126,7 @@ def run_settings(
     """Every trial of one map at each setting, (goals, settings, TOLD and then CHANCES); NaN for
     what a trial without a path, or a method without calibrated probabilities, lacks."""
     found = np.full((len(goals), len(chosen), len(TOLD) + len(CHANCES)), np.nan)
-    chance, careful = said.probability, dataclasses.replace(plan, planner="careful")
+    chance, careful = said.probability, replace(plan, planner="careful")
     for s, setting in enumerate(chosen):
         blocked, field = _maps(setting, said, grid)
         for g, goal in enumerate(goals):
@@ -166,7 +154,7 @@ def _maps(setting: Setting, said: Prediction, grid: GridSpec) -> tuple[Mask, Fie
         low = said.low(setting.value)
         return low <= 0, low
     name = "probability" if setting.by == "probability" else "distance_m"
-    at = dataclasses.replace(Thresholds(), **{name: setting.value})
+    at = replace(Thresholds(), **{name: setting.value})
     return said.occupied(at), said.distance(at, grid)
 
 
@@ -188,7 +176,7 @@ def study_of(
     return {
         "reliability": {"class_weight": CLASS_WEIGHT, **found} if found else None,
         "bounds": bounds_of(bounds, sparse, risks, worlds) if risks else None,
-        "risk": careful_figures(
+        "risk": careful_report(
             np.array(careful).reshape(len(careful), len(settings), len(TOLD) + len(CHANCES)),
             settings,
             trial_worlds,
@@ -196,54 +184,68 @@ def study_of(
     }
 
 
-def careful_figures(trials: Floats, chosen: Sequence[Setting], worlds: Ints) -> Json:
+def careful_report(trials: Floats, chosen: Sequence[Setting], worlds: Ints) -> Json:
     """The report of all trials (trials, settings, ...): a row a setting, and, by how likely paths
     were said to collide, how many did, over all settings."""
     rows = [
-        dataclasses.asdict(setting)
+        asdict(setting)
         | {
-            name: figure(trials[:, s, n], worlds, "outcome" if name in OUTCOMES else "amount")
+            name: summarise(trials[:, s, n], worlds, "outcome" if name in OUTCOMES else "amount")
             for n, name in enumerate((*TOLD, *CHANCES))
         }
         for s, setting in enumerate(chosen)
     ]
     collided = trials[:, :, TOLD.index("collided")].reshape(-1)
-    repeated = np.repeat(worlds, len(chosen))
+    world_of = np.repeat(worlds, len(chosen))
     paths: dict[str, list[Json]] = {name: [] for name in CHANCES}
     for n, name in enumerate(CHANCES, start=len(TOLD)):
-        said = trials[:, :, n].reshape(-1)
+        chances = trials[:, :, n].reshape(-1)
         for low, high in pairwise(EDGES):
-            inside = (said >= low) & ((said < high) | (high == EDGES[-1]))
+            inside = (chances >= low) & ((chances < high) | (high == EDGES[-1]))
             if inside.any():
-                told = {"from": low, "to": high, "said": float(said[inside].mean())}
-                had = figure(collided[inside], repeated[inside], "outcome")
-                paths[name].append({**told, "paths": int(inside.sum()), "collided": had})
+                paths[name].append(
+                    {
+                        "from": low,
+                        "to": high,
+                        "said": float(chances[inside].mean()),
+                        "paths": int(inside.sum()),
+                        "collided": summarise(collided[inside], world_of[inside], "outcome"),
+                    }
+                )
     return {"settings": rows, "paths": paths}
 
 
 def study_tables(study: Json) -> list[tuple[Any, ...]]:
     """What `study_of` gave of every method, for people: tables by title, heads and rows; none where
     nothing was studied."""
-    names = ("promised", *TOLD, *CHANCES)
-    sure, careful, bounds = [], [], []
-    for name, found in study.items():
+    columns = ("promised", *TOLD, *CHANCES)
+    probabilities, planning, bounds = [], [], []
+    for name, studied in study.items():
         for region in SHOWN:
-            for reading, one in (found["reliability"] or {}).get(region, {}).items():
-                figures = ({**one, "mean": one["ece"]}, *(one[score] for score in SCORES[1:]))
-                cells = [f"{one['mean']:.4f} {interval(one, '.4f')}" for one in figures]
-                sure.append((f"{name}, {region}, {reading}", cells))
-        for row in found["risk"]["settings"]:
+            for reading, scores in (studied["reliability"] or {}).get(region, {}).items():
+                # the interval of the first, the calibration error, stands beside it
+                summaries = [{**scores, "mean": scores["ece"]}]
+                summaries += [scores[score] for score in SCORES[1:]]
+                cells = [f"{one['mean']:.4f} {interval(one, '.4f')}" for one in summaries]
+                probabilities.append((f"{name}, {region}, {reading}", cells))
+        for row in studied["risk"]["settings"]:
             promised = "–" if row["promised"] is None else f"{row['promised']:.3f}"
-            cells = [promised, *(brief(row[one]) for one in names[1:])]
-            careful.append((f"{name}, {row['by']} {row['value']:g}", cells))
-        for row in (found["bounds"] or {"risks": ()})["risks"]:
-            pairs = ([row[part][judged]["mean"] for judged in JUDGED] for part in PARTS)
-            cells = [", ".join("–" if m is None else f"{m:.3f}" for m in pair) for pair in pairs]
-            cells.append(brief(found["bounds"]["ause"]))
-            bounds.append((f"{name}, risk {row['risk']:g}", cells))
+            cells = [promised, *(brief(row[column]) for column in columns[1:])]
+            planning.append((f"{name}, {row['by']} {row['value']:g}", cells))
+        if studied["bounds"]:
+            ause = brief(studied["bounds"]["ause"])
+            for row in studied["bounds"]["risks"]:
+                cells = [*(_judged(row[part]) for part in PARTS), ause]
+                bounds.append((f"{name}, risk {row['risk']:g}", cells))
     tables = (
-        ("Probabilities", ("ECE", "NLL", "Brier"), sure),
+        ("Probabilities", ("ECE", "NLL", "Brier"), probabilities),
         ("Bounds: coverage, and width in metres", (*PARTS, "AUSE"), bounds),
-        ("The careful planner", names, careful),
+        ("The careful planner", columns, planning),
     )
     return [table for table in tables if table[-1]]
+
+
+def _judged(part: Json) -> str:
+    """Coverage and width of bounds over one part of the map."""
+    means = [part[judged]["mean"] for judged in JUDGED]
+    return ", ".join("–" if mean is None else f"{mean:.3f}" for mean in means)

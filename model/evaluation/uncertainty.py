@@ -12,7 +12,7 @@ from scenegen.files import Json
 from scenegen.model.calibration import RISK
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import NEAR_M
-from scenegen.model.evaluation.statistics import estimate, figure
+from scenegen.model.evaluation.statistics import estimate, summarise
 
 BINS = 20
 """Bins of probability, equally wide."""
@@ -198,9 +198,9 @@ def bounds_of(
     rows = [
         {"risk": risk}
         | {
-            part: {name: figure(judged[:, r, p, j], worlds) for j, name in enumerate(JUDGED)}
+            part: {name: summarise(judged[:, r, p, j], worlds) for j, name in enumerate(JUDGED)}
             for p, part in enumerate(PARTS)
         }
         for r, risk in enumerate(risks)
     ]
-    return {"ause": figure(sparse, worlds), "risks": rows}
+    return {"ause": summarise(sparse, worlds), "risks": rows}

@@ -5,7 +5,7 @@ import math
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -99,6 +99,40 @@ def classify(
     return classes
 
 
+class Case(NamedTuple):
+    """One sample, and what every method is measured by on it. Maps are (*grid.shape)."""
+
+    sample: Sample
+    split: Split
+    classes: NDArray[np.uint8]
+    """How each voxel was seen; see `classify`."""
+    certain: Mask | None
+    """See `certain_distances`."""
+    solid: Mask
+    """The ground truth that paths are judged by, in which what is not known is as solid as what is
+    occupied."""
+    gap_m: Field
+    """Its distance field, metres."""
+
+    @property
+    def grid(self) -> GridSpec:
+        """The map's."""
+        return self.split.dataset.grid
+
+    @classmethod
+    def of(cls, sample: Sample, index: int, split: Split) -> "Case":
+        """Of sample number `index` of a split."""
+        grid = split.dataset.grid
+        scored = scored_voxels(sample, grid, split.home(index).tables)
+        return cls(
+            sample,
+            split,
+            classify(sample, grid=grid, scored=scored),
+            certain_distances(sample, grid),
+            *walled(sample.occupancy, sample.tudf, sample.known, grid),
+        )
+
+
 class Seen:
     """The truth of the obstacles that returned something, as if it had been predicted: the ceiling
     of any completion, for of the other obstacles a scan says nothing."""
@@ -112,6 +146,7 @@ class Seen:
         return Prediction(occupancy_probability=seen_occupancy(sample, split).astype(np.float32))
 
 
+@lru_cache(maxsize=1)  # every method on a sample asks for the same
 def seen_occupancy(sample: Sample, split: Split) -> Mask:
     """The voxels (*grid.shape) that touch an obstacle, a geom of the world, that returned at least
     one of the sample's rays, wherever it did so.

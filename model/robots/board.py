@@ -13,7 +13,7 @@ from scenegen.fly.course import Course, Recording
 from scenegen.fly.loop import Flown, marks
 from scenegen.fly.suite import Part, frozen_courses, named, part_of, track_name
 from scenegen.model.evaluation.report import HEAD, STYLE, Table, block, framed
-from scenegen.model.evaluation.statistics import Scale, brief, figure
+from scenegen.model.evaluation.statistics import Scale, brief, summarise
 from scenegen.model.robots.film import film
 from scenegen.model.robots.flights import real_course
 
@@ -121,13 +121,13 @@ def _cells(row: Row, best: Row) -> list[str]:
     """An entry's figures, and its scores less those of the best that flew the same courses."""
     cells = [str(len(row.flights))]
     for column in BOARD.values():
-        found = figure([column.of(one) for one in row.flights], row.worlds, column.scale)
+        found = summarise([column.of(one) for one in row.flights], row.worlds, column.scale)
         for name in ("low", "high"):
             if found[name] is not None:
                 found[name] = min(max(found[name], 0.0), column.most)
         cells.append(brief(found))
     pairs = zip(row.scores, best.scores, strict=True)
-    less = figure([one - other for one, other in pairs], row.worlds)
+    less = summarise([one - other for one, other in pairs], row.worlds)
     return [*cells, "–" if row is best else brief(less, "+.3f")]
 
 

@@ -92,14 +92,14 @@ def film(course: Course, number: int, robot: Any, flown: Flown) -> bytes:
 
     pictures = []
     for moment in scene.moments():
-        at = moment.seen["position"]
-        level = min(max(int(at[2] / voxel_m - start[2]), 0), z - 1)
-        there = scene.truth[:, :, level]
+        position = moment.seen["position"]
+        level = min(max(int(position[2] / voxel_m - start[2]), 0), z - 1)
+        occupied = scene.truth[:, :, level]
         colours = np.full((x, y, 3), FREE, np.uint8)
-        colours[there] = UNHELD
+        colours[occupied] = UNHELD
         if moment.taken is not None:
-            taken = moment.taken[:, :, level]
-            colours[there & taken], colours[taken & ~there] = RIGHT, INVENTED
+            believed = moment.taken[:, :, level]
+            colours[occupied & believed], colours[believed & ~occupied] = RIGHT, INVENTED
         from_above = colours[:, ::-1].transpose(1, 0, 2)
         picture = Image.fromarray(from_above.repeat(scale, axis=0).repeat(scale, axis=1))
         draw = ImageDraw.Draw(picture)
@@ -108,11 +108,11 @@ def film(course: Course, number: int, robot: Any, flown: Flown) -> bytes:
         draw.line(pixels(moment.way), fill=WAY, width=2)
         discs = (
             (scene.simulation.mission.goal, course.rules.reach_m, GOAL),
-            (at, course.vehicle.radius_m, SENSOR),
+            (position, course.vehicle.radius_m, SENSOR),
         )
         for point, radius_m, fill in discs:
-            ((u, v),), r = pixels(point), radius_m / voxel_m * scale
-            draw.ellipse([u - r, v - r, u + r, v + r], fill=fill)
+            ((column, row),), radius = pixels(point), radius_m / voxel_m * scale
+            draw.ellipse([column - radius, row - radius, column + radius, row + radius], fill=fill)
         pictures.append(picture.quantize(16))
     file, shown_ms = io.BytesIO(), [200] * (len(pictures) - 1) + [1500]
     pictures[0].save(

@@ -14,8 +14,8 @@ import numpy as np
 
 from scenegen.cli import show
 from scenegen.errors import DatasetError, ScenegenError, raised_as
-from scenegen.files import check_ours, write_result, write_whole
-from scenegen.fly.course import Course, Flights, Recording, replay
+from scenegen.files import Json, check_ours, write_result, write_whole
+from scenegen.fly.course import Course, Flights, FlownCourse, Recording, replay
 from scenegen.fly.loop import Flown, RobotError
 from scenegen.fly.loop import fly as fly_mission
 from scenegen.fly.pipe import own_robot
@@ -36,9 +36,9 @@ from scenegen.model.robots.steering import ReactiveRobot
 from scenegen.run import undone_if_stopped
 
 RATIOS = ("score", "spl", "ratio", "speed_mps", "mean_clearance_m", "jerk_mps3", "step_s")
-"""Figures of which the mean over flights is told."""
+"""Figures of a flight of which a summary has the mean."""
 COUNTS = ("late", "invalid", "speeding")
-"""Those of which the sum is."""
+"""Figures of a flight of which a summary has the sum."""
 
 
 def robot_maker(name: str, weights: str | None) -> Callable[[Course], Any]:
@@ -77,7 +77,7 @@ def real_course(course: Course, hidden: int | None) -> Course:
 
 def fly_course(
     course: Course, *, robot: str, weights: str | None, hidden: int | None = None
-) -> tuple[Course, Sequence[Flown]]:
+) -> FlownCourse:
     """All flights of a course, one after the other, by the same robot; with the course, which then
     has its world's hash. For `hidden` see `real_course`."""
     real = real_course(course, hidden)
@@ -92,10 +92,10 @@ def fly_course(
 counted = partial(show.counted, size=lambda one: len(one[1]))
 """Courses and what is made of each flight, as they come; see `scenegen.cli.show.counted`."""
 Crew = Callable[..., Iterator[Any]]
-"""The same, with an executor and what makes bars."""
+"""`counted` with an executor and what makes progress bars."""
 
 
-def rows_of(found: Flights, hidden: int | None, crew: Crew) -> list[dict[str, Any]]:
+def rows_of(found: Flights, hidden: int | None, crew: Crew) -> list[Json]:
     """What is told of each flight, and how hard its mission is."""
     courses = [course for course, _ in found]
     total = sum(course.flights for course in courses)
@@ -127,7 +127,7 @@ def check_begins(robot: str, course: Course) -> None:
         made.close()
 
 
-def summary(name: str, flown: Sequence[Flown]) -> dict[str, Any]:
+def summary(name: str, flown: Sequence[Flown]) -> Json:
     """What is told of flights, together."""
     ends = Counter(one.outcome for one in flown)
     row = {"robot": name, "flights": len(flown)}
@@ -140,7 +140,7 @@ def summary(name: str, flown: Sequence[Flown]) -> dict[str, Any]:
     return row | {part: sum(getattr(one, part) for one in flown) for part in COUNTS}
 
 
-Work = Callable[[Course], tuple[Course, Sequence[Flown]]]
+Work = Callable[[Course], FlownCourse]
 """What flies a course."""
 SAVED_S = 20.0
 """How often the entry to a suite is written, seconds."""
@@ -162,39 +162,37 @@ def fly_courses(
     flown again; the entry is written every `SAVED_S` seconds, and when the run is stopped."""
     entry = Recording(robot=name, suite=suite, track=track, network=network, courses=())
     keys = [named(course) for course in courses]
-    found = _kept(out, entry, keys)
-    left = [course for course, key in zip(courses, keys, strict=True) if key not in found]
+    by_name = _kept(out, entry, keys)
+    todo = [course for course, key in zip(courses, keys, strict=True) if key not in by_name]
 
     def save() -> str:
         """Writes what there is; returns what to say of it if the run is stopped."""
         if out is None:
             return NOTHING_KEPT
-        both = _kept(out, entry, keys) | found  # another run may have written, too
-        held = replace(entry, courses=[both[key] for key in keys if key in both])
+        merged = _kept(out, entry, keys) | by_name  # another run may have written, too
+        held = replace(entry, courses=[merged[key] for key in keys if key in merged])
         # an entry that is there was read, wherever it was copied from
         write = write_whole if suite and out.exists() else write_result
         write(out, replace(held, complete=is_whole(held)).encoded())
         there = f"{len(held.courses)} of {len(keys)} courses"
         return f"stopped; {out} holds {there}: give the same command again to go on"
 
-    saved_s, total = time.monotonic(), sum(course.flights for course in left)
+    saved_s, total = time.monotonic(), sum(course.flights for course in todo)
     # only an entry is gone on with: of other flights, all are kept or none
     with undone_if_stopped(save if suite else lambda: NOTHING_KEPT):
         try:
-            for course, flown in crew(work, left, "fly", total):
-                found[named(course)] = course, flown
+            for course, flown in crew(work, todo, "fly", total):
+                by_name[named(course)] = course, flown
                 if suite and time.monotonic() - saved_s > SAVED_S:
                     save()
                     saved_s = time.monotonic()
         finally:
-            if left and len(found) >= (1 if suite else len(keys)):
+            if todo and len(by_name) >= (1 if suite else len(keys)):
                 save()
-    return [(course, found[key][1]) for course, key in zip(courses, keys, strict=True)]
+    return [(course, by_name[key][1]) for course, key in zip(courses, keys, strict=True)]
 
 
-def _kept(
-    out: Path | None, entry: Recording, keys: Sequence[Course]
-) -> dict[Course, tuple[Course, Sequence[Flown]]]:
+def _kept(out: Path | None, entry: Recording, keys: Sequence[Course]) -> dict[Course, FlownCourse]:
     """The flights that `out` holds of an entry, by their courses' names. Raises ScenegenError where
     anything would be lost."""
     if out is None:
@@ -240,9 +238,9 @@ def flown_again(
                 "--hidden and its number, --maps and their folder, or neither"
             )
         # the suite's own, in place of worlds that a stranger's file leads to by another path
-        there = {named(course): course for course in frozen_courses(recording.suite, track, maps)}
+        frozen = {named(course): course for course in frozen_courses(recording.suite, track, maps)}
         courses = [
-            (replace(there[named(course)], document=course.document), flights)
+            (replace(frozen[named(course)], document=course.document), flights)
             for course, flights in recording.courses
         ]
         recording, told["courses"] = replace(recording, courses=courses), str(part)
@@ -251,22 +249,23 @@ def flown_again(
     count = sum(len(flights) for _, flights in recording.courses)
     with raised_as(DatasetError, f"{path}: ", of=DatasetError):
         again = dict(crew(partial(_replayed, hidden=hidden), recording.courses, "replay", count))
-    found = [(course, again[course]) for course, _ in recording.courses]
     told["as recorded, to the bit"] = f"{count} flights"
     if anew is not None:
-        before = {named(course): flights for course, flights in recording.courses[::QUICK]}
-        some, count = [course for course, _ in found[::QUICK]], sum(map(len, before.values()))
-        same = 0
-        for course, flown in crew(anew, some, "fly anew", count):
-            pairs = zip(flown, before[named(course)], strict=True)
-            same += sum(one.digest == other.digest for one, other in pairs)
-        told["anew, equal to the bit"] = f"{same} of {count} flights"
-    return recording.robot, found, told
+        told["anew, equal to the bit"] = _flown_anew(recording.courses[::QUICK], anew, crew)
+    return recording.robot, [(course, again[course]) for course, _ in recording.courses], told
 
 
-def _replayed(
-    recorded: tuple[Course, Sequence[Flown]], *, hidden: int | None
-) -> tuple[Course, Sequence[Flown]]:
+def _flown_anew(recorded: Flights, work: Work, crew: Crew) -> str:
+    """How many of these flights a robot flies anew to the bit as they were recorded, in words."""
+    before = {named(course): flights for course, flights in recorded}
+    count, same = sum(map(len, before.values())), 0
+    for course, flown in crew(work, [course for course, _ in recorded], "fly anew", count):
+        pairs = zip(flown, before[named(course)], strict=True)
+        same += sum(one.digest == other.digest for one, other in pairs)
+    return f"{same} of {count} flights"
+
+
+def _replayed(recorded: FlownCourse, *, hidden: int | None) -> FlownCourse:
     """The recorded flights of a course, flown again: see `scenegen.fly.course.replay`."""
     course, flights = recorded
     return course, replay(real_course(course, hidden), flights)

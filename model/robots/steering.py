@@ -12,13 +12,13 @@ from scenegen.fly.simulation import Observation
 AHEAD_M, AHEAD_S = 0.3, 0.4
 """The point of the path that is headed for: so far ahead, and so many seconds at the speed."""
 LEAST_AHEAD_M = 0.15
-"""The nearest that it is."""
+"""The least distance of the point that is headed for, metres."""
 CUT_M = 0.2
 """Room beside the vehicle with which corners may be cut, metres."""
 POINTS = 16
-"""Of the way ahead, at which its room is measured."""
+"""Points of the way ahead at which its room is measured."""
 LAG_S = 0.3
-"""From a decision until the vehicle brakes or turns, seconds."""
+"""How long it takes from a decision until the vehicle brakes or turns, seconds."""
 SIDE_S = 0.2
 """The vehicle is so slow that it would take so many seconds to what is beside the way."""
 SLOWEST_MPS = 0.5

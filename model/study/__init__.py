@@ -1,2 +1,2 @@
 """The study of the paper's claims: what is trained (`runs`), how that is made and measured
-(`stages`), and what it says of the claims, with the page of it (`claims`)."""
+(`steps`), and what it says of the claims, with the page of it (`claims`)."""

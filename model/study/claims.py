@@ -10,9 +10,10 @@ sequentially rejective multiple test procedure", Scandinavian Journal of Statist
 """
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from typing import Any
 
@@ -22,7 +23,7 @@ from lidarsim.grid import Floats
 from scenegen.files import Json
 from scenegen.model.config import TrainConfig
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
-from scenegen.model.evaluation.report import PAPER, figures
+from scenegen.model.evaluation.report import PAPER, summaries
 from scenegen.model.evaluation.run import DatasetResult
 from scenegen.model.evaluation.statistics import (
     Estimate,
@@ -48,7 +49,7 @@ ALL = METRICS | PLAN_METRICS
 
 def means(result: DatasetResult) -> dict[str, Json]:
     """Every metric of every row, {mean, std, low, high, n}."""
-    return {name: figures(row, result, ALL) for name, row in result.methods.items()}
+    return {name: summaries(row, result, ALL) for name, row in result.methods.items()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,15 +72,18 @@ class Claim:
 def claims() -> tuple[Claim, ...]:
     """The claims of all bold cells. Two methods with equal figures are both bold, and neither is
     better than the other."""
-    return tuple(
-        Claim(kind=kind, metric=metric, best=ROWS[best], other=ROWS[other])
-        for tables in PAPER.values()
-        for kind, rows in tables.items()
-        for metric in next(iter(rows.values()))
-        for losses in [{name: _loss(metric, row[metric][0]) for name, row in rows.items()}]
-        for best, other in product(rows, rows)
-        if losses[best] == min(losses.values()) < losses[other]
-    )
+    found: list[Claim] = []
+    for kinds in PAPER.values():
+        for kind, rows in kinds.items():
+            for metric in next(iter(rows.values())):
+                losses = {name: _loss(metric, row[metric][0]) for name, row in rows.items()}
+                least = min(losses.values())
+                found += [
+                    Claim(kind=kind, metric=metric, best=ROWS[best], other=ROWS[other])
+                    for best, other in product(rows, rows)
+                    if losses[best] == least < losses[other]
+                ]
+    return tuple(found)
 
 
 def asked(measured: Sequence[DatasetResult]) -> dict[str, list[Json]]:
@@ -124,26 +128,31 @@ def compared(claim: Claim, measured: DatasetResult, *, common: bool = False) -> 
     the claim has it so; and the error of that over worlds, with its degrees of freedom. Means are
     over what each method has a value for, as in the tables; with `common`, over what both of a pair
     have one for."""
-    rows = {seeded(row): row for row in measured.methods}
-    ours, theirs = (
-        {seed: row for (method, seed), row in rows.items() if method == name and seed is not None}
-        for name in (claim.best, claim.other)
-    )
-    pairs = {(i, j): (ours[i], theirs[j]) for i, j in product(ours, theirs)}
-    whole = gain(measured, claim.metric, list(pairs.values()), common=common) if pairs else None
-    singles = {
-        seeds: gain(measured, claim.metric, [pair], common=common) for seeds, pair in pairs.items()
-    }
+    rows = defaultdict[str, dict[int, str]](dict)  # by method and seed
+    for row in measured.methods:
+        method, seed = seeded(row)
+        if seed is not None:
+            rows[method][seed] = row
+    best, other = rows[claim.best], rows[claim.other]
+    pairs = {(i, j): (best[i], other[j]) for i, j in product(best, other)}
+    gain_of = partial(gain, measured, claim.metric, common=common)
+    overall = gain_of(list(pairs.values())) if pairs else None
+    singles = {seeds: gain_of([pair]) for seeds, pair in pairs.items()}
     return {
         **vars(claim),
         "question": claim.question,
-        "difference": whole and whole.value,
-        "worlds_error": whole and whole.error,
-        "worlds_freedom": whole and whole.freedom,
+        "difference": overall and overall.value,
+        "worlds_error": overall and overall.error,
+        "worlds_freedom": overall and overall.freedom,
         "pairs": [
-            {"best_seed": i, "other_seed": j, "difference": one.value}
-            | dict(zip(("low", "high"), one.ends, strict=True))
-            for (i, j), one in singles.items()
+            {
+                "best_seed": i,
+                "other_seed": j,
+                "difference": single.value,
+                "low": single.ends[0],
+                "high": single.ends[1],
+            }
+            for (i, j), single in singles.items()
         ],
     }
 
@@ -165,20 +174,27 @@ def decided(
     estimates = [_over_seeds(one, *spreads[one["kind"], one["metric"]]) for one in found]
     chances = {n: one.chance for n, one in enumerate(estimates) if one and one.chance is not None}
     adjusted = dict(zip(chances, holm(list(chances.values())).tolist(), strict=True))
-    told = []
-    for n, (one, whole) in enumerate(zip(found, estimates, strict=True)):
-        low, high = whole.ends if whole else (None, None)
-        chance, verdict = adjusted.get(n), "undecided"
-        if chance is not None and chance <= LEVEL:
-            runs = {
-                f"{one[side]}-s{pair[f'{side}_seed']}"
-                for pair in one["pairs"]
-                for side in ("best", "other")
-            }
-            against = "refuted" if runs <= set(long) else "contradicted"
-            verdict = "confirmed" if one["difference"] > 0 else against
-        told.append({**one, "low": low, "high": high, "holm": chance, "verdict": verdict})
-    return told
+    results = []
+    for n, (claim, overall) in enumerate(zip(found, estimates, strict=True)):
+        low, high = overall.ends if overall else (None, None)
+        chance = adjusted.get(n)
+        verdict = _verdict(claim, chance, long)
+        results.append({**claim, "low": low, "high": high, "holm": chance, "verdict": verdict})
+    return results
+
+
+def _verdict(claim: Json, chance: float | None, long: Collection[str]) -> str:
+    """What the networks say to a claim, whose difference has a probability of `chance` by Holm."""
+    if chance is None or chance > LEVEL:
+        return "undecided"
+    if claim["difference"] > 0:
+        return "confirmed"
+    runs = {
+        f"{claim[side]}-s{pair[f'{side}_seed']}"
+        for pair in claim["pairs"]
+        for side in ("best", "other")
+    }
+    return "refuted" if runs <= set(long) else "contradicted"
 
 
 def _over_seeds(one: Json, variance: float, freedom: int) -> Estimate | None:

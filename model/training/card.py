@@ -4,6 +4,7 @@ import csv
 import io
 import math
 import re
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,12 @@ from scenegen.limits import MOST_EPOCHS, MOST_LINE_BYTES
 from scenegen.model.config import VARIANTS
 from scenegen.model.evaluation.metrics import METRICS
 
+Scalars = dict[str, float]
+"""Figures of a step or an epoch, by name."""
 PANELS = {"loss": ("train_loss", "val_loss"), "IoU": ("val_iou",), "Near-MAE, m": ("val_near_mae",)}
 
 
-def read_rows(path: Path) -> list[dict[str, float]]:
+def read_rows(path: Path) -> list[Scalars]:
     """The figures of a run's epochs, from its ``metrics.csv``. Raises DatasetError for a file that
     holds none."""
     try:
@@ -37,7 +40,7 @@ def read_rows(path: Path) -> list[dict[str, float]]:
     return rows
 
 
-def draw(rows: list[dict[str, float]], *, title: str = "") -> Any:
+def draw(rows: list[Scalars], *, title: str = "") -> Any:
     """A figure of matplotlib, with a panel each for losses, IoU and Near-MAE. Raises ImportError
     where that is not installed."""
     from matplotlib.figure import Figure
@@ -68,34 +71,22 @@ GIVES = {"occupancy": "the probability of occupancy", "tudf": "the truncated dis
 def card(name: str, about: Json) -> str:
     """The card of a network, as Markdown, from what its file's header says `about` it."""
     settings, figures, command = about["settings"], about["figures"], about["command"]
-    network = settings["network"]
-    known = VARIANTS.get(network["variant"])  # of a user's own nobody says what it gives
-    tasks = [what for task, what in GIVES.items() if known and task in known.tasks]
-    gives = " and gives " * bool(tasks) + " and ".join(tasks)
+    network, samples = settings["network"], settings["samples"]
+    variant = VARIANTS.get(network["variant"])  # nobody says what a user's own predicts
+    outputs = [what for task, what in GIVES.items() if variant and task in variant.tasks]
+    gives = f" and gives {' and '.join(outputs)}" if outputs else ""
+    shares = [f" (weight {share})" for share in settings.get("shares", ())]
+    sources = zip_longest(settings["kinds"], settings["datasets"], shares, fillvalue="")
+    data = ", ".join(f"{kind} {digest[:16]}…{share}" for kind, digest, share in sources)
+    amount = f"{samples} samples: datasets"
+    if samples is None:
+        amount = "samples of which each was seen once: stream"
+    versions = ", ".join(f"{package} {version}" for package, version in about["versions"].items())
     occupancy_first = sorted(METRICS.items(), key=lambda item: item[1].needs != "occupancy")
-    labels = {"val_loss": "loss"} | {
-        f"val_{name}": metric.label for name, metric in occupancy_first
+    labels = {"loss": "loss"} | {name: metric.label for name, metric in occupancy_first}
+    shown = {
+        label: figures[f"val_{key}"] for key, label in labels.items() if f"val_{key}" in figures
     }
-    shown = [key for key in labels if key in figures]
-    shares = [f" (weight {share})" for share in settings.get("shares", ())] or [""] * len(
-        settings["kinds"]
-    )
-    parts = zip(settings["kinds"], settings["datasets"], shares, strict=True)
-    data = ", ".join(f"{kind} {digest[:16]}…{share}" for kind, digest, share in parts)
-    samples, epochs, full = settings["samples"], settings["epochs"], ""
-    amount = (
-        "samples of which each was seen once: stream"
-        if samples is None
-        else f"{samples} samples: datasets"
-    )
-    length = f"{figures['maps']:.0f} maps seen"
-    if epochs < FULL_EPOCHS and settings.get("maps") is None:
-        whole = re.sub(f" --epochs[ =]{epochs}(?![0-9])", "", command)
-        full = f"""This is not the full protocol, which trains for up to {FULL_EPOCHS} epochs and \
-stops when validation has not improved for {settings["patience"]}: `{whole}`.
-
-"""
-    versions = ", ".join(f"{one} {version}" for one, version in about["versions"].items())
     return f"""# {name}
 
 A completion network of scenegen: variant `{network["variant"]}`, width {network["width"]}, \
@@ -105,7 +96,7 @@ stem stride {network["stem_stride"]}. It takes {", ".join(network["inputs"])} of
 |---|---|
 | on | {amount} {data} |
 | by | `{command}` |
-| for | {length}, batch {settings["batch"]}, \
+| for | {figures["maps"]:.0f} maps seen, batch {settings["batch"]}, \
 {"Muon" if settings.get("optimizer") == "muon" else "AdamW"} at {settings["lr"]:g}, \
 seed {settings["seed"]}, {settings["precision"]} |
 | on hardware | {about["device"]} |
@@ -113,13 +104,26 @@ seed {settings["seed"]}, {settings["precision"]} |
 
 Means over the validation split at the paper's thresholds, whole maps:
 
-| {" | ".join(labels[key] for key in shown)} |
+| {" | ".join(shown)} |
 {"|---" * len(shown)}|
-| {" | ".join(f"{figures[key]:.3f}" for key in shown)} |
+| {" | ".join(f"{value:.3f}" for value in shown.values())} |
 
-{full}Limits: the network knows the worlds, the sensor and the grid that it was trained on, and \
+{_full_protocol(settings, command)}\
+Limits: the network knows the worlds, the sensor and the grid that it was trained on, and \
 nothing else. It takes one scan and no history. Where no ray came near, it repeats what was usual \
 in training. {_sure(about)}
+"""
+
+
+def _full_protocol(settings: Json, command: str) -> str:
+    """What a shorter run is told to be, and the command of the full one; nothing for a full one."""
+    epochs = settings["epochs"]
+    if epochs >= FULL_EPOCHS or settings.get("maps") is not None:
+        return ""
+    full = re.sub(f" --epochs[ =]{epochs}(?![0-9])", "", command)
+    return f"""This is not the full protocol, which trains for up to {FULL_EPOCHS} epochs and \
+stops when validation has not improved for {settings["patience"]}: `{full}`.
+
 """
 
 

@@ -3,7 +3,7 @@
 import itertools
 import math
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import closing
 from typing import Any
 
@@ -11,23 +11,25 @@ import numpy as np
 import torch
 from torch import nn
 
-from lidarsim.grid import Floats
+from lidarsim.grid import Floats, GridSpec
 from scenegen.errors import DatasetError
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import TrainConfig
 from scenegen.model.evaluation.metrics import METRICS, measure
 from scenegen.model.losses import loss_of
 from scenegen.model.network import Output
-from scenegen.model.training.data import Maps, epoch_batches, load, views
+from scenegen.model.training.card import Scalars
+from scenegen.model.training.data import Key, Maps, epoch_batches, load, views
 from scenegen.model.training.device import Group, autocast
 from scenegen.model.training.run_folder import Progress
+from scenegen.run import chunked
 from scenegen.sample import rng_of
 
 
 @torch.inference_mode()
 def validate(
     network: nn.Module, maps: Maps, config: TrainConfig, group: Group, workers: int
-) -> dict[str, float]:
+) -> Scalars:
     """Means over samples: the losses (of each batch for all its samples), and the bench's metrics
     at the paper's thresholds, over whole maps; a map that has no value of a metric is left out of
     it.
@@ -36,39 +38,32 @@ def validate(
     is ever occupied.
     """
     network.eval()
-    loss_in, every = loss_of(config.loss, maps.grid), range(len(maps))
-    batches = [every[n : n + config.batch] for n in every[:: config.batch]]
-    totals, largest = defaultdict[str, Floats](lambda: np.zeros(2)), 0.0  # sums and counts
-    mine = batches[group.rank :: group.size]
-    with closing(load(maps, mine, workers=workers, pinned=False)) as given:
-        for read in given:
-            there = {name: one.to(group.device) for name, one in read.items()}
-            count = len(there["tudf"])
+    loss = loss_of(config.loss, maps.grid)
+    totals = defaultdict[str, Floats](lambda: np.zeros(2))  # sums and counts
+    largest = 0.0
+    mine = chunked(range(len(maps)), config.batch)[group.rank :: group.size]
+    with closing(load(maps, mine, workers=workers, pinned=False)) as loaded:
+        for batch in loaded:
+            placed = {name: values.to(group.device) for name, values in batch.items()}
+            count = len(placed["tudf"])
             with autocast(group.device, group.precision):
-                output = Output(*network(there))
-            for name, value in loss_in(output, there).items():
+                output = Output(*network(placed))
+            for name, value in loss(output, placed).items():
                 totals[name] += np.array([value.item() * count, count])
-            said: dict[str, Any] = {}
+            predicted: dict[str, Any] = {}
             if output.logits is not None:
-                chance = output.logits.float().sigmoid().numpy(force=True)
-                said["occupancy_probability"], largest = chance, max(largest, float(chance.max()))
+                probability = output.logits.float().sigmoid().numpy(force=True)
+                predicted["occupancy_probability"] = probability
+                largest = max(largest, float(probability.max()))
             if output.tudf is not None:
-                said["tudf"] = output.tudf.float().numpy(force=True)
+                predicted["tudf"] = output.tudf.float().numpy(force=True)
             for n in range(count):
-                prediction = Prediction(**{name: values[n] for name, values in said.items()})
-                true = {name: values[n].numpy() for name, values in read.items()}
-                known = true.get("known", np.bool_(True))
-                measured = measure(
-                    prediction.occupied(),
-                    prediction.distance(None, maps.grid),
-                    true["occupancy"],
-                    true["tudf"],
-                    # what is not known has number 1, which is no class
-                    classes=np.zeros(maps.grid.shape, np.uint8) + ~known,
-                    class_count=1,
-                    certain=true.get("certain"),
-                )[0]
-                for name, value in zip(METRICS, measured.tolist(), strict=True):
+                scores = _scores(
+                    Prediction(**{name: values[n] for name, values in predicted.items()}),
+                    {name: values[n].numpy() for name, values in batch.items()},
+                    maps.grid,
+                )
+                for name, value in zip(METRICS, scores.tolist(), strict=True):
                     if math.isfinite(value):  # a map without such voxels says nothing of them
                         totals[name] += (value, 1)
     everywhere = group.gather((dict(totals), largest))
@@ -77,6 +72,21 @@ def validate(
         total, number = sum(theirs.get(name, np.zeros(2)) for theirs, _ in everywhere)
         means[name] = float(total / number)
     return {**means, "largest": max(top for _, top in everywhere)}
+
+
+def _scores(prediction: Prediction, truth: Mapping[str, Any], grid: GridSpec) -> Floats:
+    """The `METRICS` (metrics,) of one map, over all voxels whose truth is known."""
+    known = truth.get("known", np.bool_(True))
+    return measure(
+        prediction.occupied(),
+        prediction.distance(None, grid),
+        truth["occupancy"],
+        truth["tudf"],
+        # what is not known has number 1, which is no class
+        classes=np.zeros(grid.shape, np.uint8) + ~known,
+        class_count=1,
+        certain=truth.get("certain"),
+    )[0]
 
 
 STREAM_INTERVAL = 5000
@@ -148,7 +158,7 @@ class Course:
             return peak * 0.5 * (1 + math.cos(math.pi * (step - begin) / (end - begin)))
         return peak if step < begin else peak * (end - step) / (end - begin)
 
-    def batches(self, first: int, count: int) -> Iterator[list[tuple[int, int]]]:
+    def batches(self, first: int, count: int) -> Iterator[list[Key]]:
         """The keys of `Maps` that steps `first`, `first` + 1, … see, `count` batches: one pass
         after the other, or a stream's own, in which no map comes twice."""
         config, maps = self._config, self._maps

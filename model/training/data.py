@@ -25,7 +25,7 @@ from scenegen.model.network import Batch
 from scenegen.sample import Sample, rng_of
 from scenegen.streams.stream import Batches, Stream
 from scenegen.truth import distance_field
-from scenegen.worlds.mapping import Mapper
+from scenegen.worlds.mapping import Mapper, Sensing
 
 LOADERS = 8
 """Loader processes, and any number that divides this, among which a stream's batches are dealt so
@@ -61,6 +61,10 @@ class Samples(Protocol):
     def __getitem__(self, index: int) -> Sample:
         """One sample; only its `occupancy`, and what the inputs access, is asked of it."""
         ...
+
+
+Key = tuple[int, int]
+"""A map's index, and which view of it is taken: see `views`."""
 
 
 class SplitSamples:
@@ -116,10 +120,10 @@ class Maps(Dataset):
         if not sources:
             raise DatasetError("no dataset given; make one with `scenegen generate --kind pillar`")
         check_alike(sources)
-        for there, source in itertools.combinations(sources, 2):
-            if source.digest == there.digest:
+        for other, source in itertools.combinations(sources, 2):
+            if source.digest == other.digest:
                 raise DatasetError(
-                    f"{source.name}: holds the same samples as {there.name}; name one of the two"
+                    f"{source.name}: holds the same samples as {other.name}; name one of the two"
                 )
         self.split = split
         self.sources, self.inputs = tuple(sources), tuple(inputs)
@@ -127,26 +131,26 @@ class Maps(Dataset):
         self.settings = [one for source in sources for one in settings_of(source)]
         self.partly_known = any(getattr(source, "known", None) is not None for source in sources)
         """Whether some are of maps of real places; then all say what is ``known`` of them."""
-        self.mirrored = all(is_mirrored(lidar) for lidar in {one for one, _, _ in self.settings})
+        self.mirrored = all(map(is_mirrored, {one.lidar for one in self.settings}))
         """Whether a map's mirror image is one, too, that the sensor could have seen."""
         self.starts = np.cumsum([0, *map(len, sources)])
         """The index of each source's first map."""
-        given = [getattr(source, "weight", None) for source in sources]
+        weights = [getattr(source, "weight", None) for source in sources]
         self.shares: list[Fraction] | None = None
         """The weight of each source; None where each of their samples comes once a pass."""
         self.counts = [len(source) for source in sources]
         """How many maps of each come in a pass, which has as many as there are."""
-        if any(weight is not None for weight in given):
+        if any(weight is not None for weight in weights):
             self.shares = [
                 fraction(1 if weight is None else weight, source.name, "train")
-                for source, weight in zip(sources, given, strict=True)
+                for source, weight in zip(sources, weights, strict=True)
             ]
             self.counts = self._counted(self.shares)
 
     def __len__(self) -> int:
         return int(self.starts[-1])
 
-    def __getitem__(self, key: int | tuple[int, int]) -> Batch:
+    def __getitem__(self, key: int | Key) -> Batch:
         index, view = key if isinstance(key, tuple) else (key, 0)
         source, row = self._place(index)
         sample = source[row]
@@ -202,12 +206,11 @@ class Maps(Dataset):
         return self.sources[number], index - int(self.starts[number])
 
 
-def settings_of(source: Samples) -> tuple[tuple[Sensor, Mapper, str], ...]:
-    """Sensor, mapping and noise of every part of a source: of samples of a user's own, their
-    sensor, one scan a map, and none."""
+def settings_of(source: Samples) -> list[Sensing]:
+    """How the samples of every part of a source were sensed: those of a user's own by their sensor,
+    in one scan a map, without noise."""
     plain = (source.lidar, getattr(source, "mapping", Mapper()), "")
-    found: tuple[tuple[Sensor, Mapper, str], ...] = getattr(source, "settings", (plain,))
-    return found
+    return [Sensing(*one) for one in getattr(source, "settings", (plain,))]
 
 
 def check_alike(sources: Sequence[Samples]) -> None:
@@ -249,7 +252,7 @@ def views(
 
 def epoch_batches(
     maps: Maps, config: TrainConfig, epoch: int, first: int = 0
-) -> Iterator[list[tuple[int, int]]]:
+) -> Iterator[list[Key]]:
     """The batches of a training epoch, from the `first` on: keys of `Maps`, in an order that
     depends on the seed and `epoch` alone. Meanwhile, a map takes five bytes.
 

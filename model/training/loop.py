@@ -1,14 +1,13 @@
 """Train a completion network: one plain loop, seeded, that can be interrupted anywhere and goes
 on."""
 
-import dataclasses
 import itertools
 import math
 import platform
 import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +27,9 @@ from scenegen.model.config import VARIANTS, TrainConfig, is_own
 from scenegen.model.evaluation.metrics import METRICS
 from scenegen.model.losses import loss_of
 from scenegen.model.network import Batch, Output, build, placed
+from scenegen.model.training.card import Scalars
 from scenegen.model.training.course import Course, validate
-from scenegen.model.training.data import Maps, Samples, check_alike, load, loaders_watched
+from scenegen.model.training.data import Key, Maps, Samples, check_alike, load, loaders_watched
 from scenegen.model.training.device import (
     Group,
     SharedNorm,
@@ -55,7 +55,7 @@ class Watcher:
     done."""
     on_step: Callable[[int, float], None] = lambda maps, loss: None
     """Called with the maps and the loss of every step."""
-    on_epoch: Callable[[dict[str, float]], None] = lambda row: None
+    on_epoch: Callable[[Scalars], None] = lambda row: None
     """Called with the figures of every finished epoch."""
     stop: Callable[[], bool] = lambda: False
     """Whether to stop, state saved."""
@@ -72,7 +72,7 @@ def train(
     command: str = "",
     watcher: Watcher | None = None,
     weights: str | Path | None = None,
-) -> list[dict[str, float]]:
+) -> list[Scalars]:
     """Train on the samples in `training`, validate on those in `checking`, keep the best network in
     `out`.
 
@@ -90,13 +90,13 @@ def train(
     if is_own(variant) or VARIANTS[variant].columns:  # which is built for the maps' height
         config = replace(config, network=replace(config.network, height=maps.grid.shape[2]))
     # where nothing is asked for, a run keeps what it was begun with
-    begun: Json = {"optimizer": "muon"}
+    former: Json = {"optimizer": "muon"}
     if (out / CONFIG).exists():
-        begun = RunFolder(out).settings()
+        former = RunFolder(out).settings()
     if config.optimizer == "auto":
-        config = replace(config, optimizer=begun.get("optimizer", "adamw"))
-    chosen = begun.get("precision", "auto") if config.precision == "auto" else config.precision
-    precision = resolve_precision(chosen, where, maps.grid.shape)
+        config = replace(config, optimizer=former.get("optimizer", "adamw"))
+    wanted = former.get("precision", "auto") if config.precision == "auto" else config.precision
+    precision = resolve_precision(wanted, where, maps.grid.shape)
     group = Group(where, precision)
     with loaders_watched(), group, closing(RunFolder(out, writes=group.first)) as folder:
         check_maps(maps, checks, config, group.size)
@@ -120,12 +120,12 @@ def train(
             mine = (batch[group.rank :: group.size] for batch in ahead)
             read = load(maps, mine, workers=workers, pinned=where.type == "cuda")
             with closing(read):
-                for step, batch, given in zip(steps[done:], batches, read, strict=False):
+                for step, batch, tensors in zip(steps[done:], batches, read, strict=False):
                     if step == course.latest_decay and progress.decay is None:
                         folder.save(progress, LEVEL)  # a larger budget begins here
                     # a user's own network may draw, as dropout does
                     torch.manual_seed(config.seed + step * group.size + group.rank)
-                    losses = learn(given, course.rate(step, progress.decay))
+                    losses = learn(tensors, course.rate(step, progress.decay))
                     check_finite(losses, maps, batch, progress)
                     progress.add(losses, seconds=time.monotonic() - begin)
                     watcher.on_step(len(batch), losses["loss"])
@@ -134,10 +134,10 @@ def train(
                         raise StoppedError(f"stopped; the same command goes on with {out}")
                     folder.save_in_time(progress)
             group.share_statistics(network)
-            found = validate(network, checks, config, group, workers)
-            check_finite({"validation loss": found["loss"]}, maps, [], progress)
+            validated = validate(network, checks, config, group, workers)
+            check_finite({"validation loss": validated["loss"]}, maps, [], progress)
             seconds = time.monotonic() - begin
-            row = progress.close(found, maps=steps.stop * course.batch, seconds=seconds)
+            row = progress.close(validated, maps=steps.stop * course.batch, seconds=seconds)
             group.first_alone(  # and nobody opens a network before it is there
                 lambda: folder.close_round(progress, network, maps.grid, about, config.choose)
             )
@@ -146,9 +146,7 @@ def train(
         return progress.rows
 
 
-def check_finite(
-    losses: dict[str, float], maps: Maps, batch: list[tuple[int, int]], progress: Progress
-) -> None:
+def check_finite(losses: Scalars, maps: Maps, batch: list[Key], progress: Progress) -> None:
     """Raise TrainingError, which names the batch's samples, where a loss is not finite."""
     if all(map(math.isfinite, losses.values())):
         return
@@ -182,7 +180,7 @@ class Step:
             model = DistributedDataParallel(model, find_unused_parameters=own)
         self._model = torch.compile(model) if self.config.compile else model
 
-    def __call__(self, batch: Batch, rate: float) -> dict[str, float]:
+    def __call__(self, batch: Batch, rate: float) -> Scalars:
         """The losses of a batch and the norm of their gradient, before learning from it: means over
         all processes.
 
@@ -202,7 +200,7 @@ class Step:
                 raise
         raise TrainingError(told)
 
-    def _learn(self, batch: Batch) -> dict[str, float]:
+    def _learn(self, batch: Batch) -> Scalars:
         batch = {
             name: values.to(self.group.device, non_blocking=True) for name, values in batch.items()
         }
@@ -277,8 +275,8 @@ class Muon(torch.optim.AdamW):
 
 
 def optimizer_of(network: nn.Module, config: TrainConfig) -> torch.optim.Optimizer:
-    """That of the configuration; weight decay is for what multiplies features, and for vectors only
-    where the configuration says so."""
+    """The optimiser of the configuration; weight decay is for what multiplies features, and for
+    vectors only where the configuration says so."""
     groups: dict[float, list[nn.Parameter]] = {config.weight_decay: [], 0.0: []}
     for one in network.parameters():
         groups[config.weight_decay if config.decay_all or one.ndim > 1 else 0.0].append(one)
@@ -311,7 +309,7 @@ def describe(maps: Maps, config: TrainConfig, precision: torch.dtype) -> Json:
         "kinds": [source.kind for source in maps.sources],
         "samples": None if maps.order(config.batch) else len(maps),
         **({} if maps.shares is None else {"shares": [str(share) for share in maps.shares]}),
-        **dataclasses.asdict(config),
+        **asdict(config),
         "precision": str(precision).removeprefix("torch."),
     }
 
@@ -379,7 +377,7 @@ def begin_from(weights: str | Path, network: Any) -> str:
     CheckpointError where that is another network."""
     found = open_network(weights)[0]
     if found.config != network.config:
-        there, asked = (dataclasses.asdict(one.config) for one in (found, network))
+        there, asked = (asdict(one.config) for one in (found, network))
         unlike = "; ".join(differences(there, asked))
         raise CheckpointError(f"{weights}: another network than the one to train: {unlike}")
     network.load_state_dict(found.state_dict())

@@ -2,14 +2,13 @@
 on."""
 
 import csv
-import dataclasses
 import fcntl
 import io
 import json
 import os
 import time
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from pathlib import Path
 
@@ -22,7 +21,7 @@ from scenegen.errors import DatasetError, printable
 from scenegen.files import Json, disk_told, read_bounded, remove_drafts, write_whole
 from scenegen.limits import MOST_HEADER_BYTES
 from scenegen.model.checkpoint import CheckpointError, load_tensors, save_network, save_tensors
-from scenegen.model.training.card import card, draw, read_rows
+from scenegen.model.training.card import Scalars, card, draw, read_rows
 
 CONFIG, ROWS, CURVE, CARD = "config.json", "metrics.csv", "curve.png", "card.md"
 BEST, LAST, LEVEL = "best.safetensors", "last.safetensors", "level.safetensors"
@@ -44,11 +43,11 @@ class Progress:
     decay: int | None = None
     """The step at which validation stalled and the learning rate began to fall; None while it has
     not."""
-    sums: dict[str, float] = field(default_factory=dict)
+    sums: Scalars = field(default_factory=dict)
     """Each loss, summed over the epoch's steps so far."""
     seconds: float = 0.0
     """How long the epoch has taken so far."""
-    rows: list[dict[str, float]] = field(default_factory=list)
+    rows: list[Scalars] = field(default_factory=list)
     """One a finished epoch: see docs/training.md."""
 
     @property
@@ -61,12 +60,12 @@ class Progress:
         """How many epochs are finished since the one of the lowest validation loss."""
         return self.epoch - round(kept(self.rows, "loss")["epoch"]) if self.rows else 0
 
-    def add(self, losses: dict[str, float], *, seconds: float) -> None:
+    def add(self, losses: Scalars, *, seconds: float) -> None:
         """Count a step, after which the round has taken so many `seconds`."""
         self.step, self.seconds = self.step + 1, seconds
         self.sums = {name: self.sums.get(name, 0.0) + value for name, value in losses.items()}
 
-    def close(self, validated: dict[str, float], *, maps: int, seconds: float) -> dict[str, float]:
+    def close(self, validated: Scalars, *, maps: int, seconds: float) -> Scalars:
         """Count a round after which the run has seen `maps` maps, and give its row."""
         row = {"epoch": self.epoch + 1.0, "maps": float(maps), "seconds": seconds}
         row |= {f"train_{name}": value / self.step for name, value in self.sums.items()}
@@ -76,7 +75,7 @@ class Progress:
         return row
 
 
-def kept(rows: list[dict[str, float]], choose: str) -> dict[str, float]:
+def kept(rows: list[Scalars], choose: str) -> Scalars:
     """The row of the network that a run keeps: `choose` as in `TrainConfig`."""
     return rows[-1] if choose == "last" else min(rows, key=lambda row: row[f"val_{choose}"])
 
@@ -160,11 +159,11 @@ class RunFolder:
             for one, parameter in network.named_parameters()
             for key, value in optimizer.state.get(parameter, {}).items()
         }
-        save_tensors(self.path / name, state, dataclasses.asdict(progress))
+        save_tensors(self.path / name, state, asdict(progress))
         self._saved = time.monotonic()
 
     def save_in_time(self, progress: Progress) -> None:
-        """The same, where the last time is long ago."""
+        """Save the state if it was last saved long ago."""
         if time.monotonic() - self._saved > SAVE_EVERY_S:
             self.save(progress)
 
@@ -215,7 +214,7 @@ class RunFolder:
                 f"stays until then"
             ) from None
 
-    def write_rows(self, rows: list[dict[str, float]]) -> None:
+    def write_rows(self, rows: list[Scalars]) -> None:
         """Write the figures of all epochs."""
         text = io.StringIO()
         names = dict.fromkeys(name for row in rows for name in row)  # they may grow on the way
@@ -231,7 +230,7 @@ class RunFolder:
             for name, value in rows[-1].items():
                 writer.add_scalar(name.replace("_", "/", 1), value, int(rows[-1]["epoch"]))
 
-    def draw_rows(self, rows: list[dict[str, float]]) -> None:
+    def draw_rows(self, rows: list[Scalars]) -> None:
         """Draw the figures that `write_rows` wrote, where matplotlib is installed and they are not
         drawn yet."""
         files = self.path / CURVE, self.path / ROWS

@@ -43,11 +43,11 @@ class Commands(click.RichGroup):
 
     def list_commands(self, ctx: Any) -> list[str]:
         """The known ones."""
-        return sorted(self.registry.known)
+        return sorted(self.registry.builtin)
 
     def get_command(self, ctx: Any, name: str) -> Any:
         """A stand-in with the help of the command `name`, so that a list of all imports none."""
-        place = self.registry.known.get(name)
+        place = self.registry.builtin.get(name)
         return None if place is None else click.RichCommand(name=name, help=_first_paragraph(place))
 
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:

@@ -36,9 +36,9 @@ from scenegen.run import Executor
 @click.option(
     "--to",
     "to",
-    type=Named(Registry("format", {**FORMATS.known, EPISODES: ""})),
+    type=Named(Registry("format", {**FORMATS.builtin, EPISODES: ""})),
     required=True,
-    help=f"The format: {', '.join(FORMATS.known)}; or, of a recording of `fly`, {EPISODES}.",
+    help=f"The format: {', '.join(FORMATS.builtin)}; or, of a recording of `fly`, {EPISODES}.",
 )
 @out_option("The folder to write.  [default: the dataset's name, a dash, the format]")
 @splits_option("A split")

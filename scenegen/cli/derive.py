@@ -30,7 +30,7 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import announce_compilation
 from scenegen.cli.types import Written, read_ranges
-from scenegen.dataset.choose import FIGURES, NUMBERS, Choice, Condition
+from scenegen.dataset.choose import MEASURES, NUMBERS, Choice, Condition
 from scenegen.worlds.mapping import Mapper
 
 making = together(
@@ -104,7 +104,7 @@ def rescan(
     multiple=True,
     type=Written(Condition.of, "NAME>=VALUE"),
     help="Samples for which this holds, in quotes: 'occupied>=0.05'; repeatable. Names are "
-    f"{', '.join((*NUMBERS, *FIGURES))}.",
+    f"{', '.join((*NUMBERS, *MEASURES))}.",
 )
 @making
 @group("Which samples", "split n kind worlds where")

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from scenegen.dataset.state import Plan
 
 KIND = Named(
-    Registry("kind", {**KINDS.known, "mixed": ""}),
+    Registry("kind", {**KINDS.builtin, "mixed": ""}),
     others={".toml": "--recipe", **dict.fromkeys(WORLD_FILES, "--scene")},
 )
 COUNT = click.IntRange(min=1)
@@ -66,7 +66,7 @@ BESIDE = "this as a recipe file, without --scene, --labels, --compact, --engine,
 @click.option(
     "--kind",
     type=KIND,
-    help=f"Kind of random worlds: {', '.join(KINDS.known)}; mixed for all; or MODULE:CLASS.",
+    help=f"Kind of random worlds: {', '.join(KINDS.builtin)}; mixed for all; or MODULE:CLASS.",
 )
 @difficulty_option
 @click.option(
@@ -98,7 +98,7 @@ BESIDE = "this as a recipe file, without --scene, --labels, --compact, --engine,
     tilt_mps="Speed, metres a second, at which the body leans as a quadrotor; 0 for a level body.",
 )
 @engine_option(
-    f"What casts the rays: {', '.join(ENGINES.known)}, or MODULE:CLASS.", default=DEFAULT
+    f"What casts the rays: {', '.join(ENGINES.builtin)}, or MODULE:CLASS.", default=DEFAULT
 )
 @click.option("-n", "--n", type=COUNT, default=2500, help="Training samples.")
 @click.option(

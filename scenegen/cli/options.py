@@ -88,7 +88,7 @@ on_option = click.option(
     type=Named(EXECUTORS, address=True),
     default=LOCAL,
     metavar="PLACE",
-    help=f"Where the work is done: {', '.join(EXECUTORS.known)}, or MODULE:CLASS, each with "
+    help=f"Where the work is done: {', '.join(EXECUTORS.builtin)}, or MODULE:CLASS, each with "
     f"://ADDRESS or without.",
 )
 force_option = click.option("--force", is_flag=True, help="Replace another dataset in the folder.")

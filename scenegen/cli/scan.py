@@ -5,7 +5,7 @@ import json
 import math
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import rich_click as click
 
@@ -25,7 +25,7 @@ from scenegen.cli.options import (
     seed_option,
     was_given,
 )
-from scenegen.cli.show import Progress, Tell, say, show_figures, show_table
+from scenegen.cli.show import Progress, Tell, say, show_columns, show_table
 from scenegen.cli.types import Named, Numbers
 from scenegen.display.exchange import Choices
 from scenegen.logs import Cruise
@@ -34,7 +34,18 @@ from scenegen.worlds import CLOUDS, MAPS
 if TYPE_CHECKING:
     from lidarsim import Pose, Sensor
     from lidarsim.noise.chain import Noise
+    from scenegen.files import Json
     from scenegen.worlds.world import AnyWorld
+
+
+class _Setup(NamedTuple):
+    """What is scanned, and by what."""
+
+    sensor: "Sensor"
+    noise: "Noise"
+    engine: EngineFactory
+    world: "AnyWorld"
+
 
 HEADS = {
     "shape": "rays",
@@ -74,13 +85,13 @@ def sensors(names: tuple[str, ...], out: Path | None, as_json: bool) -> None:
             show_table({key: value for key, value in row.items() if value not in ("", [])}, name)
     else:
         cells = {name: [_cell(row[head]) for head in HEADS] for name, row in rows.items()}
-        show_figures(cells, list(HEADS.values()))
+        show_columns(cells, list(HEADS.values()))
         say("\nscenegen sensors NAME tells where its figures come from; --out FILE draws it")
     if out is not None and not as_json:
         say(f"written: {out}")
 
 
-def _facts(sensor: "Sensor") -> dict[str, Any]:
+def _facts(sensor: "Sensor") -> "Json":
     """What is to be said of a sensor, as plain JSON values; angles are measured on its rays."""
     import numpy as np
 
@@ -192,18 +203,15 @@ def scan(
     if not sequence and out.suffix not in SUFFIXES:
         raise click.UsageError(f"{out}: expected a name that ends in {', '.join(SUFFIXES)}")
     sensor = named_lidar(lidar or RASTER)
-    chain = named_noise(noise, sensor)
-    factory = find_engine(engine)
-    found = named_world(world, seed)
+    setup = _Setup(
+        sensor, named_noise(noise, sensor), find_engine(engine), named_world(world, seed)
+    )
     if sequence:
-        cruise = Cruise(**options)
-        facts = _write_log(out, found, factory, sensor, chain, cruise, seed, moving, talk)
+        facts = _write_log(out, setup, Cruise(**options), seed, moving, talk)
     else:
         check_ours(out)
-        facts = _write_scan(
-            out, found, factory, sensor, chain, _pose(found, pose, seed), seed, frame
-        )
-    row = {"file": str(out), "lidar": str(sensor), "noise": str(chain) or "none", **facts}
+        facts = _write_scan(out, setup, _pose(setup.world, pose, seed), seed, frame)
+    row = {"file": str(out), "lidar": str(sensor), "noise": str(setup.noise) or "none", **facts}
     if tell(row):
         left_out = ("file", "quaternion")
         show_table({name: value for name, value in row.items() if name not in left_out})
@@ -211,16 +219,8 @@ def scan(
 
 
 def _write_log(
-    out: Path,
-    world: "AnyWorld",
-    factory: EngineFactory,
-    sensor: "Sensor",
-    chain: "Noise",
-    cruise: Cruise,
-    seed: int,
-    moving: bool,
-    talk: bool,
-) -> dict[str, Any]:
+    out: Path, setup: _Setup, cruise: Cruise, seed: int, moving: bool, talk: bool
+) -> "Json":
     """Records a log, and gives what is to be said of it."""
     from scenegen.files import check_free
     from scenegen.logs.record import cruise_poses, period_s, record
@@ -230,10 +230,17 @@ def _write_log(
     corrected = out.suffix != ".mcap"
     if not corrected:
         import mcap_ros2  # noqa: F401 (what is missing is said before a minute of scans)
-    period = period_s(sensor)
-    poses = cruise_poses(world, cruise, period, seed=seed)
+    period = period_s(setup.sensor)
+    poses = cruise_poses(setup.world, cruise, period, seed=seed)
     scans = record(
-        world, factory, sensor, poses, chain, seed=seed, moving=moving, corrected=corrected
+        setup.world,
+        setup.engine,
+        setup.sensor,
+        poses,
+        setup.noise,
+        seed=seed,
+        moving=moving,
+        corrected=corrected,
     )
     with Progress("scan", shown=talk) as progress:
         progress.start(len(poses))
@@ -252,16 +259,7 @@ def _pose(world: "AnyWorld", pose: tuple[float, ...] | None, seed: int) -> "Pose
     return pose_in_flight(world, seed=seed)
 
 
-def _write_scan(
-    file: Path,
-    world: "AnyWorld",
-    factory: EngineFactory,
-    sensor: "Sensor",
-    chain: "Noise",
-    at: "Pose",
-    seed: int,
-    frame: str,
-) -> dict[str, Any]:
+def _write_scan(file: Path, setup: _Setup, at: "Pose", seed: int, frame: str) -> "Json":
     """Scans from a pose, writes the returns, and gives what is to be said of them."""
     import numpy as np
 
@@ -272,7 +270,8 @@ def _write_scan(
     from scenegen.worlds.mapping import Known
     from scenegen.worlds.place import Place
 
-    seen = scan_world(world, sensor, at, chain, seed=seed, engine=factory)
+    sensor, noise, engine, world = setup
+    seen = scan_world(world, sensor, at, noise, seed=seed, engine=engine)
     points = np.concatenate([seen.points(echo) for echo in range(len(seen.ranges))])
     if frame == "body":
         points = at.to_body(points)
@@ -284,7 +283,7 @@ def _write_scan(
         "position": at.position,
         "quaternion": at.quaternion,
         "lidar": str(sensor),
-        "noise": str(chain),
+        "noise": str(noise),
         "frame": frame,
     }
     write_points(file, points, intensity, about)

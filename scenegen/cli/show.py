@@ -55,7 +55,7 @@ def show_table(
         click.echo(f"{click.style(escaped(name).ljust(width), bold=True)}  {mark}{escaped(value)}")
 
 
-def show_figures(rows: Mapping[str, Sequence[str]], heads: Sequence[str], title: str = "") -> None:
+def show_columns(rows: Mapping[str, Sequence[str]], heads: Sequence[str], title: str = "") -> None:
     """Prints a line for each of `rows`, a name and a cell under each of `heads`; one table below
     another where the terminal is too narrow for all columns."""
     if title:

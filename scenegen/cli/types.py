@@ -65,13 +65,15 @@ class Named(Written):
         if option := self.others.get(Path(text).suffix):
             raise ValueError(f"{text} is a file; give it as {option} {text}")
         name = text.partition("://")[0] if self.address else text
-        if ":" not in name and name not in self.registry.known:
+        if ":" not in name and name not in self.registry.builtin:
             raise ValueError(self.registry.unknown(name))
         return text
 
     def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
         """Names that begin with what is typed."""
-        return [CompletionItem(name) for name in self.registry.known if name.startswith(incomplete)]
+        return [
+            CompletionItem(name) for name in self.registry.builtin if name.startswith(incomplete)
+        ]
 
 
 class Choice(click.Choice[str]):
@@ -114,7 +116,7 @@ class OutputFolder(Written, click.Path):
         from scenegen.stores import STORES, folder_of, is_remote
 
         scheme = text.partition("://")[0]
-        if is_remote(text) and not (self.stores and scheme in STORES.known):
+        if is_remote(text) and not (self.stores and scheme in STORES.builtin):
             hint = " or s3://bucket/folder" if self.stores else "; only datasets go to s3://"
             raise ValueError(f"{scheme}://… is not written to; give a folder{hint}")
         return folder_of(text)

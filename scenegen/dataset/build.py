@@ -147,7 +147,7 @@ def build(
     if missing and (not begun or (len(missing) > 1 and workers > 1)):
         missing[0].prepare(workers)
     state.open()
-    for report in state.known(mine):
+    for report in state.reports_of(mine):
         on_shard(report, False)
     samples = sum(shard.samples for shard in mine)
     written, noted = 0, time.monotonic()

@@ -216,14 +216,14 @@ def _plan(folder: Path, pieces: Iterable[Chosen], *, taken: str, nothing: str) -
     counts = dict.fromkeys(SPLITS, 0)
     parts: list[Part] = []
     index = dict.fromkeys(SPLITS, 0)
-    here, before = real_path(folder), None
+    target, previous = real_path(folder), None
     for chosen in pieces:
         dataset = chosen.dataset
-        if dataset is not before and real_path(dataset.folder) in (here, *here.parents):
+        if dataset is not previous and real_path(dataset.folder) in (target, *target.parents):
             raise DatasetError(
                 f"{folder}: is {dataset.folder} itself, or in it; choose another folder with --out"
             )
-        before = dataset
+        previous = dataset
         source, home = _source(sources, chosen, taken)
         split = chosen.entry.split
         start, stop = int(chosen.places[0]), int(chosen.places[-1]) + 1
@@ -250,25 +250,27 @@ def _plan(folder: Path, pieces: Iterable[Chosen], *, taken: str, nothing: str) -
         raise DatasetError(nothing)
     if len(parts) > MOST_SHARDS:
         raise DatasetError(f"{folder}: {len(parts)} shards, expected {MOST_SHARDS} at most")
-    each = [(home.parameters, home.digest, ways) for home, ways in sources.values()]
-    given = gathered(each, counts, max(part.samples for part in parts))
+    homes = [(home.parameters, home.digest, ways) for home, ways in sources.values()]
+    merged = gathered(homes, counts, max(part.samples for part in parts))
     lidars = tuple(home.lidar for home, _ in sources.values())
-    return Plan(folder=folder, parameters=given, shards=tuple(parts), lidars=lidars)
+    return Plan(folder=folder, parameters=merged, shards=tuple(parts), lidars=lidars)
 
 
-def _source(found: Sources, chosen: Chosen, taken: str) -> tuple[int, Manifest]:
-    """The number, among those `found`, of the dataset for which what is `chosen` was made, and its
+def _source(sources: Sources, chosen: Chosen, taken: str) -> tuple[int, Manifest]:
+    """The number, among `sources`, of the dataset for which what is `chosen` was made, and its
     manifest; noted there with the ways in which samples were taken. Raises DatasetError."""
-    it = chosen.dataset.manifest
-    home, before = it.home(chosen.entry), [""]
-    if it.sources:
-        before = it.parameters["sources"][chosen.entry.source]["taken"] or before
+    dataset = chosen.dataset.manifest
+    home, former = dataset.home(chosen.entry), [""]
+    if dataset.sources:
+        former = dataset.parameters["sources"][chosen.entry.source]["taken"] or former
     key = home.fingerprint, str(home.digest)
-    ways = [", then ".join(filter(None, (old, taken))) for old in before]
-    found.setdefault(key, (home, {}))[1].update(dict.fromkeys(filter(None, ways)))
-    if len(found) > MOST_SOURCES:
-        raise DatasetError(f"{it.folder}: more than {MOST_SOURCES} datasets in one; merge fewer")
-    return list(found).index(key), home
+    ways = [", then ".join(filter(None, (old, taken))) for old in former]
+    sources.setdefault(key, (home, {}))[1].update(dict.fromkeys(filter(None, ways)))
+    if len(sources) > MOST_SOURCES:
+        raise DatasetError(
+            f"{dataset.folder}: more than {MOST_SOURCES} datasets in one; merge fewer"
+        )
+    return list(sources).index(key), home
 
 
 def gathered(
@@ -279,18 +281,19 @@ def gathered(
     """The parameters of the manifest of a dataset whose samples were made for `sources`: of each
     its parameters, its digest (None where it was never there by itself), and how samples were
     taken."""
-    each = [manifest.completed(parameters) for parameters, _, _ in sources]
-    first = each[0]
-    given = {name: first[name] for name in manifest.ALIKE if name in first}
+    documents = [manifest.completed(parameters) for parameters, _, _ in sources]
+    first = documents[0]
+    merged = {name: first[name] for name in manifest.ALIKE if name in first}
     for name, instead in EMPTY.items():
-        given[name] = first[name] if all(one[name] == first[name] for one in each) else instead
-    if all(one.get("rescan") == first.get("rescan") is not None for one in each):
-        given["rescan"] = first["rescan"]
-    if differ := manifest.differing(first, each):
-        given["differ"] = differ
-    given |= {"counts": dict(counts), "shard_samples": shard_samples}
-    given["sources"] = [
+        alike = all(document[name] == first[name] for document in documents)
+        merged[name] = first[name] if alike else instead
+    if all(document.get("rescan") == first.get("rescan") is not None for document in documents):
+        merged["rescan"] = first["rescan"]
+    if differ := manifest.differing(first, documents):
+        merged["differ"] = differ
+    merged |= {"counts": dict(counts), "shard_samples": shard_samples}
+    merged["sources"] = [
         {"digest": digest, "taken": list(taken), "parameters": dict(parameters)}
         for parameters, digest, taken in sources
     ]
-    return given | {"version": manifest.version_of(given)}
+    return merged | {"version": manifest.version_of(merged)}

@@ -1,11 +1,11 @@
 """Datasets from what a user asks for: a kind of worlds, several by weight, a recipe or MJCF files,
 and how many samples."""
 
-import dataclasses
 import hashlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -137,7 +137,7 @@ def plan_generation(
         if named not in (None, MIXED):
             raise RecipeError(f"{recipe}: is of several kinds, not of {named}; leave --kind out")
         parts = [
-            (dataclasses.replace(one, labels=_labels(labels, DrawnWorlds(one))), weight)
+            (replace(one, labels=_labels(labels, DrawnWorlds(one))), weight)
             for one, weight in read_components(file, seed=seed, **given)
         ]
         counts = _counts(n, val, test, alone=False)
@@ -170,7 +170,7 @@ def plan_generation(
     else:
         source, alone = DrawnWorlds(asked), False
         name = asked.kind.rpartition(":")[2]  # data/Towers for my_worlds:Towers
-    asked = dataclasses.replace(asked, labels=_labels(labels, source) or asked.labels)
+    asked = replace(asked, labels=_labels(labels, source) or asked.labels)
     counts = _counts(n, val, test, alone=alone)
     return plan_dataset(_folder(out, name), asked, source, seed=seed, counts=counts, **more)
 
@@ -231,7 +231,7 @@ def read_components(path: Path | None = None, *, seed: int = 0, **given: Any) ->
             f"kind"
         )
     weighed = any(isinstance(one, dict) and "weight" in one for one in listed)
-    found = []
+    components = []
     for n, one in enumerate(listed, start=1):
         at = f"{where}: component {n}" if where else f"component {n}"
         if not isinstance(one, dict) or not isinstance(one.get("kind"), str):
@@ -243,18 +243,23 @@ def read_components(path: Path | None = None, *, seed: int = 0, **given: Any) ->
         share = fraction(weight, short(kind), at)
         tables = _over(common, own)
         # a seed below 0 is refused later, with the rest
-        each = combinations(tables.pop("domain", {}), at, rng_of(abs(seed), n))
-        for values in each:
-            for table, row in values.items():
-                there = tables.get(table)
-                if isinstance(there, dict) and (both := there.keys() & row.keys()):
-                    raise RecipeError(
-                        f"{at}: {table}.{min(both)} has a value and a domain; leave one of them out"
-                    )
-            whole = _over(tables, values)
-            made = make_recipe(kind, whole, where=at, folder=folder, **given)
-            found.append((made, share / len(each)))
-    return found
+        drawn = combinations(tables.pop("domain", {}), at, rng_of(abs(seed), n))
+        for values in drawn:
+            _check_domain(tables, values, at)
+            recipe = make_recipe(kind, _over(tables, values), where=at, folder=folder, **given)
+            components.append((recipe, share / len(drawn)))
+    return components
+
+
+def _check_domain(tables: Json, values: Json, at: str) -> None:
+    """Raise RecipeError where a component's `tables` have a parameter that its domain, too, gives
+    `values` of."""
+    for name, row in values.items():
+        table = tables.get(name)
+        if isinstance(table, dict) and (common := table.keys() & row.keys()):
+            raise RecipeError(
+                f"{at}: {name}.{min(common)} has a value and a domain; leave one of them out"
+            )
 
 
 def _over(below: Json, above: Json) -> Json:
@@ -292,38 +297,41 @@ def plan_mixed(
     samples and its own of the `seeds`. `options` are those of `plan_dataset`. Raises DatasetError,
     and RecipeError where the components differ in more than their worlds and flights.
     """
-    parts = {split: shares(counts[split], [weight for _, weight in components]) for split in SPLITS}
-    own = seeds([recipe.kind for recipe, _ in components], seed)
+    weights = [weight for _, weight in components]
+    parts = {split: shares(counts[split], weights) for split in SPLITS}
+    recipes = [recipe for recipe, _ in components]
+    own_seeds = seeds([recipe.kind for recipe in recipes], seed)
     plans = [
         plan_dataset(
             folder,
             recipe,
             DrawnWorlds(recipe),
             counts={split: part[n] for split, part in parts.items()},
-            seed=own[n],
+            seed=own_seeds[n],
             **options,
         )
-        for n, (recipe, _) in enumerate(components)
+        for n, recipe in enumerate(recipes)
     ]
-    for plan, (recipe, _) in zip(plans, components, strict=True):
-        if said := unlike(plans[0].parameters, plan.parameters):
+    first = plans[0].parameters
+    for plan, recipe in zip(plans, recipes, strict=True):
+        if difference := unlike(first, plan.parameters):
             raise RecipeError(
-                f"mixed: component {recipe.kind}: {said} by {components[0][0].kind}; give all "
+                f"mixed: component {recipe.kind}: {difference} by {recipes[0].kind}; give all "
                 "components the same"
             )
     shards: list[ShardTask] = []
     for split in SPLITS:
         index = 0
-        for n, plan in enumerate(plans):
+        for source, plan in enumerate(plans):
             stop = 0
             for shard in (one for one in plan.shards if one.split == split):
                 start, stop = stop, stop + shard.samples
-                more = {"source": n, "start": start, "stop": stop}
-                shards.append(dataclasses.replace(shard, index=index, more=more))
+                more = {"source": source, "start": start, "stop": stop}
+                shards.append(replace(shard, index=index, more=more))
                 index += 1
-    each = [(plan.parameters, None, [""]) for plan in plans]
-    given = gathered(each, counts, plans[0].parameters["shard_samples"])
-    lidars = tuple(recipe.lidar for recipe, _ in components)
+    sources = [(plan.parameters, None, [""]) for plan in plans]
+    given = gathered(sources, counts, first["shard_samples"])
+    lidars = tuple(recipe.lidar for recipe in recipes)
     return Plan(folder=folder, parameters=given, shards=tuple(shards), lidars=lidars)
 
 

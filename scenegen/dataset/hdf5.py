@@ -45,7 +45,7 @@ class Stored(NamedTuple):
 
     dtype: np.dtype
     shape: tuple[int, ...]
-    """That of one row last, after how many there are."""
+    """(rows, *shape of a row)"""
     chunk: tuple[int, ...] | None
     """Shape of a chunk; None where the data are not stored in chunks."""
     filters: tuple[int, ...]
@@ -113,7 +113,7 @@ def _end(process: "subprocess.Popen[bytes]", owner: int) -> None:
 
 
 _LIBRARIES: dict[int, _Library] = {}
-"""That of each process, by its number: a forked one has none yet."""
+"""The library of each process, by its number: a forked one has none yet."""
 
 
 def with_index(content: bytes, file: Any, most_chunks: int) -> bytes:

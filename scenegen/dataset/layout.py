@@ -57,7 +57,7 @@ class ShardFile:
     file: "BufferedReader | Copy"
     name: str
     columns: Mapping[str, Stored]
-    """Its datasets: N chunks each, one a sample."""
+    """The file's HDF5 datasets by name: N chunks each, one a sample."""
     attributes: Mapping[str, int | str | None]
 
     @property

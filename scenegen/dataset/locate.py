@@ -114,7 +114,7 @@ def locate_again(name: str, folder: str) -> Path:
     return found
 
 
-def download(name: str, *, shown: bool = False) -> Path:
+def download(name: str, *, shown: bool) -> Path:
     """The folder of a dataset on the Hub.
 
     What the Hub has is downloaded into the client's usual cache by revision, no file but those that

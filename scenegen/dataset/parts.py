@@ -1,12 +1,11 @@
 """The parts of a recipe that have entries of their own in a manifest: one table that writers,
 readers and checks walk."""
 
-import dataclasses
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +27,8 @@ if TYPE_CHECKING:  # these import MuJoCo, which reading does not take
 GRID = {"shape": "shape", "voxel": "voxel_m", "truncation": "truncation_m", "hollow": "hollow"}
 """A grid's parameters: their names in the file, and in `GridSpec`."""
 NEEDED = ("shape", "voxel", "truncation")
-"""Those of them that every file names; the others only where they are not the default."""
+"""Parameters of a grid that every file names; it names the others only where they are not the
+default."""
 RAYS = "rays.npy"
 """The file of a table of rays, in a dataset's folder."""
 MOST_STAGES_TEXT = 4000
@@ -95,7 +95,7 @@ def _read_grid(entry: Any, before: Json) -> GridSpec:
 def sensor_entry(sensor: Sensor) -> Json:
     """What the manifest says of a sensor, as plain JSON values."""
     if isinstance(sensor, Lidar):
-        return plain(dataclasses.asdict(sensor))
+        return plain(asdict(sensor))
     table = BeamTable.of(sensor)
     return {
         "sensor": "table",
@@ -219,7 +219,7 @@ def mapping_entry(mapping: Mapper) -> Json | None:
 def described(mapping: Mapper) -> Json:
     """Every parameter of how maps are made, as plain JSON values; those of the default for what is
     the same."""
-    return plain(dataclasses.asdict(Mapper() if mapping.plain else mapping))
+    return plain(asdict(Mapper() if mapping.plain else mapping))
 
 
 def _read_mapping(entry: Any, before: Json) -> Mapper:
@@ -281,7 +281,7 @@ PARTS = (
     Part(
         name="labels",
         since=1.2,
-        entry=lambda recipe: recipe.labels and plain(dataclasses.asdict(recipe.labels)),
+        entry=lambda recipe: recipe.labels and plain(asdict(recipe.labels)),
         read=_read_plain("labels", _LABELS),
         group="labels",
     ),
@@ -296,7 +296,7 @@ PARTS = (
     Part(
         name="known",
         since="1.5",
-        entry=lambda recipe: recipe.known and plain(dataclasses.asdict(recipe.known)),
+        entry=lambda recipe: recipe.known and plain(asdict(recipe.known)),
         read=lambda entry, before: None if entry is None else made(Known, entry, "known"),
         group="known",
     ),

@@ -77,8 +77,8 @@ class Dataset:
         with advised(self.folder):
             self.grid, self.lidar = self.manifest.grid, self.manifest.lidar
             self.settings = self.manifest.settings
-            """Sensor, mapping and noise of each of the datasets that its samples were made for;
-            `lidar` is that of the first."""
+            """How the samples of each of the datasets that they were made for were sensed; `lidar`
+            is that of the first."""
         if not (self.manifest.complete or partial):
             raise DatasetError(
                 f"{self.folder}: incomplete; give the command that made it again to go on where "
@@ -232,7 +232,7 @@ class Split(Samples):
 
     @property
     def schema(self) -> Schema:
-        """That of the first source, where these differ."""
+        """The schema of its samples; where sources differ, that of the first."""
         return self.dataset.manifest.schema
 
     def _place(self, index: int) -> tuple[int, int]:
@@ -296,8 +296,8 @@ class Split(Samples):
 
     @cached_property
     def numbers(self) -> Ints:
-        """Those of all samples, (2, samples); files are opened only where samples were left out
-        between others. Raises DatasetError."""
+        """World and viewpoint of all samples, (2, samples); files are opened only where samples
+        were left out between others. Raises DatasetError."""
         found = map(self.numbers_in, range(len(self.shards)))
         return np.concatenate([np.empty((2, 0), np.int64), *found], axis=1)
 
@@ -319,5 +319,5 @@ class Split(Samples):
 
     @cached_property
     def names(self) -> list[tuple[str, int, int]]:
-        """Who is who: (split, world, viewpoint) of every sample."""
+        """(split, world, viewpoint) of every sample."""
         return [(self.name, world, viewpoint) for world, viewpoint in self.numbers.T.tolist()]

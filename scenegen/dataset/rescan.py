@@ -170,34 +170,34 @@ def plan_rescan(
 
     Worlds, poses, counts, shards, seed and grid are the dataset's. Raises DatasetError.
     """
-    found = dataset.manifest
-    if found.sources:
+    original = dataset.manifest
+    if original.sources:
         raise DatasetError(
             f"{dataset.folder}: its samples were made for other datasets; scan those again, and "
             f"take or merge then"
         )
-    if engine is None and found.engine not in ENGINES.known:
+    if engine is None and original.engine not in ENGINES.builtin:
         raise DatasetError(
-            f"{dataset.folder}: made with the engine {short(found.engine)}, which is not imported "
-            "because a manifest names it; give --engine with its name, or one of ours"
+            f"{dataset.folder}: made with the engine {short(original.engine)}, which is not "
+            "imported because a manifest names it; give --engine with its name, or one of ours"
         )
-    engine = engine or found.engine
+    engine = engine or original.engine
     find_engine(engine)
     with raised_as(DatasetError):
-        mapper = replace(found.mapping, **(mapping or {}))
+        mapper = replace(original.mapping, **(mapping or {}))
         recipe = replace(
-            found.recipe, lidar=lidar or found.lidar, noise=chain or Noise(), mapping=mapper
+            original.recipe, lidar=lidar or original.lidar, noise=chain or Noise(), mapping=mapper
         )
     if real_path(folder) == real_path(dataset.folder):
         raise DatasetError(f"{folder}: is the dataset itself; choose another folder with --out")
-    left = {name: it for name, it in found.parameters.items() if name not in (*NAMES, "engine")}
-    given = left | {
+    left = {name: it for name, it in original.parameters.items() if name not in (*NAMES, "engine")}
+    parameters = left | {
         "generator": GENERATOR,
-        "fields": list(schema_of(recipe).stored(compact="tudf" not in found.fields)),
+        "fields": list(schema_of(recipe).stored(compact="tudf" not in original.fields)),
         **entries(recipe),
-        "rescan": {"digest": found.digest},
+        "rescan": {"digest": original.digest},
         "engine": engine,
         "software": software(),
     }
-    given["version"] = manifest.version_of(given)
-    return divide(folder, given, recipe, Archived(dataset.folder), RescanSpec)
+    parameters["version"] = manifest.version_of(parameters)
+    return divide(folder, parameters, recipe, Archived(dataset.folder), RescanSpec)

@@ -82,7 +82,7 @@ class ShardTask:
         """Where in the folder the worlds go."""
         return f"{stem_of(self.split, self.index)}.worlds.zip"
 
-    def prepare(self, workers: int = 1) -> None:
+    def prepare(self, workers: int) -> None:
         """Have done, by up to so many processes, what every writing process would else do by
         itself."""
 
@@ -134,7 +134,7 @@ class ShardSpec(ShardTask, Units):
         """See `Units`."""
         return "tudf" in self.layout
 
-    def prepare(self, workers: int = 1) -> None:
+    def prepare(self, workers: int) -> None:
         """See `ShardTask`: kernels are compiled, and hopeless parameters end here."""
         with ExitStack() as stack:
             if workers > 1 and no_kernels("scenegen") and not cache_trouble("scenegen"):

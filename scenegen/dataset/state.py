@@ -93,7 +93,7 @@ class State:
         """The manifest of what is known."""
         return manifest.assemble(
             self.plan.parameters,
-            self.known(self.plan.shards),
+            self.reports_of(self.plan.shards),
             complete=len(self.reports) == len(self.plan.shards),
         )
 
@@ -109,33 +109,33 @@ class State:
                 raise DatasetError(
                     f"{folder}: is a file, expected a folder; choose another one with --out"
                 ) from None
-        others = sorted(name for name in self._there if not name.endswith(".tmp"))
-        if not others:
+        names = sorted(name for name in self._there if not name.endswith(".tmp"))
+        if not names:
             return None
-        if manifest.NAME not in others:
-            found_here = (shard for shard in self.plan.shards if shard.file in others)
+        if manifest.NAME not in names:
+            found_here = (shard for shard in self.plan.shards if shard.file in names)
             if any(shard.tells and read_report((shard, None)) for shard in found_here):
                 return {}  # the manifest alone was lost
             raise DatasetError(
-                f"{folder}: holds files ({others[0]}, …), but no {manifest.NAME} and no sound "
+                f"{folder}: holds files ({names[0]}, …), but no {manifest.NAME} and no sound "
                 "shard of this dataset; choose another folder with --out"
             )
         self._written = manifest.read(folder)
         differing = manifest.differences(
             manifest.completed(self._written), manifest.completed(self.plan.parameters)
         )
-        found: trust.Manifest | None = None
+        former: trust.Manifest | None = None
         with contextlib.suppress(BrokenError):
-            found = trust.parse(self._written, folder)
+            former = trust.parse(self._written, folder)
         if not differing:
             # if what it says of its shards is damaged, they are held against their own digests
-            return {} if found is None else {entry.file: entry for entry in found.shards}
-        if found is not None and all(line.startswith("counts.") for line in differing):
-            asked = self.plan.parameters["counts"]
-            if all(found.counts[split] <= asked[split] for split in SPLITS):
-                self._smaller = found
+            return {} if former is None else {entry.file: entry for entry in former.shards}
+        if former is not None and all(line.startswith("counts.") for line in differing):
+            counts = self.plan.parameters["counts"]
+            if all(former.counts[split] <= counts[split] for split in SPLITS):
+                self._smaller = former
                 return {}
-        if not self._force and any(map(FILE_RULE.fits, others)):
+        if not self._force and any(map(FILE_RULE.fits, names)):
             more = f" (and {len(differing) - 3} more)" if len(differing) > 3 else ""
             raise DatasetError(
                 f"{folder}: holds another dataset: {'; '.join(differing[:3])}{more}; choose "
@@ -230,7 +230,7 @@ class State:
                 return  # a report lies beside each shard
             parameters = manifest.fingerprint(self.plan.parameters)
             write_note(
-                self.plan.folder, parameters, [shard.file for shard in mine], self.known(mine)
+                self.plan.folder, parameters, [shard.file for shard in mine], self.reports_of(mine)
             )
             return
         manifest.write(self.plan.folder, self._final())
@@ -275,7 +275,7 @@ class State:
         there = self.reports.keys() | names_in(self.plan.folder).keys()
         return [shard for shard in self.plan.shards if shard.file not in there]
 
-    def known(self, shards: Sequence[ShardTask]) -> list[ShardReport]:
+    def reports_of(self, shards: Sequence[ShardTask]) -> list[ShardReport]:
         """The reports of those of `shards` that are known, in their order."""
         return [self.reports[shard.file] for shard in shards if shard.file in self.reports]
 

@@ -1,9 +1,8 @@
 """What readers rely on in a manifest, checked before they do: it may come from a stranger."""
 
-import dataclasses
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -59,7 +58,7 @@ from scenegen.limits import (
 )
 from scenegen.recipes import graded, kind_names
 from scenegen.sample import DERIVED, FIELDS, GROUPS, Schema
-from scenegen.worlds.mapping import Known, Mapper
+from scenegen.worlds.mapping import Known, Mapper, Sensing
 
 if TYPE_CHECKING:  # which imports what draws worlds
     from scenegen.recipe import Recipe
@@ -172,9 +171,9 @@ class Manifest:
         return self.sources or (self,)
 
     @property
-    def settings(self) -> tuple[tuple[Sensor, Mapper, str], ...]:
-        """Sensor, mapping and noise, as the manifest spells it, of each of its `homes`."""
-        return tuple((home.lidar, home.mapping, home.noise_stages) for home in self.homes)
+    def settings(self) -> tuple[Sensing, ...]:
+        """How the samples of each of its `homes` were sensed."""
+        return tuple(Sensing(home.lidar, home.mapping, home.noise_stages) for home in self.homes)
 
     @cached_property
     def schema(self) -> Schema:
@@ -227,7 +226,7 @@ class Manifest:
     def noise_is_ours(self) -> bool:
         """Whether its noise is scenegen's own, so that reading imports nothing that is named."""
         stages = filter(None, self.noise_stages.split(","))
-        return all(stage.partition(":")[0] in STAGES.known for stage in stages)
+        return all(stage.partition(":")[0] in STAGES.builtin for stage in stages)
 
     @property
     def graded(self) -> str:
@@ -250,7 +249,7 @@ class Manifest:
 
         left = ("version", "scenes", *(() if self.drawn else ("world", "difficulty")))
         tables = {name: table for name, table in self.tables.items() if name not in left}
-        tables["grid"] = dataclasses.asdict(self.grid)
+        tables["grid"] = asdict(self.grid)
         for name in (name for name in NAMES if name in self.tables):
             raise BrokenError(f"recipe.{name}: is there, expected {name} beside recipe")
         noise = noise_of(self.noise if self.noise_is_ours else None, self.lidar.max_range_m)
@@ -259,7 +258,7 @@ class Manifest:
             found = make_recipe(kind, tables, lidar=self.lidar)
             said = self.labels and {**self.labels, "classes": tuple(self.labels["classes"])}
             labels = Labels(**said) if said else None
-            return dataclasses.replace(
+            return replace(
                 found, noise=noise, labels=labels, mapping=self.mapping, known=self.known
             )
 
@@ -269,27 +268,27 @@ def parse(document: Json, folder: Path, named: str | None = None) -> Manifest:
 
     Raises BrokenError with what is wrong, where, and what was expected.
     """
-    found = manifest.BEFORE | dict(document)
-    plain = checked(Manifest, found, "")
+    values = manifest.BEFORE | dict(document)
+    plain = checked(Manifest, values, "")
     tables = {"shards": LIST, "fields": LIST, "recipe": TABLE, "sources": optional(SOURCES_RULE)}
-    check(found, tables, "")
+    check(values, tables, "")
     check(plain["counts"], dict.fromkeys(SPLITS, COUNT), "counts")
     check(plain["rejected"], REJECTED, "rejected")
-    check(_RECIPE | found["recipe"], RECIPE_RULES, "recipe")
+    check(_RECIPE | values["recipe"], RECIPE_RULES, "recipe")
     parts: Json = {}
     for part in PARTS:
         if part.since == manifest.VERSION:
-            check(found, {part.name: TABLE}, "")
-        parts[part.name] = part.read(found[part.name], parts)
-    if found["rescan"] is not None:
-        check(found["rescan"], {"digest": DIGEST}, "rescan", ("digest",))
-    if found["version"] != (expected := manifest.version_of(found)):
-        there = ", ".join(name for name in manifest.MINOR if found[name] is not None)
+            check(values, {part.name: TABLE}, "")
+        parts[part.name] = part.read(values[part.name], parts)
+    if values["rescan"] is not None:
+        check(values["rescan"], {"digest": DIGEST}, "rescan", ("digest",))
+    if values["version"] != (expected := manifest.version_of(values)):
+        there = ", ".join(name for name in manifest.MINOR if values[name] is not None)
         named = there or "nothing of a minor version"
-        raise BrokenError(f"version = {short(found['version'])}: expected {expected} with {named}")
-    _check_fields(found["fields"], parts)
-    sources = _sources(found, folder, named)
-    shards = _entries(found["shards"], sources)
+        raise BrokenError(f"version = {short(values['version'])}: expected {expected} with {named}")
+    _check_fields(values["fields"], parts)
+    sources = _sources(values, folder, named)
+    shards = _entries(values["shards"], sources)
     names = Counter(name for entry in shards for name in (entry.file, entry.worlds))
     for name, count in names.most_common(1):
         if count > 1:
@@ -299,10 +298,10 @@ def parse(document: Json, folder: Path, named: str | None = None) -> Manifest:
         **{name: value for name, value in parts.items() if name != "lidar"},
         sources=sources,
         parameters=manifest.parameters_of(document),
-        tables=found["recipe"],
-        fields=tuple(found["fields"]),
+        tables=values["recipe"],
+        fields=tuple(values["fields"]),
         folder=folder,
-        rays=rays_named(found),
+        rays=rays_named(values),
         shards=shards,
         named=named,
     )
@@ -349,7 +348,7 @@ def _sources(found: Json, folder: Path, named: str | None) -> tuple[Manifest, ..
     if (differ := manifest.differing(found, every) or None) != found["differ"]:
         raise BrokenError(f"differ = {short(found['differ'])}: expected {differ}, as sources say")
     rays = rays_named(found)
-    return tuple(dataclasses.replace(source, rays=rays) for source in sources)
+    return tuple(replace(source, rays=rays) for source in sources)
 
 
 def _entries(listed: Sequence[Any], sources: Sequence[Manifest]) -> tuple[Entry, ...]:

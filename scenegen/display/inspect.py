@@ -15,16 +15,16 @@ from lidarsim.grid import Floats, GridSpec
 from scenegen import SPLITS
 from scenegen.clouds import read_points
 from scenegen.dataset.choose import (
-    FIGURES,
+    MEASURES,
     OF_WORLD,
-    encode_figures,
-    figure,
-    figures_file,
-    kept_figures,
+    encode_measures,
+    kept_measures,
+    measure_of,
+    measures_file,
 )
 from scenegen.dataset.manifest import NAME
 from scenegen.dataset.read import Dataset, Split
-from scenegen.dataset.trust import Entry, load
+from scenegen.dataset.trust import Entry, Manifest, load
 from scenegen.display.look import spread
 from scenegen.errors import DatasetError, printable
 from scenegen.files import Json, write_whole
@@ -53,8 +53,8 @@ def inspect(
     Args:
         folder: The dataset.
         most: Samples of a split that are measured, evenly spread; None for all. All count where
-            their figures are kept beside them.
-        keep: Measure all, and keep their figures there, see `figures_file`, and the `splits` that
+            their measures are kept beside them.
+        keep: Measure all, and keep their measures there, see `measures_file`, and the `splits` that
             are returned, as JSON.
         workers: Processes that measure.
         on_start: Called with the number of samples that are measured, once processes run.
@@ -62,7 +62,7 @@ def inspect(
 
     Returns:
         Plain JSON values. Statistics are {mean, std, min, max} over samples of shares of all voxels
-        or of all rays, and of metres; None where no sample has the figure. A split has those of
+        or of all rays, and of metres; None where no sample has the measure. A split has those of
         each of several kinds, too, in `kinds`, and, where all are measured, those of the means over
         the maps of a world in `world_means`.
 
@@ -70,79 +70,92 @@ def inspect(
         DatasetError: The folder holds no dataset, or a damaged one.
     """
     dataset = Dataset(folder, partial=not keep)
-    it = dataset.manifest
-    found = {
-        "kind": it.graded,
-        "seed": it.seed,
-        "complete": it.complete,
-        "digest": it.digest,
-        "rejected": it.rejected,
-        "fields": list(it.fields),
-        "grid": it.parameters["grid"],
-        "mapping": it.parameters.get("mapping"),
+    manifest = dataset.manifest
+    summary = {
+        "kind": manifest.graded,
+        "seed": manifest.seed,
+        "complete": manifest.complete,
+        "digest": manifest.digest,
+        "rejected": manifest.rejected,
+        "fields": list(manifest.fields),
+        "grid": manifest.parameters["grid"],
+        "mapping": manifest.parameters.get("mapping"),
     }
-    if it.sources:
-        differ = it.parameters.get("differ", ())
-        named = [dict(zip(("lidar", "mapping", "noise"), one, strict=True)) for one in it.settings]
-        found["sources"] = [
-            {
-                "kind": one.graded,
-                "seed": one.seed,
-                "digest": one.digest,
-                **{name: str(part) for name, part in parts.items() if name in differ},
-                "taken": entry["taken"],
-                "samples": _counts(shard for shard in it.shards if it.home(shard) is one),
-            }
-            for one, parts, entry in zip(it.sources, named, it.parameters["sources"], strict=True)
-        ]
+    if manifest.sources:
+        summary["sources"] = _sources(manifest)
     splits = [split for split in map(dataset.split, SPLITS) if len(split)]
-    tasks, tables = [], kept_figures(dataset)
+    tasks, tables = [], kept_measures(dataset)
     for split in splits if not tables else ():
         chosen = spread(dataset, split.name, (not keep and most) or len(split))
-        tables[split.name] = np.empty((len(chosen), len(FIGURES)))
-        tasks += [(split.name, *one) for one in enumerate(chosen)]
+        tables[split.name] = np.empty((len(chosen), len(MEASURES)))
+        tasks += [(split.name, *row) for row in enumerate(chosen)]
     begun = partial(on_start, len(tasks))
     with closing(run(partial(_measure, dataset), tasks, workers, begun)) as results:
-        for name, row, figures in results:
-            tables[name][row] = figures
+        for name, row, measures in results:
+            tables[name][row] = measures
             on_done(1)
     if keep and tasks:
-        write_whole(figures_file(dataset), encode_figures(np.concatenate(list(tables.values()))))
-    told = {}
-    for split in splits:
-        table = tables[split.name]
-        told[split.name] = about = {
-            "samples": len(split),
-            "worlds": split.count_worlds(),
-            "sampled": len(table),
-            "statistics": _statistics(table),
-        }
-        if len(table) == len(split):
-            first = np.unique(split.numbers[0], return_index=True)[1]
-            means = [figure(split, table, OF_WORLD + name)[first] for name in FIGURES]
-            about["world_means"] = _statistics(np.transpose(means))
-        if len({home.graded for home in it.homes}) > 1:
-            about["kinds"] = _by_kind(split, table)
-    size, samples = bytes_in(folder), sum(map(len, splits))
+        write_whole(measures_file(dataset), encode_measures(np.concatenate(list(tables.values()))))
+    about_splits = {split.name: _about(split, tables[split.name]) for split in splits}
     if keep:
-        content = json.dumps(told, indent=1).encode()
-        write_whole(figures_file(dataset).with_suffix(".json"), content)
-    each = size / max(samples, 1)
-    return found | {"samples": samples, "bytes": size, "bytes_per_sample": each, "splits": told}
+        content = json.dumps(about_splits, indent=1).encode()
+        write_whole(measures_file(dataset).with_suffix(".json"), content)
+    size, samples = bytes_in(folder), sum(map(len, splits))
+    return {
+        **summary,
+        "samples": samples,
+        "bytes": size,
+        "bytes_per_sample": size / max(samples, 1),
+        "splits": about_splits,
+    }
+
+
+def _sources(manifest: Manifest) -> list[Json]:
+    """The datasets that samples were taken from, and how many of each."""
+    differ = manifest.parameters.get("differ", ())
+    entries = manifest.parameters["sources"]
+    return [
+        {
+            "kind": source.graded,
+            "seed": source.seed,
+            "digest": source.digest,
+            **{name: str(part) for name, part in sensing._asdict().items() if name in differ},
+            "taken": entry["taken"],
+            "samples": _counts(one for one in manifest.shards if manifest.home(one) is source),
+        }
+        for source, sensing, entry in zip(manifest.sources, manifest.settings, entries, strict=True)
+    ]
+
+
+def _about(split: Split, table: Floats) -> Json:
+    """The size of a split, and how the `MEASURES` of its samples (samples, measures) spread."""
+    about = {
+        "samples": len(split),
+        "worlds": split.count_worlds(),
+        "sampled": len(table),
+        "statistics": _statistics(table),
+    }
+    if len(table) == len(split):
+        first_of_world = np.unique(split.numbers[0], return_index=True)[1]
+        means = [measure_of(split, table, OF_WORLD + name)[first_of_world] for name in MEASURES]
+        about["world_means"] = _statistics(np.transpose(means))
+    if len({home.graded for home in split.dataset.manifest.homes}) > 1:
+        about["kinds"] = _by_kind(split, table)
+    return about
 
 
 def _measure(dataset: Dataset, task: tuple[str, int, int]) -> tuple[str, int, list[float]]:
-    """The split of a task, its row among those that are measured, and the figures of its sample;
+    """The split of a task, its row among those that are measured, and the measures of its sample;
     NaN where that lacks one."""
     split, row, index = task
     sample = dataset.split(split)[index]
-    return split, row, [figure(sample) for figure in FIGURES.values()]
+    return split, row, [measure(sample) for measure in MEASURES.values()]
 
 
 def _statistics(table: Floats) -> Json:
-    """How the `FIGURES` of samples (samples, figures) spread."""
+    """How the `MEASURES` of samples (samples, measures) spread."""
     found: Json = {}
-    for name, column in zip(FIGURES, table.T, strict=True):
+    for name, column in zip(MEASURES, table.T, strict=True):
         values = column[~np.isnan(column)]
         found[name] = {
             how: float(getattr(values, how)()) if len(values) else None
@@ -152,13 +165,13 @@ def _statistics(table: Floats) -> Json:
 
 
 def _by_kind(split: Split, table: Floats) -> Json:
-    """For each kind, how many samples were measured, and how their figures spread."""
+    """For each kind, how many samples were measured, and how their measures spread."""
     chosen = spread(split.dataset, split.name, len(table))
-    rows = {kind: table[np.isin(chosen, ours)] for kind, ours in split.by_kind().items()}
+    rows = {kind: table[np.isin(chosen, numbers)] for kind, numbers in split.by_kind().items()}
     return {
-        kind: {"sampled": len(own), "statistics": _statistics(own)}
-        for kind, own in rows.items()
-        if len(own)
+        kind: {"sampled": len(measured), "statistics": _statistics(measured)}
+        for kind, measured in rows.items()
+        if len(measured)
     }
 
 
@@ -177,12 +190,12 @@ def inspect_all(folder: Path) -> list[Json]:
     for path in sorted(folder.glob(f"*/{NAME}")):
         row: Json = {"folder": str(path.parent)}
         try:
-            it = load(path.parent)
+            manifest = load(path.parent)
             row |= {
-                "kind": it.graded,
-                "complete": it.complete,
-                "digest": it.digest,
-                "samples": _counts(it.shards),
+                "kind": manifest.graded,
+                "complete": manifest.complete,
+                "digest": manifest.digest,
+                "samples": _counts(manifest.shards),
             }
         except DatasetError as error:
             row["fault"] = printable(error)
@@ -215,12 +228,12 @@ def inspect_world(path: Path) -> Json:
 
 def map_facts(voxels: VoxelMap) -> Json:
     """How large a map of a real place is, and which shares of its voxels are known."""
-    shares = [float((voxels.states == state).mean()) for state in range(3)]
+    states = ("unknown", "free", "occupied")  # UNKNOWN, FREE and OCCUPIED, by number
     return {
         "voxel_m": voxels.voxel_m,
         "shape": list(voxels.states.shape),
         "bounds": voxels.bounds.tolist(),
-        **dict(zip(("unknown", "free", "occupied"), shares, strict=True)),
+        **{name: float((voxels.states == n).mean()) for n, name in enumerate(states)},
     }
 
 
@@ -242,7 +255,7 @@ def scan_facts(path: Path) -> Json:
 
 
 def misfits(grid: GridSpec, lidar: Sensor) -> list[str]:
-    """What of a map its sensor can hardly know, in a line each."""
+    """Warnings, a line each: how much of a map lies beyond its sensor's range."""
     edges = [np.linspace(-extent / 2, extent / 2, 41) for extent in grid.extent_m]
     x, y, z = np.meshgrid(*edges, indexing="ij", sparse=True)
     beyond = float((x * x + y * y + z * z > lidar.max_range_m**2).mean())

@@ -24,6 +24,7 @@ from scenegen.dataset.read import Dataset, Split
 from scenegen.display.look import Guesses, incomplete, look_into, title_of
 from scenegen.display.page import check_grid, live_page, packed, packed_world
 from scenegen.errors import ScenegenError, printable
+from scenegen.files import Json
 
 ASKED = re.compile(r"/(sample|world)/(\d{1,4})/(train|val|test)/(\d{1,10})", re.ASCII)
 LOCAL = "localhost"
@@ -124,9 +125,7 @@ class Live(ThreadingHTTPServer):
             return bool(ipaddress.ip_address(name))
         return name == LOCAL or (not self.on_loopback and name == socket.gethostname().lower())
 
-    def answer(
-        self, what: str, number: int, split: str, index: int
-    ) -> tuple[HTTPStatus, dict[str, Any]]:
+    def answer(self, what: str, number: int, split: str, index: int) -> tuple[HTTPStatus, Json]:
         """A sample of dataset `number` for the page, or the world that it is of; or, under `error`,
         a line that says why there is none."""
         if number >= len(self.datasets):
@@ -143,7 +142,7 @@ class Live(ThreadingHTTPServer):
                 return HTTPStatus.NOT_FOUND, {"error": line, **notes}
 
 
-def _world(samples: Split, index: int) -> dict[str, Any]:
+def _world(samples: Split, index: int) -> Json:
     """The surfaces of the world of a sample."""
     # MuJoCo and trimesh are needed for worlds alone
     from scenegen.display.exchange.glb import surfaces

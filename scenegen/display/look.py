@@ -1,4 +1,4 @@
-"""What of a sample there is to be seen, read as far as its dataset is sound."""
+"""A sample as it is drawn, read as far as its dataset is sound."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from lidarsim import Sensor
-from lidarsim.grid import Field, Floats, GridSpec, Mask
+from lidarsim.grid import Field, Floats, GridSpec, Mask, iou
 from scenegen.dataset.read import Dataset, Split
 from scenegen.errors import DatasetError, ScenegenError, printable
 from scenegen.sample import Sample
@@ -108,10 +108,7 @@ class Look:
     def iou(self, guess: Guess) -> str:
         """The intersection over union of a prediction, in words; nothing without a truth."""
         truth = self.masks.get("occupancy")
-        if truth is None:
-            return ""
-        both, either = truth & guess.occupied, truth | guess.occupied
-        return f"IoU {both.sum() / either.sum() if either.any() else 1:.3f}"
+        return "" if truth is None else f"IoU {iou(truth, guess.occupied):.3f}"
 
     def heading_deg(self) -> float:
         """Yaw of the body, degrees, counter-clockwise from x; rounded, so that it is the same on
@@ -122,25 +119,25 @@ class Look:
 
 def look_at(sample: Sample, grid: GridSpec, lidar: Sensor | None, name: str) -> Look:
     """Reads a sample as far as that can be. Raises DatasetError where not even its pose can."""
-    pose = {what: getattr(sample, what) for what in ("origin", "position", "quaternion")}
+    pose = {field: getattr(sample, field) for field in ("origin", "position", "quaternion")}
     if not all(np.isfinite(part).all() for part in pose.values()):
         raise DatasetError(f"{name}: its pose is not finite")
     missing: list[str] = []
 
-    def read(what: str, find: Callable[[], Any]) -> Any:
+    def read(field: str, find: Callable[[], Any]) -> Any:
         try:
             return find()
         except (DatasetError, ValueError) as error:
-            missing.append(f"{name}: {what} is not shown: {printable(error)}")
+            missing.append(f"{name}: {field} is not shown: {printable(error)}")
             return None
 
     scans = read("the scan", lambda: sample.scans(lidar)) or ()
-    masks = {what: read(what, partial(getattr, sample, what)) for what in MASKS}
+    masks = {field: read(field, partial(getattr, sample, field)) for field in MASKS}
     return Look(
         name=name,
         grid=grid,
         **pose,
-        masks={what: mask for what, mask in masks.items() if mask is not None},
+        masks={field: mask for field, mask in masks.items() if mask is not None},
         tudf=read("tudf", lambda: sample.tudf),
         scans=[scan.points() for scan in scans],
         rays=sum(scan.ranges.size for scan in scans),
@@ -153,7 +150,7 @@ Guesses = Callable[[Sample, Split], Sequence[Guess]]
 is."""
 
 
-def look_into(samples: Split, index: int, guesses: Guesses | None = None) -> Look:
+def look_into(samples: Split, index: int, guesses: Guesses | None) -> Look:
     """Reads sample `index` of a split as far as that can be, with what `guesses` predicts of it.
 
     Raises:

@@ -104,26 +104,26 @@ def show(
     if not looks:
         raise DatasetError("no samples to show; give one, or several")
     first = looks[0]
-    named: Mapping[str, Any] = {"prediction": prediction}
+    predictions: Mapping[str, Any] = {"prediction": prediction}
     if isinstance(prediction, Mapping | None):
-        named = prediction or {}
-    if path is not None and not named:
-        named = {"truth": first.masks["occupancy"]}
-    if taken := named.keys() & first.masks.keys():  # a name is one layer
-        raise DatasetError(f"prediction: {', '.join(taken)}: a sample's own; give another name")
-    guesses = [_guess(name, found, first.grid) for name, found in named.items()]
+        predictions = prediction or {}
+    if path is not None and not predictions:
+        predictions = {"truth": first.masks["occupancy"]}
+    if clashing := predictions.keys() & first.masks.keys():  # a name is one layer
+        raise DatasetError(f"prediction: {', '.join(clashing)}: a sample's own; give another name")
+    guesses = [_guess(name, predicted, first.grid) for name, predicted in predictions.items()]
     if path is not None:
         guesses[0] = replace(guesses[0], route=_route(path))
     looks[0] = replace(first, guesses=tuple(guesses))
     notes = [line for look in looks for line in look.missing]
-    made = Shown(html=page(looks, title="scenegen", notes=notes), looks=looks)
+    shown = Shown(html=page(looks, title="scenegen", notes=notes), looks=looks)
     if out is not None:
-        write_result(Path(out), made.html.encode())
+        write_result(Path(out), shown.html.encode())
     elif "ipykernel" not in sys.modules:
         with tempfile.NamedTemporaryFile(prefix="scenegen-", suffix=".html", delete=False) as file:
-            file.write(made.html.encode())
+            file.write(shown.html.encode())
         webbrowser.open(Path(file.name).as_uri())
-    return made
+    return shown
 
 
 def _guess(name: str, found: Any, grid: GridSpec) -> Guess:

@@ -52,7 +52,7 @@ class View:
 VIEW = View()
 
 
-def visible_faces(mask: Mask, view: View = VIEW) -> tuple[Ints, Ints, Floats]:
+def visible_faces(mask: Mask, view: View) -> tuple[Ints, Ints, Floats]:
     """Faces of voxels that look towards the eye and touch no other voxel.
 
     Args:

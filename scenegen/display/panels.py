@@ -293,7 +293,7 @@ class Grid:
         handles: Sequence[Any],
         *,
         scale: float = 1.0,
-        width: float | None = None,
+        width: float | None,
     ):
         self.turned = rows < columns and across(columns, width) < columns
         if self.turned:

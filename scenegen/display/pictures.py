@@ -100,7 +100,7 @@ def draw_turn(look: Look, *, title: str, suffix: str = ".webp", frames: int = FR
     return _film([(look, View(azimuth=turn), title) for turn in turns], TURN_S / frames, suffix)
 
 
-def draw_flight(looks: Sequence[Look], *, title: str, suffix: str = ".gif") -> bytes:
+def draw_flight(looks: Sequence[Look], *, title: str, suffix: str) -> bytes:
     """Draws the samples of a flight one after the other, as an animated picture. Raises
     DatasetError as `draw_voxels`."""
     return _film([(look, VIEW, f"{title}, {look.name}") for look in looks], STAY_S, suffix)

@@ -1,13 +1,12 @@
 """A course: all that flights depend on, but for who decides. It is small, and travels to other
 processes; and a recording of flights through one, which are flown again from it."""
 
-import dataclasses
 import hashlib
 import json
 import platform
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -89,7 +88,7 @@ class Course:
         """The world as it is flown through: what is unknown of a map is free there, as for rays,
         since no robot can see where knowledge ends."""
         drawn = self.drawn
-        return dataclasses.replace(drawn, opened=True) if isinstance(drawn, Place) else drawn
+        return replace(drawn, opened=True) if isinstance(drawn, Place) else drawn
 
     def graded(self) -> list[Difficulty]:
         """How hard each mission is."""
@@ -123,8 +122,9 @@ def check_document(sha256: str, course: Course) -> None:
         )
 
 
-Flights = Sequence[tuple[Course, Sequence[Flown]]]
-"""What was flown through courses."""
+FlownCourse = tuple[Course, Sequence[Flown]]
+"""A course, and all flights through it, in the order of its missions."""
+Flights = Sequence[FlownCourse]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,7 +153,7 @@ class Recording:
                 one.row() | {"commands": [[float(str(x)) for x in row] for row in one.commands]}
                 for one in flights
             ]
-            about = dataclasses.asdict(course) | {"document": course.document or course.sha256}
+            about = asdict(course) | {"document": course.document or course.sha256}
             about["world"] = Path(course.world).name if self.suite else course.world
             found.append({"course": about, "flights": rows})
         text = {
@@ -198,7 +198,7 @@ def _flown(row: Json) -> Flown:
         raise ValueError("commands that are not finite")
     if not -1e-6 < len(commands) * PERIOD_S - flown.time_s < PERIOD_S:
         raise ValueError(f"time_s = {flown.time_s} with {len(commands)} commands")
-    return dataclasses.replace(flown, commands=commands)
+    return replace(flown, commands=commands)
 
 
 def replay(course: Course, flights: Sequence[Flown]) -> list[Flown]:
@@ -223,7 +223,7 @@ def replay(course: Course, flights: Sequence[Flown]) -> list[Flown]:
                 f"flight {number} through {course.world}, seed {course.seed}, is not as it was "
                 f"recorded: {faults[0]}"
             )
-        found.append(dataclasses.replace(again, **{name: getattr(flown, name) for name in CLAIMED}))
+        found.append(replace(again, **{name: getattr(flown, name) for name in CLAIMED}))
     return found
 
 

@@ -85,13 +85,13 @@ class _Room(NamedTuple):
     grid: GridSpec
     """Over the bounds, and `MARGIN` voxels around them."""
     origin: Floats
-    """Its least corner (3,), metres."""
+    """The grid's least corner (3,), metres."""
     blocked: Mask
     """(*grid.shape): where a ball's centre may not be."""
     solid: Mask
-    """The same shape: what is not known to be free."""
+    """(*grid.shape): what is not known to be free."""
     tudf: Field
-    """The distances from it, metres."""
+    """(*grid.shape): distances from what is `solid`, metres."""
 
 
 def _room(world: AnyWorld, bounds: Floats, radius_m: float) -> _Room:
@@ -140,6 +140,8 @@ def _draw(
     *,
     rng: np.random.Generator,
 ) -> Mission | None:
+    """A start and a goal at least `apart` metres from one another, both clear of obstacles, with a
+    way between them that the vehicle fits through; None where none is found."""
     bounds, clearance, spare = room.bounds, world.clearance, vehicle.radius_m + rules.spare_m
     inset = np.minimum(spare, (bounds[1] - bounds[0]) / 4)
     for pair in rng.uniform(bounds[0] + inset, bounds[1] - inset, (TRIES[type(world)], 2, 3)):
@@ -155,15 +157,15 @@ def _draw(
         if not len(nodes):
             continue
         path = room.origin + (nodes + 0.5) * VOXEL_M
-        here, shortest = 0, 0.0
-        while here < len(path) - 1:
-            there = len(path) - 1
-            while there > here + 1 and not clearance.motion_is_free(
-                tuple(path[here]), tuple(path[there]), vehicle.radius_m
+        begin, shortest = 0, 0.0
+        while begin < len(path) - 1:
+            end = len(path) - 1
+            while end > begin + 1 and not clearance.motion_is_free(
+                tuple(path[begin]), tuple(path[end]), vehicle.radius_m
             ):
-                there -= 1
-            shortest += math.dist(path[here], path[there])
-            here = there
+                end -= 1
+            shortest += math.dist(path[begin], path[end])
+            begin = end
         ends = [tuple(point.tolist()) for point in (start, goal, *bounds)]
         return Mission(start=ends[0], goal=ends[1], shortest_m=shortest, bounds=(ends[2], ends[3]))
     return None

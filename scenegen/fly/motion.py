@@ -105,7 +105,7 @@ def _advance(state, wanted, cosine, sine, bounds, states):
 ARM_M, TORQUE_M = 0.12, 0.02
 """A rotor's distance from the axes, and its torque by its thrust, metres."""
 MASS_KG, INERTIA = 1.0, (0.008, 0.008, 0.014)
-"""Of a vehicle half a metre wide; kg m²."""
+"""Mass, kg, and moments of inertia, kg m², of a vehicle half a metre wide."""
 MOST_THRUST = 2.0
 """All rotors' thrust at most, by the weight."""
 LAG_S = 0.03
@@ -115,9 +115,9 @@ SUBSTEPS = 2
 STIFF, DAMPED = 6.0, 4.5
 """What is answered to a lack of position and of velocity, 1/s² and 1/s."""
 TURN_STIFF, TURN_DAMPED = 200.0, 22.0
-"""The same of attitude and rate, 1/s² and 1/s."""
+"""What is answered to a lack of attitude and of rate of turn, 1/s² and 1/s."""
 SIGNS = np.array([[1, 1, 1], [1, -1, -1], [-1, -1, 1], [-1, 1, -1]])
-"""Of each rotor: its side along x and y, and the sense of its torque."""
+"""(4, 3): of each rotor, its side along x and y, and the sense of its torque."""
 
 
 def _model() -> mujoco.MjModel:
@@ -159,7 +159,7 @@ class Quadrotor:
 
     @property
     def pose(self) -> Pose:
-        """Of the body, now."""
+        """The body's pose now."""
         return Pose(self._data.qpos[:3].copy(), self._data.qpos[3:].copy())
 
     def advance(self, command: Command) -> Floats:
@@ -178,7 +178,7 @@ class Quadrotor:
         return states
 
     def _axes(self) -> Floats:
-        """Of the body in the world, a row each."""
+        """The body's axes in the world, (3, 3), a row each."""
         return rotate(self._data.qpos[3:].copy(), np.eye(3))
 
     def _wanted(self, lead: Floats) -> Floats:

@@ -30,7 +30,7 @@ LIVOX = tuple(
 )
 """Livox's own message, as its drivers for ROS 2 and ROS 1 call it."""
 LIVOX_BYTES = 19
-"""Of a point in it: its time (uint32, ns), x, y, z (float32, m), and three bytes."""
+"""Bytes of a point in it: its time (uint32, ns), x, y, z (float32, m), and three more."""
 TIMES = ("t", "time", "timestamp", "time_stamp", "offset_time")
 """What drivers call the time of a point: seconds, or nanoseconds where they are whole numbers, or
 where a scan would take more than `MOST_SCAN_S`; before the cloud's stamp where below 0."""
@@ -39,8 +39,10 @@ Head: TypeAlias = tuple[float, str]
 """The time, seconds, and the frame of a cloud."""
 Link: TypeAlias = tuple[str, list[float]]
 """The frame that another hangs from; where that is in it, x y z, and how it is turned, x y z w."""
-Reader: TypeAlias = Callable[[], tuple[Floats, dict[str, Floats]]]
-"""Reads a cloud: its points (n, 3), and what else is known of each."""
+Points: TypeAlias = tuple[Floats, dict[str, Floats]]
+"""The points (n, 3) of a cloud, and what else is known of each, by name, (n,)."""
+Reader: TypeAlias = Callable[[], Points]
+"""Reads a cloud."""
 
 
 class Recording:
@@ -48,7 +50,8 @@ class Recording:
     know, not those that the file defines."""
 
     def __init__(self, path: Path):
-        """Of a file, or of a bag's folder. Raises ModuleNotFoundError without the extra."""
+        """The recording in a file, or in a bag's folder. Raises ModuleNotFoundError without the
+        extra."""
         from rosbags.rosbag1 import Reader as Reader1
         from rosbags.rosbag2 import Reader as Reader2
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -87,7 +90,7 @@ class Recording:
             if on == topic:
                 yield partial(self._read, kind, data)
 
-    def _read(self, kind: str, data: bytes) -> tuple[Floats, dict[str, Floats]]:
+    def _read(self, kind: str, data: bytes) -> Points:
         with _readable(self._path):
             if kind == CLOUD:
                 return _of_cloud(self._decode(data, CLOUD))
@@ -178,9 +181,7 @@ def _seconds(stamp: Any) -> float:
     return float(stamp.sec + 1e-9 * stamp.nanosec)
 
 
-def _of_livox(
-    data: bytes, order: str, start: int, *, packed: bool
-) -> tuple[Floats, dict[str, Floats]]:
+def _of_livox(data: bytes, order: str, start: int, *, packed: bool) -> Points:
     """The points of a CustomMsg, (n, 3), and their `t`, (n,). After its header come a time of 8
     bytes, how many points it promises, four bytes, and how many follow; where the message is not
     `packed`, numbers lie at multiples of their size."""
@@ -202,32 +203,44 @@ def _points(rows: NDArray) -> Floats:
     return np.stack([rows[axis].astype(np.float64) for axis in "xyz"], axis=1)
 
 
-def _of_cloud(cloud: Any) -> tuple[Floats, dict[str, Floats]]:
-    """The points of a PointCloud2, (n, 3), and, where it is told, their `t`, (n,)."""
-    order = ">" if cloud.is_bigendian else "<"
-    fields = {one.name: one for one in cloud.fields}
+def _of_cloud(cloud: Any) -> Points:
+    """The points of a PointCloud2, (n, 3), and, where it is told, their `t`, (n,). Raises
+    ValueError where the message does not hold what it promises."""
+    fields = {field.name: field for field in cloud.fields}
     if missing := [axis for axis in "xyz" if axis not in fields]:
         raise ValueError(f"has no {', '.join(missing)}")
     time = next((name for name in TIMES if name in fields), None)
-    used: Any = {
+    order = ">" if cloud.is_bigendian else "<"
+    # NumPy's type of a point: the fields that are read, each with its offset
+    layout: Any = {
         name: (order + POINT_TYPES[fields[name].datatype], fields[name].offset)
-        for name in (*"xyz", *fields.keys() & {time})
+        for name in ("xyz" if time is None else (*"xyz", time))
     }
-    (row, step), shape = (cloud.row_step, cloud.point_step), (cloud.height, cloud.width)
-    least = np.dtype(used).itemsize  # points that overlapped would be more than the bytes
-    if row * shape[0] != len(cloud.data) or step * shape[1] > row or step < least:
+    shape, row_bytes, point_bytes = (cloud.height, cloud.width), cloud.row_step, cloud.point_step
+    least = np.dtype(layout).itemsize  # points that overlapped would be more than the bytes
+    held = len(cloud.data)
+    fits = least <= point_bytes and point_bytes * shape[1] <= row_bytes
+    if row_bytes * shape[0] != held or not fits:
         raise ValueError(
-            f"promises {' × '.join(map(str, shape))} points of {step} bytes in rows of {row}, and "
-            f"holds {len(cloud.data)}; expected points of {least} or more"
+            f"promises {' × '.join(map(str, shape))} points of {point_bytes} bytes in rows of "
+            f"{row_bytes}, and holds {held}; expected points of {least} or more"
         )
-    points = np.ndarray(shape, used, cloud.data, strides=(row, step)).reshape(-1)
-    where = _points(points)
-    if not time:
-        return where, {}
-    since = points[time].astype(np.float64)
-    since[~np.isfinite(where).all(axis=1)] = np.nan
-    first, last = (end.reduce(since, initial=np.nan) for end in (np.fmin, np.fmax))
-    scale = 1e-9 if points[time].dtype.kind in "iu" or last - first > MOST_SCAN_S else 1.0
-    first, stamp = first * scale, _seconds(cloud.header.stamp)
-    begun = 0.0 if first < 1.0 else stamp if abs(first - stamp) < 1.0 else first  # a clock's
-    return where, {"t": np.nan_to_num(since * scale - begun)}
+    strides = row_bytes, point_bytes
+    rows = np.ndarray(shape, layout, cloud.data, strides=strides).reshape(-1)
+    points = _points(rows)
+    if time is None:
+        return points, {}
+    return points, {"t": _times(rows[time], points, _seconds(cloud.header.stamp))}
+
+
+def _times(told: NDArray, points: Floats, stamp_s: float) -> Floats:
+    """When points (n, 3) were measured, (n,), seconds after their scan began, from what its driver
+    has `told` of each: see `TIMES`. 0 of points that returned nothing."""
+    times = told.astype(np.float64)
+    times[~np.isfinite(points).all(axis=1)] = np.nan
+    first, last = np.fmin.reduce(times, initial=np.nan), np.fmax.reduce(times, initial=np.nan)
+    scale = 1e-9 if told.dtype.kind in "iu" or last - first > MOST_SCAN_S else 1.0
+    first_s, begin_s = first * scale, 0.0
+    if not first_s < 1.0:  # times of a clock: that of the stamp, or another one
+        begin_s = stamp_s if abs(first_s - stamp_s) < 1.0 else first_s
+    return np.nan_to_num(times * scale - begin_s)

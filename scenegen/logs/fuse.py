@@ -209,11 +209,11 @@ class _Run:
                 self._save()
         self._told = NOTHING
         self.counts.update(moved_voxels=_settle(hits, misses, self._how.moved_share))
-        (i, j, k), (a, b, c) = box = box_of(hits, lambda layer: layer != UNKNOWN)
-        if not a:
+        low, high = box_of(hits, lambda layer: layer != UNKNOWN)
+        if not high.all():
             raise SceneError("no scan of the log has a return that its maps reach")
-        states, voxel_m = np.ascontiguousarray(hits[i:a, j:b, k:c]), self._how.voxel_m
-        return VoxelMap(states, voxel_m, (first + box[0]) * voxel_m)
+        states = np.ascontiguousarray(hits[tuple(map(slice, low, high))])
+        return VoxelMap(states, self._how.voxel_m, (first + low) * self._how.voxel_m)
 
     def _windows(self, part: range) -> Iterator[tuple[LogScan, Window]]:
         """Scans, each with what it says, in order; some are worked on ahead. What was counted is
@@ -261,31 +261,33 @@ def _window(scan: LogScan, pace: tuple[Pose, float], how: Fusing) -> Window:
     """What a scan says of the voxels around it, where the sensor goes at this `pace`."""
     here, voxel_m, (after, seconds) = scan.pose.position, how.voxel_m, pace
     ranges = np.sqrt((scan.points**2).sum(axis=1))
-    good = (ranges >= how.least_m) & (ranges < MOST_LENGTH_M)  # and no NaN
-    points, ranges = scan.points[good], ranges[good]
+    usable = (ranges >= how.least_m) & (ranges < MOST_LENGTH_M)  # and no NaN
+    points, ranges = scan.points[usable], ranges[usable]
+    # the sensor moves while it scans: points of a slice of that time are seen from one pose
     slices = np.zeros(len(points), np.int64)
     if how.deskew and "t" in scan.more and seconds > 0:
-        shares = np.clip(scan.more["t"][good] / seconds, -1.0, 1.0)
+        shares = np.clip(scan.more["t"][usable] / seconds, -1.0, 1.0)
         slices = np.minimum(np.floor(shares * SLICES), SLICES - 1).astype(np.int64)
     sensors = dict[int, Floats]()
     for number in np.unique(slices).tolist():
-        now = slices == number
         pose = between(scan.pose, after, (number + 0.5) / SLICES) if slices.any() else scan.pose
-        points[now] = rotate(pose.quaternion, points[now]) + pose.position
+        inside = slices == number
+        points[inside] = rotate(pose.quaternion, points[inside]) + pose.position
         sensors[number] = pose.position
-    cut = np.minimum(1.0, how.reach_m / ranges)[:, None]
-    ends = np.concatenate([here + cut * (points - here), [here, *sensors.values()]])
+    # the window holds rays as far as they reach, and within the rise that is mapped
+    reached = here + np.minimum(1.0, how.reach_m / ranges)[:, None] * (points - here)
+    ends = np.concatenate([reached, [here, *sensors.values()]])
     low, high = ends.min(axis=0), ends.max(axis=0)
     low[2], high[2] = max(low[2], here[2] - how.rise_m), min(high[2], here[2] + how.rise_m)
-    least = np.floor(low / voxel_m).astype(np.int64) - 2
-    x, y, z = (np.floor(high / voxel_m).astype(np.int64) + 3 - least).tolist()
+    first = np.floor(low / voxel_m).astype(np.int64) - 2
+    x, y, z = (np.floor(high / voxel_m).astype(np.int64) + 3 - first).tolist()
     grid = GridSpec(shape=(x, y, z), voxel_m=voxel_m, truncation_m=voxel_m)
-    seen = unknown_grid(grid, least * voxel_m)
+    seen = unknown_grid(grid, first * voxel_m)
     for number, sensor in sensors.items():
-        now = slices == number
-        sort_points(sensor, points[now], grid, seen.origin, reach_m=how.reach_m, into=seen)
+        inside = slices == number
+        sort_points(sensor, points[inside], grid, seen.origin, reach_m=how.reach_m, into=seen)
     seen.free[seen.observed] = False
-    return least, seen, points - here
+    return first, seen, points - here
 
 
 def _count(hits: Counts, misses: Counts, least: Ints, seen: ObservedGrid) -> tuple[int, int]:
@@ -293,8 +295,10 @@ def _count(hits: Counts, misses: Counts, least: Ints, seen: ObservedGrid) -> tup
     of the map or found it free. Gives how many of the observed ones an earlier scan met, and how
     many there are."""
     low, high = np.maximum(least, 0), np.minimum(least + seen.observed.shape, hits.shape)
-    there, here = tuple(map(slice, low, high)), tuple(map(slice, low - least, high - least))
-    hit, miss, observed, free = hits[there], misses[there], seen.observed[here], seen.free[here]
+    # where map and window overlap, in the map and in the window
+    in_map, inside = tuple(map(slice, low, high)), tuple(map(slice, low - least, high - least))
+    hit, miss = hits[in_map], misses[in_map]
+    observed, free = seen.observed[inside], seen.free[inside]
     full = (observed | free) & (np.maximum(hit, miss) == MOST_TOLD)
     if full.any():  # a count above 0 stays so
         hit[full] -= hit[full] >> 1

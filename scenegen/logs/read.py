@@ -18,7 +18,7 @@ from scenegen.errors import DatasetError, raised_as
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_HEADER_BYTES
 from scenegen.logs import LogScan
-from scenegen.logs.bags import RECORDINGS, Reader, Recording
+from scenegen.logs.bags import RECORDINGS, Points, Reader, Recording
 from scenegen.poses import inverse, pose_of_matrix, read_numbers, read_poses
 
 USUAL_S = 0.1
@@ -77,9 +77,7 @@ def read_log(path: Path, *, poses: Path | None = None, topic: str | None = None)
         raise DatasetError(
             f"{path}: no such recording ({', '.join(RECORDINGS)}) or folder of clouds"
         )
-    clouds, beside = path / "velodyne", path / "poses.txt"
-    if not clouds.is_dir():
-        clouds = path
+    beside = path / "poses.txt"
     if not beside.exists():  # as KITTI's own archives have it
         beside = _kitti_poses(path)
     if poses is None and not beside.exists():
@@ -88,60 +86,69 @@ def read_log(path: Path, *, poses: Path | None = None, topic: str | None = None)
         raise DatasetError(f"{path}: has no poses.txt; give the file of its poses with --poses")
     if topic:
         raise DatasetError(f"{path}: a folder of clouds has no topics; leave out --topic")
+    return _read_folder(path, poses, beside)
+
+
+def _read_folder(path: Path, given: Path | None, beside: Path) -> Log:
+    """The log in a folder of clouds, by the file of poses that is `given`, which are the sensor's,
+    or by the one `beside` them, which are those of KITTI's camera."""
+    clouds = path / "velodyne"
+    if not clouds.is_dir():
+        clouds = path
     files = scans_in(clouds)
-    track = read_poses(poses or beside)
+    track = read_poses(given or beside)
     if not files:
         raise DatasetError(f"{clouds}: holds no clouds; expected {', '.join(READERS)} files")
-    found: list[Pose | None] = list(track.poses)
+    poses: list[Pose | None] = list(track.poses)
     times = track.times_s
-    if poses is None:
+    if given is None:
         times = _times_beside(path, len(files))
         camera = _camera(path / "calib.txt")
-        found = [chained(chained(inverse(camera), pose), camera) for pose in track.poses]
-    elif len(files) != len(found) and np.isfinite(times).all():
-        told = _times_beside(path, len(files))
-        if np.isnan(told).all():
-            told = _times_named(files)
-        if np.isfinite(told).all():
-            times, found = told, [track.at(time) for time in told]
-    if len(files) != len(found):
+        poses = [chained(chained(inverse(camera), pose), camera) for pose in track.poses]
+    elif len(files) != len(poses) and np.isfinite(times).all():
+        of_clouds = _times_beside(path, len(files))
+        if np.isnan(of_clouds).all():
+            of_clouds = _times_named(files)
+        if np.isfinite(of_clouds).all():
+            times, poses = of_clouds, [track.at(time) for time in of_clouds]
+    if len(files) != len(poses):
         raise DatasetError(
-            f"{clouds}: {len(files)} clouds and {len(found)} poses in {poses or beside}; expected "
+            f"{clouds}: {len(files)} clouds and {len(poses)} poses in {given or beside}; expected "
             "one each; or poses with times, and times.txt or clouds named by theirs, not by number"
         )
     times = np.where(np.isfinite(times), times, USUAL_S * np.arange(len(files)))
-    return _log(
-        path,
-        times,
-        found,
-        lambda: (partial(lambda one: (read_points(one), {}), file) for file in files),
-    )
+
+    def read(file: Path) -> Points:
+        """Its points; nothing else is known of each."""
+        return read_points(file), {}
+
+    return _log(path, times, poses, lambda: (partial(read, file) for file in files))
 
 
 def _log(
     path: Path,
     times: Floats,
-    found: list[Pose | None],
+    poses: list[Pose | None],
     clouds: Callable[[], Iterator[Reader]],
 ) -> Log:
     """A log whose `clouds` are as many as its times, seconds, and poses."""
-    placed = [n for n, pose in enumerate(found) if pose is not None]
+    placed = [n for n, pose in enumerate(poses) if pose is not None]
     if not placed:
-        raise DatasetError(f"{path}: no pose is of the time of any of its {len(found)} scans")
-    poses = tuple(filter(None, found))
-    if (furthest := max(abs(pose.position).max() for pose in poses)) > MOST_LENGTH_M:
+        raise DatasetError(f"{path}: no pose is of the time of any of its {len(poses)} scans")
+    held = tuple(filter(None, poses))
+    if (furthest := max(abs(pose.position).max() for pose in held)) > MOST_LENGTH_M:
         raise DatasetError(
             f"{path}: a pose is beyond {MOST_LENGTH_M:g} m ({furthest:.3g} m); subtract the first "
             "position from all (UTM lies so far out), or give them in metres"
         )
 
     def scans(first: int = 0) -> Iterator[LogScan]:
-        rows = zip(times.tolist(), found, clouds(), strict=True)
+        rows = zip(times.tolist(), poses, clouds(), strict=True)
         kept = ((time, pose, read) for time, pose, read in rows if pose is not None)
         for time, pose, read in itertools.islice(kept, first, None):
             yield LogScan(time, pose, *read())
 
-    return Log(times[placed], poses, len(found) - len(placed), scans)
+    return Log(times[placed], held, len(poses) - len(placed), scans)
 
 
 def _times_beside(path: Path, count: int) -> Floats:

@@ -170,7 +170,7 @@ def record(
             pace = _pace(here, there, every, corrected)
             chain = Noise((pace, *noise.stages))
         seen = scan_world(world, sensor, pose, chain, seed=[seed, number], engine=engine)
-        at = mounted(sensor, pose)
+        mounted_pose = mounted(sensor, pose)
         points = np.concatenate([seen.points(echo) for echo in range(len(seen.ranges))])
         hit = np.isfinite(seen.ranges)
         times = np.broadcast_to(sensor.times_s * moving, hit.shape)
@@ -179,7 +179,7 @@ def record(
             more["intensity"] = seen.intensity[hit].astype(np.float32)
         if len(sensor.shape) == 2:
             more["ring"] = np.broadcast_to(rings, hit.shape)[hit].astype(np.uint16)
-        yield LogScan(number * every, at, at.to_body(points), more)
+        yield LogScan(number * every, mounted_pose, mounted_pose.to_body(points), more)
 
 
 def _pace(here: Pose, there: Pose, every_s: float, corrected: bool) -> Any:

@@ -36,7 +36,7 @@ KINDS = Registry(
 
 def kind_names() -> tuple[str, ...]:
     """Names of the kinds that come with scenegen, sorted; imports none of them."""
-    return tuple(KINDS.known)
+    return tuple(KINDS.builtin)
 
 
 def graded(kind: str, difficulty: str) -> str:

@@ -4,6 +4,7 @@ rocks."""
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.random import Generator
 
 from lidarsim.elementary import sin_cos
 from lidarsim.grid import Floats
@@ -78,7 +79,7 @@ class Cave(Classed):
         area = self.size_m[0] * self.size_m[1]
         return (2 * self.dripstone_density[1] + self.rock_density[1]) * area + 2
 
-    def add_to(self, spec: Drawing, *, rng: np.random.Generator) -> None:
+    def add_to(self, spec: Drawing, *, rng: Generator) -> None:
         """Dig, and put stones where there is room."""
         parts, (x_m, y_m, _) = Parts(), self.size_m
         height, rough = rng.uniform(*self.height_m), rng.uniform(*self.rough_m)
@@ -110,36 +111,48 @@ class Cave(Classed):
             stone(parts.at(x, y, height_at(floor, self.size_m, x, y)), turn, rng=rng)
         parts.add_to(spec)
 
-    def _outside(self, shape: tuple[int, ...], *, rng: np.random.Generator) -> Floats:
+    def _outside(self, shape: tuple[int, ...], *, rng: Generator) -> Floats:
         """How far points of a lattice (along y, along x) lie outside of chambers and tunnels,
         metres; less than 0 inside."""
         x_m, y_m, _ = self.size_m
         y, x = np.meshgrid(
             np.linspace(0.0, y_m, shape[0]), np.linspace(0.0, x_m, shape[1]), indexing="ij"
         )
-        n = int(rng.integers(self.chambers[0], self.chambers[1] + 1))
-        rooms = rng.uniform((4.0, 4.0), (x_m - 4.0, y_m - 4.0), (n, 2))
-        radii = rng.uniform(*self.chamber_m, n)
-        found = np.full(shape, np.inf)
-        for (a, b), radius in zip(rooms.tolist(), radii.tolist(), strict=True):
-            found = np.minimum(found, np.sqrt((x - a) ** 2 + (y - b) ** 2) - radius)
-        ends = []
-        for one in range(1, n):
-            apart = ((rooms[:one] - rooms[one]) ** 2).sum(axis=1)
-            ends.append((rooms[one], rooms[int(apart.argmin())]))
-        for _ in range(round(self.loop_share * n)):
-            one, other = rng.integers(0, n, 2).tolist()
-            ends.append((rooms[one], rooms[other]))
-        for _ in range(round(self.dead_share * n)):
-            one, (angle, far) = int(rng.integers(0, n)), rng.random(2).tolist()
+        count = int(rng.integers(self.chambers[0], self.chambers[1] + 1))
+        chambers = rng.uniform((4.0, 4.0), (x_m - 4.0, y_m - 4.0), (count, 2))
+        radii = rng.uniform(*self.chamber_m, count)
+        outside = np.full(shape, np.inf)
+        for (middle_x, middle_y), radius in zip(chambers.tolist(), radii.tolist(), strict=True):
+            apart = np.sqrt((x - middle_x) ** 2 + (y - middle_y) ** 2)
+            outside = np.minimum(outside, apart - radius)
+        for start, end in self._tunnels(chambers, rng=rng):
+            apart = _from_segment(x, y, start, end)
+            outside = np.minimum(outside, apart - rng.uniform(*self.tunnel_m))
+        return outside
+
+    def _tunnels(self, chambers: Floats, *, rng: Generator) -> list[tuple[Floats, Floats]]:
+        """Where tunnels begin and end, (2,) each, from the middles of chambers (n, 2), metres."""
+        count, tunnels = len(chambers), []
+        for n in range(1, count):
+            apart = ((chambers[:n] - chambers[n]) ** 2).sum(axis=1)
+            tunnels.append((chambers[n], chambers[int(apart.argmin())]))
+        for _ in range(round(self.loop_share * count)):
+            one, other = rng.integers(0, count, 2).tolist()
+            tunnels.append((chambers[one], chambers[other]))
+        for _ in range(round(self.dead_share * count)):
+            start = chambers[int(rng.integers(0, count))]
+            angle, far = rng.random(2).tolist()
             sine, cosine = sin_cos(np.array(2 * np.pi * angle))
-            away = (8.0 + 8.0 * far) * np.array([float(cosine), float(sine)])
-            ends.append((rooms[one], rooms[one] + away))
-        for start, end in ends:
-            along = end - start
-            length = max(float(along[0] * along[0] + along[1] * along[1]), 1e-9)
-            t = ((x - start[0]) * along[0] + (y - start[1]) * along[1]) / length
-            t = np.clip(t, 0.0, 1.0)
-            dx, dy = x - start[0] - t * along[0], y - start[1] - t * along[1]
-            found = np.minimum(found, np.sqrt(dx * dx + dy * dy) - rng.uniform(*self.tunnel_m))
-        return found
+            away = (8.0 + 8.0 * far) * np.array([cosine, sine])
+            tunnels.append((start, start + away))
+        return tunnels
+
+
+def _from_segment(x: Floats, y: Floats, start: Floats, end: Floats) -> Floats:
+    """Distances of points from the segment between `start` and `end` (2,), metres."""
+    along = end - start
+    length2 = max(float(along[0] * along[0] + along[1] * along[1]), 1e-9)
+    share = ((x - start[0]) * along[0] + (y - start[1]) * along[1]) / length2
+    share = np.clip(share, 0.0, 1.0)  # the nearest point of the segment, from its start to its end
+    dx, dy = x - start[0] - share * along[0], y - start[1] - share * along[1]
+    return np.sqrt(dx * dx + dy * dy)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.random import Generator
 
 from lidarsim.elementary import exp, log
 from lidarsim.parameters import number
@@ -55,7 +56,7 @@ class Clutter(Classed):
     tilted_share: float = 0.7
     """Share of solids at any attitude; the rest are upright."""
 
-    def add_to(self, spec: Drawing, *, rng: np.random.Generator) -> None:
+    def add_to(self, spec: Drawing, *, rng: Generator) -> None:
         """Draw four times as many places as are wanted, and keep the likeliest by the noise."""
         self.add_ground(spec)
         n = max(round(log_uniform(*self.density, rng=rng) * self.size_m[0] * self.size_m[1]), 1)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.random import Generator
 
 from lidarsim.elementary import sin_cos
 from lidarsim.parameters import number
@@ -61,7 +62,7 @@ class Forest(Classed):
         each = 12 * self.density[1] + 2 * self.bush_density[1] + self.fallen_density[1]
         return each * self.size_m[0] * self.size_m[1]
 
-    def add_to(self, spec: Drawing, *, rng: np.random.Generator) -> None:
+    def add_to(self, spec: Drawing, *, rng: Generator) -> None:
         """Draw the ground, and plant everything on it."""
         parts, (x_m, y_m, _) = Parts(), self.size_m
         heights = rng.uniform(*self.hill_m) * hilly(self.size_m, 1.25, (12.0, 5.0), rng=rng)
@@ -87,7 +88,7 @@ class Forest(Classed):
             place.limb("trunk", (-long / 2, 0, radius), (long / 2, 0, radius + lifted), radius)
         parts.add_to(spec)
 
-    def _tree(self, parts: Parts, *, rng: np.random.Generator) -> None:
+    def _tree(self, parts: Parts, *, rng: Generator) -> None:
         """Two limbs of a trunk, perhaps a third that forks off, and a crown."""
         height, radius = rng.uniform(*self.height_m), rng.uniform(*self.trunk_m)
         lean = self.lean * rng.uniform(-1.0, 1.0, (2, 2)) * height / 2

@@ -4,6 +4,7 @@ clutter between them."""
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.random import Generator
 
 from lidarsim.parameters import number
 from lidarsim.solids.shapes import BOX, CYLINDER, SPHERE
@@ -92,7 +93,7 @@ class Geometric(WorldKind):
         heaps = self.clutter_density[1] * self.size_m[0] * self.size_m[1]
         return super().most_solids() + heaps * (self.clutter_count[1] - 1)
 
-    def add_to(self, spec: Drawing, *, rng: np.random.Generator) -> None:
+    def add_to(self, spec: Drawing, *, rng: Generator) -> None:
         """Draw solids, walls and heaps, each of a density drawn once a world."""
         self.add_ground(spec)
         area = self.size_m[0] * self.size_m[1]
@@ -101,9 +102,7 @@ class Geometric(WorldKind):
         self._add_walls(spec, round(area * rng.uniform(*self.wall_density)), rng=rng)
         self._add_clutter(spec, round(area * rng.uniform(*self.clutter_density)), rng=rng)
 
-    def _add_solids(
-        self, spec: Drawing, count: int, scale: float, *, rng: np.random.Generator
-    ) -> None:
+    def _add_solids(self, spec: Drawing, count: int, scale: float, *, rng: Generator) -> None:
         """Standing, floating and stacked ones."""
         kind = rng.integers(0, len(SHAPES), count)
         shape, size = SHAPES[kind], scale * rng.uniform(*self.half_size_m, (count, 3))
@@ -121,7 +120,7 @@ class Geometric(WorldKind):
                 plan[n], z[n] = plan[on[n]], z[on[n]] + reach[on[n]] + reach[n]
         spec.add_geoms(shape, size, np.stack([*plan.T, z], axis=1), tilt, COLOURS[kind])
 
-    def _add_walls(self, spec: Drawing, count: int, *, rng: np.random.Generator) -> None:
+    def _add_walls(self, spec: Drawing, count: int, *, rng: Generator) -> None:
         """Upright slabs, each turned at will."""
         ranges = (self.wall_length_m, self.wall_half_thickness_m, self.wall_height_m)
         low, high = zip(
@@ -132,7 +131,7 @@ class Geometric(WorldKind):
         turn = yaw_quaternion(yaw)
         spec.add_geoms(np.full(count, BOX), np.transpose(sizes), np.transpose(centres), turn)
 
-    def _add_clutter(self, spec: Drawing, heaps: int, *, rng: np.random.Generator) -> None:
+    def _add_clutter(self, spec: Drawing, heaps: int, *, rng: Generator) -> None:
         """Heaps of small tilted solids on the ground."""
         for _ in range(heaps):
             centre = rng.uniform((0.0, 0.0), self.size_m[:2])

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.random import Generator
 
 from lidarsim.solids.shapes import CYLINDER
 from scenegen.recipes.kind import Classed, Range, Size
@@ -71,7 +72,7 @@ class Industrial(Classed):
         pipes, walks = self.bundles[1] * (30 + long / 2), self.catwalks[1] * (4 * long + 30)
         return each * x_m * y_m + pipes + walks + columns
 
-    def add_to(self, spec: Drawing, *, rng: np.random.Generator) -> None:
+    def add_to(self, spec: Drawing, *, rng: Generator) -> None:
         """Draw the hall, and one group of things after the other."""
         parts, (x_m, y_m, z_m) = self.begun("floor"), self.size_m
         apart = rng.uniform(*self.column_m)
@@ -93,14 +94,14 @@ class Industrial(Classed):
                 make(parts.at(x, y, 0.0, int(rng.integers(0, 4)) * QUARTER), rng=rng)
         parts.add_to(spec)
 
-    def _lane(self, parts: Parts, *, rng: np.random.Generator) -> Parts:
+    def _lane(self, parts: Parts, *, rng: Generator) -> Parts:
         """A frame whose x axis crosses the hall along x or along y."""
         x_m, y_m, _ = self.size_m
         if rng.random() < 0.5:
             return parts.at(0.0, rng.uniform(0.1, 0.9) * y_m)
         return parts.at(rng.uniform(0.1, 0.9) * x_m, 0.0, 0.0, QUARTER)
 
-    def _pipes(self, parts: Parts, *, rng: np.random.Generator) -> None:
+    def _pipes(self, parts: Parts, *, rng: Generator) -> None:
         """Parallel pipes at one height, some of which turn down to the floor, on hangers."""
         long, z = min(self.size_m[:2]), rng.uniform(0.4, self.size_m[2] - 1.0)
         y = 0.0
@@ -116,7 +117,7 @@ class Industrial(Classed):
             parts.box("beam", (x, -0.05, z - 0.4), (x + 0.08, y, z - 0.32))
             parts.box("beam", (x, -0.05, 0), (x + 0.08, 0.03, z - 0.32))
 
-    def _tank(self, parts: Parts, *, rng: np.random.Generator) -> None:
+    def _tank(self, parts: Parts, *, rng: Generator) -> None:
         radius, (long, lying) = rng.uniform(*self.tank_m), rng.random(2).tolist()
         if lying < 0.4:
             half, z = radius * (0.8 + long), radius + 0.5
@@ -129,7 +130,7 @@ class Industrial(Classed):
             parts.solid("tank", CYLINDER, (radius, high / 2, 0.0), (0, 0, high / 2))
             parts.ball("tank", (0, 0, high), (radius, radius, 0.4 * radius))
 
-    def _catwalk(self, parts: Parts, *, rng: np.random.Generator) -> None:
+    def _catwalk(self, parts: Parts, *, rng: Generator) -> None:
         """A grating along x on brackets, with railings and a flight of stairs."""
         long, z, wide = min(self.size_m[:2]), rng.uniform(2.2, 5.0), rng.uniform(0.7, 1.2)
         for y in np.arange(0.0, wide, 0.24).tolist():

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import ArrayLike
 
 from lidarsim.elementary import exp, log, sin_cos
@@ -78,7 +79,7 @@ class WorldKind(ABC):
         return float(sum(np.max(value) for value in densities)) * self.size_m[0] * self.size_m[1]
 
     @abstractmethod
-    def add_to(self, spec: Drawing, *, rng: np.random.Generator) -> None:
+    def add_to(self, spec: Drawing, *, rng: Generator) -> None:
         """Draw one world and add its solids to `spec`, by `add_geoms` or `add_geom`, or as to any
         `mujoco.MjSpec`."""
 
@@ -124,12 +125,12 @@ def yaw_quaternion(yaw_rad: ArrayLike) -> Floats:
     return np.stack([cosine, still, still, sine], axis=-1)
 
 
-def log_uniform(low: float, high: float, *, rng: np.random.Generator) -> float:
+def log_uniform(low: float, high: float, *, rng: Generator) -> float:
     """One number between `low` and `high`, both above 0, whose logarithm is uniform."""
     return float(exp(rng.uniform(*log([low, high]))))
 
 
-def normal(shape: tuple[int, ...], *, rng: np.random.Generator) -> Floats:
+def normal(shape: tuple[int, ...], *, rng: Generator) -> Floats:
     """Standard normal numbers of any shape, two from each point of a disc (Marsaglia's polar
     method)."""
     count = int(np.prod(shape))
@@ -139,7 +140,7 @@ def normal(shape: tuple[int, ...], *, rng: np.random.Generator) -> Floats:
     )
 
 
-def attitudes(count: int, tilted_share: float, *, rng: np.random.Generator) -> Floats:
+def attitudes(count: int, tilted_share: float, *, rng: Generator) -> Floats:
     """Unit quaternions (count, 4), w x y z: uniform over all attitudes for a share (Marsaglia
     1972), turned about the vertical alone for the rest."""
     tilted = rng.random(count) < tilted_share
@@ -150,7 +151,7 @@ def attitudes(count: int, tilted_share: float, *, rng: np.random.Generator) -> F
     return np.stack([turn[:, 0], tilt[:, 0], tilt[:, 1], turn[:, 1]], axis=1)
 
 
-def _disc(count: int, *, rng: np.random.Generator) -> tuple[Floats, Floats]:
+def _disc(count: int, *, rng: Generator) -> tuple[Floats, Floats]:
     """Points (count, 2) uniform in the unit disc less its centre, and their squared distances
     (count,) from it."""
     points, square = np.zeros((count, 2)), np.zeros(count)

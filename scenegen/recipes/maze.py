@@ -2,16 +2,36 @@
 through."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.random import Generator
 
+from lidarsim.grid import Floats
 from lidarsim.parameters import number
 from scenegen.recipes.kind import Classed, Range, Size
 from scenegen.recipes.parts import Parts, Span, join
 from scenegen.worlds.drawing import Drawing
 
 STEPS = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+
+
+class _Chances(NamedTuple):
+    """Numbers from 0 to 1 that decide what stands between two cells."""
+
+    loop: float
+    """Whether the cells are joined though there is another way."""
+    left_out: float
+    slit: float
+    shelf: float
+    size_0: float
+    """The window's along the first of the wall's two axes; or, as walls with a window have no
+    shelf, the shelf's depth."""
+    place_0: float
+    """The window's along this axis; or the shelf's height."""
+    size_1: float
+    """The window's along the second axis."""
+    place_1: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +89,7 @@ class Maze(Classed):
         """Five solids for each of the walls around every cell."""
         return 15.0 * np.prod(self._cells(self.cell_m[0], self.level_m[0]))
 
-    def add_to(self, spec: Drawing, *, rng: np.random.Generator) -> None:
+    def add_to(self, spec: Drawing, *, rng: Generator) -> None:
         """Join cells in a random order, and build what is between them."""
         parts = self.begun("floor")
         shape = self._cells(rng.uniform(*self.cell_m), rng.uniform(*self.level_m))
@@ -81,44 +101,44 @@ class Maze(Classed):
             for axis, step in enumerate(STEPS)
             if cell[axis] + step[axis] < shape[axis]
         ]
-        ways, chances = dict[Any, Any](), rng.random((len(walls), 8)).tolist()
+        joins, drawn = dict[Any, Any](), rng.random((len(walls), len(_Chances._fields))).tolist()
         for n in rng.permutation(len(walls)).tolist():
             axis, cell = walls[n]
-            other = tuple(a + b for a, b in zip(cell, STEPS[axis], strict=True))
-            joined = join(ways, cell, other) or chances[n][0] < self.loop_share
-            if not (joined and chances[n][1] < self.open_share):
-                low = [a * b for a, b in zip(cell, edges.tolist(), strict=True)]
-                self._wall(parts, axis, low, edges.tolist(), half, joined, chances[n][2:])
+            chances = _Chances(*drawn[n])
+            beyond = tuple(np.add(cell, STEPS[axis]).tolist())
+            joined = join(joins, cell, beyond) or chances.loop < self.loop_share
+            if not (joined and chances.left_out < self.open_share):
+                self._wall(parts, axis, edges * cell, edges, half, joined, chances)
         parts.add_to(spec)
 
     def _wall(
         self,
         parts: Parts,
         axis: int,
-        low: list[float],
-        edges: list[float],
+        low: Floats,
+        edges: Floats,
         half: float,
         joined: bool,
-        chances: list[float],
+        chances: _Chances,
     ) -> None:
-        """The wall beyond a cell across `axis`, with a window where cells are joined."""
-        across = [n for n in range(3) if n != axis]
-        slit, shelf, a, b, c, d = chances
-        of_class = "ceiling" if axis == 2 else "wall"
+        """The wall beyond a cell across `axis`, twice `half` thick, with a window where cells are
+        joined. `low` (3,) is the cell's least corner, and `edges` (3,) are its edges, metres."""
+        begin, end, size_m = low.tolist(), (low + edges).tolist(), edges.tolist()
+        along = [n for n in range(3) if n != axis]
         least, most = self.window_m
+        places = (chances.size_0, chances.place_0), (chances.size_1, chances.place_1)
         window: list[Span] = []
-        for n, (size, place) in zip(across, ((a, b), (c, d)), strict=True):
-            wide = min(least + size * (most - least), edges[n] - 0.2)
-            if axis < 2 and slit < self.slit_share:
-                wide = edges[2] if n == 2 else least
-            begin = low[n] + place * (edges[n] - wide)
-            window.append((begin, begin + wide))
-        ends = [low[n] + edges[n] for n in range(3)]
-        whole = [(low[n], ends[n]) for n in across]
-        parts.wall(of_class, axis, ends[axis], half, whole, window if joined else None)
-        if not joined and axis < 2 and shelf < self.shelf_share:
-            corner, opposite = list(low), list(ends)
-            corner[axis] = ends[axis] - 0.4 - 0.8 * a
-            corner[2] = low[2] + (0.2 + 0.6 * b) * edges[2]
-            opposite[2] = corner[2] + 0.08
-            parts.box("shelf", corner, opposite)
+        for n, (size, place) in zip(along, places, strict=True):
+            wide = min(least + size * (most - least), size_m[n] - 0.2)
+            if axis < 2 and chances.slit < self.slit_share:
+                wide = size_m[2] if n == 2 else least
+            start = begin[n] + place * (size_m[n] - wide)
+            window.append((start, start + wide))
+        whole = [(begin[n], end[n]) for n in along]
+        of_class = "ceiling" if axis == 2 else "wall"
+        parts.wall(of_class, axis, end[axis], half, whole, window if joined else None)
+        if not joined and axis < 2 and chances.shelf < self.shelf_share:
+            begin[axis] = end[axis] - 0.4 - 0.8 * chances.size_0
+            begin[2] += (0.2 + 0.6 * chances.place_0) * size_m[2]
+            end[2] = begin[2] + 0.08
+            parts.box("shelf", begin, end)

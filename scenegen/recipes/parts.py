@@ -3,13 +3,14 @@ ground; and places by density."""
 
 import itertools
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import ArrayLike
 
 from lidarsim.elementary import sin_cos
-from lidarsim.grid import Floats, Ints
+from lidarsim.grid import Floats, Ints, Vector
 from lidarsim.solids.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, bounding_boxes
 from scenegen.worlds.drawing import UPRIGHT, Drawing
 
@@ -113,7 +114,7 @@ class Parts:
         turned = (c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w)
         self._rows.append((of_class, shape, size, self._moved(centre), turned))
 
-    def _moved(self, point: Point) -> tuple[float, float, float]:
+    def _moved(self, point: Point) -> Vector:
         (x, y, z), (x0, y0, z0), (_, (c, s)) = point, self._origin, self._turns
         return x0 + c * x - s * y, y0 + s * x + c * y, z0 + z
 
@@ -141,9 +142,7 @@ def join(homes: dict[Any, Any], one: Any, other: Any) -> bool:
     return True
 
 
-def divided(
-    room: Rectangle, edges_m: Sequence[float], *, rng: np.random.Generator
-) -> list[Rectangle]:
+def divided(room: Rectangle, edges_m: Sequence[float], *, rng: Generator) -> list[Rectangle]:
     """Rectangles that fill a rectangle: one with an edge longer than those between `edges_m` is
     divided, none becomes shorter."""
     x0, y0, x1, y1 = room
@@ -158,34 +157,41 @@ def divided(
     return [part for one in halves for part in divided(one, edges_m, rng=rng)]
 
 
-def shared_edges(
-    rooms: Sequence[Rectangle],
-) -> list[tuple[int, float, float, float, int, int]]:
-    """Where rectangles touch: the axis across the edge, where on it, from where to where along the
-    other, and the two rectangles' numbers."""
+class Edge(NamedTuple):
+    """Where a rectangle touches another, or the rim of the plan."""
+
+    axis: int
+    """The one across the edge."""
+    at: float
+    """Where the edge is on that axis, metres."""
+    low: float
+    """Where it begins on the other axis, metres."""
+    high: float
+    """Where it ends."""
+
+
+def shared_edges(rooms: Sequence[Rectangle]) -> list[tuple[Edge, tuple[int, int]]]:
+    """Where rectangles touch, and the numbers of the two."""
     found = []
     for (a, one), (b, other) in itertools.combinations(enumerate(rooms), 2):
         for axis in (0, 1):
-            across = 1 - axis
-            low, high = max(one[across], other[across]), min(one[across + 2], other[across + 2])
+            along = 1 - axis
+            low, high = max(one[along], other[along]), min(one[along + 2], other[along + 2])
             for first, second in ((one, other), (other, one)):
                 if first[axis + 2] == second[axis] and high - low > 1e-9:
-                    found.append((axis, second[axis], low, high, a, b))
+                    found.append((Edge(axis, second[axis], low, high), (a, b)))
     return found
 
 
-def rim_edges(
-    rooms: Sequence[Rectangle], size_m: Sequence[float]
-) -> Iterator[tuple[int, float, float, float]]:
-    """Where rectangles touch the rim of a plan of `size_m` from the origin: the axis across the
-    edge, where on it, and from where to where along the other."""
+def rim_edges(rooms: Sequence[Rectangle], size_m: Sequence[float]) -> Iterator[Edge]:
+    """Where rectangles touch the rim of a plan of `size_m` from the origin."""
     for room in rooms:
         for axis, side in ((0, 0), (0, 2), (1, 1), (1, 3)):
             if room[side] in (0.0, size_m[axis]):
-                yield axis, room[side], room[1 - axis], room[3 - axis]
+                yield Edge(axis, room[side], room[1 - axis], room[3 - axis])
 
 
-def noise_field(points: Floats, cell_m: float, *, rng: np.random.Generator) -> Floats:
+def noise_field(points: Floats, cell_m: float, *, rng: Generator) -> Floats:
     """Smooth noise from 0 to 1 at points (n, d), d at most 3, whose hills are some `cell_m` wide:
     random values at the corners of a lattice, interpolated (value noise)."""
     scaled = (points - points.min(axis=0)) / cell_m
@@ -204,7 +210,7 @@ def noise_field(points: Floats, cell_m: float, *, rng: np.random.Generator) -> F
 
 
 def hilly(
-    size_m: Sequence[float], step_m: float, cells_m: Sequence[float], *, rng: np.random.Generator
+    size_m: Sequence[float], step_m: float, cells_m: Sequence[float], *, rng: Generator
 ) -> Floats:
     """Heights from 0 to 1 on a lattice of about `step_m` over a plan, (along y, along x): noise
     with hills of several widths, each of half the height of the one before."""
@@ -242,7 +248,7 @@ def height_at(heights: Floats, size_m: Sequence[float], x: float, y: float) -> f
 
 
 def scattered(
-    density: ArrayLike, area_m2: float, low: Point, high: Point, *, rng: np.random.Generator
+    density: ArrayLike, area_m2: float, low: Point, high: Point, *, rng: Generator
 ) -> list[list[float]]:
     """Points (n, k) between two corners of k numbers: as many as there are on an area by a density
     a square metre, drawn between two bounds."""

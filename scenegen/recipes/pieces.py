@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
+from numpy.random import Generator
 
 from lidarsim.solids.shapes import BOX
 from scenegen.recipes.parts import Parts, Point, Rectangle
@@ -14,7 +15,7 @@ PALLET_M = (1.2, 0.8, 0.15)
 """A EUR pallet (EN 13698-1), metres."""
 
 
-def furniture(parts: Parts, kind: str, *, rng: np.random.Generator) -> None:
+def furniture(parts: Parts, kind: str, *, rng: Generator) -> None:
     """A piece of furniture around the origin of a frame."""
     a, b, c = rng.random(3).tolist()
     if kind == "table":
@@ -52,7 +53,7 @@ def furnish(
     doors: Sequence[tuple[float, float]],
     density: float,
     *,
-    rng: np.random.Generator,
+    rng: Generator,
 ) -> None:
     """Furniture in a room, so many pieces a square metre, and none before its doors."""
     x0, y0, x1, y1 = room
@@ -72,7 +73,7 @@ def stairs(parts: Parts, low: Point, length: float, height: float) -> None:
         parts.box("stairs", step, (step[0] + 0.3, y + 1.1, z + 0.17 * (n + 1)))
 
 
-def tree(parts: Parts, height: float, *, rng: np.random.Generator) -> None:
+def tree(parts: Parts, height: float, *, rng: Generator) -> None:
     """A tree of this height at the origin of a frame: a trunk under a crown of ellipsoids."""
     bole = height * rng.uniform(0.3, 0.5)
     parts.limb("trunk", (0, 0, 0), (0.02 * height, 0, bole + 0.2 * height), 0.025 * height)
@@ -84,7 +85,7 @@ def tree(parts: Parts, height: float, *, rng: np.random.Generator) -> None:
         parts.ball("vegetation", middle, (radius, radius, radius * (0.8 + 0.2 * flat)))
 
 
-def balcony(parts: Parts, width: float, *, rng: np.random.Generator) -> None:
+def balcony(parts: Parts, width: float, *, rng: Generator) -> None:
     """A balcony along x, in front of y = 0, with a wall or a railing."""
     out = rng.uniform(0.8, 1.4)
     parts.box("building", (0, -out, -0.15), (width, 0, 0.0))
@@ -96,9 +97,7 @@ def balcony(parts: Parts, width: float, *, rng: np.random.Generator) -> None:
             parts.limb("fence", (x, -out, 0), (x, -out, 1.0), 0.02)
 
 
-def colonnade(
-    parts: Parts, size: Point, bays: int, pier: float, *, rng: np.random.Generator
-) -> None:
+def colonnade(parts: Parts, size: Point, bays: int, pier: float, *, rng: Generator) -> None:
     """A ground floor of `size` that stands back behind a row of columns along x at y = 0."""
     width, deep, high = size
     parts.box("building", (0, rng.uniform(1.8, 2.8), 0), (width, deep, high))
@@ -156,7 +155,7 @@ def cable(parts: Parts, start: Point, end: Point) -> None:
     parts.limb("cable", (x, y, z - 0.3), end, 0.025)
 
 
-def car(parts: Parts, *, rng: np.random.Generator) -> None:
+def car(parts: Parts, *, rng: Generator) -> None:
     """A car along x: body, cabin and wheels."""
     long, wide, high = rng.uniform((3.8, 1.65, 1.4), (4.8, 1.9, 1.9)).tolist()
     body, shift = 0.55 * high, rng.uniform(-0.3, 0.3)
@@ -168,7 +167,7 @@ def car(parts: Parts, *, rng: np.random.Generator) -> None:
             parts.rod("tyre", (x, y, 0.31), (x, y + 0.2, 0.31), 0.31)
 
 
-def pallet(parts: Parts, *, rng: np.random.Generator) -> None:
+def pallet(parts: Parts, *, rng: Generator) -> None:
     """A pallet with a load, around the origin of a frame."""
     x, y, z = (PALLET_M[0] / 2, PALLET_M[1] / 2, PALLET_M[2])
     parts.box("goods", (-x, -y, 0), (x, y, z))
@@ -176,7 +175,7 @@ def pallet(parts: Parts, *, rng: np.random.Generator) -> None:
     parts.box("goods", (-x * (0.6 + 0.4 * a), -y, z), (x, y * (0.6 + 0.4 * b), z + 0.3 + 1.4 * c))
 
 
-def conveyor(parts: Parts, long: float, *, rng: np.random.Generator) -> None:
+def conveyor(parts: Parts, long: float, *, rng: Generator) -> None:
     """A belt along y on legs, with goods on it."""
     high = rng.uniform(0.7, 2.6)
     parts.box("machine", (-0.4, 0, high - 0.15), (0.4, long, high))
@@ -196,7 +195,7 @@ def truss(parts: Parts, long: float) -> None:
         parts.limb("beam", (x, 0, 0.1), (x + 2.5, 0, 1.0), 0.05)
 
 
-def machine(parts: Parts, *, rng: np.random.Generator) -> None:
+def machine(parts: Parts, *, rng: Generator) -> None:
     """Boxes and a drum on a base."""
     x, y, z = rng.uniform((0.6, 0.4, 0.6), (2.0, 1.2, 1.8)).tolist()
     parts.box("machine", (-x, -y, 0), (x, y, 0.25))
@@ -206,7 +205,7 @@ def machine(parts: Parts, *, rng: np.random.Generator) -> None:
     parts.box("machine", (0.9 * x, -y, 0), (0.9 * x + 0.3, -0.5 * y, 1.6))
 
 
-def scaffold(parts: Parts, *, rng: np.random.Generator) -> None:
+def scaffold(parts: Parts, *, rng: Generator) -> None:
     """Bays of tubes and planks."""
     bays, lifts = (int(n) for n in rng.integers((1, 1), (4, 4)))
     for bay in range(bays + 1):
@@ -222,7 +221,7 @@ def scaffold(parts: Parts, *, rng: np.random.Generator) -> None:
             parts.rod("beam", (2.0 * bay, 0, z - 2.0), (2.0 * bay + 2.0, 0, z), 0.024)
 
 
-def stone(parts: Parts, turn: Sequence[float], *, rng: np.random.Generator) -> None:
+def stone(parts: Parts, turn: Sequence[float], *, rng: Generator) -> None:
     """A box or an ellipsoid at the origin of a frame, at an attitude w x y z."""
     a, b, c, flat = rng.random(4).tolist()
     size = (0.15 + 0.6 * a, 0.15 + 0.5 * b, 0.1 + 0.4 * c)

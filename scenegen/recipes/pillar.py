@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.random import Generator
 
 from lidarsim.elementary import sin_cos
 from lidarsim.parameters import number
@@ -57,7 +58,7 @@ class Pillar(WorldKind):
     height_m: Range = (10.0, 10.0)
     """Heights of pillars, metres, from the ground up."""
 
-    def add_to(self, spec: Drawing, *, rng: np.random.Generator) -> None:
+    def add_to(self, spec: Drawing, *, rng: Generator) -> None:
         """Draw all pillars at once, then move those of the passages beside earlier ones."""
         self.add_ground(spec)
         x_m, y_m, _ = self.size_m

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.random import Generator
 
 from lidarsim.parameters import number
 from scenegen.recipes.kind import Classed, Range, Size
@@ -77,7 +78,7 @@ class Rooms(Classed):
         area = self.size_m[0] * self.size_m[1]
         return area / self.room_m[0] ** 2 * 40 + self.furniture_density[1] * area * 12
 
-    def add_to(self, spec: Drawing, *, rng: np.random.Generator) -> None:
+    def add_to(self, spec: Drawing, *, rng: Generator) -> None:
         """Divide the plan, raise walls with openings, and furnish the rooms."""
         parts, (x_m, y_m, _) = self.begun("floor"), self.size_m
         height, half = rng.uniform(*self.height_m), rng.uniform(*self.wall_half_thickness_m)
@@ -103,38 +104,39 @@ class Rooms(Classed):
         height: float,
         half: float,
         *,
-        rng: np.random.Generator,
+        rng: Generator,
     ) -> list[list[tuple[float, float]]]:
-        """Walls between rooms and around all; the doors' places, by room."""
-        shared, ways = shared_edges(rooms), dict[int, int]()
+        """Walls between rooms, with doors, and around all, with windows; the doors' places, by
+        room. Walls are `height` high and twice `half` thick, metres."""
+        shared, joins = shared_edges(rooms), dict[int, int]()
         doors: list[list[tuple[float, float]]] = [[] for _ in rooms]
         for n in rng.permutation(len(shared)).tolist():
-            axis, at, low, high, a, b = shared[n]
+            (axis, at, low, high), beside = shared[n]
             width, top = rng.uniform(*self.door_width_m), min(self.door_height_m, height)
-            place, chance, wider = rng.random(3).tolist()
-            if wider < self.open_share and high - low > 2 * width + 4 * half:
+            place, loop, wider = rng.random(3).tolist()
+            length = high - low
+            if wider < self.open_share and length > 2 * width + 4 * half:
                 width, top = 2 * width, height
-            opening = None
-            if high - low > width + 4 * half and (join(ways, a, b) or chance < self.loop_share):
-                begin = low + 2 * half + place * (high - low - width - 4 * half)
-                opening = ((begin, begin + width), (0.0, top))
+            door = None
+            # rooms that a door joins already have a second way only by chance
+            if length > width + 4 * half and (join(joins, *beside) or loop < self.loop_share):
+                begin = low + 2 * half + place * (length - width - 4 * half)
+                door = ((begin, begin + width), (0.0, top))
                 middle = (at, begin + width / 2)
-                for one in (a, b):
-                    doors[one].append(middle if axis == 0 else middle[::-1])
+                for room in beside:
+                    doors[room].append(middle if axis == 0 else middle[::-1])
+            # so much longer that walls meet in the corners
             span = ((low - half, high + half), (0.0, height))
-            parts.wall("wall", axis, at, half, span, opening)
+            parts.wall("wall", axis, at, half, span, door)
         for axis, at, low, high in rim_edges(rooms, self.size_m):
             sill, width = rng.uniform(0.7, 1.1), rng.uniform(0.3, 0.7) * (high - low)
             begin = (low + high - width) / 2
             window = ((begin, begin + width), (sill, min(2.2, height - 0.1)))
             opening = window if rng.random() < self.window_share else None
-            span = ((low, high), (0.0, height))
-            parts.wall("wall", axis, at, half, span, opening)
+            parts.wall("wall", axis, at, half, ((low, high), (0.0, height)), opening)
         return doors
 
-    def _fit_out(
-        self, parts: Parts, room: Rectangle, height: float, *, rng: np.random.Generator
-    ) -> None:
+    def _fit_out(self, parts: Parts, room: Rectangle, height: float, *, rng: Generator) -> None:
         """Stairs and columns."""
         x0, y0, x1, y1 = room
         rising, columns = rng.random(2).tolist()

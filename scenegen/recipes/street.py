@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.random import Generator
 
 from scenegen.recipes.kind import Classed, Range, Size
 from scenegen.recipes.parts import Parts, scattered
@@ -82,7 +83,7 @@ class Street(Classed):
         plants = (self.tree_density[1] * 8 + self.bush_density[1]) * 2 * x * self.pavement_m[1]
         return bays * (4 + 8 * storeys) + plants + 8 * x
 
-    def add_to(self, spec: Drawing, *, rng: np.random.Generator) -> None:
+    def add_to(self, spec: Drawing, *, rng: Generator) -> None:
         """Draw the ground, then each side of the street in a frame of its own."""
         parts, (x_m, y_m, _) = self.begun("road"), self.size_m
         road, pavement = rng.uniform(*self.road_m), rng.uniform(*self.pavement_m)
@@ -98,7 +99,7 @@ class Street(Classed):
                     car(here.at(x + 2.5, road / 2 - 1.1), rng=rng)
         parts.add_to(spec)
 
-    def _houses(self, parts: Parts, front: float, *, rng: np.random.Generator) -> None:
+    def _houses(self, parts: Parts, front: float, *, rng: Generator) -> None:
         x, (x_m, y_m, _) = 0.0, self.size_m
         while x < x_m - 1.0:
             width = min(rng.uniform(*self.house_m), x_m - x)
@@ -109,7 +110,7 @@ class Street(Classed):
                 self._house(parts.at(x, front), width, back - front, rng=rng)
             x += width
 
-    def _house(self, parts: Parts, width: float, deep: float, *, rng: np.random.Generator) -> None:
+    def _house(self, parts: Parts, width: float, deep: float, *, rng: Generator) -> None:
         """A house whose front runs along x at y = 0, and which lies behind it."""
         storeys = int(rng.integers(int(self.storeys[0]), int(self.storeys[1]) + 1))
         top, relief = storeys * STOREY_M, rng.uniform(*self.relief_m)
@@ -131,9 +132,7 @@ class Street(Classed):
         else:
             parts.box("roof", (0, -over, top), (width, deep, top + 0.3))
 
-    def _pavement(
-        self, parts: Parts, kerb: float, wide: float, *, rng: np.random.Generator
-    ) -> None:
+    def _pavement(self, parts: Parts, kerb: float, wide: float, *, rng: Generator) -> None:
         x_m, gap = self.size_m[0], rng.uniform(10.0, 15.0)
         posts = np.arange(rng.uniform(0.5, gap), x_m, gap).tolist()
         height, wired = rng.uniform(5.0, 8.0), rng.random() < self.wire_share

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.random import Generator
 
 from scenegen.recipes.kind import Classed, Range, Size
 from scenegen.recipes.parts import Parts
@@ -69,7 +70,7 @@ class Warehouse(Classed):
         conveyors = (x_m / (self.aisle_m[0] + 2.2) + 1) * (2 * y_m + 2)
         return bays * (6 + 8 * (self.levels[1] + 1)) + 4 * floor + trusses + conveyors + 10
 
-    def add_to(self, spec: Drawing, *, rng: np.random.Generator) -> None:
+    def add_to(self, spec: Drawing, *, rng: Generator) -> None:
         """Draw the hall, then row after row."""
         parts, (x_m, y_m, z_m) = self.begun("floor"), self.size_m
         for x in (-0.2, x_m):
@@ -109,7 +110,7 @@ class Warehouse(Classed):
         tall: float,
         fill: float,
         *,
-        rng: np.random.Generator,
+        rng: Generator,
     ) -> None:
         """A double rack along y: frames, beams, and pallets on them."""
         high = levels * tall + 0.3

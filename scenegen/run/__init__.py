@@ -28,6 +28,11 @@ def cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
+def chunked(items: Sequence[Any], size: int) -> list[Any]:
+    """`items` in their order, cut into parts of `size`; the last may be shorter."""
+    return [items[first : first + size] for first in range(0, len(items), size)]
+
+
 def unheard(samples: int) -> None:
     """Where nobody wants to be told."""
 

@@ -121,7 +121,8 @@ def received(
 
 @lru_cache(maxsize=1)
 def _function(parcel: bytes) -> Callable[[Any], Any]:
-    """The same for all tasks of a process: it may keep something from one to the next."""
+    """The function of a parcel: one object for all tasks of a process, for it may keep something
+    from one to the next."""
     return _unpack(parcel)
 
 

@@ -18,7 +18,7 @@ from typing import Any
 from urllib.parse import parse_qsl
 
 from scenegen.errors import DatasetError, GenerationError, OwnCodeError, needs, printable
-from scenegen.run import Begun, Executor, Function, Results
+from scenegen.run import Begun, Executor, Function, Results, chunked
 from scenegen.run.remote import GO_ON, Outcome, pack, sent, taken
 from scenegen.run.workers import safe_path
 
@@ -78,9 +78,7 @@ class Slurm(Executor):
         each = math.ceil(len(tasks) / min(JOBS * self.workers, MOST_JOBS))
         folder = Path(tempfile.mkdtemp(prefix="scenegen-slurm-", dir=Path.cwd()))
         with _cancelled(folder.name):
-            jobs = self._submit(
-                folder, function, [tasks[n : n + each] for n in range(0, len(tasks), each)]
-            )
+            jobs = self._submit(folder, function, chunked(tasks, each))
             on_start()
             for job in self._ended(jobs, folder):
                 yield from self._results(job, folder)
@@ -120,11 +118,9 @@ class Slurm(Executor):
                 additional_parameters=self.options,
             )
             with safe_path():  # the jobs' environment is this one; they are begun by python -m
-                for n in range(0, len(parts), size):
+                for array in chunked(parts, size):
                     # packed one after the other: a task may be 4 KB
-                    packed = [
-                        [pack(task, CloudPickler) for task in part] for part in parts[n : n + size]
-                    ]
+                    packed = [[pack(task, CloudPickler) for task in part] for part in array]
                     jobs += executor.map_array(several, packed)
             return jobs
         except (RuntimeError, OSError) as error:

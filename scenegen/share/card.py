@@ -52,7 +52,7 @@ FORMATS = {
 
 def facts(
     made: Manifest,
-    told: Json,
+    summary: Json,
     request: "Request",
     *,
     tag: str,
@@ -60,26 +60,28 @@ def facts(
     checks: Sequence[tuple[str, str]],
     pictures: str,
 ) -> Json:
-    """What stands in both texts, by the names that these have for it.
+    """The values of all placeholders of `card.md` and `croissant.json`, by name.
 
     Args:
         made: The dataset.
-        told: What `scenegen.display.inspect.inspect` says of it.
-        request: As what it is published.
+        summary: What `scenegen.display.inspect.inspect` says of it.
+        request: The repository and the licence that it is published under.
         tag: The revision that names this content.
         date: The day of publication, YYYY-MM-DD.
         checks: Name and detail of every check that the dataset passed.
-        pictures: What shows them, in Markdown.
+        pictures: Markdown that shows its pictures.
     """
     owner, _, name = request.repository.partition("/")
     licence, licence_url = LICENCES[request.licence]
-    splits = told["splits"]
-    shape, voxel_m = made.grid.shape, made.grid.voxel_m
-    lidars, mappings, _ = (dict.fromkeys(column) for column in zip(*made.settings, strict=True))
-    plain = all(mapping.plain for mapping in mappings)
-    maps = "" if plain else f", each {' or '.join(map(str, mappings))}"
+    splits = summary["splits"]
+    lidars = dict.fromkeys(sensing.lidar for sensing in made.settings)
+    mappings = dict.fromkeys(sensing.mapping for sensing in made.settings)
+    maps = ""
+    if not all(mapping.plain for mapping in mappings):
+        maps = f", each {' or '.join(map(str, mappings))}"
     kinds = dict.fromkeys(home.kind for home in made.homes)
     worlds = "; ".join(KINDS.get(kind, f"worlds of kind {kind}") for kind in kinds)
+    voxels = f"{' × '.join(map(str, made.grid.shape))} voxel maps of {made.grid.voxel_m:g} m"
     return {
         **_notes(made),
         "name": name,
@@ -94,27 +96,27 @@ def facts(
         "licence": licence,
         "licence_url": licence_url,
         "paper": PAPER,
-        "sentence": f"{told['samples']} pairs of a simulated LiDAR scan and the exact truth around "
-        f"it, in {worlds}, as {' × '.join(map(str, shape))} voxel maps of {voxel_m:g} m{maps}",
+        "sentence": f"{summary['samples']} pairs of a simulated LiDAR scan and the exact truth "
+        f"around it, in {worlds}, as {voxels}{maps}",
         "version": f"{VERSION}.{made.tables.get('version', 0)}.0",
         "seed": made.homes[0].seed,
         "lidar": " or ".join(map(str, lidars)),
         "digest": made.digest,
         "centred": "" if maps else " and the sensor sits at the map's centre",
         "versions": ", ".join(f"{name} {number}" for name, number in made.software.items()),
-        "voxel_m": voxel_m,
+        "voxel_m": made.grid.voxel_m,
         "truncation_m": f"{made.grid.truncation_m:g}",
         "command": command(made, name),
-        "samples": told["samples"],
+        "samples": summary["samples"],
         "split": next(iter(splits)),
         "data_files": "\n".join(
-            f"  - split: {one}\n    path: {json.dumps(_shards(made, one))}" for one in splits
+            f"  - split: {split}\n    path: {json.dumps(_shards(made, split))}" for split in splits
         ),
         "pictures": pictures,
         "fields": _fields(made),
         "statistics": _statistics(splits),
-        "megabytes": f"{told['bytes'] / 1e6:.1f}",
-        "kilobytes": f"{told['bytes_per_sample'] / 1e3:.1f}",
+        "megabytes": f"{summary['bytes'] / 1e6:.1f}",
+        "kilobytes": f"{summary['bytes_per_sample'] / 1e3:.1f}",
         "checks": "\n".join(f"- {check}: {detail}" for check, detail in checks),
     }
 
@@ -127,26 +129,16 @@ def _shards(made: Manifest, split: str) -> list[str]:
 def _notes(made: Manifest) -> dict[str, str]:
     """Sentences that differ between datasets of several sorts."""
     file, _ = source_file(made)
-    absent = " and ".join(f"`{name}`" for name in ("free", "tudf") if name not in made.fields)
-    stages = dict.fromkeys(home.noise_stages for home in made.homes)
-    said = " or ".join(f"`{one}`" if one else "none" for one in stages)
-    rejected = (
+    rejected = [
         f"{what}: {', '.join(f'{reason} {count}' for reason, count in reasons.items())}"
         for what, reasons in made.rejected.items()
         if reasons
-    )
+    ]
     notes = {
-        "surfaces": " Truth is of surfaces: a voxel that lies wholly inside one solid is not "
-        "occupied."
-        if made.grid.hollow
-        else "",
-        "surface": "the surface of " if made.grid.hollow else "",
-        "derived": f" {absent} follow from these; scenegen derives them on reading."
-        if absent
-        else "",
-        "faults": f"with simulated noise, {said}"
-        if any(stages)
-        else "without noise or motion, and with every return within range",
+        "surfaces": "",
+        "surface": "",
+        "derived": "",
+        "faults": "without noise or motion, and with every return within range",
         "caster": "MuJoCo" if made.engine == MUJOCO else f"the engine {made.engine}",
         "drawn": "Random worlds are drawn from",
         "people": "Worlds are synthetic and simple: they are of no real place, and hold neither "
@@ -157,6 +149,17 @@ def _notes(made: Manifest) -> dict[str, str]:
         "rejected": f"Rejected while drawing: {'; '.join(rejected) or 'none'}.",
         "stands": "",
     }
+    if made.grid.hollow:
+        notes["surfaces"] = (
+            " Truth is of surfaces: a voxel that lies wholly inside one solid is not occupied."
+        )
+        notes["surface"] = "the surface of "
+    if absent := " and ".join(f"`{name}`" for name in ("free", "tudf") if name not in made.fields):
+        notes["derived"] = f" {absent} follow from these; scenegen derives them on reading."
+    noises = dict.fromkeys(home.noise_stages for home in made.homes)
+    if any(noises):
+        stages = " or ".join(f"`{noise}`" if noise else "none" for noise in noises)
+        notes["faults"] = f"with simulated noise, {stages}"
     if made.kind == "scene":
         notes |= {
             "drawn": "Worlds were given as files; from",
@@ -225,17 +228,14 @@ def _fields(made: Manifest) -> str:
 def _statistics(splits: Json) -> str:
     rows = [["", *splits]]
     for name, key in (("samples", "samples"), ("worlds", "worlds"), ("measured", "sampled")):
-        rows.append([name, *(str(it[key]) for it in splits.values())])
+        rows.append([name, *(str(split[key]) for split in splits.values())])
     for key, (label, unit) in TITLES.items():
         factor = 100 if unit == "%" else 1
-        found = [it["statistics"][key] for it in splits.values()]
-        cells = [
-            "–"
-            if one["mean"] is None
-            else f"{one['mean'] * factor:.2f} ± {one['std'] * factor:.2f}"
-            for one in found
-        ]
-        rows.append([f"{label}, {unit}".removesuffix(", "), *cells])
+        row = [f"{label}, {unit}".removesuffix(", ")]
+        for split in splits.values():
+            mean, std = (split["statistics"][key][name] for name in ("mean", "std"))
+            row.append("–" if mean is None else f"{mean * factor:.2f} ± {std * factor:.2f}")
+        rows.append(row)
     return _table(*rows)
 
 

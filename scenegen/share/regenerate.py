@@ -88,31 +88,37 @@ def command(found: Manifest, out: str) -> str:
 def recipe_text(parameters: Json, title: str) -> str:
     """A recipe file with every parameter of a manifest, so that no preset's later version changes
     anything; `title` is its first line."""
-    sources = [one["parameters"] for one in parameters.get("sources") or ()]
-    each = [_tables(one, rays_named(parameters)) for one in sources or [parameters]]
+    sources = [source["parameters"] for source in parameters.get("sources") or ()]
+    components = [
+        _tables(component, rays_named(parameters)) for component in sources or [parameters]
+    ]
     lines = _table(f"# {title}", {"kind": "mixed"} if sources else _preset(parameters))[1:]
-    common = [name for name in each[0] if all(one[name] == each[0][name] for one in each)]
+    first = components[0]
+    common = [name for name in first if all(other[name] == first[name] for other in components)]
     for name in common:
-        lines += _table(f"[{name}]", each[0][name])
-    weights = _weights([one["counts"] for one in sources])
-    for own, weight, tables in zip(sources, weights, each if sources else (), strict=True):
-        lines += _table("[[component]]", _preset(own) | {"weight": weight})
-        for name, table in tables.items():
-            lines += [] if name in common else _table(f"[component.{name}]", table)
+        lines += _table(f"[{name}]", first[name])
+    if sources:
+        weights = _weights([source["counts"] for source in sources])
+        for source, weight, tables in zip(sources, weights, components, strict=True):
+            lines += _table("[[component]]", _preset(source) | {"weight": weight})
+            for name, table in tables.items():
+                if name not in common:
+                    lines += _table(f"[component.{name}]", table)
     return "\n".join([*lines, ""])
 
 
 def _weights(counts: Sequence[Mapping[str, int]]) -> list[int]:
-    """The least weights by which components come out with these `counts`; where none are found,
-    their samples."""
-    splits = [[one[split] for one in counts] for split in SPLITS]
+    """The least weights by which components come out with these `counts` of samples by split; where
+    none are found, their samples."""
+    splits = [[count[split] for count in counts] for split in SPLITS]
     largest = max(splits, key=sum)
-    whole = sum(largest)
-    for total in range(len(counts), min(whole, MOST_PARTS) + 1):
-        weights = [Fraction(round(Fraction(count * total, whole))) for count in largest]
+    samples = sum(largest)
+    # weights whose sum is `total` are about the shares of the largest split
+    for total in range(len(counts), min(samples, MOST_PARTS) + 1):
+        weights = [Fraction(round(Fraction(count * total, samples))) for count in largest]
         if all(weights) and all(shares(sum(split), weights) == split for split in splits):
             return [int(weight) for weight in weights]
-    return [sum(one.values()) for one in counts]
+    return [sum(count.values()) for count in counts]
 
 
 def _preset(parameters: Json) -> Json:
@@ -149,7 +155,7 @@ def _table(head: str, table: Json | None) -> list[str]:
 def check_kind(there: str, named: str | None) -> None:
     """Raise PublishError for a dataset of kind `there` whose worlds only a module of somebody's own
     can draw, unless the user `named` it: no module is imported because a manifest names it."""
-    if there != "scene" and there not in KINDS.known and there != named:
+    if there != "scene" and there not in KINDS.builtin and there != named:
         raise PublishError(
             f"the dataset's kind, {short(there)}, is none of scenegen's own, and only its module "
             "can say whether the recipe makes the same worlds again; give --kind with its name to "
@@ -180,7 +186,7 @@ def check_source(dataset: Dataset, name: str, text: str) -> None:
     with tempfile.TemporaryDirectory() as folder, undone_if_stopped(lambda: shutil.rmtree(folder)):
         path = Path(folder, name)
         path.write_text(text, encoding="utf-8")
-        write_rays([lidar for lidar, _, _ in dataset.settings], path.parent)
+        write_rays([sensing.lidar for sensing in dataset.settings], path.parent)
         try:
             if found.rescan is not None:
                 here = {"generator": GENERATOR, "lidar": sensor_entry(named_lidar(str(path)))}
@@ -212,7 +218,7 @@ def _read_again(found: Manifest, path: Path) -> Json:
 
 
 def _decided(parameters: Json) -> Json:
-    """What of a manifest's `parameters` a recipe decides."""
+    """The part of a manifest's `parameters` that a recipe decides."""
     left = manifest.completed(parameters)
     found = {name: it for name, it in left.items() if name not in _NOT_OURS}
     found["recipe"] = {name: it for name, it in found["recipe"].items() if name != "scenes"}

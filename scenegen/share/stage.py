@@ -1,7 +1,6 @@
 """From a dataset to the folder that is published: put together beside its final place, hashed, then
 moved there whole."""
 
-import contextlib
 import datetime
 import json
 import os
@@ -9,6 +8,7 @@ import re
 import shutil
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
@@ -16,7 +16,7 @@ from pathlib import Path
 
 from scenegen import SPLITS
 from scenegen.dataset import manifest
-from scenegen.dataset.choose import figures_file, kept_figures
+from scenegen.dataset.choose import kept_measures, measures_file
 from scenegen.dataset.locate import REPOSITORY, REVISION, file_sha256
 from scenegen.dataset.read import Dataset
 from scenegen.display.inspect import inspect
@@ -139,8 +139,8 @@ def stage(request: Request, checks: tuple[tuple[str, str], ...]) -> Staged:
     with whole_folder(request.out, partial(check_out, request.dataset)) as draft:
         take(request.dataset, draft, found.files)
         write_whole(draft / manifest.NAME, content)
-        if kept_figures(dataset):
-            figures = figures_file(dataset)
+        if kept_measures(dataset):
+            figures = measures_file(dataset)
             write_whole(draft / figures.name, figures.read_bytes())
         listed = {manifest.NAME: file_sha256(draft / manifest.NAME)}
         sums = found.files | listed
@@ -188,7 +188,7 @@ def _draw(dataset: Dataset, draft: Path) -> str:
             write_whole(draft / name, to_bytes(draw_sample(look), ".png"))
             parts.append(f"![{look.name}]({name})")
         parts.append(ABOVE)
-    with contextlib.suppress(DatasetError):  # a grid that is too large
+    with suppress(DatasetError):  # a grid that is too large
         text = page(shown, title=f"{dataset.manifest.graded}, {split}", notes=notes)
         write_whole(draft / PAGE, text.encode())
         parts.append(
@@ -207,7 +207,7 @@ def check_out(dataset: Path, out: Path) -> None:
         raise PublishError(f"--out {out}: overlaps the dataset; choose a place beside it")
     files = (path for path in out.rglob("*") if path.is_symlink() or not path.is_dir())
     foreign = {str(path.relative_to(out)) for path in files}
-    with contextlib.suppress(DatasetError, OSError, UnicodeDecodeError):
+    with suppress(DatasetError, OSError, UnicodeDecodeError):
         manifest.read(out)
         foreign -= {SUMS, *read_sums(out)}
     if foreign:
@@ -262,7 +262,7 @@ def former_date(out: Path, content: bytes) -> str | None:
 
     A run that goes on after a stop takes this date, so that it sends the same files as the stopped
     one."""
-    with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+    with suppress(OSError, ValueError, KeyError, TypeError):
         if (out / manifest.NAME).read_bytes() == content:
             return str(json.loads((out / "croissant.json").read_bytes())["datePublished"])
     return None

@@ -8,6 +8,7 @@ from typing import Any
 from scenegen import __version__
 from scenegen.dataset.locate import client_output, file_sha256, reason
 from scenegen.errors import PublishError, ScenegenError, needs
+from scenegen.run import chunked
 from scenegen.share.stage import Request, Staged, examine, read_sums, stage
 
 OURS = re.compile(
@@ -85,12 +86,12 @@ def _send(api: Any, staged: Staged, private: bool) -> str:
     names = sorted(
         [*differences(api, staged, head), *former], key=lambda it: not OURS.fullmatch(it)
     )
-    for first in range(0, len(names), IN_COMMIT):
+    for part in chunked(names, IN_COMMIT):
         operations = [
             CommitOperationAdd(name, staged.folder / name)
             if name in staged.files
             else CommitOperationDelete(name)
-            for name in names[first : first + IN_COMMIT]
+            for name in part
         ]
         head = api.create_commit(
             operations=operations,

@@ -148,7 +148,7 @@ def _opened(name: str, process: int) -> Store:
         or len(name) > 1000
     ):
         raise DatasetError(f"{printable(name)[:200]}: expected a name such as s3://bucket/folder")
-    return STORES.find(scheme if scheme in STORES.known else OTHERS)(name)
+    return STORES.find(scheme if scheme in STORES.builtin else OTHERS)(name)
 
 
 _seen: dict[str, Version] = {}

@@ -94,9 +94,9 @@ def component_of(what: Any, *, seed: int, split: str, engine: str) -> Component:
         label, recipe = graded(what.kind, what.difficulty), what
     elif isinstance(what, str | Path):
         label, path = str(what), Path(what)
-        given = isinstance(what, Path) or path.is_dir() or path.suffix in (".toml", *WORLD_FILES)
-        own = isinstance(what, str) and ":" in what and not path.exists()
-        if what in KINDS.known or own or not given:
+        is_file = isinstance(what, Path) or path.is_dir() or path.suffix in (".toml", *WORLD_FILES)
+        is_own = isinstance(what, str) and ":" in what and not path.exists()
+        if what in KINDS.builtin or is_own or not is_file:
             recipe = preset(label)
         elif path.suffix == ".toml":
             recipe = read_recipe(path)
@@ -155,32 +155,35 @@ class Mixture:
             ]
         self.components = tuple(components)
         _check_alike(self.components)
-        each = [component.viewpoints for component in components]
+        # weights are of samples, of which a component's units hold `viewpoints` each
         shares = [
-            fraction(weight, component.label) / count
-            for weight, component, count in zip(weights, components, each, strict=True)
+            fraction(weight, component.label) / component.viewpoints
+            for weight, component in zip(weights, components, strict=True)
         ]
         total = sum(shares)
         shares = [share / total for share in shares]
-        whole = math.lcm(*(share.denominator for share in shares))
-        self.units = tuple(int(share * whole) for share in shares)
+        denominator = math.lcm(*(share.denominator for share in shares))
+        self.units = tuple(int(share * denominator) for share in shares)
         """Units of each component in a round."""
         if sum(self.units) > MOST_UNITS_IN_ROUND:
-            said = ", ".join(
+            named = ", ".join(
                 f"{component.label} {short(weight)}"
                 for component, weight in zip(components, weights, strict=True)
             )
             raise RecipeError(
-                f"stream: weights {said} come round after {short(sum(self.units))} flights, "
+                f"stream: weights {named} come round after {short(sum(self.units))} flights, "
                 f"expected {MOST_UNITS_IN_ROUND} at most; give proportions such as 2 and 1"
             )
-        places = [
-            (Fraction(2 * j + 1, 2 * count), k, j)
-            for k, count in enumerate(self.units)
-            for j in range(count)
-        ]
-        self._round = [(k, j) for _, k, j in sorted(places)]
-        self._start = np.cumsum([0, *(each[k] for k, _ in self._round)])
+        # the units of each component lie evenly spread in the round
+        places = sorted(
+            (Fraction(2 * unit + 1, 2 * count), number, unit)
+            for number, count in enumerate(self.units)
+            for unit in range(count)
+        )
+        self._round = [(number, unit) for _, number, unit in places]
+        """A component's number, and that of one of its units, in the order of samples."""
+        self._start = np.cumsum([0, *(components[number].viewpoints for number, _ in self._round)])
+        """The first sample of each of these in a round; at last, how many it has."""
 
     @property
     def row(self) -> int:

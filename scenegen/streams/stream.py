@@ -23,6 +23,7 @@ from scenegen.source import DrawnWorlds
 from scenegen.stores import is_remote
 from scenegen.streams.ahead import Ahead, Cache, Slot, Unit, pack, record_type, unpack
 from scenegen.streams.mixture import Component, Mixture, component_of, parts_of
+from scenegen.worlds.mapping import Sensing
 
 KEPT_BYTES = 256 << 20
 """Packed units that a process keeps in memory, those asked for last; with default maps, these are
@@ -69,11 +70,11 @@ class Stream(Samples):
         first = mixture.components[0].recipe
         self.grid, self.lidar, self.known = first.grid, first.lidar, first.known
         self.settings = tuple(
-            (part.recipe.lidar, part.recipe.mapping, part.recipe.noise.spelled())
+            Sensing(part.recipe.lidar, part.recipe.mapping, part.recipe.noise.spelled())
             for part in mixture.components
         )
-        """Sensor, mapping and noise, as manifests spell it, of every part; `lidar` and `mapping`
-        are those of the first."""
+        """How the samples of every part are sensed; `lidar` and `mapping` are those of the
+        first."""
         self.kind = "+".join(part.recipe.kind for part in mixture.components)
         self.name = f"stream of {', '.join(part.label for part in mixture.components)}, seed {seed}"
         self.mapping = first.mapping
@@ -121,7 +122,7 @@ class Stream(Samples):
 
     @property
     def schema(self) -> Schema:
-        """That of the first part."""
+        """The schema of its samples; where parts differ, that of the first."""
         return self._schemas[0]
 
     def expect(self, indices: Iterable[int]) -> None:
@@ -263,9 +264,7 @@ class Batches(Place, Iterator[list[int]]):
     draws; `loaders` may also be a multiple of their number.
     """
 
-    def __init__(
-        self, stream: Stream, size: int, *, rank: int = 0, ranks: int = 1, loaders: int = 1
-    ):
+    def __init__(self, stream: Stream, size: int, *, rank: int, ranks: int, loaders: int):
         size = whole_number("stream: size =", size, 1, MOST_BATCH)
         ranks = whole_number("stream: ranks =", ranks, 1, MOST_WORKERS)
         rank = whole_number("stream: rank =", rank, 0, ranks - 1)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidarsim.grid import Field, Floats, Ints, Mask
+from lidarsim.grid import Field, Floats, Ints, Mask, Vector
 from lidarsim.jit import kernel
 from scenegen.truth.guides import hardness
 from scenegen.truth.search import explore
@@ -121,7 +121,7 @@ def _measured(
     return Difficulty._make([clearance, *around.tolist(), tortuosity, *level, *hard])
 
 
-def _around(occupancy: Mask, place: Ints, voxel_m: float) -> tuple[float, float, float]:
+def _around(occupancy: Mask, place: Ints, voxel_m: float) -> Vector:
     """Visibility, dispersion and passage at a free voxel (3,), see `Difficulty`."""
     seen = [_way(occupancy, *place.tolist(), *ahead) for ahead in DIRECTIONS.tolist()]
     ways, blocked = np.array(seen).T

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lidarsim.grid import Field, Floats, Ints, Mask
+from lidarsim.grid import Field, Floats, Ints, Mask, Vector
 from lidarsim.jit import kernel
 
 SENSING_M = 4.0
@@ -36,7 +36,7 @@ def hardness(
     occupancy: Mask,
     tudf: Field,
     voxel_m: float,
-) -> tuple[float, float, float]:
+) -> Vector:
     """`obstruction`, `occlusion` and `turning` of `scenegen.truth.difficulty.Difficulty` along
     `paths`; NaN where there is none.
 

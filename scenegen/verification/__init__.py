@@ -1,8 +1,8 @@
 """Check a dataset folder against docs/format.md: docs/checks.md says what each check proves, and
 what it cannot see."""
 
+from scenegen.verification.check import Check
 from scenegen.verification.folder import verify
 from scenegen.verification.report import Outcome, Page, Report
-from scenegen.verification.stages import Check
 
 __all__ = ["Check", "Outcome", "Page", "Report", "verify"]

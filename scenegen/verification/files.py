@@ -14,8 +14,8 @@ from scenegen.dataset.trust import Manifest
 from scenegen.errors import DatasetError, printable, raised_as, short
 from scenegen.files import names_in, sha256_in, world_digest
 from scenegen.recipes import find_kind
+from scenegen.verification.check import Check, Shard, SignedFile, Worlds
 from scenegen.verification.report import BrokenError, Ledger, Page
-from scenegen.verification.stages import Check, Shard, SignedFile, Worlds
 
 
 def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Manifest | None:
@@ -65,11 +65,11 @@ def _check_shards(contract: Manifest, page: Page) -> None:
     for split in SPLITS:
         entries = [entry for entry in contract.shards if entry.split == split]
         total = sum(entry.samples for entry in entries)
-        asked = contract.counts[split]
-        whole = contract.complete
+        promised = contract.counts[split]
+        complete = contract.complete
         page.expect(
-            total == asked if whole else total <= asked,
-            f"{where}: counts.{split} = {asked}, but its shards hold {total} samples",
+            total == promised if complete else total <= promised,
+            f"{where}: counts.{split} = {promised}, but its shards hold {total} samples",
         )
         for number, entry in enumerate(entries):
             scenes = contract.home(entry).scenes
@@ -78,7 +78,7 @@ def _check_shards(contract: Manifest, page: Page) -> None:
                     f"{where}: recipe.scenes names no world for {split}, which has samples"
                 )
             # of an incomplete dataset, shards between may be missing
-            stem = stem_of(split, number) if whole else entry.file.removesuffix(".h5")
+            stem = stem_of(split, number) if complete else entry.file.removesuffix(".h5")
             page.expect(
                 (entry.file, entry.worlds) == (f"{stem}.h5", f"{stem}.worlds.zip")
                 and stem.startswith(split),
@@ -94,8 +94,8 @@ def _check_shards(contract: Manifest, page: Page) -> None:
                 full, f"{where}: {entry.file} holds {entry.samples} samples: a flight is cut"
             )
     files = {name for name in names_in(contract.folder) if name.endswith((".h5", ".zip"))}
-    others = printable(", ".join(sorted(files - contract.files.keys())[:3]))
-    page.expect(not others, f"{others}: in the folder, but {where} does not list it")
+    stray = printable(", ".join(sorted(files - contract.files.keys())[:3]))
+    page.expect(not stray, f"{stray}: in the folder, but {where} does not list it")
 
 
 def _written_for_these_parameters(shard: Shard, page: Page) -> None:

@@ -21,13 +21,7 @@ from scenegen.run.workers import Limited, Local
 from scenegen.sample import FIELDS
 from scenegen.source import DrawnWorlds
 from scenegen.stores.cache import fetch_all, note_of
-from scenegen.verification.files import ARCHIVES, EXAMINED, LAYOUT, MANIFEST, read_contract
-from scenegen.verification.files import CHECKS as OF_FILES
-from scenegen.verification.repeated import CHECKS as REPEATED
-from scenegen.verification.report import BrokenError, Ledger, Report
-from scenegen.verification.splits import CHECKS as BETWEEN_SPLITS
-from scenegen.verification.splits import MOST_TWINS
-from scenegen.verification.stages import (
+from scenegen.verification.check import (
     OWN_CHECKS,
     Check,
     Sample,
@@ -36,6 +30,12 @@ from scenegen.verification.stages import (
     Task,
     Worlds,
 )
+from scenegen.verification.files import ARCHIVES, EXAMINED, LAYOUT, MANIFEST, read_contract
+from scenegen.verification.files import CHECKS as OF_FILES
+from scenegen.verification.repeated import CHECKS as REPEATED
+from scenegen.verification.report import BrokenError, Ledger, Report
+from scenegen.verification.splits import CHECKS as BETWEEN_SPLITS
+from scenegen.verification.splits import MOST_TWINS
 from scenegen.verification.stored import CHECKS as STORED
 from scenegen.worlds.world import quiet_mujoco
 
@@ -170,29 +170,29 @@ def verify(
         return report(samples=0, checks=(ledger[MANIFEST.name].outcome(MANIFEST.name),))
     with raised_as(DatasetError, "--check: "):
         checks = chosen_checks(contract, quick=quick, own=own)
-    whole = _tasks(contract, quick=quick, seed=seed, own=own)
-    tasks = execute.mine(whole)
+    all_tasks = _tasks(contract, quick=quick, seed=seed, own=own)
+    tasks = execute.mine(all_tasks)
     samples = sum(task.entry.samples for task in tasks)
     order, waiting = deque(task.number for task in tasks), dict[int, Ledger]()
     if tasks and not quick:
         warm_up()
     guarded = _Examination(examine, _seconds, MEMORY_BYTES, _given_up)
     with closing(execute(guarded, tasks, lambda: on_start(samples))) as results:
-        for number, found in results:
-            waiting[number] = found
+        for number, findings in results:
+            waiting[number] = findings
             # in the order of shards, and no more of them kept than are early
             while order and order[0] in waiting:
                 ledger.add(waiting.pop(order.popleft()))
                 ledger[EXAMINED.name].count(shards=1)
-            on_done(whole[number].entry.samples)
+            on_done(all_tasks[number].entry.samples)
     outcomes = []
     for check in checks:
         with ledger.checking(check.name) as page:
-            if check.folder is not None and len(tasks) == len(whole):
+            if check.folder is not None and len(tasks) == len(all_tasks):
                 check.folder(contract, page)
             elif check.folder is not None:
                 page.skipped = (
-                    f"compares all {len(whole)} shards, and {len(tasks)} are examined here"
+                    f"compares all {len(all_tasks)} shards, and {len(tasks)} are examined here"
                 )
             if not (page.faults or page.skipped or page.counts):
                 page.skipped = "counted nothing that it examined: see what failed"

@@ -2,7 +2,6 @@
 from the seed."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -21,9 +20,9 @@ from scenegen.recipe import Recipe
 from scenegen.run.software import software
 from scenegen.sample import FIELDS, rng_of
 from scenegen.source import DrawnWorlds, SceneWorlds
+from scenegen.verification.check import Check, Sample, Shard, Worlds, auditor, scans_of
 from scenegen.verification.rays import audit, disagrees
 from scenegen.verification.report import BrokenError, Page
-from scenegen.verification.stages import Check, Sample, Shard, Worlds, auditor, scans_of
 from scenegen.worlds.place import Place
 from scenegen.worlds.world import AnyWorld
 
@@ -39,7 +38,11 @@ class ArchivedWorlds(SceneWorlds):
         return self.worlds.world(number)
 
 
-def _flown_again(shard: Shard, unit: int, views: Sequence[tuple[int, int]]) -> Unit:
+Views = list[tuple[int, int]]
+"""Samples of one flight: the row of each in its shard, and its number on the flight."""
+
+
+def _flown_again(shard: Shard, unit: int, views: Views) -> Unit:
     """A flight of a dataset that `why_not_made` lets be made, flown again; or, where the dataset is
     one that was scanned again, scanned so from the poses of the samples that are there, (row,
     view). Raises BrokenError where nothing comes of it."""
@@ -78,7 +81,7 @@ def why_not_scanned(contract: Manifest) -> str:
     """Why archived worlds cannot be scanned again here; empty where they can."""
     if not contract.noise_is_ours:
         return "made with noise that is not scenegen's own, so it is not imported"
-    if contract.engine not in ENGINES.known:
+    if contract.engine not in ENGINES.builtin:
         return (
             f"made with the engine {contract.engine!r}, which is not scenegen's own, so it is not "
             "imported"
@@ -107,7 +110,7 @@ def _cast_again(sample: Sample, page: Page) -> None:
         scans = _scanned_again(sample, world, page)
     page.count(samples=1)
     for number, scan in enumerate(scans):
-        rays, found, gap = audit(
+        rays, ranges_again, gap = audit(
             scan.ranges,
             scan.pose.position,
             scan.pose.quaternion,
@@ -116,7 +119,7 @@ def _cast_again(sample: Sample, page: Page) -> None:
             solids=_effort(world, lidar.max_range_m),
             rng=sample.shard.rng,
         )
-        wrong = disagrees(gap, found, lidar.max_range_m)
+        wrong = disagrees(gap, ranges_again, lidar.max_range_m)
         page.count(rays=len(rays))
         page.note_greatest("greatest difference in m", float(gap[~wrong].max(initial=0.0)))
         if wrong.any():
@@ -126,7 +129,7 @@ def _cast_again(sample: Sample, page: Page) -> None:
             page.fault(
                 f"{sample.where}{which}: {np.count_nonzero(wrong)} of {len(rays)} rays differ; ray "
                 f"{ray} has {scan.ranges[ray]} m, the solids of world {sample.world} are "
-                f"{found[n]:.7g} m away"
+                f"{ranges_again[n]:.7g} m away"
             )
 
 
@@ -179,12 +182,12 @@ def _fly_again(shard: Shard, page: Page) -> None:
         page.excuse(f"not comparable, {why}: what comes out otherwise here is no fault")
 
 
-def _flights(shard: Shard) -> list[tuple[int, list[tuple[int, int]]]]:
+def _flights(shard: Shard) -> list[tuple[int, Views]]:
     """Units of which the shard has samples, and (row, view) of these; where the dataset was scanned
     again, those alone of which it has the first views in a row, for the noise of a view depends on
     its number. Raises BrokenError."""
     task = shard.task
-    found: dict[int, list[tuple[int, int]]] = {}
+    found: dict[int, Views] = {}
     for row, place in enumerate(shard.places):
         unit, view = divmod(place, task.contract.recipe.flight.viewpoints)
         found.setdefault(unit, []).append((row, view))
@@ -196,7 +199,7 @@ def _flights(shard: Shard) -> list[tuple[int, list[tuple[int, int]]]]:
     ]
 
 
-def _compare_flight(shard: Shard, unit: int, views: Sequence[tuple[int, int]], page: Page) -> None:
+def _compare_flight(shard: Shard, unit: int, views: Views, page: Page) -> None:
     """Fly a unit again, and compare its world and those of its samples that are there, (row, view),
     bit for bit."""
     task = shard.task

@@ -11,8 +11,8 @@ from lidarsim.grid import Ints, Mask
 from scenegen import SPLITS
 from scenegen.dataset.layout import ShardFile, open_file, open_shard
 from scenegen.dataset.trust import Manifest
+from scenegen.verification.check import Check, Sample, Worlds
 from scenegen.verification.report import BrokenError, Page
-from scenegen.verification.stages import Check, Sample, Worlds
 from scenegen.worlds.place import map_digest
 from scenegen.worlds.world import geometry_digest
 
@@ -169,12 +169,12 @@ def _keep_signature(sample: Sample, page: Page) -> None:
 def _compare(contract: Manifest, page: Page) -> None:
     if not page.kept:
         return
-    places, signatures, folds, observed = zip(*page.kept, strict=True)
+    places, signatures, folds, returns = zip(*page.kept, strict=True)
     page.count(samples=len(places))
     splits = np.array([SPLITS.index(contract.shards[number].split) for number, _ in places])
-    pairs, complete = candidates(np.array(signatures), np.array(folds), np.array(observed), splits)
+    pairs, complete = candidates(np.array(signatures), np.array(folds), np.array(returns), splits)
     page.count(compared=len(pairs))
-    found = 0
+    faults = 0
 
     @functools.lru_cache(maxsize=MOST_OPEN)
     def opened(number: int) -> ShardFile:
@@ -183,19 +183,19 @@ def _compare(contract: Manifest, page: Page) -> None:
         return open_shard(open_file(path), path, entry.samples, contract.home(entry).layout)
 
     for one, other in ((places[a], places[b]) for a, b in pairs):
-        seen = overlap(*(opened(number).value("observed", row) for number, row in (one, other)))
-        if seen < OBSERVED_IOU:
+        seen_iou = overlap(*(opened(number).value("observed", row) for number, row in (one, other)))
+        if seen_iou < OBSERVED_IOU:
             continue
         truths = [opened(number).value("occupancy", row) for number, row in (one, other)]
-        occupied = overlap(*truths)
-        if occupied >= OCCUPIED_IOU and standing_overlap(*truths) >= STANDING_IOU:
-            found += 1
+        occupied_iou = overlap(*truths)
+        if occupied_iou >= OCCUPIED_IOU and standing_overlap(*truths) >= STANDING_IOU:
+            faults += 1
             page.fault(
                 f"{contract.shards[one[0]].file}: sample {one[1]} shows the map of "
                 f"{contract.shards[other[0]].file}: sample {other[1]} (occupied IoU "
-                f"{occupied:.3f}, observed {seen:.3f}), expected another world"
+                f"{occupied_iou:.3f}, observed {seen_iou:.3f}), expected another world"
             )
-    if not complete and not found:
+    if not complete and not faults:
         page.skipped = f"too many maps are alike: {len(pairs)} pairs were compared, not all"
 
 

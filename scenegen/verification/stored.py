@@ -19,9 +19,9 @@ from scenegen.files import sha256_of
 from scenegen.sample import GROUPS
 from scenegen.truth import distance_field, rasterize
 from scenegen.truth.voxels import resample
+from scenegen.verification.check import Check, Sample
 from scenegen.verification.rays import count_strays
 from scenegen.verification.report import Page
-from scenegen.verification.stages import Check, Sample
 from scenegen.worlds.labels import label_fields
 from scenegen.worlds.place import Place
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from lidarsim.engines.voxels import FREE, UNKNOWN
-from lidarsim.grid import Floats
+from lidarsim.grid import Floats, Vector
 from lidarsim.jit import kernel
 from lidarsim.solids.shapes import Solids, joining, local
 from scenegen.truth.shapes import distance
@@ -66,9 +66,7 @@ class Clearance:
         """Distance in metres from a point to the nearest solid, at most `CAP_M`; 0 inside one."""
         return float(_clearance(x, y, z, CAP_M, 0.0, self._arguments))
 
-    def motion_is_free(
-        self, p: tuple[float, float, float], q: tuple[float, float, float], radius_m: float
-    ) -> bool:
+    def motion_is_free(self, p: Vector, q: Vector, radius_m: float) -> bool:
         """Whether a ball of `radius_m` (below `CAP_M`) moved straight from `p` to `q` stays clear
         of every solid.
 

@@ -88,18 +88,18 @@ def map_clouds(
     frames = None if poses is None else _read_poses(poses, len(files))
 
     @functools.lru_cache(maxsize=1)
-    def read(each: int) -> tuple[Floats, Floats]:
+    def read(index: int) -> tuple[Floats, Floats]:
         """Points and sensors, in metres and z up."""
-        cloud = read_cloud(files[each], MOST_CLOUD_BYTES)
+        cloud = read_cloud(files[index], MOST_CLOUD_BYTES)
         points, sensors = cloud.points, cloud.sensors
         if frames is not None:
-            axes, sensors = frames[each]
+            axes, sensors = frames[index]
             points = points if axes is None else points @ axes + sensors
         elif sensor is not None:
             sensors = np.array([sensor], float)
         if sensors is None and not survey.assume_free:
             raise SceneError(
-                f"{files[each]}: does not say where its sensor was, so nothing in it is known "
+                f"{files[index]}: does not say where its sensor was, so nothing in it is known "
                 "to be free; give scenegen map --sensor or --poses, or --assume-free for all "
                 "above the ground"
             )
@@ -108,10 +108,10 @@ def map_clouds(
 
     if box is None:
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
-        for part in (part for each in range(len(files)) for part in read(each)):
-            kept = part[np.isfinite(part).all(axis=1)]
-            low = np.minimum(low, kept.min(axis=0, initial=np.inf))
-            high = np.maximum(high, kept.max(axis=0, initial=-np.inf))
+        for part in (part for index in range(len(files)) for part in read(index)):
+            finite = part[np.isfinite(part).all(axis=1)]
+            low = np.minimum(low, finite.min(axis=0, initial=np.inf))
+            high = np.maximum(high, finite.max(axis=0, initial=-np.inf))
     else:
         corners = _upright(np.array(box, float).reshape(2, 3), survey)
         low, high = corners.min(axis=0), corners.max(axis=0)
@@ -122,10 +122,10 @@ def map_clouds(
     states, origin = _empty_map(low - offset, high - offset, survey.voxel_m, where)
     occupied = np.zeros(states.shape, bool)
     points = 0
-    for each in range(len(files)):
-        seen, sensors = read(each)
+    for index in range(len(files)):
+        returns, sensors = read(index)
         points += _carve(
-            seen - offset,
+            returns - offset,
             sensors - offset,
             origin,
             survey.voxel_m,

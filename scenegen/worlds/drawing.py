@@ -52,11 +52,11 @@ class Solid(NamedTuple):
 
     shape: int
     row: Floats
-    """Its numbers (14,), as `COLUMNS` says."""
+    """The solid's numbers (14,), as `COLUMNS` says."""
     material: str = ""
-    """Its class; nothing for none."""
+    """The solid's class; "" for none."""
     field: HeightField | None = None
-    """Its height field, where it is one."""
+    """None unless the solid is a height field."""
 
 
 class Drawing:
@@ -246,7 +246,7 @@ def _around(
 
 
 _around_solids = functools.lru_cache(maxsize=64)(_around)
-"""The same for worlds without fields, of which many are alike."""
+"""`_around`, cached for worlds without height fields, of which many are alike."""
 
 
 def _lines(solids: list[Solid]) -> str | None:

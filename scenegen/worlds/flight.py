@@ -6,13 +6,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.random import Generator
 from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 
 from lidarsim import Pose
 from lidarsim.elementary import sin_cos
-from lidarsim.grid import Floats
+from lidarsim.grid import Floats, Vector
 from lidarsim.parameters import MOST_LENGTH_M, check, number
 from scenegen.errors import GenerationError, whole_number
 from scenegen.limits import (
@@ -73,7 +74,7 @@ class Flight:
                 f"altitude_m = {list(self.altitude_m)}: expected [low, high] in metres, low < high"
             )
 
-    def bounds(self, size_m: tuple[float, float, float]) -> Floats:
+    def bounds(self, size_m: Vector) -> Floats:
         """The box (2, 3) in which flights through a drawn world of extent `size_m` keep.
 
         Raises ValueError where the margin leaves none.
@@ -88,15 +89,13 @@ class Flight:
         return box
 
 
-def fly(world: AnyWorld, flight: Flight, *, rng: np.random.Generator) -> Floats | None:
+def fly(world: AnyWorld, flight: Flight, *, rng: Generator) -> Floats | None:
     """A path through a world as `plan` gives it, or None."""
     room = world.room(flight.robot_radius_m, flight.min_distance_m, rng=rng)
     return plan(world.clearance, room, flight, rng=rng)
 
 
-def plan(
-    clearance: Clearance, bounds: Floats, flight: Flight, *, rng: np.random.Generator
-) -> Floats | None:
+def plan(clearance: Clearance, bounds: Floats, flight: Flight, *, rng: Generator) -> Floats | None:
     """One collision-free path (n, 3) in world metres between a random start and goal in `bounds`
     (2, 3), or None.
 
@@ -151,7 +150,7 @@ def points_of(path: og.PathGeometric) -> Floats:
     return np.array([_place(state) for state in path.getStates()])
 
 
-def _place(state: ob.State) -> tuple[float, float, float]:
+def _place(state: ob.State) -> Vector:
     return state[0], state[1], state[2]
 
 
@@ -170,7 +169,7 @@ class _Motions(ob.MotionValidator):
 
 
 def _start_and_goal(
-    clearance: Clearance, bounds: Floats, flight: Flight, *, rng: np.random.Generator
+    clearance: Clearance, bounds: Floats, flight: Flight, *, rng: Generator
 ) -> tuple[Floats, Floats] | None:
     """Two free points far enough apart, or None after a hundred draws."""
     apart = min(flight.min_distance_m, float(np.sqrt(((bounds[1] - bounds[0]) ** 2).sum())) / 3)
@@ -234,7 +233,7 @@ class Route:
         return [self.pose(max(flown_m - metres, 0.0), mapping) for metres in back]
 
 
-def viewpoints(path: Floats, spacing_m: float, *, rng: np.random.Generator) -> tuple[Route, Floats]:
+def viewpoints(path: Floats, spacing_m: float, *, rng: Generator) -> tuple[Route, Floats]:
     """Candidate viewpoints on a path (n, 3), `spacing_m` apart along it: the route, and the metres
     flown along it to each, (m,), in random order.
 
@@ -290,7 +289,7 @@ def acceleration(
     *,
     speed_mps: float,
     settle_s: float,
-) -> tuple[float, float, float]:
+) -> Vector:
     """Acceleration, metres a second squared, `flown_m` along a path of straight legs that is flown
     at `speed_mps`.
 
@@ -305,7 +304,7 @@ def acceleration(
     return x, y, z
 
 
-def leaning(pose: Pose, pull: tuple[float, float, float], *, most_deg: float) -> Pose:
+def leaning(pose: Pose, pull: Vector, *, most_deg: float) -> Pose:
     """The level `pose` of a body that accelerates by `pull`, metres a second squared, as its thrust
     has it: turned the shortest way, so that its heading stays. It leans by `most_deg` at most."""
     up = max(GRAVITY + pull[2], LEAST_THRUST * GRAVITY)

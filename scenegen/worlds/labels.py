@@ -70,9 +70,13 @@ def class_names(model: mujoco.MjModel, by: By) -> list[str]:
         return [name if name in CLASSES else OTHER for name in names]
     if by == "name":
         names = [model.geom(geom).name for geom in range(model.ngeom)]
-    parts = (re.split(r"[._-]+", name) for name in names)
-    stems = ("_".join(filter(None, (part.rstrip("0123456789") for part in each))) for each in parts)
-    return [stem or SHAPES[int(model.geom_type[geom])] for geom, stem in enumerate(stems)]
+    classes = []
+    for geom, name in enumerate(names):
+        # copies are numbered, as "chair_03" and "chair.leg2": their class has no numbers
+        words = (word.rstrip("0123456789") for word in re.split(r"[._-]+", name))
+        stem = "_".join(filter(None, words))
+        classes.append(stem or SHAPES[int(model.geom_type[geom])])
+    return classes
 
 
 def labels_by(by: By, named: Iterable[str]) -> Labels:

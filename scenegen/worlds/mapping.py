@@ -3,14 +3,14 @@ lies."""
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from lidarsim.fusion import Fusion
 from lidarsim.parameters import MOST_LENGTH_M, Checked, number
 from scenegen.limits import LEAST_DRAWN_M, MOST_DRAWN_M, MOST_SCANS
 
 if TYPE_CHECKING:  # commands take their options from here, and none of these
-    from lidarsim import GridSpec, Pose
+    from lidarsim import GridSpec, Pose, Sensor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,3 +103,12 @@ class Mapper(Fusion):
                 f"[mapping] scans = {self.scans}: of {rays} rays each; expected "
                 f"{math.floor(most_rays / rays)} at most"
             )
+
+
+class Sensing(NamedTuple):
+    """How samples were sensed."""
+
+    lidar: "Sensor"
+    mapping: Mapper
+    noise: str
+    """Its stages, as a manifest spells them; "" for none."""

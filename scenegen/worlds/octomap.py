@@ -25,23 +25,23 @@ FAULTS = {
 def parse_octomap(content: bytes, name: str) -> VoxelMap:
     """The map that `content` holds. Raises SceneError, naming `name`."""
     first, _, _ = content[:MOST_HEADER].partition(b"\n")
-    head, found, tree = content.partition(b"\ndata\n")
-    known = {b"# Octomap OcTree binary file": True, b"# Octomap OcTree file": False}
-    if first.strip() not in known or not found or len(head) > MOST_HEADER:
+    head, mark, tree = content.partition(b"\ndata\n")
+    magics = {b"# Octomap OcTree binary file": True, b"# Octomap OcTree file": False}
+    if first.strip() not in magics or not mark or len(head) > MOST_HEADER:
         raise SceneError(f"{name}: not an OctoMap; expected a .bt or .ot file of OctoMap 1.x")
     lines = (line.split(None, 1) for line in head.decode("latin-1").splitlines())
-    said = {words[0]: words[1].strip() for words in lines if len(words) == 2}
-    if said.get("id") != "OcTree":
+    header = {words[0]: words[1].strip() for words in lines if len(words) == 2}
+    if header.get("id") != "OcTree":
         raise SceneError(
-            f"{name}: holds a tree of type {printable(said.get('id', 'none'))[:40]}, expected "
+            f"{name}: holds a tree of type {printable(header.get('id', 'none'))[:40]}, expected "
             "OcTree; convert it with OctoMap's convert_octree"
         )
     try:
-        voxel_m = float(said.get("res", "nan"))
+        voxel_m = float(header.get("res", "nan"))
     except ValueError:
         voxel_m = float("nan")
     check_voxel(voxel_m, name)
-    data, states_alone = np.frombuffer(tree, np.uint8), known[first.strip()]
+    data, states_alone = np.frombuffer(tree, np.uint8), magics[first.strip()]
     bounds = np.array([[2 * HALF] * 3, [0] * 3])
     nothing = np.empty((0, 0, 0), np.uint8)
     fault = _fill(data, states_alone, bounds, nothing)

@@ -113,7 +113,7 @@ class Place:
         """Whether so few rays of a sensor cross unknown space that a scan of it may be kept."""
         rays = rotate(pose.quaternion, lidar.directions_body)[None]
         limits = known.most_unknown_m, known.most_marked_share
-        return self.caster(None).known(pose.position[None], rays, lidar.max_range_m, *limits)
+        return self.caster(None).mostly_known(pose.position[None], rays, lidar.max_range_m, *limits)
 
     def unknown_m(self, scan: Scan) -> Floats:
         """Metres of unknown space that each ray of a scan crosses before it returns, (*rays)."""

@@ -38,26 +38,26 @@ def read_plan(path: Path, height_m: float = Survey.height_m) -> Surveyed:
         DatasetError: A file cannot be read.
     """
     text = read_bounded(path, MOST_RECIPE_BYTES).decode("latin-1")
-    said = {key: PUNCTUATION.sub(" ", value).strip() for key, value in ENTRY.findall(text)}
+    header = {key: PUNCTUATION.sub(" ", value).strip() for key, value in ENTRY.findall(text)}
     expected = (
         ": expected a map of ROS, with image, resolution, origin [x, y, yaw], negate, "
         "occupied_thresh and free_thresh"
     )
     with raised_as(SceneError, f"{path}: ", expected, of=(KeyError, ValueError)):
-        negate = FLAGS[said["negate"].lower()]
+        negate = FLAGS[header["negate"].lower()]
         voxel_m, free, occupied = (
-            float(said[name]) for name in ("resolution", "free_thresh", "occupied_thresh")
+            float(header[name]) for name in ("resolution", "free_thresh", "occupied_thresh")
         )
-        x, y, yaw = map(float, said["origin"].split())
-        image = path.parent / said["image"]
+        x, y, yaw = map(float, header["origin"].split())
+        image = path.parent / header["image"]
     check_voxel(voxel_m, str(path))
     if yaw or not math.isfinite(x + y) or not 0 <= free <= occupied <= 1:
         raise SceneError(
             f"{path}: origin {x:g} {y:g} {yaw:g}, thresholds {free:g} and {occupied:g}; expected "
             "finite metres, a yaw of 0 (turn the picture), and free_thresh below occupied_thresh"
         )
-    if said.get("mode", "trinary") != "trinary":
-        raise SceneError(f"{path}: mode {short(said['mode'])}, expected trinary; save it as such")
+    if header.get("mode", "trinary") != "trinary":
+        raise SceneError(f"{path}: mode {short(header['mode'])}, expected trinary; save it as such")
     shares = np.arange(256) / 255 if negate else 1 - np.arange(256) / 255
     states = np.where(shares > occupied, OCCUPIED, np.where(shares < free, FREE, UNKNOWN))
     plan = states.astype(np.uint8)[_shades(image)][::-1].T  # the topmost row has the largest y

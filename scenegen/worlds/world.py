@@ -117,7 +117,7 @@ def solid(world: AnyWorld, where: str) -> World:
     return world
 
 
-def archived_world(mjcf: bytes, assets: Mapping[str, bytes], *, name: str = "world") -> AnyWorld:
+def archived_world(mjcf: bytes, assets: Mapping[str, bytes], *, name: str) -> AnyWorld:
     """The world of an archived document, of solids or a map. Raises SceneError, naming `name`,
     where it cannot serve as one."""
     if named_map(mjcf):

@@ -108,10 +108,10 @@ def test_inputs_of_a_sample_by_their_definitions(folders, rng):
     by voxel."""
     dataset = Dataset(folders[0])
     sample, grid = dataset.split("test")[1], dataset.grid
-    found = channels(tuple(INPUTS.known), sample, grid, dataset.lidar)
+    found = channels(tuple(INPUTS.builtin), sample, grid, dataset.lidar)
     known = sample.observed | sample.free
     scan = PointScan(points=sample.points(), position=sample.position, grid=grid)
-    points = channels(tuple(INPUTS.known), scan, grid)
+    points = channels(tuple(INPUTS.builtin), scan, grid)
     assert found["occluded"].sum() > 100
     assert not (found["occluded"] & known).any()
     assert not (points["occluded"] & ~known & ~found["occluded"]).any()

@@ -10,7 +10,7 @@ from scenegen.errors import DatasetError
 from scenegen.model.checkpoint import load_tensors
 from scenegen.model.study.claims import to_markdown
 from scenegen.model.study.runs import RUNS, ReproduceConfig, chosen
-from scenegen.model.study.stages import STUDY, TEXT, begin
+from scenegen.model.study.steps import STUDY, TEXT, begin
 from tests.command_line import done
 
 JUDGED = ("verdicts", "claims", "beside", "paths", "means")

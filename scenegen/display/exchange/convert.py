@@ -1,11 +1,10 @@
 """A dataset's samples, one after another, into a folder in another format; a stopped run goes on
 where it was."""
 
-import dataclasses
 from collections.abc import Sequence
 from contextlib import closing
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from scenegen.dataset.read import Dataset, Rows
 from scenegen.display.exchange import FORMATS, Choices
 from scenegen.errors import DatasetError, printable, raised_as
 from scenegen.files import claim, make_parent, remove_drafts, write_whole
-from scenegen.run import Counted, Executor, unheard
+from scenegen.run import Counted, Executor, chunked, unheard
 from scenegen.run.workers import ALONE
 from scenegen.sample import Sample
 
@@ -72,7 +71,7 @@ def convert(
     manifest = dataset.manifest
     about = {
         "format": to,
-        "choices": dataclasses.asdict(choices),
+        "choices": asdict(choices),
         "dataset": manifest.fingerprint,
         "digest": manifest.digest or [shard.sha256 for shard in manifest.shards],
         "grid": manifest.parameters["grid"],
@@ -80,10 +79,9 @@ def convert(
     claim(out, STATE, about)
     each = getattr(form, "together", None) or CHUNK
     whole = [
-        Rows(split, numbers[first : first + each])
+        Rows(split, numbers)
         for split in splits
-        for numbers in [range(len(dataset.split(split)))]
-        for first in numbers[::each]
+        for numbers in chunked(range(len(dataset.split(split))), each)
     ]
     tasks = execute.mine(whole)
     total = sum(len(rows.numbers) for rows in tasks)

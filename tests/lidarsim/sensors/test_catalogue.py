@@ -62,7 +62,7 @@ def test_angles_do_not_hang_on_the_last_bit_of_an_arctangent(monkeypatch):
 
 
 def test_the_registry_and_the_catalogue_hold_the_same_sensors():
-    assert set(SENSORS.known) == set(FAMILIES) | set(CATALOGUE)
+    assert set(SENSORS.builtin) == set(FAMILIES) | set(CATALOGUE)
     assert {name for name in CATALOGUE if isinstance(named(name), Spinning)} == set(SPINNING)
 
 

@@ -189,7 +189,7 @@ def test_trials_in_which_all_succeed_are_told_by_what_may_have_learned(dataset):
     )
     rows = [reference["truth"][chosen]["length"] for chosen in ("all_succeed", "successes")]
     assert rows[0]["n"] == rows[1]["n"] > 0
-    assert not any(find_method(name).learned for name in METHODS.known)
+    assert not any(find_method(name).learned for name in METHODS.builtin)
 
 
 class Plain(Nothing):

@@ -7,22 +7,22 @@ from scipy import stats
 
 from benchmarks.intervals import POPULATIONS, SPARSE, WORLDS, coverage
 from scenegen.model.evaluation import statistics
-from scenegen.model.evaluation.statistics import estimate, figure, holm, paired_p
+from scenegen.model.evaluation.statistics import estimate, holm, paired_p, summarise
 
 
 def test_mean_spread_and_count_are_those_of_the_samples():
-    spread = figure([1.0, 2.0, np.nan, 6.0], [0, 0, 1, 1])
+    spread = summarise([1.0, 2.0, np.nan, 6.0], [0, 0, 1, 1])
     assert (spread["mean"], spread["n"]) == (3.0, 3)
     assert spread["std"] == pytest.approx(np.std([1, 2, 6], ddof=1))
     assert spread["low"] <= 3.0 <= spread["high"]
-    assert figure([np.nan], [0])["n"] == 0
-    assert figure([1.0, 2.0], [4, 4])["high"] is None  # one world says nothing of others
-    assert list(figure([1.0], [4]).values()) == [1.0, None, None, None, 1]
+    assert summarise([np.nan], [0])["n"] == 0
+    assert summarise([1.0, 2.0], [4, 4])["high"] is None  # one world says nothing of others
+    assert list(summarise([1.0], [4]).values()) == [1.0, None, None, None, 1]
 
 
 def test_the_interval_of_as_many_samples_a_world_is_students_of_the_worlds_means(rng):
     values = rng.normal(3, 1, (7, 4))
-    found = figure(values.ravel(), np.repeat(np.arange(7), 4))
+    found = summarise(values.ravel(), np.repeat(np.arange(7), 4))
     means = values.mean(axis=1)
     expected = stats.t.interval(0.95, 6, means.mean(), stats.sem(means))
     assert (found["low"], found["high"]) == pytest.approx(expected)
@@ -46,12 +46,12 @@ def test_intervals_cover_the_mean_of_worlds_that_differ(worlds):
 
 def test_outcomes_that_are_all_alike_are_not_certain():
     worlds = np.repeat(np.arange(3), 20)
-    sure = figure(np.ones(60), worlds, "outcome")
+    sure = summarise(np.ones(60), worlds, "outcome")
     assert 0.9 < sure["low"] < 0.98
     assert sure["high"] == 1
-    equal = figure(np.zeros(60), worlds, "gain")
+    equal = summarise(np.zeros(60), worlds, "gain")
     assert equal["low"] == -equal["high"] < 0
-    exact = figure(np.ones(60), worlds, "share")  # the truth's IoU, which chance has no part in
+    exact = summarise(np.ones(60), worlds, "share")  # the truth's IoU, which chance has no part in
     assert (exact["low"], exact["high"]) == (1, 1)
 
 

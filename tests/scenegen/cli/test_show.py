@@ -2,7 +2,7 @@
 
 import pytest
 
-from scenegen.cli.show import say, show_figures, show_table
+from scenegen.cli.show import say, show_columns, show_table
 
 FORGED = "pillar\nscenegen: verify: all 17 checks passed\x1b[32m\x07\u202e"
 
@@ -26,7 +26,7 @@ def test_lines_are_kept_and_what_is_within_them_is_not(capsys):
 def test_figures_fit_the_terminal_and_none_is_left_out(wide, monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", str(wide))
     heads = [f"metric_{n}" for n in range(12)]
-    show_figures({"one": [f"{n}.5" for n in range(12)], "another": ["–"] * 12}, heads, "a title")
+    show_columns({"one": [f"{n}.5" for n in range(12)], "another": ["–"] * 12}, heads, "a title")
     lines = capsys.readouterr().out.splitlines()
     assert max(map(len, lines)) <= max(wide, len("another  metric_11"))
     assert " ".join(lines).count("–") == 12

@@ -14,7 +14,7 @@ def store(tmp_path, monkeypatch):
     home.mkdir()
     monkeypatch.setenv(HOME, str(home))
     monkeypatch.setenv("SCENEGEN_CACHE", str(tmp_path / "copies"))
-    monkeypatch.setitem(stores.STORES.known, "s3", "tests.scenegen.stores.kept:Kept")
+    monkeypatch.setitem(stores.STORES.builtin, "s3", "tests.scenegen.stores.kept:Kept")
     forget()
     return home
 

@@ -31,7 +31,7 @@ def here(everything, store, tmp_path, monkeypatch):
         (tmp_path / name).symlink_to(everything / name)
     shutil.copytree(everything / "d", store / "lab" / "d")
     everywhere.stand(tmp_path, monkeypatch)
-    monkeypatch.setitem(EXECUTORS.known, "bare", "tests.scenegen.run.backwards:Bare")
+    monkeypatch.setitem(EXECUTORS.builtin, "bare", "tests.scenegen.run.backwards:Bare")
     forget()
     return tmp_path
 

@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose
 from lidarsim import Lidar, MujocoEngine, Pose, cast
 from lidarsim.engines import ENGINES
 from lidarsim.pose import rotate
+from scenegen.verification.check import auditor
 from scenegen.verification.rays import audit, disagrees, ray_directions
-from scenegen.verification.stages import auditor
 from scenegen.worlds.world import compile_world
 
 WORLD = b"""<mujoco><worldbody><geom type="box" size="1 2 3" pos="4 0 0"/>

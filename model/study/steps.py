@@ -1,4 +1,4 @@
-"""From a seed to the study's report, stage by stage: what is there is kept, what is damaged is made
+"""From a seed to the study's report, step by step: what is there is kept, what is damaged is made
 again."""
 
 import json
@@ -42,7 +42,7 @@ def reproduce(
     config: ReproduceConfig,
     runs: Sequence[Run],
     *,
-    device: str = "auto",
+    device: str,
     execute: Executor,
     progress: Showing,
 ) -> Json:
@@ -51,7 +51,7 @@ def reproduce(
     samples measured; on a GPU, this process trains one network after the other.
 
     Raises ScenegenError where `execute` leaves tasks to others, DatasetError where the folder holds
-    a study of other settings, and what its stages raise.
+    a study of other settings, and what its steps raise.
     """
     check_together(execute, "a study takes")
     begin(out, config)
@@ -69,19 +69,16 @@ def reproduce(
         execute=execute,
         progress=lambda kind: progress(f"bench, {kind}"),
     )
-    study = judged(
-        finite(
-            {
-                "settings": asdict(config),
-                "commit": commit(),
-                "missing": [run.name for run in RUNS if run not in runs],
-                "runs": {run.name: _told(out / "runs" / run.name, run) for run in runs},
-                **asked(measured),
-                "means": {one.kind: means(one) for one in measured},
-                "worlds": {one.kind: len(set(one.worlds.tolist())) for one in measured},
-            }
-        )
-    )
+    results = {
+        "settings": asdict(config),
+        "commit": commit(),
+        "missing": [run.name for run in RUNS if run not in runs],
+        "runs": {run.name: _told(out / "runs" / run.name, run) for run in runs},
+        **asked(measured),
+        "means": {result.kind: means(result) for result in measured},
+        "worlds": {result.kind: len(set(result.worlds.tolist())) for result in measured},
+    }
+    study = judged(finite(results))
     write_whole(out / STUDY, (json.dumps(study, allow_nan=False) + "\n").encode())
     write_whole(out / TEXT, to_markdown(study).encode())
     return study
@@ -144,14 +141,14 @@ def _train(folder: Path, datasets: Sequence[Path], maps: int, device: str, run: 
 def _told(folder: Path, run: Run) -> Json:
     """What is told of a finished run: what it is for, its settings, hardware, time and curve, its
     network's digest."""
-    held = read_json(folder / CONFIG) or {}
+    config = read_json(folder / CONFIG) or {}
     curve = read_rows(folder / ROWS)
     return {
         "asks": run.asks,
         "seed": run.seed,
-        "samples": held["settings"]["samples"],
+        "samples": config["settings"]["samples"],
         "maps": curve[-1]["maps"],
         "hours": sum(row["seconds"] for row in curve) / 3600,
         "curve": [{name: row[name] for name in CURVE if name in row} for row in curve],
         "sha256": file_sha256(folder / BEST),
-    } | {name: held.get(name) for name in ("settings", "device", "commit")}
+    } | {name: config.get(name) for name in ("settings", "device", "commit")}

@@ -1,10 +1,10 @@
-"""What a check is, and what checks are handed at each stage of the walk over a shard. What several
-checks need is computed here, once."""
+"""What a check is, and what checks are handed at each level of the walk over a dataset: files,
+archives, shards, samples, and the folder. What several checks need is computed here, once."""
 
-import functools
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
 from io import BufferedReader
 from typing import Any
 
@@ -35,8 +35,8 @@ AUDITED_SHARE, LEAST_AUDITED = 0.05, 8
 class Check:
     """One check of a dataset.
 
-    Its examinations are functions, one for each stage at which it looks. Each is handed what the
-    stage is about, and the check's page of the ledger: there it writes down faults, counts what it
+    Its examinations are functions, one for each level at which it looks. Each is handed what it
+    looks at, and the check's page of the ledger: there it writes down faults, counts what it
     examined, and keeps what it needs at the end. A BrokenError that it raises becomes a fault of
     this check. One that counts nothing and finds no fault is told as skipped, so a check counts
     also the samples in which there is nothing to find.
@@ -60,7 +60,7 @@ class Check:
     sample: "Callable[[Sample, Page], None] | None" = None
     """Looks at one sample, whose fields are unpacked by then."""
     folder: Callable[[Manifest, Page], None] | None = None
-    """Looks at the whole folder in the end; the page holds what the stages before kept."""
+    """Looks at the whole folder in the end; the page holds what the levels before kept."""
 
 
 OWN_CHECKS = Registry("check", {}, needs={"name": "its name"})
@@ -152,7 +152,7 @@ class Worlds:
         self.solids[number] = world.voxels if isinstance(world, Place) else world.solids
         return self.solids[number]
 
-    @functools.lru_cache(maxsize=1)  # noqa: B019 (samples come world by world)
+    @lru_cache(maxsize=1)  # noqa: B019 (samples come world by world)
     def world(self, number: int) -> AnyWorld:
         """A world, compiled. Raises BrokenError."""
         name = f"{self.task.entry.worlds}: {number:06d}.xml"
@@ -171,12 +171,12 @@ class Shard:
     rejected: dict[str, Counter[str]]
     """How many worlds and viewpoints were rejected, by reason, as the shard says."""
 
-    @functools.cached_property
+    @cached_property
     def rng(self) -> np.random.Generator:
         """What is chosen at random in this shard comes from here, in the order of its samples."""
         return rng_of(self.task.seed, self.task.number)
 
-    @functools.cached_property
+    @cached_property
     def places(self) -> Sequence[int]:
         """Positions of its samples in their split; where the shard is cut, as their names tell.
         Raises BrokenError."""
@@ -195,7 +195,7 @@ class Shard:
             )
         return found
 
-    @functools.cached_property
+    @cached_property
     def audited(self) -> frozenset[int]:
         """The samples that expensive checks look at."""
         samples = self.task.entry.samples
@@ -256,19 +256,19 @@ class Sample:
             return None
         return worlds.world(self.world)
 
-    @functools.cached_property
+    @cached_property
     def packed(self) -> dict[str, NDArray[np.uint8]]:
         """The stored grids, eight voxels a byte."""
         return {name: np.packbits(self.fields[name]) for name in ("observed", "occupancy")}
 
-    @functools.cached_property
+    @cached_property
     def scans(self) -> list[Scan]:
         """The stored ranges and poses: its own scan, and those before it. Raises BrokenError for
         an invalid pose."""
         with raised_as(BrokenError, f"{self.where}: "):
             return scans_of(self.contract, self.fields.__getitem__)
 
-    @functools.cached_property
+    @cached_property
     def seen(self) -> ObservedGrid:
         """The map that follows from the stored ranges and poses. Raises BrokenError for an invalid
         pose."""
