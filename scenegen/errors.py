@@ -93,7 +93,7 @@ class OwnCodeError(ScenegenError):
 def told(error: Exception) -> Exception:
     """`error`, or an OwnCodeError in its place where it came through code of the user's own."""
     line = "" if isinstance(error, ScenegenError) else own_line(error)
-    return OwnCodeError(f"{line}: {type(error).__name__}: {error}") if line else error
+    return OwnCodeError(f"{line}: {type(error).__name__}: {printable(error)}") if line else error
 
 
 @contextmanager
