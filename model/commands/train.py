@@ -310,7 +310,8 @@ def _take_settings(weights: str, options: dict[str, Any]) -> None:
         )
     network, _, about = open_network(weights)
     try:
-        loss = vars(LossConfig(**about["settings"]["loss"]))
+        known_terms = taken(LossConfig, about["settings"]["loss"])  # other versions may have others
+        loss = vars(LossConfig(**known_terms))
     except (KeyError, TypeError, ValueError):  # a file of others may say nothing of it
         loss = {}
     loss = {
