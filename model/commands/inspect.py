@@ -161,7 +161,7 @@ def _show_split(name: str, split: Json) -> None:
             unit = TITLES[key][1]
             rows[key] = f"{mean:6.2f} ± {std:5.2f} {unit}   from {low:.2f} to {high:.2f}"
             if worlds:
-                _, _, low, high = (factors[key] * value for value in worlds[key].values())
+                low, high = (factors[key] * worlds[key][end] for end in ("min", "max"))
                 rows[key] += f", worlds from {low:.2f} to {high:.2f}"
     counts = f"{split['samples']} samples of {split['worlds']} worlds"
     show_table(rows, f"{name}: {counts} ({split['sampled']} measured)")

@@ -297,7 +297,7 @@ def _complete(
     for number in task.numbers:
         sample = samples[number]
         prediction = method.completion(sample, samples)
-        result = measure(prediction, Case.of(sample, number, samples))
+        result = measure(prediction, Case(sample, number, samples))
         results.append(((task.dataset, int(sample.world)), result))
     return results
 
@@ -324,6 +324,6 @@ def _collisions(
     rng = rng_of(seed, int(sample.world), int(sample.viewpoint))
     goals = draw_trials(sample.occupancy, grid, PlanConfig(), count=trials, rng=rng).goals
     risks = [Setting(by="risk", value=risk) for risk in fitted.risks]
-    sure, truth = replace(prediction, uncertainty=fitted, grid=grid), (case.solid, case.gap_m)
-    figures = run_settings(risks, sure, truth, goals, grid, PlanConfig())
-    return figures[:, :, TOLD.index("collided")].sum(axis=0), len(goals)
+    bounded = replace(prediction, uncertainty=fitted, grid=grid)
+    measured = run_settings(risks, bounded, case.truth, goals, grid, PlanConfig())
+    return measured[:, :, TOLD.index("collided")].sum(axis=0), len(goals)

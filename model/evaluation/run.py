@@ -269,7 +269,7 @@ def _bench_samples(
     for index in rows.numbers:
         sample = split[index]
         drawn = trials_of(sample, index, split, config, trials_each)
-        case = Case.of(sample, index, split)
+        case = Case(sample, index, split)
         results = [
             _bench_method(method, best, case, drawn.goals, config)
             for method, best in zip(methods, tuned, strict=True)
@@ -287,7 +287,7 @@ def _bench_method(
     paths to `goals` (trials, 3), metres in the map's frame, and, if asked for, its probabilities
     and bounds."""
     sample, grid, usual = case.sample, case.grid, config.thresholds
-    prediction = method.completion(sample, case.split)
+    prediction, (solid, gap_m) = method.completion(sample, case.split), case.truth
 
     def scores(at: Thresholds) -> Floats:
         """(2 + classes, metrics) of the map at some thresholds."""
@@ -310,8 +310,8 @@ def _bench_method(
             distance,
             goal=goal,
             risk=risk,
-            occupancy_truth=case.solid,
-            tudf_truth=case.gap_m,
+            occupancy_truth=solid,
+            tudf_truth=gap_m,
             grid=grid,
             config=config.plan,
         )

@@ -3,9 +3,9 @@
 import dataclasses
 import math
 from collections.abc import Mapping
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -99,38 +99,38 @@ def classify(
     return classes
 
 
-class Case(NamedTuple):
-    """One sample, and what every method is measured by on it. Maps are (*grid.shape)."""
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """One sample, and what every method is measured by on it, made when it is first asked for.
+    Maps are (*grid.shape)."""
 
     sample: Sample
+    index: int
+    """The sample's in its split."""
     split: Split
-    classes: NDArray[np.uint8]
-    """How each voxel was seen; see `classify`."""
-    certain: Mask | None
-    """See `certain_distances`."""
-    solid: Mask
-    """The ground truth that paths are judged by, in which what is not known is as solid as what is
-    occupied."""
-    gap_m: Field
-    """Its distance field, metres."""
 
     @property
     def grid(self) -> GridSpec:
         """The map's."""
         return self.split.dataset.grid
 
-    @classmethod
-    def of(cls, sample: Sample, index: int, split: Split) -> "Case":
-        """Of sample number `index` of a split."""
-        grid = split.dataset.grid
-        scored = scored_voxels(sample, grid, split.home(index).tables)
-        return cls(
-            sample,
-            split,
-            classify(sample, grid=grid, scored=scored),
-            certain_distances(sample, grid),
-            *walled(sample.occupancy, sample.tudf, sample.known, grid),
-        )
+    @cached_property
+    def classes(self) -> NDArray[np.uint8]:
+        """How each voxel was seen; see `classify`."""
+        scored = scored_voxels(self.sample, self.grid, self.split.home(self.index).tables)
+        return classify(self.sample, grid=self.grid, scored=scored)
+
+    @cached_property
+    def certain(self) -> Mask | None:
+        """See `certain_distances`."""
+        return certain_distances(self.sample, self.grid)
+
+    @cached_property
+    def truth(self) -> tuple[Mask, Field]:
+        """The ground truth that paths are judged by, in which what is not known is as solid as what
+        is occupied; and its distance field, metres."""
+        sample = self.sample
+        return walled(sample.occupancy, sample.tudf, sample.known, self.grid)
 
 
 class Seen:
