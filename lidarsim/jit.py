@@ -58,11 +58,6 @@ class _Kernel:
         with _LOCK:
             return _compiled(self.py_func, no_cpython_wrapper=True)
 
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        return getattr(self.compiled, name)
-
 
 def _compiled(function: Callable[..., Any], **options: bool) -> Any:
     """`function` as numba's dispatcher, which compiles it for each type of arguments that it

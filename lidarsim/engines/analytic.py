@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lidarsim.engines.forms import squared_reaches
 from lidarsim.engines.hierarchy import Hierarchy
-from lidarsim.engines.traverse import LANES, TILE, normals_of, traverse
+from lidarsim.engines.traverse import LANES, TILE, normals_of, traverse, work_arrays
 from lidarsim.grid import Floats, Ints, rays_of
 from lidarsim.solids.shapes import PLANE, Solids
 
@@ -186,6 +186,7 @@ class AnalyticEngine:
                 own[poses],
                 ranges[poses],
                 items[poses],
+                work_arrays(),
             )
 
         shares = min(self._threads, len(rays), ranges.size // RAYS_A_THREAD)

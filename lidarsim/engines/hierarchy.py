@@ -57,7 +57,8 @@ class Hierarchy:
         links, ends = np.zeros((2, most, WIDTH), np.uint64)
         order = np.arange(len(lower), dtype=np.uint64)
         centre, bins = 0.5 * (lower + upper), np.empty((BINS + 1, 8))
-        nodes = _build(lower, upper, centre, order, boxes, links, ends, bins)
+        waiting = np.empty((most, 4), np.int64)
+        nodes = _build(lower, upper, centre, order, boxes, links, ends, bins, waiting)
         return cls(boxes[:nodes].copy(), links[:nodes].copy(), ends[:nodes].copy(), order)
 
     def refit(self, lower: Floats, upper: Floats) -> None:
@@ -67,15 +68,18 @@ class Hierarchy:
 
 
 @kernel
-def _build(lower, upper, centre, order, boxes, links, ends, bins):
+def _build(lower, upper, centre, order, boxes, links, ends, bins, waiting):
     """Fill boxes, links, ends and order from the root down; how many nodes there are.
 
+    A row of `waiting` is a group: where it begins and ends in `order`, its node and its level.
     Arrays are made before: numba takes a second to compile what makes them.
     """
-    # of each group, where it begins and ends in `order`, its node and its level
-    waiting, nodes = [(0, len(order), 0, 0)], min(len(order), 1)
-    while len(waiting) > 0:
-        begin, end, node, level = waiting.pop()
+    nodes = pending = min(len(order), 1)
+    waiting[0] = 0
+    waiting[0, 1] = len(order)
+    while pending > 0:
+        pending -= 1
+        begin, end, node, level = waiting[pending]
         middle = _cut(lower, upper, centre, order, begin, end, level, bins)
         quarter = _cut(lower, upper, centre, order, begin, middle, level, bins)
         last = _cut(lower, upper, centre, order, middle, end, level, bins)
@@ -89,7 +93,9 @@ def _build(lower, upper, centre, order, boxes, links, ends, bins):
                 links[node, k], ends[node, k] = begin, end
                 continue
             links[node, k] = nodes
-            waiting.append((begin, end, nodes, level + 1))
+            group = waiting[pending]
+            group[0], group[1], group[2], group[3] = begin, end, nodes, level + 1
+            pending += 1
             nodes += 1
     return nodes
 

@@ -8,6 +8,7 @@ ray, with what stands from `passes` on (`lidarsim.gpu.rays`).
 """
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -49,6 +50,27 @@ PATIENCE = 8
 """The number of packets that must succeed before larger ones are tried."""
 
 
+def work_arrays() -> tuple[Any, ...]:
+    """What `traverse` works in; made here, for numba takes half a second to compile what makes
+    arrays.
+
+    Of every lane, a ray of the packet: its direction and the inverse of that, its number, the
+    distance of the nearest item so far, that item (their number for no item), and whether it missed
+    the last one. Then the stack of children that are still to be entered, the nearest last, and
+    where each begins; and where the children of one node begin.
+    """
+    return (
+        np.empty((6, LANES)),
+        np.empty(LANES, np.uint64),
+        np.empty(LANES),
+        np.empty(LANES, np.uint64),
+        np.empty(LANES, np.bool_),
+        np.empty(WAITING, np.uint64),
+        np.empty(WAITING),
+        np.empty(WIDTH),
+    )
+
+
 @kernel
 def traverse(
     origins,
@@ -70,6 +92,7 @@ def traverse(
     through,
     ranges,
     items,
+    work,
 ):
     """Fill ranges (P, n) and items (P, n) for directions (P, n, 3) from origins (P, 3), metres, in
     the world; see `AnalyticEngine`. A ray that meets nothing leaves both as they are.
@@ -91,6 +114,7 @@ def traverse(
         order: The items, leaf by leaf.
         part: (items,): the part of the scene that an item belongs to.
         through: (P,): the part whose items a pose's rays pass through; -1 for none.
+        work: `work_arrays`.
 
     Numbers of nodes, items and lanes are unsigned: for signed ones numba allows for negative
     indices, a tenth of the time. Tests over children and over lanes are free of branches, which
@@ -98,12 +122,7 @@ def traverse(
     """
     plain, none = np.uint64(len(shape)), np.uint64(len(shape) + len(triangles))
     wide, root = np.uint64(WIDTH), np.uint64(WIDTH * len(boxes))
-    # of every lane, a ray of the packet: its direction and the inverse of that, its number, the
-    # distance of the nearest item so far, and that item; `none` for no item
-    ray, lanes = np.empty((6, LANES)), np.empty(LANES, np.uint64)
-    best, item, missed = np.empty(LANES), np.empty(LANES, np.uint64), np.empty(LANES, np.bool_)
-    # the stack of children that are still to be entered, the nearest last, and where each begins
-    waiting, begins, near = np.empty(WAITING, np.uint64), np.empty(WAITING), np.empty(WIDTH)
+    ray, lanes, best, item, missed, waiting, begins, near = work
     for pose in range(len(origins)):
         origin, skipped = origins[pose], through[pose]
         ox, oy, oz = origin[0], origin[1], origin[2]

@@ -70,25 +70,22 @@ def local(axes, x, y, z):
     )
 
 
-@kernel
-def bounding_boxes(shape, size, position, rotation):
-    """Axis-aligned bounding boxes (n, 3), (n, 3)."""
-    lower, upper = np.empty_like(position), np.empty_like(position)
-    for n in range(len(shape)):
-        for a in range(3):
-            u, v, w = rotation[n, a]
-            reach = np.inf
-            if shape[n] == SPHERE:
-                reach = size[n, 0]
-            elif shape[n] == CAPSULE:
-                reach = size[n, 0] + abs(w) * size[n, 1]
-            elif shape[n] == CYLINDER:
-                reach = size[n, 0] * np.sqrt(max(1.0 - w * w, 0.0)) + abs(w) * size[n, 1]
-            elif shape[n] == BOX:
-                reach = abs(u) * size[n, 0] + abs(v) * size[n, 1] + abs(w) * size[n, 2]
-            elif shape[n] == ELLIPSOID:
-                reach = np.sqrt(
-                    (u * size[n, 0]) ** 2 + (v * size[n, 1]) ** 2 + (w * size[n, 2]) ** 2
-                )
-            lower[n, a], upper[n, a] = position[n, a] - reach, position[n, a] + reach
-    return lower, upper
+def bounding_boxes(
+    shape: Ints, size: Floats, position: Floats, rotation: Floats
+) -> tuple[Floats, Floats]:
+    """Axis-aligned bounding boxes (n, 3), (n, 3) of primitives; see `Solids`."""
+    x, y, z = np.moveaxis(rotation, 2, 0)
+    a, b, c = size.T[..., None]
+    kind = shape[:, None]
+    reach = np.select(
+        [kind == SPHERE, kind == CAPSULE, kind == CYLINDER, kind == BOX, kind == ELLIPSOID],
+        [
+            a,
+            a + abs(z) * b,
+            a * np.sqrt(np.maximum(1.0 - z * z, 0.0)) + abs(z) * b,
+            abs(x) * a + abs(y) * b + abs(z) * c,
+            np.sqrt((x * a) ** 2 + (y * b) ** 2 + (z * c) ** 2),
+        ],
+        np.inf,
+    )
+    return position - reach, position + reach

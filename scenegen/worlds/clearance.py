@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from lidarsim.engines.voxels import FREE, UNKNOWN
-from lidarsim.grid import Floats, Vector
+from lidarsim.grid import Floats, Ints, Vector
 from lidarsim.jit import kernel
 from lidarsim.solids.shapes import Solids, joining, local
 from scenegen.truth.shapes import distance
@@ -45,8 +45,9 @@ class Clearance:
         upper = np.concatenate([solids.upper, corners.max(axis=1)])[:, :2] + CAP_M
         first = np.clip(np.floor((lower - low) / cell_m), 0, self._cells).astype(np.int64)
         last = np.clip(np.floor((upper - low) / cell_m), -1, self._cells - 1).astype(np.int64)
-        start, item = _sort_into_cells(first, last, self._cells)
+        start, item = _sorted_into_cells(first, last, self._cells)
         owner = np.repeat(np.arange(len(solids.mesh_filled)), np.diff(solids.mesh_start))
+        meshes = (solids.triangles, owner, solids.mesh_filled) if len(owner) else None
         self._arguments: tuple[Any, ...] = (
             low,
             cell_m,
@@ -57,9 +58,7 @@ class Clearance:
             solids.size,
             solids.position,
             solids.rotation,
-            solids.triangles,
-            owner,
-            solids.mesh_filled,
+            meshes,
         )
 
     def at(self, x: float, y: float, z: float) -> float:
@@ -76,27 +75,18 @@ class Clearance:
         return bool(_motion_is_free(p, q, radius_m, self._arguments))
 
 
-@kernel
-def _sort_into_cells(first, last, cells):
+def _sorted_into_cells(first: Ints, last: Ints, cells: Ints) -> tuple[Ints, Ints]:
     """Compressed rows: item[start[c]:start[c + 1]] are the elements that reach into cell c, in
     rising order."""
-    start = np.zeros(cells[0] * cells[1] + 1, np.int64)
-    for sweep in range(2):
-        if sweep == 1:
-            for cell in range(1, len(start)):
-                start[cell] += start[cell - 1]
-            item = np.empty(start[-1], np.int64)
-            filled = start[:-1].copy()
-        for n in range(len(first)):
-            for i in range(first[n, 0], last[n, 0] + 1):
-                for j in range(first[n, 1], last[n, 1] + 1):
-                    cell = i * cells[1] + j
-                    if sweep == 0:
-                        start[cell + 1] += 1
-                    else:
-                        item[filled[cell]] = n
-                        filled[cell] += 1
-    return start, item
+    rows, columns = np.maximum(last - first + 1, 0).T
+    item = np.repeat(np.arange(len(first)), rows * columns)
+    # of each element, the numbers of its cells: row by row from its first one
+    ends = np.cumsum(rows * columns)
+    n = np.arange(len(item)) - (ends - rows * columns)[item]
+    row, column = first[item, 0] + n // columns[item], first[item, 1] + n % columns[item]
+    cell = row * cells[1] + column
+    start = np.append(0, np.cumsum(np.bincount(cell, minlength=cells[0] * cells[1])))
+    return start, item[np.argsort(cell, kind="stable")]
 
 
 @kernel
@@ -122,11 +112,10 @@ def _from_solids(
     size,
     position,
     rotation,
-    triangles,
-    owner,
-    filled,
+    meshes,
 ):
-    """`_clearance` among the solids of a `Clearance`, up to `CAP_M`."""
+    """`_clearance` among the solids of a `Clearance`, up to `CAP_M`. Without `meshes`, numba leaves
+    out what it would compile for them."""
     i = min(max(math.floor((x - low[0]) / cell_m), 0), cells[0] - 1)
     j = min(max(math.floor((y - low[1]) / cell_m), 0), cells[1] - 1)
     cell = i * cells[1] + j
@@ -137,7 +126,8 @@ def _from_solids(
         if n < len(shape):
             dx, dy, dz = local(rotation[n], *joining(position[n], (x, y, z)))
             nearest = min(nearest, distance(shape[n], size[n], dx, dy, dz))
-        else:
+        elif meshes is not None:
+            triangles, owner, filled = meshes
             t = triangles[n - len(shape)]
             m = owner[n - len(shape)]
             nearest = min(nearest, triangle_distance(t[0], t[1], t[2], x, y, z))
