@@ -74,18 +74,19 @@ def bounding_boxes(
     shape: Ints, size: Floats, position: Floats, rotation: Floats
 ) -> tuple[Floats, Floats]:
     """Axis-aligned bounding boxes (n, 3), (n, 3) of primitives; see `Solids`."""
-    x, y, z = np.moveaxis(rotation, 2, 0)
-    a, b, c = size.T[..., None]
-    kind = shape[:, None]
-    reach = np.select(
-        [kind == SPHERE, kind == CAPSULE, kind == CYLINDER, kind == BOX, kind == ELLIPSOID],
-        [
-            a,
-            a + abs(z) * b,
-            a * np.sqrt(np.maximum(1.0 - z * z, 0.0)) + abs(z) * b,
-            abs(x) * a + abs(y) * b + abs(z) * c,
-            np.sqrt((x * a) ** 2 + (y * b) ** 2 + (z * c) ** 2),
-        ],
-        np.inf,
-    )
+    reach = np.full(position.shape, np.inf)
+    for kind in set(shape.tolist()):
+        of = shape == kind
+        x, y, z = np.moveaxis(rotation[of], 2, 0)
+        a, b, c = size[of].T[..., None]
+        if kind == SPHERE:
+            reach[of] = a
+        elif kind == CAPSULE:
+            reach[of] = a + abs(z) * b
+        elif kind == CYLINDER:
+            reach[of] = a * np.sqrt(np.maximum(1.0 - z * z, 0.0)) + abs(z) * b
+        elif kind == BOX:
+            reach[of] = abs(x) * a + abs(y) * b + abs(z) * c
+        elif kind == ELLIPSOID:
+            reach[of] = np.sqrt((x * a) ** 2 + (y * b) ** 2 + (z * c) ** 2)
     return position - reach, position + reach

@@ -78,15 +78,27 @@ class Clearance:
 def _sorted_into_cells(first: Ints, last: Ints, cells: Ints) -> tuple[Ints, Ints]:
     """Compressed rows: item[start[c]:start[c + 1]] are the elements that reach into cell c, in
     rising order."""
-    rows, columns = np.maximum(last - first + 1, 0).T
-    item = np.repeat(np.arange(len(first)), rows * columns)
-    # of each element, the numbers of its cells: row by row from its first one
-    ends = np.cumsum(rows * columns)
-    n = np.arange(len(item)) - (ends - rows * columns)[item]
-    row, column = first[item, 0] + n // columns[item], first[item, 1] + n % columns[item]
-    cell = row * cells[1] + column
-    start = np.append(0, np.cumsum(np.bincount(cell, minlength=cells[0] * cells[1])))
-    return start, item[np.argsort(cell, kind="stable")]
+    start, columns = np.zeros(cells.prod() + 2, np.int64), cells[1]
+    _visit_cells(first, last, columns, start, np.empty(0, np.int64))
+    np.cumsum(start, out=start)
+    item = np.empty(start[-1], np.int64)
+    _visit_cells(first, last, columns, start, item)
+    return start[:-1], item
+
+
+@kernel
+def _visit_cells(first, last, columns, start, item):
+    """Count in start[c + 2] the elements that reach into cell c; or, given room for them all, put
+    each in `item` at start[c + 1], which then moves on."""
+    for n in range(len(first)):
+        for i in range(first[n, 0], last[n, 0] + 1):
+            for j in range(first[n, 1], last[n, 1] + 1):
+                cell = i * columns + j
+                if len(item) == 0:
+                    start[cell + 2] += 1
+                else:
+                    item[start[cell + 1]] = n
+                    start[cell + 1] += 1
 
 
 @kernel
