@@ -159,7 +159,7 @@ def tables(rows: dict[str, Any]) -> list[str]:
     lines = []
     for name, title in TITLES.items():
         found = {(row, one): rows[row][one][name] for row in shown for one in rows[row]}
-        summary, matrix = [], []
+        summary, matrix, shares = [], [], []
         for kind in kinds:
             others = (f"without {kind}", BUNDLED, "extrude")
             saw = [
@@ -170,6 +170,8 @@ def tables(rows: dict[str, Any]) -> list[str]:
             mean = f"{sum(saw) / len(saw):.3f} (of {len(saw)})" if saw else "–"
             cells = [brief(found.get((one, kind), {"n": 0})) for one in others]
             summary.append((f"`{kind}`", [mean, *cells]))
+            if saw and (others[0], kind) in found:
+                shares.append(found[others[0], kind]["mean"] * len(saw) / sum(saw))
         for row in shown:
             cells = []
             for one in (*kinds, *places):
@@ -178,6 +180,9 @@ def tables(rows: dict[str, Any]) -> list[str]:
             matrix.append((row, cells))
         heads = ("seen in training", "held out", f"the bundled `{BUNDLED}`", "`extrude`")
         lines += titled(f"## {title}", heads, summary)
+        if shares:
+            spread = f"{np.mean(shares):.2f} on average, {min(shares):.2f} to {max(shares):.2f}"
+            lines += ["", f"*Held out* as a share of *seen in training*: {spread}."]
         lines += ["", table([f"`{one}`" for one in (*kinds, *places)], matrix)]
     if places:
         means = {
