@@ -124,9 +124,9 @@ def announce_compilation() -> None:
 
     trouble = cache_trouble("scenegen")
     if trouble:
-        note(f"compiling kernels, 10 to 20 seconds; they cannot be kept: {trouble} …")
+        note(f"compiling kernels, 6 to 15 seconds; they cannot be kept: {trouble} …")
     elif no_kernels("scenegen"):
-        note("compiling kernels: once on this machine, 10 to 20 seconds …")
+        note("compiling kernels: once on this machine, 6 to 15 seconds …")
 
 
 class Progress:
