@@ -50,12 +50,14 @@ def drawn(
     split: str = "test",
     seed: int = 0,
     viewpoints: int | None = None,
+    val: int = 0,
 ) -> Dataset:
-    """A dataset in `folder` of so many maps, all in one split: in drawn worlds, or in those of the
-    files `scenes`; with so many `viewpoints` a flight, by default as the recipe says."""
+    """A dataset in `folder` of so many maps in one split, and `val` for validation, on which the
+    bench tunes thresholds: in drawn worlds, or in those of the files `scenes`; with so many
+    `viewpoints` a flight, by default as the recipe says."""
     if viewpoints is not None:
         recipe = replace(recipe, flight=replace(recipe.flight, viewpoints=viewpoints))
-    counts = {"train": 0, "val": 0, "test": 0} | {split: maps}
+    counts = {"train": 0, "val": val, "test": 0} | {split: maps}
     source: Source = DrawnWorlds(recipe)
     if scenes is not None:
         source = read_scenes(scenes, counts, seed=seed)
