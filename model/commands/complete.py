@@ -28,6 +28,8 @@ from scenegen.run import Executor, executor
 if TYPE_CHECKING:
     from scenegen.model.completion.completer import Completer
 
+COMPLETIONS = "completions.json"
+"""The file of a folder of completions that says of which scans they are, and whose."""
 MOST_SHOWN = 24
 """Completions on the page of a folder, a log or a map, evenly spread."""
 
@@ -109,7 +111,7 @@ def complete(
     """
     from scenegen.dataset.locate import locate
     from scenegen.dataset.manifest import NAME
-    from scenegen.files import real_path
+    from scenegen.files import claim, real_path
     from scenegen.logs.read import is_log
     from scenegen.model.completion.completer import Completer
     from scenegen.model.completion.scans import complete_all, predict_scan, read_scan, tasks_of
@@ -132,6 +134,9 @@ def complete(
         name = path.stem if path.is_file() else real_path(path).name
         out = out or Path(f"{name}.completed")
         if tasks:
+            about = {name: str(scans[name]) for name in ("sensor", "poses", "topic")}
+            about |= {"source": str(real_path(path)), "weights": completer.digest}
+            claim(out, COMPLETIONS, about)
             complete_all(completer, tasks, out, MOST_SHOWN, quiet)
         else:
             _complete_map(completer, path, count, out, quiet)

@@ -21,7 +21,7 @@ from torch import Tensor
 from lidarsim import Lidar
 from lidarsim.grid import GridSpec, Mask, finite
 from lidarsim.parameters import MOST_LENGTH_M
-from scenegen.dataset.locate import client_output, without_tokens
+from scenegen.dataset.locate import client_output, file_sha256, without_tokens
 from scenegen.dataset.manifest import differences
 from scenegen.dataset.parts import described, sensor_entry
 from scenegen.dataset.read import Split
@@ -184,6 +184,11 @@ class Completer:
             probability, tudf = map(joined, zip(*parts, strict=True))
             prediction = Prediction(probability, tudf, self.calibration, self.grid)
             return check_prediction(prediction, shape, self.name)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the network's file."""
+        return file_sha256(locate(self.opened[0]))
 
     def __reduce__(self) -> Any:
         return opened_once, self.opened

@@ -12,14 +12,13 @@ import numpy as np
 
 from scenegen.cli.show import Showing, counted, silent
 from scenegen.dataset.hdf5 import read_guarded
-from scenegen.dataset.locate import file_sha256
 from scenegen.dataset.read import Dataset, Split
 from scenegen.dataset.rules import stem_of
 from scenegen.dataset.shard import compress
 from scenegen.errors import DatasetError, empty_split, printable, raised_as
 from scenegen.files import Json, claim, make_parent, whole
 from scenegen.model.calibration import RISK
-from scenegen.model.completion.completer import Completer, locate, opened_once
+from scenegen.model.completion.completer import Completer, opened_once
 from scenegen.model.completion.protocol import PARTS, SURE
 from scenegen.model.config import PREDICTIONS
 from scenegen.model.inputs import channels
@@ -58,8 +57,7 @@ def predict_split(
     if not (count := len(samples)):
         raise DatasetError(f"{folder}: {empty_split(split)}, or give another --split")
     about = {"dataset": dataset.manifest.digest, "split": split, "method": completer.name}
-    weights = file_sha256(locate(completer.opened[0]))
-    there = claim(out, PREDICTIONS, {**about, "weights": weights, "samples": PART})
+    there = claim(out, PREDICTIONS, {**about, "weights": completer.digest, "samples": PART})
     parts = [
         (f"{stem_of(split, number)}.h5", numbers)
         for number, numbers in enumerate(chunked(range(count), PART))

@@ -45,7 +45,7 @@ class Prediction:
         """For notebooks: what each part is, its least, mean and greatest number."""
         rows: list[tuple[str, ...]] = [("", "", "least", "mean", "greatest")]
         for name, (what, _) in PARTS.items():
-            if (values := _plain(getattr(self, name))) is not None:
+            if (values := plain(getattr(self, name))) is not None:
                 figures = (values.min(), values.mean(), values.max())
                 rows.append((name, what, *(f"{figure:.3g}" for figure in figures)))
         return html_table(rows, self)
@@ -72,7 +72,7 @@ class Prediction:
         where there is none. `occupancy_probability` is what the paper's thresholds are for."""
         if self.uncertainty is None:
             return None
-        return self._as_given(self.uncertainty.chance(_plain(self.occupancy_probability)))
+        return self._as_given(self.uncertainty.chance(plain(self.occupancy_probability)))
 
     @property
     def tudf_low(self) -> Any:
@@ -91,7 +91,7 @@ class Prediction:
             raise UncertaintyError(
                 "no bounds: the network is not calibrated; run `scenegen calibrate` on it"
             )
-        probability, tudf = _plain(self.occupancy_probability), _plain(self.tudf)
+        probability, tudf = plain(self.occupancy_probability), plain(self.tudf)
         if tudf is None and self.grid is not None:
             maps = probability.reshape(-1, *self.grid.shape)
             derived = [Prediction(one).distance(Thresholds(), self.grid) for one in maps]
@@ -106,10 +106,10 @@ class Prediction:
         (*shape). The value is the share of the calibration's maps on which it did so less often.
         From 0.95 on, expect a worse completion; below, nothing is promised.
         """
-        probability, known = _plain(self.occupancy_probability), self.uncertainty
+        probability, known = plain(self.occupancy_probability), self.uncertainty
         if probability is None or not isinstance(known, Calibration) or not known.denied:
             return None
-        shares = denial(probability, _plain(observed).astype(bool), known.class_weight)
+        shares = denial(probability, plain(observed).astype(bool), known.class_weight)
         return np.searchsorted(known.denied, shares) / len(known.denied)
 
     def _as_given(self, values: Field | None) -> Any:
@@ -120,7 +120,7 @@ class Prediction:
         )
 
 
-def _plain(values: Any) -> Any:
+def plain(values: Any) -> Any:
     """numpy of numpy or torch."""
     return values if values is None or isinstance(values, np.ndarray) else values.numpy(force=True)
 

@@ -32,7 +32,7 @@ from scenegen.model.calibration import (
 from scenegen.model.checkpoint import CheckpointError, save_network
 from scenegen.model.completion.completer import Completer, open_network
 from scenegen.model.completion.protocol import Prediction
-from scenegen.model.config import PlanConfig, Thresholds
+from scenegen.model.config import NEAR_M, PlanConfig, Thresholds
 from scenegen.model.evaluation.planning.measure import draw_trials
 from scenegen.model.evaluation.run import check_middle, check_whole, filled
 from scenegen.model.evaluation.study import TOLD, Setting, run_settings
@@ -47,8 +47,6 @@ STEP_M = 0.1
 """Width of the bins of predicted distance."""
 CHANCES = (0.01, 0.03, 0.1, 0.3, 0.6)
 """Edges of the bins of probability, where it is predicted."""
-NEAR_M = 1.0
-"""Distances predicted to be less are near ones."""
 SCORE_M = 0.02
 """Scores are counted in steps of this, and rounded up."""
 LOGIT, MOST_LOGIT = 0.05, 20.0

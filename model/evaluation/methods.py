@@ -5,6 +5,7 @@ import inspect
 import math
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property, partial
 from itertools import product
 from pathlib import Path
@@ -28,6 +29,7 @@ from scenegen.model.completion.protocol import (
     Prediction,
     PredictionError,
     check_prediction,
+    plain,
 )
 from scenegen.model.config import METHODS
 from scenegen.sample import Sample
@@ -69,7 +71,8 @@ class Completed:
         # copies: a completer may write to what it is given, which the other rows are shown, too
         maps = sample.observed.copy(), sample.free.copy()
         found = self._completer.complete(*maps, grid=split.dataset.grid)
-        return check_prediction(found, split.dataset.grid.shape, self.name)
+        check_prediction(found, split.dataset.grid.shape, self.name)
+        return replace(found, **{name: plain(getattr(found, name)) for name in PARTS})
 
 
 class Truth:

@@ -287,7 +287,7 @@ def _bench_method(
     paths to `goals` (trials, 3), metres in the map's frame, and, if asked for, its probabilities
     and bounds."""
     sample, grid, usual = case.sample, case.grid, config.thresholds
-    prediction, (solid, gap_m) = method.completion(sample, case.split), case.truth
+    prediction = method.completion(sample, case.split)
 
     def scores(at: Thresholds) -> Floats:
         """(2 + classes, metrics) of the map at some thresholds."""
@@ -305,17 +305,7 @@ def _bench_method(
     by_thresholds = {at: scores(at) for at in {usual, tuned}}  # most often, these are the same
     occupied, distance, risk = planner_maps(prediction, sample, grid, config)
     trials = [
-        run_trial(
-            occupied,
-            distance,
-            goal=goal,
-            risk=risk,
-            occupancy_truth=solid,
-            tudf_truth=gap_m,
-            grid=grid,
-            config=config.plan,
-        )
-        for goal in goals
+        run_trial(occupied, distance, *case.truth, goal, grid, config.plan, risk) for goal in goals
     ]
     study = study_map(prediction, case, goals, config) if config.study else None
     reconstruction = np.vstack([by_thresholds[usual], by_thresholds[tuned][:1]])

@@ -153,8 +153,8 @@ def _maps(setting: Setting, said: Prediction, grid: GridSpec) -> tuple[Mask, Fie
     if setting.by == "risk":
         low = said.low(setting.value)
         return low <= 0, low
-    name = "probability" if setting.by == "probability" else "distance_m"
-    at = replace(Thresholds(), **{name: setting.value})
+    # one of the two counts: `settings_of` chose by it
+    at = Thresholds(probability=setting.value, distance_m=setting.value)
     return said.occupied(at), said.distance(at, grid)
 
 

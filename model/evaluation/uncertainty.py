@@ -177,7 +177,8 @@ def ause(error: Field, doubt: Field) -> float:
     mean = float(error.mean())
     if mean == 0:
         return 0.0
-    _, group = np.unique(doubt, return_inverse=True)
+    # what rounding alone tells apart is equal
+    _, group = np.unique(np.round(doubt, 5), return_inverse=True)
     levelled = (np.bincount(group, weights=error) / np.bincount(group))[group]
     at = np.maximum((SHARES * len(error)).astype(int), 1)
     first = [

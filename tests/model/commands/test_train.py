@@ -73,6 +73,7 @@ def test_train_complete_and_bench_work_together(here, capsys):
     assert "broken.pcd" in said
     assert made[0].exists()
     assert made[1].stat().st_mtime_ns == kept
+    assert "what another command began" in refused(capsys, f"{words} --sensor 0 0 1")
 
 
 def test_a_stream_trains_without_a_dataset(here, small, capsys):

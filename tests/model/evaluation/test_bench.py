@@ -10,6 +10,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+import torch
 from numpy.testing import assert_array_equal
 
 from scenegen.__main__ import app
@@ -61,7 +62,7 @@ class Copied:
         sample = self.answers[observed.tobytes()]
         return Prediction(
             occupancy_probability=np.where(sample.occupancy, np.float32(0.6), np.float32(0.3)),
-            tudf=self.nearer * sample.tudf,
+            tudf=torch.from_numpy(self.nearer * sample.tudf),
         )
 
 
