@@ -69,9 +69,10 @@ def _compiled(function: Callable[..., Any], **options: bool) -> Any:
     # numba does not look at options when it looks a kernel up: each has a folder of its own
     folder = cache_folder(package).joinpath(*options)
     previous, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder)
-    options |= {"nogil": True, "no_cfunc_wrapper": True}
     try:
-        return numba.njit(cache=kept, error_model="numpy", **options)(function)
+        return numba.njit(
+            cache=kept, error_model="numpy", nogil=True, no_cfunc_wrapper=True, **options
+        )(function)
     finally:
         numba.config.CACHE_DIR = previous
 

@@ -57,7 +57,7 @@ class Hierarchy:
         links, ends = np.zeros((2, most, WIDTH), np.uint64)
         order = np.arange(len(lower), dtype=np.uint64)
         centre, bins = 0.5 * (lower + upper), np.empty((BINS + 1, 8))
-        waiting = np.empty((most, 4), np.int64)
+        waiting = np.zeros((most, 4), np.int64)
         nodes = _build(lower, upper, centre, order, boxes, links, ends, bins, waiting)
         return cls(boxes[:nodes].copy(), links[:nodes].copy(), ends[:nodes].copy(), order)
 
@@ -75,7 +75,6 @@ def _build(lower, upper, centre, order, boxes, links, ends, bins, waiting):
     Arrays are made before: numba takes a second to compile what makes them.
     """
     nodes = pending = min(len(order), 1)
-    waiting[0] = 0
     waiting[0, 1] = len(order)
     while pending > 0:
         pending -= 1

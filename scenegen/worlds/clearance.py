@@ -34,24 +34,23 @@ class Clearance:
         """`bounds` (2, 3): least and greatest corner of where queries will come from, world
         metres."""
         low, high = bounds[0, :2], bounds[1, :2]
-        self._low = low
         extent = high - low
         cell_m = max(
             CELL_M, float(np.sqrt(extent.prod() / MOST_CELLS)), float(extent.max()) / MOST_CELLS
         )
-        self._cells = np.maximum(np.ceil(extent / cell_m).astype(np.int64), 1)
+        cells = np.maximum(np.ceil(extent / cell_m).astype(np.int64), 1)
         corners = solids.triangles
         lower = np.concatenate([solids.lower, corners.min(axis=1)])[:, :2] - CAP_M
         upper = np.concatenate([solids.upper, corners.max(axis=1)])[:, :2] + CAP_M
-        first = np.clip(np.floor((lower - low) / cell_m), 0, self._cells).astype(np.int64)
-        last = np.clip(np.floor((upper - low) / cell_m), -1, self._cells - 1).astype(np.int64)
-        start, item = _sorted_into_cells(first, last, self._cells)
+        first = np.clip(np.floor((lower - low) / cell_m), 0, cells).astype(np.int64)
+        last = np.clip(np.floor((upper - low) / cell_m), -1, cells - 1).astype(np.int64)
+        start, item = _sorted_into_cells(first, last, cells)
         owner = np.repeat(np.arange(len(solids.mesh_filled)), np.diff(solids.mesh_start))
         meshes = (solids.triangles, owner, solids.mesh_filled) if len(owner) else None
         self._arguments: tuple[Any, ...] = (
             low,
             cell_m,
-            self._cells,
+            cells,
             start,
             item,
             solids.shape,
