@@ -1,6 +1,6 @@
 """Published completion networks, written again from their papers, trained on the maps of ours.
 
-    python benchmarks/peers.py MAPS --runs /tmp/peers --learned 600     # docs/results/peers.md
+    python benchmarks/peers.py MAPS --runs /tmp/peers     # docs/results/peers.md
 
 `LMSCNet`, `SSCNet` and our `columns` begin with random weights, and learn from the same maps of
 `anywhere.toml`, in the same order, by the same loss. A run that is there goes on to so many maps.
@@ -34,9 +34,8 @@ OURS = "columns"
 PAPERS = {"LMSCNet": (32, 20, "0.35 M"), "SSCNet": (36, 12, "0.93 M")}
 """Voxels in height and classes in the paper, and how many parameters it counts."""
 TRAINING = (
-    "--input observed --input free --stream-seed 7 --points-share 0.25 --batch 2 "
-    "--precision float32 --lambda-occupancy 1 --lovasz 1 --eikonal 0 --choose last "
-    "--optimizer adamw --interval 600 --quiet"
+    "--input observed --input free --points-share 0.35 --batch 4 --precision float32 "
+    "--lambda-occupancy 1 --lovasz 1 --eikonal 0 --choose last --interval 2000 --quiet"
 )
 TABLES = {
     "iou": "## IoU",
@@ -55,9 +54,9 @@ class Options(scoring.Options):
     trials: int = 120
     runs: Path | None = None
     """folder of the runs"""
-    stream: str = str(HERE / "anywhere.toml")
-    """what they learn from"""
-    learned: int = 600
+    source: str = f"--stream {HERE / 'anywhere.toml'} --val-maps 100"
+    """what `train` is told to learn from: datasets, or a stream"""
+    learned: int = 4000
     """maps that each learns from"""
     rounds: int = 5
     """of timing"""
@@ -65,7 +64,8 @@ class Options(scoring.Options):
 
 def main() -> None:
     """Train what is missing, measure, and write the tables."""
-    given = measuring.parse(Options, stream="pillar", learned=2, maps=2, trials=2, rounds=1)
+    quick = "--stream pillar --val-maps 2"
+    given = measuring.parse(Options, source=quick, learned=2, maps=2, trials=2, rounds=1)
     with tempfile.TemporaryDirectory() as spare:
         folder, runs = Path(spare), given.runs or Path(spare, "runs")
         names = {OURS: str(runs / OURS)}
@@ -83,8 +83,8 @@ def train(out: Path, name: str, given: Options) -> None:
     """Train a network on so many maps, where its run has not seen them."""
     variant = name if name == OURS else f"peers:{name}"
     os.environ["PYTHONPATH"] = os.pathsep.join([str(HERE), os.environ.get("PYTHONPATH", "")])
-    words = f"train --variant {variant} --maps {given.learned} --val-maps {min(8, given.learned)}"
-    measuring.command(f"{words} {TRAINING} --out", out, "--stream", given.stream)
+    words = f"train {given.source} --variant {variant} --maps {given.learned} {TRAINING} --out"
+    measuring.command(words, out)
 
 
 def scored(results: Results) -> list[str]:
