@@ -42,7 +42,7 @@ def test_scans_of_a_log_stand_upright_in_its_frame(tmp_path, points, capsys):
     assert (code, said.startswith(f"{tmp_path / 'out'}: 2 completions")) == (0, True)
     assert "the sensor is 1.3 to 1.3 m above what it sees" in noted
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
-        *("000000.h5", "000002.h5", "index.html")
+        *("000000.h5", "000002.h5", "completions.json", "index.html")
     ]
     np.save(tmp_path / "level.npy", points + TILT.position)
     level = read_scan(tmp_path / "level.npy", TILT.position)
