@@ -134,7 +134,7 @@ def complete(
         name = path.stem if path.is_file() else real_path(path).name
         out = out or Path(f"{name}.completed")
         if tasks:
-            about = {name: str(scans[name]) for name in ("sensor", "poses", "topic")}
+            about = {option: str(scans[option]) for option in ("sensor", "poses", "topic")}
             about |= {"source": str(real_path(path)), "weights": completer.digest}
             claim(out, COMPLETIONS, about)
             complete_all(completer, tasks, out, MOST_SHOWN, quiet)
