@@ -33,8 +33,7 @@ from scenegen.model.checkpoint import CheckpointError, save_network
 from scenegen.model.completion.completer import Completer, open_network
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import NEAR_M, PlanConfig, Thresholds
-from scenegen.model.evaluation.planning.measure import draw_trials
-from scenegen.model.evaluation.run import check_middle, check_whole, filled
+from scenegen.model.evaluation.run import check_middle, check_whole, filled, trials_of
 from scenegen.model.evaluation.study import TOLD, Setting, run_settings
 from scenegen.model.evaluation.visibility import UNOBSERVED, Case
 from scenegen.run import Executor, check_together, chunked
@@ -318,10 +317,9 @@ def _collisions(
     fitted: Calibration, trials: int, seed: int, prediction: Prediction, case: Case
 ) -> tuple[Floats, int]:
     """How many of a map's trials collide at each risk, and how many there are."""
-    sample, grid = case.sample, case.grid
-    rng = rng_of(seed, int(sample.world), int(sample.viewpoint))
-    goals = draw_trials(sample.occupancy, grid, PlanConfig(), count=trials, rng=rng).goals
+    rng = rng_of(seed, int(case.sample.world), int(case.sample.viewpoint))
+    goals = trials_of(case, PlanConfig(), trials, rng).goals
     risks = [Setting(by="risk", value=risk) for risk in fitted.risks]
-    bounded = replace(prediction, uncertainty=fitted, grid=grid)
-    measured = run_settings(risks, bounded, case.truth, goals, grid, PlanConfig())
+    bounded = replace(prediction, uncertainty=fitted, grid=case.grid)
+    measured = run_settings(risks, bounded, case.truth, goals, case.grid, PlanConfig())
     return measured[:, :, TOLD.index("collided")].sum(axis=0), len(goals)

@@ -12,13 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask, iou
+from lidarsim.grid import Field, Floats, Ints, Mask, iou
 from scenegen.cli.show import Showing, counted, silent
 from scenegen.dataset.read import Dataset, Rows, Split
 from scenegen.display.look import evenly
 from scenegen.errors import DatasetError, empty_split
 from scenegen.model.completion.protocol import Prediction
-from scenegen.model.config import BenchConfig, Thresholds
+from scenegen.model.config import BenchConfig, PlanConfig, Thresholds
 from scenegen.model.evaluation.methods import Method, check_rows
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS, measure
 from scenegen.model.evaluation.planning.measure import (
@@ -32,7 +32,7 @@ from scenegen.model.evaluation.study import Study, study_map
 from scenegen.model.evaluation.visibility import CLASSES, UNOBSERVED, Case, scored_voxels, walled
 from scenegen.run import Executor, check_together, chunked
 from scenegen.run.workers import ALONE
-from scenegen.sample import Sample, rng_of
+from scenegen.sample import rng_of
 from scenegen.truth import distance_field
 
 CHUNK = 10
@@ -268,8 +268,8 @@ def _bench_samples(
     found = []
     for index in rows.numbers:
         sample = split[index]
-        drawn = trials_of(sample, index, split, config, trials_each)
         case = Case(sample, index, split)
+        drawn = trials_of(case, config.plan, trials_each, rng_of(config.seed, index))
         results = [
             _bench_method(method, best, case, drawn.goals, config)
             for method, best in zip(methods, tuned, strict=True)
@@ -303,7 +303,7 @@ def _bench_method(
         )
 
     by_thresholds = {at: scores(at) for at in {usual, tuned}}  # most often, these are the same
-    occupied, distance, risk = planner_maps(prediction, sample, grid, config)
+    occupied, distance, risk = planner_maps(prediction, case, config)
     trials = [
         run_trial(occupied, distance, *case.truth, goal, grid, config.plan, risk) for goal in goals
     ]
@@ -313,11 +313,12 @@ def _bench_method(
 
 
 def planner_maps(
-    said: Prediction, sample: Sample, grid: GridSpec, config: BenchConfig
+    said: Prediction, case: Case, config: BenchConfig
 ) -> tuple[Mask, Field, Field | None]:
     """What the planner of `config` is given of a prediction: a collision map, distances, metres,
     and for the careful planner the risk of every voxel, (*grid.shape) each."""
     at, plan, careful = config.thresholds, config.plan, config.plan.planner == "careful"
+    sample, grid = case.sample, case.grid
     if careful:
         at = replace(at, probability=plan.careful_probability)
     occupied, distance = said.occupied(at), said.distance(at, grid)
@@ -328,14 +329,12 @@ def planner_maps(
     return occupied, distance, risk_of(said, occupied, seen, plan) if careful else None
 
 
-def trials_of(sample: Sample, index: int, split: Split, config: BenchConfig, count: int) -> Trials:
-    """The first `count` trials of `sample`, which is number `index` of its `split`."""
-    rng = rng_of(config.seed, index)
-    world = split.home(index).tables.get("world")  # worlds from MJCF files have no box
-    bounds = None if world is None else np.array([[0.0, 0.0, 0.0], world["size_m"]]) - sample.origin
-    grid = split.dataset.grid
-    solid, _ = walled(sample.occupancy, sample.tudf, sample.known, grid)
-    return draw_trials(solid, grid, config.plan, count=count, rng=rng, bounds=bounds)
+def trials_of(case: Case, plan: PlanConfig, count: int, rng: np.random.Generator) -> Trials:
+    """The first `count` trials on the map of a sample, with goals within its world."""
+    world = case.split.home(case.index).tables.get("world")  # those from MJCF files have no box
+    origin = case.sample.origin
+    bounds = None if world is None else np.array([[0.0] * 3, world["size_m"]]) - origin
+    return draw_trials(case.truth[0], case.grid, plan, count=count, rng=rng, bounds=bounds)
 
 
 def tune(method: Method, dataset: Dataset, thresholds: Thresholds) -> Thresholds:

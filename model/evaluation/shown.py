@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
-from lidarsim.grid import Field, Floats, GridSpec, Mask
+from lidarsim.grid import Field, Floats, Mask
 from scenegen.dataset.read import Split
 from scenegen.display.look import Guess, Route, look_into
 from scenegen.errors import DatasetError
@@ -17,8 +17,8 @@ from scenegen.model.evaluation.planning.astar import Lattice
 from scenegen.model.evaluation.planning.measure import judge, plan_trial
 from scenegen.model.evaluation.report import CAUSES, tables
 from scenegen.model.evaluation.run import DatasetResult, planner_maps, trials_of
-from scenegen.model.evaluation.visibility import walled
-from scenegen.sample import Sample
+from scenegen.model.evaluation.visibility import Case
+from scenegen.sample import Sample, rng_of
 
 
 def guesses(
@@ -27,10 +27,10 @@ def guesses(
     """What `methods` say of a sample of a split, each with its path to the goal of the bench's
     trial number `trial` in that sample, at the thresholds and by the planner of `config`; without
     paths where `trial` is None, or the sample has no such trial."""
-    goal = None
+    index = split.names.index((split.name, int(sample.world), int(sample.viewpoint)))
+    case, goal = Case(sample, index, split), None
     if trial is not None:
-        index = split.names.index((split.name, int(sample.world), int(sample.viewpoint)))
-        goals = trials_of(sample, index, split, config, trial + 1).goals
+        goals = trials_of(case, config.plan, trial + 1, rng_of(config.seed, index)).goals
         goal = goals[trial] if len(goals) > trial else None
     found = []
     for method in methods:
@@ -38,40 +38,32 @@ def guesses(
             said = method.completion(sample, split)
         except KeyError:
             raise DatasetError(f"{method.name} does not predict it") from None
-        grid = split.dataset.grid
-        occupied, tudf = said.occupied(config.thresholds), said.distance(config.thresholds, grid)
-        maps = planner_maps(said, sample, grid, config)
-        route = None if goal is None else route_to(goal, *maps, sample, grid, config.plan)
+        at = config.thresholds
+        occupied, tudf = said.occupied(at), said.distance(at, case.grid)
+        maps = planner_maps(said, case, config)
+        route = None if goal is None else route_to(goal, *maps, case, config.plan)
         found.append(Guess(name=method.name, occupied=occupied, tudf=tudf, route=route))
     return found
 
 
 def route_to(
-    goal: Floats,
-    occupied: Mask,
-    tudf: Field,
-    risk: Field | None,
-    sample: Sample,
-    grid: GridSpec,
-    config: PlanConfig,
+    goal: Floats, occupied: Mask, tudf: Field, risk: Field | None, case: Case, config: PlanConfig
 ) -> Route:
     """The bench's path on predicted maps to `goal` (3,), map frame, metres, and how it fares in the
     truth; see `scenegen.model.evaluation.planning.measure.run_trial`."""
+    origin, grid = case.sample.origin, case.grid
     plan, refined = plan_trial(occupied, tudf, risk, goal, grid, config)
-    truth = walled(sample.occupancy, sample.tudf, sample.known, grid)
-    measured = judge(plan, refined, *truth, grid)
+    measured = judge(plan, refined, *case.truth, grid)
     lattice = Lattice(grid, config.step_voxels)
     told = f"{measured.length_m:.1f} m, clearance {measured.min_clearance_m:.2f} m"
     if measured.cause is not None:
         told = CAUSES[measured.cause]
     return Route(
-        start=sample.origin + lattice.centres(lattice.start),
-        goal=sample.origin + goal,
-        points=None if refined is None else sample.origin + refined,
+        start=origin + lattice.centres(lattice.start),
+        goal=origin + goal,
+        points=None if refined is None else origin + refined,
         told=told,
-        hit=None
-        if measured.hit is None
-        else grid.centres(sample.origin).reshape(-1, 3)[measured.hit],
+        hit=None if measured.hit is None else grid.centres(origin).reshape(-1, 3)[measured.hit],
     )
 
 

@@ -148,10 +148,11 @@ def differing(given: Json, others: Iterable[Json]) -> list[str]:
 
 
 def differences(there: Json, asked: Json, prefix: str = "") -> list[str]:
-    """Where two sets of parameters differ: "name: there, asked", nested names joined by dots."""
+    """Where two sets of parameters differ: "name: there, asked", nested names joined by dots, and
+    the items of a list of tables named by their places."""
     found = []
     for name in [*there, *(name for name in asked if name not in there)]:
-        old, new = there.get(name, "absent"), asked.get(name, "absent")
+        old, new = (_numbered(given.get(name, "absent")) for given in (there, asked))
         if isinstance(old, dict) and isinstance(new, dict):
             found += differences(old, new, f"{prefix}{name}.")
         elif old != new:
@@ -159,6 +160,12 @@ def differences(there: Json, asked: Json, prefix: str = "") -> list[str]:
                 f"{short(f'{prefix}{name}')[1:-1]} is {_said(old)} there, {_said(new)} asked for"
             )
     return found
+
+
+def _numbered(value: Any) -> Any:
+    """A list of tables as a table of them by their places; anything else as it is."""
+    tables = isinstance(value, list) and value and isinstance(value[0], dict)
+    return dict(enumerate(value)) if tables else value
 
 
 def _said(value: Any) -> str:
@@ -202,12 +209,12 @@ def write(folder: Path, manifest: Json) -> None:
                 f"{folder}: another run has begun another dataset there; choose another --out for "
                 f"one"
             )
-        if there["complete"] and manifest["complete"]:
-            raise StoreError(
-                f"{folder}: another run has completed it with other bytes; give the same command "
-                f"again"
-            )
         if there["complete"]:
+            if manifest["complete"]:
+                raise StoreError(
+                    f"{folder}: another run has completed it with other bytes; give the same "
+                    f"command again"
+                )
             return
 
 

@@ -14,7 +14,7 @@ from scenegen.dataset.gather import plan_merge, plan_take
 from scenegen.dataset.generation import plan_generation, read_components
 from scenegen.dataset.parts import write_rays
 from scenegen.dataset.read import Dataset
-from scenegen.errors import RecipeError
+from scenegen.errors import DatasetError, RecipeError
 from scenegen.model.training.data import Maps, SplitSamples
 from scenegen.recipes import kind_names
 from scenegen.share.regenerate import recipe_text
@@ -112,6 +112,14 @@ def test_what_is_lost_is_made_again_by_any_number_of_workers(mixed, recipe):
         (mixed.folder / name).unlink()
     again = scenegen.generate(recipe=recipe, out=mixed.folder, workers=2, shard_samples=4, **COUNTS)
     assert manifest.read(again.folder) == before
+
+
+def test_another_recipe_is_refused_by_the_parameter_that_differs(mixed, tmp_path):
+    other = tmp_path / "r.toml"
+    other.write_text(RECIPE.replace("0.06]", "0.07]"))
+    named = r"sources\.0\.parameters\.recipe\.world\.density is \[0\.06, 0\.06\] there"
+    with pytest.raises(DatasetError, match=named):
+        scenegen.generate(recipe=other, out=mixed.folder, shard_samples=4, **COUNTS)
 
 
 def test_it_is_verified_inspected_measured_and_gathered(mixed, tmp_path, capsys, monkeypatch):
