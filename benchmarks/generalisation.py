@@ -3,6 +3,7 @@
     python benchmarks/generalisation.py --data /tmp/g           # docs/results/generalisation.*
     python benchmarks/generalisation.py --data /tmp/g --held rooms cave
     python benchmarks/generalisation.py --data /tmp/g --real MAPS
+    python benchmarks/generalisation.py --data /tmp/b --stream benchmarks/broad/{}.toml --out /tmp/b
     python benchmarks/generalisation.py --page              # anew from the JSON: measures nothing
 
 A network is trained on maps of all kinds but one, drawn anew, and measured on test maps of every
@@ -54,6 +55,8 @@ class Options(measuring.Options):
 
     held: Sequence[str] = kind_names()
     """kinds to hold out"""
+    stream: str = "{}"
+    """what a kind is learned from: itself, or a recipe at this path, with {} for the kind"""
     maps: int = 2500
     """maps that a network learns from"""
     tests: int = 100
@@ -98,7 +101,7 @@ def missing(given: Options, row: str, tests: dict[str, Dataset]) -> dict[str, Da
 
 def train(out: Path, kinds: Sequence[str], given: Any) -> Path:
     """The folder of a run that learned from these kinds."""
-    streams = " ".join(f"--stream {kind}" for kind in kinds)
+    streams = " ".join(f"--stream {given.stream.format(kind)}" for kind in kinds)
     lengths = f"--maps {given.maps} --interval {given.maps} --val-maps {min(50, given.maps)}"
     measuring.command(f"train {streams} {NETWORK} {lengths} --quiet --out", out)
     return out
