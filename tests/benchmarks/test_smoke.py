@@ -34,8 +34,8 @@ fly       → `tortuosity` \| N
 folders   → --version` \| N, N \|
 folders   → resume, unlisted \| N, N \|
 folders   → merge \| N, N \| N \| N \|
-generalisation --out out → extrude: maze N
-generalisation --out out → without maze: maze N
+generalisation --stream {BENCHMARKS}/broad/{{}}.toml --out out → extrude: maze N
+generalisation --stream {BENCHMARKS}/broad/{{}}.toml --out out → without maze: maze N
 generate  → N samples a second and core
 generate  → everything else
 generate  → --compact: N samples in N s .* N s of proc
