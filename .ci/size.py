@@ -14,7 +14,7 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 294_800, "benchmarks": 24_980, "tests": 219_900}
+TOKENS = {"product": 294_780, "benchmarks": 24_980, "tests": 219_900}
 FILES = 239
 LINES = 400
 """The longest file of product code."""

@@ -32,7 +32,7 @@ from scoring import maps_in, titled
 from tyro.conf import Positional
 
 from lidarsim.grid import Floats, Ints
-from scenegen import Dataset, Sample
+from scenegen import Dataset
 from scenegen.dataset.read import Split
 from scenegen.display.figures import draw_completions
 from scenegen.display.look import Guess, look_into
@@ -177,7 +177,8 @@ def tables(counts: Table, best: dict[str, int]) -> list[str]:
 def drawn_map(dataset: Dataset, index: int, method: Method, threshold: int) -> bytes:
     """A picture of a scan, the truth, and what a method says of known voxels."""
 
-    def guess(sample: Sample, samples: Split) -> list[Guess]:
+    def guess(samples: Split, index: int) -> list[Guess]:
+        sample = samples[index]
         said = method.completion(sample, samples)
         here = scored_voxels(sample, dataset.grid, samples.home(index).tables)
         occupied = said.occupancy_probability >= THRESHOLDS[threshold]

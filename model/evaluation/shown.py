@@ -18,24 +18,23 @@ from scenegen.model.evaluation.planning.measure import judge, plan_trial
 from scenegen.model.evaluation.report import CAUSES, tables
 from scenegen.model.evaluation.run import DatasetResult, planner_maps, trials_of
 from scenegen.model.evaluation.visibility import Case
-from scenegen.sample import Sample, rng_of
+from scenegen.sample import rng_of
 
 
 def guesses(
-    methods: Sequence[Method], config: BenchConfig, trial: int | None, sample: Sample, split: Split
+    methods: Sequence[Method], config: BenchConfig, trial: int | None, split: Split, index: int
 ) -> list[Guess]:
-    """What `methods` say of a sample of a split, each with its path to the goal of the bench's
-    trial number `trial` in that sample, at the thresholds and by the planner of `config`; without
-    paths where `trial` is None, or the sample has no such trial."""
-    index = split.names.index((split.name, int(sample.world), int(sample.viewpoint)))
-    case, goal = Case(sample, index, split), None
+    """What `methods` say of sample `index` of a split, each with its path to the goal of the
+    bench's trial number `trial` in that sample, at the thresholds and by the planner of `config`;
+    without paths where `trial` is None, or the sample has no such trial."""
+    case, goal = Case(split[index], index, split), None
     if trial is not None:
         goals = trials_of(case, config.plan, trial + 1, rng_of(config.seed, index)).goals
         goal = goals[trial] if len(goals) > trial else None
     found = []
     for method in methods:
         try:
-            said = method.completion(sample, split)
+            said = method.completion(case.sample, split)
         except KeyError:
             raise DatasetError(f"{method.name} does not predict it") from None
         at = config.thresholds

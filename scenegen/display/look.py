@@ -145,9 +145,9 @@ def look_at(sample: Sample, grid: GridSpec, lidar: Sensor | None, name: str) -> 
     )
 
 
-Guesses = Callable[[Sample, Split], Sequence[Guess]]
-"""What is predicted of a sample of a split. Raises ScenegenError for a sample of which nothing
-is."""
+Guesses = Callable[[Split, int], Sequence[Guess]]
+"""What is predicted of a split's sample, by its index. Raises ScenegenError for a sample of which
+nothing is."""
 
 
 def look_into(samples: Split, index: int, guesses: Guesses | None) -> Look:
@@ -168,7 +168,7 @@ def look_into(samples: Split, index: int, guesses: Guesses | None) -> Look:
     if guesses is None:
         return look
     try:
-        return replace(look, guesses=tuple(guesses(samples[index], samples)))
+        return replace(look, guesses=tuple(guesses(samples, index)))
     except ScenegenError as error:
         line = f"{name}: what is predicted is not shown: {printable(error)}"
         return replace(look, missing=(*look.missing, line))

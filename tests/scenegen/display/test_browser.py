@@ -124,7 +124,8 @@ def test_the_viewer_steps_through_datasets_and_splits_and_tells_what_is_damaged(
 ):
     (dataset / "train-00001.h5").unlink()  # samples 3 to 5
 
-    def guesses(sample, samples):
+    def guesses(samples, index):
+        sample = samples[index]
         ends = sample.origin + np.array([[1.0, 1.0, 1.0], [3.0, 3.0, 2.0]])
         route = Route(start=ends[0], goal=ends[1], points=ends, told="2.9 m")
         return [Guess(name=HOSTILE, occupied=sample.observed, tudf=sample.tudf, route=route)]

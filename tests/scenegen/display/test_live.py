@@ -51,7 +51,8 @@ def ask(server, path, *, method="GET", **headers):
         link.close()
 
 
-def guessed(sample, samples):
+def guessed(samples, index):
+    sample = samples[index]
     return [Guess(name=HOSTILE, occupied=sample.observed, tudf=sample.tudf)]
 
 
