@@ -37,8 +37,8 @@ def train(
         training: What is trained on: a dataset, several in a list, or a mapping of datasets to
             weights, in proportion to which their samples come. In a list, a stream, or any object
             with the attributes of `scenegen.model.training.data.Samples`, can stand for a dataset.
-        validation: What validates, in the same forms; by default the val splits of `training`,
-            which must then be datasets.
+        validation: What validates, in the same forms, of which weights do not count; by default
+            the val splits of `training`, which must then be datasets.
         out: The run's folder; runs/<variant> by default.
         loss: The objective, or one of your own as "module:Object".
         weights: A network whose weights are the first ones; random by default.
@@ -118,7 +118,8 @@ def bench(
 def _samples(given: Any, split: str) -> list[Samples]:
     """The samples of one split of all that is `given`."""
     if isinstance(given, Mapping):
-        return opened({locate(name): weight for name, weight in given.items()}, split)
+        weights = {locate(name): weight for name, weight in given.items()}
+        return opened(weights if split == "train" else [*weights], split)
     found, named = _listed(given), (str, Path, Dataset)
     # all at once, so that two datasets that share samples are found
     there = iter(opened([locate(one) for one in found if isinstance(one, named)], split))

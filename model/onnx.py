@@ -130,7 +130,7 @@ def read_graph(content: bytes) -> tuple[NetworkConfig, GridSpec, Json, tuple[str
     odd = sorted({node.op_type for node in graph.node if node.op_type in LOOPS or node.domain})
     if odd or model.functions or any(tensor.data_location for tensor in graph.initializer):
         raise CheckpointError(
-            f"has loops or parts elsewhere, which no export has ({printable(odd)[:100]})"
+            f"has loops or parts elsewhere, which no export may have ({printable(odd)[:100]})"
         )
     outputs = {output.name for output in graph.output}
     tasks = [task for task, name in NAMES.items() if name in outputs]
@@ -246,7 +246,7 @@ def export_onnx(network: Any, grid: GridSpec, path: Path, *, about: Json) -> Non
     and/or ``tudf``, the same shape.
 
     Raises CheckpointError for a name that does not end in .onnx, where onnx is not installed, and
-    for a network that torch cannot export; DatasetError where the disk refuses.
+    for a network that torch cannot export, or that has loops; DatasetError where the disk refuses.
     """
     if path.suffix != ".onnx":  # by its name it is read again, too
         raise CheckpointError(
@@ -286,4 +286,7 @@ def export_onnx(network: Any, grid: GridSpec, path: Path, *, about: Json) -> Non
     header = {"grid": asdict(grid), "network": settings, "about": about}
     model = program.model_proto
     model.metadata_props.append(onnx.StringStringEntryProto(key=HEADER, value=json.dumps(header)))
-    write_result(path, model.SerializeToString())
+    content = model.SerializeToString()
+    with raised_as(CheckpointError, f"variant {network.config.variant}: ", of=CheckpointError):
+        read_graph(content)
+    write_result(path, content)

@@ -14,6 +14,7 @@ from lidarsim import AnalyticEngine, Pose, Scan, Sensor, cast, fuse
 from lidarsim.engines import ENGINES, Caster, EngineFactory
 from lidarsim.grid import Floats
 from lidarsim.noise.chain import Noise
+from lidarsim.noise.losses import Motion
 from lidarsim.noise.returns import Returns
 from scenegen import SPLITS
 from scenegen.errors import GenerationError, RecipeError, raised_as
@@ -269,6 +270,14 @@ def samples_of(
             values |= label_fields(values, world, recipe.lidar, recipe.grid, recipe.labels)
         found.append(Sample(**values, lidar=recipe.lidar, grid=recipe.grid))
     return tuple(found)
+
+
+def in_motion(pace: Motion, chain: Noise) -> Noise:
+    """The noise of a sensor that moves on while it scans. Raises GenerationError where `chain`
+    moves it already."""
+    if any(isinstance(stage, Motion) for stage in chain.stages):
+        raise GenerationError("noise: the stage motion moves a sensor that moves; leave it out")
+    return Noise((pace, *chain.stages))
 
 
 def scan_world(

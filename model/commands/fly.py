@@ -206,6 +206,7 @@ def fly(
         rows_of,
         summary,
     )
+    from scenegen.worlds.world import solid
 
     if talk:
         announce_compilation()
@@ -228,8 +229,11 @@ def fly(
             courses = _courses(str(world), flights, worlds, options)
         else:
             courses = chosen_courses(suite, hidden, maps, quick=quick)
+        first = real_course(courses[0], hidden)
         if weights is None:
-            check_begins(robot, real_course(courses[0], hidden))
+            check_begins(robot, first)
+        if picture is not None:
+            solid(first.drawn, first.world)
         about = {"network": network, "track": track_name(hidden, maps) if suite else ""}
         by_course = fly_courses(courses, fly_one, name, suite, out, crew, **about)
     if picture or film or log:

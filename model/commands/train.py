@@ -207,7 +207,7 @@ def train(
     from scenegen.model.training.device import choose_device
     from scenegen.model.training.loop import Watcher
     from scenegen.model.training.loop import train as run
-    from scenegen.model.training.run_folder import kept
+    from scenegen.model.training.run_folder import RunFolder
 
     first = int(os.environ.get("RANK", "0")) == 0
     talk = first and talk
@@ -242,7 +242,7 @@ def train(
                 on_start=shown.on_start, on_step=shown.on_step, on_epoch=shown.on_epoch, stop=stop
             ),
         )
-    best = kept(rows, config.choose)
+    best = RunFolder(out).best() or rows[-1]
     seconds = time.monotonic() - begin
     told = {"folder": str(out), "epochs": len(rows), "best": best, "seconds": seconds}
     if not (first and tell(told)):

@@ -278,6 +278,12 @@ def tasks_of(
             ".bin, .npz, .xyz, .npy, .las or .laz files"
         )
     names = [str(scan.relative_to(found).with_suffix("")) for scan in scans]
+    if len(set(names)) < len(names):
+        twice = max(names, key=names.count)
+        raise DatasetError(
+            f"{found}: holds several scans called {twice}, which would all be completed into "
+            f"{twice}.h5; rename them"
+        )
     return len(scans), zip(names, (partial(read_scan, scan, sensor) for scan in scans), strict=True)
 
 

@@ -58,7 +58,8 @@ class Progress:
     @property
     def waited(self) -> int:
         """How many epochs are finished since the one of the lowest validation loss."""
-        return self.epoch - round(kept(self.rows, "loss")["epoch"]) if self.rows else 0
+        losses = [row["val_loss"] for row in self.rows]
+        return self.epoch - 1 - losses.index(min(losses)) if losses else 0
 
     def add(self, losses: Scalars, *, seconds: float) -> None:
         """Count a step, after which the round has taken so many `seconds`."""
@@ -73,11 +74,6 @@ class Progress:
         self.rows.append(row)
         self.step, self.sums, self.seconds = 0, {}, 0.0
         return row
-
-
-def kept(rows: list[Scalars], choose: str) -> Scalars:
-    """The row of the network that a run keeps: `choose` as in `TrainConfig`."""
-    return rows[-1] if choose == "last" else min(rows, key=lambda row: row[f"val_{choose}"])
 
 
 class RunFolder:
@@ -98,8 +94,8 @@ class RunFolder:
         smaller budget: where its learning rate had begun to fall, it goes on from there, and its
         best network is kept under another name.
 
-        Raises DatasetError where the folder holds a run with other settings, or one that another
-        process works on.
+        Raises DatasetError where the folder holds a run with other settings, one whose validation
+        stalled, where a larger budget is asked for, or one that another process works on.
         """
         with disk_told(self.path):
             self.path.mkdir(parents=True, exist_ok=True)
@@ -119,11 +115,16 @@ class RunFolder:
             if grows := _grows(there, asked):
                 there |= {name: asked[name] for name in BUDGETS}
             check_settings(self.path, there, asked)
-            best, level = self.path / BEST, self.path / LEVEL
+            best, level, last = (self.path / name for name in (BEST, LEVEL, LAST))
             if grows and level.exists():  # where the learning rate began to fall
                 if best.exists():
                     best.replace(self.path / f"{datetime.now():best-%Y-%m-%d-%H%M%S}.safetensors")
-                level.replace(self.path / LAST)
+                level.replace(last)
+            elif grows and last.exists() and load_tensors(last)[1].get("decay") is not None:
+                raise DatasetError(
+                    f"{self.path}: validation stalled before the budget was used, so a larger one "
+                    f"changes nothing; give --weights {self.path} and another --out"
+                )
         elif odd := next((name for name in FILES if (self.path / name).exists()), None):
             raise DatasetError(f"{self.path}: holds {odd} but no {CONFIG}; choose another --out")
         if not config.exists() or grows:
@@ -176,8 +177,8 @@ class RunFolder:
         choose: str,
     ) -> None:
         """Write what a finished round leaves, and its network if it is the one to keep so far."""
-        rows = progress.rows
-        if kept(rows, choose) == rows[-1]:
+        rows, best, by = progress.rows, self.best(), f"val_{choose}"
+        if choose == "last" or best is None or rows[-1][by] < best[by]:
             told = {**about, "figures": rows[-1]}
             save_network(self.path / BEST, network, grid, told)
             write_whole(self.path / CARD, card(self.path.name, told).encode())
@@ -186,6 +187,11 @@ class RunFolder:
         if time.monotonic() - self._drawn > SAVE_EVERY_S:  # which takes as long as some maps
             self.draw_rows(rows)
             self._drawn = time.monotonic()
+
+    def best(self) -> Scalars | None:
+        """The figures of the network that the run keeps; None before there is one."""
+        path = self.path / BEST
+        return load_tensors(path)[1]["about"]["figures"] if path.exists() else None
 
     def restore(self, network: nn.Module, optimizer: torch.optim.Optimizer) -> Progress:
         """Bring back what `save` wrote last, if it did; it then saves these two. Raises
@@ -262,9 +268,8 @@ def _grows(there: Json, asked: Json) -> bool:
 def run_facts(folder: Path) -> Json:
     """A training run's folder: what was trained on what, and how far it came. Raises
     DatasetError."""
-    settings = RunFolder(folder).settings()
-    rows = read_rows(folder / ROWS)
-    best = kept(rows, "loss")
+    run, rows = RunFolder(folder), read_rows(folder / ROWS)
+    settings, best = run.settings(), run.best() or min(rows, key=lambda row: row["val_loss"])
     network = settings["network"]
     return {
         "run": str(folder),

@@ -15,6 +15,7 @@ import numpy as np
 from lidarsim import Pose, Sensor
 from lidarsim.noise.chain import Noise
 from lidarsim.parameters import check
+from lidarsim.scan import mounted
 from lidarsim.sensors import RASTER
 from scenegen import __version__
 from scenegen.errors import DatasetError, GenerationError, printable
@@ -241,8 +242,13 @@ def flown_again(
 
 
 def log_of(course: Course, number: int, flown: Flown) -> Iterator[LogScan]:
-    """The log of a flight: what its sensor saw ten times a second, from the body's pose."""
-    for seen, *_ in flown_again(course.simulation(number), flown):
-        points = seen["points"][np.isfinite(seen["ranges"])]
-        pose = Pose(seen["position"], seen["quaternion"])
-        yield LogScan(float(seen["time_s"][0]), pose, points.astype(np.float64))
+    """The log of a flight: what its sensor saw ten times a second, and when, from its own pose."""
+    simulation = course.simulation(number)
+    sensor = simulation.sensor
+    arm = mounted(sensor, Pose.level((0.0, 0.0, 0.0), 0.0)).position
+    times = (sensor.times_s * course.moving).astype(np.float32)
+    for seen, *_ in flown_again(simulation, flown):
+        hit = np.isfinite(seen["ranges"])
+        pose = mounted(sensor, Pose(seen["position"], seen["quaternion"]))
+        points = seen["points"][hit].astype(np.float64) - arm
+        yield LogScan(float(seen["time_s"][0]), pose, points, {"t": times[hit]})

@@ -13,7 +13,7 @@ from lidarsim.grid import Floats
 from lidarsim.noise.chain import Noise
 from lidarsim.noise.losses import Motion
 from lidarsim.pose import rotate
-from scenegen.draw import scan_world
+from scenegen.draw import in_motion, scan_world
 from scenegen.fly import PERIOD_S, Rules, Vehicle
 from scenegen.fly.missions import Mission
 from scenegen.fly.motion import (
@@ -120,7 +120,7 @@ class Simulation:
             pace: Any = Motion(
                 forward_mps=forward, left_mps=left, up_mps=up, yaw_rate_deg_s=turning
             )
-            chain = Noise((pace, *chain.stages))
+            chain = in_motion(pace, chain)
         seen = scan_world(self.world, self.sensor, pose, chain, seed=[self.seed, self.periods])
         ranges = seen.ranges[0].astype(np.float32)
         self._seen = ranges.tobytes()

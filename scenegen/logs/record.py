@@ -18,7 +18,7 @@ from lidarsim.noise.losses import Motion
 from lidarsim.pose import rotate
 from lidarsim.scan import mounted
 from lidarsim.sensors.nonrepetitive import Windowed
-from scenegen.draw import scan_world
+from scenegen.draw import in_motion, scan_world
 from scenegen.errors import GenerationError
 from scenegen.logs import Cruise, LogScan
 from scenegen.worlds.flight import TRIES, Flight, Route, connect, points_of
@@ -168,7 +168,7 @@ def record(
             first = min(number, len(poses) - 2)
             here, there = (mounted(sensor, poses[n]) for n in (first, first + 1))
             pace = _pace(here, there, every, corrected)
-            chain = Noise((pace, *noise.stages))
+            chain = in_motion(pace, noise)
         seen = scan_world(world, sensor, pose, chain, seed=[seed, number], engine=engine)
         mounted_pose = mounted(sensor, pose)
         points = np.concatenate([seen.points(echo) for echo in range(len(seen.ranges))])

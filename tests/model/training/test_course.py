@@ -64,22 +64,26 @@ def test_rounds_see_the_passes_one_after_the_other(interval):
     assert list(of.batches(7, 9)) == list(itertools.chain(*passes))[7:16]
 
 
+def validate_as(monkeypatch, *losses):
+    """Validation finds these losses, one after the other."""
+    found, said = scenegen.model.training.loop.validate, iter(losses)
+    monkeypatch.setattr(
+        scenegen.model.training.loop, "validate", lambda *of: found(*of) | {"loss": next(said)}
+    )
+
+
 def test_a_stall_begins_the_decay_and_the_run_ends_at_its_end(
     undrawn, folders, tmp_path, monkeypatch
 ):
     """Losses that never fall after round 2, and patience 2: the rate falls from round 5 on, over as
     many rounds."""
-    losses = iter([3.0, 2.0, *[2.5] * 20])
-    found = scenegen.model.training.loop.validate
-
-    def stalling(*args):
-        return found(*args) | {"loss": next(losses)}
-
-    monkeypatch.setattr(scenegen.model.training.loop, "validate", stalling)
+    validate_as(monkeypatch, 3.0, 2.0, *[2.5] * 20)
     config = dataclasses.replace(TINY, epochs=100, patience=2, decay_share=0.5)
     rows = train(folders, config, tmp_path / "run")
     steps = rows[0]["maps"]
     assert [row["maps"] / steps for row in rows] == list(range(1, 9))
+    with pytest.raises(DatasetError, match="validation stalled"):
+        train(folders, dataclasses.replace(config, epochs=200), tmp_path / "run")
 
 
 def test_a_run_begins_with_given_weights_of_its_own_network(undrawn, folders, tmp_path):
@@ -120,3 +124,13 @@ def test_a_budget_grows_from_where_the_rate_was_level(undrawn, folders, tmp_path
         train(folders, short, tmp_path / "grown")
     with pytest.raises(DatasetError, match="epochs is 4 there, 9 asked for"):
         train(folders, dataclasses.replace(long, epochs=9, schedule="cosine"), tmp_path / "grown")
+
+
+def test_a_grown_run_keeps_its_best_since_then(undrawn, folders, tmp_path, monkeypatch):
+    """Even where the first epoch, which the smaller budget keeps, was better."""
+    validate_as(monkeypatch, 1.0, 3.0, 2.5, 2.0, 2.2)
+    for epochs in (2, 4):
+        config = dataclasses.replace(TINY, epochs=epochs, warmup_share=0.0, decay_share=0.5)
+        train(folders, config, tmp_path / "run")
+    kept = sorted(tmp_path.glob("run/best*.safetensors"))
+    assert [load_tensors(one)[1]["about"]["figures"]["epoch"] for one in kept] == [1, 3]

@@ -469,6 +469,7 @@ def test_times_of_poses_must_rise(tmp_path):
 BAD_USE = """
 scan pillar --flight --moving             → go with --sequence
 scan pillar --flight --sequence --frame world → without --frame
+scan pillar --flight --sequence --length 3 --moving --noise motion:3 -o x --quiet → leave it out
 ingest log --voxel 0.01                   → voxels
 ingest gone.mcap                          → gone.mcap: no such recording
 """
