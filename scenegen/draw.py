@@ -272,9 +272,9 @@ def samples_of(
     return tuple(found)
 
 
-def in_motion(pace: Motion, chain: Noise) -> Noise:
-    """The noise of a sensor that moves on while it scans. Raises GenerationError where `chain`
-    moves it already."""
+def in_motion(pace: Any, chain: Noise) -> Noise:
+    """The noise of a sensor that moves on while it scans, at a `pace`, which is a `Motion`. Raises
+    GenerationError where `chain` moves it already."""
     if any(isinstance(stage, Motion) for stage in chain.stages):
         raise GenerationError("noise: the stage motion moves a sensor that moves; leave it out")
     return Noise((pace, *chain.stages))

@@ -148,8 +148,8 @@ class Completer:
             if getattr(given, "ndim", 0) == 2:
                 given = self.scan_of(given, sensor)
             if isinstance(given, Sample | PointScan):
-                sensor = getattr(given, "lidar", None)  # of points nobody knows it
-                given = channels(self.inputs, given, self.grid, sensor)
+                lidar = getattr(given, "lidar", None)  # of points nobody knows it
+                given = channels(self.inputs, given, self.grid, lidar)
             batch = given if isinstance(given, Mapping) else {"observed": given}
             if missing := [name for name in self.inputs if name not in batch]:
                 raise ValueError(
