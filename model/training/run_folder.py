@@ -177,8 +177,8 @@ class RunFolder:
         choose: str,
     ) -> None:
         """Write what a finished round leaves, and its network if it is the one to keep so far."""
-        rows, best, by = progress.rows, self.best(), f"val_{choose}"
-        if choose == "last" or best is None or rows[-1][by] < best[by]:
+        rows, by = progress.rows, f"val_{choose}"
+        if choose == "last" or (best := self.best()) is None or rows[-1][by] < best[by]:
             told = {**about, "figures": rows[-1]}
             save_network(self.path / BEST, network, grid, told)
             write_whole(self.path / CARD, card(self.path.name, told).encode())

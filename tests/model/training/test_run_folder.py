@@ -61,7 +61,7 @@ def test_a_full_disk_ends_the_run_and_leaves_the_last_state(folders, begun, tmp_
     progress = Progress(rows=[{"epoch": 1.0, "val_loss": 1.0}])
     with monkeypatch.context() as patch:
         patch.setattr(files, "open", full, raising=False)
-        for write, more in ((folder.save, ()), (folder.close_round, (network, grid, {}, "loss"))):
+        for write, more in ((folder.save, ()), (folder.close_round, (network, grid, {}, "last"))):
             with pytest.raises(DatasetError, match="the disk is full"):
                 write(progress, *more)
     assert before == contents(out)
