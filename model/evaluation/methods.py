@@ -100,9 +100,9 @@ class Predicted:
     learned = True
 
     def __init__(self, path: Path):
-        self.path, real, whole = path, real_path(path), path.is_dir()
-        self.name = printable(real.name if whole else real.stem)
-        self._files = sorted(path.rglob("*.h5")) if whole else [path]
+        self.path, found, is_folder = path, real_path(path), path.is_dir()
+        self.name = printable(found.name if is_folder else found.stem)
+        self._files = sorted(path.rglob("*.h5")) if is_folder else [path]
 
     def check(self, dataset: Dataset, split: str) -> None:
         """Raise DatasetError unless the files predict every sample of `split` of `dataset` once, on
