@@ -14,7 +14,7 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 295_100, "benchmarks": 24_980, "tests": 220_000}
+TOKENS = {"product": 295_250, "benchmarks": 24_980, "tests": 220_000}
 FILES = 239
 LINES = 400
 """The longest file of product code."""

@@ -2,12 +2,13 @@
 file."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from lidarsim.grid import Field, GridSpec, Ints, Mask
+from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
 from lidarsim.parameters import check, number
 from scenegen.errors import ScenegenError, short
 from scenegen.files import Json
@@ -19,6 +20,9 @@ RISK = 0.05
 voxels."""
 UNUSUAL = 0.95
 """A map that is farther from home than this share of those of calibration is away."""
+HOME, UNKNOWN = 0.5, 0.9
+"""Maps that are no farther from home than this share of those of calibration have its temperature,
+and farther than that have none; in between, its logarithm falls in proportion."""
 CLOSE = 1e-9
 """Risks that differ by less are the same."""
 
@@ -36,8 +40,8 @@ class Calibration:
     class_weight: float = number(above=0)
     """The weight of occupied voxels in the loss by which the network was trained."""
     temperature: float | None = number(above=0)
-    """What the logits are divided by, after the class weight was inverted; None where no
-    probability is predicted."""
+    """What the logits of maps like home are divided by, after the class weight was inverted; None
+    where no probability is predicted."""
     step_m: float = number(above=0)
     """Width of the bins of predicted distance, metres; the last one holds what is at the
     truncation."""
@@ -86,13 +90,15 @@ class Calibration:
             raise ValueError("its calibration is of another grid; calibrate it again")
         return found
 
-    def chance(self, probability: Field | None) -> Field | None:
-        """Calibrated probabilities, of the shape of the predicted ones, None where there are none:
-        with l the logit of p, the probability of (l - log w) / T."""
+    def chance(self, probability: Field | None, away: Any) -> Field | None:
+        """Calibrated probabilities, (..., X, Y, Z) as the predicted ones, None where there are
+        none: with l the logit of p, the probability of (l - log w) / T. `away` tells how far from
+        home each map is, (...), or None: see `familiar`."""
         if probability is None or self.temperature is None:
             return None
-        logit = corrected_logit(probability, self.class_weight) / np.float32(self.temperature)
-        return 1 / (1 + np.exp(-logit))
+        temperature = self.temperature ** familiar(0 if away is None else away)
+        logit = corrected_logit(probability, self.class_weight)
+        return 1 / (1 + np.exp(-logit / np.asarray(temperature, np.float32)[..., None, None, None]))
 
     def row(self, risk: float) -> int:
         """Which of `risks` serves `risk`: the greatest that is no greater. Raises UncertaintyError
@@ -150,7 +156,7 @@ class Given:
         """The risks that there are bounds of."""
         return () if self.tudf_low is None else (self.risk,)
 
-    def chance(self, probability: Field | None) -> Field | None:
+    def chance(self, probability: Field | None, away: Any) -> Field | None:
         """See `Calibration.chance`."""
         return self.probability
 
@@ -160,6 +166,20 @@ class Given:
             held = "none" if self.tudf_low is None else f"those of a risk of {self.risk:g}"
             raise UncertaintyError(f"risk = {risk:g}: of bounds, the predictions hold {held}")
         return self.tudf_low
+
+
+def away_of(denied: Any, levels: Sequence[float]) -> Floats:
+    """How far from home maps are: the share of the `levels` that what they deny is above."""
+    return np.searchsorted(levels, denied) / len(levels)
+
+
+def familiar(away: Any) -> Floats:
+    """The power of the temperature that a map has, by how far from home it is: 1 at home.
+
+    Sureness that was learned at home holds there alone: elsewhere, the loss is all that tells what
+    a logit means.
+    """
+    return np.clip((UNKNOWN - np.asarray(away)) / (UNKNOWN - HOME), 0, 1)
 
 
 def corrected(probability: Field, class_weight: float) -> Field:

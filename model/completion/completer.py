@@ -149,7 +149,7 @@ class Completer:
                 given = self.scan_of(given, sensor)
             if isinstance(given, Sample | PointScan):
                 lidar = getattr(given, "lidar", None)  # of points nobody knows it
-                given = channels(self.inputs, given, self.grid, lidar)
+                given = channels(("observed", *self.inputs), given, self.grid, lidar)
             batch = given if isinstance(given, Mapping) else {"observed": given}
             if missing := [name for name in self.inputs if name not in batch]:
                 raise ValueError(
@@ -183,7 +183,9 @@ class Completer:
                 )
 
             probability, tudf = map(joined, zip(*parts, strict=True))
-            prediction = Prediction(probability, tudf, self.calibration, self.grid)
+            prediction = Prediction(
+                probability, tudf, self.calibration, self.grid, batch.get("observed")
+            )
             return check_prediction(prediction, shape, self.name)
 
     @property
@@ -200,10 +202,9 @@ class Completer:
         It takes one thread: where many processes complete, each was forked, and a pool of threads
         would not survive.
         """
-        grid = split.dataset.grid
         with raised_as(DatasetError), on_threads(1):
-            self.check_grid(grid)
-            return self(channels(self.inputs, sample, grid, sample.lidar))
+            self.check_grid(split.dataset.grid)
+            return self(sample)
 
     def complete(self, observed: Mask, free: Mask, *, grid: GridSpec) -> Prediction:
         """See `MapCompleter.complete`. Raises ValueError for another grid, and where the network

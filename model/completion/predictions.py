@@ -83,6 +83,7 @@ def _write(
     where nobody knows."""
     completer = opened_once(*asked) if isinstance(asked, tuple) else asked
     (file_name, numbers), grid = part, samples.dataset.grid
+    names = "observed", *completer.inputs
     who: list[tuple[int, int]] = []
     away: list[float | None] = []
     make_parent(out / file_name)
@@ -92,9 +93,9 @@ def _write(
             file.attrs["risk"] = RISK
         for first in range(0, len(numbers), completer.batch):
             batch = [samples[number] for number in numbers[first : first + completer.batch]]
-            inputs = [channels(completer.inputs, sample, grid, sample.lidar) for sample in batch]
+            inputs = [channels(names, sample, grid, sample.lidar) for sample in batch]
             prediction = completer(
-                {name: np.stack([maps[name] for maps in inputs]) for name in completer.inputs}
+                {name: np.stack([maps[name] for maps in inputs]) for name in names}
             )
             for name in PARTS | SURE:
                 maps = getattr(prediction, name)
@@ -106,7 +107,7 @@ def _write(
                 for row, values in enumerate(maps, first):
                     file[name].id.write_direct_chunk((row, 0, 0, 0), compress(values))
             who += [(sample.world, sample.viewpoint) for sample in batch]
-            far = prediction.away(np.stack([sample.observed for sample in batch]))
+            far = prediction.away
             away += [None] * len(batch) if far is None else far.tolist()
         file["world"], file["viewpoint"] = np.array(who, np.int64).T
     return away

@@ -12,7 +12,15 @@ import numpy as np
 
 from lidarsim.grid import Field, GridSpec, Mask
 from scenegen.errors import ScenegenError
-from scenegen.model.calibration import CLOSE, RISK, Calibration, Given, UncertaintyError, denial
+from scenegen.model.calibration import (
+    CLOSE,
+    RISK,
+    Calibration,
+    Given,
+    UncertaintyError,
+    away_of,
+    denial,
+)
 from scenegen.model.config import Thresholds
 from scenegen.sample import html_table
 from scenegen.truth import distance_field
@@ -32,6 +40,9 @@ class Prediction:
     calibrated."""
     grid: GridSpec | None = None
     """The map's, where `uncertainty` needs distances that are derived."""
+    observed: Any = None
+    """(*shape), numpy or torch: where a return lies, by which `uncertainty` tells maps from those
+    of home; None where nobody says."""
 
     def __post_init__(self) -> None:
         if self.occupancy_probability is None and self.tudf is None:
@@ -72,7 +83,7 @@ class Prediction:
         where there is none. `occupancy_probability` is what the paper's thresholds are for."""
         if self.uncertainty is None:
             return None
-        return self._as_given(self.uncertainty.chance(plain(self.occupancy_probability)))
+        return self._as_given(self.uncertainty.chance(plain(self.occupancy_probability), self.away))
 
     @property
     def tudf_low(self) -> Any:
@@ -98,19 +109,21 @@ class Prediction:
             tudf = np.stack(derived).reshape(probability.shape)
         return self._as_given(self.uncertainty.low(tudf, probability, risk))
 
-    def away(self, observed: Any) -> Any:
+    @property
+    def away(self) -> Any:
         """How far from home the map is, or each of a batch, from 0 to 1; None where that was not
         measured.
 
-        In an unfamiliar place a network often calls voxels free that hold a return, `observed`
-        (*shape). The value is the share of the calibration's maps on which it did so less often.
-        From 0.95 on, expect a worse completion; below, nothing is promised.
+        In an unfamiliar place a network often calls voxels free that hold a return. The value is
+        the share of the calibration's maps on which it did so less often. From 0.95 on, expect a
+        worse completion; below, nothing is promised.
         """
-        probability, known = plain(self.occupancy_probability), self.uncertainty
-        if probability is None or not isinstance(known, Calibration) or not known.denied:
+        probability, observed = plain(self.occupancy_probability), plain(self.observed)
+        known = self.uncertainty
+        if observed is None or not isinstance(known, Calibration) or not known.denied:
             return None
-        shares = denial(probability, plain(observed).astype(bool), known.class_weight)
-        return np.searchsorted(known.denied, shares) / len(known.denied)
+        denied = denial(probability, observed.astype(bool), known.class_weight)
+        return away_of(denied, known.denied)
 
     def _as_given(self, values: Field | None) -> Any:
         """As torch, on their device, where the predictions are."""

@@ -148,7 +148,7 @@ def predict_scan(
     make_way(out)
     with raised_as(DatasetError, f"{scan.name}: ", " (--sensor)"):
         seen = completer.scan_of(scan.points, scan.position)
-    maps = channels(completer.inputs, seen, seen.grid)
+    maps = channels(("observed", *completer.inputs), seen, seen.grid)
     prediction = completer(maps)
     occupied = prediction.occupied(thresholds)
     truth = _truth_of(scan, seen.grid)
@@ -167,7 +167,7 @@ def predict_scan(
         inside=len(seen.voxels),
         height_m=height_above_returns(seen.points - scan.position),
         untold=tuple(UNTOLD[name] for name in completer.inputs if name in UNTOLD),
-        away=(prediction.away(seen.observed) or 0) >= UNUSUAL,
+        away=(prediction.away or 0) >= UNUSUAL,
         iou=iou(occupied & truth["known"], truth["occupancy"] & truth["known"]) if truth else None,
     )
 

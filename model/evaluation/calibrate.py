@@ -1,7 +1,6 @@
 """Calibrate a network on the validation worlds of datasets: its margins, temperature and the risk
 of paths."""
 
-import json
 import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -16,6 +15,7 @@ from scipy.optimize import minimize_scalar
 
 from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
 from scenegen.cli.show import Showing, counted, silent
+from scenegen.dataset.parts import plain
 from scenegen.dataset.read import Dataset
 from scenegen.display.look import evenly
 from scenegen.errors import DatasetError, raised_as
@@ -23,11 +23,13 @@ from scenegen.files import Json
 from scenegen.model.calibration import (
     KEY,
     Calibration,
+    away_of,
     bins,
     corrected,
     corrected_logit,
     denial,
     distance_bins,
+    familiar,
 )
 from scenegen.model.checkpoint import CheckpointError, save_network
 from scenegen.model.completion.completer import Completer, open_network
@@ -70,15 +72,14 @@ def count_logits(
     return np.bincount(2 * at + occupied[unknown], minlength=2 * len(LOGITS)).reshape(-1, 2)
 
 
-def fit_temperature(counts: Ints) -> float:
-    """The temperature (Guo et al. 2017) at which counted logits (logits, 2) have the least negative
-    log-likelihood."""
+def fit_temperature(counts: Ints, powers: Floats) -> float:
+    """The temperature (Guo et al. 2017) at which the counted logits of maps (maps, logits, 2), each
+    with its power (maps,) of it, have the least negative log-likelihood."""
 
     def loss(log_temperature: float) -> float:
-        scaled = LOGITS / math.exp(log_temperature)
-        return float(
-            counts[:, 0] @ np.logaddexp(0, scaled) + counts[:, 1] @ np.logaddexp(0, -scaled)
-        )
+        scaled = LOGITS / np.exp(log_temperature * powers)[:, None]
+        surprise = np.logaddexp(0, np.stack([scaled, -scaled], axis=2))
+        return float((counts * surprise).sum())
 
     return math.exp(minimize_scalar(loss, bounds=(-3, 3), method="bounded").x)
 
@@ -207,8 +208,8 @@ def calibrate(
     """
     check_together(execute, "a calibration takes")
     network, grid, about = open_network(weights)
-    predicts_occupancy = "occupancy" in network.tasks
-    weight = _class_weight(weights, about) if predicts_occupancy else 1.0
+    chances = CHANCES if "occupancy" in network.tasks else ()
+    weight = _class_weight(weights, about) if chances else 1.0
     method = Completer.from_pretrained(weights)
     datasets = [Dataset(folder) for folder in folders]
     digests = tuple(str(dataset.manifest.digest) for dataset in datasets)
@@ -233,25 +234,29 @@ def calibrate(
         return [sums[world] for world in sorted(sums)]
 
     scores, logits, denied = zip(*measured("voxels", partial(_count, weight)), strict=True)
-    chances = CHANCES if predicts_occupancy else ()
     risks, margins = fit_margins(np.stack(scores), near_bins(grid, chances))
+    temperature, levels = None, []
+    if chances:
+        shares = np.concatenate(denied)
+        levels = np.quantile(shares, LEVELS).tolist()
+        temperature = fit_temperature(np.concatenate(logits), familiar(away_of(shares, levels)))
     fitted = Calibration(
         worlds=len(scores),
         class_weight=weight,
-        temperature=fit_temperature(sum(logits)) if chances else None,
+        temperature=temperature,
         step_m=STEP_M,
         chances=chances,
         risks=risks,
         margins=margins,
         datasets=digests,
-        denied=tuple(np.quantile(np.concatenate(denied), LEVELS).tolist()) if chances else (),
+        denied=tuple(levels),
     )
     if trials:
         losses = measured("paths", partial(_collisions, fitted, trials, seed))
         shares = np.array([collided / count for collided, count in losses if count])
         fitted = replace(fitted, path_risks=path_risks(shares))
     # as it is read again: lists for tuples
-    save_network(out, network, grid, {**about, KEY: json.loads(json.dumps(asdict(fitted)))})
+    save_network(out, network, grid, {**about, KEY: plain(asdict(fitted))})
     return fitted
 
 
@@ -299,18 +304,18 @@ def _complete(
     return results
 
 
-def _count(weight: float, prediction: Prediction, case: Case) -> tuple[Ints, Any, list[Any]]:
-    """Scores of a map's unknown voxels, and their logits where there are some; and what share of
-    its returns is denied."""
+def _count(weight: float, prediction: Prediction, case: Case) -> tuple[Ints, list[Ints], list[Any]]:
+    """Scores of a map's unknown voxels; and where there are probabilities, their logits, and what
+    share of its returns is denied."""
     sample, grid = case.sample, case.grid
     unknown, probability = np.isin(case.classes, UNOBSERVED), prediction.occupancy_probability
     distance = prediction.distance(Thresholds(), grid)
     chance = None if probability is None else corrected(probability, weight)
     scores = count_scores(distance, chance, sample.tudf, unknown, grid)
     if probability is None:
-        return scores, np.int64(0), []
+        return scores, [], []
     logits = count_logits(probability, sample.occupancy, unknown, weight)
-    return scores, logits, [denial(probability, sample.observed, weight)]
+    return scores, [logits], [denial(probability, sample.observed, weight)]
 
 
 def _collisions(

@@ -89,7 +89,8 @@ def study_map(prediction: Prediction, case: Case, goals: Floats, config: BenchCo
         distance_field(seen_occupancy(sample, case.split), grid),
         truncation_m=grid.truncation_m,
     )
-    readings = [] if probability is None else [probability, corrected(probability, CLASS_WEIGHT)]
+    weight = getattr(prediction.uncertainty, "class_weight", CLASS_WEIGHT)
+    readings = [] if probability is None else [probability, corrected(probability, weight)]
     readings += [] if calibrated is None else [calibrated]
     bounds, ause = judge_bounds(prediction, distance, sample.tudf, inside, grid.truncation_m)
     settings, truth = settings_of(prediction), (sample.occupancy, sample.tudf)
@@ -174,7 +175,7 @@ def study_of(
         np.array([getattr(one, name) for one in studies]) for name in ("bounds", "ause")
     )
     return {
-        "reliability": {"class_weight": CLASS_WEIGHT, **found} if found else None,
+        "reliability": found or None,
         "bounds": bounds_of(bounds, sparse, risks, worlds) if risks else None,
         "risk": careful_report(
             np.array(careful).reshape(len(careful), len(settings), len(TOLD) + len(CHANCES)),

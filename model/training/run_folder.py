@@ -17,6 +17,7 @@ from torch import nn
 
 from lidarsim import GridSpec
 from scenegen.dataset.manifest import differences
+from scenegen.dataset.parts import plain
 from scenegen.errors import DatasetError, printable
 from scenegen.files import Json, disk_told, read_bounded, remove_drafts, write_whole
 from scenegen.limits import MOST_HEADER_BYTES
@@ -111,7 +112,7 @@ class RunFolder:
         remove_drafts(self.path)
         config, grows = self.path / CONFIG, False
         if config.exists():
-            there, asked = self.settings(), json.loads(json.dumps(settings["settings"]))
+            there, asked = self.settings(), plain(settings["settings"])
             if grows := _grows(there, asked):
                 there |= {name: asked[name] for name in BUDGETS}
             check_settings(self.path, there, asked)

@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 import torch
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import GridSpec
 from scenegen.model.calibration import (
@@ -38,20 +38,6 @@ def said():
     return Prediction(probability, tudf, uncertainty=PLAIN, grid=GRID)
 
 
-@pytest.mark.parametrize("weight", [0.2, 5.0])
-def test_the_class_weight_is_inverted(weight):
-    """What minimises the weighted cross-entropy of a voxel that is occupied with chance q, found
-    without the formula, comes back as q."""
-    p = np.linspace(0.0005, 0.9995, 2000)
-    for q in (0.03, 0.4, 0.9):
-        loss = -(weight * q * np.log(p) + (1 - q) * np.log(1 - p))
-        least = np.array([p[loss.argmin()]], np.float32)
-        assert corrected(least, weight)[0] == pytest.approx(q, abs=0.01)
-        logit = corrected_logit(least, weight)
-        assert 1 / (1 + np.exp(-logit)) == pytest.approx(corrected(least, weight), rel=1e-3)
-    assert corrected(np.array([0, 1], np.float32), weight).tolist() == [0, 1]
-
-
 def test_a_network_that_denies_what_it_sees_is_away_from_home():
     """Against counting, map by map; where nothing was seen, nothing is denied."""
     rng, home = np.random.default_rng(1), (0.3, 0.8, 0.85, 1.0)
@@ -61,11 +47,24 @@ def test_a_network_that_denies_what_it_sees_is_away_from_home():
     told = dataclasses.replace(PLAIN, denied=home)
 
     def away(probability):
-        return Prediction(probability, uncertainty=told).away(seen).tolist()
+        return Prediction(probability, uncertainty=told, observed=seen).away.tolist()
 
     assert away(probability) == [sum(level < one for level in home) / 4 for one in denied] + [0]
     assert (away(seen.astype(np.float32)), away(1.0 - seen)) == ([0, 0, 0], [0.75, 0.75, 0])
-    assert said().away(seen[0]) is None
+    assert said().away is None
+
+
+def test_sureness_learned_at_home_fades_away_from_it():
+    """Maps that deny nothing, a quarter and nearly all of their returns, by logits: the temperature
+    of home, its root, and none."""
+    seen = np.full((3, *GRID.shape), True)
+    probability = np.full(seen.shape, 0.99, np.float32)
+    probability[1, ..., :2], probability[2, ..., :7] = 0.01, 0.01
+    told = dataclasses.replace(PLAIN, denied=(0, *[0.1] * 6, 0.5, 0.6, 1))
+    said = Prediction(probability, uncertainty=told, observed=seen)
+    assert said.away.tolist() == [0, 0.7, 0.9]
+    logits = corrected_logit(probability, 5) / np.reshape([2, 2**0.5, 1], (3, 1, 1, 1))
+    assert_allclose(corrected_logit(said.probability, 1), logits, rtol=1e-3)
 
 
 def test_a_prediction_is_read_voxel_by_voxel():
@@ -98,11 +97,7 @@ def test_what_nobody_knows_is_refused_in_a_line():
     assert (bare.probability, bare.tudf_low) == (None, None)
     with pytest.raises(UncertaintyError, match="not calibrated; run `scenegen calibrate`"):
         bare.low(0.05)
-    for risk, told in (
-        (0.01, "30 validation worlds give down to 0.05"),
-        (0, "between 0 and 1"),
-        (1.5, "between"),
-    ):
+    for risk, told in ((0.01, "30 validation worlds give down to 0.05"), (1.5, "between 0 and 1")):
         with pytest.raises(UncertaintyError, match=told):
             said().low(risk)
     given = Prediction(

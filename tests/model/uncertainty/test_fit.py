@@ -70,13 +70,14 @@ def test_a_bins_shape_is_its_quantile(rng):
 
 @pytest.mark.parametrize("temperature", [0.5, 2.5])
 def test_the_temperature_is_found(temperature, rng):
-    """Of one that says what is, and of others that are as sure again, or less; by a weight of 5."""
+    """Of one that is as sure again, or less, by a weight of 5; and of maps that have its root."""
     logit = rng.normal(-1, 2, 200_000)
     occupied = rng.random(len(logit)) < 1 / (1 + np.exp(-logit))
     said = (1 / (1 + np.exp(-(temperature * logit + np.log(5))))).astype(np.float32)
     counts = count_logits(said, occupied, np.ones(len(logit), bool), 5.0)
     assert counts.sum() == len(logit)
-    assert fit_temperature(counts) == pytest.approx(temperature, rel=0.03)
+    found = [fit_temperature(counts[None], np.array([power])) for power in (1, 0.5)]
+    assert found == pytest.approx([temperature, temperature**2], rel=0.05)
 
 
 def test_only_unknown_voxels_count(rng):
