@@ -144,24 +144,23 @@ class Completer:
         NaN, or what is no probability or distance.
         """
         given: Any = maps
+        names = "observed", *self.inputs
         with on_threads(self.threads):
             if getattr(given, "ndim", 0) == 2:
                 given = self.scan_of(given, sensor)
             if isinstance(given, Sample | PointScan):
                 lidar = getattr(given, "lidar", None)  # of points nobody knows it
-                given = channels(("observed", *self.inputs), given, self.grid, lidar)
+                given = channels(names, given, self.grid, lidar)
             batch = given if isinstance(given, Mapping) else {"observed": given}
             if missing := [name for name in self.inputs if name not in batch]:
                 raise ValueError(
                     f"{self.name} takes {', '.join(self.inputs)}; {', '.join(missing)} is not "
                     f"given: give all of them by name, a sample, or points"
                 )
-            tensors = {name: self._checked(name, batch[name]) for name in self.inputs}
+            tensors = {name: self._checked(name, batch[name]) for name in names if name in batch}
             shapes = {tuple(values.shape) for values in tensors.values()}
             if len(shapes) > 1:
-                raise ValueError(
-                    f"{', '.join(self.inputs)} have shapes {sorted(shapes)}, expected one"
-                )
+                raise ValueError(f"{', '.join(tensors)} have shapes {sorted(shapes)}, expected one")
             (shape,) = shapes
             split = [
                 values.reshape(-1, *self.grid.shape).split(self.batch)
@@ -183,9 +182,8 @@ class Completer:
                 )
 
             probability, tudf = map(joined, zip(*parts, strict=True))
-            prediction = Prediction(
-                probability, tudf, self.calibration, self.grid, batch.get("observed")
-            )
+            seen = tensors.get("observed")
+            prediction = Prediction(probability, tudf, self.calibration, self.grid, seen)
             return check_prediction(prediction, shape, self.name)
 
     @property

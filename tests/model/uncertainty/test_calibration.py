@@ -38,6 +38,20 @@ def said():
     return Prediction(probability, tudf, uncertainty=PLAIN, grid=GRID)
 
 
+@pytest.mark.parametrize("weight", [0.2, 5.0])
+def test_the_class_weight_is_inverted(weight):
+    """What minimises the weighted cross-entropy of a voxel that is occupied with chance q, found
+    without the formula, comes back as q."""
+    p = np.linspace(0.0005, 0.9995, 2000)
+    for q in (0.03, 0.4, 0.9):
+        loss = -(weight * q * np.log(p) + (1 - q) * np.log(1 - p))
+        least = np.array([p[loss.argmin()]], np.float32)
+        assert corrected(least, weight)[0] == pytest.approx(q, abs=0.01)
+        logit = corrected_logit(least, weight)
+        assert 1 / (1 + np.exp(-logit)) == pytest.approx(corrected(least, weight), rel=1e-3)
+    assert corrected(np.array([0, 1], np.float32), weight).tolist() == [0, 1]
+
+
 def test_a_network_that_denies_what_it_sees_is_away_from_home():
     """Against counting, map by map; where nothing was seen, nothing is denied."""
     rng, home = np.random.default_rng(1), (0.3, 0.8, 0.85, 1.0)
@@ -97,7 +111,11 @@ def test_what_nobody_knows_is_refused_in_a_line():
     assert (bare.probability, bare.tudf_low) == (None, None)
     with pytest.raises(UncertaintyError, match="not calibrated; run `scenegen calibrate`"):
         bare.low(0.05)
-    for risk, told in ((0.01, "30 validation worlds give down to 0.05"), (1.5, "between 0 and 1")):
+    for risk, told in (
+        (0.01, "30 validation worlds give down to 0.05"),
+        (0, "between 0 and 1"),
+        (1.5, "between"),
+    ):
         with pytest.raises(UncertaintyError, match=told):
             said().low(risk)
     given = Prediction(
