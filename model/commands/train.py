@@ -109,8 +109,8 @@ class Weighted(click.ParamType):
     batch="Maps a step, on all devices together.",
     optimizer="The optimizer; auto is muon, or what a run began with.",
     lr="Learning rate after the warm-up.",
-    schedule="How the rate falls: once validation stalls or the budget nears its end, or along a "
-    "cosine.",
+    schedule="How the rate falls: once validation stalls or the budget nears its end, along a "
+    "cosine, or never.",
     patience="Validations without a lower loss after which training has stalled.",
     choose="Which network is kept: lowest validation loss, lowest loss of occupancy, or last.",
     seed="Decides the first weights and the order of samples.",

@@ -116,24 +116,26 @@ class Course:
         self._most = (
             config.epochs * self._pass if config.maps is None else max(config.maps // self.batch, 1)
         )
-        self._warmup = math.ceil(config.warmup_share * self._most)
+        constant = config.schedule == "constant"
+        self._warmup = 0 if constant else math.ceil(config.warmup_share * self._most)
+        self._stops = config.schedule != "decay"  # as soon as validation stalls
         self._cosine = config.schedule == "cosine"
-        self.latest_decay = (
-            self._warmup
-            if self._cosine
-            else self._most - math.ceil(config.decay_share * self._most)
-        )
+        self.latest_decay = {
+            "cosine": self._warmup,
+            "decay": self._most - math.ceil(config.decay_share * self._most),
+            "constant": self._most,
+        }[config.schedule]
         """The step at which the learning rate begins to fall, unless validation stalls before."""
 
     def steps(self, progress: Progress) -> range:
         """The steps of the round that comes next; none where the run ends.
 
-        Where validation has stalled, the run ends (cosine), or its decay begins, as `progress` then
-        says.
+        Where validation has stalled, the run ends (cosine and constant), or its decay begins, as
+        `progress` then says.
         """
         first = progress.epoch * self.round
         if progress.waited >= self._config.patience:
-            if self._cosine:
+            if self._stops:
                 return range(0)
             if progress.decay is None and first < self.latest_decay:
                 progress.decay = first
@@ -142,14 +144,15 @@ class Course:
     def end(self, decay: int | None) -> int:
         """How many steps the run has, where validation stalled at step `decay`; None for not at
         all."""
-        if decay is None or self._cosine:
+        if decay is None or self._stops:
             return self._most
         share = self._config.decay_share
         return decay + min(math.ceil(decay * share / (1 - share)), self._most - self.latest_decay)
 
     def rate(self, step: int, decay: int | None) -> float:
         """The learning rate of `step`: up a line; then, for "cosine", down a cosine to 0 at the
-        end, and for "decay", level, and from the decay on down a line to 0 at the end."""
+        end, and for "decay", level, and from the decay on down a line to 0 at the end. "constant"
+        has no warm-up, either, so that no rate depends on the budget."""
         peak, end = self._config.lr, self.end(decay)
         begin = self.latest_decay if decay is None else decay
         if step < self._warmup:

@@ -263,7 +263,7 @@ def _grows(there: Json, asked: Json) -> bool:
     """Whether `asked` is a larger budget of the settings `there`, of a run that can grow."""
     of = there["maps"], asked["maps"]
     old, new = (there["epochs"], asked["epochs"]) if of == (None, None) else of
-    return asked["schedule"] == "decay" and None not in (old, new) and bool(new > old)
+    return asked["schedule"] != "cosine" and None not in (old, new) and bool(new > old)
 
 
 def run_facts(folder: Path) -> Json:

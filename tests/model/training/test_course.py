@@ -13,6 +13,7 @@ from scenegen.model.checkpoint import CheckpointError, load_tensors
 from scenegen.model.config import NetworkConfig, TrainConfig
 from scenegen.model.training.course import Course
 from scenegen.model.training.data import epoch_batches
+from scenegen.model.training.run_folder import Progress
 from tests.model.training.runs import SMALL, Counted, train
 
 TINY = dataclasses.replace(SMALL, network=NetworkConfig(width=1, heads=1, variant="occ"), batch=12)
@@ -34,6 +35,14 @@ def test_a_cosine_rises_then_falls_to_nothing():
     assert found[55] == pytest.approx(1.0)
     assert found[10:] == sorted(found[10:], reverse=True)
     assert 0 < found[-1] < 1e-3
+
+
+def test_a_constant_rate_has_no_warm_up_and_ends_where_validation_stalls():
+    steady = course(lr=2.0, epochs=10, patience=3, schedule="constant")
+    assert set(rates(steady)) == {2.0}
+    losses = [1.0, 0.5, 0.6, 0.6, 0.6]
+    rounds = [steady.steps(Progress(rows=[{"val_loss": x} for x in losses[:n]])) for n in (4, 5)]
+    assert rounds == [range(40, 50), range(0)]
 
 
 @pytest.mark.parametrize("decay", [None, 1, 79])
