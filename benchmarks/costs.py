@@ -38,7 +38,8 @@ from scenegen.display.figures import draw_completions
 from scenegen.display.look import Guess, look_into
 from scenegen.display.panels import to_bytes
 from scenegen.model.evaluation.methods import Method, rows_of
-from scenegen.model.evaluation.visibility import CLASSES, UNSCORED, classify, scored_voxels
+from scenegen.model.evaluation.visibility import CLASSES, UNSCORED, classify
+from scenegen.scored import scored_voxels
 
 MISSED = (
     "missed: holds a return",

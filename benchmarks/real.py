@@ -45,8 +45,8 @@ from scenegen.model.config import PlanConfig
 from scenegen.model.evaluation.methods import Method, Truth, rows_of
 from scenegen.model.evaluation.statistics import brief
 from scenegen.model.evaluation.uncertainty import REGIONS, count, reliability
-from scenegen.model.evaluation.visibility import scored_voxels
 from scenegen.model.inputs import PointScan
+from scenegen.scored import scored_voxels
 
 UNLEARNED = ("extrude", "returns", "conservative")
 NETWORKS = ("columns", "proposed", "occ", "tudf", "anywhere")

@@ -93,6 +93,7 @@ INPUTS = Registry(
 METHODS = Registry(
     "method",
     {
+        "empty": "scenegen.model.completion.unlearned:Empty",
         "returns": "scenegen.model.completion.unlearned:Returns",
         "conservative": "scenegen.model.completion.unlearned:Conservative",
         "extrude": "scenegen.model.completion.unlearned:Extrude",
@@ -125,6 +126,14 @@ def split_own(weights: str | Path) -> tuple[frozenset[str], str]:
     """
     found = re.fullmatch(r"([\w.]+:\w+(?:,[\w.]+:\w+)*)@(.+)", str(weights))
     return (frozenset(found[1].split(",")), found[2]) if found else (frozenset(), str(weights))
+
+
+def split_name(weights: str) -> tuple[str, str]:
+    """The name that NAME=WEIGHTS gives a network's row, "" without one, and WEIGHTS. A path that
+    exists is WEIGHTS as it stands."""
+    name, equals, rest = weights.partition("=")
+    named = equals and re.fullmatch(r"[\w.-]+", name) and not Path(split_own(weights)[1]).exists()
+    return (name, rest) if named else ("", weights)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -305,6 +314,8 @@ class Thresholds(Checked):
     """A voxel is occupied below this distance, where no probability is predicted, metres."""
 
 
+UNITS = {"probability": "", "distance_m": " m"}
+"""Of the fields of `Thresholds`."""
 NEAR_M = 1.0
 """The paper's bound of what is near an obstacle, metres."""
 

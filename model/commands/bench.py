@@ -25,7 +25,7 @@ from scenegen.cli.options import (
 from scenegen.cli.show import Progress, Tell, announce_compilation, note, say, show_columns
 from scenegen.cli.types import FILE, Named
 from scenegen.files import Json, check_ours, write_result
-from scenegen.model.commands.weights import Weights
+from scenegen.model.commands.weights import NamedWeights
 from scenegen.model.config import METHODS, USUAL, BenchConfig, PlanConfig
 from scenegen.run import Executor
 
@@ -50,9 +50,10 @@ QUICK = {"samples": 50, "trials": 200}
 )
 @click.option(
     "--weights",
-    type=Weights(),
+    type=NamedWeights(),
     multiple=True,
-    help="A network's row: a bundled name, a file, a run's folder, hf://…",
+    help="A network's row: a bundled name, a file, a run's folder, hf://…; NAME=WEIGHTS names the "
+    "row.",
 )
 @click.option(
     "--predictions",
@@ -134,7 +135,7 @@ def bench(
 
 def show_tables(report: Json) -> None:
     """Both tables: means, at the paper's thresholds."""
-    from scenegen.model.evaluation.report import notes, tables
+    from scenegen.model.evaluation.report import notes, tables, trial_counts
     from scenegen.model.evaluation.statistics import threshold
 
     for kind, about in report["datasets"].items():
@@ -147,5 +148,6 @@ def show_tables(report: Json) -> None:
                 for method, row in rows.items()
             }
             show_columns(cells, list(names), f"{kind}, {table}")
+        say(f"{kind}: {trial_counts(about)}")
         for told in notes(about):
             say(f"note: {kind}: {told}")

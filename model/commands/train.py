@@ -31,8 +31,10 @@ from scenegen.model.config import (
     LOSSES,
     NETWORKS,
     PROTOCOLS,
+    UNITS,
     LossConfig,
     NetworkConfig,
+    Thresholds,
     TrainConfig,
     split_own,
 )
@@ -249,9 +251,11 @@ def train(
         return
     if not shown.begun:
         say(f"{out}: this run is complete already; give another --out for another one")
-    for name, column in (("loss", "val_loss"), ("IoU", "val_iou")) if len(rows) > 1 else ():
-        values = [row[column] for row in rows]
-        say(f"validation {name:4}  {curve(values)}  {values[0]:.4f} to {values[-1]:.4f}")
+    curves = {"loss": "val_loss", "IoU": "val_iou", "IoU, best threshold": "val_best_iou"}
+    for name, column in curves.items() if len(rows) > 1 else ():
+        values = [row[column] for row in rows if column in row]  # earlier versions wrote no best
+        if values:
+            say(f"validation {name:19}  {curve(values)}  {values[0]:.4f} to {values[-1]:.4f}")
     say(
         f"best: epoch {best['epoch']:.0f} of {len(rows)}, {_validated(best)}; {out}, "
         f"{seconds:.0f} s"
@@ -340,7 +344,7 @@ class _Shown:
         self._progress.note(f"loss {self._recent:.4f}{self._iou}")
 
     def on_epoch(self, row: "Scalars") -> None:
-        self._iou = f", validation IoU {row['val_iou']:.3f}"
+        self._iou = f", validation {_ious(row)}"
         if self._talk:
             seconds, loss = row["seconds"], row["train_loss"]
             say(f"epoch {row['epoch']:.0f}: loss {loss:.4f}, {_validated(row)}, {seconds:.0f} s")
@@ -348,4 +352,14 @@ class _Shown:
 
 def _validated(row: "Scalars") -> str:
     near = f"Near-MAE {row['val_near_mae']:.3f} m"
-    return f"validation loss {row['val_loss']:.4f}, IoU {row['val_iou']:.3f}, {near}"
+    return f"validation loss {row['val_loss']:.4f}, {_ious(row)}, {near}"
+
+
+def _ious(row: "Scalars") -> str:
+    """IoU at the paper's threshold, and at the best one."""
+    found = f"IoU {row['val_iou']:.3f} at the paper's threshold"
+    for name, unit in UNITS.items():
+        if (best := row.get(f"val_best_{name}")) is not None:
+            paper = getattr(Thresholds(), name)
+            found += f" {paper:g}{unit}, {row['val_best_iou']:.3f} at the best, {best:g}{unit}"
+    return found

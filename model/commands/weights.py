@@ -11,7 +11,7 @@ from click.shell_completion import CompletionItem
 
 from scenegen.cli.options import group, together
 from scenegen.cli.types import FILE
-from scenegen.model.config import bundled, split_own, unknown_network
+from scenegen.model.config import bundled, split_name, split_own, unknown_network
 
 if TYPE_CHECKING:
     from scenegen.dataset.read import Dataset
@@ -39,6 +39,17 @@ class Weights(click.ParamType):
         return found or [CompletionItem(incomplete, type="file")]
 
 
+class NamedWeights(Weights):
+    """The network of a row, which NAME= before it names."""
+
+    name = "[name=]weights"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> str:
+        """The name as it is, see `Weights.convert`."""
+        super().convert(split_name(str(value))[1], param, ctx)
+        return str(value)
+
+
 MOST_TRIAL = 10_000
 
 shown_options = together(
@@ -50,9 +61,10 @@ shown_options = together(
     ),
     click.option(
         "--weights",
-        type=Weights(),
+        type=NamedWeights(),
         multiple=True,
-        help="A network that completes what is shown, as for `complete`; repeatable.",
+        help="A network that completes what is shown, as for `complete`, with a name of your own "
+        "as NAME=WEIGHTS; repeatable.",
     ),
     click.option(
         "--trial",

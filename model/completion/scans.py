@@ -225,6 +225,7 @@ def _completion(path: Path) -> Look:
             occupied=said.occupied() & maps.get("known", np.ones(shape)).astype(bool),
             tudf=said.distance(None, grid),
         )
+        known = maps["known"].astype(bool) if "known" in maps else None
         return Look(
             name=path.stem,
             grid=grid,
@@ -234,6 +235,8 @@ def _completion(path: Path) -> Look:
             masks={
                 name: maps[name].astype(bool) for name in ("observed", "occupancy") if name in maps
             },
+            known=known,
+            scored=known,
             guesses=(guess,),
         )
     except Exception:  # h5py's errors share no base

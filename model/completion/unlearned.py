@@ -23,6 +23,17 @@ class Returns:
         return Prediction(occupancy_probability=observed.astype(np.float32))
 
 
+class Empty:
+    """Free everywhere, every distance at the truncation: what success needs no map for."""
+
+    name = "empty"
+    learned = False
+
+    def complete(self, observed: Mask, free: Mask, *, grid: GridSpec) -> Prediction:
+        """See `MapCompleter.complete`."""
+        return Prediction(occupancy_probability=np.zeros(observed.shape, np.float32))
+
+
 class Conservative:
     """Whatever no ray crossed is occupied: what a robot does that trusts nothing unseen."""
 

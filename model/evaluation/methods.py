@@ -31,7 +31,7 @@ from scenegen.model.completion.protocol import (
     check_prediction,
     plain,
 )
-from scenegen.model.config import METHODS
+from scenegen.model.config import METHODS, split_name
 from scenegen.sample import Sample
 
 
@@ -256,19 +256,23 @@ def find_method(name: Any) -> Method:
 def rows_of(
     methods: Sequence[Any], weights: Sequence[str] = (), predictions: Path | None = None
 ) -> list[Method]:
-    """Rows of `find_method`, those of networks, and that of a file of predictions. Raises
-    ScenegenError where two have one name, and where a row cannot be."""
+    """Rows of `find_method`, those of networks (`weights`, or NAME=weights), and that of a file of
+    predictions. Raises ScenegenError where two have one name, and where a row cannot be."""
     rows = list(map(find_method, methods))
     if weights:
         from scenegen.model.completion.completer import Completer  # the other rows need no torch
 
-        rows += [Completer.from_pretrained(name, threads=1) for name in weights]
+        for name, place in map(split_name, weights):
+            network = Completer.from_pretrained(place, threads=1)
+            network.name = name or network.name
+            rows.append(network)
     if predictions is not None:
         rows.append(Predicted(predictions))
     named = [row.name for row in rows]
     if twice := [name for name in named if named.count(name) > 1]:
         raise ScenegenError(
-            f"two rows are called {twice[0]!r}; give one of them, or rename its file or folder"
+            f"two rows are called {twice[0]!r}; name a network's row, as in --weights "
+            f"NAME=runs/mine, or rename a file or folder"
         )
     return rows
 

@@ -59,13 +59,13 @@ class Metric:
     """Its value for a map's `Sums`, or for a trial's `Measurement`; NaN where there is nothing to
     measure."""
     needs: Literal["distance", "occupancy", "trial", "path"]
-    """Which part of a prediction it judges; or whether every trial has a value, or only one that
-    found a path."""
+    """Which part of a prediction it judges; or whether trials without a path have a value, too, or
+    only those that found one."""
     better: Literal["higher", "lower", "nearer to 0"] = "higher"
     unit: str = ""
-    tested: tuple[Literal["map", "unobserved"], ...] = ()
-    """The voxels over which methods are compared in pairs by it: of the whole map, or the unknown
-    ones; in planning, "map" means all trials."""
+    tested: tuple[Literal["map", "unobserved", "unmarked"], ...] = ()
+    """Where methods are compared in pairs by it: over the voxels of the whole map, or the unknown
+    ones; in planning, "map" means all trials, "unmarked" the trials of `MethodResult.unmarked`."""
 
     @property
     def label(self) -> str:
@@ -118,7 +118,19 @@ METRICS = {
 }
 """Reconstruction: the paper's ten, section "Quantitative Reconstruction Results"."""
 PLAN_METRICS = {
+    "success_blocked": Metric(
+        "success, blocked line",
+        lambda trial: trial.success if trial.line_blocked else NAN,
+        "trial",
+        tested=("map",),
+    ),
     "success": Metric("success", lambda trial: trial.success, "trial", tested=("map",)),
+    "hits": Metric(
+        "hits", lambda trial: trial.hits_obstacle, "trial", "lower", tested=("unmarked",)
+    ),
+    "crossed_hits": Metric(
+        "hits in crossed voxels only", lambda trial: trial.hits_crossed_only, "trial", "lower"
+    ),
     "length": Metric("length", lambda trial: trial.length_m, "path", "lower", "m"),
     "min_clearance": Metric(
         "least clearance", lambda trial: trial.min_clearance_m, "path", unit="m"
@@ -127,7 +139,8 @@ PLAN_METRICS = {
         "mean clearance", lambda trial: trial.mean_clearance_m, "path", unit="m"
     ),
 }
-"""Planning: the paper's four, section "Planning with Predicted Distance Fields"."""
+"""Planning: success, length and clearances are the paper's, section "Planning with Predicted
+Distance Fields"; the first leads the tables, and `hits` those of maps of real places."""
 
 
 def measure(

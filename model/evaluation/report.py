@@ -6,34 +6,24 @@ import base64
 import html
 import math
 import tomllib
-from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
-from itertools import combinations
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from scenegen.files import Json
-from scenegen.model.config import Thresholds
+from scenegen.model.config import UNITS, Thresholds
+from scenegen.model.evaluation.figures import paired_tests, planning_of, reconstruction_of
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS, Metric
-from scenegen.model.evaluation.run import DatasetResult, MethodResult
-from scenegen.model.evaluation.statistics import (
-    caution,
-    cell,
-    holm,
-    interval,
-    paired_p,
-    summarise,
-    table,
-    with_std,
-)
+from scenegen.model.evaluation.run import DatasetResult
+from scenegen.model.evaluation.statistics import caution, cell, interval, table, with_std
 from scenegen.model.evaluation.study import study_of, study_tables
 from scenegen.model.evaluation.visibility import CLASSES
 
-BEST_IOU, UNITS = "best_iou", {"probability": "", "distance_m": " m"}
-"""A column of the tables, and the units of the thresholds at which it stands."""
+BEST_IOU = "best_iou"
+"""A column of the tables."""
 ARROWS = {"higher": " ↑", "lower": " ↓", "nearer to 0": ""}
 REFERENCES = ("truth", "seen")
 """Rows that nobody can beat, so that they are never the best."""
@@ -48,8 +38,6 @@ CAUSES = {
 PAPER = tomllib.loads(Path(__file__).with_name("paper.toml").read_text(encoding="utf-8"))
 """What the paper reports, Tables I and II, to stand beside ours: by table, kind of worlds, method
 and metric, the mean, and the standard deviation where the paper gives one."""
-REGIONS = ("map", "unobserved")
-"""Rows of a sample's reconstruction before those of the classes of voxels."""
 
 
 def build_report(results: Sequence[DatasetResult], *, seed: int, about: Json) -> Json:
@@ -62,11 +50,14 @@ def build_report(results: Sequence[DatasetResult], *, seed: int, about: Json) ->
     report = {**about, **{part: {} for part in parts}}
     for result in results:
         rng = np.random.default_rng(seed)
+        first = next(iter(result.methods.values()))  # whose trials have the goals of all
         methods, partly = result.methods.items(), ""
         if result.known_share < 1:
             partly = (
                 f"{100 * result.known_share:.1f} % of the grid is known in the mean: scores count "
-                "known voxels alone, and plans keep to known space"
+                "known voxels alone, and a path through unknown voxels fails. Planning is scored "
+                "twice: with unknown voxels marked as occupied, which shows the planner where the "
+                "place ends, and not marked"
             )
         report["datasets"][result.kind] = {
             "digest": str(result.dataset.manifest.digest),
@@ -75,11 +66,13 @@ def build_report(results: Sequence[DatasetResult], *, seed: int, about: Json) ->
             "known_share": result.known_share,
             "note": partly,
             "trials": len(result.trial_worlds),
+            "blocked_lines": sum(trial.line_blocked for trial in first.trials),
             "excluded": dict(result.excluded),
         }
-        for part, measured in (("reconstruction", _reconstruction), ("planning", _planning)):
-            report[part][result.kind] = {name: measured(found, result) for name, found in methods}
-        report["tests"][result.kind] = _tests(result, rng)
+        parts_of = {"reconstruction": reconstruction_of, "planning": planning_of}
+        for part, figures_of in parts_of.items():
+            report[part][result.kind] = {name: figures_of(found, result) for name, found in methods}
+        report["tests"][result.kind] = paired_tests(result, rng)
         if result.config.study:
             report.setdefault("study", {})[result.kind] = {
                 name: study_of(found.studies, found.careful, result.worlds, result.trial_worlds)
@@ -93,6 +86,15 @@ def notes(about: Json) -> list[str]:
     return [told for told in (about["note"], caution(about["worlds"])) if told]
 
 
+def trial_counts(about: Json) -> str:
+    """How many trials one of the report's `datasets` has, of which kind."""
+    blocked = about["blocked_lines"]
+    return (
+        f"{about['trials']} planning trials: on {blocked} an obstacle blocks the straight line to "
+        f"the goal, on {about['trials'] - blocked} it is free"
+    )
+
+
 def finite(value: Any) -> Any:
     """`value`, a tree of dicts and lists, with None for every number that is NaN or infinite."""
     if isinstance(value, Mapping):
@@ -102,87 +104,8 @@ def finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def summaries(
-    method: MethodResult,
-    result: DatasetResult,
-    metrics: Mapping[str, Metric],
-    region: int = 0,
-    chosen: Any = True,
-) -> Json:
-    """`summarise` of what `MethodResult.values` gives for each metric, of the `chosen` trials
-    alone."""
-    return {
-        name: summarise(
-            np.where(chosen, method.values(name, region), np.nan),
-            result.worlds_of(name),
-            metric.scale,
-        )
-        for name, metric in metrics.items()
-    }
-
-
-def _reconstruction(method: MethodResult, result: DatasetResult) -> Json:
-    whole_map, unobserved, *by_class, tuned = (
-        summaries(method, result, METRICS, region) for region in range(len(CLASSES) + 3)
-    )
-    return {
-        **whole_map,
-        "tuned": {**tuned, "thresholds": asdict(method.thresholds)},
-        "unobserved": unobserved,
-        "by_class": dict(zip(CLASSES, by_class, strict=True)),
-    }
-
-
-def _planning(found: MethodResult, result: DatasetResult) -> Json:
-    on_paths = {name: metric for name, metric in PLAN_METRICS.items() if metric.needs == "path"}
-    methods = result.methods.values()
-    learned = [method for method in methods if method.learned] or methods
-    succeeded = [trial.success for trial in found.trials]
-    # (learned methods, trials)
-    all_succeeded = [[trial.success for trial in method.trials] for method in learned]
-    causes = (trial.cause for trial in found.trials if trial.cause is not None)
-    return {
-        **summaries(found, result, PLAN_METRICS),
-        "successes": summaries(found, result, on_paths, chosen=succeeded),
-        "all_succeed": summaries(found, result, on_paths, chosen=np.all(all_succeeded, axis=0)),
-        "failures": dict(Counter(causes)),
-    }
-
-
-def _tests(result: DatasetResult, rng: np.random.Generator) -> list[Json]:
-    """Every pair of methods on every tested metric: the mean difference with its 95 % interval, and
-    its p-value, corrected over all of them."""
-    tested = [
-        (region, name)
-        for region, metrics in (("map", METRICS), ("unobserved", METRICS), ("map", PLAN_METRICS))
-        for name, metric in metrics.items()
-        if region in metric.tested
-    ]
-    found = []
-    for (first, one), (second, other) in combinations(result.methods.items(), 2):
-        for region, name in tested:
-            a, b = (of.values(name, REGIONS.index(region)) for of in (one, other))
-            worlds = result.worlds_of(name)
-            gained = summarise(a - b, worlds, "gain" if name in PLAN_METRICS else "amount")
-            title = name if region == "map" else f"{region}_{name}"
-            found.append(
-                {
-                    "first": first,
-                    "second": second,
-                    "metric": title,
-                    "difference": gained["mean"],
-                    "low": gained["low"],
-                    "high": gained["high"],
-                    "p": paired_p(a, b, worlds, rng=rng),
-                }
-            )
-    for row, corrected in zip(found, holm([row["p"] for row in found]).tolist(), strict=True):
-        row["p_holm"] = corrected
-    return found
-
-
 def tables(report: Json, kind: str) -> Iterator[tuple[str, Mapping[str, Metric], Json, Json]]:
-    """Both tables of a kind: their name in the report, metrics, rows, and the paper's rows.
+    """The tables of a kind: their name, metrics, rows, and the paper's rows.
 
     Beside IoU stands IoU at the row's best threshold. Where that is not the paper's, the figure
     says where it lies: `at`.
@@ -200,7 +123,15 @@ def tables(report: Json, kind: str) -> Iterator[tuple[str, Mapping[str, Metric],
         )
         rows[method] = {**row, BEST_IOU: {**row["tuned"]["iou"], "at": at}}
     yield "reconstruction", metrics, rows, PAPER["reconstruction"].get(kind, {})
-    yield "planning", PLAN_METRICS, report["planning"][kind], PAPER["planning"].get(kind, {})
+    planning, paper = report["planning"][kind], PAPER["planning"].get(kind, {})
+    if not any("unmarked" in row for row in planning.values()):
+        yield "planning", PLAN_METRICS, planning, paper
+        return
+    # in real places, success depends on where the map ends; hits of known obstacles do not
+    metrics = {"hits": PLAN_METRICS["hits"], **PLAN_METRICS}
+    unmarked = {name: row["unmarked"] for name, row in planning.items()}
+    yield "planning, unknown voxels not marked", metrics, unmarked, paper
+    yield "planning, unknown voxels marked", metrics, planning, paper
 
 
 class Table(NamedTuple):
@@ -251,7 +182,7 @@ def _introduction(about: Json) -> str:
     excluded = ", ".join(f"{cause} {count}" for cause, count in about["excluded"].items())
     return (
         f"{about['samples']} samples of {about['worlds']} worlds, dataset "
-        f"{str(about['digest'])[:12]}…; {about['trials']} planning trials, excluded draws: "
+        f"{str(about['digest'])[:12]}…; {trial_counts(about)}; excluded draws: "
         f"{excluded or 'none'}. Mean ± standard deviation over samples or trials, in brackets the "
         f"95 % interval of the mean, by a jackknife over worlds"
         f"{', which one world does not give' * (about['worlds'] == 1)}. In italics: the paper's."

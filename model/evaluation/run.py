@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lidarsim.grid import Field, Floats, Ints, Mask, iou
+from lidarsim.grid import Field, Floats, Ints, Mask
 from scenegen.cli.show import Showing, counted, silent
 from scenegen.dataset.read import Dataset, Rows, Split
 from scenegen.display.look import evenly
@@ -25,11 +25,13 @@ from scenegen.model.evaluation.planning.measure import (
     Measurement,
     Trials,
     draw_trials,
+    line_blocked,
     risk_of,
     run_trial,
 )
 from scenegen.model.evaluation.study import Study, study_map
-from scenegen.model.evaluation.visibility import CLASSES, UNOBSERVED, Case, scored_voxels, walled
+from scenegen.model.evaluation.thresholds import tune
+from scenegen.model.evaluation.visibility import CLASSES, UNOBSERVED, Case, walled
 from scenegen.run import Executor, check_together, chunked
 from scenegen.run.workers import ALONE
 from scenegen.sample import rng_of
@@ -37,10 +39,6 @@ from scenegen.truth import distance_field
 
 CHUNK = 10
 """Samples a task of a worker."""
-TUNED = 50
-"""Validation samples on which thresholds are tuned, at most."""
-PROBABILITIES = np.arange(0.05, 1.0, 0.05)
-DISTANCES_M = np.arange(0.05, 0.85, 0.05)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -53,6 +51,9 @@ class MethodResult:
     thresholds: Thresholds
     """The tuned ones."""
     trials: tuple[Measurement, ...]
+    unmarked: tuple[Measurement, ...]
+    """The same trials in maps of real places, planned without knowing which voxels are unknown in
+    the map: in `trials`, the planner holds these for occupied. () where all is known."""
     learned: bool
     """Whether the method was trained, or may have been: see `Method.learned`."""
     studies: tuple[Study, ...]
@@ -60,11 +61,12 @@ class MethodResult:
     careful: list[Floats]
     """(settings, figures) of each trial that was studied."""
 
-    def values(self, metric: str, region: int = 0) -> Floats:
+    def values(self, metric: str, region: int = 0, *, marked: bool = True) -> Floats:
         """A metric by its name: of every map, (N,), over a region of `reconstruction`, or of every
-        trial, (trials,)."""
+        trial, (trials,), in `trials`, or, if not `marked`, in `unmarked`."""
         if metric in PLAN_METRICS:
-            return np.array([PLAN_METRICS[metric].of(trial) for trial in self.trials], float)
+            trials = self.trials if marked else self.unmarked
+            return np.array([PLAN_METRICS[metric].of(trial) for trial in trials], float)
         return self.reconstruction[:, region, [*METRICS].index(metric)]
 
 
@@ -88,6 +90,11 @@ class DatasetResult:
     """Drawn trials that are not valid, by reason."""
     methods: dict[str, MethodResult]
 
+    @property
+    def marks_unknown(self) -> bool:
+        """Whether these are maps of real places, with trials of `MethodResult.unmarked`."""
+        return any(method.unmarked for method in self.methods.values())
+
     def worlds_of(self, metric: str) -> Ints:
         """The worlds of what `MethodResult.values` gives."""
         return self.trial_worlds if metric in PLAN_METRICS else self.worlds
@@ -99,6 +106,7 @@ class _MethodOnSample(NamedTuple):
     reconstruction: Floats
     """(3 + classes, metrics)"""
     trials: list[Measurement]
+    unmarked: list[Measurement]
     study: Study | None
     """None unless asked for."""
 
@@ -215,6 +223,7 @@ def _joined(
         reconstruction=np.array([result.reconstruction for result in results]),
         thresholds=tuned,
         trials=tuple(results[n].trials[trial] for trial, n in trials),
+        unmarked=tuple(results[n].unmarked[trial] for trial, n in trials if results[n].unmarked),
         learned=method.learned,
         studies=studies,
         careful=[studies[n].careful[trial] for trial, n in trials if studies],
@@ -303,20 +312,45 @@ def _bench_method(
         )
 
     by_thresholds = {at: scores(at) for at in {usual, tuned}}  # most often, these are the same
-    occupied, distance, risk = planner_maps(prediction, case, config)
-    trials = [
-        run_trial(occupied, distance, *case.truth, goal, grid, config.plan, risk) for goal in goals
-    ]
+    trials = plan_all(prediction, case, goals, config)
+    unmarked = []
+    if sample.known is not None:
+        unmarked = plan_all(prediction, case, goals, config, marked=False)
     study = study_map(prediction, case, goals, config) if config.study else None
     reconstruction = np.vstack([by_thresholds[usual], by_thresholds[tuned][:1]])
-    return _MethodOnSample(reconstruction, trials, study)
+    return _MethodOnSample(reconstruction, trials, unmarked, study)
+
+
+def plan_all(
+    prediction: Prediction, case: Case, goals: Floats, config: BenchConfig, *, marked: bool = True
+) -> list[Measurement]:
+    """Plan on what is predicted of a sample's map to every goal (trials, 3), map frame, metres, and
+    judge in its truth. See `planner_maps` for `marked`."""
+    occupied, distance, risk = planner_maps(prediction, case, config, marked=marked)
+    sample, grid, plan = case.sample, case.grid, config.plan
+    obstacle, crossed = sample.occupancy.reshape(-1), sample.free.reshape(-1)
+    measured = []
+    for goal in goals:
+        trial = run_trial(occupied, distance, *case.truth, goal, grid, plan, risk)
+        hits = np.array(trial.hits, np.int64)
+        hits = hits[obstacle[hits]]  # without those in unknown voxels
+        measured.append(
+            replace(
+                trial,
+                line_blocked=line_blocked(case.truth[0], goal, grid, plan),
+                hits_obstacle=len(hits) > 0,
+                hits_crossed_only=len(hits) > 0 and bool(crossed[hits].all()),
+            )
+        )
+    return measured
 
 
 def planner_maps(
-    said: Prediction, case: Case, config: BenchConfig
+    said: Prediction, case: Case, config: BenchConfig, *, marked: bool = True
 ) -> tuple[Mask, Field, Field | None]:
     """What the planner of `config` is given of a prediction: a collision map, distances, metres,
-    and for the careful planner the risk of every voxel, (*grid.shape) each."""
+    and for the careful planner the risk of every voxel, (*grid.shape) each. If `marked`, voxels
+    that are unknown in a map of a real place are occupied, whatever is predicted of them."""
     at, plan, careful = config.thresholds, config.plan, config.plan.planner == "careful"
     sample, grid = case.sample, case.grid
     if careful:
@@ -324,7 +358,8 @@ def planner_maps(
     occupied, distance = said.occupied(at), said.distance(at, grid)
     if plan.field == "transform":
         distance = distance_field(occupied, grid)
-    occupied, distance = walled(occupied, distance, sample.known, grid)
+    if marked:
+        occupied, distance = walled(occupied, distance, sample.known, grid)
     seen = sample.observed | sample.free
     return occupied, distance, risk_of(said, occupied, seen, plan) if careful else None
 
@@ -335,36 +370,3 @@ def trials_of(case: Case, plan: PlanConfig, count: int, rng: np.random.Generator
     origin = case.sample.origin
     bounds = None if world is None else np.array([[0.0] * 3, world["size_m"]]) - origin
     return draw_trials(case.truth[0], case.grid, plan, count=count, rng=rng, bounds=bounds)
-
-
-def tune(method: Method, dataset: Dataset, thresholds: Thresholds) -> Thresholds:
-    """The thresholds at which `method` has the largest mean IoU on at most `TUNED` validation
-    samples, evenly spread: the same rule for every method.
-
-    Where all do equally well, or the method says nothing about the validation split, `thresholds`
-    as they are.
-    """
-    split = dataset.split("val")
-    if not len(split):
-        return thresholds
-    scores: list[list[float]] = []
-    name, candidates = "probability", PROBABILITIES
-    for index in evenly(len(split), TUNED):
-        sample = split[index]
-        scored = scored_voxels(sample, dataset.grid, split.home(index).tables)
-        truth = sample.occupancy[scored]
-        try:
-            completion = method.completion(sample, split)
-        except KeyError:  # a file that predicts the test split alone
-            return thresholds
-        if completion.occupancy_probability is None:
-            name, candidates = "distance_m", DISTANCES_M
-        row = []
-        for value in candidates:
-            at = replace(thresholds, **{name: float(value)})
-            row.append(iou(completion.occupied(at)[scored], truth))
-        scores.append(row)
-    means = np.mean(scores, axis=0)
-    if np.ptp(means) < 1e-12:
-        return thresholds
-    return replace(thresholds, **{name: round(float(candidates[int(means.argmax())]), 4)})

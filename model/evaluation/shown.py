@@ -106,8 +106,8 @@ def draw_failures(result: DatasetResult, methods: Sequence[Method]) -> list[tupl
     return found
 
 
-CHARTS = {"reconstruction": ("iou", "near_rmse"), "planning": ("success", "min_clearance")}
-"""Metrics that are drawn, by table."""
+CHARTS = {"reconstruction": ("iou", "near_rmse")}
+"""Metrics that are drawn, by table; of planning, the one that leads the table, and clearance."""
 
 
 def draw_charts(report: Json, kind: str) -> list[tuple[str, bytes]]:
@@ -119,9 +119,13 @@ def draw_charts(report: Json, kind: str) -> list[tuple[str, bytes]]:
 
     charts = []
     for table, metrics, rows, reference in tables(report, kind):
-        for name in CHARTS[table]:
+        for name in CHARTS.get(table, (next(iter(metrics)), "min_clearance")):
             dots = {method: row[name] for method, row in rows.items() if row[name]["n"]}
-            papers = {f"{method} (paper)": row[name][0] for method, row in reference.items()}
+            papers = {
+                f"{method} (paper)": row[name][0]
+                for method, row in reference.items()
+                if name in row
+            }
             figure = Figure(figsize=(5.8, 0.6 + 0.26 * len([*dots, *papers])), layout="constrained")
             axes = figure.subplots()
             for method, metric in dots.items():

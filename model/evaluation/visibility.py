@@ -1,11 +1,8 @@
 """Which part of a map was seen how, and what the sensor had a chance to know."""
 
 import dataclasses
-import math
-from collections.abc import Mapping
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +15,7 @@ from scenegen.dataset.read import Dataset, Split
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.inputs import within_view
 from scenegen.sample import Sample
+from scenegen.scored import certain_distances, scored_voxels
 from scenegen.truth import distance_field, rasterize
 from scenegen.worlds.world import solid
 
@@ -31,34 +29,6 @@ UNOBSERVED = tuple(CLASSES.index(name) for name in ("occluded", "interior", "out
 UNSCORED = 255
 """Stands in place of a class where a voxel lies below the ground, or where nobody knows what is
 there: no score counts it."""
-
-
-def scored_voxels(sample: Sample, grid: GridSpec, tables: Mapping[str, Any]) -> Mask:
-    """Which voxels of a map, (*grid.shape), scores count: those that reach above the underside of
-    the ground slab, all where the world has none; and in a map of a real place those that are
-    known. `tables` are those of the sample's recipe.
-
-    No sensor sees below the ground and no robot flies there, so what is said of that space is
-    neither right nor wrong.
-    """
-    world = tables.get("world") or {}
-    thick_m = world.get("ground_m")  # parameters of somebody's own kind may be anything
-    bottom = -math.inf
-    if world.get("ground") is True and isinstance(thick_m, int | float):
-        bottom = -thick_m
-    tops = sample.origin[2] + grid.voxel_m * np.arange(1, grid.shape[2] + 1)
-    # a layer that ends at the underside does not count, however it is rounded
-    layers = tops > bottom + 1e-6
-    known = np.ones(grid.shape, bool) if sample.known is None else sample.known
-    return known & layers
-
-
-def certain_distances(sample: Sample, grid: GridSpec) -> Mask | None:
-    """The voxels (*grid.shape) whose true distance is sure: nothing that is unknown is nearer than
-    what is known to be occupied. None where all is known."""
-    if sample.known is None:
-        return None
-    return sample.tudf <= distance_field(~sample.known, grid)
 
 
 def walled(
@@ -123,7 +93,7 @@ class Case:
     @cached_property
     def certain(self) -> Mask | None:
         """See `certain_distances`."""
-        return certain_distances(self.sample, self.grid)
+        return certain_distances(self.sample.tudf, self.sample.known, self.grid)
 
     @cached_property
     def truth(self) -> tuple[Mask, Field]:

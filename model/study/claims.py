@@ -22,8 +22,9 @@ import numpy as np
 from lidarsim.grid import Floats
 from scenegen.files import Json
 from scenegen.model.config import TrainConfig
+from scenegen.model.evaluation.figures import summaries
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
-from scenegen.model.evaluation.report import PAPER, summaries
+from scenegen.model.evaluation.report import PAPER
 from scenegen.model.evaluation.run import DatasetResult
 from scenegen.model.evaluation.statistics import (
     Estimate,

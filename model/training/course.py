@@ -11,11 +11,12 @@ import numpy as np
 import torch
 from torch import nn
 
-from lidarsim.grid import Floats, GridSpec
+from lidarsim.grid import Floats, GridSpec, Mask
 from scenegen.errors import DatasetError
 from scenegen.model.completion.protocol import Prediction
-from scenegen.model.config import TrainConfig
+from scenegen.model.config import Thresholds, TrainConfig
 from scenegen.model.evaluation.metrics import METRICS, measure
+from scenegen.model.evaluation.thresholds import best_of, ious_by_threshold, judged_by
 from scenegen.model.losses import loss_of
 from scenegen.model.network import Output
 from scenegen.model.training.card import Scalars
@@ -35,12 +36,14 @@ def validate(
     it.
 
     And ``largest``, the largest probability anywhere: while it stays below the threshold, nothing
-    is ever occupied.
+    is ever occupied; ``best_iou``, the mean IoU at the best threshold of these maps; and this
+    threshold, ``best_probability`` or, of a network that predicts distances alone,
+    ``best_distance_m``.
     """
     network.eval()
     loss = loss_of(config.loss, maps.grid)
     totals = defaultdict[str, Floats](lambda: np.zeros(2))  # sums and counts
-    largest = 0.0
+    largest, ious, judged = 0.0, list[Floats](), ""
     mine = chunked(range(len(maps)), config.batch)[group.rank :: group.size]
     with closing(load(maps, mine, workers=workers, pinned=False)) as loaded:
         for batch in loaded:
@@ -58,25 +61,36 @@ def validate(
             if output.tudf is not None:
                 predicted["tudf"] = output.tudf.float().numpy(force=True)
             for n in range(count):
-                scores = _scores(
-                    Prediction(**{name: values[n] for name, values in predicted.items()}),
-                    {name: values[n].numpy() for name, values in batch.items()},
-                    maps.grid,
-                )
+                prediction = Prediction(**{name: values[n] for name, values in predicted.items()})
+                truth = {name: values[n].numpy() for name, values in batch.items()}
+                known = truth.get("known", np.ones(maps.grid.shape, bool))
+                judged = judged_by(prediction)
+                ious.append(ious_by_threshold(prediction, truth["occupancy"], known))
+                scores = _scores(prediction, truth, known, maps.grid)
                 for name, value in zip(METRICS, scores.tolist(), strict=True):
                     if math.isfinite(value):  # a map without such voxels says nothing of them
                         totals[name] += (value, 1)
-    everywhere = group.gather((dict(totals), largest))
+    everywhere = group.gather((dict(totals), largest, ious, judged))
     means = dict.fromkeys(METRICS, math.nan)
-    for name in [name for theirs, _ in everywhere for name in theirs]:
-        total, number = sum(theirs.get(name, np.zeros(2)) for theirs, _ in everywhere)
+    for name in [name for theirs, *_ in everywhere for name in theirs]:
+        total, number = sum(theirs.get(name, np.zeros(2)) for theirs, *_ in everywhere)
         means[name] = float(total / number)
-    return {**means, "largest": max(top for _, top in everywhere)}
+    _, tops, every_iou, judges = zip(*everywhere, strict=True)
+    mean_ious = np.mean([iou for theirs in every_iou for iou in theirs], axis=0)
+    judged = max(judges)  # a process without a map has none
+    best = getattr(best_of(judged, mean_ious, Thresholds()), judged)
+    return {
+        **means,
+        "largest": max(tops),
+        "best_iou": float(mean_ious.max()),
+        f"best_{judged}": best,
+    }
 
 
-def _scores(prediction: Prediction, truth: Mapping[str, Any], grid: GridSpec) -> Floats:
-    """The `METRICS` (metrics,) of one map, over all voxels whose truth is known."""
-    known = truth.get("known", np.bool_(True))
+def _scores(
+    prediction: Prediction, truth: Mapping[str, Any], known: Mask, grid: GridSpec
+) -> Floats:
+    """The `METRICS` (metrics,) of one map, over all voxels whose truth is `known`."""
     return measure(
         prediction.occupied(),
         prediction.distance(None, grid),

@@ -42,6 +42,8 @@ from scenegen.model.training.device import (
 from scenegen.model.training.run_folder import CONFIG, LEVEL, Progress, RunFolder
 from scenegen.run.software import commit, installed, software
 
+RESERVED = ("largest", "gradient", "best_iou", "best_probability", "best_distance_m")
+"""Names of a run's figures, besides metrics, that no term of a loss may have."""
 PACKAGES = ("torch", "safetensors")
 """What a trained network depends on, besides what a dataset does."""
 
@@ -359,7 +361,7 @@ def rehearse(network: Any, config: TrainConfig, maps: Maps, device: torch.device
             )
     terms = loss_of(config.loss, maps.grid)(Output(*output), batch)
     for name, value in terms.items():
-        if not isinstance(value, Tensor) or value.ndim or name in {*METRICS, "largest", "gradient"}:
+        if not isinstance(value, Tensor) or value.ndim or name in {*METRICS, *RESERVED}:
             raise TrainingError(
                 f"loss {objective}: {name} is {value!r:.60}; expected a scalar tensor, or a dict "
                 "of such under names that no metric has"

@@ -12,6 +12,7 @@ from lidarsim.grid import Field, Floats, GridSpec, Mask, iou
 from scenegen.dataset.read import Dataset, Split
 from scenegen.errors import DatasetError, ScenegenError, printable
 from scenegen.sample import Sample
+from scenegen.scored import certain_distances, scored_voxels
 
 MASKS = ("observed", "free", "occupancy")
 
@@ -67,6 +68,10 @@ class Look:
     """Returns (M, 3) of each scan, its own first; none where they could not be read."""
     rays: int = 0
     """How many rays they have."""
+    known: Mask | None = None
+    """In a map of a real place, the voxels whose occupancy the map knows; None if all are known."""
+    scored: Mask | None = None
+    """The voxels that scores count, as in the bench: see `scored_voxels`. None for all."""
     guesses: tuple[Guess, ...] = ()
     """What was predicted of it."""
     missing: tuple[str, ...] = ()
@@ -88,6 +93,11 @@ class Look:
         if {"observed", "free"} <= shares.keys():
             shares["unknown"] = ~(shares["observed"] | shares["free"])
         found = {name: f"{100 * mask.mean():.2f} %" for name, mask in shares.items()}
+        if self.known is not None:
+            found["known"] = f"{100 * self.known.mean():.2f} %"
+            if "occupancy" in shares:
+                occupied = shares["occupancy"][self.known]
+                found["occupancy"] = f"{100 * occupied.mean():.2f} % of known voxels"
         if self.points is not None:
             several = f" in {len(self.scans)} scans" if len(self.scans) > 1 else ""
             found["returns"] = f"{len(self.points)} of {self.rays} rays{several}"
@@ -95,11 +105,15 @@ class Look:
                 ranges = np.linalg.norm(own - self.position, axis=1)
                 found["mean range"] = f"{ranges.mean():.2f} m"
         if self.tudf is not None:
-            found["mean distance"] = f"{self.tudf.mean():.2f} m"
-        truth = self.masks.get("occupancy")
+            certain = certain_distances(self.tudf, self.known, self.grid)
+            if certain is None:
+                found["mean distance"] = f"{self.tudf.mean():.2f} m"
+            elif certain.any():
+                found["mean distance"] = f"{self.tudf[certain].mean():.2f} m where certain"
         for guess in self.guesses:
-            if truth is not None:
-                missed, invented = (truth & ~guess.occupied).sum(), (guess.occupied & ~truth).sum()
+            if (both := self._scored(guess)) is not None:
+                truth, occupied = both
+                missed, invented = (truth & ~occupied).sum(), (occupied & ~truth).sum()
                 found[guess.name] = f"{self.iou(guess)}, {missed} missed, {invented} invented"
             if guess.route is not None:
                 found[f"{guess.name}: path"] = guess.route.told
@@ -107,8 +121,17 @@ class Look:
 
     def iou(self, guess: Guess) -> str:
         """The intersection over union of a prediction, in words; nothing without a truth."""
+        both = self._scored(guess)
+        return "" if both is None else f"IoU {iou(*both):.3f}"
+
+    def _scored(self, guess: Guess) -> tuple[Mask, Mask] | None:
+        """The truth and a prediction in the voxels that scores count (voxels,); None without a
+        truth."""
         truth = self.masks.get("occupancy")
-        return "" if truth is None else f"IoU {iou(truth, guess.occupied):.3f}"
+        if truth is None:
+            return None
+        scored = np.ones(truth.shape, bool) if self.scored is None else self.scored
+        return truth[scored], guess.occupied[scored]
 
     def heading_deg(self) -> float:
         """Yaw of the body, degrees, counter-clockwise from x; rounded, so that it is the same on
@@ -117,8 +140,15 @@ class Look:
         return round(float(np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))), 9)
 
 
-def look_at(sample: Sample, grid: GridSpec, lidar: Sensor | None, name: str) -> Look:
-    """Reads a sample as far as that can be. Raises DatasetError where not even its pose can."""
+def look_at(
+    sample: Sample,
+    grid: GridSpec,
+    lidar: Sensor | None,
+    name: str,
+    tables: Mapping[str, Any] | None = None,
+) -> Look:
+    """Reads a sample as far as that can be. `tables` are those of its recipe, which tell where the
+    ground is. Raises DatasetError where not even its pose can."""
     pose = {field: getattr(sample, field) for field in ("origin", "position", "quaternion")}
     if not all(np.isfinite(part).all() for part in pose.values()):
         raise DatasetError(f"{name}: its pose is not finite")
@@ -141,6 +171,8 @@ def look_at(sample: Sample, grid: GridSpec, lidar: Sensor | None, name: str) -> 
         tudf=read("tudf", lambda: sample.tudf),
         scans=[scan.points() for scan in scans],
         rays=sum(scan.ranges.size for scan in scans),
+        known=read("known", lambda: sample.known),
+        scored=read("what scores count", lambda: scored_voxels(sample, grid, tables or {})),
         missing=tuple(missing),
     )
 
@@ -162,7 +194,7 @@ def look_into(samples: Split, index: int, guesses: Guesses | None) -> Look:
         home = samples.home(index)
         if home.graded != dataset.manifest.graded:  # the title does not tell it
             name += f", {home.graded}"
-        look = look_at(samples[index], dataset.grid, home.lidar, name)
+        look = look_at(samples[index], dataset.grid, home.lidar, name, home.tables)
     except DatasetError as error:
         raise DatasetError(f"{name} is not shown: {printable(error)}") from None
     if guesses is None:

@@ -51,7 +51,7 @@ class WorldKind(ABC):
 
     size_m: Size = (40.0, 40.0, 10.0)
     """Extent along x and y, metres; along z, how high floating solids may have their centres."""
-    # `scored_voxels` of scenegen.model.evaluation.visibility reads these two from manifests
+    # `scored_voxels` of scenegen.scored reads these two from manifests
     ground: bool = False
     """Whether there is a floor: a slab over the world's plan with its top at z = 0."""
     ground_m: float = 0.2

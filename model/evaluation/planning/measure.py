@@ -96,9 +96,23 @@ class Measurement:
     """Why the trial failed; None for a success. `start_blocked`, `goal_blocked` and `no_path` are
     the predicted map's; `initial_collides`: A*'s path, too, meets an occupied voxel of the truth;
     `refined_into_obstacle`: it does not."""
-    hit: int | None = None
-    """The first occupied voxel of the truth that the refined path meets, counted in C order; None
-    for none."""
+    hits: tuple[int, ...] = ()
+    """The occupied voxels of the truth that the refined path meets, counted in C order, each once,
+    in the order of the path."""
+    line_blocked: bool = False
+    """Whether the straight line from start to goal meets an occupied voxel of the truth. The bench
+    sets this field and the next two."""
+    hits_obstacle: bool = False
+    """Whether one of `hits` is known to be occupied: in a map of a real place, unknown voxels are
+    occupied in the truth of paths, too."""
+    hits_crossed_only: bool = False
+    """Whether a ray crossed every obstacle voxel among `hits`. The sensor saw these voxels to be
+    free; they are occupied because a surface cuts a part of them off."""
+
+    @property
+    def hit(self) -> int | None:
+        """The first of `hits`; None without any."""
+        return self.hits[0] if self.hits else None
 
 
 def run_trial(
@@ -171,9 +185,9 @@ def judge(
     voxels = voxels_of(points, grid)
     met_m = map_coordinates(distance, points.T / grid.voxel_m - 0.5, np.float64, 1, mode="nearest")
     length_m = float(gaps.sum())
-    hits = voxels[truth[voxels]]
+    hits = tuple(dict.fromkeys(voxels[truth[voxels]].tolist()))
     cause = None
-    if len(hits):
+    if hits:
         collides = truth[met(initial, grid)].any()
         cause = "initial_collides" if collides else "refined_into_obstacle"
     return Measurement(
@@ -182,8 +196,18 @@ def judge(
         min_clearance_m=float(met_m.min()),
         mean_clearance_m=float(gaps @ (met_m[1:] + met_m[:-1]) / 2 / length_m),
         cause=cause,
-        hit=int(hits[0]) if len(hits) else None,
+        hits=hits,
     )
+
+
+def line_blocked(
+    occupancy_truth: Mask, goal: ArrayLike, grid: GridSpec, config: PlanConfig
+) -> bool:
+    """Whether the straight line from the start to `goal` (3,), map frame, metres, meets an occupied
+    voxel of the truth (*grid.shape), by the rule of `Measurement.success`."""
+    lattice = Lattice(grid, config.step_voxels)
+    line = np.stack([lattice.centres(lattice.start), np.asarray(goal, float)])
+    return bool(occupancy_truth.reshape(-1)[met(line, grid)].any())
 
 
 def stations(path: Floats) -> tuple[Floats, Floats]:

@@ -9,7 +9,7 @@ import pytest
 from scenegen.errors import DatasetError
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.methods import Predicted
-from scenegen.model.evaluation.run import tune
+from scenegen.model.evaluation.thresholds import tune
 from tests.model.evaluation.test_bench import report_of, write_predictions
 
 
