@@ -14,9 +14,6 @@ from scenegen.model.evaluation.run import DatasetResult, MethodResult
 from scenegen.model.evaluation.statistics import holm, paired_p, summarise
 from scenegen.model.evaluation.visibility import CLASSES
 
-REGIONS: dict[str, Any] = {"map": {}, "unobserved": {"region": 1}, "unmarked": {"marked": False}}
-"""What `Metric.tested` names, as options of `MethodResult.values`."""
-
 
 def summaries(
     method: MethodResult,
@@ -24,13 +21,12 @@ def summaries(
     metrics: Mapping[str, Metric],
     region: int = 0,
     chosen: Any = True,
-    marked: bool = True,
 ) -> Json:
     """`summarise` of what `MethodResult.values` gives for each metric, of the `chosen` trials
     alone."""
     return {
         name: summarise(
-            np.where(chosen, method.values(name, region, marked=marked), np.nan),
+            np.where(chosen, method.values(name, region), np.nan),
             result.worlds_of(name),
             metric.scale,
         )
@@ -63,7 +59,7 @@ def planning_of(found: MethodResult, result: DatasetResult) -> Json:
     causes = (trial.cause for trial in found.trials if trial.cause is not None)
     unmarked = {}
     if found.unmarked:
-        unmarked = {"unmarked": summaries(found, result, PLAN_METRICS, marked=False)}
+        unmarked = {"unmarked": summaries(found.without_marks, result, PLAN_METRICS)}
     return {
         **summaries(found, result, PLAN_METRICS),
         **unmarked,
@@ -90,7 +86,11 @@ def paired_tests(result: DatasetResult, rng: np.random.Generator) -> list[Json]:
     found = []
     for (first, one), (second, other) in combinations(result.methods.items(), 2):
         for region, name in tested:
-            a, b = (of.values(name, **REGIONS[region]) for of in (one, other))
+            if region == "unmarked":
+                pair = one.without_marks, other.without_marks
+            else:
+                pair = one, other
+            a, b = (method.values(name, int(region == "unobserved")) for method in pair)
             worlds = result.worlds_of(name)
             gained = summarise(a - b, worlds, "gain" if name in PLAN_METRICS else "amount")
             title = name if region == "map" else f"{region}_{name}"

@@ -51,7 +51,7 @@ class MethodResult:
     thresholds: Thresholds
     """The tuned ones."""
     trials: tuple[Measurement, ...]
-    unmarked: tuple[Measurement, ...]
+    unmarked: tuple[Measurement, ...] = ()
     """The same trials in maps of real places, planned without knowing which voxels are unknown in
     the map: in `trials`, the planner holds these for occupied. () where all is known."""
     learned: bool
@@ -61,12 +61,16 @@ class MethodResult:
     careful: list[Floats]
     """(settings, figures) of each trial that was studied."""
 
-    def values(self, metric: str, region: int = 0, *, marked: bool = True) -> Floats:
+    @property
+    def without_marks(self) -> "MethodResult":
+        """The method with the trials of `unmarked`."""
+        return replace(self, trials=self.unmarked)
+
+    def values(self, metric: str, region: int = 0) -> Floats:
         """A metric by its name: of every map, (N,), over a region of `reconstruction`, or of every
-        trial, (trials,), in `trials`, or, if not `marked`, in `unmarked`."""
+        trial, (trials,)."""
         if metric in PLAN_METRICS:
-            trials = self.trials if marked else self.unmarked
-            return np.array([PLAN_METRICS[metric].of(trial) for trial in trials], float)
+            return np.array([PLAN_METRICS[metric].of(trial) for trial in self.trials], float)
         return self.reconstruction[:, region, [*METRICS].index(metric)]
 
 

@@ -62,11 +62,11 @@ def best_of(name: str, ious: Floats, usual: Thresholds) -> Thresholds:
     return replace(usual, **{name: float(CANDIDATES[name][int(ious.argmax())])})
 
 
-def tune(method: Method, dataset: Dataset, usual: Thresholds) -> Thresholds:
+def tune(method: Method, dataset: Dataset, thresholds: Thresholds) -> Thresholds:
     """The thresholds at which `method` has the largest mean IoU on at most `MAX_TUNING_SAMPLES`
     validation samples, evenly spread: the same rule for every method.
 
-    If all do equally well, or the method predicts nothing of the validation split, `usual`.
+    If all do equally well, or the method predicts nothing of the validation split, `thresholds`.
     """
     split = dataset.split("val")
     rows, name = [], ""
@@ -75,8 +75,8 @@ def tune(method: Method, dataset: Dataset, usual: Thresholds) -> Thresholds:
         try:
             completion = method.completion(sample, split)
         except KeyError:  # a file that predicts the test split alone
-            return usual
+            return thresholds
         name = judged_by(completion)
         scored = scored_voxels(sample, dataset.grid, split.home(index).tables)
         rows.append(ious_by_threshold(completion, sample.occupancy, scored))
-    return best_of(name, np.mean(rows, axis=0), usual) if rows else usual
+    return best_of(name, np.mean(rows, axis=0), thresholds) if rows else thresholds

@@ -20,12 +20,17 @@ from scenegen.model.completion.unlearned import Returns
 from scenegen.model.config import BenchConfig, PlanConfig, Thresholds
 from scenegen.model.evaluation.methods import METHODS, Completed, Predicted, Truth, find_method
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
-from scenegen.model.evaluation.report import build_report
-from scenegen.model.evaluation.run import bench
+from scenegen.model.evaluation.planning.astar import plan_path
+from scenegen.model.evaluation.planning.refine import refine
+from scenegen.model.evaluation.report import build_report, to_markdown
+from scenegen.model.evaluation.run import bench, trials_of
+from scenegen.model.evaluation.visibility import Case
 from scenegen.run.workers import Local
+from scenegen.sample import rng_of
 from tests.conftest import dataset_in, small_recipe
 
 CONFIG = BenchConfig(trials=20, plan=PlanConfig(step_voxels=2))
+ROWS = ["empty", "returns", "conservative", "extrude", "truth"]
 
 
 class Nothing:
@@ -123,7 +128,7 @@ def test_the_report_holds_every_figure_in_its_place(dataset, tmp_path, capsys):
     report = report_of(dataset, tmp_path / "bench", "--json")
     assert json.loads(capsys.readouterr().out) == report
     for table, names in (("reconstruction", METRICS), ("planning", PLAN_METRICS)):
-        assert list(report[table]["pillar"]) == ["returns", "conservative", "extrude", "truth"]
+        assert list(report[table]["pillar"]) == ROWS
         for row in report[table]["pillar"].values():
             assert all(set(row[name]) == {"mean", "std", "low", "high", "n"} for name in names)
     returns = report["reconstruction"]["pillar"]["returns"]
@@ -191,6 +196,54 @@ def test_trials_in_which_all_succeed_are_told_by_what_may_have_learned(dataset):
     rows = [reference["truth"][chosen]["length"] for chosen in ("all_succeed", "successes")]
     assert rows[0]["n"] == rows[1]["n"] > 0
     assert not any(find_method(name).learned for name in METHODS.builtin)
+
+
+def hits_of(path, occupied, grid):
+    """The occupied voxels among those that hold points of a path at most 0.05 m apart, (hits,
+    3)."""
+    counts = np.ceil(np.linalg.norm(np.diff(path, axis=0), axis=1) / 0.05 - 1e-9).astype(int)
+    legs = [np.linspace(*ends, n + 1) for *ends, n in zip(path, path[1:], counts, strict=False)]
+    voxels = np.unique(np.floor(np.concatenate(legs) / grid.voxel_m).astype(int), axis=0)
+    return voxels[occupied[tuple(voxels.T)]]
+
+
+def test_trials_with_a_free_line_and_hits_in_crossed_voxels_are_counted_apart(dataset):
+    """As computed from the sample and the path: a straight line, and the path of a planner whose
+    map is empty."""
+    config = dataclasses.replace(CONFIG, trials=400)
+    result = bench(dataset, [find_method("empty"), Truth()], config)
+    report = build_report([result], seed=0, about={})
+    split, grid, plan = dataset.split("test"), dataset.grid, config.plan
+    free, far = np.zeros(grid.shape, bool), np.full(grid.shape, 2.0, np.float32)
+    lines, rows = [], []
+    for index, turn in result.trial_places:
+        sample = split[index]
+        case = Case(sample, index, split)
+        goal = trials_of(case, plan, turn + 1, rng_of(config.seed, index)).goals[turn]
+        path = refine(plan_path(free, goal, grid, plan).waypoints, far, grid, plan)
+        middle = (np.array(grid.shape) // 2 + 0.5) * grid.voxel_m
+        lines.append(len(hits_of([middle, goal], sample.occupancy, grid)) > 0)
+        hits = hits_of(path, sample.occupancy, grid)
+        crossed = sample.free[tuple(hits.T)]
+        rows.append((len(hits) == 0, len(hits) > 0, len(hits) > 0 and crossed.all()))
+    success, hit, crossed_only = np.array(rows, float).T
+    lines = np.array(lines)
+    assert 0 < lines.sum() < len(lines)
+    assert 0 < crossed_only.sum() < hit.sum()
+    empty = result.methods["empty"]
+    assert_array_equal(empty.values("success"), success)
+    assert_array_equal(empty.values("success_blocked"), np.where(lines, success, np.nan))
+    assert_array_equal(empty.values("hits"), hit)
+    assert_array_equal(empty.values("crossed_hits"), crossed_only)
+    assert report["datasets"]["pillar"]["blocked_lines"] == lines.sum()
+    planned = report["planning"]["pillar"]
+    assert planned["empty"]["success_blocked"]["mean"] == pytest.approx(success[lines].mean())
+    assert planned["truth"]["success_blocked"]["n"] == lines.sum()
+    assert "unmarked" not in planned["truth"]
+    tested = [test["metric"] for test in report["tests"]["pillar"]]
+    assert tested[-2:] == ["success_blocked", "success"]
+    counted = f"on {lines.sum()} an obstacle blocks the straight line to the goal, on"
+    assert f"400 planning trials: {counted} {400 - lines.sum()} it is free" in to_markdown(report)
 
 
 class Plain(Nothing):

@@ -10,7 +10,7 @@ from scipy import stats
 from lidarsim import GridSpec
 from scenegen.draw import draw_unit
 from scenegen.model.completion.protocol import Prediction
-from scenegen.model.completion.unlearned import Conservative, Extrude, Returns
+from scenegen.model.completion.unlearned import Conservative, Empty, Extrude, Returns
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.metrics import METRICS, measure
 from scenegen.model.evaluation.visibility import (
@@ -136,12 +136,12 @@ def test_what_is_not_known_counts_nowhere_and_is_solid_for_plans(rng):
     recipe = small_recipe("geometric")
     drawn = samples_of(recipe)[0]
     grid = recipe.grid
-    assert certain_distances(drawn, grid) is None
+    assert certain_distances(drawn.tudf, None, grid) is None
     known = rng.random(grid.shape) < 0.9
     sample = replace(drawn, known=known, ray_known=np.ones(drawn.ranges.shape, bool))
     scored = scored_voxels(sample, grid, {})
     assert_array_equal(scored, known)
-    certain = certain_distances(sample, grid)
+    certain = certain_distances(sample.tudf, known, grid)
     other = distance_field(drawn.occupancy | (~known & (rng.random(grid.shape) < 0.5)), grid)
     assert_array_equal(other[certain], drawn.tudf[certain])
     classes, rows = np.where(scored, np.uint8(0), np.uint8(UNSCORED)), []
@@ -165,6 +165,9 @@ def test_unlearned_methods_do_what_they_say():
     observed[2, 3, 2] = free[2, 3, 4] = free[2, 3, 0] = observed[4, 4, 0] = True
     free[4, 4, 1] = free[1, 1, :] = True
     at = Thresholds()
+    empty = Empty().complete(observed, free, grid=GRID)
+    assert not empty.occupied(at).any()
+    assert (empty.distance(at, GRID) == GRID.truncation_m).all()
     assert_array_equal(Returns().complete(observed, free, grid=GRID).occupied(at), observed)
     assert_array_equal(Conservative().complete(observed, free, grid=GRID).occupied(at), ~free)
     extruded = Extrude().complete(observed, free, grid=GRID).occupied(at)

@@ -7,24 +7,38 @@ import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F  # noqa: N812 (its usual name)
+from scipy.spatial import cKDTree
 
 import scenegen
 from lidarsim import Lidar, Pose, cast
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
 from scenegen.dataset.generation import plan_generation
 from scenegen.dataset.read import Dataset
+from scenegen.display.look import Guess, look_into
 from scenegen.errors import SceneError
-from scenegen.model.config import LossConfig, NetworkConfig, TrainConfig
+from scenegen.model.completion.protocol import Prediction
+from scenegen.model.config import BenchConfig, LossConfig, NetworkConfig, TrainConfig
+from scenegen.model.evaluation.methods import Truth, find_method
+from scenegen.model.evaluation.metrics import METRICS, measure
+from scenegen.model.evaluation.planning.astar import plan_path
+from scenegen.model.evaluation.planning.refine import refine
+from scenegen.model.evaluation.report import build_report, tables
+from scenegen.model.evaluation.run import bench, trials_of
+from scenegen.model.evaluation.visibility import Case
 from scenegen.model.losses import Coupled
 from scenegen.model.network import Output
 from scenegen.model.training.data import Maps, load, opened
 from scenegen.model.training.loop import train
+from scenegen.sample import rng_of
+from scenegen.scored import scored_voxels
 from scenegen.share.stage import Request, stage
+from scenegen.truth import distance_field
 from scenegen.verification import verify
 from scenegen.verification.rays import MapAuditor
 from scenegen.worlds.flight import Flight, fly
 from scenegen.worlds.place import parse_npz, read_place
 from tests.command_line import done, refused, rows, run
+from tests.model.evaluation.test_bench import hits_of
 from tests.scenegen.conftest import built
 
 RECIPE = """
@@ -190,6 +204,79 @@ def test_bench_scores_what_is_known(dataset, tmp_path, capsys, monkeypatch):
         assert about["note"] in text
     assert about["note"].startswith(f"{100 * about['known_share']:.1f} % of the grid is known")
     assert run(capsys, f"bench {dataset} --study -o {out}")[0] == 1
+
+
+def test_planning_in_a_place_is_scored_with_unknown_voxels_marked_and_not_marked(dataset):
+    """As computed from the paths of a planner that holds nothing for occupied, or the unknown."""
+    places = Dataset(dataset)
+    config = BenchConfig(split="train", trials=60)
+    result = bench(places, [find_method("empty"), Truth()], config)
+    split, grid = places.split("train"), places.grid
+    rows = {"trials": [], "unmarked": []}
+    for index, turn in result.trial_places:
+        sample = split[index]
+        case = Case(sample, index, split)
+        goal = trials_of(case, config.plan, turn + 1, rng_of(config.seed, index)).goals[turn]
+        for which, blocked in (
+            ("trials", ~sample.known), ("unmarked", np.zeros(grid.shape, bool)),
+        ):  # fmt: skip
+            plan = plan_path(blocked, goal, grid, config.plan)
+            path = refine(plan.waypoints, distance_field(blocked, grid), grid, config.plan)
+            solid = hits_of(path, sample.occupancy | ~sample.known, grid)
+            known = sample.occupancy[tuple(solid.T)]
+            rows[which].append((len(solid) == 0, known.any()))
+    empty, truth = result.methods.values()
+    for which, found in (("trials", empty), ("unmarked", empty.without_marks)):
+        assert [*zip(found.values("success"), found.values("hits"), strict=True)] == rows[which]
+    assert rows["trials"] != rows["unmarked"]
+    assert truth.without_marks.values("success").mean() < truth.values("success").mean()
+    report = build_report([result], seed=0, about={})
+    shown = {name: metrics for name, metrics, *_ in tables(report, "scene")}
+    names = ("planning, unknown voxels not marked", "planning, unknown voxels marked")
+    assert tuple(shown)[1:] == names
+    assert all(next(iter(shown[name])) == "hits" for name in names)
+    unmarked = report["planning"]["scene"]["empty"]["unmarked"]["hits"]["mean"]
+    assert unmarked == pytest.approx(np.mean([hit for _, hit in rows["unmarked"]]))
+    tests = {test["metric"]: test["difference"] for test in report["tests"]["scene"]}
+    gained = empty.without_marks.values("hits") - truth.without_marks.values("hits")
+    assert tests["unmarked_hits"] == pytest.approx(gained.mean())
+
+
+def test_pages_and_pictures_score_known_voxels_as_the_bench_does(dataset):
+    """A prediction that holds all unknown space for occupied, which nobody can judge."""
+    places = Dataset(dataset)
+    split = places.split("train")
+    index = int(np.argmin([sample.known.mean() for sample in split]))
+    sample, grid = split[index], places.grid
+    occupied = sample.observed | ~sample.known
+    prediction = Prediction(occupancy_probability=occupied.astype(np.float32))
+    guess = Guess(name="a", occupied=occupied, tudf=None)
+    look = look_into(split, index, lambda *of: [guess])
+    shown = scenegen.show(sample, prediction, out=dataset.parent / "shown.html")
+    known, truth = sample.known, sample.occupancy
+    both = np.count_nonzero(occupied & truth & known)
+    either = np.count_nonzero((occupied | truth) & known)
+    missed = np.count_nonzero(truth & ~occupied & known)
+    invented = np.count_nonzero(occupied & ~truth & known)
+    assert invented < np.count_nonzero(occupied & ~truth) / 2
+    # known to be within the truncation, for no voxel of unknown space is nearer
+    unknown = grid.centres(np.zeros(3))[~known]
+    gaps = cKDTree(unknown).query(grid.centres(np.zeros(3)).reshape(-1, 3))[0].reshape(grid.shape)
+    certain = sample.tudf <= np.minimum(gaps, grid.truncation_m) + 1e-6
+    for seen, name in ((look, "a"), (shown.looks[0], "prediction")):
+        figures = seen.figures()
+        iou = f"IoU {both / either:.3f}"
+        assert figures[name] == f"{iou}, {missed} missed, {invented} invented"
+        assert seen.iou(seen.guesses[0]) == iou
+        assert figures["known"] == f"{100 * known.mean():.2f} %"
+        assert figures["occupancy"] == f"{100 * truth[known].mean():.2f} % of known voxels"
+        assert figures["mean distance"] == f"{sample.tudf[certain].mean():.2f} m where certain"
+    scored = scored_voxels(sample, grid, split.home(index).tables)
+    measured = measure(
+        occupied, sample.tudf, truth, sample.tudf,
+        classes=np.where(scored, np.uint8(0), np.uint8(255)), class_count=1,
+    )[0]  # fmt: skip
+    assert measured[[*METRICS].index("iou")] == pytest.approx(both / either)
 
 
 def test_networks_learn_from_what_is_known(dataset, tmp_path):

@@ -9,7 +9,7 @@ from scipy.interpolate import RegularGridInterpolator
 from lidarsim import GridSpec
 from scenegen.model.config import PlanConfig
 from scenegen.model.evaluation.planning.astar import Lattice, Plan, plan_path
-from scenegen.model.evaluation.planning.measure import draw_trials, judge, run_trial
+from scenegen.model.evaluation.planning.measure import draw_trials, judge, line_blocked, run_trial
 from scenegen.model.evaluation.planning.refine import refine
 from scenegen.truth import distance_field
 
@@ -107,3 +107,28 @@ def test_a_path_that_leaves_the_map_is_refused():
         path = np.array([[2.0] * 3, [end] * 3])
         with pytest.raises(ValueError, match="leaves the map"):
             judge(Plan(path, None), path, FREE, FAR, GRID)
+
+
+def test_hits_are_the_occupied_voxels_of_a_path_in_its_order():
+    truth = FREE.copy()
+    truth[30, 20, 10] = truth[25:27, 20, 10] = True  # the last voxel of the path is number 30
+    truth[35, 20, 10] = True  # beyond it
+    path = LATTICE.centres([[6, 6, 3], [9, 6, 3]])
+    path[1, 0] += 0.2
+    judged = judge(Plan(path, None), path, truth, FAR, GRID)
+    numbers = np.arange(truth.size).reshape(GRID.shape)
+    assert judged.hits == tuple(numbers[[25, 26, 30], 20, 10].tolist())
+    assert judged.hit == judged.hits[0]
+    assert judge(Plan(path, None), path, FREE, FAR, GRID).hit is None
+
+
+def test_a_line_is_blocked_where_success_would_count_a_hit():
+    start, outcomes = LATTICE.centres(LATTICE.start), []
+    for seed in range(4):
+        truth = scattered(seed)
+        for goal in trials_in(truth, 10, seed).goals:
+            line = np.stack([start, goal])
+            outcomes.append(line_blocked(truth, goal, GRID, PLAN))
+            assert outcomes[-1] == (not is_clear(line, truth))
+            assert outcomes[-1] == (not judge(Plan(line, None), line, truth, FAR, GRID).success)
+    assert set(outcomes) == {True, False}
