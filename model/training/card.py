@@ -16,7 +16,13 @@ from scenegen.model.evaluation.metrics import METRICS
 
 Scalars = dict[str, float]
 """Figures of a step or an epoch, by name."""
-PANELS = {"loss": ("train_loss", "val_loss"), "IoU": ("val_iou",), "Near-MAE, m": ("val_near_mae",)}
+PANELS = {
+    "loss": ("train_loss", "val_loss"),
+    "IoU": ("val_iou", "val_best_iou"),
+    "Near-MAE, m": ("val_near_mae",),
+}
+LATER = "val_best_iou"
+"""A column that runs of earlier versions lack."""
 
 
 def read_rows(path: Path) -> list[Scalars]:
@@ -30,7 +36,7 @@ def read_rows(path: Path) -> list[Scalars]:
         ]
     except (ValueError, TypeError, AttributeError, csv.Error):
         rows = []
-    needed = {"epoch", *(name for names in PANELS.values() for name in names)}
+    needed = {"epoch", *(name for names in PANELS.values() for name in names)} - {LATER}
     if not rows or not all(
         needed <= row.keys() and all(map(math.isfinite, row.values())) for row in rows
     ):
@@ -52,7 +58,7 @@ def draw(rows: list[Scalars], *, title: str = "") -> Any:
         for column in columns:
             axes.plot(
                 [row["epoch"] for row in rows],
-                [row[column] for row in rows],
+                [row.get(column, math.nan) for row in rows],
                 marker=".",
                 label=column,
             )

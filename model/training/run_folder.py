@@ -266,6 +266,13 @@ def _grows(there: Json, asked: Json) -> bool:
     return asked["schedule"] != "cosine" and None not in (old, new) and bool(new > old)
 
 
+FACTS = (
+    "epoch", "val_loss", "val_iou", "val_best_iou", "val_best_probability", "val_best_distance_m",
+    "val_near_mae",
+)  # fmt: skip
+"""Figures of the best epoch that `run_facts` gives."""
+
+
 def run_facts(folder: Path) -> Json:
     """A training run's folder: what was trained on what, and how far it came. Raises
     DatasetError."""
@@ -279,5 +286,5 @@ def run_facts(folder: Path) -> Json:
         "kinds": settings["kinds"],
         "samples": settings["samples"],
         "epochs": len(rows),
-        "best": {name: best[name] for name in ("epoch", "val_loss", "val_iou", "val_near_mae")},
+        "best": {name: best[name] for name in FACTS if name in best},
     }

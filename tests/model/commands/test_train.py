@@ -1,5 +1,6 @@
 """`scenegen train`, `complete`, `export`, `networks` and `bench --weights` as users meet them."""
 
+import csv
 import json
 import os
 import signal
@@ -11,10 +12,13 @@ import numpy as np
 import pytest
 import torch
 
+from lidarsim.grid import iou
 from scenegen import __main__ as cli
 from scenegen.cli import stops
+from scenegen.dataset.read import Dataset
 from scenegen.display.exchange.files import write_points
 from scenegen.model.checkpoint import load_network, save_network
+from scenegen.model.completion.completer import Completer
 from scenegen.model.config import LossConfig
 from scenegen.model.evaluation.metrics import METRICS
 from tests.command_line import done, refused, rows, run
@@ -33,6 +37,7 @@ def settings_of(run):
 def test_train_complete_and_bench_work_together(here, capsys):
     said = done(capsys, "train", "--epochs", 2, "--lambda-occupancy", 0.7, *QUICK)
     assert "best: epoch" in said
+    check_best_iou(said, here)
     assert settings_of(here / "runs" / "proposed")["network"]["width"] == 4
     best = here / "runs" / "proposed" / "best.safetensors"
     network, grid, about = load_network(best)
@@ -50,9 +55,11 @@ def test_train_complete_and_bench_work_together(here, capsys):
     )
     with h5py.File("predictions/test-00000.h5") as file:
         assert set(file) == {"occupancy_probability", "tudf", "world", "viewpoint"}
-    words = "bench --weights runs/proposed --predictions predictions --method returns --quick"
-    done(capsys, f"{words} --workers 1")
+    words = "bench --weights mine=runs/proposed --weights runs/proposed --method returns"
+    done(capsys, f"{words} --predictions predictions --quick --workers 1")
     report = json.loads((here / "bench" / "report.json").read_text())["reconstruction"]["pillar"]
+    assert list(report) == ["returns", "mine", "proposed", "predictions"]
+    assert report["mine"] == report["proposed"]
     assert report["proposed"]["near_mae"]["mean"] == pytest.approx(
         report["predictions"]["near_mae"]["mean"], abs=1e-4
     )
@@ -76,6 +83,23 @@ def test_train_complete_and_bench_work_together(here, capsys):
     assert "what another command began" in refused(capsys, f"{words} --sensor 0 0 1")
 
 
+def check_best_iou(said, here):
+    """What `train` says of IoU at both thresholds is what its network reaches on validation."""
+    *_, last = csv.DictReader((here / "runs" / "proposed" / "metrics.csv").open())
+    split = Dataset(here / "data" / "pillar").split("val")
+    complete = Completer.from_pretrained(here / "runs" / "proposed")
+    maps = [(complete(sample).occupancy_probability, sample.occupancy) for sample in split]
+    ious = {
+        at: np.mean([iou(said > np.float32(at), truth) for said, truth in maps])
+        for at in np.arange(5, 100, 5) / 100
+    }
+    best = max(ious, key=ious.get)
+    assert float(last["val_best_iou"]) == pytest.approx(ious[best], abs=1e-5)
+    assert float(last["val_best_probability"]) == pytest.approx(best)
+    paper = f"IoU {ious[0.85]:.3f} at the paper's threshold 0.85"
+    assert f"{paper}, {ious[best]:.3f} at the best, {best:g}" in said
+
+
 def test_a_stream_trains_without_a_dataset(here, small, capsys):
     mixed = f"--stream {small}=2 --stream geometric.toml --stream-seed 3 --interval 8"
     words = (*mixed.split(), *QUICK)
@@ -96,6 +120,8 @@ complete pickle.pt -o new.pt            → nor a scan
 complete data/pillar -o /dev/null       → /dev/null: is not a regular file
 complete data/pillar --weights pickle.pt     → pickled checkpoint
 bench --method returns --method returns → two rows are called 'returns'
+bench --weights a=columns --weights a=occ    → two rows are called 'a'; name a network's row
+bench --weights a=column                     → did you mean 'columns'?
 bench data/pillar --method extrud       → did you mean 'extrude'?
 bench data/pillar data/pillar           → two datasets of one kind
 """

@@ -209,7 +209,7 @@ def test_bench_scores_what_is_known(dataset, tmp_path, capsys, monkeypatch):
 def test_planning_in_a_place_is_scored_with_unknown_voxels_marked_and_not_marked(dataset):
     """As computed from the paths of a planner that holds nothing for occupied, or the unknown."""
     places = Dataset(dataset)
-    config = BenchConfig(split="train", trials=60)
+    config = BenchConfig(split="train", trials=600)
     result = bench(places, [find_method("empty"), Truth()], config)
     split, grid = places.split("train"), places.grid
     rows = {"trials": [], "unmarked": []}
