@@ -80,7 +80,8 @@ class Completed:
     away: bool
     """Whether the network is away from home, see `Prediction.away`."""
     iou: float | None
-    """Of the prediction, over the voxels that the truth knows; None without a truth."""
+    """Of the prediction at the thresholds that `predict_scan` takes, over the voxels that the truth
+    knows; None without a truth."""
 
     def __str__(self) -> str:
         outside = self.points - self.without - self.inside
@@ -97,7 +98,7 @@ class Completed:
                 f"{self.completer} denies an unusual share of them, as where it is away from home"
             )
         if self.iou is not None:
-            parts.append(f"IoU {self.iou:.3f}")
+            parts.append(f"IoU {self.iou:.3f} at the paper's threshold")
         return "; ".join(parts)
 
 
@@ -259,8 +260,8 @@ def summary(done: Sequence[Completed]) -> list[str]:
         lines.append(f"{away} of {len(done)} scans are away from home for {done[0].completer}")
     if ious:
         lines.append(
-            f"IoU {np.mean(ious):.3f} in the mean of {len(ious)} observations, over what their "
-            "log knows"
+            f"IoU {np.mean(ious):.3f} at the paper's threshold, in the mean of {len(ious)} "
+            "observations, over what their log knows"
         )
     return lines
 

@@ -55,9 +55,9 @@ def build_report(results: Sequence[DatasetResult], *, seed: int, about: Json) ->
         if result.known_share < 1:
             partly = (
                 f"{100 * result.known_share:.1f} % of the grid is known in the mean: scores count "
-                "known voxels alone, and a path through unknown voxels fails. Planning is scored "
-                "twice: with unknown voxels marked as occupied, which shows the planner where the "
-                "place ends, and not marked"
+                "known voxels alone, and a path that leaves known space fails. Planning is scored "
+                "twice: with known space marked (all other voxels are occupied to the planner, "
+                "which shows it where the place ends), and not marked"
             )
         report["datasets"][result.kind] = {
             "digest": str(result.dataset.manifest.digest),
@@ -130,8 +130,8 @@ def tables(report: Json, kind: str) -> Iterator[tuple[str, Mapping[str, Metric],
     # in real places, success depends on where the map ends; hits of known obstacles do not
     metrics = {"hits": PLAN_METRICS["hits"], **PLAN_METRICS}
     unmarked = {name: row["unmarked"] for name, row in planning.items()}
-    yield "planning, unknown voxels not marked", metrics, unmarked, paper
-    yield "planning, unknown voxels marked", metrics, planning, paper
+    yield "planning, known space not marked", metrics, unmarked, paper
+    yield "planning, known space marked", metrics, planning, paper
 
 
 class Table(NamedTuple):

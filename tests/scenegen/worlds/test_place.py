@@ -232,7 +232,7 @@ def test_planning_in_a_place_is_scored_with_unknown_voxels_marked_and_not_marked
     assert truth.without_marks.values("success").mean() < truth.values("success").mean()
     report = build_report([result], seed=0, about={})
     shown = {name: metrics for name, metrics, *_ in tables(report, "scene")}
-    names = ("planning, unknown voxels not marked", "planning, unknown voxels marked")
+    names = ("planning, known space not marked", "planning, known space marked")
     assert tuple(shown)[1:] == names
     assert all(next(iter(shown[name])) == "hits" for name in names)
     unmarked = report["planning"]["scene"]["empty"]["unmarked"]["hits"]["mean"]
