@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from lidarsim.grid import Floats, Mask
+from lidarsim.jit import kernel
 from scenegen.dataset.read import Dataset
 from scenegen.display.look import evenly
 from scenegen.model.completion.protocol import Prediction, plain
@@ -41,17 +42,31 @@ def ious_by_threshold(prediction: Prediction, truth: Mask, scored: Mask) -> Floa
     name = judged_by(prediction)
     edges = CANDIDATES[name].astype(np.float32)  # as `Prediction.occupied` compares
     by_probability = name == "probability"
-    values = plain(prediction.occupancy_probability if by_probability else prediction.tudf)[scored]
-    # how many candidates a voxel's probability exceeds, or its distance does not fall below
-    passed = np.searchsorted(edges, values, side="left" if by_probability else "right")
-    bins, occupied = len(edges) + 1, truth[scored]
-    histogram = np.bincount(passed + bins * occupied, minlength=2 * bins).reshape(2, bins)
-    below = histogram.cumsum(axis=1)[:, :-1]  # voxels with at most n passed, for candidate n
+    values = plain(prediction.occupancy_probability if by_probability else prediction.tudf)
+    values = values.astype(np.result_type(values, np.float32))  # halves and bits, too
+    counts = np.zeros((2, len(edges) + 1), np.int64)
+    grids = (np.ascontiguousarray(grid).reshape(-1) for grid in (values, truth, scored))
+    _count(*grids, edges, not by_probability, counts)
+    alarms, hits = counts.cumsum(axis=1)[:, :-1]  # of voxels that pass at most n edges, for edge n
+    free, occupied = counts.sum(axis=1)
     if by_probability:
-        below = histogram.sum(axis=1, keepdims=True) - below
-    alarms, hits = below
-    union = alarms + np.count_nonzero(occupied)
+        alarms, hits = free - alarms, occupied - hits
+    union = alarms + occupied
     return np.where(union, hits / np.maximum(union, 1), 1.0)
+
+
+@kernel
+def _count(values, truth, scored, edges, ties, counts):
+    """Count the scored voxels (voxels,) by the truth and by how many `edges` their value exceeds,
+    or, with `ties`, reaches."""
+    for v in range(len(values)):
+        if scored[v]:
+            passed = 0
+            while passed < len(edges) and (
+                edges[passed] < values[v] or (ties and edges[passed] == values[v])
+            ):
+                passed += 1
+            counts[1 if truth[v] else 0, passed] += 1
 
 
 def best_of(name: str, ious: Floats, usual: Thresholds) -> Thresholds:

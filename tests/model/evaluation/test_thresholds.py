@@ -26,6 +26,12 @@ def test_ious_are_those_of_the_masks_at_each_threshold(rng, name, part):
     ]
     found = ious_by_threshold(prediction, truth, scored)
     assert found.tolist() == expected
+    for kind in (bool, np.float16):
+        other = Prediction(**{part: values.astype(kind)})
+        usual = Thresholds()
+        at = CANDIDATES[name].tolist().index(getattr(usual, name))
+        reached = ious_by_threshold(other, truth, scored)[at]
+        assert reached == iou(other.occupied(usual)[scored], truth[scored])
     assert len(set(expected)) > 10
     best = best_of(name, found, Thresholds())
     assert iou(prediction.occupied(best)[scored], truth[scored]) == max(expected)
