@@ -45,8 +45,8 @@ def ious_by_threshold(prediction: Prediction, truth: Mask, scored: Mask) -> Floa
     values = plain(prediction.occupancy_probability if by_probability else prediction.tudf)
     values = values.astype(np.result_type(values, np.float32))  # halves and bits, too
     counts = np.zeros((2, len(edges) + 1), np.int64)
-    grids = (np.ascontiguousarray(grid).reshape(-1) for grid in (values, truth, scored))
-    _count(*grids, edges, not by_probability, counts)
+    grids = [np.ascontiguousarray(grid).reshape(-1) for grid in (values, truth, scored)]
+    _count(*grids, edges, not by_probability, counts)  # type: ignore[call-arg]
     alarms, hits = counts.cumsum(axis=1)[:, :-1]  # of voxels that pass at most n edges, for edge n
     free, occupied = counts.sum(axis=1)
     if by_probability:
