@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -87,6 +87,14 @@ class Look:
         """Returns (M, 3) of all scans."""
         return np.concatenate(self.scans) if self.scans else None
 
+    @cached_property
+    def certain(self) -> Mask | None:
+        """The voxels whose true distance is certain, see `certain_distances`; None if all are, or
+        there are no distances."""
+        if self.tudf is None:
+            return None
+        return certain_distances(self.tudf, self.known, self.grid)
+
     def figures(self) -> dict[str, str]:
         """Statistics in words, by name."""
         shares = dict(self.masks)
@@ -105,7 +113,7 @@ class Look:
                 ranges = np.linalg.norm(own - self.position, axis=1)
                 found["mean range"] = f"{ranges.mean():.2f} m"
         if self.tudf is not None:
-            certain = certain_distances(self.tudf, self.known, self.grid)
+            certain = self.certain
             if certain is None:
                 found["mean distance"] = f"{self.tudf.mean():.2f} m"
             elif certain.any():

@@ -393,6 +393,7 @@
     scene.add(layers["#picked"] = new THREE.Box3Helper(box, rgb(data.colours.sensor)));
     const is = Object.keys(fields.masks).filter((name) => bit(fields.masks[name], ...cell));
     const distances = Object.entries(fields.tudf).map(([name, all]) => {
+      if (name === "truth" && fields.certain && !bit(fields.certain, ...cell)) return "truth not certain";
       const value = all[(cell[0] * ny + cell[1]) * nz + cell[2]] / 255;
       return `${name} ${value < 1 ? (value * sample.truncation).toFixed(2) : `${sample.truncation} or more`} m`;
     });
@@ -474,12 +475,14 @@
     const { observed, free, occupancy } = found.masks;
     if (observed && free) found.masks.unknown = observed.map((byte, n) => ~(byte | free[n]));
     if (next.tudf) found.tudf.truth = await unpack(next.tudf);
+    if (next.certain) found.certain = await unpack(next.certain);
+    const scored = next.scored && await unpack(next.scored);
     for (const { name, mask, tudf } of next.guesses) {
       const bits = found.masks[name] = await unpack(mask);
       if (tudf) found.tudf[name] = await unpack(tudf);
       if (!occupancy) continue;
-      found.masks[`${name}: missed`] = occupancy.map((byte, n) => byte & ~bits[n]);
-      found.masks[`${name}: invented`] = bits.map((byte, n) => byte & ~occupancy[n]);
+      found.masks[`${name}: missed`] = occupancy.map((byte, n) => byte & ~bits[n] & (scored ? scored[n] : 255));
+      found.masks[`${name}: invented`] = bits.map((byte, n) => byte & ~occupancy[n] & (scored ? scored[n] : 255));
     }
     if (next.points) {
       const whole = new Int16Array((await unpack(next.points)).buffer);

@@ -97,6 +97,9 @@ def packed(look: Look) -> Json:
     grid, more = look.grid, dict[str, Any]()
     if look.tudf is not None:
         more["tudf"] = _distances(look.tudf, grid)
+    for name, mask in (("scored", look.scored), ("certain", look.certain)):
+        if mask is not None and not mask.all():
+            more[name] = _bits(mask)
     if look.points is not None:
         from_sensor = look.points - look.position
         reach = float(np.abs(from_sensor).max(initial=1e-6))

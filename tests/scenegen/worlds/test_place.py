@@ -15,6 +15,7 @@ from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
 from scenegen.dataset.generation import plan_generation
 from scenegen.dataset.read import Dataset
 from scenegen.display.look import Guess, look_into
+from scenegen.display.page import packed
 from scenegen.errors import SceneError
 from scenegen.model.completion.protocol import Prediction
 from scenegen.model.config import BenchConfig, LossConfig, NetworkConfig, TrainConfig
@@ -40,6 +41,7 @@ from scenegen.worlds.place import parse_npz, read_place
 from tests.command_line import done, refused, rows, run
 from tests.model.evaluation.test_bench import hits_of
 from tests.scenegen.conftest import built
+from tests.scenegen.display.test_page import unpacked
 
 RECIPE = """
 kind = "scene"
@@ -271,6 +273,10 @@ def test_pages_and_pictures_score_known_voxels_as_the_bench_does(dataset):
         assert figures["known"] == f"{100 * known.mean():.2f} %"
         assert figures["occupancy"] == f"{100 * truth[known].mean():.2f} % of known voxels"
         assert figures["mean distance"] == f"{sample.tudf[certain].mean():.2f} m where certain"
+    data = packed(look)
+    for name, mask in (("scored", known), ("certain", certain)):
+        bits = np.unpackbits(np.frombuffer(unpacked(data[name]), np.uint8))[: mask.size]
+        assert (bits.reshape(mask.shape) == mask).all()
     scored = scored_voxels(sample, grid, split.home(index).tables)
     measured = measure(
         occupied, sample.tudf, truth, sample.tudf,
