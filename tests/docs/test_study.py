@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from scenegen.model.study.claims import PATIENCE, judged, to_markdown, waited
+from benchmarks.paper.claims import PATIENCE, judged, to_markdown, waited
 
 DOCS = Path(__file__).parents[2] / "docs"
 
