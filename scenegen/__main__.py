@@ -31,7 +31,7 @@ COMMANDS = {
             f"scenegen.model.commands.{name}": name
             for name in ("train", "complete", "bench", "fly")
         },
-        "scenegen.model.commands.networks": "calibrate export networks",
+        "scenegen.model.commands.networks": "calibrate export",
     },
     "This machine": {"scenegen.cli.doctor": "doctor completion"},
 }

@@ -49,7 +49,7 @@ publish d --repo ada/d --dry-run -o out → README.md
 publish d --repo ada/d --dry-run -o out → SHA256SUMS
 """
 """Commands and a name that each uses in the folder `out`."""
-SILENT = ("completion", "doctor", "inspect", "networks", "verify")
+SILENT = ("completion", "doctor", "inspect", "verify")
 """Commands that write no file."""
 
 

@@ -45,6 +45,7 @@ intervals → success, geometric +N +N +N
 kinds --difficulty easy hard → `geometric` \| N \| N% · N% \| N% · N \|
 kinds --difficulty easy hard → `maze` \| N · N \| N · N \| N · N; N% · N%
 mutants   → N of 1 killed
+networks  → `columns` \| 2 \| N
 odometry  → {ODOMETRY}
 peers     → `pillar` \| N .* \| N
 peers     → `SSC.et` \| N M \| 0.92 M \| N M \| N \| N
@@ -70,7 +71,7 @@ SCRIPTS = {}
 for _command, _figure in rows(FIGURES):
     SCRIPTS.setdefault(_command, []).append(_figure)
 LEARNED = {
-    *("costs", "elsewhere", "generalisation", "inference"),
+    *("costs", "elsewhere", "generalisation", "inference", "networks"),
     *("anywhere", "peers", "real", "training"),
 }
 """These import torch, which takes seconds: they run in this process, which has done so for other
