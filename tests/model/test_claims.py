@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from scenegen.model.evaluation.metrics import METRICS
-from scenegen.model.evaluation.report import PAPER
+from scenegen.model.evaluation.paper import PAPER
 from scenegen.model.study.claims import (
     ALL,
     PATIENCE,
