@@ -29,7 +29,7 @@ COMMANDS = {
     "Networks": {
         **{
             f"scenegen.model.commands.{name}": name
-            for name in ("train", "complete", "bench", "fly", "reproduce")
+            for name in ("train", "complete", "bench", "fly")
         },
         "scenegen.model.commands.networks": "calibrate export networks",
     },

@@ -113,7 +113,6 @@ completion bash
 export run -o e.onnx
 calibrate run d -o c.safetensors
 networks
-reproduce --scale 0.001 --dry-run --device cpu --workers 1
 sensors velodyne-vlp-16 -o p.png
 scan w.xml --flight --noise range:0.02 -o s.ply
 scan w.xml --flight --sequence --length 3 -o log

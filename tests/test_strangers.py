@@ -33,7 +33,6 @@ FOLDERS = f"""
 bench d --quick --method returns -o out → report.json
 train d --out out --epochs 1 --device cpu → card.md
 train d --out out --epochs 1 --device cpu → best.safetensors
-reproduce -o out --scale 0.001 --quiet  → study.md
 {GENERATE} → train-00000.h5
 {GENERATE} → rays.npy
 {GENERATE} → dataset.json

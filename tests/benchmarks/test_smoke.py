@@ -39,8 +39,6 @@ generalisation --stream {BENCHMARKS}/broad/{{}}.toml --out out → without maze:
 generate  → N samples a second and core
 generate  → everything else
 generate  → --compact: N samples in N s .* N s of proc
-gpu       → pillar +N M rays/s +N samples/s
-gpu       → \b(0) values differ
 inference → occ +stem 2:  eager +N ms
 inference → openvino +N ms
 intervals → success, geometric +N +N +N
@@ -79,7 +77,7 @@ LEARNED = {
 tests, and so do the commands that they run."""
 DEAR = LEARNED | {
     *("extras", "fly", "folders", "generate", "rehearsal"),
-    *("gpu", "mutants", "study", "verify"),
+    *("mutants", "study", "verify"),
 }
 """These take some seconds."""
 

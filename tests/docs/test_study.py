@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from scenegen.model.study.claims import PATIENCE, judged, to_markdown, waited
+from benchmarks.paper.claims import PATIENCE, judged, to_markdown, waited
+from scenegen.model.evaluation.paper import TUNED
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -18,6 +19,7 @@ def study():
 
 def test_the_page_is_made_of_the_figures(study):
     assert (DOCS / "results" / "study.md").read_text(encoding="utf-8") == to_markdown(study)
+    assert TUNED in to_markdown(study)
 
 
 def test_every_claim_has_what_its_verdict_rests_on(study):

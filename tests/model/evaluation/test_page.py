@@ -14,7 +14,6 @@ from scenegen.model.evaluation.paper import PAPER, TUNED
 from scenegen.model.evaluation.report import best, build_report, to_html, to_markdown
 from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.shown import draw_charts, draw_failures, failing
-from scenegen.model.study.claims import to_markdown as study_page
 from tests.model.evaluation.test_bench import Nothing
 from tests.scenegen.display.test_page import Seen
 
@@ -74,9 +73,6 @@ def test_the_papers_figures_stand_beside_how_presets_were_tuned(measured):
     assert (
         "paper" not in to_markdown(other) + html.unescape(to_html(other, {})).split("</style>")[1]
     )
-    study = {"settings": {"scale": 1, "maps": 1}, "runs": {}, "verdicts": {}, "claims": []}
-    study |= {"missing": [], "worlds": {}, "commit": ""}
-    assert TUNED in study_page(study)
 
 
 def test_the_best_is_the_best_as_printed_and_never_the_truth():
