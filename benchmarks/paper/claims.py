@@ -23,7 +23,8 @@ from lidarsim.grid import Floats
 from scenegen.files import Json
 from scenegen.model.config import TrainConfig
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
-from scenegen.model.evaluation.report import PAPER, summaries
+from scenegen.model.evaluation.paper import PAPER, TUNED
+from scenegen.model.evaluation.report import summaries
 from scenegen.model.evaluation.run import DatasetResult
 from scenegen.model.evaluation.statistics import (
     Estimate,
@@ -329,7 +330,7 @@ significant, and undecided otherwise. Significant means at a family-wise level o
 over worlds and training seeds, with two seeds or more of each method. A contradicted claim is
 refuted if its networks were trained for {PATIENCE} epochs after their lowest validation loss, as
 the paper's early stopping asks. A question has a verdict if all claims that `proposed` is best have
-this verdict.
+this verdict. {TUNED}
 """.strip().replace("\n", " ")
 
 

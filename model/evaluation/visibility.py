@@ -135,8 +135,10 @@ class Case:
 
 
 class Seen:
-    """The truth of the obstacles that returned something, as if it had been predicted: the ceiling
-    of any completion, for of the other obstacles a scan says nothing."""
+    """The truth of the obstacles that returned something, as if it had been predicted.
+
+    It is no upper bound. Of the other obstacles it has nothing, where a network can guess what
+    is usual in such worlds: walls of the next room, say."""
 
     name = "seen"
     learned = False
