@@ -361,8 +361,8 @@ class BenchConfig(Checked):
     """Valid planning trials a dataset, spread over its samples (the paper's number)."""
     seed: int = number(0, least=0)
     """Seed of goals and permutations."""
-    study: bool = False
-    """Whether the report has a study beside its tables, of probabilities, bounds and risks."""
+    reliability: bool = False
+    """Whether the report tells how reliable probabilities are, too."""
     thresholds: Thresholds = field(default_factory=Thresholds)
     plan: PlanConfig = field(default_factory=PlanConfig)
 

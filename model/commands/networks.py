@@ -14,7 +14,6 @@ from scenegen.cli.options import (
     find_datasets,
     out_option,
     printing,
-    seed_option,
     split_option,
 )
 from scenegen.cli.show import Progress, Tell, announce_compilation, say
@@ -37,20 +36,13 @@ def export(weights: str, out: Path | None) -> None:
     say(f"written: {out}")
 
 
-@command("calibrate columns data/pillar -o mine.safetensors", "calibrate runs/mine --trials 0")
+@command("calibrate columns data/pillar -o mine.safetensors", "calibrate runs/mine")
 @click.argument("weights", type=Weights())
 @datasets_argument
 @split_option("val", help="The split whose worlds are looked at; one that no training saw.")
 @click.option(
     "--samples", type=click.IntRange(1, MOST_SAMPLES), help="At most so many maps of each dataset."
 )
-@click.option(
-    "--trials",
-    type=click.IntRange(0, 100),
-    default=4,
-    help="Paths planned on each map at every risk; 0 leaves the risk of paths out.",
-)
-@seed_option("Decides the goals.")
 @out_option(
     "File to write.  [default: the network's own; <name>.safetensors of a bundled one, or hf://…]",
     file=True,
@@ -65,8 +57,7 @@ def calibrate(
     talk: bool,
     **options: Any,
 ) -> None:
-    """Calibrate a network: probabilities, bounds of distance, and the risk of paths, kept in its
-    file."""
+    """Calibrate a network's probabilities; the calibration is kept in its file."""
     from scenegen.files import check_ours, make_parent
     from scenegen.model.checkpoint import CheckpointError
     from scenegen.model.completion.completer import HUB, called, locate
@@ -90,11 +81,5 @@ def calibrate(
     folders = find_datasets(datasets, shown=talk)
     found = fit(weights, folders, out, **options, progress=partial(Progress, shown=talk))
     if tell(asdict(found)):
-        heat = "" if found.temperature is None else f"temperature {found.temperature:.3f}, "
-        say(f"{found.worlds} worlds: {heat}bounds down to a risk of {found.risks[-1]:g}")
-        if found.path_risks:
-            say(
-                f"paths planned on them collide in at most "
-                f"{', '.join(f'{one:.3f}' for one in found.path_risks)}"
-            )
+        say(f"{found.worlds} worlds: temperature {found.temperature:.3f}")
         say(f"written: {out}")

@@ -16,9 +16,9 @@ from scenegen.model.config import UNITS, Thresholds
 from scenegen.model.evaluation.figures import paired_tests, planning_of, reconstruction_of
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS, Metric
 from scenegen.model.evaluation.paper import PAPER, TUNED
+from scenegen.model.evaluation.reliability import reliability, reliability_tables
 from scenegen.model.evaluation.run import DatasetResult
 from scenegen.model.evaluation.statistics import caution, cell, interval, table, with_std
-from scenegen.model.evaluation.study import study_of, study_tables
 from scenegen.model.evaluation.visibility import CLASSES
 
 BEST_IOU = "best_iou"
@@ -69,9 +69,9 @@ def build_report(results: Sequence[DatasetResult], *, seed: int, about: Json) ->
         for part, figures_of in parts_of.items():
             report[part][result.kind] = {name: figures_of(found, result) for name, found in methods}
         report["tests"][result.kind] = paired_tests(result, rng)
-        if result.config.study:
-            report.setdefault("study", {})[result.kind] = {
-                name: study_of(found.studies, found.careful, result.worlds, result.trial_worlds)
+        if result.config.reliability:
+            report.setdefault("reliability", {})[result.kind] = {
+                name: reliability(np.array(found.probabilities), result.worlds) or None
                 for name, found in methods
             }
     return finite(report)
@@ -166,7 +166,8 @@ def blocks(report: Json, kind: str) -> Iterator[str | Table]:
             ],
         )
     yield _failures(report["planning"][kind])
-    yield from (Table(*table) for table in study_tables(report.get("study", {}).get(kind, {})))
+    found = report.get("reliability", {}).get(kind, {})
+    yield from (Table(*table) for table in reliability_tables(found))
     by_class = [
         (method, [cell(row["by_class"][name]["iou"]) for name in CLASSES])
         for method, row in report["reconstruction"][kind].items()

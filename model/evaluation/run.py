@@ -29,7 +29,7 @@ from scenegen.model.evaluation.planning.measure import (
     risk_of,
     run_trial,
 )
-from scenegen.model.evaluation.study import Study, study_map
+from scenegen.model.evaluation.reliability import count_map
 from scenegen.model.evaluation.thresholds import tune
 from scenegen.model.evaluation.visibility import CLASSES, UNOBSERVED, Case, walled
 from scenegen.run import Executor, check_together, chunked
@@ -56,10 +56,8 @@ class MethodResult:
     the map: in `trials`, the planner holds these for occupied. () where all is known."""
     learned: bool
     """Whether the method was trained, or may have been: see `Method.learned`."""
-    studies: tuple[Study, ...]
-    """By sample; () unless asked for."""
-    careful: list[Floats]
-    """(settings, figures) of each trial that was studied."""
+    probabilities: list[Floats]
+    """Of every map, see `scenegen.model.evaluation.reliability.count`; empty unless asked for."""
 
     @property
     def without_marks(self) -> "MethodResult":
@@ -111,8 +109,8 @@ class _MethodOnSample(NamedTuple):
     """(3 + classes, metrics)"""
     trials: list[Measurement]
     unmarked: list[Measurement]
-    study: Study | None
-    """None unless asked for."""
+    probabilities: Floats | None
+    """See `scenegen.model.evaluation.reliability.count`; None unless asked for."""
 
 
 class _SampleResult(NamedTuple):
@@ -175,8 +173,8 @@ def bench(
     """
     split = filled(dataset, config.split)
     check_middle(dataset)
-    if config.study:
-        check_whole(dataset, "leave --study out")
+    if config.reliability:
+        check_whole(dataset, "leave --reliability out")
     kind = kind or dataset.manifest.graded
     of_kind = split.by_kind().get(kind)
     if of_kind is None:
@@ -222,15 +220,15 @@ def _joined(
 ) -> MethodResult:
     """The result of a method from its results on all samples. Of `trials`, each the number of a
     trial within its sample and the number of that sample, all others are left out."""
-    studies = tuple(result.study for result in results if result.study is not None)
     return MethodResult(
         reconstruction=np.array([result.reconstruction for result in results]),
         thresholds=tuned,
         trials=tuple(results[n].trials[trial] for trial, n in trials),
         unmarked=tuple(results[n].unmarked[trial] for trial, n in trials if results[n].unmarked),
         learned=method.learned,
-        studies=studies,
-        careful=[studies[n].careful[trial] for trial, n in trials if studies],
+        probabilities=[
+            result.probabilities for result in results if result.probabilities is not None
+        ],
     )
 
 
@@ -320,9 +318,9 @@ def _bench_method(
     unmarked = []
     if sample.known is not None:
         unmarked = plan_all(prediction, case, goals, config, marked=False)
-    study = study_map(prediction, case, goals, config) if config.study else None
+    probabilities = count_map(prediction, case) if config.reliability else None
     reconstruction = np.vstack([by_thresholds[usual], by_thresholds[tuned][:1]])
-    return _MethodOnSample(reconstruction, trials, unmarked, study)
+    return _MethodOnSample(reconstruction, trials, unmarked, probabilities)
 
 
 def plan_all(

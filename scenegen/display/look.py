@@ -103,7 +103,7 @@ class Look:
         found = {name: f"{100 * mask.mean():.2f} %" for name, mask in shares.items()}
         if self.known is not None:
             found["known"] = f"{100 * self.known.mean():.2f} %"
-            if "occupancy" in shares:
+            if "occupancy" in shares and self.known.any():
                 occupied = shares["occupancy"][self.known]
                 found["occupancy"] = f"{100 * occupied.mean():.2f} % of known voxels"
         if self.points is not None:
