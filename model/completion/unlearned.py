@@ -24,7 +24,7 @@ class Returns:
 
 
 class Empty:
-    """Free everywhere, every distance at the truncation: what success needs no map for."""
+    """Free everywhere, every distance at the truncation: how much success needs no map."""
 
     name = "empty"
     learned = False
