@@ -10,7 +10,7 @@ import numpy as np
 from scenegen import SPLITS
 from scenegen.dataset import manifest, trust
 from scenegen.dataset.rules import stem_of
-from scenegen.dataset.trust import Manifest
+from scenegen.dataset.trust import Entry, Manifest
 from scenegen.errors import DatasetError, printable, raised_as, short
 from scenegen.files import names_in, sha256_in, world_digest
 from scenegen.recipes import find_kind
@@ -85,17 +85,28 @@ def _check_shards(contract: Manifest, page: Page) -> None:
                 f"{where}: shard files {entry.file}, {entry.worlds} of {split} stand where "
                 f"{stem}.h5, {stem}.worlds.zip are expected",
             )
-            full = (
-                contract.sources
-                or number == len(entries) - 1
-                or entry.samples % contract.recipe.flight.viewpoints == 0
-            )
-            page.expect(
-                full, f"{where}: {entry.file} holds {entry.samples} samples: a flight is cut"
-            )
+            _check_size(contract, entry, number == len(entries) - 1, page)
     files = {name for name in names_in(contract.folder) if name.endswith((".h5", ".zip"))}
     stray = printable(", ".join(sorted(files - contract.files.keys())[:3]))
     page.expect(not stray, f"{stray}: in the folder, but {where} does not list it")
+
+
+def _check_size(contract: Manifest, entry: Entry, is_last: bool, page: Page) -> None:
+    """Whether a shard holds as many samples as the manifest says: whole flights, unless it is the
+    last of its split; and all shards but that one alike, unless they were merged or taken."""
+    where, most = manifest.NAME, contract.shard_samples
+    if not contract.sources:
+        each = contract.recipe.flight.viewpoints
+        page.expect(
+            is_last or entry.samples % each == 0,
+            f"{where}: {entry.file} holds {entry.samples} samples: a flight is cut",
+        )
+        most = max(most // each, 1) * each
+    page.expect(
+        entry.samples <= most and (is_last or contract.sources or entry.samples == most),
+        f"{where}: {entry.file} holds {entry.samples} samples, expected {most} with "
+        f"shard_samples = {contract.shard_samples}",
+    )
 
 
 def _written_for_these_parameters(shard: Shard, page: Page) -> None:
