@@ -156,6 +156,9 @@ def _lawful(sample: Sample, page: Page) -> None:
         ranges = sample.fields.get(name, np.empty(0, np.float32))
         wrong += int((~(ranges >= 0) | ((ranges > most) & np.isfinite(ranges))).sum())
     page.expect(not wrong, f"{sample.where}: {wrong} ranges are not from 0 to {most:g} m, or inf")
+    if "known" in sample.fields:
+        unknown = np.count_nonzero(sample.fields["occupancy"] & ~sample.fields["known"])
+        page.expect(not unknown, f"{sample.where}: {unknown} voxels are occupied and not known")
     noise = sample.contract.noise
     if noise is None:
         stray = np.bitwise_count(sample.packed["observed"] & ~sample.packed["occupancy"]).sum()

@@ -64,7 +64,8 @@ def _flown(sample: Sample, page: Page) -> None:
             f"{low.tolist()} and {high.tolist()}, where the recipe's flights keep",
         )
     earlier = sample.fields.get("earlier_position", np.empty((0, 3)))
-    steps_m = _lengths(np.diff(np.concatenate([position[None], earlier]), axis=0))
+    way = np.concatenate([position[None], earlier])
+    steps_m = _distances_m(way[:-1], way[1:])
     page.expect(
         (steps_m <= spacing_m + ROUNDING_M).all(),
         f"{sample.where}: from scan to scan are {steps_m.max(initial=0):.6g} m, expected at most "
@@ -87,7 +88,7 @@ def _far_apart(contract: Manifest, page: Page) -> None:
         if not pairs.any():
             break
         one, other = one[pairs], other[pairs]
-        apart_m = _lengths(records["position"][one] - records["position"][other])
+        apart_m = _distances_m(records["position"][one], records["position"][other])
         for n in np.flatnonzero(~(apart_m >= least_m[one] - ROUNDING_M)):
             named = (f"{contract.shards[shards[at]].file}" for at in (one[n], other[n]))
             page.fault(
@@ -97,11 +98,11 @@ def _far_apart(contract: Manifest, page: Page) -> None:
             )
 
 
-def _lengths(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Lengths (N,) of vectors (N, 3); NaN and infinite where a coordinate is."""
+def _distances_m(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Distances (N,) of points (N, 3); NaN or infinite where a coordinate is."""
     with np.errstate(invalid="ignore", over="ignore"):
-        lengths: NDArray[np.float64] = np.sqrt((vectors**2).sum(axis=1))
-    return lengths
+        distances_m: NDArray[np.float64] = np.sqrt(((one - other) ** 2).sum(axis=1))
+    return distances_m
 
 
 def _accepted(sample: Sample, page: Page) -> None:

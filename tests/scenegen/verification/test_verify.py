@@ -216,6 +216,16 @@ def test_a_world_nudged_by_a_centimetre_does_not_hide_a_twin(folder):
     assert "shows the map of t" in found["near-twins"]
 
 
+def test_a_file_beside_the_worlds_is_named(folder):
+    def hide(members):
+        members["payload.bin"] = b"unasked"
+
+    forge.rezip(folder / "train-00000.worlds.zip", hide)
+    forge.sign(folder)
+    told = failed(folder, quick=True)["archives"]
+    assert told == "train-00000.worlds.zip: no world in it refers to payload.bin"
+
+
 @pytest.mark.parametrize("resigned", [False, True])
 def test_swapped_shards_are_named(folder, resigned):
     for one, other in (("val-00000.h5", "x"), ("test-00000.h5", "val-00000.h5")):

@@ -101,6 +101,24 @@ def test_a_merged_dataset_holds_all_samples_as_they_were(first, second, tmp_path
     assert checks["regenerated"].counts["worlds"] == len(found.manifest.shards)
 
 
+SAYS = """
+kind     → "maze"    → kind = 'maze': expected 'pillar', as its sources say
+seed     → 3         → seed = 3: expected None
+recipe   → {"flight": {}, "accept": {}, "version": 1} → recipe =
+software → {}        → software = {}: expected
+rescan   → {"digest": "0000000000000000000000000000000000000000000000000000000000000000"} → rescan =
+"""
+
+
+@pytest.mark.parametrize(("path", "value", "told"), rows(SAYS))
+def test_what_a_merged_dataset_says_of_its_sources_is_checked(
+    first, second, tmp_path, path, value, told
+):
+    folder = merged(tmp_path / "m", first, second).folder
+    forge.edit_at(folder, path, value)
+    assert told in failed(folder, quick=True)["manifest"]
+
+
 def test_workers_and_interruptions_change_no_byte(first, second, tmp_path):
     merged(tmp_path / "m", first, second)
     merged(tmp_path / "two", first, second, workers=2)
