@@ -76,7 +76,7 @@ def unpack(packed: bytes, kind: np.dtype, schema: Schema) -> Sample:
         if _is_flags(name):
             shape = schema.shape(name)
             return np.unpackbits(value, count=math.prod(shape)).view(bool).reshape(shape)
-        return int(value) if FIELDS[name]["axes"] == "" else value.copy()
+        return value.item() if FIELDS[name]["axes"] == "" else value.copy()
 
     return Sample.lazy(schema.names, find, lidar=schema.lidar, grid=schema.grid)
 

@@ -95,8 +95,9 @@ def why_other(contract: Manifest) -> str:
     if contract.generator != GENERATOR:
         return f"made by generator {contract.generator}, here is generator {GENERATOR}"
     differing = differences(dict(contract.software), software())
-    if contract.drawn and (there := contract.tables["version"]) != contract.recipe.version:
-        differing.append(f"recipe.version is {there} there, {contract.recipe.version} asked for")
+    there, here = contract.tables.get("version", 0), contract.recipe.version
+    if contract.drawn and there != here:
+        differing.append(f"recipe.version is {there} there, {here} asked for")
     named = ", ".join(line.replace(" asked for", " here") for line in differing)
     return f"made with other software: {named}" if differing else ""
 
