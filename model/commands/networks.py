@@ -1,7 +1,5 @@
-"""`scenegen networks`, `export` and `calibrate`: what variants cost, networks as ONNX, and how sure
-one may be."""
+"""`scenegen export` and `calibrate`: networks as ONNX, and how sure one may be."""
 
-import json
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -14,37 +12,15 @@ from scenegen.cli.options import (
     datasets_argument,
     executing,
     find_datasets,
-    json_option,
     out_option,
     printing,
     seed_option,
     split_option,
 )
-from scenegen.cli.show import Progress, Tell, announce_compilation, say, show_columns
+from scenegen.cli.show import Progress, Tell, announce_compilation, say
 from scenegen.limits import MOST_SAMPLES
 from scenegen.model.commands.weights import Weights
 from scenegen.model.config import DEFAULT_NETWORK, split_own
-
-
-@command("networks", "networks --json")
-@json_option
-def networks(as_json: bool) -> None:
-    """Print what the network's variants cost: parameters, multiply-accumulates, memory."""
-    from scenegen.model.network import costs
-
-    found = costs()
-    if as_json:
-        print(json.dumps(found))
-        return
-    rows = {
-        f"{row['variant']}, stem stride {row['stem_stride']}": (
-            f"{row['parameters']:,}",
-            f"{row['macs'] / 1e9:.2f}",
-            f"{row['activation_bytes'] / 1e6:.1f} MB",
-        )
-        for row in found
-    }
-    show_columns(rows, ("parameters", "GMACs", "activations"))
 
 
 @command("export", "export runs/mine -o mine.onnx")
