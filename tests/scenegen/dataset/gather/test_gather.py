@@ -217,6 +217,28 @@ def test_worlds_from_files_are_merged_where_they_are_in_one_split(tmp_path):
     sound(tmp_path / "t")
 
 
+def test_a_sample_under_two_names_is_merged_once(tmp_path):
+    """A world from a file has another number where it is alone, and the same flights."""
+    (tmp_path / "scenes").mkdir()
+    for n in range(3):
+        (tmp_path / "scenes" / f"{n}.xml").write_text(WORLD.format(x=4 + n))
+
+    def scenes(name, path, **tables):
+        source = read_scenes(path, counts := {"train": 9, "val": 0, "test": 0}, seed=0)
+        recipe = dataclasses.replace(scene_recipe(), **tables)
+        return built(plan_dataset(tmp_path / name, recipe, source, seed=0, counts=counts))
+
+    every = scenes("all", tmp_path / "scenes")
+    for n in range(3):
+        alone = scenes(f"{n}", tmp_path / "scenes" / f"{n}.xml")
+        with pytest.raises(DatasetError, match=r"all/train.*: hold the same sample"):
+            plan_merge([every, alone], tmp_path / "m")
+        # what another sensor sees from the same pose is another sample
+        noisy = scenes(f"noisy-{n}", tmp_path / "scenes" / f"{n}.xml", noise=Noise.parse("range"))
+        assert len(merged(tmp_path / f"m{n}", every.folder, noisy.folder).split("train")) == 18
+        sound(tmp_path / f"m{n}")
+
+
 WRONG = """
 sources                                       → []      → sources
 sources                                       →         → version = 1.4
