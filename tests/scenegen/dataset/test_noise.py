@@ -148,6 +148,7 @@ noise.bound_m → -1.0                  → noise.bound_m = -1.0: expected metre
 noise.stages  → "a\nb"                → noise.stages =
 rescan        → {"digest": "x"}       → rescan.digest
 labels        → {"by": "name", "classes": ["nothing"]} → labels: expected exactly where `fields`
+labels        → {"by": "name", "classes": ["box"]} → different names, "nothing" first
 """
 
 

@@ -145,6 +145,17 @@ def test_a_viewpoint_of_which_too_little_is_known_is_caught(dataset, tmp_path, n
     assert (told[0], f"known.{name} = 1" in told[1] or "0.99" in told[1]) == ("accepted", True)
 
 
+def test_what_is_occupied_and_not_known_is_caught(dataset, tmp_path):
+    def forget(arrays):
+        arrays["known"][3] &= ~arrays["occupancy"][3]
+
+    folder = forge.copy(dataset, tmp_path / "d")
+    forge.edit(folder, "train-00000.h5", forget)
+    told = failed(folder, quick=True)["laws"]
+    assert told.startswith("train-00000.h5: sample 3: ")
+    assert told.endswith(" voxels are occupied and not known")
+
+
 def test_a_dataset_of_maps_is_published(undrawn, dataset, tmp_path):
     """Its recipe says how much must be known, and makes the same parameters again."""
     out = tmp_path / "out"
