@@ -24,6 +24,7 @@ from scenegen.fly import PERIOD_S, Rules, Vehicle
 from scenegen.fly.loop import CLAIMED, HOVER, ROBOTS_END, Flown, scored, unlike
 from scenegen.fly.missions import Mission, draw_missions, graded
 from scenegen.fly.motion import Command
+from scenegen.fly.serve import numbers_of
 from scenegen.fly.simulation import Observation, Simulation, bounded
 from scenegen.limits import MOST_MANIFEST_BYTES
 from scenegen.logs import LogScan
@@ -192,7 +193,10 @@ class Recording:
 
 def _flown(row: Json) -> Flown:
     """A flight of a recording. Raises ValueError for figures that cannot be."""
-    commands = np.array(row["commands"], np.float32).reshape(-1, 4)
+    numbers = numbers_of(row["commands"])
+    if numbers is None:
+        raise ValueError("commands that are not numbers")
+    commands = numbers.reshape(-1, 4).astype(np.float32)
     flown = Flown(**row | {"commands": HOVER, "path": np.empty((0, 3))})
     check(flown)
     if not np.isfinite(commands).all():

@@ -27,12 +27,15 @@ from scenegen.fly.motion import (
     most_pull,
     pose_of,
 )
+from scenegen.fly.serve import numbers_of
 from scenegen.worlds.world import AnyWorld
 
 Outcome = Literal["success", "collision", "left", "timeout", "crashed", "hung", "flooded"]
 """How a flight ended: at its goal; at a solid; beyond the flight bounds; out of time; or because
 its robot raised or died, did not answer, or said too much."""
 Observation = dict[str, NDArray[Any]]
+LARGEST = 1e6
+"""Speeds beyond this are scaled down before their squares are summed, which could overflow."""
 PRIZE = 10.0
 """What reaching the goal is worth, and what any other end but that of time costs."""
 
@@ -210,24 +213,22 @@ def bounded(action: Any, vehicle: Vehicle) -> tuple[Command | None, bool]:
         vehicle: What bounds them.
 
     Returns:
-        Commands (n, 4) within the bounds, None for what is no action; and whether a bound was
-        exceeded, by more than rounding.
+        Commands (n, 4) within the bounds, None if `action` is not an array of finite numbers of
+        this shape; and whether a bound was exceeded, by more than rounding.
     """
-    try:
-        rows = np.atleast_2d(np.asarray(action, float))
-    except (TypeError, ValueError, OverflowError):
+    numbers = numbers_of(action)
+    if numbers is None or not np.isfinite(numbers).all():
         return None, False
+    rows = np.atleast_2d(numbers)
     if rows.ndim != 2 or rows.shape[1] != 4 or not 1 <= len(rows) <= 10:
         return None, False
-    if not (np.abs(rows) < 1e6).all():  # NaN is not
-        return None, False
+    rows[:, :3] *= LARGEST / np.maximum(np.abs(rows[:, :3]).max(axis=1, keepdims=True), LARGEST)
     # rounding to float32 must not lead out of the bounds again
     most, turn = vehicle.speed_mps * (1 - 1e-6), math.radians(vehicle.yaw_rate_deg_s) * (1 - 1e-6)
     speed = np.sqrt((rows[:, :3] ** 2).sum(axis=1))
     exceeds = bool(
         (speed > vehicle.speed_mps + 1e-3).any() or (abs(rows[:, 3]) > turn + 1e-3).any()
     )
-    rows = rows.copy()
     rows[:, :3] *= np.minimum(1.0, most / np.maximum(speed, 1e-9))[:, None]
     rows[:, 3] = np.clip(rows[:, 3], -turn, turn)
     return rows.astype(np.float32), exceeds
