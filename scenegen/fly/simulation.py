@@ -77,15 +77,21 @@ class Simulation:
         self.outcome: Outcome | None = None
         self.states: list[Floats] = [self.state[None]]
         self.clearances_m = [self._clearance.at(*mission.start)]
-        self._digest = hashlib.sha256()
+        self._digest: Any = hashlib.sha256()
         self._seen, self._turning = b"", 0.0
         by_mujoco = self.vehicle.dynamics == "mujoco"
         self._body = Quadrotor(self.state, self.vehicle) if by_mujoco else None
 
     @property
     def digest(self) -> str:
-        """SHA-256 of all that was seen and flown."""
-        return self._digest.hexdigest()
+        """SHA-256 of all that was seen and flown. Raises ValueError for a copy."""
+        if self._digest is None:
+            raise ValueError("a simulation that was copied or pickled has no digest")
+        return str(self._digest.hexdigest())
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For copies and pickles: all but the digest, whose state hashlib does not give."""
+        return vars(self) | {"_digest": None}
 
     def about(self) -> Observation:
         """What a robot is told before it flies: the mission, the vehicle and the sensor."""
@@ -176,7 +182,8 @@ class Simulation:
                 flown = number
                 break
         self.states.append(states[:flown])
-        self._digest.update(self._seen + states[:flown].tobytes())
+        if self._digest is not None:
+            self._digest.update(self._seen + states[:flown].tobytes())
         self.state = states[flown - 1]
         self.periods += 1
         self.time_s = (self.periods - 1) * PERIOD_S + flown * STEP_S

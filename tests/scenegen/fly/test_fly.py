@@ -480,40 +480,6 @@ def test_the_real_track_is_of_these_maps_alone(tmp_path, monkeypatch):
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_gymnasium_takes_it(monkeypatch):
-    monkeypatch.setattr("scenegen.fly.missions.VOXEL_M", 0.5)  # missions take the time
-    gymnasium = pytest.importorskip("gymnasium")
-    from gymnasium.utils.env_checker import check_env
-
-    import scenegen
-
-    made = gymnasium.make("scenegen/Fly-v0", world="pillar", rules=Rules(apart_m=4.0))
-    assert isinstance(made.unwrapped, scenegen.Flight)
-    check_env(made.unwrapped, skip_render_check=True)
-    first, about = made.reset(seed=3)
-    towards = (first["goal"] - first["position"]) / 10
-    _, reward, ended, over, _ = made.step(np.float32([*towards, 0.0]))
-    assert not ended
-    assert not over
-    assert 0.0 < reward < 0.2
-    assert set(about["about"]) >= {"goal", "bounds", "radius_m"}
-    plans = scenegen.Flight("cave", periods=3, rules=Rules(apart_m=4.0))
-    plans.reset(options={"seed": 3, "world": "pillar"})
-    plan = np.tile(np.float32([*towards, 0.0]), (3, 1))
-    single = [made.reset(options={"seed": 3}), *map(made.step, plan)]
-    seen, reward, *_ = plans.step(plan)
-    assert plan in plans.action_space
-    assert reward == sum(step[1] for step in single[1:])
-    assert (seen["position"] == single[-1][0]["position"]).all()
-    with pytest.raises(ValueError, match="expected finite numbers"):
-        plans.step(plan[0])
-    with pytest.raises(ValueError, match="expected 1 to 10"):
-        scenegen.Flight(periods=11)
-    with pytest.raises(ScenegenError, match="did you mean 'forest'"):
-        scenegen.Flight("forrest")
-
-
-@pytest.mark.filterwarnings("ignore")
 def test_lerobot_reads_flights_as_the_environment_flies_them(tmp_path):
     """Every frame is what Gymnasium's environment tells under the recorded commands."""
     pytest.importorskip("lerobot.datasets", reason="lerobot is not installed")
