@@ -195,7 +195,7 @@ def _read(given: Any, kind: Any, bounds: Bounds) -> Any:
             with suppress(_UnfitError):
                 return _read(given, option, bounds)
         fits = False
-    elif dataclasses.is_dataclass(kind):
+    elif isinstance(kind, type) and dataclasses.is_dataclass(kind):
         value, fits = given, isinstance(given, kind)
     else:
         # an annotation that cannot be resolved, or a type of somebody's own: only numbers are held
@@ -233,7 +233,7 @@ def _numbers(value: Any) -> list[float]:
 def _words(kind: Any, bounds: Bounds) -> str:
     """What `_read` takes, in words."""
     origin, options = get_origin(kind), get_args(kind)
-    if dataclasses.is_dataclass(kind):
+    if isinstance(kind, type) and dataclasses.is_dataclass(kind):
         return f"an instance of {kind.__name__}"
     plain = {bool: "true or false", str: "text", NoneType: "none"}
     if kind in plain:

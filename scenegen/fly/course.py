@@ -217,15 +217,15 @@ def replay(course: Course, flights: Sequence[Flown]) -> list[Flown]:
         GenerationError: The world is another one than then, or has fewer missions.
     """
     found = []
-    for number, flown in enumerate(flights):
-        simulation = course.simulation(number)
+    for n, flown in enumerate(flights):
+        simulation = course.simulation(n)
         count = sum(1 for _ in flown_again(simulation, flown))
         if simulation.outcome is None:
             simulation.outcome = flown.outcome if flown.outcome in ROBOTS_END else "crashed"
         again = scored(simulation, list(flown.commands[:count]), [], Counter(), "")
         if faults := unlike(flown, again):
             raise DatasetError(
-                f"flight {number} through {course.world}, seed {course.seed}, is not as it was "
+                f"flight {n} through {course.world}, seed {course.seed}, is not as it was "
                 f"recorded: {faults[0]}"
             )
         found.append(replace(again, **{name: getattr(flown, name) for name in CLAIMED}))

@@ -144,7 +144,7 @@ class Flight(gymnasium.Env[Observation, Command]):
             if flying.outcome is None:
                 reward += flying.step(command)
         ended = flying.outcome not in (None, "timeout")
-        info = {"outcome": flying.outcome} if flying.outcome else {}
+        info: dict[str, Any] = {"outcome": flying.outcome} if flying.outcome else {}
         return self._observed(), reward, ended, flying.outcome == "timeout", info
 
     def render(self) -> None:

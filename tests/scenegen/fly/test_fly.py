@@ -17,7 +17,7 @@ from numpy.testing import assert_allclose, assert_array_equal, assert_equal
 from lidarsim import GridSpec, Lidar
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
 from lidarsim.pose import rotate
-from scenegen.errors import DatasetError, GenerationError, ScenegenError
+from scenegen.errors import DatasetError, GenerationError
 from scenegen.fly import Rules, Vehicle, suite
 from scenegen.fly.course import Course, Recording, replay
 from scenegen.fly.loop import fly, scored
