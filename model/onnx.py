@@ -174,7 +174,7 @@ def _check_numbers(graph: Any, tensors: Sequence[Any]) -> None:
     import onnx
 
     for tensor in tensors:
-        name = printable(tensor.name)[:100]
+        name = printable(tensor.name)[:100] or "a constant"
         damaged = (ValueError, TypeError, KeyError)
         with raised_as(CheckpointError, f"{name} is damaged (", "); export it again", of=damaged):
             values = onnx.numpy_helper.to_array(tensor) if tensor.data_type else np.zeros(0)

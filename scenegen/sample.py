@@ -132,9 +132,9 @@ class Sample:
         grid: GridSpec,
     ) -> "Sample":
         """The sample with the fields `names`, each of which `find` is asked for once."""
-        if collate := sys.modules.get("torch.utils.data._utils.collate"):
-            # torch's own way to extend it; a loader has imported it before it reads a sample
-            collate.default_collate_fn_map.setdefault(cls, _refuse_batch)
+        # torch's own way to extend it; a loader has imported it before it reads a sample
+        collate = sys.modules.get("torch.utils.data._utils.collate")
+        getattr(collate, "default_collate_fn_map", {}).setdefault(cls, _refuse_batch)
         sample = cls.__new__(cls)
         sample.__dict__.update(_names=tuple(names), _find=find, lidar=lidar, grid=grid)
         return sample

@@ -98,8 +98,8 @@ class Flight(gymnasium.Env[Observation, Command]):
                 `difficulty` other than the environment's.
 
         Returns:
-            The first observation; and the course's `seed`, and what a robot is told `about` the
-            mission.
+            The first observation; and a dictionary with the course's `seed`, and `about`, the
+            mission as robots get it.
 
         Raises:
             ScenegenError: An option is unknown, not of its type, or cannot be; or the world is too
