@@ -24,7 +24,7 @@ from scenegen.errors import DatasetError, SceneError
 from scenegen.files import check_free, disk_told, make_parent, remove_drafts, sha256_of, write_whole
 from scenegen.limits import MOST_PLACE_VOXELS
 from scenegen.logs import Fusing, LogScan
-from scenegen.logs.read import Log
+from scenegen.logs.log import Log
 from scenegen.poses import between
 from scenegen.run import Counted, unheard
 from scenegen.truth.voxels import resample
@@ -67,10 +67,12 @@ def ingest(log: Log, out: Path, how: Fusing, *, on_scan: Counted = unheard) -> C
         What was found, counted.
 
     Raises:
-        DatasetError: A cloud cannot be read, the disk refuses, there is something at `out`, or
-            another log's work goes on there.
+        DatasetError: A cloud cannot be read, or is to be deskewed and has no times of points; the
+            disk refuses, there is something at `out`, or another log's work goes on there.
         SceneError: The log says nothing, or a map's file is too large.
     """
+    if how.deskew:
+        log.check_point_times()
     check_free(out)
     make_parent(out)
     unfinished = out.with_name(f"{out.name}.part")
@@ -223,6 +225,11 @@ class _Run:
             for n in part:
                 try:
                     scan = next(self._scans)
+                    if self._how.deskew and "t" not in scan.more:
+                        raise DatasetError(
+                            f"scan {n}, at {scan.time_s:.14g} s, has no times of points that can "
+                            "be true"
+                        )
                 except DatasetError as error:
                     broken = error
                     break

@@ -22,7 +22,8 @@ from scenegen.errors import DatasetError
 from scenegen.logs import Cruise, Fusing, LogScan
 from scenegen.logs.bags import LIVOX, Links, _of_cloud
 from scenegen.logs.fuse import ingest
-from scenegen.logs.read import Log, read_log
+from scenegen.logs.log import Log
+from scenegen.logs.read import read_log
 from scenegen.logs.record import cruise_poses, record
 from scenegen.logs.write import matrix_of, write_log
 from scenegen.poses import read_poses
