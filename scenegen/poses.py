@@ -161,25 +161,32 @@ def _check_order(turns: Floats, path: Path) -> None:
         )
 
 
-def to_seconds(times: Floats, where: str, unit: str = "") -> tuple[Floats, str]:
+def to_seconds(
+    times: Floats, where: str, unit: str = "", near_s: Floats | None = None
+) -> tuple[Floats, str]:
     """Determine the unit of rising times.
 
     Args:
         times: (n,), in an unknown unit.
         where: What an error's line begins with.
         unit: The unit in `UNITS`, if it is known.
+        near_s: Rising times that overlap with these, seconds.
 
     Returns:
         The times in seconds, and their unit: that in which they lie between 2001 and 2286, or
-        seconds, if the median step from one to the next is at most `MAX_STEP_S`.
+        overlap with those near them, or seconds; if the median step from one to the next is at most
+        `MAX_STEP_S`.
 
     Raises:
         DatasetError: The steps are longer than that, so that the unit cannot be determined.
     """
     step = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     for name, scale in UNITS.items():
-        since_1970 = MIN_UNIX_S <= times[-1] * scale < 10 * MIN_UNIX_S
-        if name == unit or (not unit and since_1970 and step * scale <= MAX_STEP_S):
+        first, last = times[0] * scale, times[-1] * scale
+        likely = MIN_UNIX_S <= last < 10 * MIN_UNIX_S
+        if near_s is not None:
+            likely |= first <= near_s[-1] and last >= near_s[0]
+        if name == unit or (not unit and likely and step * scale <= MAX_STEP_S):
             return times * scale, name
     if step > MAX_STEP_S:
         raise DatasetError(

@@ -94,7 +94,7 @@ def _paired(
     DatasetError if nothing says which pose is whose."""
     known, named = _times_beside(path, len(files)), "times.txt"
     if np.isnan(known).all() and track.is_timed:
-        known, named = _times_named(files), "the names of the clouds"
+        known, named = _times_named(files, track.times_s), "the names of the clouds"
     are_known = bool(np.isfinite(known).all())
     in_order = len(files) == len(track.poses)
     if in_order and are_known and track.is_timed:  # clocks may differ, but not in pace
@@ -127,8 +127,9 @@ def _times_beside(path: Path, count: int) -> Floats:
     return to_seconds(times, f"{file}: times")[0]
 
 
-def _times_named(files: Sequence[Path]) -> Floats:
-    """The times in the names of clouds, seconds (n,); NaN where the names only count them."""
+def _times_named(files: Sequence[Path], posed_s: Floats) -> Floats:
+    """The times in the names of clouds, seconds (n,), of which some are between those of poses; NaN
+    where the names only count them."""
     stems = [file.stem for file in files]
     if all(stem.isdecimal() and int(stem) < MIN_UNIX_S for stem in stems):
         return np.full(len(files), np.nan)
@@ -138,7 +139,8 @@ def _times_named(files: Sequence[Path]) -> Floats:
         if any(parts) and len({part and len(part[2]) for part in parts}) > 1:
             raise ValueError("names have fractions of a second of several lengths")
         times = np.array([float(re.sub("[_-]", ".", stem)) for stem in stems])
-    return to_seconds(times, f"{files[0].parent}: the times in the names of clouds")[0]
+    where = f"{files[0].parent}: the times in the names of clouds"
+    return to_seconds(times, where, near_s=posed_s)[0]
 
 
 def _are_camera_s(

@@ -423,11 +423,12 @@ NAMED = {
 
 
 @pytest.mark.parametrize("form", NAMED)
-def test_clouds_named_by_any_unit_find_poses_in_seconds(tmp_path, form):
+@pytest.mark.parametrize("begin_s", [1_700_000_000, 3_000])
+def test_clouds_named_by_any_unit_find_poses_in_seconds(tmp_path, form, begin_s):
     scans, rows = written(tmp_path / "log"), []
     (tmp_path / "clouds").mkdir()
     for scan in scans:
-        at = round(scan.time_s * 1e9) + 1_700_000_000_123_456_000
+        at = round(scan.time_s * 1e9) + begin_s * 10**9 + 123_456_000
         seconds, ns = divmod(at, 10**9)
         parts = {"seconds": seconds, "nanoseconds": ns, "microseconds": ns // 1000}
         name = NAMED[form].format(**parts)
@@ -440,7 +441,7 @@ def test_clouds_named_by_any_unit_find_poses_in_seconds(tmp_path, form):
     assert log.without_pose == 0
     for pose, scan in zip(log.poses, scans, strict=True):
         assert np.allclose(matrix_of(pose), matrix_of(scan.pose), atol=1e-5)
-    (tmp_path / "clouds" / "1700000003_5.ply").write_bytes(
+    (tmp_path / "clouds" / f"{begin_s + 3}_5.ply").write_bytes(
         (tmp_path / "clouds" / f"{name}.ply").read_bytes()
     )
     if form == "padded":
