@@ -82,7 +82,7 @@ def inverse(pose: Pose) -> Pose:
     return Pose(-rotate(pose.back, pose.position), pose.back)
 
 
-def read_poses(path: Path) -> Track:
+def read_poses(path: Path, *, timed: bool = True) -> Track:
     """Read the poses of a text file, whose form is determined by its header and content.
 
     Args:
@@ -90,9 +90,10 @@ def read_poses(path: Path) -> Track:
             x y z w, as TUM does; or these columns in any order, with others among them, under
             names in the first line, or in a comment above the first row, as EuRoC writes them.
             Times are in the unit that the header names, or in one that `to_seconds` determines.
+        timed: Whether times are needed.
 
     Returns:
-        The poses; the times are NaN for matrices.
+        The poses; the times are NaN for matrices, and if they are not needed.
 
     Raises:
         DatasetError: The file has another form, or can be read in two ways. Names the line.
@@ -120,12 +121,19 @@ def read_poses(path: Path) -> Track:
         raise DatasetError(f"{path}: row {n}: expected a time above the one before")
     if not names:
         _check_order(table[:, 4:], path)
+    if not timed:
+        return Track(np.full(len(rows), np.nan), _poses_in(table, path))
     times_s, unit = to_seconds(
         table[:, 0], f"{path}: times", next((unit for _, unit in named if unit), "")
     )
     form = f"columns {' '.join(name for name, _ in named if name)}, t in {unit}"
+    return Track(times_s, _poses_in(table, path), form)
+
+
+def _poses_in(table: Floats, path: Path) -> list[Pose]:
+    """The poses of a file's columns `TUM` (n, 8)."""
     with raised_as(DatasetError):
-        return Track(times_s, poses_of(table[:, 1:], str(path)), form)
+        return poses_of(table[:, 1:], str(path))
 
 
 def _column_names(names: Sequence[str]) -> list[tuple[str, str]]:

@@ -129,17 +129,21 @@ def complete(
         raise DatasetError(
             f"{path}: --on and --workers complete a dataset's split; leave them out for scans"
         )
-    several = not stored and (path.is_dir() or is_log(path) or log_reading["poses"] is not None)
-    tasks = (
-        tasks_of(path, sensor, every, quiet, **log_reading) if several else None
-    )  # which may refuse what is there at once
+    logged = not stored and (is_log(path) or log_reading["poses"] is not None)
+    if not logged and (given := [name for name, value in log_reading.items() if value]):
+        raise DatasetError(f"{path}: is no log; leave out --{given[0].replace('_', '-')}")
+    several = logged or (not stored and path.is_dir())
+    # which may refuse what is there at once
+    tasks = tasks_of(path, sensor, every, quiet, **log_reading) if several else None
     completer = Completer.from_pretrained(weights, device=device_here, batch=batch)
     if tasks or is_map(path):
         name = path.stem if path.is_file() else real_path(path).name
         out = out or Path(f"{name}.completed")
         if tasks:
-            known = {name: str(value) for name, value in log_reading.items()}
-            about = known | {"sensor": str(sensor)}
+            about = {"sensor": str(sensor)}
+            always = ("poses", "topic")  # as in folders that were begun before there were others
+            for name, value in log_reading.items():
+                about |= {name: str(value)} if value or name in always else {}
             about |= {"source": str(real_path(path)), "weights": completer.digest}
             claim(out, COMPLETIONS, about)
             complete_all(completer, tasks, out, MOST_SHOWN, quiet)

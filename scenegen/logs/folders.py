@@ -57,7 +57,7 @@ def read_folder(path: Path, own: Path | None, beside: Path, poses_of: PosesOf | 
     if not files:
         raise DatasetError(f"{clouds}: holds no clouds; expected {', '.join(READERS)} files")
     poses, of_what = track.poses, "sensor"
-    if _are_camera_s(path / "calib.txt", source, track, own is not None, poses_of):
+    if _is_of_camera(path / "calib.txt", source, track, own is not None, poses_of):
         camera, of_what = _camera(path / "calib.txt", source), "camera, moved by Tr,"
         poses = [chained(chained(inverse(camera), pose), camera) for pose in poses]
     times, placed, pairs = _paired(path, files, Track(track.times_s, poses), source)
@@ -138,19 +138,26 @@ def _times_named(files: Sequence[Path], posed_s: Floats) -> Floats:
     with raised_as(DatasetError, f"{files[0].parent}: ", expected):
         if any(parts) and len({part and len(part[2]) for part in parts}) > 1:
             raise ValueError("names have fractions of a second of several lengths")
-        times = np.array([float(re.sub("[_-]", ".", stem)) for stem in stems])
+        # float() would read 1_5 as 15
+        digits = [
+            f"{part[1]}.{part[2]}" if part else stem.replace("_", " ")
+            for part, stem in zip(parts, stems, strict=True)
+        ]
+        times = np.array(list(map(float, digits)))
     where = f"{files[0].parent}: the times in the names of clouds"
     return to_seconds(times, where, near_s=posed_s)[0]
 
 
-def _are_camera_s(
+def _is_of_camera(
     calibration: Path, source: Path, track: Track, is_own: bool, poses_of: PosesOf | None
 ) -> bool:
-    """Whether poses are those of KITTI's camera, not the sensor's. Matrices are in KITTI's own
-    layout; of a file that `is_own`, which the user names, nobody knows if there is a Tr beside it.
-    """
-    if poses_of or track.is_timed or not is_own:
-        return poses_of == "camera" or (poses_of is None and not track.is_timed)
+    """Whether the poses in `source` are those of KITTI's camera, not the sensor's. Raises
+    DatasetError if that is not known: for matrices in a file `is_own`, which the user names, with a
+    Tr beside the clouds."""
+    if poses_of is not None:
+        return poses_of == "camera"
+    if track.is_timed or not is_own:
+        return not track.is_timed
     row = _read_tr(calibration)
     if row is not None and not np.allclose(row, np.eye(4)[:3].reshape(-1)):
         raise DatasetError(

@@ -114,28 +114,36 @@ def _read_recording(
     if own is None:
         with raised_as(DatasetError, f"{path}: "):
             poses, posed_s, from_where, form = _by_frames(survey, frames)
+    elif len(frames) > 1:
+        raise DatasetError(
+            f"{path}: its clouds are of several frames, {' and '.join(frames)}; --poses gives "
+            "those of one sensor"
+        )
     else:
         track = read_poses(own)
         poses, posed_s = _at_stamps(track, times, own), track.times_s
         from_where, form = f"poses of the sensor from {own.name}", track.form
-    clock = _point_clock(survey, times, frames)
-    is_known = isinstance(clock, PointClock)
+    clock, why = None, ""
+    try:
+        clock = _point_clock(survey, times, frames)
+    except ValueError as error:
+        why = f"{path}: {error}"
     return make_log(
         path,
         times,
         poses,
-        partial(bag.clouds, survey.topic, clock if isinstance(clock, PointClock) else None),
+        partial(bag.clouds, survey.topic, clock),
         posed_s,
         about={
             "clouds": f"{len(times)} clouds on {survey.topic}",
             "fields": " ".join(survey.fields),
             "frame": f"frame {' and '.join(frames)}",
             "poses": from_where,
-            "times": f"times from {clock}" if is_known else "no times of points",
+            "times": f"times from {clock}" if clock else "no times of points",
         },
         details={"poses_form": form, "scan_times": "the stamps of clouds"}
-        | ({"point_times": clock.details} if isinstance(clock, PointClock) else {}),
-        no_point_times="" if is_known else f"{path}: {clock}",
+        | ({"point_times": clock.details} if clock else {}),
+        no_point_times=why,
     )
 
 
@@ -169,13 +177,13 @@ def _at_stamps(track: Track, times: Floats, source: Path) -> list[Pose | None]:
     return list(track.poses)
 
 
-def _point_clock(survey: Surveyed, times: Floats, frames: Sequence[str]) -> PointClock | str:
-    """How the times of a recording's points are read, or why they cannot be."""
+def _point_clock(survey: Surveyed, times: Floats, frames: Sequence[str]) -> PointClock:
+    """How the times of a recording's points are read. Raises ValueError if they cannot be."""
     if len(frames) > 1:
-        return (
-            f"its clouds are of several frames, {' and '.join(frames)}, that are not one sensor's"
+        raise ValueError(
+            f"its clouds are of several frames, {' and '.join(frames)}, so not of one sensor"
         )
     if (np.diff(times) <= 0).any():
         n = int(np.argmax(np.diff(times) <= 0)) + 1
-        return f"the stamp of its cloud {n} is not after that before it"
+        raise ValueError(f"the stamp of its cloud {n} is not after that before it")
     return find_clock(survey.times, period_s(times))

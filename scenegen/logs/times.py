@@ -79,7 +79,7 @@ def time_fields(names: Sequence[str]) -> list[str]:
     return usual + [name for name in names if name not in USUAL and TIME_FIELD.fullmatch(name)]
 
 
-def find_clock(samples: Sequence[RawTimes], period_s: float) -> PointClock | str:
+def find_clock(samples: Sequence[RawTimes], period_s: float) -> PointClock:
     """Determine which field has the times of points, and its unit, from what it spans.
 
     Args:
@@ -87,14 +87,21 @@ def find_clock(samples: Sequence[RawTimes], period_s: float) -> PointClock | str
         period_s: Time between its scans, seconds; NaN if it is not known.
 
     Returns:
-        How times are read; or why no field can be, for a line of an error.
+        How times are read.
+
+    Raises:
+        ValueError: There is no such field, or none whose times can be true.
     """
     samples = [sample for sample in samples if sample.returned.sum() > 1]
     names = list(samples[0].fields) if samples else []
     if samples and not names:
-        return "its points have no field of times (t, time, timestamp, stamps, time_offset …)"
+        raise ValueError(
+            "its points have no field of times (t, time, timestamp, stamps, time_offset …)"
+        )
     if not samples or not period_s > 0:
-        return "its points' times have no known unit: no two scans have returns and rising stamps"
+        raise ValueError(
+            "its points' times have no known unit: no two scans have returns and rising stamps"
+        )
     faults = list[str]()
     for name in names:
         unit = _unit(samples, name, period_s)
@@ -116,7 +123,7 @@ def find_clock(samples: Sequence[RawTimes], period_s: float) -> PointClock | str
         else:
             origin = "the first point"
         return PointClock(field=name, unit=label, unit_s=unit_s, origin=origin, max_span_s=reach)
-    return (
+    raise ValueError(
         f"its points' times do not fit the {period_s:.4g} s between scans: {'; '.join(faults)}; "
         f"expected {MIN_SPAN:g} to {MAX_SPAN:g} times that, in s, ms, µs or ns, or 0 to 1"
     )

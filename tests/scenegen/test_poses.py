@@ -101,3 +101,10 @@ def test_what_can_be_read_in_two_ways_is_refused(tmp_path, content):
         return
     with pytest.raises(DatasetError, match=REFUSED[content]):
         read_poses(tmp_path / "poses")
+
+
+def test_times_of_any_pace_do_if_none_are_needed(tmp_path):
+    (tmp_path / "poses").write_text("0 1 2 3 0 0 0 1\n900 4 5 6 0 0 0 1")
+    with pytest.raises(DatasetError, match="900 apart"):
+        read_poses(tmp_path / "poses")
+    assert read_poses(tmp_path / "poses", timed=False).poses[1].position.tolist() == [4, 5, 6]

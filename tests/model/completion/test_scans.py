@@ -39,6 +39,7 @@ def test_scans_of_a_log_stand_upright_in_its_frame(tmp_path, points, capsys):
     np.savetxt(log / "poses.txt", np.stack([matrix.ravel()] * 3))
     words = ("complete", log, "--every", 2, "-o", tmp_path / "out", "--device", "cpu")
     assert "calib.txt: no such file" in refused(capsys, *words)
+    assert "leave out --topic" in refused(capsys, "complete", log / "velodyne", "--topic", "/a")
     code, said, noted = run(capsys, *words, "--poses-of", "sensor")
     assert "read: 3 clouds (.bin), x y z, frame of the sensor, poses of the sensor" in noted
     assert (code, said.startswith(f"{tmp_path / 'out'}: 2 completions")) == (0, True)

@@ -139,6 +139,14 @@ def test_a_bag_without_transforms_takes_poses(tmp_path, capsys):
         read_log(path, poses=tmp_path / "poses.tum")
 
 
+def test_poses_of_one_sensor_are_not_those_of_two(tmp_path):
+    bag, _ = drive()
+    bag.messages += drive(frame="rear")[0].messages
+    (tmp_path / "poses.tum").write_text("".join(map(tum, range(7))))
+    with pytest.raises(DatasetError, match="several frames, lidar and rear; --poses"):
+        read_log(bag.write(tmp_path / "bag"), poses=tmp_path / "poses.tum")
+
+
 def test_a_folder_may_hold_a_recording_alone(tmp_path):
     path = moving(drive()[0]).write(tmp_path / "bag")
     (path / "metadata.yaml").unlink()
