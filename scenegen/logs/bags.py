@@ -101,9 +101,11 @@ class Recording:
             if kind in (CLOUD, *LIVOX):
                 if len(heads[on]).bit_count() <= 1:  # the first, second, third, fifth, ninth …
                     samples[on].append((kind, data))
-                heads[on].append(self._head(data)[:2])
+                with _readable(self._path):
+                    heads[on].append(self._head(data)[:2])
             else:
-                links.add(on, self._decode(data, kind))
+                with _readable(self._path):
+                    links.add(on, self._decode(data, kind))
         if topic is None and len(heads) > 1:
             raise DatasetError(
                 f"{self._path}: has clouds on {', '.join(sorted(heads))[:200]}; name one with "

@@ -94,6 +94,7 @@ def find_clock(samples: Sequence[RawTimes], period_s: float) -> PointClock:
     """
     samples = [sample for sample in samples if sample.returned.sum() > 1]
     names = list(samples[0].fields) if samples else []
+    names = [name for name in names if all(name in sample.fields for sample in samples)]
     if samples and not names:
         raise ValueError(
             "its points have no field of times (t, time, timestamp, stamps, time_offset …)"
