@@ -105,7 +105,7 @@ def read_poses(path: Path, *, timed: bool = True) -> Track:
     if not names and any("q" in name for name, _ in _column_names(comment)):
         names = comment
     named = _column_names(names or TUM[: rows.shape[1]])
-    columns = {name: [n for n, (own, _) in enumerate(named) if own == name] for name in TUM}
+    columns = {name: [n for n, (column, _) in enumerate(named) if column == name] for name in TUM}
     missing = [name for name in TUM if not columns[name]]
     if missing or (not names and rows.shape[1] != len(TUM)):
         raise DatasetError(

@@ -37,13 +37,13 @@ SECONDS_AND_FRACTION = re.compile(r"(\d+)[_-](\d+)")
 PosesOf: TypeAlias = Literal["sensor", "camera"]
 
 
-def read_folder(path: Path, own: Path | None, beside: Path, poses_of: PosesOf | None) -> Log:
+def read_folder(path: Path, poses_file: Path | None, beside: Path, poses_of: PosesOf | None) -> Log:
     """The log in a folder of clouds.
 
     Args:
         path: The folder, or one with the clouds in ``velodyne``.
-        own: A file of poses that the user names.
-        beside: Otherwise, the one of KITTI's layout.
+        poses_file: A file of poses that the user names.
+        beside: Otherwise, that of KITTI's layout.
         poses_of: What the poses are of; None: decided by form and place of the file.
 
     Raises:
@@ -52,12 +52,12 @@ def read_folder(path: Path, own: Path | None, beside: Path, poses_of: PosesOf | 
     clouds = path / "velodyne"
     if not clouds.is_dir():
         clouds = path
-    files, source = scans_in(clouds), own or beside
+    files, source = scans_in(clouds), poses_file or beside
     track = read_poses(source)
     if not files:
         raise DatasetError(f"{clouds}: holds no clouds; expected {', '.join(READERS)} files")
     poses, of_what = track.poses, "sensor"
-    if _is_of_camera(path / "calib.txt", source, track, own is not None, poses_of):
+    if _is_of_camera(path / "calib.txt", source, track, poses_file is not None, poses_of):
         camera, of_what = _camera(path / "calib.txt", source), "camera, moved by Tr,"
         poses = [chained(chained(inverse(camera), pose), camera) for pose in poses]
     times, placed, pairs = _paired(path, files, Track(track.times_s, poses), source)
@@ -76,7 +76,7 @@ def read_folder(path: Path, own: Path | None, beside: Path, poses_of: PosesOf | 
         readers,
         track.times_s,
         about={
-            "clouds": f"{len(files)} clouds ({', '.join(sorted({one.suffix for one in files}))})",
+            "clouds": f"{len(files)} clouds ({', '.join(sorted({file.suffix for file in files}))})",
             "fields": "x y z",
             "frame": "frame of the sensor",
             "poses": f"poses of the {of_what} from {source.name}",
@@ -149,14 +149,14 @@ def _times_named(files: Sequence[Path], posed_s: Floats) -> Floats:
 
 
 def _is_of_camera(
-    calibration: Path, source: Path, track: Track, is_own: bool, poses_of: PosesOf | None
+    calibration: Path, source: Path, track: Track, is_named: bool, poses_of: PosesOf | None
 ) -> bool:
     """Whether the poses in `source` are those of KITTI's camera, not the sensor's. Raises
-    DatasetError if that is not known: for matrices in a file `is_own`, which the user names, with a
-    Tr beside the clouds."""
+    DatasetError if that is not known: for matrices in a file that `is_named` by the user, if there
+    is a Tr beside the clouds."""
     if poses_of is not None:
         return poses_of == "camera"
-    if track.is_timed or not is_own:
+    if track.is_timed or not is_named:
         return not track.is_timed
     row = _read_tr(calibration)
     if row is not None and not np.allclose(row, np.eye(4)[:3].reshape(-1)):

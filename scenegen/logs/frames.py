@@ -127,10 +127,14 @@ class Links:
             )
         return tuple(links)
 
+    def _rank(self, source: Source) -> tuple[bool, bool, int]:
+        """Order of sources: /tf, other transforms as they come in the recording, odometry."""
+        is_odometry, topic = source
+        return is_odometry, topic != "/tf", self._order[source]
+
     def _link(self, name: str) -> Link:
-        """What a frame hangs from: by /tf, or else the first transforms in the recording, and by
-        odometry only if no transforms speak of the frame."""
-        source = min(self._rows[name], key=lambda one: (one[0], one[1] != "/tf", self._order[one]))
+        """What a frame hangs from, by the first of its sources. Raises ValueError as `_chain`."""
+        source = min(self._rows[name], key=self._rank)
         links = self._rows[name][source]
         parents = dict.fromkeys(parent for parent, _ in links)
         parent = self._fixed if self._fixed in parents else next(iter(parents))
@@ -140,7 +144,9 @@ class Links:
                 "; expected one parent; name the one to follow with --fixed-frame, or give the "
                 "poses of the sensor with --poses"
             )
-        topic, rows = next((topic, rows) for (own, topic), rows in links.items() if own == parent)
+        topic, rows = next(
+            (topic, rows) for (above, topic), rows in links.items() if above == parent
+        )
         if math.inf in rows:
             raise ValueError(
                 f"{topic} says twice, and not the same, where {short(name)} is in {short(parent)}; "

@@ -26,7 +26,7 @@ def is_log(path: Path) -> bool:
     if not path.is_dir():
         return path.suffix in RECORDINGS
     beside = (path / BAG, path / "poses.txt", _kitti_poses(path))
-    return any(one.exists() for one in beside) or bool(_recordings_in(path))
+    return any(file.exists() for file in beside) or bool(_recordings_in(path))
 
 
 def _kitti_poses(sequence: Path) -> Path:
@@ -36,7 +36,7 @@ def _kitti_poses(sequence: Path) -> Path:
 
 def _recordings_in(folder: Path) -> list[Path]:
     """The recordings in a folder that holds no clouds."""
-    recordings = sorted(one for one in folder.iterdir() if one.suffix in RECORDINGS)
+    recordings = sorted(file for file in folder.iterdir() if file.suffix in RECORDINGS)
     return [] if recordings and scans_in(folder) else recordings
 
 
@@ -103,15 +103,15 @@ def _recording_at(path: Path) -> Path | None:
 
 
 def _read_recording(
-    path: Path, topic: str | None, own: Path | None, fixed_frame: str | None
+    path: Path, topic: str | None, poses_file: Path | None, fixed_frame: str | None
 ) -> Log:
-    """The log in a recording, which is read twice: for poses, and for clouds. Its poses are its
-    own, or in a file of the user's `own`."""
+    """The log in a recording, which is read twice: for poses, and for clouds. Its poses are in a
+    file, if there is one, or else its own."""
     bag = Recording(path)
     survey = bag.survey(topic, fixed_frame)
     times = np.array([time for time, _ in survey.heads])
     frames = list(dict.fromkeys(frame for _, frame in survey.heads))
-    if own is None:
+    if poses_file is None:
         with raised_as(DatasetError, f"{path}: "):
             poses, posed_s, from_where, form = _by_frames(survey, frames)
     elif len(frames) > 1:
@@ -120,9 +120,9 @@ def _read_recording(
             "those of one sensor"
         )
     else:
-        track = read_poses(own)
-        poses, posed_s = _at_stamps(track, times, own), track.times_s
-        from_where, form = f"poses of the sensor from {own.name}", track.form
+        track = read_poses(poses_file)
+        poses, posed_s = _at_stamps(track, times, poses_file), track.times_s
+        from_where, form = f"poses of the sensor from {poses_file.name}", track.form
     clock, why = None, ""
     try:
         clock = _point_clock(survey, times, frames)
