@@ -183,7 +183,4 @@ def _point_clock(survey: Surveyed, times: Floats, frames: Sequence[str]) -> Poin
         raise ValueError(
             f"its clouds are of several frames, {' and '.join(frames)}, so not of one sensor"
         )
-    if (np.diff(times) <= 0).any():
-        n = int(np.argmax(np.diff(times) <= 0)) + 1
-        raise ValueError(f"the stamp of its cloud {n} is not after that before it")
     return find_clock(survey.times, period_s(times))
