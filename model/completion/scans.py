@@ -28,7 +28,8 @@ from scenegen.errors import DatasetError, DiskError, printable, raised_as
 from scenegen.files import check_ours, make_way, read_bounded, write_result, write_whole
 from scenegen.limits import MOST_SCAN_BYTES, MOST_VOXELS
 from scenegen.logs import LogScan
-from scenegen.logs.read import Log, is_log, read_log
+from scenegen.logs.log import Log
+from scenegen.logs.read import is_log, read_log
 from scenegen.model.calibration import UNUSUAL
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.predictions import PACKED, new_hdf5
@@ -265,12 +266,14 @@ def summary(done: Sequence[Completed]) -> list[str]:
 
 
 def tasks_of(
-    found: Path, sensor: ArrayLike, every: int, poses: Path | None, topic: str | None
+    found: Path, sensor: ArrayLike, every: int, quiet: bool, **reading: Any
 ) -> tuple[int, Iterable[Task]]:
-    """How many scans of a log or a folder are to be completed, and these. Raises DatasetError for a
-    folder without scans."""
-    if poses is not None or is_log(found):
-        log = read_log(found, poses=poses, topic=topic)
+    """How many scans of a log, read as `reading` says (arguments of `read_log`), or of a folder are
+    to be completed, and these. Raises DatasetError for a folder without scans."""
+    if reading["poses"] is not None or is_log(found):
+        log = read_log(found, **reading)
+        if not quiet:
+            note(log.line())
         return len(range(0, len(log.poses), every)), scans_of_log(log, every)
     kept = found / "observations"  # what `ingest` keeps beside its maps
     scans = scans_in(kept if kept.is_dir() else found)[::every]

@@ -12,7 +12,7 @@ from scenegen.display.exchange.files import write_points
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.scans import height_above_returns, predict_scan, read_scan
 from scenegen.worlds.place import FREE, OCCUPIED
-from tests.command_line import done, run
+from tests.command_line import done, refused, run
 from tests.conftest import hall_in
 
 TILT = Pose(
@@ -38,7 +38,10 @@ def test_scans_of_a_log_stand_upright_in_its_frame(tmp_path, points, capsys):
     matrix = np.column_stack([rotate(TILT.quaternion, np.eye(3)).T, TILT.position])
     np.savetxt(log / "poses.txt", np.stack([matrix.ravel()] * 3))
     words = ("complete", log, "--every", 2, "-o", tmp_path / "out", "--device", "cpu")
-    code, said, noted = run(capsys, *words)
+    assert "calib.txt: no such file" in refused(capsys, *words)
+    assert "leave out --topic" in refused(capsys, "complete", log / "velodyne", "--topic", "/a")
+    code, said, noted = run(capsys, *words, "--poses-of", "sensor")
+    assert "read: 3 clouds (.bin), x y z, frame of the sensor, poses of the sensor" in noted
     assert (code, said.startswith(f"{tmp_path / 'out'}: 2 completions")) == (0, True)
     assert "the sensor is 1.3 to 1.3 m above what it sees" in noted
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
