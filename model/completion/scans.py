@@ -18,7 +18,8 @@ from lidarsim.grid import Floats, iou
 from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.pose import rotate
 from scenegen.cli.show import Progress, note, say
-from scenegen.clouds import read_npz, read_points, scans_in
+from scenegen.cloud_arrays import read_npz
+from scenegen.clouds import ReadReport, check_scan, read_cloud, scans_in
 from scenegen.dataset.hdf5 import read_guarded
 from scenegen.dataset.shard import compress
 from scenegen.display.exchange.files import encode_points
