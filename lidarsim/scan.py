@@ -4,10 +4,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lidarsim.engines import Caster
-from lidarsim.grid import Field, Floats
+from lidarsim.grid import Field, Floats, Mask
+from lidarsim.parameters import MIN_RETURN_M, MOST_LENGTH_M
 from lidarsim.pose import Pose, rotate
 from lidarsim.sensors import Sensor, check_sensor
 
@@ -69,6 +70,42 @@ def cast(engine: Caster, lidar: Sensor, pose: Pose) -> Scan:
         raise ValueError(f"{name}.cast gave ranges of shape {ranges.shape}, expected {expected}")
     check_ranges(ranges, lidar, f"{name}.cast")
     return Scan(ranges[0].astype(np.float32), pose, lidar)
+
+
+def is_return(ranges: ArrayLike, min_range_m: float = MIN_RETURN_M) -> Mask:
+    """Tell returns from what sensors and drivers give for rays without one.
+
+    Args:
+        ranges: Metres from the sensor, of any shape.
+        min_range_m: The sensor's minimum range, metres.
+
+    Returns:
+        Whether each range is finite, above 0, not below `min_range_m`, and below `MOST_LENGTH_M`.
+    """
+    metres = np.asarray(ranges)
+    return np.asarray((metres > 0) & (metres >= min_range_m) & (metres < MOST_LENGTH_M))
+
+
+def are_returns(
+    points: Floats, sensors: ArrayLike = (0.0, 0.0, 0.0), min_range_m: float = MIN_RETURN_M
+) -> Mask:
+    """Tell the returns among a scan's points, see `is_return`.
+
+    Drivers write 0 0 0, NaN or infinity for a ray without a return. Moved into another frame, the
+    zeros lie at the sensor; both are left out here.
+
+    Args:
+        points: (N, 3), metres.
+        sensors: Where they were seen from, in the frame of the points, (3,), (1, 3) or (N, 3),
+            metres.
+        min_range_m: The sensor's minimum range, metres.
+
+    Returns:
+        (N,): whether each is a return.
+    """
+    with np.errstate(invalid="ignore", over="ignore"):  # infinity less infinity
+        ranges = np.sqrt(((points - np.asarray(sensors, float)) ** 2).sum(axis=1))
+    return is_return(ranges, min_range_m) & points.any(axis=1)
 
 
 def check_ranges(ranges: NDArray[Any], lidar: Sensor, giver: str) -> None:

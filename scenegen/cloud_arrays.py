@@ -1,5 +1,8 @@
-"""Point clouds whose columns have no names: KITTI's .bin, NumPy's arrays and archives, and text. How
-many columns a point has is known, given, or seen by the numbers; what cannot be seen is refused."""
+"""Point clouds whose columns have no names: KITTI's .bin, NumPy's arrays and archives, and text.
+
+The format, the user or the numbers tell how many columns a point has; where none does, the file is
+refused.
+"""
 
 import io
 import re
@@ -36,15 +39,20 @@ CHANCES = 5
 HELP = "give --columns N, float32 numbers of a point, x y z first"
 
 
-def read_bin(content: bytes, columns: int | None) -> Table:
+def read_bin(content: bytes, columns: int | None, usual: int | None = None) -> Table:
     """Float32, point after point: as KITTI has it, x y z intensity; or of `columns` each. Where
     these are not given, they are seen by the numbers, see `fitting_columns`."""
     values = np.frombuffer(content, "<f4", len(content) // 4)
-    count = columns or fitting_columns(values)
+    count = columns or fitting_columns(values, usual)
     if len(content) % (4 * count):
         raise ValueError(f"{len(content)} bytes, no multiple of {count} float32; {HELP}")
-    taken = "x y z intensity (KITTI .bin" if count == KITTI and not columns else "x y z (.bin"
+    taken = "x y z intensity (KITTI .bin" if count == KITTI else "x y z (.bin"
     return values.reshape(-1, count)[:, :3], f"{taken}, {count} columns)"
+
+
+def read_kitti(content: bytes, columns: int | None) -> Table:
+    """A .bin in a folder of KITTI's layout, where 4 columns are usual: few points need not tell."""
+    return read_bin(content, columns, KITTI)
 
 
 def read_nuscenes(content: bytes, columns: int | None) -> Table:
@@ -53,7 +61,7 @@ def read_nuscenes(content: bytes, columns: int | None) -> Table:
     return points, f"x y z intensity ring (nuScenes .pcd.bin, {columns or NUSCENES} columns)"
 
 
-def fitting_columns(values: NDArray[np.float32]) -> int:
+def fitting_columns(values: NDArray[np.float32], usual: int | None = None) -> int:
     """How many columns a point has, `MIN_COLUMNS` to `MAX_COLUMNS`, in a file of `values`.
 
     Two things tell. The first three columns are metres: not beyond `FAR_M`, and not the tiny
@@ -65,6 +73,10 @@ def fitting_columns(values: NDArray[np.float32]) -> int:
 
     Args:
         values: The whole file, (n,).
+        usual: The number of columns where the numbers do not tell; without it, that is an error.
+
+    Returns:
+        The number of columns.
 
     Raises:
         ValueError: None fits, or which one does cannot be seen.
@@ -88,6 +100,8 @@ def fitting_columns(values: NDArray[np.float32]) -> int:
     chance = (count - 1 + CHANCES * (2 * (count - 1)) ** 0.5) / min(len(values), BLOCK * MAX_BLOCKS)
     if best > chance and max(others, default=0.0) < CLEAR_FIT * best - chance:
         return count
+    if usual in fits:
+        return usual
     if fits.get(KITTI, -1.0) > best - chance and _has_intensity(values.reshape(-1, KITTI)):
         return KITTI
     choices = " or ".join(map(str, fits))
@@ -106,12 +120,12 @@ def _has_intensity(table: NDArray[np.float32]) -> bool:
 
 
 def _plausible(table: NDArray[np.float32]) -> bool:
-    """Whether the first columns of nearly all rows (N, C) may be metres; NaN and infinity are rays
-    without a return."""
+    """Whether the first columns of nearly all rows (N, C) may be metres, but for NaN and infinity,
+    which are rays without a return."""
     finite = table[np.isfinite(table[:, :3]).all(axis=1), :3]
     sizes = np.abs(finite)
     good = ((sizes == 0) | ((sizes > NEAR_M) & (sizes < FAR_M))).all(axis=1)
-    return len(finite) > 0 and float(good.mean()) >= PLAUSIBLE_SHARE
+    return np.count_nonzero(good) >= PLAUSIBLE_SHARE * len(good)
 
 
 def _column_fit(values: NDArray[np.float32], count: int) -> float:
@@ -163,7 +177,7 @@ def _is_turned(shape: tuple[int, ...], columns: int | None, shown: str) -> bool:
         if columns not in shape:
             raise ValueError(f"holds {shown} numbers, and --columns {columns}")
         return columns != wide
-    if rows in (3, 4) and 3 <= wide <= MAX_COLUMNS:
+    if rows in (3, 4) and 3 < wide <= MAX_COLUMNS:  # (N, 3) is what is asked for
         raise ValueError(
             f"holds {shown} numbers, which may be {rows} points or {wide}; give --columns N"
         )

@@ -12,7 +12,7 @@ import numpy as np
 
 from lidarsim.grid import Floats
 from lidarsim.jit import kernel
-from scenegen.errors import printable
+from scenegen.errors import DatasetError, printable
 from scenegen.limits import (
     GUARD_BYTES,
     GUARD_S,
@@ -256,7 +256,7 @@ def _unpack_las(content: bytes) -> Table:
     with laspy.open(io.BytesIO(content), laz_backend=backends, read_evlrs=False) as file:
         count = file.header.point_count
         if count > MOST_POINTS:
-            raise ValueError(f"promises {count} points, expected {MOST_POINTS} at most")
+            raise DatasetError(f"promises {count} points, expected {MOST_POINTS} at most")
         fields = sensor_fields(set(file.header.point_format.dimension_names) | set("xyz"))
         parts = [
             np.stack([np.asarray(chunk[name], float) for name in fields], axis=1)
@@ -266,12 +266,12 @@ def _unpack_las(content: bytes) -> Table:
         _check_metric(file.header, points)
         form = file.header.point_format.id
     if len(points) != count:
-        raise ValueError(f"promises {count} points and holds {len(points)}")
+        raise DatasetError(f"promises {count} points and holds {len(points)}")
     return points, f"{named(fields)} (LAS, point format {form})"
 
 
 def _check_metric(header: Any, points: Floats) -> None:
-    """Raise ValueError for a LAS file in degrees or around the earth's centre: by its coordinate
+    """Raise DatasetError for a LAS file in degrees or around the earth's centre: by its coordinate
     system; by its numbers if it names none."""
     keys = {
         key.id: key.value_offset
@@ -286,10 +286,12 @@ def _check_metric(header: Any, points: Floats) -> None:
         x, y, z = np.ptp(points[:, :3], axis=0)
         fine, tall = header.scales[:2].max(), DEGREES_TALL * max(x, y)
         on_earth = (np.abs(points[:, :2]).max(axis=0) <= (180, 90)).all()
-        degrees = on_earth and fine <= DEGREES_SCALE and (header.scales[2] >= 100 * fine or z > tall)
+        degrees = (
+            on_earth and fine <= DEGREES_SCALE and (header.scales[2] >= 100 * fine or z > tall)
+        )
     if degrees or centred:
         system = "geographic coordinates, degrees" if degrees else "geocentric coordinates"
-        raise ValueError(
+        raise DatasetError(
             f"has {system}; expected metres, z up: project it first, to UTM or so (pdal translate "
             "with filters.reprojection)"
         )

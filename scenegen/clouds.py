@@ -2,7 +2,7 @@
 
 import itertools
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -10,7 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lidarsim.grid import Floats
-from scenegen.cloud_arrays import read_archive, read_array, read_bin, read_nuscenes, read_xyz
+from scenegen.cloud_arrays import (
+    read_archive,
+    read_array,
+    read_bin,
+    read_kitti,
+    read_nuscenes,
+    read_xyz,
+)
 from scenegen.cloud_fields import Table, read_las, read_pcd, read_ply
 from scenegen.errors import DatasetError, needs, printable
 from scenegen.files import read_bounded
@@ -20,6 +27,8 @@ MOST_SCANS = 100_000
 """The most scans of a folder."""
 MOST_DIGITS = 255
 """The most digits of a number in a file's name."""
+KITTI_FOLDER = "velodyne"
+"""What KITTI calls the folder of a sequence's clouds."""
 MAX_SCAN_M = 1e5
 """No sensor has a return from farther away than this, metres."""
 MAX_LAYOUTS = 3
@@ -67,16 +76,17 @@ def read_cloud(
         raise DatasetError(f"{path}: --columns is for {', '.join(UNNAMED)}; leave it out for this")
     content = read_bounded(path, most_bytes)
     try:
-        if kind in UNNAMED:
-            found, layout = UNNAMED[kind](content, columns)
-        else:
+        if kind in NAMED:
             found, layout = NAMED[kind](content)
+        else:
+            reader = UNNAMED[kind]
+            if kind == ".bin" and path.parent.name == KITTI_FOLDER:
+                reader = read_kitti
+            found, layout = reader(content, columns)
     except ModuleNotFoundError:
         raise DatasetError(f"{path}: {needs('laspy and lazrs', 'las')}") from None
     except Exception as error:  # numpy's parsers raise anything
-        raise DatasetError(
-            f"{path}: cannot be read as {kind}: {printable(error)[:300]}"
-        ) from None
+        raise DatasetError(f"{path}: cannot be read as {kind}: {printable(error)[:300]}") from None
     if found.ndim != 2 or found.shape[1] < 3 or not len(found) or found.dtype.kind not in "fiu":
         raise DatasetError(
             f"{path}: holds {found.dtype} of shape {found.shape}, expected (N, 3) numbers, N "
@@ -122,12 +132,13 @@ class ReadReport:
     layouts: dict[str, None] = field(default_factory=dict)
     """Those of all clouds, in the order in which they came."""
 
-    def add(self, cloud: Cloud, dropped: int) -> None:
-        """Count a cloud, `dropped` of whose points are no returns."""
+    def add(self, points: int, layout: str, dropped: int) -> None:
+        """Count a cloud of so many `points`, `dropped` of which are no returns; for its `layout`
+        see `Cloud`."""
         self.clouds += 1
-        self.points += len(cloud.points)
+        self.points += points
         self.dropped += dropped
-        self.layouts[cloud.layout] = None
+        self.layouts[layout] = None
 
     def __str__(self) -> str:
         several = f"{self.clouds:,} clouds, " if self.clouds > 1 else ""
@@ -161,7 +172,9 @@ READERS = NAMED | UNNAMED
 def _kind(path: Path) -> str:
     """The file type of a scan by its name, as `READERS` has it."""
     suffixes = [suffix.lower() for suffix in path.suffixes[-2:]]
-    return next((end for end in ("".join(suffixes), suffixes[-1] if suffixes else "") if end in READERS), "")
+    return next(
+        (end for end in ("".join(suffixes), suffixes[-1] if suffixes else "") if end in READERS), ""
+    )
 
 
 def scans_in(folder: Path) -> list[Path]:

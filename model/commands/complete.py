@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import rich_click as click
 
 from scenegen.cli.options import (
+    columns_option,
     command,
     device_option,
     group,
@@ -64,6 +65,7 @@ MOST_SHOWN = 24
     default=(0.0, 0.0, 0.0),
     help="Where a scan's sensor was: X Y Z, m.",
 )
+@columns_option
 @click.option(
     "--every",
     type=click.IntRange(1, 10**6),
@@ -85,7 +87,7 @@ MOST_SHOWN = 24
 @workers_by("1; with --on, all cores")
 @on_option
 @quiet_option
-@group("Scans, logs and maps", "n sensor every poses topic")
+@group("Scans, logs and maps", "n sensor columns every poses topic")
 def complete(
     source: Path | str,
     weights: str,
@@ -114,7 +116,13 @@ def complete(
     from scenegen.files import claim, real_path
     from scenegen.logs.read import is_log
     from scenegen.model.completion.completer import Completer
-    from scenegen.model.completion.scans import complete_all, predict_scan, read_scan, tasks_of
+    from scenegen.model.completion.scans import (
+        complete_all,
+        predict_scan,
+        read_line,
+        read_scan,
+        tasks_of,
+    )
     from scenegen.model.training.device import choose_device
     from scenegen.worlds import is_map
 
@@ -135,6 +143,8 @@ def complete(
         out = out or Path(f"{name}.completed")
         if tasks:
             about = {option: str(scans[option]) for option in ("sensor", "poses", "topic")}
+            if scans["columns"]:
+                about["columns"] = str(scans["columns"])
             about |= {"source": str(real_path(path)), "weights": completer.digest}
             claim(out, COMPLETIONS, about)
             complete_all(completer, tasks, out, MOST_SHOWN, quiet)
@@ -146,8 +156,10 @@ def complete(
     if stored:
         _complete_split(completer, path, split, out, execute, quiet)
     else:
-        completed = predict_scan(completer, read_scan(path, scans["sensor"]), out)
+        given = read_scan(path, scans["sensor"], scans["columns"])
+        completed = predict_scan(completer, given, out)
         if not quiet:
+            note(read_line([completed]))
             say(f"{path}: {completed}; completed by {completer.name}")
     if not quiet:
         say(f"{'replaced' if existed else 'written'}: {out}")

@@ -7,8 +7,16 @@ from typing import Any
 
 import rich_click as click
 
-from scenegen.cli.options import command, group, options_of, out_option, printing, was_given
-from scenegen.cli.show import Progress, Tell, plain, show_table
+from scenegen.cli.options import (
+    columns_option,
+    command,
+    group,
+    options_of,
+    out_option,
+    printing,
+    was_given,
+)
+from scenegen.cli.show import Progress, Tell, note, plain, show_table
 from scenegen.cli.types import FILE, Number
 from scenegen.errors import raised_as
 from scenegen.logs import Fusing
@@ -34,23 +42,26 @@ from scenegen.worlds.cloud import Survey
     type=(Number(),) * 6,
     help="Leave out what lies beyond these two corners: X Y Z X Y Z.",
 )
+@columns_option
 @options_of(
     Survey,
     voxel_m="Edge of the map's voxels, metres.",
     unit_m="The clouds' unit, metres: 0.001 for millimetres.",
     up="The clouds' axis that points up.",
+    least_m="Points nearer than this to the sensor that saw them are no returns, metres.",
     height_m="How high the walls of a plan are, metres.",
     assume_free="Call free what is above the lowest point of a column and holds none, unless a ray "
     "says so already: for clouds of which nobody knows where they were seen from.",
 )
 @out_option("The map to write, .npz.", ".npz", default="map.npz")
 @printing
-@group("Clouds", "sensor poses box unit up")
+@group("Clouds", "sensor poses least box columns unit up")
 def map(
     clouds: tuple[Path, ...],
     sensor: tuple[float, ...] | None,
     poses: Path | None,
     box: tuple[float, ...] | None,
+    columns: int | None,
     out: Path,
     tell: Tell,
     talk: bool,
@@ -65,7 +76,7 @@ def map(
     if sensor is not None and poses is not None:
         raise click.UsageError("--sensor and --poses both say where sensors were; give one")
     plan = clouds[0].suffix == ".yaml"
-    given = set(filter(was_given, ("sensor", "poses", "box", *options)))
+    given = set(filter(was_given, ("sensor", "poses", "box", "columns", *options)))
     misplaced = given - {"height_m"} if plan else given & {"height_m"}
     if misplaced or (plan and len(clouds) > 1):
         raise click.UsageError(
@@ -82,11 +93,13 @@ def map(
     if plan:
         made = read_plan(clouds[0], survey.height_m)
     else:
-        made = map_clouds(clouds, survey, sensor=sensor, poses=poses, box=box)
+        made = map_clouds(clouds, survey, sensor=sensor, poses=poses, box=box, columns=columns)
     write_result(out, encode_map(made.voxels, str(clouds[0]), offset=made.offset))
     about = {"file": str(out), "points": made.points, "taken_off_m": made.offset.tolist()}
     row = about | map_facts(made.voxels)
-    if tell(row):
+    if talk:
+        note(made.read)
+    if tell(row | {"read": made.read}):
         show_table(plain(row) | {"next": f"scenegen generate --scene {quote(str(out))}"})
 
 
@@ -102,6 +115,7 @@ def map(
     help="The poses of a folder of clouds: KITTI's matrices, TUM's lines, or CSV.",
 )
 @click.option("--topic", help="The clouds of a recording that has several.")
+@columns_option
 @options_of(
     Fusing,
     voxel_m="Edge of the maps' voxels, metres.",
@@ -115,12 +129,13 @@ def map(
 )
 @out_option("The folder to write, a new one.  [default: <log>-maps]")
 @printing
-@group("Log", "poses topic deskew")
+@group("Log", "poses topic columns deskew")
 @group("Maps", "voxel reach rise least moved-share")
 def ingest(
     log: Path,
     poses: Path | None,
     topic: str | None,
+    columns: int | None,
     out: Path | None,
     tell: Tell,
     talk: bool,
@@ -140,7 +155,7 @@ def ingest(
     with raised_as(click.UsageError):
         how = Fusing(**options)
     check_free(target)
-    found = read_log(log, poses=poses, topic=topic)
+    found = read_log(log, poses=poses, topic=topic, columns=columns)
     with Progress("ingest", shown=talk) as progress:
         progress.start(len(found.poses))
         counts = write(found, target, how, on_scan=progress.count)

@@ -13,7 +13,7 @@ from lidarsim import Pose
 from lidarsim.grid import Floats
 from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.pose import chained
-from scenegen.clouds import READERS, read_points, scans_in
+from scenegen.clouds import KITTI_FOLDER, READERS, check_scan, read_points, scans_in
 from scenegen.errors import DatasetError, raised_as
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_HEADER_BYTES
@@ -55,7 +55,13 @@ def _kitti_poses(sequence: Path) -> Path:
     return sequence.parent.parent / "poses" / f"{sequence.name}.txt"
 
 
-def read_log(path: Path, *, poses: Path | None = None, topic: str | None = None) -> Log:
+def read_log(
+    path: Path,
+    *,
+    poses: Path | None = None,
+    topic: str | None = None,
+    columns: int | None = None,
+) -> Log:
     """The log at `path`.
 
     Args:
@@ -65,6 +71,7 @@ def read_log(path: Path, *, poses: Path | None = None, topic: str | None = None)
         poses: A file of poses, see `read_poses`: one a cloud, in the order of the clouds' names,
             or any number with times, where ``times.txt`` or the clouds' names give theirs, seconds.
         topic: The topic of the clouds, where a file has several.
+        columns: See `scenegen.clouds.read_cloud`.
 
     Raises:
         DatasetError: There is no log, or it is not as it should be.
@@ -86,13 +93,13 @@ def read_log(path: Path, *, poses: Path | None = None, topic: str | None = None)
         raise DatasetError(f"{path}: has no poses.txt; give the file of its poses with --poses")
     if topic:
         raise DatasetError(f"{path}: a folder of clouds has no topics; leave out --topic")
-    return _read_folder(path, poses, beside)
+    return _read_folder(path, poses, beside, columns)
 
 
-def _read_folder(path: Path, given: Path | None, beside: Path) -> Log:
+def _read_folder(path: Path, given: Path | None, beside: Path, columns: int | None) -> Log:
     """The log in a folder of clouds, by the file of poses that is `given`, which are the sensor's,
     or by the one `beside` them, which are those of KITTI's camera."""
-    clouds = path / "velodyne"
+    clouds = path / KITTI_FOLDER
     if not clouds.is_dir():
         clouds = path
     files = scans_in(clouds)
@@ -120,7 +127,9 @@ def _read_folder(path: Path, given: Path | None, beside: Path) -> Log:
 
     def read(file: Path) -> Points:
         """Its points; nothing else is known of each."""
-        return read_points(file), {}
+        points = read_points(file, columns)
+        check_scan(points, np.zeros(3), str(file))
+        return points, {}
 
     return _log(path, times, poses, lambda: (partial(read, file) for file in files))
 

@@ -189,7 +189,8 @@ a.xyz → 1 2 3            →                                 → does not say 
 a.xyz → nan 1 2; 1 inf 2 → --sensor nan 1 2                → nan
 a.xyz → nan 1 2; 1 inf 2 → --assume-free                   → no point in it is finite
 a.xyz → 0 0 0; 1e30 0 0  → --assume-free                   → give a larger --voxel
-a.xyz → 0 0 0; 1e300 0 0 → --sensor 0 0 0                  → give a larger --voxel
+a.xyz → 1 0 0; 1e300 0 0 → --sensor 0 0 0                  → 1 of 2 points lie up to 1e+300 m
+a.xyz → 1 0 0; 9e4 9e4 9e4 → --sensor 0 0 0                → give a larger --voxel
 a.xyz → 0 0 0            → --assume-free --box 5 5 5 6 6 6 → lies in the box
 a.xyz → 0 0 0            → --poses none.txt                → none.txt
 a.xyz → 0 0 0            → --poses two.txt                 → 2 poses, expected 1
