@@ -279,10 +279,11 @@ def _check_metric(header: Any, points: Floats) -> None:
         for key in record.geo_keys
     }
     words = " ".join(record.string for record in header.vlrs.get("WktCoordinateSystemVlr"))
-    projected = keys.get(MODEL_KEY) == 1 or "PROJC" in words
-    degrees = keys.get(MODEL_KEY) == GEOGRAPHIC or ("GEOGC" in words and not projected)
-    centred = keys.get(MODEL_KEY) == GEOCENTRIC or "GEOCCS" in words
-    if not (keys or words) and len(points):
+    # of well-known text, 1 and 2: a projected system holds a geographic one
+    angular = "GEOGC" in words or ("GEODCRS" in words and "ellipsoidal" in words)
+    degrees = keys.get(MODEL_KEY) == GEOGRAPHIC or (angular and "PROJC" not in words)
+    centred = keys.get(MODEL_KEY) == GEOCENTRIC or words.startswith(("GEOCCS", "GEODCRS"))
+    if not (MODEL_KEY in keys or words) and len(points):
         x, y, z = np.ptp(points[:, :3], axis=0)
         fine, tall = header.scales[:2].max(), DEGREES_TALL * max(x, y)
         on_earth = (np.abs(points[:, :2]).max(axis=0) <= (180, 90)).all()
