@@ -12,6 +12,9 @@ from lidarsim.parameters import MIN_RETURN_M, MOST_LENGTH_M
 from lidarsim.pose import Pose, rotate
 from lidarsim.sensors import Sensor, check_sensor
 
+MIN_REPEATED, REPEATED_SHARE = 20, 0.01
+"""How many points of a scan, and which share of all, must be one and the same to be no returns."""
+
 
 @dataclass(frozen=True, eq=False)
 class Scan:
@@ -91,8 +94,9 @@ def are_returns(
 ) -> Mask:
     """Tell the returns among a scan's points, see `is_return`.
 
-    Drivers write 0 0 0, NaN or infinity for a ray without a return. Moved into another frame, the
-    zeros lie at the sensor; both are left out here.
+    Drivers write 0 0 0, NaN or infinity for a ray without a return. Where somebody moved the cloud
+    into another frame, the zeros lie at the sensor; where nobody says where that is, they are one
+    point that is there again and again, see `_repeated`.
 
     Args:
         points: (N, 3), metres.
@@ -105,7 +109,22 @@ def are_returns(
     """
     with np.errstate(invalid="ignore", over="ignore"):  # infinity less infinity
         ranges = np.sqrt(((points - np.asarray(sensors, float)) ** 2).sum(axis=1))
-    return is_return(ranges, min_range_m) & points.any(axis=1)
+    return is_return(ranges, min_range_m) & points.any(axis=1) & ~_repeated(points)
+
+
+def _repeated(points: Floats) -> Mask:
+    """Which points (N, 3) are the one that many rays share to the last bit: no surface gives that.
+
+    Rays without a return follow one another, so that only points like the one before them are
+    counted. Two echoes of a ray may be alike, but those of each ray are another pair.
+    """
+    alike = points[1:][(points[1:] == points[:-1]).all(axis=1)]
+    if len(alike) < max(MIN_REPEATED, REPEATED_SHARE * len(points)):
+        return np.zeros(len(points), bool)
+    places, counts = np.unique(alike, axis=0, return_counts=True)
+    if counts.max() < max(MIN_REPEATED, REPEATED_SHARE * len(points)):
+        return np.zeros(len(points), bool)
+    return np.asarray((points == places[counts.argmax()]).all(axis=1))
 
 
 def check_ranges(ranges: NDArray[Any], lidar: Sensor, giver: str) -> None:
