@@ -23,8 +23,8 @@ KITTI, NUSCENES = 4, 5
 """Columns of the two .bin formats that are known: x y z intensity, and these with the ring."""
 FAR_M, NEAR_M = 1e5, 1e-20
 """Bytes that are no coordinates read as numbers beyond these, but for zeros."""
-PLAUSIBLE_SHARE = 0.99
-"""The share of a scan's points that must lie between these."""
+PLAUSIBLE_SHARE = 0.9
+"""The share of points that must lie between these; `check_scan` of `scenegen.clouds` wants all."""
 BLOCK, MAX_BLOCKS = 840, 100
 """Floats of a block, a multiple of every number of columns, and blocks in which these are
 compared."""
@@ -84,28 +84,44 @@ def fitting_columns(values: NDArray[np.float32], usual: int | None = None) -> in
     fits = {
         count: _column_fit(values, count)
         for count in range(MIN_COLUMNS, MAX_COLUMNS + 1)
-        if len(values) and len(values) % count == 0 and _plausible(values.reshape(-1, count))
+        if len(values) and len(values) % count == 0
     }
-    if not fits:
+    count = _best_fit(fits, len(values))
+    if count is None and usual in fits:
+        count = usual
+    if count is None and KITTI in fits and _has_intensity(values.reshape(-1, KITTI)):
+        # unless another one fits better than by chance
+        better = max(fits.values()) - fits[KITTI] > _chance(KITTI, len(values))
+        count = None if better else KITTI
+    if fits and count is None:
+        choices = " or ".join(map(str, fits))
+        raise ValueError(f"may have {choices} columns, and its numbers do not tell; {HELP}")
+    if count is None or not _plausible(values.reshape(-1, count)):
         raise ValueError(
             f"{4 * len(values)} bytes are no points of {MIN_COLUMNS} to {MAX_COLUMNS} float32, x y "
             f"z first, as KITTI has them; {HELP}"
         )
-    if len(fits) == 1:
-        return min(fits)
+    return count
+
+
+def _best_fit(fits: Mapping[int, float], size: int) -> int | None:
+    """The number of columns that alone divides a file of `size` numbers, or fits far better than
+    the others; None if there is none, see `fitting_columns`."""
+    if len(fits) < 2:
+        return next(iter(fits), None)
     best = max(fits.values())
     count = min(count for count, fit in fits.items() if fit >= SAME_FIT * best)
     others = [fit for other, fit in fits.items() if other % count]
-    # of columns that are alike, the fit times the numbers is distributed as chi squared
-    chance = (count - 1 + CHANCES * (2 * (count - 1)) ** 0.5) / min(len(values), BLOCK * MAX_BLOCKS)
-    if best > chance and max(others, default=0.0) < CLEAR_FIT * best - chance:
-        return count
-    if usual in fits:
-        return usual
-    if fits.get(KITTI, -1.0) > best - chance and _has_intensity(values.reshape(-1, KITTI)):
-        return KITTI
-    choices = " or ".join(map(str, fits))
-    raise ValueError(f"may have {choices} columns, and its numbers do not tell; {HELP}")
+    chance = _chance(count, size)
+    clear = best > chance and max(others, default=0.0) < CLEAR_FIT * best - chance
+    return count if clear else None
+
+
+def _chance(count: int, size: int) -> float:
+    """What columns that are alike do not reach: their fit times the numbers is distributed as chi
+    squared."""
+    freedom = count - 1
+    return float((freedom + CHANCES * (2 * freedom) ** 0.5) / min(size, BLOCK * MAX_BLOCKS))
 
 
 def _has_intensity(table: NDArray[np.float32]) -> bool:

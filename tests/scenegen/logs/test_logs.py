@@ -284,8 +284,8 @@ def test_rays_without_a_return_change_no_map(tmp_path):
     points = 6.03 * Lidar().directions_body.reshape(-1, 3)
     lost, arm = np.arange(len(points)) % 6 < 2, np.array([0.0, 0.3, 1.2])
     pose, maps = Pose.level((0.0, 0.0, 0.0)), []
-    for number, rows in enumerate((np.where(lost[:, None], 0, points) + arm, points[~lost] + arm)):
-        scans = [LogScan(0.0, pose, rows)]
+    for number, seen in enumerate((np.where(lost[:, None], 0, points) + arm, points[~lost] + arm)):
+        scans = [LogScan(0.0, pose, seen)]
         log = Log(np.zeros(1), (pose,), 0, lambda first, scans=scans: iter(scans[first:]))
         counts = ingest(log, tmp_path / f"{number}", Fusing())
         maps.append(read_place(tmp_path / f"{number}" / "place-000.npz").voxels)

@@ -169,15 +169,15 @@ def test_rays_without_a_return_mark_nothing(scans, tmp_path, how):
     sensor, points = scans[0]
     lost = np.arange(len(points)) % 3 == 0
     maps = []
-    for rows in (np.where(lost[:, None], sensor, points), points[~lost]):
+    for returns in (np.where(lost[:, None], sensor, points), points[~lost]):
         more, file = {}, tmp_path / "a.npy"
         if how == "fields":
-            file = write_ply(tmp_path / "a.ply", rows, np.broadcast_to(sensor, rows.shape))
+            file = write_ply(tmp_path / "a.ply", returns, np.broadcast_to(sensor, returns.shape))
         elif how == "sensor":
-            np.save(file, rows)
+            np.save(file, returns)
             more = {"sensor": sensor}
         else:
-            np.save(file, rows - sensor)
+            np.save(file, returns - sensor)
             (tmp_path / "poses.txt").write_text(f"0 {' '.join(map(repr, sensor.tolist()))} 0 0 0 1")
             more = {"poses": tmp_path / "poses.txt"}
         maps.append(map_clouds([file], VOXELS, **more))
