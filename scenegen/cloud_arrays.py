@@ -141,7 +141,7 @@ def _plausible(table: NDArray[np.float32]) -> bool:
     finite = table[np.isfinite(table[:, :3]).all(axis=1), :3]
     sizes = np.abs(finite)
     good = ((sizes == 0) | ((sizes > NEAR_M) & (sizes < FAR_M))).all(axis=1)
-    return np.count_nonzero(good) >= PLAUSIBLE_SHARE * len(good)
+    return bool(np.count_nonzero(good) >= PLAUSIBLE_SHARE * len(good))
 
 
 def _column_fit(values: NDArray[np.float32], count: int) -> float:

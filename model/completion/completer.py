@@ -234,9 +234,9 @@ class Completer:
         found = PointScan(points=returned, position=here, grid=self.grid)
         if not len(found.voxels):
             raise ValueError(
-                f"none of {len(rows)} points, {len(rows) - len(returned)} of them without a "
-                f"return, is in the map, {self.grid.extent_m.tolist()} m around "
-                f"the sensor at {here.tolist()}; give metres, and where the sensor is"
+                f"none of {len(rows)} points is in the map ({len(rows) - len(returned)} are no "
+                f"returns), {self.grid.extent_m.tolist()} m around the sensor at {here.tolist()}; "
+                "give metres, and where the sensor is"
             )
         return found
 

@@ -67,7 +67,7 @@ def map(
     talk: bool,
     **options: Any,
 ) -> None:
-    """Make a map of a real place from point clouds: .ply, .pcd, .las, .laz, .xyz, .npz, .npy;
+    """Make a map of a real place from point clouds: .ply, .pcd, .las, .laz, .bin, .xyz, .npz, .npy;
     or from one of ROS's plans of a floor, .yaml.
 
     Voxels with points are occupied, those that rays from the sensor crossed are free, and all

@@ -88,7 +88,7 @@ def test_scans_without_a_true_return_are_refused(tmp_path, points, capsys):
     assert f"1 of {len(points) + 1} points lie up to 2e+05 m from the sensor" in said
     np.save(tmp_path / "zeros.npy", np.zeros((9, 3)))
     said = refused(capsys, "complete", tmp_path / "zeros.npy", "--device", "cpu")
-    assert "none of 9 points, 9 of them without a return" in said
+    assert "none of 9 points is in the map (9 are no returns)" in said
 
 
 def test_an_observation_is_scored_over_what_its_log_knows(tmp_path, points, rng):
