@@ -189,7 +189,7 @@ def test_bench_scores_what_is_known(dataset, tmp_path, capsys, monkeypatch):
     for text in (said, (out / "report.md").read_text(), (out / "report.html").read_text()):
         assert about["note"] in text
     assert about["note"].startswith(f"{100 * about['known_share']:.1f} % of the grid is known")
-    assert run(capsys, f"bench {dataset} --study -o {out}")[0] == 1
+    assert run(capsys, f"bench {dataset} --reliability -o {out}")[0] == 1
 
 
 def test_networks_learn_from_what_is_known(dataset, tmp_path):
