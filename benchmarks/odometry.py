@@ -71,7 +71,8 @@ def _measured(path: Path, moving: bool, voxel_m: float) -> str:
     config.data.deskew, config.mapping.voxel_size = moving, voxel_m
     odometry, found = KissICP(config), []
     for scan in log.scans():
-        odometry.register_frame(scan.points, scan.more["t"])
+        # of a sensor that stands still while it scans, a log has no times
+        odometry.register_frame(scan.points, scan.more.get("t", np.zeros(len(scan.points))))
         found.append(odometry.last_pose)
     truth = np.array([matrix_of(pose) for pose in log.poses])
     metres = np.linalg.norm(np.diff(truth[:, :3, 3], axis=0), axis=1).sum()

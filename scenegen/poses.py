@@ -1,6 +1,7 @@
 """Where a sensor was: poses in text files, and poses between those that are known."""
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,21 @@ SKEW = 0.01
 usual."""
 TUM = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 """The columns of a TUM file, and of a CSV file that names none."""
+TIME_NAME = re.compile(r"(?:.*\.)?(?:t|time_?stamp|time|stamp|secs?)(?:_(s|ms|us|ns))?")
+AXIS_NAME = re.compile(
+    r"(?:(?:.*\.)?(?:(q_rs|q|quat|quaternion|rot|rotation|orientation)"
+    r"|p_rs_r|p|t|pos|position|translation)[_.]?)?([xyzw])"
+)
+"""Names of columns in other programs: EuRoC's p_RS_R_x and q_RS_w, tx, pos_x, position.x, q_x …"""
+UNITS = {"s": 1.0, "ms": 1e-3, "µs": 1e-6, "ns": 1e-9}
+"""Units of time, seconds."""
+MIN_UNIX_S = 1e9
+"""A time above this (September 2001), and below ten times as much, counts seconds since 1970."""
+MAX_STEP_S = 60.0
+"""The time between scans or poses is at most this (median), seconds."""
+MIN_LEVEL, MAX_TILTED = math.cos(math.radians(30)), math.cos(math.radians(60))
+"""Where quaternions can be taken as w x y z or x y z w, they are of a level sensor in one order if
+the upward axis always has a vertical part above the first, and of a tilted one below the second."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +48,13 @@ class Track:
     """(n,), seconds, rising; NaN where no time is known."""
     poses: Sequence[Pose]
     """As many."""
+    form: str = ""
+    """How they were read from a file, for people."""
+
+    @property
+    def is_timed(self) -> bool:
+        """Whether all times are known."""
+        return bool(np.isfinite(self.times_s).all())
 
     def at(self, time_s: float) -> Pose | None:
         """The pose at a time: positions on a straight line, and attitudes on the shortest arc (as
@@ -59,29 +82,126 @@ def inverse(pose: Pose) -> Pose:
     return Pose(-rotate(pose.back, pose.position), pose.back)
 
 
-def read_poses(path: Path) -> Track:
-    """The poses of a text file: matrices of 3 × 4 as KITTI has them, or time, position and
-    quaternion, as TUM has them or under the names of `TUM` in a CSV file's first line.
+def read_poses(path: Path, *, timed: bool = True) -> Track:
+    """Read the poses of a text file, whose form is determined by its header and content.
 
-    Raises DatasetError for anything else, and names the line.
+    Args:
+        path: Matrices of 3 × 4, row by row, as KITTI writes them; or time, position and quaternion
+            x y z w, as TUM does; or these columns in any order, with others among them, under
+            names in the first line, or in a comment above the first row, as EuRoC writes them.
+            Times are in the unit that the header names, or in one that `to_seconds` determines.
+        timed: Whether times are needed.
+
+    Returns:
+        The poses; the times are NaN for matrices, and if they are not needed.
+
+    Raises:
+        DatasetError: The file has another form, or can be read in two ways. Names the line.
     """
-    names, rows = read_numbers(path)
+    names, rows, comment = _read_table(path)
     if not names and rows.shape[1] == 12:
         poses = [pose_of_matrix(row, f"{path}: line {n + 1}") for n, row in enumerate(rows)]
-        return Track(np.full(len(rows), np.nan), poses)
-    names = names or (TUM if rows.shape[1] == len(TUM) else ())
-    if missing := [name for name in TUM if name not in names]:
+        return Track(np.full(len(rows), np.nan), poses, "matrices as KITTI's")
+    if not names and any("q" in name for name, _ in _column_names(comment)):
+        names = comment
+    named = _column_names(names or TUM[: rows.shape[1]])
+    columns = {name: [n for n, (column, _) in enumerate(named) if column == name] for name in TUM}
+    missing = [name for name in TUM if not columns[name]]
+    if missing or (not names and rows.shape[1] != len(TUM)):
         raise DatasetError(
-            f"{path}: {rows.shape[1]} columns without {', '.join(missing)}; expected 12 as in "
-            f"KITTI, or {', '.join(TUM)}"
+            f"{path}: {rows.shape[1]} columns without {', '.join(missing) or 'names'}; expected 12 "
+            f"as in KITTI, or {', '.join(TUM)}; others need their names in the first line"
         )
-    table = rows[:, [list(names).index(name) for name in TUM]]
+    if twice := [name for name in TUM if len(columns[name]) > 1]:
+        raise DatasetError(f"{path}: several columns for {twice[0]}; expected one called so")
+    table = rows[:, [columns[name][0] for name in TUM]]
     rising = np.diff(table[:, 0]) > 0
     if not rising.all():
         n = int(np.argmin(rising)) + 2
         raise DatasetError(f"{path}: row {n}: expected a time above the one before")
+    if not names:
+        _check_order(table[:, 4:], path)
+    if not timed:
+        return Track(np.full(len(rows), np.nan), _poses_in(table, path))
+    times_s, unit = to_seconds(
+        table[:, 0], f"{path}: times", next((unit for _, unit in named if unit), "")
+    )
+    form = f"columns {' '.join(name for name, _ in named if name)}, t in {unit}"
+    return Track(times_s, _poses_in(table, path), form)
+
+
+def _poses_in(table: Floats, path: Path) -> list[Pose]:
+    """The poses of a file's columns `TUM` (n, 8)."""
     with raised_as(DatasetError):
-        return Track(table[:, 0], poses_of(table[:, 1:], str(path)))
+        return poses_of(table[:, 1:], str(path))
+
+
+def _column_names(names: Sequence[str]) -> list[tuple[str, str]]:
+    """For each of a table's columns, its name as in `TUM`, or "" for others, and a time's unit, if
+    it is named. A column that is called as in `TUM` goes before others of that meaning."""
+    plain = list[tuple[str, str]]()
+    for name in names:
+        bare, _, bracket = name.lower().replace(" ", "_").partition("[")
+        bare = bare.strip("_")
+        if time := TIME_NAME.fullmatch(bare):
+            unit = (time[1] or bracket.strip("_]")).replace("us", "µs")
+            plain.append(("t", unit if unit in UNITS else ""))
+        elif axis := AXIS_NAME.fullmatch(bare):
+            quaternion = axis[1] or axis[2] == "w"
+            plain.append((f"q{axis[2]}" if quaternion else axis[2], ""))
+        else:
+            plain.append(("", ""))
+    return [
+        ("", "") if alias != name and alias in names else (alias, unit)
+        for name, (alias, unit) in zip(names, plain, strict=True)
+    ]
+
+
+def _check_order(turns: Floats, path: Path) -> None:
+    """Raise DatasetError if quaternions (n, 4) of a file without names are those of a level sensor
+    as w x y z, but not as x y z w, the order in which they are read."""
+    # how far up the sensor's vertical axis points, at least: 1 - 2 (x² + y²)
+    as_read, w_first = ((1 - 2 * (turns[:, n : n + 2] ** 2).sum(axis=1)).min() for n in (0, 1))
+    if as_read < MAX_TILTED and w_first > MIN_LEVEL:
+        raise DatasetError(
+            f"{path}: as x y z w its quaternions tilt the sensor, as w x y z they keep it level; "
+            "name the columns in the first line: t x y z qx qy qz qw, or t x y z qw qx qy qz"
+        )
+
+
+def to_seconds(
+    times: Floats, where: str, unit: str = "", near_s: Floats | None = None
+) -> tuple[Floats, str]:
+    """Determine the unit of rising times.
+
+    Args:
+        times: (n,), in an unknown unit.
+        where: What an error's line begins with.
+        unit: The unit in `UNITS`, if it is known.
+        near_s: Rising times that overlap with these, seconds.
+
+    Returns:
+        The times in seconds, and their unit: that in which they lie between 2001 and 2286, or
+        overlap with those near them, or seconds; if the median step from one to the next is at most
+        `MAX_STEP_S`.
+
+    Raises:
+        DatasetError: The steps are longer than that, so that the unit cannot be determined.
+    """
+    step = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    for name, scale in UNITS.items():
+        first, last = times[0] * scale, times[-1] * scale
+        likely = MIN_UNIX_S <= last < 10 * MIN_UNIX_S
+        if near_s is not None:
+            likely |= first <= near_s[-1] and last >= near_s[0]
+        if name == unit or (not unit and likely and step * scale <= MAX_STEP_S):
+            return times * scale, name
+    if step > MAX_STEP_S:
+        raise DatasetError(
+            f"{where} are {step:.6g} apart (median), from {times[0]:.12g} to {times[-1]:.12g}; "
+            "expected seconds, or ms, µs or ns since 1970; else name the unit in a header: t[ns]"
+        )
+    return times, "s"
 
 
 def poses_of(rows: Floats, where: str) -> list[Pose]:
@@ -100,16 +220,25 @@ def poses_of(rows: Floats, where: str) -> list[Pose]:
 def read_numbers(path: Path) -> tuple[tuple[str, ...], Floats]:
     """A table of finite numbers, (rows, columns), and the names in its first line, if any; lines
     are passed over from # on. Raises DatasetError for anything else."""
+    return _read_table(path)[:2]
+
+
+def _read_table(path: Path) -> tuple[tuple[str, ...], Floats, tuple[str, ...]]:
+    """What `read_numbers` returns, and the names in the last comment above the first row, if they
+    are as many as its columns."""
     text = read_bounded(path, MOST_ASSET_BYTES).decode("latin-1")
-    rows, names = list[list[float]](), tuple[str, ...]()
-    for number, line in enumerate(text.replace(",", " ").splitlines(), start=1):
-        words = line.partition("#")[0].split()
+    rows, names, comment = list[list[float]](), tuple[str, ...](), tuple[str, ...]()
+    for number, line in enumerate(text.splitlines(), start=1):
+        content, _, after = line.partition("#")
+        words = content.replace(",", " ").split()
+        if not words and not rows:
+            comment = _cells(after) or comment
         try:
             row = [float(word) for word in words]
         except ValueError:
             row = []
             if not rows and not names:
-                names = tuple(words)
+                names = _cells(content)
                 continue
         width = len(names) or len((rows or [row])[0])
         if words and not (row and len(row) == width and all(map(math.isfinite, row))):
@@ -120,7 +249,14 @@ def read_numbers(path: Path) -> tuple[tuple[str, ...], Floats]:
             rows.append(row)
     if not rows:
         raise DatasetError(f"{path}: holds no numbers")
-    return names, np.array(rows)
+    return names, np.array(rows), comment if len(comment) == len(rows[0]) else ()
+
+
+def _cells(line: str) -> tuple[str, ...]:
+    """The names of columns in a line, between commas or spaces, each with its unit in brackets."""
+    joined = re.sub(r"\s*[\[(]\s*([^\])]*?)\s*[\])]", r"[\1]", line)
+    cells = joined.split(",") if "," in joined else joined.split()
+    return tuple(filter(None, map(str.strip, cells)))
 
 
 def pose_of_matrix(row: Floats, where: str) -> Pose:

@@ -12,6 +12,7 @@ from scenegen.cli.options import (
     command,
     device_option,
     group,
+    log_options,
     on_option,
     quiet_option,
     split_option,
@@ -19,7 +20,7 @@ from scenegen.cli.options import (
     workers_by,
 )
 from scenegen.cli.show import Progress, note, say
-from scenegen.cli.types import FILE, DatasetPath, Number, OutputFile
+from scenegen.cli.types import DatasetPath, Number, OutputFile
 from scenegen.errors import DatasetError
 from scenegen.limits import MOST_BATCH
 from scenegen.model.commands.weights import Weights
@@ -72,8 +73,7 @@ MOST_SHOWN = 24
     default=1,
     help="Complete every n-th scan of a folder or a log.",
 )
-@click.option("--poses", type=FILE, help="The poses of a folder of clouds, as for `ingest`.")
-@click.option("--topic", help="The clouds of a recording that has several.")
+@log_options
 @click.option(
     "--n", "count", type=click.IntRange(1, 10**6), default=MOST_SHOWN, help="Viewpoints in a map."
 )
@@ -87,7 +87,7 @@ MOST_SHOWN = 24
 @workers_by("1; with --on, all cores")
 @on_option
 @quiet_option
-@group("Scans, logs and maps", "n sensor columns every poses topic")
+@group("Scans, logs and maps", "n sensor columns every poses poses-of topic fixed-frame")
 def complete(
     source: Path | str,
     weights: str,
@@ -99,7 +99,10 @@ def complete(
     workers: int,
     on: str,
     quiet: bool,
-    **scans: Any,
+    sensor: tuple[float, ...],
+    every: int,
+    columns: int | None,
+    log_reading: dict[str, Any],
 ) -> None:
     """Complete a dataset's split, a scan, all scans in a folder and below it, a log, or a map.
 
@@ -135,16 +138,21 @@ def complete(
         raise DatasetError(
             f"{path}: --on and --workers complete a dataset's split; leave them out for scans"
         )
-    several = not stored and (path.is_dir() or is_log(path) or scans["poses"] is not None)
-    tasks = tasks_of(path, **scans) if several else None  # which may refuse what is there at once
+    logged = not stored and (is_log(path) or log_reading["poses"] is not None)
+    if not logged and (given := [name for name, value in log_reading.items() if value]):
+        raise DatasetError(f"{path}: is no log; leave out --{given[0].replace('_', '-')}")
+    several = logged or (not stored and path.is_dir())
+    # which may refuse what is there at once
+    tasks = tasks_of(path, sensor, every, columns, quiet, **log_reading) if several else None
     completer = Completer.from_pretrained(weights, device=device_here, batch=batch)
     if tasks or is_map(path):
         name = path.stem if path.is_file() else real_path(path).name
         out = out or Path(f"{name}.completed")
         if tasks:
-            about = {option: str(scans[option]) for option in ("sensor", "poses", "topic")}
-            if scans["columns"]:
-                about["columns"] = str(scans["columns"])
+            about = {"sensor": str(sensor)} | ({"columns": str(columns)} if columns else {})
+            always = ("poses", "topic")  # as in folders that were begun before there were others
+            for name, value in log_reading.items():
+                about |= {name: str(value)} if value or name in always else {}
             about |= {"source": str(real_path(path)), "weights": completer.digest}
             claim(out, COMPLETIONS, about)
             complete_all(completer, tasks, out, MOST_SHOWN, quiet)
@@ -156,8 +164,7 @@ def complete(
     if stored:
         _complete_split(completer, path, split, out, execute, quiet)
     else:
-        given = read_scan(path, scans["sensor"], scans["columns"])
-        completed = predict_scan(completer, given, out)
+        completed = predict_scan(completer, read_scan(path, sensor, columns), out)
         if not quiet:
             note(read_line([completed]))
             say(f"{path}: {completed}; completed by {completer.name}")

@@ -30,7 +30,8 @@ from scenegen.errors import DatasetError, DiskError, printable, raised_as
 from scenegen.files import check_ours, make_way, read_bounded, write_result, write_whole
 from scenegen.limits import MOST_SCAN_BYTES, MOST_VOXELS
 from scenegen.logs import LogScan
-from scenegen.logs.read import Log, is_log, read_log
+from scenegen.logs.log import Log
+from scenegen.logs.read import is_log, read_log
 from scenegen.model.calibration import UNUSUAL
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.predictions import PACKED, new_hdf5
@@ -57,7 +58,7 @@ class Scan(NamedTuple):
     position: Floats
     """(3,): where the sensor is in the points' frame, metres."""
     layout: str
-    """What was taken of the file, see `Cloud`."""
+    """What was taken of the file, see `Cloud`; "" of a log's."""
     truth: Mapping[str, Any] = {}
     """`TRUTH` in the grid around the sensor, and its `voxel_m`; nothing where only the scan is
     known."""
@@ -141,7 +142,7 @@ def scans_of_log(log: Log, every: int) -> Iterator[Task]:
         points = rotate(scan.pose.quaternion, scan.points) + position
         # in the sensor's frame, they are told exactly
         points[~are_returns(scan.points)] = np.nan
-        return Scan(name, points, position, "x y z (a log's)")
+        return Scan(name, points, position, "")
 
     for number, scan in enumerate(log.scans()):
         if number % every == 0:
@@ -257,11 +258,12 @@ def _completion(path: Path) -> Look:
 
 
 def read_line(done: Sequence[Completed]) -> str:
-    """What was read of scans that were completed, in a line."""
+    """What was read of scans that were completed, in a line; of a log, see `Log.line`, how many
+    points are no returns."""
     report = ReadReport()
     for scan in done:
         report.add(scan.points, scan.layout, scan.without)
-    return str(report)
+    return str(report) if any(report.layouts) else f"{report.dropped:,} points without a return"
 
 
 def summary(done: Sequence[Completed]) -> list[str]:
@@ -290,14 +292,16 @@ def tasks_of(
     found: Path,
     sensor: ArrayLike,
     every: int,
-    poses: Path | None,
-    topic: str | None,
     columns: int | None,
+    quiet: bool,
+    **reading: Any,
 ) -> tuple[int, Iterable[Task]]:
-    """How many scans of a log or a folder are to be completed, and these. Raises DatasetError for a
-    folder without scans."""
-    if poses is not None or is_log(found):
-        log = read_log(found, poses=poses, topic=topic, columns=columns)
+    """How many scans of a log, read as `reading` says (arguments of `read_log`), or of a folder are
+    to be completed, and these. Raises DatasetError for a folder without scans."""
+    if reading["poses"] is not None or is_log(found):
+        log = read_log(found, columns=columns, **reading)
+        if not quiet:
+            note(log.line())
         return len(range(0, len(log.poses), every)), scans_of_log(log, every)
     kept = found / "observations"  # what `ingest` keeps beside its maps
     scans = scans_in(kept if kept.is_dir() else found)[::every]

@@ -11,6 +11,7 @@ from scenegen.cli.options import (
     columns_option,
     command,
     group,
+    log_options,
     options_of,
     out_option,
     printing,
@@ -109,12 +110,7 @@ def map(
     "ingest clouds --poses poses.tum -o data/walk",
 )
 @click.argument("log", type=FILE)
-@click.option(
-    "--poses",
-    type=FILE,
-    help="The poses of a folder of clouds: KITTI's matrices, TUM's lines, or CSV.",
-)
-@click.option("--topic", help="The clouds of a recording that has several.")
+@log_options
 @columns_option
 @options_of(
     Fusing,
@@ -127,15 +123,20 @@ def map(
     every="Every n-th scan is kept beside the truth.",
     deskew="Move points to where their rays met something, by the time of each: for raw scans.",
 )
+@click.option(
+    "--explain",
+    is_flag=True,
+    help="Print how points, poses and times are read, and write nothing.",
+)
 @out_option("The folder to write, a new one.  [default: <log>-maps]")
 @printing
-@group("Log", "poses topic columns deskew")
+@group("Log", "poses poses-of topic fixed-frame columns deskew explain")
 @group("Maps", "voxel reach rise least moved-share")
 def ingest(
     log: Path,
-    poses: Path | None,
-    topic: str | None,
+    log_reading: dict[str, Any],
     columns: int | None,
+    explain: bool,
     out: Path | None,
     tell: Tell,
     talk: bool,
@@ -144,8 +145,8 @@ def ingest(
     """Make maps of a log of LiDAR scans with poses, and keep some of its scans beside them.
 
     A log is a sequence in KITTI's odometry layout (SemanticKITTI's, too), a recording of ROS
-    (.mcap, .bag, .db3, or a bag's folder) with PointCloud2 or Livox's CustomMsg and /tf or
-    odometry, or a folder of clouds with --poses. Stopped or killed, the same command goes on.
+    (.mcap, .bag, .db3, or a bag's folder) with PointCloud2 or Livox's CustomMsg and /tf, odometry
+    or --poses, or a folder of clouds with --poses. Stopped or killed, the same command goes on.
     """
     from scenegen.files import check_free
     from scenegen.logs.fuse import ingest as write
@@ -154,11 +155,22 @@ def ingest(
     target = out or Path(f"{log.stem}-maps")
     with raised_as(click.UsageError):
         how = Fusing(**options)
-    check_free(target)
-    found = read_log(log, poses=poses, topic=topic, columns=columns)
+    if not explain:
+        check_free(target)
+    found = read_log(log, columns=columns, **log_reading)
+    if explain:
+        row = found.explained()
+        if tell(row):
+            show_table(row)
+    elif talk:
+        note(found.line())
+    if how.deskew:
+        found.check_point_times()
+    if explain:
+        return
     with Progress("ingest", shown=talk) as progress:
         progress.start(len(found.poses))
         counts = write(found, target, how, on_scan=progress.count)
-    if tell({"folder": str(target), **counts}):
+    if tell({"folder": str(target), "read": dict(found.about), **counts}):
         source, folder = quote(str(target)), quote(f"{target}-samples")
         show_table(plain(counts) | {"next": f"scenegen generate --scene {source} -o {folder}"})

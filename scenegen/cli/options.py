@@ -18,6 +18,7 @@ from lidarsim.parameters import BOUNDS, Bounds
 from lidarsim.sensors import SENSORS
 from scenegen import SPLITS
 from scenegen.cli.types import (
+    FILE,
     Choice,
     DatasetPath,
     Named,
@@ -141,6 +142,40 @@ def printing(function: Callable[..., Any]) -> Any:
             return talk
 
         return function(tell=tell, talk=talk, **options)
+
+    return command
+
+
+def log_options(function: Callable[..., Any]) -> Any:
+    """--poses, --poses-of, --topic and --fixed-frame. The command gets them as `log_reading`, the
+    arguments of `scenegen.logs.read.read_log`."""
+
+    @click.option(
+        "--poses",
+        type=FILE,
+        help="The poses of a log, as matrices of KITTI's, or as columns of TUM's, EuRoC's, or CSV.",
+    )
+    @click.option(
+        "--poses-of",
+        type=Choice(["sensor", "camera"]),
+        help="What matrices are of: the sensor, or the camera, moved by Tr of calib.txt.  "
+        "[default: camera in KITTI's layout]",
+    )
+    @click.option("--topic", help="The clouds of a recording that has several.")
+    @click.option(
+        "--fixed-frame", help="The frame of a recording that poses are in.  [default: the topmost]"
+    )
+    @wraps(function)
+    def command(
+        *,
+        poses: Path | None,
+        poses_of: str | None,
+        topic: str | None,
+        fixed_frame: str | None,
+        **options: Any,
+    ) -> Any:
+        reading = {"poses": poses, "poses_of": poses_of, "topic": topic, "fixed_frame": fixed_frame}
+        return function(log_reading=reading, **options)
 
     return command
 

@@ -24,7 +24,7 @@ from scenegen.errors import DatasetError, SceneError
 from scenegen.files import check_free, disk_told, make_parent, remove_drafts, sha256_of, write_whole
 from scenegen.limits import MOST_PLACE_VOXELS
 from scenegen.logs import Fusing, LogScan
-from scenegen.logs.read import Log
+from scenegen.logs.log import Log
 from scenegen.poses import between
 from scenegen.run import Counted, unheard
 from scenegen.truth.voxels import resample
@@ -34,6 +34,8 @@ THREADS = 2
 """Threads that follow rays, each in a window of the map; a third adds the windows up."""
 SLICES = 100
 """Parts of the way from scan to scan: where points are deskewed, those of a part move as one."""
+LATE = 10
+"""Messages of clouds are late by fewer than this."""
 PROGRESS, SAVE_EVERY_S = "progress.npz", 60.0
 """The file that says how far a log is fused, and how often it is written, seconds."""
 NOTHING = np.empty((2, 0, 0, 0), np.uint8)
@@ -67,10 +69,12 @@ def ingest(log: Log, out: Path, how: Fusing, *, on_scan: Counted = unheard) -> C
         What was found, counted.
 
     Raises:
-        DatasetError: A cloud cannot be read, the disk refuses, there is something at `out`, or
-            another log's work goes on there.
+        DatasetError: A cloud cannot be read, or is to be deskewed and has no times of points; the
+            disk refuses, there is something at `out`, or another log's work goes on there.
         SceneError: The log says nothing, or a map's file is too large.
     """
+    if how.deskew:
+        log.check_point_times()
     check_free(out)
     make_parent(out)
     unfinished = out.with_name(f"{out.name}.part")
@@ -223,10 +227,16 @@ class _Run:
             for n in part:
                 try:
                     scan = next(self._scans)
+                    pace = _pace(self._log, n)
+                    if self._how.deskew and ("t" not in scan.more or not pace[1]):
+                        raise DatasetError(
+                            f"scan {n}, at {scan.time_s:.14g} s, has no times of points that can "
+                            "be true, or all scans near it have its time"
+                        )
                 except DatasetError as error:
                     broken = error
                     break
-                waiting.append((scan, pool.submit(_window, scan, _pace(self._log, n), self._how)))
+                waiting.append((scan, pool.submit(_window, scan, pace, self._how)))
                 if len(waiting) > 2 * THREADS:
                     ready, window = waiting.popleft()
                     yield ready, window.result()
@@ -249,12 +259,17 @@ def _put(path: Path, write: Callable[..., None], **arrays: Any) -> None:
 
 
 def _pace(log: Log, n: int) -> tuple[Pose, float]:
-    """Where the sensor is some seconds after scan n began, and how many."""
+    """Where the sensor is some seconds after scan n began, and how many; 0 if no scan near it has
+    another time."""
     poses, times = log.poses, log.times_s
-    if n + 1 < len(poses):
-        return poses[n + 1], float(times[n + 1] - times[n])
-    before = max(n - 1, 0)  # it goes on as it came
-    return between(poses[before], poses[n], 2.0), float(times[n] - times[before])
+    # the next scan, unless its message was sent twice or late
+    for after in range(n + 1, min(n + LATE, len(poses))):
+        if times[after] > times[n]:
+            return poses[after], float(times[after] - times[n])
+    for before in range(n - 1, max(n - LATE, -1), -1):
+        if times[before] < times[n]:  # it goes on as it came
+            return between(poses[before], poses[n], 2.0), float(times[n] - times[before])
+    return poses[n], 0.0
 
 
 def _window(scan: LogScan, pace: tuple[Pose, float], how: Fusing) -> Window:

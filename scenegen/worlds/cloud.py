@@ -211,7 +211,7 @@ def _read_poses(path: Path, count: int) -> list[Frame]:
     if not names and rows.shape[1] == 3:
         found = [(None, row[None]) for row in rows]
     else:
-        poses = read_poses(path).poses
+        poses = read_poses(path, timed=False).poses
         found = [(rotate(one.quaternion, np.eye(3)), one.position[None]) for one in poses]
     if len(found) != count:
         raise SceneError(

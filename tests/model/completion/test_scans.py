@@ -38,7 +38,13 @@ def test_scans_of_a_log_stand_upright_in_its_frame(tmp_path, points, capsys):
     matrix = np.column_stack([rotate(TILT.quaternion, np.eye(3)).T, TILT.position])
     np.savetxt(log / "poses.txt", np.stack([matrix.ravel()] * 3))
     words = ("complete", log, "--every", 2, "-o", tmp_path / "out", "--device", "cpu")
-    code, said, noted = run(capsys, *words)
+    assert "calib.txt: no such file" in refused(capsys, *words)
+    assert "leave out --topic" in refused(capsys, "complete", log / "velodyne", "--topic", "/a")
+    code, said, noted = run(capsys, *words, "--poses-of", "sensor")
+    assert (
+        "read: 3 clouds, x y z intensity (KITTI .bin, 4 columns), frame of the sensor, poses of"
+        in noted
+    )
     assert (code, said.startswith(f"{tmp_path / 'out'}: 2 completions")) == (0, True)
     assert "the sensor is 1.3 to 1.3 m above what it sees" in noted
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [

@@ -20,12 +20,14 @@ from scenegen.display.exchange.files import write_points
 from scenegen.display.exchange.recordings import DEFINITIONS, POINT_TYPES, TRANSFORMS
 from scenegen.errors import DatasetError
 from scenegen.logs import Cruise, Fusing, LogScan
-from scenegen.logs.bags import LIVOX, Links, _of_cloud
+from scenegen.logs.bags import LIVOX, _of_cloud
+from scenegen.logs.frames import Links
 from scenegen.logs.fuse import ingest
-from scenegen.logs.read import Log, read_log
+from scenegen.logs.log import Log
+from scenegen.logs.read import read_log
 from scenegen.logs.record import cruise_poses, record
+from scenegen.logs.times import find_clock
 from scenegen.logs.write import matrix_of, write_log
-from scenegen.poses import read_poses
 from scenegen.source import read_world
 from scenegen.worlds.place import read_place
 from tests.command_line import done, refused, rows
@@ -264,6 +266,7 @@ TIMES = {
 @pytest.mark.parametrize("told", TIMES)
 def test_times_of_points_are_seconds_after_the_stamp(told):
     rows = np.array([told] * 4).T
+    rows[0, 0] += 1e-3
     rows[1, 0] = np.nan
     fields = [
         SimpleNamespace(name=name, offset=8 * n, datatype=POINT_TYPES.index("f8"))
@@ -273,7 +276,8 @@ def test_times_of_points_are_seconds_after_the_stamp(told):
     head = SimpleNamespace(stamp=SimpleNamespace(sec=2001, nanosec=0))
     more = {"header": head, "is_bigendian": False, "data": rows.tobytes()}
     cloud = SimpleNamespace(fields=fields, **sizes, **more)
-    assert _of_cloud(cloud)[1]["t"] == pytest.approx(TIMES[told], abs=1e-6)
+    raw = _of_cloud(cloud).times
+    assert find_clock([raw], 0.1).seconds(raw) == pytest.approx(TIMES[told], abs=1e-6)
     cloud.point_step = 0  # points without end in few bytes
     with pytest.raises(ValueError, match="expected points of 32 or more"):
         _of_cloud(cloud)
@@ -388,6 +392,9 @@ poses.txt →                                     → no numbers
 times.txt → 1; 2                                → 2 times
 times.txt → 1; 2; 4; 3; 5                       → before the one above
 calib.txt → Tr: 1 2                             → 12 numbers
+calib.txt → P0: 1 2                             → calib.txt: has no line Tr; expected
+calib.txt → Tr_velo_to_cam: {POSE}              → data_odometry_calib.zip
+calib.txt → gone                                → calib.txt: no such file; expected
 velodyne  → gone                                → no clouds
 .         → gone                                → no such recording
 """
@@ -404,6 +411,81 @@ def test_damaged_logs_end_in_one_line_and_leave_nothing(tmp_path, capsys, file, 
         path.write_text(content.replace(";", "\n"))
     assert expected in refused(capsys, f"ingest {tmp_path}/log -o {tmp_path}/out --quiet")
     assert names(tmp_path) <= {"log", "aside"}
+
+
+def test_what_poses_are_of_is_said_or_asked_for(tmp_path):
+    """A camera that looks forward: x right, y down, z forward."""
+    log, turn = tmp_path / "log", np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]])
+    scans = written(log)
+    # the sensor, .3 m behind the camera and .1 m above it, in the camera's frame
+    camera = np.eye(4)
+    camera[:3, :3], camera[:3, 3] = turn, (0, -0.1, -0.3)
+    of_camera = [camera @ matrix_of(one.pose) @ np.linalg.inv(camera) for one in scans]
+    np.savetxt(tmp_path / "camera.txt", [matrix[:3].reshape(-1) for matrix in of_camera])
+    images = "P0: 7 0 0 0 0 7 0 0 0 0 1 0\nP1: 7 0 0 1 0 7 0 0 0 0 1 0\n"  # as with KITTI's images
+    (log / "calib.txt").write_text(images)
+    assert close(read_log(log, poses_of="sensor"), scans)
+    assert close(read_log(log, poses=log / "poses.txt"), scans)
+    with pytest.raises(DatasetError, match=r"no line Tr.*--poses-of sensor"):
+        read_log(log, poses=tmp_path / "camera.txt", poses_of="camera")
+    row = " ".join(map(str, camera[:3].reshape(-1)))
+    (log / "calib.txt").write_text(f"{images}Tr: {row}\n")
+    assert close(read_log(log, poses=tmp_path / "camera.txt", poses_of="camera"), scans)
+    assert close(read_log(log, poses=log / "poses.txt", poses_of="sensor"), scans)
+    assert close(read_log(log, poses=log / "poses.tum"), scans)
+    with pytest.raises(DatasetError, match="expected --poses-of camera"):
+        read_log(log, poses=tmp_path / "camera.txt")
+    shutil.copy(tmp_path / "camera.txt", log / "poses.txt")
+    assert close(read_log(log), scans)
+    about = read_log(log).about
+    assert about["poses"] == "poses of the camera, moved by Tr, from poses.txt"
+
+
+NAMED = {
+    "ns": "{seconds}{nanoseconds:09d}",
+    "µs": "{seconds}{microseconds:06d}",
+    "padded": "{seconds}_{nanoseconds:09d}",
+    "point": "{seconds}.{nanoseconds:09d}",
+}
+
+
+@pytest.mark.parametrize("form", NAMED)
+@pytest.mark.parametrize("begin_s", [1_700_000_000, 3_000])
+def test_clouds_named_by_any_unit_find_poses_in_seconds(tmp_path, form, begin_s):
+    scans, rows = written(tmp_path / "log"), []
+    (tmp_path / "clouds").mkdir()
+    for scan in scans:
+        at = round(scan.time_s * 1e9) + begin_s * 10**9 + 123_456_000
+        seconds, ns = divmod(at, 10**9)
+        parts = {"seconds": seconds, "nanoseconds": ns, "microseconds": ns // 1000}
+        name = NAMED[form].format(**parts)
+        write_points(tmp_path / "clouds" / f"{name}.ply", scan.points, None, {})
+        w, *vector = scan.pose.quaternion
+        rows.append([at * 1e-9, *scan.pose.position, *vector, w])
+    rows.append([rows[-1][0] + 9, *rows[-1][1:]])
+    np.savetxt(tmp_path / "poses.tum", rows, "%.9f")
+    log = read_log(tmp_path / "clouds", poses=tmp_path / "poses.tum")
+    assert log.without_pose == 0
+    for pose, scan in zip(log.poses, scans, strict=True):
+        assert np.allclose(matrix_of(pose), matrix_of(scan.pose), atol=1e-5)
+    (tmp_path / "clouds" / f"{begin_s + 3}_5.ply").write_bytes(
+        (tmp_path / "clouds" / f"{name}.ply").read_bytes()
+    )
+    if form == "padded":
+        with pytest.raises(DatasetError, match="fractions of a second of several lengths"):
+            read_log(tmp_path / "clouds", poses=tmp_path / "poses.tum")
+
+
+def test_as_many_poses_as_clouds_of_other_times_are_found_by_time(tmp_path):
+    scans = written(tmp_path / "log")
+    rows = np.loadtxt(tmp_path / "log" / "poses.tum")
+    rows[-1, 0] += 5  # the last scan lies between the last two poses
+    np.savetxt(tmp_path / "poses.tum", rows)
+    log = read_log(tmp_path / "log", poses=tmp_path / "poses.tum")
+    assert log.times_s[-1] == scans[-1].time_s
+    share = 0.5 / 5.5
+    between = (1 - share) * scans[-2].pose.position + share * scans[-1].pose.position
+    assert log.poses[-1].position == pytest.approx(between)
 
 
 def test_a_folder_of_clouds_has_no_topic(tmp_path, capsys):
@@ -485,12 +567,6 @@ def test_cut_recordings_end_in_one_line(tmp_path, capsys, cut, ros):
     told = refused(capsys, f"ingest {path} -o {out} --quiet")
     assert "cut.mcap: cannot be read as a recording" in told
     assert not out.exists()
-
-
-def test_times_of_poses_must_rise(tmp_path):
-    (tmp_path / "poses.tum").write_text("1 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n")
-    with pytest.raises(DatasetError, match="row 2: expected a time above"):
-        read_poses(tmp_path / "poses.tum")
 
 
 BAD_USE = """

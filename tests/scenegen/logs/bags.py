@@ -1,0 +1,125 @@
+"""Bags of ROS 2 as drivers write them, by rosbags."""
+
+import numpy as np
+import pytest
+
+BEGIN_S = 1_700_000_000.0
+PERIOD_S = 0.1
+SPEED_MPS = 10.0
+"""Along x."""
+
+
+def ros_types():
+    """The messages of ROS 2, by their short names; skips without rosbags."""
+    stores = pytest.importorskip("rosbags.typesys", reason="rosbags is not installed")
+    store = stores.get_typestore(stores.Stores.ROS2_HUMBLE)
+    return store, {name.rpartition("/")[2]: kind for name, kind in store.types.items()}
+
+
+class Bag:
+    """Messages of one bag, written by `write`."""
+
+    def __init__(self):
+        self.store, self.types = ros_types()
+        self.messages = []
+
+    def header(self, frame, time_s):
+        seconds = int(np.floor(time_s))
+        stamp = self.types["Time"](sec=seconds, nanosec=round((time_s - seconds) * 1e9))
+        return self.types["Header"](stamp=stamp, frame_id=frame)
+
+    def cloud(self, time_s, points, frame="lidar", topic="/points", row_step=None, **fields):
+        """A PointCloud2 of points (n, 3), with other fields (n,)."""
+        columns = dict(zip("xyz", np.asarray(points, "f4").T, strict=True)) | fields
+        layout = np.dtype([(name, values.dtype) for name, values in columns.items()])
+        rows = np.empty(len(points), layout)
+        for name, values in columns.items():
+            rows[name] = values
+        numbers = {"u4": 6, "i4": 5, "f4": 7, "f8": 8, "u1": 2}
+        described = [
+            self.types["PointField"](
+                name=name,
+                offset=layout.fields[name][1],
+                datatype=numbers[layout[name].str[1:]],
+                count=1,
+            )
+            for name in layout.names
+        ]
+        message = self.types["PointCloud2"](
+            header=self.header(frame, time_s),
+            height=1,
+            width=len(rows),
+            fields=described,
+            is_bigendian=False,
+            point_step=layout.itemsize,
+            row_step=rows.nbytes if row_step is None else row_step,
+            data=np.frombuffer(rows.tobytes(), np.uint8),
+            is_dense=True,
+        )
+        self.messages.append((topic, time_s, message))
+
+    def transform(self, time_s, child, parent, position, turn=(0, 0, 0, 1), topic="/tf"):
+        """A transform, turned by x y z w."""
+        place = self.types["Vector3"](**dict(zip("xyz", map(float, position), strict=True)))
+        turned = self.types["Quaternion"](**dict(zip("xyzw", map(float, turn), strict=True)))
+        link = self.types["TransformStamped"](
+            header=self.header(parent, time_s),
+            child_frame_id=child,
+            transform=self.types["Transform"](translation=place, rotation=turned),
+        )
+        self.messages.append((topic, time_s, self.types["TFMessage"](transforms=[link])))
+
+    def odometry(self, time_s, child, parent, position, turn=(0, 0, 0, 1), topic="/odom"):
+        """A message of odometry, turned by x y z w."""
+        types, none = self.types, np.zeros(36)
+        zero = types["Vector3"](x=0.0, y=0.0, z=0.0)
+        pose = types["Pose"](
+            position=types["Point"](**dict(zip("xyz", map(float, position), strict=True))),
+            orientation=types["Quaternion"](**dict(zip("xyzw", map(float, turn), strict=True))),
+        )
+        twist = types["Twist"](linear=zero, angular=zero)
+        message = types["Odometry"](
+            header=self.header(parent, time_s),
+            child_frame_id=child,
+            pose=types["PoseWithCovariance"](pose=pose, covariance=none),
+            twist=types["TwistWithCovariance"](twist=twist, covariance=none),
+        )
+        self.messages.append((topic, time_s, message))
+
+    def write(self, path):
+        """Puts all messages into a bag's folder, in the order of their times."""
+        from rosbags.rosbag2 import Writer
+
+        connections = {}
+        with Writer(path, version=9) as writer:
+            for topic, time_s, message in sorted(self.messages, key=lambda row: row[1]):
+                kind = message.__msgtype__
+                if topic not in connections:
+                    connections[topic] = writer.add_connection(topic, kind, typestore=self.store)
+                content = self.store.serialize_cdr(message, kind)
+                writer.write(connections[topic], round(time_s * 1e9), content)
+        return path
+
+
+def drive(times_of=None, scans=6, points=200, **clouds):
+    """A bag of a sensor that moves by `SPEED_MPS` among standing points, each seen at a time of its
+    own; and where the points are from the sensor as the scan begins, scan by scan. `times_of` makes
+    fields of these times, in seconds after the stamp, and of the stamp."""
+    rng, bag, truth = np.random.default_rng(0), Bag(), []
+    for n in range(scans):
+        stamp = BEGIN_S + n * PERIOD_S
+        after = np.sort(rng.uniform(0, 0.995 * PERIOD_S, points))
+        after[0], after[-1] = 0, 0.995 * PERIOD_S
+        from_start = rng.uniform(2, 8, (points, 3)) * rng.choice([-1, 1], (points, 3))
+        seen = from_start - np.outer(after * SPEED_MPS, [1, 0, 0])
+        bag.cloud(stamp, seen, **(times_of(after, stamp) if times_of else {}), **clouds)
+        truth.append(from_start)
+    return bag, truth
+
+
+def moving(bag, topic="/tf", child="lidar", parent="map", scans=6):
+    """Adds the poses of `drive` to its bag."""
+    for n in range(scans + 1):
+        place = (SPEED_MPS * PERIOD_S * n, 0, 0)
+        bag.transform(BEGIN_S + PERIOD_S * n, child, parent, place, topic=topic)
+    return bag
