@@ -156,8 +156,8 @@ def complete(
     if stored:
         _complete_split(completer, path, split, out, execute, quiet)
     else:
-        given = read_scan(path, scans["sensor"], scans["columns"])
-        completed = predict_scan(completer, given, out)
+        scan = read_scan(path, scans["sensor"], scans["columns"])
+        completed = predict_scan(completer, scan, out)
         if not quiet:
             note(read_line([completed]))
             say(f"{path}: {completed}; completed by {completer.name}")
