@@ -96,8 +96,8 @@ def check(
     parameters: Any, otherwise: Callable[[str, Any], Bounds] = lambda name, value: Bounds()
 ) -> None:
     """Raise ValueError, naming the field, where a value in the dataclass `parameters` is not of the
-    type that its annotation says (numbers, bool, str, Literal, and tuples or unions of these) or is
-    not within its bounds.
+    type that its annotation says (numbers, bool, str, Literal, dataclasses, and tuples or unions of
+    these) or is not within its bounds.
 
     A field of a file is passed over. One without bounds of its own has those that `otherwise` gives
     for its name and value; by default, its numbers must be finite. An angle in degrees that is a
@@ -158,6 +158,7 @@ def shown(value: Any) -> str:
     """A value for an error's line: escaped, tuples as lists, and cut where it is long."""
     try:
         said = ascii(list(value) if isinstance(value, tuple) else value)
+        said = " ".join(map(str.strip, said.splitlines()))  # an array has several lines
     except (ValueError, RecursionError):  # a number of thousands of digits, or nested without end
         return f"a value of type {type(value).__name__}"
     return said if len(said) <= MOST_SHOWN else f"{said[: MOST_SHOWN - 3]}..."
@@ -197,6 +198,8 @@ def _read(given: Any, kind: Any, bounds: Bounds) -> Any:
             with suppress(_UnfitError):
                 return _read(given, option, bounds)
         fits = False
+    elif isinstance(kind, type) and dataclasses.is_dataclass(kind):
+        value, fits = given, isinstance(given, kind)
     else:
         # an annotation that cannot be resolved, or a type of somebody's own: only numbers are held
         # against bounds, and where there are bounds, there must be some
@@ -233,6 +236,8 @@ def _numbers(value: Any) -> list[float]:
 def _words(kind: Any, bounds: Bounds) -> str:
     """What `_read` takes, in words."""
     origin, options = get_origin(kind), get_args(kind)
+    if isinstance(kind, type) and dataclasses.is_dataclass(kind):
+        return f"an instance of {kind.__name__}"
     plain = {bool: "true or false", str: "text", NoneType: "none"}
     if kind in plain:
         return plain[kind]

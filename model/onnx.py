@@ -55,8 +55,8 @@ def load_onnx(
 
     Two processes with limits look at the file first, once for each content: one reads it, the
     other completes an empty map. That costs a second with OpenVINO, half of one with onnxruntime.
-    Raises CheckpointError, too, where what it says is NaN, and where no installed runtime runs it
-    within the limits.
+    Raises CheckpointError, too, where its weights or what it gives are NaN, and where no installed
+    runtime runs it within the limits.
     """
     content = read_bounded(path, MOST_WEIGHTS_BYTES)
     with raised_as(CheckpointError, f"{path}: ", of=CheckpointError):
@@ -102,7 +102,7 @@ def _examined(content: bytes, runtime: str | None) -> Examined:
     try:
         guarded(_try, (content, found), seconds=GUARD_S + features / 1e6, memory_bytes=memory)
     except GuardError as error:
-        raise CheckpointError(f"{usable[0]} cannot run it: {error}") from None
+        raise CheckpointError(f"{usable[0]} cannot run it: {error}; export it again") from None
     return found
 
 
@@ -128,10 +128,18 @@ def read_graph(content: bytes) -> tuple[NetworkConfig, GridSpec, Json, tuple[str
         ) from None
     graph = model.graph
     odd = sorted({node.op_type for node in graph.node if node.op_type in LOOPS or node.domain})
-    if odd or model.functions or any(tensor.data_location for tensor in graph.initializer):
+    tensors = _tensors(graph)
+    if odd or model.functions or any(tensor.data_location for tensor in tensors):
         raise CheckpointError(
             f"has loops or parts elsewhere, which no export may have ({printable(odd)[:100]})"
         )
+    inputs = [each.name for each in graph.input]
+    if sorted(inputs) != sorted(config.inputs):
+        raise CheckpointError(
+            f"takes {printable(', '.join(inputs))[:100] or 'nothing'}, where its header says "
+            f"{', '.join(config.inputs)}; export it again"
+        )
+    _check_numbers(graph, tensors)
     outputs = {output.name for output in graph.output}
     tasks = [task for task, name in NAMES.items() if name in outputs]
     variant = VARIANTS.get(config.variant)  # a network of the user's own says what it likes
@@ -141,6 +149,46 @@ def read_graph(content: bytes) -> tuple[NetworkConfig, GridSpec, Json, tuple[str
             f"{' and '.join(variant.tasks)}; export it again"
         )
     return config, grid, about, tuple(NAMES[task] for task in tasks)
+
+
+def _tensors(graph: Any) -> list[Any]:
+    """All tensors of a graph without subgraphs: its weights, and constants among its nodes. Sparse
+    ones are as their values and indices."""
+    attributes = [each for node in graph.node for each in node.attribute]
+    sparse = [
+        *graph.sparse_initializer,
+        *(each.sparse_tensor for each in attributes),
+        *(tensor for each in attributes for tensor in each.sparse_tensors),
+    ]
+    return [
+        *graph.initializer,
+        *(each.t for each in attributes),
+        *(tensor for each in attributes for tensor in each.tensors),
+        *(part for tensor in sparse for part in (tensor.values, tensor.indices)),
+    ]
+
+
+def _check_numbers(graph: Any, tensors: Sequence[Any]) -> None:
+    """Raise CheckpointError where a number of a graph is NaN, or infinite. A single infinity among
+    the constants of code is none of the weights, and allowed."""
+    import onnx
+
+    for tensor in tensors:
+        name = printable(tensor.name)[:100] or "a constant"
+        damaged = (ValueError, TypeError, KeyError)
+        with raised_as(CheckpointError, f"{name} is damaged (", "); export it again", of=damaged):
+            values = onnx.numpy_helper.to_array(tensor) if tensor.data_type else np.zeros(0)
+        if values.dtype.kind == "V":  # bfloat16 and shorter types, which NumPy does not have
+            values = values.astype(np.float32)
+        if values.dtype.kind in "fc" and (
+            np.isnan(values).any() or (values.ndim and np.isinf(values).any())
+        ):
+            raise CheckpointError(f"{name} holds NaN or infinity; train it again")
+    for node in graph.node:
+        if any(np.isnan([each.f, *each.floats]).any() for each in node.attribute):
+            raise CheckpointError(
+                f"{printable(node.name)[:100]} has an attribute that is NaN; export it again"
+            )
 
 
 def _try(task: tuple[bytes, Examined]) -> None:

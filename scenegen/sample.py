@@ -4,17 +4,21 @@ rest."""
 import hashlib
 import html
 import operator
+import sys
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, NoReturn, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim import GridSpec, Pose, Scan, Sensor
 from lidarsim.grid import Field, Floats, Mask
-from scenegen.errors import short
+from scenegen.errors import DatasetError, lacking, short
+
+if TYPE_CHECKING:  # which imports torch
+    from scenegen.tensors import TensorSamples
 
 
 def _stored(
@@ -128,6 +132,9 @@ class Sample:
         grid: GridSpec,
     ) -> "Sample":
         """The sample with the fields `names`, each of which `find` is asked for once."""
+        # torch's own way to extend it; a loader has imported it before it reads a sample
+        collate = sys.modules.get("torch.utils.data._utils.collate")
+        getattr(collate, "default_collate_fn_map", {}).setdefault(cls, _refuse_batch)
         sample = cls.__new__(cls)
         sample.__dict__.update(_names=tuple(names), _find=find, lidar=lidar, grid=grid)
         return sample
@@ -303,6 +310,14 @@ def earlier_fields(scans: Sequence[Scan]) -> dict[str, np.ndarray]:
     return {name: np.array(value) for name, value in zip(GROUPS["earlier"], values, strict=True)}
 
 
+def _refuse_batch(batch: Any, *, collate_fn_map: Any = None) -> NoReturn:
+    """What torch's default collate calls for a batch of samples."""
+    raise TypeError(
+        "torch's default collate cannot batch samples: give DataLoader `samples.torch()`, whose "
+        "items are dictionaries of tensors, or a collate_fn of your own"
+    )
+
+
 def rng_of(seed: int, *key: int) -> np.random.Generator:
     """The random numbers that `seed` gives the part `key` of some work, whatever is drawn for
     others."""
@@ -316,6 +331,11 @@ class Samples(Sequence[Sample]):
     @abstractmethod
     def schema(self) -> Schema:
         """Which fields they have."""
+
+    @property
+    def schemas(self) -> Sequence[Schema]:
+        """All schemas of samples among them: several where sources differ."""
+        return [self.schema]
 
     @abstractmethod
     def __getitems__(self, indices: Sequence[int]) -> list[Sample]:
@@ -336,6 +356,27 @@ class Samples(Sequence[Sample]):
         if not -len(self) <= number < len(self):
             raise IndexError(f"{self}: has no sample {short(number)}")
         return number % len(self)
+
+    def torch(self, fields: Sequence[str] | None = None) -> "TensorSamples":
+        """The same samples as a map-style dataset of torch's, whose items are dictionaries of
+        tensors: `DataLoader(samples.torch(), batch_size=8)` batches them.
+
+        Args:
+            fields: Names of the fields to read; all by default. Others are not read, nor derived.
+
+        Returns:
+            A `torch.utils.data.Dataset`. Shapes and types are those of `describe`, but for classes,
+            which are int32.
+
+        Raises:
+            DatasetError: There is no such field, samples differ in its shape, or torch is not
+                installed.
+        """
+        try:
+            from scenegen.tensors import tensors_of
+        except ModuleNotFoundError as error:
+            raise DatasetError(f"{self}: torch() {lacking(error) or error}") from None
+        return tensors_of(self, fields)
 
     def describe(self) -> dict[str, dict[str, Any]]:
         """What a sample holds: name of each field to its `dtype`, `shape`, `unit` and `meaning`."""

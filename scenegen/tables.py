@@ -87,6 +87,10 @@ def named_lidar(word: str | Sensor) -> Sensor:
     own, or a file that ends in .toml and holds what a recipe's [lidar] does; a sensor is itself.
     Raises RecipeError."""
     if not isinstance(word, str):
+        if not hasattr(word, "directions_body"):
+            raise RecipeError(
+                f"lidar = {short(word)}: expected a sensor, the name of one, or a .toml file"
+            )
         return word
     path = Path(word)
     if path.suffix != ".toml":

@@ -28,6 +28,7 @@ from scenegen.cli.options import (
 )
 from scenegen.cli.show import Progress, Tell, announce_compilation, say, show_table
 from scenegen.cli.types import FILE, Choice, Named, OutputFile
+from scenegen.errors import ScenegenError
 from scenegen.files import check_free, write_result
 from scenegen.fly import SUITES, Rules, Vehicle
 from scenegen.model.commands.weights import Weights
@@ -128,7 +129,8 @@ OF_WORLD = (
     "recorded",
     type=FILE,
     help="Fly what -o wrote again, in place of all else, and compare every bit and figure. With "
-    "--robot or --weights, that robot flies every sixteenth course anew, too.",
+    "--robot or --weights, that robot flies every sixteenth course anew, too; exit code 1 if it "
+    "flies otherwise.",
 )
 @click.option(
     "--leaderboard",
@@ -196,6 +198,7 @@ def fly(
     from scenegen.dataset.locate import file_sha256
     from scenegen.fly.suite import chosen_courses, track_name
     from scenegen.model.robots.flights import (
+        ANEW,
         check_begins,
         counted,
         flown_again,
@@ -218,12 +221,13 @@ def fly(
     fly_one = partial(fly_course, robot=robot, weights=weights, hidden=hidden)
     check_together(execute, "a row of flights takes")
     crew = partial(counted, execute, partial(Progress, shown=talk))
-    notes = dict[str, str]()
+    notes, unlike = dict[str, str](), list["Flown"]()
+    pilot = f"{weights}, last scan" if weights and robot == FORGETFUL else weights or robot
     if recorded is not None:
         anew = fly_one if is_given else None
-        name, by_course, notes = flown_again(recorded, hidden, maps, anew, crew)
+        name, by_course, notes, unlike = flown_again(recorded, hidden, maps, anew, crew)
     else:
-        name = f"{weights}, last scan" if weights and robot == FORGETFUL else weights or robot
+        name = pilot
         if suite is None:
             courses = _courses(str(world), flights, worlds, options)
         else:
@@ -243,10 +247,15 @@ def fly(
     row = summary(name, all_flights) | notes
     if tell(lambda: row | {"flights": rows_of(by_course, hidden, crew)}):
         show_table(row)
-        for end in sorted({flight.trouble for flight in all_flights} - {""}):
+        for end in sorted({flight.trouble for flight in [*all_flights, *unlike]} - {""}):
             say(f"robot: {end}")
         for path in filter(None, (out, picture, film, log)):
             say(f"written: {path}")
+    if unlike:
+        raise ScenegenError(
+            f"{recorded}: {pilot} flew {notes[ANEW]} as they are recorded; the recording is of "
+            f"robot {name}"
+        )
 
 
 def _check() -> None:

@@ -140,6 +140,8 @@ def summary(name: str, flown: Sequence[Flown]) -> Json:
     return row | {part: sum(getattr(one, part) for one in flown) for part in COUNTS}
 
 
+ANEW = "flown anew, the same"
+"""The note that says how many flights a robot flew as they were recorded."""
 Work = Callable[[Course], FlownCourse]
 """What flies a course."""
 SAVED_S = 20.0
@@ -220,13 +222,24 @@ def _kept(out: Path | None, entry: Recording, keys: Sequence[Course]) -> dict[Co
 
 def flown_again(
     path: Path, hidden: int | None, maps: Path | None, anew: Work | None, crew: Crew
-) -> tuple[str, Flights, dict[str, str]]:
-    """Of a recording: who flew, the flights flown again, and what is told of them. A robot that
-    flies a course `anew` flies every sixteenth, too, and what it flies to the bit as it was
-    recorded is told.
+) -> tuple[str, Flights, dict[str, str], list[Flown]]:
+    """Replay a recording.
 
-    Raises DatasetError where a flight is not as it was, and ScenegenError where `hidden` or `maps`
-    are not those of the entry, or a course is not one of its suite's.
+    Args:
+        path: The recording.
+        hidden: The number of its hidden track, if it is an entry to one.
+        maps: The folder of its maps, if it is an entry to their track.
+        anew: Lets a robot fly a course. It then flies every sixteenth, too.
+        crew: Works through the courses.
+
+    Returns:
+        The robot's name, the flights flown again, notes for the summary, and the flights of `anew`
+        that are not, to the bit, as they were recorded.
+
+    Raises:
+        DatasetError: A flight is not as it was.
+        ScenegenError: `hidden` or `maps` are not those of the entry, or a course is not one of its
+            suite's.
     """
     recording, track, told = Recording.read(path), track_name(hidden, maps), dict[str, str]()
     if recording.suite is not None:
@@ -249,20 +262,23 @@ def flown_again(
     count = sum(len(flights) for _, flights in recording.courses)
     with raised_as(DatasetError, f"{path}: ", of=DatasetError):
         again = dict(crew(partial(_replayed, hidden=hidden), recording.courses, "replay", count))
-    told["as recorded, to the bit"] = f"{count} flights"
+    told["as recorded, to the bit"], unlike = f"{count} flights", list[Flown]()
     if anew is not None:
-        told["anew, equal to the bit"] = _flown_anew(recording.courses[::QUICK], anew, crew)
-    return recording.robot, [(course, again[course]) for course, _ in recording.courses], told
+        chosen = recording.courses[::QUICK]
+        tried, unlike = sum(len(flights) for _, flights in chosen), _unlike(chosen, anew, crew)
+        told[ANEW] = f"{tried - len(unlike)} of {tried} flights"
+    flown = [(course, again[course]) for course, _ in recording.courses]
+    return recording.robot, flown, told, unlike
 
 
-def _flown_anew(recorded: Flights, work: Work, crew: Crew) -> str:
-    """How many of these flights a robot flies anew to the bit as they were recorded, in words."""
+def _unlike(recorded: Flights, work: Work, crew: Crew) -> list[Flown]:
+    """The flights of a robot through these courses that are not, to the bit, as recorded."""
     before = {named(course): flights for course, flights in recorded}
-    count, same = sum(map(len, before.values())), 0
+    count, unlike = sum(map(len, before.values())), list[Flown]()
     for course, flown in crew(work, [course for course, _ in recorded], "fly anew", count):
         pairs = zip(flown, before[named(course)], strict=True)
-        same += sum(one.digest == other.digest for one, other in pairs)
-    return f"{same} of {count} flights"
+        unlike += [again for again, former in pairs if again.digest != former.digest]
+    return unlike
 
 
 def _replayed(recorded: FlownCourse, *, hidden: int | None) -> FlownCourse:

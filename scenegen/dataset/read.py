@@ -235,6 +235,12 @@ class Split(Samples):
         """The schema of its samples; where sources differ, that of the first."""
         return self.dataset.manifest.schema
 
+    @property
+    def schemas(self) -> Sequence[Schema]:
+        """The schemas of the sources that it has samples of."""
+        homes = self.dataset.manifest.homes
+        return [homes[n].schema for n in sorted({shard.source for shard in self.shards})]
+
     def _place(self, index: int) -> tuple[int, int]:
         """Shard, and row in it, of sample `index`."""
         index = self._checked(index)

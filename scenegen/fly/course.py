@@ -14,7 +14,7 @@ import numpy as np
 
 from lidarsim import Pose, Sensor
 from lidarsim.noise.chain import Noise
-from lidarsim.parameters import check
+from lidarsim.parameters import Checked, check, number
 from lidarsim.scan import mounted
 from lidarsim.sensors import RASTER
 from scenegen import __version__
@@ -24,8 +24,9 @@ from scenegen.fly import PERIOD_S, Rules, Vehicle
 from scenegen.fly.loop import CLAIMED, HOVER, ROBOTS_END, Flown, scored, unlike
 from scenegen.fly.missions import Mission, draw_missions, graded
 from scenegen.fly.motion import Command
+from scenegen.fly.serve import numbers_of
 from scenegen.fly.simulation import Observation, Simulation, bounded
-from scenegen.limits import MOST_MANIFEST_BYTES
+from scenegen.limits import MOST_MANIFEST_BYTES, MOST_SEED
 from scenegen.logs import LogScan
 from scenegen.run.software import processor
 from scenegen.source import named_world
@@ -39,25 +40,25 @@ FORMAT = 1
 
 
 @dataclass(frozen=True, kw_only=True)
-class Course:
-    """Missions through one world. Raises ScenegenError, where it is first used, for a world, a
-    sensor or noise that cannot be."""
+class Course(Checked):
+    """Missions through one world. Raises ValueError for values of other types, and ScenegenError,
+    where it is first used, for a world, a sensor or noise that cannot be."""
 
     world: str
     """A kind of worlds, or a file: MJCF, or a map of a real place."""
-    seed: int = 0
+    seed: int = number(0, least=0, most=MOST_SEED)
     """What the world of a kind is drawn by, and the missions, and the noise."""
     difficulty: str | None = None
     """Of the kind's preset; None for its usual one."""
-    lidar: str = RASTER
-    """The sensor's name, or its file."""
+    lidar: str | Sensor = RASTER
+    """The sensor's name, or its file; or a sensor, which no recording can name."""
     noise: str = ""
     """Stages of noise, as `--noise` has them."""
     moving: bool = False
     """Whether each ray is cast from where the sensor is when its turn comes."""
     vehicle: Vehicle = field(default_factory=Vehicle)
     rules: Rules = field(default_factory=Rules)
-    flights: int = 10
+    flights: int = number(10, least=1)
     """Missions."""
     document: str = ""
     """The first digits of the world's SHA-256, where it has to be this world."""
@@ -192,7 +193,10 @@ class Recording:
 
 def _flown(row: Json) -> Flown:
     """A flight of a recording. Raises ValueError for figures that cannot be."""
-    commands = np.array(row["commands"], np.float32).reshape(-1, 4)
+    numbers = numbers_of(row["commands"])
+    if numbers is None:
+        raise ValueError("commands that are not numbers")
+    commands = numbers.reshape(-1, 4).astype(np.float32)
     flown = Flown(**row | {"commands": HOVER, "path": np.empty((0, 3))})
     check(flown)
     if not np.isfinite(commands).all():
@@ -213,15 +217,15 @@ def replay(course: Course, flights: Sequence[Flown]) -> list[Flown]:
         GenerationError: The world is another one than then, or has fewer missions.
     """
     found = []
-    for number, flown in enumerate(flights):
-        simulation = course.simulation(number)
+    for n, flown in enumerate(flights):
+        simulation = course.simulation(n)
         count = sum(1 for _ in flown_again(simulation, flown))
         if simulation.outcome is None:
             simulation.outcome = flown.outcome if flown.outcome in ROBOTS_END else "crashed"
         again = scored(simulation, list(flown.commands[:count]), [], Counter(), "")
         if faults := unlike(flown, again):
             raise DatasetError(
-                f"flight {number} through {course.world}, seed {course.seed}, is not as it was "
+                f"flight {n} through {course.world}, seed {course.seed}, is not as it was "
                 f"recorded: {faults[0]}"
             )
         found.append(replace(again, **{name: getattr(flown, name) for name in CLAIMED}))

@@ -1,90 +1,187 @@
 """Flights as a Gymnasium environment."""
 
-import dataclasses
 import math
-from typing import Any, Literal
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
 
+from lidarsim.parameters import MOST_LENGTH_M
+from scenegen.errors import DatasetError, ScenegenError, raised_as, short, whole_number
 from scenegen.fly.course import Course
 from scenegen.fly.motion import Command
 from scenegen.fly.simulation import Observation, Simulation, bounded
+from scenegen.tables import check_name, field_names, from_table
+
+NAME = "scenegen/Fly-v0"
+MAX_PERIODS = 10
+OPTIONS = tuple(sorted(field_names(Course) - {"world", "seed", "flights", "document"}))
+"""Fields of a course that the environment takes by name. Others are its own."""
+RESET_OPTIONS = ("seed", "world", "difficulty")
+
+
+class FlightError(ScenegenError, ValueError):
+    """The environment is made, or used, in a way that cannot be."""
 
 
 class Flight(gymnasium.Env[Observation, Command]):
     """A quadrotor with a LiDAR flies to a goal: `gymnasium.make("scenegen/Fly-v0")`.
 
-    An observation is that of `Simulation.observe`; an action is a velocity in the world, m/s, and
-    a rate of yaw, rad/s, (4,), flown for a tenth of a second; or those of several `periods` to
-    come, (periods, 4), flown one after the other before the next observation. The reward is how
-    many metres nearer the goal is, and 10 at the goal, -10 at a collision or beyond the bounds.
-    Each episode has a world of its own, drawn by the environment's generator, or, of a file, a
-    mission of its own.
+    An observation is that of `Simulation.observe`, but for `ranges`, which are the sensor's maximum
+    range where nothing returned; all its spaces are bounded. An action is a velocity in the world,
+    m/s, and a rate of yaw, rad/s, (4,), flown for a tenth of a second; or those of several
+    `periods` to come, (periods, 4), flown one after the other before the next observation. The
+    reward is how many metres nearer the goal is, and 10 at the goal, -10 at a collision or beyond
+    the bounds. Each episode has a world of its own, drawn by the environment's generator, or, of a
+    file, a mission of its own.
+
+    The environment can be copied and pickled; the copy flies on as the original does.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (as Gymnasium has it)
 
     def __init__(
         self,
-        world: str = "pillar",
+        world: str | Path = "pillar",
         *,
         periods: int = 1,
-        render_mode: Literal[None] = None,
+        render_mode: None = None,
         **options: Any,
     ):
-        """`periods` is how many an action holds, 1 to 10; `world`, and further `options`, are those
-        of `scenegen.fly.course.Course`, but for `seed` and `flights`: `reset` has the seed.
+        """Make the environment.
 
-        Raises ScenegenError for a world, a sensor or noise that cannot be, and for a world that is
-        too narrow.
+        Args:
+            world: A kind of worlds, or a file: see `scenegen.fly.course.Course`.
+            periods: Commands of an action, 1 to 10.
+            render_mode: None: there are no pictures.
+            options: Further fields of a `Course`, except `seed` and `flights`: `reset` has the
+                seed.
+
+        Raises:
+            ScenegenError: An option is unknown, or not of its type; the world, the sensor or the
+                noise cannot be; or the world is too narrow.
         """
-        if not 1 <= periods <= 10:
-            raise ValueError(f"periods = {periods}: expected 1 to 10")
-        self._course = Course(world=world, seed=0, flights=1, **options)
-        self.render_mode, vehicle = render_mode, self._course.vehicle
+        if render_mode is not None:
+            raise FlightError(
+                f"{NAME}: render_mode = {short(render_mode)}: expected None; `scenegen fly --film` "
+                "draws flights"
+            )
+        with raised_as(FlightError, of=DatasetError):
+            periods = whole_number(f"{NAME}: periods =", periods, 1, MAX_PERIODS)
+        for name in options:
+            check_name(name, ("world", "periods", *OPTIONS), "option", NAME)
+        world = str(world) if isinstance(world, Path) else world
+        about = {"world": world, "seed": 0, "flights": 1} | options
+        self._course: Course = from_table(Course, about, NAME, Path())
+        self.render_mode = render_mode
+        vehicle = self._course.vehicle
         turn = math.radians(vehicle.yaw_rate_deg_s)
         high = np.array([*[vehicle.speed_mps] * 3, turn], np.float32)
         if periods > 1:
             high = np.tile(high, (periods, 1))
         self.action_space = spaces.Box(-high, high, dtype=np.float32)
-        # of a flight that may begin, so that what cannot be is told now
-        self.observation_space = spaces.Dict(
-            {
-                name: spaces.Box(-np.inf, np.inf, part.shape, part.dtype.type)
-                for name, part in self._course.simulation(0).observe().items()
-            }
-        )
+        # of a flight that may begin, so that what cannot be is refused now
+        self.observation_space = _space(self._course.simulation(0))
         self._flying: Simulation | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """A new mission; `options` may have its course's `seed`, which else is drawn, and another
-        `world` and `difficulty` than the environment's."""
+        """Begin a new mission.
+
+        Args:
+            seed: Seeds the environment's generator.
+            options: The `seed` of the course, which is drawn otherwise, and a `world` and
+                `difficulty` other than the environment's.
+
+        Returns:
+            The first observation; and a dictionary with the course's `seed`, and `about`, the
+            mission as robots get it.
+
+        Raises:
+            ScenegenError: An option is unknown, not of its type, or cannot be; or the world is too
+                narrow.
+        """
         super().reset(seed=seed)
-        about = {"seed": int(self.np_random.integers(2**31))} | (options or {})
-        if odd := about.keys() - {"seed", "world", "difficulty"}:
-            raise ValueError(f"options: {', '.join(odd)}: expected seed, world, difficulty")
-        course = dataclasses.replace(self._course, **about)
+        where = f"{NAME}: reset: options"
+        if options is not None and not isinstance(options, Mapping):
+            raise FlightError(f"{where} = {short(options)}: expected a dictionary")
+        about = {"seed": int(self.np_random.integers(2**31))} | dict(options or {})
+        for name in about:
+            check_name(name, RESET_OPTIONS, "option", where)
+        course: Course = from_table(self._course, about, where, Path())
         self._flying = course.simulation(0)
-        return self._flying.observe(), {"seed": course.seed, "about": self._flying.about()}
+        return self._observed(), {"seed": course.seed, "about": self._flying.about()}
 
     def step(self, action: Command) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Fly an action, or its first periods if the flight ends there. `info` has the `outcome`
-        once there is one."""
+        """Fly an action, or its first periods if the flight ends there.
+
+        Args:
+            action: Of `action_space`; greater speeds are cut.
+
+        Returns:
+            Observation, reward, whether the flight ended, whether its time is over; and its
+            `outcome` once there is one.
+
+        Raises:
+            FlightError: No flight is under way, or `action` is of another shape or not finite.
+        """
         flying = self._flying
-        assert flying is not None, "reset comes first"
+        if flying is None or flying.outcome is not None:
+            state = "none has begun" if flying is None else f"it ended: {flying.outcome}"
+            raise FlightError(f"{NAME}: step: no flight is under way ({state}); call reset first")
         commands, _ = bounded(action, flying.vehicle)
         if commands is None or np.shape(action) != self.action_space.shape:
-            raise ValueError(
-                f"action = {action!r}: expected finite numbers, {self.action_space.shape}"
+            raise FlightError(
+                f"{NAME}: step: action = {short(action)}: expected finite numbers, of shape "
+                f"{self.action_space.shape}"
             )
         reward = 0.0
         for command in commands:
             if flying.outcome is None:
                 reward += flying.step(command)
         ended = flying.outcome not in (None, "timeout")
-        info = {"outcome": flying.outcome} if flying.outcome else {}
-        return flying.observe(), reward, ended, flying.outcome == "timeout", info
+        info: dict[str, Any] = {"outcome": flying.outcome} if flying.outcome else {}
+        return self._observed(), reward, ended, flying.outcome == "timeout", info
+
+    def render(self) -> None:
+        """Raise FlightError: there are no pictures."""
+        raise FlightError(f"{NAME}: renders nothing; `scenegen fly --film` draws flights")
+
+    def _observed(self) -> Observation:
+        """What the robot sees now, within the space."""
+        assert self._flying is not None
+        boxes: Any = self.observation_space
+        return {
+            name: np.clip(value, boxes[name].low, boxes[name].high)
+            for name, value in self._flying.observe().items()
+        }
+
+
+def _space(simulation: Simulation) -> spaces.Dict:
+    """The space of observations of any course with this sensor, vehicle and rules.
+
+    Places are as large as worlds may be, for the next course may be through any. The kinematic
+    motion keeps its greatest speed, and MuJoCo's stays near it.
+    """
+    about, speed = simulation.about(), simulation.vehicle.speed_mps
+    range_m = float(about["max_range_m"])
+    reach_m = range_m + float(np.linalg.norm(about["lever_arm_m"]))
+    bounds = {
+        "ranges": (0.0, range_m),
+        "points": (-reach_m, reach_m),
+        "position": (-MOST_LENGTH_M, MOST_LENGTH_M),
+        "quaternion": (-1.0, 1.0),
+        "velocity": (-2 * speed, 2 * speed),
+        "goal": (-MOST_LENGTH_M, MOST_LENGTH_M),
+        "time_s": (0.0, simulation.rules.patience * MOST_LENGTH_M / speed),
+    }
+    return spaces.Dict(
+        {
+            name: spaces.Box(*bounds[name], part.shape, part.dtype.type)
+            for name, part in simulation.observe().items()
+        }
+    )

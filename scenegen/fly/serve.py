@@ -13,11 +13,13 @@ import os
 import sys
 import traceback
 from collections.abc import Mapping
+from numbers import Real
 from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lidarsim.grid import Floats
 from lidarsim.registry import Registry
 from scenegen.errors import MOST_REPEATED, told
 
@@ -72,12 +74,22 @@ def main() -> None:
 
 
 def _answer(action: Any) -> str:
-    """An action as a line; of what is no array of numbers, null."""
+    """An action as a line; null if it is not an array of numbers."""
+    numbers = numbers_of(action)
+    return json.dumps(None if numbers is None else numbers.tolist())
+
+
+def numbers_of(action: Any) -> Floats | None:
+    """A robot's action as an array. None if it holds anything but real numbers, such as "1" or
+    true, which NumPy would convert, or numbers beyond float64."""
     try:
-        numbers = np.asarray(action, float)
+        parts = np.asarray(action, object)
+        values = [part.item() if hasattr(part, "item") else part for part in parts.flat]
+        if any(isinstance(value, bool) or not isinstance(value, Real) for value in values):
+            return None
+        return np.array(values, float).reshape(parts.shape)
     except (TypeError, ValueError, OverflowError):
-        return "null"
-    return json.dumps(numbers.tolist())
+        return None
 
 
 if __name__ == "__main__":

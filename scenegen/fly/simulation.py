@@ -27,12 +27,15 @@ from scenegen.fly.motion import (
     most_pull,
     pose_of,
 )
+from scenegen.fly.serve import numbers_of
 from scenegen.worlds.world import AnyWorld
 
 Outcome = Literal["success", "collision", "left", "timeout", "crashed", "hung", "flooded"]
 """How a flight ended: at its goal; at a solid; beyond the flight bounds; out of time; or because
 its robot raised or died, did not answer, or said too much."""
 Observation = dict[str, NDArray[Any]]
+LARGEST = 1e6
+"""Speeds beyond this are scaled down before their squares are summed, which could overflow."""
 PRIZE = 10.0
 """What reaching the goal is worth, and what any other end but that of time costs."""
 
@@ -74,15 +77,21 @@ class Simulation:
         self.outcome: Outcome | None = None
         self.states: list[Floats] = [self.state[None]]
         self.clearances_m = [self._clearance.at(*mission.start)]
-        self._digest = hashlib.sha256()
+        self._digest: Any = hashlib.sha256()
         self._seen, self._turning = b"", 0.0
         by_mujoco = self.vehicle.dynamics == "mujoco"
         self._body = Quadrotor(self.state, self.vehicle) if by_mujoco else None
 
     @property
     def digest(self) -> str:
-        """SHA-256 of all that was seen and flown."""
-        return self._digest.hexdigest()
+        """SHA-256 of all that was seen and flown. Raises ValueError for a copy."""
+        if self._digest is None:
+            raise ValueError("a simulation that was copied or pickled has no digest")
+        return str(self._digest.hexdigest())
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For copies and pickles: all but the digest, whose state hashlib does not give."""
+        return vars(self) | {"_digest": None}
 
     def about(self) -> Observation:
         """What a robot is told before it flies: the mission, the vehicle and the sensor."""
@@ -173,7 +182,8 @@ class Simulation:
                 flown = number
                 break
         self.states.append(states[:flown])
-        self._digest.update(self._seen + states[:flown].tobytes())
+        if self._digest is not None:
+            self._digest.update(self._seen + states[:flown].tobytes())
         self.state = states[flown - 1]
         self.periods += 1
         self.time_s = (self.periods - 1) * PERIOD_S + flown * STEP_S
@@ -210,24 +220,22 @@ def bounded(action: Any, vehicle: Vehicle) -> tuple[Command | None, bool]:
         vehicle: What bounds them.
 
     Returns:
-        Commands (n, 4) within the bounds, None for what is no action; and whether a bound was
-        exceeded, by more than rounding.
+        Commands (n, 4) within the bounds, None if `action` is not an array of finite numbers of
+        this shape; and whether a bound was exceeded, by more than rounding.
     """
-    try:
-        rows = np.atleast_2d(np.asarray(action, float))
-    except (TypeError, ValueError, OverflowError):
+    numbers = numbers_of(action)
+    if numbers is None or not np.isfinite(numbers).all():
         return None, False
+    rows = np.atleast_2d(numbers)
     if rows.ndim != 2 or rows.shape[1] != 4 or not 1 <= len(rows) <= 10:
         return None, False
-    if not (np.abs(rows) < 1e6).all():  # NaN is not
-        return None, False
+    rows[:, :3] *= LARGEST / np.maximum(np.abs(rows[:, :3]).max(axis=1, keepdims=True), LARGEST)
     # rounding to float32 must not lead out of the bounds again
     most, turn = vehicle.speed_mps * (1 - 1e-6), math.radians(vehicle.yaw_rate_deg_s) * (1 - 1e-6)
     speed = np.sqrt((rows[:, :3] ** 2).sum(axis=1))
     exceeds = bool(
         (speed > vehicle.speed_mps + 1e-3).any() or (abs(rows[:, 3]) > turn + 1e-3).any()
     )
-    rows = rows.copy()
     rows[:, :3] *= np.minimum(1.0, most / np.maximum(speed, 1e-9))[:, None]
     rows[:, 3] = np.clip(rows[:, 3], -turn, turn)
     return rows.astype(np.float32), exceeds

@@ -125,6 +125,11 @@ class Stream(Samples):
         """The schema of its samples; where parts differ, that of the first."""
         return self._schemas[0]
 
+    @property
+    def schemas(self) -> Sequence[Schema]:
+        """The schemas of its parts."""
+        return self._schemas
+
     def expect(self, indices: Iterable[int]) -> None:
         """Say which samples will be asked for next, in this order: workers then make these ahead of
         need."""

@@ -158,16 +158,60 @@ def widen(model):
         one.type.tensor_type.shape.dim[1].dim_value += 8
 
 
-def set_weight(value):
+def set_weight(value, name, kind=np.float32):
+    """A change that sets the first number of a weight, which may become of another type."""
+
     def change(model):
         import onnx
 
-        tensor = next(one for one in model.graph.initializer if one.dims and one.data_type == 1)
-        values = onnx.numpy_helper.to_array(tensor).copy()
+        tensor = next(one for one in model.graph.initializer if one.name == name)
+        values = onnx.numpy_helper.to_array(tensor).astype(kind)
         values.flat[0] = value
-        tensor.CopyFrom(onnx.numpy_helper.from_array(values, tensor.name))
+        tensor.CopyFrom(onnx.numpy_helper.from_array(values, name))
 
     return change
+
+
+def overflow(model):
+    """Finite weights, of which each layer's sums are larger than the last's."""
+    import onnx
+
+    for tensor in model.graph.initializer:
+        if tensor.dims and tensor.data_type == onnx.TensorProto.FLOAT:
+            large = np.full(tensor.dims, 1e30, np.float32)
+            tensor.CopyFrom(onnx.numpy_helper.from_array(large, tensor.name))
+
+
+def cut_weight(model):
+    tensor = model.graph.initializer[0]
+    tensor.raw_data = tensor.raw_data[:-4]
+
+
+def add_node(**attribute):
+    """A change that adds a node which no output needs, with an attribute."""
+
+    def change(model):
+        import onnx
+
+        model.graph.node.append(onnx.helper.make_node("Constant", [], ["unused"], **attribute))
+
+    return change
+
+
+def add_sparse(model):
+    import onnx
+
+    values = onnx.numpy_helper.from_array(np.float32([np.nan]), "sparse")
+    places = onnx.numpy_helper.from_array(np.int64([0]))
+    model.graph.sparse_initializer.append(onnx.helper.make_sparse_tensor(values, places, [2]))
+
+
+def rename_input(model):
+    """As one byte of the file that became 0 does it for a runtime that reads names in C."""
+    each = next(each for each in model.graph.input if each.name == "free")
+    for node in model.graph.node:
+        node.input[:] = ["f" if name == "free" else name for name in node.input]
+    each.name = "f"
 
 
 def loop(model):
@@ -192,14 +236,16 @@ def point_outside(model):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (set_weight(np.nan), "gives other than logits and tudf"),
+        (overflow, "gives other than logits and tudf"),
         (fix_the_batch, "cannot run it"),
         (widen, "cannot run it"),
         (rename_outputs, "gives nothing, where"),
         (loop, "has loops or parts elsewhere"),
         (point_outside, "has loops or parts elsewhere"),
         (set_header(network=None), "its header is damaged"),
-        (set_header(network={"width": 4, "inputs": ["distance"]}), "cannot run it"),
+        (set_header(network={"width": 4, "inputs": ["distance"]}), "its header says distance"),
+        (rename_input, "takes observed, f, where its header says observed, free"),
+        (cut_weight, "is damaged"),
         (set_header(grid={"shape": [8, 8]}), "its header is damaged"),
         (
             lambda model: setattr(model.metadata_props[-1], "value", "[" * 100_000),
@@ -214,3 +260,33 @@ def test_what_no_export_holds_is_refused(exported, tmp_path, change, said):
     with pytest.raises(CheckpointError) as caught:
         load_onnx(path, runtime="onnxruntime")
     assert said in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        set_weight(np.nan, "network.columns.down.0.0.weight"),  # OpenVINO's maps stay finite
+        set_weight(np.nan, "threshold_cast"),  # and with this, all runtimes'
+        set_weight(np.inf, "network.columns.stem.0.weight_bias"),
+        set_weight(np.nan, "heads.split.weight", np.float64),
+        set_weight(np.nan, "heads.split.weight", np.float16),
+        add_node(value_float=np.nan),
+        add_node(value_floats=[0.0, np.nan]),
+        add_sparse,
+    ],
+)
+def test_no_number_of_an_export_is_nan(exported, tmp_path, change):
+    """As in safetensors, whether or not what an empty map gives shows it."""
+    path = tmp_path / "changed.onnx"
+    path.write_bytes(changed(exported[0], change))
+    with pytest.raises(CheckpointError, match="NaN") as caught:
+        load_onnx(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_code_of_a_network_may_compare_with_infinity(exported, tmp_path, runtime):
+    import onnx
+
+    path, infinite = tmp_path / "infinite.onnx", np.array(np.inf, np.float32)
+    path.write_bytes(changed(exported[0], add_node(value=onnx.numpy_helper.from_array(infinite))))
+    load_onnx(path, runtime=runtime, threads=1)

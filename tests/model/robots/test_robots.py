@@ -22,7 +22,7 @@ from scenegen.logs.read import read_log
 from scenegen.model.completion.unlearned import Conservative, Returns
 from scenegen.model.robots import NAMES, flights, mapping
 from scenegen.model.robots.film import flight_page
-from scenegen.model.robots.flights import fly_course, robot_maker
+from scenegen.model.robots.flights import ANEW, fly_course, robot_maker
 from scenegen.model.robots.mapping import MappingRobot
 from scenegen.run import undo_all
 from tests.command_line import done, refused, rows, run
@@ -191,7 +191,17 @@ def test_the_command_flies_records_and_flies_again(capsys, tmp_path, monkeypatch
     flown = json.loads(done(capsys, f"fly --replay {file} --robot reactive --film {again} --json"))
     assert again.read_bytes() == film.read_bytes()
     assert [one["digest"] for one in flown["flights"]] == [one["digest"] for one in told["flights"]]
-    assert flown["anew, equal to the bit"] == "1 of 1 flights"
+    assert flown[ANEW] == "1 of 1 flights"
+    code, shown, line = run(capsys, f"fly --replay {file} --robot optimistic --workers 1")
+    assert code == 1
+    assert "0 of 1 flights" in shown
+    assert line.strip().splitlines()[-1] == (
+        f"scenegen: {file}: optimistic flew 0 of 1 flights as they are recorded; the recording is "
+        "of robot reactive"
+    )
+    code, shown, _ = run(capsys, f"fly --replay {file} --robot no_such:Robot --workers 1")
+    assert code == 1
+    assert "no_such" in shown
     monkeypatch.setattr(flights, "flown_again", None)  # nothing is flown in vain
     assert str(log) in refused(capsys, f"{words} --log {log}")
     assert "no such network" in refused(capsys, f"fly --replay {file} --weights nonet")

@@ -17,13 +17,14 @@ from numpy.testing import assert_allclose, assert_equal
 from lidarsim import GridSpec, Lidar
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
 from lidarsim.pose import rotate
-from scenegen.errors import DatasetError, GenerationError, ScenegenError
+from scenegen.errors import DatasetError, GenerationError
 from scenegen.fly import Rules, Vehicle, suite
 from scenegen.fly.course import Course, Recording, replay
 from scenegen.fly.loop import fly, scored
 from scenegen.fly.missions import Mission, draw_missions, graded
 from scenegen.fly.motion import STEP_S, Quadrotor, advance, most_pull, pose_of
 from scenegen.fly.pipe import PipeRobot
+from scenegen.fly.serve import _answer
 from scenegen.fly.simulation import Simulation, bounded
 from scenegen.fly.suite import chosen_courses, courses_of, hidden_course, part_of, track_name
 from scenegen.worlds.world import compile_world
@@ -187,6 +188,13 @@ SAID = f"""
 [3, 4, 0, 0]   → 0 → 1
 [0, 0, 0, 9]   → 0 → 1
 [1{"0" * 400}, 0, 0, 0] → 1 → 0
+["1", "0", "0", "0"]    → 1 → 0
+[true, 0, 0, 0]         → 1 → 0
+[null, 0, 0, 0]         → 1 → 0
+[Infinity, 0, 0, 0]     → 1 → 0
+[1e6, 0, 0, 1e6]        → 0 → 1
+[1e300, -1e300, 0, 0]   → 0 → 1
+[1{"0" * 30}, 0, 0, 0]  → 0 → 1
 [{"[0, 0, 0, 0], " * 10} [0, 0, 0, 0]] → 1 → 0
 """
 """How many commands are invalid, and how many too fast."""
@@ -197,6 +205,19 @@ def test_what_a_robot_says_is_counted_and_bounded(said, invalid, speeding):
     flown = flown_by(Scripted([json.loads(said), None]))
     assert (flown.invalid - 1, flown.speeding) == (int(invalid), int(speeding))
     assert np.linalg.norm(flown.commands[:, :3], axis=1).max() <= VEHICLE.speed_mps
+
+
+def test_what_is_too_fast_keeps_its_direction():
+    (command,), exceeds = bounded([3e300, -4e300, 0, -1e6], VEHICLE)
+    assert exceeds
+    assert_allclose(command, [1.2, -1.6, 0, -math.pi / 2], rtol=1e-5)
+
+
+def test_a_robot_in_python_answers_with_numbers_alone():
+    answers = (["1", 0, 0, 0], [True, 0, 0, 0], [1j, 0, 0, 0], [[1, 2], [3]], {}, None)
+    assert {_answer(action) for action in answers} == {"null"}
+    for action in ([1, 2, 0.5, 0], np.float32([1, 2, 0.5, 0]), [np.array(1.0), np.int8(2), 0.5, 0]):
+        assert json.loads(_answer(action)) == [1, 2, 0.5, 0]
 
 
 def test_of_a_robot_that_says_nothing_the_rest_of_its_plan_is_flown():
@@ -325,7 +346,10 @@ def test_a_recording_flies_again(tmp_path):
     assert [one.row() for one in again] == [one.row() for one in flown]
     text = file.read_text()
     shrunk = text.replace('"radius_m": 0.3', '"radius_m": -1')
-    for wrong in ("{}", "[1]", "x", shrunk, text.replace('"flights": 2', '"flights": 3')):
+    worded = text.replace('"commands": [[1.8,', '"commands": [["1.8",')
+    fewer = text.replace('"flights": 2', '"flights": 3')
+    assert worded != text
+    for wrong in ("{}", "[1]", "x", shrunk, worded, fewer):
         file.write_text(wrong)
         with pytest.raises(DatasetError, match=r"fly again|format"):
             Recording.read(file)
@@ -453,40 +477,6 @@ def test_the_real_track_is_of_these_maps_alone(tmp_path, monkeypatch):
     assert [course.seed for course in courses] == [0, 1, 2, 3]
     with pytest.raises(GenerationError, match="another world"):
         _ = courses[0].drawn
-
-
-@pytest.mark.filterwarnings("ignore")
-def test_gymnasium_takes_it(monkeypatch):
-    monkeypatch.setattr("scenegen.fly.missions.VOXEL_M", 0.5)  # missions take the time
-    gymnasium = pytest.importorskip("gymnasium")
-    from gymnasium.utils.env_checker import check_env
-
-    import scenegen
-
-    made = gymnasium.make("scenegen/Fly-v0", world="pillar", rules=Rules(apart_m=4.0))
-    assert isinstance(made.unwrapped, scenegen.Flight)
-    check_env(made.unwrapped, skip_render_check=True)
-    first, about = made.reset(seed=3)
-    towards = (first["goal"] - first["position"]) / 10
-    _, reward, ended, over, _ = made.step(np.float32([*towards, 0.0]))
-    assert not ended
-    assert not over
-    assert 0.0 < reward < 0.2
-    assert set(about["about"]) >= {"goal", "bounds", "radius_m"}
-    plans = scenegen.Flight("cave", periods=3, rules=Rules(apart_m=4.0))
-    plans.reset(options={"seed": 3, "world": "pillar"})
-    plan = np.tile(np.float32([*towards, 0.0]), (3, 1))
-    single = [made.reset(options={"seed": 3}), *map(made.step, plan)]
-    seen, reward, *_ = plans.step(plan)
-    assert plan in plans.action_space
-    assert reward == sum(step[1] for step in single[1:])
-    assert (seen["position"] == single[-1][0]["position"]).all()
-    with pytest.raises(ValueError, match="expected finite numbers"):
-        plans.step(plan[0])
-    with pytest.raises(ValueError, match="expected 1 to 10"):
-        scenegen.Flight(periods=11)
-    with pytest.raises(ScenegenError, match="did you mean 'forest'"):
-        scenegen.Flight("forrest")
 
 
 def test_a_quadrotor_of_mujocos_tracks_the_kinematic_motion_and_leans_as_its_thrust_takes():

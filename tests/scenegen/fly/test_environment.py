@@ -1,0 +1,196 @@
+"""The Gymnasium environment: bounded spaces, copies that fly on alike, clear errors, learning."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal, assert_equal
+
+import scenegen
+from lidarsim import Lidar
+from lidarsim.engines.voxels import FREE, OCCUPIED
+from scenegen.errors import ScenegenError
+from scenegen.fly import Rules, Vehicle
+from scenegen.fly.course import Course
+from tests.command_line import example, rows
+from tests.conftest import hall_in
+
+gymnasium = pytest.importorskip("gymnasium")
+pytestmark = pytest.mark.filterwarnings("ignore")
+NEAR = Rules(apart_m=4.0)
+
+
+@pytest.fixture(autouse=True)
+def coarse(monkeypatch):
+    """Missions on coarse voxels: they take most of the time."""
+    monkeypatch.setattr("scenegen.fly.missions.VOXEL_M", 0.5)
+
+
+def made(**options):
+    return gymnasium.make("scenegen/Fly-v0", **{"rules": NEAR, **options})
+
+
+def test_gymnasium_checks_and_flies_it():
+    from gymnasium.utils.env_checker import check_env
+
+    env = made(world="pillar")
+    assert isinstance(env.unwrapped, scenegen.Flight)
+    check_env(env.unwrapped)
+    first, about = env.reset(seed=3)
+    towards = (first["goal"] - first["position"]) / 10
+    _, reward, ended, over, _ = env.step(np.float32([*towards, 0.0]))
+    assert not ended
+    assert not over
+    assert 0.0 < reward < 0.2
+    assert set(about["about"]) >= {"goal", "bounds", "radius_m"}
+    plans = scenegen.Flight("cave", periods=3, rules=NEAR)
+    plans.reset(options={"seed": 3, "world": "pillar"})
+    plan = np.tile(np.float32([*towards, 0.0]), (3, 1))
+    single = [env.reset(options={"seed": 3}), *map(env.step, plan)]
+    seen, reward, *_ = plans.step(plan)
+    assert plan in plans.action_space
+    assert reward == sum(step[1] for step in single[1:])
+    assert (seen["position"] == single[-1][0]["position"]).all()
+
+
+SETTINGS = {
+    "plain": {},
+    "noise": {"noise": "datasheet", "moving": True, "lidar": "velodyne-vlp-16"},
+    "rotors": {"vehicle": Vehicle(dynamics="mujoco", speed_mps=4.0, acceleration_mps2=10.0)},
+    "sensor": {"lidar": Lidar(rows=4, columns=16, max_range_m=3.0), "difficulty": "easy"},
+}
+
+
+def flown(env, actions):
+    """All that some steps give, up to the end of a flight; and how the next one begins."""
+    steps = []
+    for action in actions:
+        steps.append(env.step(action))
+        if steps[-1][2] or steps[-1][3]:
+            break
+    return [*steps, env.reset()]
+
+
+@pytest.mark.parametrize("name", SETTINGS)
+def test_observations_lie_in_bounded_spaces(name):
+    """Their ranges are those of a robot, but for the maximum range where nothing returned."""
+    env = made(**SETTINGS[name])
+    assert all(box.is_bounded() for box in env.observation_space.values())
+    seen, info = env.reset(seed=1)
+    course = Course(world="pillar", rules=NEAR, flights=1, seed=info["seed"], **SETTINGS[name])
+    robots, max_range_m = course.simulation(0).observe(), course.sensor.max_range_m
+    assert np.isinf(robots["ranges"]).any()
+    expected = np.where(np.isinf(robots["ranges"]), np.float32(max_range_m), robots["ranges"])
+    assert_array_equal(seen["ranges"], np.minimum(expected, np.float32(max_range_m)))
+    assert_equal(seen | {"ranges": 0}, robots | {"ranges": 0})
+    env.action_space.seed(0)
+    actions = [env.action_space.sample() for _ in range(30)]
+    full = np.float32([0, 0, env.unwrapped.action_space.high[0], 0])  # up, and out of the bounds
+    for step in [*flown(env, actions), *flown(env, [full] * 60)]:
+        assert step[0] in env.observation_space
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+@pytest.mark.parametrize("name", [*SETTINGS, "map"])
+def test_a_copy_flies_on_as_the_original(name, copied, tmp_path):
+    """Also after the end of the flight: the next world is the same, too."""
+    options = SETTINGS.get(name)
+    if options is None:
+        states = np.full((60, 60, 15), FREE, np.uint8)
+        states[30, :40] = OCCUPIED
+        options = {"world": str(hall_in(tmp_path, states))}
+    env = made(**options)
+    env.reset(seed=2)
+    env.action_space.seed(2)
+    actions = [env.action_space.sample() for _ in range(12)]
+    env.step(actions.pop())
+    other = copied(env)
+    assert_equal(flown(other, actions), flown(env, actions))
+    assert_equal(flown(other, actions), flown(env, actions))
+
+
+MISUSE = """
+make(worlds=3)               → unknown option 'worlds'; did you mean 'world'
+make(seed=3)                 → unknown option 'seed'
+make(flights=3)              → unknown option 'flights'
+make(world=5)                → world = 5: expected text
+make(world=["pillar"])       → world = ['pillar']: expected text
+make(world="forrest")        → did you mean 'forest'
+make(world="no.xml")         → no.xml: no such file
+make(difficulty="harder")    → difficulty = 'harder': expected
+make(lidar=3)                → lidar = 3: expected a sensor
+make(lidar="os9")            → unknown sensor 'os9'
+make(noise=3)                → noise = 3: expected text
+make(noise="fog")            → unknown noise stage 'fog'
+make(moving="yes")           → moving = 'yes': expected true or false
+make(vehicle={"radius_m": 1}) → vehicle = {'radius_m': 1}: expected an instance of Vehicle
+make(rules=None)             → rules = None: expected an instance of Rules
+make(periods=11)             → periods = 11: expected a whole number from 1 to 10
+make(periods=True)           → periods = True: expected a whole number from 1 to 10
+make(render_mode="human")    → render_mode = 'human': expected None
+env.step([0, 0, 0, 0])       → step: no flight is under way (none has begun); call reset first
+env.render()                 → renders nothing
+env.reset(options=[1])       → options = [1]: expected a dictionary
+env.reset(options={"sed": 1})    → unknown option 'sed'; did you mean 'seed'
+env.reset(options={"seed": "x"}) → seed = 'x': expected a whole number
+env.reset(options={"seed": -1})  → seed = -1: expected a whole number
+env.reset(options={"world": 3})  → world = 3: expected text
+begun.step([0, 0, 0])        → action = [0, 0, 0]: expected finite numbers, of shape (4,)
+begun.step([[0, 0, 0, 0]])   → expected finite numbers, of shape (4,)
+begun.step([0, 0, 0, np.nan]) → action = [0, 0, 0, nan]: expected finite numbers
+begun.step(["1", 0, 0, 0])   → action = ['1', 0, 0, 0]: expected finite numbers
+begun.step(np.zeros((10, 4))) → expected finite numbers, of shape (4,)
+begun.step(None)             → action = None: expected finite numbers
+ended.step([0, 0, 0, 0])     → no flight is under way (it ended: left); call reset first
+"""
+
+
+@pytest.fixture(scope="module")
+def states():
+    """An environment before its first flight, one in a flight, and one after it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("scenegen.fly.missions.VOXEL_M", 0.5)
+        found = {name: scenegen.Flight(rules=NEAR) for name in ("env", "begun", "ended")}
+        found["begun"].reset(seed=0)
+        found["ended"].reset(seed=0)
+        while not found["ended"].step([0, 0, 2, 0])[2]:  # up
+            pass
+    return found
+
+
+@pytest.mark.parametrize(("code", "message"), rows(MISUSE))
+def test_misuse_ends_in_one_line(states, code, message):
+    with pytest.raises(ScenegenError) as caught:
+        eval(code, {"make": scenegen.Flight, "np": np, **states})
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.slow
+def test_stable_baselines_checks_it_and_learns(monkeypatch, tmp_path):
+    """By the page's recipe, but for the number of steps, and of processes: none."""
+    pytest.importorskip("stable_baselines3")
+    import torch
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.env_checker import check_env
+    from stable_baselines3.common.vec_env import DummyVecEnv, VecCheckNan, VecNormalize
+
+    monkeypatch.chdir(tmp_path)
+    page = {"__name__": "learn"}
+    exec(example("own-robot.md", "# learn.py"), page)
+    check_env(made(world="pillar"))
+    check_env(page["make"]())
+    envs = VecNormalize(VecCheckNan(DummyVecEnv([page["make"]] * 2), raise_exception=True))
+    model = PPO("MlpPolicy", envs, n_steps=512, seed=0, device="cpu")
+    before = copy.deepcopy(model.policy.state_dict())
+    model.learn(3000)
+    assert model.num_timesteps >= 3000
+    for name, values in model.policy.state_dict().items():
+        assert torch.isfinite(values).all(), name
+        assert not torch.equal(values, before[name]), name
+    assert np.isfinite(envs.obs_rms.mean).all()
+    assert np.isfinite(envs.ret_rms.var)
+    whole = PPO("MultiInputPolicy", VecNormalize(DummyVecEnv([made])), n_steps=64, device="cpu")
+    whole.learn(64)  # all observations as they are
+    assert all(torch.isfinite(values).all() for values in whole.policy.state_dict().values())

@@ -1,0 +1,172 @@
+"""Samples as a dataset of torch's: the same values, batched by torch's own collate."""
+
+import pickle
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+import scenegen
+from lidarsim import GridSpec, Lidar
+from scenegen.dataset.layout import ShardFile
+from scenegen.errors import DatasetError
+from scenegen.sample import FIELDS, GROUPS, Sample, Samples, Schema
+from tests.command_line import example
+from tests.conftest import dataset_in, small_recipe
+
+torch = pytest.importorskip("torch")
+from torch.utils.data import DataLoader, random_split  # noqa: E402
+
+OTHER_TYPES = {"uint16": "int32"}
+"""Types of tensors, where they are not those of the fields."""
+
+
+@pytest.fixture(scope="module")
+def samples(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("tensors") / "data"
+    return dataset_in(folder, counts={"train": 9, "val": 0, "test": 0}).split("train")
+
+
+def check_batches(loader, samples, names):
+    """Every batch holds its samples' fields, in order, as stacked by numpy."""
+    first = 0
+    for batch in loader:
+        assert list(batch) == list(names)
+        count = len(batch["world"])
+        for name, values in batch.items():
+            fields = [getattr(samples[n], name) for n in range(first, first + count)]
+            expected = np.stack(fields)
+            kind = np.dtype(FIELDS[name]["dtype"]).name
+            assert values.dtype == getattr(torch, OTHER_TYPES.get(kind, kind)), name
+            assert_array_equal(values.numpy(), expected, name)
+        first += count
+    assert first == len(samples)
+
+
+@pytest.mark.parametrize("start", [None, "fork", "spawn"])
+def test_the_default_collate_batches_all_fields(samples, start):
+    tensors = samples.torch()
+    assert isinstance(tensors, torch.utils.data.Dataset)
+    processes = {} if start is None else {"num_workers": 2, "multiprocessing_context": start}
+    check_batches(DataLoader(tensors, batch_size=4, **processes), samples, GROUPS[""])
+    check_batches(
+        DataLoader(pickle.loads(pickle.dumps(tensors)), batch_size=4), samples, tensors.names
+    )
+
+
+def test_the_page_runs_with_processes(samples):
+    names = {"samples": samples}
+    exec(example("load.md", "samples.torch()"), names)
+    assert len(names["batch"]["observed"]) == 8
+
+
+def test_samplers_and_subsets_take_it(samples):
+    tensors = samples.torch(["world", "viewpoint", "occupancy"])
+    part, rest = random_split(tensors, [4, 5])
+    both = [next(iter(DataLoader(each, batch_size=5, shuffle=True))) for each in (part, rest)]
+    found = [
+        pair
+        for one in both
+        for pair in zip(*(one[n].tolist() for n in tensors.names[:2]), strict=True)
+    ]
+    assert sorted(found) == sorted((one.world, one.viewpoint) for one in samples)
+    assert_array_equal(tensors[-1]["occupancy"], samples[8].occupancy)
+    with pytest.raises(IndexError):
+        tensors[9]
+
+
+def test_only_the_fields_named_are_read(samples, monkeypatch):
+    read, original = [], ShardFile.value
+
+    def value(shard, name, row, **options):
+        read.append(name)
+        return original(shard, name, row, **options)
+
+    monkeypatch.setattr(ShardFile, "value", value)
+    assert list(samples.torch("tudf")[0]) == ["tudf"]
+    assert read == ["tudf"]
+
+
+def test_a_batch_can_be_written_to(samples):
+    """And neither the samples nor what comes later changes."""
+    stream = scenegen.stream(small_recipe(), samples=3)
+    for each in (samples, stream):
+        before, batch = each[0].ranges.copy(), each.torch()[0]
+        for values in batch.values():
+            values.zero_()
+        assert_array_equal(each.torch()[0]["ranges"], before)
+
+
+class Kept(Samples):
+    """Samples in memory."""
+
+    def __init__(self, samples, schema):
+        self.samples, self.kind = samples, schema
+
+    schema = property(lambda self: self.kind)
+
+    def __len__(self):
+        return len(self.samples)
+
+    def __getitems__(self, indices):
+        return [self.samples[n] for n in indices]
+
+
+def test_fields_of_all_groups_become_tensors():
+    """Of every type, at its bounds."""
+    rng, lidar, grid = np.random.default_rng(0), Lidar(rows=2, columns=3), GridSpec(shape=(4, 5, 6))
+    schema = Schema(grid=grid, lidar=lidar, groups=tuple(GROUPS)[1:], scans=3)
+
+    def drawn(name):
+        kind, shape = np.dtype(FIELDS[name]["dtype"]), schema.shape(name)
+        if kind.kind in "iu":
+            low, high = np.iinfo(kind).min, np.iinfo(kind).max
+            values = rng.integers(low, high, shape, kind, endpoint=True)
+            return values if shape else int(values)
+        return rng.normal(size=shape).astype(kind)
+
+    made = [Sample(**{name: drawn(name) for name in schema.names}) for _ in range(3)]
+    made[0].return_class[:] = 65535
+    kept = Kept(made, schema)
+    check_batches(DataLoader(kept.torch(), batch_size=2), kept, FIELDS)
+
+
+def test_a_stream_gives_batches_in_its_own_order():
+    stream = scenegen.stream(small_recipe(), seed=3, samples=12)
+    order = list(stream.batches(2))
+    loader = DataLoader(stream.torch(["world", "observed"]), batch_sampler=stream.batches(2))
+    for batch, numbers in zip(loader, order, strict=True):
+        assert batch["world"].tolist() == [stream[n].world for n in numbers]
+        assert_array_equal(batch["observed"], np.stack([stream[n].observed for n in numbers]))
+
+
+def test_fields_of_several_shapes_are_left_out_by_name():
+    recipe = small_recipe()
+    parts = [recipe, replace(recipe, lidar=Lidar(rows=4, columns=12))]
+    stream = scenegen.stream(parts, samples=4)
+    with pytest.raises(DatasetError, match=r"ranges has several shapes.* give fields=\[") as caught:
+        stream.torch()
+    alike = eval(str(caught.value).partition("fields=")[2].partition("]")[0] + "]")
+    assert set(alike) == set(GROUPS[""]) - {"ranges"}
+    (batch,) = DataLoader(stream.torch(alike), batch_size=4)
+    assert batch["tudf"].shape == (4, *stream.grid.shape)
+
+
+def test_what_cannot_be_is_said_in_a_line(samples, monkeypatch):
+    with pytest.raises(DatasetError, match=r"no field 'tsdf'; expected observed, free"):
+        samples.torch(["tsdf"])
+    for name in ("scenegen.tensors", "torch"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(DatasetError, match=r"torch\(\) needs torch.*\[train\]"):
+        samples.torch()
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_a_plain_loader_of_samples_names_the_method(samples, workers):
+    for each in (samples, scenegen.stream(small_recipe(), samples=4)):
+        with pytest.raises(TypeError, match=r"give DataLoader `samples\.torch\(\)`"):
+            next(iter(DataLoader(each, batch_size=2, num_workers=workers)))
+    assert len(next(iter(DataLoader(samples, batch_size=2, collate_fn=list)))) == 2
