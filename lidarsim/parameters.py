@@ -14,6 +14,9 @@ MOST_RAYS = 1_000_000
 """The most rays of one scan."""
 LEAST_RANGE_M, MOST_RANGE_M = 1e-3, 1e4
 """A range is stored in float32, which here still tells millimetres apart."""
+MIN_RETURN_M = 0.1
+"""Where a sensor's minimum range is not known: nearer returns are of its carrier, or stand for rays
+without one, metres."""
 MOST_LENGTH_M = 1e6
 """Sizes and places in a world, metres: float64 then keeps a tenth of a nanometre."""
 MOST_TRIANGLES = 5_000_000

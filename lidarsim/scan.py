@@ -4,12 +4,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lidarsim.engines import Caster
-from lidarsim.grid import Field, Floats
+from lidarsim.grid import Field, Floats, Mask
+from lidarsim.parameters import MIN_RETURN_M, MOST_LENGTH_M
 from lidarsim.pose import Pose, rotate
 from lidarsim.sensors import Sensor, check_sensor
+
+MIN_REPEATED, REPEATED_SHARE = 20, 0.01
+"""How many points of a scan, and which share of all, must be one and the same to be no returns."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +73,58 @@ def cast(engine: Caster, lidar: Sensor, pose: Pose) -> Scan:
         raise ValueError(f"{name}.cast gave ranges of shape {ranges.shape}, expected {expected}")
     check_ranges(ranges, lidar, f"{name}.cast")
     return Scan(ranges[0].astype(np.float32), pose, lidar)
+
+
+def is_return(ranges: ArrayLike, min_range_m: float = MIN_RETURN_M) -> Mask:
+    """Tell returns from what sensors and drivers give for rays without one.
+
+    Args:
+        ranges: Metres from the sensor, of any shape.
+        min_range_m: The sensor's minimum range, metres.
+
+    Returns:
+        Whether each range is finite, above 0, not below `min_range_m`, and below `MOST_LENGTH_M`.
+    """
+    metres = np.asarray(ranges)
+    return np.asarray((metres > 0) & (metres >= min_range_m) & (metres < MOST_LENGTH_M))
+
+
+def are_returns(
+    points: Floats, sensors: ArrayLike = (0.0, 0.0, 0.0), min_range_m: float = MIN_RETURN_M
+) -> Mask:
+    """Tell the returns among a scan's points, see `is_return`.
+
+    Drivers write 0 0 0, NaN or infinity for a ray without a return. Where somebody moved the cloud
+    into another frame, the zeros lie at the sensor; where nobody says where that is, they are one
+    point that is there again and again, see `_repeated`.
+
+    Args:
+        points: (N, 3), metres.
+        sensors: Where they were seen from, in the frame of the points, (3,), (1, 3) or (N, 3),
+            metres.
+        min_range_m: The sensor's minimum range, metres.
+
+    Returns:
+        (N,): whether each is a return.
+    """
+    with np.errstate(invalid="ignore", over="ignore"):  # infinity less infinity
+        ranges = np.sqrt(((points - np.asarray(sensors, float)) ** 2).sum(axis=1))
+    return is_return(ranges, min_range_m) & points.any(axis=1) & ~_repeated(points)
+
+
+def _repeated(points: Floats) -> Mask:
+    """Which points (N, 3) are the one that many rays share to the last bit: no surface gives that.
+
+    Rays without a return follow one another, so that only points like the one before them are
+    counted. Two echoes of a ray may be alike, but those of each ray are another pair.
+    """
+    alike = points[1:][(points[1:] == points[:-1]).all(axis=1)]
+    if len(alike) < max(MIN_REPEATED, REPEATED_SHARE * len(points)):
+        return np.zeros(len(points), bool)
+    places, counts = np.unique(alike, axis=0, return_counts=True)
+    if counts.max() < max(MIN_REPEATED, REPEATED_SHARE * len(points)):
+        return np.zeros(len(points), bool)
+    return np.asarray((points == places[counts.argmax()]).all(axis=1))
 
 
 def check_ranges(ranges: NDArray[Any], lidar: Sensor, giver: str) -> None:

@@ -7,7 +7,7 @@ flight and its samples.
 import functools
 import itertools
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -150,20 +150,28 @@ class SceneWorlds:
         return recipe
 
 
-def read_world(path: str | Path) -> AnyWorld:
-    """The world of an MJCF file, or of a map of a real place. Raises SceneError for a file that
-    cannot serve."""
+def read_world(path: str | Path, tell: Callable[[str], None] | None = None) -> AnyWorld:
+    """The world of an MJCF file, or of a map of a real place; `tell` hears its `notes`. Raises
+    SceneError for a file that cannot serve."""
     if Path(path).is_dir():
         raise SceneError(f"{path}: is a folder; expected one MJCF file, or a map")
     source = read_scenes(Path(path), {"train": 1, "val": 0, "test": 0}, seed=0, allow_unseen=True)
+    if tell:
+        for line in source.notes:
+            tell(line)
     return source.world("train", 0, rng=np.random.default_rng(0))
 
 
-def named_world(name: str, seed: int, difficulty: str | None = None) -> AnyWorld:
+def named_world(
+    name: str,
+    seed: int,
+    difficulty: str | None = None,
+    tell: Callable[[str], None] | None = None,
+) -> AnyWorld:
     """The world of a file, see `read_world`, or one of the kind called `name`, as its preset of
     that difficulty draws it by `seed`."""
     if Path(name).exists() or (":" not in name and not name.isidentifier()):
-        return read_world(name)
+        return read_world(name, tell)
     drawn = DrawnWorlds(preset(name, difficulty=difficulty))
     return drawn.world("train", 0, rng=np.random.default_rng(seed))
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import rich_click as click
 
 from scenegen.cli.options import (
+    columns_option,
     command,
     device_option,
     group,
@@ -65,6 +66,7 @@ MOST_SHOWN = 24
     default=(0.0, 0.0, 0.0),
     help="Where a scan's sensor was: X Y Z, m.",
 )
+@columns_option
 @click.option(
     "--every",
     type=click.IntRange(1, 10**6),
@@ -85,7 +87,7 @@ MOST_SHOWN = 24
 @workers_by("1; with --on, all cores")
 @on_option
 @quiet_option
-@group("Scans, logs and maps", "n sensor every poses poses-of topic fixed-frame")
+@group("Scans, logs and maps", "n sensor columns every poses poses-of topic fixed-frame")
 def complete(
     source: Path | str,
     weights: str,
@@ -99,6 +101,7 @@ def complete(
     quiet: bool,
     sensor: tuple[float, ...],
     every: int,
+    columns: int | None,
     log_reading: dict[str, Any],
 ) -> None:
     """Complete a dataset's split, a scan, all scans in a folder and below it, a log, or a map.
@@ -116,7 +119,13 @@ def complete(
     from scenegen.files import claim, real_path
     from scenegen.logs.read import is_log
     from scenegen.model.completion.completer import Completer
-    from scenegen.model.completion.scans import complete_all, predict_scan, read_scan, tasks_of
+    from scenegen.model.completion.scans import (
+        complete_all,
+        predict_scan,
+        read_line,
+        read_scan,
+        tasks_of,
+    )
     from scenegen.model.training.device import choose_device
     from scenegen.worlds import is_map
 
@@ -134,13 +143,13 @@ def complete(
         raise DatasetError(f"{path}: is no log; leave out --{given[0].replace('_', '-')}")
     several = logged or (not stored and path.is_dir())
     # which may refuse what is there at once
-    tasks = tasks_of(path, sensor, every, quiet, **log_reading) if several else None
+    tasks = tasks_of(path, sensor, every, columns, quiet, **log_reading) if several else None
     completer = Completer.from_pretrained(weights, device=device_here, batch=batch)
     if tasks or is_map(path):
         name = path.stem if path.is_file() else real_path(path).name
         out = out or Path(f"{name}.completed")
         if tasks:
-            about = {"sensor": str(sensor)}
+            about = {"sensor": str(sensor)} | ({"columns": str(columns)} if columns else {})
             always = ("poses", "topic")  # as in folders that were begun before there were others
             for name, value in log_reading.items():
                 about |= {name: str(value)} if value or name in always else {}
@@ -155,8 +164,9 @@ def complete(
     if stored:
         _complete_split(completer, path, split, out, execute, quiet)
     else:
-        completed = predict_scan(completer, read_scan(path, sensor), out)
+        completed = predict_scan(completer, read_scan(path, sensor, columns), out)
         if not quiet:
+            note(read_line([completed]))
             say(f"{path}: {completed}; completed by {completer.name}")
     if not quiet:
         say(f"{'replaced' if existed else 'written'}: {out}")

@@ -6,6 +6,7 @@ from pathlib import Path
 import rich_click as click
 
 from scenegen.cli.options import (
+    columns_option,
     command,
     dataset_argument,
     json_option,
@@ -35,9 +36,12 @@ from scenegen.worlds.mapping import Mapper
     help="Measure all, and keep what was measured beside them, for inspect, take --where and "
     "publish.",
 )
+@columns_option
 @workers_option
 @json_option
-def inspect(dataset: Path | str, every: bool, keep: bool, workers: int, as_json: bool) -> None:
+def inspect(
+    dataset: Path | str, every: bool, keep: bool, columns: int | None, workers: int, as_json: bool
+) -> None:
     """Print what is in a dataset: counts, sizes, and statistics of scans and truth.
 
     A folder of datasets is listed; of a world (.xml), an OctoMap (.bt, .ot), a scan, a file of
@@ -52,7 +56,7 @@ def inspect(dataset: Path | str, every: bool, keep: bool, workers: int, as_json:
     if not (path / NAME).exists() and any(path.glob(f"*/{NAME}")):
         _show_all(inspect_all(path), as_json)
         return
-    if facts := _facts(path):
+    if facts := _facts(path, columns):
         print(json.dumps(facts)) if as_json else show_table(plain(facts))
         return
     opened = open_dataset(dataset, shown=not as_json)
@@ -79,7 +83,7 @@ def inspect(dataset: Path | str, every: bool, keep: bool, workers: int, as_json:
         note(f"note: {line}")
 
 
-def _facts(path: Path) -> Json | None:
+def _facts(path: Path, columns: int | None) -> Json | None:
     """What is to be said of a world, a scan, predictions, or a run; None for anything else."""
     from scenegen.clouds import READERS
     from scenegen.display.inspect import inspect_world, scan_facts
@@ -90,7 +94,7 @@ def _facts(path: Path) -> Json | None:
     if path.suffix in (".xml", *MESHES) or is_map(path):
         return inspect_world(path)
     if path.suffix.lower() in READERS:
-        return scan_facts(path)
+        return scan_facts(path, columns)
     # what these import loads torch
     if path.suffix == ".h5":
         from scenegen.model.completion.predictions import prediction_facts

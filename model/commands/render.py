@@ -8,6 +8,7 @@ import rich_click as click
 
 from lidarsim.parameters import Bounds
 from scenegen.cli.options import (
+    columns_option,
     command,
     group,
     index_option,
@@ -88,11 +89,12 @@ def _width(text: str) -> float:
     default=7.0,
     help="With --paper: the size of its letters, points.",
 )
+@columns_option
 @seed_option("Seed of the flight.")
 @out_option("The picture: .png, .pdf, .svg or .webp.  [default: sample.png]", file=True)
 @quiet_option
 @shown_options
-@group("What is drawn", "split index sheet figure turn flight")
+@group("What is drawn", "split index sheet figure turn flight columns")
 @group("For print", "paper font-size")
 def render(
     source: Path | str,
@@ -101,6 +103,7 @@ def render(
     out: Path | None,
     quiet: bool,
     font_size: float,
+    columns: int | None,
     **options: Any,
 ) -> None:
     """Draw samples of a dataset, and what is predicted of them.
@@ -125,7 +128,9 @@ def render(
     from scenegen.files import write_result
 
     notes: list[str] = []
-    figure = _draw_file(source, seed if flight else None) if isinstance(source, Path) else None
+    figure = None
+    if isinstance(source, Path):
+        figure = _draw_file(source, seed if flight else None, columns, quiet)
     if figure and (options["paper"] or LEAST_WIDE) < LEAST_WIDE:
         raise click.UsageError("--paper: only samples fit into less than 140 mm; give two, or more")
     if figure is None:
@@ -142,9 +147,9 @@ def render(
         say(f"{out}: {len(content) / 1e3:.0f} KB")
 
 
-def _draw_file(path: Path, seed: int | None) -> Any:
+def _draw_file(path: Path, seed: int | None, columns: int | None, quiet: bool) -> Any:
     """The figure of a world, a scan, a completion of one, or a run; None for anything else."""
-    from scenegen.clouds import READERS, read_points
+    from scenegen.clouds import READERS, ReadReport, read_cloud
     from scenegen.display import pictures
     from scenegen.display.panels import plain
 
@@ -152,7 +157,11 @@ def _draw_file(path: Path, seed: int | None) -> Any:
     if path.suffix in (".xml", *MESHES):
         return _draw_world(path, seed, title)
     if path.suffix.lower() in READERS:
-        return pictures.draw_cloud(read_points(path), title=title)
+        cloud, report = read_cloud(path, columns=columns), ReadReport()
+        report.add(len(cloud.points), cloud.layout, 0)
+        if not quiet:
+            note(report)
+        return pictures.draw_cloud(cloud.points, title=title)
     if path.suffix == ".h5":
         from scenegen.model.completion.scans import read_completion
 

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from lidarsim import Lidar
 from lidarsim.grid import GridSpec, Mask, finite
-from lidarsim.parameters import MOST_LENGTH_M
+from lidarsim.scan import are_returns
 from scenegen.dataset.locate import client_output, file_sha256, without_tokens
 from scenegen.dataset.manifest import differences
 from scenegen.dataset.parts import described, sensor_entry
@@ -224,18 +224,19 @@ class Completer:
         return sorted(filter(None, {unlike(self.name, self.about, *one) for one in settings}))
 
     def scan_of(self, points: Any, sensor: ArrayLike) -> PointScan:
-        """The scan of points (N, 3), metres, seen from `sensor` (3,). What is farther than
-        `MOST_LENGTH_M`, or NaN, returned nothing. Raises ValueError where none is in the map."""
+        """The scan of points (N, 3), metres, seen from `sensor` (3,), less those that are no
+        returns, see `are_returns`. Raises ValueError where none is in the map."""
         rows = np.asarray(points, float)
         if rows.shape[1:] != (3,):
             raise ValueError(f"points of shape {rows.shape}, expected (N, 3), metres")
         here = finite("sensor", sensor, 3)
-        returned = rows[(np.abs(rows) <= MOST_LENGTH_M).all(axis=1)]
+        returned = rows[are_returns(rows, here)]
         found = PointScan(points=returned, position=here, grid=self.grid)
         if not len(found.voxels):
             raise ValueError(
-                f"none of {len(rows)} points is in the map, {self.grid.extent_m.tolist()} m around "
-                f"the sensor at {here.tolist()}; give metres, and where the sensor is"
+                f"none of {len(rows)} points is in the map ({len(rows) - len(returned)} are no "
+                f"returns), {self.grid.extent_m.tolist()} m around the sensor at {here.tolist()}; "
+                "give metres, and where the sensor is"
             )
         return found
 

@@ -17,8 +17,10 @@ from lidarsim import GridSpec
 from lidarsim.grid import Floats, iou
 from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.pose import rotate
+from lidarsim.scan import are_returns
 from scenegen.cli.show import Progress, note, say
-from scenegen.clouds import read_npz, read_points, scans_in
+from scenegen.cloud_arrays import read_npz
+from scenegen.clouds import ReadReport, check_scan, read_cloud, scans_in
 from scenegen.dataset.hdf5 import read_guarded
 from scenegen.dataset.shard import compress
 from scenegen.display.exchange.files import encode_points
@@ -55,6 +57,8 @@ class Scan(NamedTuple):
     """(N, 3), metres, z up; not finite where nothing returned."""
     position: Floats
     """(3,): where the sensor is in the points' frame, metres."""
+    layout: str
+    """What was taken of the file, see `Cloud`; "" of a log's."""
     truth: Mapping[str, Any] = {}
     """`TRUTH` in the grid around the sensor, and its `voxel_m`; nothing where only the scan is
     known."""
@@ -70,6 +74,8 @@ class Completed:
 
     completer: str
     points: int
+    layout: str
+    """What was taken of the file, see `Cloud`."""
     without: int
     """Points without a return."""
     inside: int
@@ -103,21 +109,30 @@ class Completed:
         return "; ".join(parts)
 
 
-def read_scan(path: Path, sensor: ArrayLike) -> Scan:
-    """The scan in a file, seen from `sensor` (3,); with the truth if it is an observation. Raises
-    DatasetError for a file that is no scan, and for a position out of bounds."""
+def read_scan(path: Path, sensor: ArrayLike, columns: int | None = None) -> Scan:
+    """Read the scan in a file, with the truth if it is an observation.
+
+    Args:
+        path: What `read_cloud` reads.
+        sensor: Where it was seen from, (3,), metres.
+        columns: See `read_cloud`.
+
+    Raises:
+        DatasetError: The file holds no scan, or the position is out of bounds.
+    """
     position = np.asarray(sensor, float)
     if not (np.abs(position) <= MOST_LENGTH_M).all():
         raise DatasetError(
             f"--sensor {position.tolist()}: expected metres within {MOST_LENGTH_M:g} of the origin"
         )
-    points, truth = read_points(path), dict[str, Any]()
+    cloud, truth = read_cloud(path, columns=columns), dict[str, Any]()
+    check_scan(cloud.points, position, str(path))
     if path.suffix == ".npz":
-        with suppress(KeyError, ValueError):  # an archive of points alone
+        with suppress(ValueError):  # an archive of points alone
             content = read_bounded(path, MOST_SCAN_BYTES)
             found = read_npz(content, *TRUTH, "voxel_m", most_bytes=MOST_VOXELS)
             truth = dict(zip((*TRUTH, "voxel_m"), found, strict=True))
-    return Scan(name=str(path), points=points, position=position, truth=truth)
+    return Scan(str(path), cloud.points, position, cloud.layout, truth)
 
 
 def scans_of_log(log: Log, every: int) -> Iterator[Task]:
@@ -126,7 +141,9 @@ def scans_of_log(log: Log, every: int) -> Iterator[Task]:
     def read(name: str, scan: LogScan) -> Scan:
         position = scan.pose.position
         points = rotate(scan.pose.quaternion, scan.points) + position
-        return Scan(name=name, points=points, position=position)
+        # in the sensor's frame, they are told exactly
+        points[~are_returns(scan.points)] = np.nan
+        return Scan(name, points, position, "")
 
     for number, scan in enumerate(log.scans()):
         if number % every == 0:
@@ -163,7 +180,8 @@ def predict_scan(
     return Completed(
         completer=completer.name,
         points=len(scan.points),
-        without=int((~np.isfinite(scan.points)).any(axis=1).sum()),
+        layout=scan.layout,
+        without=len(scan.points) - len(seen.points),
         inside=len(seen.voxels),
         height_m=height_above_returns(seen.points - scan.position),
         untold=tuple(UNTOLD[name] for name in completer.inputs if name in UNTOLD),
@@ -243,6 +261,15 @@ def _completion(path: Path) -> Look:
         raise DatasetError(f"{path}: holds no completion of a scan; {advice}") from None
 
 
+def read_line(done: Sequence[Completed]) -> str:
+    """What was read of scans that were completed, in a line; of a log, see `Log.line`, how many
+    points are no returns."""
+    report = ReadReport()
+    for scan in done:
+        report.add(scan.points, scan.layout, scan.without)
+    return str(report) if any(report.layouts) else f"{report.dropped:,} points without a return"
+
+
 def summary(done: Sequence[Completed]) -> list[str]:
     """Lines for people on many scans."""
     heights = [one.height_m for one in done if one.height_m is not None]
@@ -266,12 +293,17 @@ def summary(done: Sequence[Completed]) -> list[str]:
 
 
 def tasks_of(
-    found: Path, sensor: ArrayLike, every: int, quiet: bool, **reading: Any
+    found: Path,
+    sensor: ArrayLike,
+    every: int,
+    columns: int | None,
+    quiet: bool,
+    **reading: Any,
 ) -> tuple[int, Iterable[Task]]:
     """How many scans of a log, read as `reading` says (arguments of `read_log`), or of a folder are
     to be completed, and these. Raises DatasetError for a folder without scans."""
     if reading["poses"] is not None or is_log(found):
-        log = read_log(found, **reading)
+        log = read_log(found, columns=columns, **reading)
         if not quiet:
             note(log.line())
         return len(range(0, len(log.poses), every)), scans_of_log(log, every)
@@ -289,7 +321,9 @@ def tasks_of(
             f"{found}: holds several scans called {twice}, which would all be completed into "
             f"{twice}.h5; rename them"
         )
-    return len(scans), zip(names, (partial(read_scan, scan, sensor) for scan in scans), strict=True)
+    return len(scans), zip(
+        names, (partial(read_scan, scan, sensor, columns) for scan in scans), strict=True
+    )
 
 
 def complete_all(
@@ -327,6 +361,8 @@ def complete_all(
         raise DatasetError(
             f"{out}: {broken} of {count} scans could not be completed; the others are there"
         )
+    if not quiet and done:
+        note(read_line(done))
     if not quiet:
         for line in summary(done):
             note(f"note: {line}")

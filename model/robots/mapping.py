@@ -13,6 +13,7 @@ from scipy import ndimage
 from lidarsim import GridSpec, Pose, Scan, voxelize
 from lidarsim.grid import Field, Floats, Ints, Mask
 from lidarsim.pose import rotate
+from lidarsim.scan import is_return
 from scenegen.fly.simulation import Observation
 from scenegen.model.completion.protocol import MapCompleter
 from scenegen.model.completion.unlearned import Returns
@@ -70,13 +71,6 @@ class MappingRobot:
     def reset(self, about: Observation) -> None:
         """See `Robot.reset`."""
         self._about = about
-        # what of a sensor its robot is told
-        self._rays: Any = SimpleNamespace(
-            shape=about["times_s"].shape,
-            directions_body=about["directions_body"],
-            times_s=about["times_s"],
-            max_range_m=float(about["max_range_m"]),
-        )
         self.path: Floats | None = None
         """The way that it follows, (n, 3) world metres, the goal last."""
         self._least_m = 0.0
@@ -140,8 +134,16 @@ class MappingRobot:
     def _see(self, observation: Observation) -> None:
         quaternion = observation["quaternion"]
         arm = rotate(quaternion, self._about["lever_arm_m"][None])[0]
-        pose = Pose(observation["position"] + arm, quaternion)
-        seen = voxelize(Scan(observation["ranges"], pose, self._rays), self.grid, self.origin)
+        pose, ranges = Pose(observation["position"] + arm, quaternion), observation["ranges"]
+        # a range of 0 or NaN says nothing, infinity that the way is free
+        known = is_return(ranges, min_range_m=0.0) | np.isposinf(ranges)
+        rays: Any = SimpleNamespace(
+            shape=(np.count_nonzero(known),),
+            directions_body=self._about["directions_body"][known],
+            times_s=self._about["times_s"][known],
+            max_range_m=float(self._about["max_range_m"]),
+        )
+        seen = voxelize(Scan(ranges[known], pose, rays), self.grid, self.origin)
         self.observed, self.free = seen.observed, seen.free
         if self._memory:
             window = _box(self._corner - self._least, self.grid.shape)

@@ -7,6 +7,7 @@ import numpy as np
 
 from lidarsim.grid import Floats
 from lidarsim.pose import rotate
+from lidarsim.scan import is_return
 from scenegen.fly.simulation import Observation
 
 AHEAD_M, AHEAD_S = 0.3, 0.4
@@ -146,7 +147,8 @@ class ReactiveRobot:
 
     def _free(self, ways: Floats, observation: Observation, most: float) -> Floats:
         """How far each of the ways (n, 3) is free, (n,) metres, `most` at most."""
-        there = observation["points"][np.isfinite(observation["ranges"])].astype(np.float64)
+        returned = is_return(observation["ranges"], min_range_m=0.0)
+        there = observation["points"][returned].astype(np.float64)
         points = rotate(observation["quaternion"], there)
         squares = (points * points).sum(axis=1)
         points, squares = points[squares < HORIZON_M**2], squares[squares < HORIZON_M**2]

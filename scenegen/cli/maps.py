@@ -8,6 +8,7 @@ from typing import Any
 import rich_click as click
 
 from scenegen.cli.options import (
+    columns_option,
     command,
     group,
     log_options,
@@ -42,29 +43,32 @@ from scenegen.worlds.cloud import Survey
     type=(Number(),) * 6,
     help="Leave out what lies beyond these two corners: X Y Z X Y Z.",
 )
+@columns_option
 @options_of(
     Survey,
     voxel_m="Edge of the map's voxels, metres.",
     unit_m="The clouds' unit, metres: 0.001 for millimetres.",
     up="The clouds' axis that points up.",
+    least_m="Points nearer than this to the sensor that saw them are no returns, metres.",
     height_m="How high the walls of a plan are, metres.",
     assume_free="Call free what is above the lowest point of a column and holds none, unless a ray "
     "says so already: for clouds of which nobody knows where they were seen from.",
 )
 @out_option("The map to write, .npz.", ".npz", default="map.npz")
 @printing
-@group("Clouds", "sensor poses box unit up")
+@group("Clouds", "sensor poses least box columns unit up")
 def map(
     clouds: tuple[Path, ...],
     sensor: tuple[float, ...] | None,
     poses: Path | None,
     box: tuple[float, ...] | None,
+    columns: int | None,
     out: Path,
     tell: Tell,
     talk: bool,
     **options: Any,
 ) -> None:
-    """Make a map of a real place from point clouds: .ply, .pcd, .las, .laz, .xyz, .npz, .npy;
+    """Make a map of a real place from point clouds: .ply, .pcd, .las, .laz, .bin, .xyz, .npz, .npy;
     or from one of ROS's plans of a floor, .yaml.
 
     Voxels with points are occupied, those that rays from the sensor crossed are free, and all
@@ -73,7 +77,7 @@ def map(
     if sensor is not None and poses is not None:
         raise click.UsageError("--sensor and --poses both say where sensors were; give one")
     plan = clouds[0].suffix == ".yaml"
-    given = set(filter(was_given, ("sensor", "poses", "box", *options)))
+    given = set(filter(was_given, ("sensor", "poses", "box", "columns", *options)))
     misplaced = given - {"height_m"} if plan else given & {"height_m"}
     if misplaced or (plan and len(clouds) > 1):
         raise click.UsageError(
@@ -90,11 +94,13 @@ def map(
     if plan:
         made = read_plan(clouds[0], survey.height_m)
     else:
-        made = map_clouds(clouds, survey, sensor=sensor, poses=poses, box=box)
+        made = map_clouds(clouds, survey, sensor=sensor, poses=poses, box=box, columns=columns)
     write_result(out, encode_map(made.voxels, str(clouds[0]), offset=made.offset))
     about = {"file": str(out), "points": made.points, "taken_off_m": made.offset.tolist()}
     row = about | map_facts(made.voxels)
-    if tell(row):
+    if talk:
+        note(made.read)
+    if tell(row | {"read": made.read}):
         show_table(plain(row) | {"next": f"scenegen generate --scene {quote(str(out))}"})
 
 
@@ -105,6 +111,7 @@ def map(
 )
 @click.argument("log", type=FILE)
 @log_options
+@columns_option
 @options_of(
     Fusing,
     voxel_m="Edge of the maps' voxels, metres.",
@@ -123,11 +130,12 @@ def map(
 )
 @out_option("The folder to write, a new one.  [default: <log>-maps]")
 @printing
-@group("Log", "poses poses-of topic fixed-frame deskew explain")
+@group("Log", "poses poses-of topic fixed-frame columns deskew explain")
 @group("Maps", "voxel reach rise least moved-share")
 def ingest(
     log: Path,
     log_reading: dict[str, Any],
+    columns: int | None,
     explain: bool,
     out: Path | None,
     tell: Tell,
@@ -149,7 +157,7 @@ def ingest(
         how = Fusing(**options)
     if not explain:
         check_free(target)
-    found = read_log(log, **log_reading)
+    found = read_log(log, columns=columns, **log_reading)
     if explain:
         row = found.explained()
         if tell(row):

@@ -25,7 +25,7 @@ from scenegen.cli.options import (
     seed_option,
     was_given,
 )
-from scenegen.cli.show import Progress, Tell, say, show_columns, show_table
+from scenegen.cli.show import Progress, Tell, note, say, show_columns, show_table
 from scenegen.cli.types import Named, Numbers
 from scenegen.display.exchange import Choices
 from scenegen.logs import Cruise
@@ -203,9 +203,8 @@ def scan(
     if not sequence and out.suffix not in SUFFIXES:
         raise click.UsageError(f"{out}: expected a name that ends in {', '.join(SUFFIXES)}")
     sensor = named_lidar(lidar or RASTER)
-    setup = _Setup(
-        sensor, named_noise(noise, sensor), find_engine(engine), named_world(world, seed)
-    )
+    chain, maker = named_noise(noise, sensor), find_engine(engine)
+    setup = _Setup(sensor, chain, maker, named_world(world, seed, tell=note if talk else None))
     if sequence:
         facts = _write_log(out, setup, Cruise(**options), seed, moving, talk)
     else:
@@ -264,7 +263,7 @@ def _write_scan(file: Path, setup: _Setup, at: "Pose", seed: int, frame: str) ->
     import numpy as np
 
     from lidarsim import cast
-    from lidarsim.scan import mounted
+    from lidarsim.scan import is_return, mounted
     from scenegen.display.exchange.files import write_points
     from scenegen.draw import scan_world
     from scenegen.worlds.mapping import Known
@@ -272,6 +271,9 @@ def _write_scan(file: Path, setup: _Setup, at: "Pose", seed: int, frame: str) ->
 
     sensor, noise, engine, world = setup
     seen = scan_world(world, sensor, at, noise, seed=seed, engine=engine)
+    # the real sensor has no returns from nearer, with or without the noise stage that says so
+    near = np.isfinite(seen.ranges) & ~is_return(seen.ranges, getattr(sensor, "min_range_m", 0.0))
+    seen = seen.but(ranges=np.where(near, np.inf, seen.ranges))
     points = np.concatenate([seen.points(echo) for echo in range(len(seen.ranges))])
     if frame == "body":
         points = at.to_body(points)
@@ -292,6 +294,7 @@ def _write_scan(file: Path, setup: _Setup, at: "Pose", seed: int, frame: str) ->
         "quaternion": at.quaternion.tolist(),
         "rays": sensor.times_s.size,
         "returns": len(points),
+        "returns_too_near": int(np.count_nonzero(near)),
     }
     if isinstance(world, Place):
         unknown_m = world.unknown_m(cast(world.caster(None), sensor, at))

@@ -13,7 +13,7 @@ from lidarsim import Sensor
 from lidarsim.engines.voxels import VoxelMap
 from lidarsim.grid import Floats, GridSpec
 from scenegen import SPLITS
-from scenegen.clouds import read_points
+from scenegen.clouds import read_cloud
 from scenegen.dataset.choose import (
     MEASURES,
     OF_WORLD,
@@ -237,12 +237,14 @@ def map_facts(voxels: VoxelMap) -> Json:
     }
 
 
-def scan_facts(path: Path) -> Json:
-    """A file of points: how many, how far they reach, and how far away they are from its origin.
-    Raises DatasetError."""
-    points = read_points(path)
+def scan_facts(path: Path, columns: int | None = None) -> Json:
+    """A file of points: what it holds, how many, how far they reach, and how far away they are from
+    its origin, see `read_cloud`. Raises DatasetError."""
+    cloud = read_cloud(path, columns=columns)
+    points = cloud.points
     returned = points[np.isfinite(points).all(axis=1)]
-    found = {"scan": str(path), "points": len(points), "returns": len(returned)}
+    found = {"scan": str(path), "read": cloud.layout, "points": len(points)}
+    found |= {"returns": len(returned), "at_origin": int((~returned.any(axis=1)).sum())}
     if len(returned):
         ranges = np.linalg.norm(returned, axis=1)
         found |= {

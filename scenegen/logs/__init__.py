@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from lidarsim.parameters import Checked, check, number
+from lidarsim.parameters import MIN_RETURN_M, Checked, check, number
 from scenegen.limits import MOST_PLACE_VOXELS
 
 if TYPE_CHECKING:  # commands take their options from here, and none of these
@@ -60,7 +60,7 @@ class Fusing:
     none."""
     rise_m: float = number(10.0, above=0, most=1000)
     """How far the map goes above and below the sensor, metres."""
-    least_m: float = number(0.1, least=0, most=100)
+    least_m: float = number(MIN_RETURN_M, least=0, most=100)
     """Returns nearer than this are the sensor's carrier, and left out, metres."""
     moved_share: float = number(0.1, least=0, below=1)
     """The least share of the scans that say something of a voxel which must have a return in it:

@@ -11,7 +11,7 @@ import numpy as np
 from lidarsim import Pose
 from lidarsim.grid import Floats
 from lidarsim.pose import chained
-from scenegen.clouds import READERS, read_points, scans_in
+from scenegen.clouds import KITTI_FOLDER, READERS, check_scan, read_cloud, read_points, scans_in
 from scenegen.errors import DatasetError, raised_as
 from scenegen.files import read_bounded
 from scenegen.limits import MOST_HEADER_BYTES
@@ -37,7 +37,13 @@ SECONDS_AND_FRACTION = re.compile(r"(\d+)[_-](\d+)")
 PosesOf: TypeAlias = Literal["sensor", "camera"]
 
 
-def read_folder(path: Path, poses_file: Path | None, beside: Path, poses_of: PosesOf | None) -> Log:
+def read_folder(
+    path: Path,
+    poses_file: Path | None,
+    beside: Path,
+    poses_of: PosesOf | None,
+    columns: int | None,
+) -> Log:
     """The log in a folder of clouds.
 
     Args:
@@ -45,11 +51,12 @@ def read_folder(path: Path, poses_file: Path | None, beside: Path, poses_of: Pos
         poses_file: A file of poses that the user names.
         beside: Otherwise, that of KITTI's layout.
         poses_of: What the poses are of; None: decided by form and place of the file.
+        columns: See `scenegen.clouds.read_cloud`.
 
     Raises:
         DatasetError: See `scenegen.logs.read.read_log`.
     """
-    clouds = path / "velodyne"
+    clouds = path / KITTI_FOLDER
     if not clouds.is_dir():
         clouds = path
     files, source = scans_in(clouds), poses_file or beside
@@ -64,7 +71,9 @@ def read_folder(path: Path, poses_file: Path | None, beside: Path, poses_of: Pos
 
     def read(file: Path) -> Points:
         """Its points; nothing else is known of each."""
-        return read_points(file), {}
+        points = read_points(file, columns)
+        check_scan(points, np.zeros(3), str(file))
+        return points, {}
 
     def readers() -> Iterator[Reader]:
         return (partial(read, file) for file in files)
@@ -76,8 +85,8 @@ def read_folder(path: Path, poses_file: Path | None, beside: Path, poses_of: Pos
         readers,
         track.times_s,
         about={
-            "clouds": f"{len(files)} clouds ({', '.join(sorted({file.suffix for file in files}))})",
-            "fields": "x y z",
+            "clouds": f"{len(files)} clouds",
+            "fields": read_cloud(files[0], columns=columns).layout,
             "frame": "frame of the sensor",
             "poses": f"poses of the {of_what} from {source.name}",
             "times": "no times of points",

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from lidarsim import GridSpec, Pose
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN, VoxelMap
 from lidarsim.grid import Floats, Ints
-from lidarsim.parameters import MOST_LENGTH_M
 from lidarsim.pose import rotate
+from lidarsim.scan import are_returns
 from lidarsim.voxelization import ObservedGrid, sort_points, unknown_grid
 from scenegen.errors import DatasetError, SceneError
 from scenegen.files import check_free, disk_told, make_parent, remove_drafts, sha256_of, write_whole
@@ -49,7 +49,7 @@ Counts: TypeAlias = NDArray[np.uint8]
 Window: TypeAlias = tuple[Ints, ObservedGrid, Floats]
 """What one scan says of the voxels around it: the first of them (3,), counted from the world's
 origin; which are observed or free; and the returns (N, 3), from the sensor, along the world's axes,
-metres, but for those that are not finite, or nearer than `Fusing.least_m`."""
+metres, see `are_returns`."""
 
 
 def ingest(log: Log, out: Path, how: Fusing, *, on_scan: Counted = unheard) -> Counter[str]:
@@ -275,9 +275,9 @@ def _pace(log: Log, n: int) -> tuple[Pose, float]:
 def _window(scan: LogScan, pace: tuple[Pose, float], how: Fusing) -> Window:
     """What a scan says of the voxels around it, where the sensor goes at this `pace`."""
     here, voxel_m, (after, seconds) = scan.pose.position, how.voxel_m, pace
-    ranges = np.sqrt((scan.points**2).sum(axis=1))
-    usable = (ranges >= how.least_m) & (ranges < MOST_LENGTH_M)  # and no NaN
-    points, ranges = scan.points[usable], ranges[usable]
+    usable = are_returns(scan.points, min_range_m=how.least_m)
+    points = scan.points[usable]
+    ranges = np.sqrt((points**2).sum(axis=1))
     # the sensor moves while it scans: points of a slice of that time are seen from one pose
     slices = np.zeros(len(points), np.int64)
     if how.deskew and "t" in scan.more and seconds > 0:

@@ -47,6 +47,7 @@ def read_log(
     topic: str | None = None,
     poses_of: PosesOf | None = None,
     fixed_frame: str | None = None,
+    columns: int | None = None,
 ) -> Log:
     """Read the log at `path`.
 
@@ -62,6 +63,7 @@ def read_log(
             ``calib.txt`` leads to the sensor. None: the camera for KITTI's own files, else the
             sensor.
         fixed_frame: The frame that poses are in, of those of a recording, see `Links`.
+        columns: Of clouds in a folder, see `scenegen.clouds.read_cloud`.
 
     Raises:
         DatasetError: There is no log, it is not as it should be, or it can be read in two ways.
@@ -85,7 +87,7 @@ def read_log(
         raise DatasetError(f"{path}: a folder of clouds has no {option}")
     if poses is None and not beside.exists():
         raise DatasetError(f"{path}: has no poses.txt; give the file of its poses with --poses")
-    return read_folder(path, poses, beside, poses_of)
+    return read_folder(path, poses, beside, poses_of, columns)
 
 
 def _recording_at(path: Path) -> Path | None:

@@ -214,6 +214,8 @@ def guarded(function: Function, task: Any, *, seconds: float, memory_bytes: int)
 
     For libraries that a stranger's bytes could make hang, crash or take all memory: what they do
     happens elsewhere, and only the result, which must be picklable, comes back. Costs some 10 ms.
+    The process is a fork: a library's pool of threads that was begun before does not exist in it,
+    so that `function` must have the library work on one thread, or begin a pool of its own.
     Raises the ScenegenError that `function` raises, and GuardError where the process ends in any
     other way.
     """

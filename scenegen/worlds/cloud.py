@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from lidarsim.engines.voxels import FREE, OCCUPIED, VoxelMap
 from lidarsim.grid import Floats
 from lidarsim.jit import kernel
-from lidarsim.parameters import Checked, number
+from lidarsim.parameters import MIN_RETURN_M, Checked, number
 from lidarsim.pose import rotate
+from lidarsim.scan import are_returns
 from lidarsim.voxelization import clear
-from scenegen.clouds import read_cloud
+from scenegen.clouds import Cloud, ReadReport, check_scan, read_cloud
 from scenegen.errors import SceneError
 from scenegen.limits import MOST_CLOUD_BYTES, MOST_PLACE_VOXELS
 from scenegen.poses import read_numbers, read_poses
@@ -25,6 +26,9 @@ from scenegen.poses import read_numbers, read_poses
 FAR_M, STEP_M = 1e4, 1e3
 """Coordinates beyond the first, as those of surveys are, become smaller by a multiple of the
 second."""
+Frame: TypeAlias = tuple[Floats | None, Floats]
+"""A sensor's axes as rows (3, 3), None where its points are in the world's frame; and where it was,
+(1, 3) or (N, 3)."""
 FARTHEST_M = 1e12
 """A point or a ray beyond this is not in any map."""
 
@@ -39,6 +43,8 @@ class Survey(Checked):
     """The unit of the file's lengths, metres."""
     up: Literal["z", "y"] = "z"
     """The file's axis that points up. Where that is y, its z becomes the map's -y."""
+    least_m: float = number(MIN_RETURN_M, least=0, most=100)
+    """Points nearer than this to the sensor that saw them are no returns, metres."""
     height_m: float = number(3.0, above=0, most=1e3)
     """How high the walls of a plan are, metres: see `scenegen.worlds.plan`."""
     assume_free: bool = False
@@ -56,6 +62,8 @@ class Surveyed:
     """(3,): what was taken off the file's coordinates, metres."""
     points: int
     """How many points there are in the map, or cells in the plan that it is made of."""
+    read: str
+    """What was read, in a line for people."""
 
 
 def map_clouds(
@@ -65,6 +73,7 @@ def map_clouds(
     sensor: Sequence[float] | None = None,
     poses: Path | None = None,
     box: Sequence[float] | None = None,
+    columns: int | None = None,
 ) -> Surveyed:
     """One map of several clouds of one place. Where a voxel has both points and rays through it, it
     is occupied.
@@ -79,36 +88,28 @@ def map_clouds(
             `scenegen.poses.read_poses` has it, where the points are in the sensor's own frame.
         box: The least and the greatest corner of what is kept, (6,), as points have them; otherwise
             all points and sensors are.
+        columns: See `scenegen.clouds.read_cloud`.
 
     Raises:
         SceneError: Nothing says what is free, the map would be too large, or there is no point.
-        DatasetError: A file cannot be read.
+        DatasetError: A file cannot be read, or holds what no sensor returns.
     """
     survey = survey or Survey()
     frames = None if poses is None else _read_poses(poses, len(files))
 
     @functools.lru_cache(maxsize=1)
-    def read(index: int) -> tuple[Floats, Floats]:
-        """Points and sensors, in metres and z up."""
-        cloud = read_cloud(files[index], MOST_CLOUD_BYTES)
-        points, sensors = cloud.points, cloud.sensors
+    def read(index: int) -> _Seen:
+        frame: Frame | None = None
         if frames is not None:
-            axes, sensors = frames[index]
-            points = points if axes is None else points @ axes + sensors
+            frame = frames[index]
         elif sensor is not None:
-            sensors = np.array([sensor], float)
-        if sensors is None and not survey.assume_free:
-            raise SceneError(
-                f"{files[index]}: does not say where its sensor was, so nothing in it is known "
-                "to be free; give scenegen map --sensor or --poses, or --assume-free for all "
-                "above the ground"
-            )
-        sensors = np.zeros((0, 3)) if sensors is None else sensors
-        return _upright(points, survey), _upright(sensors, survey)
+            frame = None, np.array([sensor], float)
+        cloud = read_cloud(files[index], MOST_CLOUD_BYTES, columns=columns)
+        return _placed(cloud, frame, survey, str(files[index]), boxed=box is not None)
 
     if box is None:
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
-        for part in (part for index in range(len(files)) for part in read(index)):
+        for part in (part for index in range(len(files)) for part in read(index)[:2]):
             finite = part[np.isfinite(part).all(axis=1)]
             low = np.minimum(low, finite.min(axis=0, initial=np.inf))
             high = np.maximum(high, finite.max(axis=0, initial=-np.inf))
@@ -121,12 +122,13 @@ def map_clouds(
     offset = np.where(np.abs(low) > FAR_M, np.floor(low / STEP_M) * STEP_M, 0.0)
     states, origin = _empty_map(low - offset, high - offset, survey.voxel_m, where)
     occupied = np.zeros(states.shape, bool)
-    points = 0
+    points, report = 0, ReadReport()
     for index in range(len(files)):
-        returns, sensors = read(index)
+        seen = read(index)
+        report.add(seen.recorded, seen.layout, seen.recorded - len(seen.points))
         points += _carve(
-            returns - offset,
-            sensors - offset,
+            seen.points - offset,
+            seen.sensors - offset,
             origin,
             survey.voxel_m,
             states.reshape(-1),
@@ -137,14 +139,75 @@ def map_clouds(
     if survey.assume_free:
         states[np.logical_or.accumulate(occupied, axis=2)] = FREE
     states[occupied] = OCCUPIED
-    return Surveyed(VoxelMap(states, survey.voxel_m, origin), offset, points)
+    return Surveyed(VoxelMap(states, survey.voxel_m, origin), offset, points, str(report))
 
 
-def _read_poses(path: Path, count: int) -> list[tuple[Floats | None, Floats]]:
-    """Each file's axes as rows (3, 3), None where its points are in the world's frame, and where
-    its sensor was (1, 3). Raises DatasetError and SceneError."""
+class _Seen(NamedTuple):
+    """What a file says, in the map's axes, metres."""
+
+    points: Floats
+    """(N, 3): its returns."""
+    sensors: Floats
+    """Where they were seen from: (N, 3), (1, 3) the same for all, or (0, 3) if nobody knows."""
+    layout: str
+    """See `Cloud`."""
+    recorded: int
+    """Points in the file, returns and others."""
+
+
+def _placed(
+    cloud: Cloud,
+    frame: Frame | None,
+    survey: Survey,
+    where: str,
+    *,
+    boxed: bool,
+) -> _Seen:
+    """The returns of a cloud, in the map's axes.
+
+    What is no return is told in the sensor's frame, before the points are moved. Where nobody knows
+    the sensor, all finite points are returns: 0 0 0 is a place in a registered cloud.
+
+    Args:
+        cloud: What was read of a file.
+        frame: Of the sensor; None where the cloud itself says where it was.
+        survey: How it is read.
+        where: The file, for errors.
+        boxed: Whether far points are cut off anyway.
+
+    Raises:
+        SceneError: Nobody knows the sensor, and nothing is assumed to be free.
+        DatasetError: A point is farther from its sensor than any return.
+    """
+    axes, sensors = (None, cloud.sensors) if frame is None else frame
+    if sensors is None:
+        if not survey.assume_free:
+            raise SceneError(
+                f"{where}: does not say where its sensor was, so nothing in it is known to be "
+                "free; give scenegen map --sensor or --poses, or --assume-free for all above the "
+                "ground"
+            )
+        returned, sensors = np.isfinite(cloud.points).all(axis=1), np.zeros((0, 3))
+    else:
+        start = sensors if axes is None else np.zeros(3)
+        rows, starts = cloud.points * survey.unit_m, start * survey.unit_m
+        if not boxed:
+            check_scan(rows, starts, where)
+        returned = are_returns(rows, starts, survey.least_m)
+    points = cloud.points[returned]
+    if axes is not None:
+        points = points @ axes + sensors
+    if len(sensors) > 1:
+        sensors = sensors[returned]
+    return _Seen(
+        _upright(points, survey), _upright(sensors, survey), cloud.layout, len(cloud.points)
+    )
+
+
+def _read_poses(path: Path, count: int) -> list[Frame]:
+    """The frame of each file's sensor. Raises DatasetError and SceneError."""
     names, rows = read_numbers(path)
-    found: list[tuple[Floats | None, Floats]]
+    found: list[Frame]
     if not names and rows.shape[1] == 3:
         found = [(None, row[None]) for row in rows]
     else:

@@ -18,7 +18,7 @@ from lidarsim.engines.voxels import FREE, OCCUPIED, VoxelEngine, VoxelMap
 from lidarsim.grid import Floats, Ints, Mask
 from lidarsim.pose import rotate
 from lidarsim.sensors.table import MOST_HEADER_BYTES
-from scenegen.clouds import encode_npz, read_npz
+from scenegen.cloud_arrays import encode_npz, read_npz
 from scenegen.errors import SceneError, printable
 from scenegen.files import read_bounded, sha256_of
 from scenegen.limits import MOST_ASSET_BYTES, MOST_PLACE_VOXELS

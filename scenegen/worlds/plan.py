@@ -22,6 +22,11 @@ ENTRY = re.compile(r"^(\w+):(.*(?:\n\s*-\s.*)*)", re.MULTILINE)
 """A key of the YAML file, and its value: a word, or a list in either style."""
 PUNCTUATION = re.compile(r"\n\s*-\s|[\[\],\"']|(?:^|\s)#.*")
 """What stands between and behind values."""
+UNKNOWN_SHADE = 205
+"""How savers of ROS write what is unknown, whatever `free_thresh` they write beside it: with Nav2's
+0.25, a loader would take it for free."""
+SAVED = {0, UNKNOWN_SHADE, 254, 255}
+"""The shades in the pictures that they write, and the white of who edits these."""
 FLAGS = {"0": False, "1": True, "false": False, "true": True}
 """What `negate` may be."""
 
@@ -60,7 +65,12 @@ def read_plan(path: Path, height_m: float = Survey.height_m) -> Surveyed:
         raise SceneError(f"{path}: mode {short(header['mode'])}, expected trinary; save it as such")
     shares = np.arange(256) / 255 if negate else 1 - np.arange(256) / 255
     states = np.where(shares > occupied, OCCUPIED, np.where(shares < free, FREE, UNKNOWN))
-    plan = states.astype(np.uint8)[_shades(image)][::-1].T  # the topmost row has the largest y
+    shades = _shades(image)
+    present = set(np.unique(shades).tolist())
+    saved = not negate and UNKNOWN_SHADE in present and present <= SAVED
+    if saved:
+        states[UNKNOWN_SHADE] = UNKNOWN
+    plan = states.astype(np.uint8)[shades][::-1].T  # the topmost row has the largest y
     (row, column), (end, last) = box_of(plan, lambda row: row != UNKNOWN)
     if not end:
         raise SceneError(f"{path}: an empty map; nothing in it is known")
@@ -74,8 +84,13 @@ def read_plan(path: Path, height_m: float = Survey.height_m) -> Surveyed:
     columns_up = np.repeat(plan[:, :, None], layers, axis=2)
     columns_up[plan != UNKNOWN, 0] = OCCUPIED
     corner = [x + row * voxel_m, y + column * voxel_m, -voxel_m]
+    cells = f"read: {shades.size:,} cells of {voxel_m:g} m, {np.count_nonzero(plan):,} known"
+    shade = f", shade {UNKNOWN_SHADE} unknown" if saved else ""
     return Surveyed(
-        VoxelMap(columns_up, voxel_m, np.array(corner)), np.zeros(3), int(np.count_nonzero(plan))
+        VoxelMap(columns_up, voxel_m, np.array(corner)),
+        np.zeros(3),
+        int(np.count_nonzero(plan)),
+        f"{cells} (plan of ROS, free below {free:g}, occupied above {occupied:g}{shade})",
     )
 
 

@@ -93,7 +93,7 @@ def load_map(path: Path) -> Scene:
         if not plan:
             told = f"{made.points} points become voxels of {made.voxels.voxel_m:g} m"
         moved = f"; {made.offset.tolist()} m are taken off their coordinates"
-        notes = (f"{path.name}: {told}{moved if made.offset.any() else ''}",)
+        notes = (f"{path.name}: {made.read}; {told}{moved if made.offset.any() else ''}",)
     else:
         place = read_place(path)
     digest = map_digest(place.voxels)

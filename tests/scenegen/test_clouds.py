@@ -144,7 +144,7 @@ def test_files_of_other_programs_that_hold_nothing_are_refused(tmp_path, suffix,
 
 
 def test_an_archive_that_unpacks_to_more_than_a_scan_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("scenegen.clouds.MOST_SCAN_BYTES", 10_000)
+    monkeypatch.setattr("scenegen.cloud_arrays.MOST_SCAN_BYTES", 10_000)
     np.savez_compressed(tmp_path / "bomb.npz", points=np.zeros((10_000, 3)))
     assert (tmp_path / "bomb.npz").stat().st_size < 10_000
     with pytest.raises(DatasetError, match="10000 at most"):

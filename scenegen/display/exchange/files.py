@@ -15,7 +15,7 @@ import numpy as np
 
 from lidarsim import Sensor
 from lidarsim.grid import Floats, GridSpec, Ints
-from scenegen.clouds import encode_npz
+from scenegen.cloud_arrays import encode_npz
 from scenegen.display.exchange import Choices
 from scenegen.errors import DatasetError
 from scenegen.files import write_result

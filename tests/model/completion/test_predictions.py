@@ -103,23 +103,23 @@ def test_files_that_are_no_scans_are_refused(net, tmp_path):
 
 
 def test_points_beyond_the_map_and_without_a_return_are_counted(net, tmp_path):
-    far = [[1e300, 0, 0], [-50, 0, 0], [0, 0, 1e7]]
-    np.save(tmp_path / "scan.npy", [[0, 0, 0], [0.1, 0, 0], *far, [np.nan, 0, 0], [0, np.inf, 0]])
+    far, no_return = [[99e3, 0, 0], [-50, 0, 0]], [[0, 0, 0], [np.nan, 0, 0], [0, np.inf, 0]]
+    np.save(tmp_path / "scan.npy", [[0.5, 0, 0], [0.1, 0, 0], *far, *no_return])
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         used = completed(net, tmp_path, "scan.npy", "out.h5")
-    assert (used.inside, used.points, used.without) == (2, 7, 2)
+    assert (used.inside, used.points, used.without) == (2, 7, 3)
     assert used.height_m is None
-    assert "3 outside the map; the sensor's height is unknown" in str(used)
+    assert "2 outside the map; the sensor's height is unknown" in str(used)
     np.save(tmp_path / "scan.npy", np.full((4, 3), np.nan))
-    with pytest.raises(DatasetError, match="none of 4 points is in the map"):
+    with pytest.raises(DatasetError, match=r"none of 4 points is in the map \(4 are no returns\)"):
         completed(net, tmp_path, "scan.npy", "none.h5")
     with pytest.raises(DatasetError, match="--sensor"):
         read_scan(tmp_path / "scan.npy", [0, 0, np.nan])
 
 
 def test_only_completions_are_replaced(net, tmp_path):
-    np.save(tmp_path / "scan.npy", np.zeros((4, 3)))
+    np.save(tmp_path / "scan.npy", np.full((4, 3), 0.5))
     given, out = read_scan(tmp_path / "scan.npy", [0, 0, 0]), tmp_path / "out.ply"
     for _ in range(2):
         predict_scan(net, given, out)
@@ -132,7 +132,7 @@ def test_only_completions_are_replaced(net, tmp_path):
 @pytest.mark.parametrize("room", [1, 3000])
 def test_a_full_disk_ends_in_one_line_and_leaves_nothing(room, folders, net, tmp_path, capfd):
     """As a limit of files' sizes has it; HDF5 itself says more, and goes on saying it."""
-    np.save(tmp_path / "scan.npy", np.zeros((4, 3)))
+    np.save(tmp_path / "scan.npy", np.full((4, 3), 0.5))
     before, given = set(tmp_path.iterdir()), read_scan(tmp_path / "scan.npy", np.zeros(3))
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))

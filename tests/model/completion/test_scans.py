@@ -3,7 +3,7 @@
 import h5py
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 import scenegen
 from lidarsim import GridSpec, Pose
@@ -41,7 +41,10 @@ def test_scans_of_a_log_stand_upright_in_its_frame(tmp_path, points, capsys):
     assert "calib.txt: no such file" in refused(capsys, *words)
     assert "leave out --topic" in refused(capsys, "complete", log / "velodyne", "--topic", "/a")
     code, said, noted = run(capsys, *words, "--poses-of", "sensor")
-    assert "read: 3 clouds (.bin), x y z, frame of the sensor, poses of the sensor" in noted
+    assert (
+        "read: 3 clouds, x y z intensity (KITTI .bin, 4 columns), frame of the sensor, poses of"
+        in noted
+    )
     assert (code, said.startswith(f"{tmp_path / 'out'}: 2 completions")) == (0, True)
     assert "the sensor is 1.3 to 1.3 m above what it sees" in noted
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
@@ -54,6 +57,44 @@ def test_scans_of_a_log_stand_upright_in_its_frame(tmp_path, points, capsys):
         assert_allclose(file.attrs["origin"], own.attrs["origin"], atol=1e-6)
         alike = np.asarray(file["observed"]) == np.asarray(own["observed"])
     assert alike.mean() > 0.999  # but where float32 moves a point over a voxel's face
+
+
+@pytest.mark.parametrize("arm", [0.0, 1.2])
+@pytest.mark.parametrize("moved", [False, True])
+def test_rays_without_a_return_change_no_completion(tmp_path, points, arm, moved, capsys):
+    """Ouster's 0 0 0: left as they are where points are moved to the sensor's height, or moved."""
+    lost = np.arange(len(points)) % 3 == 0
+    shift = np.array([0.0, 0.0, arm])
+    rows = np.where(lost[:, None], 0.0, points) + shift
+    if not moved:
+        rows[lost] = 0.0
+    np.save(tmp_path / "zeros.npy", rows)
+    np.save(tmp_path / "clean.npy", points[~lost] + shift)
+    notes = []
+    for name in ("zeros", "clean"):
+        words = "complete", tmp_path / f"{name}.npy", "--sensor", 0, 0, arm, "--device", "cpu"
+        code, said, noted = run(capsys, *words, "-o", tmp_path / f"{name}.h5")
+        assert code == 0
+        notes.append(noted)
+        assert f"{(~lost).sum()} of" in said
+    with h5py.File(tmp_path / "zeros.h5") as zeros, h5py.File(tmp_path / "clean.h5") as clean:
+        for name in ("observed", "free", "occupancy_probability", "tudf"):
+            assert_array_equal(zeros[name][:], clean[name][:])
+    shape = f"{len(points)} × 3 float64"
+    assert notes[0] == (
+        f"read: {len(points):,} points, x y z (.npy, {shape}); {lost.sum():,} without a return "
+        "dropped\n"
+    )
+    assert "dropped" not in notes[1]
+
+
+def test_scans_without_a_true_return_are_refused(tmp_path, points, capsys):
+    np.save(tmp_path / "far.npy", np.concatenate([points, [[0, 2e5, 0]]]))
+    said = refused(capsys, "complete", tmp_path / "far.npy", "--device", "cpu")
+    assert f"1 of {len(points) + 1} points lie up to 2e+05 m from the sensor" in said
+    np.save(tmp_path / "zeros.npy", np.zeros((9, 3)))
+    said = refused(capsys, "complete", tmp_path / "zeros.npy", "--device", "cpu")
+    assert "none of 9 points is in the map (9 are no returns)" in said
 
 
 def test_an_observation_is_scored_over_what_its_log_knows(tmp_path, points, rng):

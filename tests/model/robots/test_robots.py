@@ -135,6 +135,27 @@ def test_a_robot_keeps_its_way_when_beliefs_change():
     assert kept.time_s < 1.3 * plain.time_s
 
 
+@pytest.mark.parametrize("mark", [0.0, np.nan])
+def test_ranges_that_say_nothing_mark_nothing(mark):
+    course = Course(world="pillar", flights=1, seed=2)
+    flying, seen = course.simulation(0), []
+    observation = flying.observe()
+    lost = np.arange(observation["ranges"].size).reshape(observation["ranges"].shape) % 3 == 0
+    about = flying.about()
+    kept = {name: about[name][~lost] for name in ("directions_body", "times_s")}
+    for told, ranges in (
+        (about, np.where(lost, np.float32(mark), observation["ranges"])),
+        (about | kept, observation["ranges"][~lost]),  # a sensor without these rays
+    ):
+        robot = MappingRobot(Returns())
+        robot.reset(told)
+        robot.act(observation | {"ranges": ranges})
+        seen.append((robot.observed, robot.free))
+    assert (seen[0][0] == seen[1][0]).all()
+    assert (seen[0][1] == seen[1][1]).all()
+    assert seen[0][0].any()
+
+
 @pytest.mark.parametrize(("name", "remembers"), [("returns", False), ("optimistic", True)])
 def test_a_network_completes_all_scans_or_the_last_alone(name, remembers):
     course = Course(world="pillar", flights=1, seed=2)

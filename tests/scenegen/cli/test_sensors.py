@@ -112,6 +112,20 @@ def test_a_scan_without_noise_lies_on_the_walls_and_with_it_near_them(here, caps
     assert b"VIEWPOINT 1.0 2.0 0.8 1" in (here / "held.pcd").read_bytes()
 
 
+def test_a_scan_has_no_returns_from_nearer_than_its_sensor_sees(here, capsys):
+    text = FILES["mine.toml"].replace("max_range_m = 30.0", "max_range_m = 30.0\nmin_range_m = 8.5")
+    (here / "far.toml").write_text(text)
+    scans = [
+        json.loads(done(capsys, f"{AT} --lidar {name}.toml -o {name}.npz --json"))
+        for name in ("mine", "far")
+    ]
+    ranges = np.linalg.norm(np.load(here / "mine.npz")["points"], axis=1)
+    assert [scan["returns"] for scan in scans] == [len(ranges), (ranges >= 8.5).sum()]
+    assert [scan["returns_too_near"] for scan in scans] == [0, (ranges < 8.5).sum()]
+    assert 0 < scans[1]["returns"] < len(ranges)
+    assert len(np.load(here / "far.npz")["points"]) == scans[1]["returns"]
+
+
 def test_a_scan_in_flight_is_at_the_seeds_place(here, capsys):
     def place(seed):
         said = done(capsys, f"scan room.xml --flight --seed {seed} --json")

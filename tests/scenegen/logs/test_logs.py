@@ -283,6 +283,33 @@ def test_times_of_points_are_seconds_after_the_stamp(told):
         _of_cloud(cloud)
 
 
+def test_rays_without_a_return_change_no_map(tmp_path):
+    """A third of each scan is 0 0 0 of the sensor's, also where a driver moved the cloud."""
+    points = 6.03 * Lidar().directions_body.reshape(-1, 3)
+    lost, arm = np.arange(len(points)) % 6 < 2, np.array([0.0, 0.3, 1.2])
+    pose, maps = Pose.level((0.0, 0.0, 0.0)), []
+    for number, seen in enumerate((np.where(lost[:, None], 0, points) + arm, points[~lost] + arm)):
+        scans = [LogScan(0.0, pose, seen)]
+        log = Log(np.zeros(1), (pose,), 0, lambda first, scans=scans: iter(scans[first:]))
+        counts = ingest(log, tmp_path / f"{number}", Fusing())
+        maps.append(read_place(tmp_path / f"{number}" / "place-000.npz").voxels)
+        assert (counts["returns"], counts["returns_left_out"]) == (
+            *((~lost).sum(), lost.sum() * (number == 0)),
+        )
+    assert np.array_equal(maps[0].states, maps[1].states)
+
+
+def test_clouds_that_no_sensor_returns_end_in_a_line(tmp_path, capsys):
+    scans = written(tmp_path / "log")
+    cloud = tmp_path / "log" / "velodyne" / "000002.bin"
+    rows = np.fromfile(cloud, "<f4").reshape(-1, 4)
+    rows[7, 1] = 3e5
+    rows.tofile(cloud)
+    said = refused(capsys, f"ingest {tmp_path}/log -o {tmp_path}/out --quiet")
+    assert "000002.bin: 1 of 40 points lie up to 3e+05 m from the sensor" in said
+    assert len(scans) == 5
+
+
 def test_what_moves_on_is_free_and_jumps_are_counted(tmp_path):
     """A wall that is seen 100 times, something before it that is seen twice, and a jump."""
     wall = 6.03 * Lidar().directions_body.reshape(-1, 3)

@@ -21,7 +21,7 @@ from scenegen.errors import DatasetError, SceneError
 from scenegen.source import read_world
 from scenegen.worlds.cloud import Survey, map_clouds
 from scenegen.worlds.world import World
-from tests.command_line import done, refused, rows
+from tests.command_line import done, refused, rows, run
 from tests.scenegen.verification.conftest import failed
 from tests.scenegen.worlds.test_place import ORIGIN, RECIPE, VOXEL_M, hall
 
@@ -163,6 +163,50 @@ def test_units_axes_and_offsets_change_no_voxel(scans, tmp_path):
     assert_array_equal(boxed.voxels.states, plain.voxels.states[part])
 
 
+@pytest.mark.parametrize("how", ["fields", "sensor", "tum"])
+def test_rays_without_a_return_mark_nothing(scans, tmp_path, how):
+    """A third of the points are 0 0 0 in the sensor's frame."""
+    sensor, points = scans[0]
+    lost = np.arange(len(points)) % 3 == 0
+    maps = []
+    for returns in (np.where(lost[:, None], sensor, points), points[~lost]):
+        more, file = {}, tmp_path / "a.npy"
+        if how == "fields":
+            file = write_ply(tmp_path / "a.ply", returns, np.broadcast_to(sensor, returns.shape))
+        elif how == "sensor":
+            np.save(file, returns)
+            more = {"sensor": sensor}
+        else:
+            np.save(file, returns - sensor)
+            (tmp_path / "poses.txt").write_text(f"0 {' '.join(map(repr, sensor.tolist()))} 0 0 0 1")
+            more = {"poses": tmp_path / "poses.txt"}
+        maps.append(map_clouds([file], VOXELS, **more))
+    assert_array_equal(maps[0].voxels.states, maps[1].voxels.states)
+    assert maps[0].points == maps[1].points == (~lost).sum()
+    assert maps[0].read.startswith(f"read: {len(points):,} points, x y z")
+    assert maps[0].read.endswith(f"; {lost.sum():,} without a return dropped")
+
+
+def test_a_registered_cloud_keeps_its_origin(tmp_path):
+    np.savetxt(tmp_path / "a.xyz", [[0, 0, 0], [1, 0, 0], [np.nan, 0, 0]])
+    made = map_clouds([tmp_path / "a.xyz"], Survey(assume_free=True))
+    assert made.points == 2
+    assert made.read == "read: 3 points, x y z (.xyz, text); 1 without a return dropped"
+    assert map_clouds([tmp_path / "a.xyz"], sensor=(0.0, 0.0, 0.05)).points == 1
+
+
+def test_several_clouds_are_read_in_one_line(scans, tmp_path, capsys):
+    for n, (_, points) in enumerate(scans):
+        np.save(tmp_path / f"{n}.npy", points[:500].astype("f4"))
+    np.savetxt(tmp_path / "poses.txt", [sensor for sensor, _ in scans])
+    files = " ".join(f"{tmp_path}/{n}.npy" for n in range(len(scans)))
+    words = f"map {files} --poses {tmp_path}/poses.txt -o {tmp_path}/a.npz"
+    code, _, noted = run(capsys, words)
+    assert (code, noted) == (0, "read: 4 clouds, 2,000 points, x y z (.npy, 500 × 3 float32)\n")
+    done(capsys, f"{words} --quiet")
+    assert json.loads(done(capsys, f"{words} --json"))["read"] == noted.strip()
+
+
 def test_what_is_assumed_free_lies_above_the_lowest_point(scans, tmp_path):
     np.savetxt(tmp_path / "a.xyz", scans[0][1])
     states = map_clouds([tmp_path / "a.xyz"], Survey(assume_free=True)).voxels.states
@@ -189,7 +233,8 @@ a.xyz → 1 2 3            →                                 → does not say 
 a.xyz → nan 1 2; 1 inf 2 → --sensor nan 1 2                → nan
 a.xyz → nan 1 2; 1 inf 2 → --assume-free                   → no point in it is finite
 a.xyz → 0 0 0; 1e30 0 0  → --assume-free                   → give a larger --voxel
-a.xyz → 0 0 0; 1e300 0 0 → --sensor 0 0 0                  → give a larger --voxel
+a.xyz → 1 0 0; 1e300 0 0 → --sensor 0 0 0                  → 1 of 2 points lie up to 1e+300 m
+a.xyz → 1 0 0; 9e4 9e4 9e4 → --sensor 0 0 0                → give a larger --voxel
 a.xyz → 0 0 0            → --assume-free --box 5 5 5 6 6 6 → lies in the box
 a.xyz → 0 0 0            → --poses none.txt                → none.txt
 a.xyz → 0 0 0            → --poses two.txt                 → 2 poses, expected 1

@@ -45,6 +45,20 @@ def test_every_cell_is_what_its_shade_says(tmp_path):
     assert voxels.bounds[0, :2] == pytest.approx(corner)
 
 
+def test_what_a_saver_wrote_as_unknown_is_unknown(tmp_path):
+    """Nav2's saver writes a free_thresh of 0.25 beside 205, which is then below it."""
+    saved = np.where(SHADES < 200, 0, np.where(SHADES > 205, 254, 205)).astype(np.uint8)
+    expected = read_plan(write(tmp_path, YAML, saved))
+    made = read_plan(write(tmp_path, YAML.replace("0.196", "0.25"), saved))
+    assert (made.voxels.states == expected.voxels.states).all()
+    assert "shade 205 unknown" in made.read
+    # of all shades, or the other way round, thresholds alone count
+    for negate, shades in ((0, SHADES), (1, 255 - SHADES)):
+        text = YAML.replace("0.196", "0.25").replace("negate: 0", f"negate: {negate}")
+        voxels = read_plan(write(tmp_path, text, shades)).voxels
+        assert voxels.states.shape[:2] == SHADES.T.shape
+
+
 @pytest.mark.parametrize(
     ("old", "new", "picture"),
     [

@@ -1,0 +1,145 @@
+"""Named fields: files as drivers and other programs write them, and LAS files not in metres."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from scenegen.clouds import read_cloud, read_points
+from scenegen.errors import DatasetError
+from tests.command_line import rows
+
+POINTS = np.random.default_rng(0).uniform(-9, 9, (6, 3)).astype("<f4")
+TEXT = "".join(f"{x!r} {y!r} {z!r}\n" for x, y, z in POINTS.tolist())
+HEAD = (
+    "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 3\nHEIGHT 2\nPOINTS 6\n"
+)
+HEADS = """
+TYPE F F F                    → TYPE f f f
+POINTS 6\\n                   →
+COUNT 1 1 1\\n                →
+SIZE 4 4 4\\nTYPE F F F\\n    →
+FIELDS                        → COLUMNS
+FIELDS x y z                  → FIELDS X Y Z
+FIELDS                        → fields
+VERSION .7                    → # .PCD v.7 - Point Cloud Data file format\\nVERSION 0.7
+\\n                           → \\r\\n
+WIDTH 3\\nHEIGHT 2\\n         →
+HEIGHT 2\\nPOINTS 6           → WIDTH 6
+VERSION .7                    → # the word\\n#DATA binary
+"""
+
+
+@pytest.mark.parametrize("coding", ["ascii", "binary", "BINARY"])
+@pytest.mark.parametrize(("old", "new"), rows(HEADS.replace("\\\\", "\\")))
+def test_pcd_is_read_as_drivers_write_it(tmp_path, coding, old, new):
+    old, new = (text.replace("\\n", "\n").replace("\\r", "\r") for text in (old, new))
+    head = f"{HEAD}DATA {coding}\n".replace(old, new)
+    body = TEXT.encode() if coding == "ascii" else POINTS.tobytes()
+    (tmp_path / "scan.pcd").write_bytes(head.encode() + body)
+    assert_array_equal(read_points(tmp_path / "scan.pcd"), POINTS)
+
+
+FAULTS = """
+FIELDS x y z\\n             →                      → no line FIELDS
+FIELDS x y z                → FIELDS x y w         → points of x y w, expected x, y and z
+TYPE F F F                  → TYPE F F Q           → TYPE Q, expected I, U or F
+SIZE 4 4 4                  → SIZE 4 4             → 3 FIELDS, 2 SIZE, 3 TYPE and 3 COUNT
+SIZE 4 4 4                  → SIZE 4 4 four        → SIZE 4 4 four: expected numbers
+POINTS 6                    → POINTS many          → POINTS many: expected numbers
+WIDTH 3\\nHEIGHT 2\\nPOINTS 6\\n →                 → no line POINTS, and no WIDTH
+COUNT 1 1 1                 → VIEWPOINT 1 2 3      → VIEWPOINT has 3 numbers, expected 7
+DATA                        → DATUM                → no line DATA
+"""
+
+
+@pytest.mark.parametrize(("old", "new", "said"), rows(FAULTS))
+def test_faults_of_a_pcd_s_header_are_named(tmp_path, old, new, said):
+    head = f"{HEAD}DATA ascii\n".replace(old.replace("\\n", "\n"), new)
+    (tmp_path / "scan.pcd").write_text(head + TEXT)
+    with pytest.raises(DatasetError, match=said):
+        read_points(tmp_path / "scan.pcd")
+
+
+@pytest.mark.parametrize("comment", ["end_header", "before end_header it ends", "a\nobj_info x"])
+def test_comments_of_a_ply_may_hold_any_word(tmp_path, comment):
+    fields = "".join(f"property float {name}\n" for name in "XYZ")
+    head = f"ply\nformat ascii 1.0\ncomment {comment}\nelement vertex 6\n{fields}end_header\n"
+    (tmp_path / "scan.ply").write_text(head + TEXT)
+    assert_array_equal(read_points(tmp_path / "scan.ply"), POINTS)
+
+
+def las(path, points, scales, *records, form=6):
+    laspy = pytest.importorskip("laspy")
+    header = laspy.LasHeader(point_format=form, version="1.4")
+    header.scales, header.offsets = scales, np.floor(points[0])
+    header.vlrs.extend(records)
+    data = laspy.LasData(header)
+    data.x, data.y, data.z = points.T
+    data.write(path)
+    return path
+
+
+def wkt(text):
+    pytest.importorskip("laspy")
+    from laspy.vlrs.known import WktCoordinateSystemVlr
+
+    return WktCoordinateSystemVlr(text)
+
+
+def geo_keys(model):
+    """As GeoTIFF has it: a header of four numbers, and four for each key."""
+    pytest.importorskip("laspy")
+    from laspy.vlrs.known import GeoKeyDirectoryVlr
+
+    record = GeoKeyDirectoryVlr()
+    record.parse_record_data(np.array([1, 1, 0, 1, 1024, 0, 1, model], "<u2").tobytes())
+    return record
+
+
+METRES = np.random.default_rng(1).uniform(0, 60, (200, 3))
+DEGREES = METRES / np.array([80_000, 110_000, 1]) + np.array([11.5, 48.1, 500.0])
+UTM = np.array([652e3, 5.4e6, 0.0])
+WGS84 = 'GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]]]'
+GEODETIC = 'GEODCRS["WGS 84",DATUM["World Geodetic System 1984"],CS[ellipsoidal,2]]'
+
+
+def test_las_in_degrees_is_refused(tmp_path):
+    ways = (
+        ([1e-7, 1e-7, 1e-3],),
+        ([1e-7, 1e-7, 1e-6],),
+        ([1e-6, 1e-6, 1e-2], wkt(WGS84)),
+        ([1e-6, 1e-6, 1e-2], wkt(f'COMPD_CS["both",{WGS84},VERT_CS["height"]]')),
+        ([1e-6, 1e-6, 1e-2], wkt(GEODETIC)),
+        ([1e-6, 1e-6, 1e-2], geo_keys(2)),
+    )
+    for scales, *records in ways:
+        path = las(tmp_path / "a.las", DEGREES, scales, *records)
+        with pytest.raises(DatasetError, match="geographic coordinates, degrees; expected metres"):
+            read_points(path)
+    path = las(tmp_path / "a.las", METRES + 4e6, [1e-2] * 3, geo_keys(3))
+    with pytest.raises(DatasetError, match="geocentric"):
+        read_points(path)
+
+
+def test_las_in_metres_is_read(tmp_path):
+    projected = f'PROJCS["UTM 32N",{WGS84},PROJECTION["Transverse_Mercator"],UNIT["metre",1]]'
+    pole = METRES * [0.01, 0.01, 1]
+    ways = (
+        (METRES, [1e-3] * 3, ()),
+        (METRES, [1e-7] * 3, ()),
+        (pole, [1e-3] * 3, ()),
+        (METRES + UTM, [1e-3] * 3, (wkt(projected),)),
+        (METRES, [1e-3] * 3, (geo_keys(1),)),
+    )
+    for points, scales, records in ways:
+        cloud = read_cloud(las(tmp_path / "a.las", points, scales, *records))
+        assert_allclose(cloud.points, points, atol=1e-2)
+        assert cloud.layout == "x y z (LAS, point format 6)"
+
+
+def test_laz_is_read_after_others_read_some_here(tmp_path):
+    laspy = pytest.importorskip("laspy")
+    path = las(tmp_path / "a.laz", METRES.repeat(500, axis=0), [1e-3] * 3)
+    # lazrs keeps threads from here on, which no fork of this process has
+    laspy.read(path, laz_backend=laspy.LazBackend.LazrsParallel)
+    assert len(read_points(path)) == 100_000
