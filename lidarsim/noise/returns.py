@@ -1,31 +1,20 @@
-"""What stages pass on, what they may ask of the world, how bright a return is, and normal numbers
-with the same bits everywhere."""
+"""What stages pass on, what they may ask of the world, and how bright a return is."""
 
-import math
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
 from numpy.random import Generator
 
-from lidarsim.elementary import log, sin_cos
 from lidarsim.engines import Caster
-from lidarsim.grid import Floats, Mask
+from lidarsim.grid import Floats
+from lidarsim.noise.chance import normal
 from lidarsim.parameters import Checked, number
 from lidarsim.pose import Pose
 from lidarsim.scan import Scan
 from lidarsim.sensors import Sensor
 from lidarsim.solids.model import colours
-
-
-def normal(shape: tuple[int, ...], *, rng: Generator) -> Floats:
-    """Standard normal numbers of any shape, two of each pair of even ones (Box and Muller 1958)."""
-    count = math.prod(shape)
-    length, angle = rng.random((2, (count + 1) // 2))
-    sine, cosine = sin_cos(2 * math.pi * angle)
-    both = np.sqrt(-2.0 * log(1.0 - length)) * np.stack([cosine, sine])
-    return both.reshape(-1)[:count].reshape(shape)
 
 
 GREY = 0.5
@@ -103,14 +92,14 @@ class View:
                 "the engine analytic, or for a map only stages that change ranges"
             )
         cosine, albedo = np.zeros((2, *returns.directions.shape[:-1]))
+        light = None if self.albedo is None else np.append(self.albedo, 0.0)
         for group, origin in _by_origin(returns.origins):
             directions = returns.directions[group]
             found = hits(origin[None], directions[None], self.sensor.max_range_m)
-            geoms = found.geoms[0]
-            met = np.abs((found.normals[0] * directions).sum(axis=-1))
-            cosine[group] = np.where(geoms >= 0, np.nan_to_num(met), 0.0)
-            light = np.full(geoms.shape, GREY) if self.albedo is None else self.albedo[geoms]
-            albedo[group] = np.where(geoms >= 0, light, 0.0)
+            geoms, (x, y, z) = found.geoms[0], np.moveaxis(found.normals[0] * directions, -1, 0)
+            cosine[group] = np.fmax(np.abs(x + y + z), 0.0)  # 0 for NaN, where nothing was met
+            # geom -1, where nothing was met, is the last one
+            albedo[group] = (geoms >= 0) * GREY if light is None else light[geoms]
         return cosine, albedo
 
 
@@ -121,11 +110,11 @@ def albedo_of(model: mujoco.MjModel) -> Floats:
     return np.clip((0.2126 * red + 0.7152 * green) + 0.0722 * blue, 0.0, 1.0)
 
 
-def _by_origin(origins: Floats) -> list[tuple[Mask, Floats]]:
-    """The rays that share an origin, as a mask (*shape), and that origin (3,)."""
+def _by_origin(origins: Floats) -> list[tuple[Any, Floats]]:
+    """The rays that share an origin, as an index of arrays (*shape), and that origin (3,)."""
+    if not any(origins.strides[:-1]):  # broadcast from one, as `Returns.of` has it
+        return [(..., origins[(0,) * (origins.ndim - 1)])]
     flat = origins.reshape(-1, 3)
-    if (flat == flat[0]).all():
-        return [(np.ones(origins.shape[:-1], bool), flat[0])]
     places, which = np.unique(flat, axis=0, return_inverse=True)
     which = which.reshape(origins.shape[:-1])
     return [(which == n, place) for n, place in enumerate(places)]
