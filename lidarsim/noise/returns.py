@@ -16,7 +16,6 @@ from lidarsim.scan import Scan
 from lidarsim.sensors import Sensor
 from lidarsim.solids.model import colours
 
-
 GREY = 0.5
 """The albedo of a surface of which nothing else is known."""
 
