@@ -10,7 +10,7 @@ from numpy.random import Generator
 from lidarsim.elementary import exp, log, sin_cos
 from lidarsim.grid import Floats, Mask
 from lidarsim.noise.chance import normal
-from lidarsim.noise.returns import Fault, Returns, View
+from lidarsim.noise.returns import Fault, Returns, View, grouped
 from lidarsim.parameters import number
 from lidarsim.pose import rotate
 
@@ -163,9 +163,8 @@ class Motion(Fault):
         number_of = np.minimum(times // (length or 1.0), self.poses - 1).astype(np.int64)
         body = view.sensor.directions_body
         origins, directions = returns.origins.copy(), returns.directions.copy()
-        for n in np.unique(number_of):
-            now = number_of == n
-            shift, turn = self.moved((n + 0.5) * length)
+        for now in grouped(number_of):
+            shift, turn = self.moved((number_of[now][0] + 0.5) * length)
             if shift.any() or turn:
                 sine, cosine = sin_cos(turn / 2)
                 turned = rotate([float(cosine), 0.0, 0.0, float(sine)], body[now])

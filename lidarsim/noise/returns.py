@@ -8,7 +8,7 @@ import numpy as np
 from numpy.random import Generator
 
 from lidarsim.engines import Caster
-from lidarsim.grid import Floats
+from lidarsim.grid import Floats, Ints
 from lidarsim.noise.chance import normal
 from lidarsim.parameters import Checked, number
 from lidarsim.pose import Pose
@@ -114,9 +114,18 @@ def _by_origin(origins: Floats) -> list[tuple[Any, Floats]]:
     if not any(origins.strides[:-1]):  # broadcast from one, as `Returns.of` has it
         return [(..., origins[(0,) * (origins.ndim - 1)])]
     flat = origins.reshape(-1, 3)
-    places, which = np.unique(flat, axis=0, return_inverse=True)
-    which = which.reshape(origins.shape[:-1])
-    return [(which == n, place) for n, place in enumerate(places)]
+    # rays in a row mostly share theirs: only the first of each such run is sorted
+    begins = np.flatnonzero(np.append(True, (flat[1:] != flat[:-1]).any(axis=1)))
+    places, which = np.unique(flat[begins], axis=0, return_inverse=True)
+    number = np.repeat(which.reshape(-1), np.diff(begins, append=len(flat)))
+    return list(zip(grouped(number.reshape(origins.shape[:-1])), places, strict=True))
+
+
+def grouped(number: Ints) -> list[Any]:
+    """Indices of arrays (*shape), of those of each number (*shape) that occurs, in rising order."""
+    order = np.argsort(number, axis=None, kind="stable")
+    begins = np.flatnonzero(np.diff(number.reshape(-1)[order])) + 1
+    return [np.unravel_index(part, number.shape) for part in np.split(order, begins)]
 
 
 class Fault(Checked):
