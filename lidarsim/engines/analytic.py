@@ -153,7 +153,7 @@ class AnalyticEngine:
             origins, directions, max_range_m, through, again=True
         )
         solids, (points, normals) = self._solids, np.full((2, *rays.shape), np.nan)
-        flat = len(starts), -1
+        flat = len(starts), math.prod(rays.shape[1:-1])
         surfaces_of(
             items.reshape(flat),
             ranges.reshape(flat),
@@ -187,7 +187,7 @@ class AnalyticEngine:
         # copies, for the kernel is compiled for arrays that can be written
         starts, vectors = rays_of(origins, directions, max_range_m)
         shape = vectors.shape[:-1]
-        rays = vectors.reshape(len(starts), -1, 3)
+        rays = vectors.reshape(len(starts), math.prod(shape[1:]), 3)
         reach = min(float(max_range_m), np.finfo(np.float64).max)  # what is missed lies at infinity
         own = np.full(len(rays), -1)
         if through is not None and len(self._part):

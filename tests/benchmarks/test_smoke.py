@@ -47,6 +47,9 @@ intervals → success, geometric +N +N +N
 kinds --difficulty easy hard → `geometric` \| N \| N% · N% \| N% · N \|
 kinds --difficulty easy hard → `maze` \| N · N \| N · N \| N · N; N% · N%
 mutants   → N of 1 killed
+noise     → pillar: scan +datasheet +N ms +N times
+noise     → pillar: attach +clean +N ms +1\.00 times
+noise     → pillar: generate N samples +datasheet +N ms +N times
 odometry  → {ODOMETRY}
 peers     → `pillar` \| N .* \| N
 peers     → `SSC.et` \| N M \| 0.92 M \| N M \| N \| N
