@@ -1,8 +1,7 @@
-"""What a sample of each family of sensors costs, and what several scans add: CPU time, whole shards,
-in turn.
+"""What a sample of each family of sensors costs, and what several scans add: CPU time, in turn.
 
-    python benchmarks/sensors.py --kind pillar --samples 20 --rounds 3
-    python benchmarks/sensors.py --only default scan --samples 100 --rounds 5
+python benchmarks/sensors.py --kind pillar --samples 20 --rounds 3
+python benchmarks/sensors.py --only default scan --samples 100 --rounds 5
 """
 
 import math
