@@ -31,11 +31,11 @@ rays than these: 40 bytes each."""
 class _Cast(NamedTuple):
     """Rays of P poses, and what they met."""
 
-    reach: float
+    max_range_m: float
     starts: Floats
     """(P, 3)."""
     own: Ints
-    """(P,): the part that the rays of a pose pass through, or -1."""
+    """(P,), see `AnalyticEngine._left_out`."""
     rays: Floats
     """(P, n, 3)."""
     ranges: Floats
@@ -149,9 +149,8 @@ class AnalyticEngine:
         `parts`; -1 is none. Where several solids are met at the same distance, it is the first of
         them: primitives by their numbers, then meshes and height fields by theirs.
         """
-        ranges, items, starts, rays = self._meet(
-            origins, directions, max_range_m, through, again=True
-        )
+        asked = origins, directions, max_range_m, through
+        ranges, items, starts, rays = self._kept(*asked) or self._meet(*asked)
         solids, (points, normals) = self._solids, np.full((2, *rays.shape), np.nan)
         flat = len(starts), math.prod(rays.shape[1:-1])
         surfaces_of(
@@ -175,12 +174,9 @@ class AnalyticEngine:
         directions: ArrayLike,
         max_range_m: float,
         through: ArrayLike | None,
-        *,
-        again: bool = False,
     ) -> tuple[Floats, Ints, Floats, Floats]:
         """Ranges (P, *shape); which item each ray met, a primitive's number, beyond those a
-        triangle's, or -1; origins (P, 3) and unit vectors (P, *shape, 3). What was cast just before
-        need not be cast `again`.
+        triangle's, or -1; origins (P, 3) and unit vectors (P, *shape, 3).
 
         Raises ValueError as `rays_of` does: the kernel would read beyond other shapes.
         """
@@ -189,34 +185,10 @@ class AnalyticEngine:
         shape = vectors.shape[:-1]
         rays = vectors.reshape(len(starts), math.prod(shape[1:]), 3)
         reach = min(float(max_range_m), np.finfo(np.float64).max)  # what is missed lies at infinity
-        own = np.full(len(rays), -1)
-        if through is not None and len(self._part):
-            own[:] = through
-        met = (self._kept(reach, starts, own, rays) if again else None) or self._walk(
-            reach, starts, own, rays, _neighbours(shape[1:])
-        )
-        return met[0].reshape(shape), met[1].reshape(shape), starts, vectors
-
-    def _kept(
-        self, reach: float, starts: Floats, own: Ints, rays: Floats
-    ) -> tuple[Floats, Ints] | None:
-        """What the rays of one pose met, where they are among those that were cast last."""
-        last = self._last  # another thread may cast meanwhile
-        if last is None or last.reach != reach or len(starts) > 1:
-            return None
-        _, all_starts, all_own, all_rays, ranges, items = last
-        for pose in np.flatnonzero((all_starts == starts).all(axis=1) & (all_own == own)):
-            if np.array_equal(all_rays[pose], rays[0]):
-                return ranges[pose].copy(), items[pose]
-        return None
-
-    def _walk(
-        self, reach: float, starts: Floats, own: Ints, rays: Floats, turn: NDArray[np.uint64]
-    ) -> tuple[Floats, Ints]:
-        """Ranges and items (P, n) of rays (P, n, 3), which become unit vectors."""
         flat = rays.shape[:2]
         ranges, items = np.full(flat, np.inf), np.full(flat, -1)
         solids, tree = self._solids, self._hierarchy
+        own, turn = self._left_out(len(rays), through), _neighbours(shape[1:])
 
         def share(poses: slice) -> None:
             traverse(
@@ -250,8 +222,37 @@ class AnalyticEngine:
             with ThreadPoolExecutor(shares) as pool:  # the kernel lets go of the interpreter's lock
                 list(pool.map(share, map(slice, bounds[:-1], bounds[1:])))
         small = ranges.size <= MAX_KEPT
-        self._last = _Cast(reach, starts, own, rays, ranges.copy(), items) if small else None
-        return ranges, items
+        self._last = _Cast(max_range_m, starts, own, rays, ranges.copy(), items) if small else None
+        return ranges.reshape(shape), items.reshape(shape), starts, vectors
+
+    def _kept(
+        self,
+        origins: ArrayLike,
+        directions: ArrayLike,
+        max_range_m: float,
+        through: ArrayLike | None,
+    ) -> tuple[Floats, Ints, Floats, Floats] | None:
+        """What `_meet` gives for the rays of one pose, where they are among those cast last."""
+        last = self._last  # another thread may cast meanwhile
+        starts, rays = np.asarray(origins, float), np.asarray(directions, float)
+        shape = rays.shape[:-1]
+        single = starts.shape == shape[:1] + rays.shape[-1:] == (1, 3)
+        if last is None or last.max_range_m != max_range_m or not single:
+            return None
+        same = (last.starts == starts).all(axis=1) & (last.own == self._left_out(1, through))
+        for pose in np.flatnonzero(same):
+            if np.array_equal(last.rays[pose], rays.reshape(-1, 3)):
+                ranges, items = last.ranges[pose].copy(), last.items[pose]
+                kept = last.starts[pose : pose + 1], last.rays[pose].reshape(rays.shape)
+                return ranges.reshape(shape), items.reshape(shape), *kept
+        return None
+
+    def _left_out(self, poses: int, through: ArrayLike | None) -> Ints:
+        """The part that the rays of each pose pass through, (P,); -1 for none."""
+        own = np.full(poses, -1)
+        if through is not None and len(self._part):
+            own[:] = through
+        return own
 
     @cached_property
     def _owners(self) -> Ints:

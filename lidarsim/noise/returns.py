@@ -9,6 +9,7 @@ from numpy.random import Generator
 
 from lidarsim.engines import Caster
 from lidarsim.grid import Floats, Ints
+from lidarsim.jit import kernel
 from lidarsim.noise.chance import normal
 from lidarsim.parameters import Checked, number
 from lidarsim.pose import Pose
@@ -91,15 +92,30 @@ class View:
                 "the engine analytic, or for a map only stages that change ranges"
             )
         cosine, albedo = np.zeros((2, *returns.directions.shape[:-1]))
-        light = None if self.albedo is None else np.append(self.albedo, 0.0)
+        light = np.empty(0) if self.albedo is None else np.array(self.albedo, float)
         for group, origin in _by_origin(returns.origins):
             directions = returns.directions[group]
             found = hits(origin[None], directions[None], self.sensor.max_range_m)
-            geoms, (x, y, z) = found.geoms[0], np.moveaxis(found.normals[0] * directions, -1, 0)
-            cosine[group] = np.fmax(np.abs(x + y + z), 0.0)  # 0 for NaN, where nothing was met
-            # geom -1, where nothing was met, is the last one
-            albedo[group] = (geoms >= 0) * GREY if light is None else light[geoms]
+            rays, lit = directions.reshape(-1, 3), np.zeros((2, *found.geoms[0].shape))
+            _reflect(
+                found.geoms.reshape(-1),
+                found.normals.reshape(rays.shape),
+                rays,
+                light,
+                *lit.reshape(2, len(rays)),
+            )
+            cosine[group], albedo[group] = lit
         return cosine, albedo
+
+
+@kernel
+def _reflect(geoms, normals, rays, light, cosine, albedo):
+    for n in range(len(geoms)):
+        if geoms[n] >= 0:
+            x, y, z = normals[n]
+            met = abs(x * rays[n, 0] + y * rays[n, 1] + z * rays[n, 2])
+            cosine[n] = met if met > 0.0 else 0.0  # a triangle without area has no normal
+            albedo[n] = light[geoms[n]] if len(light) else GREY
 
 
 def albedo_of(model: mujoco.MjModel) -> Floats:
