@@ -151,7 +151,7 @@ class AnalyticEngine:
         """
         asked = origins, directions, max_range_m, through
         ranges, items, starts, rays = self._kept(*asked) or self._meet(*asked)
-        solids, (points, normals) = self._solids, np.full((2, *rays.shape), np.nan)
+        solids, (points, normals) = self._solids, np.empty((2, *rays.shape))
         flat = len(starts), math.prod(rays.shape[1:-1])
         surfaces_of(
             items.reshape(flat),

@@ -362,12 +362,14 @@ def inverse(d):
 def surfaces_of(
     items, ranges, starts, rays, shape, size, position, rotation, triangles, points, normals
 ):
-    """Fill in the points (P, n, 3) and unit normals of what rays of P poses met, items (P, n); they
-    stay as they are where that is nothing."""
+    """Fill in the points (P, n, 3) and unit normals of what rays of P poses met, items (P, n); NaN
+    where that is nothing."""
     for p in range(len(starts)):
         for n in range(items.shape[1]):
             g, point = items[p, n], points[p, n]
             if g < 0:
+                point[:] = np.nan
+                normals[p, n, :] = np.nan
                 continue
             for axis in range(3):
                 point[axis] = starts[p, axis] + ranges[p, n] * rays[p, n, axis]

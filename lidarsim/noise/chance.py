@@ -45,8 +45,9 @@ def normal(shape: tuple[int, ...], *, rng: Generator) -> Floats:
     """Standard normal numbers of any shape by a ziggurat (Marsaglia and Tsang, "The ziggurat method
     for generating random variables", 2000; with the layer and the place in it from bits of their
     own, as Doornik 2005 asks)."""
-    numbers = np.empty(shape)
-    _normal(_words(numbers.size, rng), *_layers(), numbers.reshape(-1))
+    words = _words(shape, rng)
+    numbers = words.view(np.float64)  # each in the place of its word
+    _normal(words.reshape(-1), *_layers(), numbers.reshape(-1))
     return numbers
 
 
@@ -58,9 +59,9 @@ def on_circle(shape: tuple[int, ...], *, rng: Generator) -> tuple[Floats, Floats
     return cosine, sine
 
 
-def _words(count: int, rng: Generator) -> Any:
-    """Words (count,) of 64 random bits."""
-    return rng.integers(0, 2**64, count, np.uint64)
+def _words(shape: int | tuple[int, ...], rng: Generator) -> Any:
+    """Words of 64 random bits."""
+    return rng.integers(0, 2**64, shape, np.uint64)
 
 
 @cache

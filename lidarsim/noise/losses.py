@@ -108,8 +108,11 @@ class Faint(Fault):
         """See `Stage.apply`."""
         cosine, albedo = view.surfaces(returns)
         reach = self.range_m * np.sqrt(albedo * cosine / TEN_PERCENT)
-        reach = reach * (1.0 + self.softness * normal(returns.ranges.shape, rng=rng))
-        return returns.but(ranges=np.where(returns.ranges <= reach, returns.ranges, np.inf))
+        varied = normal(returns.ranges.shape, rng=rng)
+        varied *= self.softness
+        varied += 1.0
+        varied *= reach
+        return returns.but(ranges=np.where(returns.ranges <= varied, returns.ranges, np.inf))
 
 
 @dataclass(frozen=True, kw_only=True)

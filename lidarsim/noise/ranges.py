@@ -25,9 +25,10 @@ class Spread(Fault):
     def apply(self, returns: Returns, view: View, *, rng: Generator) -> Returns:
         """See `Stage.apply`."""
         ranges = returns.ranges
-        noise = np.clip(normal(ranges.shape, rng=rng), -SIGMAS, SIGMAS)
-        sigma = self.sigma(np.minimum(ranges, view.sensor.max_range_m), view)
-        return returns.but(ranges=_kept(ranges + sigma * noise, view))
+        noise = normal(ranges.shape, rng=rng)
+        np.clip(noise, -SIGMAS, SIGMAS, out=noise)
+        noise *= self.sigma(np.minimum(ranges, view.sensor.max_range_m), view)
+        return returns.but(ranges=_kept(ranges + noise, view))
 
     def sigma(self, ranges: Floats, view: View) -> Floats:
         """The standard deviation of each of `ranges`, metres."""

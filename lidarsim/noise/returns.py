@@ -91,26 +91,29 @@ class View:
                 f"noise: {type(self.engine).__name__} does not say what surface a ray meets; use "
                 "the engine analytic, or for a map only stages that change ranges"
             )
-        cosine, albedo = np.zeros((2, *returns.directions.shape[:-1]))
+        cosine, albedo = lit = np.empty((2, *returns.directions.shape[:-1]))
         light = np.empty(0) if self.albedo is None else np.array(self.albedo, float)
         for group, origin in _by_origin(returns.origins):
             directions = returns.directions[group]
             found = hits(origin[None], directions[None], self.sensor.max_range_m)
-            rays, lit = directions.reshape(-1, 3), np.zeros((2, *found.geoms[0].shape))
+            rays = directions.reshape(-1, 3)
+            here = lit if group is ... else np.empty((2, len(rays)))
             _reflect(
                 found.geoms.reshape(-1),
                 found.normals.reshape(rays.shape),
                 rays,
                 light,
-                *lit.reshape(2, len(rays)),
+                *here.reshape(2, len(rays)),
             )
-            cosine[group], albedo[group] = lit
+            if group is not ...:
+                cosine[group], albedo[group] = here
         return cosine, albedo
 
 
 @kernel
 def _reflect(geoms, normals, rays, light, cosine, albedo):
     for n in range(len(geoms)):
+        cosine[n] = albedo[n] = 0.0
         if geoms[n] >= 0:
             x, y, z = normals[n]
             met = abs(x * rays[n, 0] + y * rays[n, 1] + z * rays[n, 2])
