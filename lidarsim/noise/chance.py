@@ -55,11 +55,11 @@ def on_circle(shape: tuple[int, ...], *, rng: Generator) -> tuple[Floats, Floats
     """Cosine and sine of angles drawn evenly from the whole turn, of any shape: points of a disc,
     whose angle is doubled (von Neumann 1951)."""
     cosine, sine = np.empty(shape), np.empty(shape)
-    _on_circle(_words(cosine.size, rng), cosine.reshape(-1), sine.reshape(-1))
+    _on_circle(_words(shape, rng).reshape(-1), cosine.reshape(-1), sine.reshape(-1))
     return cosine, sine
 
 
-def _words(shape: int | tuple[int, ...], rng: Generator) -> Any:
+def _words(shape: tuple[int, ...], rng: Generator) -> Any:
     """Words of 64 random bits."""
     return rng.integers(0, 2**64, shape, np.uint64)
 
