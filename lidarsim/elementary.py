@@ -136,20 +136,23 @@ def _exp(value, result):
 
 @kernel
 def _log(value, result):
-    """log(m 2^k) = k log 2 + 2 artanh((m - 1) / (m + 1)) with m from 0.7 to 1.4, by the series of
-    artanh."""
     for n in range(len(value)):
-        x = value[n]
-        if not 0.0 < x < math.inf:
-            result[n] = -math.inf if x == 0.0 else (x if x > 0.0 else math.nan)
-            continue
-        m, k = math.frexp(x)
-        if m < 0.7071067811865476:
-            m, k = 2.0 * m, k - 1
-        s = _over((m - 1.0, 0.0), _sum(m, 1.0))
-        square, power, total = _times(s, s), s, (0.0, 0.0)
-        for i in range(TERMS):
-            total = _add(total, _over(power, (float(2 * i + 1), 0.0)))
-            power = _times(power, square)
-        shift = _less_multiple(0.0, float(-k), LN_2)
-        result[n] = _add(shift, (2.0 * total[0], 2.0 * total[1]))[0]
+        result[n] = log_of(value[n])
+
+
+@kernel
+def log_of(x):
+    """The logarithm of one number, for kernels: log(m 2^k) = k log 2 + 2 artanh((m - 1) / (m + 1))
+    with m from 0.7 to 1.4, by the series of artanh."""
+    if not 0.0 < x < math.inf:
+        return -math.inf if x == 0.0 else (x if x > 0.0 else math.nan)
+    m, k = math.frexp(x)
+    if m < 0.7071067811865476:
+        m, k = 2.0 * m, k - 1
+    s = _over((m - 1.0, 0.0), _sum(m, 1.0))
+    square, power, total = _times(s, s), s, (0.0, 0.0)
+    for i in range(TERMS):
+        total = _add(total, _over(power, (float(2 * i + 1), 0.0)))
+        power = _times(power, square)
+    shift = _less_multiple(0.0, float(-k), LN_2)
+    return _add(shift, (2.0 * total[0], 2.0 * total[1]))[0]

@@ -13,7 +13,10 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from lidarsim import Lidar
+from lidarsim import AnalyticEngine, Lidar, Pose, cast
+from lidarsim.noise import STAGES, chance
+from lidarsim.noise.chain import Noise
+from lidarsim.noise.returns import albedo_of
 from lidarsim.solids.model import solids_of
 from scenegen.draw import draw_unit
 from scenegen.recipe import preset
@@ -45,7 +48,7 @@ def of_processor():
 
 def of_datasets():
     """What must not differ: draws, directions, poses, meshes, and samples and worlds of the presets
-    and the scenes."""
+    and the scenes; noise."""
     rng = np.random.default_rng(0)
     sensors = [
         Lidar(
@@ -71,6 +74,23 @@ def of_datasets():
         found[kind] = _flights(DrawnWorlds(preset(kind)), kind, 1)
     scenes = read_scenes(SCENES, {"train": 1, "val": 0, "test": 0}, seed=0)
     found["scenes"] = _flights(scenes, "scene", len(scenes.scenes["train"]))
+    return found | _noises()
+
+
+def _noises():
+    """What each stage of noise makes of a scan, and their random numbers."""
+    rng = np.random.default_rng(0)
+    model = mujoco.MjModel.from_xml_path(str(SCENES / "warehouse.xml"))
+    engine, albedo = AnalyticEngine.of(model), albedo_of(model)
+    scan = cast(engine, Lidar(rows=40, columns=300), Pose.level((8.0, 6.0, 1.5), 0.5))
+    found = {
+        "noise, normal": digest([chance.normal((100_000,), rng=rng)]),
+        "noise, on_circle": digest(chance.on_circle((100_000,), rng=rng)),
+    }
+    for stage in (*STAGES.builtin, "far:0.9:1.7", "grazing:0", "intensity:0.1"):
+        seen = Noise.parse(stage).observe(scan, engine, rng=rng, albedo=albedo)
+        intensity = [] if seen.intensity is None else [seen.intensity]
+        found[f"noise, {stage}"] = digest([seen.ranges, seen.points(), *intensity])
     return found
 
 

@@ -5,14 +5,14 @@ import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lidarsim.engines.forms import squared_reaches
 from lidarsim.engines.hierarchy import Hierarchy
-from lidarsim.engines.traverse import LANES, TILE, normals_of, traverse, work_arrays
+from lidarsim.engines.traverse import LANES, TILE, surfaces_of, traverse, work_arrays
 from lidarsim.grid import Floats, Ints, rays_of
 from lidarsim.solids.shapes import PLANE, Solids
 
@@ -21,6 +21,27 @@ if TYPE_CHECKING:
 
 RAYS_A_THREAD = 50_000
 """So many rays and more are worth a thread: ten milliseconds of work or so."""
+
+
+MAX_KEPT = 2**20
+"""An engine keeps what it cast last, for noise that asks for the surfaces of a scan, but no more
+rays than these: 40 bytes each."""
+
+
+class _Cast(NamedTuple):
+    """Rays of P poses, and what they met."""
+
+    max_range_m: float
+    starts: Floats
+    """(P, 3)."""
+    own: Ints
+    """(P,), see `AnalyticEngine._left_out`."""
+    rays: Floats
+    """(P, n, 3)."""
+    ranges: Floats
+    """(P, n)."""
+    items: Ints
+    """(P, n)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +75,7 @@ class AnalyticEngine:
         leave out."""
         self._threads = threads if threads is not None else len(os.sched_getaffinity(0))
         self._solids = solids
+        self._last: _Cast | None = None
         self._around = (np.empty(0),) * 3  # triangles, and the corners of their boxes
         # nothing bounds planes: the tree holds the rest, and every ray meets each of them
         planes = solids.shape == PLANE
@@ -93,7 +115,7 @@ class AnalyticEngine:
             )
         if not np.array_equal(solids.size, self._solids.size):
             self._reach2 = squared_reaches(solids.shape, solids.size)
-        self._solids = solids
+        self._solids, self._last = solids, None
         self._hierarchy.refit(*self._boxes())
 
     def cast(self, origins: ArrayLike, directions: ArrayLike, max_range_m: float) -> Floats:
@@ -127,20 +149,24 @@ class AnalyticEngine:
         `parts`; -1 is none. Where several solids are met at the same distance, it is the first of
         them: primitives by their numbers, then meshes and height fields by theirs.
         """
-        ranges, items, starts, rays = self._meet(origins, directions, max_range_m, through)
-        starts = starts.reshape(-1, *[1] * (ranges.ndim - 1), 3)
-        points = starts + np.where(items >= 0, ranges, np.nan)[..., None] * rays
-        solids = self._solids
-        normals = normals_of(
-            items.reshape(-1),
-            points.reshape(-1, 3),
+        asked = origins, directions, max_range_m, through
+        ranges, items, starts, rays = self._kept(*asked) or self._meet(*asked)
+        solids, (points, normals) = self._solids, np.empty((2, *rays.shape))
+        flat = len(starts), math.prod(rays.shape[1:-1])
+        surfaces_of(
+            items.reshape(flat),
+            ranges.reshape(flat),
+            starts,
+            rays.reshape(*flat, 3),
             solids.shape,
             solids.size,
             solids.position,
             solids.rotation,
             solids.triangles,
+            points.reshape(*flat, 3),
+            normals.reshape(*flat, 3),
         )
-        return Hits(ranges, self._owners[items], points, normals.reshape(points.shape))
+        return Hits(ranges, self._owners[items], points, normals)
 
     def _meet(
         self,
@@ -157,13 +183,12 @@ class AnalyticEngine:
         # copies, for the kernel is compiled for arrays that can be written
         starts, vectors = rays_of(origins, directions, max_range_m)
         shape = vectors.shape[:-1]
-        flat = len(starts), math.prod(shape[1:])
-        rays, ranges, items = vectors.reshape(*flat, 3), np.full(flat, np.inf), np.full(flat, -1)
-        solids, tree = self._solids, self._hierarchy
+        rays = vectors.reshape(len(starts), math.prod(shape[1:]), 3)
         reach = min(float(max_range_m), np.finfo(np.float64).max)  # what is missed lies at infinity
-        own, turn = np.full(len(rays), -1), _neighbours(shape[1:])
-        if through is not None and len(self._part):
-            own[:] = through
+        flat = rays.shape[:2]
+        ranges, items = np.full(flat, np.inf), np.full(flat, -1)
+        solids, tree = self._solids, self._hierarchy
+        own, turn = self._left_out(len(rays), through), _neighbours(shape[1:])
 
         def share(poses: slice) -> None:
             traverse(
@@ -196,7 +221,38 @@ class AnalyticEngine:
             bounds = np.linspace(0, len(rays), shares + 1).astype(int)
             with ThreadPoolExecutor(shares) as pool:  # the kernel lets go of the interpreter's lock
                 list(pool.map(share, map(slice, bounds[:-1], bounds[1:])))
+        small = ranges.size <= MAX_KEPT
+        self._last = _Cast(max_range_m, starts, own, rays, ranges.copy(), items) if small else None
         return ranges.reshape(shape), items.reshape(shape), starts, vectors
+
+    def _kept(
+        self,
+        origins: ArrayLike,
+        directions: ArrayLike,
+        max_range_m: float,
+        through: ArrayLike | None,
+    ) -> tuple[Floats, Ints, Floats, Floats] | None:
+        """What `_meet` gives for the rays of one pose, where they are among those cast last."""
+        last = self._last  # another thread may cast meanwhile
+        starts, rays = np.asarray(origins, float), np.asarray(directions, float)
+        shape = rays.shape[:-1]
+        single = starts.shape == shape[:1] + rays.shape[-1:] == (1, 3)
+        if last is None or last.max_range_m != max_range_m or not single:
+            return None
+        same = (last.starts == starts).all(axis=1) & (last.own == self._left_out(1, through))
+        for pose in np.flatnonzero(same):
+            if np.array_equal(last.rays[pose], rays.reshape(-1, 3)):
+                ranges, items = last.ranges[pose].copy(), last.items[pose]
+                kept = last.starts[pose : pose + 1], last.rays[pose].reshape(rays.shape)
+                return ranges.reshape(shape), items.reshape(shape), *kept
+        return None
+
+    def _left_out(self, poses: int, through: ArrayLike | None) -> Ints:
+        """The part that the rays of each pose pass through, (P,); -1 for none."""
+        own = np.full(poses, -1)
+        if through is not None and len(self._part):
+            own[:] = through
+        return own
 
     @cached_property
     def _owners(self) -> Ints:

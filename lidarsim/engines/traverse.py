@@ -358,23 +358,32 @@ def inverse(d):
 
 
 @kernel
-def normals_of(items, points, shape, size, position, rotation, triangles):
-    """Unit normals (n, 3) at points (n, 3) of items (n,); NaN where there is none."""
-    normals = np.full(points.shape, np.nan)
-    for n in range(len(items)):
-        g = items[n]
-        if g >= len(shape):
-            a, b, c = triangles[g - len(shape)]
-            ux, uy, uz = joining(a, b)
-            vx, vy, vz = joining(a, c)
-            x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-            length = math.sqrt(x * x + y * y + z * z)
-            normals[n, 0], normals[n, 1], normals[n, 2] = x / length, y / length, z / length
-        elif g >= 0:
-            sx, sy, sz = joining(position[g], points[n])
-            px, py, pz = local(rotation[g], sx, sy, sz)
-            x, y, z = normal(shape[g], size[g, 0], size[g, 1], size[g, 2], px, py, pz)
+def surfaces_of(
+    items, ranges, starts, rays, shape, size, position, rotation, triangles, points, normals
+):
+    """Fill in the points (P, n, 3) and unit normals of what rays of P poses met, items (P, n); NaN
+    where that is nothing."""
+    for p in range(len(starts)):
+        for n in range(items.shape[1]):
+            g, point = items[p, n], points[p, n]
+            if g < 0:
+                point[:] = np.nan
+                normals[p, n, :] = np.nan
+                continue
             for axis in range(3):
-                turn = rotation[g, axis]
-                normals[n, axis] = turn[0] * x + turn[1] * y + turn[2] * z
-    return normals
+                point[axis] = starts[p, axis] + ranges[p, n] * rays[p, n, axis]
+            if g >= len(shape):
+                a, b, c = triangles[g - len(shape)]
+                ux, uy, uz = joining(a, b)
+                vx, vy, vz = joining(a, c)
+                x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+                length = math.sqrt(x * x + y * y + z * z)
+                for axis, part in enumerate((x, y, z)):
+                    normals[p, n, axis] = part / length
+            else:
+                sx, sy, sz = joining(position[g], point)
+                px, py, pz = local(rotation[g], sx, sy, sz)
+                x, y, z = normal(shape[g], size[g, 0], size[g, 1], size[g, 2], px, py, pz)
+                for axis in range(3):
+                    turn = rotation[g, axis]
+                    normals[p, n, axis] = turn[0] * x + turn[1] * y + turn[2] * z

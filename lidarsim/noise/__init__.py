@@ -4,8 +4,8 @@
     seen = chain.observe(scan, engine, rng=np.random.default_rng(0))
 
 `ranges` has the faults of a range itself, and beams that are cones; `losses` has returns that go
-missing or are of nothing, and motion; `returns` has intensity, and what stages pass on. `chain`
-reads and applies them.
+missing or are of nothing, and motion; `returns` has intensity, and what stages pass on. `chance`
+draws normal numbers. `chain` reads and applies them.
 """
 
 from __future__ import annotations
@@ -18,6 +18,11 @@ if TYPE_CHECKING:  # the command line asks for the names, and must not load NumP
     import numpy as np
 
     from lidarsim.noise.returns import Returns, View
+
+
+VERSION = 2
+"""Raised whenever the same stages and the same `rng` would give other bits. 1 drew normal numbers
+by logarithms and sines."""
 
 
 class Stage(Protocol):

@@ -3,14 +3,14 @@ shutter."""
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.random import Generator
 
-from lidarsim.elementary import sin_cos
-from lidarsim.grid import Floats
-from lidarsim.noise.returns import Fault, Returns, View, normal
+from lidarsim.elementary import exp, log, sin_cos
+from lidarsim.grid import Floats, Mask
+from lidarsim.noise.chance import normal
+from lidarsim.noise.returns import Fault, Returns, View, grouped
 from lidarsim.parameters import number
 from lidarsim.pose import rotate
 
@@ -23,11 +23,12 @@ class Loss(Fault):
 
     def apply(self, returns: Returns, view: View, *, rng: Generator) -> Returns:
         """See `Stage.apply`."""
-        lost = rng.random(returns.ranges.shape) < self.chance(returns, view)
+        lost = self.lost(rng.random(returns.ranges.shape), returns, view)
         return returns.but(ranges=np.where(lost, np.inf, returns.ranges))
 
-    def chance(self, returns: Returns, view: View) -> Any:
-        """The probability, (echoes, *shape) or one for all."""
+    def lost(self, drawn: Floats, returns: Returns, view: View) -> Mask:
+        """Which returns are lost, (echoes, *shape): those whose number of `drawn`, even from 0 to
+        1, is below their chance."""
         raise NotImplementedError
 
 
@@ -38,9 +39,9 @@ class Dropout(Loss):
     share: float = number(0.05, least=0, most=1)
     """The probability."""
 
-    def chance(self, returns: Returns, view: View) -> Any:
-        """See `Loss.chance`."""
-        return self.share
+    def lost(self, drawn: Floats, returns: Returns, view: View) -> Mask:
+        """See `Loss.lost`."""
+        return drawn < self.share
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,10 +53,19 @@ class Far(Loss):
     power: float = number(2.0, least=0, most=10)
     """How it grows: 1 evenly, 2 with the square."""
 
-    def chance(self, returns: Returns, view: View) -> Any:
-        """See `Loss.chance`."""
+    def lost(self, drawn: Floats, returns: Returns, view: View) -> Mask:
+        """See `Loss.lost`."""
         part = np.minimum(returns.ranges / view.sensor.max_range_m, 1.0)
-        return self.share * part**self.power
+        whole = math.floor(self.power)
+        chance = self.share * math.prod([part] * whole, start=np.ones(part.shape))
+        if self.power == whole:
+            return drawn < chance
+        # part^rest lies between its weighted harmonic and arithmetic means with 1: few are open
+        rest = self.power - whole
+        lost = drawn < chance * (1.0 - rest * (1.0 - part))
+        unsure = lost & (drawn >= chance * part / (part + rest * (1.0 - part)))
+        lost[unsure] = drawn[unsure] < (chance[unsure] * exp(rest * log(part[unsure])))
+        return lost
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,10 +76,17 @@ class Grazing(Loss):
     from_deg: float = number(75.0, least=0, below=90)
     """Angle between ray and normal from which returns are lost, degrees."""
 
-    def chance(self, returns: Returns, view: View) -> Any:
-        """See `Loss.chance`."""
-        angle = np.degrees(np.arccos(np.clip(view.surfaces(returns)[0], 0.0, 1.0)))
-        return np.clip((angle - self.from_deg) / (90.0 - self.from_deg), 0.0, 1.0)
+    def lost(self, drawn: Floats, returns: Returns, view: View) -> Mask:
+        """See `Loss.lost`."""
+        cosine = view.surfaces(returns)[0]
+        # lost if the surface is flatter to the ray than this angle, which is even up to the limit
+        angle = math.radians(90.0 - self.from_deg) * (1.0 - drawn)
+        square = angle * angle
+        below = angle * (1.0 - square / 6.0)  # the sine lies between two sums of its series
+        lost = cosine < below
+        unsure = ~lost & (cosine < below + angle * square * square / 120.0)
+        lost[unsure] = np.broadcast_to(cosine, lost.shape)[unsure] < sin_cos(angle[unsure])[0]
+        return lost
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,8 +108,11 @@ class Faint(Fault):
         """See `Stage.apply`."""
         cosine, albedo = view.surfaces(returns)
         reach = self.range_m * np.sqrt(albedo * cosine / TEN_PERCENT)
-        reach = reach * (1.0 + self.softness * normal(returns.ranges.shape, rng=rng))
-        return returns.but(ranges=np.where(returns.ranges <= reach, returns.ranges, np.inf))
+        varied = normal(returns.ranges.shape, rng=rng)
+        varied *= self.softness
+        varied += 1.0
+        varied *= reach
+        return returns.but(ranges=np.where(returns.ranges <= varied, returns.ranges, np.inf))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,9 +166,8 @@ class Motion(Fault):
         number_of = np.minimum(times // (length or 1.0), self.poses - 1).astype(np.int64)
         body = view.sensor.directions_body
         origins, directions = returns.origins.copy(), returns.directions.copy()
-        for n in np.unique(number_of):
-            now = number_of == n
-            shift, turn = self.moved((n + 0.5) * length)
+        for now in grouped(number_of):
+            shift, turn = self.moved((number_of[now][0] + 0.5) * length)
             if shift.any() or turn:
                 sine, cosine = sin_cos(turn / 2)
                 turned = rotate([float(cosine), 0.0, 0.0, float(sine)], body[now])

@@ -10,7 +10,8 @@ from numpy.random import Generator
 
 from lidarsim.elementary import sin_cos
 from lidarsim.grid import Floats, Ints
-from lidarsim.noise.returns import Fault, Returns, View, normal
+from lidarsim.noise.chance import normal, on_circle
+from lidarsim.noise.returns import Fault, Returns, View
 from lidarsim.parameters import number
 
 SIGMAS = 4.0
@@ -24,9 +25,10 @@ class Spread(Fault):
     def apply(self, returns: Returns, view: View, *, rng: Generator) -> Returns:
         """See `Stage.apply`."""
         ranges = returns.ranges
-        noise = np.clip(normal(ranges.shape, rng=rng), -SIGMAS, SIGMAS)
-        sigma = self.sigma(np.where(np.isfinite(ranges), ranges, 0.0), view)
-        return returns.but(ranges=_kept(ranges + sigma * noise, view))
+        noise = normal(ranges.shape, rng=rng)
+        np.clip(noise, -SIGMAS, SIGMAS, out=noise)
+        noise *= self.sigma(np.minimum(ranges, view.sensor.max_range_m), view)
+        return returns.but(ranges=_kept(ranges + noise, view))
 
     def sigma(self, ranges: Floats, view: View) -> Floats:
         """The standard deviation of each of `ranges`, metres."""
@@ -70,7 +72,9 @@ class Depth(Spread):
         """See `Spread.sigma`."""
         rays = view.sensor.directions_body
         axis = rays.reshape(-1, 3).mean(axis=0)
-        cosine = rays @ (axis / math.sqrt(float((axis**2).sum())))
+        x, y, z = axis / math.sqrt(float((axis**2).sum()))
+        # written out, for a product of matrices has other last bits on other processors
+        cosine = rays[..., 0] * x + rays[..., 1] * y + rays[..., 2] * z
         return self.quadratic_per_m * ranges**2 * np.abs(cosine)
 
     def bound_m(self, max_range_m: float) -> float:
@@ -142,7 +146,7 @@ class Divergence(Fault):
         """See `Stage.apply`."""
         along = returns.directions
         across, upward = _beside(along)
-        sine, cosine = sin_cos(2 * math.pi * rng.random((*along.shape[:-1], 1)))
+        cosine, sine = on_circle((*along.shape[:-1], 1), rng=rng)
         one, other = cosine * across + sine * upward, cosine * upward - sine * across
         hits = np.empty((self.rays, *along.shape[:-1]))
         for n in range(self.rays):

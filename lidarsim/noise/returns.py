@@ -1,32 +1,21 @@
-"""What stages pass on, what they may ask of the world, how bright a return is, and normal numbers
-with the same bits everywhere."""
+"""What stages pass on, what they may ask of the world, and how bright a return is."""
 
-import math
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
 from numpy.random import Generator
 
-from lidarsim.elementary import log, sin_cos
 from lidarsim.engines import Caster
-from lidarsim.grid import Floats, Mask
+from lidarsim.grid import Floats, Ints
+from lidarsim.jit import kernel
+from lidarsim.noise.chance import normal
 from lidarsim.parameters import Checked, number
 from lidarsim.pose import Pose
 from lidarsim.scan import Scan
 from lidarsim.sensors import Sensor
 from lidarsim.solids.model import colours
-
-
-def normal(shape: tuple[int, ...], *, rng: Generator) -> Floats:
-    """Standard normal numbers of any shape, two of each pair of even ones (Box and Muller 1958)."""
-    count = math.prod(shape)
-    length, angle = rng.random((2, (count + 1) // 2))
-    sine, cosine = sin_cos(2 * math.pi * angle)
-    both = np.sqrt(-2.0 * log(1.0 - length)) * np.stack([cosine, sine])
-    return both.reshape(-1)[:count].reshape(shape)
-
 
 GREY = 0.5
 """The albedo of a surface of which nothing else is known."""
@@ -102,16 +91,34 @@ class View:
                 f"noise: {type(self.engine).__name__} does not say what surface a ray meets; use "
                 "the engine analytic, or for a map only stages that change ranges"
             )
-        cosine, albedo = np.zeros((2, *returns.directions.shape[:-1]))
+        cosine, albedo = lit = np.empty((2, *returns.directions.shape[:-1]))
+        light = np.empty(0) if self.albedo is None else np.array(self.albedo, float)
         for group, origin in _by_origin(returns.origins):
             directions = returns.directions[group]
             found = hits(origin[None], directions[None], self.sensor.max_range_m)
-            geoms = found.geoms[0]
-            met = np.abs((found.normals[0] * directions).sum(axis=-1))
-            cosine[group] = np.where(geoms >= 0, np.nan_to_num(met), 0.0)
-            light = np.full(geoms.shape, GREY) if self.albedo is None else self.albedo[geoms]
-            albedo[group] = np.where(geoms >= 0, light, 0.0)
+            rays = directions.reshape(-1, 3)
+            here = lit if group is ... else np.empty((2, len(rays)))
+            _reflect(
+                found.geoms.reshape(-1),
+                found.normals.reshape(rays.shape),
+                rays,
+                light,
+                *here.reshape(2, len(rays)),
+            )
+            if group is not ...:
+                cosine[group], albedo[group] = here
         return cosine, albedo
+
+
+@kernel
+def _reflect(geoms, normals, rays, light, cosine, albedo):
+    for n in range(len(geoms)):
+        cosine[n] = albedo[n] = 0.0
+        if geoms[n] >= 0:
+            x, y, z = normals[n]
+            met = abs(x * rays[n, 0] + y * rays[n, 1] + z * rays[n, 2])
+            cosine[n] = met if met > 0.0 else 0.0  # a triangle without area has no normal
+            albedo[n] = light[geoms[n]] if len(light) else GREY
 
 
 def albedo_of(model: mujoco.MjModel) -> Floats:
@@ -121,14 +128,23 @@ def albedo_of(model: mujoco.MjModel) -> Floats:
     return np.clip((0.2126 * red + 0.7152 * green) + 0.0722 * blue, 0.0, 1.0)
 
 
-def _by_origin(origins: Floats) -> list[tuple[Mask, Floats]]:
-    """The rays that share an origin, as a mask (*shape), and that origin (3,)."""
+def _by_origin(origins: Floats) -> list[tuple[Any, Floats]]:
+    """The rays that share an origin, as an index of arrays (*shape), and that origin (3,)."""
+    if not any(origins.strides[:-1]):  # broadcast from one, as `Returns.of` has it
+        return [(..., origins[(0,) * (origins.ndim - 1)])]
     flat = origins.reshape(-1, 3)
-    if (flat == flat[0]).all():
-        return [(np.ones(origins.shape[:-1], bool), flat[0])]
-    places, which = np.unique(flat, axis=0, return_inverse=True)
-    which = which.reshape(origins.shape[:-1])
-    return [(which == n, place) for n, place in enumerate(places)]
+    # rays in a row mostly share theirs: only the first of each such run is sorted
+    begins = np.flatnonzero(np.append(True, (flat[1:] != flat[:-1]).any(axis=1)))
+    places, which = np.unique(flat[begins], axis=0, return_inverse=True)
+    number = np.repeat(which.reshape(-1), np.diff(begins, append=len(flat)))
+    return list(zip(grouped(number.reshape(origins.shape[:-1])), places, strict=True))
+
+
+def grouped(number: Ints) -> list[Any]:
+    """Indices of arrays (*shape), of those of each number (*shape) that occurs, in rising order."""
+    order = np.argsort(number, axis=None, kind="stable")
+    begins = np.flatnonzero(np.diff(number.reshape(-1)[order])) + 1
+    return [np.unravel_index(part, number.shape) for part in np.split(order, begins)]
 
 
 class Fault(Checked):

@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lidarsim import BeamTable, GridSpec, Lidar, Sensor
+from lidarsim.noise import VERSION
 from lidarsim.parameters import MOST_RAYS, MOST_TEXT
 from lidarsim.sensors.table import MOST_AXES, most_bytes, read_npy
-from scenegen.dataset.rules import DIGEST, Rule, check, made, text
+from scenegen.dataset.rules import DIGEST, Rule, check, made, text, whole
 from scenegen.errors import BrokenError, DatasetError, printable, raised_as, short
 from scenegen.files import Json, read_bounded, sha256_of, write_whole
-from scenegen.limits import MOST_CLASSES, MOST_RAYS_IN_SAMPLE, MOST_VOXELS
+from scenegen.limits import MOST_CLASSES, MOST_RAYS_IN_SAMPLE, MOST_SEED, MOST_VOXELS
 from scenegen.sample import Schema
 from scenegen.worlds.mapping import Known, Mapper
 
@@ -41,6 +42,7 @@ _NOISE = {
         lambda value: value is None or (type(value) in (int, float) and 0 <= value < math.inf),
         "metres, or null",
     ),
+    "version": whole(1, MOST_SEED),
 }
 _TABLE_OF_RAYS = {
     "sensor": text("table", "table, or no entry for a raster"),
@@ -177,17 +179,25 @@ def noise_entry(noise: "Noise", max_range_m: float) -> Json | None:
     if not noise.stages:
         return None
     bound = noise.bound_m(max_range_m)
-    entry = {"stages": noise.spelled(), "bound_m": bound if bound < math.inf else None}
+    entry = {
+        "stages": noise.spelled(),
+        "bound_m": bound if bound < math.inf else None,
+        "version": VERSION,
+    }
     check(entry, _NOISE, "noise", _NOISE)
     return entry
 
 
-def _read_plain(name: str, rules: Mapping[str, Rule]) -> Callable[[Any, Json], Any]:
-    """What reads an entry that stays a table, where it is there."""
+def _read_plain(name: str, rules: Mapping[str, Rule], **unnamed: Any) -> Callable[[Any, Json], Any]:
+    """What reads an entry that stays a table, where it is there; `unnamed` is what it says by not
+    naming it."""
 
     def read(entry: Any, before: Json) -> Any:
-        if entry is not None:
-            check(entry, rules, name, rules)
+        if entry is None:
+            return None
+        check(entry, {}, name)
+        entry = {**unnamed, **entry}
+        check(entry, rules, name, rules)
         return entry
 
     return read
@@ -277,7 +287,7 @@ PARTS = (
         name="noise",
         since=1.2,
         entry=lambda recipe: noise_entry(recipe.noise, recipe.lidar.max_range_m),
-        read=_read_plain("noise", _NOISE),
+        read=_read_plain("noise", _NOISE, version=1),
     ),
     Part(
         name="labels",

@@ -125,7 +125,7 @@ class Manifest:
     engine: str = ruled(text(r"[A-Za-z_][\w.:]{0,199}", "the name of an engine"))
     """What cast the rays; never imported unless it is one of ours."""
     noise: Json | None
-    """`stages` as text, and `bound_m`; None for clean ranges. Never imported unless
+    """`stages` as text, `bound_m` and `version`; None for clean ranges. Never imported unless
     `noise_is_ours`."""
     labels: Json | None
     """What the samples' labels mean: `by` what geoms are of a class, and the `classes`; None

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from lidarsim.engines import DEFAULT
+from lidarsim.noise import VERSION
 from scenegen import GENERATOR, SPLITS, __version__
 from scenegen.dataset import manifest
 from scenegen.dataset.generation import plan_mixed, read_components, shares
@@ -189,7 +190,11 @@ def check_source(dataset: Dataset, name: str, text: str) -> None:
         write_rays([sensing.lidar for sensing in dataset.settings], path.parent)
         try:
             if found.rescan is not None:
-                here = {"generator": GENERATOR, "lidar": sensor_entry(named_lidar(str(path)))}
+                here = {
+                    "generator": GENERATOR,
+                    "lidar": sensor_entry(named_lidar(str(path))),
+                    "noise": found.noise and {**found.noise, "version": VERSION},
+                }
                 there = {name: found.parameters.get(name) for name in here}
             else:
                 here, there = _decided(_read_again(found, path)), _decided(found.parameters)

@@ -10,6 +10,7 @@ import numpy as np
 
 from lidarsim import Scan
 from lidarsim.engines import ENGINES
+from lidarsim.noise import VERSION
 from scenegen import GENERATOR
 from scenegen.dataset.manifest import differences
 from scenegen.dataset.rescan import scan_again
@@ -94,6 +95,8 @@ def why_other(contract: Manifest) -> str:
     """Why what is made again here need not have the dataset's bits; empty where it must."""
     if contract.generator != GENERATOR:
         return f"made by generator {contract.generator}, here is generator {GENERATOR}"
+    if contract.noise is not None and (drawn := contract.noise["version"]) != VERSION:
+        return f"made with noise of version {drawn}, here is version {VERSION}"
     differing = differences(dict(contract.software), software())
     there, here = contract.tables.get("version", 0), contract.recipe.version
     if contract.drawn and there != here:

@@ -45,6 +45,9 @@ intervals → success, geometric +N +N +N
 kinds --difficulty easy hard → `geometric` \| N \| N% · N% \| N% · N \|
 kinds --difficulty easy hard → `maze` \| N · N \| N · N \| N · N; N% · N%
 mutants   → N of 1 killed
+noise     → pillar: scan +datasheet +N ms +N times
+noise     → pillar: attach +clean +N ms +1\.00 times
+noise     → pillar: generate N samples +datasheet +N ms +N times
 networks  → `columns` \| 2 \| N
 odometry  → {ODOMETRY}
 peers     → `pillar` \| N .* \| N

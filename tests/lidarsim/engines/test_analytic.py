@@ -86,6 +86,48 @@ def test_rays_in_packets_meet_what_each_meets_alone(seed):
     assert np.isfinite(together.ranges).mean() > 0.2
 
 
+def test_what_was_cast_is_met_again_without_a_walk(monkeypatch, rng):
+    """As a new engine meets it, until solids move, or other rays are asked for."""
+    solids = solids_of(random_model(rng))
+    parts = np.arange(len(solids)) % 2
+    origins, rays = random_rays(rng, 3, 300)
+    engine, walks = AnalyticEngine(solids, parts=parts), []
+    walk = analytic.traverse
+    monkeypatch.setattr(analytic, "traverse", lambda *given: walks.append(0) or walk(*given))
+
+    def same(pose, reach, through, solids, number):
+        """Whether hits are a new engine's, and how many walks that takes."""
+        asked = origins[pose : pose + 1], rays[pose : pose + 1], reach
+        expected = AnalyticEngine(solids, parts=parts).hits(*asked, through=[through])
+        walks.clear()
+        hits = engine.hits(*asked, through=[through])
+        for name in ("ranges", "geoms", "points", "normals"):
+            assert_array_equal(getattr(hits, name), getattr(expected, name))
+        assert len(walks) == number
+
+    engine.nearest(origins, rays, 12.0, through=[-1, 0, 1])[0][:] = -7.0  # a copy
+    for pose, through in ((2, 1), (0, -1), (1, 0)):
+        same(pose, 12.0, through, solids, 0)
+    same(1, 12.0, 1, solids, 1)
+    engine.cast(origins, rays, 12.0)
+    same(1, 5.0, -1, solids, 1)
+    origins[1] += 1e-9
+    same(1, 5.0, -1, solids, 1)
+    same(1, 5.0, -1, solids, 0)
+    moved = replace(
+        solids,
+        position=solids.position + 0.5,
+        lower=solids.lower + 0.5,
+        upper=solids.upper + 0.5,
+        triangles=solids.triangles + 0.5,
+    )
+    engine.move(moved)
+    same(1, 5.0, -1, moved, 1)
+    monkeypatch.setattr(analytic, "MAX_KEPT", 100)
+    engine.cast(origins, rays, 12.0)
+    same(0, 12.0, -1, moved, 1)
+
+
 def test_threads_share_poses_and_change_nothing(monkeypatch, rng):
     solids = solids_of(random_model(rng))
     origins, rays = random_rays(rng, 7, 300)

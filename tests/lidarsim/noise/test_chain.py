@@ -1,6 +1,7 @@
 """Chains: their text, their order, their streams of chance, and what bounds them."""
 
 import dataclasses
+import hashlib
 import itertools
 import math
 from contextlib import nullcontext
@@ -11,7 +12,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from lidarsim import AnalyticEngine, Lidar, Pose, cast
-from lidarsim.noise import STAGES
+from lidarsim.noise import STAGES, VERSION
 from lidarsim.noise.chain import Noise
 from lidarsim.sensors import CATALOGUE, SENSORS
 from tests.command_line import example, rows
@@ -67,6 +68,15 @@ def test_the_same_seed_gives_the_same_bits_and_a_further_stage_changes_none_befo
     left = np.isfinite(both)
     assert 0 < left.sum() < np.isfinite(one).sum()
     assert (both[left] == one[left]).all()
+
+
+def test_bits_change_with_the_version_alone():
+    told = noisy(
+        "motion,divergence,near,range:0.02:0.01,depth,quantise,dropout,far:0.5:1.7,grazing:30,"
+        "faint,spurious,intensity:0.1"
+    )
+    bits = hashlib.sha256(told.ranges.tobytes() + told.intensity.tobytes()).hexdigest()[:16]
+    assert (VERSION, bits) == (2, "c8338a5de4b6fc28")
 
 
 @pytest.mark.parametrize(

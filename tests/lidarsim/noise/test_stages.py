@@ -3,10 +3,11 @@ seed."""
 
 import dataclasses
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
 from lidarsim import AnalyticEngine, BeamTable, MujocoEngine, Pose, Scan, cast
@@ -99,6 +100,9 @@ def test_nothing_returns_from_nearer_than_the_least_range():
         (Dropout(share=0.05), 3.0, 0.05),
         (Far(share=0.8), 25.0, 0.2),
         (Far(power=1), 25.0, 0.25),
+        (Far(power=0), 25.0, 0.5),
+        (Far(power=0.5), 12.5, 0.25),
+        (Far(share=1, power=2.7), 40.0, 0.8**2.7),
     ],
 )
 def test_returns_are_lost_with_the_stated_probability(stage, at_m, share):
@@ -127,6 +131,24 @@ def seen(stage, *geoms, rays=RAYS, then=()):
 @pytest.mark.parametrize(("turn_deg", "share"), [(60, 0.0), (80, 0.5), (85, 0.75)])
 def test_flat_angles_are_lost_with_the_stated_probability(turn_deg, share):
     assert as_often(np.isinf(seen(Grazing(from_deg=70), wall(turn_deg)).ranges), share)
+
+
+def test_losses_are_those_of_their_formula_to_the_number():
+    """Bounds decide for most returns; what they decide is what the arc cosine and the power say."""
+    rng = np.random.default_rng(3)
+    drawn, cosine = rng.random((1, RAYS)), rng.uniform(0.0, 1.0, RAYS)
+    for from_deg in (0.0, 50.0, 85.0):
+        view = SimpleNamespace(surfaces=lambda returns: (cosine, None))
+        chance = (np.degrees(np.arccos(cosine)) - from_deg) / (90.0 - from_deg)
+        lost = Grazing(from_deg=from_deg).lost(drawn, None, view)
+        assert_array_equal(lost, drawn < chance)
+    view = SimpleNamespace(sensor=SimpleNamespace(max_range_m=REACH_M))
+    ranges = np.append(rng.uniform(0.0, REACH_M, RAYS - 2), [0.0, np.inf])[None]
+    returns = SimpleNamespace(ranges=ranges)
+    for power in (0.0, 0.3, 1.0, 2.0, 4.9, 9.5, 10.0):
+        chance = 0.7 * np.minimum(ranges / REACH_M, 1.0) ** power
+        lost = Far(share=0.7, power=power).lost(drawn, returns, view)
+        assert_array_equal(lost, drawn < chance)
 
 
 def test_faint_returns_are_lost_beyond_a_range_that_grows_with_albedo_and_cosine():

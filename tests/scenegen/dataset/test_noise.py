@@ -9,6 +9,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from lidarsim import BeamTable, Lidar
+from lidarsim.noise import VERSION
 from lidarsim.noise.chain import Noise
 from scenegen import GENERATOR
 from scenegen.cli.derive import rescan
@@ -50,7 +51,7 @@ def test_noise_changes_ranges_alone_and_the_default_knows_nothing_of_it(made, no
     assert plain["version"] == 1
     assert not plain.keys() & {"noise", "labels", "rescan"}
     assert faulty["version"] == 1.2
-    assert faulty["noise"] == {"stages": SPELLED, "bound_m": 4 * 0.02}
+    assert faulty["noise"] == {"stages": SPELLED, "bound_m": 4 * 0.02, "version": VERSION}
     both = (Dataset(folder).split("train") for folder in (made, noisy))
     for one, other in zip(*both, strict=True):
         for name in ("occupancy", "tudf", "position", "quaternion", "origin", "world", "viewpoint"):
@@ -111,10 +112,23 @@ def test_what_was_scanned_again_is_published_with_the_command_that_does_so(made,
         examine(request)
 
 
+def test_noise_drawn_in_an_older_way_is_read_and_not_drawn_again(noisy, tmp_path):
+    """A manifest that names no version of its noise is of the first one."""
+    older = {"stages": SPELLED, "bound_m": 0.08}
+    folder = forge.copy(noisy, tmp_path / "d")
+    forge.sign(folder, noise=older)
+    assert Dataset(folder).manifest.noise == {**older, "version": 1}
+    checks = {check.name: check for check in verify(folder).checks}
+    assert [name for name, check in checks.items() if not check.ok] == []
+    assert "made with noise of version 1, here is version 2" in checks["rays"].detail
+    with pytest.raises(PublishError, match="would not make the same dataset again"):
+        check_source(Dataset(folder), *source_file(Dataset(folder).manifest))
+
+
 def test_what_the_noise_cannot_have_done_is_found(noisy, tmp_path):
     folder = forge.copy(noisy, tmp_path / "d")
-    weaker = {"stages": SPELLED.replace("0.02", "0.01"), "bound_m": 0.04}
-    far_weaker = {"stages": "dropout:share=0.05", "bound_m": 0.0}
+    weaker = {"stages": SPELLED.replace("0.02", "0.01"), "bound_m": 0.04, "version": VERSION}
+    far_weaker = {"stages": "dropout:share=0.05", "bound_m": 0.0, "version": VERSION}
     for noise, check, quick in ((weaker, "rays", False), (far_weaker, "laws", True)):
         forge.edit_manifest(folder, noise=noise)
         assert check in failed(folder, quick=quick)
@@ -146,6 +160,8 @@ noise         → null                  → version = 1.2: expected 1 with nothi
 noise         → {"stages": "range"}   → noise.bound_m is missing
 noise.bound_m → -1.0                  → noise.bound_m = -1.0: expected metres, or null
 noise.stages  → "a\nb"                → noise.stages =
+noise.version → 0                     → noise.version = 0: expected a whole number
+noise         → 5                     → noise = 5: expected a table
 rescan        → {"digest": "x"}       → rescan.digest
 labels        → {"by": "name", "classes": ["nothing"]} → labels: expected exactly where `fields`
 labels        → {"by": "name", "classes": ["box"]} → different names, "nothing" first
