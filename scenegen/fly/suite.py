@@ -173,8 +173,8 @@ def courses_of(suite: str) -> list[Course]:
 
 
 def hidden_courses() -> list[Course]:
-    """The courses of a hidden track, of all `HIDDEN_KINDS` and difficulties in turn, as entries name
-    them: numbers from 0 on stand for their seeds, which `hidden_course` draws."""
+    """The courses of a hidden track, of all `HIDDEN_KINDS` and difficulties in turn, as entries
+    name them: numbers from 0 on stand for their seeds, which `hidden_course` draws."""
     turns = list(product(DIFFICULTIES, HIDDEN_KINDS))
     chosen = (turns[n % len(turns)] for n in range(HIDDEN))
     return [_course(kind, level, n, "") for n, (level, kind) in enumerate(chosen)]
