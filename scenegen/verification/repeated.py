@@ -94,9 +94,8 @@ def why_other(contract: Manifest) -> str:
     """Why what is made again here need not have the dataset's bits; empty where it must."""
     if contract.generator != GENERATOR:
         return f"made by generator {contract.generator}, here is generator {GENERATOR}"
-    differing = differences(dict(contract.software), software())
-    named = ", ".join(line.replace(" asked for", " here") for line in differing)
-    return f"made with other software: {named}" if differing else ""
+    differing = ", ".join(differences(dict(contract.software), software(), ("there", "here")))
+    return f"made with other software: {differing}" if differing else ""
 
 
 def _cast_again(sample: Sample, page: Page) -> None:
