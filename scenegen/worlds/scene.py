@@ -161,7 +161,10 @@ def _compile(path: Path) -> tuple[mujoco.MjModel, list[str]]:
             raise SceneError(f"{path}: has flexes, which rays do not see; use geoms instead")
         for material in spec.materials:
             material.textures = [""] * len(material.textures)
-        for item in (*spec.skins, *spec.textures):
+        for light in spec.lights:
+            light.texture = ""
+        # sensors may be of textures and skins; tuples that name these are no fault to MuJoCo
+        for item in (*spec.sensors, *spec.skins, *spec.textures):
             spec.delete(item)
         spec.memory = least_memory(len(spec.geoms))
         # memory that no geom needs; MuJoCo would fill as much as is asked
