@@ -46,7 +46,7 @@ from scenegen.run import Executor
     Choices,
     unseen_invalid="SemanticKITTI: mark voxels that no ray met as invalid, which leaves them out "
     "of its score.",
-    label="SemanticKITTI: the label of occupied voxels.",
+    label="SemanticKITTI: the label of occupied voxels without a class, or of one that it lacks.",
     frame="Frame of points.",
 )
 @executing
@@ -93,7 +93,7 @@ def convert(
             on_start=progress.start,
             on_sample=progress.count,
         )
-    for line in done.broken:
+    for line in (*(done.notes if not quiet else ()), *done.broken):
         note(line)
     if done.broken:
         raise DatasetError(
