@@ -23,6 +23,7 @@ from scenegen.cli.options import (
 from scenegen.cli.show import Progress, note, say
 from scenegen.cli.types import Named
 from scenegen.display.exchange import FORMATS, Choices
+from scenegen.errors import plural
 from scenegen.fly import EPISODES
 from scenegen.run import Executor
 
@@ -102,7 +103,8 @@ def convert(
         )
     if not quiet:
         others = f"; {done.others} are for the other ranks to write there" if done.others else ""
-        say(f"{target}: {done.written} samples written, {done.there} were there{others}")
+        before = f"; an earlier run wrote {done.there}" if done.there else ""
+        say(f"{target}: {plural(done.written, 'samples')} written{before}{others}")
 
 
 def _convert_flights(path: Path, out: Path | None, *, shown: bool) -> None:
