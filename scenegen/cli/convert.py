@@ -23,7 +23,6 @@ from scenegen.cli.options import (
 from scenegen.cli.show import Progress, note, say
 from scenegen.cli.types import Named
 from scenegen.display.exchange import FORMATS, Choices
-from scenegen.errors import plural
 from scenegen.fly import EPISODES
 from scenegen.run import Executor
 
@@ -68,7 +67,7 @@ def convert(
     A recording of `scenegen fly` (.json) becomes episodes for LeRobot.
     """
     from scenegen.display.exchange.convert import convert as write
-    from scenegen.errors import DatasetError
+    from scenegen.errors import DatasetError, plural
 
     recorded = Path(dataset).suffix == ".json"
     if recorded != (to == EPISODES):
