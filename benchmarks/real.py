@@ -43,8 +43,8 @@ from scenegen.fly.suite import MAPS
 from scenegen.model.calibration import denial
 from scenegen.model.config import PlanConfig
 from scenegen.model.evaluation.methods import Method, Truth, rows_of
+from scenegen.model.evaluation.reliability import REGIONS, count, reliability
 from scenegen.model.evaluation.statistics import brief
-from scenegen.model.evaluation.uncertainty import REGIONS, count, reliability
 from scenegen.model.evaluation.visibility import scored_voxels
 from scenegen.model.inputs import PointScan
 
@@ -214,7 +214,7 @@ def counted(seen: list[Seen], samples: Any, methods: list[Method]) -> dict[str, 
             readings = [probability] if calibrated is None else [*[probability] * 2, calibrated]
             inside = np.zeros((len(REGIONS), *known.shape), np.bool_)
             inside[0] = known
-            weight = getattr(guess.uncertainty, "class_weight", 1.0)
+            weight = getattr(guess.calibration, "class_weight", 1.0)
             said, true = probability[known] >= THRESHOLDS[:, None], there[known]
             rows.append(
                 (

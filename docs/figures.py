@@ -1,27 +1,25 @@
-"""Draw the study of a bench's report: needs the extra `train`.
+"""Draw the reliability of a bench's report: needs the extra `train`.
 
-scenegen bench data/pillar --study
+scenegen bench data/pillar --reliability
 python docs/figures.py bench/report.json [FOLDER]     # writes the pictures' *.png
 """
 
 import io
 import json
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-SHARES = {"success": "-", "collided": ":", "abstained": "--"}
-"""What becomes of the careful planner's trials, and how lines tell it."""
 Draw = Callable[[Any, str, Any, str], None]
-"""Draws one method's part: axes, its name, its study and row of reconstruction, its colour."""
+"""Draws one method's part: axes, its name, its reliability and scores by class, its colour."""
 
 
 def draw(report: Mapping[str, Any]) -> dict[str, bytes]:
     """Every picture by its file's name, PNG. Raises ImportError without matplotlib, and ValueError
-    for a report without a study."""
-    if "study" not in report:
-        raise ValueError("the report holds no study; run bench with --study")
+    for a report without reliability."""
+    if "reliability" not in report:
+        raise ValueError("the report holds no reliability; run bench with --reliability")
     panels: dict[str, tuple[str, str, Draw]] = {
         "near-mae-by-visibility.png": ("", "Near-MAE, m", _visibility),
         "reliability.png": (
@@ -29,13 +27,6 @@ def draw(report: Mapping[str, Any]) -> dict[str, bytes]:
             "occupied",
             _reliability,
         ),
-        "risk.png": ("collided (solid: by risk; dotted: by a fixed threshold)", "success", _risk),
-        "success-by-risk.png": (
-            "risk of the bounds",
-            "success; collided (dotted); abstained (dashed)",
-            _by_risk(SHARES),
-        ),
-        "length-by-risk.png": ("risk of the bounds", "length, m", _by_risk({"length": "-"})),
     }
     return {name: _picture(report, *panel) for name, panel in panels.items()}
 
@@ -44,36 +35,21 @@ def _picture(report: Mapping[str, Any], x: str, y: str, draw_method: Draw) -> by
     """Panels side by side, one a kind, with every method in each."""
     from matplotlib.figure import Figure
 
-    kinds = report["study"]
+    kinds = report["reliability"]
     figure = Figure(figsize=(1.5 + 4.5 * len(kinds), 3.6), layout="constrained")
     for axes, (kind, methods) in zip(
         figure.subplots(1, len(kinds), squeeze=False)[0], kinds.items(), strict=True
     ):
         axes.set(title=kind, xlabel=x, ylabel=y)
         axes.grid(alpha=0.3)
-        for n, (name, study) in enumerate(methods.items()):
-            draw_method(
-                axes,
-                name,
-                study | {"by_class": report["reconstruction"][kind][name]["by_class"]},
-                f"C{n}",
-            )
+        for n, (name, found) in enumerate(methods.items()):
+            by_class = report["reconstruction"][kind][name]["by_class"]
+            draw_method(axes, name, {"reliability": found, "by_class": by_class}, f"C{n}")
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside right upper", fontsize="small")
     memory = io.BytesIO()
     figure.savefig(memory, format="png", dpi=110)
     return memory.getvalue()
-
-
-def _line(axes: Any, points: Iterable[tuple[float, Mapping[str, Any]]], **style: Any) -> None:
-    """Means with their intervals; points without a value are left out."""
-    shown = sorted((x, figure) for x, figure in points if figure["mean"] is not None)
-    axes.plot([x for x, _ in shown], [figure["mean"] for _, figure in shown], marker=".", **style)
-    if all(figure["low"] is not None for _, figure in shown):
-        low, high = ([figure[end] for _, figure in shown] for end in ("low", "high"))
-        axes.fill_between(
-            [x for x, _ in shown], low, high, alpha=0.08, color=style.get("color"), linewidth=0
-        )
 
 
 def _visibility(axes: Any, name: str, study: Any, colour: str) -> None:
@@ -102,46 +78,6 @@ def _reliability(axes: Any, name: str, study: Any, colour: str) -> None:
             color=colour,
             marker=".",
             **style,
-        )
-
-
-def _by_risk(shown: Mapping[str, str]) -> Draw:
-    """Figures of the careful planner, each in its style, over the risk of the bounds that it plans
-    on."""
-
-    def draw_method(axes: Any, name: str, study: Any, colour: str) -> None:
-        rows = [row for row in study["risk"]["settings"] if row["by"] == "risk"]
-        for n, (told, dashes) in enumerate(shown.items()):
-            label = None if n else name
-            _line(
-                axes,
-                [(row["value"], row[told]) for row in rows],
-                color=colour,
-                linestyle=dashes,
-                label=label,
-            )
-        if rows:
-            axes.set_xscale("log")
-
-    return draw_method
-
-
-def _risk(axes: Any, name: str, study: Any, colour: str) -> None:
-    """What the careful planner gains for what it risks, over the risk of its bounds and over fixed
-    thresholds."""
-    styles: dict[bool, dict[str, Any]] = {
-        True: {"linestyle": "-", "label": name},
-        False: {"linestyle": ":"},
-    }
-    for by_risk, style in styles.items():
-        rows = [
-            row
-            for row in study["risk"]["settings"]
-            if (row["by"] == "risk") == by_risk and row["success"]["n"]
-        ]
-        points = sorted((row["collided"]["mean"], row["success"]["mean"]) for row in rows)
-        axes.plot(
-            *zip(*points, strict=True) if points else ((), ()), color=colour, marker=".", **style
         )
 
 

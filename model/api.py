@@ -90,7 +90,7 @@ def bench(
             objects with a `name` and a method `complete(observed, free, *, grid)` that gives a
             `scenegen.Prediction`. They travel to worker processes.
         workers: Processes of this machine; all cores by default.
-        settings: Fields of `BenchConfig`: `split`, `samples`, `trials`, `seed`, `study`, `plan`, ….
+        settings: Fields of `BenchConfig`: `split`, `samples`, `trials`, `seed`, `plan`, ….
 
     Returns:
         The report, as report.json holds it: ``report["reconstruction"][kind][method]["iou"]``,

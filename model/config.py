@@ -44,12 +44,12 @@ class Variant:
     tasks: tuple[str, ...] = TASKS
     """What it predicts, with a head for each: some of `TASKS`, in their order."""
     decoders: tuple[str, ...] = TASKS
-    """Its decoders: one for each task, or `SHARED`; () where all of it is flat."""
+    """Its decoders: one for each task, or `SHARED`."""
     coupled: bool = False
     """Whether its two decoders inform each other after every stage."""
     columns: tuple[int, ...] = ()
-    """Channels, level by level, of a flat U-Net over whole columns, beside its 3-D one if it has
-    decoders; () for none."""
+    """Channels, level by level, of a flat U-Net over whole columns beside its 3-D one; () for
+    none."""
 
 
 WIDE = 64, 96, 128
@@ -60,14 +60,8 @@ VARIANTS = {
     "occ": Variant(tasks=("occupancy",), decoders=("occupancy",)),
     # the paper's TUDF-only
     "tudf": Variant(tasks=("tudf",), decoders=("tudf",)),
-    # what is left of `proposed` without CrossFusion
-    "dual": Variant(),
-    # the cheapest network with both outputs
-    "shared": Variant(decoders=SHARED),
-    # `shared`, and a flat U-Net over whole columns
+    # ours: one decoder for both tasks, and a flat U-Net over whole columns
     "columns": Variant(decoders=SHARED, columns=WIDE),
-    # a flat U-Net over whole columns alone, as in LMSCNet
-    "flat": Variant(decoders=(), columns=WIDE),
 }
 """Every variant by its name; `scenegen.model.network` builds what is said here."""
 
@@ -82,10 +76,7 @@ LOSSES = Registry("loss", {"coupled": "scenegen.model.losses:Coupled"})
 terms."""
 INPUTS = Registry(
     "input",
-    {
-        name: f"scenegen.model.inputs:{name}"
-        for name in ("observed", "free", "occluded", "distance", "ahead")
-    },
+    {name: f"scenegen.model.inputs:{name}" for name in ("observed", "free", "distance")},
 )
 """Channels that a network may take: functions of (sample or scan, grid, sensor)."""
 
@@ -359,8 +350,8 @@ class BenchConfig(Checked):
     """Valid planning trials a dataset, spread over its samples (the paper's number)."""
     seed: int = number(0, least=0)
     """Seed of goals and permutations."""
-    study: bool = False
-    """Whether the report has a study beside its tables, of probabilities, bounds and risks."""
+    reliability: bool = False
+    """Whether the report tells how reliable probabilities are, too."""
     thresholds: Thresholds = field(default_factory=Thresholds)
     plan: PlanConfig = field(default_factory=PlanConfig)
 

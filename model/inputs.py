@@ -15,9 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lidarsim.grid import Field, Floats, GridSpec, Ints, Mask
-from lidarsim.pose import rotate
-from lidarsim.scan import Scan
-from lidarsim.voxelization import fuse, sort_points
+from lidarsim.voxelization import sort_points
 from scenegen.errors import DatasetError, told
 from scenegen.model.config import INPUTS, is_own, named
 from scenegen.sample import Sample
@@ -62,41 +60,19 @@ class PointScan:
     def free(self) -> Mask:
         """(*grid.shape): what rays that returned something crossed; of others points say
         nothing."""
-        return self._crossed(self.points) & ~self.observed
-
-    def behind(self) -> Mask:
-        """(*grid.shape): what lies beyond every return, to the map's end."""
-        rays = self.points - self.position
-        lengths = np.sqrt((rays * rays).sum(axis=1))
-        there = lengths > 0
-        extent, away = self.grid.extent_m, self.position - self.origin
-        reach = float(np.linalg.norm(extent) + np.linalg.norm(away))
-        ends = self.position + rays[there] * (reach / lengths[there, None])
-        return self._crossed(ends) & ~self.free & ~self.observed
-
-    def _crossed(self, ends: Floats) -> Mask:
-        return sort_points(self.position, ends, self.grid, self.origin).free
+        crossed = sort_points(self.position, self.points, self.grid, self.origin).free
+        return crossed & ~self.observed
 
 
 Channel = Callable[[Any, GridSpec, Any], NDArray[Any]]
 """What makes one channel: (sample or scan, grid, sensor or None) → (*grid.shape). Of a dataset's
 sample, only the fields that this accesses are read."""
-BINARY = ("observed", "free", "occluded")
+BINARY = ("observed", "free")
 """Channels in which every voxel holds 0 or 1; others hold finite numbers."""
 UNTOLD = {
     "free": "of rays without a return nothing is known, so less is free than in training",
-    "ahead": "where the sensor faced is not known, so nothing lies ahead of it",
 }
 """What points alone do not tell of a channel, and what it then holds instead, for people."""
-
-
-def within_view(sample: Sample, grid: GridSpec, sensor: Any) -> Mask:
-    """The voxels, (*grid.shape), that the sample's rays would cross if nothing returned."""
-    endless = [
-        Scan(np.full_like(scan.ranges, np.inf), scan.pose, scan.lidar)
-        for scan in sample.scans(sensor)
-    ]
-    return fuse(endless, grid, sample.origin).free
 
 
 def observed(seen: Any, grid: GridSpec, sensor: Any) -> Mask:
@@ -109,29 +85,9 @@ def free(seen: Any, grid: GridSpec, sensor: Any) -> Mask:
     return seen.free
 
 
-def occluded(seen: Any, grid: GridSpec, sensor: Any) -> Mask:
-    """Those, less both, that lie on the way of a ray which ended before them."""
-    if isinstance(seen, PointScan):
-        return seen.behind()
-    return within_view(seen, grid, sensor) & ~seen.free & ~seen.observed
-
-
 def distance(seen: Any, grid: GridSpec, sensor: Any) -> Field:
     """Metres to the nearest observed voxel, at most the truncation."""
     return distance_field(seen.observed, grid)
-
-
-def ahead(seen: Any, grid: GridSpec, sensor: Any) -> Field:
-    """The cosine of the angle, seen from the sensor, between its forward axis and the voxel."""
-    if isinstance(seen, PointScan):
-        return np.zeros(grid.shape, np.float32)
-    starts = seen.origin - seen.position
-    lines = [(np.arange(n) + 0.5) * grid.voxel_m for n in grid.shape]
-    along = np.ix_(*(line + start for line, start in zip(lines, starts, strict=True)))
-    forward = rotate(seen.quaternion, np.array([[1.0, 0.0, 0.0]]))[0]
-    metres = np.sqrt(sum(part * part for part in along))
-    towards = sum(f * part for f, part in zip(forward, along, strict=True))
-    return (towards / np.maximum(metres, 1e-9)).astype(np.float32)
 
 
 @cache

@@ -20,12 +20,8 @@ from typing import Any, NamedTuple
 import torch
 import torch.nn.functional as F  # noqa: N812 (its usual name)
 from torch import Tensor, nn
-from torch.nn.attention import SDPBackend, sdpa_kernel
-from torch.utils.flop_counter import FlopCounterMode
 
-from lidarsim import GridSpec
 from scenegen.errors import ScenegenError
-from scenegen.files import Json
 from scenegen.model.config import LEVELS, NETWORKS, TASKS, VARIANTS, NetworkConfig, named
 from scenegen.run.software import processor
 
@@ -96,24 +92,22 @@ class Network(nn.Module):
         self.tasks = variant.tasks
         inputs, widths = len(config.inputs), [config.width * 2**level for level in range(LEVELS)]
         features = finest = widths[0]
-        if variant.decoders:
-            stride = config.stem_stride
-            self.preprocess = nn.Sequential(
-                *_convolution(inputs, finest, stride), *_convolution(finest, finest, 2 // stride)
-            )
-            self.encoder = nn.ModuleList(
-                nn.Sequential(*_convolution(below, width, stride), *_convolution(width, width))
-                for below, width, stride in zip([finest, *widths], widths, (1, 2, 2), strict=False)
-            )
-            self.attention = SelfAttention(widths[-1], config.heads)
+        stride = config.stem_stride
+        self.preprocess = nn.Sequential(
+            *_convolution(inputs, finest, stride), *_convolution(finest, finest, 2 // stride)
+        )
+        self.encoder = nn.ModuleList(
+            nn.Sequential(*_convolution(below, width, stride), *_convolution(width, width))
+            for below, width, stride in zip([finest, *widths], widths, (1, 2, 2), strict=False)
+        )
+        self.attention = SelfAttention(widths[-1], config.heads)
         self.decoder = nn.ModuleDict({branch: Decoder(widths) for branch in variant.decoders})
         self.fusion = nn.ModuleList(map(CrossFusion, widths)) if variant.coupled else None
         self.columns = None
         if variant.columns:
             levels = [(c, config.height // 2 ** (level + 1)) for level, c in enumerate(widths)]
-            alone = not variant.decoders
-            self.columns = Columns(inputs, config.height, levels, variant.columns, alone=alone)
-            features = finest if alone else 2 * finest
+            self.columns = Columns(inputs, config.height, levels, variant.columns)
+            features = 2 * finest
         self.head = nn.ModuleDict({task: FinalUp(features, finest) for task in variant.tasks})
 
     def forward(self, batch: Batch) -> Output:
@@ -129,8 +123,6 @@ class Network(nn.Module):
     def features(self, batch: Batch) -> dict[str, Tensor]:
         """What the heads read, by decoder or under ``shared``: (B, features, X/2, Y/2, Z/2)."""
         given = torch.stack([batch[name].float() for name in self.config.inputs], dim=1)
-        if self.columns is not None and not self.decoder:
-            return {"shared": self.columns(given)[0]}
         x, skips = self.preprocess(given), []
         for encode in self.encoder:
             x = encode(x)
@@ -256,7 +248,7 @@ class Columns(nn.Module):
     what it has: c channels of h cells in height are c·h flat channels, and back.
 
     `height` is Z, `levels` are pairs (c_l, Z_l), and `widths` are the flat net's channels, level by
-    level. Where it is `alone`, there are no skips, and features of the finest level only.
+    level.
     """
 
     def __init__(
@@ -265,19 +257,17 @@ class Columns(nn.Module):
         height: int,
         levels: Sequence[tuple[int, int]],
         widths: Sequence[int],
-        *,
-        alone: bool = False,
     ):
         super().__init__()
-        self._levels = tuple(levels[:1] if alone else levels)
-        met = [(c * z, width) for (c, z), width in zip(self._levels, widths, strict=False)]
+        self._levels = tuple(levels)
+        met = [(c * z, width) for (c, z), width in zip(self._levels, widths, strict=True)]
         convolution = partial(_convolution, flat=True)
         self.stem = convolution(inputs * height, widths[0], stride=2)
         self.down = nn.ModuleList(
             convolution(below, width, stride=2 if level else 1)
             for level, (below, width) in enumerate(zip([widths[0], *widths], widths, strict=False))
         )
-        self.take = nn.ModuleList(Conv2d(*edge, 1) for edge in met if not alone)
+        self.take = nn.ModuleList(Conv2d(*edge, 1) for edge in met)
         self.mix = nn.ModuleList(convolution(width, width) for width in widths)
         self.up = nn.ModuleList(
             nn.ConvTranspose2d(above, width, 2, stride=2)
@@ -289,14 +279,11 @@ class Columns(nn.Module):
         )
         self.give = nn.ModuleList(Conv2d(width, cells, 1) for cells, width in met)
 
-    def forward(self, x: Tensor, skips: Sequence[Tensor] = ()) -> list[Tensor]:
+    def forward(self, x: Tensor, skips: Sequence[Tensor]) -> list[Tensor]:
         """As the class says."""
         flat, seen = self.stem(_flat(x)), []
         for level, (down, mix) in enumerate(zip(self.down, self.mix, strict=True)):
-            flat = down(flat)
-            if skips:
-                flat = flat + self.take[level](_flat(skips[level]))
-            flat = mix(flat)
+            flat = mix(down(flat) + self.take[level](_flat(skips[level])))
             seen.append(flat)
         found = [flat]
         for level in reversed(range(len(self.up))):
@@ -304,7 +291,7 @@ class Columns(nn.Module):
             found.insert(0, flat)
         return [
             give(flat).unflatten(1, level).permute(0, 1, 3, 4, 2)
-            for give, flat, level in zip(self.give, found, self._levels, strict=False)
+            for give, flat, level in zip(self.give, found, self._levels, strict=True)
         ]
 
 
@@ -348,43 +335,3 @@ def _convolution(below: int, width: int, stride: int = 1, flat: bool = False) ->
         norm(width),
         nn.ReLU(inplace=True),
     )
-
-
-def cost(config: NetworkConfig, shape: tuple[int, int, int]) -> Json:
-    """What a network costs for one map of `shape`, counted by running it once.
-
-    `macs` are multiply-accumulates of a forward pass: convolutions, linear layers, attention;
-    `activation_bytes` is what a training step keeps for its backward pass, float32.
-    """
-    network = Network(config).train()
-    kept: dict[int, int] = {}
-
-    def keep(tensor: Tensor) -> Tensor:
-        storage = tensor.untyped_storage()
-        kept.setdefault(storage.data_ptr(), storage.nbytes())
-        return tensor
-
-    for parameter in network.parameters():  # weights are kept anyway
-        kept[parameter.untyped_storage().data_ptr()] = 0
-    counter = FlopCounterMode(display=False)
-    maps = {name: torch.zeros(1, *shape) for name in config.inputs}
-    with torch.no_grad(), sdpa_kernel(SDPBackend.MATH), counter:  # fused attention is not counted
-        network(maps)
-    with torch.autograd.graph.saved_tensors_hooks(keep, lambda tensor: tensor):
-        network(maps)
-    return {
-        "variant": config.variant,
-        "stem_stride": config.stem_stride,
-        "parameters": sum(parameter.numel() for parameter in network.parameters()),
-        "macs": counter.get_total_flops() // 2,
-        "activation_bytes": sum(kept.values()),
-    }
-
-
-def costs() -> list[Json]:
-    """The costs of all variants with both stems, for maps of the usual grid."""
-    return [
-        cost(NetworkConfig(variant=variant, stem_stride=stride), GridSpec().shape)
-        for stride in (2, 1)
-        for variant in VARIANTS
-    ]

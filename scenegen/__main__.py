@@ -29,9 +29,9 @@ COMMANDS = {
     "Networks": {
         **{
             f"scenegen.model.commands.{name}": name
-            for name in ("train", "complete", "bench", "fly", "reproduce")
+            for name in ("train", "complete", "bench", "fly")
         },
-        "scenegen.model.commands.networks": "calibrate export networks",
+        "scenegen.model.commands.networks": "calibrate export",
     },
     "This machine": {"scenegen.cli.doctor": "doctor completion"},
 }

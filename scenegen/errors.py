@@ -31,6 +31,9 @@ class ScenegenError(Exception):
     """Base of every error that a user can act on; the command line prints it without a
     traceback."""
 
+    code = 1
+    """The exit code of a command that ends with it."""
+
 
 class RecipeError(ScenegenError):
     """A recipe names an unknown parameter, or one that no world can have."""
@@ -84,6 +87,13 @@ class GuardError(ScenegenError):
 
 class StoppedError(ScenegenError):
     """The run was stopped from outside; what is finished stays."""
+
+
+class UndecidedError(ScenegenError):
+    """Nothing is wrong with a dataset, and whether it is what its recipe and seed give cannot be
+    told here."""
+
+    code = 3
 
 
 class OwnCodeError(ScenegenError):

@@ -244,6 +244,24 @@ def _graded(kind: type[WorldKind], level: Any, at: str) -> Json:
     return known[level]
 
 
+def _check_graded(kind: type[WorldKind], level: str, world: WorldKind, at: str) -> None:
+    """Raise RecipeError where `world` has fewer values of the preset that `level` names than of
+    another one, counted over the parameters in which the kind's presets differ."""
+    levels = {"medium": {}, **kind.graded}
+    names = sorted({name for values in levels.values() for name in values})
+    alike = {}
+    for other, values in levels.items():
+        begun = from_table(kind, values, f"{at}difficulty {other}", Path())
+        alike[other] = sum(getattr(world, name) == getattr(begun, name) for name in names)
+    nearest = max(alike, key=lambda other: alike[other])
+    if alike[level] < alike[nearest]:
+        raise RecipeError(
+            f"{at}difficulty = {short(level)}: [world] has {alike[nearest]} of the values of the "
+            f"{nearest} preset and {alike[level]} of that one ({', '.join(names)}); leave one of "
+            "the two out"
+        )
+
+
 def make_recipe(
     kind: str,
     tables: Json,
@@ -301,6 +319,8 @@ def make_recipe(
         name: from_table(kinds[name], table, f"{at}[{name}]", folder)
         for name, table in values.items()
     }
+    if kind != "scene" and level != "medium":
+        _check_graded(world, level, parts["world"], at)
     if sensor is None:
         sensor = sensor_of(lidar, f"{at}[lidar]", folder)
     noise = named_noise(parts["noise"].stages or None, sensor, at and f"{at}[noise]")

@@ -53,7 +53,6 @@ def test_the_wheel_works_in_an_empty_environment_beside_a_users_own_files(tmp_pa
         assert {
             "lidarsim/sensors/catalogue.toml",
             "scenegen/display/exchange/messages/VoxelGrid.msg",
-            "scenegen/model/study/study.toml",
             "scenegen/model/weights/proposed.safetensors",
             "scenegen/py.typed",
         } <= set(archive.namelist())

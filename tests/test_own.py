@@ -44,7 +44,7 @@ def test_a_kind_a_method_and_a_command_of_ones_own(here, shell):
     assert "grown" in done(f"bench {folder} {methods} --quick --workers 2")
     said = done(f"verify {folder} --workers 2")
     assert "cannot be drawn again" in regenerated(said)
-    assert "18 passed, 1 skipped" in said
+    assert "21 passed, 1 skipped" in said
     done(f"world {folder} 0")
     publish = f"publish {folder} --repo ada/vineyard --dry-run"
     ended = shell.scenegen(*publish.split(), here=here)

@@ -112,8 +112,6 @@ doctor
 completion bash
 export run -o e.onnx
 calibrate run d -o c.safetensors
-networks
-reproduce --scale 0.001 --dry-run --device cpu --workers 1
 sensors velodyne-vlp-16 -o p.png
 scan w.xml --flight --noise range:0.02 -o s.ply
 scan w.xml --flight --sequence --length 3 -o log
@@ -133,7 +131,7 @@ merge taken others -o merged --workers 1
 """Every command, in an order in which each finds what it needs."""
 WORDS = [line.split() for line in COMMANDS.strip().splitlines()]
 NAMES = {words[0] for words in WORDS}
-DEAR = {"export", "networks"}
+DEAR = {"export"}
 """Commands that take ten seconds and more."""
 ASKED = (
     "again bench c.safetensors d e.onnx f.json f.png i.html k log m.npz maps merged n.onnx o "

@@ -33,7 +33,6 @@ FOLDERS = f"""
 bench d --quick --method returns -o out → report.json
 train d --out out --epochs 1 --device cpu → card.md
 train d --out out --epochs 1 --device cpu → best.safetensors
-reproduce -o out --scale 0.001 --quiet  → study.md
 {GENERATE} → train-00000.h5
 {GENERATE} → rays.npy
 {GENERATE} → dataset.json
@@ -50,7 +49,7 @@ publish d --repo ada/d --dry-run -o out → README.md
 publish d --repo ada/d --dry-run -o out → SHA256SUMS
 """
 """Commands and a name that each uses in the folder `out`."""
-SILENT = ("completion", "doctor", "inspect", "networks", "verify")
+SILENT = ("completion", "doctor", "inspect", "verify")
 """Commands that write no file."""
 
 

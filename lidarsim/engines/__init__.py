@@ -58,7 +58,6 @@ ENGINES = Registry(
     {
         "analytic": "lidarsim.engines.analytic:AnalyticEngine",
         "mujoco": "lidarsim.engines.mujoco:MujocoEngine",
-        "warp": "lidarsim.gpu:WarpEngine",
     },
     needs={
         "of": "a class method: (model, data=None) -> engine",

@@ -1,8 +1,7 @@
 """Where a ray meets a shape, in closed form, and the normal there. Every shape stands in its own
 frame, as MuJoCo's.
 
-A ray that starts inside a solid meets its surface where it comes out, as MuJoCo's does. A GPU runs
-the same functions (`lidarsim.gpu.translate`).
+A ray that starts inside a solid meets its surface where it comes out, as MuJoCo's does.
 """
 
 import math

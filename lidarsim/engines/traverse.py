@@ -3,8 +3,7 @@ its leaves.
 
 Rays of a pose that run nearly the same way are walked as one packet (Wald et al. 2001). A box or a
 solid is left out where it lies beside the pyramid around them all (Reshetov et al. 2005); what is
-left, each ray meets by itself, so that a packet changes no bit. A GPU walks otherwise, one thread a
-ray, with what stands from `passes` on (`lidarsim.gpu.rays`).
+left, each ray meets by itself, so that a packet changes no bit.
 """
 
 import math

@@ -66,7 +66,7 @@ QUICK = {"samples": 50, "trials": 200}
 )
 @options_of(
     BenchConfig,
-    study="Also measure probabilities, bounds and risks: slower. See docs/reliability.md.",
+    reliability="Also measure how reliable probabilities are. See docs/reliability.md.",
     seed="Decides the goals.",
 )
 @options_of(

@@ -87,13 +87,13 @@ OF_WORLD = (
     type=click.IntRange(0),
     metavar="SEED",
     help="With --suite: 50 courses that this number draws, in place of the suite's own. With "
-    "--replay and --leaderboard: the number of the entries.",
+    "--replay: the number of the entries.",
 )
 @click.option(
     "--maps",
     type=FOLDER,
     help="With --suite: 24 courses through the maps of real places in this folder, in place of the "
-    "suite's own. With --replay and --leaderboard: where the entries' maps are.",
+    "suite's own. With --replay: where the entries' maps are.",
 )
 @click.option("--quick", is_flag=True, help="With --suite: every sixteenth course.")
 @click.option(
@@ -189,8 +189,7 @@ def fly(
             raise click.UsageError("--leaderboard: say where to write the page with -o, .html")
         from scenegen.model.robots.board import leaderboard
 
-        with Progress("film", shown=talk) as progress:
-            write_result(out, leaderboard(entries, progress, hidden, maps).encode())
+        write_result(out, leaderboard(entries).encode())
         if talk:
             say(f"written: {out}")
         return

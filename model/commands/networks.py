@@ -1,7 +1,5 @@
-"""`scenegen networks`, `export` and `calibrate`: what variants cost, networks as ONNX, and how sure
-one may be."""
+"""`scenegen export` and `calibrate`: networks as ONNX, and how sure one may be."""
 
-import json
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -14,37 +12,14 @@ from scenegen.cli.options import (
     datasets_argument,
     executing,
     find_datasets,
-    json_option,
     out_option,
     printing,
-    seed_option,
     split_option,
 )
-from scenegen.cli.show import Progress, Tell, announce_compilation, say, show_columns
+from scenegen.cli.show import Progress, Tell, announce_compilation, say
 from scenegen.limits import MOST_SAMPLES
 from scenegen.model.commands.weights import Weights
 from scenegen.model.config import DEFAULT_NETWORK, split_own
-
-
-@command("networks", "networks --json")
-@json_option
-def networks(as_json: bool) -> None:
-    """Print what the network's variants cost: parameters, multiply-accumulates, memory."""
-    from scenegen.model.network import costs
-
-    found = costs()
-    if as_json:
-        print(json.dumps(found))
-        return
-    rows = {
-        f"{row['variant']}, stem stride {row['stem_stride']}": (
-            f"{row['parameters']:,}",
-            f"{row['macs'] / 1e9:.2f}",
-            f"{row['activation_bytes'] / 1e6:.1f} MB",
-        )
-        for row in found
-    }
-    show_columns(rows, ("parameters", "GMACs", "activations"))
 
 
 @command("export", "export runs/mine -o mine.onnx")
@@ -61,20 +36,13 @@ def export(weights: str, out: Path | None) -> None:
     say(f"written: {out}")
 
 
-@command("calibrate columns data/pillar -o mine.safetensors", "calibrate runs/mine --trials 0")
+@command("calibrate columns data/pillar -o mine.safetensors", "calibrate runs/mine")
 @click.argument("weights", type=Weights())
 @datasets_argument
 @split_option("val", help="The split whose worlds are looked at; one that no training saw.")
 @click.option(
     "--samples", type=click.IntRange(1, MOST_SAMPLES), help="At most so many maps of each dataset."
 )
-@click.option(
-    "--trials",
-    type=click.IntRange(0, 100),
-    default=4,
-    help="Paths planned on each map at every risk; 0 leaves the risk of paths out.",
-)
-@seed_option("Decides the goals.")
 @out_option(
     "File to write.  [default: the network's own; <name>.safetensors of a bundled one, or hf://…]",
     file=True,
@@ -89,8 +57,7 @@ def calibrate(
     talk: bool,
     **options: Any,
 ) -> None:
-    """Calibrate a network: probabilities, bounds of distance, and the risk of paths, kept in its
-    file."""
+    """Calibrate a network's probabilities; the calibration is kept in its file."""
     from scenegen.files import check_ours, make_parent
     from scenegen.model.checkpoint import CheckpointError
     from scenegen.model.completion.completer import HUB, called, locate
@@ -114,11 +81,5 @@ def calibrate(
     folders = find_datasets(datasets, shown=talk)
     found = fit(weights, folders, out, **options, progress=partial(Progress, shown=talk))
     if tell(asdict(found)):
-        heat = "" if found.temperature is None else f"temperature {found.temperature:.3f}, "
-        say(f"{found.worlds} worlds: {heat}bounds down to a risk of {found.risks[-1]:g}")
-        if found.path_risks:
-            say(
-                f"paths planned on them collide in at most "
-                f"{', '.join(f'{one:.3f}' for one in found.path_risks)}"
-            )
+        say(f"{found.worlds} worlds: temperature {found.temperature:.3f}")
         say(f"written: {out}")

@@ -74,7 +74,7 @@ class Completer:
     def __post_init__(self) -> None:
         self.batch = whole_number("batch =", self.batch, 1, MOST_BATCH)
         with raised_as(CheckpointError, f"{self.name}: "):
-            self.calibration = Calibration.of(self.about, self.grid)
+            self.calibration = Calibration.of(self.about)
             """What tells how sure a prediction is; None for a network that was not calibrated."""
 
     @classmethod
@@ -185,7 +185,7 @@ class Completer:
 
             probability, tudf = map(joined, zip(*parts, strict=True))
             seen = tensors.get("observed")
-            prediction = Prediction(probability, tudf, self.calibration, self.grid, seen)
+            prediction = Prediction(probability, tudf, self.calibration, seen)
             return check_prediction(prediction, shape, self.name)
 
     @property

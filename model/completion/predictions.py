@@ -17,9 +17,8 @@ from scenegen.dataset.rules import stem_of
 from scenegen.dataset.shard import compress
 from scenegen.errors import DatasetError, empty_split, printable, raised_as
 from scenegen.files import Json, claim, make_parent, whole
-from scenegen.model.calibration import RISK
 from scenegen.model.completion.completer import Completer, opened_once
-from scenegen.model.completion.protocol import PARTS, SURE
+from scenegen.model.completion.protocol import PARTS, STORED
 from scenegen.model.config import PREDICTIONS
 from scenegen.model.inputs import channels
 from scenegen.run import Executor, chunked
@@ -89,15 +88,13 @@ def _write(
     make_parent(out / file_name)
     with new_hdf5(out / file_name) as file:
         file.attrs.update(about)
-        if completer.calibration is not None:
-            file.attrs["risk"] = RISK
         for first in range(0, len(numbers), completer.batch):
             batch = [samples[number] for number in numbers[first : first + completer.batch]]
             inputs = [channels(names, sample, grid, sample.lidar) for sample in batch]
             prediction = completer(
                 {name: np.stack([maps[name] for maps in inputs]) for name in names}
             )
-            for name in PARTS | SURE:
+            for name in STORED:
                 maps = getattr(prediction, name)
                 if maps is None:
                     continue
@@ -155,7 +152,7 @@ def _facts(path: Path) -> Json:
             for name in ("method", "split", "dataset")
             if name in file.attrs
         }
-        parts = {name: list(file[name].shape) for name in (*PARTS, *SURE) if name in file}
+        parts = {name: list(file[name].shape) for name in STORED if name in file}
         if "occupancy" in file:  # the truth, which no predictions hold
             raise DatasetError(
                 f"{path}: is a shard of a dataset; inspect its folder, {path.parent}"

@@ -12,15 +12,7 @@ import numpy as np
 
 from lidarsim.grid import Field, GridSpec, Mask
 from scenegen.errors import ScenegenError
-from scenegen.model.calibration import (
-    CLOSE,
-    RISK,
-    Calibration,
-    Given,
-    UncertaintyError,
-    away_of,
-    denial,
-)
+from scenegen.model.calibration import Calibration, StoredProbability, away_of, denial
 from scenegen.model.config import Thresholds
 from scenegen.sample import html_table
 from scenegen.truth import distance_field
@@ -35,14 +27,11 @@ class Prediction:
     """float32 (*shape), numpy or torch: the probability of being occupied, from 0 to 1."""
     tudf: Any = None
     """float32 (*shape), numpy or torch: distance to the nearest occupied voxel's centre, metres."""
-    uncertainty: Calibration | Given | None = None
-    """What tells how sure the method is; None where nothing does, as of a network that was not
-    calibrated."""
-    grid: GridSpec | None = None
-    """The map's, where `uncertainty` needs distances that are derived."""
+    calibration: Calibration | StoredProbability | None = None
+    """Source of calibrated probabilities; None for a network that was not calibrated."""
     observed: Any = None
-    """(*shape), numpy or torch: where a return lies, by which `uncertainty` tells maps from those
-    of home; None where nobody says."""
+    """(*shape), numpy or torch: where a return lies, by which `calibration` tells unfamiliar maps
+    from others; None if unknown."""
 
     def __post_init__(self) -> None:
         if self.occupancy_probability is None and self.tudf is None:
@@ -81,33 +70,9 @@ class Prediction:
     def probability(self) -> Any:
         """float32 (*shape), numpy or torch: the calibrated probability of being occupied; None
         where there is none. `occupancy_probability` is what the paper's thresholds are for."""
-        if self.uncertainty is None:
+        if self.calibration is None:
             return None
-        return self._as_given(self.uncertainty.chance(plain(self.occupancy_probability), self.away))
-
-    @property
-    def tudf_low(self) -> Any:
-        """`low` at a risk of 0.05; None where there is no such bound."""
-        held = () if self.uncertainty is None else self.uncertainty.risks
-        return self.low(RISK) if any(risk <= RISK + CLOSE for risk in held) else None
-
-    def low(self, risk: float) -> Any:
-        """float32 (*shape), numpy or torch: distances that the truth falls below in at most a share
-        `risk` of unknown voxels, metres; 0 where nothing can be said. Of the whole map at the
-        paper's thresholds, where the method predicts no distances.
-
-        Raises UncertaintyError where the method gives no bounds, or none of so small a risk.
-        """
-        if self.uncertainty is None:
-            raise UncertaintyError(
-                "no bounds: the network is not calibrated; run `scenegen calibrate` on it"
-            )
-        probability, tudf = plain(self.occupancy_probability), plain(self.tudf)
-        if tudf is None and self.grid is not None:
-            maps = probability.reshape(-1, *self.grid.shape)
-            derived = [Prediction(one).distance(Thresholds(), self.grid) for one in maps]
-            tudf = np.stack(derived).reshape(probability.shape)
-        return self._as_given(self.uncertainty.low(tudf, probability, risk))
+        return self._as_given(self.calibration.chance(plain(self.occupancy_probability), self.away))
 
     @property
     def away(self) -> Any:
@@ -119,7 +84,7 @@ class Prediction:
         worse completion; below, nothing is promised.
         """
         probability, observed = plain(self.occupancy_probability), plain(self.observed)
-        known = self.uncertainty
+        known = self.calibration
         if observed is None or not isinstance(known, Calibration) or not known.denied:
             return None
         denied = denial(probability, observed.astype(bool), known.class_weight)
@@ -147,8 +112,8 @@ PARTS = {
     "tudf": ("a distance of at least 0", np.inf),
 }
 """Parts of a prediction: what each voxel's number is, and the most it may be."""
-SURE = {"probability": PARTS["occupancy_probability"], "tudf_low": PARTS["tudf"]}
-"""Parts that only a method with an uncertainty has, in the same way."""
+STORED = *PARTS, "probability"
+"""Arrays that a file of predictions may hold."""
 
 
 def check_prediction(found: Any, shape: tuple[int, ...], who: str) -> Prediction:
@@ -164,9 +129,11 @@ def check_prediction(found: Any, shape: tuple[int, ...], who: str) -> Prediction
             f"{who}: gives {type(found).__name__}, expected a "
             f"scenegen.model.completion.protocol.Prediction"
         )
-    given = isinstance(found.uncertainty, Given)  # what is computed here holds what it should
-    for name, (what, most) in (PARTS | SURE if given else PARTS).items():
-        values = getattr(found if name in PARTS else found.uncertainty, name)
+    parts = {name: (getattr(found, name), *bounds) for name, bounds in PARTS.items()}
+    if isinstance(found.calibration, StoredProbability):  # one computed here needs no check
+        bounds = PARTS["occupancy_probability"]
+        parts["probability"] = (found.calibration.probability, *bounds)
+    for name, (values, what, most) in parts.items():
         if values is None:
             continue
         if tuple(getattr(values, "shape", ())) != tuple(shape):

@@ -29,10 +29,10 @@ from scenegen.files import check_ours, make_way, read_bounded, write_result, wri
 from scenegen.limits import MOST_SCAN_BYTES, MOST_VOXELS
 from scenegen.logs import LogScan
 from scenegen.logs.read import Log, is_log, read_log
-from scenegen.model.calibration import RISK, UNUSUAL
+from scenegen.model.calibration import UNUSUAL
 from scenegen.model.completion.completer import Completer
 from scenegen.model.completion.predictions import PACKED, new_hdf5
-from scenegen.model.completion.protocol import PARTS, SURE, Prediction, check_prediction
+from scenegen.model.completion.protocol import PARTS, STORED, Prediction, check_prediction
 from scenegen.model.config import Thresholds
 from scenegen.model.inputs import UNTOLD, channels
 
@@ -156,9 +156,7 @@ def predict_scan(
         write_whole(out, encode_points(".ply", seen.grid.centres(seen.origin)[occupied]))
     else:
         about = {"method": completer.name, "origin": seen.origin, "voxel": seen.grid.voxel_m}
-        if prediction.uncertainty is not None:
-            about["risk"] = RISK
-        predicted = {name: getattr(prediction, name) for name in PARTS | SURE}
+        predicted = {name: getattr(prediction, name) for name in STORED}
         _write(out, about, maps | predicted | truth)
     return Completed(
         completer=completer.name,

@@ -21,10 +21,10 @@ from scenegen.dataset.read import Dataset, Split
 from scenegen.errors import DatasetError, ScenegenError, printable, raised_as, short
 from scenegen.files import real_path
 from scenegen.limits import GUARD_S, MOST_CHUNK_BYTES
-from scenegen.model.calibration import RISK, Given
+from scenegen.model.calibration import StoredProbability
 from scenegen.model.completion.protocol import (
     PARTS,
-    SURE,
+    STORED,
     MapCompleter,
     Prediction,
     PredictionError,
@@ -93,9 +93,9 @@ WHO = ("world", "viewpoint")
 
 class Predicted:
     """Predictions in an HDF5 file, or in all such files of a folder: `occupancy_probability` and/or
-    `tudf`, float32 (N, *grid.shape); where there are some, `probability`, calibrated, and
-    `tudf_low`, bounds of the attribute `risk`; and who is who: attribute `dataset` (the dataset's
-    digest), `world` and `viewpoint`, int64 (N,), and `split`, an attribute."""
+    `tudf`, float32 (N, *grid.shape); optionally `probability`, calibrated; and which sample each
+    row predicts: attribute `dataset` (the dataset's digest), `world` and `viewpoint`, int64 (N,),
+    and `split`, an attribute."""
 
     learned = True
 
@@ -156,11 +156,6 @@ def _check_file(path: Path, *, dataset: Dataset, split: str, most: int) -> list[
             )
         if said[1] != split:
             raise DatasetError(f"predicts split {short(said[1])}, expected {split!r}")
-        risk = file.attrs.get("risk", RISK)
-        if not (np.ndim(risk) == 0 and np.asarray(risk).dtype.kind in "fiu" and 0 < risk < 1):
-            raise DatasetError(
-                f"attribute `risk` is {short(risk)}, expected a number between 0 and 1"
-            )
         _check_arrays(file, split, most, shape)
         found = _pairs(file)
         for row in range(len(found)):
@@ -171,7 +166,7 @@ def _check_file(path: Path, *, dataset: Dataset, split: str, most: int) -> list[
 def _check_arrays(file: h5py.File, split: str, most: int, shape: tuple[int, ...]) -> None:
     """Raise DatasetError unless the arrays of a file of predictions are stored in it, and whole:
     one row a sample, at most so many, and maps of this shape."""
-    links = {name: file.get(name, getlink=True) for name in (*WHO, *PARTS, *SURE)}
+    links = {name: file.get(name, getlink=True) for name in (*WHO, *STORED)}
     names = [name for name, link in links.items() if link is not None]
     if not set(WHO) <= set(names) or not set(PARTS) & set(names):
         raise DatasetError(
@@ -227,12 +222,10 @@ def _pairs(file: h5py.File) -> list[tuple[int, int]]:
 
 
 def _prediction(file: h5py.File, row: int) -> Prediction:
-    parts = {name: file[name][row].astype(np.float32) for name in PARTS | SURE if name in file}
-    sure = {name: parts.pop(name) for name in SURE if name in parts}
-    return Prediction(
-        **parts,
-        uncertainty=Given(**sure, risk=float(file.attrs.get("risk", RISK))) if sure else None,
-    )
+    maps = {name: file[name][row].astype(np.float32) for name in STORED if name in file}
+    probability = maps.pop("probability", None)
+    calibration = None if probability is None else StoredProbability(probability=probability)
+    return Prediction(**maps, calibration=calibration)
 
 
 def find_method(name: Any) -> Method:

@@ -5,12 +5,10 @@ are shown as text alone."""
 import base64
 import html
 import math
-import tomllib
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from itertools import combinations
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +16,8 @@ import numpy as np
 from scenegen.files import Json
 from scenegen.model.config import Thresholds
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS, Metric
+from scenegen.model.evaluation.paper import PAPER, TUNED
+from scenegen.model.evaluation.reliability import reliability, reliability_tables
 from scenegen.model.evaluation.run import DatasetResult, MethodResult
 from scenegen.model.evaluation.statistics import (
     caution,
@@ -29,14 +29,13 @@ from scenegen.model.evaluation.statistics import (
     table,
     with_std,
 )
-from scenegen.model.evaluation.study import study_of, study_tables
 from scenegen.model.evaluation.visibility import CLASSES
 
 BEST_IOU, UNITS = "best_iou", {"probability": "", "distance_m": " m"}
 """A column of the tables, and the units of the thresholds at which it stands."""
 ARROWS = {"higher": " ↑", "lower": " ↓", "nearer to 0": ""}
 REFERENCES = ("truth", "seen")
-"""Rows that nobody can beat, so that they are never the best."""
+"""Rows that read the ground truth, so that they are never marked as the best."""
 CAUSES = {
     "start_blocked": "none: the start is occupied",
     "goal_blocked": "none: the goal is occupied",
@@ -45,9 +44,6 @@ CAUSES = {
     "refined_into_obstacle": "refined into an obstacle",
 }
 """What came of a path, by the bench's causes of failure."""
-PAPER = tomllib.loads(Path(__file__).with_name("paper.toml").read_text(encoding="utf-8"))
-"""What the paper reports, Tables I and II, to stand beside ours: by table, kind of worlds, method
-and metric, the mean, and the standard deviation where the paper gives one."""
 REGIONS = ("map", "unobserved")
 """Rows of a sample's reconstruction before those of the classes of voxels."""
 
@@ -80,9 +76,9 @@ def build_report(results: Sequence[DatasetResult], *, seed: int, about: Json) ->
         for part, measured in (("reconstruction", _reconstruction), ("planning", _planning)):
             report[part][result.kind] = {name: measured(found, result) for name, found in methods}
         report["tests"][result.kind] = _tests(result, rng)
-        if result.config.study:
-            report.setdefault("study", {})[result.kind] = {
-                name: study_of(found.studies, found.careful, result.worlds, result.trial_worlds)
+        if result.config.reliability:
+            report.setdefault("reliability", {})[result.kind] = {
+                name: reliability(np.array(found.probabilities), result.worlds) or None
                 for name, found in methods
             }
     return finite(report)
@@ -220,6 +216,8 @@ def blocks(report: Json, kind: str) -> Iterator[str | Table]:
     """What people are shown of one kind: sentences and tables."""
     about = report["datasets"][kind]
     yield _introduction(about)
+    if kind in PAPER["planning"]:
+        yield f"In italics: the paper's figures, of its own worlds. {TUNED}"
     yield from (f"{note}." for note in notes(about))
     for title, metrics, rows, paper in tables(report, kind):
         yield Table(
@@ -237,7 +235,8 @@ def blocks(report: Json, kind: str) -> Iterator[str | Table]:
             ],
         )
     yield _failures(report["planning"][kind])
-    yield from (Table(*table) for table in study_tables(report.get("study", {}).get(kind, {})))
+    found = report.get("reliability", {}).get(kind, {})
+    yield from (Table(*table) for table in reliability_tables(found))
     by_class = [
         (method, [cell(row["by_class"][name]["iou"]) for name in CLASSES])
         for method, row in report["reconstruction"][kind].items()
@@ -254,7 +253,7 @@ def _introduction(about: Json) -> str:
         f"{str(about['digest'])[:12]}…; {about['trials']} planning trials, excluded draws: "
         f"{excluded or 'none'}. Mean ± standard deviation over samples or trials, in brackets the "
         f"95 % interval of the mean, by a jackknife over worlds"
-        f"{', which one world does not give' * (about['worlds'] == 1)}. In italics: the paper's."
+        f"{', which one world does not give' * (about['worlds'] == 1)}."
     )
 
 

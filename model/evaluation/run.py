@@ -28,7 +28,7 @@ from scenegen.model.evaluation.planning.measure import (
     risk_of,
     run_trial,
 )
-from scenegen.model.evaluation.study import Study, study_map
+from scenegen.model.evaluation.reliability import count_map
 from scenegen.model.evaluation.visibility import CLASSES, UNOBSERVED, Case, scored_voxels, walled
 from scenegen.run import Executor, check_together, chunked
 from scenegen.run.workers import ALONE
@@ -55,10 +55,8 @@ class MethodResult:
     trials: tuple[Measurement, ...]
     learned: bool
     """Whether the method was trained, or may have been: see `Method.learned`."""
-    studies: tuple[Study, ...]
-    """By sample; () unless asked for."""
-    careful: list[Floats]
-    """(settings, figures) of each trial that was studied."""
+    probabilities: list[Floats]
+    """Of every map, see `scenegen.model.evaluation.reliability.count`; empty unless asked for."""
 
     def values(self, metric: str, region: int = 0) -> Floats:
         """A metric by its name: of every map, (N,), over a region of `reconstruction`, or of every
@@ -99,8 +97,8 @@ class _MethodOnSample(NamedTuple):
     reconstruction: Floats
     """(3 + classes, metrics)"""
     trials: list[Measurement]
-    study: Study | None
-    """None unless asked for."""
+    probabilities: Floats | None
+    """See `scenegen.model.evaluation.reliability.count`; None unless asked for."""
 
 
 class _SampleResult(NamedTuple):
@@ -163,8 +161,8 @@ def bench(
     """
     split = filled(dataset, config.split)
     check_middle(dataset)
-    if config.study:
-        check_whole(dataset, "leave --study out")
+    if config.reliability:
+        check_whole(dataset, "leave --reliability out")
     kind = kind or dataset.manifest.graded
     of_kind = split.by_kind().get(kind)
     if of_kind is None:
@@ -210,14 +208,14 @@ def _joined(
 ) -> MethodResult:
     """The result of a method from its results on all samples. Of `trials`, each the number of a
     trial within its sample and the number of that sample, all others are left out."""
-    studies = tuple(result.study for result in results if result.study is not None)
     return MethodResult(
         reconstruction=np.array([result.reconstruction for result in results]),
         thresholds=tuned,
         trials=tuple(results[n].trials[trial] for trial, n in trials),
         learned=method.learned,
-        studies=studies,
-        careful=[studies[n].careful[trial] for trial, n in trials if studies],
+        probabilities=[
+            result.probabilities for result in results if result.probabilities is not None
+        ],
     )
 
 
@@ -307,9 +305,9 @@ def _bench_method(
     trials = [
         run_trial(occupied, distance, *case.truth, goal, grid, config.plan, risk) for goal in goals
     ]
-    study = study_map(prediction, case, goals, config) if config.study else None
+    probabilities = count_map(prediction, case) if config.reliability else None
     reconstruction = np.vstack([by_thresholds[usual], by_thresholds[tuned][:1]])
-    return _MethodOnSample(reconstruction, trials, study)
+    return _MethodOnSample(reconstruction, trials, probabilities)
 
 
 def planner_maps(

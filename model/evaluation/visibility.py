@@ -13,10 +13,11 @@ from scipy import ndimage
 
 from lidarsim import AnalyticEngine, Sensor
 from lidarsim.grid import Field, GridSpec, Mask
+from lidarsim.scan import Scan
 from lidarsim.solids.shapes import Solids
+from lidarsim.voxelization import fuse
 from scenegen.dataset.read import Dataset, Split
 from scenegen.model.completion.protocol import Prediction
-from scenegen.model.inputs import within_view
 from scenegen.sample import Sample
 from scenegen.truth import distance_field, rasterize
 from scenegen.worlds.world import solid
@@ -134,8 +135,10 @@ class Case:
 
 
 class Seen:
-    """The truth of the obstacles that returned something, as if it had been predicted: the ceiling
-    of any completion, for of the other obstacles a scan says nothing."""
+    """The truth of the obstacles that returned something, as if it had been predicted.
+
+    It is no upper bound. Of the other obstacles it has nothing, where a network can guess what
+    is usual in such worlds: walls of the next room, say."""
 
     name = "seen"
     learned = False
@@ -189,3 +192,12 @@ def _world(folder: Path, split: str, number: int) -> tuple[Solids, AnalyticEngin
     """The solids of an archived world, and what casts rays in it."""
     solids = solid(Dataset(folder).compile(split, number), f"{split} world {number}").solids
     return solids, AnalyticEngine(solids, threads=1)
+
+
+def within_view(sample: Sample, grid: GridSpec, sensor: Any) -> Mask:
+    """The voxels, (*grid.shape), that the sample's rays would cross if nothing returned."""
+    endless = [
+        Scan(np.full_like(scan.ranges, np.inf), scan.pose, scan.lidar)
+        for scan in sample.scans(sensor)
+    ]
+    return fuse(endless, grid, sample.origin).free

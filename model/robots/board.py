@@ -1,21 +1,16 @@
 """The leaderboard: a page of the entries to a suite."""
 
-import html
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from scenegen.cli.show import Progress
 from scenegen.errors import DatasetError, ScenegenError, raised_as
 from scenegen.fly.course import Course, Recording
 from scenegen.fly.loop import Flown, marks
-from scenegen.fly.suite import Part, frozen_courses, named, part_of, track_name
-from scenegen.model.evaluation.report import HEAD, STYLE, Table, block, framed
+from scenegen.fly.suite import Part, named, part_of
+from scenegen.model.evaluation.report import HEAD, STYLE, Table, block
 from scenegen.model.evaluation.statistics import Scale, brief, summarise
-from scenegen.model.robots.film import film
-from scenegen.model.robots.flights import real_course
 
 
 class Column(NamedTuple):
@@ -72,10 +67,10 @@ class Row(NamedTuple):
         return [one.score for one in self.flights]
 
 
-def leaderboard(folder: Path, progress: Progress, hidden: int | None, maps: Path | None) -> str:
+def leaderboard(folder: Path) -> str:
     """An HTML page of all entries (.json) in a folder: a table for each choice of courses, those of
     whole tracks first, the best score first, with 95 % intervals over worlds. A click on a column's
-    head sorts by it. Below each table, films of one flight show every robot: see `_films`.
+    head sorts by it.
 
     Scores are those of the recorded outcomes, times and lengths, which `--replay` checks. Raises
     DatasetError for a file that is no entry, or has courses that are not its suite's.
@@ -92,12 +87,10 @@ def leaderboard(folder: Path, progress: Progress, hidden: int | None, maps: Path
         raise ScenegenError(f"{folder}: holds no entry, .json as `fly --suite -o` writes it")
     whole_first = sorted(tables.items(), key=lambda table: table[1][0].there < table[1][0].of)
     body = ""
-    progress.start(sum(len(rows) for _, (_, rows) in whole_first))
-    for (suite, title, *_), (part, rows) in whole_first:
+    for (suite, title, *_), (_, rows) in whole_first:
         rows.sort(key=lambda row: -sum(row.scores))
         cells = [(row.robot, _cells(row, rows[0])) for row in rows]
         body += block(Table(f"{suite}, {title}", ("flights", *BOARD, BEST), cells))
-        body += _films(suite, part.track, rows, progress, hidden, maps)
     page = HEAD.replace("img-src", "script-src 'unsafe-inline'; img-src")
     style = f"{STYLE} body {{ max-width: none; }} th {{ cursor: pointer; }}"
     page += f"<title>Robots</title><style>{style}</style></head>"
@@ -129,40 +122,3 @@ def _cells(row: Row, best: Row) -> list[str]:
     pairs = zip(row.scores, best.scores, strict=True)
     less = summarise([one - other for one, other in pairs], row.worlds)
     return [*cells, "–" if row is best else brief(less, "+.3f")]
-
-
-def _films(
-    suite: str,
-    track: str,
-    rows: Sequence[Row],
-    progress: Progress,
-    hidden: int | None,
-    maps: Path | None,
-) -> str:
-    """Films (GIF) of the flight on whose outcome robots differ most, one for
-    each row whose robot began it.
-
-    "" for worlds that cannot be drawn here: a hidden track's without its number `hidden`, those of
-    the real track without the folder of its `maps`.
-    """
-    if track == "own":
-        hidden = None
-    elif track != track_name(hidden, maps):
-        progress.count(len(rows))
-        return ""
-    flights = zip(*(row.flights for row in rows), strict=True)
-    lost = [sum(one.outcome != "success" for one in flight) for flight in flights]
-    chosen = max(range(len(lost)), key=lambda n: (lost[n] * (len(rows) - lost[n]), lost[n]))
-    entered, number = rows[0].courses[chosen]
-    # not the entry's own, which may lead to another world of that name
-    ours = {named(one): one for one in frozen_courses(suite, track, maps)}[named(entered)]
-    course = real_course(ours, hidden)
-    title = f"{ours.world}, {ours.difficulty or 'map'}, seed {ours.seed}, flight {number + 1}"
-    films = []
-    for row in rows:
-        flown = row.flights[chosen]
-        told = f"{row.robot}: {flown.outcome} after {flown.time_s:.1f} s"
-        with suppress(DatasetError):  # of a flight that ended before it began
-            films.append((told, film(course, number, None, flown)))
-        progress.count(1)
-    return f"<h3>{html.escape(title)}</h3>{framed(films, 'gif')}"

@@ -253,7 +253,8 @@ def _box(low: Ints, count: ArrayLike) -> tuple[slice, ...]:
 
 
 class TruthRobot(MappingRobot):
-    """What a robot would do that knew the world: the ceiling of every completion."""
+    """What a robot does that knows the world. It is a reference, not an upper bound: it takes the
+    shortest path that its voxels allow, and that may pass close to solids."""
 
     def __init__(self, world: World | Place):
         super().__init__(Returns())  # which it does not ask

@@ -133,11 +133,9 @@ def _sure(about: Json) -> str:
     learned = f"with occupied voxels {loss['occupied_weight']:g} times as heavy as free ones"
     learned += " and by the Lovász hinge of the IoU, too" if loss.get("lovasz") else ""
     held = about.get("calibration")
-    if held is None:
+    if held is None or held["temperature"] is None:
         return f"Its probabilities are not calibrated, but as they were learned, {learned}."
-    temperature = "" if held["temperature"] is None else f", temperature {held['temperature']:.3f}"
     return (
-        f"`occupancy_probability` is as it was learned, {learned}; `probability`, bounds of "
-        f"distance and the risk of paths are calibrated, on {held['worlds']} worlds of "
-        f"validation{temperature}, down to a risk of {min(held['risks']):g}."
+        f"`occupancy_probability` is as it was learned, {learned}; `probability` is calibrated on "
+        f"{held['worlds']} worlds of validation, temperature {held['temperature']:.3f}."
     )

@@ -128,7 +128,7 @@ def _end(error: BaseException) -> tuple[int, str]:
         case MemoryError() | RuntimeError() if is_out_of_memory(error):
             return 1, "out of memory; use smaller numbers (such as --batch), or a larger machine"
         case Exception() if isinstance(error := told(error), ScenegenError):
-            return 1, str(error)
+            return error.code, str(error)
         case OSError():
             named = isinstance(error.filename, str | bytes)
             name = os.fsdecode(error.filename) if named else "the system"

@@ -6,7 +6,6 @@ from typing import Any
 
 import rich_click as click
 
-from lidarsim.registry import Registry
 from scenegen import SPLITS
 from scenegen.cli.options import (
     command,
@@ -23,22 +22,20 @@ from scenegen.cli.options import (
 from scenegen.cli.show import Progress, note, say
 from scenegen.cli.types import Named
 from scenegen.display.exchange import FORMATS, Choices
-from scenegen.fly import EPISODES
 from scenegen.run import Executor
 
 
 @command(
     "convert data/pillar --to ply",
     "convert data/pillar --to mcap --split val",
-    f"convert flights.json --to {EPISODES} -o episodes",
 )
 @dataset_argument
 @click.option(
     "--to",
     "to",
-    type=Named(Registry("format", {**FORMATS.builtin, EPISODES: ""})),
+    type=Named(FORMATS),
     required=True,
-    help=f"The format: {', '.join(FORMATS.builtin)}; or, of a recording of `fly`, {EPISODES}.",
+    help=f"The format: {', '.join(FORMATS.builtin)}, or MODULE:CLASS.",
 )
 @out_option("The folder to write.  [default: the dataset's name, a dash, the format]")
 @splits_option("A split")
@@ -63,21 +60,10 @@ def convert(
 ) -> None:
     """Write a dataset in another program's format; the same command again goes on where it was
     stopped.
-
-    A recording of `scenegen fly` (.json) becomes episodes for LeRobot.
     """
     from scenegen.display.exchange.convert import convert as write
     from scenegen.errors import DatasetError, plural
 
-    recorded = Path(dataset).suffix == ".json"
-    if recorded != (to == EPISODES):
-        raise click.UsageError(
-            f"{dataset}: --to {EPISODES} takes what `fly -o flights.json` wrote, and every other "
-            "format a dataset"
-        )
-    if recorded:
-        _convert_flights(Path(dataset), out, shown=not quiet)
-        return
     found = open_dataset(dataset, shown=not quiet)
     target = out or Path(f"{found.folder.absolute().name}-{to.rpartition(':')[2]}")
     if not found.manifest.complete:
@@ -104,19 +90,6 @@ def convert(
         others = f"; {done.others} are for the other ranks to write there" if done.others else ""
         before = f"; an earlier run wrote {done.there}" if done.there else ""
         say(f"{target}: {plural(done.written, 'samples')} written{before}{others}")
-
-
-def _convert_flights(path: Path, out: Path | None, *, shown: bool) -> None:
-    """Write the flights of a recording as episodes."""
-    from scenegen.fly.course import Recording
-    from scenegen.fly.episodes import write_episodes
-
-    target, recording = out or Path(f"{path.stem}-{EPISODES}"), Recording.read(path)
-    with Progress(EPISODES, shown=shown) as progress:
-        progress.start(sum(len(flights) for _, flights in recording.courses))
-        written = write_episodes(recording, target, progress.count)
-    if shown:
-        say(f"{target}: {written['episodes']} episodes, {written['frames']} frames")
 
 
 @command("world data/pillar 3 -o world.xml", "world scenes/forest.xml -o forest.glb")

@@ -15,7 +15,7 @@ from scenegen.cli.options import (
     seed_option,
 )
 from scenegen.cli.show import Progress, Tell, announce_compilation, say, show_table
-from scenegen.errors import ScenegenError
+from scenegen.errors import ScenegenError, UndecidedError
 
 if TYPE_CHECKING:
     from scenegen.verification import Report
@@ -39,7 +39,8 @@ if TYPE_CHECKING:
 @printing
 def verify(dataset: Path | str, tell: Tell, talk: bool, **options: Any) -> None:
     """Check a dataset against the format: files, digests, truth, rays, splits; end with 1 where a
-    check fails."""
+    check fails, with 3 where none does and flights come out otherwise than other software made
+    them."""
     if talk:
         announce_compilation()
     from scenegen.dataset.locate import locate
@@ -57,6 +58,12 @@ def verify(dataset: Path | str, tell: Tell, talk: bool, **options: Any) -> None:
             f"verify: {len(report.failed)} of {len(report.checks)} checks failed: "
             f"{', '.join(report.failed)}"
         )
+    if report.differing:
+        found = next(check for check in report.checks if check.differing)
+        raise UndecidedError(
+            f"verify: no check failed, and {', '.join(report.differing)} cannot tell: "
+            f"{found.detail}; verify with the versions that dataset.json names under software"
+        )
 
 
 def _show_checks(report: "Report", seconds: float) -> None:
@@ -65,6 +72,8 @@ def _show_checks(report: "Report", seconds: float) -> None:
     for check in report.checks:
         if not check.ok:
             marks[check.name] = "FAILED ", "red"
+        elif check.differing:
+            marks[check.name] = "differs", "yellow"
         else:
             marks[check.name] = ("skipped", "yellow") if check.skipped else ("ok     ", "green")
         rows[check.name] = f"{check.seconds:7.2f} s  {check.detail}"
@@ -72,5 +81,8 @@ def _show_checks(report: "Report", seconds: float) -> None:
     say(f"\n{report.samples} samples in {seconds:.1f} s, {report.samples / seconds:.0f} a second")
     if report.ok:
         skipped = sum(check.skipped for check in report.checks)
-        passed = len(report.checks) - skipped
-        say(f"{passed} passed, {skipped} skipped" if skipped else f"all {passed} checks passed")
+        differing = len(report.differing)
+        passed = len(report.checks) - skipped - differing
+        others = {"differ": differing, "skipped": skipped}
+        said = [f"{count} {what}" for what, count in others.items() if count]
+        say(", ".join([f"{passed} passed", *said]) if said else f"all {passed} checks passed")

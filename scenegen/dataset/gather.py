@@ -1,6 +1,7 @@
 """Datasets made of samples that are there: which may be one, what the new one is to hold, and its
 shards."""
 
+import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -23,7 +24,10 @@ from scenegen.errors import BrokenError, DatasetError
 from scenegen.files import Json, real_path, world_digest, write_whole
 from scenegen.limits import MOST_SHARDS, MOST_SOURCES
 from scenegen.run.workers import run
+from scenegen.sample import DERIVED, GROUPS
 
+CONTENT = tuple(name for name in GROUPS[""] if name not in (*DERIVED, "world", "viewpoint"))
+"""The fields of every sample that do not follow from others, less its name."""
 KEPT = 8
 """Bytes of each digest by which samples and worlds are told apart: among ten million samples, two
 that differ are taken for one with a probability of 3e-6."""
@@ -32,8 +36,10 @@ that differ are taken for one with a probability of 3e-6."""
 def check_disjoint(datasets: Sequence[Dataset], *, workers: int = 1) -> None:
     """Raise DatasetError where `datasets` have a sample in common, or a world in different splits.
 
-    Samples are told apart by their own digests, worlds by the bytes of their MJCF and of the files
-    that it refers to.
+    Samples are told apart by their own digests, and those that were taken from the same pose by
+    their content, for one sample may have two names: where a world from a file has another number
+    in each dataset. Worlds are told apart by the bytes of their MJCF and of the files that it
+    refers to.
     """
     shards = [(dataset, entry) for dataset in datasets for entry in dataset.manifest.shards]
     tasks = [
@@ -42,12 +48,22 @@ def check_disjoint(datasets: Sequence[Dataset], *, workers: int = 1) -> None:
     ]
     found = dict(run(_look, tasks, workers))
     names = [dataset.folder / entry.file for dataset, entry in shards]
-    for one, other in _twice([found[n][0] for n in range(len(shards))]):
-        raise DatasetError(
-            f"{names[one]} and {names[other]}: hold the same sample; leave one of the two "
-            f"datasets out, or make one with another --seed"
-        )
-    for one, other in _twice([found[n][1] for n in range(len(shards))]):
+
+    def check_samples(digests: Sequence[np.ndarray]) -> None:
+        for one, other in _twice(digests):
+            raise DatasetError(
+                f"{names[one]} and {names[other]}: hold the same sample; leave one of the two "
+                f"datasets out, or make one with another --seed"
+            )
+
+    check_samples([found[n][0] for n in range(len(shards))])
+    posed_alike = _repeated([found[n][1] for n in range(len(shards))])
+    of_same_pose = [
+        (*task, rows) for task, rows in zip(tasks, posed_alike, strict=True) if len(rows)
+    ]
+    contents = dict(run(_hash_content, of_same_pose, workers))
+    check_samples([contents.get(n, np.empty(0, np.uint64)) for n in range(len(shards))])
+    for one, other in _twice([found[n][2] for n in range(len(shards))]):
         if shards[one][1].split != shards[other][1].split:
             raise DatasetError(
                 f"{names[one]} and {names[other]}: samples of one world would be in two splits; "
@@ -55,19 +71,46 @@ def check_disjoint(datasets: Sequence[Dataset], *, workers: int = 1) -> None:
             )
 
 
-def _look(task: tuple[int, Path, Entry, Layout]) -> tuple[int, tuple[np.ndarray, np.ndarray]]:
-    """A shard's number, and the first bytes of the digests of its samples and of its worlds, as
-    whole numbers."""
+def _look(task: tuple[int, Path, Entry, Layout]) -> tuple[int, tuple[np.ndarray, ...]]:
+    """A shard's number, and the first bytes of the digests of its samples, of their poses, and of
+    its worlds, as whole numbers."""
     number, there, entry, layout = task
     path, archive, worlds = there / entry.file, entry.worlds, b""
     with advised(there):
         with open_file(path) as file:
-            own = open_shard(file, path, entry.samples, layout).column(DIGEST)
+            shard = open_shard(file, path, entry.samples, layout)
+            own = shard.column(DIGEST)
+            poses = np.hstack([shard.column("position"), shard.column("quaternion")])
         with open_file(there / archive) as file, open_archive(file, archive) as members:
             for name in sorted(name for name in members if name.endswith(".xml")):
                 worlds += world_digest(*members.world(name))[:KEPT]
     samples = np.ascontiguousarray(own[:, :KEPT]).view(np.uint64)[:, 0]
-    return number, (samples, np.frombuffer(worlds, np.uint64))
+    posed = b"".join(hashlib.sha256(pose.tobytes()).digest()[:KEPT] for pose in poses)
+    return number, (samples, np.frombuffer(posed, np.uint64), np.frombuffer(worlds, np.uint64))
+
+
+def _hash_content(
+    task: tuple[int, Path, Entry, Layout, np.ndarray],
+) -> tuple[int, np.ndarray]:
+    """A shard's number, and the first bytes of the digests of what its samples in `rows` hold
+    besides their names, as whole numbers."""
+    number, there, entry, layout, rows = task
+    path, digests = there / entry.file, b""
+    with advised(there), open_file(path) as file:
+        shard = open_shard(file, path, entry.samples, layout)
+        for row in rows.tolist():
+            content = b"".join(shard.value(name, row).tobytes() for name in CONTENT)
+            digests += hashlib.sha256(content).digest()[:KEPT]
+    return number, np.frombuffer(digests, np.uint64)
+
+
+def _repeated(digests: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """For every shard, the rows whose digest comes more than once among all shards."""
+    whole = np.concatenate([*digests, np.empty(0, np.uint64)])
+    _, inverse, counts = np.unique(whole, return_inverse=True, return_counts=True)
+    ends = np.cumsum([len(one) for one in digests])
+    parts = np.split(counts[inverse] > 1, ends)[:-1]
+    return [np.flatnonzero(part) for part in parts]
 
 
 def _twice(digests: Sequence[np.ndarray]) -> list[tuple[int, int]]:

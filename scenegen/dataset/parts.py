@@ -67,8 +67,9 @@ _LABELS = {
             and 0 < len(value) <= MOST_CLASSES
             and all(isinstance(name, str) and name.isprintable() for name in value)
             and len(set(value)) == len(value)
+            and value[0] == "nothing"
         ),
-        f"up to {MOST_CLASSES} different names",
+        f'up to {MOST_CLASSES} different names, "nothing" first',
     ),
 }
 

@@ -2,8 +2,7 @@
 
 `missions` draws starts and goals, `motion` moves the quadrotor, `simulation` senses and finds
 collisions, `loop` lets a robot fly and scores it. A robot may be a process of its own (`pipe`,
-`serve`). `course` keeps flights and flies them again; `environment` is for Gymnasium, `episodes`
-for LeRobot.
+`serve`). `course` keeps flights and flies them again; `environment` is for Gymnasium.
 """
 
 from dataclasses import dataclass
@@ -13,8 +12,6 @@ from lidarsim.parameters import Checked, number
 
 SUITES = ("aerial-1",)
 """Courses that never change."""
-EPISODES = "lerobot"
-"""The format of flights that programs learn from, and the extra that it needs."""
 PERIOD_S = 0.1
 """From one decision of the robot to the next, seconds."""
 

@@ -1,5 +1,4 @@
-"""Executors: where tasks run. `workers` has the processes of this machine, `ray` and `slurm` have
-clusters.
+"""Executors: where tasks run. `workers` has the processes of this machine, `ray` has clusters.
 
 What one task gives depends on the task alone, so what a command makes of them has the same bits
 wherever they run.
@@ -72,7 +71,6 @@ EXECUTORS = Registry(
         "local": "scenegen.run.workers:Local",
         "rank": "scenegen.run.workers:Rank",
         "ray": "scenegen.run.ray:Ray",
-        "slurm": "scenegen.run.slurm:Slurm",
     },
     needs={
         "mine": "a method: tasks -> tasks",
@@ -100,7 +98,7 @@ def check_together(execute: Executor, what: str) -> None:
     if len(execute.mine((0, 1))) < 2:
         raise ScenegenError(
             f"--on: {what} all results, and jobs that know their rank alone bring none together; "
-            f"give --on ray or --on slurm, or each job work of its own with --on local"
+            "give --on ray, or each job work of its own with --on local"
         )
 
 

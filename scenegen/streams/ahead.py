@@ -3,6 +3,7 @@ a folder."""
 
 import contextlib
 import hashlib
+import math
 import multiprocessing.connection
 import os
 import struct
@@ -31,18 +32,23 @@ LEVEL = 1
 
 
 def record_type(schema: Schema) -> np.dtype:
-    """The record of one sample: grids as bits, everything else as it is stored on disk. Distances
+    """The record of one sample: flags as bits, everything else as it is stored on disk. Distances
     follow from occupancy, and are ten times as large as all the rest: they are not in it."""
     columns: list[tuple[Any, ...]] = []
     for name in schema.names:
         if name == "tudf":
             continue
-        shape, about = schema.shape(name), FIELDS[name]
-        if about["axes"] == "grid":
-            columns.append((name, "u1", -(-int(np.prod(shape)) // 8)))
+        shape = schema.shape(name)
+        if _is_flags(name):
+            columns.append((name, "u1", -(-math.prod(shape) // 8)))
         else:
-            columns.append((name, about["dtype"], shape))
+            columns.append((name, FIELDS[name]["dtype"], shape))
     return np.dtype(columns)
+
+
+def _is_flags(name: str) -> bool:
+    """Whether a field's values are true or false, which a record holds as bits."""
+    return bool(FIELDS[name]["dtype"] == "bool")
 
 
 def pack(sample: Sample, kind: np.dtype) -> bytes:
@@ -50,7 +56,7 @@ def pack(sample: Sample, kind: np.dtype) -> bytes:
     record = np.zeros((), kind)
     for name in kind.names or ():
         value = getattr(sample, name)
-        record[name] = np.packbits(value) if FIELDS[name]["axes"] == "grid" else value
+        record[name] = np.packbits(value) if _is_flags(name) else value
     return isal.isal_zlib.compress(record.tobytes(), LEVEL)
 
 
@@ -61,21 +67,22 @@ def unpack(packed: bytes, kind: np.dtype, schema: Schema) -> Sample:
         content = isal.isal_zlib.decompressobj().decompress(packed, kind.itemsize + 1)
     if len(content) != kind.itemsize:
         raise ValueError(f"{len(content)} bytes, expected {kind.itemsize}")
-    record, grid = np.frombuffer(content, kind)[0], schema.grid
+    record = np.frombuffer(content, kind)[0]
 
     def find(sample: Sample, name: str) -> Any:
         if name == "tudf":
-            return distance_field(sample.occupancy, grid)
+            return distance_field(sample.occupancy, schema.grid)
         value: np.ndarray = record[name]
-        if FIELDS[name]["axes"] == "grid":
-            count = int(np.prod(grid.shape))
-            return np.unpackbits(value, count=count).view(bool).reshape(grid.shape)
-        return int(value) if FIELDS[name]["axes"] == "" else value.copy()
+        if _is_flags(name):
+            shape = schema.shape(name)
+            return np.unpackbits(value, count=math.prod(shape)).view(bool).reshape(shape)
+        return value.item() if FIELDS[name]["axes"] == "" else value.copy()
 
-    return Sample.lazy(schema.names, find, lidar=schema.lidar, grid=grid)
+    return Sample.lazy(schema.names, find, lidar=schema.lidar, grid=schema.grid)
 
 
-HEAD = b"scenegen unit 1\n"
+HEAD = b"scenegen unit 2\n"
+"""The number is raised whenever records change. Units of 1 held labels as bits."""
 IN_FOLDER = 1000
 """Units in a folder."""
 MOST_UNIT_BYTES = 1 << 30

@@ -143,7 +143,7 @@ def touched(shape, size, axes, dx, dy, dz, voxel_m, count):
         h0, h1 = _chord(a * grown, b * grown, c * grown, axes, x, y, z)
         grown = 1.0 + (half - SLACK_M) / max(max(a, b), c)
         sure0, sure1 = _chord(a * grown, b * grown, c * grown, axes, x, y, z)
-    elif shape == CYLINDER or shape == CAPSULE:  # noqa: SIM109 (Warp has no `in`)
+    elif shape in (CYLINDER, CAPSULE):
         radius = size[0] + outer + SLACK_M
         h0, h1 = _chord(radius, radius, math.inf, axes, x, y, z)
     lowest = math.ceil(min(max((h0 - dz) / voxel_m, 0.0), most))

@@ -9,7 +9,7 @@ still counts as touching.
 Whether solid and cube meet is decided to rounding. At a distance, corners and edges count up to the
 root of three times `slack`, and ellipsoids up to 1.3 times, where their least radius of curvature
 (least semi-axis squared over the greatest) is at least `slack`; thinner ones err on the side of
-touching. A GPU runs the same functions (`lidarsim.gpu.translate`).
+touching.
 """
 
 import math
@@ -35,9 +35,7 @@ def _square(v):
 @kernel
 def moved(point, rows, n, t):
     """A point moved by `t` times row n."""
-    # of a tuple with a name, Warp makes a vector
-    there = (point[0] + t * rows[n, 0], point[1] + t * rows[n, 1], point[2] + t * rows[n, 2])
-    return there
+    return point[0] + t * rows[n, 0], point[1] + t * rows[n, 1], point[2] + t * rows[n, 2]
 
 
 @kernel

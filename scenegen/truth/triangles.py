@@ -1,5 +1,5 @@
 """Triangles: whether a cube touches one, how far a point is from one, and where a vertical line
-crosses one. A GPU runs the first and `crossing`, too (`lidarsim.gpu.translate`)."""
+crosses one."""
 
 import math
 

@@ -1,6 +1,7 @@
 """What a check is, and what checks are handed at each level of the walk over a dataset: files,
 archives, shards, samples, and the folder. What several checks need is computed here, once."""
 
+import hashlib
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -27,6 +28,9 @@ from scenegen.worlds.place import Place
 from scenegen.worlds.screen import screen
 from scenegen.worlds.world import AnyWorld, archived_world
 
+CONTENT = ("observed", "occupancy", "ranges", "position", "quaternion", "origin")
+"""What a sample's digest covers before its name, `world` and `viewpoint`, in order: written anew
+from docs/format.md."""
 AUDITED_SHARE, LEAST_AUDITED = 0.05, 8
 """Expensive checks look at this share of a shard's samples, and at this many at least."""
 
@@ -260,6 +264,12 @@ class Sample:
     def packed(self) -> dict[str, NDArray[np.uint8]]:
         """The stored grids, eight voxels a byte."""
         return {name: np.packbits(self.fields[name]) for name in ("observed", "occupancy")}
+
+    @cached_property
+    def content(self) -> "hashlib._Hash":
+        """The hash of its `CONTENT`; what goes on hashing takes a copy."""
+        parts = (self.packed.get(name, self.fields[name]).tobytes() for name in CONTENT)
+        return hashlib.sha256(b"".join(parts))
 
     @cached_property
     def scans(self) -> list[Scan]:

@@ -9,10 +9,11 @@ import numpy as np
 
 from scenegen import SPLITS
 from scenegen.dataset import manifest, trust
+from scenegen.dataset.archive import referred
 from scenegen.dataset.rules import stem_of
-from scenegen.dataset.trust import Manifest
+from scenegen.dataset.trust import Entry, Manifest
 from scenegen.errors import DatasetError, printable, raised_as, short
-from scenegen.files import names_in, sha256_in, world_digest
+from scenegen.files import Json, names_in, sha256_in, world_digest
 from scenegen.recipes import find_kind
 from scenegen.verification.check import Check, Shard, SignedFile, Worlds
 from scenegen.verification.report import BrokenError, Ledger, Page
@@ -45,6 +46,7 @@ def read_contract(folder: Path, ledger: Ledger, kind: str | None = None) -> Mani
                 # spelled out now, so that what is wrong with it is found here
                 home.recipe  # noqa: B018
         _check_shards(found, page)
+        _check_sources(found, page)
         contract = found
     return contract
 
@@ -85,17 +87,45 @@ def _check_shards(contract: Manifest, page: Page) -> None:
                 f"{where}: shard files {entry.file}, {entry.worlds} of {split} stand where "
                 f"{stem}.h5, {stem}.worlds.zip are expected",
             )
-            full = (
-                contract.sources
-                or number == len(entries) - 1
-                or entry.samples % contract.recipe.flight.viewpoints == 0
-            )
-            page.expect(
-                full, f"{where}: {entry.file} holds {entry.samples} samples: a flight is cut"
-            )
+            _check_size(contract, entry, number == len(entries) - 1, page)
     files = {name for name in names_in(contract.folder) if name.endswith((".h5", ".zip"))}
     stray = printable(", ".join(sorted(files - contract.files.keys())[:3]))
     page.expect(not stray, f"{stray}: in the folder, but {where} does not list it")
+
+
+def _check_sources(contract: Manifest, page: Page) -> None:
+    """Whether the manifest of a dataset that has `sources` says that in which all agree, and of
+    the rest that they do not."""
+    disagreeing: Json = {"kind": "several", "engine": "several", "seed": None, "rescan": None}
+    disagreeing |= {"tables": {}, "software": {}}
+    for name, instead in disagreeing.items():
+        first, *others = (getattr(home, name) for home in contract.homes)
+        expected = first if all(other == first for other in others) else instead
+        page.expect(
+            getattr(contract, name) == expected,
+            f"{manifest.NAME}: {'recipe' if name == 'tables' else name} = "
+            f"{short(getattr(contract, name))}: expected {short(expected)}, as its sources say",
+        )
+
+
+def _check_size(contract: Manifest, entry: Entry, is_last: bool, page: Page) -> None:
+    """Whether a shard holds as many samples as the manifest says: whole flights, unless it is the
+    last of its split; and all shards but that one alike, unless they were merged or taken."""
+    where, most = manifest.NAME, contract.shard_samples
+    each = contract.home(entry).recipe.flight.viewpoints
+    if contract.sources:
+        most = max(most, each)
+    else:
+        page.expect(
+            is_last or entry.samples % each == 0,
+            f"{where}: {entry.file} holds {entry.samples} samples: a flight is cut",
+        )
+        most = max(most // each, 1) * each
+    page.expect(
+        entry.samples <= most and (is_last or contract.sources or entry.samples == most),
+        f"{where}: {entry.file} holds {entry.samples} samples, expected {most} with "
+        f"shard_samples = {contract.shard_samples}",
+    )
 
 
 def _written_for_these_parameters(shard: Shard, page: Page) -> None:
@@ -165,6 +195,17 @@ def _worlds_from_files(worlds: Worlds, page: Page) -> None:
         )
 
 
+def _nothing_besides(worlds: Worlds, page: Page) -> None:
+    used = {name for it in worlds.documents.values() for name in referred(it, worlds.assets)}
+    stray = printable(", ".join(sorted(worlds.assets.keys() - used)[:3]))
+    page.expect(not stray, f"{worlds.task.entry.worlds}: no world in it refers to {stray}")
+
+
+def _look_at_archive(worlds: Worlds, page: Page) -> None:
+    _worlds_from_files(worlds, page)
+    _nothing_besides(worlds, page)
+
+
 def _worlds_of_samples(shard: Shard, page: Page) -> None:
     entry = shard.task.entry
     found = np.unique(shard.file.column("world")).tolist()
@@ -183,7 +224,7 @@ def _spans(numbers: Sequence[int]) -> str:
     return f"{numbers[0]} to {numbers[-1]} ({len(numbers)})" if numbers else "none"
 
 
-ARCHIVES = Check(name="archives", quick=True, archive=_worlds_from_files, shard=_worlds_of_samples)
+ARCHIVES = Check(name="archives", quick=True, archive=_look_at_archive, shard=_worlds_of_samples)
 """The walk over a shard adds the faults of an archive that cannot be read."""
 
 CHECKS = (MANIFEST, EXAMINED, CHECKSUMS, LAYOUT, ARCHIVES)

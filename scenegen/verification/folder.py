@@ -37,11 +37,12 @@ from scenegen.verification.report import BrokenError, Ledger, Report
 from scenegen.verification.splits import CHECKS as BETWEEN_SPLITS
 from scenegen.verification.splits import MOST_TWINS
 from scenegen.verification.stored import CHECKS as STORED
+from scenegen.verification.viewpoints import CHECKS as OF_VIEWPOINTS
 from scenegen.worlds.world import quiet_mujoco
 
 CHECKS = tuple(
     sorted(
-        (*OF_FILES, *STORED, *BETWEEN_SPLITS, *REPEATED),
+        (*OF_FILES, *STORED, *OF_VIEWPOINTS, *BETWEEN_SPLITS, *REPEATED),
         key=lambda check: not check.quick,
     )
 )

@@ -94,8 +94,11 @@ def why_other(contract: Manifest) -> str:
     """Why what is made again here need not have the dataset's bits; empty where it must."""
     if contract.generator != GENERATOR:
         return f"made by generator {contract.generator}, here is generator {GENERATOR}"
-    differing = ", ".join(differences(dict(contract.software), software(), ("there", "here")))
-    return f"made with other software: {differing}" if differing else ""
+    differing = differences(dict(contract.software), software(), ("there", "here"))
+    there, here = contract.tables.get("version", 0), contract.recipe.version
+    if contract.drawn and there != here:
+        differing.append(f"recipe.version is {there} there, {here} here")
+    return f"made with other software: {', '.join(differing)}" if differing else ""
 
 
 def _cast_again(sample: Sample, page: Page) -> None:
@@ -103,7 +106,7 @@ def _cast_again(sample: Sample, page: Page) -> None:
         return
     lidar, scans = sample.contract.lidar, sample.scans
     if sample.contract.noise is not None:
-        if why := why_not_scanned(sample.contract) or why_other(sample.contract):
+        if why := why_not_scanned(sample.contract):
             page.skipped = f"the noise cannot be made again, {why}"
             return
         scans = _scanned_again(sample, world, page)
@@ -141,7 +144,7 @@ def _effort(world: AnyWorld, max_range_m: float) -> int:
 
 def _scanned_again(sample: Sample, world: AnyWorld, page: Page) -> list[Scan]:
     """The clean scans of a noisy sample by the dataset's own engine; with noise, they must be the
-    stored ones. Raises BrokenError."""
+    stored ones, where the same software made these. Raises BrokenError."""
     task, contract = sample.shard.task, sample.contract
     engine = world.caster(ENGINES.find(contract.engine).of)  # one of ours
     unit, view = divmod(sample.shard.places[sample.row], contract.recipe.flight.viewpoints)
@@ -154,10 +157,11 @@ def _scanned_again(sample: Sample, world: AnyWorld, page: Page) -> list[Scan]:
         np.count_nonzero(again.ranges.view("<u4") != stored.ranges.view("<u4"))
         for again, stored in zip(seen, sample.scans, strict=True)
     )
-    page.expect(
-        not wrong,
-        f"{sample.where}: {wrong} ranges are not what its noise {contract.recipe.noise} gives",
-    )
+    if wrong and (why := why_other(contract)):
+        page.differ(why, samples=1)
+    elif wrong:
+        noise = contract.recipe.noise
+        page.fault(f"{sample.where}: {wrong} ranges are not what its noise {noise} gives")
     return clean
 
 
@@ -177,8 +181,9 @@ def _fly_again(shard: Shard, page: Page) -> None:
         _compare_flight(shard, *flights[int(rng.permutation(len(flights))[0])], page)
     except BrokenError as error:
         page.fault(str(error))
-    if why := why_other(task.contract):
-        page.excuse(f"not comparable, {why}: what comes out otherwise here is no fault")
+    if page.faults and (why := why_other(task.contract)):
+        page.faults, page.told = 0, []
+        page.differ(why, flights=1)
 
 
 def _flights(shard: Shard) -> list[tuple[int, Views]]:

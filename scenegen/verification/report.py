@@ -32,6 +32,9 @@ class Outcome:
     """Time that the check took, in all processes together."""
     counts: dict[str, int]
     """How much was examined, by kind: samples, files, rays, …"""
+    differing: dict[str, int]
+    """How many flights or samples come out otherwise here, of a dataset that other software made:
+    no fault, for the bits may depend on it, and no proof either."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,9 +57,15 @@ class Report:
         """Names of the checks that failed."""
         return tuple(check.name for check in self.checks if not check.ok)
 
+    @property
+    def differing(self) -> tuple[str, ...]:
+        """Names of the checks in which something comes out otherwise than other software made
+        it."""
+        return tuple(check.name for check in self.checks if check.differing)
+
     def to_json(self) -> Json:
         """The report as plain values."""
-        found = {"ok": self.ok, "failed": list(self.failed)}
+        found = {"ok": self.ok, "failed": list(self.failed), "differing": list(self.differing)}
         return {**vars(self), **found, "checks": [vars(check) for check in self.checks]}
 
 
@@ -67,6 +76,9 @@ class Page:
     faults: int = 0
     told: list[str] = field(default_factory=list)
     skipped: str = ""
+    why: str = ""
+    """Why what is `differing` need not have the dataset's bits."""
+    differing: Counter[str] = field(default_factory=Counter)
     seconds: float = 0.0
     counts: Counter[str] = field(default_factory=Counter)
     notes: dict[str, float] = field(default_factory=dict)
@@ -86,12 +98,10 @@ class Page:
             self.fault(line)
         return bool(holds)
 
-    def excuse(self, why: str) -> None:
-        """Make the faults a reason to skip the check; how many they are is still told."""
-        if self.faults:
-            self.skipped = why
-            self.counts["come out otherwise"] += self.faults
-            self.faults, self.told = 0, []
+    def differ(self, why: str, **counts: int) -> None:
+        """Write down how much comes out otherwise, which is no fault for the reason `why`."""
+        self.why = self.why or why
+        self.differing.update(counts)
 
     def count(self, **counts: int) -> None:
         """Add to what was examined."""
@@ -107,6 +117,7 @@ class Page:
         self.faults += other.faults
         self.told = (self.told + other.told)[:TOLD]
         self.skipped = self.skipped or other.skipped
+        self.differ(other.why, **other.differing)
         self.seconds += other.seconds
         self.counts.update(other.counts)
         self.kept += other.kept
@@ -121,9 +132,9 @@ class Page:
         parts = [plural(count, what) for what, count in self.counts.items()]
         parts += [f"{what} {value:.2g}" for what, value in self.notes.items()]
         examined = ", ".join(parts)
-        if self.skipped and examined:
-            return f"{self.skipped} ({examined})"
-        return self.skipped or examined
+        otherwise = " and ".join(f"{count} {what}" for what, count in self.differing.items())
+        reason = f"{otherwise} come out otherwise here, {self.why}" if otherwise else self.skipped
+        return f"{reason} ({examined})" if reason and examined else reason or examined
 
     def outcome(self, check: str) -> Outcome:
         """What the report says of the check of that name."""
@@ -131,10 +142,11 @@ class Page:
             name=check,
             ok=not self.faults,
             detail=self.detail(),
-            skipped=bool(self.skipped) and not self.faults,
+            skipped=bool(self.skipped) and not self.faults and not self.differing,
             faults=self.faults,
             seconds=self.seconds,
             counts=dict(self.counts),
+            differing=dict(self.differing),
         )
 
 

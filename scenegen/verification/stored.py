@@ -25,17 +25,6 @@ from scenegen.verification.report import Page
 from scenegen.worlds.labels import label_fields
 from scenegen.worlds.place import Place
 
-DIGESTED = (
-    "observed",
-    "occupancy",
-    "ranges",
-    "position",
-    "quaternion",
-    "origin",
-    "world",
-    "viewpoint",
-)
-"""What a sample's digest covers, in order: written anew from docs/format.md."""
 EARLIER = ("earlier_ranges", "earlier_position", "earlier_quaternion")
 """What the digest of one of several scans covers besides, after the digest without."""
 LABELLED = ("return_geom", "return_class", "voxel_geom", "voxel_class")
@@ -48,8 +37,10 @@ LEAN = 1e-9
 
 def _own_digest(sample: Sample, page: Page) -> None:
     page.count(samples=1)
-    content = b"".join(sample.packed.get(name, sample.fields[name]).tobytes() for name in DIGESTED)
-    digest = hashlib.sha256(content).digest()
+    whole = sample.content.copy()
+    for name in ("world", "viewpoint"):
+        whole.update(sample.fields[name].tobytes())
+    digest = whole.digest()
     for names in (EARLIER, LABELLED, KNOWN):
         if names[0] in sample.fields:
             digest = hashlib.sha256(
@@ -138,10 +129,11 @@ def _centred(sample: Sample, page: Page) -> None:
         page.expect(
             abs(length - 1) <= 1e-9, f"{sample.where}: quaternion has length {length:g}, expected 1"
         )
-    if mapping.tilt_mps:
+    if mapping.tilt_mps or sample.contract.rescan is None:  # which keeps the poses that are there
+        most_deg = mapping.most_tilt_deg if mapping.tilt_mps else 0.0
         upright = 1 - 2 * (attitudes[:, 1] ** 2 + attitudes[:, 2] ** 2)
-        most = f"mapping.most_tilt_deg = {mapping.most_tilt_deg:g}"
-        lawful = bool((upright >= math.cos(math.radians(mapping.most_tilt_deg)) - LEAN).all())
+        most = f"mapping.most_tilt_deg = {most_deg:g}" if most_deg else "0 degrees, without a tilt"
+        lawful = bool((upright >= math.cos(math.radians(most_deg)) - LEAN).all())
         page.expect(lawful, f"{sample.where}: a body leans by more than {most}")
     with raised_as(BrokenError, f"{sample.where}: "):
         # the sensor's own place is enough where the map is about it
@@ -164,6 +156,9 @@ def _lawful(sample: Sample, page: Page) -> None:
         ranges = sample.fields.get(name, np.empty(0, np.float32))
         wrong += int((~(ranges >= 0) | ((ranges > most) & np.isfinite(ranges))).sum())
     page.expect(not wrong, f"{sample.where}: {wrong} ranges are not from 0 to {most:g} m, or inf")
+    if "known" in sample.fields:
+        unknown = np.count_nonzero(sample.fields["occupancy"] & ~sample.fields["known"])
+        page.expect(not unknown, f"{sample.where}: {unknown} voxels are occupied and not known")
     noise = sample.contract.noise
     if noise is None:
         stray = np.bitwise_count(sample.packed["observed"] & ~sample.packed["occupancy"]).sum()

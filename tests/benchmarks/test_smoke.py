@@ -39,14 +39,13 @@ generalisation --stream {BENCHMARKS}/broad/{{}}.toml --out out → without maze:
 generate  → N samples a second and core
 generate  → everything else
 generate  → --compact: N samples in N s .* N s of proc
-gpu       → pillar +N M rays/s +N samples/s
-gpu       → \b(0) values differ
 inference → occ +stem 2:  eager +N ms
 inference → openvino +N ms
 intervals → success, geometric +N +N +N
 kinds --difficulty easy hard → `geometric` \| N \| N% · N% \| N% · N \|
 kinds --difficulty easy hard → `maze` \| N · N \| N · N \| N · N; N% · N%
 mutants   → N of 1 killed
+networks  → `columns` \| 2 \| N
 odometry  → {ODOMETRY}
 peers     → `pillar` \| N .* \| N
 peers     → `SSC.et` \| N M \| 0.92 M \| N M \| N \| N
@@ -72,14 +71,14 @@ SCRIPTS = {}
 for _command, _figure in rows(FIGURES):
     SCRIPTS.setdefault(_command, []).append(_figure)
 LEARNED = {
-    *("costs", "elsewhere", "generalisation", "inference"),
+    *("costs", "elsewhere", "generalisation", "inference", "networks"),
     *("anywhere", "peers", "real", "training"),
 }
 """These import torch, which takes seconds: they run in this process, which has done so for other
 tests, and so do the commands that they run."""
 DEAR = LEARNED | {
     *("extras", "fly", "folders", "generate", "rehearsal"),
-    *("gpu", "mutants", "study", "verify"),
+    *("mutants", "study", "verify"),
 }
 """These take some seconds."""
 

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from scenegen.model.study.claims import PATIENCE, judged, to_markdown, waited
+from benchmarks.paper.claims import PATIENCE, judged, to_markdown, waited
+from scenegen.model.evaluation.paper import TUNED
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -18,6 +19,7 @@ def study():
 
 def test_the_page_is_made_of_the_figures(study):
     assert (DOCS / "results" / "study.md").read_text(encoding="utf-8") == to_markdown(study)
+    assert TUNED in to_markdown(study)
 
 
 def test_every_claim_has_what_its_verdict_rests_on(study):
@@ -46,3 +48,21 @@ def test_verdicts_follow_from_the_figures_of_the_file(study):
         for one, other in zip(again[part], study[part], strict=True):
             assert one["verdict"] == other["verdict"]
             assert one["low"] == pytest.approx(other["low"], abs=1e-4)
+
+
+def test_the_readme_compares_networks_after_equal_training(study):
+    """Its figures are the means over seeds of runs that saw as many maps."""
+    page = (DOCS.parent / "README.md").read_text(encoding="utf-8")
+    part = page.split("## Networks after equal training")[1].split("\n## ")[0]
+    rows = [line.strip("|").split("|") for line in part.splitlines() if line.startswith("| ")]
+    methods = ("columns", "proposed-1", "proposed", "occ", "tudf")
+    for (_, _, weight, *cells), method in zip(rows[1:], methods, strict=True):
+        runs = [f"{method}-s{seed}" for seed in (0, 1)]
+        assert {study["runs"][run]["maps"] for run in runs} == {20000}
+        if "–" not in weight:
+            learned = {study["runs"][run]["settings"]["loss"]["occupancy"] for run in runs}
+            assert learned == {float(weight.split(",")[0])}
+        for metric, cell in zip(("iou", "success"), cells, strict=True):
+            for kind, figure in zip(("geometric", "pillar"), cell.split("·"), strict=True):
+                means = [study["means"][kind][run][metric]["mean"] for run in runs]
+                assert float(figure) == pytest.approx(sum(means) / 2, abs=0.00051)

@@ -26,7 +26,7 @@ GRID = GridSpec(shape=(16, 16, 8), voxel_m=0.1, truncation_m=1.0)
 @pytest.fixture
 def saved(tmp_path):
     path = tmp_path / "dual.safetensors"
-    return path, saved_network(path, GRID, {"seed": 3}, variant="dual")
+    return path, saved_network(path, GRID, {"seed": 3}, variant="proposed")
 
 
 def test_what_is_saved_comes_back(saved):
@@ -68,8 +68,8 @@ HEADERS = """
 {"version": 99}                                    → this scenegen reads scenegen-network 1
 {"network": {"variant": "occ", "width": 4}}        → do not fit
 {"network": {"depth": 3}}                          → do not fit
-{"network": {"variant": "dual", "width": 1024}}    → width = 1024: expected a whole number
-{"network": {"variant": "dual", "width": "4"}}     → width = '4': expected a whole number
+{"network": {"variant": "proposed", "width": 1024}}    → width = 1024: expected a whole number
+{"network": {"variant": "proposed", "width": "4"}}     → width = '4': expected a whole number
 {"grid": {"shape": [4096, 4096, 4096], "voxel_m": 0.1, "truncation_m": 1}} → voxels at most
 {"grid": {"shape": [1e400, 8, 8], "voxel_m": 0.1, "truncation_m": 1}}      → do not fit
 {"grid": null}                                     → do not fit

@@ -38,7 +38,7 @@ def export(folder, variant, inputs):
 
 @pytest.fixture(
     scope="module",
-    params=["flat observed free", pytest.param("columns observed", marks=pytest.mark.slow)],
+    params=["columns observed free"],
 )
 def exported(once, request):
     """Such an ONNX file, and its network."""
@@ -84,7 +84,7 @@ def test_what_is_exported_is_the_network(variant):
     network = Network(NetworkConfig(variant=variant, width=4, height=GRID.shape[2]))
     network.train()(seen(2))  # whose statistics differ from head to head
     maps, traced = seen(2)["observed"], Traced(network).eval()
-    assert (traced.heads is not None) == (variant in ("shared", "columns", "flat"))
+    assert (traced.heads is not None) == (variant == "columns")
     with torch.no_grad():
         found, expected = traced(maps), network({"observed": maps})
     for one, other in zip(
@@ -120,7 +120,7 @@ def changed(path, change):
 
 def swap_outputs(model):
     """The two outputs in the other order, under their own names; an unused input."""
-    model.graph.input.add(name="ahead", type=model.graph.input[0].type)
+    model.graph.input.add(name="distance", type=model.graph.input[0].type)
     inputs = [one.name for one in model.graph.input]
     set_header(network={"variant": "columns", "height": 8, "inputs": inputs})(model)
     first, second = model.graph.output
@@ -133,7 +133,7 @@ def test_inputs_and_outputs_go_by_name_and_not_by_place(exported, tmp_path, runt
     path = tmp_path / "swapped.onnx"
     path.write_bytes(changed(exported[0], swap_outputs))
     maps = seen(1)
-    maps["ahead"] = maps["free"]
+    maps["distance"] = maps["free"]
     straight, swapped = (
         load_onnx(one, runtime=runtime, threads=1)[0](maps) for one in (exported[0], path)
     )
@@ -199,7 +199,7 @@ def point_outside(model):
         (loop, "has loops or parts elsewhere"),
         (point_outside, "has loops or parts elsewhere"),
         (set_header(network=None), "its header is damaged"),
-        (set_header(network={"width": 4, "inputs": ["ahead"]}), "cannot run it"),
+        (set_header(network={"width": 4, "inputs": ["distance"]}), "cannot run it"),
         (set_header(grid={"shape": [8, 8]}), "its header is damaged"),
         (
             lambda model: setattr(model.metadata_props[-1], "value", "[" * 100_000),

@@ -15,7 +15,7 @@ from scenegen.dataset.build import build
 from scenegen.dataset.read import Dataset
 from scenegen.display.look import looks
 from scenegen.draw import draw_unit
-from scenegen.sample import GROUPS
+from scenegen.sample import FIELDS
 from scenegen.share.regenerate import closure
 from scenegen.share.stage import Request
 from scenegen.source import DrawnWorlds
@@ -28,8 +28,9 @@ def drawn_unit(recipe, unit=0, *, seed=0, split="train"):
 
 
 def same(one, other):
-    """Whether two samples have the same fields, bit for bit and of the same type."""
-    pairs = ((np.asarray(getattr(it, name)) for it in (one, other)) for name in GROUPS[""])
+    """Whether two samples have the same fields, of whatever group, bit for bit and of the same
+    type."""
+    pairs = ((np.asarray(getattr(it, name)) for it in (one, other)) for name in FIELDS)
     return all((a.dtype, a.shape, a.tobytes()) == (b.dtype, b.shape, b.tobytes()) for a, b in pairs)
 
 

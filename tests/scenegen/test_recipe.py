@@ -4,6 +4,7 @@ import dataclasses
 import itertools
 import json
 import random
+import re
 import tomllib
 from collections import Counter
 from pathlib import Path
@@ -20,6 +21,7 @@ from scenegen.recipes import kind_names
 from scenegen.source import DrawnWorlds
 from scenegen.verification.files import read_contract
 from scenegen.verification.report import Ledger
+from tests.command_line import rows
 
 NASTY = """nasty = [
 0, 1, -1, 2.5, 1e-300, 1e-7, 1e9, 1e308, 1000000000000000000000000000000, nan, inf, -inf, true,
@@ -165,3 +167,20 @@ def test_a_difficulty_is_the_kinds_own_or_refused(tmp_path):
             make_recipe(kind, {"difficulty": level}, where="test")
     with pytest.raises(RecipeError, match="has difficulty, and --difficulty is given beside it"):
         read_recipe(path, difficulty="easy")
+
+
+CLUTTER = """
+hard → [0.02, 0.08]  → 1 of the values of the easy preset and 0 of that one (density)
+easy → [0.05, 0.5]   → 1 of the values of the medium preset and 0 of that one (density)
+hard → [0.02, 0.081] →
+"""
+
+
+@pytest.mark.parametrize(("level", "density", "told"), rows(CLUTTER))
+def test_a_difficulty_whose_values_are_anothers_is_refused(level, density, told):
+    tables = {"difficulty": level, "world": {"density": json.loads(density)}}
+    if told:
+        with pytest.raises(RecipeError, match=re.escape(told)):
+            make_recipe("clutter", tables, where="test")
+    else:
+        assert make_recipe("clutter", tables, where="test").difficulty == level

@@ -132,10 +132,9 @@ def plan_trial(
 
     The careful planner keeps to what it knows: A* asks that edges be free, too; the start's own
     voxel is, for a robot is there; and where the refined path meets an occupied voxel that A*'s
-    does not, A*'s stands. With bounds of a risk (`Prediction.low`), a voxel is occupied where its
-    bound is 0, and the bounds are the distances. With the `risk` (*grid.shape) of meeting
-    something, a probability, A* weighs ways by it, and its path stands, too, where the refined one
-    meets another voxel that is rather occupied than not.
+    does not, A*'s stands. With the `risk` (*grid.shape) of meeting something, a probability, A*
+    weighs ways by it, and its path stands, too, where the refined one meets another voxel that is
+    rather occupied than not.
     """
     plan = plan_path(occupied, goal, grid, config, risk)
     if plan.waypoints is None:

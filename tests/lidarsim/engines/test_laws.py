@@ -1,7 +1,5 @@
 """What every engine keeps: poses do not see each other, and two engines see the same world."""
 
-from importlib.util import find_spec
-
 import mujoco
 import numpy as np
 import pytest
@@ -9,11 +7,8 @@ from numpy.testing import assert_array_equal
 
 from lidarsim import Lidar, Pose, cast
 from lidarsim.engines import ENGINES
-from lidarsim.gpu import WarpEngine
-from lidarsim.solids.model import solids_of
 from tests.lidarsim.reference import unit
 
-needs_warp = pytest.mark.skipif(not find_spec("warp"), reason="NVIDIA Warp is not installed")
 HFIELD = """<hfield name="h" nrow="3" ncol="4" size="2 1.5 1 0.3"
  elevation="0 1 0 .4 .2 .8 .1 .9 0 .3 .7 .5"/>"""
 MESHES = """<mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/>
@@ -28,8 +23,6 @@ SIZES = {
 SIZES |= {"box": "0.3 0.8 0.5"}
 DATA = {"hfield": 'hfield="h"', "mesh": 'mesh="m"'}
 PROCESSORS = "mujoco", "analytic"
-"""Engines that run anywhere; Warp's does so in its mode without a GPU."""
-EVERY = *PROCESSORS, pytest.param("warp", marks=needs_warp)
 
 
 def model_of(*geoms):
@@ -75,12 +68,10 @@ def from_mujoco(model, data, origin, rays, reach=np.inf, without=-1):
 
 
 def made(name, model):
-    if name == "warp":
-        return WarpEngine(solids_of(model), device="cpu")
     return ENGINES.find(name).of(model)
 
 
-@pytest.mark.parametrize("name", EVERY)
+@pytest.mark.parametrize("name", PROCESSORS)
 def test_poses_together_give_what_each_gives_alone(name, rng):
     engine = made(name, random_model(rng))
     origins, rays = random_rays(rng, 5, 3, 40)
@@ -94,7 +85,7 @@ def test_poses_together_give_what_each_gives_alone(name, rng):
     assert_array_equal(engine.cast(origins[order], rays[order], 12.0), together[order])
 
 
-@pytest.mark.parametrize("name", EVERY)
+@pytest.mark.parametrize("name", PROCESSORS)
 def test_any_shape_and_memory_layout_of_rays_will_do(name, rng):
     engine = made(name, random_model(rng))
     origins, rays = random_rays(rng, 2, 60)
@@ -146,7 +137,7 @@ BAD_RAYS = [
 ]
 
 
-@pytest.mark.parametrize("name", EVERY)
+@pytest.mark.parametrize("name", PROCESSORS)
 def test_what_is_no_direction_and_no_place_meets_nothing_and_harms_no_other_ray(name):
     engine = made(
         name, model_of('type="sphere" size="1"', 'type="plane" size="0 0 1" pos="0 0 -3"')
@@ -161,7 +152,7 @@ def test_what_is_no_direction_and_no_place_meets_nothing_and_harms_no_other_ray(
     assert np.isinf(made(name, model_of()).cast(np.zeros((1, 3)), [[good, down]], 10.0)).all()
 
 
-@pytest.mark.parametrize("name", EVERY)
+@pytest.mark.parametrize("name", PROCESSORS)
 def test_rays_of_other_shapes_and_no_range_are_refused(name):
     """A kernel would read beyond them, or leave ranges as the memory was."""
     engine = made(name, model_of())

@@ -98,5 +98,5 @@ def test_ranks_that_bring_nothing_together_are_refused(here, capsys, monkeypatch
     words = (*everywhere.BENCH, "-o", "ranks", "--quiet")
     for code, _, complaint in as_ranks(capsys, monkeypatch, *words):
         assert (code, complaint.count("\n")) == (1, 1)
-        assert "give --on ray or --on slurm" in complaint
+        assert "give --on ray" in complaint
     assert not (here / "ranks").exists()

@@ -110,7 +110,7 @@ def test_bad_use_ends_in_one_line(here, capsys):
 
 
 WITHOUT = (
-    "import sys; sys.modules |= dict.fromkeys(('torch', 'rosbags', 'gymnasium', 'lerobot'));"
+    "import sys; sys.modules |= dict.fromkeys(('torch', 'rosbags', 'gymnasium'));"
     "from scenegen.__main__ import main; main()"
 )
 
@@ -120,13 +120,11 @@ def test_without_an_extra_it_says_what_to_install(tmp_path, shell):
     (tmp_path / "without.py").write_text(WITHOUT)
     (tmp_path / "my_command.py").write_text("import scenegen\nscenegen.Flight")
     (tmp_path / "drive.mcap").touch()
-    (tmp_path / "none.json").write_text('{"format": 1, "robot": "", "suite": "", "courses": []}')
     for extra, *words in (
         ("train", "train", "anything"),
         ("train", "bench", "data", "--weights", "proposed"),
         ("mcap", "ingest", "drive.mcap"),
         ("fly", "my_command:fly"),
-        ("lerobot", "convert", "none.json", "--to", "lerobot", "--quiet"),
     ):
         ended = shell.python("without.py", *words, here=tmp_path)
         assert not ended.out

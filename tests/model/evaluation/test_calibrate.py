@@ -32,52 +32,36 @@ def weights(dataset, tmp_path, monkeypatch):
 
 def test_a_file_carries_its_calibration(dataset, weights, tmp_path):
     before = load_network(weights)[0].state_dict()
-    sure, done = tmp_path / "sure.safetensors", {"split": "test", "trials": 1}
+    sure, done = tmp_path / "sure.safetensors", {"split": "test"}
     found = calibrate(weights, [dataset.folder], sure, **done)
-    network, grid, about = load_network(sure)
-    assert Calibration.of(about, grid) == found
+    network, _, about = load_network(sure)
+    assert Calibration.of(about) == found
     assert {name: value for name, value in about.items() if name != KEY} == TRAINED
     assert all(torch.equal(value, before[name]) for name, value in network.state_dict().items())
     assert (found.worlds, found.class_weight) == (3, 5.0)
     assert found.datasets == (str(dataset.manifest.digest),)
-    assert found.risks == (0.5, 0.4, 0.3)
     again = calibrate(sure, [dataset.folder], weights, **done, execute=Backwards("", 1))
     assert again == found  # it depends neither on what was there nor on where it is done
 
     completer = Completer.from_pretrained(sure)
     samples = dataset.split("test")
     said = completer(samples[0].observed)
-    low, known = said.low(0.3), samples[0].tudf
-    assert (known >= low - 1e-4).mean() > 0.6
-    assert (said.low(0.5) >= low).all()
     away = predict_split(completer, dataset.folder, "test", tmp_path / "p")
     assert away == [completer(one.observed).away for one in samples]
     assert max(away) < 1  # it was calibrated on these
     with h5py.File(tmp_path / "p/test-00000.h5") as file:
-        assert "tudf_low" not in file  # three worlds promise no .95
         assert_allclose(file["probability"][0], said.probability, atol=1e-5)
 
 
-@pytest.mark.slow
-def test_bounds_of_others_are_a_row_of_the_study(dataset, weights, tmp_path):
+def test_stored_probabilities_are_judged(dataset, weights, tmp_path):
     completer = Completer.from_pretrained(weights)
     predict_split(completer, dataset.folder, "test", tmp_path / "p")
     with h5py.File(tmp_path / "p/test-00000.h5", "a") as file:
-        file["tudf_low"] = 0.5 * np.array([sample.tudf for sample in dataset.split("test")])
-        file.attrs["risk"] = 0.1
+        file["probability"] = np.array([one.occupancy for one in dataset.split("test")], np.float32)
     Predicted(tmp_path / "p").check(dataset, "test")
-    words = ("--predictions", tmp_path / "p", "--study")
-    study = report_of(dataset, tmp_path / "b", *words, names=["truth"])["study"]["pillar"]["p"]
-    (row,) = study["bounds"]["risks"]
-    assert (row["risk"], row["unobserved"]["coverage"]["mean"]) == (0.1, 1.0)
-    (planned,) = (one for one in study["risk"]["settings"] if one["by"] == "risk")
-    # where bounds are true, no path collides
-    assert (planned["value"], planned["collided"]["mean"]) == (0.1, 0.0)
-    for wrong in (0.0, "much", float("nan")):
-        with h5py.File(tmp_path / "p/test-00000.h5", "a") as file:
-            file.attrs["risk"] = wrong
-        with pytest.raises(DatasetError, match="attribute `risk` is"):
-            Predicted(tmp_path / "p").check(dataset, "test")
+    words = ("--predictions", tmp_path / "p", "--reliability")
+    report = report_of(dataset, tmp_path / "b", *words, names=["truth"])
+    assert report["reliability"]["pillar"]["p"]["map"]["calibrated"]["ece"] == 0.0
 
 
 def test_what_cannot_be_calibrated_is_said(dataset, weights, tmp_path, monkeypatch):
@@ -86,7 +70,10 @@ def test_what_cannot_be_calibrated_is_said(dataset, weights, tmp_path, monkeypat
         saved_network(odd, dataset.grid, about)
         with pytest.raises(CheckpointError, match="no class weight above 0"):
             calibrate(odd, [dataset.folder], weights)
-    saved_network(odd, dataset.grid, TRAINED | {KEY: {"worlds": -1}})
+    saved_network(odd, dataset.grid, TRAINED, variant="tudf")
+    with pytest.raises(CheckpointError, match="predicts no probabilities"):
+        calibrate(odd, [dataset.folder], weights)
+    saved_network(odd, dataset.grid, TRAINED | {KEY: {"worlds": -1, "temperature": 1.0}})
     with pytest.raises(CheckpointError, match="its calibration is damaged"):
         Completer.from_pretrained(odd)
     with pytest.raises(DatasetError, match="one dataset is given twice"):

@@ -1,6 +1,7 @@
 """The report as a page: what it says, which is best, and that nothing of it is a script."""
 
 import dataclasses
+import html
 
 import pytest
 
@@ -9,7 +10,8 @@ from scenegen.model.completion.unlearned import Returns
 from scenegen.model.config import BenchConfig
 from scenegen.model.evaluation.methods import Completed, Truth
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
-from scenegen.model.evaluation.report import PAPER, best, build_report, to_html
+from scenegen.model.evaluation.paper import PAPER, TUNED
+from scenegen.model.evaluation.report import best, build_report, to_html, to_markdown
 from scenegen.model.evaluation.run import bench
 from scenegen.model.evaluation.shown import draw_charts, draw_failures, failing
 from tests.model.evaluation.test_bench import Nothing
@@ -59,6 +61,17 @@ def test_the_page_holds_both_tables_the_paper_s_and_pictures_and_runs_nothing(
                     assert f"{row[metric]['mean']:.3f}" in said
     for row in (row for part in PAPER.values() for row in part[result.kind].values()):
         assert all(f"{mean:.3f}" in said for mean, *_ in row.values())
+
+
+def test_the_papers_figures_stand_beside_how_presets_were_tuned(measured):
+    """Whatever prints them; a kind that the paper does not have says nothing of it."""
+    report = build_report([measured[0]], seed=0, about={})
+    assert to_markdown(report).count(TUNED) == 1
+    assert html.unescape(to_html(report, {})).count(TUNED) == 1
+    parts = ("reconstruction", "planning", "tests", "datasets")
+    other = {part: {"rooms": figures} for part in parts for figures in report[part].values()}
+    _, body = to_html(other, {}).split("</style>")
+    assert "paper" not in to_markdown(other) + body
 
 
 def test_the_best_is_the_best_as_printed_and_never_the_truth():

@@ -90,8 +90,8 @@ def test_datasets_that_do_not_go_together_are_refused(folders, tmp_path):
 def test_sensors_and_mappings_may_differ_and_are_remembered(folders, tmp_path):
     few = make_dataset(tmp_path / "sensor", lidar={"rows": 4, "columns": 30})
     fused = make_dataset(tmp_path / "fused", mapping={"scans": 2})
-    maps = maps_of([folders[0], few, fused], ("observed", "ahead"))
-    assert {tuple(maps[n]["ahead"].shape) for n in range(len(maps))} == {maps.grid.shape}
+    maps = maps_of([folders[0], few, fused], ("observed", "distance"))
+    assert {tuple(maps[n]["distance"].shape) for n in range(len(maps))} == {maps.grid.shape}
     about = origin(maps, "", torch.device("cpu"))
     assert [one["lidar"]["rows"] for one in about["also"]] == [4, about["lidar"]["rows"]]
     for dataset in map(Dataset, (folders[0], few, fused)):

@@ -169,7 +169,7 @@ def test_one_dataset_holds_several_sensors_noises_and_scan_counts(tmp_path, caps
         assert (sample.earlier_ranges is not None) == (home.mapping.scans == 2)
         fused = fuse(sample.scans()[::-1], sample.grid, sample.origin, home.mapping)
         assert np.array_equal(sample.free, fused.free)
-    maps = Maps([SplitSamples(found, "train")], "train", ("observed", "occluded"))
+    maps = Maps([SplitSamples(found, "train")], "train", ("observed", "distance"))
     assert {len(maps[n]) for n in range(len(maps))} == {4}  # two inputs, occupancy and distances
     assert len(set(maps.settings)) == 3
     assert verify(found.folder).ok

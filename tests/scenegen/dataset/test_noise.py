@@ -125,6 +125,21 @@ def test_what_the_noise_cannot_have_done_is_found(noisy, tmp_path):
     assert "laws" in failed(folder, quick=True)
 
 
+def test_noise_that_other_software_made_is_made_again_all_the_same(noisy, tmp_path):
+    folder = forge.copy(noisy, tmp_path / "d")
+    software = manifest.read(folder)["software"] | {"numpy": "0.1"}
+    forge.sign(folder, software=software)
+    report = verify(folder)
+    assert (report.ok, report.differing) == (True, ())
+    assert not [check for check in report.checks if check.skipped]
+    weaker = {"stages": SPELLED.replace("0.02", "0.019"), "bound_m": 0.076}
+    forge.sign(folder, software=software, noise=weaker)
+    differing = {check.name: check.differing for check in verify(folder).checks}
+    examined = sum(COUNTS.values())  # of the small shards, all samples are
+    assert differing["rays"] == {"samples": examined}
+    assert differing["regenerated"]["flights"] > 0
+
+
 WRONG = r"""
 version       → 1                     → version = 1: expected 1.2 with noise
 noise         → null                  → version = 1.2: expected 1 with nothing of a minor version
@@ -133,6 +148,7 @@ noise.bound_m → -1.0                  → noise.bound_m = -1.0: expected metre
 noise.stages  → "a\nb"                → noise.stages =
 rescan        → {"digest": "x"}       → rescan.digest
 labels        → {"by": "name", "classes": ["nothing"]} → labels: expected exactly where `fields`
+labels        → {"by": "name", "classes": ["box"]} → different names, "nothing" first
 """
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal, assert_equal
+from numpy.testing import assert_allclose, assert_equal
 
 from lidarsim import GridSpec, Lidar
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
@@ -510,57 +510,6 @@ def test_gymnasium_takes_it(monkeypatch):
         scenegen.Flight(periods=11)
     with pytest.raises(ScenegenError, match="did you mean 'forest'"):
         scenegen.Flight("forrest")
-
-
-@pytest.mark.filterwarnings("ignore")
-def test_lerobot_reads_flights_as_the_environment_flies_them(tmp_path):
-    """Every frame is what Gymnasium's environment tells under the recorded commands."""
-    pytest.importorskip("lerobot.datasets", reason="lerobot is not installed")
-    pytest.importorskip("gymnasium")
-    from lerobot.datasets.lerobot_dataset import LeRobotDataset
-
-    import scenegen
-    from scenegen.fly.episodes import write_episodes
-
-    class Homing(Scripted):
-        def act(self, observation):
-            away = observation["goal"] - observation["position"]
-            return [*(1.5 * away / np.linalg.norm(away)), 0.1]
-
-    place = {"world": "pillar", "lidar": "velodyne-vlp-16", "rules": Rules(apart_m=4.0)}
-    courses = [Course(flights=1, seed=seed, **place) for seed in (7, 4)]
-    flown = [fly(course.simulation(0), Homing([])) for course in courses]
-    assert [one.outcome for one in flown] == ["collision", "success"]
-    flights = [(course, [one]) for course, one in zip(courses, flown, strict=True)]
-    kept = Recording(robot="scripted", suite=None, courses=flights)
-    told = write_episodes(kept, tmp_path / "out")
-    data = LeRobotDataset("scenegen/out", root=tmp_path / "out")
-    assert told == {"episodes": data.num_episodes, "frames": len(data)}
-    frames, env = iter(data), scenegen.Flight(**place)
-    for episode, (course, [one]) in enumerate(flights):
-        seen, _ = env.reset(options={"seed": course.seed})
-        for period, command in enumerate(one.commands):
-            parts = [seen[name] for name in ("position", "quaternion", "velocity", "goal")]
-            expected = {
-                "episode_index": episode,
-                "frame_index": period,
-                "timestamp": seen["time_s"][0],
-                "observation.environment_state": np.minimum(seen["ranges"], 100.0).ravel(),
-                "observation.state": np.concatenate(parts),
-                "action": command,
-            }
-            seen, reward, ended, over, about = env.step(command)
-            expected["next.reward"], expected["next.done"] = reward, ended or over
-            expected["next.success"] = about.get("outcome") == "success"
-            frame = next(frames)
-            for name, value in expected.items():
-                assert_array_equal(frame[name], np.float32(value), name)
-        assert ended or over
-    assert next(frames, None) is None
-    flown[0].commands[0] *= 0.5
-    with pytest.raises(DatasetError, match="not as it was recorded"):
-        write_episodes(kept, tmp_path / "other")
-    assert not (tmp_path / "other").exists()
 
 
 def test_a_quadrotor_of_mujocos_tracks_the_kinematic_motion_and_leans_as_its_thrust_takes():

@@ -4,7 +4,6 @@ import marshal
 import socket
 import subprocess
 import sys
-from unittest.mock import Mock
 
 import pytest
 
@@ -122,25 +121,3 @@ def test_a_machine_without_scenegen_says_so():
     assert node == socket.gethostname()
     with pytest.raises(GenerationError, match=rf"No module named 'scenegen'; .* \(on {node}\)"):
         taken(said, node)
-
-
-def test_where_there_is_no_slurm_one_line_says_so(tmp_path, monkeypatch):
-    pytest.importorskip("submitit")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("PATH", ".")
-    with pytest.raises(GenerationError, match="--on slurm: nothing could be submitted"):
-        list(executor("slurm", 1)(abs, [1], lambda: None))
-    tmp_path.rmdir()  # nothing is left there
-
-
-def test_a_job_that_slurm_begins_again_gives_no_result(tmp_path, monkeypatch):
-    """Slurm ends submitit's call, in a task, that has the job queued again before a preemption."""
-    submitit = Mock()
-    submitit.SlurmExecutor().map_array = map
-    monkeypatch.setitem(sys.modules, "submitit", submitit)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("PATH", ".")
-    (tmp_path / "scontrol").symlink_to("/bin/false")
-    tasks = [["scontrol", "requeue", "7_0"]]
-    with pytest.raises(SystemExit):
-        list(executor("slurm", 1)(subprocess.check_call, tasks, lambda: None))

@@ -168,7 +168,8 @@ def test_a_cache_gives_the_same_bits_and_makes_again_what_is_damaged(tmp_path, m
     first, second = sorted(cache.rglob("*.unit"))
     content = first.read_bytes()
     flipped = content[:-1] + bytes([content[-1] ^ 1])
-    for wrong in (b"", content[:-1], content + b"\0", flipped, second.read_bytes()):
+    older = content.replace(b"unit 2", b"unit 1", 1)  # whose labels were bits
+    for wrong in (b"", content[:-1], content + b"\0", flipped, second.read_bytes(), older):
         first.write_bytes(wrong)
         check()
         assert first.read_bytes() == content

@@ -21,7 +21,7 @@ from scenegen.truth import distance_field
 from scenegen.verification import verify
 from scenegen.verification.folder import CHECKS
 from scenegen.worlds.world import compile_world
-from tests.command_line import ROOT, rows
+from tests.command_line import ROOT, rows, run
 from tests.conftest import THREE, scene_recipe, small_recipe
 from tests.scenegen.verification import forge
 from tests.scenegen.verification.conftest import failed
@@ -116,13 +116,6 @@ def stretch_the_attitude(arrays):
     arrays["quaternion"][1] *= 1.001
 
 
-def change_everything_alike(arrays):
-    """One sample stands where another should: everything in it is true, of another viewpoint."""
-    for name, values in arrays.items():
-        if name not in ("world", "viewpoint"):
-            values[0] = values[1]
-
-
 @pytest.mark.parametrize(
     ("change", "check", "said", "quick"),
     [
@@ -148,11 +141,26 @@ def test_a_forger_who_rewrites_every_digest_is_caught_by_name(folder, change, ch
 
 
 def test_samples_that_are_true_but_not_the_seeds_are_caught(originals, tmp_path):
+    """A whole flight is scanned again, a centimetre beside where it was."""
     folder = forge.copy(originals["geometric"], tmp_path / "d")
-    forge.edit(folder, "val-00000.h5", change_everything_alike)
+    members = {}
+    forge.rezip(folder / "val-00000.worlds.zip", members.update)
+    world = compile_world(members["000000.xml"])
+    recipe = small_recipe("geometric")
+    forge.edit(folder, "val-00000.h5", lambda arrays: scan_beside(arrays, world, recipe, "val"))
     (told,) = failed(folder).items()
     assert told[0] == "regenerated"
     assert "val-00000.h5: sample 0: observed is not what the seed gives" in told[1]
+
+
+def scan_beside(arrays, world, recipe, split, moved_m=(0.01, 0.0, 0.0)):
+    """Make the samples of a world's flight true ones of other places."""
+    places = zip(arrays["position"] + moved_m, arrays["quaternion"], strict=True)
+    poses = [[Pose(position, quaternion)] for position, quaternion in places]
+    key, engine = UnitKey(0, split, 0), MujocoEngine.of
+    again = scan_again(world, poses, recipe, key, names=(0, 0), engine=engine)
+    for name in GROUPS[""]:
+        arrays[name][:] = [getattr(sample, name) for sample in again.samples]
 
 
 def put_into_test(folder, document, twin):
@@ -201,16 +209,21 @@ def test_a_world_nudged_by_a_centimetre_does_not_hide_a_twin(folder):
         geom.pos = np.add(geom.pos, [0.01, 0, 0])
     spec.compile()
     world = compile_world(spec.to_xml().encode())
-    places = zip(twin["position"], twin["quaternion"], strict=True)
-    poses = [[Pose(position, quaternion)] for position, quaternion in places]
-    key, engine = UnitKey(0, "test", 0), MujocoEngine.of
-    again = scan_again(world, poses, small_recipe(), key, names=(0, 0), engine=engine)
-    for name in GROUPS[""]:
-        twin[name][:] = [getattr(sample, name) for sample in again.samples]
+    scan_beside(twin, world, small_recipe(), "test", 0.0)
     put_into_test(folder, world.mjcf, twin)
     found = failed(folder)
     assert set(found) == {"near-twins", "regenerated"}
     assert "shows the map of t" in found["near-twins"]
+
+
+def test_a_file_beside_the_worlds_is_named(folder):
+    def hide(members):
+        members["payload.bin"] = b"unasked"
+
+    forge.rezip(folder / "train-00000.worlds.zip", hide)
+    forge.sign(folder)
+    told = failed(folder, quick=True)["archives"]
+    assert told == "train-00000.worlds.zip: no world in it refers to payload.bin"
 
 
 @pytest.mark.parametrize("resigned", [False, True])
@@ -243,6 +256,9 @@ dataset.json: digest 0000000000000000…
 grid.shape    → [24, 24, 15] → layout   → h5: observed is bool
 recipe.flight.speed → 1      → manifest → unknown parameter 'speed'
 kind          → "scene"      → manifest → recipe.scenes = None
+shard_samples → 3            → manifest → train-00000.h5 holds 6 samples, expected 3 with shard_sam
+recipe.difficulty → "hard"   → manifest → [world] has 2 of the values of the medium preset and 0 of
+recipe.difficulty → "easy"   → manifest → [world] has 2 of the values of the medium preset and 1 of
 """
 
 
@@ -259,14 +275,36 @@ def test_a_recipe_edited_with_every_shard_is_caught_by_what_the_seed_gives(folde
     assert ".xml is not the world that the seed gives" in told[1]
 
 
-def test_other_software_is_said_and_fails_nothing(folder):
+def test_what_other_software_made_otherwise_fails_nothing_and_is_no_success(folder, capsys):
     there = manifest.read(folder)["software"] | {"mujoco": "9.9"}
     forge.sign(folder, software=there)
-    assert verify(folder).ok  # the same bits came out all the same
+    report = verify(folder)
+    assert (report.ok, report.differing) == (True, ())  # the same bits came out all the same
+    assert run(capsys, f"verify {folder} --quiet --workers 1")[0] == 0
     forge.sign(folder, software=there, seed=1)
-    (again,) = [check for check in verify(folder).checks if check.name == "regenerated"]
-    assert (again.ok, again.skipped) == (True, True)
+    report = verify(folder)
+    assert (report.ok, report.differing) == (True, ("regenerated",))
+    (again,) = [check for check in report.checks if check.name == "regenerated"]
+    assert (again.ok, again.skipped, again.differing) == (True, False, {"flights": 3})
+    assert again.detail.startswith("3 flights come out otherwise here, made with other software")
     assert 'mujoco is "9.9" there' in again.detail
+    code, said, told = run(capsys, f"verify {folder} --workers 1")
+    assert (code, "19 passed, 1 differ\n" in said) == (3, True)
+    assert [line.split()[1] for line in said.splitlines() if line.startswith("regen")] == [
+        "differs"
+    ]
+    assert "verify: no check failed, and regenerated cannot tell: 3 flights come out" in told
+    # what is a fault whoever made it stays one
+    forge.edit(folder, SHARD, nudge_tudf)
+    assert run(capsys, f"verify {folder} --quiet --workers 1")[0] == 1
+
+
+def test_another_version_of_the_preset_is_said(folder):
+    tables = manifest.read(folder)["recipe"]
+    forge.sign(folder, recipe=tables | {"version": tables["version"] + 1}, seed=1)
+    (again,) = [check for check in verify(folder).checks if check.name == "regenerated"]
+    told = f"recipe.version is {tables['version'] + 1} there, {tables['version']} here"
+    assert (again.ok, told in again.detail) == (True, True)
 
 
 def test_what_is_audited_depends_on_the_seed_alone(originals):

@@ -11,6 +11,7 @@ import torch.nn.functional as F  # noqa: N812 (its usual name)
 import scenegen
 from lidarsim import Lidar, Pose, cast
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
+from scenegen.dataset import manifest
 from scenegen.dataset.generation import plan_generation
 from scenegen.dataset.read import Dataset
 from scenegen.errors import SceneError
@@ -26,6 +27,8 @@ from scenegen.worlds.flight import Flight, fly
 from scenegen.worlds.place import parse_npz, read_place
 from tests.command_line import done, refused, rows, run
 from tests.scenegen.conftest import built
+from tests.scenegen.verification import forge
+from tests.scenegen.verification.conftest import failed
 
 RECIPE = """
 kind = "scene"
@@ -133,6 +136,26 @@ def test_a_dataset_of_maps_passes_every_check(dataset):
     assert counts["rays"]["rays"] == counts["known"]["samples"] * 480 > 0
 
 
+@pytest.mark.parametrize("name", ["least_share", "most_marked_share"])
+def test_a_viewpoint_of_which_too_little_is_known_is_caught(dataset, tmp_path, name):
+    folder = forge.copy(dataset, tmp_path / "d")
+    known = dict.fromkeys([name], 0.99 if name == "least_share" else 0.0)
+    forge.sign(folder, known=manifest.read(folder)["known"] | known)
+    (told,) = failed(folder, quick=True).items()
+    assert (told[0], f"known.{name} = 1" in told[1] or "0.99" in told[1]) == ("accepted", True)
+
+
+def test_what_is_occupied_and_not_known_is_caught(dataset, tmp_path):
+    def forget(arrays):
+        arrays["known"][3] &= ~arrays["occupancy"][3]
+
+    folder = forge.copy(dataset, tmp_path / "d")
+    forge.edit(folder, "train-00000.h5", forget)
+    told = failed(folder, quick=True)["laws"]
+    assert told.startswith("train-00000.h5: sample 3: ")
+    assert told.endswith(" voxels are occupied and not known")
+
+
 def test_a_dataset_of_maps_is_published(undrawn, dataset, tmp_path):
     """Its recipe says how much must be known, and makes the same parameters again."""
     out = tmp_path / "out"
@@ -189,7 +212,7 @@ def test_bench_scores_what_is_known(dataset, tmp_path, capsys, monkeypatch):
     for text in (said, (out / "report.md").read_text(), (out / "report.html").read_text()):
         assert about["note"] in text
     assert about["note"].startswith(f"{100 * about['known_share']:.1f} % of the grid is known")
-    assert run(capsys, f"bench {dataset} --study -o {out}")[0] == 1
+    assert run(capsys, f"bench {dataset} --reliability -o {out}")[0] == 1
 
 
 def test_networks_learn_from_what_is_known(dataset, tmp_path):

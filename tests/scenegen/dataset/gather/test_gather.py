@@ -101,6 +101,24 @@ def test_a_merged_dataset_holds_all_samples_as_they_were(first, second, tmp_path
     assert checks["regenerated"].counts["worlds"] == len(found.manifest.shards)
 
 
+SAYS = """
+kind     → "maze"    → kind = 'maze': expected 'pillar', as its sources say
+seed     → 3         → seed = 3: expected None
+recipe   → {"flight": {}, "accept": {}, "version": 1} → recipe =
+software → {}        → software = {}: expected
+rescan   → {"digest": "0000000000000000000000000000000000000000000000000000000000000000"} → rescan =
+"""
+
+
+@pytest.mark.parametrize(("path", "value", "told"), rows(SAYS))
+def test_what_a_merged_dataset_says_of_its_sources_is_checked(
+    first, second, tmp_path, path, value, told
+):
+    folder = merged(tmp_path / "m", first, second).folder
+    forge.edit_at(folder, path, value)
+    assert told in failed(folder, quick=True)["manifest"]
+
+
 def test_workers_and_interruptions_change_no_byte(first, second, tmp_path):
     merged(tmp_path / "m", first, second)
     merged(tmp_path / "two", first, second, workers=2)
@@ -197,6 +215,28 @@ def test_worlds_from_files_are_merged_where_they_are_in_one_split(tmp_path):
     )
     assert len(part.split("train")) == 4
     sound(tmp_path / "t")
+
+
+def test_a_sample_under_two_names_is_merged_once(tmp_path):
+    """A world from a file has another number where it is alone, and the same flights."""
+    (tmp_path / "scenes").mkdir()
+    for n in range(3):
+        (tmp_path / "scenes" / f"{n}.xml").write_text(WORLD.format(x=4 + n))
+
+    def scenes(name, path, **tables):
+        source = read_scenes(path, counts := {"train": 9, "val": 0, "test": 0}, seed=0)
+        recipe = dataclasses.replace(scene_recipe(), **tables)
+        return built(plan_dataset(tmp_path / name, recipe, source, seed=0, counts=counts))
+
+    every = scenes("all", tmp_path / "scenes")
+    for n in range(3):
+        alone = scenes(f"{n}", tmp_path / "scenes" / f"{n}.xml")
+        with pytest.raises(DatasetError, match=r"all/train.*: hold the same sample"):
+            plan_merge([every, alone], tmp_path / "m")
+        # what another sensor sees from the same pose is another sample
+        noisy = scenes(f"noisy-{n}", tmp_path / "scenes" / f"{n}.xml", noise=Noise.parse("range"))
+        assert len(merged(tmp_path / f"m{n}", every.folder, noisy.folder).split("train")) == 18
+        sound(tmp_path / f"m{n}")
 
 
 WRONG = """

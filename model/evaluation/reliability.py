@@ -1,25 +1,31 @@
-"""Whether probabilities and bounds of distance are what they say."""
+"""Reliability of probabilities: calibration error, likelihood and Brier score, by region of the
+map."""
 
 import math
 from collections.abc import Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from lidarsim.grid import Field, Floats, Ints, Mask
 from lidarsim.jit import kernel
 from scenegen.files import Json
-from scenegen.model.calibration import RISK
+from scenegen.model.calibration import corrected
 from scenegen.model.completion.protocol import Prediction
-from scenegen.model.config import NEAR_M
-from scenegen.model.evaluation.statistics import estimate, summarise
+from scenegen.model.config import LossConfig
+from scenegen.model.evaluation.statistics import estimate, interval
+from scenegen.model.evaluation.visibility import UNOBSERVED, UNSCORED, Case, seen_occupancy
+from scenegen.truth import distance_field
+
+CLASS_WEIGHT = LossConfig().occupied_weight
+"""The weight of occupied voxels in a network's loss, where its calibration does not say."""
 
 BINS = 20
 """Bins of probability, equally wide."""
-REGIONS = ("map", "unobserved", "near", "said_near", "seen", "unseen")
-"""Voxels of the whole map; the unknown ones among them; and of these, those near an obstacle, those
-predicted to be, those whose nearest obstacle returned something, and those whose nearest obstacle
-within the truncation did not."""
+REGIONS = ("map", "unobserved", "seen", "unseen")
+"""Voxels of the whole map; the unknown ones among them; and of these, those whose nearest obstacle
+within the truncation returned something, and those whose nearest obstacle did not."""
 READINGS = ("said", "corrected", "calibrated")
 """The probability as it was said; with the class weight of the loss inverted; and as the method's
 calibration has it, where there is one."""
@@ -30,21 +36,38 @@ SMALLEST = 1e-7
 """What a probability of 0 counts as where its logarithm is taken."""
 
 
-def regions(
-    scored: Mask,
-    unknown: Mask,
-    distance: Field,
-    true: Field,
-    seen: Field,
-    *,
-    truncation_m: float,
-) -> Mask:
-    """The voxels of each of `REGIONS`, (regions, *shape): none that is not `scored`, and otherwise
-    from predicted and true distances and those to the obstacles that returned something; the grids
-    have one shape."""
+def count_map(prediction: Prediction, case: Case) -> Floats:
+    """The counts of what a method predicts of a sample's map, see `count`."""
+    sample, grid = case.sample, case.grid
+    probability, calibrated = prediction.occupancy_probability, prediction.probability
+    inside = regions(
+        case.classes != UNSCORED,
+        np.isin(case.classes, UNOBSERVED),
+        sample.tudf,
+        distance_field(seen_occupancy(sample, case.split), grid),
+        truncation_m=grid.truncation_m,
+    )
+    weight = getattr(prediction.calibration, "class_weight", CLASS_WEIGHT)
+    readings = [] if probability is None else [probability, corrected(probability, weight)]
+    readings += [] if calibrated is None else [calibrated]
+    return count(readings, sample.occupancy, inside)
+
+
+def regions(scored: Mask, unknown: Mask, true: Field, seen: Field, *, truncation_m: float) -> Mask:
+    """The voxels of each of `REGIONS`.
+
+    Args:
+        scored: Voxels that count (*shape).
+        unknown: Voxels that no ray crossed and that hold no return (*shape).
+        true: True distances (*shape), metres.
+        seen: Distances to obstacles that returned something (*shape), metres.
+        truncation_m: Where distances are cut off, metres.
+
+    Returns:
+        (regions, *shape).
+    """
     met = unknown & (true < truncation_m - 1e-6)
-    parts = (unknown & (true <= NEAR_M), unknown & (distance < NEAR_M), met & (seen <= true))
-    return np.stack([scored, unknown, *parts, met & (seen > true)])
+    return np.stack([scored, unknown, met & (seen <= true), met & (seen > true)])
 
 
 def count(
@@ -133,75 +156,18 @@ def _score(name: str, sums: Floats) -> Floats:
 
 SCORES = ("ece", "nll", "brier")
 """What probabilities are judged by."""
-PARTS = REGIONS[1:]
-"""Regions that bounds are judged over: those of unknown voxels."""
-JUDGED = ("coverage", "width")
-"""The share of voxels whose true distance is the bound or more; and predicted distance less bound,
-metres."""
-SHARES = np.arange(1, 21) / 20
-"""Shares of voxels, the surest first, at which sparsification is looked at."""
 
 
-def judge_bounds(
-    said: Prediction,
-    distance: Field,
-    true: Field,
-    inside: Mask,
-    truncation_m: float,
-) -> tuple[Floats, float]:
-    """By risk, region of `inside` and figure, (risks, PARTS, JUDGED), what the bounds of a
-    prediction whose distances are `distance` are worth on one map; and its area under the
-    sparsification error, of the bounds nearest to `RISK`. NaN over no voxels, and without bounds.
-    True and predicted distances are cut at the truncation, and so are bounds: one beyond it says
-    as much as one at it."""
-    risks = () if said.uncertainty is None else said.uncertainty.risks
-    found = np.full((len(risks), len(PARTS), len(JUDGED)), np.nan)
-    unknown, sparse = inside[1], np.nan
-    usual = min(risks, key=lambda risk: abs(risk - RISK), default=None)
-    for n, risk in enumerate(risks):
-        low = np.minimum(said.low(risk), np.float32(truncation_m))
-        covers, width = true >= low - 1e-4, distance - low
-        for p, part in enumerate(inside[1:]):
-            if part.any():
-                found[n, p] = covers[part].mean(), width[part].mean()
-        if risk == usual and unknown.any():
-            sparse = ause(np.abs(distance - true)[unknown], width[unknown])
-    return found, sparse
-
-
-def ause(error: Field, doubt: Field) -> float:
-    """The area under the sparsification error (Ilg et al. 2018): by how much the mean `error` (n,)
-    of the surest voxels by `doubt` (n,) exceeds that of the voxels with the least errors, over all
-    shares of voxels, in mean errors. 0 where doubt orders voxels as errors do; voxels of equal
-    doubt are as good as their mean."""
-    mean = float(error.mean())
-    if mean == 0:
-        return 0.0
-    # what rounding alone tells apart is equal
-    _, group = np.unique(np.round(doubt, 5), return_inverse=True)
-    levelled = (np.bincount(group, weights=error) / np.bincount(group))[group]
-    at = np.maximum((SHARES * len(error)).astype(int), 1)
-    first = [
-        np.cumsum(one)[at - 1] / at
-        for one in (levelled[np.argsort(group, kind="stable")], np.sort(error))
-    ]
-    return float((first[0] - first[1]).mean()) / mean
-
-
-def bounds_of(
-    judged: Floats,
-    sparse: Floats,
-    risks: tuple[float, ...],
-    worlds: Ints,
-) -> Json:
-    """The report of N maps' bounds, from (N, risks, PARTS, JUDGED) and (N,): ``ause``, and a row a
-    risk."""
-    rows = [
-        {"risk": risk}
-        | {
-            part: {name: summarise(judged[:, r, p, j], worlds) for j, name in enumerate(JUDGED)}
-            for p, part in enumerate(PARTS)
-        }
-        for r, risk in enumerate(risks)
-    ]
-    return {"ause": summarise(sparse, worlds), "risks": rows}
+def reliability_tables(found: Json) -> list[tuple[Any, ...]]:
+    """A table of `reliability` of every method by name, as (title, heads, rows); none without
+    probabilities."""
+    rows = []
+    for name, by_region in found.items():
+        for region, readings in (by_region or {}).items():
+            for reading, scores in readings.items():
+                # the interval of the first, the calibration error, stands beside it
+                summaries = [{**scores, "mean": scores["ece"]}]
+                summaries += [scores[score] for score in SCORES[1:]]
+                cells = [f"{one['mean']:.4f} {interval(one, '.4f')}" for one in summaries]
+                rows.append((f"{name}, {region}, {reading}", cells))
+    return [("Probabilities", ("ECE", "NLL", "Brier"), rows)] if rows else []

@@ -23,7 +23,8 @@ from lidarsim.grid import Floats
 from scenegen.files import Json
 from scenegen.model.config import TrainConfig
 from scenegen.model.evaluation.metrics import METRICS, PLAN_METRICS
-from scenegen.model.evaluation.report import PAPER, summaries
+from scenegen.model.evaluation.paper import PAPER, TUNED
+from scenegen.model.evaluation.report import summaries
 from scenegen.model.evaluation.run import DatasetResult
 from scenegen.model.evaluation.statistics import (
     Estimate,
@@ -34,8 +35,44 @@ from scenegen.model.evaluation.statistics import (
     interval,
     table,
 )
-from scenegen.model.study.runs import STUDY
 
+QUESTIONS = {
+    "Q1": (
+        "Does learning occupancy and TUDF jointly improve reconstruction over single-task "
+        "baselines?",
+        [
+            "rmse",
+            "mae",
+            "near_rmse",
+            "near_mae",
+            "bias",
+            "near_bias",
+            "iou",
+            "f1",
+            "precision",
+            "recall",
+        ],
+    ),
+    "Q2": ("Does the better reconstruction benefit planning in unknown environments?", ["success"]),
+    "Q3": (
+        "Does a better reconstructed field give better trajectories?",
+        ["min_clearance", "avg_clearance", "length"],
+    ),
+}
+"""The paper's questions, in our words, and the metrics by which claims that `proposed` is best
+answer each; other cells of the paper's tables are judged, and answer none."""
+BESIDE_METRICS = "rmse", "mae", "near_rmse", "near_mae", "iou", "f1", "success"
+BESIDE_PAIRS = (
+    ("proposed-1", "proposed"),
+    ("proposed-1", "occ"),
+    ("proposed-1", "tudf"),
+    ("no-eikonal", "proposed"),
+    ("no-eikonal", "occ"),
+    ("columns", "occ"),
+    ("columns", "proposed"),
+    ("columns", "proposed-1"),
+)
+"""Comparisons that the paper does not make: is the first of each pair better than the second?"""
 PATIENCE = TrainConfig().patience
 """Epochs without a lower validation loss after which the paper stops. What networks show that did
 not train so long may be the other way round later: a claim is contradicted by them, and not
@@ -65,7 +102,7 @@ class Claim:
     @property
     def question(self) -> str | None:
         """The question that it helps to answer, for claims that `proposed` is best."""
-        asked = (name for name, one in STUDY["questions"].items() if self.metric in one["metrics"])
+        asked = (name for name, (_, metrics) in QUESTIONS.items() if self.metric in metrics)
         return next(asked, None) if self.best == "proposed" else None
 
 
@@ -91,12 +128,11 @@ def asked(measured: Sequence[DatasetResult]) -> dict[str, list[Json]]:
     asks ``beside`` them; and ``paths``, those about paths again. The tables answer these by the
     paths that each method has, so that a method that has none in the tight trials has the better
     ones for it: here, on those trials where both of a pair have one."""
-    pairs, metrics = STUDY["beside"]["pairs"], STUDY["beside"]["metrics"]
     beside = [
         Claim(kind=kind, metric=metric, best=best, other=other)
-        for kind, (best, other), metric in product(PAPER["planning"], pairs, metrics)
+        for kind, (best, other), metric in product(PAPER["planning"], BESIDE_PAIRS, BESIDE_METRICS)
     ]
-    paths = [claim for claim in claims() if claim.metric in STUDY["questions"]["Q3"]["metrics"]]
+    paths = [claim for claim in claims() if claim.metric in QUESTIONS["Q3"][1]]
     parts = {"claims": claims(), "beside": beside, "paths": paths}
     return {
         part: [
@@ -249,10 +285,10 @@ def answers(found: Sequence[Json]) -> dict[str, Json]:
     """What `judged` claims, of all kinds, say to each question: how many are confirmed, refuted and
     undecided, and the verdict on which all of them agree, or else "undecided"."""
     answered = {}
-    for question, about in STUDY["questions"].items():
+    for question, (asks, _) in QUESTIONS.items():
         said = Counter(claim["verdict"] for claim in found if claim["question"] == question)
         agreed = next(iter(said)) if len(said) == 1 else "undecided"
-        answered[question] = {"asks": about["asks"], "verdict": agreed, "claims": dict(said)}
+        answered[question] = {"asks": asks, "verdict": agreed, "claims": dict(said)}
     return answered
 
 
@@ -294,7 +330,7 @@ significant, and undecided otherwise. Significant means at a family-wise level o
 over worlds and training seeds, with two seeds or more of each method. A contradicted claim is
 refuted if its networks were trained for {PATIENCE} epochs after their lowest validation loss, as
 the paper's early stopping asks. A question has a verdict if all claims that `proposed` is best have
-this verdict.
+this verdict. {TUNED}
 """.strip().replace("\n", " ")
 
 

@@ -1,21 +1,11 @@
-"""Reliability and bounds against slow references, and how class weights are inverted."""
+"""Reliability against slow references, and how class weights are inverted."""
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from scenegen.model.calibration import Given, corrected
-from scenegen.model.completion.protocol import Prediction
-from scenegen.model.evaluation.uncertainty import (
-    BINS,
-    REGIONS,
-    SHARES,
-    ause,
-    count,
-    judge_bounds,
-    regions,
-    reliability,
-)
+from scenegen.model.calibration import corrected
+from scenegen.model.evaluation.reliability import BINS, REGIONS, count, regions, reliability
 
 SHAPE = (40, 40, 40)
 
@@ -75,42 +65,11 @@ def test_certain_and_right_is_calibrated():
 def test_regions_are_told_by_the_nearest_obstacle():
     unknown = np.arange(5) < 4
     true, seen = np.array([[0.4, 0.4, 1.5, 2.0, 0.4], [0.4, 1.0, 1.5, 2.0, 0.4]], np.float32)
-    said = np.array([0.9, 1.5, 0.5, 0.5, 0.5], np.float32)
-    inside = regions(np.ones(5, bool), unknown, said, true, seen, truncation_m=2.0)
-    told = ["".join(map(str, row)) for row in inside.astype(int).tolist()]
-    assert dict(zip(REGIONS, told, strict=True)) == {
+    inside = regions(np.ones(5, bool), unknown, true, seen, truncation_m=2.0)
+    masks = ["".join(map(str, row)) for row in inside.astype(int).tolist()]
+    assert dict(zip(REGIONS, masks, strict=True)) == {
         "map": "11111",
         "unobserved": "11110",
-        "near": "11000",
-        "said_near": "10110",
         "seen": "10100",
         "unseen": "01000",
     }
-
-
-def test_sparsification(rng):
-    error, doubt = rng.random((2, 400))
-    assert ause(error, error) == pytest.approx(0, abs=1e-9)
-    kept = [int(share * 400) for share in SHARES]
-    best = np.mean([np.sort(error)[:count].mean() for count in kept])
-    found = np.mean([error[np.argsort(doubt)][:count].mean() for count in kept])
-    assert ause(error, doubt) == pytest.approx((found - best) / error.mean())
-    # equal doubt orders nothing, nor does its rounding
-    assert ause(error, 1 + 1e-9 * error) == pytest.approx(1 - best / error.mean())
-    assert ause(np.zeros(4), np.arange(4)) == 0
-
-
-def test_coverage_and_width_are_counted_by_region(rng):
-    """Of numbers that are cut at the truncation, bounds among them."""
-    shape = (6, 6, 6)
-    bound = 3 * rng.random(shape, np.float32)
-    true, distance = np.minimum(3 * rng.random((2, *shape), np.float32), 2)
-    inside = rng.random((len(REGIONS), *shape)) < 0.5
-    inside[-1] = False
-    said = Prediction(tudf=distance, uncertainty=Given(tudf_low=bound, risk=0.1))
-    found, _ = judge_bounds(said, distance, true, inside, 2.0)
-    low = np.minimum(bound, 2)
-    for p, part in enumerate(inside[1:-1]):
-        assert found[0, p, 0] == pytest.approx((true >= low)[part].mean())
-        assert found[0, p, 1] == pytest.approx((distance - low)[part].mean(), rel=1e-5)
-    assert np.isnan(found[0, -1]).all()

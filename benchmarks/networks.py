@@ -1,0 +1,68 @@
+"""What the networks' variants cost: parameters, multiply-accumulates, memory of a training step.
+
+python benchmarks/networks.py
+"""
+
+from typing import Any
+
+import measuring
+import torch
+from torch import Tensor
+from torch.nn.attention import SDPBackend, sdpa_kernel
+from torch.utils.flop_counter import FlopCounterMode
+
+from lidarsim import GridSpec
+from scenegen.model.config import VARIANTS, NetworkConfig
+from scenegen.model.network import build
+
+
+class Options(measuring.Options):
+    """Nothing to choose."""
+
+
+def cost(config: NetworkConfig, shape: tuple[int, int, int]) -> dict[str, Any]:
+    """What a network costs for one map of `shape`, counted by running it once.
+
+    `macs` are multiply-accumulates of a forward pass: convolutions, linear layers, attention;
+    `activation_bytes` is what a training step keeps for its backward pass, float32.
+    """
+    network: Any = build(config).train()
+    kept: dict[int, int] = {}
+
+    def keep(tensor: Tensor) -> Tensor:
+        storage = tensor.untyped_storage()
+        kept.setdefault(storage.data_ptr(), storage.nbytes())
+        return tensor
+
+    for parameter in network.parameters():  # weights are kept anyway
+        kept[parameter.untyped_storage().data_ptr()] = 0
+    counter = FlopCounterMode(display=False)
+    maps = {name: torch.zeros(1, *shape) for name in config.inputs}
+    with torch.no_grad(), sdpa_kernel(SDPBackend.MATH), counter:  # fused attention is not counted
+        network(maps)
+    with torch.autograd.graph.saved_tensors_hooks(keep, lambda tensor: tensor):
+        network(maps)
+    return {
+        "variant": config.variant,
+        "stem_stride": config.stem_stride,
+        "parameters": sum(parameter.numel() for parameter in network.parameters()),
+        "macs": counter.get_total_flops() // 2,
+        "activation_bytes": sum(kept.values()),
+    }
+
+
+def main() -> None:
+    """Print a row for every variant and stem, for maps of the usual grid."""
+    measuring.parse(Options)
+    print("| variant | stem stride | parameters | GMACs | activations |\n|---|---|---|---|---|")
+    for stride in (2, 1):
+        for variant in VARIANTS:
+            row = cost(NetworkConfig(variant=variant, stem_stride=stride), GridSpec().shape)
+            print(
+                f"| `{variant}` | {stride} | {row['parameters']:,} | {row['macs'] / 1e9:.2f} | "
+                f"{row['activation_bytes'] / 1e6:.0f} MB |"
+            )
+
+
+if __name__ == "__main__":
+    main()
