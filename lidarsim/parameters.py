@@ -49,8 +49,9 @@ class Bounds:
     """The value must be less than this."""
     whole: bool = False
     """Only whole numbers are allowed; fields annotated `int` are so anyway."""
-    rising: bool = False
-    """A tuple of two is a lower and an upper bound, in this order; equal ones are allowed."""
+    rising: bool | None = None
+    """A tuple of two is a lower and an upper bound, in this order; equal ones are allowed. None
+    leaves that to `otherwise` of `check`, and without it means False."""
 
     def hold(self, value: float) -> bool:
         """Whether `value` lies within the bounds."""
@@ -100,9 +101,10 @@ def check(
     these) or is not within its bounds.
 
     A field of a file is passed over. One without bounds of its own has those that `otherwise` gives
-    for its name and value; by default, its numbers must be finite. An angle in degrees that is a
-    multiple of 15 in radians is refused: 6.283 is a turn, and no 6.283°. Values of the right kind
-    become the annotated type: a list a tuple, a whole float an int.
+    for its name and value; by default, its numbers must be finite. Where `otherwise` says that its
+    values rise, they do also within bounds of its own, unless these say `rising=False`. An angle in
+    degrees that is a multiple of 15 in radians is refused: 6.283 is a turn, and no 6.283°. Values
+    of the right kind become the annotated type: a list a tuple, a whole float an int.
     """
     kind_of: type = type(parameters)
     hints = _hints(kind_of)
@@ -111,7 +113,11 @@ def check(
             continue
         given = getattr(parameters, item.name)
         kind = hints.get(item.name, Any)
-        bounds = item.metadata.get(BOUNDS) or otherwise(item.name, given)
+        usual = otherwise(item.name, _plain(given))
+        bounds: Bounds = item.metadata.get(BOUNDS, usual)
+        if bounds.rising is None and usual.rising:
+            # bounds of a field's own say how far a range may reach, and leave it a range
+            bounds = dataclasses.replace(bounds, rising=True)
         try:
             value = _read(given, kind, bounds)
         except _UnfitError:
@@ -177,9 +183,14 @@ def _hints(kind: type) -> dict[str, Any]:
         return {}
 
 
+def _plain(given: Any) -> Any:
+    """NumPy's scalars and arrays as Python's numbers and lists; anything else as it is."""
+    return given.tolist() if hasattr(given, "tolist") else given
+
+
 def _read(given: Any, kind: Any, bounds: Bounds) -> Any:
     """`given` as a value of the type `kind` within `bounds`. Raises _UnfitError."""
-    value = given.tolist() if hasattr(given, "tolist") else given  # NumPy's scalars and arrays
+    value = _plain(given)
     origin, options = get_origin(kind), get_args(kind)
     if kind in (bool, str, NoneType):
         fits = isinstance(value, kind)
@@ -205,6 +216,7 @@ def _read(given: Any, kind: Any, bounds: Bounds) -> Any:
         # against bounds, and where there are bounds, there must be some
         value, numbers = given, _numbers(value)
         fits = all(map(bounds.hold, numbers)) and (bool(numbers) or bounds == Bounds())
+        fits = fits and not (bounds.rising and numbers[:1] > numbers[-1:])
     if not fits:
         raise _UnfitError
     return value

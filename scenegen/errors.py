@@ -100,6 +100,11 @@ class OwnCodeError(ScenegenError):
     """A user's own kind, sensor, engine, method or command fails; the message names the line."""
 
 
+def plural(count: int, what: str) -> str:
+    """A number of things, whose plural ends in s: "1 world", "2 worlds"."""
+    return f"{count} {what.removesuffix('s') if count == 1 else what}"
+
+
 def told(error: Exception) -> Exception:
     """`error`, or an OwnCodeError in its place where it came through code of the user's own."""
     line = "" if isinstance(error, ScenegenError) else own_line(error)

@@ -1,6 +1,7 @@
 """`scenegen inspect`: what something is."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import rich_click as click
@@ -19,9 +20,11 @@ from scenegen.cli.show import (
     per_split,
     plain,
     rejections,
+    say,
     show_columns,
     show_table,
 )
+from scenegen.errors import plural
 from scenegen.files import Json
 from scenegen.worlds import MESHES, is_map
 from scenegen.worlds.mapping import Mapper
@@ -36,11 +39,23 @@ from scenegen.worlds.mapping import Mapper
     help="Measure all, and keep what was measured beside them, for inspect, take --where and "
     "publish.",
 )
+@click.option(
+    "--details",
+    is_flag=True,
+    help="Also print the extremes of every measure, its mean for each kind, and the datasets that "
+    "this one was made of.",
+)
 @columns_option
 @workers_option
 @json_option
 def inspect(
-    dataset: Path | str, every: bool, keep: bool, columns: int | None, workers: int, as_json: bool
+    dataset: Path | str,
+    every: bool,
+    keep: bool,
+    details: bool,
+    columns: int | None,
+    workers: int,
+    as_json: bool,
 ) -> None:
     """Print what is in a dataset: counts, sizes, and statistics of scans and truth.
 
@@ -78,7 +93,7 @@ def inspect(
     if as_json:
         print(json.dumps(found | {"warnings": warnings}))
         return
-    _show(dataset, found)
+    _show(dataset, found, details=details)
     for line in warnings:
         note(f"note: {line}")
 
@@ -120,8 +135,8 @@ def _show_all(rows: list[Json], as_json: bool) -> None:
         show_table({row["folder"]: told})
 
 
-def _show(dataset: Path | str, summary: Json) -> None:
-    """Prints the summary of a dataset, and a table of each split."""
+def _show(dataset: Path | str, summary: Json, *, details: bool) -> None:
+    """Prints the summary of a dataset and its measures, with `details` in a table of each split."""
     from scenegen.dataset.manifest import SEVERAL
 
     grid, sources = summary["grid"], summary.get("sources", ())
@@ -137,7 +152,7 @@ def _show(dataset: Path | str, summary: Json) -> None:
             "dataset": dataset,
             "kind": summary["kind"],
             "seed": SEVERAL if summary["seed"] is None else summary["seed"],
-            **{f"from {n}": _source(source) for n, source in enumerate(sources)},
+            **_sources(sources, details=details),
             "complete": "yes" if summary["complete"] else "no",
             "digest": summary["digest"] or "none yet",
             "grid": f"{grid['shape']} voxels of {grid['voxel']} m{hollow}",
@@ -148,8 +163,35 @@ def _show(dataset: Path | str, summary: Json) -> None:
             "rejected": rejections(summary["rejected"]),
         },
     )
-    for name, split in summary["splits"].items():
+    splits = summary["splits"]
+    if not details:
+        _show_means(splits)
+    for name, split in splits.items() if details else ():
         _show_split(name, split)
+
+
+def _show_means(splits: Json) -> None:
+    """Prints the means of the measures in each split, and what they measure."""
+    from scenegen.display.inspect import TITLES
+
+    if not splits:
+        return
+    counts = ("samples", "worlds", "sampled")
+    cells = {name: [str(split[name]) for split in splits.values()] for name in counts}
+    cells["measured"] = cells.pop("sampled")
+    meanings = {"measured": "of these samples; --all measures all"}
+    for key, (title, unit) in TITLES.items():
+        factor = 100 if unit == "%" else 1
+        spreads = [split["statistics"][key] for split in splits.values()]
+        cells[key] = [
+            "–"
+            if spread["mean"] is None
+            else f"{factor * spread['mean']:.2f} ± {factor * spread['std']:.2f}"
+            for spread in spreads
+        ]
+        meanings[key] = f"{title}, {unit}".removesuffix(", ")
+    show_columns(cells, list(splits), "means ± standard deviations of samples", meanings)
+    say("\n--details prints extremes, worlds and kinds")
 
 
 def _show_split(name: str, split: Json) -> None:
@@ -175,6 +217,14 @@ def _show_split(name: str, split: Json) -> None:
             means = [kind["statistics"][key]["mean"] for kind in kinds.values()]
             cells[key] = ["–" if mean is None else f"{mean * factor:.3f}" for mean in means]
         show_columns(cells, list(kinds), f"{name}: means of each kind, shares in %")
+
+
+def _sources(sources: Sequence[Json], *, details: bool) -> Json:
+    """Lines on the datasets that samples were taken from."""
+    if details:
+        return {f"from {n}": _source(source) for n, source in enumerate(sources)}
+    kinds = dict.fromkeys(source["kind"] for source in sources)
+    return {"made of": f"{plural(len(sources), 'datasets')}: {', '.join(kinds)}"} if sources else {}
 
 
 def _source(source: Json) -> str:

@@ -41,6 +41,8 @@ from scenegen.worlds.mapping import Mapper, Sensing
 HUB = "hf://"
 MOST_SAID = 300
 """Characters that are said of how two sensors differ."""
+TRAINING = "in training", "here"
+"""What the two sides of a difference are called: what a network learned from, and its input."""
 Maps: TypeAlias = NDArray[Any] | Tensor
 NAMES_IN_FOLDER = ("best.safetensors", "model.safetensors")
 """What a run's folder, or a repository, calls its network."""
@@ -308,14 +310,14 @@ def unlike(name: str, about: Json, lidar: Any, mapping: Mapper, noise: str) -> s
     def told(way: Json) -> tuple[int, str]:
         """How far they are from one way of those that the network learned from, and why."""
         there, noises = way.get("lidar") or sensor_entry(Lidar()), way.get("noise") or [""]
-        sensor, faults = differences(there, here), []
+        sensor, faults = differences(there, here, TRAINING), []
         if sensor and ("sensor" in there or "sensor" in here):  # tables of rays have nothing else
-            sensor = [f"sensor is {_titled(there)} there, {_titled(here)} asked for"]
+            sensor = [f"sensor is {_titled(there)} in training, {_titled(here)} here"]
         if noise not in noises:
             learned = " or ".join(stages or "none" for stages in noises)
-            faults = [f"noise is {learned} there, {noise or 'none'} asked for"]
+            faults = [f"noise is {learned} in training, {noise or 'none'} here"]
         maps = differences(
-            {"mapping": way.get("mapping") or usual}, {"mapping": described(mapping)}
+            {"mapping": way.get("mapping") or usual}, {"mapping": described(mapping)}, TRAINING
         )
         # a sensor that differs says more than noise, and that more than maps
         if sensor:
@@ -326,9 +328,7 @@ def unlike(name: str, about: Json, lidar: Any, mapping: Mapper, noise: str) -> s
             distance, what = 1, "maps made otherwise"
         else:
             return 0, ""
-        # `differences` speaks of a manifest that is there, and of what a command asks for
         line = "; ".join(sensor + faults + maps)[:MOST_SAID]
-        line = line.replace("there", "in training").replace("asked for", "here")
         line = f"{name} was trained on {what}, so expect worse completions: {printable(line)}"
         return distance, line
 

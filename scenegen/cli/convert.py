@@ -43,7 +43,7 @@ from scenegen.run import Executor
     Choices,
     unseen_invalid="SemanticKITTI: mark voxels that no ray met as invalid, which leaves them out "
     "of its score.",
-    label="SemanticKITTI: the label of occupied voxels.",
+    label="SemanticKITTI: the label of occupied voxels without a class, or of one that it lacks.",
     frame="Frame of points.",
 )
 @executing
@@ -62,7 +62,7 @@ def convert(
     stopped.
     """
     from scenegen.display.exchange.convert import convert as write
-    from scenegen.errors import DatasetError
+    from scenegen.errors import DatasetError, plural
 
     found = open_dataset(dataset, shown=not quiet)
     target = out or Path(f"{found.folder.absolute().name}-{to.rpartition(':')[2]}")
@@ -79,7 +79,7 @@ def convert(
             on_start=progress.start,
             on_sample=progress.count,
         )
-    for line in done.broken:
+    for line in (*(done.notes if not quiet else ()), *done.broken):
         note(line)
     if done.broken:
         raise DatasetError(
@@ -88,7 +88,8 @@ def convert(
         )
     if not quiet:
         others = f"; {done.others} are for the other ranks to write there" if done.others else ""
-        say(f"{target}: {done.written} samples written, {done.there} were there{others}")
+        before = f"; an earlier run wrote {done.there}" if done.there else ""
+        say(f"{target}: {plural(done.written, 'samples')} written{before}{others}")
 
 
 @command("world data/pillar 3 -o world.xml", "world scenes/forest.xml -o forest.glb")

@@ -91,8 +91,8 @@ def publish(
         def staged(found: Any) -> None:
             progress.stop()
             if talk:
-                then = "nothing is sent" if options["dry_run"] else "sending …"
-                note(f"{found.folder} stands; {then}")
+                then = "Nothing is uploaded (--dry-run)." if options["dry_run"] else "Uploading …"
+                note(f"Wrote {found.folder}. {then}")
 
         found, commit = run_publish(
             request,
@@ -124,7 +124,9 @@ def _show_staged(staged: "Staged", commit: str | None, size: int, seconds: float
         listed = Counter[str]()
         for name, size in staged.files.items():
             listed[pattern_of(name)] += size
-        show_table({name: f"{size:>15,}" for name, size in listed.items()}, "would send, in bytes")
+        show_table(
+            {name: f"{size:>15,}" for name, size in listed.items()}, "would be uploaded, in bytes"
+        )
         show_table(said | {"next": "the same command without --dry-run"}, "ready")
     else:
         said["page"] = f"https://huggingface.co/datasets/{staged.repository}/tree/{staged.tag}"

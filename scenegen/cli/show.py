@@ -11,7 +11,7 @@ from typing import Any
 
 import rich_click as click
 
-from scenegen.errors import escaped, printable
+from scenegen.errors import escaped, plural, printable
 from scenegen.run import Executor, undone_if_stopped
 
 ENDLESS = 1 << 30
@@ -22,6 +22,18 @@ MOST_BARS = 60
 """Bars of a curve."""
 SHOW_CURSOR = b"\x1b[?25h\n"
 """Undoes what a progress bar does to a terminal."""
+
+
+REASONS = {
+    "no_flight": "no collision-free flight",
+    "few_solids": "too few solids near the flight",
+    "few_viewpoints": "too few viewpoints could be used",
+    "few_returns": "too few rays return",
+    "few_occupied": "too few voxels are occupied",
+    "few_known": "too few voxels are known",
+    "rays_unknown": "too many rays cross unknown space",
+}
+"""Why worlds and viewpoints are rejected while drawing, by the reason that the manifest gives."""
 
 
 def seconds_taken() -> float:
@@ -55,9 +67,15 @@ def show_table(
         click.echo(f"{click.style(escaped(name).ljust(width), bold=True)}  {mark}{escaped(value)}")
 
 
-def show_columns(rows: Mapping[str, Sequence[str]], heads: Sequence[str], title: str = "") -> None:
-    """Prints a line for each of `rows`, a name and a cell under each of `heads`; one table below
-    another where the terminal is too narrow for all columns."""
+def show_columns(
+    rows: Mapping[str, Sequence[str]],
+    heads: Sequence[str],
+    title: str = "",
+    meanings: Mapping[str, str] | None = None,
+) -> None:
+    """Prints a line for each of `rows`, a name and a cell under each of `heads`, and what it means
+    behind the last one; one table below another where the terminal is too narrow for all
+    columns."""
     if title:
         say(f"\n{title}")
     first = max(len(escaped(name)) for name in rows)
@@ -73,7 +91,8 @@ def show_columns(rows: Mapping[str, Sequence[str]], heads: Sequence[str], title:
             end += 1
         for name, cells in ((" " * first, heads), *rows.items()):
             shown = (cells[n].rjust(widths[n]) for n in range(begin, end))
-            say(escaped(name).ljust(first) + "".join(shown))
+            meaning = (meanings or {}).get(name, "") if end == len(heads) else ""
+            say(f"{escaped(name).ljust(first)}{''.join(shown)}  {meaning}".rstrip())
         begin = end
 
 
@@ -94,7 +113,11 @@ def per_split(counts: Mapping[str, int]) -> str:
 
 def rejections(rejected: Mapping[str, Mapping[str, int]]) -> str:
     """What was rejected while drawing, in words."""
-    parts = [f"{what} {per_split(counts)}" for what, counts in rejected.items() if counts]
+    parts = [
+        f"{plural(count, what)}: {f'{REASONS[reason]} ({reason})' if reason in REASONS else reason}"
+        for what, counts in rejected.items()
+        for reason, count in counts.items()
+    ]
     return "; ".join(parts) or "none"
 
 

@@ -147,17 +147,30 @@ def differing(given: Json, others: Iterable[Json]) -> list[str]:
     return [name for name in ALIKE if any(one.get(name) != given.get(name) for one in others)]
 
 
-def differences(there: Json, asked: Json, prefix: str = "") -> list[str]:
-    """Where two sets of parameters differ: "name: there, asked", nested names joined by dots, and
-    the items of a list of tables named by their places."""
+def differences(
+    there: Json, asked: Json, words: tuple[str, str] = ("there", "asked for"), prefix: str = ""
+) -> list[str]:
+    """Where two sets of parameters differ.
+
+    Args:
+        there: The first set.
+        asked: The second set.
+        words: What the values of the first and of the second set are called.
+        prefix: Stands before every name.
+
+    Returns:
+        Lines such as "grid.voxel is 0.2 there, 0.1 asked for": nested names are joined by dots, and
+        the items of a list of tables named by their places.
+    """
     found = []
     for name in [*there, *(name for name in asked if name not in there)]:
         old, new = (_numbered(given.get(name, "absent")) for given in (there, asked))
         if isinstance(old, dict) and isinstance(new, dict):
-            found += differences(old, new, f"{prefix}{name}.")
+            found += differences(old, new, words, f"{prefix}{name}.")
         elif old != new:
             found.append(
-                f"{short(f'{prefix}{name}')[1:-1]} is {_said(old)} there, {_said(new)} asked for"
+                f"{short(f'{prefix}{name}')[1:-1]} is {_said(old)} {words[0]}, "
+                f"{_said(new)} {words[1]}"
             )
     return found
 

@@ -138,10 +138,9 @@ def made(
     try:
         return part(**{names[name]: value for name, value in table.items()})
     except ValueError as error:
-        said = str(error)
-        for name, ours in names.items():
-            said = said.replace(ours, name)
-        raise BrokenError(f"{at}.{said}") from None
+        field, equals, rest = str(error).partition(" = ")
+        name = next((name for name, ours in names.items() if ours == field), field)
+        raise BrokenError(f"{at}.{name}{equals}{rest}") from None
 
 
 COUNT = whole(0, MOST_SAMPLES)

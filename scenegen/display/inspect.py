@@ -271,20 +271,21 @@ def misfits(grid: GridSpec, lidar: Sensor) -> list[str]:
 
 TITLES = {
     "occupied": ("voxels occupied", "%"),
-    "observed": ("voxels observed", "%"),
+    "observed": ("voxels that hold a return", "%"),
     "free": ("voxels known to be free", "%"),
     "unknown": ("voxels unknown", "%"),
     "returned": ("rays that return", "%"),
-    "range_m": ("mean range", "m"),
-    "tudf_m": ("mean distance", "m"),
-    "clearance_m": ("distance to the nearest obstacle", "m"),
-    "visibility_m": ("mean visibility", "m"),
-    "dispersion": ("dispersion", "%"),
-    "passage_m": ("narrowest passage", "m"),
-    **{
-        name: (name, "")
-        for name in ("tortuosity", "traversability", "gap", "obstruction", "occlusion")
-    },
-    "turning": ("turning", "per metre"),
+    "range_m": ("mean range of the returns", "m"),
+    "tudf_m": ("mean distance to an occupied voxel", "m"),
+    "clearance_m": ("distance from the sensor to an obstacle", "m"),
+    "visibility_m": ("mean distance seen from the sensor", "m"),
+    "dispersion": ("neighbouring directions, one of them blocked", "%"),
+    "passage_m": ("narrowest passage at the sensor", "m"),
+    "tortuosity": ("length of the path out, of that without obstacles", ""),
+    "traversability": ("mean way to an obstacle", "robot diameters"),
+    "gap": ("mean width of passages", "robot diameters"),
+    "obstruction": ("how narrow the path out is", ""),
+    "occlusion": ("how near obstacles are ahead on the path out", ""),
+    "turning": ("corners of the path out", "per metre"),
 }
 """Statistics of a sample: what they are called, and their unit; shares are told in %."""

@@ -11,7 +11,6 @@ import numpy as np
 from scenegen.errors import DatasetError, GenerationError
 from scenegen.fly import SUITES, Rules, Vehicle
 from scenegen.fly.course import Course, Recording, check_document
-from scenegen.recipes import kind_names
 
 DIFFICULTIES = ("easy", "medium", "hard")
 FLIGHTS = 5
@@ -24,6 +23,19 @@ PATIENCE = 20.0
 """A flight ends after so many times the shortest way at full speed."""
 HIDDEN = 50
 """Worlds of a hidden track."""
+HIDDEN_KINDS = (
+    "cave",
+    "clutter",
+    "forest",
+    "geometric",
+    "industrial",
+    "maze",
+    "pillar",
+    "rooms",
+    "street",
+    "warehouse",
+)
+"""Their kinds, in turn: those of the suite, whatever kinds there are later."""
 MAPS = {
     "geb079.bt": "95a21e00319a7773",
     "fr_campus.bt": "241bc88f1bc5169f",
@@ -161,9 +173,9 @@ def courses_of(suite: str) -> list[Course]:
 
 
 def hidden_courses() -> list[Course]:
-    """The courses of a hidden track, of all kinds and difficulties in turn, as entries name them:
-    numbers from 0 on stand for their seeds, which `hidden_course` draws."""
-    turns = list(product(DIFFICULTIES, kind_names()))
+    """The courses of a hidden track, of all `HIDDEN_KINDS` and difficulties in turn, as entries
+    name them: numbers from 0 on stand for their seeds, which `hidden_course` draws."""
+    turns = list(product(DIFFICULTIES, HIDDEN_KINDS))
     chosen = (turns[n % len(turns)] for n in range(HIDDEN))
     return [_course(kind, level, n, "") for n, (level, kind) in enumerate(chosen)]
 

@@ -56,7 +56,7 @@ class Cave(Classed):
     """From floor to roof, metres; one value a world."""
     rough_m: Range = (0.2, 0.8)
     """Height of the floor's and depth of the roof's unevenness, metres; one value a world."""
-    chambers: tuple[int, int] = number((6, 10), least=1, most=200, rising=True)
+    chambers: tuple[int, int] = number((6, 10), least=1, most=200)
     """Chambers of a world."""
     chamber_m: Range = (2.5, 6.0)
     """Radius of a chamber, metres."""

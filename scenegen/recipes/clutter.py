@@ -37,10 +37,10 @@ class Clutter(Classed):
     """Extent of the world along x, y and z, metres."""
     ground: bool = True
     """Whether there is a floor."""
-    density: Range = number((0.05, 0.5), above=0, rising=True)
+    density: Range = number((0.05, 0.5), above=0)
     """Solids per square metre; one value a world, drawn so that its logarithm is uniform. Source:
     ego-planner's random maps have 400 obstacles on 1600 m² (0.25), which lies within."""
-    patch_m: Range = number((3.0, 10.0), least=0.5, most=1000, rising=True)
+    patch_m: Range = number((3.0, 10.0), least=0.5, most=1000)
     """Width of thickets and clearings, metres; one value a world. Source: the "complexity" of
     ego-planner's Perlin maps, as a width."""
     octaves: int = number(3, least=1, most=8)

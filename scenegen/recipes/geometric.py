@@ -57,13 +57,13 @@ class Geometric(WorldKind):
     centres. Source: its height is calibrated, results/calibration.md."""
     ground: bool = True
     """Whether there is a floor: a slab over the world's plan with its top at z = 0."""
-    density: Range = number((0.002, 0.4), above=0, rising=True)
+    density: Range = number((0.002, 0.4), above=0)
     """Solids per square metre; one value a world, drawn so that its logarithm is uniform. Source:
     calibrated, results/calibration.md."""
     half_size_m: Range = (0.3, 1.2)
     """Radii and half edges, metres; one value an axis of a solid. Source: calibrated,
     results/calibration.md."""
-    scale: Range = number((0.7, 1.2), above=0, most=100, rising=True)
+    scale: Range = number((0.7, 1.2), above=0, most=100)
     """Factor on `half_size_m`; one value a world."""
     standing_share: float = 0.5
     """Share of solids that stand on the ground; others float at any height, or are stacked."""
@@ -81,7 +81,7 @@ class Geometric(WorldKind):
     """Half the thickness, metres."""
     clutter_density: Range = (0.0, 0.003)
     """Heaps of small solids per square metre; one value a world."""
-    clutter_count: tuple[int, int] = number((4, 8), least=0, most=MOST_DRAWN_SOLIDS, rising=True)
+    clutter_count: tuple[int, int] = number((4, 8), least=0, most=MOST_DRAWN_SOLIDS)
     """Small solids in a heap."""
     clutter_spread_m: float = 0.5
     """Standard deviation of small solids' places about their heap's, metres."""

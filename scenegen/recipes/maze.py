@@ -64,9 +64,9 @@ class Maze(Classed):
     """Extent of the maze along x, y and z, metres."""
     ground: bool = True
     """Whether there is a floor under the lowest level."""
-    cell_m: Range = number((4.0, 6.0), least=1.0, most=1000, rising=True)
+    cell_m: Range = number((4.0, 6.0), least=1.0, most=1000)
     """Edge of a cell in the plan, metres; one value a world."""
-    level_m: Range = number((3.0, 3.4), least=1.0, most=1000, rising=True)
+    level_m: Range = number((3.0, 3.4), least=1.0, most=1000)
     """Height of a level, metres; one value a world."""
     wall_m: Range = (0.1, 0.3)
     """Thickness of walls, metres; one value a world."""

@@ -180,17 +180,17 @@ def _notes(made: Manifest) -> dict[str, str]:
     return notes
 
 
-def _text(name: str, given: Json) -> str:
-    text = (files("scenegen.share") / name).read_text(encoding="utf-8")
-    return Template(text).substitute(given)
+def _template(name: str) -> str:
+    return (files("scenegen.share") / name).read_text(encoding="utf-8")
 
 
 def card(given: Json) -> str:
     """The card of a dataset of which `facts` are given."""
-    text = _text("card.md", given).replace("\n\n\n\n", "\n\n")  # where there are no pictures
+    text = _template("card.md")
     if "by source" in given["fields"]:  # `datasets` refuses a field of several shapes
-        return re.sub("With Hugging Face.*?(?=With scenegen)", "", text, flags=re.DOTALL)
-    return text
+        text = re.sub("With Hugging Face.*?(?=With scenegen)", "", text, flags=re.DOTALL)
+    # four ends of lines where there are no pictures
+    return Template(text).substitute(given).replace("\n\n\n\n", "\n\n")
 
 
 def _table(*rows: Sequence[str]) -> str:
@@ -243,7 +243,7 @@ def croissant(given: Json, made: Manifest, told: Json, sums: Mapping[str, str]) 
     """The file of a dataset of which `facts` are given; `sums` has the SHA-256 of the
     files that have entries of their own, by name."""
     inside = {key: json.dumps(str(value), ensure_ascii=False)[1:-1] for key, value in given.items()}
-    found = json.loads(_text("croissant.json", inside))
+    found = json.loads(Template(_template("croissant.json")).substitute(inside))
     url, tag = given["url"], given["tag"]
     files = [
         _node(

@@ -97,12 +97,11 @@ def why_other(contract: Manifest) -> str:
         return f"made by generator {contract.generator}, here is generator {GENERATOR}"
     if contract.noise is not None and (drawn := contract.noise["version"]) != VERSION:
         return f"made with noise of version {drawn}, here is version {VERSION}"
-    differing = differences(dict(contract.software), software())
+    differing = differences(dict(contract.software), software(), ("there", "here"))
     there, here = contract.tables.get("version", 0), contract.recipe.version
     if contract.drawn and there != here:
-        differing.append(f"recipe.version is {there} there, {here} asked for")
-    named = ", ".join(line.replace(" asked for", " here") for line in differing)
-    return f"made with other software: {named}" if differing else ""
+        differing.append(f"recipe.version is {there} there, {here} here")
+    return f"made with other software: {', '.join(differing)}" if differing else ""
 
 
 def _cast_again(sample: Sample, page: Page) -> None:

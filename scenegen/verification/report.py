@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from scenegen.errors import BrokenError as BrokenError
+from scenegen.errors import plural
 from scenegen.files import Json
 
 TOLD = 3
@@ -128,7 +129,7 @@ class Page:
         more = self.faults - len(self.told)
         if self.faults:
             return "; ".join([*self.told, f"and {more} more"] if more else self.told)
-        parts = [f"{count} {what}" for what, count in self.counts.items()]
+        parts = [plural(count, what) for what, count in self.counts.items()]
         parts += [f"{what} {value:.2g}" for what, value in self.notes.items()]
         examined = ", ".join(parts)
         otherwise = " and ".join(f"{count} {what}" for what, count in self.differing.items())

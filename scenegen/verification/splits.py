@@ -173,7 +173,7 @@ def _compare(contract: Manifest, page: Page) -> None:
     page.count(samples=len(places))
     splits = np.array([SPLITS.index(contract.shards[number].split) for number, _ in places])
     pairs, complete = candidates(np.array(signatures), np.array(folds), np.array(returns), splits)
-    page.count(compared=len(pairs))
+    page.count(**{"pairs alike enough to compare": len(pairs)})
     faults = 0
 
     @functools.lru_cache(maxsize=MOST_OPEN)

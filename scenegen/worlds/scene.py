@@ -10,6 +10,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from lidarsim.grid import Floats, Ints
 from lidarsim.parameters import MOST_TRIANGLES
 from lidarsim.solids.model import solids_of, visible_geoms
 from lidarsim.solids.shapes import HFIELD, MESH, PLANE, Solids
@@ -19,6 +20,7 @@ from scenegen.limits import MOST_ASSET_BYTES, MOST_DOCUMENT_BYTES, MOST_GEOMS
 from scenegen.worlds import CLOUDS, MAPS, MESHES, WORLD_FILES
 from scenegen.worlds.cloud import Survey, map_clouds
 from scenegen.worlds.drawing import flatten, least_memory
+from scenegen.worlds.gltf import read_gltf
 from scenegen.worlds.place import encode_map, map_digest, named_map, place_of, read_place
 from scenegen.worlds.plan import read_plan
 from scenegen.worlds.screen import screen
@@ -109,7 +111,7 @@ def load_scene(path: Path, *, materials: bool = False) -> Scene:
     with limits. Raises SceneError.
     """
     with quiet_mujoco() as warnings:
-        drawn, skins = _compile(path)
+        drawn, notes = _compile(path)
         if any("NaN" in warning for warning in warnings):
             raise SceneError(f"{path}: has numbers that are NaN; give them values")
         data = mujoco.MjData(drawn)
@@ -132,13 +134,13 @@ def load_scene(path: Path, *, materials: bool = False) -> Scene:
             f"{path}: made self-contained, its solids are not those that MuJoCo makes of it; "
             "simplify its meshes"
         )
-    notes = tuple(f"{path.name}: {note}" for note in _notes(drawn, expected, skins))
-    return Scene(path.name, mjcf, assets, world.unseen, notes, geometry_digest(world.solids))
+    notes = [f"{path.name}: {note}" for note in (*notes, *_notes(drawn, expected))]
+    return Scene(path.name, mjcf, assets, world.unseen, tuple(notes), geometry_digest(world.solids))
 
 
-def _compile(path: Path) -> tuple[mujoco.MjModel, int]:
+def _compile(path: Path) -> tuple[mujoco.MjModel, list[str]]:
     """The model of a file without what only dresses its geoms, which may need files that are not
-    there, and how many skins were dropped. Raises SceneError."""
+    there, and notes on what was dropped that a user may look for. Raises SceneError."""
     is_mesh = path.suffix in MESHES
     what = "a mesh that MuJoCo refuses" if is_mesh else "not valid MJCF"
     refused = (ValueError, OSError, MemoryError, RuntimeError, mujoco.FatalError)
@@ -146,20 +148,28 @@ def _compile(path: Path) -> tuple[mujoco.MjModel, int]:
     told = f"; expected {', '.join(WORLD_FILES)}, or a map, which scenegen map makes of points"
     end = told * (path.suffix not in WORLD_FILES)
     with raised_as(SceneError, f"{path}: {what}: ", end, of=refused):
-        spec = mesh_spec(path) if is_mesh else mujoco.MjSpec.from_file(str(path))
-        skins = len(spec.skins)
+        notes: list[str] = []
+        spec = mesh_spec(path, notes) if is_mesh else mujoco.MjSpec.from_file(str(path))
+        if spec.skins:
+            notes.append(
+                f"skins ({len(spec.skins)}) are left out: they dress bodies, and rays do not see "
+                "them"
+            )
         if len(spec.geoms) > MOST_GEOMS:
             raise SceneError(f"{path}: more than {MOST_GEOMS} geoms; merge some into meshes")
         if spec.flexes:
             raise SceneError(f"{path}: has flexes, which rays do not see; use geoms instead")
         for material in spec.materials:
             material.textures = [""] * len(material.textures)
-        for item in (*spec.skins, *spec.textures):
+        for light in spec.lights:
+            light.texture = ""
+        # sensors may be of textures and skins; tuples that name these are no fault to MuJoCo
+        for item in (*spec.sensors, *spec.skins, *spec.textures):
             spec.delete(item)
         spec.memory = least_memory(len(spec.geoms))
         # memory that no geom needs; MuJoCo would fill as much as is asked
         spec.nuserdata = spec.nkey = 0
-        return spec.compile(), skins
+        return spec.compile(), notes
 
 
 def _same(expected: Solids, found: Solids) -> bool:
@@ -176,10 +186,8 @@ def _same(expected: Solids, found: Solids) -> bool:
     )
 
 
-def _notes(model: mujoco.MjModel, solids: Solids, skins: int) -> Iterator[str]:
+def _notes(model: mujoco.MjModel, solids: Solids) -> Iterator[str]:
     """What a user should know who thinks of all that the file holds."""
-    if skins:
-        yield f"skins ({skins}) are left out: they dress bodies, and rays do not see them"
     if model.njnt:
         yield f"joints ({model.njnt}) stay in their reference position: nothing moves"
     bent = visible_geoms(model) & np.isin(model.geom_type, (MESH, HFIELD))
@@ -238,50 +246,77 @@ UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 """From glTF, whose y points up, to z up; x stays."""
 
 
-def mesh_spec(path: Path) -> mujoco.MjSpec:
+Placed = Iterator[tuple[str, Floats, Ints]]
+"""Name, corners (n, 3), metres, z up, and triangles (m, 3) of each object of a mesh file."""
+
+
+def _objects(path: Path, notes: list[str]) -> Placed:
+    """The objects of a mesh file; what is not read of it is added to `notes`. Raises SceneError."""
+    with raised_as(SceneError, of=DatasetError):
+        content = read_bounded(path, MOST_ASSET_BYTES)
+    # readers of damaged files raise anything, and numpy warns of numbers that are refused later
+    with (
+        raised_as(SceneError, f"{path}: cannot be read as {path.suffix}: ", of=Exception),
+        np.errstate(all="ignore"),
+    ):
+        yield from _gltf(content, notes) if path.suffix == ".glb" else _by_trimesh(path, content)
+
+
+def _gltf(content: bytes, notes: list[str]) -> Placed:
+    """The objects of a .glb; see `_objects`."""
+    again = "its parts do not fit together: ", "; export it again"
+    with raised_as(BrokenError, *again, of=(LookupError, TypeError, ValueError, AttributeError)):
+        file = read_gltf(content)
+        notes += file.notes()
+        for name, corners, faces in file.objects():
+            yield name, corners @ UPRIGHT[:3, :3].T, faces
+
+
+def _by_trimesh(path: Path, content: bytes) -> Placed:
+    """The objects of another mesh file; see `_objects`."""
+    import trimesh  # takes a second to load
+
+    scene = trimesh.load(  # without a resolver, no other file is read
+        io.BytesIO(content),
+        file_type=path.suffix[1:],
+        force="scene",
+        process=False,
+        skip_materials=True,
+        split_objects=True,
+    )
+    for mesh in scene.dump():
+        if isinstance(mesh, trimesh.Trimesh):
+            yield mesh.metadata.get("name", ""), mesh.vertices, mesh.faces
+
+
+def mesh_spec(path: Path, notes: list[str]) -> mujoco.MjSpec:
     """The MJCF of a mesh file: a geom for each of its objects, where they stand.
 
     A .glb is in metres with y up, as glTF 2.0 says; the others say neither, and are taken to be in
-    metres with z up. Colours are left out. Raises SceneError.
+    metres with z up. Colours are left out. What else is not read is added to `notes`. Raises
+    SceneError.
     """
-    import trimesh  # takes a second to load
-
-    with raised_as(SceneError, of=DatasetError):
-        content = read_bounded(path, MOST_ASSET_BYTES)
-    # trimesh's loaders raise anything
-    with raised_as(SceneError, f"{path}: cannot be read as {path.suffix}: ", of=Exception):
-        scene = trimesh.load(  # without a resolver, no other file is read
-            io.BytesIO(content),
-            file_type=path.suffix[1:],
-            force="scene",
-            process=False,
-            skip_materials=True,
-            split_objects=True,
-        )
-        if path.suffix == ".glb":
-            scene.apply_transform(UPRIGHT)
-        placed = scene.dump()
     spec, triangles = mujoco.MjSpec(), 0
-    for mesh in placed:
-        if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
+    for name, corners, faces in _objects(path, notes):
+        if not len(faces):
             continue
-        triangles, corners = triangles + len(mesh.faces), mesh.vertices
+        triangles += len(faces)
         if triangles > MOST_TRIANGLES or len(spec.geoms) >= MOST_GEOMS:
             raise SceneError(
                 f"{path}: more than {MOST_TRIANGLES} triangles or {MOST_GEOMS} objects; simplify it"
             )
-        there = mesh.faces.min() >= 0 and mesh.faces.max() < len(corners)
+        there = faces.min() >= 0 and faces.max() < len(corners)
         if not there or not np.isfinite(corners).all():
             raise SceneError(
                 f"{path}: has corners that are not finite, or that are missing; export it again"
             )
         if len(corners) == 3:  # MuJoCo wants four
             corners = corners[[0, 1, 2, 2]]
-        called = f"{len(spec.geoms)} {printable(mesh.metadata.get('name', ''))[:60]}"
+        called = f"{len(spec.geoms)} {printable(name)[:60]}"
         spec.add_mesh(
             name=called,
             uservert=corners.reshape(-1),
-            userface=mesh.faces.reshape(-1),
+            userface=faces.reshape(-1),
             inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
         )
         spec.worldbody.add_geom(

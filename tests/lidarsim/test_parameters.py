@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from lidarsim.parameters import Bounds, check, number, shown
+from scenegen.recipes.kind import bounds_by_name
 from tests.command_line import rows
 
 if TYPE_CHECKING:
@@ -132,6 +133,35 @@ def test_fields_without_bounds_have_those_of_their_name():
     check(Kind(), by_name)
     with pytest.raises(ValueError, match=r"share = 1.5: expected a finite number from 0 to 1"):
         check(dataclasses.replace(Kind(), share=1.5), by_name)
+
+
+@pytest.mark.parametrize("field", ["plain_m", "bounded_m", "bounded_count", "unresolved_m"])
+@pytest.mark.parametrize("value", [(4.0, 2.0), np.array([4.0, 2.0])])
+def test_ranges_of_a_kind_rise_within_bounds_of_their_own(field, value):
+    with pytest.raises(ValueError, match=rf"^{field} = .*4.*2.*: expected "):
+        Ranges(**{field: value})
+    assert tuple(getattr(Ranges(**{field: (2.0, 4.0)}), field)) == (2, 4)
+    assert tuple(getattr(Ranges(**{field: (3.0, 3.0)}), field)) == (3, 3)
+
+
+def test_a_pair_that_is_no_range_says_so():
+    assert Ranges(place_m=(4.0, 2.0)).place_m == (4.0, 2.0)
+    with pytest.raises(ValueError, match="two finite numbers at least 1"):
+        Ranges(place_m=(4.0, 0.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ranges:
+    """As a kind of worlds checks its parameters: by name, where a field has no bounds."""
+
+    plain_m: tuple[float, float] = (1.0, 2.0)
+    bounded_m: tuple[float, float] = number((1.0, 2.0), least=1.0)
+    bounded_count: tuple[int, int] | None = number((1, 2), least=1)
+    unresolved_m: Any = number((1.0, 2.0), least=1.0)
+    place_m: tuple[float, float] = number((1.0, 2.0), least=1.0, rising=False)
+
+    def __post_init__(self):
+        check(self, bounds_by_name)
 
 
 @pytest.mark.parametrize(

@@ -44,7 +44,7 @@ class Choices(Checked):
     """SemanticKITTI: mark voxels that no ray met as invalid. What is behind things is then left out
     of the score, and with it the task."""
     label: int = number(50, least=1, most=65535)
-    """SemanticKITTI: the label of occupied voxels. 50 is its building, which its own table of
-    classes keeps; its "other" labels count as empty there."""
+    """SemanticKITTI: the label of occupied voxels without a class, or of one that it lacks. 50 is
+    its building, which its own table of classes keeps; its "other" labels count as empty there."""
     frame: Literal["body", "world"] = "body"
     """Frame of points: the body, or the world."""

@@ -11,6 +11,7 @@ from typing import Any
 
 from scenegen.dataset.read import Dataset, Rows
 from scenegen.display.exchange import FORMATS, Choices
+from scenegen.display.exchange.files import Classed, OneEach
 from scenegen.errors import DatasetError, printable, raised_as
 from scenegen.files import claim, make_parent, remove_drafts, write_whole
 from scenegen.run import Counted, Executor, chunked, unheard
@@ -34,6 +35,8 @@ class Converted:
     """Samples that are left to other ranks."""
     broken: tuple[str, ...]
     """A line for each sample that could not be read."""
+    notes: tuple[str, ...]
+    """What a user should know of the samples that were written: a sentence each."""
 
 
 def convert(
@@ -76,6 +79,8 @@ def convert(
         "digest": manifest.digest or [shard.sha256 for shard in manifest.shards],
         "grid": manifest.parameters["grid"],
     }
+    if manifest.labels and isinstance(form, OneEach):
+        about["classes"] = form.classes = tuple(manifest.labels["classes"])
     claim(out, STATE, about)
     each = getattr(form, "together", None) or CHUNK
     whole = [
@@ -98,7 +103,8 @@ def convert(
             remove_drafts(folder)
     lines = tuple(line for rows in tasks for line in broken[rows])
     others = sum(len(rows.numbers) for rows in whole) - total
-    return Converted(total - there - len(lines), there, others, lines)
+    notes = form.notes() if isinstance(form, Classed) else []
+    return Converted(total - there - len(lines), there, others, lines, tuple(notes))
 
 
 def _write(dataset: Dataset, out: Path, form: Any, rows: Rows) -> tuple[Rows, int, list[str]]:

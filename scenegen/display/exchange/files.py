@@ -17,6 +17,7 @@ from lidarsim import Sensor
 from lidarsim.grid import Floats, GridSpec, Ints
 from scenegen.cloud_arrays import encode_npz
 from scenegen.display.exchange import Choices
+from scenegen.display.exchange.classes import OCC3D, SEMANTIC_KITTI
 from scenegen.errors import DatasetError
 from scenegen.files import write_result
 from scenegen.sample import Sample
@@ -83,11 +84,17 @@ DATA binary
     return head.encode() + np.concatenate(columns, axis=1).astype("<f4").tobytes()
 
 
+SHOWN = 12
+"""Names of classes that a note lists."""
+
+
 class OneEach:
     """A format with a file for each sample, ``train/000007.ply``."""
 
     place, suffix = "{split}/{number:06d}", ""
     """Where it lies."""
+    classes: tuple[str, ...] = ()
+    """Names of the classes of a dataset with labels, by number; `convert` sets them."""
 
     def __init__(self, choices: Choices):
         self.choices = choices
@@ -95,6 +102,34 @@ class OneEach:
     def names(self, split: str, number: int) -> tuple[str, ...]:
         """The file of a sample, or the one that begins with it."""
         return (self.place.format(split=split, number=number) + self.suffix,)
+
+
+class Classed(OneEach):
+    """A format with a number for each class of voxels."""
+
+    numbers: Mapping[str, int]
+    """The format's number of a class, by the class's name."""
+    empty: int
+    """The number of voxels that are not occupied."""
+    unlabelled: int
+    """The number of occupied voxels of a dataset without labels."""
+    other: int
+    """The number of a class whose name is not in `numbers`."""
+
+    def semantics(self, sample: Sample) -> Ints:
+        """The number of each voxel's class (*grid.shape)."""
+        if not self.classes:
+            return np.where(sample.occupancy, self.unlabelled, self.empty)
+        _, *classes = self.classes  # the first is of voxels that are not occupied
+        numbers = [self.empty, *(self.numbers.get(name, self.other) for name in classes)]
+        return np.array(numbers)[sample.voxel_class]
+
+    def notes(self) -> list[str]:
+        """What a user should know of a dataset's classes."""
+        names = [name for name in self.classes[1:] if name not in self.numbers]
+        more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+        listed = f"{', '.join(names[:SHOWN])}{more}"
+        return [f"classes that the format lacks become {self.other}: {listed}"] if names else []
 
 
 class Together(OneEach):
@@ -128,8 +163,8 @@ class Pcd(Ply):
 
 
 class Npz(OneEach):
-    """Every field of the sample under its name, the returns under `points`, and the grid's
-    `voxel_m`; compressed."""
+    """Every field of the sample under its name, the returns under `points`, the grid's `voxel_m`,
+    and the names of the labels' `classes`; compressed."""
 
     suffix = ".npz"
 
@@ -138,6 +173,8 @@ class Npz(OneEach):
         fields = {name: getattr(sample, name) for name in sample.names}
         fields["points"] = sample.points(lidar, frame=self.choices.frame)
         fields["voxel_m"] = grid.voxel_m
+        if self.classes:
+            fields["classes"] = self.classes
         return encode_npz(fields)
 
 
@@ -170,7 +207,7 @@ SEQUENCES = {"train": (*range(8), 9, 10), "val": (8,), "test": range(11, 22)}
 """Sequences that SemanticKITTI's own lists put in these splits."""
 
 
-class SemanticKitti(OneEach):
+class SemanticKitti(Classed):
     """SemanticKITTI's voxel grids, for programs that read its scene-completion task.
 
     ``sequences/07/voxels/000007.bin`` holds the observed voxels, ``.label`` the ground truth,
@@ -182,6 +219,12 @@ class SemanticKitti(OneEach):
     SemanticKITTI's begin at the car.
     """
 
+    numbers, empty = SEMANTIC_KITTI, 0
+
+    def __init__(self, choices: Choices):
+        super().__init__(choices)
+        self.unlabelled = self.other = choices.label
+
     def names(self, split: str, number: int) -> tuple[str, ...]:
         """The four files of a sample."""
         sequences = SEQUENCES[split]
@@ -191,7 +234,7 @@ class SemanticKitti(OneEach):
     def encode(self, sample: Sample, grid: GridSpec, lidar: Sensor) -> tuple[bytes, ...]:
         """Their contents."""
         observed = sample.observed
-        labels = np.multiply(sample.occupancy, self.choices.label, dtype="<u2")
+        labels = self.semantics(sample).astype("<u2")
         unseen = ~(observed | sample.free)
         invalid = unseen & self.choices.unseen_invalid
         if sample.known is not None:
@@ -200,11 +243,7 @@ class SemanticKitti(OneEach):
         return bits, labels.tobytes(), *more
 
 
-MANMADE, EMPTY = 15, 17
-"""Occ3D-nuScenes' classes of occupied voxels and of free ones."""
-
-
-class Occ3d(OneEach):
+class Occ3d(Classed):
     """Occ3D-nuScenes' labels (tsinghua-mars-lab.github.io/Occ3D), for programs that read its task
     of occupancy prediction.
 
@@ -216,12 +255,14 @@ class Occ3d(OneEach):
     """
 
     place, suffix = "gts/{split}/{number:06d}/labels", ".npz"
+    numbers, empty = OCC3D, 17
+    unlabelled, other = OCC3D["manmade"], OCC3D["others"]
 
     def encode(self, sample: Sample, grid: GridSpec, lidar: Sensor) -> bytes:
         """Its content."""
         truth = sample.occupancy
         fields = {
-            "semantics": np.where(truth, MANMADE, EMPTY),
+            "semantics": self.semantics(sample),
             "mask_lidar": sample.observed | sample.free,
             "mask_camera": np.ones_like(truth) if sample.known is None else sample.known,
         }

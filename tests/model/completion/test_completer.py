@@ -179,6 +179,12 @@ NOISY_TOO = {"also": [{"lidar": sensor_entry(OWN), "noise": [NOISE]}]}
         ({"noise": ["", NOISE]}, (Lidar(), Mapper(), NOISE), ""),
         ({}, (Lidar(), Mapper(), NOISE), "other noise.*noise is none in training, dropout"),
         (NOISY_TOO, (OWN,), "other noise.*noise is dropout.* in training, none here"),
+        # names that hold the words of such lines
+        (
+            {"noise": ["gathered:Weather"]},
+            (Lidar(), Mapper(), "as_asked_for:There"),
+            "other noise.*noise is gathered:Weather in training, as_asked_for:There here$",
+        ),
     ],
 )
 def test_a_network_says_where_maps_are_not_those_of_its_training(header, met, said):

@@ -26,7 +26,7 @@ def test_generate_inspect_and_world_work_together(small, tmp_path, capsys):
     assert [split["samples"] for split in found["splits"].values()] == [12, 1, 2]
     assert found["digest"] == digest
     assert 0 < found["splits"]["train"]["statistics"]["occupied"]["mean"] < 0.5
-    assert "12 samples of 4 worlds" in done(capsys, f"inspect {out}")
+    assert "12 samples of 4 worlds" in done(capsys, f"inspect {out} --details")
     assert "ends in .xml or .glb" in run(capsys, f"world {out} 3 -o {tmp_path}/world.usd")[2]
     done(capsys, f"world {out} 3 --split train -o {tmp_path}/world.xml")
     assert mujoco.MjModel.from_xml_path(str(tmp_path / "world.xml")).ngeom > 0

@@ -10,8 +10,9 @@ from tests.command_line import refused, rows, run
 @pytest.mark.usefixtures("verified", "undrawn")
 def test_a_rehearsal_lists_what_would_go(standing, made, capsys):
     command = f"publish {made} --repo ada/pillars --dry-run"
-    code, said, _ = run(capsys, f"{command} --workers 1")
+    code, said, notes = run(capsys, f"{command} --workers 1")
     assert code == 0
+    assert "Wrote publish/pillars. Nothing is uploaded (--dry-run)." in notes
     for name in ("train-*.worlds.zip", "README.md", "SHA256SUMS", "hf://ada/pillars@v1-"):
         assert name in said
     code, said, _ = run(capsys, f"{command} --json --tag v7")

@@ -11,6 +11,8 @@ def test_verify_prints_a_table_and_ends_with_one_where_a_check_fails(tmp_path, c
     folder = dataset_in(tmp_path / "d").folder
     said = done(capsys, f"verify {folder} --workers 1")
     assert [line.split()[1] for line in said.splitlines() if line][:-2] == ["ok"] * 20
+    assert "s  3 samples, 0 pairs alike enough to compare\n" in said
+    assert "s  1 file, 3 samples\n" in said
     assert ("3 samples in" in said, "all 20 checks passed" in said) == (True, True)
     report = json.loads(done(capsys, f"verify {folder} --quick --json"))
     assert (report["ok"], report["quick"], len(report["checks"])) == (True, True, 13)

@@ -128,7 +128,7 @@ def test_it_is_verified_inspected_measured_and_gathered(mixed, tmp_path, capsys,
     done(capsys, f"verify {folder} --kind clutter")
     named = trust.parse(manifest.read(folder), folder, "clutter")
     assert {home.named for home in named.homes} == {"clutter"}
-    assert "clutter, seed 4, train 4, val 1, test 1" in done(capsys, f"inspect {folder}")
+    assert "clutter, seed 4, train 4, val 1, test 1" in done(capsys, f"inspect {folder} --details")
     done(capsys, f"bench {folder} --method returns --quick --quiet -o {tmp_path}/b")
     report = (tmp_path / "b" / "report.md").read_text()
     assert {"pillar", "clutter", "maze-hard"} <= {*re.findall(r"^## (.*)$", report, re.M)}
@@ -173,7 +173,7 @@ def test_one_dataset_holds_several_sensors_noises_and_scan_counts(tmp_path, caps
     assert {len(maps[n]) for n in range(len(maps))} == {4}  # two inputs, occupancy and distances
     assert len(set(maps.settings)) == 3
     assert verify(found.folder).ok
-    said = done(capsys, f"inspect {found.folder}")
+    said = done(capsys, f"inspect {found.folder} --details")
     assert ("velodyne-vlp-16" in said, "dropout" in said) == (True, True)
     request = Request(dataset=found.folder, repository="ada/mixed", out=tmp_path / "p")
     stage(request, checks=(("splits", "apart"),))

@@ -2,7 +2,9 @@
 
 import dataclasses
 import hashlib
+import json
 import os
+import re
 import runpy
 import subprocess
 import sys
@@ -14,26 +16,28 @@ import pytest
 import trimesh
 from numpy.testing import assert_allclose, assert_array_equal
 
+import scenegen
 from lidarsim import GridSpec
 from lidarsim.engines.voxels import FREE, OCCUPIED
 from scenegen.dataset.read import Dataset
 from scenegen.display.exchange import Choices
 from scenegen.display.exchange.convert import convert
-from scenegen.display.exchange.files import SemanticKitti
+from scenegen.display.exchange.files import Occ3d, SemanticKitti
 from scenegen.display.exchange.recordings import rerun as import_rerun
 from scenegen.errors import DatasetError
 from scenegen.recipe import preset
 from scenegen.source import read_world
+from scenegen.worlds.classes import CLASSES
 from scenegen.worlds.octomap import parse_octomap
-from tests.command_line import done, refused, run
+from tests.command_line import ROOT, done, refused, run
 from tests.conftest import contents, dataset_in
 from tests.test_silence import environment, noted, shim  # noqa: F401 (shim is a fixture)
 
 MASKS = ("observed", "free", "occupancy")
 
 
-def converted(made, out, to, **choices):
-    convert(Dataset(made), out, to=to, choices=Choices(**choices), splits=("val",))
+def converted(made, out, to, split="val", **choices):
+    convert(Dataset(made), out, to=to, choices=Choices(**choices), splits=(split,))
     return out
 
 
@@ -84,6 +88,121 @@ def test_occ3d(made, tmp_path):
         for name, values in zip(("semantics", "mask_lidar", "mask_camera"), expected, strict=True):
             assert labels[name].dtype == np.uint8
             assert_array_equal(labels[name], values)
+
+
+SEMANTIC_KITTI = {
+    "nothing": 0,
+    "road": 40,
+    "sidewalk": 48,
+    "terrain": 72,
+    "building": 50,
+    "vegetation": 70,
+    "trunk": 71,
+    "pole": 80,
+    "sign": 81,
+    "vehicle": 10,
+    "tyre": 10,
+    "machine": 60,
+}
+"""Names and numbers of `config/semantic-kitti.yaml`; tyres are of cars, and machines of what
+`--label` says."""
+OCC3D_NAMES = str.split("""
+others barrier bicycle bus car construction_vehicle motorcycle pedestrian traffic_cone trailer truck
+driveable_surface other_flat sidewalk terrain manmade vegetation free
+""")
+"""As the loaders of Occ3D-nuScenes list them."""
+OCC3D = {
+    "nothing": "free",
+    "road": "driveable_surface",
+    "sidewalk": "sidewalk",
+    "terrain": "terrain",
+    "building": "manmade",
+    "vegetation": "vegetation",
+    "trunk": "vegetation",
+    "pole": "manmade",
+    "sign": "manmade",
+    "vehicle": "car",
+    "tyre": "car",
+    "machine": "manmade",
+}
+
+
+@pytest.fixture(scope="module")
+def labelled(tmp_path_factory):
+    """A dataset of a world with a box of each class, as numbers and names: read with h5py and json
+    alone."""
+    folder = tmp_path_factory.mktemp("labelled")
+    names = list(SEMANTIC_KITTI)[1:]
+    materials = "".join(f'<material name="{name}"/>' for name in names)
+    boxes = "".join(
+        f'<geom type="box" size=".4 .4 .4" pos="{2 * (n % 4)} {2 * (n // 4)} 0.5" '
+        f'material="{name}"/>'
+        for n, name in enumerate(names)
+    )
+    (folder / "town.xml").write_text(
+        f"<mujoco><asset>{materials}</asset><worldbody>{boxes}</worldbody></mujoco>"
+    )
+    scenegen.generate(
+        scene=folder / "town.xml", n=2, val=0, test=0, labels="class", out=folder / "d"
+    )
+    classes = json.loads((folder / "d/dataset.json").read_text())["labels"]["classes"]
+    with h5py.File(folder / "d/train-00000.h5") as file:
+        numbers = file["voxel_class"][:]
+    assert set(SEMANTIC_KITTI) == {classes[number] for number in np.unique(numbers)}
+    return folder / "d", np.array(classes), numbers
+
+
+def test_classes_become_semantickitti_s_by_name(labelled, tmp_path):
+    dataset, classes, numbers = labelled
+    converted(dataset, tmp_path / "out", "semantickitti", split="train", label=60)
+    for n, expected in enumerate(numbers):
+        found = np.fromfile(tmp_path / f"out/sequences/0{n}/voxels/00000{n}.label", np.uint16)
+        assert_array_equal(found, [SEMANTIC_KITTI[name] for name in classes[expected.ravel()]])
+
+
+def test_classes_become_occ3d_s_by_name(labelled, tmp_path):
+    dataset, classes, numbers = labelled
+    converted(dataset, tmp_path / "out", "occ3d", split="train")
+    for n, expected in enumerate(numbers):
+        found = np.load(tmp_path / f"out/gts/train/00000{n}/labels.npz")["semantics"]
+        assert found.dtype == np.uint8
+        named = np.array(OCC3D_NAMES)[found]
+        assert_array_equal(named.ravel(), [OCC3D[name] for name in classes[expected.ravel()]])
+
+
+def test_npz_names_the_classes(labelled, tmp_path):
+    dataset, classes, numbers = labelled
+    converted(dataset, tmp_path / "out", "npz", split="train")
+    for n, expected in enumerate(numbers):
+        with np.load(tmp_path / f"out/train/00000{n}.npz", allow_pickle=False) as found:
+            assert_array_equal(found["classes"][found["voxel_class"]], classes[expected])
+
+
+def test_the_docs_say_which_numbers_classes_become():
+    """Every class has its row, and `--label` where SemanticKITTI lacks it."""
+    text = (ROOT / "docs/convert.md").read_text().partition("## Classes")[2].partition("\n## ")[0]
+    rows_of = [line.strip("| ").split(" | ") for line in text.splitlines() if line[:3] == "| `"]
+    numbers = {name: cells for names, *cells in rows_of for name in re.findall("`(.*?)`", names)}
+    for name in CLASSES:
+        kitti, occ3d = numbers[name]
+        assert kitti.split()[0] == str(SemanticKitti.numbers.get(name, "`--label`"))
+        assert occ3d.split()[0] == str(Occ3d.numbers[name])
+
+
+def test_names_that_a_format_lacks_are_told(capsys, tmp_path):
+    """Of worlds whose geoms the user has named: theirs are taken, the others are named."""
+    (tmp_path / "a.xml").write_text(
+        "<mujoco><worldbody><geom name='bicycle_01' size='1' pos='0 0 1'/>"
+        "<geom name='crate.7' type='box' size='1 1 1' pos='4 0 1'/></worldbody></mujoco>"
+    )
+    done(capsys, f"generate --scene {tmp_path}/a.xml --n 1 --labels name -o {tmp_path}/d")
+    code, _, said = run(capsys, f"convert {tmp_path}/d --to semantickitti -o {tmp_path}/k")
+    (line,) = (line for line in said.splitlines() if "classes" in line)
+    assert (code, line.partition(":")[0]) == (0, "classes that the format lacks become 50")
+    assert "crate" in line
+    assert "bicycle" not in line
+    labels = np.fromfile(next(tmp_path.glob("k/**/*.label")), np.uint16)
+    assert set(np.unique(labels)) == {0, 11, 50}
 
 
 KIT = Path(os.environ.get("SCENEGEN_SEMANTIC_KITTI_API", "nowhere"), "auxiliary/SSCDataset.py")

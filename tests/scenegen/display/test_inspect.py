@@ -10,8 +10,9 @@ import pytest
 
 import scenegen
 from lidarsim import GridSpec, Lidar
+from scenegen.cli.show import rejections
 from scenegen.dataset.read import Dataset
-from scenegen.display.inspect import inspect, misfits
+from scenegen.display.inspect import TITLES, inspect, misfits
 from scenegen.display.look import looks
 from scenegen.truth.difficulty import Difficulty, difficulty
 from tests.command_line import done, run
@@ -105,6 +106,38 @@ def test_figures_and_samples_are_told_by_kind(tmp_path):
             found = told["statistics"]
             assert found["unknown"]["mean"] == pytest.approx(1 - np.mean(known))
             assert found["tudf_m"]["mean"] == pytest.approx(np.mean([look.tudf for look in own]))
+
+
+def test_a_mixed_dataset_is_summed_up_on_one_screen(tmp_path, capsys):
+    """Each measure has a line, with its means and what it is; the rest needs `--details`."""
+    recipe = tmp_path / "mixed.toml"
+    recipe.write_text(RECIPE)
+    words = f"generate --recipe {recipe} --n 12 --val 0 --test 6 --quiet -o {tmp_path}/mixed"
+    done(capsys, words)
+    said = done(capsys, f"inspect {tmp_path}/mixed")
+    lines = said.splitlines()
+    assert len(lines) <= 40
+    assert "made of   3 datasets: pillar, clutter, maze-hard\n" in said
+    splits = inspect(tmp_path / "mixed")["splits"]
+    for name in KEYS:
+        (line,) = (line for line in lines if line.startswith(f"{name} "))
+        for split in splits.values():
+            figures = split["statistics"][name]
+            share = 100 if TITLES[name][1] == "%" else 1
+            assert f"{share * figures['mean']:.2f} ± {share * figures['std']:.2f}" in line
+        assert line.partition("  ")[2].endswith(", ".join(filter(None, TITLES[name])))
+    full = done(capsys, f"inspect {tmp_path}/mixed --details")
+    for name in ("train", "test"):
+        assert f"\n{name}: means of each kind, shares in %\n" in full
+
+
+def test_rejections_are_told_in_words():
+    rejected = {"worlds": {"no_flight": 1}, "viewpoints": {"few_returns": 12, "mine": 2}}
+    assert rejections(rejected) == (
+        "1 world: no collision-free flight (no_flight); 12 viewpoints: too few rays return "
+        "(few_returns); 2 viewpoints: mine"
+    )
+    assert rejections({"worlds": {}, "viewpoints": {}}) == "none"
 
 
 def test_figures_that_are_kept_are_read_and_no_others(full, tmp_path, monkeypatch, capsys):

@@ -17,6 +17,7 @@ from numpy.testing import assert_allclose, assert_equal
 from lidarsim import GridSpec, Lidar
 from lidarsim.engines.voxels import FREE, OCCUPIED, UNKNOWN
 from lidarsim.pose import rotate
+from scenegen import recipes
 from scenegen.errors import DatasetError, GenerationError
 from scenegen.fly import Rules, Vehicle, suite
 from scenegen.fly.course import Course, Recording, replay
@@ -418,6 +419,28 @@ def test_the_suite_is_drawn_as_it_was_frozen(chosen):
     assert hidden_course(one, 5).seed != hidden_course(one, 6).seed
     with pytest.raises(GenerationError, match="another world"):
         hidden_course(replace(one, document="0"), 5)
+
+
+HIDDEN_WORLDS = {
+    5: (4418664987486324211, "46f2f254f561c0e9"),
+    6: (9086653050485294098, "ec6c187b496585be"),
+    7: (6997508757783532242, "25ea243a02f8709f"),
+    9: (7529006468152587400, "9e60c6d1a1fc186f"),
+}
+"""Courses of the hidden track that the number 5 draws: the seed, and the world's first digits."""
+
+
+def test_the_hidden_track_never_changes(monkeypatch):
+    """Its courses and their worlds are those of the day when the suite was frozen, although a kind
+    of worlds is added."""
+    monkeypatch.setitem(recipes.KINDS.builtin, "attic", "nowhere:Attic")
+    assert "attic" in recipes.kind_names()
+    courses = chosen_courses("aerial-1", 5, None, quick=False)
+    listed = "\n".join(f"{one.seed} {one.world} {one.difficulty} {one.flights}" for one in courses)
+    assert hashlib.sha256(listed.encode()).hexdigest()[:16] == "717f5a267ea15677"
+    for number, frozen in HIDDEN_WORLDS.items():
+        drawn = hidden_course(replace(courses[number], flights=1), 5)  # missions take the time
+        assert (drawn.seed, drawn.sha256[:16]) == frozen
 
 
 def test_an_entry_keeps_to_its_suite():

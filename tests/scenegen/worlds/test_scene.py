@@ -140,6 +140,37 @@ def test_what_only_dresses_geoms_is_not_needed(tmp_path):
     assert [name.rpartition("-")[2] for name in scene.assets] == ["m.msh"]
 
 
+DRESSED = """<mujoco model="lamp"><asset>
+<texture name="t" type="2d" builtin="checker" width="8" height="8"/>
+<texture name="c" type="cube" builtin="flat" width="8" height="8"/>
+<material name="m" texture="t"/>
+<material name="layers"><layer texture="t" role="rgb"/><layer texture="c" role="normal"/></material>
+<skin name="s" material="m" vertex="0 0 0 1 0 0 0 1 0" face="0 1 2">
+<bone body="b" bindpos="0 0 0" bindquat="1 0 0 0" vertid="0 1 2" vertweight="1 1 1"/></skin></asset>
+<worldbody><body name="b" pos="0 1 2"><light name="l" texture="t"/>
+<geom type="box" size="1 2 3" material="m"/><site name="site" size="1" material="layers"/></body>
+<replicate count="3" offset="2 0 0"><geom size="0.5" material="layers"/></replicate></worldbody>
+{}</mujoco>"""
+REFERRING = """
+light   → <default><site rgba="1 0 0 1"/></default>
+tuple   → <custom><tuple name="x"><element objtype="{type}" objname="{name}"/></tuple></custom>
+sensor  → <sensor><user name="u" dim="1" objtype="{type}" objname="{name}"/></sensor>
+"""
+
+
+@pytest.mark.parametrize("dress", ["texture t", "skin s", "material m", "light l"])
+@pytest.mark.parametrize(("name", "element"), rows(REFERRING))
+def test_what_refers_to_textures_and_skins_is_valid(tmp_path, name, element, dress):
+    """Lights, tuples and sensors, in the file itself and in a model that it attaches."""
+    kind, object_name = dress.split()
+    text = DRESSED.format(element.format(type=kind, name=object_name))
+    assert_as_mujoco_compiles_it(write(tmp_path, text))
+    write(tmp_path, text, "lamp.xml")
+    attached = """<mujoco><asset><model name="lamp" file="lamp.xml"/></asset><worldbody>
+    <geom size="1" pos="9 0 0"/><attach model="lamp" body="b" prefix="x/"/></worldbody></mujoco>"""
+    assert_as_mujoco_compiles_it(write(tmp_path, attached, "attached.xml"))
+
+
 def test_memory_that_a_file_asks_for_beside_its_geoms_is_not_taken(tmp_path):
     """MuJoCo would fill gigabytes, for as long as a reader's limits let it."""
     path = write(
