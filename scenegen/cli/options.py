@@ -103,7 +103,7 @@ device_option = click.option(
 columns_option = click.option(
     "--columns",
     type=click.IntRange(3, 64),
-    help="Of clouds whose columns have no names (.bin, .npy, .npz): the numbers of a point, x y z "
+    help="For clouds whose columns have no names (.bin, .npy, .npz): the numbers of a point, x y z "
     "first.  [default: as the format has it, or by the numbers]",
 )
 difficulty_option = click.option(

@@ -305,7 +305,7 @@ def test_hidden_and_real_tracks_are_flown_again_by_who_has_their_worlds(
     monkeypatch.setattr(suite, "MAP_COURSES", 1)
     monkeypatch.setattr(suite, "HIDDEN", 2)
     monkeypatch.setattr(suite, "FLIGHTS", 1)
-    monkeypatch.setattr(suite, "kind_names", lambda: ["pillar", "rooms"])
+    monkeypatch.setattr(suite, "HIDDEN_KINDS", ("pillar", "rooms"))
     for given, wrong in (("--hidden 77", "--hidden 78"), (f"--maps {tmp_path}", "")):
         file = tmp_path / f"{len(given)}.json"
         words = f"fly --suite aerial-1 --robot reactive --workers 1 -o {file}"

@@ -112,14 +112,16 @@ def test_what_was_scanned_again_is_published_with_the_command_that_does_so(made,
         examine(request)
 
 
-def test_noise_drawn_in_an_older_way_is_read_and_not_drawn_again(noisy, tmp_path):
-    """A manifest that names no version of its noise is of the first one."""
-    older = {"stages": SPELLED, "bound_m": 0.08}
+def test_noise_of_an_older_version_is_read_and_its_difference_reported(noisy, tmp_path):
+    """A manifest that names no version of its noise is of the first one; other numbers are then
+    `differs` and no fault. Here the stages differ, for numbers of that version are gone."""
+    older = {"stages": SPELLED.replace("0.02", "0.019"), "bound_m": 0.076}
     folder = forge.copy(noisy, tmp_path / "d")
     forge.sign(folder, noise=older)
     assert Dataset(folder).manifest.noise == {**older, "version": 1}
     checks = {check.name: check for check in verify(folder).checks}
     assert [name for name, check in checks.items() if not check.ok] == []
+    assert checks["rays"].differing
     assert "made with noise of version 1, here is version 2" in checks["rays"].detail
     with pytest.raises(PublishError, match="would not make the same dataset again"):
         check_source(Dataset(folder), *source_file(Dataset(folder).manifest))

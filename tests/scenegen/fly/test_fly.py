@@ -33,7 +33,7 @@ from tests.command_line import rows
 from tests.conftest import hall_in
 
 VEHICLE = Vehicle()
-DIGEST = "3cd1afbdf9bc5a23758ff3686f50abbf63dc08240ea10b2ef25c1e3ece71af49"
+DIGEST = "1942ab986e98128608be499ff806182b54e0ddb0e4a4c057a7526c36a086818a"
 BALLS = [(3.0, 0.4, 2.0, 0.5), (5.0, -0.9, 2.3, 0.7), (1.5, 2.0, 1.5, 0.6), (6.0, 1.0, 1.2, 0.4)]
 """x, y, z and radius of spheres, metres."""
 BOUNDS = ((-1.0, -3.0, 0.5), (9.0, 3.0, 4.0))
