@@ -123,7 +123,7 @@ def split_name(weights: str) -> tuple[str, str]:
     """The name that NAME=WEIGHTS gives a network's row, "" without one, and WEIGHTS. A path that
     exists is WEIGHTS as it stands."""
     name, equals, rest = weights.partition("=")
-    named = equals and re.fullmatch(r"[\w.-]+", name) and not Path(split_own(weights)[1]).exists()
+    named = equals and re.fullmatch(r"[\w. -]+", name) and not Path(split_own(weights)[1]).exists()
     return (name, rest) if named else ("", weights)
 
 

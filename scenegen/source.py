@@ -17,7 +17,7 @@ import numpy as np
 from numpy.random import Generator
 
 from scenegen import SPLITS
-from scenegen.errors import BrokenError, RecipeError, SceneError, printable, raised_as
+from scenegen.errors import BrokenError, RecipeError, SceneError, plural, printable, raised_as
 from scenegen.files import Json, real_path, world_digest
 from scenegen.limits import MOST_ARCHIVE_BYTES, MOST_GEOMS, MOST_MEMBERS, SCENE_BYTES, SCENE_SECONDS
 from scenegen.recipe import Acceptance, Recipe, preset
@@ -222,9 +222,9 @@ def read_scenes(
     splits = [split for split in SPLITS if (several if counts[split] is None else counts[split])]
     if len(scenes) < len(splits):
         raise SceneError(
-            f"{path}: {len(scenes)} worlds for {len(splits)} splits, and no two splits share one; "
-            "add worlds, or set --val and --test to 0 and measure on the training samples (bench "
-            "--split train)"
+            f"{path}: {plural(len(scenes), 'worlds')} for {len(splits)} splits, and no two splits "
+            "share one; add worlds, or set --val and --test to 0 and measure on the training "
+            "samples (bench --split train)"
         )
     order = np.random.default_rng(seed).permutation(len(scenes)).tolist()
     shares = sum(SHARES[split] for split in splits)

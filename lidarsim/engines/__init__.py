@@ -36,9 +36,8 @@ class Caster(Protocol):
 class Engine(Caster, Protocol):
     """A caster that knows one compiled world.
 
-    Two members are optional. A static method `missing` says what this machine lacks for the engine,
-    as the end of a sentence, before any work begins; "" for nothing. A method `hits`, see
-    `AnalyticEngine.hits`, says what every ray met: stages of noise that ask for surfaces need it.
+    A method `hits`, see `AnalyticEngine.hits`, is optional. It says what every ray met: stages of
+    noise that ask for surfaces need it.
     """
 
     @classmethod

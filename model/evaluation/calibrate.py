@@ -143,7 +143,7 @@ def calibrate(
     tasks = _tasks(datasets, split, samples)
     total = sum(len(task.numbers) for task in tasks)
     work = partial(_count_task, split, method, weight)
-    parts = counted(execute, progress, work, tasks, "voxels", total)
+    parts = counted(execute, progress, work, tasks, "calibrate", total)
     # in the order of the maps, wherever and whenever each was counted
     maps = sorted(
         (one for part in parts for one in part), key=lambda one: (one.dataset, one.number)

@@ -283,16 +283,16 @@ def to_html(report: Json, pictures: Mapping[str, Sequence[tuple[str, bytes]]]) -
     for kind in report["datasets"]:
         body.append(f"<h2>{_text(kind)}</h2>")
         body += [block(shown) for shown in blocks(report, kind)]
-        body.append(framed(pictures.get(kind, ()), "webp"))
+        body.append(framed(pictures.get(kind, ())))
     head = f"{HEAD}<title>Bench</title><style>{STYLE}</style></head>"
     return f"{head}<body>{''.join(body)}</body></html>\n"
 
 
-def framed(pictures: Sequence[tuple[str, bytes]], kind: str) -> str:
-    """Pictures side by side, each below its words."""
+def framed(pictures: Sequence[tuple[str, bytes]]) -> str:
+    """Pictures, WebP, side by side, each below its words."""
     images = [
         f"<figure><figcaption>{_text(told)}</figcaption><img alt='{_text(told)}' "
-        f"src='data:image/{kind};base64,{base64.b64encode(image).decode()}'></figure>"
+        f"src='data:image/webp;base64,{base64.b64encode(image).decode()}'></figure>"
         for told, image in pictures
     ]
     return f"<div class='charts'>{''.join(images)}</div>"

@@ -295,8 +295,7 @@ def _bench_method(
     method: Method, tuned: Thresholds, case: Case, goals: Floats, config: BenchConfig
 ) -> _MethodOnSample:
     """Measure one method on one sample: its map at the usual and at its `tuned` thresholds, its
-    paths to `goals` (trials, 3), metres in the map's frame, and, if asked for, its probabilities
-    and bounds."""
+    paths to `goals` (trials, 3), metres in the map's frame; if asked for, its probabilities."""
     sample, grid, usual = case.sample, case.grid, config.thresholds
     prediction = method.completion(sample, case.split)
 

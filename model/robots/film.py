@@ -65,7 +65,7 @@ class _Scene:
         robot, way, moment = self._robot, list[Floats](), None
         if robot is not None:
             robot.reset(self.simulation.about())
-        for n, (seen, *_) in enumerate(flown_again(self.simulation, self.flown)):
+        for n, seen in enumerate(flown_again(self.simulation, self.flown)):
             if robot is not None:
                 robot.act(seen)
             way.append(seen["position"])

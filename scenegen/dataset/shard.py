@@ -44,10 +44,7 @@ Drawn = tuple[Callable[[str], Any], bytes]
 def find_engine(name: str) -> EngineFactory:
     """What makes the engine called `name`. Raises DatasetError for one that is not to be had."""
     with raised_as(DatasetError):
-        engine = ENGINES.find(name)
-    if missing := getattr(engine, "missing", str)():  # what some engines say before the work begins
-        raise DatasetError(f"the engine {name} {missing}")
-    return engine.of
+        return ENGINES.find(name).of
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,7 +23,6 @@ from scenegen.files import Json, read_bounded
 from scenegen.fly import PERIOD_S, Rules, Vehicle
 from scenegen.fly.loop import CLAIMED, HOVER, ROBOTS_END, Flown, scored, unlike
 from scenegen.fly.missions import Mission, draw_missions, graded
-from scenegen.fly.motion import Command
 from scenegen.fly.serve import numbers_of
 from scenegen.fly.simulation import Observation, Simulation, bounded
 from scenegen.limits import MOST_MANIFEST_BYTES, MOST_SEED
@@ -232,17 +231,15 @@ def replay(course: Course, flights: Sequence[Flown]) -> list[Flown]:
     return found
 
 
-def flown_again(
-    simulation: Simulation, flown: Flown
-) -> Iterator[tuple[Observation, Command, float]]:
-    """What was seen on a flight, while its commands are flown again; with each command (4,), and
-    its reward."""
+def flown_again(simulation: Simulation, flown: Flown) -> Iterator[Observation]:
+    """What was seen on a flight, while its commands are flown again."""
     for command in flown.commands:
         given, exceeds = bounded(command, simulation.vehicle)
         if simulation.outcome is not None or given is None or exceeds:
             return
         seen = simulation.observe()
-        yield seen, command, simulation.step(command)
+        simulation.step(command)
+        yield seen
 
 
 def log_of(course: Course, number: int, flown: Flown) -> Iterator[LogScan]:
@@ -251,7 +248,7 @@ def log_of(course: Course, number: int, flown: Flown) -> Iterator[LogScan]:
     sensor = simulation.sensor
     arm = mounted(sensor, Pose.level((0.0, 0.0, 0.0), 0.0)).position
     times = (sensor.times_s * course.moving).astype(np.float32)
-    for seen, *_ in flown_again(simulation, flown):
+    for seen in flown_again(simulation, flown):
         hit = np.isfinite(seen["ranges"])
         pose = mounted(sensor, Pose(seen["position"], seen["quaternion"]))
         points = seen["points"][hit].astype(np.float64) - arm

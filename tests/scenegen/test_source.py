@@ -83,7 +83,7 @@ def test_a_changed_scene_is_another_dataset(folder, tmp_path):
 
 
 def test_too_few_worlds_for_the_splits_are_refused(folder):
-    with pytest.raises(SceneError, match=r"1 worlds for 3 splits.*bench --split train"):
+    with pytest.raises(SceneError, match=r"1 world for 3 splits.*bench --split train"):
         read_scenes(folder / "room0.xml", COUNTS, seed=0)
     for n in range(2, 5):
         (folder / f"room{n}.xml").unlink()

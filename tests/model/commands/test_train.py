@@ -55,11 +55,12 @@ def test_train_complete_and_bench_work_together(here, capsys):
     )
     with h5py.File("predictions/test-00000.h5") as file:
         assert set(file) == {"occupancy_probability", "tudf", "world", "viewpoint"}
-    words = "bench --weights mine=runs/proposed --weights runs/proposed --method returns"
-    done(capsys, f"{words} --predictions predictions --quick --workers 1")
+    named = "bench", "--weights", "my net=runs/proposed", "--weights", "runs/proposed"
+    words = "--method returns --predictions predictions --quick --workers 1"
+    done(capsys, *named, *words.split())
     report = json.loads((here / "bench" / "report.json").read_text())["reconstruction"]["pillar"]
-    assert list(report) == ["returns", "mine", "proposed", "predictions"]
-    assert report["mine"] == report["proposed"]
+    assert list(report) == ["returns", "my net", "proposed", "predictions"]
+    assert report["my net"] == report["proposed"]
     assert report["proposed"]["near_mae"]["mean"] == pytest.approx(
         report["predictions"]["near_mae"]["mean"], abs=1e-4
     )
