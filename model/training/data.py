@@ -23,7 +23,6 @@ from scenegen.model.config import TrainConfig
 from scenegen.model.inputs import SYMMETRIES, channels, points_of, turned
 from scenegen.model.network import Batch
 from scenegen.sample import Sample, rng_of
-from scenegen.scored import certain_distances
 from scenegen.streams.stream import Batches, Stream
 from scenegen.truth import distance_field
 from scenegen.worlds.mapping import Mapper, Sensing
@@ -164,7 +163,7 @@ class Maps(Dataset):
         if self.partly_known:
             known = getattr(sample, "known", None)
             maps["known"] = np.ones(source.grid.shape, bool) if known is None else known
-            maps["certain"] = certain_distances(maps["tudf"], maps["known"], source.grid)
+            maps["certain"] = maps["tudf"] <= distance_field(~maps["known"], source.grid)
         turn = view % SYMMETRIES
         return {name: torch.from_numpy(turned(one, turn)) for name, one in maps.items()}
 
