@@ -14,8 +14,8 @@ import tokenize
 from pathlib import Path
 
 PRODUCT = ("lidarsim", "scenegen", "model")
-TOKENS = {"product": 295_250, "benchmarks": 24_980, "tests": 220_000}
-FILES = 239
+TOKENS = {"product": 295_250, "benchmarks": 33_000, "tests": 252_000}
+FILES = 242
 LINES = 400
 """The longest file of product code."""
 WIDTH = 100
