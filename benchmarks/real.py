@@ -12,6 +12,7 @@ beside them, and logs that are flown in some of the worlds, as `scenegen ingest`
 --paths, only the last tables of the page are made anew: of what paths meet in the real places.
 """
 
+import operator
 import sys
 import tempfile
 import tomllib
@@ -65,6 +66,7 @@ PLANNERS = {
 PATHS_MARK = "<!-- paths -->"
 """In the page: below it are the tables of what paths meet."""
 PATH_METRICS = {
+    "hits": "hits",
     "crossed_hits": "hits in crossed voxels only",
     "success_blocked": "success, blocked line",
     "success": "success",
@@ -368,14 +370,14 @@ def paths_met(planner: str, results: Results, *, marked: bool) -> list[str]:
         """A row of means of values (methods, places)."""
         return title, ["", *(told(one, range(len(places)), form) for one in values)]
 
-    hits = shares(lambda method: method.values("hits"))
-    rows = [
-        over_places("hits", hits),
-        over_places(f"hits, less {BASE}", hits - hits[names.index(BASE)], "+.2f"),
-        *(
-            over_places(title, shares(lambda method, metric=metric: method.values(metric)))
-            for metric, title in PATH_METRICS.items()
-        ),
+    rows = []
+    for metric, title in PATH_METRICS.items():
+        means = shares(operator.methodcaller("values", metric))
+        rows += [
+            over_places(title, means),
+            over_places(f"{title}, less {BASE}", means - means[names.index(BASE)], "+.2f"),
+        ]
+    rows += [
         over_places("leaves known space, no hit", shares(leaves_known)),
         over_places("no path", shares(lambda method: np.isnan(method.values("length")))),
     ]
