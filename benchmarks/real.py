@@ -104,11 +104,14 @@ class Options(scoring.Options):
 def main() -> None:
     """Score every place, and write the tables."""
     given = measuring.parse(Options, maps=2, trials=2, length=1, network=["columns"])
+    if BASE not in given.method:
+        sys.exit(f"--method: has to name {BASE}, which the others are compared with")
     methods = rows_of(given.method, given.network)
     with tempfile.TemporaryDirectory() as folder:
-        places = real_places(given.real, Path(folder), given.maps)
-        if not given.paths:
-            places = drawn_kinds(given, Path(folder)) | places
+        if given.paths:
+            places = real_places(given.real, Path(folder), given.maps)
+        else:
+            places = maps_to_complete(given, Path(folder))
         results = {
             planner: measured(places, [*methods, Truth()], given.trials, plan)
             for planner, plan in PLANNERS.items()
@@ -128,12 +131,12 @@ def main() -> None:
         publish(given, [*lines, "", PATHS_MARK, *paths])
 
 
-def drawn_kinds(given: Any, folder: Path) -> dict[str, Dataset]:
-    """Maps of drawn kinds, their names in backticks, one a flight."""
+def maps_to_complete(given: Any, folder: Path) -> dict[str, Dataset]:
+    """Maps of drawn kinds, their names in backticks, and of real places, one a flight."""
     made = {}
     for kind in KINDS[: 1 if given.smoke else None]:
         made[f"`{kind}`"] = drawn(folder / kind, preset(kind), given.maps, viewpoints=1)
-    return made
+    return made | real_places(given.real, folder, given.maps)
 
 
 def real_places(maps: Path | None, folder: Path, poses: int) -> dict[str, Dataset]:
